@@ -1,0 +1,108 @@
+"""The only caller of Numba's compiler: three decorators and the place of the disk cache.
+
+`inline` is for helpers of scalars and tuples, `kernel` for loops over bodies, `parallel` for the
+one loop over blocks of bodies. Numba's cache does not notice an edit in another file, nor a
+changed NUMBA_* flag; so the cache folder carries a hash of all of it in its name.
+"""
+
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+config: Any = numba.config
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+PACKAGE = Path(__file__).parent
+FOLDERS_KEPT = 6  # compiled code of earlier sources: switching between two versions stays warm
+FLAGS: dict[str, Any] = {
+    "error_model": "numpy",  # 1 / 0 is inf: a branch for ZeroDivisionError would stop vectorising
+    "fastmath": {"contract"},  # a b + c in one rounding; nothing that changes what NaN means
+}
+
+
+def source_hash() -> str:
+    """Hash of everything that decides what the compiler makes: sources, flags, versions."""
+    digest = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        digest.update(path.relative_to(PACKAGE).as_posix().encode())
+        digest.update(path.read_bytes())
+    flags = {k: v for k, v in os.environ.items() if k.startswith("NUMBA_")}
+    flags.pop("NUMBA_CACHE_DIR", None)
+    flags.pop("NUMBA_NUM_THREADS", None)
+    digest.update(repr((sorted(flags.items()), numba.__version__, sys.version)).encode())
+    return digest.hexdigest()[:16]
+
+
+def cache_root() -> Path:
+    """Folder of the user's caches that can be written; a private temporary one otherwise."""
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(chosen) / "particlerb"
+    if sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    root = base / "particlerb"
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=root):
+            return root
+    except OSError:
+        return private_temporary_root()
+
+
+def private_temporary_root() -> Path:
+    """Temporary folder that belongs to this user alone: compiled code is loaded from it."""
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    root = Path(tempfile.gettempdir()) / f"particlerb-{user}"
+    try:
+        root.mkdir(mode=0o700, exist_ok=True)
+        status = root.lstat()
+        if not root.is_symlink() and status.st_uid == user and not status.st_mode & 0o022:
+            return root
+    except OSError:
+        pass
+    return Path(tempfile.mkdtemp(prefix="particlerb-"))
+
+
+def cache_folder() -> Path:
+    """Folder of this version's compiled code; making it prunes those of old versions."""
+    root = cache_root()
+    folder = root / source_hash()
+    if not folder.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        others = [f for f in root.iterdir() if f.is_dir() and f != folder]
+        others.sort(key=lambda f: f.stat().st_mtime, reverse=True)
+        for old in others[FOLDERS_KEPT - 1 :]:
+            shutil.rmtree(old, ignore_errors=True)
+    return folder
+
+
+CACHE_FOLDER = None if config.DISABLE_JIT else str(cache_folder())
+
+
+def compile_with(**options: Any) -> Callable[[Function], Function]:
+    """Return Numba's decorator with these options; the function's own type stays visible."""
+
+    def decorate(function: Function) -> Function:
+        if CACHE_FOLDER is None:
+            return function
+        before = config.CACHE_DIR
+        config.CACHE_DIR = CACHE_FOLDER  # read while decorating, and for our code only
+        try:
+            return cast(Function, numba.njit(**FLAGS, **options)(function))
+        finally:
+            config.CACHE_DIR = before
+
+    return decorate
+
+
+inline = compile_with(forceinline=True)
+kernel = compile_with(cache=True)
+parallel = compile_with(cache=True, parallel=True)

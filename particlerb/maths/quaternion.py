@@ -1,0 +1,62 @@
+"""Unit quaternions as tuples (w, x, y, z), scalar first, that turn body vectors into world vectors.
+
+v_world = q v_body q⁻¹; a product a b turns by b first, then by a. q and -q are the same rotation.
+"""
+
+from typing import TypeAlias
+
+from particlerb._jit import inline
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross
+
+Quat: TypeAlias = tuple[float, float, float, float]
+Rows4: TypeAlias = tuple[Floats, Floats, Floats, Floats]
+
+
+@inline
+def multiply(a: Quat, b: Quat) -> Quat:
+    """Hamilton product a b."""
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
+@inline
+def conjugate(q: Quat) -> Quat:
+    """Inverse of a unit quaternion."""
+    return q[0], -q[1], -q[2], -q[3]
+
+
+@inline
+def to_world(q: Quat, v: Vec3) -> Vec3:
+    """R v = v + w t + u × t with u = (x, y, z), t = 2 u × v."""
+    u = (q[1], q[2], q[3])
+    t = cross(u, v)
+    t = (t[0] + t[0], t[1] + t[1], t[2] + t[2])
+    return add_scaled(1.0, cross(u, t), add_scaled(q[0], t, v))
+
+
+@inline
+def to_body(q: Quat, v: Vec3) -> Vec3:
+    """Rᵀ v."""
+    return to_world((q[0], -q[1], -q[2], -q[3]), v)
+
+
+@inline
+def rows4(array: Floats, lo: int, hi: int) -> Rows4:
+    """Rows of a (4, n) array between two bodies, as one-dimensional views."""
+    return array[0, lo:hi], array[1, lo:hi], array[2, lo:hi], array[3, lo:hi]
+
+
+@inline
+def load4(rows: Rows4, b: int) -> Quat:
+    """Quaternion of body b."""
+    return rows[0][b], rows[1][b], rows[2][b], rows[3][b]
+
+
+@inline
+def store4(rows: Rows4, b: int, q: Quat) -> None:
+    """Write the quaternion of body b."""
+    rows[0][b], rows[1][b], rows[2][b], rows[3][b] = q

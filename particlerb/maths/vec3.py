@@ -1,0 +1,70 @@
+"""Vectors as tuples of three scalars, and rows of component-first arrays.
+
+Values in, values out: nothing here writes into an argument except `store3`.
+A block of bodies is reached through one-dimensional row views (`rows3`): with these LLVM keeps
+neighbouring bodies in the lanes of a SIMD register, with two-dimensional slices it does not.
+"""
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from particlerb._jit import inline
+
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int64]
+Vec3: TypeAlias = tuple[float, float, float]
+Rows3: TypeAlias = tuple[Floats, Floats, Floats]
+
+
+@inline
+def add_scaled(a: float, x: Vec3, y: Vec3) -> Vec3:
+    """y + a x."""
+    return y[0] + a * x[0], y[1] + a * x[1], y[2] + a * x[2]
+
+
+@inline
+def scale(a: float, x: Vec3) -> Vec3:
+    """a x."""
+    return a * x[0], a * x[1], a * x[2]
+
+
+@inline
+def subtract(x: Vec3, y: Vec3) -> Vec3:
+    """x - y."""
+    return x[0] - y[0], x[1] - y[1], x[2] - y[2]
+
+
+@inline
+def dot(x: Vec3, y: Vec3) -> float:
+    """x . y."""
+    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+
+
+@inline
+def cross(x: Vec3, y: Vec3) -> Vec3:
+    """x × y."""
+    return (
+        x[1] * y[2] - x[2] * y[1],
+        x[2] * y[0] - x[0] * y[2],
+        x[0] * y[1] - x[1] * y[0],
+    )
+
+
+@inline
+def rows3(array: Floats, lo: int, hi: int) -> Rows3:
+    """Rows of a (3, n) array between two bodies, as one-dimensional views."""
+    return array[0, lo:hi], array[1, lo:hi], array[2, lo:hi]
+
+
+@inline
+def load3(rows: Rows3, b: int) -> Vec3:
+    """Vector of body b."""
+    return rows[0][b], rows[1][b], rows[2][b]
+
+
+@inline
+def store3(rows: Rows3, b: int, vector: Vec3) -> None:
+    """Write the vector of body b."""
+    rows[0][b], rows[1][b], rows[2][b] = vector
