@@ -1,3 +1,33 @@
-"""Many rigid bodies built from mass particles: closed-form free motion, Numba kernels, HDF5."""
+"""Many rigid bodies built from mass particles: closed-form free motion, Numba kernels, HDF5.
+
+`run(case)` integrates a case and returns its `Trajectory`; `open(path)` reads one back.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from particlerb.case.problems import CaseError
+    from particlerb.case.schema import Case
+    from particlerb.running import run
+    from particlerb.trajectory import Trajectory
+    from particlerb.trajectory import open_trajectory as open
 
 __version__ = "0.1.0"
+__all__ = ["Case", "CaseError", "Trajectory", "__version__", "open", "run"]
+
+HOMES = {
+    "Case": ("particlerb.case.schema", "Case"),
+    "CaseError": ("particlerb.case.problems", "CaseError"),
+    "Trajectory": ("particlerb.trajectory", "Trajectory"),
+    "open": ("particlerb.trajectory", "open_trajectory"),
+    "run": ("particlerb.running", "run"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import public names when they are first used: Numba and HDF5 take a second to load."""
+    if name not in HOMES:
+        raise AttributeError(f"module 'particlerb' has no attribute {name!r}")
+    module, attribute = HOMES[name]
+    return getattr(import_module(module), attribute)

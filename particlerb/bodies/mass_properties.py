@@ -1,0 +1,394 @@
+"""Mass, centre of mass, inertia tensor, principal frame and rotor class of particle sets.
+
+Read in this order: `MassProperties`; `mass_properties`; the kernel that sums in two passes;
+`principal_frames`, which decides the rotor class and builds the axes with NumPy over all kinds at
+once; `describe`, the text of the `mass` command. Formulas are numbered in docs/bodies.md.
+
+Nothing here has an absolute threshold. A kind is scaled by powers of two, exactly, to extent and
+mass of about one before anything is squared, and scaled back at the end.
+"""
+
+import math
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from particlerb._jit import inline, kernel
+from particlerb.bodies.particles import Particles, check, refuse
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.rotors.rotor_class import ASYMMETRIC, NAMES, POINT, ROD, SPHERE, SYMMETRIC
+
+Sum: TypeAlias = tuple[float, float]
+
+ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # 1.8e-15: sums, coordinates, eigenvalues
+TIE = 0.999  # components this close to the largest count as equal when an axis takes its sign
+
+
+class MassProperties(NamedTuple):
+    """What motion needs to know of particle sets; arrays over kinds."""
+
+    mass: Floats
+    """[kg], shape (n,)."""
+    com: Floats
+    """[m], shape (n, 3); in the frame of the particles."""
+    inertia_tensor: Floats
+    """[kg m²], shape (n, 3, 3); about com, axes of the particles, as summed."""
+    moments: Floats
+    """[kg m²], shape (n, 3); principal, ascending; equal or 0 to the bit as the class says."""
+    axes: Floats
+    """Shape (n, 3, 3); columns are the principal axes in those axes, det = +1."""
+    rotor_class: Ints
+    """Shape (n,); codes of particlerb.rotors.rotor_class."""
+
+
+class Ratios(NamedTuple):
+    """Dimensionless numbers that decide the rotor class; arrays over kinds."""
+
+    offset: Floats
+    """|com| / g, shape (n,), with the radius of gyration g = √(½ tr I / M); inf where I = 0."""
+    smallest: Floats
+    """λ_1 / λ_3, shape (n,)."""
+    lower_gap: Floats
+    """(λ_2 − λ_1) / λ_3, shape (n,)."""
+    upper_gap: Floats
+    """(λ_3 − λ_2) / λ_3, shape (n,)."""
+    zero_below: Floats
+    """ε + (ε |com|/g)², shape (n,): a smaller λ_1 / λ_3 is zero."""
+    equal_below: Floats
+    """ε (1 + |com|/g), shape (n,): moments with a smaller gap are equal."""
+
+
+def mass_properties(particles: Particles) -> MassProperties:
+    """Sum the mass properties of every kind and decide its rotor class.
+
+    Parameters
+    ----------
+    particles : Particles
+        Kinds with finite positions, masses and radii of 0 or more.
+
+    Returns
+    -------
+    MassProperties
+
+    Raises
+    ------
+    ValueError
+        If a kind has no particles, a negative mass or radius, a number that is not finite, no
+        mass, or a tensor beyond the range of float64; the message names the kind.
+
+    References
+    ----------
+    Goldstein, Poole, Safko, Classical Mechanics, 3rd ed., section 5.3.
+    """
+    check(particles)
+    n = len(particles.offset) - 1
+    sums, exponent = np.empty((n, 11)), np.empty((n, 2), dtype=np.int64)
+    with np.errstate(all="ignore"):  # underflow, and the ratios of points: 0 / 0
+        sum_kinds(*particles, sums, exponent)
+        mass, com, second = sums[:, 0], sums[:, 1:4], sums[:, 4:10]
+        tensor = inertia_tensors(second, sums[:, 10])
+        moments, axes, rotor_class = principal_frames(mass, com, tensor)
+        length, inertia = exponent[:, 0], exponent[:, 1] + 2 * exponent[:, 0]
+        properties = MassProperties(
+            np.ldexp(mass, exponent[:, 1]),
+            np.ldexp(com, length[:, None]),
+            np.ldexp(tensor, inertia[:, None, None]),
+            np.ldexp(moments, inertia[:, None]),
+            axes,
+            rotor_class,
+        )
+    overflown = np.isinf(properties.inertia_tensor).any(axis=(1, 2))
+    refuse(np.asarray(overflown), "the inertia tensor exceeds the range of float64")
+    return properties
+
+
+# Sums
+
+
+@inline
+def add(total: Sum, term: float) -> Sum:
+    """total + term with the rounding error carried along, whichever of the two is larger.
+
+    Source: two-sum, Knuth, The Art of Computer Programming 2, 3rd ed., 4.2.2, theorem B.
+    """
+    high, low = total
+    s = high + term
+    z = s - high
+    return s, low + ((high - (s - z)) + (term - z))
+
+
+@inline
+def exponents(position: Floats, mass: Floats, radius: Floats, lo: int, hi: int) -> tuple[int, int]:
+    """Powers of two above the largest coordinate or radius, and above the largest mass."""
+    extent, heaviest = 0.0, 0.0
+    for i in range(lo, hi):
+        if mass[i] > 0.0:
+            heaviest = max(heaviest, mass[i])
+            extent = max(extent, abs(position[i, 0]), abs(position[i, 1]))
+            extent = max(extent, abs(position[i, 2]), radius[i])
+    return max(math.frexp(extent)[1], -1000), max(math.frexp(heaviest)[1], -1000)
+
+
+@kernel
+def sum_kinds(
+    position: Floats, mass: Floats, radius: Floats, offset: Ints, sums: Floats, exponent: Ints
+) -> None:
+    """Scaled sums of every kind: M, com (3), Σ m r rᵀ (xx yy zz xy xz yz), Σ (2/5) m radius².
+
+    Lengths are in units of 2^exponent[k, 0], masses of 2^exponent[k, 1]. Two passes, with r
+    measured from the rounded com c of the first: d = Σ m r / M then corrects com = c + d and,
+    by the parallel axis theorem, Σ m r rᵀ − M d dᵀ.
+
+    Source: corrected two-pass algorithm, Chan, Golub, LeVeque, Am. Stat. 37, 242 (1983).
+    """
+    for k in range(len(offset) - 1):
+        lo, hi = offset[k], offset[k + 1]
+        e_length, e_mass = exponents(position, mass, radius, lo, hi)
+        per_length, per_mass = math.ldexp(1.0, -e_length), math.ldexp(1.0, -e_mass)
+
+        M = X = Y = Z = (0.0, 0.0)
+        for i in range(lo, hi):
+            m = mass[i] * per_mass
+            M = add(M, m)
+            X = add(X, m * (position[i, 0] * per_length))
+            Y = add(Y, m * (position[i, 1] * per_length))
+            Z = add(Z, m * (position[i, 2] * per_length))
+        total = M[0] + M[1]
+        cx, cy, cz = (X[0] + X[1]) / total, (Y[0] + Y[1]) / total, (Z[0] + Z[1]) / total
+
+        X = Y = Z = XX = YY = ZZ = XY = XZ = YZ = balls = (0.0, 0.0)
+        for i in range(lo, hi):
+            m = mass[i] * per_mass
+            x = position[i, 0] * per_length - cx
+            y = position[i, 1] * per_length - cy
+            z = position[i, 2] * per_length - cz
+            r = radius[i] * per_length
+            mx, my, mz = m * x, m * y, m * z
+            X, Y, Z = add(X, mx), add(Y, my), add(Z, mz)
+            XX, YY, ZZ = add(XX, mx * x), add(YY, my * y), add(ZZ, mz * z)
+            XY, XZ, YZ = add(XY, mx * y), add(XZ, mx * z), add(YZ, my * z)
+            balls = add(balls, 0.4 * m * r * r)
+        dx, dy, dz = (X[0] + X[1]) / total, (Y[0] + Y[1]) / total, (Z[0] + Z[1]) / total
+
+        exponent[k, 0], exponent[k, 1] = e_length, e_mass
+        sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3] = total, cx + dx, cy + dy, cz + dz
+        sums[k, 4] = XX[0] + (XX[1] - total * dx * dx)
+        sums[k, 5] = YY[0] + (YY[1] - total * dy * dy)
+        sums[k, 6] = ZZ[0] + (ZZ[1] - total * dz * dz)
+        sums[k, 7] = XY[0] + (XY[1] - total * dx * dy)
+        sums[k, 8] = XZ[0] + (XZ[1] - total * dx * dz)
+        sums[k, 9] = YZ[0] + (YZ[1] - total * dy * dz)
+        sums[k, 10] = balls[0] + balls[1]
+
+
+def inertia_tensors(second: Floats, balls: Floats) -> Floats:
+    """I = (tr C + B) 1 − C from C = Σ m r rᵀ, shape (n, 6), and B = Σ (2/5) m radius², (n,)."""
+    xx, yy, zz, xy, xz, yz = second.T
+    rows = [(yy + zz + balls, -xy, -xz), (-xy, xx + zz + balls, -yz), (-xz, -yz, xx + yy + balls)]
+    return np.ascontiguousarray(np.array(rows).transpose(2, 0, 1)) + 0.0  # -0 becomes 0
+
+
+# Rotor classes
+
+
+def ratios(mass: Floats, com: Floats, tensor: Floats, moments: Floats) -> Ratios:
+    """Ratios that decide the class, from eigenvalues (n, 3) as computed; see docs/bodies.md.
+
+    A coordinate p is known to ε |p|. This moves Σ m r² by 2 ε Σ m |r| |p| at most, a share of
+    2 ε √(1 + (|com|/g)²) by Cauchy and Schwarz; a rod's zero moment only by its square.
+    """
+    largest = moments[:, 2]
+    gyration = np.sqrt(0.5 * np.trace(tensor, axis1=1, axis2=2) / mass)
+    offset = np.where(gyration > 0.0, np.linalg.norm(com, axis=1) / gyration, math.inf)
+    return Ratios(
+        offset,
+        moments[:, 0] / largest,
+        (moments[:, 1] - moments[:, 0]) / largest,
+        (largest - moments[:, 1]) / largest,
+        ROUNDING + (ROUNDING * offset) ** 2,
+        ROUNDING * (1.0 + offset),
+    )
+
+
+def rotor_classes(ratio: Ratios) -> Ints:
+    """Class of every kind, shape (n,): the first that holds of point, rod, sphere, symmetric."""
+    gap = np.minimum(ratio.lower_gap, ratio.upper_gap)
+    return np.select(
+        [
+            ROUNDING * ratio.offset >= 1.0,  # g <= ε |com|: the particles coincide
+            ratio.smallest <= ratio.zero_below,
+            ratio.lower_gap + ratio.upper_gap <= ratio.equal_below,
+            gap <= ratio.equal_below,
+        ],
+        [POINT, ROD, SPHERE, SYMMETRIC],
+        default=ASYMMETRIC,
+    ).astype(np.int64)
+
+
+def unique_axis(ratio: Ratios, rotor_class: Ints) -> Ints:
+    """Column of the axis whose moment differs from two equal ones, shape (n,); -1 for none."""
+    last = (rotor_class == SYMMETRIC) & (ratio.lower_gap <= ratio.upper_gap)
+    first = (rotor_class == ROD) | (rotor_class == SYMMETRIC)
+    return np.select([last, first], [2, 0], default=-1).astype(np.int64)
+
+
+def equalised(moments: Floats, rotor_class: Ints, unique: Ints) -> Floats:
+    """Ascending moments (n, 3), equal or zero to the bit where the class says so."""
+    result = np.maximum(moments, 0.0)
+    mean = 0.5 * (result[:, :2] + result[:, 1:])
+    result[unique == 2, :2] = mean[unique == 2, :1]
+    result[unique == 0, 1:] = mean[unique == 0, 1:]
+    result[rotor_class == ROD, 0] = 0.0
+    result[rotor_class == SPHERE] = result[rotor_class == SPHERE, 1:2]
+    result[rotor_class == POINT] = 0.0
+    return result
+
+
+# Principal frames
+
+
+def principal_frames(mass: Floats, com: Floats, tensor: Floats) -> tuple[Floats, Floats, Ints]:
+    """Moments (n, 3), right-handed axes in columns (n, 3, 3) and classes (n,) of tensors (n, 3, 3).
+
+    Diagonal to rounding: the given axes, permuted, and the diagonal itself. Sphere and point: the
+    given axes. Rod and symmetric: the unique axis, and the given axes projected on its plane.
+    Asymmetric: eigenvectors, each positive along its largest component, the last one turned round
+    where the frame would be left-handed.
+    """
+    moments, axes = eigen_systems(tensor)
+    ratio = ratios(mass, com, tensor, moments)
+    rotor_class = rotor_classes(ratio)
+    unique = unique_axis(ratio, rotor_class)
+    first, last, general = unique == 0, unique == 2, rotor_class == ASYMMETRIC
+
+    axes[(rotor_class == POINT) | (rotor_class == SPHERE)] = np.eye(3)
+    axes[first] = frames_about(axes[first, :, 0])
+    axes[last] = np.roll(frames_about(axes[last, :, 2]), -1, axis=2)
+    axes[general] = right_handed(axes[general])
+    return equalised(moments, rotor_class, unique), axes, rotor_class
+
+
+def eigen_systems(tensor: Floats) -> tuple[Floats, Floats]:
+    """Ascending eigenvalues (n, 3) and orthonormal eigenvectors in columns (n, 3, 3).
+
+    Off-diagonal elements within the rounding of the sum count as zero: then the values are the
+    diagonal to the bit and the vectors are unit vectors, in their given order where values tie.
+    """
+    diagonal = np.diagonal(tensor, axis1=1, axis2=2)
+    off_diagonal = np.abs(tensor[:, [0, 0, 1], [1, 2, 2]]).max(axis=1)
+    oblique = off_diagonal > ROUNDING * diagonal.max(axis=1)
+    order = np.argsort(diagonal, axis=1, kind="stable")
+    values = np.take_along_axis(diagonal, order, axis=1)
+    vectors = np.swapaxes(np.eye(3)[order], 1, 2).copy()
+    if oblique.any():
+        values[oblique], vectors[oblique] = polished(tensor[oblique])
+    return values, vectors
+
+
+def polished(tensor: Floats) -> tuple[Floats, Floats]:
+    """Eigen system of LAPACK with orthonormal vectors and values from Rayleigh quotients.
+
+    Source: one Newton-Schulz step V (3 − VᵀV)/2, Higham, Functions of Matrices, 2008, ch. 8.
+    """
+    _, vectors = np.linalg.eigh(tensor)
+    transposed = np.swapaxes(vectors, 1, 2)
+    vectors = vectors @ (1.5 * np.eye(3) - 0.5 * (transposed @ vectors))
+    values = np.sum(vectors * (tensor @ vectors), axis=1)
+    order = np.argsort(values, axis=1, kind="stable")
+    return (
+        np.take_along_axis(values, order, axis=1),
+        np.take_along_axis(vectors, order[:, None, :], axis=2),
+    )
+
+
+def positive_direction(vector: Floats) -> tuple[Floats, Ints]:
+    """±vector (n, 3) whose largest component is positive, and the index (n,) of that component.
+
+    The first component within `TIE` of the largest decides, so that (1, −1, 0)/√2 does not turn
+    round with the rounding.
+    """
+    size = np.abs(vector)
+    largest = np.argmax(size >= TIE * size.max(axis=1, keepdims=True), axis=1)
+    sign = np.sign(np.take_along_axis(vector, largest[:, None], axis=1))
+    return vector * sign + 0.0, largest
+
+
+def frames_about(axis: Floats) -> Floats:
+    """Frames (u, a, b) in columns, shape (n, 3, 3), about unit vectors (n, 3), reproducible.
+
+    u = ±axis, its largest component k positive; a is the given axis k + 1 projected on the plane
+    of the equal moments; b = u × a. For an axis along e_k these are the given axes themselves.
+    """
+    u, k = positive_direction(axis)
+    e = np.eye(3)[(k + 1) % 3]
+    a = e - u * np.sum(u * e, axis=1, keepdims=True)
+    a /= np.linalg.norm(a, axis=1, keepdims=True)
+    return np.stack([u, a, np.cross(u, a)], axis=2) + 0.0
+
+
+def right_handed(axes: Floats) -> Floats:
+    """Frames (n, 3, 3): columns positive along their largest component, the last by det = +1."""
+    first, second = positive_direction(axes[:, :, 0])[0], positive_direction(axes[:, :, 1])[0]
+    last = axes[:, :, 2]
+    hand = np.sign(np.sum(np.cross(first, second) * last, axis=1, keepdims=True))
+    return np.stack([first, second, last * hand + 0.0], axis=2)
+
+
+# Report
+
+
+def describe(properties: MassProperties, k: int, name: str, n_particles: int) -> str:
+    """Text of the `mass` command for kind k: every number at full precision, SI units.
+
+    Parameters
+    ----------
+    properties : MassProperties
+    k : int
+        Kind.
+    name : str
+        What to call it.
+    n_particles : int
+        Of this kind.
+    """
+    mass, com, tensor, moments, axes, code = (array[k] for array in properties)
+    excess = moments[0] + moments[1] - moments[2]
+    class_name = NAMES[int(code)]
+    lines = [
+        f"{name}: {class_name}, {n_particles} particles",
+        f"  mass                 {numbers(mass)} kg",
+        f"  centre of mass       {numbers(com)} m",
+        *matrix("inertia tensor", tensor, "kg m², about the centre of mass"),
+        f"  principal moments    {numbers(moments)} kg m²",
+        *matrix("principal axes", axes, "in columns"),
+        f"  radii of gyration    {numbers(np.sqrt(moments / mass))} m",
+        f"  triangle inequality  I1 + I2 − I3 = {numbers(excess)} kg m² (0 or more, to rounding)",
+        f"  rotor class          {class_name}: {reason(properties, k)}",
+    ]
+    return "\n".join(lines)
+
+
+def numbers(values: Floats) -> str:
+    """Numbers with the digits that give back the same float64."""
+    return ", ".join(repr(float(value)) for value in np.atleast_1d(values))
+
+
+def matrix(name: str, rows: Floats, unit: str) -> list[str]:
+    """Lines of a (3, 3) matrix, the first with its name, the last with its unit."""
+    heads = (f"  {name:<19}  ", *2 * (" " * 23,))
+    ends = ("", "", f"  {unit}")
+    return [f"{h}[{numbers(row)}]{end}" for h, row, end in zip(heads, rows, ends, strict=True)]
+
+
+def reason(properties: MassProperties, k: int) -> str:
+    """Ratios of kind k that decided its class, beside the thresholds."""
+    mass, com, tensor, _, _, _ = properties
+    mass, com, tensor = mass[k : k + 1], com[k : k + 1], tensor[k : k + 1]
+    with np.errstate(all="ignore"):
+        ratio = ratios(mass, com, tensor, eigen_systems(tensor)[0])
+        offset, smallest, lower, upper, zero_below, equal_below = (float(r[0]) for r in ratio)
+    if properties.rotor_class[k] == POINT:
+        return f"|com|/g = {offset:.3g}, a point from {1 / ROUNDING:.3g} on"
+    return (
+        f"I1/I3 = {smallest:.3g} (zero up to {zero_below:.2g}), (I2 − I1)/I3 = {lower:.3g},"
+        f" (I3 − I2)/I3 = {upper:.3g} (equal up to {equal_below:.2g}), |com|/g = {offset:.3g}"
+    )

@@ -1,0 +1,254 @@
+"""Mass particles in flat arrays: the only description of a body's matter.
+
+A *kind* is one distinct set of particles. Many equal bodies share one kind, so that its mass
+properties are summed once; bodies refer to kinds by index. `Particles` first, then what joins and
+checks and moves sets, then the CSV reader. Nothing here knows of shapes, tensors or motion.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from particlerb.maths.vec3 import Floats, Ints
+
+Bools: TypeAlias = NDArray[np.bool_]
+
+REQUIRED_COLUMNS = ("x", "y", "z", "m")
+OPTIONAL_COLUMN = "r"
+
+
+class Particles(NamedTuple):
+    """Mass particles of distinct bodies in flat arrays; kind k owns offset[k]:offset[k + 1]."""
+
+    position: Floats
+    """[m], shape (n_particles, 3); any frame common to the kind."""
+    mass: Floats
+    """[kg], shape (n_particles,); not negative. 0 with a radius is contact shape without mass."""
+    radius: Floats
+    """[m], shape (n_particles,); not negative. 0 is a point mass, above 0 a solid ball."""
+    offset: Ints
+    """Shape (n_kinds + 1,); from 0 to n_particles, ascending."""
+
+
+def one_kind(position: ArrayLike, mass: ArrayLike, radius: ArrayLike | None = None) -> Particles:
+    """Particles of a single kind.
+
+    Parameters
+    ----------
+    position : array_like, shape (n, 3) [m]
+    mass : array_like, shape (n,) [kg]
+        One number stands for equal masses.
+    radius : array_like, shape (n,) [m], optional
+        Left out: point masses. One number stands for equal radii.
+
+    Returns
+    -------
+    Particles
+        Arrays of its own, C-contiguous float64.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, nothing is given, or a value is negative or not finite; the message
+        names the first such particle.
+    """
+    p = np.array(position, dtype=np.float64, order="C")
+    if p.ndim != 2 or p.shape[1] != 3 or len(p) == 0:
+        raise ValueError(f"position has shape {p.shape}, not (n, 3) with n of 1 or more")
+    m = per_particle("mass", mass, len(p))
+    r = per_particle("radius", 0.0 if radius is None else radius, len(p))
+    if not np.isfinite(p).all():
+        raise ValueError(f"position of particle {np.argmin(np.isfinite(p).all(axis=1))} not finite")
+    return Particles(p, m, r, np.array([0, len(p)], dtype=np.int64))
+
+
+def per_particle(name: str, value: ArrayLike, n: int) -> Floats:
+    """Array of n finite values of 0 or more, from n values or one; ValueError names the first."""
+    given = np.asarray(value, dtype=np.float64)
+    if given.shape not in {(), (n,)}:
+        raise ValueError(f"{name} has shape {given.shape}, position has {n} particles")
+    array = np.array(np.broadcast_to(given, (n,)), order="C")
+    valid = np.isfinite(array) & (array >= 0.0)
+    if not valid.all():
+        i = int(np.argmin(valid))
+        raise ValueError(f"{name} of particle {i} is {array[i]}: finite and 0 or more is needed")
+    return array
+
+
+def check(particles: Particles) -> None:
+    """ValueError that names the first kind which has no mass properties, and says why."""
+    position, mass, radius, offset = particles
+    count = np.diff(offset)
+    refuse(count < 1, "no particles")
+    for valid, reason in (
+        (np.isfinite(position), "a position that is not finite"),
+        (np.isfinite(mass) & (mass >= 0.0), "a mass that is negative or not finite"),
+        (np.isfinite(radius) & (radius >= 0.0), "a radius that is negative or not finite"),
+    ):
+        if not valid.all():
+            invalid = ~valid.reshape(len(mass), -1).all(axis=1)
+            kind = np.repeat(np.arange(len(count)), count)[invalid]
+            refuse(np.bincount(kind, minlength=len(count)) > 0, reason)
+    heaviest: Floats = np.maximum.reduceat(mass, offset[:-1])
+    refuse(np.asarray(heaviest <= 0.0), "no mass: its sum is not positive")
+
+
+def refuse(failed: Bools, reason: str) -> None:
+    """ValueError with the index of the first kind that failed, if any did."""
+    if failed.any():
+        raise ValueError(f"kind {int(np.argmax(failed))}: {reason}")
+
+
+def concatenate(sets: Sequence[Particles]) -> Particles:
+    """All kinds of several sets, in order; the sum of their kinds is kept.
+
+    Raises
+    ------
+    ValueError
+        If the list is empty.
+    """
+    if not sets:
+        raise ValueError("no particles to concatenate")
+    counts = np.concatenate([np.diff(s.offset) for s in sets])
+    return Particles(
+        np.concatenate([s.position for s in sets]),
+        np.concatenate([s.mass for s in sets]),
+        np.concatenate([s.radius for s in sets]),
+        np.concatenate([np.zeros(1, np.int64), np.cumsum(counts, dtype=np.int64)]),
+    )
+
+
+def united(particles: Particles) -> Particles:
+    """All particles as one kind: what a body of several parts is."""
+    return particles._replace(offset=np.array([0, len(particles.mass)], dtype=np.int64))
+
+
+def of_kind(particles: Particles, k: int) -> Particles:
+    """Particles of kind k alone (views); IndexError if there is no such kind."""
+    if not 0 <= k < len(particles.offset) - 1:
+        raise IndexError(f"kind {k} of {len(particles.offset) - 1}")
+    lo, hi = int(particles.offset[k]), int(particles.offset[k + 1])
+    position, mass, radius, _ = particles
+    offset = np.array([0, hi - lo], dtype=np.int64)
+    return Particles(position[lo:hi], mass[lo:hi], radius[lo:hi], offset)
+
+
+def transformed(particles: Particles, rotation: ArrayLike, translation: ArrayLike) -> Particles:
+    """Every particle turned, then moved: x = R p + t.
+
+    Parameters
+    ----------
+    particles : Particles
+    rotation : array_like, shape (3, 3)
+        Proper or improper orthogonal matrix; columns are the old axes in the new frame.
+    translation : array_like, shape (3,) [m]
+        In the new frame.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, or R Rᵀ is not 1 within 1e-9.
+    """
+    R, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
+    if R.shape != (3, 3) or t.shape != (3,):
+        raise ValueError(f"rotation {R.shape} and translation {t.shape}, not (3, 3) and (3,)")
+    if not np.abs(R @ R.T - np.eye(3)).max() < 1e-9:
+        raise ValueError("rotation is not an orthogonal matrix")
+    return particles._replace(position=particles.position @ R.T + t)
+
+
+def scaled_to_mass(particles: Particles, mass: ArrayLike) -> Particles:
+    """Every particle mass times one factor per kind, so that kinds have the given masses.
+
+    Parameters
+    ----------
+    particles : Particles
+    mass : array_like, shape () or (n_kinds,) [kg]
+        Wanted total of each kind; positive.
+
+    Raises
+    ------
+    ValueError
+        If a wanted mass is not positive and finite, or a kind has no mass to scale.
+    """
+    bounds = zip(particles.offset[:-1].tolist(), particles.offset[1:].tolist(), strict=True)
+    total = np.array([math.fsum(particles.mass[lo:hi]) for lo, hi in bounds])
+    wanted = np.broadcast_to(np.asarray(mass, dtype=np.float64), total.shape)
+    if not (np.isfinite(wanted).all() and (wanted > 0.0).all()):
+        raise ValueError(f"mass {wanted}: positive and finite is needed")
+    if not (total > 0.0).all():
+        raise ValueError(f"kind {int(np.argmin(total > 0.0))} has no mass to scale")
+    share = particles.mass / np.repeat(total, np.diff(particles.offset))
+    return particles._replace(mass=share * np.repeat(wanted, np.diff(particles.offset)))
+
+
+def read_csv(path: str | Path) -> Particles:
+    """Particles of one kind from a file with the columns x, y, z, m and optionally r.
+
+    The first line that is neither blank nor a comment is the header, in any order of columns;
+    values are separated by commas; what follows a # is a comment.
+
+    Parameters
+    ----------
+    path : path of the file
+        x, y, z, r in metres, m in kilograms.
+
+    Returns
+    -------
+    Particles
+        One kind, in the order of the lines.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        With file, line and reason: a missing, unknown or repeated column, a wrong number of
+        values, no number, a number not finite, a negative mass or radius, no rows.
+    """
+    text = Path(path).read_text(encoding="utf-8-sig")
+    stripped = ((n, line.partition("#")[0].strip()) for n, line in enumerate(text.splitlines(), 1))
+    lines = [(n, [cell.strip() for cell in line.split(",")]) for n, line in stripped if line]
+    if not lines:
+        raise ValueError(f"{path}: empty; expected the header {', '.join(REQUIRED_COLUMNS)}")
+    names = header(lines[0][1], f"{path}:{lines[0][0]}")
+    if len(lines) == 1:
+        raise ValueError(f"{path}:{lines[0][0]}: no particles below the header")
+    table = np.array([row(cells, names, f"{path}:{n}") for n, cells in lines[1:]])
+    column = dict(zip(names, table.T, strict=True))
+    xyz = np.stack([column["x"], column["y"], column["z"]], axis=1)
+    return one_kind(xyz, column["m"], column.get(OPTIONAL_COLUMN))
+
+
+def header(cells: Sequence[str], where: str) -> list[str]:
+    """Names of the columns in lower case; ValueError for a missing, unknown or repeated one."""
+    names = [cell.lower() for cell in cells]
+    if missing := [name for name in REQUIRED_COLUMNS if name not in names]:
+        raise ValueError(f"{where}: column {', '.join(missing)} is missing; found {names}")
+    if unknown := [name for name in names if name not in (*REQUIRED_COLUMNS, OPTIONAL_COLUMN)]:
+        raise ValueError(f"{where}: unknown column {unknown[0]!r}; known are x, y, z, m, r")
+    if len(set(names)) < len(names):
+        raise ValueError(f"{where}: a column is given twice: {names}")
+    return names
+
+
+def row(cells: Sequence[str], names: Sequence[str], where: str) -> list[float]:
+    """Numbers of one line in the order of the header; ValueError says what is wrong with which."""
+    if len(cells) != len(names):
+        raise ValueError(f"{where}: {len(cells)} values for the {len(names)} columns {names}")
+    values = []
+    for name, cell in zip(names, cells, strict=True):
+        try:
+            value = float(cell)
+        except ValueError:
+            raise ValueError(f"{where}: {name} = {cell!r} is not a number") from None
+        if not math.isfinite(value):
+            raise ValueError(f"{where}: {name} = {cell} is not finite")
+        if name in {"m", OPTIONAL_COLUMN} and value < 0.0:
+            raise ValueError(f"{where}: {name} = {cell} is negative")
+        values.append(value)
+    return values

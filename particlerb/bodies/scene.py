@@ -1,0 +1,207 @@
+"""From a case to bodies: particles of every kind, constants, and the initial state.
+
+Bodies of one [[body]] block are copies of one kind, so their particles are stored and summed once;
+only random clouds are a kind each. Spin that a body cannot have (of a point, about a rod's axis)
+is an error where the case gives it, and left out where it was drawn at random.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.bodies import shapes
+from particlerb.bodies.bodies import Bodies, bodies_of_kind
+from particlerb.bodies.mass_properties import MassProperties, mass_properties
+from particlerb.bodies.particles import (
+    Particles,
+    concatenate,
+    read_csv,
+    scaled_to_mass,
+    transformed,
+    united,
+)
+from particlerb.bodies.state import State, initial_state, turned
+from particlerb.case.placement import Placement, place, quaternion_of_euler, random_stream
+from particlerb.case.problems import CaseError, Problem
+from particlerb.case.reader import problem_at
+from particlerb.case.schema import Body, Case, Euler, Part, Spread
+from particlerb.case.shapes import AnyShape, Cloud, Points
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.rotors.rotor_class import POINT, ROD
+
+SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its rounding
+
+
+class Scene(NamedTuple):
+    """Bodies ready to move."""
+
+    names: Sequence[str]
+    """One per body."""
+    particles: Particles
+    """Of all kinds; positions in the body frame, from the centre of mass [m]."""
+    properties: MassProperties
+    """Of all kinds; com in the axes in which the case gives the shape."""
+    kind: Ints
+    """Kind of each body, shape (n_bodies,)."""
+    bodies: Bodies
+    """Constants of all bodies."""
+    state: State
+    """At t = 0."""
+
+
+def assemble(case: Case) -> Scene:
+    """Scene of a case.
+
+    Raises
+    ------
+    CaseError
+        If a shape has no particles or moments that no body has, a CSV file is malformed, or a
+        body spins where it cannot.
+    """
+    placement = place(case)
+    particles, first_kind = kinds(case)
+    properties = mass_properties(particles)
+    kind = kinds_of_bodies(case, placement, first_kind)
+    bodies = bodies_of_kind(properties, kind)
+    omega = possible_spin(case, placement, bodies)
+    state = initial_state(
+        bodies, placement.position, placement.orientation, placement.velocity, omega
+    )
+    counts = np.diff(particles.offset)
+    centred = particles._replace(
+        position=particles.position - np.repeat(properties.com, counts, axis=0)
+    )
+    return Scene(placement.names, centred, properties, kind, bodies, state)
+
+
+def kinds(case: Case) -> tuple[Particles, Ints]:
+    """Particles of all kinds, and the first kind of each block."""
+    sets: list[Particles] = []
+    first, problems = [], []
+    for i, body in enumerate(case.body):
+        first.append(len(sets))
+        key = f"body[{i}].shape" if body.shape is not None else f"body[{i}].part"
+        try:
+            made = list(particle_sets(case, i, body))
+            for particles in made:
+                mass_properties(particles)
+            sets += made
+        except (ValueError, OSError) as error:
+            problems.append(problem_at(case, key, str(error)))
+    if problems:
+        raise CaseError(problems)
+    return concatenate(sets), np.array(first)
+
+
+def particle_sets(case: Case, i: int, body: Body) -> Iterator[Particles]:
+    """Particles of a block: one set, or one for each body where they are random clouds."""
+    if isinstance(body.shape, Cloud):
+        stream = random_stream(case, i, "shape")
+        mass = body.mass or 0.0
+        for _ in range(body.count):
+            yield shapes.cloud(body.shape.n, body.shape.radius, mass, stream)
+    elif body.shape is not None:
+        yield shape_particles(case, body.shape, body.mass, body.density)
+    else:
+        yield united(concatenate([part_particles(case, i, part) for part in body.part]))
+
+
+def part_particles(case: Case, i: int, part: Part) -> Particles:
+    """Particles of one part, where it stands in its body."""
+    if isinstance(part.shape, Cloud):
+        stream = random_stream(case, i, "shape")
+        particles = shapes.cloud(part.shape.n, part.shape.radius, part.mass or 0.0, stream)
+    else:
+        particles = shape_particles(case, part.shape, part.mass, part.density)
+    if isinstance(part.orientation, Euler):
+        q = quaternion_of_euler(part.orientation.euler_deg)
+    else:
+        q = np.array(part.orientation)
+    columns = np.tile((q / np.linalg.norm(q))[:, None], 3)
+    return transformed(particles, turned(columns, np.eye(3)), part.position)
+
+
+def shape_particles(
+    case: Case, shape: AnyShape, mass: float | None, density: float | None
+) -> Particles:
+    """Particles of a shape in its own axes."""
+    if isinstance(shape, Points):
+        if shape.file is not None:
+            particles = read_csv(case.file(shape.file))
+        else:
+            particles = shapes.points(shape.position or (), shape.mass or (), shape.radius)
+        return particles if mass is None else scaled_to_mass(particles, mass)
+    parameters = shape.model_dump(exclude={"type", "arrangement"})
+    if getattr(shape, "arrangement", "lattice") == "exact":
+        parameters["exact"] = True
+    if mass is None:
+        mass = (density or 0.0) * shapes.volume(shape.type, parameters)
+    particles_of = getattr(shapes, shape.type)
+    made: Particles = particles_of(mass=mass, **parameters)
+    return made
+
+
+def kinds_of_bodies(case: Case, placement: Placement, first_kind: Ints) -> Ints:
+    """Kind of each body."""
+    kind = first_kind[placement.block]
+    for i, body in enumerate(case.body):
+        if isinstance(body.shape, Cloud):
+            kind[placement.block == i] += np.arange(body.count)
+    return np.asarray(kind, dtype=np.int64)
+
+
+def possible_spin(case: Case, placement: Placement, bodies: Bodies) -> Floats:
+    """Angular velocities without what points and rods cannot have.
+
+    Raises
+    ------
+    CaseError
+        If the case itself, and no random draw, gives a point a spin or a rod one about its axis.
+    """
+    omega = placement.angular_velocity.copy()
+    q = np.ascontiguousarray(placement.orientation.T)
+    axes = np.zeros((3, len(omega)))
+    axes[2] = 1.0
+    axes = turned(q, turned(bodies.rotor_frame, axes)).T
+    points, rods = bodies.rotor_class == POINT, bodies.rotor_class == ROD
+    about = np.einsum("ij,ij->i", omega, axes)
+    impossible = np.zeros_like(omega)
+    impossible[points] = omega[points]
+    impossible[rods] = about[rods, None] * axes[rods]
+    size, total = np.abs(impossible).max(axis=1), np.abs(omega).max(axis=1)
+    problems: list[Problem] = []
+    for i, body in enumerate(case.body):
+        own = placement.block == i
+        if isinstance(body.angular_velocity, Spread):
+            continue
+        wrong = np.flatnonzero(own & (size > SPIN_ROUNDING * total))
+        if len(wrong):
+            problems.append(spin_problem(case, i, int(wrong[0]), placement, bodies, about))
+    if problems:
+        raise CaseError(problems)
+    return np.asarray(omega - impossible)
+
+
+def spin_problem(
+    case: Case, i: int, b: int, placement: Placement, bodies: Bodies, about: Floats
+) -> Problem:
+    """What is wrong with the spin of body b, in full precision."""
+    key, name = f"body[{i}].angular_velocity", placement.names[b]
+    if bodies.rotor_class[b] == POINT:
+        value = placement.angular_velocity[b].tolist()
+        reason = f"{name} is a point (all moments are zero): it cannot spin, got {value} rad/s"
+        return problem_at(case, key, reason, "leave angular_velocity out, or give it extent")
+    reason = (
+        f"{name} is a rod, moments {sorted(bodies.inertia[:, b].tolist())} kg m²: it cannot spin"
+        f" about its own axis, got {float(about[b])!r} rad/s about it"
+    )
+    return problem_at(case, key, reason, "give an angular velocity across the rod")
+
+
+def inertia_in_body(bodies: Bodies, b: int) -> Floats:
+    """Inertia tensor (3, 3) [kg m²] of body b about its com, in the body frame."""
+    frame = np.tile(bodies.rotor_frame[:, b : b + 1], 3)
+    R = turned(frame, np.eye(3))
+    tensor: Floats = (R * bodies.inertia[:, b]) @ R.T
+    return tensor

@@ -1,0 +1,335 @@
+"""Shapes filled with mass particles: one function per shape, numbers in, one kind out.
+
+Common to all: positions in the shape's own axes, centred unless the function says otherwise; SI
+units; `mass` [kg] is the total, shared equally unless said otherwise; sizes and masses must be
+positive and finite. ValueError says which argument is wrong.
+
+Lattice: the bounding box is cut into cells, n along its largest extent and as near to cubes as
+whole numbers along the other extents allow; a particle sits in the centre of every cell whose
+centre lies inside the shape. Curved surfaces make staircases, so that the tensor approaches the
+solid's without a clean order (docs/bodies.md).
+
+exact=True: the few particles that have exactly the mass, com and inertia tensor of the solid.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from particlerb.bodies.particles import Particles, one_kind
+from particlerb.maths.vec3 import Floats
+
+AXES = np.concatenate([np.eye(3), -np.eye(3)])  # six unit vectors: +x +y +z -x -y -z
+CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+TRIANGLE_ROUNDING = 8 * np.finfo(np.float64).eps  # of I_max: moments that come out of a sum
+
+Inside = Callable[[Floats, Floats, Floats], NDArray[np.bool_]]
+
+
+# Lattices
+
+
+def positive(name: str, value: ArrayLike, shape: tuple[int, ...] = ()) -> Floats:
+    """Float64 array of this shape; ValueError unless every value is positive and finite."""
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}, not {shape}")
+    if not (np.isfinite(array).all() and (array > 0.0).all()):
+        raise ValueError(f"{name} is {array.tolist()}: positive and finite is needed")
+    return array
+
+
+def at_least(name: str, n: int, least: int) -> int:
+    """n as an int; ValueError if it is no whole number or below the least."""
+    if not math.isfinite(n) or int(n) != n or n < least:
+        raise ValueError(f"{name} is {n}: a whole number of {least} or more is needed")
+    return int(n)
+
+
+def cell_centres(n: int) -> Floats:
+    """Centres of n equal cells of [-1, 1]: (2i + 1 − n) / n, antisymmetric to the bit."""
+    return (2.0 * np.arange(n) + (1.0 - n)) / n
+
+
+def equal(position: Floats, mass: float) -> Particles:
+    """Point particles of equal mass M / n."""
+    return one_kind(position, positive("mass", mass) / len(position))
+
+
+def lattice(name: str, half_size: Floats, mass: float, n: int, inside: Inside) -> Particles:
+    """Equal particles in the cell centres inside a shape.
+
+    Parameters
+    ----------
+    name : for the message
+    half_size : ndarray, shape (3,) [m]
+        Of the bounding box about the origin.
+    mass : float [kg]
+    n : int
+        Cells along the largest extent.
+    inside : callable
+        Says for x, y, z in units of `half_size`, each between -1 and 1, what is inside.
+
+    Raises
+    ------
+    ValueError
+        If no cell centre lies inside.
+    """
+    share = half_size / half_size.max()
+    counts = np.maximum(1, np.rint(at_least("n", n, 1) * share)).astype(np.int64)
+    centres = [cell_centres(int(count)) for count in counts]
+    chosen = np.argwhere(inside(*np.ix_(*centres)))
+    if len(chosen) == 0:
+        raise ValueError(f"{name}: none of the cell centres for n = {n} lies inside; raise n")
+    position = np.stack([centres[k][chosen[:, k]] * half_size[k] for k in range(3)], axis=1)
+    return equal(position, mass)
+
+
+# Solids
+
+
+def box(
+    size: ArrayLike, mass: float, n: int | Sequence[int] = 10, exact: bool = False
+) -> Particles:
+    """Box of edges `size` (3,) [m]: n cells per edge (or three numbers), exact: 8 particles.
+
+    Lattice: I_x = (M/12) (b² (1 − 1/n_y²) + c² (1 − 1/n_z²)). Exact: at (±a, ±b, ±c) / (2√3),
+    where Σ m x² = M a²/12 and products cancel.
+    """
+    half_size = 0.5 * positive("size", size, (3,))
+    if exact:
+        return equal(CORNERS * half_size / math.sqrt(3.0), mass)
+    if np.shape(n) not in {(), (3,)}:
+        raise ValueError(f"n is {n}: one number or three")
+    counts = [at_least("n", k, 1) for k in np.broadcast_to(n, (3,)).tolist()]
+    grid = np.meshgrid(*(cell_centres(count) for count in counts), indexing="ij")
+    return equal(np.stack(grid, axis=-1).reshape(-1, 3) * half_size, mass)
+
+
+def ball(radius: float, mass: float, n: int = 10, exact: bool = False) -> Particles:
+    """Ball: n cells per diameter; exact: 6 particles at R √(3/5) on the axes, I = 2/5 M R²."""
+    return ellipsoid(np.full(3, positive("radius", radius)), mass, n, exact)
+
+
+def ellipsoid(semi_axes: ArrayLike, mass: float, n: int = 10, exact: bool = False) -> Particles:
+    """Ellipsoid of half axes (3,) [m]; exact: 6 particles at a √(3/5), Σ m x² = M a²/5."""
+    half_size = positive("semi_axes", semi_axes, (3,))
+    if exact:
+        return equal(AXES * half_size * math.sqrt(0.6), mass)
+    return lattice("ellipsoid", half_size, mass, n, lambda x, y, z: x * x + y * y + z * z <= 1.0)
+
+
+def shell(radius: float, mass: float, inner_radius: float | None = None, n: int = 10) -> Particles:
+    """Spherical shell: thin without `inner_radius`, else the matter between two radii.
+
+    Thin: 6 n² particles on the sphere, the centres of n × n cells of equal angle on the six faces
+    of a cube, n per quarter of a great circle. This set has the symmetry of the cube and all its
+    points the distance R: its tensor is (2/3) M R² to rounding for every n. Thick: the lattice
+    with n cells per diameter; the solid has I = (2/5) M (R⁵ − r⁵)/(R³ − r³).
+    """
+    R = positive("radius", radius)
+    if inner_radius is not None:
+        hole = (inner("inner_radius", inner_radius, float(R)) / R) ** 2
+        return lattice(
+            "shell",
+            np.full(3, R),
+            mass,
+            n,
+            lambda x, y, z: (hole <= x * x + y * y + z * z) & (x * x + y * y + z * z <= 1.0),
+        )
+    slope = np.tan(0.25 * math.pi * cell_centres(at_least("n", n, 1)))
+    u, v = (axis.ravel() for axis in np.meshgrid(slope, slope, indexing="ij"))
+    distance = np.sqrt(1.0 + (u * u + v * v))
+    face = np.stack([np.ones_like(u) / distance, u / distance, v / distance], axis=1) * R
+    faces = [sign * np.roll(face, k, axis=1) for k in range(3) for sign in (1.0, -1.0)]
+    return equal(np.concatenate(faces), mass)
+
+
+def inner(name: str, value: float, outer: float) -> float:
+    """Inner radius; ValueError unless 0 <= inner < outer."""
+    if not 0.0 <= value < outer:
+        raise ValueError(f"{name} is {value}: from 0 to below the outer radius {outer} is needed")
+    return float(value)
+
+
+def cylinder(
+    radius: float, height: float, mass: float, inner_radius: float = 0.0, n: int = 10
+) -> Particles:
+    """Cylinder or tube along z.
+
+    The solid has I_z = M (R² + r²)/2 and I_x = M (3 (R² + r²) + h²)/12.
+    """
+    R, h = float(positive("radius", radius)), float(positive("height", height))
+    hole = (inner("inner_radius", inner_radius, R) / R) ** 2
+    return lattice(
+        "cylinder",
+        np.array([R, R, 0.5 * h]),
+        mass,
+        n,
+        lambda x, y, z: (hole <= x * x + y * y) & (x * x + y * y <= 1.0) & (np.abs(z) <= 1.0),
+    )
+
+
+def cone(radius: float, height: float, mass: float, n: int = 10) -> Particles:
+    """Cone along z, base at z = 0, apex at z = h.
+
+    The solid has its com at h/4, I_z = (3/10) M R² and I_x = (3/80) M (4R² + h²).
+    """
+    R, h = float(positive("radius", radius)), float(positive("height", height))
+    half_size = np.array([R, R, 0.5 * h])
+    filled = lattice(
+        "cone", half_size, mass, n, lambda x, y, z: x * x + y * y <= (0.5 - 0.5 * z) ** 2
+    )
+    return filled._replace(position=filled.position + np.array([0.0, 0.0, 0.5 * h]))
+
+
+def torus(major_radius: float, minor_radius: float, mass: float, n: int = 10) -> Particles:
+    """Ring about z: circle of the minor radius a led round the circle of the major radius c.
+
+    The solid has I_z = M (c² + 3a²/4) and I_x = M (c²/2 + 5a²/8). ValueError unless a <= c.
+    """
+    c, a = (
+        float(positive("major_radius", major_radius)),
+        float(positive("minor_radius", minor_radius)),
+    )
+    if a > c:
+        raise ValueError(f"minor_radius {a} exceeds major_radius {c}: no ring")
+    outer = c + a
+    half_size = np.array([outer, outer, a])
+    return lattice(
+        "torus",
+        half_size,
+        mass,
+        n,
+        lambda x, y, z: ((np.hypot(x, y) - c / outer) * (outer / a)) ** 2 + z * z <= 1.0,
+    )
+
+
+def rod(length: float, mass: float, n: int = 10, exact: bool = False) -> Particles:
+    """Thin rod along z: n equal particles, I = (M L²/12)(1 − 1/n²).
+
+    Exact: masses M/6, 2M/3, M/6 at −L/2, 0, L/2 (Simpson's rule), I = M L²/12.
+    """
+    L = positive("length", length)
+    z = np.array([-1.0, 0.0, 1.0]) if exact else cell_centres(at_least("n", n, 1))
+    position = np.outer(z * (0.5 * L), [0.0, 0.0, 1.0])
+    if exact:
+        return one_kind(position, positive("mass", mass) * np.array([1 / 6, 4 / 6, 1 / 6]))
+    return equal(position, mass)
+
+
+def tetrahedron(vertices: ArrayLike, mass: float, n: int = 10, exact: bool = False) -> Particles:
+    """Solid tetrahedron with vertices (4, 3) [m], in their frame (not centred).
+
+    A set with the symmetry of the barycentric coordinates λ has a multiple of the solid's second
+    moments about the com, and the solid has Var λ = 3/80. Lattice: λ = (i + δ)/(s + 4δ) for all
+    whole i ≥ 0 with Σ i = s = n − 1, n particles per edge, has Var λ = 3 s (s + 4)/(80 (s + 4δ)²);
+    δ = (√(s (s + 4)) − s)/4 makes it the solid's for every n ≥ 2. Exact: M/20 in each vertex and
+    4M/5 in the centroid, Var λ = (3/4)(1/20).
+    """
+    corner = np.asarray(vertices, dtype=np.float64)
+    if corner.shape != (4, 3) or not np.isfinite(corner).all():
+        raise ValueError(f"vertices of shape {corner.shape}: (4, 3) finite numbers are needed")
+    if exact:
+        share = np.array([1 / 20, 1 / 20, 1 / 20, 1 / 20, 4 / 5])
+        centroid = corner.mean(axis=0, keepdims=True)
+        return one_kind(np.concatenate([corner, centroid]), positive("mass", mass) * share)
+    s = at_least("n", n, 2) - 1
+    i, j, k = (axis.ravel() for axis in np.indices((s + 1, s + 1, s + 1)))
+    index = np.stack([i, j, k, s - i - j - k], axis=1)[i + j + k <= s]
+    spread = math.sqrt(s * (s + 4.0))
+    weight = (index + 0.25 * (spread - s)) / spread
+    return equal(weight @ corner, mass)
+
+
+# Sets without a solid
+
+
+def points(position: ArrayLike, mass: ArrayLike, radius: ArrayLike | None = None) -> Particles:
+    """Particles as given: positions (n, 3) [m], masses (n,) [kg], radii (n,) [m] or none."""
+    return one_kind(position, mass, radius)
+
+
+def moments(inertia: ArrayLike, mass: float) -> Particles:
+    """Six equal particles with exactly these moments (3,) [kg m²] about the axes x, y, z.
+
+    At ±p_k on axis k with p_1² = (I_2 + I_3 − I_1)/(4m), m = M/6, and cyclic.
+
+    Raises
+    ------
+    ValueError
+        If one moment exceeds the sum of the others by more than rounding: no matter has these.
+    """
+    given, m = np.asarray(inertia, dtype=np.float64), positive("mass", mass) / 6.0
+    if given.shape != (3,) or not np.isfinite(given).all():
+        raise ValueError(f"inertia is {given.tolist()}: three finite numbers are needed")
+    others = np.roll(given, -1) + np.roll(given, -2)
+    excess = others - given
+    if (excess < -TRIANGLE_ROUNDING * given.max()).any():
+        k = int(np.argmin(excess))
+        raise ValueError(
+            f"inertia {given.tolist()}: moment {k + 1} = {float(given[k])!r} exceeds the sum of the"
+            f" other two, {float(others[k])!r}, by {-float(excess[k])!r} kg m²: no body has these"
+        )
+    return equal(AXES * (0.5 * np.sqrt(np.maximum(excess, 0.0) / m)), mass)
+
+
+def cloud(n: int, radius: float, mass: float, rng: np.random.Generator) -> Particles:
+    """n equal particles, independent and uniform in a ball: r = R u^(1/3), direction at random."""
+    direction = rng.standard_normal((at_least("n", n, 1), 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    distance = float(positive("radius", radius)) * np.cbrt(rng.random((n, 1)))
+    return equal(direction * distance, mass)
+
+
+# Volumes
+
+
+def shell_volume(p: Mapping[str, Any]) -> float:
+    """(4π/3)(R³ − r³); ValueError for the thin shell."""
+    if p.get("inner_radius") is None:
+        raise ValueError("a thin shell has no volume: give mass")
+    return 4.0 / 3.0 * math.pi * float(p["radius"] ** 3 - p["inner_radius"] ** 3)
+
+
+def tetrahedron_volume(p: Mapping[str, Any]) -> float:
+    """|(b − a) · (c − a) × (d − a)| / 6."""
+    corner = np.asarray(p["vertices"], dtype=np.float64)
+    return float(abs(np.linalg.det(corner[1:] - corner[0]))) / 6.0
+
+
+VOLUME: dict[str, Callable[[Mapping[str, Any]], float]] = {
+    "box": lambda p: math.prod(p["size"]),
+    "ball": lambda p: 4.0 / 3.0 * math.pi * p["radius"] ** 3,
+    "shell": shell_volume,
+    "cylinder": lambda p: (
+        math.pi * (p["radius"] ** 2 - (p.get("inner_radius") or 0.0) ** 2) * p["height"]
+    ),
+    "cone": lambda p: math.pi * p["radius"] ** 2 * p["height"] / 3.0,
+    "torus": lambda p: 2.0 * math.pi**2 * p["major_radius"] * p["minor_radius"] ** 2,
+    "ellipsoid": lambda p: 4.0 / 3.0 * math.pi * math.prod(p["semi_axes"]),
+    "tetrahedron": tetrahedron_volume,
+}
+
+
+def volume(shape_name: str, parameters: Mapping[str, Any]) -> float:
+    """Volume [m³] of the analytic solid, so that mass = density · volume.
+
+    Parameters
+    ----------
+    shape_name : str
+        Name of a function of this module.
+    parameters : mapping
+        Its arguments by name; others are ignored.
+
+    Raises
+    ------
+    ValueError
+        For a shape without volume (points, moments, cloud, rod, thin shell): give mass.
+    """
+    if shape_name not in VOLUME:
+        raise ValueError(f"shape {shape_name!r} has no volume: give mass")
+    return float(VOLUME[shape_name](parameters))

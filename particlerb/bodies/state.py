@@ -1,0 +1,169 @@
+"""The variables of motion, and the one place where they turn from the inside to the outside.
+
+Inside (`State`): component first, orientation of the rotor frame, so that neighbouring bodies
+fill SIMD lanes. Outside (`Frames`, files, the API): (frame, body, component), orientation of the
+user's body frame, sign of q continuous in time.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb._jit import inline
+from particlerb.bodies.bodies import Bodies
+from particlerb.maths.quaternion import Rows4, conjugate, load4, multiply
+from particlerb.maths.vec3 import Floats, Ints, Rows3, load3
+
+
+class State(NamedTuple):
+    """X(t) of n bodies."""
+
+    com: Floats  # (3, n) [m], world frame
+    q: Floats  # (4, n) unit quaternion, scalar first, rotor frame to world
+    p: Floats  # (3, n) linear momentum [kg m/s], world frame
+    L: Floats  # (3, n) angular momentum about the centre of mass [kg m²/s], world frame
+
+
+class Frames(NamedTuple):
+    """Room for the states of all N bodies at T times, as the outside sees them."""
+
+    position: Floats  # (T, N, 3) [m]
+    orientation: Floats  # (T, N, 4) scalar first, body frame to world
+    linear_momentum: Floats  # (T, N, 3) [kg m/s]
+    angular_momentum: Floats  # (T, N, 3) [kg m²/s], about the centre of mass
+    last: Floats  # (N, 4) orientation stored last, for a continuous sign
+
+
+def room_for(n_frames: int, n_bodies: int, last: Floats) -> Frames:
+    """Empty frames that continue after the orientations `last`."""
+    vectors = [np.empty((n_frames, n_bodies, 3)) for _ in range(3)]
+    return Frames(vectors[0], np.empty((n_frames, n_bodies, 4)), vectors[1], vectors[2], last)
+
+
+def as_frame(bodies: Bodies, state: State) -> Frames:
+    """One state of all bodies as a frame."""
+    com, q, p, L = state
+    inverse = bodies.rotor_frame * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
+    orientation = multiplied(q, inverse).T[None].copy()
+    rows = (com.T[None].copy(), orientation, p.T[None].copy(), L.T[None].copy())
+    return Frames(*rows, orientation[0].copy())
+
+
+@inline
+def store_frame(
+    frames: Frames,
+    f: int,
+    index: Ints,
+    rotor_frame: Rows4,
+    com: Rows3,
+    q: Rows4,
+    p: Rows3,
+    L: Rows3,
+) -> None:
+    """Write a block of bodies into frame f; `index` says which bodies of the scene they are."""
+    position, orientation, linear_momentum, angular_momentum, last = frames
+    for b in range(index.size):
+        i = index[b]
+        position[f, i, 0], position[f, i, 1], position[f, i, 2] = load3(com, b)
+        pb, Lb = load3(p, b), load3(L, b)
+        linear_momentum[f, i, 0], linear_momentum[f, i, 1], linear_momentum[f, i, 2] = pb
+        angular_momentum[f, i, 0], angular_momentum[f, i, 1], angular_momentum[f, i, 2] = Lb
+        w, x, y, z = multiply(load4(q, b), conjugate(load4(rotor_frame, b)))
+        along = w * last[i, 0] + x * last[i, 1] + y * last[i, 2] + z * last[i, 3]
+        sign = -1.0 if along < 0.0 else 1.0
+        for k, value in enumerate((w, x, y, z)):
+            orientation[f, i, k] = sign * value
+            last[i, k] = sign * value
+
+
+def multiplied(a: Floats, b: Floats) -> Floats:
+    """Product a b of quaternions, shapes (4, n)."""
+    return np.stack(
+        [
+            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+        ]
+    )
+
+
+def turned(q: Floats, v: Floats) -> Floats:
+    """R v: vectors (3, n) of the rotating frame in the world frame."""
+    t = 2 * np.cross(q[1:], v, axis=0)
+    result: Floats = v + q[0] * t + np.cross(q[1:], t, axis=0)
+    return result
+
+
+def turned_back(q: Floats, v: Floats) -> Floats:
+    """Rᵀ v: vectors (3, n) of the world frame in the rotating frame."""
+    return turned(q * np.array([[1.0], [-1.0], [-1.0], [-1.0]]), v)
+
+
+def initial_state(
+    bodies: Bodies,
+    position: Floats,
+    orientation: Floats,
+    velocity: Floats,
+    angular_velocity: Floats,
+) -> State:
+    """State from what the user gives.
+
+    Parameters
+    ----------
+    bodies : Bodies
+        Constants of the n bodies.
+    position, velocity, angular_velocity : ndarray, shape (n, 3) [m, m/s, rad/s]
+        World frame.
+    orientation : ndarray, shape (n, 4)
+        Unit quaternions, scalar first, body frame to world.
+    """
+    q = multiplied(np.ascontiguousarray(orientation.T), bodies.rotor_frame)
+    q /= np.sqrt((q * q).sum(axis=0))
+    omega = turned_back(q, np.ascontiguousarray(angular_velocity.T))
+    return State(
+        np.ascontiguousarray(position.T, dtype=np.float64),
+        q,
+        np.ascontiguousarray(bodies.mass * velocity.T),
+        turned(q, bodies.inertia * omega),
+    )
+
+
+def omega_world(bodies: Bodies, state: State) -> Floats:
+    """Angular velocity R I⁻¹ Rᵀ L, (3, n) [rad/s]; zero for points."""
+    return turned(state.q, bodies.inv_inertia * turned_back(state.q, state.L))
+
+
+def kinetic_energy(bodies: Bodies, state: State) -> Floats:
+    """|p|²/2M + ½ Σ m_k² / I_k with m = Rᵀ L, (n,) [J]."""
+    m = turned_back(state.q, state.L)
+    energy: Floats = 0.5 * (
+        (state.p * state.p).sum(axis=0) * bodies.inv_mass + (m * m * bodies.inv_inertia).sum(axis=0)
+    )
+    return energy
+
+
+def derived(
+    bodies: Bodies, orientation: Floats, linear_momentum: Floats, angular_momentum: Floats
+) -> tuple[Floats, Floats]:
+    """Velocity and angular velocity of frames, world frame.
+
+    Parameters
+    ----------
+    bodies : Bodies
+        Constants of the N bodies.
+    orientation : ndarray, shape (T, N, 4)
+        Body frame to world.
+    linear_momentum, angular_momentum : ndarray, shape (T, N, 3) [kg m/s, kg m²/s]
+
+    Returns
+    -------
+    velocity, angular_velocity : ndarray, shape (T, N, 3) [m/s, rad/s]
+    """
+    velocity = linear_momentum * bodies.inv_mass[:, None]
+    omega = np.empty_like(angular_momentum, dtype=np.float64)
+    for f in range(len(orientation)):
+        q = multiplied(orientation[f].T, bodies.rotor_frame)
+        L = np.ascontiguousarray(angular_momentum[f].T)
+        omega[f] = turned(q, bodies.inv_inertia * turned_back(q, L)).T
+    return velocity, omega
