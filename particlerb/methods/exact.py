@@ -1,0 +1,163 @@
+"""Free motion in closed form: a parabola and the theta functions of rotors/exact.py. No step.
+
+For bodies on which nothing acts but forces through the centre of mass that are constant in the
+world. Any time costs the same; the error does not depend on how many frames were asked for.
+"""
+
+from typing import Final, TypeAlias
+
+import numpy as np
+from numba import prange
+
+from particlerb._jit import inline, kernel, parallel
+from particlerb.bodies.bodies import taken
+from particlerb.bodies.state import Frames, State, store_frame
+from particlerb.maths.quaternion import rows4
+from particlerb.maths.vec3 import Floats, Ints, Rows3, add_scaled, load3, rows3, store3
+from particlerb.methods.motion import Group, constant_force, force_of
+from particlerb.rotors.exact import (
+    HyperbolicTurn,
+    SteadyTurn,
+    ThetaTurn,
+    Turn,
+    orientation,
+    prepare,
+    turn_block,
+)
+
+ORDER: Final = None
+SYMMETRIC: Final = True
+SUMMARY: Final = "closed form, no step; free bodies only (uniform gravity, push through the com)"
+BLOCK: Final = 256
+
+
+Part: TypeAlias = tuple[
+    State,
+    Floats,
+    Floats,
+    Floats,
+    SteadyTurn | None,
+    ThetaTurn | None,
+    HyperbolicTurn | None,
+]
+
+
+@inline
+def parabola(
+    start: Rows3, p0: Rows3, force: Rows3, inv_mass: Floats, t: float, com: Rows3, p: Rows3
+) -> None:
+    """x = x₀ + (p₀ t + F t²/2)/M,  p = p₀ + F t."""
+    for b in range(inv_mass.size):
+        p_b, F = load3(p0, b), load3(force, b)
+        store3(p, b, add_scaled(t, F, p_b))
+        way = add_scaled(0.5 * t, F, p_b)
+        store3(com, b, add_scaled(t * inv_mass[b], way, load3(start, b)))
+
+
+@kernel
+def fly_block(
+    state: State,
+    force: Floats,
+    inv_mass: Floats,
+    rotor_frame: Floats,
+    steady: SteadyTurn | None,
+    theta: ThetaTurn | None,
+    hyperbolic: HyperbolicTurn | None,
+    times: Floats,
+    rows: Ints,
+    index: Ints,
+    lo: int,
+    hi: int,
+    frames: Frames,
+) -> None:
+    """All frames of one block; times count from the state."""
+    n = hi - lo
+    local = np.empty((10, BLOCK))
+    com, p, q = rows3(local[0:3], 0, n), rows3(local[3:6], 0, n), rows4(local[6:10], 0, n)
+    start, p0, L = rows3(state.com, lo, hi), rows3(state.p, lo, hi), rows3(state.L, lo, hi)
+    F, frame = rows3(force, lo, hi), rows4(rotor_frame, lo, hi)
+    for k in range(times.size):
+        turn_block(steady, theta, hyperbolic, times[k], lo, hi, q)
+        parabola(start, p0, F, inv_mass[lo:hi], times[k], com, p)
+        store_frame(frames, rows[k], index[lo:hi], frame, com, q, p, L)
+
+
+@parallel
+def fly(
+    state: State,
+    force: Floats,
+    inv_mass: Floats,
+    rotor_frame: Floats,
+    steady: SteadyTurn | None,
+    theta: ThetaTurn | None,
+    hyperbolic: HyperbolicTurn | None,
+    times: Floats,
+    rows: Ints,
+    index: Ints,
+    frames: Frames,
+) -> None:
+    """All frames of all blocks of one kind of turn."""
+    n = inv_mass.size
+    for k in prange((n + BLOCK - 1) // BLOCK):
+        fly_block(
+            state,
+            force,
+            inv_mass,
+            rotor_frame,
+            steady,
+            theta,
+            hyperbolic,
+            times,
+            rows,
+            index,
+            k * BLOCK,
+            min((k + 1) * BLOCK, n),
+            frames,
+        )
+
+
+class FreeMotion:
+    """A group of free bodies, sorted into kinds of turn; see `motion.Motion`."""
+
+    def __init__(self, group: Group, state: State, start: float, dt: float) -> None:
+        del dt  # a closed form has no step
+        self.group, self.state, self.start = group, state, start
+        self.force = force_of(group)[1]
+        self.constant = constant_force(group, state)
+        bodies = group.bodies
+        self.turns = prepare(bodies.inertia, bodies.rotor_class, state.q, state.L)
+        self.parts = [self.part(which, turn) for which, turn in self.turns]
+
+    def part(self, which: Ints, turn: Turn) -> Part:
+        """Arguments of the kernel for the bodies of one kind of turn."""
+        bodies = self.group.bodies
+        return (
+            taken(self.state, which),
+            np.ascontiguousarray(self.force[:, which]),
+            bodies.inv_mass[which],
+            np.ascontiguousarray(bodies.rotor_frame[:, which]),
+            turn if isinstance(turn, SteadyTurn) else None,
+            turn if isinstance(turn, ThetaTurn) else None,
+            turn if isinstance(turn, HyperbolicTurn) else None,
+        )
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        elapsed = times - self.start
+        for (which, _), part in zip(self.turns, self.parts, strict=True):
+            fly(*part, elapsed, rows, self.group.members[which], frames)
+        return self.constant.booked(elapsed)
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State at the end of the segment, and (7,) booked until then."""
+        t = stop - self.start
+        com, q, p, L = self.state
+        q = q.copy()
+        for which, turn in self.turns:
+            q[:, which] = orientation(turn, t)
+        inv_mass = self.group.bodies.inv_mass
+        com = com + t * inv_mass * (p + 0.5 * t * self.force)
+        return State(com, q, p + t * self.force, L), self.constant.booked(np.array([t]))[0]
+
+
+BEGIN: Final = FreeMotion

@@ -1,0 +1,77 @@
+"""What a method offers for one group of bodies during one segment of time.
+
+The host asks a motion for frames at ascending times, then for the state at the end of the segment.
+Both come with what the forces other than gravity have booked since the segment began: seven
+numbers, the work [J], the impulse [N s] and the angular impulse about the world's origin [N m s],
+the last two with gravity's. The error of integration is the total less the initial less these.
+"""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from particlerb.bodies.bodies import Bodies
+from particlerb.bodies.state import Frames, State
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.terms import Terms
+
+
+class Group(NamedTuple):
+    """Bodies that advance together through one segment."""
+
+    members: Ints  # (n,) which bodies of the scene these are
+    bodies: Bodies  # their constants
+    terms: Terms  # what acts on them
+
+
+class Motion(Protocol):
+    """A group of bodies that moves."""
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times [s] into rows of the frames; return (T, 7) booked."""
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State at the end of the segment [s], and (7,) booked until then."""
+
+
+class ConstantForce(NamedTuple):
+    """Sums that give the booking of a force that is constant in the world, in closed form.
+
+    With x = x₀ + v t + a t²/2: ∫ F·v dt = F·(v t + a t²/2), ∫ x × F dt = x₀ × F t + v × F t²/2,
+    for F parallel to a.
+    """
+
+    work: Floats  # (2,) coefficients of t, t²: of the pushes alone
+    impulse: Floats  # (3,) coefficient of t
+    angular: Floats  # (2, 3) coefficients of t, t²
+
+    def booked(self, t: Floats) -> Floats:
+        """Work, impulse and angular impulse after the times t [s], shape (T, 7)."""
+        t = np.atleast_1d(t)[:, None]
+        work = t * (self.work[0] + t * self.work[1])
+        return np.hstack([work, t * self.impulse, t * self.angular[0] + t * t * self.angular[1]])
+
+
+def force_of(group: Group) -> tuple[Floats, Floats]:
+    """Force of the pushes alone, and of all that is constant in the world; (3, n) [N]."""
+    gravity, push, _, _ = group.terms
+    pushed = np.zeros((3, group.members.size)) if push is None else push.force
+    if gravity is None:
+        return pushed, pushed
+    return pushed, pushed + gravity.mass * gravity.acceleration[:, None]
+
+
+def constant_force(group: Group, state: State) -> ConstantForce:
+    """Sums over a group whose force is constant, from its state at the beginning."""
+    pushed, force = force_of(group)
+    velocity = state.p * group.bodies.inv_mass
+    return ConstantForce(
+        np.array([(pushed * velocity).sum(), 0.5 * (pushed * force * group.bodies.inv_mass).sum()]),
+        force.sum(axis=1),
+        np.stack(
+            [
+                np.cross(state.com, force, axis=0).sum(axis=1),
+                0.5 * np.cross(velocity, force, axis=0).sum(axis=1),
+            ]
+        ),
+    )

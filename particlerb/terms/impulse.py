@@ -1,0 +1,34 @@
+"""Impulses: a jump of the momenta of some bodies at one instant, P += J and L += r × J."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.bodies import Bodies
+from particlerb.bodies.state import State, omega_world, turned
+from particlerb.maths.vec3 import Floats
+
+
+class Impulse(NamedTuple):
+    """One impulse on each of n bodies."""
+
+    at: Floats  # (3, n) [m], rotor frame, from the centre of mass
+    impulse: Floats  # (3, n) [N s], world frame, or rotor frame where `follows`
+    follows: bool  # whether the direction is given in the body
+
+
+def apply_impulse(impulse: Impulse, bodies: Bodies, state: State) -> tuple[State, Floats]:
+    """State after the jump, and what to book: work, impulse, angular impulse about the origin.
+
+    The work is ½(v⁻ + v⁺)·J + ½(ω⁻ + ω⁺)·(r × J), exactly the change of kinetic energy.
+    """
+    at, J, follows = impulse
+    if follows:
+        J = turned(state.q, J)
+    turn = np.cross(turned(state.q, at), J, axis=0)
+    after = state._replace(p=state.p + J, L=state.L + turn)
+    velocity = 0.5 * bodies.inv_mass * (state.p + after.p)
+    omega = 0.5 * (omega_world(bodies, state) + omega_world(bodies, after))
+    work = (velocity * J).sum() + (omega * turn).sum()
+    about_origin = turn + np.cross(state.com, J, axis=0)
+    return after, np.array([work, *J.sum(axis=1), *about_origin.sum(axis=1)])
