@@ -1,0 +1,135 @@
+"""The plan in words: what is computed, what is left out, and why, one line each."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from particlerb.bodies.scene import Scene
+from particlerb.case.schema import Case
+from particlerb.maths.vec3 import Ints
+from particlerb.plan import GroupPlan, Plan, Segment
+from particlerb.rotors.rotor_class import NAMES
+from particlerb.terms import Terms
+
+GROUPS_SHOWN = 20
+RUNS_SHOWN = 4
+
+
+def describe(case: Case, scene: Scene, plan: Plan) -> str:
+    """Text of a plan."""
+    lines = [
+        ("bodies", bodies_line(scene)),
+        ("particles", particles_line(scene)),
+        ("gravity", gravity_line(case)),
+        *((kind, force_line(case, kind)) for kind in ("push", "torque", "impulse")),
+        ("contact", contact_line(scene)),
+        ("step", plan.step),
+        ("ledger", ledger_line(plan)),
+    ]
+    for group in plan.groups[:GROUPS_SHOWN]:
+        lines += [(group_name(scene, group.members), text) for text in segment_lines(group)]
+    if len(plan.groups) > GROUPS_SHOWN:
+        lines.append(("...", f"and {len(plan.groups) - GROUPS_SHOWN} more groups of bodies"))
+    width = min(44, max(len(name) for name, _ in lines))
+    return "\n".join(f"  {name:<{width}}  {text}" for name, text in lines)
+
+
+def bodies_line(scene: Scene) -> str:
+    """How many bodies of which rotor class."""
+    counts = np.bincount(scene.bodies.rotor_class, minlength=len(NAMES))
+    classes = ", ".join(f"{n} {name}" for n, name in zip(counts, NAMES, strict=True) if n)
+    return f"{len(scene.kind)}: {classes}"
+
+
+def particles_line(scene: Scene) -> str:
+    """How many particles were summed, and that motion needs them no more."""
+    kinds = len(scene.particles.offset) - 1
+    sets = "one set" if kinds == 1 else f"{kinds} sets"
+    return f"{len(scene.particles.mass)} in {sets}, summed once: motion needs mass, com, tensor"
+
+
+def gravity_line(case: Case) -> str:
+    """Whether there is gravity."""
+    if case.gravity is None or not any(case.gravity.acceleration):
+        return "off: no [gravity], or zero"
+    return f"on: {vector(case.gravity.acceleration)} m/s²"
+
+
+def vector(values: Sequence[float]) -> str:
+    """Three numbers."""
+    return "(" + ", ".join(f"{value:.9g}" for value in values) + ")"
+
+
+def force_line(case: Case, kind: str) -> str:
+    """Whether there are forces of a kind."""
+    count = sum(force.type == kind for force in case.force)
+    return f"on: {count} of them" if count else f"off: no [[force]] of type {kind}"
+
+
+def contact_line(scene: Scene) -> str:
+    """Why nothing touches."""
+    if not scene.particles.radius.any():
+        return "off: no particle has a radius"
+    return "off: not in this version; radii add to the inertia tensor only"
+
+
+def ledger_line(plan: Plan) -> str:
+    """What booking costs."""
+    books = any(
+        s.method != "exact" and (s.terms.follower is not None or s.terms.torque is not None)
+        for group in plan.groups
+        for s in group.segments
+    )
+    if books:
+        return "work and impulses booked kick by kick: a force without potential acts"
+    return "booked in closed form: every force has a potential, kicks pay nothing for it"
+
+
+def group_name(scene: Scene, index: Ints) -> str:
+    """Which bodies these are: names of a few, ranges of many."""
+    if index.size <= 2:
+        return ", ".join(scene.names[int(b)] for b in index)
+    breaks = np.flatnonzero(np.diff(index) > 1)
+    first, last = index[np.r_[0, breaks + 1]], index[np.r_[breaks, index.size - 1]]
+    runs = [f"{a}-{b}" if a < b else f"{a}" for a, b in zip(first, last, strict=True)]
+    more = f", ... ({index.size})" if len(runs) > RUNS_SHOWN else ""
+    return "bodies " + ", ".join(runs[:RUNS_SHOWN]) + more
+
+
+def segment_lines(group: GroupPlan) -> list[str]:
+    """One line per segment, equal neighbours but for impulses kept apart."""
+    return [segment_line(segment) for segment in group.segments]
+
+
+def segment_line(segment: Segment) -> str:
+    """When, how, why."""
+    until = "on" if np.isinf(segment.stop) else f"to {segment.stop:.9g} s"
+    when = f"{segment.start:.9g} s {until}"
+    start = f"after {len(segment.jumps)} impulse(s), " if segment.jumps else ""
+    if segment.method == "exact":
+        return f"{when}: {start}free, closed form, no step ({free_reason(segment.terms)})"
+    steps = (segment.stop - segment.start) / segment.dt
+    count = f"{round(steps)} steps of " if np.isfinite(steps) else "steps of "
+    return f"{when}: {start}driven by {driving(segment.terms)}, {segment.method}, " + (
+        f"{count}{segment.dt:.6g} s"
+    )
+
+
+def free_reason(terms: Terms) -> str:
+    """Why a segment is free."""
+    acting = [name for name, term in (("gravity", terms.gravity), ("push", terms.push)) if term]
+    if not acting:
+        return "nothing acts"
+    return f"{' and '.join(acting)} through the centre of mass: a parabola"
+
+
+def driving(terms: Terms) -> str:
+    """Names of the terms that act."""
+    names = {
+        "gravity": terms.gravity,
+        "push": terms.push,
+        "load fixed in the body": terms.follower,
+        "torque": terms.torque,
+    }
+    acting = [name for name, term in names.items() if term is not None]
+    return " and ".join(acting) if acting else "nothing, but the case names the method"

@@ -1,0 +1,333 @@
+"""From a scene to a plan: what acts on whom and when, by which method, at which step, and why.
+
+Bodies with the same forces form a group. Its time is cut where a force starts or stops and where
+an impulse acts; each segment is free (closed form) or driven (stepped). What a scene does not use
+is neither computed nor compiled, and the plan says so in words.
+"""
+
+from collections import defaultdict
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.bodies import Bodies, taken
+from particlerb.bodies.scene import Scene
+from particlerb.bodies.state import omega_world, turned_back
+from particlerb.case.placement import resolve_bodies
+from particlerb.case.problems import CaseError, Problem
+from particlerb.case.reader import problem_at
+from particlerb.case.schema import Case, Impulse, Push, Torque
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.methods import METHODS
+from particlerb.methods.motion import Group
+from particlerb.rotors.rotor_class import NAMES, POINT, ROD
+from particlerb.terms import Terms
+from particlerb.terms.follower import Follower
+from particlerb.terms.gravity import UniformGravity
+from particlerb.terms.impulse import Impulse as Jump
+from particlerb.terms.push import Push as WorldPush
+from particlerb.terms.torque import Torque as WorldTorque
+
+RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
+LARGEST_TURN: Final = 0.5  # rad in one step above which a step given by hand is worth a warning
+AXIAL_ROUNDING: Final = 1e-12  # share of a torque about a rod's axis that is its rounding
+
+
+class Segment(NamedTuple):
+    """One stretch of time of one group."""
+
+    start: float  # [s]
+    stop: float  # [s], inf for the last
+    jumps: tuple[Jump, ...]  # impulses at the start
+    terms: Terms
+    method: str
+    dt: float  # [s]; 0 where the method has no step
+
+
+class GroupPlan(NamedTuple):
+    """Bodies on which the same forces act."""
+
+    members: Ints  # (n,) which bodies of the scene these are
+    bodies: Bodies  # their constants
+    segments: tuple[Segment, ...]  # from 0 to infinity
+
+    def group(self, segment: Segment) -> Group:
+        """What a method needs for one segment."""
+        return Group(self.members, self.bodies, segment.terms)
+
+
+class Plan(NamedTuple):
+    """How a case will be run."""
+
+    groups: tuple[GroupPlan, ...]
+    step: str  # the step and why this one
+    warnings: tuple[str, ...]
+
+
+class Load(NamedTuple):
+    """One force or impulse of the case, resolved."""
+
+    number: int  # index of [[force]]
+    force: Push | Torque | Impulse
+    members: Ints  # bodies on which it acts, ascending
+
+
+def make_plan(case: Case, scene: Scene) -> Plan:
+    """Plan of a case.
+
+    Raises
+    ------
+    CaseError
+        If a force turns a body that cannot turn so, or the method does not accept a force.
+    """
+    loads = [Load(i, f, resolve_bodies(case, f.body)) for i, f in enumerate(case.force)]
+    problems = [p for load in loads for p in impossible_torques(case, scene, load)]
+    if problems:
+        raise CaseError(problems)
+    cut = [
+        cut_into_segments(case, scene, index, [loads[k] for k in numbers])
+        for index, numbers in groups_of_bodies(scene, loads)
+    ]
+    refuse_method(case, cut)
+    dt, reason = step(case, scene, cut)
+    groups = tuple(with_steps(group, dt) for group in cut)
+    warnings = tuple(step_warnings(case, scene, cut))
+    return Plan(groups, reason, warnings)
+
+
+def groups_of_bodies(scene: Scene, loads: list[Load]) -> list[tuple[Ints, tuple[int, ...]]]:
+    """Bodies with the same forces, and the numbers of these forces; in the order of bodies."""
+    numbers: defaultdict[int, list[int]] = defaultdict(list)
+    for k, load in enumerate(loads):
+        for b in load.members.tolist():
+            numbers[b].append(k)
+    members: defaultdict[tuple[int, ...], list[int]] = defaultdict(list)
+    for b, own in numbers.items():
+        members[tuple(own)].append(b)
+    alone = np.ones(len(scene.kind), dtype=bool)
+    alone[list(numbers)] = False
+    groups = [(np.sort(np.array(bodies)), own) for own, bodies in members.items()]
+    if alone.any():
+        groups.append((np.flatnonzero(alone), ()))
+    return sorted(groups, key=lambda group: int(group[0][0]))
+
+
+def cut_into_segments(case: Case, scene: Scene, index: Ints, loads: list[Load]) -> GroupPlan:
+    """Segments of a group between the edges of its forces; steps are set later."""
+    edges = {0.0}
+    for load in loads:
+        if isinstance(load.force, Impulse):
+            edges.add(load.force.time)
+        elif load.force.during is not None:
+            edges.update(load.force.during)
+    starts = sorted(edges)
+    bodies = taken(scene.bodies, index)
+    segments = []
+    for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
+        terms = acting_terms(case, bodies, [load for load in loads if acts(load, start)])
+        jumps = tuple(
+            jump(load.force, bodies)
+            for load in loads
+            if isinstance(load.force, Impulse) and load.force.time == start
+        )
+        method = chosen_method(case, bodies, terms)
+        segments.append(Segment(start, stop, jumps, terms, method, 0.0))
+    return GroupPlan(index, bodies, tuple(segments))
+
+
+def acts(load: Load, start: float) -> bool:
+    """Whether a lasting force acts in the segment that begins at `start`."""
+    force = load.force
+    if isinstance(force, Impulse):
+        return False
+    return force.during is None or force.during[0] <= start < force.during[1]
+
+
+def acting_terms(case: Case, bodies: Bodies, loads: list[Load]) -> Terms:
+    """Sum of the forces of a segment, one term of each kind at most."""
+    n = bodies.mass.size
+    force, lever = np.zeros((3, n)), np.zeros((3, 3, n))
+    body_force, body_torque, torque = np.zeros((3, 3, n))
+    for load in loads:
+        given = load.force
+        if isinstance(given, Push):
+            at, F = rotor_vector(bodies, given.at), np.array(given.force)[:, None]
+            if given.frame == "world":
+                force += F
+                lever += F[:, None] * at  # [j, l] = F_j r_l
+            else:
+                body_force += rotor_vector(bodies, given.force)
+                body_torque += np.cross(at, rotor_vector(bodies, given.force), axis=0)
+        elif isinstance(given, Torque) and given.frame == "world":
+            torque += np.array(given.torque)[:, None]
+        elif isinstance(given, Torque):
+            body_torque += rotor_vector(bodies, given.torque)
+    gravity = np.array(case.gravity.acceleration) if case.gravity else np.zeros(3)
+    return Terms(
+        UniformGravity(bodies.mass, gravity) if gravity.any() else None,
+        WorldPush(force, lever.reshape(9, n)) if force.any() or lever.any() else None,
+        Follower(body_force, body_torque) if body_force.any() or body_torque.any() else None,
+        WorldTorque(torque) if torque.any() else None,
+    )
+
+
+def rotor_vector(bodies: Bodies, vector: tuple[float, float, float]) -> Floats:
+    """One vector of the body frame in the rotor frame of each body, (3, n)."""
+    return turned_back(bodies.rotor_frame, np.tile(np.array(vector)[:, None], bodies.mass.size))
+
+
+def jump(force: Impulse, bodies: Bodies) -> Jump:
+    """An impulse as the term takes it."""
+    follows = force.frame == "body"
+    J = np.tile(np.array(force.impulse)[:, None], bodies.mass.size)
+    return Jump(
+        rotor_vector(bodies, force.at),
+        rotor_vector(bodies, force.impulse) if follows else J,
+        follows,
+    )
+
+
+def is_free(terms: Terms) -> bool:
+    """Whether nothing acts but forces through the centre of mass that are constant in the world."""
+    turns = terms.push is not None and terms.push.lever.any()
+    return terms.follower is None and terms.torque is None and not turns
+
+
+def chosen_method(case: Case, bodies: Bodies, terms: Terms) -> str:
+    """Name of the method of a segment: a named one steps whatever rotates."""
+    if case.run.method == "auto":
+        return "exact" if is_free(terms) else "strang"
+    rotates = bool((bodies.rotor_class != POINT).any())
+    return case.run.method if rotates or not is_free(terms) else "exact"
+
+
+def refuse_method(case: Case, groups: list[GroupPlan]) -> None:
+    """Raise CaseError where `exact` was asked for and a force acts that it does not accept."""
+    if case.run.method != "exact":
+        return
+    if all(is_free(segment.terms) for group in groups for segment in group.segments):
+        return
+    reason = "exact is for free bodies: a force acts that turns a body or turns with it"
+    others = ", ".join(name for name in METHODS if name != "exact")
+    raise CaseError([problem_at(case, "run.method", reason, f"methods that accept it: {others}")])
+
+
+def step(case: Case, scene: Scene, groups: list[GroupPlan]) -> tuple[float, str]:
+    """Step of all stepped segments [s], and why this one."""
+    stepped = [g for g in groups if any(s.method != "exact" for s in g.segments)]
+    if not stepped:
+        return 0.0, "no step: nothing is stepped"
+    if case.run.dt is not None:
+        return case.run.dt, f"{case.run.dt!r} s, as the case says"
+    rate = max(fastest_rate(scene, group) for group in stepped)
+    dt = min(case.run.every, RADIANS_PER_STEP / rate) if rate > 0 else case.run.every
+    why = "run.every" if dt == case.run.every else f"{RADIANS_PER_STEP} / ({rate:.6g} rad/s)"
+    return dt, f"{dt:.6g} s = {why}, the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
+
+
+def fastest_rate(scene: Scene, group: GroupPlan) -> float:
+    """Estimate of the fastest rate [rad/s] of a group: its spin, impulses, √(torque / inertia).
+
+    The last is the rate at which a torque makes a body at rest swing or turn.
+    """
+    bodies, state = group.bodies, taken(scene.state, group.members)
+    spin = np.linalg.norm(omega_world(bodies, state), axis=0)
+    inv_inertia = bodies.inv_inertia.max(axis=0)
+    swing = np.zeros_like(spin)
+    for segment in group.segments:
+        for at, impulse, _ in segment.jumps:
+            spin = spin + sizes(at) * sizes(impulse) * inv_inertia
+        _, push, follower, torque = segment.terms
+        size = np.zeros_like(spin)
+        if push is not None:
+            size = size + np.linalg.norm(push.lever, axis=0)
+        if follower is not None:
+            size = size + sizes(follower.torque)
+        if torque is not None:
+            size = size + sizes(torque.torque)
+        swing = np.maximum(swing, np.sqrt(size * inv_inertia))
+    return float(np.maximum(spin, swing).max())
+
+
+def sizes(vectors: Floats) -> Floats:
+    """|v| of each column."""
+    return np.asarray(np.linalg.norm(vectors, axis=0))
+
+
+def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
+    """Group whose stepped segments have a step that divides them evenly."""
+    segments = []
+    for segment in group.segments:
+        if segment.method != "exact":
+            length = segment.stop - segment.start
+            own = dt if np.isinf(length) else length / np.ceil(length / dt * (1 - 1e-12))
+            segments.append(segment._replace(dt=float(own)))
+        else:
+            segments.append(segment)
+    return group._replace(segments=tuple(segments))
+
+
+def step_warnings(case: Case, scene: Scene, groups: list[GroupPlan]) -> list[str]:
+    """Warnings about a step given by hand that turns a body too far."""
+    if case.run.dt is None:
+        return []
+    worst = (0.0, "")
+    for group in groups:
+        if all(segment.method == "exact" for segment in group.segments):
+            continue
+        rate = fastest_rate(scene, group)
+        worst = max(worst, (rate, scene.names[int(group.members[0])]))
+    turn = worst[0] * case.run.dt
+    if turn <= LARGEST_TURN:
+        return []
+    advised = RADIANS_PER_STEP / worst[0]
+    problem = problem_at(
+        case,
+        "run.dt",
+        f"{case.run.dt!r} s turns bodies like {worst[1]} by {turn:.3g} rad in one step",
+        f"advised: {advised:.3g} s or less",
+    )
+    return [str(problem).replace(": error: ", ": warning: ", 1)]
+
+
+def impossible_torques(case: Case, scene: Scene, load: Load) -> list[Problem]:
+    """What is wrong with a force that turns a point, or a rod about its own axis."""
+    cannot = np.isin(scene.bodies.rotor_class[load.members], (POINT, ROD))
+    index = load.members[cannot]
+    if not index.size:
+        return []
+    bodies, state = taken(scene.bodies, index), taken(scene.state, index)
+    size, axial = turning_part(load.force, bodies, state.q)
+    wrong = np.flatnonzero(axial > AXIAL_ROUNDING * np.maximum(size, 1e-300))
+    if not wrong.size:
+        return []
+    b = int(wrong[0])
+    name, code = scene.names[int(index[b])], int(bodies.rotor_class[b])
+    what = "has no extent: nothing can turn it" if code == POINT else "cannot turn about its axis"
+    key = "torque" if isinstance(load.force, Torque) else "at"
+    reason = (
+        f"{name} is a {NAMES[code]} with moments {sorted(bodies.inertia[:, b].tolist())} kg m²"
+        f" and {what}, but this {load.force.type} would"
+    )
+    hint = "act at the centre of mass" if code == POINT else "act at a point of the rod's axis"
+    return [problem_at(case, f"force[{load.number}].{key}", reason, hint)]
+
+
+def turning_part(
+    force: Push | Torque | Impulse, bodies: Bodies, q: Floats
+) -> tuple[Floats, Floats]:
+    """Size of what turns these points and rods, and its part that they cannot follow, (n,) each.
+
+    For a force at a point it is the lever arm and not the torque: an arm along a rod never turns
+    it about its axis, any other arm does so but by chance. Points can follow nothing.
+    """
+    if isinstance(force, Torque):
+        turn = rotor_vector(bodies, force.torque)
+        if force.frame == "world":
+            turn = turned_back(q, np.tile(np.array(force.torque)[:, None], bodies.mass.size))
+        axial = np.abs(turn[2])
+    else:
+        turn = rotor_vector(bodies, force.at)
+        axial = np.hypot(turn[0], turn[1])
+    size = sizes(turn)
+    return size, np.where(bodies.rotor_class == POINT, size, axial)

@@ -1,0 +1,74 @@
+"""Names, shapes and units of the trajectory file, each said once.
+
+The file is H5MD 1.1: one "particle" is one body. Rules that other readers ask for, found by trial:
+explicit step and time for each element, the group named `trajectory`, the attribute `units` and
+not `unit`, observables one level deep and as long as the trajectory, dimension scales on all
+dimensions of a variable or on none.
+"""
+
+from typing import Final, NamedTuple
+
+SCHEMA_VERSION: Final = (1, 0)
+TRAJECTORY: Final = "particles/trajectory"
+OBSERVABLES: Final = "observables"
+PARAMETERS: Final = "parameters"
+BODIES: Final = "bodies"
+COMMITTED: Final = "n_frames"  # root attribute: frames that are wholly on disk
+
+
+class Element(NamedTuple):
+    """One time-dependent dataset."""
+
+    components: str  # labels of the last dimension: xyz, wxyz, or none for a number
+    units: str
+    meaning: str
+
+
+FIELDS: Final[dict[str, Element]] = {
+    "position": Element("xyz", "m", "centre of mass, world frame"),
+    "orientation": Element("wxyz", "1", "unit quaternion, scalar first, body frame to world"),
+    "linear_momentum": Element("xyz", "kg m s-1", "world frame"),
+    "angular_momentum": Element("xyz", "kg m2 s-1", "about the centre of mass, world frame"),
+    "velocity": Element("xyz", "m s-1", "of the centre of mass, world frame"),
+    "angular_velocity": Element("xyz", "rad s-1", "world frame"),
+}
+LEDGER: Final[dict[str, Element]] = {
+    "kinetic_energy": Element("", "J", "of all bodies"),
+    "potential_energy": Element("", "J", "of uniform gravity, zero at the origin"),
+    "energy": Element("", "J", "kinetic and potential"),
+    "work": Element("", "J", "booked by forces and impulses other than gravity"),
+    "energy_error": Element("", "J", "energy - initial energy - work"),
+    "linear_momentum": Element("xyz", "kg m s-1", "of all bodies, world frame"),
+    "linear_momentum_error": Element("xyz", "kg m s-1", "total - initial - booked impulses"),
+    "angular_momentum": Element("xyz", "kg m2 s-1", "of all bodies, about the world's origin"),
+    "angular_momentum_error": Element(
+        "xyz", "kg m2 s-1", "total - initial - booked angular impulses"
+    ),
+}
+
+
+class Table(NamedTuple):
+    """One dataset that does not change in time."""
+
+    units: str
+    meaning: str
+
+
+STATIC: Final[dict[str, Table]] = {
+    f"{TRAJECTORY}/id": Table("1", "number of the body"),
+    f"{TRAJECTORY}/mass": Table("kg", "of each body"),
+    f"{TRAJECTORY}/moment_inertia": Table("kg m2", "principal, in the order of the rotor frame"),
+    f"{BODIES}/names": Table("1", "of each body"),
+    f"{BODIES}/kind": Table("1", "kind of each body: which set of particles it is made of"),
+    f"{BODIES}/rotor_class": Table("1", "0 point, 1 rod, 2 sphere, 3 symmetric, 4 asymmetric"),
+    f"{BODIES}/rotor_frame": Table("1", "unit quaternion, scalar first, rotor frame to body frame"),
+    f"{BODIES}/particles/position": Table("m", "body frame, from the centre of mass"),
+    f"{BODIES}/particles/mass": Table("kg", "of each particle"),
+    f"{BODIES}/particles/radius": Table("m", "0 is a point mass"),
+    f"{BODIES}/particles/offset": Table("1", "kind k owns particles offset[k] to offset[k + 1]"),
+}
+
+
+def frames_per_chunk(n_bodies: int, components: int, item: int) -> int:
+    """Frames in one chunk: about 256 KiB, at least one frame, at most 1024."""
+    return int(min(max(262144 // max(n_bodies * components * item, 1), 1), 1024))

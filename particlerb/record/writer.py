@@ -1,0 +1,253 @@
+"""Writes a run into one HDF5 file, chunk by chunk, so that a kill leaves every committed frame.
+
+Commit is two-phase: data, flush, counter, flush. The default format version of HDF5 is used and
+no file lock, so that the file opens after a crash and can be read while it grows.
+"""
+
+import json
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+import particlerb
+from particlerb.bodies.scene import Scene
+from particlerb.bodies.state import Frames, derived
+from particlerb.case.schema import Case
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record.schema import (
+    BODIES,
+    COMMITTED,
+    FIELDS,
+    LEDGER,
+    OBSERVABLES,
+    PARAMETERS,
+    SCHEMA_VERSION,
+    STATIC,
+    TRAJECTORY,
+    Element,
+    frames_per_chunk,
+)
+
+SECONDS_BETWEEN_COMMITS = 1.0
+SHORT_CHUNK = 1024  # entries per chunk of a number per frame
+
+
+class Recorder:
+    """An open trajectory file that grows.
+
+    Parameters
+    ----------
+    path : Path or None
+        Where; None keeps the file in memory.
+    case, scene, plan : Case, Scene, str
+        What is run, the bodies, and the plan in words.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    FileExistsError
+        If the file exists and may not be replaced.
+    OSError
+        If the file cannot be made or written.
+    """
+
+    def __init__(
+        self, path: Path | None, case: Case, scene: Scene, plan: str, overwrite: bool = False
+    ) -> None:
+        self.file = create(path, overwrite)
+        self.case, self.scene = case, scene
+        self.dtype = np.dtype(case.output.dtype)
+        self.n_frames = 0
+        self.last_commit = time.monotonic()
+        write_header(self.file)
+        write_bodies(self.file, scene)
+        write_parameters(self.file, case, plan)
+        self.step, self.time = make_clock(self.file)
+        self.values: dict[str, h5py.Dataset] = {
+            name: self.make_element(f"{TRAJECTORY}/{name}", FIELDS[name], per_body=True)
+            for name in case.output.fields
+        }
+        self.ledger = {
+            name: self.make_element(f"{OBSERVABLES}/{name}", element, per_body=False)
+            for name, element in LEDGER.items()
+        }
+        self.file.attrs[COMMITTED] = np.int64(0)
+        self.commit()
+
+    def make_element(self, path: str, element: Element, per_body: bool) -> h5py.Dataset:
+        """One H5MD element: step, time, and an empty value that can grow."""
+        group = self.file.require_group(path)
+        group["step"], group["time"] = self.step, self.time
+        n, width = len(self.scene.kind), len(element.components)
+        shape = ((n,) if per_body else ()) + ((width,) if width else ())
+        dtype = self.dtype if per_body else np.dtype(np.float64)
+        frames = frames_per_chunk(n, width, dtype.itemsize) if per_body else SHORT_CHUNK
+        value = group.create_dataset(
+            "value", (0, *shape), dtype, maxshape=(None, *shape), chunks=(frames, *shape)
+        )
+        value.attrs["units"] = element.units
+        value.attrs["meaning"] = element.meaning
+        trajectory = self.file[TRAJECTORY]
+        scales = [self.time]
+        scales += [trajectory["body"]] if per_body else []
+        scales += [trajectory[element.components]] if width else []
+        for dimension, scale in zip(value.dims, scales, strict=True):
+            dimension.attach_scale(scale)
+        return value
+
+    def append(self, times: Floats, frames: Frames, rows: Ints, ledger: Any) -> None:
+        """Append rows of the frames with their times and ledger entries."""
+        n = self.n_frames
+        end = n + len(rows)
+        arrays = fields_of(frames, rows, self.scene, self.values)
+        for name, dataset in self.values.items():
+            dataset.resize(end, axis=0)
+            dataset[n:end] = arrays[name].astype(self.dtype, copy=False)
+        for name, dataset in self.ledger.items():
+            dataset.resize(end, axis=0)
+            dataset[n:end] = getattr(ledger, name)[rows]
+        for dataset, values in ((self.step, np.arange(n, end)), (self.time, times)):
+            dataset.resize(end, axis=0)
+            dataset[n:end] = values
+        self.n_frames = end
+        if time.monotonic() - self.last_commit > SECONDS_BETWEEN_COMMITS:
+            self.commit()
+
+    def commit(self) -> None:
+        """Put what is written on disk, then say so."""
+        self.file.flush()
+        self.file.attrs.modify(COMMITTED, np.int64(self.n_frames))
+        self.file.flush()
+        self.last_commit = time.monotonic()
+
+
+def create(path: Path | None, overwrite: bool) -> h5py.File:
+    """Open a new file."""
+    if path is None:
+        return h5py.File("memory.h5", "w", driver="core", backing_store=False)
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return h5py.File(path, "w", locking=False)
+
+
+def write_header(file: h5py.File) -> None:
+    """Root attributes and the group that H5MD asks for."""
+    file.attrs["schema"] = np.array(SCHEMA_VERSION, dtype=np.int32)
+    h5md = file.create_group("h5md")
+    h5md.attrs["version"] = np.array([1, 1], dtype=np.int32)
+    h5md.create_group("author").attrs["name"] = np.bytes_("unknown")
+    creator = h5md.create_group("creator")
+    creator.attrs["name"] = np.bytes_("particlerb")
+    creator.attrs["version"] = np.bytes_(particlerb.__version__)
+
+
+def write_bodies(file: h5py.File, scene: Scene) -> None:
+    """What does not change: box, dimension scales, masses, particles."""
+    trajectory = file.create_group(TRAJECTORY)
+    box = trajectory.create_group("box")
+    box.attrs["dimension"] = np.int32(3)
+    box.attrs["boundary"] = np.array(["none"] * 3, dtype="S8")
+    n = len(scene.kind)
+    trajectory["body"] = np.arange(n)
+    trajectory["body"].make_scale("body")
+    for axis in ("xyz", "wxyz"):
+        trajectory[axis] = np.array([letter.encode() for letter in axis])
+        trajectory[axis].make_scale(axis)
+    bodies, particles = scene.bodies, scene.particles
+    arrays = {
+        f"{TRAJECTORY}/id": np.arange(n),
+        f"{TRAJECTORY}/mass": bodies.mass,
+        f"{TRAJECTORY}/moment_inertia": bodies.inertia.T,
+        f"{BODIES}/names": np.array([name.encode() for name in scene.names]),
+        f"{BODIES}/kind": scene.kind,
+        f"{BODIES}/rotor_class": bodies.rotor_class,
+        f"{BODIES}/rotor_frame": bodies.rotor_frame.T,
+        f"{BODIES}/particles/position": particles.position,
+        f"{BODIES}/particles/mass": particles.mass,
+        f"{BODIES}/particles/radius": particles.radius,
+        f"{BODIES}/particles/offset": particles.offset,
+    }
+    for path, table in STATIC.items():
+        file[path] = arrays[path]
+        file[path].attrs["units"] = table.units
+        file[path].attrs["meaning"] = table.meaning
+
+
+def write_parameters(file: h5py.File, case: Case, plan: str) -> None:
+    """Where the file comes from: enough to run it again."""
+    parameters = {
+        "case": case.text,
+        "case_resolved": case.model_dump_json(),
+        "plan": plan,
+        "versions": json.dumps(versions()),
+        "machine": f"{platform.machine()} {platform.system()} {platform.release()}",
+        "git_revision": git_revision(),
+    }
+    for name, text in parameters.items():
+        file[f"{PARAMETERS}/{name}"] = text
+    file[f"{PARAMETERS}/seed"] = case.run.seed
+
+
+def versions() -> dict[str, str]:
+    """Versions of what made the file."""
+    names = ("numpy", "numba", "h5py")
+    found = {name: str(sys.modules[name].__version__) for name in names if name in sys.modules}
+    return {"particlerb": particlerb.__version__, "python": platform.python_version(), **found}
+
+
+def git_revision() -> str:
+    """Revision of the sources, where they are a git checkout; else empty."""
+    root = Path(particlerb.__file__).parent.parent
+    if not (root / ".git").exists():
+        return ""
+    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip()
+
+
+def make_clock(file: h5py.File) -> tuple[h5py.Dataset, h5py.Dataset]:
+    """Step and time, which every element shares by hard links."""
+    group = file[TRAJECTORY]
+    step = group.create_dataset("step", (0,), "i8", maxshape=(None,), chunks=(SHORT_CHUNK,))
+    clock = group.create_dataset("time", (0,), "f8", maxshape=(None,), chunks=(SHORT_CHUNK,))
+    clock.attrs["units"] = "s"
+    clock.make_scale("time")
+    return step, clock
+
+
+def fields_of(
+    frames: Frames, rows: Ints, scene: Scene, wanted: Mapping[str, Any]
+) -> dict[str, Floats]:
+    """Arrays of the wanted fields, for some rows of the frames."""
+    contiguous = len(rows) == rows[-1] - rows[0] + 1
+    pick = slice(rows[0], rows[-1] + 1) if contiguous else rows
+    arrays = {name: getattr(frames, name)[pick] for name in Frames._fields if name in wanted}
+    names = [name for name in ("velocity", "angular_velocity") if name in wanted]
+    if names:
+        velocity, omega = derived(
+            scene.bodies,
+            frames.orientation[pick],
+            frames.linear_momentum[pick],
+            frames.angular_momentum[pick],
+        )
+        arrays |= {"velocity": velocity, "angular_velocity": omega}
+    return arrays
+
+
+def bytes_of_run(case: Case, n_frames: int) -> int:
+    """Size of the fields of a run on disk [bytes], without the small rest."""
+    item = np.dtype(case.output.dtype).itemsize
+    width = sum(len(FIELDS[name].components) for name in case.output.fields)
+    return n_frames * (case.n_bodies * width * item + 8 * 18)
