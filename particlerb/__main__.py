@@ -1,0 +1,7 @@
+"""`python -m particlerb`."""
+
+import sys
+
+from particlerb.cli import main
+
+sys.exit(main())

@@ -1,0 +1,148 @@
+"""The [check] table: each expectation beside the figure that the run gave."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.bodies import taken
+from particlerb.bodies.scene import Scene, inertia_in_body
+from particlerb.bodies.state import Frames, State, kinetic_energy, multiplied, omega_world, turned
+from particlerb.case.placement import resolve_bodies
+from particlerb.case.schema import Case, CheckValue
+from particlerb.maths.vec3 import Floats
+from particlerb.rotors.rotor_class import POINT, ROD
+from particlerb.simulate import Outcome
+
+BODY_COLUMNS = np.array([[1.0], [-1.0], [-1.0], [-1.0]])
+
+
+class Result(NamedTuple):
+    """One check and how it went."""
+
+    name: str
+    expected: str
+    found: str
+    error: float
+    tolerance: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the error is within the tolerance; never with NaN."""
+        return self.error <= self.tolerance
+
+
+def results(case: Case, scene: Scene, outcome: Outcome) -> list[Result]:
+    """All checks of a case, limits of drift first."""
+    limits = [
+        Result(name, "0", f"{value:.3g}", value, limit)
+        for name, value, limit in (
+            ("energy_drift", outcome.drift.energy, case.check.energy_drift),
+            (
+                "linear_momentum_drift",
+                outcome.drift.linear_momentum,
+                case.check.linear_momentum_drift,
+            ),
+            (
+                "angular_momentum_drift",
+                outcome.drift.angular_momentum,
+                case.check.angular_momentum_drift,
+            ),
+        )
+        if limit is not None
+    ]
+    frames = {probe.time: probe.frame for probe in outcome.probes}
+    values = []
+    for check in case.check.value:
+        time = case.run.t_end if check.time is None else check.time
+        values += [
+            value_result(check, time, scene, int(b), frames[time])
+            for b in resolve_bodies(case, check.body)
+        ]
+    return limits + values
+
+
+def value_result(check: CheckValue, time: float, scene: Scene, b: int, frames: Frames) -> Result:
+    """One expected value of one body."""
+    expected = np.array(check.value, dtype=np.float64)
+    found = quantity(check, scene, b, frames)
+    if check.quantity == "inertia" and expected.ndim == 1:
+        expected = np.diag(expected)
+    error = float(np.abs(found - expected).max())
+    if check.quantity == "orientation":
+        expected = expected / np.linalg.norm(expected)
+        error = angle(scene, b, expected, found)
+        found = found if found @ expected >= 0 else -found
+    frame = f", {check.frame} frame" if check.frame == "body" else ""
+    when = "" if check.quantity == "inertia" else f" at {time:.9g} s"
+    name = f"{check.quantity} of {scene.names[b]}{when}{frame}"
+    return Result(name, numbers(expected), numbers(found), error, check.tolerance)
+
+
+def quantity(check: CheckValue, scene: Scene, b: int, frames: Frames) -> Floats:
+    """Value of a quantity of body b."""
+    index = np.array([b])
+    bodies = taken(scene.bodies, index)
+    position, orientation, linear, angular, _ = frames
+    state = State(
+        position[0, index].T,
+        multiplied(orientation[0, index].T, bodies.rotor_frame),
+        linear[0, index].T,
+        angular[0, index].T,
+    )
+    if check.quantity == "kinetic_energy":
+        return np.asarray(kinetic_energy(bodies, state)[0])
+    if check.quantity == "inertia":
+        tensor = inertia_in_body(scene.bodies, b)
+        return tensor if check.frame == "body" else rotated(orientation[0, b], tensor)
+    if check.quantity == "orientation":
+        return np.asarray(orientation[0, b])
+    vectors = {
+        "position": state.com,
+        "velocity": state.p * bodies.inv_mass,
+        "angular_velocity": omega_world(bodies, state),
+        "linear_momentum": state.p,
+        "angular_momentum": state.L,
+    }
+    vector = vectors[check.quantity]
+    if check.frame == "body":
+        vector = turned(orientation[0, index].T * BODY_COLUMNS, vector)
+    return vector[:, 0]
+
+
+def rotated(q: Floats, tensor: Floats) -> Floats:
+    """R T Rᵀ."""
+    R = turned(np.tile(q[:, None], 3), np.eye(3))
+    result: Floats = R @ tensor @ R.T
+    return result
+
+
+def angle(scene: Scene, b: int, expected: Floats, found: Floats) -> float:
+    """Angle between two orientations [rad]: 2 atan2(|v|, |w|); rods compare axes, points nothing."""
+    code = scene.bodies.rotor_class[b]
+    if code == POINT:
+        return 0.0
+    if code == ROD:
+        axis = turned(scene.bodies.rotor_frame[:, [b]], np.array([[0.0], [0.0], [1.0]]))
+        a, c = turned(expected[:, None], axis)[:, 0], turned(found[:, None], axis)[:, 0]
+        return float(np.arctan2(np.linalg.norm(np.cross(a, c)), a @ c))
+    w, *v = multiplied(expected[:, None] * BODY_COLUMNS, found[:, None])[:, 0]
+    return float(2 * np.arctan2(np.linalg.norm(v), abs(w)))
+
+
+def numbers(values: Floats) -> str:
+    """Numbers with all their digits, a 3 x 3 tensor by rows."""
+    return str(np.asarray(values).tolist())
+
+
+def table(checks: list[Result]) -> str:
+    """Text of all checks, each with its figure."""
+    lines = []
+    for check in checks:
+        verdict = "ok  " if check.holds else "MISS"
+        lines.append(
+            f"  {verdict} {check.name}: error {check.error:.3g}, allowed {check.tolerance:.3g}"
+        )
+        if not check.name.endswith("drift"):
+            lines.append(f"         expected {check.expected}")
+            lines.append(f"         found    {check.found}")
+    return "\n".join(lines)

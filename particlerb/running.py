@@ -1,0 +1,50 @@
+"""The Python entry: run a case, get its trajectory."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from particlerb.case.reader import load
+from particlerb.case.schema import Case
+from particlerb.simulate import prepare, run_prepared
+from particlerb.trajectory import Trajectory, open_trajectory
+
+
+def run(
+    case: str | Path | Mapping[str, Any] | Case,
+    output: str | Path | None = None,
+    *,
+    overwrite: bool = False,
+    overrides: Sequence[str] = (),
+) -> Trajectory:
+    """Run a case.
+
+    Parameters
+    ----------
+    case : path, mapping or Case
+        A mapping has the keys of a case file; initial values may be arrays, a row per body.
+    output : path, optional
+        File to write; left out, the trajectory is kept in memory.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    overrides : sequence of str
+        `"run.dt=1e-4"`: set before the case is checked.
+
+    Returns
+    -------
+    Trajectory
+        Open; close it, or use it in a `with` statement.
+
+    Raises
+    ------
+    CaseError
+        With all problems of the case.
+    FileExistsError, OSError
+        Of the file.
+    particlerb.simulate.RunError
+        If the run fails; the frames until then are in the file.
+    """
+    prepared = prepare(load(case, overrides))
+    path = None if output is None else Path(output)
+    outcome = run_prepared(prepared, path, overwrite)
+    return open_trajectory(path) if path else Trajectory(outcome.file)
