@@ -1,0 +1,184 @@
+"""Pydantic's errors in the words of a case: (path, reason, hint, whether the key is to blame)."""
+
+import re
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from pydantic_core import ErrorDetails
+
+from particlerb.case.problems import Path, nearest, shown
+from particlerb.case.schema import (
+    FORCES,
+    PLACES,
+    Body,
+    Case,
+    Check,
+    CheckValue,
+    Euler,
+    Gravity,
+    Output,
+    Part,
+    Run,
+)
+from particlerb.case.shapes import SHAPES
+from particlerb.case.values import Table
+
+TAGGED = {"shape", "place", "position", "orientation", "velocity", "angular_velocity"}
+KINDS = {
+    "float_type": "must be a number",
+    "int_type": "must be a whole number",
+    "string_type": "must be a text",
+    "string_unicode": "must be a text that UTF-8 can hold",
+    "tuple_type": "must be a list",
+    "model_type": "must be a table",
+    "model_attributes_type": "must be a table",
+}
+EMPTY = ("string_too_short", "too_short")
+BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"),
+          "less_than_equal": ("<=", "le")}  # fmt: skip
+WORDS: dict[type, str] = {
+    bool: "true or false", str: "a text", list: "a list", tuple: "a list", dict: "a table",
+    int: "a whole number", float: "a number", type(None): "nothing",
+}  # fmt: skip
+
+
+class Complaint(NamedTuple):
+    """What the schema says against an entry."""
+
+    path: Path
+    reason: str
+    hint: str = ""
+    at_key: bool = False
+
+
+def complaints(raw: Any, errors: Sequence[ErrorDetails]) -> list[Complaint]:
+    """All errors of a validation, without missing keys that are there with a typing mistake."""
+    found = [complaint(raw, error) for error in errors if not is_follow_up(error)]
+    meant = {
+        (*one.path[:-1], guess[1])
+        for one in found
+        if one.reason == "unknown key" and (guess := re.match(r'did you mean "(.*?)"', one.hint))
+    }
+    return [one for one in found if one.reason != "missing" or one.path not in meant]
+
+
+def is_follow_up(error: ErrorDetails) -> bool:
+    """Whether a list is called too short only because its entries are wrong."""
+    return error["type"] == "too_short" and bool(error["input"])
+
+
+def complaint(raw: Any, error: ErrorDetails) -> Complaint:
+    """One error of pydantic."""
+    path = path_in(raw, error["loc"])
+    kind, context, value = error["type"], error.get("ctx", {}), error["input"]
+    if kind == "extra_forbidden":
+        keys = table_keys(path[:-1], type_of(raw, path[:-1]))
+        return Complaint(path, "unknown key", nearest(str(path[-1]), keys, "keys here"), True)
+    if kind == "missing":
+        keys = table_keys(path[:-1], type_of(raw, path[:-1]))
+        return Complaint(path, "missing", f"keys here: {', '.join(keys)}" if keys else "")
+    if kind == "rule":
+        path = (*path, context["key"]) if context["key"] else path
+        return Complaint(path, error["msg"], context["hint"] or forms(path))
+    if kind in {"union_tag_invalid", "union_tag_not_found"}:
+        return type_complaint(path, context)
+    if kind in {"literal_error", "choice"}:
+        known = re.findall(r"'([^']*)'", context["expected"])
+        hint = forms(path) or nearest(str(value), known)
+        return Complaint(path, f"unknown: {shown(value)}", hint)
+    return Complaint(path, reason_of(kind, context, value) or error["msg"])
+
+
+def forms(path: Path) -> str:
+    """What may stand for an orientation or a velocity."""
+    if path[-1:] == ("orientation",):
+        random = "" if "part" in path else ', or "random"'
+        return f"[w, x, y, z], {{ euler_deg = [roll, pitch, yaw] }}{random}"
+    if path[-1:] in {("velocity",), ("angular_velocity",)}:
+        return "[x, y, z], { body = [x, y, z] }, or { random = v }"
+    return ""
+
+
+def type_complaint(path: Path, context: dict[str, Any]) -> Complaint:
+    """A `type` that is missing or that no shape, force or placement has."""
+    keys = table_keys(path)
+    if "tag" not in context:
+        return Complaint((*path, "type"), "missing", f"known: {', '.join(keys)}")
+    known = re.findall(r"'([^']*)'", context["expected_tags"])
+    tag = str(context["tag"])
+    return Complaint((*path, "type"), f"unknown type {shown(tag)}", nearest(tag, known))
+
+
+def reason_of(kind: str, context: dict[str, Any], value: Any) -> str:
+    """Reason for the kinds of error that numbers and texts have."""
+    if kind in BOUNDS:
+        sign, bound = BOUNDS[kind]
+        limit = f"{context[bound]:g}" if isinstance(context[bound], float) else context[bound]
+        return f"must be {sign} {limit}, got {shown(value)}"
+    if kind == "finite_number":
+        return f"must be finite, got {shown(value)}"
+    if kind in EMPTY:
+        return "must not be empty"
+    return f"{KINDS[kind]}, got {described(value)}" if kind in KINDS else ""
+
+
+def described(value: Any) -> str:
+    """Kind of a value, and the value itself where it is short."""
+    word = WORDS.get(type(value), type(value).__name__)
+    return word if isinstance(value, (list, tuple, dict, type(None))) else f"{word}: {shown(value)}"
+
+
+def path_in(raw: Any, loc: tuple[int | str, ...]) -> Path:
+    """Path in the data: pydantic's location without the tags of unions and invented indices."""
+    path: list[int | str] = []
+    node, was_tag = raw, False
+    for part in loc:
+        if isinstance(part, str) and not was_tag and path and is_tagged(path):
+            was_tag = True
+            continue
+        was_tag = False
+        if isinstance(part, int) and not isinstance(node, (list, tuple)):
+            break
+        node = child(node, part)
+        path.append(part)
+    return tuple(path)
+
+
+def is_tagged(path: list[int | str]) -> bool:
+    """Whether pydantic puts the tag of a union after this path."""
+    is_force = len(path) == 2 and path[0] == "force" and isinstance(path[1], int)
+    return is_force or (path[-1] in TAGGED and path[0] == "body")
+
+
+def child(node: Any, part: int | str) -> Any:
+    """Entry of a table or list; None where there is none."""
+    if isinstance(node, dict):
+        return node.get(part)
+    is_there = isinstance(node, list) and isinstance(part, int) and part < len(node)
+    return node[part] if is_there else None
+
+
+def type_of(raw: Any, path: Path) -> Any:
+    """The `type` of a table; None where it has none."""
+    for part in path:
+        raw = child(raw, part)
+    kind = raw.get("type") if isinstance(raw, dict) else None
+    return kind if isinstance(kind, str) else None
+
+
+FAMILIES = {"shape": SHAPES, "place": PLACES, "force": FORCES}
+TABLES: dict[str, type[Table]] = {
+    "": Case, "run": Run, "gravity": Gravity, "body": Body, "part": Part, "output": Output,
+    "check": Check, "value": CheckValue, "orientation": Euler,
+}  # fmt: skip
+
+
+def table_keys(path: Path, kind: str | None = None) -> tuple[str, ...]:
+    """Keys of the table at a path; `kind` is its `type` where it has one."""
+    name = next((part for part in reversed(path) if isinstance(part, str)), "")
+    if name in FAMILIES:
+        family = FAMILIES[name]
+        return tuple(family[kind].model_fields) if kind in family else tuple(family)
+    if name in {"velocity", "angular_velocity"}:
+        return ("body", "random")
+    return tuple(TABLES[name].model_fields) if name in TABLES else ()

@@ -1,0 +1,70 @@
+"""Values set from outside a case: `--set run.dt=1e-4`, applied before the case is checked."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of, shown
+from particlerb.case.source import Source
+
+
+def overridden(source: Source, overrides: Sequence[str]) -> Source:
+    """Data with the overrides in it.
+
+    Parameters
+    ----------
+    source : Source
+        Left as it is.
+    overrides : sequence of str
+        `key=value` with keys as `run.dt` or `body.0.mass`.
+
+    Raises
+    ------
+    CaseError
+        If an override is not of this form or leads nowhere; names `--set KEY`.
+    """
+    raw, paths, problems = source.raw, list(source.overridden), []
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        path = path_of(key.strip())
+        try:
+            if not equals or not path:
+                raise LookupError("must have the form key=value, such as run.dt=1e-4")
+            raw = with_value(raw, path, toml_value(text.strip()))
+        except LookupError as error:
+            problems.append(
+                Problem(f"--set {key}", None, None, key_of(path), text, str(error.args[0]))
+            )
+        paths.append(path)
+    if problems:
+        raise CaseError(problems)
+    return source._replace(raw=raw, overridden=tuple(paths))
+
+
+def toml_value(text: str) -> Any:
+    """Value of a TOML text; the text itself where it is none."""
+    try:
+        values = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return values["value"] if len(values) == 1 else text
+
+
+def with_value(node: Any, path: Path, value: Any) -> Any:
+    """Copy of nested tables and lists with one entry set; missing tables are made.
+
+    Raises
+    ------
+    LookupError
+        Where the path runs through a value, or past the end of a list.
+    """
+    if not path:
+        return value
+    head, rest = path[0], path[1:]
+    if isinstance(node, Mapping):
+        return {**node, str(head): with_value(node.get(str(head), {}), rest, value)}
+    if not isinstance(node, list):
+        raise LookupError(f"there is no {shown(head)} in {shown(node)}")
+    if not isinstance(head, int) or head >= len(node):
+        raise LookupError(f"there is no entry {shown(head)}: there are {len(node)}, from 0")
+    return [*node[:head], with_value(node[head], rest, value), *node[head + 1 :]]

@@ -1,0 +1,216 @@
+"""Where each key and value of a TOML text stands; `tomllib` keeps no positions.
+
+The text has been read by tomllib before, hence is valid: this scanner only keeps track of tables,
+arrays and nesting, and never judges.
+"""
+
+import re
+from collections.abc import Iterator
+from typing import NamedTuple, TypeAlias
+
+from particlerb.case.problems import Path
+
+TOKEN = re.compile(
+    r"""(?P<skip>[ \t\r]+|\#[^\n]*)
+      | (?P<newline>\n)
+      | (?P<string>\"{3}(?:\\.|[^\\])*?\"{3}(?!\") | '{3}.*?'{3}(?!')
+                 | \"(?:\\.|[^\"\\\n])*\" | '[^'\n]*')
+      | (?P<mark>[\[\]{}=,.])
+      | (?P<bare>[^\s\[\]{}=,.\#"']+|.)""",
+    re.VERBOSE | re.DOTALL,
+)
+AFTER_VALUE = {",", "]", "}"}
+ESCAPE = re.compile(r'\\(u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|[btnfr"\\])')
+ESCAPED = {"b": "\b", "t": "\t", "n": "\n", "f": "\f", "r": "\r"}
+
+
+class Token(NamedTuple):
+    """Piece of the text, from `start` to `end`."""
+
+    kind: str
+    text: str
+    start: int
+    end: int
+
+
+Range: TypeAlias = tuple[int, int]
+
+
+class Extent(NamedTuple):
+    """Where an entry stands: start and end of its key, start and end of its value."""
+
+    key: Range
+    value: Range
+
+
+class Scanner:
+    """Walks through the tokens once and fills `extents`."""
+
+    def __init__(self, text: str) -> None:
+        self.extents: dict[Path, Extent] = {}
+        self.lengths: dict[Path, int] = {}
+        self.tokens = [*tokens(text), Token("end", "", len(text), len(text))]
+        self.at = 0
+
+    def scan(self) -> dict[Path, Extent]:
+        """Positions of all entries of the text."""
+        table: Path = ()
+        while (token := self.peek()).kind != "end":
+            if token.kind == "newline":
+                self.at += 1
+            elif token.text == "[":
+                table = self.header()
+            else:
+                self.entry(table)
+        return self.extents
+
+    def peek(self) -> Token:
+        """Next token."""
+        return self.tokens[self.at]
+
+    def take(self) -> Token:
+        """Next token, consumed; the end is never passed."""
+        token = self.tokens[self.at]
+        self.at = min(self.at + 1, len(self.tokens) - 1)
+        return token
+
+    def skip_newlines(self) -> None:
+        """Step over line ends."""
+        while self.peek().kind == "newline":
+            self.at += 1
+
+    def header(self) -> Path:
+        """`[table]` or `[[array of tables]]`; returns the path of the table."""
+        start = self.take().start
+        is_array = self.peek().text == "["
+        if is_array:
+            self.take()
+        parts = self.key("]")
+        end = self.take().end
+        if is_array:
+            end = self.take().end
+        extent = (start, end)
+        table = self.resolve(parts[:-1], extent)
+        if not is_array:
+            return self.resolve(parts, extent)
+        array = (*table, parts[-1])
+        index = self.lengths.get(array, 0)
+        self.lengths[array] = index + 1
+        self.note(array, extent, extent)
+        self.note((*array, index), extent, extent)
+        return (*array, index)
+
+    def resolve(self, parts: Path, extent: Range) -> Path:
+        """Path of a dotted name, with the index of the latest table where it is an array."""
+        path: Path = ()
+        for part in parts:
+            path = (*path, part)
+            self.note(path, extent, extent)
+            if isinstance(part, str) and path in self.lengths:
+                path = (*path, self.lengths[path] - 1)
+        return path
+
+    def key(self, stop: str) -> Path:
+        """Dotted key up to, and not with, the mark `stop`."""
+        parts: list[str] = []
+        while self.peek().kind != "end" and self.peek().text != stop:
+            token = self.take()
+            if token.kind == "string":
+                parts.append(unquoted(token.text))
+            elif token.kind == "bare":
+                parts.append(token.text)
+        return tuple(parts)
+
+    def entry(self, table: Path) -> None:
+        """`key = value` within a table."""
+        start = self.peek().start
+        parts = self.key("=")
+        end = self.tokens[self.at - 1].end
+        self.take()
+        for i in range(1, len(parts)):
+            self.note((*table, *parts[:i]), (start, end), (start, end))
+        path = (*table, *parts)
+        self.note(path, (start, end), self.value(path))
+
+    def value(self, path: Path) -> Range:
+        """Extent of a value; those inside it are noted on the way."""
+        token = self.peek()
+        if token.text == "[":
+            return self.array(path)
+        if token.text == "{":
+            return self.inline_table(path)
+        end = token.end
+        while self.peek().kind not in {"end", "newline"} and self.peek().text not in AFTER_VALUE:
+            end = self.take().end
+        return token.start, end
+
+    def array(self, path: Path) -> Range:
+        """`[a, b, ...]`, each entry noted with its index."""
+        start = self.take().start
+        index = 0
+        while True:
+            self.skip_newlines()
+            token = self.peek()
+            if token.kind == "end" or token.text == "]":
+                return start, self.take().end
+            if token.text == ",":
+                self.take()
+                continue
+            extent = self.value((*path, index))
+            self.note((*path, index), extent, extent)
+            index += 1
+
+    def inline_table(self, path: Path) -> Range:
+        """`{ key = value, ... }`."""
+        start = self.take().start
+        while True:
+            self.skip_newlines()
+            token = self.peek()
+            if token.kind == "end" or token.text == "}":
+                return start, self.take().end
+            if token.text == ",":
+                self.take()
+                continue
+            self.entry(path)
+
+    def note(self, path: Path, key: Range, value: Range) -> None:
+        """Keep the first position of a path."""
+        self.extents.setdefault(path, Extent(key, value))
+
+
+def tokens(text: str) -> Iterator[Token]:
+    """Tokens of the text without blanks and comments."""
+    for match in TOKEN.finditer(text):
+        if match.lastgroup != "skip":
+            yield Token(match.lastgroup or "", match.group(), match.start(), match.end())
+
+
+def unquoted(text: str) -> str:
+    """Content of a quoted key."""
+    if text.startswith("'"):
+        return text[1:-1]
+    return ESCAPE.sub(lambda m: escaped(m.group(1)), text[1:-1])
+
+
+def escaped(code: str) -> str:
+    """Character that a backslash escape stands for."""
+    return chr(int(code[1:], 16)) if code[0] in "uU" else ESCAPED.get(code, code)
+
+
+def extents(text: str) -> dict[Path, Extent]:
+    """Positions of all keys and values of a valid TOML text, as offsets into it.
+
+    Parameters
+    ----------
+    text : str
+        What tomllib has read without an error.
+
+    Returns
+    -------
+    dict
+        Path -> Extent. A `[table]` has its header as key and value, and so has an implicit one.
+    """
+    try:
+        return Scanner(text).scan()
+    except (RecursionError, IndexError):  # nested deeper than Python goes: messages without lines
+        return {}

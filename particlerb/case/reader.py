@@ -1,0 +1,185 @@
+"""From a file, a text or a dict to a `Case`: overrides, schema, rules, all problems at once.
+
+`load` is the way in. A case can neither run code nor bring the program down: whatever the input,
+the outcome is a `Case` or a `CaseError`.
+"""
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import Any
+
+from pydantic import ValidationError
+
+from particlerb.case.complaints import Complaint, complaints
+from particlerb.case.overrides import overridden
+from particlerb.case.problems import CaseError, Problem, key_of, nearest, path_of
+from particlerb.case.rules import findings
+from particlerb.case.schema import Case
+from particlerb.case.source import Locator, Source, file_problem
+from particlerb.case.values import plain
+
+__all__ = ["CaseError", "Problem", "load", "parse", "problem_at"]
+
+LARGEST_FILE = 64 * 2**20
+MOST_PROBLEMS = 100
+PLAIN_WORDS = {
+    "Invalid value": "this is no TOML value: text needs quotes, numbers none",
+    "Expected '=' after a key": "a key needs a `=` and a value",
+    "Expected newline or end": "more on this line than one `key = value`",
+    "Unclosed array": "a list is not closed: `]` is missing",
+    "Unclosed inline table": "a table is not closed: `}` is missing",
+    "Cannot overwrite": "this key has been given before",
+    "Duplicate inline table key": "this key has been given before",
+    "Cannot declare": "this table has been opened before",
+    "Cannot mutate immutable": "this table has been given before as a whole",
+    "Unterminated string": "a text is not closed: its quotes are missing",
+    "Invalid date": "there is no such date or time",
+    "Illegal character": "this character is not allowed here",
+    "Invalid initial character for a key": "a key must begin with a letter, a digit, - or _",
+    "Invalid statement": "this is neither `key = value` nor a [table]",
+}
+
+
+def load(source: str | FilePath | Mapping[str, Any] | Case, overrides: Sequence[str] = ()) -> Case:
+    """Case from a file, from a dict with the same keys, or from another case.
+
+    Parameters
+    ----------
+    source : str, Path, Mapping or Case
+        A path of a TOML file; a dict may hold arrays, one row per body, for initial values.
+    overrides : sequence of str
+        `"run.dt=1e-4"`, `"body.0.mass=2"`: set before the case is checked. The value is read as
+        TOML, else taken as text.
+
+    Returns
+    -------
+    Case
+        Checked and frozen.
+
+    Raises
+    ------
+    CaseError
+        With all problems of the case, each with file, line, key and value where there are any.
+    """
+    if isinstance(source, Case):
+        origin = source.source
+        return build(origin, overrides) if overrides else source
+    if isinstance(source, Mapping):
+        try:
+            raw = plain(source)
+        except RecursionError:
+            raise CaseError([file_problem(None, "is nested too deeply")]) from None
+        return build(Source(raw=raw), overrides)
+    path = FilePath(source)
+    return parse(read_text(path), path, overrides)
+
+
+def parse(text: str, path: FilePath | None = None, overrides: Sequence[str] = ()) -> Case:
+    """Case from a TOML text; `path` is named in messages and is where its files lie.
+
+    Raises
+    ------
+    CaseError
+        As in `load`.
+    """
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise CaseError([syntax_problem(text, path, str(error))]) from None
+    except RecursionError:
+        raise CaseError([file_problem(path, "is nested too deeply")]) from None
+    except ValueError as error:  # a number of thousands of digits, an impossible date
+        raise CaseError([file_problem(path, f"has a value out of range: {error}")]) from None
+    if not text.strip():
+        raise CaseError([file_problem(path, "is empty", "a case needs [run] and [[body]]")])
+    return build(Source(text, path, raw), overrides)
+
+
+def problem_at(case: Case, key: str, reason: str, hint: str = "") -> Problem:
+    """Problem of a case that a later stage has found, with the position of its key.
+
+    Parameters
+    ----------
+    case : Case
+        The case that was read.
+    key : str
+        As in messages: `body[0].shape.radius`.
+    reason, hint : str
+        What is wrong, and what to do about it.
+    """
+    return Locator(case.source).problem(path_of(key), reason, hint)
+
+
+def read_text(path: FilePath) -> str:
+    """Text of a file, UTF-8 with or without a byte order mark."""
+    try:
+        if path.is_dir():
+            raise CaseError([file_problem(path, "is a folder, not a case file")])
+        if not path.is_file():
+            raise CaseError([missing_file(path)])
+        if path.stat().st_size > LARGEST_FILE:
+            raise CaseError([file_problem(path, "is larger than 64 MiB", "put particles in CSV")])
+        raw = path.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise CaseError([file_problem(path, f"cannot be read: {reason}")]) from None
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        column = error.start - raw.rfind(b"\n", 0, error.start)
+        reason = f"byte 0x{raw[error.start]:02x} is no UTF-8"
+        found = file_problem(path, reason, "save the file as UTF-8")
+        raise CaseError([found._replace(line=line, column=column)]) from None
+
+
+def missing_file(path: FilePath) -> Problem:
+    """A file that is not there, with the nearest name that is."""
+    if path.exists():
+        return file_problem(path, "is not a regular file")
+    if not path.parent.is_dir():
+        return file_problem(path, "there is no such folder")
+    known = sorted(entry.name for entry in path.parent.glob("*.toml"))
+    return file_problem(path, "there is no such file", nearest(path.name, known))
+
+
+def syntax_problem(text: str, path: FilePath | None, message: str) -> Problem:
+    """Broken TOML, with tomllib's position and plain words."""
+    lines = text.replace("\r\n", "\n").split("\n")
+    match = re.search(r"\(at line (\d+), column (\d+)\)", message)
+    line, column = (int(match[1]), int(match[2])) if match else (len(lines), len(lines[-1]) + 1)
+    words = re.sub(r" \(at .*\)$", "", message, flags=re.DOTALL)
+    plain_words = next((v for k, v in PLAIN_WORDS.items() if words.startswith(k)), None)
+    problem = file_problem(path, f"broken TOML: {plain_words or words}")
+    return problem._replace(line=line, column=column, source=lines[line - 1])
+
+
+def build(source: Source, overrides: Sequence[str]) -> Case:
+    """Check the data of a case and make it a `Case`."""
+    source = overridden(source, overrides)
+    raw = dict(source.raw)
+    try:
+        found = [Complaint(*finding) for finding in findings(raw, source.folder)]
+        try:
+            case = Case.model_validate(raw)
+        except ValidationError as error:
+            found = complaints(raw, error.errors(include_url=False)) + found
+        if found:
+            raise CaseError(located(source, found))
+    except RecursionError:
+        raise CaseError([file_problem(source.path, "is nested too deeply")]) from None
+    case._source = source
+    return case
+
+
+def located(source: Source, found: Sequence[Complaint]) -> list[Problem]:
+    """Complaints with their places in the file, each once, and not more than can be read."""
+    once = list({(key_of(one.path), one.reason): one for one in found}.values())
+    locator = Locator(source)
+    problems = [locator.problem(*one) for one in once[:MOST_PROBLEMS]]
+    if len(once) > MOST_PROBLEMS:
+        reason = f"{len(once) - MOST_PROBLEMS} more problems are not shown"
+        problems.append(file_problem(source.path, reason))
+    return problems

@@ -1,0 +1,200 @@
+"""Rules that involve more than one key: each yields (path, reason, hint) where it is broken.
+
+They read the plain data of the file, before or beside the types, and pass over whatever is not of
+the right kind: that is reported by the schema. So one reading finds all mistakes.
+"""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path as FilePath
+from typing import Any, TypeAlias
+
+from particlerb.case.problems import Path, nearest
+from particlerb.case.shapes import SHAPES
+from particlerb.case.values import REFERENCE, is_rows
+
+MOST_FRAMES = 10**9
+
+Finding: TypeAlias = tuple[Path, str, str]
+
+
+def tables(raw: Any, key: str) -> list[tuple[int, dict[str, Any]]]:
+    """Tables of an array of tables with their index; what is none is left out."""
+    entries = raw.get(key) if isinstance(raw, dict) else None
+    if not isinstance(entries, list):
+        return []
+    return [(i, entry) for i, entry in enumerate(entries) if isinstance(entry, dict)]
+
+
+def number(table: Any, key: str) -> float | None:
+    """Finite number of a table; None where there is none."""
+    value = table.get(key) if isinstance(table, dict) else None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    try:
+        return float(value) if math.isfinite(value) else None
+    except OverflowError:
+        return None
+
+
+def given(table: dict[str, Any], key: str) -> bool:
+    """Whether a key is there and says something."""
+    return table.get(key) is not None and table[key] != []
+
+
+def findings(raw: dict[str, Any], folder: FilePath) -> Iterator[Finding]:
+    """All broken rules of a case."""
+    yield from times(raw)
+    yield from names(raw)
+    yield from references(raw)
+    for i, body in tables(raw, "body"):
+        yield from body_rules(("body", i), body)
+        yield from many_bodies(("body", i), body)
+        yield from shapes(("body", i), body, folder)
+
+
+def times(raw: dict[str, Any]) -> Iterator[Finding]:
+    """Everything happens within the run."""
+    run = raw.get("run")
+    t_end, every = number(run, "t_end"), number(run, "every")
+    if t_end is None or t_end <= 0:
+        return
+    if every is not None and every > t_end:
+        yield ("run", "every"), f"must be <= run.t_end = {t_end!r}, got {every!r}", ""
+    if every is not None and every > 0 and t_end > every * MOST_FRAMES:
+        yield ("run", "every"), f"makes more than {MOST_FRAMES:.0e} frames", "take a longer time"
+    for i, force in tables(raw, "force"):
+        during = force.get("during")
+        if isinstance(during, list) and during:
+            start = number({"t": during[0]}, "t")
+            if start is not None and start >= t_end:
+                yield ("force", i, "during"), f"must start before run.t_end = {t_end!r}", ""
+        yield from within(("force", i, "time"), number(force, "time"), t_end)
+    for i, check in tables(raw.get("check"), "value"):
+        yield from within(("check", "value", i, "time"), number(check, "time"), t_end)
+
+
+def within(path: Path, time: float | None, t_end: float) -> Iterator[Finding]:
+    """A time is not after the end."""
+    if time is not None and time > t_end:
+        yield path, f"must be <= run.t_end = {t_end!r}, got {time!r}", ""
+
+
+def names(raw: dict[str, Any]) -> Iterator[Finding]:
+    """Bodies have different names."""
+    first: dict[str, int] = {}
+    for i, body in tables(raw, "body"):
+        name = body.get("name")
+        if isinstance(name, str) and first.setdefault(name, i) != i:
+            yield ("body", i, "name"), f'"{name}" is the name of body[{first[name]}] already', ""
+
+
+def references(raw: dict[str, Any]) -> Iterator[Finding]:
+    """Forces and checks name bodies that are there."""
+    counts: dict[str, Any] = {}
+    for _, body in tables(raw, "body"):
+        if isinstance(body.get("name"), str):
+            counts.setdefault(body["name"], body.get("count", 1))
+    for i, force in tables(raw, "force"):
+        yield from reference(("force", i, "body"), force.get("body"), counts)
+    for i, check in tables(raw.get("check"), "value"):
+        if isinstance(check.get("body"), str):
+            yield from reference(("check", "value", i, "body"), check["body"], counts)
+
+
+def reference(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Finding]:
+    """One name, or a list of names."""
+    if isinstance(value, list):
+        for i, entry in enumerate(value):
+            if isinstance(entry, str):
+                yield from reference((*path, i), entry, counts)
+    if not isinstance(value, str) or not value:
+        return
+    match = REFERENCE.fullmatch(value)
+    if match is None or match["name"] not in counts:
+        yield path, f'there is no body "{value}"', nearest(value, list(counts))
+        return
+    count = counts[match["name"]]
+    is_count = isinstance(count, int) and count > 0
+    if match["index"] and is_count and int(match["index"]) >= count:
+        yield path, f'there is no body "{value}"', f"{match['name']}[0] to [{count - 1}] exist"
+
+
+def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
+    """A body is one shape, or parts that carry the mass."""
+    if given(body, "part"):
+        for key in ("shape", "mass", "density"):
+            if given(body, key):
+                yield (*path, key), "has no place beside [[body.part]]", "give it with each part"
+        for j, part in tables(body, "part"):
+            yield from mass_rules((*path, "part", j), part)
+    elif not given(body, "shape"):
+        yield (*path, "shape"), "missing", "a body needs a `shape`, or [[body.part]]"
+    else:
+        yield from mass_rules(path, body)
+
+
+def mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
+    """Exactly one of mass and density, as far as the shape has a use for them."""
+    shape = table.get("shape")
+    kind = shape.get("type") if isinstance(shape, dict) else None
+    if not isinstance(shape, dict) or not isinstance(kind, str) or kind not in SHAPES:
+        return
+    allowed: tuple[str, ...] = getattr(SHAPES[kind], "weighed_by", ())
+    if kind == "shell" and not given(shape, "inner_radius"):
+        allowed = ("mass",)
+    if given(table, "density") and "density" not in allowed:
+        yield (*path, "density"), f"a {kind} has no volume of its own", "give `mass`"
+    elif given(table, "density") and given(table, "mass"):
+        yield (*path, "density"), "given beside mass", "give one of `mass` and `density`"
+    elif allowed and not given(table, "mass") and not given(table, "density"):
+        yield (*path, "mass"), "missing", f"give {' or '.join(f'`{key}`' for key in allowed)}"
+
+
+def many_bodies(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
+    """Positions of `count` bodies."""
+    count = body.get("count", 1)
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        return
+    for key in ("position", "orientation", "velocity", "angular_velocity"):
+        if is_rows(body.get(key)) and len(body[key]) != count:
+            yield (*path, key), f"must have count = {count} rows, has {len(body[key])}", ""
+    if given(body, "place"):
+        if given(body, "position") and not is_origin(body["position"]):
+            yield (*path, "position"), "given beside place", "give one of them"
+        yield from grid_rules((*path, "place"), body["place"], count)
+    elif count > 1 and not is_rows(body.get("position")):
+        hint = 'place = { type = "grid", spacing = 1.0 }, or type = "random"'
+        yield (*path, "place"), f"missing: count = {count} bodies need different positions", hint
+
+
+def is_origin(position: Any) -> bool:
+    """Whether a position is the default, which a resolved case states beside `place`."""
+    return isinstance(position, list) and position == [0, 0, 0]
+
+
+def grid_rules(path: Path, place: Any, count: int) -> Iterator[Finding]:
+    """A grid has room for all."""
+    n = place.get("n") if isinstance(place, dict) and place.get("type") == "grid" else None
+    are_counts = isinstance(n, list) and all(isinstance(k, int) and k > 0 for k in n)
+    if n and are_counts and math.prod(n) < count:
+        yield (*path, "n"), f"has room for {math.prod(n)} of {count} bodies", ""
+
+
+def shapes(path: Path, body: dict[str, Any], folder: FilePath) -> Iterator[Finding]:
+    """Files that a shape names are there."""
+    places = [(path, body), *(((*path, "part", j), part) for j, part in tables(body, "part"))]
+    for where, table in places:
+        shape = table.get("shape")
+        name = shape.get("file") if isinstance(shape, dict) else None
+        if isinstance(name, str) and name and not is_file(folder / name):
+            folder_shown = folder.as_posix()
+            yield (*where, "shape", "file"), f'there is no file "{name}" in {folder_shown}', ""
+
+
+def is_file(path: FilePath) -> bool:
+    """Whether a path is a regular file that can be looked at."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False

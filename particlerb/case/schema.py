@@ -1,0 +1,394 @@
+"""The case as types: every table, key, default and unit of the format, in the order of the file.
+
+Models are frozen and refuse unknown keys. What involves several tables (names that must exist,
+times within the run) is in `rules`, which reads the file's own data, so that one reading reports
+all mistakes. Keys keep the names they have in TOML: `case.body` is the tuple of [[body]] tables.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Discriminator,
+    Field,
+    PrivateAttr,
+    Strict,
+    Tag,
+    model_validator,
+)
+
+from particlerb.case.shapes import Shape
+from particlerb.case.source import Source
+from particlerb.case.values import (
+    Count,
+    Counts,
+    Frame,
+    Name,
+    Names,
+    NonNegative,
+    Numbers,
+    Positive,
+    Quaternion,
+    Rows3,
+    Rows4,
+    Spacing,
+    Table,
+    Vector,
+    broken,
+    entries,
+    is_rows,
+    one_of,
+)
+
+METHODS = ("auto", "exact", "strang")
+FieldName = Literal[
+    "position", "orientation", "linear_momentum", "angular_momentum", "velocity", "angular_velocity"
+]
+FIELDS: tuple[FieldName, ...] = ("position", "orientation", "linear_momentum", "angular_momentum")
+KIND = "Kind of force or placement. [-]"
+FRAME = "Axes of the vector: world or body. [-]"
+BODIES = "Name of a [[body]] block, of one body as name[3], or a list of such names. [-]"
+
+
+class Run(Table):
+    """How long, how often, and how."""
+
+    t_end: Positive = Field(description="Time at the end. [s]")
+    every: Positive = Field(description="Time between frames, at most t_end. [s]")
+    method: Annotated[str, Strict(), one_of(METHODS)] = Field(
+        "auto",
+        description="auto, or a name from `particlerb methods`. [-]",
+        json_schema_extra={"enum": list(METHODS)},
+    )
+    dt: Positive | None = Field(None, description="Step of stepping methods; default: chosen. [s]")
+    seed: Annotated[int, Strict(), Field(ge=0, le=2**63 - 1)] = Field(
+        0, description="Seed of all random numbers. [-]"
+    )
+    threads: Count | None = Field(None, description="Threads; default: all cores. [-]")
+
+
+class Gravity(Table):
+    """Uniform gravity."""
+
+    acceleration: Vector = Field(description="Acceleration, world frame. [m/s²]")
+
+
+class Euler(Table):
+    """Orientation from angles: intrinsic z-y-x, given as [roll, pitch, yaw]."""
+
+    euler_deg: Vector = Field(description="Roll, pitch, yaw; intrinsic z-y-x. [°]")
+
+
+class InBody(Table):
+    """Vector in the body's own axes."""
+
+    body: Vector = Field(description="Components in the body frame. [m/s or rad/s]")
+
+
+class Spread(Table):
+    """Normally distributed components, drawn for every body."""
+
+    random: NonNegative = Field(description="Standard deviation per component. [m/s or rad/s]")
+
+
+class Grid(Table):
+    """Bodies on a grid, x fastest, centred at `origin`."""
+
+    type: Literal["grid"] = Field(description=KIND)
+    spacing: Spacing = Field(description="Distance between neighbours, one or per axis. [m]")
+    n: Counts | None = Field(None, description="Bodies per axis; default: nearly a cube. [-]")
+    origin: Vector = Field((0.0, 0.0, 0.0), description="Centre of the grid, world frame. [m]")
+
+
+class RandomBox(Table):
+    """Bodies anywhere in a box, uniformly."""
+
+    type: Literal["random"] = Field(description=KIND)
+    lower: Vector = Field(description="Lower corner, world frame. [m]")
+    upper: Vector = Field(description="Upper corner, world frame. [m]")
+
+    @model_validator(mode="after")
+    def is_ordered(self) -> Self:
+        """Require lower <= upper on each axis."""
+        if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
+            raise broken("must not be below lower on any axis", "upper")
+        return self
+
+
+def place_form(value: Any) -> str:
+    """Tag of a position: one for all bodies of the block, or rows."""
+    return "rows" if is_rows(value) else "vector"
+
+
+def turn_form(value: Any) -> str:
+    """Tag of the orientation of a part."""
+    return "euler" if isinstance(value, (Mapping, BaseModel)) else "vector"
+
+
+def orientation_form(value: Any) -> str:
+    """Tag of an orientation."""
+    if isinstance(value, (Mapping, BaseModel)):
+        return "euler"
+    if isinstance(value, str):
+        return "random"
+    return "rows" if is_rows(value) else "vector"
+
+
+def motion_form(value: Any) -> str:
+    """Tag of a velocity or angular velocity."""
+    if isinstance(value, (Mapping, BaseModel)):
+        is_spread = isinstance(value, Spread) or (isinstance(value, Mapping) and "random" in value)
+        return "random" if is_spread else "body"
+    return "rows" if is_rows(value) else "vector"
+
+
+Position = Annotated[
+    Annotated[Vector, Tag("vector")] | Annotated[Rows3, Tag("rows")],
+    Discriminator(place_form),
+]
+OneOrientation = Annotated[
+    Annotated[Quaternion, Tag("vector")] | Annotated[Euler, Tag("euler")],
+    Discriminator(turn_form),
+]
+Orientation = Annotated[
+    Annotated[Quaternion, Tag("vector")]
+    | Annotated[Euler, Tag("euler")]
+    | Annotated[Literal["random"], Tag("random")]
+    | Annotated[Rows4, Tag("rows")],
+    Discriminator(orientation_form),
+]
+Motion = Annotated[
+    Annotated[Vector, Tag("vector")]
+    | Annotated[InBody, Tag("body")]
+    | Annotated[Spread, Tag("random")]
+    | Annotated[Rows3, Tag("rows")],
+    Discriminator(motion_form),
+]
+Place = Annotated[Grid | RandomBox, Field(discriminator="type")]
+PLACES: dict[str, type[Table]] = {"grid": Grid, "random": RandomBox}
+ORIGIN = (0.0, 0.0, 0.0)
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
+
+class Part(Table):
+    """One shape of a body that is put together from several."""
+
+    shape: Shape = Field(description="Table with `type` and the shape's keys. [-]")
+    mass: Positive | None = Field(None, description="Mass; this or density. [kg]")
+    density: Positive | None = Field(None, description="Density; this or mass. [kg/m³]")
+    position: Vector = Field(ORIGIN, description="Of the shape's origin, in the body's axes. [m]")
+    orientation: OneOrientation = Field(
+        IDENTITY, description="Shape to body axes: quaternion or { euler_deg = [..] }. [-]"
+    )
+
+
+def plain_name(name: str) -> str:
+    """Name that can be written in a file and does not look like a reference."""
+    if not name.isprintable() or "[" in name or "]" in name:
+        raise broken("must be printable and without brackets")
+    return name
+
+
+class Body(Table):
+    """A body, or `count` bodies of the same kind."""
+
+    name: Annotated[Name, AfterValidator(plain_name)] = Field(description="Unique name. [-]")
+    shape: Shape | None = Field(None, description="Table with `type`; this or [[body.part]]. [-]")
+    part: tuple[Part, ...] = Field((), description="Parts of the body; these or shape. [-]")
+    mass: Positive | None = Field(None, description="Mass of each body; this or density. [kg]")
+    density: Positive | None = Field(None, description="Density; this or mass. [kg/m³]")
+    count: Count = Field(1, description="Number of bodies. [-]")
+    place: Place | None = Field(None, description="Where many bodies are: grid or random. [-]")
+    position: Position = Field(
+        ORIGIN, description="Of the centre of mass, world frame; or a row per body. [m]"
+    )
+    orientation: Orientation = Field(
+        IDENTITY,
+        description="Quaternion w x y z, normalised when read; { euler_deg = [..] }; "
+        '"random"; or a row per body. [-]',
+    )
+    velocity: Motion = Field(
+        ORIGIN, description="World frame, { body = [..] }, { random = v }; or rows. [m/s]"
+    )
+    angular_velocity: Motion = Field(
+        ORIGIN, description="World frame, { body = [..] }, { random = v }; or rows. [rad/s]"
+    )
+
+
+def is_interval(value: tuple[float, float]) -> tuple[float, float]:
+    """Require t0 < t1."""
+    if value[0] >= value[1]:
+        raise broken(f"must start before it ends, got [{value[0]!r}, {value[1]!r}]")
+    return value
+
+
+During = Annotated[tuple[NonNegative, NonNegative], entries(2), AfterValidator(is_interval)]
+
+
+class Push(Table):
+    """A constant force at a point of the body that stays on that point while the body turns."""
+
+    type: Literal["push"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
+    force: Vector = Field(description="Force. [N]")
+    frame: Frame = Field("world", description=FRAME)
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
+class Torque(Table):
+    """A constant torque."""
+
+    type: Literal["torque"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    torque: Vector = Field(description="Torque. [N m]")
+    frame: Frame = Field("world", description=FRAME)
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
+class Impulse(Table):
+    """A jump of the momenta at one instant: P += J, L += r × J."""
+
+    type: Literal["impulse"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
+    impulse: Vector = Field(description="Impulse. [N s]")
+    frame: Frame = Field("world", description=FRAME)
+    time: NonNegative = Field(description="When, at most t_end. [s]")
+
+
+Force = Annotated[Push | Torque | Impulse, Field(discriminator="type")]
+FORCES: dict[str, type[Table]] = {"push": Push, "torque": Torque, "impulse": Impulse}
+
+
+def are_unique(fields: tuple[FieldName, ...]) -> tuple[FieldName, ...]:
+    """Require each field once."""
+    if len(set(fields)) < len(fields):
+        raise broken("must not repeat a name")
+    return fields
+
+
+class Output(Table):
+    """What the trajectory file holds."""
+
+    fields: Annotated[tuple[FieldName, ...], Field(min_length=1), AfterValidator(are_unique)] = (
+        Field(FIELDS, description="Recorded per body and frame. [-]")
+    )
+    dtype: Literal["float64", "float32"] = Field(
+        "float64", description="Precision of the file. [-]"
+    )
+
+
+Quantity = Literal[
+    "position",
+    "orientation",
+    "velocity",
+    "angular_velocity",
+    "linear_momentum",
+    "angular_momentum",
+    "kinetic_energy",
+    "inertia",
+]
+EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
+    "orientation": ((4,),),
+    "kinetic_energy": ((),),
+    "inertia": ((3,), (3, 3)),
+}
+FRAMELESS = ("position", "orientation", "kinetic_energy")
+
+
+def shape_of(value: Any) -> tuple[int, ...] | None:
+    """Shape of nested tuples; None where they are ragged."""
+    if not isinstance(value, tuple):
+        return ()
+    inner = {shape_of(entry) for entry in value}
+    if len(inner) > 1 or None in inner:
+        return None
+    return (len(value), *(inner.pop() or ())) if inner else (0,)
+
+
+class CheckValue(Table):
+    """A value that the run must reach."""
+
+    body: Name = Field(description="Name of a [[body]] block, or of one body as name[3]. [-]")
+    quantity: Quantity = Field(description="What is compared. [-]")
+    frame: Frame = Field("world", description=FRAME)
+    time: NonNegative | None = Field(None, description="When; default: t_end. [s]")
+    value: Numbers = Field(description="Expected number or list. [SI unit of the quantity]")
+    tolerance: NonNegative = Field(description="Largest allowed difference. [SI unit, or rad]")
+
+    @model_validator(mode="after")
+    def has_right_length(self) -> Self:
+        """Require as many numbers as the quantity has."""
+        shape = shape_of(self.value)
+        allowed = EXPECTED_SHAPES.get(self.quantity, ((3,),))
+        if shape not in allowed:
+            wanted = {(): "one number", (3, 3): "3 x 3 numbers"}
+            words = " or ".join(wanted.get(s) or f"{s[0]} numbers" for s in allowed)
+            raise broken(f"{self.quantity} needs {words}", "value")
+        if self.quantity == "orientation" and not any(self.value):
+            raise broken("must not be zero: it is no orientation", "value")
+        if self.frame == "body" and self.quantity in FRAMELESS:
+            raise broken(f"{self.quantity} is not given in the body frame", "frame")
+        return self
+
+
+class Check(Table):
+    """Limits: a run that misses one ends with exit code 3."""
+
+    energy_drift: Positive | None = Field(
+        None, description="Largest drift of energy, relative to the largest kinetic energy. [-]"
+    )
+    linear_momentum_drift: Positive | None = Field(
+        None, description="Largest drift, relative to the sum of |P|. [-]"
+    )
+    angular_momentum_drift: Positive | None = Field(
+        None, description="Largest drift, relative to the sum of |L|. [-]"
+    )
+    value: tuple[CheckValue, ...] = Field((), description="Values to reach, [[check.value]]. [-]")
+
+
+class Case(Table):
+    """A whole scene; made by `particlerb.case.reader.load`."""
+
+    title: Annotated[str, Strict()] = Field("", description="What the case shows. [-]")
+    run: Run = Field(description="How long, how often, and how. [-]")
+    gravity: Gravity | None = Field(None, description="Uniform gravity; default: none. [-]")
+    body: Annotated[tuple[Body, ...], Field(min_length=1)] = Field(description="The bodies. [-]")
+    force: tuple[Force, ...] = Field((), description="What acts on them. [-]")
+    output: Output = Field(default_factory=Output, description="What is recorded. [-]")
+    check: Check = Field(default_factory=Check, description="What must hold. [-]")
+    _source: Source = PrivateAttr(default_factory=Source)
+
+    @property
+    def source(self) -> Source:
+        """Text, path and data that the case was read from."""
+        return self._source
+
+    @property
+    def text(self) -> str:
+        """TOML text as read; empty for a case from Python."""
+        return self._source.text
+
+    @property
+    def path(self) -> Path | None:
+        """File of the case; None for a case from Python."""
+        return self._source.path
+
+    def file(self, name: str) -> Path:
+        """Path of a file that the case names, relative to the folder of the case."""
+        return self._source.folder / name
+
+    @property
+    def n_bodies(self) -> int:
+        """Number of bodies of all blocks."""
+        return sum(body.count for body in self.body)
+
+
+def case_json_schema() -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of a case file, for editors."""
+    schema = Case.model_json_schema(mode="validation")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

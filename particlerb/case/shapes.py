@@ -1,0 +1,242 @@
+"""Shapes of bodies: one table per `shape.type`, lengths in metres, axes of the body.
+
+Each class also says what its mass may be given by (`weighed_by`): `mass`, `density`, or neither.
+Solids are centred at the origin of their axes unless said otherwise; those with an axis have it
+along z. How a shape becomes particles is the business of `particlerb.bodies`.
+"""
+
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from particlerb.case.values import (
+    Count,
+    Lengths,
+    Name,
+    NonNegative,
+    Positive,
+    Resolution,
+    Table,
+    Vector,
+    broken,
+    entries,
+)
+
+Arrangement = Literal["lattice", "exact"]
+KIND = "Kind of shape. [-]"
+ACROSS = "Particles along the largest extent of the lattice. [-]"
+SHELL_N = "As for a ball; on a thin shell per quarter of a great circle. [-]"
+ARRANGEMENT = "A lattice, or the smallest exact set of particles. [-]"
+Vertices = Annotated[tuple[Vector, Vector, Vector, Vector], entries(4, "corners")]
+
+
+class Box(Table):
+    """Solid box."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: Literal["box"] = Field(description=KIND)
+    size: Lengths = Field(description="Edge lengths. [m]")
+    n: Resolution = Field((10, 10, 10), description="Particles per edge. [-]")
+    arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
+
+
+class Ball(Table):
+    """Solid ball."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: Literal["ball"] = Field(description=KIND)
+    radius: Positive = Field(description="Radius. [m]")
+    n: Count = Field(10, description=ACROSS)
+    arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
+
+
+class Shell(Table):
+    """Hollow ball; without `inner_radius` an infinitely thin one, which has no density."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: Literal["shell"] = Field(description=KIND)
+    radius: Positive = Field(description="Outer radius. [m]")
+    inner_radius: Positive | None = Field(
+        None, description="Inner radius; left out: a thin shell. [m]"
+    )
+    n: Count = Field(10, description=SHELL_N)
+
+    @model_validator(mode="after")
+    def is_hollow(self) -> Self:
+        """Require the inner radius below the outer one."""
+        if self.inner_radius is not None:
+            require_smaller(self.inner_radius, self.radius)
+        return self
+
+
+class Cylinder(Table):
+    """Solid or hollow cylinder about z."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: Literal["cylinder"] = Field(description=KIND)
+    radius: Positive = Field(description="Outer radius. [m]")
+    height: Positive = Field(description="Height along z. [m]")
+    inner_radius: NonNegative = Field(0.0, description="Radius of the bore. [m]")
+    n: Count = Field(10, description=ACROSS)
+
+    @model_validator(mode="after")
+    def has_wall(self) -> Self:
+        """Require the bore below the outer radius."""
+        require_smaller(self.inner_radius, self.radius)
+        return self
+
+
+class Cone(Table):
+    """Solid cone about z, base at z = 0, apex at z = height."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: Literal["cone"] = Field(description=KIND)
+    radius: Positive = Field(description="Radius of the base. [m]")
+    height: Positive = Field(description="Height along z. [m]")
+    n: Count = Field(10, description=ACROSS)
+
+
+class Torus(Table):
+    """Solid torus about z."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: Literal["torus"] = Field(description=KIND)
+    major_radius: Positive = Field(description="Distance of the tube's centre from the axis. [m]")
+    minor_radius: Positive = Field(description="Radius of the tube. [m]")
+    n: Count = Field(10, description=ACROSS)
+
+    @model_validator(mode="after")
+    def does_not_overlap(self) -> Self:
+        """Require a tube that does not cross the axis."""
+        if self.minor_radius > self.major_radius:
+            raise broken(
+                f"must be <= major_radius = {self.major_radius!r}, got {self.minor_radius!r}",
+                "minor_radius",
+            )
+        return self
+
+
+class Ellipsoid(Table):
+    """Solid ellipsoid."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: Literal["ellipsoid"] = Field(description=KIND)
+    semi_axes: Lengths = Field(description="Half of the lengths along x, y, z. [m]")
+    n: Count = Field(10, description=ACROSS)
+    arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
+
+
+class Tetrahedron(Table):
+    """Solid tetrahedron."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: Literal["tetrahedron"] = Field(description=KIND)
+    vertices: Vertices = Field(description="The four corners. [m]")
+    n: Count = Field(10, description="Particles per edge. [-]")
+    arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
+
+
+class Rod(Table):
+    """Thin straight rod along z: it has no volume, hence no density."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
+    type: Literal["rod"] = Field(description=KIND)
+    length: Positive = Field(description="Length along z. [m]")
+    n: Count = Field(10, description="Particles along the rod. [-]")
+    arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
+
+
+class Points(Table):
+    """Particles given one by one, here or in a CSV file; their masses are the body's."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ()
+    type: Literal["points"] = Field(description=KIND)
+    position: tuple[Vector, ...] | None = Field(
+        None, description="Positions in the body's axes. [m]"
+    )
+    mass: tuple[NonNegative, ...] | None = Field(None, description="Masses. [kg]")
+    radius: tuple[NonNegative, ...] | None = Field(
+        None, description="Radii; 0 is a point mass. [m]"
+    )
+    file: Name | None = Field(
+        None, description="CSV file with columns x, y, z, m and optionally r. [m, kg]"
+    )
+
+    @model_validator(mode="after")
+    def has_one_source(self) -> Self:
+        """Require either lists of equal length with a positive total mass, or a file."""
+        if self.file is not None:
+            for key in ("position", "mass", "radius"):
+                if getattr(self, key) is not None:
+                    raise broken("particles come from `file` or from lists, not both", key)
+            return self
+        if not self.position:
+            raise broken("has no particles", "position", "give `position` and `mass`, or a `file`")
+        for key in ("mass", "radius"):
+            self.check_length(key, len(self.position))
+        self.check_masses()
+        return self
+
+    def check_length(self, key: str, length: int) -> None:
+        """Require as many entries as there are positions."""
+        entries = getattr(self, key)
+        if entries is None and key == "mass":
+            raise broken("particles need a mass each", "mass")
+        if entries is not None and len(entries) != length:
+            raise broken(f"must have {length} entries like position, has {len(entries)}", key)
+
+    def check_masses(self) -> None:
+        """Require mass; a particle without mass must at least have a radius."""
+        mass = self.mass or ()
+        radius = self.radius or (0.0,) * len(mass)
+        for i, (m, r) in enumerate(zip(mass, radius, strict=True)):
+            if m == 0 and r == 0:
+                raise broken(f"particle {i} has neither mass nor radius", "mass")
+        if not any(mass):
+            raise broken("must not all be zero", "mass")
+
+
+class Moments(Table):
+    """Six equal particles with exactly these principal moments about the body's axes."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
+    type: Literal["moments"] = Field(description=KIND)
+    inertia: Annotated[tuple[NonNegative, NonNegative, NonNegative], entries(3)] = Field(
+        description="Moments about x, y, z; none above the sum of the others. [kg m²]"
+    )
+
+
+class Cloud(Table):
+    """Equal particles at random in a ball, drawn anew for every body."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
+    type: Literal["cloud"] = Field(description=KIND)
+    n: Count = Field(description="Number of particles. [-]")
+    radius: Positive = Field(description="Radius of the ball. [m]")
+
+
+def require_smaller(inner_radius: float, radius: float) -> None:
+    """Require inner_radius < radius."""
+    if inner_radius >= radius:
+        raise broken(f"must be < radius = {radius!r}, got {inner_radius!r}", "inner_radius")
+
+
+AnyShape = (
+    Box | Ball | Shell | Cylinder | Cone | Torus | Ellipsoid | Tetrahedron | Rod | Points
+    | Moments | Cloud
+)  # fmt: skip
+Shape = Annotated[AnyShape, Field(discriminator="type")]
+SHAPES: dict[str, type[Table]] = {
+    "box": Box,
+    "ball": Ball,
+    "shell": Shell,
+    "cylinder": Cylinder,
+    "cone": Cone,
+    "torus": Torus,
+    "ellipsoid": Ellipsoid,
+    "tetrahedron": Tetrahedron,
+    "rod": Rod,
+    "points": Points,
+    "moments": Moments,
+    "cloud": Cloud,
+}

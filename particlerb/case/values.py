@@ -1,0 +1,171 @@
+"""Kinds of value in a case: numbers, vectors, rows of vectors, names; all strict and finite.
+
+A string is no number and a bool is no number; an int is a fine float. What a value may be is a
+type here, so that the schema reads like the format. Field descriptions end with [unit].
+"""
+
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    Strict,
+)
+from pydantic_core import PydanticCustomError
+
+FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+LARGEST_COUNT = 2**31 - 1
+REFERENCE = re.compile(r"(?P<name>[^\[\]]+)(?:\[(?P<index>\d{1,10})\])?", re.ASCII)
+"""A [[body]] block, or one body of it: `clump`, `clump[3]`."""
+
+
+class Table(BaseModel):
+    """A table of the case: frozen, unknown keys are errors, every number is finite."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def broken(reason: str, key: str = "", hint: str = "") -> PydanticCustomError:
+    """Error that a validator raises; `key` names the key of the table that is to blame."""
+    escaped = reason.replace("{", "(").replace("}", ")")
+    return PydanticCustomError("rule", cast(Any, escaped), {"key": key, "hint": hint})
+
+
+def entries(length: int, of: str = "numbers") -> BeforeValidator:
+    """Length of a list, checked before its entries so that a wrong one is a single error."""
+
+    def check(value: Any) -> Any:
+        if isinstance(value, (list, tuple)) and len(value) != length:
+            raise broken(f"must have {length} entries, has {len(value)}")
+        if not isinstance(value, (list, tuple)):
+            raise broken(f"must be a list of {length} {of}")
+        return value
+
+    return BeforeValidator(check)
+
+
+def one_of(choices: tuple[str, ...]) -> AfterValidator:
+    """Word out of a list that is kept as a constant rather than as a type."""
+
+    def check(value: str) -> str:
+        if value not in choices:
+            expected = ", ".join(f"'{choice}'" for choice in choices)
+            raise PydanticCustomError("choice", "unknown", {"expected": expected})
+        return value
+
+    return AfterValidator(check)
+
+
+def repeated(value: Any) -> Any:
+    """Three times the same number where one is given."""
+    return [value] * 3 if isinstance(value, (int, float, str)) else value
+
+
+def alone(value: Any) -> Any:
+    """List with one name where a name is given."""
+    return (value,) if isinstance(value, str) else value
+
+
+def rows(width: int) -> PlainValidator:
+    """One row per body: a read-only array, shape (count, width), float64 and finite."""
+
+    def check(value: Any) -> FloatArray:
+        try:
+            array = np.asarray(value)
+        except (ValueError, OverflowError):
+            raise broken(f"must be rows of {width} numbers each") from None
+        if array.ndim != 2 or array.shape[1] != width or array.dtype.kind not in "iuf":
+            raise broken(f"must be rows of {width} numbers each")
+        if isinstance(value, list) and any(isinstance(x, bool) for row in value for x in row):
+            raise broken("must be numbers, true and false are none")
+        array = np.array(array, dtype=np.float64, order="C")
+        if not np.isfinite(array).all():
+            row = int(np.argmin(np.isfinite(array).all(axis=1)))
+            raise broken(f"must be finite, row {row} is not")
+        if width == 4 and not array.any(axis=1).all():
+            row = int(np.argmin(array.any(axis=1)))
+            raise broken(f"must not be zero: row {row} is no orientation")
+        array.setflags(write=False)
+        return array
+
+    return PlainValidator(check, json_schema_input_type=list[list[float]])
+
+
+def is_rows(value: Any) -> bool:
+    """Whether a value has one row per body rather than one for all."""
+    if isinstance(value, np.ndarray):
+        return value.ndim == 2
+    return isinstance(value, list) and bool(value) and isinstance(value[0], (list, tuple))
+
+
+def nonzero(value: tuple[float, ...]) -> tuple[float, ...]:
+    """Quaternion that can be normalised."""
+    if not any(value):
+        raise broken("must not be zero: it is no orientation", hint="no turn is [1, 0, 0, 0]")
+    return value
+
+
+def nested_numbers(value: Any) -> Any:
+    """A number, a list of numbers or a list of such lists; lists become tuples."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return tuple(nested_numbers(entry) for entry in value)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise broken("must be a number or a list of numbers")
+    try:
+        number = float(value)
+    except OverflowError:
+        raise broken("must be finite") from None
+    if not np.isfinite(number):
+        raise broken(f"must be finite, got {number}")
+    return number
+
+
+def plain(value: Any, keeps_rows: bool = False) -> Any:
+    """Plain dicts, lists and numbers of what Python callers pass.
+
+    Two-dimensional arrays stay where they may be rows for many bodies: in tables without `type`.
+    """
+    if isinstance(value, BaseModel):
+        return plain(value.model_dump(exclude_unset=True))
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry, "type" not in value) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.ndarray) and not (keeps_rows and value.ndim == 2):
+        return value.tolist()
+    return value.item() if isinstance(value, np.generic) else value
+
+
+Real = Annotated[float, Strict()]
+Positive = Annotated[float, Strict(), Field(gt=0)]
+NonNegative = Annotated[float, Strict(), Field(ge=0)]
+Count = Annotated[int, Strict(), Field(ge=1, le=LARGEST_COUNT)]
+Name = Annotated[str, Strict(), Field(min_length=1)]
+Names = Annotated[tuple[Name, ...], Field(min_length=1), BeforeValidator(alone, Name | list[Name])]
+
+Vector = Annotated[tuple[Real, Real, Real], entries(3)]
+Lengths = Annotated[tuple[Positive, Positive, Positive], entries(3)]
+Spacing = Annotated[Lengths, BeforeValidator(repeated, Positive | Lengths)]
+Counts = Annotated[tuple[Count, Count, Count], entries(3)]
+Resolution = Annotated[Counts, BeforeValidator(repeated, Count | Counts)]
+Quaternion = Annotated[tuple[Real, Real, Real, Real], entries(4), AfterValidator(nonzero)]
+Numbers = Annotated[
+    Any,
+    PlainValidator(nested_numbers, json_schema_input_type=float | list[float] | list[list[float]]),
+]
+AS_LISTS = PlainSerializer(lambda array: array.tolist(), return_type=list, when_used="json")
+Rows3 = Annotated[FloatArray, rows(3), AS_LISTS]
+Rows4 = Annotated[FloatArray, rows(4), AS_LISTS]
+Frame = Literal["world", "body"]

@@ -1,0 +1,697 @@
+"""Every mistake has one message: where, which key, why, what to do; never a traceback."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from particlerb.case.reader import CaseError, Problem, load, parse
+
+GOOD = """\
+title = "a cube and a clump"
+[run]
+t_end = 5.0
+every = 0.1
+[[body]]
+name = "cube"
+shape = { type = "box", size = [1.0, 1.0, 1.0] }
+mass = 2.0
+[[body]]
+name = "clump"
+shape = { type = "ball", radius = 0.5 }
+density = 1000.0
+count = 4
+place = { type = "grid", spacing = 2.0 }
+[[force]]
+type = "push"
+body = "cube"
+force = [0, 0, 50]
+during = [0.0, 0.02]
+[[check.value]]
+body = "clump[3]"
+quantity = "position"
+value = [0, 0, 0]
+tolerance = 1e-9
+"""
+
+
+def problems(text: str, path: Path | None = None) -> tuple[Problem, ...]:
+    with pytest.raises(CaseError) as caught:
+        parse(text, path or Path("cases/x.toml"))
+    return caught.value.problems
+
+
+def edited(old: str, new: str) -> str:
+    assert GOOD.count(old) == 1
+    return GOOD.replace(old, new)
+
+
+def test_the_case_that_the_tests_break_is_good():
+    assert parse(GOOD).n_bodies == 5
+
+
+MISTAKES = [
+    # old text, new text, line, key, reason, part of the hint
+    ("every = 0.1", "evry = 0.1", 4, "run.evry", "unknown key", 'did you mean "every"? keys here'),
+    ("t_end = 5.0", "t_end = 0", 3, "run.t_end", "must be > 0, got 0", ""),
+    ("t_end = 5.0", "t_end = -5.0", 3, "run.t_end", "must be > 0, got -5.0", ""),
+    ("t_end = 5.0", 't_end = "5"', 3, "run.t_end", "must be a number, got a text: '5'", ""),
+    (
+        "t_end = 5.0",
+        "t_end = true",
+        3,
+        "run.t_end",
+        "must be a number, got true or false: True",
+        "",
+    ),
+    ("every = 0.1", "", 2, "run.every", "missing", "keys here: t_end, every, method"),
+    ("every = 0.1", "every = 6", 4, "run.every", "must be <= run.t_end = 5.0, got 6.0", ""),
+    ("every = 0.1", "every = 1e-300", 4, "run.every", "makes more than 1e+09 frames", "longer"),
+    (
+        "every = 0.1",
+        'every = 0.1\nmethod = "exat"',
+        5,
+        "run.method",
+        "unknown: 'exat'",
+        'did you mean "exact"? known: auto, exact, strang',
+    ),
+    ("every = 0.1", "every = 0.1\nthreads = 0", 5, "run.threads", "must be >= 1, got 0", ""),
+    (
+        "every = 0.1",
+        "every = 0.1\nseed = 1.5",
+        5,
+        "run.seed",
+        "must be a whole number, got a number: 1.5",
+        "",
+    ),
+    ("mass = 2.0", "mass = 0", 8, "body[0].mass", "must be > 0, got 0", ""),
+    ("mass = 2.0", "mass = -2", 8, "body[0].mass", "must be > 0, got -2", ""),
+    ("mass = 2.0", "", 5, "body[0].mass", "missing", "give `mass` or `density`"),
+    ("mass = 2.0", "mass = 2\ndensity = 1", 9, "body[0].density", "given beside mass", "give one"),
+    ('name = "cube"\n', "", 5, "body[0].name", "missing", "keys here: name, shape"),
+    ('"cube"\nshape', '""\nshape', 6, "body[0].name", "must not be empty", ""),
+    (
+        '"clump"\nshape',
+        '"cube"\nshape',
+        10,
+        "body[1].name",
+        '"cube" is the name of body[0] already',
+        "",
+    ),
+    (
+        '"clump"\nshape',
+        '"a[1]"\nshape',
+        10,
+        "body[1].name",
+        "must be printable and without brackets",
+        "",
+    ),
+    (
+        'type = "box"',
+        'type = "bxo"',
+        7,
+        "body[0].shape.type",
+        "unknown type 'bxo'",
+        'did you mean "box"? known: box, ball, shell, cylinder, cone, torus',
+    ),
+    ('type = "box", ', "", 7, "body[0].shape.type", "missing", "known: box, ball"),
+    (
+        "size = [1.0, 1.0, 1.0]",
+        "sizes = [1.0, 1.0, 1.0]",
+        7,
+        "body[0].shape.sizes",
+        "unknown key",
+        'did you mean "size"? keys here: type, size, n, arrangement',
+    ),
+    (
+        "size = [1.0, 1.0, 1.0]",
+        "size = [1.0, 1.0]",
+        7,
+        "body[0].shape.size",
+        "must have 3 entries, has 2",
+        "",
+    ),
+    (
+        "size = [1.0, 1.0, 1.0]",
+        "size = 1.0",
+        7,
+        "body[0].shape.size",
+        "must be a list of 3 numbers",
+        "",
+    ),
+    (
+        "size = [1.0, 1.0, 1.0]",
+        "size = [1.0, -1.0, 1.0]",
+        7,
+        "body[0].shape.size[1]",
+        "must be > 0, got -1.0",
+        "",
+    ),
+    ("1.0, 1.0] }", "1.0, 1.0], n = 0 }", 7, "body[0].shape.n", "must be >= 1, got 0", ""),
+    ("count = 4", "count = 0", 13, "body[1].count", "must be >= 1, got 0", ""),
+    (
+        'place = { type = "grid", spacing = 2.0 }',
+        "",
+        9,
+        "body[1].place",
+        "missing: count = 4 bodies need different positions",
+        'place = { type = "grid", spacing = 1.0 }',
+    ),
+    (
+        "spacing = 2.0",
+        "spacing = 2.0, n = [1, 1, 2]",
+        14,
+        "body[1].place.n",
+        "has room for 2 of 4 bodies",
+        "",
+    ),
+    (
+        "spacing = 2.0 }",
+        "spacing = 2.0 }\nposition = [0, 0, 1]",
+        15,
+        "body[1].position",
+        "given beside place",
+        "",
+    ),
+    (
+        "count = 4",
+        "count = 4\nvelocity = [[0, 0, 0]]",
+        14,
+        "body[1].velocity",
+        "must have count = 4 rows, has 1",
+        "",
+    ),
+    (
+        "mass = 2.0",
+        "mass = 2.0\norientation = [0, 0, 0, 0]",
+        9,
+        "body[0].orientation",
+        "must not be zero: it is no orientation",
+        "no turn is [1, 0, 0, 0]",
+    ),
+    (
+        "mass = 2.0",
+        'mass = 2.0\norientation = "rnd"',
+        9,
+        "body[0].orientation",
+        "unknown: 'rnd'",
+        '[w, x, y, z], { euler_deg = [roll, pitch, yaw] }, or "random"',
+    ),
+    (
+        "mass = 2.0",
+        'mass = 2.0\nvelocity = "random"',
+        9,
+        "body[0].velocity",
+        "must be a list of 3 numbers",
+        "[x, y, z], { body = [x, y, z] }, or { random = v }",
+    ),
+    (
+        "mass = 2.0",
+        "mass = 2.0\norientation = { euler = [0, 0, 0] }",
+        9,
+        "body[0].orientation.euler",
+        "unknown key",
+        'did you mean "euler_deg"?',
+    ),
+    (
+        "mass = 2.0",
+        "mass = 2.0\nvelocity = { bdy = [0, 0, 0] }",
+        9,
+        "body[0].velocity.bdy",
+        "unknown key",
+        'did you mean "body"? keys here: body, random',
+    ),
+    (
+        'type = "push"',
+        'type = "psh"',
+        16,
+        "force[0].type",
+        "unknown type 'psh'",
+        'did you mean "push"? known: push, torque, impulse',
+    ),
+    (
+        'body = "cube"\n',
+        'body = "cub"\n',
+        17,
+        "force[0].body",
+        'there is no body "cub"',
+        'did you mean "cube"? known: cube, clump',
+    ),
+    (
+        'body = "cube"\n',
+        'body = ["cube", "clump[4]"]\n',
+        17,
+        "force[0].body[1]",
+        'there is no body "clump[4]"',
+        "clump[0] to [3] exist",
+    ),
+    ('body = "cube"\n', "body = []\n", 17, "force[0].body", "must not be empty", ""),
+    (
+        "force = [0, 0, 50]",
+        'force = [0, 0, 50]\nframe = "wrld"',
+        19,
+        "force[0].frame",
+        "unknown: 'wrld'",
+        'did you mean "world"? known: world, body',
+    ),
+    (
+        "[0.0, 0.02]",
+        "[0.02, 0.02]",
+        19,
+        "force[0].during",
+        "must start before it ends, got [0.02, 0.02]",
+        "",
+    ),
+    ("[0.0, 0.02]", "[-1, 0.02]", 19, "force[0].during[0]", "must be >= 0, got -1", ""),
+    ("[0.0, 0.02]", "[5, 6]", 19, "force[0].during", "must start before run.t_end = 5.0", ""),
+    (
+        'body = "clump[3]"',
+        'body = "clmp"',
+        21,
+        "check.value[0].body",
+        'there is no body "clmp"',
+        'did you mean "clump"?',
+    ),
+    (
+        '"position"\nvalue = [0, 0, 0]',
+        '"position"\nvalue = [0, 0]',
+        23,
+        "check.value[0].value",
+        "position needs 3 numbers",
+        "",
+    ),
+    (
+        '"position"\nvalue = [0, 0, 0]',
+        '"inertia"\nvalue = 1',
+        23,
+        "check.value[0].value",
+        "inertia needs 3 numbers or 3 x 3 numbers",
+        "",
+    ),
+    (
+        '"position"\n',
+        '"position"\nframe = "body"\n',
+        23,
+        "check.value[0].frame",
+        "position is not given in the body frame",
+        "",
+    ),
+    ('"position"', '"positon"', 22, "check.value[0].quantity", "unknown: 'positon'", "position"),
+    (
+        "tolerance = 1e-9",
+        "tolerance = 1e-9\ntime = 9.0",
+        25,
+        "check.value[0].time",
+        "must be <= run.t_end = 5.0, got 9.0",
+        "",
+    ),
+    (
+        '"position"\nvalue = [0, 0, 0]',
+        '"inertia"\nvalue = [[1, 0, 0], [0, 1, 0], [0, 1]]',
+        23,
+        "check.value[0].value",
+        "inertia needs 3 numbers or 3 x 3 numbers",
+        "",
+    ),
+    (
+        '"position"\nvalue = [0, 0, 0]',
+        '"inertia"\nvalue = [1, [2], 3]',
+        23,
+        "check.value[0].value",
+        "inertia needs 3 numbers or 3 x 3 numbers",
+        "",
+    ),
+    (
+        '"position"\nvalue = [0, 0, 0]',
+        '"kinetic_energy"\nvalue = []',
+        23,
+        "check.value[0].value",
+        "kinetic_energy needs one number",
+        "",
+    ),
+    (
+        '"position"\nvalue = [0, 0, 0]',
+        '"orientation"\nvalue = [0, 0, 0, 0]',
+        23,
+        "check.value[0].value",
+        "must not be zero: it is no orientation",
+        "",
+    ),
+    (
+        "[[force]]",
+        '[output]\nfields = ["position", "position"]\n[[force]]',
+        16,
+        "output.fields",
+        "must not repeat a name",
+        "",
+    ),
+    ("[[force]]", "[output]\nfields = []\n[[force]]", 16, "output.fields", "must not be empty", ""),
+    (
+        "[[force]]",
+        '[output]\ndtype = "f4"\n[[force]]',
+        16,
+        "output.dtype",
+        "unknown: 'f4'",
+        "known: float64, float32",
+    ),
+    (
+        "[[force]]",
+        '[[force]]\ntype = "impulse"\nbody = "cube"\nimpulse = [0, 0, 1]\ntime = 6\n[[force]]',
+        19,
+        "force[0].time",
+        "must be <= run.t_end = 5.0, got 6.0",
+        "",
+    ),
+    (
+        'type = "grid", spacing = 2.0',
+        'type = "random", lower = [0, 0, 0], upper = [1, -1, 1]',
+        14,
+        "body[1].place.upper",
+        "must not be below lower on any axis",
+        "",
+    ),
+    (
+        "spacing = 2.0",
+        "spacing = 2.0, n = [0, 1, 4]",
+        14,
+        "body[1].place.n[0]",
+        "must be >= 1, got 0",
+        "",
+    ),
+    ("spacing = 2.0", "spacing = -2", 14, "body[1].place.spacing", "must be > 0, got -2", ""),
+    (
+        "count = 4",
+        "count = 2147483648",
+        13,
+        "body[1].count",
+        "must be <= 2147483647, got 2147483648",
+        "",
+    ),
+    (
+        "every = 0.1",
+        "every = 0.1\nseed = -1",
+        5,
+        "run.seed",
+        "must be >= 0, got -1",
+        "",
+    ),
+    ("[[force]]", "[gravity]\n[[force]]", 15, "gravity.acceleration", "missing", "acceleration"),
+    (
+        'title = "a cube and a clump"',
+        "output = 5",
+        1,
+        "output",
+        "must be a table, got a whole number: 5",
+        "",
+    ),
+    (
+        "tolerance = 1e-9",
+        "tolerance = -1e-9",
+        24,
+        "check.value[0].tolerance",
+        "must be >= 0, got -1e-09",
+        "",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "key", "reason", "hint"), MISTAKES, ids=[m[1][:40] for m in MISTAKES]
+)
+def test_mistake_has_one_message(old, new, line, key, reason, hint):
+    found = problems(edited(old, new))
+    problem = found[0] if "name" in key else found[-1]  # what names the body misses it, too
+    assert (problem.line, problem.key, problem.reason) == (line, key, reason)
+    assert hint in problem.hint
+    assert len(found) == 1 or (key.endswith("name") and len(found) == 2)
+    assert problem.file == str(Path("cases/x.toml"))
+
+
+SHAPES = [
+    # shape, key after "shape.", reason
+    ('type = "cone", radius = 1, height = 0', "height", "must be > 0, got 0"),
+    (
+        'type = "cylinder", radius = 1, height = 1, inner_radius = 1',
+        "inner_radius",
+        "must be < radius = 1.0, got 1.0",
+    ),
+    (
+        'type = "shell", radius = 1, inner_radius = 2',
+        "inner_radius",
+        "must be < radius = 1.0, got 2.0",
+    ),
+    (
+        'type = "torus", major_radius = 1, minor_radius = 2',
+        "minor_radius",
+        "must be <= major_radius = 1.0, got 2.0",
+    ),
+    ('type = "ellipsoid", semi_axes = [1, 2]', "semi_axes", "must have 3 entries, has 2"),
+    ('type = "tetrahedron", vertices = [[0, 0, 0]]', "vertices", "must have 4 entries, has 1"),
+    ('type = "moments", inertia = [1, 1, -1]', "inertia[2]", "must be >= 0, got -1"),
+    ('type = "cloud", radius = 1', "n", "missing"),
+    ('type = "rod", length = 1, n = 0', "n", "must be >= 1, got 0"),
+    ('type = "points"', "position", "has no particles"),
+    ('type = "points", position = [], mass = []', "position", "has no particles"),
+    ('type = "points", position = [[0, 0, 0]]', "mass", "particles need a mass each"),
+    (
+        'type = "points", position = [[0, 0, 0]], mass = [1, 2]',
+        "mass",
+        "must have 1 entries like position, has 2",
+    ),
+    (
+        'type = "points", position = [[0, 0, 0]], mass = [1], radius = [1, 2]',
+        "radius",
+        "must have 1 entries like position, has 2",
+    ),
+    (
+        'type = "points", position = [[0, 0, 0]], mass = [-1]',
+        "mass[0]",
+        "must be >= 0, got -1",
+    ),
+    (
+        'type = "points", position = [[0, 0, 0]], mass = [0], radius = [1]',
+        "mass",
+        "must not all be zero",
+    ),
+    (
+        'type = "points", position = [[0, 0, 0], [0, 0, 1]], mass = [1, 0]',
+        "mass",
+        "particle 1 has neither mass nor radius",
+    ),
+    (
+        'type = "points", position = [[0, 0]], mass = [1]',
+        "position[0]",
+        "must have 3 entries, has 2",
+    ),
+]
+
+
+@pytest.mark.parametrize(("shape", "key", "reason"), SHAPES)
+def test_mistake_in_a_shape(shape, key, reason):
+    (problem,) = problems(edited('type = "box", size = [1.0, 1.0, 1.0]', shape))
+    assert (problem.line, problem.key, problem.reason) == (7, f"body[0].shape.{key}", reason)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        'type = "rod", length = 1',
+        'type = "shell", radius = 1',
+        'type = "cloud", n = 3, radius = 1',
+        'type = "moments", inertia = [1, 1, 1]',
+        'type = "points", position = [[0, 0, 0]], mass = [1]',
+    ],
+)
+def test_density_needs_a_volume(shape):
+    text = edited('type = "box", size = [1.0, 1.0, 1.0]', shape)
+    (problem,) = problems(text.replace("mass = 2.0", "density = 2.0"))
+    assert (problem.line, problem.key) == (8, "body[0].density")
+    assert problem.reason.endswith("has no volume of its own")
+
+
+def test_points_need_no_mass_beside_their_own():
+    shape = 'type = "points", position = [[0, 0, 0]], mass = [1]'
+    text = edited('type = "box", size = [1.0, 1.0, 1.0]', shape)
+    assert parse(text.replace("mass = 2.0\n", "")).body[0].mass is None
+
+
+def test_points_come_from_a_file_or_from_lists(tmp_path):
+    (tmp_path / "p.csv").write_text("x,y,z,m\n0,0,0,1\n")
+    shape = 'type = "points", file = "p.csv", mass = [1]'
+    text = edited('type = "box", size = [1.0, 1.0, 1.0]', shape)
+    (problem,) = problems(text, tmp_path / "c.toml")
+    assert problem.reason == "particles come from `file` or from lists, not both"
+
+
+def test_missing_csv_is_shown_at_its_key(tmp_path):
+    text = edited('type = "box", size = [1.0, 1.0, 1.0]', 'type = "points", file = "no.csv"')
+    (problem,) = problems(text, tmp_path / "c.toml")
+    assert (problem.line, problem.column, problem.key) == (7, 35, "body[0].shape.file")
+    assert problem.reason == f'there is no file "no.csv" in {tmp_path.as_posix()}'
+
+
+def test_body_is_a_shape_or_parts():
+    part = '[[body.part]]\nshape = { type = "rod", length = 1 }\nmass = 1\n'
+    found = problems(edited("[[force]]", part + "[[force]]").replace("mass = 2.0\n", ""))
+    assert [(p.key, p.reason) for p in found if p.key.startswith("body[1]")] == [
+        ("body[1].shape", "has no place beside [[body.part]]"),
+        ("body[1].density", "has no place beside [[body.part]]"),
+    ]
+
+
+def test_body_without_shape_and_part_without_mass():
+    part = '[[body]]\nname = "a"\n[[body]]\nname = "b"\n[[body.part]]\n'
+    part += 'shape = { type = "rod", length = 1 }\n[[force]]'
+    found = problems(edited("[[force]]", part))
+    assert [(p.line, p.key, p.reason) for p in found] == [
+        (15, "body[2].shape", "missing"),
+        (19, "body[3].part[0].mass", "missing"),
+    ]
+
+
+BAD_NUMBERS = [math.nan, math.inf, -math.inf, "1", None, True, np.nan, [1.0], 10**400]
+
+
+def numeric_places(case: dict) -> list[tuple[str | int, ...]]:
+    """Paths of all numbers of a case."""
+
+    def numbers(node, path):
+        if isinstance(node, dict):
+            for key, entry in node.items():
+                yield from numbers(entry, (*path, key))
+        elif isinstance(node, list):
+            for i, entry in enumerate(node):
+                yield from numbers(entry, (*path, i))
+        elif isinstance(node, (int, float)):
+            yield path
+
+    return list(numbers(case, ()))
+
+
+def test_the_case_with_everything_is_good(everything):
+    assert len(load(everything()).body) == 13
+
+
+@pytest.mark.parametrize("bad", BAD_NUMBERS)
+def test_no_number_may_be_anything_but_finite(bad, everything):
+    """Each number of the case with everything in turn: exactly its key is reported."""
+    for path in numeric_places(everything()):
+        case = everything()
+        node = case
+        for part in path[:-1]:
+            node = node[part]
+        node[path[-1]] = bad
+        if bad is None and isinstance(path[-1], str):
+            continue  # None says that an optional key is not given
+        with pytest.raises(CaseError) as caught:
+            load(case)
+        keys = [problem.key for problem in caught.value.problems]
+        whole = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in path)[1:]
+        assert any(whole.startswith(key) and key.count(".") == whole.count(".") for key in keys)
+        assert all(p.reason and not p.line for p in caught.value.problems)
+
+
+def test_all_problems_at_once_and_by_line():
+    text = edited("t_end = 5.0", "t_end = -1").replace("mass = 2.0", "mass = nan")
+    text = text.replace('body = "cube"', 'body = "cub"').replace("tolerance", "tolerence")
+    assert [(p.line, p.key) for p in problems(text)] == [
+        (3, "run.t_end"),
+        (8, "body[0].mass"),
+        (17, "force[0].body"),
+        (24, "check.value[0].tolerence"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "column", "reason"),
+    [
+        ("[run]\nt_end 5", 2, 7, "broken TOML: a key needs a `=` and a value"),
+        ("[run]\nt_end = ", 2, 9, "broken TOML: this is no TOML value"),
+        ("[run]\nt_end = cube", 2, 9, "broken TOML: this is no TOML value"),
+        ("[run]\nt_end = 5\nt_end = 6", 3, 10, "broken TOML: this key has been given before"),
+        ("[run]\n[run]", 2, 5, "broken TOML: this table has been opened before"),
+        ("a = [1, 2", 1, 10, "broken TOML: a list is not closed: `]` is missing"),
+        ('a = "x\n', 1, 7, "broken TOML: this character is not allowed here"),
+        ('a = "x', 1, 7, "broken TOML: a text is not closed: its quotes are missing"),
+        ("a = 1 b = 2", 1, 7, "broken TOML: more on this line than one `key = value`"),
+        ("?", 1, 1, "broken TOML: this is neither `key = value` nor a [table]"),
+    ],
+)
+def test_broken_toml(text, line, column, reason):
+    (problem,) = problems(text)
+    assert (problem.line, problem.column) == (line, column)
+    assert problem.reason.startswith(reason)
+
+
+def test_numbers_and_nesting_out_of_range():
+    assert "out of range" in problems("a = " + "9" * 5000)[0].reason
+    assert "no such date" in problems("a = 2001-02-30")[0].reason
+    assert problems("a = " + "[" * 5000)[0].reason == "is nested too deeply"
+    deep = "[" * 300 + "]" * 300
+    assert problems(edited("value = [0, 0, 0]", f"value = {deep}"))
+
+
+def message_of_file(path: Path) -> str:
+    with pytest.raises(CaseError) as caught:
+        load(path)
+    return str(caught.value)
+
+
+def test_file_that_cannot_be_a_case(tmp_path):
+    (tmp_path / "cube.toml").write_text(GOOD)
+    (tmp_path / "empty.toml").write_text(" \n")
+    (tmp_path / "latin.toml").write_bytes(b"[run]\nt_end = 5 # \xe9t\xe9")
+    (tmp_path / "big.toml").write_bytes(b"")
+    with (tmp_path / "big.toml").open("r+b") as file:
+        file.truncate(65 * 2**20)
+    assert message_of_file(tmp_path / "cbe.toml") == (
+        f"{tmp_path / 'cbe.toml'}: error: there is no such file\n"
+        '      hint: did you mean "cube.toml"? known: big.toml, cube.toml, empty.toml, latin.toml'
+    )
+    assert "is a folder, not a case file" in message_of_file(tmp_path)
+    assert "there is no such folder" in message_of_file(tmp_path / "no" / "cube.toml")
+    assert "is empty" in message_of_file(tmp_path / "empty.toml")
+    assert "larger than 64 MiB" in message_of_file(tmp_path / "big.toml")
+    assert "latin.toml:2:13: error: byte 0xe9 is no UTF-8" in message_of_file(
+        tmp_path / "latin.toml"
+    )
+    assert "cannot be read" in message_of_file(tmp_path / ("x" * 300))
+    assert "error" in message_of_file(Path("a\0b"))
+
+
+def test_dict_has_keys_and_no_lines(everything):
+    case = everything()
+    case["run"]["t_end"] = -1.0
+    case["body"][0]["shpe"] = case["body"][0].pop("shape")
+    with pytest.raises(CaseError) as caught:
+        load(case)
+    text = str(caught.value)
+    assert "case: error: run.t_end: must be > 0, got -1.0" in text
+    assert "case: error: body[0].shpe: unknown key" in text
+    assert all(problem.line is None for problem in caught.value.problems)
+
+
+@pytest.mark.parametrize(
+    ("rows", "reason"),
+    [
+        (np.zeros((3, 3)), "must have count = 4 rows, has 3"),
+        (np.zeros((4, 2)), "must be rows of 3 numbers each"),
+        (np.full((4, 3), np.nan), "must be finite, row 0 is not"),
+        (np.array([["a"] * 3] * 4), "must be rows of 3 numbers each"),
+        (np.zeros((4, 3), dtype=complex), "must be rows of 3 numbers each"),
+    ],
+)
+def test_rows_from_python_are_checked(rows, reason, everything):
+    case = everything()
+    case["body"][0] |= {"count": 4, "position": rows}
+    with pytest.raises(CaseError) as caught:
+        load(case)
+    assert [(p.key, p.reason) for p in caught.value.problems] == [("body[0].position", reason)]
+
+
+def test_rows_of_orientations_are_not_zero(everything):
+    case = everything()
+    case["body"][3]["orientation"] = np.array([[1.0, 0, 0, 0], [0, 0, 0, 0]])
+    with pytest.raises(CaseError, match="row 1 is no orientation"):
+        load(case)
