@@ -1,7 +1,7 @@
-"""The only caller of Numba's compiler: three decorators and the place of the disk cache.
+"""The only caller of Numba's compiler: two decorators and the place of the disk cache.
 
-`inline` is for helpers of scalars and tuples, `kernel` for loops over bodies, `parallel` for the
-one loop over blocks of bodies. Numba's cache does not notice an edit in another file, nor a
+`inline` is for helpers of scalars and tuples, `kernel` for loops over bodies; kernels run without
+the interpreter's lock, so that `threads` can spread them. Numba's cache does not notice an edit in another file, nor a
 changed NUMBA_* flag; so the cache folder carries a hash of all of it in its name.
 """
 
@@ -104,5 +104,4 @@ def compile_with(**options: Any) -> Callable[[Function], Function]:
 
 
 inline = compile_with(forceinline=True)
-kernel = compile_with(cache=True)
-parallel = compile_with(cache=True, parallel=True)
+kernel = compile_with(cache=True, nogil=True)

@@ -14,8 +14,8 @@ from particlerb.bodies.bodies import Bodies
 from particlerb.bodies.state import Frames
 from particlerb.maths.quaternion import load4, rows4, to_body
 from particlerb.maths.vec3 import Floats, cross, dot, load3, rows3
+from particlerb.threads import BLOCK
 
-BLOCK = 256
 N_TOTALS = 10
 
 
@@ -114,7 +114,7 @@ class Ledger:
         """Let the scales grow with what is turned over."""
         turned_over = np.maximum(now.kinetic_energy, np.abs(work))
         sizes = (turned_over, now.momentum_size, now.spin_size)
-        self.scales = np.maximum(self.scales, [size.max() for size in sizes])
+        self.scales = np.maximum(self.scales, [size.max(initial=0.0) for size in sizes])
 
     def enter(self, now: Totals, booked: Floats) -> Entries:
         """Entries of some frames, given their totals and what was booked, (T, 7)."""
@@ -137,7 +137,7 @@ class Ledger:
             np.linalg.norm(entries.linear_momentum_error, axis=1),
             np.linalg.norm(entries.angular_momentum_error, axis=1),
         )
-        self.errors = np.maximum(self.errors, [error.max() for error in errors])
+        self.errors = np.maximum(self.errors, [error.max(initial=0.0) for error in errors])
         return entries
 
     def drift(self) -> Drift:

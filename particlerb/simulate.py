@@ -6,11 +6,11 @@ in the motion, so a run can be prolonged, or recorded more finely, without chang
 """
 
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import h5py
-import numba
 import numpy as np
 
 from particlerb.bodies.scene import Scene, assemble
@@ -25,14 +25,15 @@ from particlerb.plan import GroupPlan, Plan, Segment, make_plan
 from particlerb.record.writer import Recorder
 from particlerb.rotors.rotor_class import ROD
 from particlerb.terms.impulse import apply_impulse
+from particlerb.threads import THREADS
 
 BATCH_BYTES = 8_000_000  # of frames that are held before they are written
 BATCH_FRAMES = 1024
 FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of its multiples
+EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
 ROD_ROUNDING = 1e-9  # share of L along a rod that stepping may leave
 
 Progress = Callable[[int], object]
-config: Any = numba.config
 
 
 class RunError(Exception):
@@ -79,10 +80,24 @@ def prepare(case: Case) -> Prepared:
 def frame_times(case: Case) -> Floats:
     """Times of the frames [s]: the multiples of run.every, and t_end."""
     every, t_end = case.run.every, case.run.t_end
-    times = np.float64(every) * np.arange(int(t_end / every + FRAME_ROUNDING) + 1)
+    times = multiples(every, int(t_end / every + FRAME_ROUNDING) + 1)
     if t_end - times[-1] > FRAME_ROUNDING * every:
         return np.append(times, np.float64(t_end))
     times[-1] = t_end
+    return times
+
+
+def multiples(every: float, n: int) -> Floats:
+    """0, 1, .. n - 1 times a number, as one would write them: 3 times 0.7 is 2.1, as an edge is.
+
+    The float 0.7 is a little less than 7/10; three times that may fall before an edge at 2.1 s.
+    """
+    k = np.arange(n, dtype=np.float64)
+    decimal = Fraction(repr(every))
+    above, below = decimal.numerator, decimal.denominator
+    if max(above, below) > EXACT_INTEGERS:
+        return np.float64(every) * k
+    times: Floats = np.where(k * above <= EXACT_INTEGERS, k * above / below, every * k)
     return times
 
 
@@ -143,55 +158,64 @@ class Run:
         self.gravity = np.array(case.gravity.acceleration if case.gravity else (0.0, 0.0, 0.0))
         initial = as_frame(self.scene.bodies, self.scene.state)
         self.last = initial.last
+        self.room = initial  # used again and again: fresh memory costs more than what fills it
         self.ledger = Ledger(totals(initial, self.scene.bodies, self.gravity))
         self.travellers = [
             Traveller(group, State(*(a[:, group.members] for a in self.scene.state)))
             for group in plan.groups
         ]
 
-    def frames_at(self, times: Floats) -> tuple[Frames, Entries]:
+    def frames_at(self, times: Floats) -> tuple[Frames, Entries, RunError | None]:
         """Frames at ascending times, not before those asked for earlier, and their ledger.
 
-        Raises
-        ------
-        RunError
-            If a state is not finite, or a torque has turned a rod about its own axis.
+        Where a state is not finite, or a torque has turned a rod about its own axis, they end
+        before it, and the error says so. The next call writes over the frames.
         """
-        frames = room_for(times.size, len(self.scene.kind), self.last)
+        if times.size > len(self.room.position):
+            self.room = room_for(times.size, len(self.scene.kind), self.last)
+        frames = first_rows(self.room, times.size)
         booked = np.zeros((times.size, 7))
         for traveller in self.travellers:
             booked += traveller.record(times, frames)
-        self.refuse_nonsense(times, frames)
+        sound, error = self.sound_frames(times, frames)
+        frames = first_rows(frames, sound)
         now = totals(frames, self.scene.bodies, self.gravity)
-        return frames, self.ledger.enter(now, booked)
+        return frames, self.ledger.enter(now, booked[:sound]), error
 
-    def refuse_nonsense(self, times: Floats, frames: Frames) -> None:
-        """Raise RunError where the last of the frames cannot be a state."""
+    def sound_frames(self, times: Floats, frames: Frames) -> tuple[int, RunError | None]:
+        """How many of the frames are states, and what is wrong with the next."""
         for name in ("position", "orientation", "linear_momentum", "angular_momentum"):
-            wrong = np.argwhere(~np.isfinite(getattr(frames, name)[-1]))
-            if len(wrong):
-                body = self.scene.names[int(wrong[0][0])]
-                raise RunError(
-                    f"{name} of {body} is not finite at t = {times[-1]!r} s: the step is too long"
-                    " for this force, or a number too large for float64"
-                )
-        rods = np.flatnonzero(self.scene.bodies.rotor_class == ROD)
-        if rods.size:
-            self.refuse_spinning_rods(rods, times, frames)
-
-    def refuse_spinning_rods(self, rods: Ints, times: Floats, frames: Frames) -> None:
-        """Raise RunError where a torque in the world has left L along a rod."""
-        q = multiplied(frames.orientation[-1, rods].T, self.scene.bodies.rotor_frame[:, rods])
-        m = turned_back(q, frames.angular_momentum[-1, rods].T)
-        wrong = np.flatnonzero(np.abs(m[2]) > ROD_ROUNDING * np.linalg.norm(m, axis=0))
-        if wrong.size:
-            name = self.scene.names[int(rods[wrong[0]])]
-            raise RunError(
-                f"{name} is a rod, and by t = {times[-1]!r} s a torque has turned it about its own"
-                " axis, about which it has no inertia: apply forces at points of the rod instead"
+            values = getattr(frames, name)
+            if np.isfinite(values[-1]).all():  # what is not finite stays so
+                continue
+            finite = np.isfinite(values).all(axis=2)
+            f = int(np.argmin(finite.all(axis=1)))
+            body = self.scene.names[int(np.argmin(finite[f]))]
+            return f, RunError(
+                f"{name} of {body} is not finite at t = {float(times[f])!r} s: the step is too"
+                " long for this force, or a number too large for float64"
             )
+        rods = np.flatnonzero(self.scene.bodies.rotor_class == ROD)
+        if not self.spinning(rods, frames, -1).size:
+            return times.size, None
+        f = next(k for k in range(times.size) if self.spinning(rods, frames, k).size)
+        name = self.scene.names[int(self.spinning(rods, frames, f)[0])]
+        return f, RunError(
+            f"{name} is a rod, and by t = {float(times[f])!r} s a torque has turned it about its"
+            " own axis, about which it has no inertia: apply forces at points of the rod instead"
+        )
+
+    def spinning(self, rods: Ints, frames: Frames, f: int) -> Ints:
+        """Those of the rods that have an angular momentum along their axis in frame f."""
+        if not rods.size:
+            return rods
+        q = multiplied(frames.orientation[f, rods].T, self.scene.bodies.rotor_frame[:, rods])
+        m = turned_back(q, frames.angular_momentum[f, rods].T)
+        axial: Ints = rods[np.abs(m[2]) > ROD_ROUNDING * np.linalg.norm(m, axis=0)]
+        return axial
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is not finite is found in the frames
 def run_prepared(
     prepared: Prepared,
     path: Path | None,
@@ -219,8 +243,7 @@ def run_prepared(
         If the run fails; the frames until then are committed.
     """
     case = prepared.case
-    if case.run.threads is not None:
-        numba.set_num_threads(min(case.run.threads, config.NUMBA_NUM_THREADS))
+    THREADS.use(case.run.threads)
     frame_time = frame_times(case)
     probe_time = probe_times(case)
     times = np.union1d(frame_time, probe_time)
@@ -230,13 +253,16 @@ def run_prepared(
         run = Run(prepared)
         probes = []
         for batch in batches(times.size, len(prepared.scene.kind)):
-            frames, entries = run.frames_at(times[batch])
-            rows = np.flatnonzero(is_frame[batch])
+            frames, entries, error = run.frames_at(times[batch])
+            sound = len(frames.position)
+            rows = np.flatnonzero(is_frame[batch][:sound])
             if rows.size:
                 recorder.append(times[batch][rows], frames, rows, entries)
                 progress(rows.size)
-            for row in np.flatnonzero(is_probe[batch]):
+            for row in np.flatnonzero(is_probe[batch][:sound]):
                 probes.append(Probe(float(times[batch][row]), one_row(frames, int(row))))
+            if error is not None:
+                raise error
     finally:
         recorder.commit()
         if path is not None:
@@ -257,8 +283,14 @@ def batches(n_times: int, n_bodies: int) -> Iterator[slice]:
         yield slice(lo, min(lo + size, n_times))
 
 
-def one_row(frames: Frames, row: int) -> Frames:
-    """One row of the frames."""
+def first_rows(frames: Frames, n: int) -> Frames:
+    """View of the first n rows of the frames."""
     position, orientation, p, L, last = frames
-    one = slice(row, row + 1)
-    return Frames(position[one], orientation[one], p[one], L[one], last)
+    return Frames(position[:n], orientation[:n], p[:n], L[:n], last)
+
+
+def one_row(frames: Frames, row: int) -> Frames:
+    """Copy of one row of the frames."""
+    position, orientation, p, L, last = frames
+    position, orientation, p, L = (a[row : row + 1].copy() for a in (position, orientation, p, L))
+    return Frames(position, orientation, p, L, last)

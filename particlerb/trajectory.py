@@ -49,16 +49,16 @@ class Trajectory:
     def __init__(self, file: h5py.File) -> None:
         self.file = file
         try:
-            schema = tuple(int(k) for k in file.attrs["schema"])
+            major, minor = (int(k) for k in file.attrs["schema"])
             self.n_frames = int(file.attrs[COMMITTED])
             self.mass: Floats = file[f"{TRAJECTORY}/mass"][:]
         except (KeyError, TypeError, ValueError) as error:
             raise TrajectoryError(
                 f"{file.filename} is not a trajectory of particlerb: {error}"
             ) from None
-        if schema[0] != SCHEMA_VERSION[0]:
+        if major != SCHEMA_VERSION[0]:
             raise TrajectoryError(
-                f"{file.filename} has schema {schema[0]}.{schema[1]}, this version reads"
+                f"{file.filename} has schema {major}.{minor}, this version reads"
                 f" {SCHEMA_VERSION[0]}.x"
             )
         self.n_bodies = len(self.mass)

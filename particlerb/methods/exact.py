@@ -4,12 +4,12 @@ For bodies on which nothing acts but forces through the centre of mass that are 
 world. Any time costs the same; the error does not depend on how many frames were asked for.
 """
 
+from functools import partial
 from typing import Final, TypeAlias
 
 import numpy as np
-from numba import prange
 
-from particlerb._jit import inline, kernel, parallel
+from particlerb._jit import inline, kernel
 from particlerb.bodies.bodies import taken
 from particlerb.bodies.state import Frames, State, store_frame
 from particlerb.maths.quaternion import rows4
@@ -24,11 +24,11 @@ from particlerb.rotors.exact import (
     prepare,
     turn_block,
 )
+from particlerb.threads import BLOCK, THREADS
 
 ORDER: Final = None
 SYMMETRIC: Final = True
 SUMMARY: Final = "closed form, no step; free bodies only (uniform gravity, push through the com)"
-BLOCK: Final = 256
 
 
 Part: TypeAlias = tuple[
@@ -55,7 +55,7 @@ def parabola(
 
 
 @kernel
-def fly_block(
+def fly_blocks(
     state: State,
     force: Floats,
     inv_mass: Floats,
@@ -65,55 +65,23 @@ def fly_block(
     hyperbolic: HyperbolicTurn | None,
     times: Floats,
     rows: Ints,
-    index: Ints,
-    lo: int,
-    hi: int,
+    members: Ints,
     frames: Frames,
+    first: int,
+    last: int,
 ) -> None:
-    """All frames of one block; times count from the state."""
-    n = hi - lo
+    """All frames of some blocks of one kind of turn; times count from the state."""
     local = np.empty((10, BLOCK))
-    com, p, q = rows3(local[0:3], 0, n), rows3(local[3:6], 0, n), rows4(local[6:10], 0, n)
-    start, p0, L = rows3(state.com, lo, hi), rows3(state.p, lo, hi), rows3(state.L, lo, hi)
-    F, frame = rows3(force, lo, hi), rows4(rotor_frame, lo, hi)
-    for k in range(times.size):
-        turn_block(steady, theta, hyperbolic, times[k], lo, hi, q)
-        parabola(start, p0, F, inv_mass[lo:hi], times[k], com, p)
-        store_frame(frames, rows[k], index[lo:hi], frame, com, q, p, L)
-
-
-@parallel
-def fly(
-    state: State,
-    force: Floats,
-    inv_mass: Floats,
-    rotor_frame: Floats,
-    steady: SteadyTurn | None,
-    theta: ThetaTurn | None,
-    hyperbolic: HyperbolicTurn | None,
-    times: Floats,
-    rows: Ints,
-    index: Ints,
-    frames: Frames,
-) -> None:
-    """All frames of all blocks of one kind of turn."""
-    n = inv_mass.size
-    for k in prange((n + BLOCK - 1) // BLOCK):
-        fly_block(
-            state,
-            force,
-            inv_mass,
-            rotor_frame,
-            steady,
-            theta,
-            hyperbolic,
-            times,
-            rows,
-            index,
-            k * BLOCK,
-            min((k + 1) * BLOCK, n),
-            frames,
-        )
+    for k in range(first, last):
+        lo, hi = k * BLOCK, min((k + 1) * BLOCK, inv_mass.size)
+        n = hi - lo
+        com, p, q = rows3(local[0:3], 0, n), rows3(local[3:6], 0, n), rows4(local[6:10], 0, n)
+        start, p0, L = rows3(state.com, lo, hi), rows3(state.p, lo, hi), rows3(state.L, lo, hi)
+        F, frame = rows3(force, lo, hi), rows4(rotor_frame, lo, hi)
+        for f in range(times.size):
+            turn_block(steady, theta, hyperbolic, times[f], lo, hi, q)
+            parabola(start, p0, F, inv_mass[lo:hi], times[f], com, p)
+            store_frame(frames, rows[f], members[lo:hi], frame, com, q, p, L)
 
 
 class FreeMotion:
@@ -145,7 +113,8 @@ class FreeMotion:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         elapsed = times - self.start
         for (which, _), part in zip(self.turns, self.parts, strict=True):
-            fly(*part, elapsed, rows, self.group.members[which], frames)
+            fly = partial(fly_blocks, *part, elapsed, rows, self.group.members[which], frames)
+            THREADS.spread(fly, which.size, which.size * times.size)
         return self.constant.booked(elapsed)
 
     def finish(self, stop: float) -> tuple[State, Floats]:

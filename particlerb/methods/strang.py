@@ -9,12 +9,12 @@ Source: Strang, SIAM J. Numer. Anal. 5, 506 (1968); the rotor: rotors/symmetric_
 """
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import prange
 
-from particlerb._jit import inline, kernel, parallel
+from particlerb._jit import inline, kernel
 from particlerb.bodies.bodies import Bodies
 from particlerb.bodies.state import Frames, State, multiplied, room_for, store_frame
 from particlerb.maths.quaternion import Rows4, load4, rows4, store4, to_body
@@ -37,11 +37,11 @@ from particlerb.terms.follower import Follower
 from particlerb.terms.gravity import UniformGravity
 from particlerb.terms.push import Push, lever_work
 from particlerb.terms.torque import Torque
+from particlerb.threads import BLOCK, THREADS
 
 ORDER: Final = 2
 SYMMETRIC: Final = True
 SUMMARY: Final = "order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force"
-BLOCK: Final = 256  # bodies a kernel takes at a time; fixed, so that threads change no bit
 PAUSE: Final = -1  # a stop without a frame: the host asks for progress and interrupts
 CLOSE: Final = -2  # the end of the segment: make the open half kick
 
@@ -49,8 +49,10 @@ CLOSE: Final = -2  # the end of the segment: make the open half kick
 class Schedule(NamedTuple):
     """When to step and when to record: one entry per stop."""
 
+    dt: float  # [s]
+    done: int  # steps of the segment that lie behind
     steps: Ints  # (T,) whole steps before the stop
-    partial: Floats  # (T,) [s] length of the partial step from there to the frame
+    rest: Floats  # (T,) [s] length of the partial step from there to the frame
     frame: Ints  # (T,) row of the frames to write, or PAUSE, or CLOSE
 
 
@@ -181,68 +183,55 @@ def store_sums(sums: Floats, f: int, k: int, booked: Floats | None, n: int) -> N
 
 
 @kernel
-def advance_block(
-    state: State,
+def follow(
+    local: Floats,
+    saved: Floats,
+    before: Floats,
     bodies: Bodies,
     terms: Terms,
-    booked: Floats | None,
+    own: Floats | None,
     lo: int,
     hi: int,
-    dt: float,
-    done: int,
     schedule: Schedule,
-    index: Ints,
+    members: Ints,
     frames: Frames,
     sums: Floats,
     k: int,
 ) -> None:
-    """All steps and frames of one block; `done` steps of the segment lie behind it."""
+    """Take block k through a schedule, in rows of its own."""
     n = hi - lo
-    local, saved, before = np.empty((20, BLOCK)), np.empty((20, BLOCK)), np.empty((6, BLOCK))
-    copy_columns(state.com, lo, local[0:3], 0, n)
-    copy_columns(state.q, lo, local[3:7], 0, n)
-    copy_columns(state.p, lo, local[7:10], 0, n)
-    copy_columns(state.L, lo, local[10:13], 0, n)
-    own = own_booked(local, booked, lo, n)
     com, q = rows3(local[0:3], 0, n), rows4(local[3:7], 0, n)
     p, L = rows3(local[7:10], 0, n), rows3(local[10:13], 0, n)
     inv_mass, inv_inertia = bodies.inv_mass[lo:hi], rows3(bodies.inv_inertia, lo, hi)
     rotor_frame = rows4(bodies.rotor_frame, lo, hi)
-    steps, partial, frame = schedule
+    dt, done, steps, rest, frame = schedule
     for s in range(steps.size):
         for i in range(steps[s] + extra_kicks(frame[s])):
             kick_dt = dt if done > 0 else 0.5 * dt  # the open half kick and the next one
             drift_dt = dt
-            if i >= steps[s]:  # no step of the grid: towards the frame, or closing the segment
-                if i == steps[s]:
-                    copy_columns(local, 0, saved, 0, n)
-                    kick_dt = 0.5 * partial[s] + (0.5 * dt if done > 0 else 0.0)
-                    drift_dt = partial[s]
-                else:
-                    kick_dt = 0.5 * partial[s]
-                    drift_dt = 0.0
+            if i < steps[s]:
+                done += 1
+            elif i == steps[s]:  # close the step, or go on towards the frame on a copy
+                copy_columns(local, 0, saved, 0, n)
+                kick_dt = 0.5 * rest[s] + (0.5 * dt if done > 0 else 0.0)
+                drift_dt = rest[s]
+            else:
+                kick_dt = 0.5 * rest[s]
+                drift_dt = 0.0
             if kick_dt != 0.0:
                 booked_kick(
                     terms, own, before, com, q, p, L, inv_mass, inv_inertia, lo, hi, kick_dt
                 )
             if drift_dt != 0.0:
                 drift(com, q, p, L, inv_mass, inv_inertia, drift_dt)
-            if i < steps[s]:
-                done += 1
         if frame[s] >= 0:
-            store_frame(frames, frame[s], index[lo:hi], rotor_frame, com, q, p, L)
+            store_frame(frames, frame[s], members[lo:hi], rotor_frame, com, q, p, L)
             store_sums(sums, frame[s], k, own, n)
             copy_columns(saved, 0, local, 0, n)
-    copy_columns(local[0:3], 0, state.com, lo, n)
-    copy_columns(local[3:7], 0, state.q, lo, n)
-    copy_columns(local[7:10], 0, state.p, lo, n)
-    copy_columns(local[10:13], 0, state.L, lo, n)
-    if booked is not None:
-        copy_columns(local[13:20], 0, booked, lo, n)
 
 
-@parallel
-def advance(
+@kernel
+def advance_blocks(
     state: State,
     bodies: Bodies,
     gravity: UniformGravity | None,
@@ -250,21 +239,31 @@ def advance(
     follower: Follower | None,
     torque: Torque | None,
     booked: Floats | None,
-    dt: float,
-    done: int,
     schedule: Schedule,
-    index: Ints,
+    members: Ints,
     frames: Frames,
     sums: Floats,
+    first: int,
+    last: int,
 ) -> None:
-    """All blocks of a group; a NamedTuple that holds NamedTuples cannot enter a prange."""
-    n = bodies.mass.size
-    for k in prange((n + BLOCK - 1) // BLOCK):
-        lo, hi = k * BLOCK, min((k + 1) * BLOCK, n)
+    """All steps and frames of some blocks."""
+    local, saved, before = np.empty((20, BLOCK)), np.empty((20, BLOCK)), np.empty((6, BLOCK))
+    for k in range(first, last):
+        lo, hi = k * BLOCK, min((k + 1) * BLOCK, members.size)
+        n = hi - lo
+        copy_columns(state.com, lo, local[0:3], 0, n)
+        copy_columns(state.q, lo, local[3:7], 0, n)
+        copy_columns(state.p, lo, local[7:10], 0, n)
+        copy_columns(state.L, lo, local[10:13], 0, n)
+        own = own_booked(local, booked, lo, n)
         terms = Terms(gravity, push, follower, torque)
-        advance_block(
-            state, bodies, terms, booked, lo, hi, dt, done, schedule, index, frames, sums, k
-        )
+        follow(local, saved, before, bodies, terms, own, lo, hi, schedule, members, frames, sums, k)
+        copy_columns(local[0:3], 0, state.com, lo, n)
+        copy_columns(local[3:7], 0, state.q, lo, n)
+        copy_columns(local[7:10], 0, state.p, lo, n)
+        copy_columns(local[10:13], 0, state.L, lo, n)
+        if booked is not None:
+            copy_columns(local[13:20], 0, booked, lo, n)
 
 
 BODY_STEPS_PER_CALL: Final = 200_000_000  # about a second: progress and Ctrl-C in between
@@ -277,29 +276,6 @@ def grid_position(elapsed: Floats, dt: float) -> tuple[Ints, Floats]:
     on_grid = np.abs(elapsed - nearest * dt) <= TIME_ROUNDING * np.abs(elapsed)
     steps = np.where(on_grid, nearest, np.floor(elapsed / dt))
     return steps.astype(np.int64), np.where(on_grid, 0.0, elapsed - steps * dt)
-
-
-def calls(counts: Ints, partial: Floats, rows: Ints, most: int) -> Iterator[Schedule]:
-    """Schedules of at most `most` steps each, with pauses where one frame is further away."""
-    stops: list[tuple[int, float, int]] = []
-    total = 0
-    for count, h, row in zip(counts.tolist(), partial.tolist(), rows.tolist(), strict=True):
-        left = count
-        while total + left > most:
-            stops.append((most - total, 0.0, PAUSE))
-            left -= most - total
-            yield schedule_of(stops)
-            stops, total = [], 0
-        stops.append((left, h, row))
-        total += left
-    if stops:
-        yield schedule_of(stops)
-
-
-def schedule_of(stops: list[tuple[int, float, int]]) -> Schedule:
-    """Stops as arrays."""
-    steps, partial, frame = zip(*stops, strict=True)
-    return Schedule(np.array(steps), np.array(partial), np.array(frame))
 
 
 class DrivenMotion:
@@ -339,26 +315,48 @@ class DrivenMotion:
         com, q, _, L = self.state
         return self.state, self.given(float(elapsed[0]), com, q, L, sums)
 
-    def advance(self, steps: Ints, partial: Floats, rows: Ints, frames: Frames) -> Floats:
+    def advance(self, steps: Ints, rest: Floats, rows: Ints, frames: Frames) -> Floats:
         """Go through stops given by their distance from the start; sums of what was booked."""
         group = self.group
         blocks = -(-group.members.size // BLOCK)
         sums = np.zeros((frames.position.shape[0], blocks, 7))
-        for schedule in calls(np.diff(steps, prepend=self.done), partial, rows, self.most):
-            advance(
+        for schedule in self.calls(np.diff(steps, prepend=self.done), rest, rows):
+            step = partial(
+                advance_blocks,
                 self.state,
                 group.bodies,
                 *group.terms,
                 self.booked,
-                self.dt,
-                self.done,
                 schedule,
                 group.members,
                 frames,
                 sums,
             )
-            self.done += int(schedule.steps.sum())
+            n, count = group.members.size, int(schedule.steps.sum())
+            THREADS.spread(step, n, n * (count + schedule.steps.size))
+            self.done += count
         return np.asarray(sums.sum(axis=1))
+
+    def calls(self, counts: Ints, rest: Floats, rows: Ints) -> Iterator[Schedule]:
+        """Schedules of a bounded number of steps, with pauses where a frame is further away."""
+        stops: list[tuple[int, float, int]] = []
+        total = 0
+        for count, h, row in zip(counts.tolist(), rest.tolist(), rows.tolist(), strict=True):
+            left = count
+            while total + left > self.most:
+                stops.append((self.most - total, 0.0, PAUSE))
+                left -= self.most - total
+                yield self.schedule(stops)
+                stops, total = [], 0
+            stops.append((left, h, row))
+            total += left
+        if stops:
+            yield self.schedule(stops)
+
+    def schedule(self, stops: list[tuple[int, float, int]]) -> Schedule:
+        """Stops as arrays, from where the group is now."""
+        steps, rest, frame = zip(*stops, strict=True)
+        return Schedule(self.dt, self.done, np.array(steps), np.array(rest), np.array(frame))
 
     def given(self, elapsed: float, com: Floats, q: Floats, L: Floats, sums: Floats) -> Floats:
         """Work, impulse and angular impulse until a state.

@@ -4,11 +4,13 @@ Commit is two-phase: data, flush, counter, flush. The default format version of 
 no file lock, so that the file opens after a crash and can be read while it grows.
 """
 
+import itertools
 import json
 import platform
 import subprocess
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -37,6 +39,7 @@ from particlerb.record.schema import (
 
 SECONDS_BETWEEN_COMMITS = 1.0
 SHORT_CHUNK = 1024  # entries per chunk of a number per frame
+NUMBERS = itertools.count()  # of the files in memory
 
 
 class Recorder:
@@ -65,7 +68,8 @@ class Recorder:
         self.file = create(path, overwrite)
         self.case, self.scene = case, scene
         self.dtype = np.dtype(case.output.dtype)
-        self.n_frames = 0
+        self.n_frames = self.committed = 0
+        self.pending: defaultdict[str, list[Floats]] = defaultdict(list)  # small, until a commit
         self.last_commit = time.monotonic()
         write_header(self.file)
         write_bodies(self.file, scene)
@@ -105,34 +109,46 @@ class Recorder:
 
     def append(self, times: Floats, frames: Frames, rows: Ints, ledger: Any) -> None:
         """Append rows of the frames with their times and ledger entries."""
-        n = self.n_frames
-        end = n + len(rows)
+        n, end = self.n_frames, self.n_frames + len(rows)
         arrays = fields_of(frames, rows, self.scene, self.values)
         for name, dataset in self.values.items():
-            dataset.resize(end, axis=0)
-            dataset[n:end] = arrays[name].astype(self.dtype, copy=False)
+            append_rows(dataset, n, arrays[name].astype(self.dtype, copy=False))
+        self.pending[self.time.name].append(times)
         for name, dataset in self.ledger.items():
-            dataset.resize(end, axis=0)
-            dataset[n:end] = getattr(ledger, name)[rows]
-        for dataset, values in ((self.step, np.arange(n, end)), (self.time, times)):
-            dataset.resize(end, axis=0)
-            dataset[n:end] = values
+            self.pending[dataset.name].append(getattr(ledger, name)[rows])
         self.n_frames = end
         if time.monotonic() - self.last_commit > SECONDS_BETWEEN_COMMITS:
             self.commit()
 
     def commit(self) -> None:
         """Put what is written on disk, then say so."""
+        for name, parts in self.pending.items():
+            append_rows(self.file[name], self.committed, np.concatenate(parts))
+        self.pending.clear()
+        append_rows(self.step, self.committed, np.arange(self.committed, self.n_frames))
+        self.committed = self.n_frames
         self.file.flush()
         self.file.attrs.modify(COMMITTED, np.int64(self.n_frames))
         self.file.flush()
         self.last_commit = time.monotonic()
 
 
+def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints) -> None:
+    """Append values from row `first` on; a row that is a chunk goes straight to the file."""
+    dataset.resize(first + len(values), axis=0)
+    if dataset.chunks[0] > 1:
+        dataset[first:] = values
+        return
+    origin = (0,) * (values.ndim - 1)
+    for k in range(len(values)):
+        dataset.id.write_direct_chunk((first + k, *origin), values[k])
+
+
 def create(path: Path | None, overwrite: bool) -> h5py.File:
     """Open a new file."""
-    if path is None:
-        return h5py.File("memory.h5", "w", driver="core", backing_store=False)
+    if path is None:  # HDF5 tells files in memory apart by their names
+        name = f"memory-{next(NUMBERS)}.h5"
+        return h5py.File(name, "w", driver="core", backing_store=False)
     if path.exists() and not overwrite:
         raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,66 @@
+"""Spreads a kernel over threads, by blocks of bodies.
+
+A kernel that takes a range of blocks and touches only these gives the same bits however the blocks
+are shared out. Python's own threads serve, because kernels run without the interpreter's lock:
+Numba's parallel loops would double the time to compile, and stop a fork of the process.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Final
+
+BLOCK: Final = 256  # bodies a kernel takes at a time: its rows fit into the first levels of cache
+LEAST_WORK: Final = 20_000  # body-steps or body-frames below which a second thread does not pay
+SHARES: Final = 4  # ranges per thread, so that a slow thread is made up for
+
+
+class Threads:
+    """The threads of this process."""
+
+    def __init__(self) -> None:
+        self.count = available()
+        self.pool: ThreadPoolExecutor | None = None
+
+    def use(self, count: int | None) -> None:
+        """Use so many threads from now on; None for all cores."""
+        wanted = available() if count is None else count
+        if wanted != self.count and self.pool is not None:
+            self.pool.shutdown()
+            self.pool = None
+        self.count = wanted
+
+    def spread(self, kernel: Callable[[int, int], object], bodies: int, work: int) -> None:
+        """Call kernel(first, last) for ranges of blocks that cover all bodies.
+
+        Parameters
+        ----------
+        kernel : callable
+            Works on the blocks first to last, last excluded.
+        bodies : int
+            Number of bodies.
+        work : int
+            Body-steps or body-frames of the whole call; few are done by this thread alone.
+        """
+        blocks = -(-bodies // BLOCK)
+        if self.count == 1 or blocks == 1 or work < LEAST_WORK:
+            kernel(0, blocks)
+            return
+        if self.pool is None:
+            self.pool = ThreadPoolExecutor(self.count, "particlerb")
+        size = -(-blocks // (SHARES * self.count))
+        ranges = [(lo, min(lo + size, blocks)) for lo in range(0, blocks, size)]
+        futures = [self.pool.submit(kernel, *own) for own in ranges]
+        wait(futures)
+        for future in futures:
+            future.result()
+
+
+def available() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+THREADS: Final = Threads()
