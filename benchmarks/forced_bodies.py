@@ -1,9 +1,9 @@
-"""How many ns does `strang` take per body and step for 10 000 driven bodies, and of what order is it?
+"""Measure `strang`: ns per body and step, gain by SIMD lanes, and its order.
 
     python benchmarks/forced_bodies.py
 
-Bodies are asymmetric, each with its own moments, spin and loads; one thread, medians of rounds in
-which the variants follow each other. The scalar row evaluates the same step one body at a time
+10 000 asymmetric bodies, each with its own moments, spin and loads; one thread, medians of rounds
+in which the variants follow each other. The scalar row evaluates the same step one body at a time
 (blocks of one body, so that no lane is filled). The order is fitted over four halvings against a
 run with a step 16 times finer. Goals: 8 ns per body-step; order 2.00 ± 0.05.
 """
@@ -69,7 +69,7 @@ def costs(n: int = 10_000) -> dict[str, float]:
     push = loads["push"]
     alone = Terms(push=Push(push.force[:, :1].copy(), push.lever[:, :1].copy()))
     taken: dict[str, list[float]] = {name: [] for name in (*variants, "push, one at a time")}
-    for name, terms in variants.items():
+    for terms in variants.values():
         step_time(bodies, state, terms, 1)
     for _ in range(ROUNDS):
         for name, terms in variants.items():
