@@ -32,8 +32,12 @@ exit codes: 0 done, 1 the run failed, 2 wrong usage or case, 3 a [check] was mis
 """
 
 
-class UsageError(Exception):
-    """Wrong usage: one message, exit code 2."""
+class Ending(Exception):  # noqa: N818
+    """One message with which a command ends, and its exit code; by default wrong usage."""
+
+    def __init__(self, message: str, code: int = WRONG) -> None:
+        super().__init__(message)
+        self.code = code
 
 
 def parser() -> argparse.ArgumentParser:
@@ -102,8 +106,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options = top.parse_args(words)
         return command_of(options.command)(options)
-    except UsageError as error:
-        return complain(str(error), WRONG)
+    except Ending as error:
+        return complain(str(error), error.code)
     except KeyboardInterrupt:
         return complain("interrupted", INTERRUPTED)
     except BrokenPipeError:  # the reader of stdout went away, as `head` does
@@ -145,7 +149,7 @@ def find_case(name: str) -> Path:
 
     Raises
     ------
-    UsageError
+    Ending
         If there is none; with the nearest names.
     """
     if Path(name).suffix or os.sep in name or Path(name).exists():
@@ -157,7 +161,7 @@ def find_case(name: str) -> Path:
     words = [*known, "run", "check", "mass", "info", "plot", "cases", "methods", "schema"]
     near = difflib.get_close_matches(name, words, 3)
     hint = f"did you mean {' or '.join(near)}?" if near else "`cases` lists the examples"
-    raise UsageError(f"{name}: no such command, file or case; {hint}")
+    raise Ending(f"{name}: no such command, file or case; {hint}")
 
 
 def read_case(options: argparse.Namespace) -> "Case":
@@ -171,7 +175,7 @@ def read_case(options: argparse.Namespace) -> "Case":
     try:
         return load(find_case(options.case), overrides)
     except CaseError as error:
-        raise UsageError(str(error)) from None
+        raise Ending(str(error)) from None
 
 
 def prepared_case(options: argparse.Namespace) -> "Prepared":
@@ -184,7 +188,7 @@ def prepared_case(options: argparse.Namespace) -> "Prepared":
 
         prepared = prepare(case)
     except CaseError as error:
-        raise UsageError(str(error)) from None
+        raise Ending(str(error)) from None
     warn(options, list(prepared.plan.warnings))
     return prepared
 
@@ -194,7 +198,7 @@ def warn(options: argparse.Namespace, warnings: list[str]) -> None:
     for warning in warnings:
         print(warning, file=sys.stderr)
     if warnings and options.strict:
-        raise UsageError("--strict: a warning is an error")
+        raise Ending("--strict: a warning is an error")
 
 
 def run_command(options: argparse.Namespace) -> int:
@@ -225,9 +229,9 @@ def output_path(options: argparse.Namespace, case: "Case") -> Path:
     stem = case.path.stem if case.path else "run"
     path = Path(options.output) if options.output else Path("output") / f"{stem}.h5"
     if path.is_dir():
-        raise UsageError(f"{path} is a folder: name a file with -o")
+        raise Ending(f"{path} is a folder: name a file with -o")
     if path.exists() and not options.overwrite:
-        raise UsageError(f"{path} exists: give another name with -o, or --overwrite")
+        raise Ending(f"{path} exists: give another name with -o, or --overwrite")
     return path
 
 
@@ -262,14 +266,14 @@ def execute(prepared: "Prepared", path: Path, options: argparse.Namespace) -> "O
         with bar:
             return run_prepared(prepared, path, options.overwrite, bar.update)
     except RunError as error:
-        raise SystemExit(complain(f"the run failed: {error}; {kept(path)}", FAILED)) from None
+        raise Ending(f"the run failed: {error}; {kept(path)}", FAILED) from None
     except KeyboardInterrupt:
-        raise SystemExit(complain(f"interrupted; {kept(path)}", INTERRUPTED)) from None
+        raise Ending(f"interrupted; {kept(path)}", INTERRUPTED) from None
     except FileExistsError as error:
-        raise UsageError(str(error)) from None
+        raise Ending(str(error)) from None
     except OSError as error:
         text = f"the run failed: cannot write {path}: {error}; {kept(path)}"
-        raise SystemExit(complain(text, FAILED)) from None
+        raise Ending(text, FAILED) from None
 
 
 def interrupted(number: int, frame: object) -> NoReturn:
@@ -284,7 +288,8 @@ def kept(path: Path) -> str:
 
     try:
         with open_trajectory(path) as trajectory:
-            return f"{trajectory.n_frames} frames are kept in {path}"
+            n = trajectory.n_frames
+            return f"{n} {'frame is' if n == 1 else 'frames are'} kept in {path}"
     except (OSError, TrajectoryError):
         return "no file was written"
 
@@ -328,14 +333,14 @@ def mass_command(options: argparse.Namespace) -> int:
     try:
         scene = assemble(case)
     except CaseError as error:
-        raise UsageError(str(error)) from None
+        raise Ending(str(error)) from None
     bodies = range(len(scene.kind))
     if options.body is not None:
         try:
             bodies = resolve_bodies(case, options.body).tolist()
         except KeyError:
             known = ", ".join(body.name for body in case.body)
-            raise UsageError(f"{options.body}: no such body; bodies here: {known}") from None
+            raise Ending(f"{options.body}: no such body; bodies here: {known}") from None
     shown: dict[int, str] = {}
     for b in bodies:
         shown.setdefault(int(scene.kind[b]), scene.names[b])
@@ -364,7 +369,7 @@ def opened(path: str) -> Any:
     try:
         return open_trajectory(path)
     except (TrajectoryError, FileNotFoundError, IsADirectoryError) as error:
-        raise UsageError(str(error)) from None
+        raise Ending(str(error)) from None
 
 
 def info_command(options: argparse.Namespace) -> int:
@@ -403,12 +408,12 @@ def plot_command(options: argparse.Namespace) -> int:
     with opened(options.file) as trajectory:
         path = Path(options.output or Path(options.file).with_suffix(".png"))
         if path.exists() and not options.overwrite:
-            raise UsageError(f"{path} exists: give another name with -o, or --overwrite")
+            raise Ending(f"{path} exists: give another name with -o, or --overwrite")
         names = list(trajectory.names)
         if options.body is not None and options.body not in names:
             near = difflib.get_close_matches(options.body, names, 3)
             hint = f"did you mean {' or '.join(near)}?" if near else f"the first is {names[0]}"
-            raise UsageError(f"{options.body}: no such body in {options.file}; {hint}")
+            raise Ending(f"{options.body}: no such body in {options.file}; {hint}")
         from particlerb.studies.charts import draw_trajectory
 
         draw_trajectory(trajectory, path, names.index(options.body) if options.body else 0)

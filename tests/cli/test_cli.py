@@ -1,0 +1,330 @@
+"""The command line: exit codes, messages, what goes to which stream, what is left on disk."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import namedtuple
+from pathlib import Path
+
+import h5py
+import pytest
+
+from particlerb.cli import main
+
+CASES = Path(__file__).parents[2] / "cases"
+CUBE = """
+title = "a cube"
+[run]
+t_end = 1.0
+every = 0.25
+[[body]]
+name = "cube"
+mass = 2.0
+shape = { type = "box", size = [1.0, 1.0, 1.0], n = 2 }
+angular_velocity = [0.0, 0.0, 1.0]
+"""
+PUSH = """
+[[force]]
+type = "push"
+body = "cube"
+at = [0.0, 0.5, 0.0]
+force = [1.0, 0.0, 0.0]
+"""
+CHECK = """
+[[check.value]]
+body = "cube"
+quantity = "position"
+value = [{x}, 0.0, 0.0]
+tolerance = 1e-12
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty current folder with a case in it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cube.toml").write_text(CUBE)
+    return tmp_path
+
+
+def command(*words, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "particlerb", *words],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        **options,
+    )
+
+
+def test_a_case_runs_into_a_file_named_after_it(here, capsys):
+    assert main(["cube.toml"]) == 0
+    out, err = capsys.readouterr()
+    assert "free, closed form, no step" in out
+    assert "written: output/cube.h5" in out
+    assert err == ""
+    with h5py.File("output/cube.h5") as file:
+        assert file["particles/trajectory/position/value"].shape == (5, 1, 3)
+
+
+def test_an_existing_file_is_replaced_only_when_asked_to(here, capsys):
+    Path("old.h5").write_text("precious")
+    assert main(["run", "cube.toml", "-o", "old.h5"]) == 2
+    assert "old.h5 exists" in capsys.readouterr().err
+    assert Path("old.h5").read_text() == "precious"
+    assert main(["run", "cube.toml", "-o", "old.h5", "--overwrite"]) == 0
+    assert h5py.is_hdf5("old.h5")
+
+
+@pytest.mark.parametrize(("x", "code", "verdict"), [(0.0, 0, "ok  "), (0.1, 3, "MISS")])
+def test_a_missed_check_is_exit_code_3_and_shows_its_figure(here, capsys, x, code, verdict):
+    Path("cube.toml").write_text(CUBE + CHECK.format(x=x))
+    assert main(["cube.toml"]) == code
+    out = capsys.readouterr().out
+    assert f"{verdict} position of cube at 1 s" in out
+    assert f"expected [{x}, 0.0, 0.0]" in out
+    assert "found    [0.0, 0.0, 0.0]" in out
+
+
+def test_quiet_prints_the_checks_alone(here, capsys):
+    Path("cube.toml").write_text(CUBE + CHECK.format(x=0.0))
+    assert main(["cube.toml", "-q"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("checks\n")
+    assert "plan" not in out
+
+
+def test_json_is_the_only_thing_on_stdout(here, capsys):
+    Path("cube.toml").write_text(CUBE + CHECK.format(x=0.5))
+    assert main(["cube.toml", "--json"]) == 3
+    result = json.loads(capsys.readouterr().out)
+    assert result["file"] == "output/cube.h5"
+    assert result["checks"][0]["error"] == 0.5
+    assert not result["checks"][0]["holds"]
+    assert result["drift"]["energy"] < 1e-14
+
+
+def test_all_problems_of_a_case_are_told_at_once(here, capsys):
+    Path("cube.toml").write_text(CUBE.replace("t_end = 1.0", "t_ned = 1.0").replace("2.0", "-2.0"))
+    assert main(["cube.toml"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "cube.toml:4:1: error: run.t_ned: unknown key" in err
+    assert 'did you mean "t_end"' in err
+    assert "body[0].mass" in err
+    assert not Path("output").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "reason"),
+    [
+        (('{ type = "box", size = [1.0, 1.0, 1.0], n = 2 }',
+          '{ type = "moments", inertia = [1.0, 1.0, 3.0] }'), "body[0].shape", "exceeds the sum"),
+        (('{ type = "box", size = [1.0, 1.0, 1.0], n = 2 }',
+          '{ type = "rod", length = 1.0 }'), "body[0].angular_velocity", "about its own axis"),
+        (('{ type = "box", size = [1.0, 1.0, 1.0], n = 2 }',
+          '{ type = "points", position = [[0, 0, 0]], mass = [1] }'),
+         "body[0].angular_velocity", "it cannot spin"),
+        (('every = 0.25', 'every = 0.25\nmethod = "exact"'), "run.method", "exact is for free"),
+    ],
+)  # fmt: skip
+def test_what_only_the_bodies_show_is_told_with_its_line(here, capsys, change, key, reason):
+    Path("cube.toml").write_text(CUBE.replace(*change) + PUSH)
+    assert main(["check", "cube.toml"]) == 2
+    err = capsys.readouterr().err
+    assert f"error: {key}: " in err
+    assert reason in err
+    assert err.startswith("cube.toml:")
+
+
+def test_a_malformed_csv_names_the_file_and_the_line(here, capsys):
+    Path("p.csv").write_text("x,y,z,m\n0,0,0,1\n1,0,zero,1\n")
+    shape = '{ type = "points", file = "p.csv" }'
+    text = CUBE.replace('{ type = "box", size = [1.0, 1.0, 1.0], n = 2 }', shape)
+    Path("cube.toml").write_text(text.replace("mass = 2.0\n", ""))
+    assert main(["check", "cube.toml"]) == 2
+    err = capsys.readouterr().err
+    assert "p.csv" in err
+    assert "line 3" in err or ":3" in err
+    assert "zero" in err
+
+
+def test_a_run_that_fails_is_exit_code_1_and_keeps_its_frames(here, capsys):
+    far = PUSH.replace("force = [1.0", "force = [1e308")
+    Path("cube.toml").write_text(CUBE.replace("every = 0.25", "every = 0.25\ndt = 0.1") + far)
+    assert main(["cube.toml"]) == 1
+    err = capsys.readouterr().err
+    assert "the run failed" in err
+    assert "1 frame is kept in output/cube.h5" in err
+
+
+def test_a_step_that_is_too_long_is_warned_of_and_strict_refuses_it(here, capsys):
+    text = CUBE.replace("every = 0.25", "every = 0.25\ndt = 0.9") + PUSH
+    Path("cube.toml").write_text(text)
+    assert main(["cube.toml"]) == 0
+    err = capsys.readouterr().err
+    assert "cube.toml:6:6: warning: run.dt" in err
+    assert "advised" in err
+    assert main(["cube.toml", "--strict", "--overwrite"]) == 2
+
+
+def test_a_disk_that_is_too_small_is_warned_of_with_the_size(here, capsys, monkeypatch):
+    usage = namedtuple("usage", "total used free")(1000, 999, 1)
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: usage)
+    assert main(["cube.toml"]) == 0
+    assert "the disk has" in capsys.readouterr().err
+    assert main(["cube.toml", "--overwrite", "--strict"]) == 2
+
+
+def test_set_and_threads_change_the_case(here, capsys):
+    assert main(["cube.toml", "--set", "run.t_end=0.5", "--threads", "1", "--json"]) == 0
+    with h5py.File("output/cube.h5") as file:
+        assert len(file["particles/trajectory/time"]) == 3
+    capsys.readouterr()
+    assert main(["check", "cube.toml", "--threads", "0"]) == 2
+    assert "run.threads" in capsys.readouterr().err
+
+
+def test_check_prints_the_plan_and_writes_nothing(here, capsys):
+    Path("cube.toml").write_text(CUBE + PUSH)
+    assert main(["check", "cube.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "driven by push, strang" in out
+    assert "contact  off: no particle has a radius" in out.replace("    ", "  ")
+    assert not Path("output").exists()
+
+
+def test_mass_reports_tensor_class_and_digits(here, capsys):
+    assert main(["mass", "cube.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "cube: sphere, 8 particles" in out
+    assert "0.25, 0.25, 0.25 kg m²" in out
+    assert main(["mass", "cube.toml", "cube", "--json"]) == 0
+    (record,) = json.loads(capsys.readouterr().out)
+    assert record["rotor_class"] == "sphere"
+    assert record["mass"] == 2.0
+    assert main(["mass", "cube.toml", "ball"]) == 2
+    assert "bodies here: cube" in capsys.readouterr().err
+
+
+def test_info_and_plot_of_a_file(here, capsys):
+    main(["cube.toml"])
+    capsys.readouterr()
+    assert main(["info", "output/cube.h5"]) == 0
+    out = capsys.readouterr().out
+    assert "bodies        1" in out
+    assert "frames        5" in out
+    assert main(["info", "output/cube.h5", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["time"] == [0.0, 1.0]
+    assert main(["plot", "output/cube.h5"]) == 0
+    assert Path("output/cube.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["plot", "output/cube.h5"]) == 2
+    assert main(["plot", "output/cube.h5", "--body", "cub", "-o", "x.png"]) == 2
+    assert "did you mean cube" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["info", "no.h5"], ["plot", "no.h5"], ["info", "."],
+                                   ["info", "cube.toml"], ["plot", "cube.toml"]])  # fmt: skip
+def test_a_file_that_is_no_trajectory_is_wrong_usage(here, capsys, words):
+    assert main(words) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("particlerb: ")
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    "words", [["."], ["no.toml"], ["nocase"], ["run", "cubes"], ["cube.toml", "-o", "."]]
+)
+def test_wrong_words_get_one_message(here, capsys, words):
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.strip().splitlines()) <= 3
+
+
+def test_examples_are_found_by_name_from_anywhere(here, capsys):
+    assert main(["check", "paper_cube"]) == 0
+    assert main(["paper_cub"]) == 2
+    assert "did you mean paper_cube" in capsys.readouterr().err
+
+
+def test_cases_lists_every_example_with_its_title(here, capsys):
+    assert main(["cases"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    names = {path.stem for path in CASES.glob("*.toml")}
+    assert {line.split()[0] for line in lines} == names
+    assert all(len(line.split()) > 2 for line in lines)
+
+
+def test_methods_and_schema(here, capsys):
+    assert main(["methods"]) == 0
+    out = capsys.readouterr().out
+    assert [line.split()[0] for line in out.splitlines()] == ["auto", "exact", "strang"]
+    assert main(["schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    assert schema["$schema"].endswith("2020-12/schema")
+    assert "body" in schema["properties"]
+
+
+def test_help_needs_no_heavy_library():
+    code = (
+        "import sys; from particlerb.cli import parser; parser().format_help();"
+        "heavy = ('numba', 'numpy', 'h5py', 'pydantic', 'matplotlib');"
+        "print([m for m in heavy if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    shown = command("--help")
+    assert shown.returncode == 0
+    assert "exit codes" in shown.stdout
+
+
+def test_an_unknown_option_is_exit_code_2():
+    done = command("run", "paper_cube", "--fast")
+    assert done.returncode == 2
+    assert "unrecognized arguments: --fast" in done.stderr
+
+
+@pytest.mark.compiled
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_keeps_the_frames_and_is_exit_code_130(here, number):
+    long = CUBE.replace("t_end = 1.0", "t_end = 1e6").replace("every = 0.25", "every = 1e-3")
+    Path("cube.toml").write_text(long)
+    words = [sys.executable, "-m", "particlerb", "cube.toml", "-o", "long.h5"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        deadline = time.monotonic() + 60
+        while not Path("long.h5").exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(1.0)
+        run.send_signal(number)
+        _, err = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert "interrupted" in err
+    assert "frames are kept in long.h5" in err
+    assert "Traceback" not in err
+    with h5py.File("long.h5") as file:
+        n = int(file.attrs["n_frames"])
+        assert n > 0
+        assert len(file["particles/trajectory/time"]) == n
+
+
+@pytest.mark.parametrize(
+    ("force", "at", "key", "reason"),
+    [
+        ("1e300", "1e10", "force[0].at", "beyond the range of float64"),
+        ("1e300", "1e7", "run", "no step can be chosen"),
+    ],
+)
+def test_a_force_that_overflows_is_refused(here, capsys, force, at, key, reason):
+    text = CUBE.replace("mass = 2.0", "mass = 1e-300")
+    push = PUSH.replace("[1.0,", f"[{force},").replace("0.5,", f"{at},")
+    Path("cube.toml").write_text(text + push)
+    assert main(["check", "cube.toml"]) == 2
+    err = capsys.readouterr().err
+    assert f"error: {key}: " in err
+    assert reason in err
