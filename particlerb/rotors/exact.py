@@ -1,0 +1,261 @@
+"""Free rotation in closed form: where a body points at any time, without steps.
+
+A body belongs to one of three kinds of turn, and `prepare` sorts them: `SteadyTurn` needs no
+elliptic function, `ThetaTurn` is the rule for asymmetric bodies, `HyperbolicTurn` takes those
+next to the separatrix. `turn_block` evaluates one kind for a block of bodies.
+The theory and its errors stand in docs/free_rotation.md.
+"""
+
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from particlerb._jit import compile_with, inline, kernel
+from particlerb.maths.quaternion import Rows4, load4, multiply, rows4, store4
+from particlerb.maths.trig import cos_sin_half_turns
+from particlerb.maths.vec3 import Floats, Ints, load3, rows3
+from particlerb.rotors.exact_setup import (
+    NEAR_ROWS,
+    STEADY_ROWS,
+    THETA_ROWS,
+    moduli,
+    near_table,
+    steady_table,
+    theta_table,
+)
+from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, SPHERE, SYMMETRIC
+from particlerb.rotors.theta import NearCoefficients, ThetaCoefficients, near_local, theta_local
+
+BLOCK = 256
+CROSSOVER = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
+SMALLEST = 1e-290
+EXPONENT_BITS = 0x7FF0000000000000
+spliced = compile_with(inline="always")  # used once: not compiled apart from its caller
+
+
+class SteadyTurn(NamedTuple):
+    """q(t) = exp(t a) q0 exp(t b), a fixed in the world, b along rotor axis 3; 9 doubles a body."""
+
+    axis: Floats
+    """Unit vector along a; (3, n)."""
+    clock: Floats
+    """|a|/2 and b/2 [rad/s]; (2, n)."""
+    start: Floats
+    """q0; (4, n)."""
+
+
+class ThetaTurn(NamedTuple):
+    """Asymmetric bodies with K′ >= K/2; 26 doubles a body."""
+
+    clock: Floats
+    """x at t = 0, rate of x [rad/s], ν [rad/s]; (3, n)."""
+    left: Floats
+    """Q_L, from the frame with axis 3 along L into the world; (4, n)."""
+    right: Floats
+    """P, from the rotor frame into that of axes 1, 2, 3; (4, n)."""
+    alpha_re: Floats
+    """Re α as a cubic in cos 2x, lowest power first; (4, n)."""
+    alpha_im: Floats
+    """Im α / sin 2x; (3, n)."""
+    beta_re: Floats
+    """Re β / sin x; (4, n)."""
+    beta_im: Floats
+    """Im β / cos x; (4, n)."""
+
+
+class HyperbolicTurn(NamedTuple):
+    """Asymmetric bodies near the separatrix, K′ < K/2; 28 doubles a body."""
+
+    clock: Floats
+    """x at t = 0, rate of x [rad/s], ν [rad/s]; (3, n)."""
+    left: Floats
+    """Q_L; (4, n)."""
+    right: Floats
+    """P; (4, n)."""
+    scale: Floats
+    """2/T, r, s, κ, phase per x; (5, n)."""
+    cosines: Floats
+    """cos η, r cos 3η, r⁴ cos 5η, r⁹ cos 7η, r² cos 3η, r⁶ cos 5η; (6, n)."""
+    sines: Floats
+    """The same of sines; (6, n)."""
+
+
+Turn: TypeAlias = SteadyTurn | ThetaTurn | HyperbolicTurn
+
+
+@spliced
+def steady_rows(turn: SteadyTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
+    """q(t) of steadily turning bodies."""
+    axis, start = rows3(turn.axis, lo, hi), rows4(turn.start, lo, hi)
+    world, body = turn.clock[0, lo:hi], turn.clock[1, lo:hi]
+    for b in range(hi - lo):
+        cos, sin, _ = cos_sin_half_turns(world[b] * t)
+        cos_b, sin_b, _ = cos_sin_half_turns(body[b] * t)
+        n = load3(axis, b)
+        q_b = multiply(load4(start, b), (cos_b, 0.0, 0.0, sin_b))
+        store4(q, b, multiply((cos, sin * n[0], sin * n[1], sin * n[2]), q_b))
+
+
+@spliced
+def theta_rows(turn: ThetaTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
+    """q(t) = Q_L g(t) P of asymmetric bodies, (11)."""
+    start, rate, nu = rows3(turn.clock, lo, hi)
+    left, right = rows4(turn.left, lo, hi), rows4(turn.right, lo, hi)
+    alpha_re, alpha_im = rows4(turn.alpha_re, lo, hi), rows3(turn.alpha_im, lo, hi)
+    beta_re, beta_im = rows4(turn.beta_re, lo, hi), rows4(turn.beta_im, lo, hi)
+    for b in range(hi - lo):
+        of = ThetaCoefficients(
+            load4(alpha_re, b), load3(alpha_im, b), load4(beta_re, b), load4(beta_im, b)
+        )
+        local = theta_local(start[b] + rate[b] * t, nu[b] * t, of)
+        store4(q, b, multiply(load4(left, b), multiply(local, load4(right, b))))
+
+
+@spliced
+def hyperbolic_rows(turn: HyperbolicTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
+    """q(t) = Q_L g(t) P of bodies near the separatrix."""
+    start, rate, nu = rows3(turn.clock, lo, hi)
+    left, right = rows4(turn.left, lo, hi), rows4(turn.right, lo, hi)
+    fall, r, s, kappa = rows4(turn.scale, lo, hi)
+    phase = turn.scale[4, lo:hi]
+    cos03, sin03 = rows4(turn.cosines, lo, hi), rows4(turn.sines, lo, hi)
+    cos4, cos5 = turn.cosines[4, lo:hi], turn.cosines[5, lo:hi]
+    sin4, sin5 = turn.sines[4, lo:hi], turn.sines[5, lo:hi]
+    for b in range(hi - lo):
+        c, d = load4(cos03, b), load4(sin03, b)
+        of = NearCoefficients(
+            fall[b],
+            r[b],
+            s[b],
+            kappa[b],
+            phase[b],
+            (c[0], c[1], c[2], c[3], cos4[b], cos5[b]),
+            (d[0], d[1], d[2], d[3], sin4[b], sin5[b]),
+        )
+        local = near_local(start[b] + rate[b] * t, nu[b] * t, of)
+        store4(q, b, multiply(load4(left, b), multiply(local, load4(right, b))))
+
+
+@inline
+def turn_block(
+    steady: SteadyTurn | None,
+    theta: ThetaTurn | None,
+    hyperbolic: HyperbolicTurn | None,
+    t: float,
+    lo: int,
+    hi: int,
+    q: Rows4,
+) -> None:
+    """Write q(t) of bodies lo to hi of one group into four rows of length hi - lo.
+
+    Exactly one of the three groups is not None; Numba leaves the other branches out, since None is
+    a type.
+    """
+    if steady is not None:
+        steady_rows(steady, t, lo, hi, q)
+    if theta is not None:
+        theta_rows(theta, t, lo, hi, q)
+    if hyperbolic is not None:
+        hyperbolic_rows(hyperbolic, t, lo, hi, q)
+
+
+@kernel
+def turn_all(
+    steady: SteadyTurn | None,
+    theta: ThetaTurn | None,
+    hyperbolic: HyperbolicTurn | None,
+    t: float,
+    q: Floats,
+) -> None:
+    """`turn_block` for every block."""
+    n = q.shape[1]
+    for lo in range(0, n, BLOCK):
+        hi = min(lo + BLOCK, n)
+        turn_block(steady, theta, hyperbolic, t, lo, hi, rows4(q, lo, hi))
+
+
+def orientation(turn: Turn, t: float) -> Floats:
+    """Orientations at time t [s], rotor frame to world, shape (4, n)."""
+    q = np.empty((4, turn[0].shape[1]))
+    turn_all(*by_kind(turn), float(t), q)
+    return q
+
+
+def by_kind(turn: Turn) -> tuple[SteadyTurn | None, ThetaTurn | None, HyperbolicTurn | None]:
+    """The turn in its place among the first three arguments of `turn_block`."""
+    return (
+        turn if isinstance(turn, SteadyTurn) else None,
+        turn if isinstance(turn, ThetaTurn) else None,
+        turn if isinstance(turn, HyperbolicTurn) else None,
+    )
+
+
+def prepare(
+    inertia: Floats, rotor_class: NDArray[np.integer], q: Floats, L: Floats
+) -> list[tuple[Ints, Turn]]:
+    """Sort bodies into kinds of turn and prepare each kind.
+
+    Parameters
+    ----------
+    inertia : ndarray, shape (3, n) [kg m²]
+        Principal moments; rotor axis 3 is the symmetry axis of a symmetric top and that of a rod.
+    rotor_class : ndarray, shape (n,)
+        Codes of `rotor_class`.
+    q : ndarray, shape (4, n)
+        Orientations at t = 0, rotor frame to world.
+    L : ndarray, shape (3, n) [kg m²/s]
+        Angular momenta about com, world.
+
+    Returns
+    -------
+    list of (ndarray, Turn)
+        Indices of bodies and their constants in that order; each body is in exactly one.
+    """
+    inertia, q, L = (np.ascontiguousarray(a, dtype=np.float64) for a in (inertia, q, L))
+    units = np.stack([inverse_power_of_two(inertia), inverse_power_of_two(L)])
+    modulus = np.full(rotor_class.size, -1.0)
+    if (which := np.flatnonzero(rotor_class == ASYMMETRIC)).size:
+        moduli(inertia, q, L, units, which, modulus)
+    is_steady, is_theta = modulus < 0.0, modulus >= CROSSOVER
+    groups: list[tuple[Ints, Turn]] = []
+    if (which := np.flatnonzero(is_theta)).size:
+        table = np.empty((THETA_ROWS, which.size))
+        theta_table(inertia, q, L, units, which, table)
+        groups.append((which, ThetaTurn(*split(table, 3, 4, 4, 4, 3, 4, 4))))
+    if (which := np.flatnonzero(~(is_theta | is_steady))).size:
+        table = np.empty((NEAR_ROWS, which.size))
+        near_table(inertia, q, L, units, which, table)
+        groups.append((which, HyperbolicTurn(*split(table, 3, 4, 4, 5, 6, 6))))
+    if (which := np.flatnonzero(is_steady)).size:
+        table = np.empty((STEADY_ROWS, which.size))
+        inverse = steady_inverse(inertia[:, which], rotor_class[which], modulus[which])
+        steady_table(inverse, q, L, which, table)
+        groups.append((which, SteadyTurn(*split(table, 3, 2, 4))))
+    return groups
+
+
+def split(table: Floats, *counts: int) -> list[Floats]:
+    """Consecutive rows of a table, so many each."""
+    return np.split(table, np.cumsum(counts)[:-1])
+
+
+def inverse_power_of_two(vectors: Floats) -> Floats:
+    """1 / the largest power of two in the largest component of each (3, n) vector."""
+    largest = np.maximum(np.abs(vectors).max(axis=0), SMALLEST)
+    exponent: Floats = (largest.view(np.int64) & EXPONENT_BITS).view(np.float64)
+    return 1.0 / exponent
+
+
+def steady_inverse(inertia: Floats, rotor_class: NDArray[np.integer], modulus: Floats) -> Floats:
+    """1/I of the turn about L and 1/I3 - 1/I1 of that about rotor axis 3, (2, n) [1/(kg m²)].
+
+    Of an asymmetric body that spins about a principal axis, I is the moment of that axis.
+    """
+    about = inertia[(-modulus).astype(np.int64) - 1, np.arange(modulus.size)]
+    has_axis = (rotor_class == SPHERE) | (rotor_class == SYMMETRIC)
+    inverse = np.zeros((2, modulus.size))
+    np.divide(1.0, about, out=inverse[0], where=rotor_class != POINT)
+    np.divide(inertia[0] - inertia[2], inertia[0], out=inverse[1], where=has_axis)
+    np.divide(inverse[1], inertia[2], out=inverse[1], where=has_axis)
+    return inverse

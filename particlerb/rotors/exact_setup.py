@@ -1,0 +1,191 @@
+"""Loops that prepare the three kinds of turn, one table of constants each.
+
+A block of bodies is copied into the rows of one scratch array, worked on there and copied out:
+LLVM sees that rows of one array do not overlap, and vectorises a loop that writes 26 of them.
+The last block is filled up with copies of its last body: a loop of fixed length compiles faster.
+Moments and momenta are divided by powers of two on the way in, so that no power of them leaves
+the range of doubles; `unit` is (1 / unit of I, 1 / unit of L) of each body.
+"""
+
+from typing import TypeAlias
+
+import numpy as np
+
+from particlerb._jit import compile_with, config, inline, kernel
+from particlerb.maths import double_double as dd
+from particlerb.maths.quaternion import conjugate, load4, multiply, store4
+from particlerb.maths.vec3 import Floats, Ints, Vec3, load3, store3
+from particlerb.rotors.theta import (
+    TINY,
+    near_constants,
+    near_local,
+    reduce,
+    theta_constants,
+    theta_local,
+    unit,
+)
+
+BLOCK = 1 if config.DISABLE_JIT else 128
+INPUTS = 11  # rows: I (3), q (4), L (3), rate
+STEADY_ROWS, THETA_ROWS, NEAR_ROWS = 9, 26, 28
+Pair: TypeAlias = tuple[float, float]
+spliced = compile_with(inline="always")  # copied into the caller before it is compiled
+
+
+@inline
+def ordered(x: Pair, y: Pair) -> tuple[Pair, Pair]:
+    """The pair with the smaller first entry first."""
+    swap = x[0] > y[0]
+    return (
+        (y[0] if swap else x[0], y[1] if swap else x[1]),
+        (x[0] if swap else y[0], x[1] if swap else y[1]),
+    )
+
+
+@inline
+def complementary_modulus(inertia: Vec3, m: Vec3) -> float:
+    """k′² in doubles, (3); -1, -2, -3 for a spin about axis 1, 2, 3 exactly, -1 for a sphere."""
+    x, y = ordered((inertia[0], m[0] * m[0]), (inertia[1], m[1] * m[1]))
+    y, z = ordered(y, (inertia[2], m[2] * m[2]))
+    x, y = ordered(x, y)
+    d12, d13, d23 = y[0] - x[0], z[0] - x[0], z[0] - y[0]
+    D = z[1] * (d23 / z[0]) - x[1] * (d12 / x[0])
+    above = (x[1] * (d13 / x[0]) + y[1] * (d23 / y[0])) * d12
+    below = (z[1] * (d13 / z[0]) + y[1] * (d12 / y[0])) * d23
+    outside = abs(D) * d13
+    modulus = outside / ((above if D > 0.0 else below) + outside + TINY)
+    on1, on2, on3 = m[0] == 0.0, m[1] == 0.0, m[2] == 0.0
+    modulus = -3.0 if on1 and on2 else modulus
+    modulus = -2.0 if on1 and on3 else modulus
+    return -1.0 if (on2 and on3) or d13 == 0.0 else modulus
+
+
+@kernel
+def moduli(inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, out: Floats) -> None:
+    """`complementary_modulus` of bodies `which`."""
+    s = np.empty((INPUTS + 1, BLOCK))
+    for lo in range(0, which.size, BLOCK):
+        hi = min(lo + BLOCK, which.size)
+        fill(inertia, q, L, units, which, lo, hi, s)
+        moment, turn, momentum, result = rows_3(s, 0), rows_4(s, 3), rows_3(s, 7), s[INPUTS]
+        for b in range(BLOCK):
+            m = dd.to_body(load4(turn, b), load3(momentum, b))
+            result[b] = complementary_modulus(load3(moment, b), (m[0][0], m[1][0], m[2][0]))
+        for b in range(hi - lo):
+            out[which[lo + b]] = result[b]
+
+
+@kernel
+def fill(
+    inertia: Floats,
+    q: Floats,
+    L: Floats,
+    units: Floats,
+    which: Ints,
+    lo: int,
+    hi: int,
+    s: Floats,
+) -> None:
+    """Copy bodies which[lo:hi] into the first rows of a scratch block; the last one fills it up."""
+    for b in range(BLOCK):
+        j = which[min(lo + b, hi - 1)]
+        for i in range(3):
+            s[i, b] = inertia[i, j] * units[0, j]
+            s[7 + i, b] = L[i, j] * units[1, j]
+        for i in range(4):
+            s[3 + i, b] = q[i, j]
+        s[10, b] = units[0, j] / units[1, j]
+
+
+@kernel
+def drain(s: Floats, lo: int, hi: int, table: Floats) -> None:
+    """Copy the results of a block into its place of the table."""
+    for i in range(table.shape[0]):
+        for b in range(hi - lo):
+            table[i, lo + b] = s[INPUTS + i, b]
+
+
+@spliced
+def rows_3(s: Floats, i: int) -> tuple[Floats, Floats, Floats]:
+    """Three rows of a scratch block."""
+    return s[i], s[i + 1], s[i + 2]
+
+
+@spliced
+def rows_4(s: Floats, i: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Four rows of a scratch block."""
+    return s[i], s[i + 1], s[i + 2], s[i + 3]
+
+
+@kernel
+def theta_table(
+    inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, table: Floats
+) -> None:
+    """Constants of ThetaTurn: clock, left, right, alpha_re, alpha_im, beta_re, beta_im."""
+    s = np.empty((INPUTS + THETA_ROWS, BLOCK))
+    for lo in range(0, which.size, BLOCK):
+        hi = min(lo + BLOCK, which.size)
+        fill(inertia, q, L, units, which, lo, hi, s)
+        moment, turn, momentum, rate = rows_3(s, 0), rows_4(s, 3), rows_3(s, 7), s[10]
+        clock, left, right = rows_3(s, 11), rows_4(s, 14), rows_4(s, 18)
+        alpha_re, alpha_im = rows_4(s, 22), rows_3(s, 26)
+        beta_re, beta_im = rows_4(s, 29), rows_4(s, 33)
+        for b in range(BLOCK):
+            q_b = load4(turn, b)
+            body = reduce(load3(moment, b), q_b, load3(momentum, b))
+            time, of = theta_constants(body)
+            local = theta_local(time.start, 0.0, of)
+            store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))
+            store4(left, b, unit(multiply(q_b, conjugate(multiply(local, body.frame)))))
+            store4(right, b, body.frame)
+            store4(alpha_re, b, of.alpha_re)
+            store3(alpha_im, b, of.alpha_im)
+            store4(beta_re, b, of.beta_re)
+            store4(beta_im, b, of.beta_im)
+        drain(s, lo, hi, table)
+
+
+@kernel
+def near_table(
+    inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, table: Floats
+) -> None:
+    """Constants of HyperbolicTurn: clock, left, right, scale, cosines, sines."""
+    s = np.empty((INPUTS + NEAR_ROWS, BLOCK))
+    for lo in range(0, which.size, BLOCK):
+        hi = min(lo + BLOCK, which.size)
+        fill(inertia, q, L, units, which, lo, hi, s)
+        moment, turn, momentum, rate = rows_3(s, 0), rows_4(s, 3), rows_3(s, 7), s[10]
+        clock, left, right = rows_3(s, 11), rows_4(s, 14), rows_4(s, 18)
+        scale, phase = rows_4(s, 22), s[26]
+        cosines, sines = (rows_3(s, 27), rows_3(s, 30)), (rows_3(s, 33), rows_3(s, 36))
+        for b in range(BLOCK):
+            q_b = load4(turn, b)
+            body = reduce(load3(moment, b), q_b, load3(momentum, b))
+            time, of = near_constants(body)
+            local = near_local(time.start, 0.0, of)
+            store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))
+            store4(left, b, unit(multiply(q_b, conjugate(multiply(local, body.frame)))))
+            store4(right, b, body.frame)
+            store4(scale, b, (of.fall, of.r, of.s, of.kappa))
+            phase[b] = of.turn
+            store3(cosines[0], b, of.cosines[:3])
+            store3(cosines[1], b, of.cosines[3:])
+            store3(sines[0], b, of.sines[:3])
+            store3(sines[1], b, of.sines[3:])
+        drain(s, lo, hi, table)
+
+
+@kernel
+def steady_table(inv_inertia: Floats, q: Floats, L: Floats, which: Ints, table: Floats) -> None:
+    """Constants of SteadyTurn: axis, clock, start."""
+    for b in range(which.size):
+        j = which[b]
+        q_b, L_b = (q[0, j], q[1, j], q[2, j], q[3, j]), (L[0, j], L[1, j], L[2, j])
+        G = np.sqrt(L_b[0] * L_b[0] + L_b[1] * L_b[1] + L_b[2] * L_b[2])
+        inv = 1.0 / max(G, TINY)
+        for i in range(3):
+            table[i, b] = L_b[i] * inv
+        table[3, b] = 0.5 * G * inv_inertia[0, b]
+        table[4, b] = 0.5 * dd.to_body(q_b, L_b)[2][0] * inv_inertia[1, b]
+        for i in range(4):
+            table[5 + i, b] = q_b[i]

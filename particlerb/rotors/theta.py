@@ -1,0 +1,341 @@
+"""Closed-form free rotation of asymmetric bodies as two theta functions (docs/free_rotation.md).
+
+`reduce` brings a body into the form of the theory: axes 1, 2, 3 with the middle moment in the
+middle, L circling about axis 3. `theta_local` and `near_local` evaluate the two forms of the
+solution, `theta_constants` and `near_constants` prepare them. (n) are formulas of the document.
+"""
+
+import math
+from typing import NamedTuple, TypeAlias
+
+from particlerb._jit import inline
+from particlerb.maths import double_double as dd
+from particlerb.maths.elliptic import imaginary_phase, landen, nome, phase
+from particlerb.maths.quaternion import Quat, multiply
+from particlerb.maths.trig import PI, angle_of, cos_sin_half_turns, decay, half_turns, logarithm
+from particlerb.maths.vec3 import Vec3
+
+TINY = 1e-300  # added to positive denominators that underflow can make zero
+Axis: TypeAlias = tuple[float, float, float]  # moment; component of L in 32 digits: high, low
+Six: TypeAlias = tuple[float, float, float, float, float, float]
+
+
+class Reduced(NamedTuple):
+    """A body in the form of the theory."""
+
+    m: Vec3
+    """Components of L along axes 1, 2, 3, the last >= 0."""
+    inertia: Vec3
+    d12: float
+    """|I1 - I2|, and so on."""
+    d13: float
+    d23: float
+    k: float
+    kc: float
+    """k′ = √(1 - k²)."""
+    s: float
+    """+1 where L circles about the axis of the largest moment, else -1."""
+    frame: Quat
+    """From the rotor frame into that of axes 1, 2, 3."""
+
+
+class Rates(NamedTuple):
+    """What both forms of the solution are made from."""
+
+    lam: float
+    """Rate λ of the elliptic argument."""
+    base: float
+    """The part of ν that stands before the logarithmic derivative."""
+    ratio: float
+    """|β/α| where L is in the plane of axes 1 and 3."""
+    sn: float
+    cn: float
+    """sn u and cn u at t = 0."""
+    root_sigma: float
+    root_gamma: float
+    """sn(v0, k′) and cn(v0, k′), (8)."""
+
+
+class ThetaCoefficients(NamedTuple):
+    """Cubics in y = cos 2x, lowest power first."""
+
+    alpha_re: Quat
+    alpha_im: Vec3
+    """To be multiplied by sin 2x."""
+    beta_re: Quat
+    """By sin x."""
+    beta_im: Quat
+    """By cos x."""
+
+
+class NearCoefficients(NamedTuple):
+    """Constants of the form near the separatrix."""
+
+    fall: float
+    """2/T."""
+    r: float
+    s: float
+    kappa: float
+    turn: float
+    """Phase per x, 2sη/π."""
+    cosines: Six
+    """cos η, r cos 3η, r⁴ cos 5η, r⁹ cos 7η, r² cos 3η, r⁶ cos 5η."""
+    sines: Six
+
+
+class Clock(NamedTuple):
+    """x = start + rate t; common phase nu t."""
+
+    start: float
+    rate: float
+    nu: float
+
+
+@inline
+def exchange(x: Axis, y: Axis, swap: bool) -> tuple[Axis, Axis]:
+    """(x, y) -> (y, -x), a quarter turn."""
+    return (
+        (y[0] if swap else x[0], y[1] if swap else x[1], y[2] if swap else x[2]),
+        (x[0] if swap else y[0], -x[1] if swap else y[1], -x[2] if swap else y[2]),
+    )
+
+
+@inline
+def discriminant(a: Axis, b: Axis, c: Axis) -> float:
+    """Lc² (Ic - Ib) Ia - La² (Ib - Ia) Ic in 32 digits: the sign of (2)."""
+    upper, lower = (c[1], c[2]), (a[1], a[2])
+    upper = dd.times(dd.multiply(dd.multiply(upper, upper), dd.two_sum(c[0], -b[0])), a[0])
+    lower = dd.times(dd.multiply(dd.multiply(lower, lower), dd.two_sum(b[0], -a[0])), c[0])
+    return dd.add(upper, dd.minus(lower))[0]
+
+
+@inline
+def sort_axes(a: Axis, b: Axis, c: Axis) -> tuple[Axis, Axis, Axis, Quat]:
+    """Axes by rising moment, and the (unnormalised) product of the quarter turns that do it."""
+    swap = a[0] > b[0]
+    a, b = exchange(a, b, swap)
+    frame = (1.0, 0.0, 0.0, -1.0 if swap else 0.0)
+    swap = b[0] > c[0]
+    b, c = exchange(b, c, swap)
+    frame = multiply((1.0, -1.0 if swap else 0.0, 0.0, 0.0), frame)
+    swap = a[0] > b[0]
+    a, b = exchange(a, b, swap)
+    return a, b, c, multiply((1.0, 0.0, 0.0, -1.0 if swap else 0.0), frame)
+
+
+@inline
+def reduce(inertia: Vec3, q: Quat, L: Vec3) -> Reduced:
+    """Sort the axes, choose axis 3, measure the distance from the separatrix: (2), (3)."""
+    m = dd.to_body(q, L)
+    a, b, c, frame = sort_axes(
+        (inertia[0], m[0][0], m[0][1]),
+        (inertia[1], m[1][0], m[1][1]),
+        (inertia[2], m[2][0], m[2][1]),
+    )
+    D = discriminant(a, b, c)
+    swap = D < 0.0 or (D == 0.0 and c[0] - b[0] <= b[0] - a[0])
+    a, c = exchange(a, c, swap)
+    frame = multiply((1.0, 0.0, 1.0 if swap else 0.0, 0.0), frame)
+    flip = c[1] < 0.0
+    sign = -1.0 if flip else 1.0
+    frame = multiply((0.0 if flip else 1.0, 1.0 if flip else 0.0, 0.0, 0.0), frame)
+    d12, d13, d23 = abs(a[0] - b[0]), abs(a[0] - c[0]), abs(b[0] - c[0])
+    inside = (a[1] * a[1] * d13 / a[0] + b[1] * b[1] * d23 / b[0]) * d12
+    outside = abs(D) / (a[0] * c[0]) * d13
+    inv = 1.0 / (inside + outside + TINY)
+    return Reduced(
+        (a[1], sign * b[1], sign * c[1]),
+        (a[0], b[0], c[0]),
+        d12,
+        d13,
+        d23,
+        math.sqrt(max(inside * inv, TINY)),
+        math.sqrt(max(outside * inv, TINY)),
+        -1.0 if swap else 1.0,
+        unit(frame),
+    )
+
+
+@inline
+def unit(q: Quat) -> Quat:
+    """q / |q|."""
+    inv = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return q[0] * inv, q[1] * inv, q[2] * inv, q[3] * inv
+
+
+@inline
+def unit2(s: float, c: float) -> tuple[float, float]:
+    """(s, c) made a unit vector; (0, 1) if both are zero."""
+    largest = max(abs(s), abs(c))
+    inv = 1.0 / max(largest, TINY)
+    s, c = s * inv, c * inv if largest > TINY else 1.0
+    inv = 1.0 / math.sqrt(s * s + c * c)
+    return s * inv, c * inv
+
+
+@inline
+def rates(body: Reduced) -> Rates:
+    """Amplitudes, rates and initial sn, cn: (3), (4)."""
+    m1, m2, m3 = body.m
+    I1, I2, I3 = body.inertia
+    d12, d13, d23 = body.d12, body.d13, body.d23
+    sigma, gamma = I1 * d23 / (I2 * d13), I3 * d12 / (I2 * d13)  # their sum is 1
+    e1 = m2 * m2 * (d12 / I2) + m3 * m3 * (d13 / I3)
+    lam = math.sqrt(e1 / I1) * math.sqrt(d23 / I2 / I3)
+    A1 = math.sqrt(m1 * m1 + m2 * m2 * sigma)
+    A3 = math.sqrt(m3 * m3 + m2 * m2 * gamma)
+    G = math.sqrt(m1 * m1 + m2 * m2 + m3 * m3)
+    root = math.sqrt(sigma)
+    sn, cn = unit2(body.s * m2 * root, m1)  # both times A1
+    ratio = A1 / (G + A3)
+    base = 0.5 * (A3 / I3 + ratio * A1 / I1)
+    return Rates(lam, base, ratio, sn, cn, root, math.sqrt(gamma))
+
+
+@inline
+def theta_series(q: float, S: float) -> tuple[Vec3, Vec3, Vec3, Vec3]:
+    """Coefficients n = 1, 2, 3 of both theta functions of nome q at S = sinh b, (12).
+
+    2(-1)ⁿ qⁿⁿ cosh 2nb and sinh 2nb; (-1)ⁿ qⁿ⁽ⁿ⁺¹⁾ cosh (2n+1)b / cosh b, the same of sinh.
+    X and Z are 2qⁿ cosh 2nb and 2qⁿ sinh 2nb, which stay below 1 where cosh 2nb overflows.
+    """
+    q2 = q * q
+    q4, q6 = q2 * q2, q2 * q2 * q2
+    X1, Z1 = q * (2.0 + 4.0 * S * S), 4.0 * q * S * math.sqrt(1.0 + S * S)
+    X2, Z2 = X1 * X1 - 2.0 * q2, X1 * Z1
+    X3, Z3 = X1 * X2 - q2 * X1, Z1 * (X2 + q2)
+    odd1, even1 = q * X1, q2
+    odd2, even2 = q4 * (X2 + q2), q4 * q * X1
+    odd3, even3 = q6 * q2 * q * (X3 + q2 * X1), q6 * q4 * (X2 + q2)
+    return (
+        (-X1, q2 * X2, -q6 * X3),
+        (-Z1, q2 * Z2, -q6 * Z3),
+        (even1 - odd1, odd2 - even2, even3 - odd3),
+        (-even1 - odd1, odd2 + even2, -even3 - odd3),
+    )
+
+
+@inline
+def theta_constants(body: Reduced) -> tuple[Clock, ThetaCoefficients]:
+    """Constants for K′ >= K/2, all of them algebraic but the angle x at t = 0: (8) to (10)."""
+    rate = rates(body)
+    chain = landen(body.k, body.kc)
+    sin_x, cos_x = phase(chain, rate.sn, rate.cn)
+    S = imaginary_phase(chain, rate.root_sigma / max(rate.root_gamma, TINY)) + TINY
+    D, F, c, s = theta_series(chain.nome_squared, S)
+    value = 1.0 + D[0] + D[1] + D[2]  # θ4(ib)
+    slope = 2.0 * F[0] + 4.0 * F[1] + 6.0 * F[2]
+    x_rate = rate.lam / chain.period
+    along = -rate.ratio * value / (1.0 + s[0] + s[1] + s[2])  # -κ sinh b
+    up = -body.s * along * (math.sqrt(1.0 + S * S) / S)  # sκ cosh b
+    clock = Clock(angle_of(cos_x, sin_x), x_rate, rate.base - body.s * x_rate * slope / value)
+    return clock, ThetaCoefficients(
+        (1.0 - D[1], D[0] - 3.0 * D[2], 2.0 * D[1], 4.0 * D[2]),
+        (body.s * (F[0] - F[2]), body.s * 2.0 * F[1], body.s * 4.0 * F[2]),
+        (
+            up * (1.0 + c[0] - c[1] - c[2]),
+            up * 2.0 * (c[0] + c[1] - 2.0 * c[2]),
+            up * 4.0 * (c[1] + c[2]),
+            up * 8.0 * c[2],
+        ),
+        (
+            along * (1.0 - s[0] - s[1] + s[2]),
+            along * 2.0 * (s[0] - s[1] - 2.0 * s[2]),
+            along * 4.0 * (s[1] - s[2]),
+            along * 8.0 * s[2],
+        ),
+    )
+
+
+@inline
+def theta_local(x: float, nu_t: float, of: ThetaCoefficients) -> Quat:
+    """Rotation g from axes 1, 2, 3 into the frame with axis 3 along L, (7)."""
+    cos, sin, _ = cos_sin_half_turns(nu_t)
+    cos_x, sin_x, sign = cos_sin_half_turns(x)
+    a, b, c, d = of
+    y = 1.0 - 2.0 * sin_x * sin_x
+    alpha_re = a[0] + y * (a[1] + y * (a[2] + y * a[3]))
+    alpha_im = 2.0 * sin_x * cos_x * (b[0] + y * (b[1] + y * b[2]))
+    beta_re = sign * sin_x * (c[0] + y * (c[1] + y * (c[2] + y * c[3])))
+    beta_im = sign * cos_x * (d[0] + y * (d[1] + y * (d[2] + y * d[3])))
+    return turned(alpha_re, alpha_im, beta_re, beta_im, cos, sin)
+
+
+@inline
+def turned(
+    alpha_re: float, alpha_im: float, beta_re: float, beta_im: float, cos: float, sin: float
+) -> Quat:
+    """Normalise (α, β), turn both by the common phase: the quaternion (Re α, Re β, Im β, Im α)."""
+    inv = 1.0 / math.sqrt(
+        alpha_re * alpha_re + alpha_im * alpha_im + beta_re * beta_re + beta_im * beta_im
+    )
+    cos, sin = cos * inv, sin * inv
+    return (
+        alpha_re * cos - alpha_im * sin,
+        beta_re * cos - beta_im * sin,
+        beta_re * sin + beta_im * cos,
+        alpha_re * sin + alpha_im * cos,
+    )
+
+
+@inline
+def near_constants(body: Reduced) -> tuple[Clock, NearCoefficients]:
+    """Constants for K′ < K/2, (15): nome and moduli are those of the complementary modulus."""
+    rate = rates(body)
+    chain = landen(body.kc, body.k)
+    twice = phase(chain, rate.root_sigma, rate.root_gamma)  # sin 2η, cos 2η
+    eta = 0.5 * angle_of(twice[1], twice[0])
+    cos1 = math.sqrt(0.5 + 0.5 * twice[1])
+    sin1 = 0.5 * twice[0] / cos1
+    c2, s2 = twice[1], twice[0]
+    cos3, sin3 = cos1 * c2 - sin1 * s2, sin1 * c2 + cos1 * s2
+    cos5, sin5 = cos3 * c2 - sin3 * s2, sin3 * c2 + cos3 * s2
+    cos7, sin7 = cos5 * c2 - sin5 * s2, sin5 * c2 + cos5 * s2
+    r2 = nome(body.kc, body.k)
+    r = math.sqrt(r2)
+    r4 = r2 * r2
+    r6 = r4 * r2
+    r12 = r6 * r6
+    fall = -(2.0 / PI) * logarithm(r)
+    sinh = imaginary_phase(chain, abs(rate.sn) / max(abs(rate.cn), 1e-150))
+    x = logarithm(sinh + math.sqrt(1.0 + sinh * sinh)) / fall
+    x = PI - x if rate.cn < 0.0 else x
+    x = -x if rate.sn < 0.0 else x
+    lam = rate.lam / chain.period
+    den = cos1 + r2 * cos3 + r6 * cos5 + r12 * cos7
+    num = sin1 + 3.0 * r2 * sin3 + 5.0 * r6 * sin5 + 7.0 * r12 * sin7
+    alternating = sin1 - r2 * sin3 + r6 * sin5 - r12 * sin7
+    omega = lam / fall
+    turn = 2.0 * body.s * eta / PI
+    nu = rate.base + 0.5 * body.s * lam * num / den - turn * omega
+    return Clock(x, omega, nu), NearCoefficients(
+        fall,
+        r,
+        body.s,
+        rate.ratio * den / (alternating + TINY),
+        turn,
+        (cos1, r * cos3, r4 * cos5, r4 * r4 * r * cos7, r2 * cos3, r6 * cos5),
+        (sin1, r * sin3, r4 * sin5, r4 * r4 * r * sin7, r2 * sin3, r6 * sin5),
+    )
+
+
+@inline
+def near_local(x: float, nu_t: float, of: NearCoefficients) -> Quat:
+    """The same near the separatrix, (14), divided by exp |ξ| / 2, so that nothing grows."""
+    x, sign = half_turns(x)
+    cos, sin, _ = cos_sin_half_turns(nu_t + of.turn * x)
+    y = decay(-of.fall * abs(x))
+    z = of.r / y
+    side = 1.0 if x >= 0.0 else -1.0
+    c, s = of.cosines, of.sines
+    z2, y2 = z * z, y * y
+    even_c, odd_c = c[0] + c[2] * z2, z * (c[1] + c[3] * z2)
+    even_s, odd_s = s[0] + s[2] * z2, z * (s[1] + s[3] * z2)
+    fall_even_c, fall_odd_c = y * (c[0] + c[5] * y2), c[4] * y2
+    fall_even_s, fall_odd_s = y * (s[0] + s[5] * y2), s[4] * y2
+    p_re = (even_c + odd_c) + (fall_even_c + fall_odd_c)
+    p_im = side * ((even_s + odd_s) - (fall_even_s + fall_odd_s))
+    w_re = side * ((even_c - odd_c) - (fall_even_c - fall_odd_c))
+    w_im = -((even_s - odd_s) + (fall_even_s - fall_odd_s))
+    kappa = sign * of.kappa
+    return turned(p_re, -of.s * p_im, of.s * kappa * w_re, kappa * w_im, cos, sin)
