@@ -240,9 +240,9 @@ def disk_warnings(case: "Case", path: Path) -> list[str]:
     import shutil
 
     from particlerb.record.writer import bytes_of_run
-    from particlerb.simulate import frame_times
+    from particlerb.simulate import frame_count
 
-    size = bytes_of_run(case, len(frame_times(case)))
+    size = bytes_of_run(case, frame_count(case))
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     free = shutil.disk_usage(folder).free
     if size <= free:
@@ -257,10 +257,10 @@ def execute(prepared: "Prepared", path: Path, options: argparse.Namespace) -> "O
     """Run with a progress bar; an interrupt or a failure says what was kept."""
     from tqdm import tqdm
 
-    from particlerb.simulate import RunError, frame_times, run_prepared
+    from particlerb.simulate import RunError, frame_count, run_prepared
 
     signal.signal(signal.SIGTERM, interrupted)
-    frames = len(frame_times(prepared.case))
+    frames = frame_count(prepared.case)
     bar = tqdm(total=frames, unit="frame", disable=True if options.quiet else None, delay=0.5)
     try:
         with bar:

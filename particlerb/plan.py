@@ -30,6 +30,7 @@ from particlerb.terms.torque import Torque as WorldTorque
 
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
 LARGEST_TURN: Final = 0.5  # rad in one step above which a step given by hand is worth a warning
+LARGEST_TORQUE: Final = float(np.finfo(np.float64).max)
 AXIAL_ROUNDING: Final = 1e-12  # share of a torque about a rod's axis that is its rounding
 
 
@@ -78,10 +79,12 @@ def make_plan(case: Case, scene: Scene) -> Plan:
     Raises
     ------
     CaseError
-        If a force turns a body that cannot turn so, or the method does not accept a force.
+        If a torque overflows or turns a body that cannot turn so, if the method does not accept a
+        force, or if no step can be chosen.
     """
     loads = [Load(i, f, resolve_bodies(case, f.body)) for i, f in enumerate(case.force)]
-    problems = [p for load in loads for p in impossible_torques(case, scene, load)]
+    problems = [p for load in loads for p in too_large(case, load)]
+    problems += [p for load in loads for p in impossible_torques(case, scene, load)]
     if problems:
         raise CaseError(problems)
     cut = [
@@ -220,11 +223,15 @@ def step(case: Case, scene: Scene, groups: list[GroupPlan]) -> tuple[float, str]
     if case.run.dt is not None:
         return case.run.dt, f"{case.run.dt!r} s, as the case says"
     rate = max(fastest_rate(scene, group) for group in stepped)
+    if not np.isfinite(rate):
+        reason = "no step can be chosen: a torque over a moment of inertia overflows"
+        raise CaseError([problem_at(case, "run", reason, "give run.dt")])
     dt = min(case.run.every, RADIANS_PER_STEP / rate) if rate > 0 else case.run.every
     why = "run.every" if dt == case.run.every else f"{RADIANS_PER_STEP} / ({rate:.6g} rad/s)"
     return dt, f"{dt:.6g} s = {why}, the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
 
 
+@np.errstate(over="ignore")
 def fastest_rate(scene: Scene, group: GroupPlan) -> float:
     """Estimate of the fastest rate [rad/s] of a group: its spin, impulses, √(torque / inertia).
 
@@ -288,6 +295,19 @@ def step_warnings(case: Case, scene: Scene, groups: list[GroupPlan]) -> list[str
         f"advised: {advised:.3g} s or less",
     )
     return [str(problem).replace(": error: ", ": warning: ", 1)]
+
+
+def too_large(case: Case, load: Load) -> list[Problem]:
+    """What is wrong with a force whose torque exceeds the range of float64."""
+    force = load.force
+    if isinstance(force, Torque):
+        return []
+    vector = force.impulse if isinstance(force, Impulse) else force.force
+    arm, size = max(map(abs, force.at)), max(map(abs, vector))
+    if 2.0 * arm * size < LARGEST_TORQUE:
+        return []
+    reason = f"arm {arm!r} m and {force.type} {size!r} give a torque beyond the range of float64"
+    return [problem_at(case, f"force[{load.number}].at", reason)]
 
 
 def impossible_torques(case: Case, scene: Scene, load: Load) -> list[Problem]:

@@ -18,7 +18,7 @@ from particlerb.bodies.state import Frames, State, as_frame, multiplied, room_fo
 from particlerb.case.schema import Case
 from particlerb.describe import describe
 from particlerb.ledger import Drift, Entries, Ledger, totals
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods import METHODS
 from particlerb.methods.motion import Motion
 from particlerb.plan import GroupPlan, Plan, Segment, make_plan
@@ -77,22 +77,29 @@ def prepare(case: Case) -> Prepared:
     return Prepared(case, scene, plan, describe(case, scene, plan))
 
 
-def frame_times(case: Case) -> Floats:
-    """Times of the frames [s]: the multiples of run.every, and t_end."""
+def frame_count(case: Case) -> int:
+    """Number of frames: the multiples of run.every from 0, and t_end."""
     every, t_end = case.run.every, case.run.t_end
-    times = multiples(every, int(t_end / every + FRAME_ROUNDING) + 1)
-    if t_end - times[-1] > FRAME_ROUNDING * every:
-        return np.append(times, np.float64(t_end))
-    times[-1] = t_end
+    last = int(t_end / every + FRAME_ROUNDING)
+    return last + (2 if t_end - last * every > FRAME_ROUNDING * every else 1)
+
+
+def frame_times(case: Case, first: int = 0, stop: int | None = None) -> Floats:
+    """Times [s] of all frames, or of those from `first` on and before `stop`."""
+    n = frame_count(case)
+    stop = n if stop is None else stop
+    times = multiples(case.run.every, first, stop)
+    if stop == n:
+        times[-1] = case.run.t_end
     return times
 
 
-def multiples(every: float, n: int) -> Floats:
-    """0, 1, .. n - 1 times a number, as one would write them: 3 times 0.7 is 2.1, as an edge is.
+def multiples(every: float, first: int, stop: int) -> Floats:
+    """Multiples first .. stop - 1 of a number, as one would write them: 3 times 0.7 is 2.1.
 
     The float 0.7 is a little less than 7/10; three times that may fall before an edge at 2.1 s.
     """
-    k = np.arange(n, dtype=np.float64)
+    k = np.arange(first, stop, dtype=np.float64)
     decimal = Fraction(repr(every))
     above, below = decimal.numerator, decimal.denominator
     if max(above, below) > EXACT_INTEGERS:
@@ -244,23 +251,19 @@ def run_prepared(
     """
     case = prepared.case
     THREADS.use(case.run.threads)
-    frame_time = frame_times(case)
-    probe_time = probe_times(case)
-    times = np.union1d(frame_time, probe_time)
-    is_frame, is_probe = np.isin(times, frame_time), np.isin(times, probe_time)
     recorder = Recorder(path, case, prepared.scene, prepared.text, overwrite)
     try:
         run = Run(prepared)
-        probes = []
-        for batch in batches(times.size, len(prepared.scene.kind)):
-            frames, entries, error = run.frames_at(times[batch])
+        probes: list[Probe] = []
+        for times, is_frame, is_probe in batches(case):
+            frames, entries, error = run.frames_at(times)
             sound = len(frames.position)
-            rows = np.flatnonzero(is_frame[batch][:sound])
+            rows = np.flatnonzero(is_frame[:sound])
             if rows.size:
-                recorder.append(times[batch][rows], frames, rows, entries)
+                recorder.append(times[rows], frames, rows, entries)
                 progress(rows.size)
-            for row in np.flatnonzero(is_probe[batch][:sound]):
-                probes.append(Probe(float(times[batch][row]), one_row(frames, int(row))))
+            for row in np.flatnonzero(is_probe[:sound]):
+                probes.append(Probe(float(times[row]), one_row(frames, int(row))))
             if error is not None:
                 raise error
     finally:
@@ -276,11 +279,15 @@ def probe_times(case: Case) -> Floats:
     return np.unique(np.array(wanted, dtype=np.float64))
 
 
-def batches(n_times: int, n_bodies: int) -> Iterator[slice]:
-    """Slices of times that are held together before they are written."""
-    size = int(min(max(BATCH_BYTES // (n_bodies * 13 * 8), 1), BATCH_FRAMES))
-    for lo in range(0, n_times, size):
-        yield slice(lo, min(lo + size, n_times))
+def batches(case: Case) -> Iterator[tuple[Floats, Bools, Bools]]:
+    """Times [s] that are computed together; which are frames, and which a check asks for."""
+    size = int(min(max(BATCH_BYTES // (case.n_bodies * 13 * 8), 1), BATCH_FRAMES))
+    n, probes = frame_count(case), probe_times(case)
+    for lo in range(0, n, size):
+        frames = frame_times(case, lo, min(lo + size, n))
+        due, probes = probes[probes <= frames[-1]], probes[probes > frames[-1]]
+        times = np.union1d(frames, due)
+        yield times, np.isin(times, frames), np.isin(times, due)
 
 
 def first_rows(frames: Frames, n: int) -> Frames:

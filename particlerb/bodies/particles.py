@@ -13,9 +13,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 
-Bools: TypeAlias = NDArray[np.bool_]
 
 REQUIRED_COLUMNS = ("x", "y", "z", "m")
 OPTIONAL_COLUMN = "r"

@@ -78,7 +78,7 @@ def extra_kicks(frame: int) -> int:
 
 @inline
 def keep(p: Rows3, L: Rows3, p_old: Rows3, L_old: Rows3) -> None:
-    """Copy the momenta before a kick."""
+    """Copy the momenta."""
     for b in range(p[0].size):
         store3(p_old, b, load3(p, b))
         store3(L_old, b, load3(L, b))
@@ -104,19 +104,21 @@ def book_work(
     L: Rows3,
     p_old: Rows3,
     L_old: Rows3,
+    p_mid: Rows3,
+    L_mid: Rows3,
     inv_mass: Floats,
     inv_inertia: Rows3,
 ) -> None:
-    """Add ½(v⁻ + v⁺)·Δp + ½(ω⁻ + ω⁺)·ΔL."""
+    """Add ½(v⁻ + v⁺)·Δp + ½(ω⁻ + ω⁺)·ΔL: Δ from the middle on, the velocities of the whole kick."""
     for b in range(work.size):
-        p0, p1, q_b = load3(p_old, b), load3(p, b), load4(q, b)
-        m0, m1 = to_body(q_b, load3(L_old, b)), to_body(q_b, load3(L, b))
-        linear = dot(add_scaled(1.0, p0, p1), subtract(p1, p0)) * inv_mass[b]
-        mean, change = add_scaled(1.0, m0, m1), subtract(m1, m0)
+        p0, p1, p2, q_b = load3(p_old, b), load3(p_mid, b), load3(p, b), load4(q, b)
+        L0, L1, L2 = load3(L_old, b), load3(L_mid, b), load3(L, b)
+        linear = dot(add_scaled(1.0, p0, p2), subtract(p2, p1)) * inv_mass[b]
+        both, change = to_body(q_b, add_scaled(1.0, L0, L2)), to_body(q_b, subtract(L2, L1))
         angular = (
-            mean[0] * change[0] * inv_inertia[0][b]
-            + mean[1] * change[1] * inv_inertia[1][b]
-            + mean[2] * change[2] * inv_inertia[2][b]
+            both[0] * change[0] * inv_inertia[0][b]
+            + both[1] * change[1] * inv_inertia[1][b]
+            + both[2] * change[2] * inv_inertia[2][b]
         )
         work[b] += 0.5 * (linear + angular)
 
@@ -136,7 +138,10 @@ def booked_kick(
     hi: int,
     dt: float,
 ) -> None:
-    """Kick a block; write what it gave into the rows of `booked` where there are any."""
+    """Kick a block; write what it gave into the rows of `booked` where there are any.
+
+    Forces with a potential go first: they book no work, but change the velocities of the kick.
+    """
     if booked is None:
         kick(terms, q, p, L, lo, hi, dt)
         return
@@ -144,13 +149,13 @@ def booked_kick(
     n = hi - lo
     impulse, angular = rows3(booked[1:4], 0, n), rows3(booked[4:7], 0, n)
     p_old, L_old = rows3(before[0:3], 0, n), rows3(before[3:6], 0, n)
+    p_mid, L_mid = rows3(before[6:9], 0, n), rows3(before[9:12], 0, n)
     keep(p, L, p_old, L_old)
     kick(Terms(gravity, push, None, None), q, p, L, lo, hi, dt)
-    book_impulse(impulse, angular, com, p, L, p_old, L_old)
-    keep(p, L, p_old, L_old)
+    keep(p, L, p_mid, L_mid)
     kick(Terms(None, None, follower, torque), q, p, L, lo, hi, dt)
     book_impulse(impulse, angular, com, p, L, p_old, L_old)
-    book_work(booked[0, 0:n], q, p, L, p_old, L_old, inv_mass, inv_inertia)
+    book_work(booked[0, 0:n], q, p, L, p_old, L_old, p_mid, L_mid, inv_mass, inv_inertia)
 
 
 @kernel
@@ -247,7 +252,7 @@ def advance_blocks(
     last: int,
 ) -> None:
     """All steps and frames of some blocks."""
-    local, saved, before = np.empty((20, BLOCK)), np.empty((20, BLOCK)), np.empty((6, BLOCK))
+    local, saved, before = np.empty((20, BLOCK)), np.empty((20, BLOCK)), np.empty((12, BLOCK))
     for k in range(first, last):
         lo, hi = k * BLOCK, min((k + 1) * BLOCK, members.size)
         n = hi - lo
