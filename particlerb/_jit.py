@@ -1,8 +1,8 @@
 """The only caller of Numba's compiler: two decorators and the place of the disk cache.
 
 `inline` is for helpers of scalars and tuples, `kernel` for loops over bodies; kernels run without
-the interpreter's lock, so that `threads` can spread them. Numba's cache does not notice an edit in another file, nor a
-changed NUMBA_* flag; so the cache folder carries a hash of all of it in its name.
+the interpreter's lock, so that `threads` can spread them. Numba's cache does not notice an edit in
+another file, nor a changed NUMBA_* flag; so the cache folder has a hash of all of it in its name.
 """
 
 import hashlib

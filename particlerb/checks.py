@@ -117,7 +117,7 @@ def rotated(q: Floats, tensor: Floats) -> Floats:
 
 
 def angle(scene: Scene, b: int, expected: Floats, found: Floats) -> float:
-    """Angle between two orientations [rad]: 2 atan2(|v|, |w|); rods compare axes, points nothing."""
+    """Angle between orientations [rad], 2 atan2(|v|, |w|); rods compare axes, points nothing."""
     code = scene.bodies.rotor_class[b]
     if code == POINT:
         return 0.0

@@ -71,7 +71,9 @@ def parser() -> argparse.ArgumentParser:
     plot = commands.add_parser("plot", help="picture of a trajectory: ways, rates, drifts")
     plot.add_argument("file", metavar="FILE")
     plot.add_argument("-o", "--output", metavar="PICTURE", help="default: FILE with .png")
-    plot.add_argument("--body", metavar="NAME", help="body whose rates are drawn")
+    plot.add_argument(
+        "--body", metavar="NAME", help="body whose rates are drawn; default: the fastest to spin"
+    )
     plot.add_argument("--overwrite", action="store_true", help="replace an existing picture")
 
     commands.add_parser("cases", help="list the example cases")
@@ -416,7 +418,7 @@ def plot_command(options: argparse.Namespace) -> int:
             raise Ending(f"{options.body}: no such body in {options.file}; {hint}")
         from particlerb.studies.charts import draw_trajectory
 
-        draw_trajectory(trajectory, path, names.index(options.body) if options.body else 0)
+        draw_trajectory(trajectory, path, names.index(options.body) if options.body else None)
     print(f"written: {path}")
     return DONE
 

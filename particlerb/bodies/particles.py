@@ -8,13 +8,12 @@ checks and moves sets, then the CSV reader. Nothing here knows of shapes, tensor
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from particlerb.maths.vec3 import Bools, Floats, Ints
-
 
 REQUIRED_COLUMNS = ("x", "y", "z", "m")
 OPTIONAL_COLUMN = "r"

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
+from particlerb.bodies.state import derived
 from particlerb.maths.vec3 import Floats
 from particlerb.trajectory import Trajectory
 
@@ -16,10 +17,9 @@ mpl.use("Agg")
 WAYS = 12  # bodies whose ways are drawn
 COLOURS = ("#0072b2", "#d55e00", "#009e73")  # x, y, z: told apart also by the colour-blind
 INK = "#333333"
-FLOOR = 1e-18  # where an error of zero is drawn
 
 
-def draw_trajectory(trajectory: Trajectory, path: Path, body: int = 0) -> None:
+def draw_trajectory(trajectory: Trajectory, path: Path, body: int | None = None) -> None:
     """Draw where bodies go, the angular velocity of one, and the drifts; as PNG, SVG or PDF.
 
     Parameters
@@ -28,45 +28,68 @@ def draw_trajectory(trajectory: Trajectory, path: Path, body: int = 0) -> None:
         With positions, orientations and momenta.
     path : Path
         Where to; the suffix is the format.
-    body : int
-        Index of the body whose angular velocity and axis are drawn.
+    body : int, optional
+        Index of the body whose angular velocity and axis are drawn; default: the fastest to spin.
     """
+    if body is None:
+        body = fastest(trajectory)
     time, name = trajectory.time, trajectory.names[body]
     figure = Figure(figsize=(11, 7.2), layout="constrained")
     grid = figure.add_gridspec(2, 2)
     title = trajectory.parameter("case_resolved")["title"] or Path(trajectory.file.filename).name
     counts = f"{trajectory.n_bodies} bodies" if trajectory.n_bodies > 1 else "1 body"
     figure.suptitle(f"{title}   ({counts}, {trajectory.n_frames} frames)", color=INK)
-    draw_ways(figure.add_subplot(grid[0, 0], projection="3d"), trajectory, body)
+    draw_ways(figure.add_subplot(grid[0, 0], projection="3d"), trajectory, body, name)
     draw_rates(figure.add_subplot(grid[0, 1]), trajectory, time, body, name)
     draw_axis(figure.add_subplot(grid[1, 0]), trajectory, time, body, name)
     draw_drifts(figure.add_subplot(grid[1, 1]), trajectory, time)
     figure.savefig(path, dpi=130)
 
 
-def draw_ways(axes: Axes3D, trajectory: Trajectory, body: int) -> None:
-    """Ways of some bodies; where none moves away, the way of a point of one body."""
+def fastest(trajectory: Trajectory) -> int:
+    """Body with the largest angular velocity in the last frame."""
+    last = slice(trajectory.n_frames - 1, trajectory.n_frames)
+    momenta = trajectory.read("angular_momentum", last)
+    omega = derived(trajectory.bodies, trajectory.read("orientation", last), momenta, momenta)[1]
+    return int(np.argmax(np.linalg.norm(omega[0], axis=1)))
+
+
+def draw_ways(axes: Axes3D, trajectory: Trajectory, body: int, name: str) -> None:
+    """Ways of some bodies; where none moves, the way of a point of one body."""
     n = trajectory.n_bodies
     shown = np.unique(np.append(np.linspace(0, n - 1, min(n, WAYS)).astype(int), body))
     position = trajectory.read("position")[:, shown]
-    extent = np.ptp(position, axis=0).max()
-    reach = reach_of(trajectory, body)
-    if extent > 0.0 or n > 1:
+    if np.ptp(position, axis=0).max() > 0.0:
         for k, b in enumerate(shown):
             x, y, z = position[:, k].T
             colour = COLOURS[1] if b == body else COLOURS[0]
             axes.plot(x, y, z, lw=1.2, color=colour, alpha=1.0 if b == body else 0.6)
             axes.plot(x[-1:], y[-1:], z[-1:], "o", ms=3.5, color=colour)
-        axes.set_title(f"ways of {len(shown)} of {n} bodies" if n > 1 else "way", fontsize=10)
+        of = f"of {len(shown)} of {n} bodies" if n > len(shown) else "of all bodies"
+        axes.set_title(f"ways {of}" if n > 1 else "way", fontsize=10)
+        points = position.reshape(-1, 3)
     else:
-        x, y, z = (reach * axis_of(trajectory, body) + position[:, 0]).T
-        axes.plot(x, y, z, lw=1.0, color=COLOURS[1])
-        axes.set_title("way of the end of the body's x axis (the com rests)", fontsize=10)
-    for set_label, letter in zip(
-        (axes.set_xlabel, axes.set_ylabel, axes.set_zlabel), "xyz", strict=True
-    ):
-        set_label(f"{letter} [m]")
-    axes.set_aspect("equal")
+        centre = position[0, int(np.flatnonzero(shown == body)[0])]
+        points = centre + reach_of(trajectory, body) * axis_of(trajectory, body)
+        axes.plot(*points.T, lw=0.9, color=COLOURS[1])
+        axes.set_title(f"way of the end of the x axis of {name}, which stays in place", fontsize=10)
+    set_equal_scale(axes, points)
+
+
+def set_equal_scale(axes: Axes3D, points: Floats) -> None:
+    """Give all three axes the same scale, and none less than a third of the longest."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = np.maximum(high - low, (high - low).max() / 3.0) / 2.0
+    half = np.where(half > 0.0, 1.05 * half, 1.0)
+    middle = (low + high) / 2.0
+    axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
+    axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
+    axes.set_zlim(middle[2] - half[2], middle[2] + half[2])
+    axes.set_box_aspect(half / half.max())
+    axes.locator_params(nbins=4)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.set_zlabel("z [m]")
 
 
 def reach_of(trajectory: Trajectory, body: int) -> float:
@@ -89,11 +112,8 @@ def draw_rates(axes: Axes, trajectory: Trajectory, time: Floats, body: int, name
     omega = trajectory.omega_body(body)
     for k, letter in enumerate("xyz"):
         axes.plot(time, omega[:, k], color=COLOURS[k], lw=1.3, label=f"ω{letter}")
-    size = np.linalg.norm(omega, axis=1)
-    axes.plot(time, size, color=INK, lw=1.0, ls="--", label="|ω|")
-    axes.set_title(f"angular velocity of {name}, body frame", fontsize=10)
-    axes.set_ylabel("ω [rad/s]")
-    finish(axes)
+    axes.plot(time, np.linalg.norm(omega, axis=1), color=INK, lw=1.0, ls="--", label="|ω|")
+    finish(axes, f"rates of {name}, body frame", "ω [rad/s]")
 
 
 def draw_axis(axes: Axes, trajectory: Trajectory, time: Floats, body: int, name: str) -> None:
@@ -101,14 +121,12 @@ def draw_axis(axes: Axes, trajectory: Trajectory, time: Floats, body: int, name:
     axis = axis_of(trajectory, body)
     for k, letter in enumerate("xyz"):
         axes.plot(time, axis[:, k], color=COLOURS[k], lw=1.3, label=letter)
-    axes.set_title(f"x axis of {name} in the world", fontsize=10)
-    axes.set_ylabel("direction cosine")
     axes.set_ylim(-1.08, 1.08)
-    finish(axes)
+    finish(axes, f"x axis of {name} in the world", "direction cosine")
 
 
 def draw_drifts(axes: Axes, trajectory: Trajectory, time: Floats) -> None:
-    """Errors of integration: total less initial less booked, relative to what is turned over."""
+    """Largest errors of integration so far, relative to what is turned over."""
     ledger = trajectory.ledger
     linear, angular = trajectory.momentum_sizes()
     turned_over = max(ledger.kinetic_energy.max(), np.abs(ledger.work).max())
@@ -118,20 +136,25 @@ def draw_drifts(axes: Axes, trajectory: Trajectory, time: Floats) -> None:
         ("angular momentum", np.linalg.norm(ledger.angular_momentum_error, axis=1), angular),
     )
     for (name, error, scale), colour in zip(errors, COLOURS, strict=True):
-        drift = np.maximum(error / (scale or 1.0), FLOOR)
-        axes.semilogy(time, drift, color=colour, lw=1.2, label=name)
+        drift = np.maximum.accumulate(error) / (scale or 1.0)
+        label = name if drift[-1] > 0.0 else f"{name} (0)"
+        axes.semilogy(time, np.where(drift > 0.0, drift, np.nan), color=colour, lw=1.3, label=label)
     axes.axhline(np.finfo(float).eps, color=INK, lw=0.8, ls=":")
-    axes.annotate("one rounding", (time[0], 1.3 * np.finfo(float).eps), fontsize=8, color=INK)
-    axes.set_title("drift: total less initial less booked, relative", fontsize=10)
-    bottom, top = axes.get_ylim()
-    axes.set_ylim(min(bottom, FLOOR / 2), max(top, 1e-14))
-    finish(axes)
+    where = {"transform": axes.get_yaxis_transform(), "ha": "right", "va": "top"}
+    axes.text(0.99, 0.9 * np.finfo(float).eps, "one rounding", fontsize=8, color=INK, **where)
+    axes.set_ylim(min(axes.get_ylim()[0], 1e-17), max(axes.get_ylim()[1], 1e-14))
+    finish(axes, "drift", "largest error so far, relative")
 
 
-def finish(axes: Axes) -> None:
+def finish(axes: Axes, title: str, label: str) -> None:
     """What all panels over time have in common."""
+    axes.set_title(title, fontsize=10, loc="left")
+    axes.set_ylabel(label)
     axes.set_xlabel("t [s]")
     axes.grid(color="#dddddd", lw=0.6)
-    axes.legend(fontsize=8, ncols=4, loc="best", frameon=True, framealpha=0.85)
+    axes.legend(
+        fontsize=8, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False,
+        handlelength=1.4, columnspacing=1.0, borderaxespad=0.2,
+    )  # fmt: skip
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)

@@ -72,6 +72,6 @@ def test_kicks_and_drift_have_packed_arithmetic(tmp_path):
         timeout=300,
     )
     counts = json.loads(done.stdout)
-    # A loop that has lost its lanes has no packed arithmetic at all; its remainder is always scalar.
+    # A loop that has lost its lanes has no packed arithmetic at all.
     assert set(counts) == {f"{k}_loop" for k in ("gravity", "push", "follower", "torque", "drift")}
     assert min(counts.values()) >= 3
