@@ -140,8 +140,16 @@ def draw_drifts(axes: Axes, trajectory: Trajectory, time: Floats) -> None:
         label = name if drift[-1] > 0.0 else f"{name} (0)"
         axes.semilogy(time, np.where(drift > 0.0, drift, np.nan), color=colour, lw=1.3, label=label)
     axes.axhline(np.finfo(float).eps, color=INK, lw=0.8, ls=":")
-    where = {"transform": axes.get_yaxis_transform(), "ha": "right", "va": "top"}
-    axes.text(0.99, 0.9 * np.finfo(float).eps, "one rounding", fontsize=8, color=INK, **where)
+    axes.text(
+        0.99,
+        0.9 * np.finfo(float).eps,
+        "one rounding",
+        fontsize=8,
+        color=INK,
+        transform=axes.get_yaxis_transform(),
+        ha="right",
+        va="top",
+    )
     axes.set_ylim(min(axes.get_ylim()[0], 1e-17), max(axes.get_ylim()[1], 1e-14))
     finish(axes, "drift", "largest error so far, relative")
 
