@@ -5,6 +5,7 @@ is written and the recorder appends it. Frames and times that only a check asks 
 in the motion, so a run can be prolonged, or recorded more finely, without changing a bit of it.
 """
 
+import time
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -29,6 +30,8 @@ from particlerb.threads import THREADS
 
 BATCH_BYTES = 8_000_000  # of frames that are held before they are written
 BATCH_FRAMES = 1024
+BATCH_SECONDS = 0.5  # that a batch should take
+FIRST_BATCH = 8  # frames, before it is known how long one takes
 FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of its multiples
 EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
 ROD_ROUNDING = 1e-9  # share of L along a rod that stepping may leave
@@ -267,7 +270,7 @@ def run_prepared(
             if error is not None:
                 raise error
     finally:
-        recorder.commit()
+        recorder.finish()
         if path is not None:
             recorder.file.close()
     return Outcome(run.ledger.drift(), tuple(probes), recorder.file)
@@ -280,14 +283,23 @@ def probe_times(case: Case) -> Floats:
 
 
 def batches(case: Case) -> Iterator[tuple[Floats, Bools, Bools]]:
-    """Times [s] that are computed together; which are frames, and which a check asks for."""
-    size = int(min(max(BATCH_BYTES // (case.n_bodies * 13 * 8), 1), BATCH_FRAMES))
+    """Times [s] that are computed together; which are frames, and which a check asks for.
+
+    As many as fit into a part of the cache and take about a second, so that a long run is written,
+    shows progress and can be interrupted.
+    """
+    most = int(min(max(BATCH_BYTES // (case.n_bodies * 13 * 8), 1), BATCH_FRAMES))
     n, probes = frame_count(case), probe_times(case)
-    for lo in range(0, n, size):
-        frames = frame_times(case, lo, min(lo + size, n))
+    done, size = 0, min(FIRST_BATCH, most)
+    while done < n:
+        frames = frame_times(case, done, min(done + size, n))
         due, probes = probes[probes <= frames[-1]], probes[probes > frames[-1]]
         times = np.union1d(frames, due)
+        start = time.monotonic()
         yield times, np.isin(times, frames), np.isin(times, due)
+        share = BATCH_SECONDS / max(time.monotonic() - start, 1e-9)
+        done += len(frames)
+        size = int(min(max(size * min(share, 4.0), 1), most))
 
 
 def first_rows(frames: Frames, n: int) -> Frames:

@@ -10,7 +10,6 @@ import platform
 import subprocess
 import sys
 import time
-from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -68,8 +67,8 @@ class Recorder:
         self.file = create(path, overwrite)
         self.case, self.scene = case, scene
         self.dtype = np.dtype(case.output.dtype)
-        self.n_frames = self.committed = 0
-        self.pending: defaultdict[str, list[Floats]] = defaultdict(list)  # small, until a commit
+        # Frames committed, and the small arrays of those that are not: replaced as one.
+        self.ready: tuple[int, list[dict[str, Floats]]] = (0, [])
         self.last_commit = time.monotonic()
         write_header(self.file)
         write_bodies(self.file, scene)
@@ -107,30 +106,44 @@ class Recorder:
             dimension.attach_scale(scale)
         return value
 
+    @property
+    def n_frames(self) -> int:
+        """Frames that were appended."""
+        committed, pending = self.ready
+        return committed + sum(len(part[self.time.name]) for part in pending)
+
     def append(self, times: Floats, frames: Frames, rows: Ints, ledger: Any) -> None:
         """Append rows of the frames with their times and ledger entries."""
-        n, end = self.n_frames, self.n_frames + len(rows)
+        n = self.n_frames
         arrays = fields_of(frames, rows, self.scene, self.values)
         for name, dataset in self.values.items():
             append_rows(dataset, n, arrays[name].astype(self.dtype, copy=False))
-        self.pending[self.time.name].append(times)
-        for name, dataset in self.ledger.items():
-            self.pending[dataset.name].append(getattr(ledger, name)[rows])
-        self.n_frames = end
+        entries = {
+            dataset.name: getattr(ledger, name)[rows] for name, dataset in self.ledger.items()
+        }
+        self.ready[1].append({self.time.name: times, **entries})
         if time.monotonic() - self.last_commit > SECONDS_BETWEEN_COMMITS:
             self.commit()
 
     def commit(self) -> None:
-        """Put what is written on disk, then say so."""
-        for name, parts in self.pending.items():
-            append_rows(self.file[name], self.committed, np.concatenate(parts))
-        self.pending.clear()
-        append_rows(self.step, self.committed, np.arange(self.committed, self.n_frames))
-        self.committed = self.n_frames
+        """Put what is written on disk, then say so; may be repeated after an interrupt."""
+        first, pending = self.ready
+        n = self.n_frames
+        for name in pending[0] if pending else ():
+            append_rows(self.file[name], first, np.concatenate([part[name] for part in pending]))
+        append_rows(self.step, first, np.arange(first, n))
         self.file.flush()
-        self.file.attrs.modify(COMMITTED, np.int64(self.n_frames))
+        self.file.attrs.modify(COMMITTED, np.int64(n))
         self.file.flush()
+        self.ready = (n, [])
         self.last_commit = time.monotonic()
+
+    def finish(self) -> None:
+        """Commit, and cut off what an interrupt has left half written."""
+        self.commit()
+        for dataset in self.values.values():
+            dataset.resize(self.n_frames, axis=0)
+        self.file.flush()
 
 
 def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints) -> None:

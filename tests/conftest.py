@@ -1,0 +1,168 @@
+"""Markers, the hypothesis profiles, small scenes and an independent integrator for all tests."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+
+import hypothesis
+import numpy as np
+import pytest
+
+hypothesis.settings.register_profile("ci", derandomize=True, deadline=None)
+hypothesis.settings.register_profile("here", deadline=None)
+hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "here")
+
+PLAIN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what needs the compiler where it is switched off."""
+    if not PLAIN:
+        return
+    for item in items:
+        if item.get_closest_marker("compiled"):
+            item.add_marker(pytest.mark.skip(reason="NUMBA_DISABLE_JIT is set"))
+
+
+def body(name: str = "body", inertia: Sequence[float] = (1.0, 2.0, 2.5), **keys) -> dict:
+    """Body of 2 kg with given principal moments; asymmetric unless said otherwise."""
+    return {
+        "name": name,
+        "shape": {"type": "moments", "inertia": list(inertia)},
+        "mass": 2.0,
+    } | keys
+
+
+def case(*bodies: dict, force: Sequence[dict] = (), t_end=1.0, every=0.1, **keys) -> dict:
+    """Case; keys that are not tables go to [run]."""
+    tables = {k: keys.pop(k) for k in ("gravity", "output", "check", "title") if k in keys}
+    run = {"t_end": t_end, "every": every} | keys
+    return {"run": run, "body": list(bodies), "force": list(force)} | tables
+
+
+def push(force: Sequence[float], at: Sequence[float] = (0, 0, 0), body="body", **keys) -> dict:
+    """Push, world frame."""
+    return {"type": "push", "body": body, "force": list(force), "at": list(at)} | keys
+
+
+def torque(torque: Sequence[float], body="body", **keys) -> dict:
+    """Torque, world frame."""
+    return {"type": "torque", "body": body, "torque": list(torque)} | keys
+
+
+def impulse(impulse: Sequence[float], at=(0, 0, 0), time=0.0, body="body", **keys) -> dict:
+    """Impulse, world frame."""
+    return {
+        "type": "impulse",
+        "body": body,
+        "impulse": list(impulse),
+        "at": list(at),
+        "time": time,
+    } | keys
+
+
+def rotation(q: np.ndarray):
+    """SciPy's rotation of a quaternion with the scalar first."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(np.asarray(q), scalar_first=True)
+
+
+def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angle between orientations [rad]."""
+    return np.asarray((rotation(a).inv() * rotation(b)).magnitude())
+
+
+def integrate(
+    tensor: np.ndarray,
+    mass: float,
+    start: dict,
+    load: Callable,
+    times: Sequence[float],
+) -> SimpleNamespace:
+    """Newton's and Euler's equations in the body frame, by DOP853 at a tolerance of 1e-13.
+
+    `load(t, R)` gives the force and the torque about the centre of mass, world frame; the work of
+    both and the impulses about the origin are integrated along.
+    """
+    from scipy.integrate import solve_ivp
+
+    tensor = np.asarray(tensor, dtype=float)
+    inverse = np.linalg.inv(tensor)
+    q0 = np.array(start.get("orientation", [1.0, 0, 0, 0]), dtype=float)
+    w0 = rotation(q0).inv().apply(start.get("angular_velocity", [0.0, 0, 0]))
+    y0 = [start.get("position", [0.0, 0, 0]), start.get("velocity", [0.0, 0, 0]), q0, w0]
+
+    def slope(t, y):
+        x, v, q, w = y[0:3], y[3:6], y[6:10], y[10:13]
+        R = rotation(q).as_matrix()
+        F, tau = (np.asarray(u, dtype=float) for u in load(t, R))
+        dq = 0.5 * np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))])
+        dw = inverse @ (R.T @ tau - np.cross(w, tensor @ w))
+        turning = np.cross(x, F) + tau
+        return np.concatenate([v, F / mass, dq, dw, [F @ v + tau @ (R @ w)], F, turning])
+
+    done = solve_ivp(
+        slope,
+        (0.0, max(times)),
+        np.concatenate([*y0, np.zeros(7)]),
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-13,
+        t_eval=times,
+    )
+    y = done.y.T
+    R = rotation(y[:, 6:10]).as_matrix()
+    return SimpleNamespace(
+        position=y[:, 0:3],
+        velocity=y[:, 3:6],
+        orientation=y[:, 6:10] / np.linalg.norm(y[:, 6:10], axis=1, keepdims=True),
+        angular_velocity=np.einsum("tij,tj->ti", R, y[:, 10:13]),
+        angular_momentum=np.einsum("tij,jk,tk->ti", R, tensor, y[:, 10:13]),
+        booked=y[:, 13:20],
+    )
+
+
+def arrays(case: dict | str, *overrides: str) -> SimpleNamespace:
+    """Run in memory; all arrays of the trajectory, and the ledger."""
+    import particlerb
+
+    with particlerb.run(case, overrides=overrides) as t:
+        names = ("time", "position", "orientation", "linear_momentum", "angular_momentum")
+        found = {name: getattr(t, name) for name in names}
+        found |= {"velocity": t.velocity, "angular_velocity": t.angular_velocity}
+        return SimpleNamespace(ledger=t.ledger, plan=t.parameter("plan"), **found)
+
+
+def python(code: str, **environment: str) -> str:
+    """What a new Python process prints; an error of it is one here."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).parent,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="session")
+def make() -> SimpleNamespace:
+    """Makers of small cases, and what to judge them by."""
+    return SimpleNamespace(
+        body=body,
+        case=case,
+        push=push,
+        torque=torque,
+        impulse=impulse,
+        rotation=rotation,
+        angle=angle,
+        integrate=integrate,
+        arrays=arrays,
+        python=python,
+    )

@@ -1,0 +1,274 @@
+"""The ledger: sums, booked work and impulses, and that what is left is the error of integration."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from particlerb.bodies.bodies import Bodies
+from particlerb.bodies.state import Frames, State, as_frame, kinetic_energy, omega_world
+from particlerb.case.reader import load
+from particlerb.checks import results
+from particlerb.ledger import Drift, Entries, Ledger, totals
+from particlerb.simulate import prepare, run_prepared
+
+START = {
+    "position": [0.1, -0.2, 0.3],
+    "velocity": [0.3, 0.1, -0.2],
+    "orientation": [0.8, 0.0, 0.6, 0.0],
+    "angular_velocity": [1.0, 0.4, -0.7],
+}
+AT, FORCE, TORQUE = np.array([0.4, -0.3, 0.2]), np.array([1.0, 2.0, -1.5]), np.array([0.5, -1, 0.7])
+G = np.array([0.3, -0.5, -9.8])
+TENSOR = np.diag([1.0, 2.0, 2.5])
+
+
+def unit(rng, n):
+    q = rng.standard_normal((4, n))
+    return q / np.linalg.norm(q, axis=0)
+
+
+# Sums
+
+
+@pytest.mark.parametrize("n", [1, 300])
+def test_totals_against_a_loop(make, n):
+    """Also over the border of a block of 256."""
+    rng = np.random.default_rng(n)
+    mass, inertia = rng.uniform(1, 2, n), rng.uniform(1, 2, (3, n))
+    bodies = Bodies(mass, 1 / mass, inertia, 1 / inertia, unit(rng, n), np.full(n, 4))
+    state = State(*rng.standard_normal((2, 3, n)), *rng.standard_normal((2, 3, n)))
+    state = State(state.com, unit(rng, n), state.p, state.L)
+    now = totals(as_frame(bodies, state), bodies, G)
+    kinetic, potential, momentum, angular, size, spin = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for b in range(n):
+        x, p, L = state.com[:, b], state.p[:, b], state.L[:, b]
+        R = make.rotation(state.q[:, b]).as_matrix()
+        omega = R @ np.diag(1 / inertia[:, b]) @ R.T @ L
+        kinetic += 0.5 * p @ p / mass[b] + 0.5 * omega @ L
+        potential -= mass[b] * G @ x
+        momentum, angular = momentum + p, angular + L + np.cross(x, p)
+        size += np.linalg.norm(p)
+        spin += np.linalg.norm(L) + np.linalg.norm(np.cross(x, p))
+    assert now.kinetic_energy[0] == pytest.approx(kinetic, rel=1e-13)
+    assert now.potential_energy[0] == pytest.approx(potential, rel=1e-12)
+    assert now.linear_momentum[0] == pytest.approx(momentum, rel=1e-11)
+    assert now.angular_momentum[0] == pytest.approx(angular, rel=1e-11)
+    assert now.momentum_size[0] == pytest.approx(size, rel=1e-13)
+    assert now.spin_size[0] == pytest.approx(spin, rel=1e-13)
+    assert kinetic_energy(bodies, state).sum() == pytest.approx(kinetic, rel=1e-13)
+    rotating = 0.5 * (omega_world(bodies, state) * state.L).sum()
+    moving = (state.p * state.p / mass).sum()
+    assert rotating + 0.5 * moving == pytest.approx(kinetic, rel=1e-13)
+
+
+# What is booked
+
+
+CASES = {
+    "push": (lambda t, R: (FORCE, np.cross(R @ AT, FORCE)), False),
+    "push and gravity": (lambda t, R: (FORCE, np.cross(R @ AT, FORCE)), True),
+    "follower": (lambda t, R: (R @ FORCE, R @ np.cross(AT, FORCE)), False),
+    "torque": (lambda t, R: (np.zeros(3), TORQUE), False),
+    "push, follower, torque": (
+        lambda t, R: (FORCE + R @ FORCE, np.cross(R @ AT, FORCE + R @ FORCE) + TORQUE),
+        False,
+    ),
+}
+
+
+def case_of(make, name, **keys):
+    force = []
+    if "push" in name:
+        force.append(make.push(FORCE, AT))
+    if "follower" in name:
+        force.append(make.push(FORCE, AT, frame="body"))
+    if "torque" in name:
+        force.append(make.torque(TORQUE))
+    gravity = {"gravity": {"acceleration": G}} if CASES[name][1] else {}
+    return make.case(make.body(**START), force=force, **gravity, **keys)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", CASES)
+def test_booked_work_and_impulses_against_an_integration(make, name):
+    """Work of all but gravity; impulse and angular impulse about the origin of all."""
+    found = make.arrays(case_of(make, name, t_end=2.0, every=0.23, dt=1e-3))
+    load_of, weighs = CASES[name]
+    weight = 2.0 * G if weighs else np.zeros(3)
+
+    def act(t, R):
+        F, tau = load_of(t, R)
+        return F + weight, tau
+
+    true = make.integrate(TENSOR, 2.0, START, act, found.time)
+    fallen = (true.position - true.position[0]) @ weight
+    ledger = found.ledger
+    # order 2 with ω dt = 1e-3: 1e-6 of what is turned over
+    assert ledger.work == pytest.approx(true.booked[:, 0] - fallen, rel=1e-5, abs=1e-5)
+    gain = ledger.linear_momentum - ledger.linear_momentum[0]
+    assert gain == pytest.approx(true.booked[:, 1:4], rel=1e-5, abs=1e-5)
+    gain = ledger.angular_momentum - ledger.angular_momentum[0]
+    assert gain == pytest.approx(true.booked[:, 4:7], rel=1e-5, abs=1e-4)
+    assert np.ptp(ledger.work) > 0.5
+    rounding = 1e-11 * np.abs(ledger.angular_momentum).max()
+    assert np.abs(ledger.linear_momentum_error).max() < 1e-11
+    assert np.abs(ledger.angular_momentum_error).max() < rounding
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", CASES)
+def test_energy_error_is_that_of_the_integration(make, name):
+    """It falls by four when the step is halved: nothing is booked twice or forgotten."""
+    errors = []
+    for dt in (0.02, 0.01):
+        ledger = make.arrays(case_of(make, name, t_end=1.9, every=0.19, dt=dt)).ledger
+        errors.append(np.abs(ledger.energy_error).max())
+    assert errors[0] > 1e-6
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
+@pytest.mark.compiled
+def test_errors_of_free_bodies_are_rounding(make):
+    free = make.arrays(make.case(make.body(**START), gravity={"acceleration": G}, t_end=20.0))
+    scale = np.abs(free.ledger.kinetic_energy).max()
+    assert np.abs(free.ledger.energy_error).max() < 1e-14 * scale
+    assert np.abs(free.ledger.linear_momentum_error).max() < 1e-13 * scale
+    assert np.abs(free.ledger.angular_momentum_error).max() < 1e-12 * scale
+
+
+@pytest.mark.compiled
+def test_what_is_booked_adds_up_over_edges_and_impulses(make):
+    """Free, pushed, struck while pushed, pushed and turned, free again."""
+    force = [
+        make.push(FORCE, AT, during=[0.13, 0.61]),
+        make.push(FORCE, AT, frame="body", during=[0.5, 0.8]),
+        make.torque(TORQUE, during=[0.5, 0.61]),
+        make.impulse(FORCE, AT, 0.37),
+        make.impulse(-TORQUE, AT, 0.9),
+    ]
+    errors = []
+    for dt in (0.01, 0.005):  # which divide all segments
+        scene = make.case(make.body(**START), make.body("free"), force=force, every=0.05, dt=dt)
+        ledger = make.arrays(scene).ledger
+        assert np.abs(ledger.linear_momentum_error).max() < 1e-13
+        assert np.abs(ledger.angular_momentum_error).max() < 1e-13
+        assert np.ptp(ledger.work) > 1.0
+        errors.append(np.abs(ledger.energy_error).max())
+    assert errors[0] > 1e-6
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
+def test_work_of_constant_forces_in_closed_form(make):
+    """A push through the centre of mass: F·(v t + F t²/2M); a torque about a fixed axis: τ φ."""
+    push = make.arrays(make.case(make.body(**START), force=[make.push(FORCE)]))
+    t = push.time
+    expected = t * (FORCE @ START["velocity"]) + t * t * (FORCE @ FORCE) / 4
+    assert push.ledger.work == pytest.approx(expected, abs=1e-14)
+    body = make.body(angular_velocity=[0, 0, 1.0])
+    torque = make.arrays(make.case(body, force=[make.torque([0, 0, 3.0])], dt=0.01))
+    angle = t + 0.5 * (3.0 / 2.5) * t * t
+    assert torque.ledger.work == pytest.approx(3.0 * angle, abs=1e-13)
+    assert torque.ledger.angular_momentum[:, 2] == pytest.approx(2.5 + 3.0 * t, abs=1e-13)
+
+
+@given(time=st.sampled_from([0.0, 0.25, 0.5]), at=st.tuples(*[st.floats(-1, 1)] * 3))
+@settings(max_examples=10)
+def test_impulse_books_its_work_and_momenta(make, time, at):
+    hit = make.impulse(FORCE, at, time)
+    found = make.arrays(make.case(make.body(**START), force=[hit]))
+    ledger, after = found.ledger, found.time >= time
+    kinetic = ledger.kinetic_energy
+    assert (ledger.work[~after] == 0.0).all()
+    free = make.arrays(make.case(make.body(**START))).ledger.kinetic_energy[0]
+    assert ledger.work[after] == pytest.approx(kinetic[after] - free, abs=1e-13)
+    assert np.abs(ledger.energy_error).max() < 1e-13
+    assert np.abs(ledger.linear_momentum_error).max() < 1e-14
+    assert np.abs(ledger.angular_momentum_error).max() < 1e-14
+
+
+# Drifts
+
+
+def entry(n=1, **values):
+    """Ledger entries, zero but for some."""
+    fields = {f: np.zeros((n, 3) if "momentum" in f else n) for f in Entries._fields}
+    return Entries(**(fields | values))
+
+
+def test_drift_of_a_scene_at_rest_is_zero(make):
+    case = make.case(make.body(), make.body("point", [0, 0, 0]))
+    outcome = run_prepared(prepare(load(case)), None)
+    outcome.file.close()
+    assert outcome.drift == Drift(0.0, 0.0, 0.0)
+
+
+def test_drift_is_relative_to_the_largest_energy_and_momenta(make):
+    """A body that is thrown up comes to rest: its scale is what it had."""
+    rng = np.random.default_rng(1)
+    bodies = Bodies(
+        np.array([2.0]),
+        np.array([0.5]),
+        np.ones((3, 1)),
+        np.ones((3, 1)),
+        unit(rng, 1),
+        np.array([2]),
+    )
+
+    def now(p, L, x=0.0):
+        state = State(
+            np.full((3, 1), x), unit(rng, 1), np.full((3, 1), p), np.array([[L], [0.0], [0.0]])
+        )
+        return totals(as_frame(bodies, state), bodies, np.zeros(3))
+
+    ledger = Ledger(now(2.0, 3.0))
+    entries = ledger.enter(now(0.0, 0.0), np.zeros((1, 7)))
+    assert entries.energy_error == pytest.approx([-(3 + 4.5)])  # p²/2M = 3, L²/2 = 4.5
+    drift = ledger.drift()
+    assert drift == pytest.approx((1.0, 1.0, 1.0))
+    ledger.enter(now(0.0, 0.0), np.array([[-75.0, 0, 0, 0, 0, 0, 0]]))
+    assert ledger.drift().energy == pytest.approx(67.5 / 75.0)  # energy turned over
+    assert ledger.drift().linear_momentum == pytest.approx(1.0)
+
+
+def test_booked_momenta_are_taken_away(make):
+    rng = np.random.default_rng(1)
+    one = np.ones(1)
+    bodies = Bodies(one, one, np.ones((3, 1)), np.ones((3, 1)), unit(rng, 1), np.array([2]))
+    vectors = rng.standard_normal((3, 1, 1, 3))
+    q = unit(rng, 1).T[None].copy()
+
+    def frames(scale):
+        x, p, L = vectors * scale
+        return Frames(x, q, p, L, q[0])
+
+    first, second = (totals(frames(s), bodies, np.zeros(3)) for s in (1.0, 2.0))
+    booked = np.concatenate(
+        [
+            second.kinetic_energy - first.kinetic_energy,
+            (second.linear_momentum - first.linear_momentum)[0],
+            (second.angular_momentum - first.angular_momentum)[0],
+        ]
+    )[None]
+    entries = Ledger(first).enter(second, booked)
+    for name in ("energy_error", "linear_momentum_error", "angular_momentum_error"):
+        assert np.abs(getattr(entries, name)).max() < 1e-14
+    assert entries.work[0] == booked[0, 0]
+    assert (entries.energy == second.kinetic_energy).all()
+    assert entry()._fields == entries._fields
+
+
+def test_a_missed_limit_of_drift_shows(make):
+    """The drift that a run reports is the largest of its frames."""
+    case = case_of(make, "push", dt=0.05, check={"energy_drift": 1e-15})
+    prepared = prepare(load(case))
+    outcome = run_prepared(prepared, None)
+    observables = outcome.file["observables"]
+    error = np.abs(observables["energy_error/value"][:]).max()
+    kinetic = observables["kinetic_energy/value"][:].max()
+    work = np.abs(observables["work/value"][:]).max()
+    outcome.file.close()
+    assert outcome.drift.energy == pytest.approx(error / max(kinetic, work), rel=1e-12)
+    (limit,) = results(prepared.case, prepared.scene, outcome)
+    assert not limit.holds
+    assert limit.error == outcome.drift.energy

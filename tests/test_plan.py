@@ -1,0 +1,188 @@
+"""The plan: levels, methods, steps, and the reasons that it gives in words."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import particlerb
+from particlerb.case.problems import CaseError
+from particlerb.case.reader import load
+from particlerb.plan import LARGEST_TURN, RADIANS_PER_STEP
+from particlerb.simulate import prepare
+
+SPIN = {"angular_velocity": [1.0, 0.4, -0.7]}
+AT, FORCE = [0.4, -0.3, 0.2], [1.0, 2.0, -1.5]
+
+
+def plan_of(case):
+    return prepare(load(case)).plan
+
+
+def levels(case):
+    """(start, stop, method) of the segments of every group."""
+    return [[(s.start, s.stop, s.method) for s in g.segments] for g in plan_of(case).groups]
+
+
+inf = float("inf")
+
+
+def test_time_is_cut_where_a_force_starts_or_stops(make):
+    forces = [
+        make.push(FORCE, AT, during=[0.2, 0.5]),
+        make.torque([1, 0, 0], during=[0.4, 0.7]),
+        make.impulse([1, 0, 0], time=0.9),
+    ]
+    assert levels(make.case(make.body(), make.body("free"), force=forces)) == [
+        [
+            (0.0, 0.2, "exact"),
+            (0.2, 0.4, "strang"),
+            (0.4, 0.5, "strang"),
+            (0.5, 0.7, "strang"),
+            (0.7, 0.9, "exact"),
+            (0.9, inf, "exact"),
+        ],
+        [(0.0, inf, "exact")],
+    ]
+
+
+def test_a_named_method_steps_all_that_rotates(make):
+    bodies = [make.body("a"), make.body("point", [0, 0, 0]), make.body("pushed")]
+    force = [make.push(FORCE, AT, "pushed", during=[0.2, 0.5]), make.push(FORCE, body="point")]
+    case = make.case(*bodies, force=force, method="strang", dt=0.01)
+    assert levels(case) == [
+        [(0.0, inf, "strang")],
+        [(0.0, inf, "exact")],
+        [(0.0, 0.2, "strang"), (0.2, 0.5, "strang"), (0.5, inf, "strang")],
+    ]
+    assert "driven by nothing, but the case names the method" in prepare(load(case)).text
+
+
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_exact_refuses_a_driving_force(make, frame):
+    force = [make.push(FORCE, AT, frame=frame)]
+    with pytest.raises(CaseError, match=r"run\.method") as caught:
+        particlerb.run(make.case(make.body(), force=force, method="exact"))
+    assert "methods that accept it: strang" in str(caught.value)
+    free = make.case(make.body(), force=[make.push(FORCE)], method="exact")
+    assert levels(free) == [[(0.0, inf, "exact")]]
+
+
+def test_bodies_with_the_same_forces_form_a_group(make):
+    block = make.body("clump", count=6, place={"type": "grid", "spacing": 1.0})
+    force = [make.push(FORCE, AT, ["clump[4]", "clump[1]"]), make.torque([1, 0, 0], "clump[4]")]
+    groups = plan_of(make.case(block, force=force)).groups
+    assert [g.members.tolist() for g in groups] == [[0, 2, 3, 5], [1], [4]]
+
+
+# The step
+
+
+@given(w=st.floats(0.01, 1e3), every=st.floats(1e-3, 0.5))
+def test_default_step_of_a_spinning_body(make, w, every):
+    body = make.body(angular_velocity=[0, 0, w])
+    plan = plan_of(make.case(body, every=every, method="strang"))
+    expected = min(every, RADIANS_PER_STEP / w)
+    assert plan.groups[0].segments[0].dt == pytest.approx(expected, rel=1e-12)
+    chosen = "run.every" if expected == every else "0.05 / ("
+    assert f"= {chosen}" in plan.step
+
+
+def test_default_step_of_a_body_at_rest_knows_the_force(make):
+    """√(torque / smallest moment), with |r| |F| for the torque of a push; |r| J / I of a hit."""
+    hard = 1e4 * np.array(FORCE)
+    for force, rate in (
+        (make.push(hard, AT), np.sqrt(np.linalg.norm(AT) * np.linalg.norm(hard) / 1.0)),
+        (make.torque([0, 3e4, 4e4]), np.sqrt(5e4)),
+        (make.push([0, 0, 1e4], [3, 4, 0], frame="body"), np.sqrt(5e4)),
+        (make.impulse([0, 0, 300.0], [3, 4, 0]), 1500.0),
+    ):
+        segment = plan_of(make.case(make.body(), force=[force], method="strang")).groups[0]
+        assert segment.segments[0].dt == pytest.approx(RADIANS_PER_STEP / rate, rel=1e-12)
+
+
+@given(dt=st.floats(1e-4, 1.0), length=st.floats(1e-3, 1.0))
+def test_steps_divide_a_segment_evenly_and_are_not_longer(make, dt, length):
+    force = [make.push(FORCE, AT, during=[0.0, length])]
+    segment = plan_of(make.case(make.body(), force=force, dt=dt, t_end=2.0)).groups[0].segments[0]
+    steps = length / segment.dt
+    assert steps == pytest.approx(round(steps), rel=1e-12)
+    assert segment.dt <= dt * (1 + 1e-11)
+    assert segment.dt > dt / 2 or round(steps) == 1
+
+
+def test_a_step_that_is_too_long_warns(make):
+    body = make.body(angular_velocity=[0, 0, 10.0])
+    case = make.case(body, method="strang", dt=0.0501)
+    (warning,) = plan_of(case).warnings
+    assert ": warning: " in warning
+    assert "0.0501 s turns bodies like body by 0.501 rad in one step" in warning
+    assert "advised: 0.005 s or less" in warning
+    limit = make.case(body, method="strang", dt=LARGEST_TURN / 10.0)
+    assert plan_of(limit).warnings == ()
+    assert plan_of(make.case(body, dt=1.0)).warnings == ()  # free: nothing is stepped
+
+
+# The words
+
+
+def lines(case):
+    """Lines of the plan by their name; several under one name joined."""
+    found = {}
+    for line in prepare(load(case)).text.splitlines():
+        name, text = re.fullmatch(r"  (\S.*?)\s{2,}(\S.*)", line).groups()
+        found[name] = found.get(name, "") + text + "\n"
+    return found
+
+
+def test_plan_gives_a_reason_for_what_is_left_out(make):
+    text = lines(make.case(make.body()))
+    assert text["bodies"] == "1: 1 asymmetric\n"
+    assert text["gravity"] == "off: no [gravity], or zero\n"
+    for kind in ("push", "torque", "impulse"):
+        assert text[kind] == f"off: no [[force]] of type {kind}\n"
+    assert text["contact"] == "off: no particle has a radius\n"
+    assert text["step"] == "no step: nothing is stepped\n"
+    assert text["ledger"].startswith("booked in closed form: every force has a potential")
+    assert text["body"] == "0 s on: free, closed form, no step (nothing acts)\n"
+    zero = lines(make.case(make.body(), gravity={"acceleration": [0, 0, 0]}))
+    assert zero["gravity"] == "off: no [gravity], or zero\n"
+
+
+def test_plan_gives_a_reason_for_what_is_done(make):
+    ball = {"type": "points", "position": [[0, 0, 0], [1, 0, 0]], "mass": [1, 2], "radius": [1, 1]}
+    forces = [
+        make.push(FORCE, AT, during=[0.2, 0.5]),
+        make.push(FORCE, AT, "other", frame="body"),
+        make.impulse([1, 0, 0], time=0.9),
+        make.push(FORCE, body="third"),
+    ]
+    bodies = [make.body(), make.body("other"), make.body("third", shape=ball, mass=3.0)]
+    gravity = {"acceleration": [0, 0, -9.8]}
+    text = lines(make.case(*bodies, force=forces, dt=0.1, gravity=gravity))
+    assert text["gravity"] == "on: (0, 0, -9.8) m/s²\n"
+    assert text["push"] == "on: 3 of them\n"
+    assert text["contact"] == "off: not in this version; radii add to the inertia tensor only\n"
+    assert text["step"] == "0.1 s, as the case says\n"
+    assert "kick by kick: a force without potential acts" in text["ledger"]
+    assert text["body"].splitlines() == [
+        "0 s to 0.2 s: free, closed form, no step (gravity through the centre of mass: a parabola)",
+        "0.2 s to 0.5 s: driven by gravity and push, strang, 3 steps of 0.1 s",
+        "0.5 s to 0.9 s: free, closed form, no step (gravity through the centre of mass:"
+        " a parabola)",
+        "0.9 s on: after 1 impulse(s), free, closed form, no step (gravity through the centre of"
+        " mass: a parabola)",
+    ]
+    driven = "driven by gravity and load fixed in the body, strang, steps of 0.1 s"
+    assert text["other"] == f"0 s on: {driven}\n"
+    assert "(gravity and push through the centre of mass: a parabola)" in text["third"]
+
+
+def test_plan_of_many_groups_is_cut_short(make):
+    block = make.body("c", count=60, place={"type": "grid", "spacing": 1.0})
+    force = [make.push([0, 0, 1.0 + k], AT, f"c[{2 * k}]") for k in range(25)]
+    text = lines(make.case(block, force=force, dt=0.1))
+    assert text["..."] == "and 6 more groups of bodies\n"
+    assert any(name.startswith("bodies 1, 3, 5, 7, ... (35)") for name in text)
