@@ -29,7 +29,7 @@ from particlerb.terms.push import Push as WorldPush
 from particlerb.terms.torque import Torque as WorldTorque
 
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
-LARGEST_TURN: Final = 0.5  # rad in one step above which a step given by hand is worth a warning
+LARGEST_TURN: Final = 0.5  # rad in one step above which it is worth a warning
 LARGEST_TORQUE: Final = float(np.finfo(np.float64).max)
 AXIAL_ROUNDING: Final = 1e-12  # share of a torque about a rod's axis that is its rounding
 
@@ -94,7 +94,7 @@ def make_plan(case: Case, scene: Scene) -> Plan:
     refuse_method(case, cut)
     dt, reason = step(case, scene, cut)
     groups = tuple(with_steps(group, dt) for group in cut)
-    warnings = tuple(step_warnings(case, scene, cut))
+    warnings = tuple(step_warnings(case, scene, cut, dt))
     return Plan(groups, reason, warnings)
 
 
@@ -232,10 +232,11 @@ def step(case: Case, scene: Scene, groups: list[GroupPlan]) -> tuple[float, str]
 
 
 @np.errstate(over="ignore")
-def fastest_rate(scene: Scene, group: GroupPlan) -> float:
-    """Estimate of the fastest rate [rad/s] of a group: its spin, impulses, √(torque / inertia).
+def fastest_rate(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> float:
+    """Estimate of the fastest rate [rad/s] of a group: spin, impulses, torques.
 
-    The last is the rate at which a torque makes a body at rest swing or turn.
+    A torque without potential spins a body up while it lasts, by |τ| Δt / I; one without end counts
+    up to `t_end`. Any torque makes a body at rest turn or swing at a rate of √(|τ| / I).
     """
     bodies, state = group.bodies, taken(scene.state, group.members)
     spin = np.linalg.norm(omega_world(bodies, state), axis=0)
@@ -245,14 +246,15 @@ def fastest_rate(scene: Scene, group: GroupPlan) -> float:
         for at, impulse, _ in segment.jumps:
             spin = spin + sizes(at) * sizes(impulse) * inv_inertia
         _, push, follower, torque = segment.terms
-        size = np.zeros_like(spin)
-        if push is not None:
-            size = size + np.linalg.norm(push.lever, axis=0)
+        lasting = np.zeros_like(spin)
         if follower is not None:
-            size = size + sizes(follower.torque)
+            lasting = lasting + sizes(follower.torque)
         if torque is not None:
-            size = size + sizes(torque.torque)
-        swing = np.maximum(swing, np.sqrt(size * inv_inertia))
+            lasting = lasting + sizes(torque.torque)
+        length = (segment.stop if np.isfinite(segment.stop) else t_end) - segment.start
+        spin = spin + lasting * inv_inertia * max(length, 0.0)
+        swinging = lasting if push is None else lasting + sizes(push.lever)
+        swing = np.maximum(swing, np.sqrt(swinging * inv_inertia))
     return float(np.maximum(spin, swing).max())
 
 
@@ -274,25 +276,20 @@ def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
     return group._replace(segments=tuple(segments))
 
 
-def step_warnings(case: Case, scene: Scene, groups: list[GroupPlan]) -> list[str]:
-    """Warnings about a step given by hand that turns a body too far."""
-    if case.run.dt is None:
-        return []
+def step_warnings(case: Case, scene: Scene, groups: list[GroupPlan], dt: float) -> list[str]:
+    """Warnings about a step that turns a body too far, now or by t_end."""
     worst = (0.0, "")
     for group in groups:
-        if all(segment.method == "exact" for segment in group.segments):
-            continue
-        rate = fastest_rate(scene, group)
-        worst = max(worst, (rate, scene.names[int(group.members[0])]))
-    turn = worst[0] * case.run.dt
-    if turn <= LARGEST_TURN:
+        if any(segment.method != "exact" for segment in group.segments):
+            rate = fastest_rate(scene, group, case.run.t_end)
+            worst = max(worst, (rate, scene.names[int(group.members[0])]))
+    if worst[0] * dt <= LARGEST_TURN:
         return []
-    advised = RADIANS_PER_STEP / worst[0]
     problem = problem_at(
         case,
-        "run.dt",
-        f"{case.run.dt!r} s turns bodies like {worst[1]} by {turn:.3g} rad in one step",
-        f"advised: {advised:.3g} s or less",
+        "run" if case.run.dt is None else "run.dt",
+        f"the step of {dt:.6g} s turns bodies like {worst[1]} by up to {worst[0] * dt:.3g} rad",
+        f"advised: dt = {RADIANS_PER_STEP / worst[0]:.3g} s or less",
     )
     return [str(problem).replace(": error: ", ": warning: ", 1)]
 

@@ -103,6 +103,28 @@ def test_default_step_of_a_body_at_rest_knows_the_force(make):
         assert segment.segments[0].dt == pytest.approx(RADIANS_PER_STEP / rate, rel=1e-12)
 
 
+def test_default_step_knows_how_far_a_torque_that_ends_spins_a_body_up(make):
+    """|τ| Δt / I_min = 10 · 20 / 1 rad/s, whatever t_end is."""
+    for t_end in (1.0, 30.0):
+        load = make.torque([0, 0, 10.0], during=[0.0, 20.0])
+        plan = plan_of(make.case(make.body(), force=[load], t_end=t_end))
+        assert plan.groups[0].segments[0].dt == pytest.approx(RADIANS_PER_STEP / 200.0, rel=1e-9)
+        assert plan.warnings == ()
+
+
+def test_a_torque_without_end_warns_and_leaves_the_step_to_what_it_was(make):
+    """√(τ / I) sets the step; after t_end the spin τ t / I would turn 1.6 rad in one step."""
+
+    def case(t_end):
+        return make.case(make.body(), force=[make.torque([0, 0, 10.0])], t_end=t_end)
+
+    short, long = plan_of(case(0.1)), plan_of(case(10.0))
+    assert short.warnings == ()
+    (warning,) = long.warnings
+    assert "turns bodies like body by up to 1.58 rad" in warning
+    assert short.groups[0].segments[0].dt == long.groups[0].segments[0].dt
+
+
 @given(dt=st.floats(1e-4, 1.0), length=st.floats(1e-3, 1.0))
 def test_steps_divide_a_segment_evenly_and_are_not_longer(make, dt, length):
     force = [make.push(FORCE, AT, during=[0.0, length])]
@@ -118,8 +140,8 @@ def test_a_step_that_is_too_long_warns(make):
     case = make.case(body, method="strang", dt=0.0501)
     (warning,) = plan_of(case).warnings
     assert ": warning: " in warning
-    assert "0.0501 s turns bodies like body by 0.501 rad in one step" in warning
-    assert "advised: 0.005 s or less" in warning
+    assert "the step of 0.0501 s turns bodies like body by up to 0.501 rad" in warning
+    assert "advised: dt = 0.005 s or less" in warning
     limit = make.case(body, method="strang", dt=LARGEST_TURN / 10.0)
     assert plan_of(limit).warnings == ()
     assert plan_of(make.case(body, dt=1.0)).warnings == ()  # free: nothing is stepped

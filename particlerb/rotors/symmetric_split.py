@@ -14,7 +14,6 @@ from particlerb.maths.quaternion import Quat, multiply
 from particlerb.maths.trig import cos_sinc, reduce_modulo_pi
 from particlerb.maths.vec3 import Vec3, dot, scale
 
-LONGEST_TURN = 6.283185307179586  # |ω| dt [rad] up to which a step is a rotation by that angle
 QUARTER_TURN_SQUARED = 2.4674011002723395  # (π/2)²
 
 
