@@ -60,8 +60,7 @@ def assemble(case: Case) -> Scene:
         body spins where it cannot.
     """
     placement = place(case)
-    particles, first_kind = kinds(case)
-    properties = mass_properties(particles)
+    particles, properties, first_kind = kinds(case)
     kind = kinds_of_bodies(case, placement, first_kind)
     bodies = bodies_of_kind(properties, kind)
     omega = possible_spin(case, placement, bodies)
@@ -75,23 +74,22 @@ def assemble(case: Case) -> Scene:
     return Scene(placement.names, centred, properties, kind, bodies, state)
 
 
-def kinds(case: Case) -> tuple[Particles, Ints]:
-    """Particles of all kinds, and the first kind of each block."""
-    sets: list[Particles] = []
-    first, problems = [], []
+def kinds(case: Case) -> tuple[Particles, MassProperties, Ints]:
+    """Particles of all kinds, their mass properties, and the first kind of each block."""
+    sets, properties, first, problems = [], [], [0], []
     for i, body in enumerate(case.body):
-        first.append(len(sets))
-        key = f"body[{i}].shape" if body.shape is not None else f"body[{i}].part"
         try:
-            made = list(particle_sets(case, i, body))
-            for particles in made:
-                mass_properties(particles)
-            sets += made
+            sets.append(concatenate(list(particle_sets(case, i, body))))
+            properties.append(mass_properties(sets[-1]))
+            first.append(first[-1] + len(properties[-1].mass))
         except (ValueError, OSError) as error:
+            key = f"body[{i}].shape" if body.shape is not None else f"body[{i}].part"
             problems.append(problem_at(case, key, str(error)))
     if problems:
         raise CaseError(problems)
-    return concatenate(sets), np.array(first)
+    arrays = zip(*properties, strict=True)
+    together = MassProperties(*(np.concatenate(array) for array in arrays))
+    return concatenate(sets), together, np.array(first[:-1])
 
 
 def particle_sets(case: Case, i: int, body: Body) -> Iterator[Particles]:

@@ -1,0 +1,343 @@
+"""Every case of cases/ does what its opening comment says.
+
+One test runs each case as a user does and reads what is printed; the others check the motion at
+more times, and by other formulas, than the [[check.value]] tables of the case itself.
+"""
+
+import csv
+import subprocess
+import sys
+import tomllib
+from fractions import Fraction
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import particlerb
+from particlerb.case.problems import CaseError
+from particlerb.case.reader import load
+from particlerb.record.writer import bytes_of_run
+from particlerb.rotors.rotor_class import NAMES
+
+TESTS = Path(__file__).parents[1]
+CASES = TESTS.parent / "cases"
+MANY_STEPS = ("heavy_top", "spinning_tops", "ten_thousand_clumps")
+LIGHTER = {"ten_thousand_clumps": ("run.every=1",)}  # 11 frames instead of 1001
+NASA_RATES_DEG = (10.0, 20.0, 30.0)
+SLUG_FT2 = Fraction("0.45359237") * Fraction("9.80665") * Fraction("0.3048")  # [kg m²], exact
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def marked(name: str) -> object:
+    """Case as a parameter; many steps or bodies need the compiler."""
+    return pytest.param(name, marks=[pytest.mark.compiled] if name in MANY_STEPS else [])
+
+
+ALL = [marked(path.stem) for path in sorted(CASES.glob("*.toml"))]
+
+
+def reference(name: str) -> SimpleNamespace:
+    """Columns of a reference: t, body rates w, q, and com where there is one."""
+    lines = (TESTS / "reference" / name).read_text().splitlines()
+    rows = list(csv.DictReader(line for line in lines if line and not line.startswith("#")))
+
+    def columns(*names: str) -> np.ndarray:
+        return np.array([[float(row[n]) for n in names] for row in rows])
+
+    com = columns("xcom", "ycom", "zcom") if "xcom" in rows[0] else None
+    w, q = columns("wx", "wy", "wz"), columns("q0", "q1", "q2", "q3")
+    return SimpleNamespace(t=columns("t")[:, 0], w=w, q=q, com=com)
+
+
+def turn(q: np.ndarray) -> Rotation:
+    """Rotation of quaternions with the scalar first."""
+    return Rotation.from_quat(q, scalar_first=True)
+
+
+def angle(a: np.ndarray, b: np.ndarray) -> float:
+    """Largest angle between orientations [rad]."""
+    return float((turn(a).inv() * turn(b)).magnitude().max())
+
+
+def ran(case: str | dict, *overrides: str) -> SimpleNamespace:
+    """Arrays of a run from Python; w are the rates of the first bodies in their own axes."""
+    where = CASES / f"{case}.toml" if isinstance(case, str) else case
+    with particlerb.run(where, overrides=overrides) as t:
+        return SimpleNamespace(
+            t=t.time,
+            x=t.position,
+            q=t.orientation,
+            v=t.velocity,
+            L=t.angular_momentum,
+            w_world=t.angular_velocity,
+            w=np.stack([t.omega_body(b) for b in range(min(t.n_bodies, 5))], axis=1),
+            bodies=t.bodies,
+            ledger=t.ledger,
+        )
+
+
+def commanded(name: str, folder: Path, *overrides: str) -> subprocess.CompletedProcess:
+    """What `python -m particlerb` leaves of a case, run into run.h5 of a folder."""
+    command = [sys.executable, "-m", "particlerb", f"cases/{name}.toml", "-o", folder / "run.h5"]
+    sets = [word for change in overrides for word in ("--set", change)]
+    return subprocess.run(
+        [*command, *sets], cwd=TESTS.parent, capture_output=True, text=True, check=False
+    )
+
+
+def rows_at(run: SimpleNamespace, times: np.ndarray) -> np.ndarray:
+    """Which frames are at these times."""
+    rows = np.abs(run.t[:, None] - times).argmin(axis=0)
+    assert np.abs(run.t[rows] - times).max() < 1e-9
+    return rows
+
+
+def errors(run: SimpleNamespace, body: int, ref: SimpleNamespace) -> tuple[float, float]:
+    """Largest error of the body rates [rad/s] and of the attitude [rad] at rows of a reference."""
+    rows = rows_at(run, ref.t)
+    return np.abs(run.w[rows, body] - ref.w).max(), angle(run.q[rows, body], ref.q)
+
+
+# All cases ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_case_run_from_the_command_line_prints_ok_for_each_of_its_checks(name, tmp_path):
+    data = tomllib.loads((CASES / f"{name}.toml").read_text())
+    limits = sum(key != "value" for key in data["check"])
+    done = commanded(name, tmp_path, *LIGHTER.get(name, ()))
+    verdicts = [line.split()[0] for line in done.stdout.splitlines() if ": error " in line]
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert verdicts == ["ok"] * (limits + len(data["check"]["value"]))
+    with particlerb.open(tmp_path / "run.h5") as trajectory:
+        assert trajectory.time[-1] == data["run"]["t_end"]
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_case_opens_with_what_it_shows_and_what_to_expect(name):
+    text = (CASES / f"{name}.toml").read_text()
+    comment = text.split("\n\n")[0]
+    assert all(line.startswith("#") for line in comment.splitlines())
+    assert "# Expect: every check ok" in comment
+    assert max(map(len, text.splitlines())) <= 100
+    assert load(CASES / f"{name}.toml").check.value
+
+
+def test_a_missed_check_ends_the_command_with_exit_code_3(tmp_path):
+    done = commanded("mixed_classes", tmp_path, "check.value.0.value=[0.0, 0.0, 4.9]")
+    assert done.returncode == 3
+    assert "MISS position of grain at 1 s: error 0.005, allowed 1e-13" in done.stdout
+
+
+def test_a_case_given_as_a_dict_gives_the_same_bits_as_its_file():
+    from_file = ran("tumbling_brick")
+    from_dict = ran(tomllib.loads((CASES / "tumbling_brick.toml").read_text()))
+    assert np.array_equal(from_file.q, from_dict.q)
+    assert np.array_equal(from_file.L, from_dict.L)
+
+
+# paper_cube --------------------------------------------------------------------------------------
+
+
+def test_the_pushed_cube_turns_like_a_pendulum_pulled_at_its_lever():
+    """θ'' = (F/I) (0.2 √2 cos θ + 0.5 sin θ) about (1, -1, 0): the plane motion behind the push."""
+    lever = (0.2 * np.sqrt(2), 0.5)
+    plane = solve_ivp(
+        lambda t, y: [y[1], 150.0 * (lever[0] * np.cos(y[0]) + lever[1] * np.sin(y[0]))],
+        (0.0, 0.02),
+        [0.0, 0.0],
+        rtol=1e-13,
+        atol=1e-14,
+    )
+    L = plane.y[1, -1] / 3 / np.sqrt(2)
+    assert abs(L - 0.20100005) < 5e-9  # the number in the comment
+    run = ran("paper_cube", "run.every=5")
+    assert np.abs(run.L[-1, 1] - [L, -L, 0.0]).max() < 2e-10
+    assert np.abs(run.L[-1, 0] - [0.2, -0.2, 0.0]).max() < 1e-15
+
+
+# tumbling_brick ----------------------------------------------------------------------------------
+
+
+def test_the_brick_is_that_of_nasa():
+    body = load(CASES / "tumbling_brick.toml").body[0]
+    slug_ft2 = [Fraction("0.001894220"), Fraction("0.006211019"), Fraction("0.007194665")]
+    assert list(body.shape.inertia) == [float(moment * SLUG_FT2) for moment in slug_ft2]
+    assert np.allclose(body.angular_velocity.body, np.radians(NASA_RATES_DEG), rtol=1e-15, atol=0)
+    x2, y2, z2 = (np.array([8.0, 4.0, 2.25]) * 0.0254) ** 2
+    solid = body.mass / 12 * np.array([y2 + z2, z2 + x2, x2 + y2])
+    assert np.allclose(solid, body.shape.inertia, rtol=1e-6, atol=0)
+
+
+def test_the_brick_is_at_rounding_from_the_exact_solution_for_30_seconds():
+    rates, attitude = errors(ran("tumbling_brick"), 0, reference("nesc_brick.csv"))
+    assert rates < 1e-14
+    assert attitude < 1e-14
+
+
+# dzhanibekov -------------------------------------------------------------------------------------
+
+
+def test_the_handle_follows_the_reference_through_its_flips():
+    rates, attitude = errors(ran("dzhanibekov"), 0, reference("thandle_generic.csv"))
+    assert rates < 1e-12
+    assert attitude < 1e-12
+
+
+def test_the_nut_is_principias_body_turned_about_its_momentum():
+    """1/I + c leaves ṁ = m × I⁻¹ m as it is, and adds c L to the angular velocity."""
+    ref, run = reference("dzhanibekov_359.csv"), ran("dzhanibekov")
+    rows = rows_at(run, ref.t)
+    L = np.array([0.0, 2.0, 0.01])
+    extra = Rotation.from_rotvec(ref.t[:, None] * L / 9)
+    expected = extra * turn(ref.q)
+    L_body = turn(run.q[rows, 1]).inv().apply(run.L[rows, 1])
+    assert np.abs(L_body - ref.w * [3.0, 5.0, 9.0]).max() < 1e-12
+    assert (expected.inv() * turn(run.q[rows, 1])).magnitude().max() < 1e-12
+
+
+def test_handle_and_nut_flip_over_and_back():
+    w = ran("dzhanibekov").w
+    flips = [np.flatnonzero(np.diff(np.sign(w[:, b, 1]))) * 0.25 for b in (0, 1)]
+    assert np.diff(flips[0]) == pytest.approx(55.06168 / 2, abs=0.26)
+    assert np.diff(flips[1]) == pytest.approx(118.11089 / 2, abs=0.26)
+    assert [f.size for f in flips] == [4, 2]
+    assert w[:, :, 1].min(axis=0) == pytest.approx([-1.0, -28 / 45], rel=1e-4)
+
+
+def test_no_body_has_principias_moments():
+    shape = {"type": "moments", "inertia": [3, 5, 9]}
+    body = {"name": "nut", "shape": shape, "mass": 1}
+    with pytest.raises(CaseError, match="no body has these"):
+        particlerb.run({"run": {"t_end": 1, "every": 1}, "body": [body]})
+
+
+# heavy_top, spinning_tops ------------------------------------------------------------------------
+
+
+@pytest.mark.compiled
+def test_the_heavy_top_keeps_the_stated_error_in_place_and_spin():
+    ref, run = reference("heavytop_bruls.csv"), ran("heavy_top")
+    rates, attitude = errors(run, 0, ref)
+    assert 1e-9 < rates < 6e-9
+    assert 5e-10 < attitude < 2.5e-9
+    com = turn(run.q[rows_at(run, ref.t), 0]).apply([0.0, 1.0, 0.0])
+    assert np.abs(com - ref.com).max() < 2.5e-9
+    assert not run.x.any()
+    assert np.abs(run.w[:, 0, 1] - 150.0).max() < 1e-9
+
+
+@pytest.mark.compiled
+def test_halving_the_step_of_the_heavy_top_quarters_its_error():
+    ref = reference("heavytop_bruls.csv")
+    coarse, fine = (
+        np.array(errors(ran("heavy_top", "run.every=0.1", f"run.dt={dt}"), 0, ref))
+        for dt in (2e-4, 1e-4)
+    )
+    assert coarse / fine == pytest.approx([4.0, 4.0], rel=0.01)
+    assert fine == pytest.approx([12.5e-8, 4.8e-8], rel=0.02)  # the constants in the comment
+
+
+@pytest.mark.compiled
+def test_both_spinning_tops_keep_the_stated_error_and_their_energy():
+    run = ran("spinning_tops")
+    cases = (
+        ("lagrange_slow.csv", 3e-9, 3e-9, 1.0, 3.11602540378443865),
+        ("heavytop_simo_wong.csv", 1e-9, 3e-10, 20.0, 1269.97500520789932),
+    )
+    axis = turn(run.q.reshape(-1, 4)).apply(UP).reshape(*run.q.shape[:2], 3)
+    for b, (name, most_rates, most_attitude, weight, H) in enumerate(cases):
+        rates, attitude = errors(run, b, reference(name))
+        assert rates < most_rates
+        assert attitude < most_attitude
+        energy = 0.5 * (run.L * run.w_world).sum(axis=2)[:, b] + weight * axis[:, b, 2]
+        assert np.abs(energy - H).max() < 1e-8
+    assert np.ptp(run.x, axis=0).max() == 0.0
+
+
+@pytest.mark.compiled
+def test_the_top_of_lagrange_draws_a_cusp_every_nutation_period():
+    """At a cusp it stands still but for its spin, at 30° as at the start; between, far lower."""
+    cusps = ran("spinning_tops", "run.every=5.68468198568946")
+    at = slice(0, 4)  # t = 0, P, 2P, 3P; the last frame is t_end
+    assert np.abs(cusps.w[at, 0] - [0.0, 0.0, 3.0]).max() < 3e-9
+    assert turn(cusps.q[at, 0]).apply(UP)[:, 2] == pytest.approx(np.cos(np.pi / 6), abs=1e-9)
+    along = ran("spinning_tops")
+    assert np.degrees(np.arccos(turn(along.q[:, 0]).apply(UP)[:, 2].min())) > 85.0
+    fast = np.degrees(np.arccos(turn(along.q[:, 1]).apply(UP)[:, 2]))
+    assert np.ptp(fast) < 1.0
+
+
+# mixed_classes -----------------------------------------------------------------------------------
+
+
+def test_each_body_of_mixed_classes_has_its_class_and_its_motion():
+    run = ran("mixed_classes")
+    t = run.t
+    assert [NAMES[k] for k in run.bodies.rotor_class] == list(NAMES)
+    height = 9.81 * t - 0.5 * 9.81 * t**2
+    expected = np.zeros_like(run.x) + np.array([[3.0 * k, 0.0, 0.0] for k in range(5)])
+    expected[:, :, 2] += height[:, None]
+    assert np.abs(run.x - expected).max() < 1e-13
+    needle = turn(run.q[:, 1]).apply(UP)
+    assert np.abs(needle - np.stack([0 * t, -np.sin(3 * t), np.cos(3 * t)], 1)).max() < 1e-14
+    steady = Rotation.from_rotvec(t[:, None] * np.array([1.0, 2.0, 2.0]))
+    assert (steady.inv() * turn(run.q[:, 2])).magnitude().max() < 1e-14
+
+
+def test_the_disc_precesses_at_minus_14_ninths():
+    """L in the body frame is (5 sin Ωt, 5 cos Ωt, 7); R turns by |L|/I₁ about L after Ω about z."""
+    run = ran("mixed_classes")
+    phase = -14 / 9 * run.t
+    L = np.stack([5 * np.sin(phase), 5 * np.cos(phase), 7 + 0 * phase], axis=1)
+    assert np.abs(run.w[:, 3] * [2.25, 2.25, 4.5] - L).max() < 2e-14
+    about_z = Rotation.from_rotvec(phase[:, None] * UP)
+    about_L = Rotation.from_rotvec(run.t[:, None] * np.array([0.0, 5.0, 7.0]) / 2.25)
+    assert ((about_L * about_z).inv() * turn(run.q[:, 3])).magnitude().max() < 1e-14
+
+
+def test_the_stone_tumbles_at_constant_energy():
+    run = ran("mixed_classes")
+    tumbling = 0.5 * (run.L * run.w_world).sum(axis=2)[:, 4]
+    assert np.abs(tumbling - 3.205).max() < 1e-14
+    assert np.ptp(run.w[:, 4], axis=0).min() > 0.1  # it does tumble
+
+
+# ten_thousand_clumps -----------------------------------------------------------------------------
+
+
+@pytest.mark.compiled
+def test_ten_thousand_clumps_fly_on_parabolas_and_keep_momentum_and_energy():
+    run = ran("ten_thousand_clumps", "run.every=1")
+    t = run.t[:, None]
+    assert run.x.shape == (11, 10_000, 3)
+    assert run.x.dtype == np.float64
+    rise = np.abs(run.x[:, :, 2] - run.x[0, :, 2] - (49.05 * t - 0.5 * 9.81 * t**2))
+    assert rise.max() < 1e-12
+    assert np.array_equal(run.x[:, :, :2], np.broadcast_to(run.x[0, :, :2], (11, 10_000, 2)))
+    assert np.array_equal(run.L, np.broadcast_to(run.L[0], run.L.shape))
+    tumbling = 0.5 * (run.L * run.w_world).sum(axis=2)
+    assert (np.abs(tumbling / tumbling[0] - 1)).max() < 1e-13
+    assert np.abs(run.w_world[1:] - run.w_world[0]).max(axis=(0, 2)).min() > 1e-6  # all tumble
+
+
+@pytest.mark.compiled
+def test_some_clumps_tumble_as_an_independent_integrator_says(make):
+    run = ran("ten_thousand_clumps", "run.every=1")
+    moments, frame = run.bodies.inertia.T, run.bodies.rotor_frame.T
+    for b in (0, 4321, 9999):
+        R = turn(frame[b]).as_matrix()
+        tensor = R @ np.diag(moments[b]) @ R.T
+        start = {"orientation": run.q[0, b], "angular_velocity": run.w_world[0, b]}
+        found = make.integrate(tensor, 1.0, start, lambda t, R: (UP, 0 * UP), [10.0])
+        assert angle(run.q[-1, b], found.orientation[0]) < 1e-10
+
+
+def test_the_clumps_take_the_stated_room_on_the_disk():
+    case = load(CASES / "ten_thousand_clumps.toml")
+    assert case.n_bodies == 10_000
+    assert bytes_of_run(case, 1001) == pytest.approx(1.05e9, rel=0.01)
