@@ -303,7 +303,7 @@ def test_the_disc_precesses_at_minus_14_ninths():
 def test_the_stone_tumbles_at_constant_energy():
     run = ran("mixed_classes")
     tumbling = 0.5 * (run.L * run.w_world).sum(axis=2)[:, 4]
-    assert np.abs(tumbling - 3.205).max() < 1e-14
+    assert np.abs(tumbling - 3.205).max() < 5e-14  # some 70 roundings of 3.2
     assert np.ptp(run.w[:, 4], axis=0).min() > 0.1  # it does tumble
 
 
