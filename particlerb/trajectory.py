@@ -24,6 +24,8 @@ from particlerb.record.schema import (
 )
 from particlerb.rotors.rotor_class import POINT, ROD
 
+PORTION = 100_000  # states that are read at a time where all are gone through
+
 
 class TrajectoryError(Exception):
     """A file that is no trajectory of particlerb, or that cannot be read."""
@@ -146,14 +148,15 @@ class Trajectory:
     def momentum_sizes(self) -> tuple[float, float]:
         """Scales of the drifts: Σ|p| [kg m/s], and Σ|L| + Σ|x × p| [kg m²/s], largest of all."""
         linear = angular = 0.0
-        for f in range(self.n_frames):
+        size = max(1, PORTION // self.n_bodies)
+        for lo in range(0, self.n_frames, size):
             x, p, L = (
-                self.read(name, slice(f, f + 1))[0]
+                self.read(name, slice(lo, lo + size))
                 for name in ("position", "linear_momentum", "angular_momentum")
             )
-            linear = max(linear, float(np.linalg.norm(p, axis=1).sum()))
-            orbit = np.linalg.norm(np.cross(x, p), axis=1)
-            angular = max(angular, float((np.linalg.norm(L, axis=1) + orbit).sum()))
+            spin = np.linalg.norm(L, axis=2) + np.linalg.norm(np.cross(x, p), axis=2)
+            linear = max(linear, float(np.linalg.norm(p, axis=2).sum(axis=1).max()))
+            angular = max(angular, float(spin.sum(axis=1).max()))
         return linear, angular
 
     @property
