@@ -234,6 +234,9 @@ def output_path(options: argparse.Namespace, case: "Case") -> Path:
         raise Ending(f"{path} is a folder: name a file with -o")
     if path.exists() and not options.overwrite:
         raise Ending(f"{path} exists: give another name with -o, or --overwrite")
+    wrong = [parent for parent in path.parents if parent.exists() and not parent.is_dir()]
+    if wrong:
+        raise Ending(f"{path} cannot be made: {wrong[0]} is no folder")
     return path
 
 
@@ -259,6 +262,7 @@ def execute(prepared: "Prepared", path: Path, options: argparse.Namespace) -> "O
     """Run with a progress bar; an interrupt or a failure says what was kept."""
     from tqdm import tqdm
 
+    from particlerb.record.writer import FullDiskError
     from particlerb.simulate import RunError, frame_count, run_prepared
 
     signal.signal(signal.SIGTERM, interrupted)
@@ -273,9 +277,12 @@ def execute(prepared: "Prepared", path: Path, options: argparse.Namespace) -> "O
         raise Ending(f"interrupted; {kept(path)}", INTERRUPTED) from None
     except FileExistsError as error:
         raise Ending(str(error)) from None
+    except FullDiskError:
+        raise Ending(f"the run failed: the disk is full; {kept(path)}", FAILED) from None
     except OSError as error:
-        text = f"the run failed: cannot write {path}: {error}; {kept(path)}"
-        raise Ending(text, FAILED) from None
+        complain(f"the run failed: cannot write {path}: {error}", FAILED)
+        sys.stdout.flush()
+        os._exit(FAILED)  # HDF5 does not survive a failed write: it would crash on the way out
 
 
 def interrupted(number: int, frame: object) -> NoReturn:

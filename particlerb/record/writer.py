@@ -4,9 +4,12 @@ Commit is two-phase: data, flush, counter, flush. The default format version of 
 no file lock, so that the file opens after a crash and can be read while it grows.
 """
 
+import errno
 import itertools
 import json
+import os
 import platform
+import shutil
 import subprocess
 import sys
 import time
@@ -37,8 +40,13 @@ from particlerb.record.schema import (
 )
 
 SECONDS_BETWEEN_COMMITS = 1.0
+SPARE_BYTES = 32_000_000  # of disk, for what HDF5 holds back in its caches, 1 MiB a dataset
 SHORT_CHUNK = 1024  # entries per chunk of a number per frame
 NUMBERS = itertools.count()  # of the files in memory
+
+
+class FullDiskError(OSError):
+    """The disk has no room for what comes next; what was written is whole."""
 
 
 class Recorder:
@@ -57,6 +65,8 @@ class Recorder:
     ------
     FileExistsError
         If the file exists and may not be replaced.
+    FullDiskError
+        If the disk has no room for the next frames; those before are whole.
     OSError
         If the file cannot be made or written.
     """
@@ -64,7 +74,7 @@ class Recorder:
     def __init__(
         self, path: Path | None, case: Case, scene: Scene, plan: str, overwrite: bool = False
     ) -> None:
-        self.file = create(path, overwrite)
+        self.file, self.path = create(path, overwrite), path
         self.case, self.scene = case, scene
         self.dtype = np.dtype(case.output.dtype)
         # Frames committed, and the small arrays of those that are not: replaced as one.
@@ -114,6 +124,7 @@ class Recorder:
 
     def append(self, times: Floats, frames: Frames, rows: Ints, ledger: Any) -> None:
         """Append rows of the frames with their times and ledger entries."""
+        self.refuse_full_disk(len(rows))
         n = self.n_frames
         arrays = fields_of(frames, rows, self.scene, self.values)
         for name, dataset in self.values.items():
@@ -124,6 +135,14 @@ class Recorder:
         self.ready[1].append({self.time.name: times, **entries})
         if time.monotonic() - self.last_commit > SECONDS_BETWEEN_COMMITS:
             self.commit()
+
+    def refuse_full_disk(self, n_frames: int) -> None:
+        """Raise FullDiskError while the file is whole: HDF5 does not survive a failed write."""
+        if self.path is None:
+            return
+        needed = 2 * bytes_of_run(self.case, n_frames) + SPARE_BYTES
+        if shutil.disk_usage(self.path.parent).free < needed:
+            raise FullDiskError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
     def commit(self) -> None:
         """Put what is written on disk, then say so; may be repeated after an interrupt."""

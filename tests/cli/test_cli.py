@@ -180,6 +180,22 @@ def test_a_disk_that_is_too_small_is_warned_of_with_the_size(here, capsys, monke
     assert main(["cube.toml", "--overwrite", "--strict"]) == 2
 
 
+def test_a_disk_that_fills_up_ends_the_run_and_keeps_the_frames(here, capsys, monkeypatch):
+    """The run stops before a write fails, because HDF5 crashes on one."""
+    Path("cube.toml").write_text(CUBE.replace("every = 0.25", "every = 1e-3"))
+    usage = namedtuple("usage", "total used free")
+    free = iter([10**12] * 3)
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: usage(1, 1, next(free, 1000)))
+    assert main(["cube.toml"]) == 1
+    err = capsys.readouterr().err
+    assert "the disk is full" in err
+    with h5py.File("output/cube.h5") as file:
+        n = int(file.attrs["n_frames"])
+        assert 0 < n < 1001
+        assert f"{n} frames are kept in output/cube.h5" in err
+        assert len(file["particles/trajectory/position/value"]) == n
+
+
 def test_set_and_threads_change_the_case(here, capsys):
     assert main(["cube.toml", "--set", "run.t_end=0.5", "--threads", "1", "--json"]) == 0
     with h5py.File("output/cube.h5") as file:
@@ -237,7 +253,15 @@ def test_a_file_that_is_no_trajectory_is_wrong_usage(here, capsys, words):
 
 
 @pytest.mark.parametrize(
-    "words", [["."], ["no.toml"], ["nocase"], ["run", "cubes"], ["cube.toml", "-o", "."]]
+    "words",
+    [
+        ["."],
+        ["no.toml"],
+        ["nocase"],
+        ["run", "cubes"],
+        ["cube.toml", "-o", "."],
+        ["cube.toml", "-o", "cube.toml/x.h5"],
+    ],
 )
 def test_wrong_words_get_one_message(here, capsys, words):
     assert main(words) == 2
