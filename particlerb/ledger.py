@@ -13,7 +13,7 @@ from particlerb._jit import kernel
 from particlerb.bodies.bodies import Bodies
 from particlerb.bodies.state import Frames
 from particlerb.maths.quaternion import load4, rows4, to_body
-from particlerb.maths.vec3 import Floats, cross, dot, load3, rows3
+from particlerb.maths.vec3 import Floats, cross, dot, load3, rows3, scale
 from particlerb.threads import BLOCK
 
 N_TOTALS = 10
@@ -57,8 +57,8 @@ def sum_frames(frames: Frames, bodies: Bodies, gravity: Floats, sums: Floats) ->
                 )
                 m = to_body(load4(frame, b), to_body(q, L))
                 w = load3(inverse, b)
-                turning = m[0] * m[0] * w[0] + m[1] * m[1] * w[1] + m[2] * m[2] * w[2]
-                kinetic += 0.5 * (dot(p, p) * inv_mass[b] + turning)
+                omega = (w[0] * m[0], w[1] * m[1], w[2] * m[2])
+                kinetic += 0.5 * (dot(p, scale(inv_mass[b], p)) + dot(m, omega))
                 potential -= mass[b] * dot(g, x)
                 orbit = cross(x, p)
                 P = (P[0] + p[0], P[1] + p[1], P[2] + p[2])

@@ -3,8 +3,6 @@
 import json
 import subprocess
 import sys
-import time
-import timeit
 import tomllib
 from pathlib import Path
 
@@ -477,12 +475,10 @@ def test_data_that_contains_itself_is_an_error():
         load(case)
 
 
-def test_many_problems_are_not_all_shown_and_take_no_time():
+def test_many_problems_are_not_all_shown():
     numbers = ", ".join(["-1"] * 20_000)
-    start = time.perf_counter()
     with pytest.raises(CaseError) as caught:
         parse(TEXT.replace("shape.mass = [1, 2]", f"shape.mass = [{numbers}]"), Path("a.toml"))
-    assert time.perf_counter() - start < 5.0
     assert len(caught.value.problems) == 101
     assert str(caught.value).endswith("a.toml: error: 19900 more problems are not shown")
 
@@ -495,13 +491,12 @@ def test_many_names_are_not_all_listed():
     assert caught.value.problems[0].hint.endswith("b18, b19, ... (50 in all)")
 
 
-# Cost
+# Imports
 
 
-def test_reading_needs_no_compiler_and_little_time():
+def test_reading_needs_no_compiler():
     code = "import sys, particlerb.case.reader, particlerb.case.placement as p; print(*sys.modules)"
     modules = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
     assert not {"numba", "h5py", "matplotlib", "scipy"} & set(modules)
-    assert min(timeit.repeat(lambda: parse(TEXT), number=1, repeat=5)) < 0.03
