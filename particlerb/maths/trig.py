@@ -74,8 +74,7 @@ def half_turns(x: float) -> tuple[float, float]:
     A phase too large to have a meaningful angle gets one all the same.
     """
     r, n = reduce_modulo_pi(x)
-    r = r if r < HALF_PI else HALF_PI  # in this order: a NaN turns into a number
-    r = r if r > -HALF_PI else -HALF_PI
+    r = max(-HALF_PI, min(HALF_PI, r))  # in this order: a NaN turns into a number
     odd = n - 2.0 * ((0.5 * n + ROUNDING) - ROUNDING)
     return r, 1.0 if odd * odd < 0.5 else -1.0
 

@@ -12,20 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from particlerb._jit import compile_with, inline, kernel
-from particlerb.maths.quaternion import Rows4, load4, multiply, rows4, store4
+from particlerb.maths.quaternion import Quat, Rows4, load4, multiply, rows4, store4
 from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Floats, Ints, load3, rows3
 from particlerb.rotors.exact_setup import (
     NEAR_ROWS,
     STEADY_ROWS,
     THETA_ROWS,
+    Bytes,
     moduli,
     near_table,
     steady_table,
     theta_table,
 )
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, SPHERE, SYMMETRIC
-from particlerb.rotors.theta import NearCoefficients, ThetaCoefficients, near_local, theta_local
+from particlerb.rotors.theta import (
+    NearCoefficients,
+    ThetaCoefficients,
+    near_local,
+    oriented,
+    theta_local,
+)
 
 BLOCK = 256
 CROSSOVER = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
@@ -46,32 +53,26 @@ class SteadyTurn(NamedTuple):
 
 
 class ThetaTurn(NamedTuple):
-    """Asymmetric bodies with K′ >= K/2; 26 doubles a body."""
+    """Asymmetric bodies with K′ >= K/2; 84 bytes a body."""
 
     clock: Floats
     """x at t = 0, rate of x [rad/s], ν [rad/s]; (3, n)."""
     left: Floats
-    """Q_L, from the frame with axis 3 along L into the world; (4, n)."""
-    right: Floats
-    """P, from the rotor frame into that of axes 1, 2, 3; (4, n)."""
-    alpha_re: Floats
-    """Re α as a cubic in cos 2x, lowest power first; (4, n)."""
-    alpha_im: Floats
-    """Im α / sin 2x; (3, n)."""
-    beta_re: Floats
-    """Re β / sin x; (4, n)."""
-    beta_im: Floats
-    """Im β / cos x; (4, n)."""
+    """Q_L/|P|, from the frame with axis 3 along L into the world; (4, n)."""
+    right: Bytes
+    """P in small integers, from the rotor frame into that of axes 1, 2, 3; (4, n)."""
+    series: Floats
+    """√h cosh b, s √h sinh b, s κ/√h; (3, n)."""
 
 
 class HyperbolicTurn(NamedTuple):
-    """Asymmetric bodies near the separatrix, K′ < K/2; 28 doubles a body."""
+    """Asymmetric bodies near the separatrix, K′ < K/2; 196 bytes a body."""
 
     clock: Floats
     """x at t = 0, rate of x [rad/s], ν [rad/s]; (3, n)."""
     left: Floats
-    """Q_L; (4, n)."""
-    right: Floats
+    """Q_L/|P|; (4, n)."""
+    right: Bytes
     """P; (4, n)."""
     scale: Floats
     """2/T, r, s, κ, phase per x; (5, n)."""
@@ -97,26 +98,35 @@ def steady_rows(turn: SteadyTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
         store4(q, b, multiply((cos, sin * n[0], sin * n[1], sin * n[2]), q_b))
 
 
+@inline
+def frame_rows(right: Bytes, lo: int, hi: int) -> tuple[Bytes, Bytes, Bytes, Bytes]:
+    """Rows of P between two bodies."""
+    return right[0, lo:hi], right[1, lo:hi], right[2, lo:hi], right[3, lo:hi]
+
+
+@inline
+def load_frame(rows: tuple[Bytes, Bytes, Bytes, Bytes], b: int) -> Quat:
+    """P of body b."""
+    return float(rows[0][b]), float(rows[1][b]), float(rows[2][b]), float(rows[3][b])
+
+
 @spliced
 def theta_rows(turn: ThetaTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
     """q(t) = Q_L g(t) P of asymmetric bodies, (11)."""
     start, rate, nu = rows3(turn.clock, lo, hi)
-    left, right = rows4(turn.left, lo, hi), rows4(turn.right, lo, hi)
-    alpha_re, alpha_im = rows4(turn.alpha_re, lo, hi), rows3(turn.alpha_im, lo, hi)
-    beta_re, beta_im = rows4(turn.beta_re, lo, hi), rows4(turn.beta_im, lo, hi)
+    left, right = rows4(turn.left, lo, hi), frame_rows(turn.right, lo, hi)
+    series = rows3(turn.series, lo, hi)
     for b in range(hi - lo):
-        of = ThetaCoefficients(
-            load4(alpha_re, b), load3(alpha_im, b), load4(beta_re, b), load4(beta_im, b)
-        )
-        local = theta_local(start[b] + rate[b] * t, nu[b] * t, of)
-        store4(q, b, multiply(load4(left, b), multiply(local, load4(right, b))))
+        of = ThetaCoefficients(*load3(series, b))
+        local = theta_local(start[b] + rate[b] * t, of)
+        store4(q, b, oriented(load4(left, b), nu[b] * t, local, load_frame(right, b)))
 
 
 @spliced
 def hyperbolic_rows(turn: HyperbolicTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
     """q(t) = Q_L g(t) P of bodies near the separatrix."""
     start, rate, nu = rows3(turn.clock, lo, hi)
-    left, right = rows4(turn.left, lo, hi), rows4(turn.right, lo, hi)
+    left, right = rows4(turn.left, lo, hi), frame_rows(turn.right, lo, hi)
     fall, r, s, kappa = rows4(turn.scale, lo, hi)
     phase = turn.scale[4, lo:hi]
     cos03, sin03 = rows4(turn.cosines, lo, hi), rows4(turn.sines, lo, hi)
@@ -133,8 +143,8 @@ def hyperbolic_rows(turn: HyperbolicTurn, t: float, lo: int, hi: int, q: Rows4) 
             (c[0], c[1], c[2], c[3], cos4[b], cos5[b]),
             (d[0], d[1], d[2], d[3], sin4[b], sin5[b]),
         )
-        local = near_local(start[b] + rate[b] * t, nu[b] * t, of)
-        store4(q, b, multiply(load4(left, b), multiply(local, load4(right, b))))
+        local, delta = near_local(start[b] + rate[b] * t, of)
+        store4(q, b, oriented(load4(left, b), nu[b] * t + delta, local, load_frame(right, b)))
 
 
 @inline
@@ -220,13 +230,15 @@ def prepare(
     is_steady, is_theta = modulus < 0.0, modulus >= CROSSOVER
     groups: list[tuple[Ints, Turn]] = []
     if (which := np.flatnonzero(is_theta)).size:
-        table = np.empty((THETA_ROWS, which.size))
-        theta_table(inertia, q, L, units, which, table)
-        groups.append((which, ThetaTurn(*split(table, 3, 4, 4, 4, 3, 4, 4))))
+        table, right = np.empty((THETA_ROWS, which.size)), np.empty((4, which.size), np.int8)
+        theta_table(inertia, q, L, units, which, table, right)
+        clock, left, series = split(table, 3, 4, 3)
+        groups.append((which, ThetaTurn(clock, left, right, series)))
     if (which := np.flatnonzero(~(is_theta | is_steady))).size:
-        table = np.empty((NEAR_ROWS, which.size))
-        near_table(inertia, q, L, units, which, table)
-        groups.append((which, HyperbolicTurn(*split(table, 3, 4, 4, 5, 6, 6))))
+        table, right = np.empty((NEAR_ROWS, which.size)), np.empty((4, which.size), np.int8)
+        near_table(inertia, q, L, units, which, table, right)
+        clock, left, *rest = split(table, 3, 4, 5, 6, 6)
+        groups.append((which, HyperbolicTurn(clock, left, right, *rest)))
     if (which := np.flatnonzero(is_steady)).size:
         table = np.empty((STEADY_ROWS, which.size))
         inverse = steady_inverse(inertia[:, which], rotor_class[which], modulus[which])

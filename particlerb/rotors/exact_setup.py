@@ -1,34 +1,38 @@
 """Loops that prepare the three kinds of turn, one table of constants each.
 
 A block of bodies is copied into the rows of one scratch array, worked on there and copied out:
-LLVM sees that rows of one array do not overlap, and vectorises a loop that writes 26 of them.
+LLVM sees that rows of one array do not overlap, and vectorises a loop that writes 28 of them.
 The last block is filled up with copies of its last body: a loop of fixed length compiles faster.
 Moments and momenta are divided by powers of two on the way in, so that no power of them leaves
 the range of doubles; `unit` is (1 / unit of I, 1 / unit of L) of each body.
 """
 
+import math
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from particlerb._jit import compile_with, config, inline, kernel
 from particlerb.maths import double_double as dd
-from particlerb.maths.quaternion import conjugate, load4, multiply, store4
+from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, store4
 from particlerb.maths.vec3 import Floats, Ints, Vec3, load3, store3
 from particlerb.rotors.theta import (
     TINY,
     near_constants,
     near_local,
     reduce,
+    square,
     theta_constants,
     theta_local,
-    unit,
+    twist,
 )
 
 BLOCK = 1 if config.DISABLE_JIT else 128
 INPUTS = 11  # rows: I (3), q (4), L (3), rate
-STEADY_ROWS, THETA_ROWS, NEAR_ROWS = 9, 26, 28
+STEADY_ROWS, THETA_ROWS, NEAR_ROWS = 9, 10, 24
 Pair: TypeAlias = tuple[float, float]
+Bytes: TypeAlias = NDArray[np.int8]
 spliced = compile_with(inline="always")  # copied into the caller before it is compiled
 
 
@@ -98,11 +102,22 @@ def fill(
 
 
 @kernel
-def drain(s: Floats, lo: int, hi: int, table: Floats) -> None:
-    """Copy the results of a block into its place of the table."""
+def drain(s: Floats, lo: int, hi: int, table: Floats, frame: Bytes) -> None:
+    """Copy the results of a block into their places."""
     for i in range(table.shape[0]):
         for b in range(hi - lo):
-            table[i, lo + b] = s[INPUTS + i, b]
+            table[i, lo + b] = s[INPUTS + 4 + i, b]
+    for i in range(4):
+        for b in range(hi - lo):
+            frame[i, lo + b] = s[INPUTS + i, b]
+
+
+@inline
+def world_factor(q: Quat, local: Quat, frame: Quat) -> Quat:
+    """Q_L / |P|, so that Q_L g P is q at t = 0 though P is not of length 1."""
+    left = multiply(q, conjugate(multiply(local, frame)))
+    inv = 1.0 / math.sqrt(square(left) * square(frame))
+    return left[0] * inv, left[1] * inv, left[2] * inv, left[3] * inv
 
 
 @spliced
@@ -119,60 +134,67 @@ def rows_4(s: Floats, i: int) -> tuple[Floats, Floats, Floats, Floats]:
 
 @kernel
 def theta_table(
-    inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, table: Floats
+    inertia: Floats,
+    q: Floats,
+    L: Floats,
+    units: Floats,
+    which: Ints,
+    table: Floats,
+    right: Bytes,
 ) -> None:
-    """Constants of ThetaTurn: clock, left, right, alpha_re, alpha_im, beta_re, beta_im."""
-    s = np.empty((INPUTS + THETA_ROWS, BLOCK))
+    """Constants of ThetaTurn: right, and in one table clock, left, series."""
+    s = np.empty((INPUTS + 4 + THETA_ROWS, BLOCK))
     for lo in range(0, which.size, BLOCK):
         hi = min(lo + BLOCK, which.size)
         fill(inertia, q, L, units, which, lo, hi, s)
         moment, turn, momentum, rate = rows_3(s, 0), rows_4(s, 3), rows_3(s, 7), s[10]
-        clock, left, right = rows_3(s, 11), rows_4(s, 14), rows_4(s, 18)
-        alpha_re, alpha_im = rows_4(s, 22), rows_3(s, 26)
-        beta_re, beta_im = rows_4(s, 29), rows_4(s, 33)
+        frame, clock, left, series = rows_4(s, 11), rows_3(s, 15), rows_4(s, 18), rows_3(s, 22)
         for b in range(BLOCK):
             q_b = load4(turn, b)
             body = reduce(load3(moment, b), q_b, load3(momentum, b))
             time, of = theta_constants(body)
-            local = theta_local(time.start, 0.0, of)
+            local = theta_local(time.start, of)
             store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))
-            store4(left, b, unit(multiply(q_b, conjugate(multiply(local, body.frame)))))
-            store4(right, b, body.frame)
-            store4(alpha_re, b, of.alpha_re)
-            store3(alpha_im, b, of.alpha_im)
-            store4(beta_re, b, of.beta_re)
-            store4(beta_im, b, of.beta_im)
-        drain(s, lo, hi, table)
+            store4(left, b, world_factor(q_b, local, body.frame))
+            store4(frame, b, body.frame)
+            store3(series, b, of)
+        drain(s, lo, hi, table, right)
 
 
 @kernel
 def near_table(
-    inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, table: Floats
+    inertia: Floats,
+    q: Floats,
+    L: Floats,
+    units: Floats,
+    which: Ints,
+    table: Floats,
+    right: Bytes,
 ) -> None:
-    """Constants of HyperbolicTurn: clock, left, right, scale, cosines, sines."""
-    s = np.empty((INPUTS + NEAR_ROWS, BLOCK))
+    """Constants of HyperbolicTurn: right, and in one table clock, left, scale, cosines, sines."""
+    s = np.empty((INPUTS + 4 + NEAR_ROWS, BLOCK))
     for lo in range(0, which.size, BLOCK):
         hi = min(lo + BLOCK, which.size)
         fill(inertia, q, L, units, which, lo, hi, s)
         moment, turn, momentum, rate = rows_3(s, 0), rows_4(s, 3), rows_3(s, 7), s[10]
-        clock, left, right = rows_3(s, 11), rows_4(s, 14), rows_4(s, 18)
+        frame, clock, left = rows_4(s, 11), rows_3(s, 15), rows_4(s, 18)
         scale, phase = rows_4(s, 22), s[26]
         cosines, sines = (rows_3(s, 27), rows_3(s, 30)), (rows_3(s, 33), rows_3(s, 36))
         for b in range(BLOCK):
             q_b = load4(turn, b)
             body = reduce(load3(moment, b), q_b, load3(momentum, b))
             time, of = near_constants(body)
-            local = near_local(time.start, 0.0, of)
+            local, delta = near_local(time.start, of)
             store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))
-            store4(left, b, unit(multiply(q_b, conjugate(multiply(local, body.frame)))))
-            store4(right, b, body.frame)
+            store4(left, b, twist(world_factor(q_b, local, body.frame), -delta))
+            store4(frame, b, body.frame)
             store4(scale, b, (of.fall, of.r, of.s, of.kappa))
             phase[b] = of.turn
             store3(cosines[0], b, of.cosines[:3])
             store3(cosines[1], b, of.cosines[3:])
             store3(sines[0], b, of.sines[:3])
             store3(sines[1], b, of.sines[3:])
-        drain(s, lo, hi, table)
+        drain(s, lo, hi, table, right)
 
 
 @kernel

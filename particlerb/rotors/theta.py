@@ -36,7 +36,7 @@ class Reduced(NamedTuple):
     s: float
     """+1 where L circles about the axis of the largest moment, else -1."""
     frame: Quat
-    """From the rotor frame into that of axes 1, 2, 3."""
+    """From the rotor frame into that of axes 1, 2, 3: small integers, not of length 1."""
 
 
 class Rates(NamedTuple):
@@ -57,15 +57,14 @@ class Rates(NamedTuple):
 
 
 class ThetaCoefficients(NamedTuple):
-    """Cubics in y = cos 2x, lowest power first."""
+    """What both theta functions are made of, (12): three numbers instead of fifteen."""
 
-    alpha_re: Quat
-    alpha_im: Vec3
-    """To be multiplied by sin 2x."""
-    beta_re: Quat
-    """By sin x."""
-    beta_im: Quat
-    """By cos x."""
+    cosh: float
+    """√h cosh b with h = q²; h^(1/4) at most, so that nothing overflows."""
+    sinh: float
+    """s √h sinh b."""
+    kappa: float
+    """s κ/√h."""
 
 
 class NearCoefficients(NamedTuple):
@@ -152,15 +151,14 @@ def reduce(inertia: Vec3, q: Quat, L: Vec3) -> Reduced:
         math.sqrt(max(inside * inv, TINY)),
         math.sqrt(max(outside * inv, TINY)),
         -1.0 if swap else 1.0,
-        unit(frame),
+        frame,
     )
 
 
 @inline
-def unit(q: Quat) -> Quat:
-    """q / |q|."""
-    inv = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    return q[0] * inv, q[1] * inv, q[2] * inv, q[3] * inv
+def square(q: Quat) -> float:
+    """|q|²."""
+    return q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
 
 
 @inline
@@ -193,10 +191,9 @@ def rates(body: Reduced) -> Rates:
 
 
 @inline
-def theta_series(q: float, S: float) -> tuple[Vec3, Vec3, Vec3, Vec3]:
-    """Coefficients n = 1, 2, 3 of both theta functions of nome q at S = sinh b, (12).
+def theta_at_zero(q: float, S: float) -> Vec3:
+    """Of nome q and S = sinh b: θ₄(ib), its derivative by b, θ₁(ib) / (2 i q^¼ S).
 
-    2(-1)ⁿ qⁿⁿ cosh 2nb and sinh 2nb; (-1)ⁿ qⁿ⁽ⁿ⁺¹⁾ cosh (2n+1)b / cosh b, the same of sinh.
     X and Z are 2qⁿ cosh 2nb and 2qⁿ sinh 2nb, which stay below 1 where cosh 2nb overflows.
     """
     q2 = q * q
@@ -204,14 +201,13 @@ def theta_series(q: float, S: float) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     X1, Z1 = q * (2.0 + 4.0 * S * S), 4.0 * q * S * math.sqrt(1.0 + S * S)
     X2, Z2 = X1 * X1 - 2.0 * q2, X1 * Z1
     X3, Z3 = X1 * X2 - q2 * X1, Z1 * (X2 + q2)
-    odd1, even1 = q * X1, q2
-    odd2, even2 = q4 * (X2 + q2), q4 * q * X1
-    odd3, even3 = q6 * q2 * q * (X3 + q2 * X1), q6 * q4 * (X2 + q2)
+    term1 = q2 + q * X1  # qⁿ⁽ⁿ⁺¹⁾ sinh (2n+1)b / sinh b
+    term2 = q4 * (X2 + q2 + q * X1)
+    term3 = q6 * q2 * (q * (X3 + q2 * X1) + q2 * (X2 + q2))
     return (
-        (-X1, q2 * X2, -q6 * X3),
-        (-Z1, q2 * Z2, -q6 * Z3),
-        (even1 - odd1, odd2 - even2, even3 - odd3),
-        (-even1 - odd1, odd2 + even2, -even3 - odd3),
+        1.0 - X1 + q2 * X2 - q6 * X3,
+        -2.0 * Z1 + 4.0 * q2 * Z2 - 6.0 * q6 * Z3,
+        1.0 - term1 + term2 - term3,
     )
 
 
@@ -222,60 +218,60 @@ def theta_constants(body: Reduced) -> tuple[Clock, ThetaCoefficients]:
     chain = landen(body.k, body.kc)
     sin_x, cos_x = phase(chain, rate.sn, rate.cn)
     S = imaginary_phase(chain, rate.root_sigma / max(rate.root_gamma, TINY)) + TINY
-    D, F, c, s = theta_series(chain.nome_squared, S)
-    value = 1.0 + D[0] + D[1] + D[2]  # θ4(ib)
-    slope = 2.0 * F[0] + 4.0 * F[1] + 6.0 * F[2]
+    theta4, slope, theta1 = theta_at_zero(chain.nome_squared, S)
     x_rate = rate.lam / chain.period
-    along = -rate.ratio * value / (1.0 + s[0] + s[1] + s[2])  # -κ sinh b
-    up = -body.s * along * (math.sqrt(1.0 + S * S) / S)  # sκ cosh b
-    clock = Clock(angle_of(cos_x, sin_x), x_rate, rate.base - body.s * x_rate * slope / value)
+    clock = Clock(angle_of(cos_x, sin_x), x_rate, rate.base - body.s * x_rate * slope / theta4)
+    root = max(math.sqrt(chain.nome_squared), 0.25 * chain.k1)  # k₁/4 where the square underflows
+    kappa = rate.ratio * theta4 / (theta1 * S)
     return clock, ThetaCoefficients(
-        (1.0 - D[1], D[0] - 3.0 * D[2], 2.0 * D[1], 4.0 * D[2]),
-        (body.s * (F[0] - F[2]), body.s * 2.0 * F[1], body.s * 4.0 * F[2]),
-        (
-            up * (1.0 + c[0] - c[1] - c[2]),
-            up * 2.0 * (c[0] + c[1] - 2.0 * c[2]),
-            up * 4.0 * (c[1] + c[2]),
-            up * 8.0 * c[2],
-        ),
-        (
-            along * (1.0 - s[0] - s[1] + s[2]),
-            along * 2.0 * (s[0] - s[1] - 2.0 * s[2]),
-            along * 4.0 * (s[1] - s[2]),
-            along * 8.0 * s[2],
-        ),
+        root * math.sqrt(1.0 + S * S), body.s * (root * S), body.s * (kappa / root)
     )
 
 
 @inline
-def theta_local(x: float, nu_t: float, of: ThetaCoefficients) -> Quat:
-    """Rotation g from axes 1, 2, 3 into the frame with axis 3 along L, (7)."""
-    cos, sin, _ = cos_sin_half_turns(nu_t)
-    cos_x, sin_x, sign = cos_sin_half_turns(x)
-    a, b, c, d = of
-    y = 1.0 - 2.0 * sin_x * sin_x
-    alpha_re = a[0] + y * (a[1] + y * (a[2] + y * a[3]))
-    alpha_im = 2.0 * sin_x * cos_x * (b[0] + y * (b[1] + y * b[2]))
-    beta_re = sign * sin_x * (c[0] + y * (c[1] + y * (c[2] + y * c[3])))
-    beta_im = sign * cos_x * (d[0] + y * (d[1] + y * (d[2] + y * d[3])))
-    return turned(alpha_re, alpha_im, beta_re, beta_im, cos, sin)
+def theta_local(x: float, of: ThetaCoefficients) -> Quat:
+    """(α, β) of (7) as a quaternion, without e^{iνt} and a positive factor; by (12)."""
+    cos, sin, sign = cos_sin_half_turns(x)
+    U1 = 2.0 - 4.0 * sin * sin
+    U2 = U1 * U1 - 1.0
+    U3 = U1 * (U2 - 1.0)
+    C, S, kappa = of
+    h, X, Z = (C - S) * (C + S), C * C + S * S, C * S
+    p = h * h
+    p2, p3, w = p * p, p * p * p, 4.0 * X * X - p
+    even1, odd1 = p, 2.0 * h * X
+    even2, odd2 = p2 * odd1, p2 * w
+    even3, odd3 = p3 * odd2, p2 * even2 * (w - p)
+    cosines = 0.5 * p * (w - p) * (U2 - 1.0) - p3 * X * (w - 2.0 * p) * (U3 - U1)
+    alpha_re = (1.0 - X * U1) + cosines
+    alpha_im = (8.0 * Z) * (sin * cos) * ((2.0 * p * X * U1 - 1.0) - p3 * w * U2)
+    E = 1.0 + ((even1 - (odd1 + even2) * U1) + ((odd2 + even3) * U2 - odd3 * U3))
+    F = ((even1 + odd2) * U1 - odd1) + (even3 * U3 - (even2 + odd3) * U2)
+    kappa = sign * kappa
+    return alpha_re, (C * kappa) * sin * (E + F), (S * kappa) * cos * (F - E), alpha_im
 
 
 @inline
-def turned(
-    alpha_re: float, alpha_im: float, beta_re: float, beta_im: float, cos: float, sin: float
-) -> Quat:
-    """Normalise (α, β), turn both by the common phase: the quaternion (Re α, Re β, Im β, Im α)."""
-    inv = 1.0 / math.sqrt(
-        alpha_re * alpha_re + alpha_im * alpha_im + beta_re * beta_re + beta_im * beta_im
-    )
-    cos, sin = cos * inv, sin * inv
+def twist(q: Quat, phase: float) -> Quat:
+    """q e^{iφ}: q after a turn by 2φ about axis 3."""
+    cos, sin, _ = cos_sin_half_turns(phase)
     return (
-        alpha_re * cos - alpha_im * sin,
-        beta_re * cos - beta_im * sin,
-        beta_re * sin + beta_im * cos,
-        alpha_re * sin + alpha_im * cos,
+        q[0] * cos - q[3] * sin,
+        q[1] * cos + q[2] * sin,
+        q[2] * cos - q[1] * sin,
+        q[3] * cos + q[0] * sin,
     )
+
+
+@inline
+def oriented(left: Quat, phase: float, local: Quat, right: Quat) -> Quat:
+    """Q_L e^{iφ} g P with g = (α, β) made a unit, (11).
+
+    The root is taken beside the products, not before them: a shorter chain of instructions.
+    """
+    inv = 1.0 / math.sqrt(square(local))
+    q = multiply(twist(left, phase), multiply(local, right))
+    return q[0] * inv, q[1] * inv, q[2] * inv, q[3] * inv
 
 
 @inline
@@ -320,10 +316,9 @@ def near_constants(body: Reduced) -> tuple[Clock, NearCoefficients]:
 
 
 @inline
-def near_local(x: float, nu_t: float, of: NearCoefficients) -> Quat:
-    """The same near the separatrix, (14), divided by exp |ξ| / 2, so that nothing grows."""
+def near_local(x: float, of: NearCoefficients) -> tuple[Quat, float]:
+    """The same near the separatrix, (14), and ±δ; divided by ½ exp |ξ|, so that nothing grows."""
     x, sign = half_turns(x)
-    cos, sin, _ = cos_sin_half_turns(nu_t + of.turn * x)
     y = decay(-of.fall * abs(x))
     z = of.r / y
     side = 1.0 if x >= 0.0 else -1.0
@@ -338,4 +333,4 @@ def near_local(x: float, nu_t: float, of: NearCoefficients) -> Quat:
     w_re = side * ((even_c - odd_c) - (fall_even_c - fall_odd_c))
     w_im = -((even_s - odd_s) + (fall_even_s - fall_odd_s))
     kappa = sign * of.kappa
-    return turned(p_re, -of.s * p_im, of.s * kappa * w_re, kappa * w_im, cos, sin)
+    return (p_re, of.s * kappa * w_re, kappa * w_im, -of.s * p_im), of.turn * x
