@@ -1,7 +1,5 @@
 """`python -m particlerb`."""
 
-import sys
+from particlerb.cli import entry
 
-from particlerb.cli import main
-
-sys.exit(main())
+entry()

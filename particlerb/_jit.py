@@ -5,6 +5,7 @@ the interpreter's lock, so that `threads` can spread them. Numba's cache does no
 another file, nor a changed NUMBA_* flag; so the cache folder has a hash of all of it in its name.
 """
 
+import contextlib
 import hashlib
 import os
 import shutil
@@ -42,19 +43,22 @@ def source_hash() -> str:
 
 def cache_root() -> Path:
     """Folder of the user's caches that can be written; a private temporary one otherwise."""
-    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        return Path(chosen) / "particlerb"
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-    root = base / "particlerb"
     try:
+        root = user_caches() / "particlerb"
         root.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=root):
             return root
-    except OSError:
+    except (OSError, RuntimeError):  # RuntimeError: nobody knows where home is
         return private_temporary_root()
+
+
+def user_caches() -> Path:
+    """Folder for caches that the user, or the system, has chosen."""
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(chosen)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def private_temporary_root() -> Path:
@@ -77,11 +81,21 @@ def cache_folder() -> Path:
     folder = root / source_hash()
     if not folder.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        others = [f for f in root.iterdir() if f.is_dir() and f != folder]
-        others.sort(key=lambda f: f.stat().st_mtime, reverse=True)
-        for old in others[FOLDERS_KEPT - 1 :]:
-            shutil.rmtree(old, ignore_errors=True)
+        prune(root, folder)
+    with contextlib.suppress(OSError):
+        os.utime(folder)  # now in use: the oldest are pruned first
     return folder
+
+
+def prune(root: Path, folder: Path) -> None:
+    """Delete the folders that were not used for longest; another process may do so too."""
+    used: list[tuple[float, Path]] = []
+    for other in root.iterdir():
+        with contextlib.suppress(OSError):
+            if other.is_dir() and other != folder:
+                used.append((other.stat().st_mtime, other))
+    for _, old in sorted(used, reverse=True)[FOLDERS_KEPT - 1 :]:
+        shutil.rmtree(old, ignore_errors=True)
 
 
 CACHE_FOLDER = None if config.DISABLE_JIT else str(cache_folder())

@@ -82,7 +82,7 @@ def quantity(check: CheckValue, scene: Scene, b: int, frames: Frames) -> Floats:
     """Value of a quantity of body b."""
     index = np.array([b])
     bodies = taken(scene.bodies, index)
-    position, orientation, linear, angular, _ = frames
+    position, orientation, linear, angular, _, _ = frames
     state = State(
         position[0, index].T,
         multiplied(orientation[0, index].T, bodies.rotor_frame),

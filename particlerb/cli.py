@@ -119,6 +119,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return complain(str(error), FAILED)
 
 
+def entry() -> NoReturn:
+    """Run the command of this process and end it."""
+    code = main()
+    writer = sys.modules.get("particlerb.record.writer")
+    if writer is not None and writer.Recorder.failures:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)  # HDF5 does not survive a failed write: it would crash on the way out
+    sys.exit(code)
+
+
 def command_of(name: str) -> Callable[[argparse.Namespace], int]:
     """Function of a command."""
     return {
@@ -244,10 +255,10 @@ def disk_warnings(case: "Case", path: Path) -> list[str]:
     """Warning where the file would not fit on the disk."""
     import shutil
 
-    from particlerb.record.writer import bytes_of_run
+    from particlerb.record.writer import bytes_of_run, spare_bytes
     from particlerb.simulate import frame_count
 
-    size = bytes_of_run(case, frame_count(case))
+    size = bytes_of_run(case, frame_count(case)) + spare_bytes(case)
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     free = shutil.disk_usage(folder).free
     if size <= free:
@@ -280,9 +291,7 @@ def execute(prepared: "Prepared", path: Path, options: argparse.Namespace) -> "O
     except FullDiskError:
         raise Ending(f"the run failed: the disk is full; {kept(path)}", FAILED) from None
     except OSError as error:
-        complain(f"the run failed: cannot write {path}: {error}", FAILED)
-        sys.stdout.flush()
-        os._exit(FAILED)  # HDF5 does not survive a failed write: it would crash on the way out
+        raise Ending(f"the run failed: cannot write {error}", FAILED) from None
 
 
 def interrupted(number: int, frame: object) -> NoReturn:

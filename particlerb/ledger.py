@@ -33,7 +33,7 @@ class Totals(NamedTuple):
 @kernel
 def sum_frames(frames: Frames, bodies: Bodies, gravity: Floats, sums: Floats) -> None:
     """Totals of all frames into sums, (T, 10)."""
-    position, orientation, linear, angular, _ = frames
+    position, orientation, linear, angular, _, _ = frames
     mass, inv_mass, _, inv_inertia, rotor_frame, _ = bodies
     n = mass.size
     g = (gravity[0], gravity[1], gravity[2])

@@ -175,8 +175,8 @@ class Run:
             for group in plan.groups
         ]
 
-    def frames_at(self, times: Floats) -> tuple[Frames, Entries, RunError | None]:
-        """Frames at ascending times, not before those asked for earlier, and their ledger.
+    def frames_at(self, times: Floats, is_frame: Bools) -> tuple[Frames, Entries, RunError | None]:
+        """States at ascending times, not before those asked for earlier, and their ledger.
 
         Where a state is not finite, or a torque has turned a rod about its own axis, they end
         before it, and the error says so. The next call writes over the frames.
@@ -184,6 +184,7 @@ class Run:
         if times.size > len(self.room.position):
             self.room = room_for(times.size, len(self.scene.kind), self.last)
         frames = first_rows(self.room, times.size)
+        frames.is_frame[:] = is_frame
         booked = np.zeros((times.size, 7))
         for traveller in self.travellers:
             booked += traveller.record(times, frames)
@@ -248,7 +249,9 @@ def run_prepared(
     Raises
     ------
     FileExistsError, OSError
-        Of the file.
+        If the file cannot be made.
+    FullDiskError, WriteError
+        If it cannot be written; after the first all frames until then are whole.
     RunError
         If the run fails; the frames until then are committed.
     """
@@ -259,7 +262,7 @@ def run_prepared(
         run = Run(prepared)
         probes: list[Probe] = []
         for times, is_frame, is_probe in batches(case):
-            frames, entries, error = run.frames_at(times)
+            frames, entries, error = run.frames_at(times, is_frame)
             sound = len(frames.position)
             rows = np.flatnonzero(is_frame[:sound])
             if rows.size:
@@ -271,8 +274,6 @@ def run_prepared(
                 raise error
     finally:
         recorder.finish()
-        if path is not None:
-            recorder.file.close()
     return Outcome(run.ledger.drift(), tuple(probes), recorder.file)
 
 
@@ -304,12 +305,11 @@ def batches(case: Case) -> Iterator[tuple[Floats, Bools, Bools]]:
 
 def first_rows(frames: Frames, n: int) -> Frames:
     """View of the first n rows of the frames."""
-    position, orientation, p, L, last = frames
-    return Frames(position[:n], orientation[:n], p[:n], L[:n], last)
+    position, orientation, p, L, last, is_frame = frames
+    return Frames(position[:n], orientation[:n], p[:n], L[:n], last, is_frame[:n])
 
 
 def one_row(frames: Frames, row: int) -> Frames:
     """Copy of one row of the frames."""
-    position, orientation, p, L, last = frames
-    position, orientation, p, L = (a[row : row + 1].copy() for a in (position, orientation, p, L))
-    return Frames(position, orientation, p, L, last)
+    position, orientation, p, L = (a[row : row + 1].copy() for a in frames[:4])
+    return Frames(position, orientation, p, L, frames.last, frames.is_frame[row : row + 1])

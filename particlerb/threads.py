@@ -51,9 +51,13 @@ class Threads:
         size = -(-blocks // (SHARES * self.count))
         ranges = [(lo, min(lo + size, blocks)) for lo in range(0, blocks, size)]
         futures = [self.pool.submit(kernel, *own) for own in ranges]
-        wait(futures)
-        for future in futures:
-            future.result()
+        try:
+            for future in futures:
+                future.result()
+        finally:  # after an interrupt no kernel may go on writing into what others use
+            for future in futures:
+                future.cancel()
+            wait(futures)
 
 
 def available() -> int:
@@ -64,3 +68,10 @@ def available() -> int:
 
 
 THREADS: Final = Threads()
+if hasattr(os, "register_at_fork"):  # a child has none of its parent's threads
+
+    def forget_pool() -> None:
+        """Let the next call make its own threads."""
+        THREADS.pool = None
+
+    os.register_at_fork(after_in_child=forget_pool)

@@ -240,7 +240,7 @@ def test_booked_momenta_are_taken_away(make):
 
     def frames(scale):
         x, p, L = vectors * scale
-        return Frames(x, q, p, L, q[0])
+        return Frames(x, q, p, L, q[0], np.ones(len(x), dtype=bool))
 
     first, second = (totals(frames(s), bodies, np.zeros(3)) for s in (1.0, 2.0))
     booked = np.concatenate(

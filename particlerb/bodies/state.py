@@ -12,7 +12,7 @@ import numpy as np
 from particlerb._jit import inline
 from particlerb.bodies.bodies import Bodies
 from particlerb.maths.quaternion import Rows4, conjugate, load4, multiply
-from particlerb.maths.vec3 import Floats, Ints, Rows3, load3
+from particlerb.maths.vec3 import Bools, Floats, Ints, Rows3, load3
 
 
 class State(NamedTuple):
@@ -31,13 +31,16 @@ class Frames(NamedTuple):
     orientation: Floats  # (T, N, 4) scalar first, body frame to world
     linear_momentum: Floats  # (T, N, 3) [kg m/s]
     angular_momentum: Floats  # (T, N, 3) [kg m²/s], about the centre of mass
-    last: Floats  # (N, 4) orientation stored last, for a continuous sign
+    last: Floats  # (N, 4) orientation of the last frame, for a continuous sign
+    is_frame: Bools  # (T,) whether a row is a frame, or only looked at by a check
 
 
 def room_for(n_frames: int, n_bodies: int, last: Floats) -> Frames:
     """Empty frames that continue after the orientations `last`."""
     vectors = [np.empty((n_frames, n_bodies, 3)) for _ in range(3)]
-    return Frames(vectors[0], np.empty((n_frames, n_bodies, 4)), vectors[1], vectors[2], last)
+    is_frame = np.ones(n_frames, dtype=np.bool_)
+    orientation = np.empty((n_frames, n_bodies, 4))
+    return Frames(vectors[0], orientation, vectors[1], vectors[2], last, is_frame)
 
 
 def as_frame(bodies: Bodies, state: State) -> Frames:
@@ -46,7 +49,7 @@ def as_frame(bodies: Bodies, state: State) -> Frames:
     inverse = bodies.rotor_frame * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
     orientation = multiplied(q, inverse).T[None].copy()
     rows = (com.T[None].copy(), orientation, p.T[None].copy(), L.T[None].copy())
-    return Frames(*rows, orientation[0].copy())
+    return Frames(*rows, orientation[0].copy(), np.ones(1, dtype=np.bool_))
 
 
 @inline
@@ -61,7 +64,7 @@ def store_frame(
     L: Rows3,
 ) -> None:
     """Write a block of bodies into frame f; `index` says which bodies of the scene they are."""
-    position, orientation, linear_momentum, angular_momentum, last = frames
+    position, orientation, linear_momentum, angular_momentum, last, is_frame = frames
     for b in range(index.size):
         i = index[b]
         position[f, i, 0], position[f, i, 1], position[f, i, 2] = load3(com, b)
@@ -73,7 +76,8 @@ def store_frame(
         sign = -1.0 if along < 0.0 else 1.0
         for k, value in enumerate((w, x, y, z)):
             orientation[f, i, k] = sign * value
-            last[i, k] = sign * value
+            if is_frame[f]:
+                last[i, k] = sign * value
 
 
 def multiplied(a: Floats, b: Floats) -> Floats:

@@ -13,7 +13,8 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -40,13 +41,18 @@ from particlerb.record.schema import (
 )
 
 SECONDS_BETWEEN_COMMITS = 1.0
-SPARE_BYTES = 32_000_000  # of disk, for what HDF5 holds back in its caches, 1 MiB a dataset
+LARGEST_SPARE = 32_000_000  # bytes that HDF5 may hold back in its caches, 1 MiB a dataset
+SMALLEST_FILE = 600_000  # bytes of a file of few bodies and frames
 SHORT_CHUNK = 1024  # entries per chunk of a number per frame
 NUMBERS = itertools.count()  # of the files in memory
 
 
 class FullDiskError(OSError):
     """The disk has no room for what comes next; what was written is whole."""
+
+
+class WriteError(OSError):
+    """HDF5 could not write; the process should end at once, since HDF5 crashes on its way out."""
 
 
 class Recorder:
@@ -67,9 +73,13 @@ class Recorder:
         If the file exists and may not be replaced.
     FullDiskError
         If the disk has no room for the next frames; those before are whole.
+    WriteError
+        If HDF5 fails to write.
     OSError
-        If the file cannot be made or written.
+        If the file cannot be made.
     """
+
+    failures = 0  # of HDF5 in this process
 
     def __init__(
         self, path: Path | None, case: Case, scene: Scene, plan: str, overwrite: bool = False
@@ -77,6 +87,7 @@ class Recorder:
         self.file, self.path = create(path, overwrite), path
         self.case, self.scene = case, scene
         self.dtype = np.dtype(case.output.dtype)
+        self.is_broken = False
         # Frames committed, and the small arrays of those that are not: replaced as one.
         self.ready: tuple[int, list[dict[str, Floats]]] = (0, [])
         self.last_commit = time.monotonic()
@@ -125,6 +136,11 @@ class Recorder:
     def append(self, times: Floats, frames: Frames, rows: Ints, ledger: Any) -> None:
         """Append rows of the frames with their times and ledger entries."""
         self.refuse_full_disk(len(rows))
+        with self.watched():
+            self.write(times, frames, rows, ledger)
+
+    def write(self, times: Floats, frames: Frames, rows: Ints, ledger: Any) -> None:
+        """Write the large arrays now and keep the small ones until the next commit."""
         n = self.n_frames
         arrays = fields_of(frames, rows, self.scene, self.values)
         for name, dataset in self.values.items():
@@ -136,11 +152,22 @@ class Recorder:
         if time.monotonic() - self.last_commit > SECONDS_BETWEEN_COMMITS:
             self.commit()
 
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Turn a failure of HDF5 into WriteError, and remember that the file is broken."""
+        try:
+            yield
+        except (OSError, RuntimeError) as error:
+            Recorder.failures += 1
+            self.is_broken = True
+            reason = " ".join(str(error).split())
+            raise WriteError(f"{self.path}: {reason}") from None
+
     def refuse_full_disk(self, n_frames: int) -> None:
         """Raise FullDiskError while the file is whole: HDF5 does not survive a failed write."""
         if self.path is None:
             return
-        needed = 2 * bytes_of_run(self.case, n_frames) + SPARE_BYTES
+        needed = 2 * bytes_of_run(self.case, n_frames) + spare_bytes(self.case)
         if shutil.disk_usage(self.path.parent).free < needed:
             raise FullDiskError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
@@ -158,11 +185,16 @@ class Recorder:
         self.last_commit = time.monotonic()
 
     def finish(self) -> None:
-        """Commit, and cut off what an interrupt has left half written."""
-        self.commit()
-        for dataset in self.values.values():
-            dataset.resize(self.n_frames, axis=0)
-        self.file.flush()
+        """Commit, cut off what an interrupt has left half written, and close; once is enough."""
+        if self.is_broken:
+            return
+        with self.watched():
+            self.commit()
+            for dataset in self.values.values():
+                dataset.resize(self.n_frames, axis=0)
+            self.file.flush()
+            if self.path is not None:
+                self.file.close()
 
 
 def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints) -> None:
@@ -292,6 +324,12 @@ def fields_of(
         )
         arrays |= {"velocity": velocity, "angular_velocity": omega}
     return arrays
+
+
+def spare_bytes(case: Case) -> int:
+    """Room on the disk for what HDF5 has still to write when a run must end."""
+    whole = bytes_of_run(case, int(case.run.t_end / case.run.every) + 2)
+    return min(LARGEST_SPARE, SMALLEST_FILE + 2 * whole)
 
 
 def bytes_of_run(case: Case, n_frames: int) -> int:

@@ -177,7 +177,7 @@ def test_a_disk_that_is_too_small_is_warned_of_with_the_size(here, capsys, monke
     monkeypatch.setattr("shutil.disk_usage", lambda folder: usage)
     main(["cube.toml"])
     err = capsys.readouterr().err
-    assert "cube.h5 would take 1.24e-06 GB, the disk has 1e-09 GB free" in err
+    assert "cube.h5 would take 0.000604 GB, the disk has 1e-09 GB free" in err
     assert main(["cube.toml", "--overwrite", "--strict"]) == 2
 
 
