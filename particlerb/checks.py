@@ -7,7 +7,7 @@ import numpy as np
 from particlerb.bodies.bodies import taken
 from particlerb.bodies.scene import Scene, inertia_in_body
 from particlerb.bodies.state import Frames, State, kinetic_energy, multiplied, omega_world, turned
-from particlerb.case.placement import resolve_bodies
+from particlerb.case.placement import normalised, resolve_bodies
 from particlerb.case.schema import Case, CheckValue
 from particlerb.maths.vec3 import Floats
 from particlerb.rotors.rotor_class import POINT, ROD
@@ -69,7 +69,7 @@ def value_result(check: CheckValue, time: float, scene: Scene, b: int, frames: F
         expected = np.diag(expected)
     error = float(np.abs(found - expected).max())
     if check.quantity == "orientation":
-        expected = expected / np.linalg.norm(expected)
+        expected = normalised(expected)
         error = angle(scene, b, expected, found)
         found = found if found @ expected >= 0 else -found
     frame = f", {check.frame} frame" if check.frame == "body" else ""

@@ -9,13 +9,14 @@ Exit codes: 0 done; 1 the run failed; 2 wrong usage or case; 3 a [check] was mis
 
 import argparse
 import difflib
+import io
 import json
 import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import particlerb
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from particlerb.simulate import Outcome, Prepared
 
 DONE, FAILED, WRONG, MISSED, INTERRUPTED = 0, 1, 2, 3, 130
+PICTURES = (".png", ".svg", ".pdf")
+PLOTTED = ("position", "orientation", "linear_momentum", "angular_momentum")
 EPILOG = """\
 CASE is a TOML file, or the name of one in ./cases or among the examples (`cases` lists them).
 `python -m particlerb CASE` is short for `run CASE`.
@@ -53,12 +56,14 @@ def parser() -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="run a case into an HDF5 file")
     add_case(run)
+    add_plan(run)
     run.add_argument("-o", "--output", metavar="FILE", help="default: output/<case>.h5")
     run.add_argument("--overwrite", action="store_true", help="replace an existing file")
     run.add_argument("-q", "--quiet", action="store_true", help="print the checks only")
 
     check = commands.add_parser("check", help="read a case and print its plan, without a run")
     add_case(check)
+    add_plan(check)
 
     mass = commands.add_parser("mass", help="mass, com, inertia tensor, principal axes of bodies")
     add_case(mass)
@@ -93,21 +98,27 @@ def add_case(command: argparse.ArgumentParser) -> None:
         metavar="KEY=VALUE",
         help="change a key of the case, as run.dt=1e-4 or body.0.mass=2; repeatable",
     )
+    command.add_argument("--json", action="store_true", help="machine-readable result")
+
+
+def add_plan(command: argparse.ArgumentParser) -> None:
+    """Options of the commands that make a plan."""
     command.add_argument("--threads", type=int, metavar="N", help="default: all cores")
     command.add_argument("--strict", action="store_true", help="warnings are errors")
-    command.add_argument("--json", action="store_true", help="machine-readable result")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks Σ shows ? and goes on
+            stream.reconfigure(errors="replace")
     top = parser()
-    commands = top._subparsers._group_actions[0].choices  # type: ignore[union-attr]
-    if words and not words[0].startswith("-") and words[0] not in (commands or ()):
+    if words and words[0] not in (*COMMANDS, "-h", "--help", "--version"):
         words.insert(0, "run")
     try:
         options = top.parse_args(words)
-        return command_of(options.command)(options)
+        return COMMANDS[options.command](options)
     except Ending as error:
         return complain(str(error), error.code)
     except KeyboardInterrupt:
@@ -115,6 +126,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of stdout went away, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except MemoryError:
+        return complain("out of memory: fewer bodies or particles would fit", FAILED)
     except OSError as error:
         return complain(str(error), FAILED)
 
@@ -123,25 +136,11 @@ def entry() -> NoReturn:
     """Run the command of this process and end it."""
     code = main()
     writer = sys.modules.get("particlerb.record.writer")
-    if writer is not None and writer.Recorder.failures:
+    if writer is not None and writer.Recorder.broken:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)  # HDF5 does not survive a failed write: it would crash on the way out
     sys.exit(code)
-
-
-def command_of(name: str) -> Callable[[argparse.Namespace], int]:
-    """Function of a command."""
-    return {
-        "run": run_command,
-        "check": check_command,
-        "mass": mass_command,
-        "info": info_command,
-        "plot": plot_command,
-        "cases": cases_command,
-        "methods": methods_command,
-        "schema": schema_command,
-    }[name]
 
 
 def complain(message: str, code: int) -> int:
@@ -171,8 +170,7 @@ def find_case(name: str) -> Path:
         if (folder / f"{name}.toml").is_file():
             return folder / f"{name}.toml"
     known = sorted({path.stem for folder in example_folders() for path in folder.glob("*.toml")})
-    words = [*known, "run", "check", "mass", "info", "plot", "cases", "methods", "schema"]
-    near = difflib.get_close_matches(name, words, 3)
+    near = difflib.get_close_matches(name, [*known, *COMMANDS], 3)
     hint = f"did you mean {' or '.join(near)}?" if near else "`cases` lists the examples"
     raise Ending(f"{name}: no such command, file or case; {hint}")
 
@@ -183,7 +181,7 @@ def read_case(options: argparse.Namespace) -> "Case":
     from particlerb.case.reader import load
 
     overrides = list(options.overrides)
-    if options.threads is not None:
+    if getattr(options, "threads", None) is not None:
         overrides.append(f"run.threads={options.threads}")
     try:
         return load(find_case(options.case), overrides)
@@ -428,6 +426,13 @@ def plot_command(options: argparse.Namespace) -> int:
         if path.exists() and not options.overwrite:
             raise Ending(f"{path} exists: give another name with -o, or --overwrite")
         names = list(trajectory.names)
+        lacking = [field for field in PLOTTED if field not in trajectory.fields]
+        if lacking:
+            raise Ending(f"{options.file} lacks {', '.join(lacking)}: see [output] fields")
+        if not trajectory.n_frames:
+            raise Ending(f"{options.file} has no frames")
+        if path.suffix not in PICTURES:
+            raise Ending(f"{path}: a picture ends with {', '.join(PICTURES)}")
         if options.body is not None and options.body not in names:
             near = difflib.get_close_matches(options.body, names, 3)
             hint = f"did you mean {' or '.join(near)}?" if near else f"the first is {names[0]}"
@@ -476,3 +481,15 @@ def schema_command(options: argparse.Namespace) -> int:
 
     print(json.dumps(case_json_schema(), indent=2, ensure_ascii=False))
     return DONE
+
+
+COMMANDS: Final[dict[str, Callable[[argparse.Namespace], int]]] = {
+    "run": run_command,
+    "check": check_command,
+    "mass": mass_command,
+    "info": info_command,
+    "plot": plot_command,
+    "cases": cases_command,
+    "methods": methods_command,
+    "schema": schema_command,
+}

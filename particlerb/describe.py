@@ -12,6 +12,7 @@ from particlerb.rotors.rotor_class import NAMES
 from particlerb.terms import Terms
 
 GROUPS_SHOWN = 20
+SEGMENTS_SHOWN = 12
 RUNS_SHOWN = 4
 
 
@@ -97,8 +98,14 @@ def group_name(scene: Scene, index: Ints) -> str:
 
 
 def segment_lines(group: GroupPlan) -> list[str]:
-    """One line per segment, equal neighbours but for impulses kept apart."""
-    return [segment_line(segment) for segment in group.segments]
+    """One line per segment, of the first ones and the last."""
+    lines = [segment_line(segment) for segment in group.segments[:SEGMENTS_SHOWN]]
+    left = len(group.segments) - SEGMENTS_SHOWN
+    if left > 1:
+        lines.append(f"and {left - 1} more segments")
+    if left > 0:
+        lines.append(segment_line(group.segments[-1]))
+    return lines
 
 
 def segment_line(segment: Segment) -> str:

@@ -31,6 +31,7 @@ from particlerb.terms.torque import Torque as WorldTorque
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
 LARGEST_TURN: Final = 0.5  # rad in one step above which it is worth a warning
 LARGEST_TORQUE: Final = float(np.finfo(np.float64).max)
+MOST_STEPS: Final = 2.0**53  # steps are counted in float64 where times are
 AXIAL_ROUNDING: Final = 1e-12  # share of a torque about a rod's axis that is its rounding
 
 
@@ -72,6 +73,34 @@ class Load(NamedTuple):
     force: Push | Torque | Impulse
     members: Ints  # bodies on which it acts, ascending
 
+    @property
+    def at(self) -> tuple[float, float, float]:
+        """Point where it acts [m], body frame."""
+        return (0.0, 0.0, 0.0) if isinstance(self.force, Torque) else self.force.at
+
+    @property
+    def vector(self) -> tuple[float, float, float]:
+        """The force [N], torque [N m] or impulse [N s]."""
+        force = self.force
+        if isinstance(force, Push):
+            return force.force
+        return force.torque if isinstance(force, Torque) else force.impulse
+
+    @property
+    def form(self) -> tuple[object, ...]:
+        """What it has in common with others of a group: all but its size, direction and point."""
+        force = self.force
+        when = force.time if isinstance(force, Impulse) else force.during
+        return force.type, force.frame, when, any(self.at)
+
+
+class Forces(NamedTuple):
+    """One force of the same form on each of n bodies."""
+
+    form: Push | Torque | Impulse  # one of them
+    at: Floats  # (3, n) [m], body frame
+    vector: Floats  # (3, n) [N, N m or N s]
+
 
 def make_plan(case: Case, scene: Scene) -> Plan:
     """Plan of a case.
@@ -88,83 +117,90 @@ def make_plan(case: Case, scene: Scene) -> Plan:
     if problems:
         raise CaseError(problems)
     cut = [
-        cut_into_segments(case, scene, index, [loads[k] for k in numbers])
-        for index, numbers in groups_of_bodies(scene, loads)
+        cut_into_segments(case, scene, members, forces)
+        for members, forces in groups_of_bodies(scene, loads)
     ]
     refuse_method(case, cut)
-    dt, reason = step(case, scene, cut)
-    groups = tuple(with_steps(group, dt) for group in cut)
-    warnings = tuple(step_warnings(case, scene, cut, dt))
-    return Plan(groups, reason, warnings)
+    steps = [step(case, scene, group) for group in cut]
+    groups = tuple(with_steps(group, dt) for group, dt in zip(cut, steps, strict=True))
+    refuse_endless(case, groups)
+    warnings = tuple(step_warnings(case, scene, groups))
+    return Plan(groups, step_reason(case, scene, groups), warnings)
 
 
-def groups_of_bodies(scene: Scene, loads: list[Load]) -> list[tuple[Ints, tuple[int, ...]]]:
-    """Bodies with the same forces, and the numbers of these forces; in the order of bodies."""
+def groups_of_bodies(scene: Scene, loads: list[Load]) -> list[tuple[Ints, list[Forces]]]:
+    """Bodies with forces of the same forms, and these forces; in the order of bodies."""
     numbers: defaultdict[int, list[int]] = defaultdict(list)
     for k, load in enumerate(loads):
         for b in load.members.tolist():
             numbers[b].append(k)
-    members: defaultdict[tuple[int, ...], list[int]] = defaultdict(list)
-    for b, own in numbers.items():
-        members[tuple(own)].append(b)
+    forms = [load.form for load in loads]
+    members: defaultdict[tuple[object, ...], list[int]] = defaultdict(list)
+    for b in sorted(numbers):
+        members[tuple(forms[k] for k in numbers[b])].append(b)
+    at = np.array([load.at for load in loads]).reshape(-1, 3)
+    vector = np.array([load.vector for load in loads]).reshape(-1, 3)
+    groups = []
+    for bodies in members.values():
+        own = np.array([numbers[b] for b in bodies])
+        forces = [Forces(loads[k[0]].force, at[k].T, vector[k].T) for k in own.T]
+        groups.append((np.array(bodies), forces))
     alone = np.ones(len(scene.kind), dtype=bool)
     alone[list(numbers)] = False
-    groups = [(np.sort(np.array(bodies)), own) for own, bodies in members.items()]
     if alone.any():
-        groups.append((np.flatnonzero(alone), ()))
+        groups.append((np.flatnonzero(alone), []))
     return sorted(groups, key=lambda group: int(group[0][0]))
 
 
-def cut_into_segments(case: Case, scene: Scene, index: Ints, loads: list[Load]) -> GroupPlan:
+def cut_into_segments(case: Case, scene: Scene, members: Ints, forces: list[Forces]) -> GroupPlan:
     """Segments of a group between the edges of its forces; steps are set later."""
     edges = {0.0}
-    for load in loads:
-        if isinstance(load.force, Impulse):
-            edges.add(load.force.time)
-        elif load.force.during is not None:
-            edges.update(load.force.during)
+    for force in forces:
+        if isinstance(force.form, Impulse):
+            edges.add(force.form.time)
+        elif force.form.during is not None:
+            edges.update(force.form.during)
     starts = sorted(edges)
-    bodies = taken(scene.bodies, index)
+    bodies = taken(scene.bodies, members)
     segments = []
     for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
-        terms = acting_terms(case, bodies, [load for load in loads if acts(load, start)])
+        terms = acting_terms(case, bodies, [force for force in forces if acts(force, start)])
         jumps = tuple(
-            jump(load.force, bodies)
-            for load in loads
-            if isinstance(load.force, Impulse) and load.force.time == start
+            jump(force, bodies)
+            for force in forces
+            if isinstance(force.form, Impulse) and force.form.time == start
         )
         method = chosen_method(case, bodies, terms)
         segments.append(Segment(start, stop, jumps, terms, method, 0.0))
-    return GroupPlan(index, bodies, tuple(segments))
+    return GroupPlan(members, bodies, tuple(segments))
 
 
-def acts(load: Load, start: float) -> bool:
+def acts(force: Forces, start: float) -> bool:
     """Whether a lasting force acts in the segment that begins at `start`."""
-    force = load.force
-    if isinstance(force, Impulse):
+    form = force.form
+    if isinstance(form, Impulse):
         return False
-    return force.during is None or force.during[0] <= start < force.during[1]
+    return form.during is None or form.during[0] <= start < form.during[1]
 
 
-def acting_terms(case: Case, bodies: Bodies, loads: list[Load]) -> Terms:
+def acting_terms(case: Case, bodies: Bodies, forces: list[Forces]) -> Terms:
     """Sum of the forces of a segment, one term of each kind at most."""
     n = bodies.mass.size
     force, lever = np.zeros((3, n)), np.zeros((3, 3, n))
     body_force, body_torque, torque = np.zeros((3, 3, n))
-    for load in loads:
-        given = load.force
-        if isinstance(given, Push):
-            at, F = rotor_vector(bodies, given.at), np.array(given.force)[:, None]
-            if given.frame == "world":
-                force += F
-                lever += F[:, None] * at  # [j, l] = F_j r_l
-            else:
-                body_force += rotor_vector(bodies, given.force)
-                body_torque += np.cross(at, rotor_vector(bodies, given.force), axis=0)
-        elif isinstance(given, Torque) and given.frame == "world":
-            torque += np.array(given.torque)[:, None]
-        elif isinstance(given, Torque):
-            body_torque += rotor_vector(bodies, given.torque)
+    for form, at, vector in forces:
+        arm = turned_back(bodies.rotor_frame, at)
+        if isinstance(form, Push) and form.frame == "world":
+            force += vector
+            lever += vector[:, None] * arm  # [j, l] = F_j r_l
+        elif isinstance(form, Push):
+            own = turned_back(bodies.rotor_frame, vector)
+            body_force += own
+            body_torque += np.cross(arm, own, axis=0)
+        elif form.frame == "world":
+            torque += vector
+        else:
+            body_torque += turned_back(bodies.rotor_frame, vector)
     gravity = np.array(case.gravity.acceleration) if case.gravity else np.zeros(3)
     return Terms(
         UniformGravity(bodies.mass, gravity) if gravity.any() else None,
@@ -174,20 +210,11 @@ def acting_terms(case: Case, bodies: Bodies, loads: list[Load]) -> Terms:
     )
 
 
-def rotor_vector(bodies: Bodies, vector: tuple[float, float, float]) -> Floats:
-    """One vector of the body frame in the rotor frame of each body, (3, n)."""
-    return turned_back(bodies.rotor_frame, np.tile(np.array(vector)[:, None], bodies.mass.size))
-
-
-def jump(force: Impulse, bodies: Bodies) -> Jump:
+def jump(force: Forces, bodies: Bodies) -> Jump:
     """An impulse as the term takes it."""
-    follows = force.frame == "body"
-    J = np.tile(np.array(force.impulse)[:, None], bodies.mass.size)
-    return Jump(
-        rotor_vector(bodies, force.at),
-        rotor_vector(bodies, force.impulse) if follows else J,
-        follows,
-    )
+    follows = force.form.frame == "body"
+    J = turned_back(bodies.rotor_frame, force.vector) if follows else force.vector
+    return Jump(turned_back(bodies.rotor_frame, force.at), np.ascontiguousarray(J), follows)
 
 
 def is_free(terms: Terms) -> bool:
@@ -215,20 +242,46 @@ def refuse_method(case: Case, groups: list[GroupPlan]) -> None:
     raise CaseError([problem_at(case, "run.method", reason, f"methods that accept it: {others}")])
 
 
-def step(case: Case, scene: Scene, groups: list[GroupPlan]) -> tuple[float, str]:
-    """Step of all stepped segments [s], and why this one."""
-    stepped = [g for g in groups if any(s.method != "exact" for s in g.segments)]
-    if not stepped:
-        return 0.0, "no step: nothing is stepped"
+def step(case: Case, scene: Scene, group: GroupPlan) -> float:
+    """Step of the stepped segments of a group [s]; 0 where it has none."""
+    if all(segment.method == "exact" for segment in group.segments):
+        return 0.0
     if case.run.dt is not None:
-        return case.run.dt, f"{case.run.dt!r} s, as the case says"
-    rate = max(fastest_rate(scene, group) for group in stepped)
+        return case.run.dt
+    rate = fastest_rate(scene, group)
     if not np.isfinite(rate):
         reason = "no step can be chosen: a torque over a moment of inertia overflows"
         raise CaseError([problem_at(case, "run", reason, "give run.dt")])
-    dt = min(case.run.every, RADIANS_PER_STEP / rate) if rate > 0 else case.run.every
+    return min(case.run.every, RADIANS_PER_STEP / rate) if rate > 0 else case.run.every
+
+
+def step_reason(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> str:
+    """The steps in words, and why these."""
+    stepped = [g for g in groups if any(s.method != "exact" for s in g.segments)]
+    if not stepped:
+        return "no step: nothing is stepped"
+    if case.run.dt is not None:
+        return f"{case.run.dt!r} s, as the case says"
+    steps = {step(case, scene, group) for group in stepped}
+    rule = f"the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
+    if len(steps) > 1:
+        return f"{min(steps):.6g} s to {max(steps):.6g} s, for each group {rule}"
+    (dt,) = steps
+    rate = max(fastest_rate(scene, group) for group in stepped)
     why = "run.every" if dt == case.run.every else f"{RADIANS_PER_STEP} / ({rate:.6g} rad/s)"
-    return dt, f"{dt:.6g} s = {why}, the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
+    return f"{dt:.6g} s = {why}, {rule}"
+
+
+def refuse_endless(case: Case, groups: tuple[GroupPlan, ...]) -> None:
+    """Raise CaseError where steps until t_end are more than can be counted."""
+    for group in groups:
+        for segment in group.segments:
+            length = min(segment.stop, case.run.t_end) - segment.start
+            if segment.method != "exact" and length > MOST_STEPS * segment.dt:
+                key = "run" if case.run.dt is None else "run.dt"
+                reason = f"the step of {segment.dt:.3g} s would be taken {length / segment.dt:.3g}"
+                hint = "give a longer run.dt, or a smaller force"
+                raise CaseError([problem_at(case, key, f"{reason} times until t_end", hint)])
 
 
 @np.errstate(over="ignore")
@@ -276,20 +329,22 @@ def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
     return group._replace(segments=tuple(segments))
 
 
-def step_warnings(case: Case, scene: Scene, groups: list[GroupPlan], dt: float) -> list[str]:
+def step_warnings(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> list[str]:
     """Warnings about a step that turns a body too far, now or by t_end."""
-    worst = (0.0, "")
+    worst, rate, dt, name = 0.0, 0.0, 0.0, ""
     for group in groups:
-        if any(segment.method != "exact" for segment in group.segments):
-            rate = fastest_rate(scene, group, case.run.t_end)
-            worst = max(worst, (rate, scene.names[int(group.members[0])]))
-    if worst[0] * dt <= LARGEST_TURN:
+        longest = max(segment.dt for segment in group.segments)
+        fastest = fastest_rate(scene, group, case.run.t_end) if longest else 0.0
+        if longest * fastest > worst:
+            worst, rate, dt = longest * fastest, fastest, longest
+            name = scene.names[int(group.members[0])]
+    if worst <= LARGEST_TURN:
         return []
     problem = problem_at(
         case,
         "run" if case.run.dt is None else "run.dt",
-        f"the step of {dt:.6g} s turns bodies like {worst[1]} by up to {worst[0] * dt:.3g} rad",
-        f"advised: dt = {RADIANS_PER_STEP / worst[0]:.3g} s or less",
+        f"the step of {dt:.6g} s turns bodies like {name} by up to {worst:.3g} rad",
+        f"advised: dt = {RADIANS_PER_STEP / rate:.3g} s or less",
     )
     return [str(problem).replace(": error: ", ": warning: ", 1)]
 
@@ -299,8 +354,7 @@ def too_large(case: Case, load: Load) -> list[Problem]:
     force = load.force
     if isinstance(force, Torque):
         return []
-    vector = force.impulse if isinstance(force, Impulse) else force.force
-    arm, size = max(map(abs, force.at)), max(map(abs, vector))
+    arm, size = max(map(abs, load.at)), max(map(abs, load.vector))
     if 2.0 * arm * size < LARGEST_TORQUE:
         return []
     reason = f"arm {arm!r} m and {force.type} {size!r} give a torque beyond the range of float64"
@@ -314,7 +368,7 @@ def impossible_torques(case: Case, scene: Scene, load: Load) -> list[Problem]:
     if not index.size:
         return []
     bodies, state = taken(scene.bodies, index), taken(scene.state, index)
-    size, axial = turning_part(load.force, bodies, state.q)
+    size, axial = turning_part(load, bodies, state.q)
     wrong = np.flatnonzero(axial > AXIAL_ROUNDING * np.maximum(size, 1e-300))
     if not wrong.size:
         return []
@@ -330,21 +384,16 @@ def impossible_torques(case: Case, scene: Scene, load: Load) -> list[Problem]:
     return [problem_at(case, f"force[{load.number}].{key}", reason, hint)]
 
 
-def turning_part(
-    force: Push | Torque | Impulse, bodies: Bodies, q: Floats
-) -> tuple[Floats, Floats]:
+def turning_part(load: Load, bodies: Bodies, q: Floats) -> tuple[Floats, Floats]:
     """Size of what turns these points and rods, and its part that they cannot follow, (n,) each.
 
     For a force at a point it is the lever arm and not the torque: an arm along a rod never turns
     it about its axis, any other arm does so but by chance. Points can follow nothing.
     """
-    if isinstance(force, Torque):
-        turn = rotor_vector(bodies, force.torque)
-        if force.frame == "world":
-            turn = turned_back(q, np.tile(np.array(force.torque)[:, None], bodies.mass.size))
-        axial = np.abs(turn[2])
-    else:
-        turn = rotor_vector(bodies, force.at)
-        axial = np.hypot(turn[0], turn[1])
+    is_torque = isinstance(load.force, Torque)
+    given = np.array(load.vector if is_torque else load.at)[:, None]
+    in_world = is_torque and load.force.frame == "world"
+    turn = turned_back(q if in_world else bodies.rotor_frame, np.tile(given, bodies.mass.size))
+    axial = np.abs(turn[2]) if is_torque else np.hypot(turn[0], turn[1])
     size = sizes(turn)
     return size, np.where(bodies.rotor_class == POINT, size, axial)

@@ -202,9 +202,39 @@ def test_plan_gives_a_reason_for_what_is_done(make):
     assert "(gravity and push through the centre of mass: a parabola)" in text["third"]
 
 
+def test_forces_of_one_form_share_a_group_and_keep_their_own_size(make):
+    """One group for many bodies with a push each; a push at the com is of another form."""
+    block = make.body("c", count=40, place={"type": "grid", "spacing": 1.0})
+    force = [make.push([0, 0, 1.0 + k], AT, f"c[{k}]") for k in range(30)]
+    force.append(make.push([0, 0, 7.0], [0, 0, 0], "c[30]"))
+    groups = plan_of(make.case(block, force=force, dt=0.1)).groups
+    assert [group.members.size for group in groups] == [30, 1, 9]
+    np.testing.assert_array_equal(groups[0].segments[0].terms.push.force[2], 1.0 + np.arange(30))
+    assert [group.segments[0].method for group in groups] == ["strang", "exact", "exact"]
+
+
+def test_groups_have_a_step_of_their_own(make):
+    """A fast body does not shorten the step of a slow one."""
+    bodies = [make.body("fast", angular_velocity=[0, 0, 50.0]), make.body("slow")]
+    plan = plan_of(make.case(*bodies, force=[make.push(FORCE, AT, ["fast", "slow"])]))
+    assert len(plan.groups) == 1
+    force = [make.push(FORCE, AT, "fast", during=[0.0, 1e-3]), make.push(FORCE, AT, "slow")]
+    fast, slow = (group.segments[0].dt for group in plan_of(make.case(*bodies, force=force)).groups)
+    assert fast <= 1e-3 < slow
+
+
+@pytest.mark.parametrize(("keys", "key"), [({"dt": 1e-25}, "run.dt"), ({}, "run")])
+def test_a_step_that_never_gets_there_is_refused(make, keys, key):
+    force = [make.push(FORCE if keys else [1e60, 2e60, -1e60], AT)]
+    with pytest.raises(CaseError, match=rf"{key}: the step of .* times until t_end"):
+        plan_of(make.case(make.body(), force=force, **keys))
+
+
 def test_plan_of_many_groups_is_cut_short(make):
     block = make.body("c", count=60, place={"type": "grid", "spacing": 1.0})
-    force = [make.push([0, 0, 1.0 + k], AT, f"c[{2 * k}]") for k in range(25)]
+    force = [
+        make.push([0, 0, 1.0], AT, f"c[{2 * k}]", during=[0.0, 0.01 * (k + 1)]) for k in range(25)
+    ]
     text = lines(make.case(block, force=force, dt=0.1))
     assert text["..."] == "and 6 more groups of bodies\n"
     assert any(name.startswith("bodies 1, 3, 5, 7, ... (35)") for name in text)

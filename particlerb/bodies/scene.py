@@ -22,7 +22,13 @@ from particlerb.bodies.particles import (
     united,
 )
 from particlerb.bodies.state import State, initial_state, turned
-from particlerb.case.placement import Placement, place, quaternion_of_euler, random_stream
+from particlerb.case.placement import (
+    Placement,
+    normalised,
+    place,
+    quaternion_of_euler,
+    random_stream,
+)
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Body, Case, Euler, Part, Spread
@@ -116,7 +122,7 @@ def part_particles(case: Case, i: int, part: Part) -> Particles:
         q = quaternion_of_euler(part.orientation.euler_deg)
     else:
         q = np.array(part.orientation)
-    columns = np.tile((q / np.linalg.norm(q))[:, None], 3)
+    columns = np.tile(normalised(q)[:, None], 3)
     return transformed(particles, turned(columns, np.eye(3)), part.position)
 
 

@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import h5py
 import numpy as np
@@ -79,7 +79,7 @@ class Recorder:
         If the file cannot be made.
     """
 
-    failures = 0  # of HDF5 in this process
+    broken: ClassVar[list["Recorder"]] = []  # kept: HDF5 complains when it lets go of them
 
     def __init__(
         self, path: Path | None, case: Case, scene: Scene, plan: str, overwrite: bool = False
@@ -87,7 +87,6 @@ class Recorder:
         self.file, self.path = create(path, overwrite), path
         self.case, self.scene = case, scene
         self.dtype = np.dtype(case.output.dtype)
-        self.is_broken = False
         # Frames committed, and the small arrays of those that are not: replaced as one.
         self.ready: tuple[int, list[dict[str, Floats]]] = (0, [])
         self.last_commit = time.monotonic()
@@ -158,8 +157,7 @@ class Recorder:
         try:
             yield
         except (OSError, RuntimeError) as error:
-            Recorder.failures += 1
-            self.is_broken = True
+            Recorder.broken.append(self)
             reason = " ".join(str(error).split())
             raise WriteError(f"{self.path}: {reason}") from None
 
@@ -186,7 +184,7 @@ class Recorder:
 
     def finish(self) -> None:
         """Commit, cut off what an interrupt has left half written, and close; once is enough."""
-        if self.is_broken:
+        if self in Recorder.broken:
             return
         with self.watched():
             self.commit()

@@ -361,3 +361,61 @@ def test_a_force_that_overflows_is_refused(here, capsys, force, at, key, reason)
     err = capsys.readouterr().err
     assert f"error: {key}: " in err
     assert reason in err
+
+
+def test_a_file_without_what_a_picture_needs_is_refused(here, capsys):
+    Path("cube.toml").write_text(CUBE + '[output]\nfields = ["position"]\n')
+    assert main(["cube.toml", "-q"]) == 0
+    assert main(["plot", "output/cube.h5"]) == 2
+    assert "lacks orientation" in capsys.readouterr().err
+
+
+def test_a_picture_of_an_unknown_kind_is_refused(here, capsys):
+    main(["cube.toml", "-q"])
+    assert main(["plot", "output/cube.h5", "-o", "cube.foo"]) == 2
+    assert ".png, .svg, .pdf" in capsys.readouterr().err
+
+
+def test_a_file_without_frames_has_no_picture(here, capsys):
+    main(["cube.toml", "-q"])
+    with h5py.File("output/cube.h5", "r+") as file:
+        file.attrs["n_frames"] = 0
+    assert main(["plot", "output/cube.h5"]) == 2
+    assert main(["info", "output/cube.h5"]) == 0
+    assert "has no frames" in capsys.readouterr().err
+
+
+def test_options_may_stand_before_the_case(here):
+    assert main(["--set", "run.t_end=0.5", "cube.toml", "-q"]) == 0
+
+
+def test_a_terminal_without_greek_letters_gets_an_answer(here):
+    done = command("mass", "cube.toml", env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert done.returncode == 0
+    assert "kg m?" in done.stdout
+
+
+@pytest.mark.compiled
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_child_process_makes_its_own_threads():
+    code = (
+        "import os, particlerb\n"
+        "shape = {'type': 'moments', 'inertia': [1, 2, 2.5]}\n"
+        "body = {'name': 'b', 'shape': shape, 'mass': 1, 'count': 3000,\n"
+        "        'place': {'type': 'grid', 'spacing': 1.0}, 'angular_velocity': [1, 2, 3]}\n"
+        "case = {'run': {'t_end': 1.0, 'every': 0.1, 'threads': 2}, 'body': [body]}\n"
+        "particlerb.run(case).close()\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    particlerb.run(case).close()\n"
+        "    os._exit(7)\n"
+        "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert done.stdout.strip() == "7"
