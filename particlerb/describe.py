@@ -7,7 +7,7 @@ import numpy as np
 from particlerb.bodies.scene import Scene
 from particlerb.case.schema import Case
 from particlerb.maths.vec3 import Ints
-from particlerb.plan import GroupPlan, Plan, Segment
+from particlerb.plan import GroupPlan, Plan, Segment, has_step
 from particlerb.rotors.rotor_class import NAMES
 from particlerb.terms import Terms
 
@@ -77,7 +77,7 @@ def contact_line(scene: Scene) -> str:
 def ledger_line(plan: Plan) -> str:
     """What booking costs."""
     books = any(
-        s.method != "exact" and (s.terms.follower is not None or s.terms.torque is not None)
+        has_step(s.method) and (s.terms.follower is not None or s.terms.torque is not None)
         for group in plan.groups
         for s in group.segments
     )
@@ -113,7 +113,7 @@ def segment_line(segment: Segment) -> str:
     until = "on" if np.isinf(segment.stop) else f"to {segment.stop:.9g} s"
     when = f"{segment.start:.9g} s {until}"
     start = f"after {len(segment.jumps)} impulse(s), " if segment.jumps else ""
-    if segment.method == "exact":
+    if not has_step(segment.method):
         return f"{when}: {start}free, closed form, no step ({free_reason(segment.terms)})"
     steps = (segment.stop - segment.start) / segment.dt
     count = f"{round(steps)} steps of " if np.isfinite(steps) else "steps of "

@@ -5,34 +5,37 @@ an impulse acts; each segment is free (closed form) or driven (stepped). What a 
 is neither computed nor compiled, and the plan says so in words.
 """
 
-from collections import defaultdict
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from particlerb.bodies.bodies import Bodies, taken
 from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import omega_world, turned_back
-from particlerb.case.placement import resolve_bodies
-from particlerb.case.problems import CaseError, Problem
+from particlerb.bodies.state import omega_world
+from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
-from particlerb.case.schema import Case, Impulse, Push, Torque
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.case.schema import Case, Impulse
+from particlerb.forces import (
+    Forces,
+    acting_terms,
+    acts,
+    groups_of_bodies,
+    impossible_torques,
+    jump,
+    loads_of,
+    sizes,
+    too_large,
+)
+from particlerb.maths.vec3 import Ints
 from particlerb.methods import METHODS
 from particlerb.methods.motion import Group
-from particlerb.rotors.rotor_class import NAMES, POINT, ROD
+from particlerb.rotors.rotor_class import POINT
 from particlerb.terms import Terms
-from particlerb.terms.follower import Follower
-from particlerb.terms.gravity import UniformGravity
 from particlerb.terms.impulse import Impulse as Jump
-from particlerb.terms.push import Push as WorldPush
-from particlerb.terms.torque import Torque as WorldTorque
 
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
 LARGEST_TURN: Final = 0.5  # rad in one step above which it is worth a warning
-LARGEST_TORQUE: Final = float(np.finfo(np.float64).max)
 MOST_STEPS: Final = 2.0**53  # steps are counted in float64 where times are
-AXIAL_ROUNDING: Final = 1e-12  # share of a torque about a rod's axis that is its rounding
 
 
 class Segment(NamedTuple):
@@ -66,42 +69,6 @@ class Plan(NamedTuple):
     warnings: tuple[str, ...]
 
 
-class Load(NamedTuple):
-    """One force or impulse of the case, resolved."""
-
-    number: int  # index of [[force]]
-    force: Push | Torque | Impulse
-    members: Ints  # bodies on which it acts, ascending
-
-    @property
-    def at(self) -> tuple[float, float, float]:
-        """Point where it acts [m], body frame."""
-        return (0.0, 0.0, 0.0) if isinstance(self.force, Torque) else self.force.at
-
-    @property
-    def vector(self) -> tuple[float, float, float]:
-        """The force [N], torque [N m] or impulse [N s]."""
-        force = self.force
-        if isinstance(force, Push):
-            return force.force
-        return force.torque if isinstance(force, Torque) else force.impulse
-
-    @property
-    def form(self) -> tuple[object, ...]:
-        """What it has in common with others of a group: all but its size, direction and point."""
-        force = self.force
-        when = force.time if isinstance(force, Impulse) else force.during
-        return force.type, force.frame, when, any(self.at)
-
-
-class Forces(NamedTuple):
-    """One force of the same form on each of n bodies."""
-
-    form: Push | Torque | Impulse  # one of them
-    at: Floats  # (3, n) [m], body frame
-    vector: Floats  # (3, n) [N, N m or N s]
-
-
 def make_plan(case: Case, scene: Scene) -> Plan:
     """Plan of a case.
 
@@ -111,7 +78,7 @@ def make_plan(case: Case, scene: Scene) -> Plan:
         If a torque overflows or turns a body that cannot turn so, if the method does not accept a
         force, or if no step can be chosen.
     """
-    loads = [Load(i, f, resolve_bodies(case, f.body)) for i, f in enumerate(case.force)]
+    loads = loads_of(case)
     problems = [p for load in loads for p in too_large(case, load)]
     problems += [p for load in loads for p in impossible_torques(case, scene, load)]
     if problems:
@@ -126,30 +93,6 @@ def make_plan(case: Case, scene: Scene) -> Plan:
     refuse_endless(case, groups)
     warnings = tuple(step_warnings(case, scene, groups))
     return Plan(groups, step_reason(case, scene, groups), warnings)
-
-
-def groups_of_bodies(scene: Scene, loads: list[Load]) -> list[tuple[Ints, list[Forces]]]:
-    """Bodies with forces of the same forms, and these forces; in the order of bodies."""
-    numbers: defaultdict[int, list[int]] = defaultdict(list)
-    for k, load in enumerate(loads):
-        for b in load.members.tolist():
-            numbers[b].append(k)
-    forms = [load.form for load in loads]
-    members: defaultdict[tuple[object, ...], list[int]] = defaultdict(list)
-    for b in sorted(numbers):
-        members[tuple(forms[k] for k in numbers[b])].append(b)
-    at = np.array([load.at for load in loads]).reshape(-1, 3)
-    vector = np.array([load.vector for load in loads]).reshape(-1, 3)
-    groups = []
-    for bodies in members.values():
-        own = np.array([numbers[b] for b in bodies])
-        forces = [Forces(loads[k[0]].force, at[k].T, vector[k].T) for k in own.T]
-        groups.append((np.array(bodies), forces))
-    alone = np.ones(len(scene.kind), dtype=bool)
-    alone[list(numbers)] = False
-    if alone.any():
-        groups.append((np.flatnonzero(alone), []))
-    return sorted(groups, key=lambda group: int(group[0][0]))
 
 
 def cut_into_segments(case: Case, scene: Scene, members: Ints, forces: list[Forces]) -> GroupPlan:
@@ -175,76 +118,48 @@ def cut_into_segments(case: Case, scene: Scene, members: Ints, forces: list[Forc
     return GroupPlan(members, bodies, tuple(segments))
 
 
-def acts(force: Forces, start: float) -> bool:
-    """Whether a lasting force acts in the segment that begins at `start`."""
-    form = force.form
-    if isinstance(form, Impulse):
-        return False
-    return form.during is None or form.during[0] <= start < form.during[1]
+def turning_terms(terms: Terms) -> set[str]:
+    """Names of the terms that a closed form cannot have: not a push at the centre of mass."""
+    acting = {name for name, term in terms._asdict().items() if term is not None}
+    if terms.push is not None and not terms.push.lever.any():
+        acting.discard("push")
+    return acting
 
 
-def acting_terms(case: Case, bodies: Bodies, forces: list[Forces]) -> Terms:
-    """Sum of the forces of a segment, one term of each kind at most."""
-    n = bodies.mass.size
-    force, lever = np.zeros((3, n)), np.zeros((3, 3, n))
-    body_force, body_torque, torque = np.zeros((3, 3, n))
-    for form, at, vector in forces:
-        arm = turned_back(bodies.rotor_frame, at)
-        if isinstance(form, Push) and form.frame == "world":
-            force += vector
-            lever += vector[:, None] * arm  # [j, l] = F_j r_l
-        elif isinstance(form, Push):
-            own = turned_back(bodies.rotor_frame, vector)
-            body_force += own
-            body_torque += np.cross(arm, own, axis=0)
-        elif form.frame == "world":
-            torque += vector
-        else:
-            body_torque += turned_back(bodies.rotor_frame, vector)
-    gravity = np.array(case.gravity.acceleration) if case.gravity else np.zeros(3)
-    return Terms(
-        UniformGravity(bodies.mass, gravity) if gravity.any() else None,
-        WorldPush(force, lever.reshape(9, n)) if force.any() or lever.any() else None,
-        Follower(body_force, body_torque) if body_force.any() or body_torque.any() else None,
-        WorldTorque(torque) if torque.any() else None,
-    )
+def accepts(method: str, terms: Terms) -> bool:
+    """Whether a method can integrate under these terms."""
+    return bool(turning_terms(terms) <= METHODS[method].ACCEPTS)
 
 
-def jump(force: Forces, bodies: Bodies) -> Jump:
-    """An impulse as the term takes it."""
-    follows = force.form.frame == "body"
-    J = turned_back(bodies.rotor_frame, force.vector) if follows else force.vector
-    return Jump(turned_back(bodies.rotor_frame, force.at), np.ascontiguousarray(J), follows)
-
-
-def is_free(terms: Terms) -> bool:
-    """Whether nothing acts but forces through the centre of mass that are constant in the world."""
-    turns = terms.push is not None and terms.push.lever.any()
-    return terms.follower is None and terms.torque is None and not turns
+def has_step(method: str) -> bool:
+    """Whether a method steps; a closed form does not."""
+    return METHODS[method].ORDER is not None
 
 
 def chosen_method(case: Case, bodies: Bodies, terms: Terms) -> str:
     """Name of the method of a segment: a named one steps whatever rotates."""
+    is_free = accepts("exact", terms)
     if case.run.method == "auto":
-        return "exact" if is_free(terms) else "strang"
+        return "exact" if is_free else "strang"
     rotates = bool((bodies.rotor_class != POINT).any())
-    return case.run.method if rotates or not is_free(terms) else "exact"
+    return case.run.method if rotates or not is_free else "exact"
 
 
 def refuse_method(case: Case, groups: list[GroupPlan]) -> None:
-    """Raise CaseError where `exact` was asked for and a force acts that it does not accept."""
-    if case.run.method != "exact":
-        return
-    if all(is_free(segment.terms) for group in groups for segment in group.segments):
-        return
-    reason = "exact is for free bodies: a force acts that turns a body or turns with it"
-    others = ", ".join(name for name in METHODS if name != "exact")
-    raise CaseError([problem_at(case, "run.method", reason, f"methods that accept it: {others}")])
+    """Raise CaseError where a method was asked for and a force acts that it does not accept."""
+    for group in groups:
+        for segment in group.segments:
+            if accepts(segment.method, segment.terms):
+                continue
+            acting = ", ".join(sorted(turning_terms(segment.terms)))
+            able = ", ".join(name for name in METHODS if accepts(name, segment.terms))
+            reason = f"{segment.method} does not accept what acts here: {acting}"
+            raise CaseError([problem_at(case, "run.method", reason, f"methods that do: {able}")])
 
 
 def step(case: Case, scene: Scene, group: GroupPlan) -> float:
     """Step of the stepped segments of a group [s]; 0 where it has none."""
-    if all(segment.method == "exact" for segment in group.segments):
+    if not any(has_step(segment.method) for segment in group.segments):
         return 0.0
     if case.run.dt is not None:
         return case.run.dt
@@ -257,7 +172,7 @@ def step(case: Case, scene: Scene, group: GroupPlan) -> float:
 
 def step_reason(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> str:
     """The steps in words, and why these."""
-    stepped = [g for g in groups if any(s.method != "exact" for s in g.segments)]
+    stepped = [g for g in groups if any(has_step(s.method) for s in g.segments)]
     if not stepped:
         return "no step: nothing is stepped"
     if case.run.dt is not None:
@@ -277,7 +192,7 @@ def refuse_endless(case: Case, groups: tuple[GroupPlan, ...]) -> None:
     for group in groups:
         for segment in group.segments:
             length = min(segment.stop, case.run.t_end) - segment.start
-            if segment.method != "exact" and length > MOST_STEPS * segment.dt:
+            if has_step(segment.method) and length > MOST_STEPS * segment.dt:
                 key = "run" if case.run.dt is None else "run.dt"
                 reason = f"the step of {segment.dt:.3g} s would be taken {length / segment.dt:.3g}"
                 hint = "give a longer run.dt, or a smaller force"
@@ -311,16 +226,11 @@ def fastest_rate(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> float:
     return float(np.maximum(spin, swing).max())
 
 
-def sizes(vectors: Floats) -> Floats:
-    """|v| of each column."""
-    return np.asarray(np.linalg.norm(vectors, axis=0))
-
-
 def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
     """Group whose stepped segments have a step that divides them evenly."""
     segments = []
     for segment in group.segments:
-        if segment.method != "exact":
+        if has_step(segment.method):
             length = segment.stop - segment.start
             own = dt if np.isinf(length) else length / np.ceil(length / dt * (1 - 1e-12))
             segments.append(segment._replace(dt=float(own)))
@@ -347,53 +257,3 @@ def step_warnings(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> li
         f"advised: dt = {RADIANS_PER_STEP / rate:.3g} s or less",
     )
     return [str(problem).replace(": error: ", ": warning: ", 1)]
-
-
-def too_large(case: Case, load: Load) -> list[Problem]:
-    """What is wrong with a force whose torque exceeds the range of float64."""
-    force = load.force
-    if isinstance(force, Torque):
-        return []
-    arm, size = max(map(abs, load.at)), max(map(abs, load.vector))
-    if 2.0 * arm * size < LARGEST_TORQUE:
-        return []
-    reason = f"arm {arm!r} m and {force.type} {size!r} give a torque beyond the range of float64"
-    return [problem_at(case, f"force[{load.number}].at", reason)]
-
-
-def impossible_torques(case: Case, scene: Scene, load: Load) -> list[Problem]:
-    """What is wrong with a force that turns a point, or a rod about its own axis."""
-    cannot = np.isin(scene.bodies.rotor_class[load.members], (POINT, ROD))
-    index = load.members[cannot]
-    if not index.size:
-        return []
-    bodies, state = taken(scene.bodies, index), taken(scene.state, index)
-    size, axial = turning_part(load, bodies, state.q)
-    wrong = np.flatnonzero(axial > AXIAL_ROUNDING * np.maximum(size, 1e-300))
-    if not wrong.size:
-        return []
-    b = int(wrong[0])
-    name, code = scene.names[int(index[b])], int(bodies.rotor_class[b])
-    what = "has no extent: nothing can turn it" if code == POINT else "cannot turn about its axis"
-    key = "torque" if isinstance(load.force, Torque) else "at"
-    reason = (
-        f"{name} is a {NAMES[code]} with moments {sorted(bodies.inertia[:, b].tolist())} kg m²"
-        f" and {what}, but this {load.force.type} would"
-    )
-    hint = "act at the centre of mass" if code == POINT else "act at a point of the rod's axis"
-    return [problem_at(case, f"force[{load.number}].{key}", reason, hint)]
-
-
-def turning_part(load: Load, bodies: Bodies, q: Floats) -> tuple[Floats, Floats]:
-    """Size of what turns these points and rods, and its part that they cannot follow, (n,) each.
-
-    For a force at a point it is the lever arm and not the torque: an arm along a rod never turns
-    it about its axis, any other arm does so but by chance. Points can follow nothing.
-    """
-    is_torque = isinstance(load.force, Torque)
-    given = np.array(load.vector if is_torque else load.at)[:, None]
-    in_world = is_torque and load.force.frame == "world"
-    turn = turned_back(q if in_world else bodies.rotor_frame, np.tile(given, bodies.mass.size))
-    axial = np.abs(turn[2]) if is_torque else np.hypot(turn[0], turn[1])
-    size = sizes(turn)
-    return size, np.where(bodies.rotor_class == POINT, size, axial)

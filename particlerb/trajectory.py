@@ -9,10 +9,10 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies, taken
+from particlerb.bodies.bodies import Bodies, made_of, taken
 from particlerb.bodies.state import derived, turned, turned_back
 from particlerb.ledger import Entries
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Floats
 from particlerb.record.schema import (
     BODIES,
     COMMITTED,
@@ -22,7 +22,6 @@ from particlerb.record.schema import (
     SCHEMA_VERSION,
     TRAJECTORY,
 )
-from particlerb.rotors.rotor_class import POINT, ROD
 
 PORTION = 100_000  # states that are read at a time where all are gone through
 
@@ -162,15 +161,12 @@ class Trajectory:
     @property
     def bodies(self) -> Bodies:
         """Constants of the bodies, with their moments in the rotor frame."""
-        inertia = self.file[f"{TRAJECTORY}/moment_inertia"][:].T.copy()
-        rotor_class: Ints = self.file[f"{BODIES}/rotor_class"][:]
-        inverse = np.zeros_like(inertia)
-        np.divide(1.0, inertia, out=inverse, where=inertia > 0.0)
-        rods = rotor_class == ROD
-        inverse[2, rods] = inverse[0, rods]
-        inverse[:, rotor_class == POINT] = 0.0
-        frame = self.file[f"{BODIES}/rotor_frame"][:].T.copy()
-        return Bodies(self.mass, 1.0 / self.mass, inertia, inverse, frame, rotor_class)
+        return made_of(
+            self.mass,
+            self.file[f"{TRAJECTORY}/moment_inertia"][:].T.copy(),
+            self.file[f"{BODIES}/rotor_frame"][:].T.copy(),
+            self.file[f"{BODIES}/rotor_class"][:],
+        )
 
     @property
     def fields(self) -> list[str]:

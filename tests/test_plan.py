@@ -65,7 +65,7 @@ def test_exact_refuses_a_driving_force(make, frame):
     force = [make.push(FORCE, AT, frame=frame)]
     with pytest.raises(CaseError, match=r"run\.method") as caught:
         particlerb.run(make.case(make.body(), force=force, method="exact"))
-    assert "methods that accept it: strang" in str(caught.value)
+    assert "methods that do: strang" in str(caught.value)
     free = make.case(make.body(), force=[make.push(FORCE)], method="exact")
     assert levels(free) == [[(0.0, inf, "exact")]]
 

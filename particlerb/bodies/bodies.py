@@ -39,23 +39,26 @@ def bodies_of_kind(properties: MassProperties, kind: Ints) -> Bodies:
     """
     inertia, axes = rotor_order(properties.moments, properties.axes)
     rotor_class = properties.rotor_class
-    inv_inertia = np.zeros_like(inertia)
-    np.divide(1.0, inertia, out=inv_inertia, where=inertia > 0.0)
-    rods = rotor_class == ROD
-    inv_inertia[rods, 2] = inv_inertia[rods, 0]
-    inv_inertia[rotor_class == POINT] = 0.0
 
     def each(values: Floats) -> Floats:
         return np.ascontiguousarray(values[kind].T)
 
-    return Bodies(
+    return made_of(
         each(properties.mass),
-        each(1.0 / properties.mass),
         each(inertia),
-        each(inv_inertia),
         each(quaternions(axes)),
         np.ascontiguousarray(rotor_class[kind]),
     )
+
+
+def made_of(mass: Floats, inertia: Floats, rotor_frame: Floats, rotor_class: Ints) -> Bodies:
+    """Constants with their inverses; a rod turns about its axis like across, a point never."""
+    inv_inertia = np.zeros_like(inertia)
+    np.divide(1.0, inertia, out=inv_inertia, where=inertia > 0.0)
+    rods = rotor_class == ROD
+    inv_inertia[2, rods] = inv_inertia[0, rods]
+    inv_inertia[:, rotor_class == POINT] = 0.0
+    return Bodies(mass, 1.0 / mass, inertia, inv_inertia, rotor_frame, rotor_class)
 
 
 def rotor_order(moments: Floats, axes: Floats) -> tuple[Floats, Floats]:

@@ -1,4 +1,8 @@
-"""Integrators, one per file: each has ORDER, SYMMETRIC, SUMMARY and BEGIN, which makes a motion."""
+"""Integrators, one per file.
+
+Each has ORDER (None for a closed form, which has no step), ACCEPTS (the terms that may turn a
+body while it works), SUMMARY, and BEGIN, which makes a `motion.Motion`.
+"""
 
 from types import ModuleType
 from typing import Final

@@ -27,7 +27,7 @@ from particlerb.rotors.exact import (
 from particlerb.threads import BLOCK, THREADS
 
 ORDER: Final = None
-SYMMETRIC: Final = True
+ACCEPTS: Final = frozenset({"gravity"})  # and a push that acts at the centre of mass
 SUMMARY: Final = "closed form, no step; free bodies only (uniform gravity, push through the com)"
 
 

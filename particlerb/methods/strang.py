@@ -38,7 +38,7 @@ from particlerb.terms.torque import Torque
 from particlerb.threads import BLOCK, THREADS
 
 ORDER: Final = 2
-SYMMETRIC: Final = True
+ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque"})
 SUMMARY: Final = "order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force"
 PAUSE: Final = -1  # a stop without a frame: the host asks for progress and interrupts
 CLOSE: Final = -2  # the end of the segment: make the open half kick

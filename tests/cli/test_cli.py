@@ -129,7 +129,7 @@ def test_all_problems_of_a_case_are_told_at_once(here, capsys):
         (('{ type = "box", size = [1.0, 1.0, 1.0], n = 2 }',
           '{ type = "points", position = [[0, 0, 0]], mass = [1] }'),
          "body[0].angular_velocity", "it cannot spin"),
-        (('every = 0.25', 'every = 0.25\nmethod = "exact"'), "run.method", "exact is for free"),
+        (('every = 0.25', 'every = 0.25\nmethod = "exact"'), "run.method", "exact does not accept"),
     ],
 )  # fmt: skip
 def test_what_only_the_bodies_show_is_told_with_its_line(here, capsys, change, key, reason):
