@@ -340,13 +340,13 @@ class Check(Table):
     """Limits: a run that misses one ends with exit code 3."""
 
     energy_drift: Positive | None = Field(
-        None, description="Largest drift of energy, relative to the largest kinetic energy. [-]"
+        None, description="Largest error of energy, over the largest kinetic energy or work. [-]"
     )
     linear_momentum_drift: Positive | None = Field(
-        None, description="Largest drift, relative to the sum of |P|. [-]"
+        None, description="Largest error of momentum, over the sum of the bodies' momenta. [-]"
     )
     angular_momentum_drift: Positive | None = Field(
-        None, description="Largest drift, relative to the sum of |L|. [-]"
+        None, description="Largest error of angular momentum about the origin, over the sum of the bodies' spins and orbits. [-]"
     )
     value: tuple[CheckValue, ...] = Field((), description="Values to reach, [[check.value]]. [-]")
 
