@@ -229,7 +229,7 @@ with particlerb.run({"run": run, "body": [cloud, ball], "force": force}) as t:
 
 @pytest.mark.compiled
 def test_threads_change_no_bit(make):
-    """1003 driven and 701 free bodies: blocks of 256 with a rest, two groups, the ledger as well."""
+    """1003 driven and 701 free bodies: blocks of 256 with a rest, and the ledger as well."""
     one, two = (make.python(MANY.replace("N_THREADS", n), NUMBA_NUM_THREADS="2") for n in "12")
     assert one == two
     assert len(one.split()[0]) == hashlib.sha256().digest_size * 2

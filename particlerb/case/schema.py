@@ -346,7 +346,9 @@ class Check(Table):
         None, description="Largest error of momentum, over the sum of the bodies' momenta. [-]"
     )
     angular_momentum_drift: Positive | None = Field(
-        None, description="Largest error of angular momentum about the origin, over the sum of the bodies' spins and orbits. [-]"
+        None,
+        description="Largest error of angular momentum about the origin, over the sum of the"
+        " bodies' spins and orbits. [-]",
     )
     value: tuple[CheckValue, ...] = Field((), description="Values to reach, [[check.value]]. [-]")
 
