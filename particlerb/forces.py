@@ -167,13 +167,17 @@ def impossible_torques(case: Case, scene: Scene, load: Load) -> list[Problem]:
     b = int(wrong[0])
     name, code = scene.names[int(index[b])], int(bodies.rotor_class[b])
     what = "has no extent: nothing can turn it" if code == POINT else "cannot turn about its axis"
-    key = "torque" if isinstance(load.force, Torque) else "at"
+    is_torque = isinstance(load.force, Torque)
     reason = (
         f"{name} is a {NAMES[code]} with moments {sorted(bodies.inertia[:, b].tolist())} kg m²"
         f" and {what}, but this {load.force.type} would"
     )
-    hint = "act at the centre of mass" if code == POINT else "act at a point of the rod's axis"
-    return [problem_at(case, f"force[{load.number}].{key}", reason, hint)]
+    if is_torque:
+        hint = "leave it out" if code == POINT else "give a torque across the rod"
+    else:
+        hint = "act at the centre of mass" if code == POINT else "act at a point of the rod's axis"
+    key = f"force[{load.number}].{'torque' if is_torque else 'at'}"
+    return [problem_at(case, key, reason, hint)]
 
 
 def turning_part(load: Load, bodies: Bodies, q: Floats) -> tuple[Floats, Floats]:
