@@ -8,13 +8,15 @@ Exit codes: 0 done; 1 the run failed; 2 wrong usage or case; 3 a [check] was mis
 """
 
 import argparse
+import contextlib
 import difflib
 import io
 import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
@@ -274,11 +276,10 @@ def execute(prepared: "Prepared", path: Path, options: argparse.Namespace) -> "O
     from particlerb.record.writer import FullDiskError
     from particlerb.simulate import RunError, frame_count, run_prepared
 
-    signal.signal(signal.SIGTERM, interrupted)
     frames = frame_count(prepared.case)
     bar = tqdm(total=frames, unit="frame", disable=True if options.quiet else None, delay=0.5)
     try:
-        with bar:
+        with bar, stoppable():
             return run_prepared(prepared, path, options.overwrite, bar.update)
     except RunError as error:
         raise Ending(f"the run failed: {error}; {kept(path)}", FAILED) from None
@@ -292,10 +293,29 @@ def execute(prepared: "Prepared", path: Path, options: argparse.Namespace) -> "O
         raise Ending(f"the run failed: cannot write {error}", FAILED) from None
 
 
-def interrupted(number: int, frame: object) -> NoReturn:
-    """Treat SIGTERM like Ctrl-C."""
-    del number, frame
-    raise KeyboardInterrupt
+@contextlib.contextmanager
+def stoppable() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end a run between two kernels; what ignored them goes on doing so."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {n: signal.getsignal(n) for n in numbers if signal.getsignal(n) != signal.SIG_IGN}
+    if threading.current_thread() is not threading.main_thread():
+        before = {}  # only the main thread may have a say in signals
+    for number in before:
+        signal.signal(number, ask_to_stop)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def ask_to_stop(number: int, frame: object) -> None:
+    """End the run after the kernel that is running; the second time, at once."""
+    del frame
+    from particlerb.threads import THREADS
+
+    THREADS.is_stopping = True
+    signal.signal(number, signal.default_int_handler)
 
 
 def kept(path: Path) -> str:

@@ -21,6 +21,7 @@ class Threads:
     def __init__(self) -> None:
         self.count = available()
         self.pool: ThreadPoolExecutor | None = None
+        self.is_stopping = False  # set by a signal: the next call raises KeyboardInterrupt
 
     def use(self, count: int | None) -> None:
         """Use so many threads from now on; None for all cores."""
@@ -41,7 +42,16 @@ class Threads:
             Number of bodies.
         work : int
             Body-steps or body-frames of the whole call; few are done by this thread alone.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If a signal has asked for the end. Raised here, between kernels, because an exception
+            that a signal handler raises is lost where it meets a destructor of HDF5.
         """
+        if self.is_stopping:
+            self.is_stopping = False
+            raise KeyboardInterrupt
         blocks = -(-bodies // BLOCK)
         if self.count == 1 or blocks == 1 or work < LEAST_WORK:
             kernel(0, blocks)
