@@ -125,16 +125,6 @@ def united(particles: Particles) -> Particles:
     return particles._replace(offset=np.array([0, len(particles.mass)], dtype=np.int64))
 
 
-def of_kind(particles: Particles, k: int) -> Particles:
-    """Particles of kind k alone (views); IndexError if there is no such kind."""
-    if not 0 <= k < len(particles.offset) - 1:
-        raise IndexError(f"kind {k} of {len(particles.offset) - 1}")
-    lo, hi = int(particles.offset[k]), int(particles.offset[k + 1])
-    position, mass, radius, _ = particles
-    offset = np.array([0, hi - lo], dtype=np.int64)
-    return Particles(position[lo:hi], mass[lo:hi], radius[lo:hi], offset)
-
-
 def transformed(particles: Particles, rotation: ArrayLike, translation: ArrayLike) -> Particles:
     """Every particle turned, then moved: x = R p + t.
 

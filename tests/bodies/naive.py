@@ -2,6 +2,8 @@
 
 from fractions import Fraction
 
+import numpy as np
+
 from particlerb.bodies.particles import Particles
 
 Vector = list[Fraction]
@@ -56,3 +58,13 @@ def largest_difference(exact_values, floats) -> float:
         pairs = zip(exact_values, floats, strict=True)
         return max(largest_difference(e, f) for e, f in pairs)
     return abs(float(Fraction(float(floats)) - exact_values))
+
+
+def of_kind(particles: Particles, k: int) -> Particles:
+    """Particles of kind k alone (views); IndexError if there is no such kind."""
+    if not 0 <= k < len(particles.offset) - 1:
+        raise IndexError(f"kind {k} of {len(particles.offset) - 1}")
+    lo, hi = int(particles.offset[k]), int(particles.offset[k + 1])
+    position, mass, radius, _ = particles
+    offset = np.array([0, hi - lo], dtype=np.int64)
+    return Particles(position[lo:hi], mass[lo:hi], radius[lo:hi], offset)

@@ -17,7 +17,6 @@ from particlerb.bodies import shapes
 from particlerb.bodies.mass_properties import describe, mass_properties
 from particlerb.bodies.particles import (
     concatenate,
-    of_kind,
     one_kind,
     scaled_to_mass,
     transformed,
@@ -381,4 +380,4 @@ def test_description_states_every_number_in_full():
     assert all(repr(float(number)) in text for number in numbers)
     assert "potato: asymmetric, 12 particles" in text
     assert all(unit in text for unit in (" kg\n", " m\n", " kg m²"))
-    assert "point" in describe(mass_properties(of_kind(CLASSES["point"][0], 0)), 0, "p", 3)
+    assert "point" in describe(mass_properties(naive.of_kind(CLASSES["point"][0], 0)), 0, "p", 3)
