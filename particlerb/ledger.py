@@ -5,6 +5,7 @@ kinetic energy or energy turned over, Σ|p| and Σ|L|, never against a value tha
 Sums run over fixed blocks of bodies in a fixed order: the same bits for any number of threads.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from particlerb.bodies.bodies import Bodies
 from particlerb.bodies.state import Frames
 from particlerb.maths.quaternion import load4, rows4, to_body
 from particlerb.maths.vec3 import Floats, cross, dot, load3, rows3, scale
-from particlerb.threads import BLOCK
+from particlerb.threads import BLOCK, THREADS
 
 N_TOTALS = 10
 
@@ -31,21 +32,21 @@ class Totals(NamedTuple):
 
 
 @kernel
-def sum_frames(frames: Frames, bodies: Bodies, gravity: Floats, sums: Floats) -> None:
-    """Totals of all frames into sums, (T, 10)."""
+def sum_blocks(
+    frames: Frames, bodies: Bodies, gravity: Floats, sums: Floats, first: int, last: int
+) -> None:
+    """Sums over some blocks of bodies, for all frames, into sums (T, blocks, 10)."""
     position, orientation, linear, angular, _, _ = frames
     mass, inv_mass, _, inv_inertia, rotor_frame, _ = bodies
     n = mass.size
     g = (gravity[0], gravity[1], gravity[2])
     inverse, frame = rows3(inv_inertia, 0, n), rows4(rotor_frame, 0, n)
     for f in range(sums.shape[0]):
-        for k in range(N_TOTALS):
-            sums[f, k] = 0.0
-        for lo in range(0, n, BLOCK):
+        for k in range(first, last):
             kinetic = potential = size = spin = 0.0
             P = (0.0, 0.0, 0.0)
             H = (0.0, 0.0, 0.0)
-            for b in range(lo, min(lo + BLOCK, n)):
+            for b in range(k * BLOCK, min((k + 1) * BLOCK, n)):
                 x = (position[f, b, 0], position[f, b, 1], position[f, b, 2])
                 p = (linear[f, b, 0], linear[f, b, 1], linear[f, b, 2])
                 L = (angular[f, b, 0], angular[f, b, 1], angular[f, b, 2])
@@ -66,14 +67,16 @@ def sum_frames(frames: Frames, bodies: Bodies, gravity: Floats, sums: Floats) ->
                 size += np.sqrt(dot(p, p))
                 spin += np.sqrt(dot(L, L)) + np.sqrt(dot(orbit, orbit))
             block = (kinetic, potential, P[0], P[1], P[2], H[0], H[1], H[2], size, spin)
-            for k in range(N_TOTALS):
-                sums[f, k] += block[k]
+            for c in range(N_TOTALS):
+                sums[f, k, c] = block[c]
 
 
 def totals(frames: Frames, bodies: Bodies, gravity: Floats) -> Totals:
     """Totals of frames; gravity is the acceleration (3,) [m/s²]."""
-    sums = np.empty((len(frames.position), N_TOTALS))
-    sum_frames(frames, bodies, gravity, sums)
+    n, n_frames = bodies.mass.size, len(frames.position)
+    blocks = np.empty((n_frames, -(-n // BLOCK), N_TOTALS))
+    THREADS.spread(partial(sum_blocks, frames, bodies, gravity, blocks), n, n * n_frames)
+    sums = blocks.sum(axis=1)
     return Totals(sums[:, 0], sums[:, 1], sums[:, 2:5], sums[:, 5:8], sums[:, 8], sums[:, 9])
 
 

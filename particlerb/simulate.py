@@ -28,6 +28,7 @@ from particlerb.rotors.rotor_class import ROD
 from particlerb.terms.impulse import apply_impulse
 from particlerb.threads import THREADS
 
+FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
 BATCH_BYTES = 8_000_000  # of frames that are held before they are written
 BATCH_FRAMES = 1024
 BATCH_SECONDS = 0.5  # that a batch should take
@@ -188,14 +189,23 @@ class Run:
         booked = np.zeros((times.size, 7))
         for traveller in self.travellers:
             booked += traveller.record(times, frames)
-        sound, error = self.sound_frames(times, frames)
-        frames = first_rows(frames, sound)
         now = totals(frames, self.scene.bodies, self.gravity)
+        is_finite = all(np.isfinite(total).all() for total in now)
+        sound, error = self.sound_frames(times, frames, is_finite)
+        if sound < times.size:
+            frames = first_rows(frames, sound)
+            now = totals(frames, self.scene.bodies, self.gravity)
         return frames, self.ledger.enter(now, booked[:sound]), error
 
-    def sound_frames(self, times: Floats, frames: Frames) -> tuple[int, RunError | None]:
-        """How many of the frames are states, and what is wrong with the next."""
-        for name in ("position", "orientation", "linear_momentum", "angular_momentum"):
+    def sound_frames(
+        self, times: Floats, frames: Frames, is_finite: bool
+    ) -> tuple[int, RunError | None]:
+        """How many of the frames are states, and what is wrong with the next.
+
+        Where all totals are finite, so are the states; the reverse does not hold, squares overflow.
+        """
+        names = () if is_finite else FIELDS_OF_STATES
+        for name in names:
             values = getattr(frames, name)
             if np.isfinite(values[-1]).all():  # what is not finite stays so
                 continue
