@@ -29,7 +29,7 @@ from particlerb.terms.impulse import apply_impulse
 from particlerb.threads import THREADS
 
 FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
-BATCH_BYTES = 8_000_000  # of frames that are held before they are written
+BATCH_BYTES = 32_000_000  # of frames that are held before they are written
 BATCH_FRAMES = 1024
 BATCH_SECONDS = 0.5  # that a batch should take
 FIRST_BATCH = 8  # frames, before it is known how long one takes
@@ -296,7 +296,7 @@ def probe_times(case: Case) -> Floats:
 def batches(case: Case) -> Iterator[tuple[Floats, Bools, Bools]]:
     """Times [s] that are computed together; which are frames, and which a check asks for.
 
-    As many as fit into a part of the cache and take about a second, so that a long run is written,
+    As many as fit into the cache and take about half a second, so that a long run is written,
     shows progress and can be interrupted.
     """
     most = int(min(max(BATCH_BYTES // (case.n_bodies * 13 * 8), 1), BATCH_FRAMES))

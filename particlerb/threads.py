@@ -12,7 +12,8 @@ from typing import Final
 
 BLOCK: Final = 256  # bodies a kernel takes at a time: its rows fit into the first levels of cache
 LEAST_WORK: Final = 20_000  # body-steps or body-frames below which a second thread does not pay
-SHARES: Final = 4  # ranges per thread, so that a slow thread is made up for
+SHARES: Final = 4  # ranges per thread at most, so that a slow thread is made up for
+SHARE_WORK: Final = 50_000  # body-steps or body-frames of a range: well above what a call costs
 
 
 class Threads:
@@ -58,7 +59,8 @@ class Threads:
             return
         if self.pool is None:
             self.pool = ThreadPoolExecutor(self.count, "particlerb")
-        size = -(-blocks // (SHARES * self.count))
+        pieces = min(SHARES * self.count, max(self.count, work // SHARE_WORK))
+        size = -(-blocks // pieces)
         ranges = [(lo, min(lo + size, blocks)) for lo in range(0, blocks, size)]
         futures = [self.pool.submit(kernel, *own) for own in ranges]
         try:

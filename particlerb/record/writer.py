@@ -43,6 +43,7 @@ from particlerb.record.schema import (
 SECONDS_BETWEEN_COMMITS = 1.0
 LARGEST_SPARE = 32_000_000  # bytes that HDF5 may hold back in its caches, 1 MiB a dataset
 SMALLEST_FILE = 600_000  # bytes of a file of few bodies and frames
+CLOCK = "time"
 SHORT_CHUNK = 1024  # entries per chunk of a number per frame
 NUMBERS = itertools.count()  # of the files in memory
 
@@ -130,7 +131,7 @@ class Recorder:
     def n_frames(self) -> int:
         """Frames that were appended."""
         committed, pending = self.ready
-        return committed + sum(len(part[self.time.name]) for part in pending)
+        return committed + sum(len(part[CLOCK]) for part in pending)
 
     def append(self, times: Floats, frames: Frames, rows: Ints, ledger: Any) -> None:
         """Append rows of the frames with their times and ledger entries."""
@@ -144,10 +145,8 @@ class Recorder:
         arrays = fields_of(frames, rows, self.scene, self.values)
         for name, dataset in self.values.items():
             append_rows(dataset, n, arrays[name].astype(self.dtype, copy=False))
-        entries = {
-            dataset.name: getattr(ledger, name)[rows] for name, dataset in self.ledger.items()
-        }
-        self.ready[1].append({self.time.name: times, **entries})
+        entries = {name: getattr(ledger, name)[rows] for name in self.ledger}
+        self.ready[1].append({CLOCK: times, **entries})
         if time.monotonic() - self.last_commit > SECONDS_BETWEEN_COMMITS:
             self.commit()
 
@@ -173,8 +172,9 @@ class Recorder:
         """Put what is written on disk, then say so; may be repeated after an interrupt."""
         first, pending = self.ready
         n = self.n_frames
+        small = {CLOCK: self.time, **self.ledger}
         for name in pending[0] if pending else ():
-            append_rows(self.file[name], first, np.concatenate([part[name] for part in pending]))
+            append_rows(small[name], first, np.concatenate([part[name] for part in pending]))
         append_rows(self.step, first, np.arange(first, n))
         self.file.flush()
         self.file.attrs.modify(COMMITTED, np.int64(n))
