@@ -10,11 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb._jit import kernel
+from particlerb._jit import inline, kernel
 from particlerb.bodies.bodies import Bodies
 from particlerb.bodies.state import Frames
-from particlerb.maths.quaternion import load4, rows4, to_body
-from particlerb.maths.vec3 import Floats, cross, dot, load3, rows3, scale
+from particlerb.maths.quaternion import Rows4, load4, rows4, to_body
+from particlerb.maths.vec3 import (
+    Floats,
+    Rows3,
+    Vec3,
+    add_scaled,
+    cross,
+    dot,
+    load3,
+    rows3,
+    scale,
+    store3,
+)
 from particlerb.threads import BLOCK, THREADS
 
 N_TOTALS = 10
@@ -31,44 +42,71 @@ class Totals(NamedTuple):
     spin_size: Floats  # (T,) Σ|L| of the bodies and of their centres of mass [kg m²/s]
 
 
+@inline
+def load_rows(frames: Frames, f: int, lo: int, local: Floats, n: int) -> None:
+    """Copy x, p, L, q of n bodies of a frame into rows, so that what follows fills SIMD lanes."""
+    position, orientation, linear, angular, _, _ = frames
+    for b in range(n):
+        for c in range(3):
+            local[c, b] = position[f, lo + b, c]
+            local[3 + c, b] = linear[f, lo + b, c]
+            local[6 + c, b] = angular[f, lo + b, c]
+        for c in range(4):
+            local[9 + c, b] = orientation[f, lo + b, c]
+
+
+@inline
+def momenta_rows(
+    x: Rows3, p: Rows3, L: Rows3, mass: Floats, inv_mass: Floats, g: Vec3, out: Floats
+) -> None:
+    """½ p²/M, -M g·x, x × p + L, |p|, |x × p| + |L| of each body, into rows 0, 1, 5..9."""
+    n = mass.size
+    kinetic, potential, H = out[0, :n], out[1, :n], rows3(out[5:8], 0, n)
+    size, spin = out[8, :n], out[9, :n]
+    for b in range(n):
+        x_b, p_b, L_b = load3(x, b), load3(p, b), load3(L, b)
+        orbit = cross(x_b, p_b)
+        kinetic[b] = 0.5 * dot(p_b, scale(inv_mass[b], p_b))
+        potential[b] = -mass[b] * dot(g, x_b)
+        store3(H, b, add_scaled(1.0, orbit, L_b))
+        size[b] = np.sqrt(dot(p_b, p_b))
+        spin[b] = np.sqrt(dot(L_b, L_b)) + np.sqrt(dot(orbit, orbit))
+
+
+@inline
+def add_turning(q: Rows4, L: Rows3, frame: Rows4, inverse: Rows3, kinetic: Floats) -> None:
+    """Add ½ Σ m_k² / I_k of each body, with m = L in the rotor frame."""
+    for b in range(kinetic.size):
+        m = to_body(load4(frame, b), to_body(load4(q, b), load3(L, b)))
+        w = load3(inverse, b)
+        kinetic[b] += 0.5 * (m[0] * (w[0] * m[0]) + m[1] * (w[1] * m[1]) + m[2] * (w[2] * m[2]))
+
+
 @kernel
 def sum_blocks(
     frames: Frames, bodies: Bodies, gravity: Floats, sums: Floats, first: int, last: int
 ) -> None:
     """Sums over some blocks of bodies, for all frames, into sums (T, blocks, 10)."""
-    position, orientation, linear, angular, _, _ = frames
     mass, inv_mass, _, inv_inertia, rotor_frame, _ = bodies
-    n = mass.size
     g = (gravity[0], gravity[1], gravity[2])
-    inverse, frame = rows3(inv_inertia, 0, n), rows4(rotor_frame, 0, n)
-    for f in range(sums.shape[0]):
-        for k in range(first, last):
-            kinetic = potential = size = spin = 0.0
-            P = (0.0, 0.0, 0.0)
-            H = (0.0, 0.0, 0.0)
-            for b in range(k * BLOCK, min((k + 1) * BLOCK, n)):
-                x = (position[f, b, 0], position[f, b, 1], position[f, b, 2])
-                p = (linear[f, b, 0], linear[f, b, 1], linear[f, b, 2])
-                L = (angular[f, b, 0], angular[f, b, 1], angular[f, b, 2])
-                q = (
-                    orientation[f, b, 0],
-                    orientation[f, b, 1],
-                    orientation[f, b, 2],
-                    orientation[f, b, 3],
-                )
-                m = to_body(load4(frame, b), to_body(q, L))
-                w = load3(inverse, b)
-                omega = (w[0] * m[0], w[1] * m[1], w[2] * m[2])
-                kinetic += 0.5 * (dot(p, scale(inv_mass[b], p)) + dot(m, omega))
-                potential -= mass[b] * dot(g, x)
-                orbit = cross(x, p)
-                P = (P[0] + p[0], P[1] + p[1], P[2] + p[2])
-                H = (H[0] + orbit[0] + L[0], H[1] + orbit[1] + L[1], H[2] + orbit[2] + L[2])
-                size += np.sqrt(dot(p, p))
-                spin += np.sqrt(dot(L, L)) + np.sqrt(dot(orbit, orbit))
-            block = (kinetic, potential, P[0], P[1], P[2], H[0], H[1], H[2], size, spin)
+    local, out = np.empty((13, BLOCK)), np.empty((N_TOTALS, BLOCK))
+    for k in range(first, last):
+        lo, hi = k * BLOCK, min((k + 1) * BLOCK, mass.size)
+        n = hi - lo
+        x, p, L = rows3(local[0:3], 0, n), rows3(local[3:6], 0, n), rows3(local[6:9], 0, n)
+        q, frame = rows4(local[9:13], 0, n), rows4(rotor_frame, lo, hi)
+        for f in range(sums.shape[0]):
+            load_rows(frames, f, lo, local, n)
+            momenta_rows(x, p, L, mass[lo:hi], inv_mass[lo:hi], g, out)
+            add_turning(q, L, frame, rows3(inv_inertia, lo, hi), out[0, :n])
+            for c in range(3):
+                for b in range(n):
+                    out[2 + c, b] = local[3 + c, b]
             for c in range(N_TOTALS):
-                sums[f, k, c] = block[c]
+                sums[f, k, c] = 0.0
+            for b in range(n):
+                for c in range(N_TOTALS):
+                    sums[f, k, c] += out[c, b]
 
 
 def totals(frames: Frames, bodies: Bodies, gravity: Floats) -> Totals:
