@@ -457,7 +457,7 @@ def plot_command(options: argparse.Namespace) -> int:
             near = difflib.get_close_matches(options.body, names, 3)
             hint = f"did you mean {' or '.join(near)}?" if near else f"the first is {names[0]}"
             raise Ending(f"{options.body}: no such body in {options.file}; {hint}")
-        from particlerb.studies.charts import draw_trajectory
+        from particlerb.studies.charts.trajectory import draw_trajectory
 
         draw_trajectory(trajectory, path, names.index(options.body) if options.body else None)
     print(f"written: {path}")

@@ -1,8 +1,7 @@
-"""Pictures: the only module that imports matplotlib."""
+"""Picture of a trajectory: ways, rates, an axis in the world, drifts."""
 
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -10,13 +9,10 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from particlerb.bodies.state import derived
 from particlerb.maths.vec3 import Floats
+from particlerb.studies.charts.style import COLOURS, GRID, INK, bare
 from particlerb.trajectory import Trajectory
 
-mpl.use("Agg")
-
 WAYS = 12  # bodies whose ways are drawn
-COLOURS = ("#0072b2", "#d55e00", "#009e73")  # x, y, z: told apart also by the colour-blind
-INK = "#333333"
 
 
 def draw_trajectory(trajectory: Trajectory, path: Path, body: int | None = None) -> None:
@@ -159,10 +155,9 @@ def finish(axes: Axes, title: str, label: str) -> None:
     axes.set_title(title, fontsize=10, loc="left")
     axes.set_ylabel(label)
     axes.set_xlabel("t [s]")
-    axes.grid(color="#dddddd", lw=0.6)
+    axes.grid(color=GRID, lw=0.6)
     axes.legend(
         fontsize=8, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False,
         handlelength=1.4, columnspacing=1.0, borderaxespad=0.2,
     )  # fmt: skip
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    bare(axes)
