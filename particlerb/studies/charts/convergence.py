@@ -1,0 +1,209 @@
+"""Picture of `converge`: how many particles an error needs, and how smooth the way there is.
+
+Left: error against the total number of particles, every curve named at its end; below it, in a
+strip of their own, the sets where only rounding is left. Right: the error of every lattice against
+particles per edge, one panel per shape, with the band of neighbouring lattices and the numbers of
+particles that some errors need. Nothing is computed here.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import NullFormatter
+
+from particlerb.maths.vec3 import Floats
+from particlerb.studies.charts.style import COLOURS, GRID, INK, bare
+from particlerb.studies.convergence import (
+    WANTED,
+    Convergence,
+    Curve,
+    is_confirmed,
+    is_exact,
+    needed,
+    order,
+    settled,
+    spread,
+)
+
+SMOOTH, EXACT = COLOURS[0], COLOURS[2]
+CURVED = (COLOURS[1], "#df65b0", "#8c564b", "#b8860b", "#7b3294", "#555555", "#b2182b")
+WIDEST = 60.0  # right edge, in units of the largest number of particles: room for names
+NAMES_AT = 1.6  # where names begin, in the same units
+SHORT = 0.01  # a curve that ends before this has its name where it ends
+BOTTOM, LOWEST = 5e-5, 5e-7  # lowest errors shown, left and right
+FLOOR = 1e-17  # where an error of 0 is drawn
+
+End = tuple[float, float, str, str]
+
+
+def draw_convergence(convergence: Convergence, path: Path) -> None:
+    """Draw a study; as PNG, SVG or PDF, by the suffix of the path."""
+    rough = [curve for curve in convergence.curves if not is_exact(curve)]
+    colours = colours_of(rough)
+    figure = Figure(figsize=(14.5, 8.4), layout="constrained")
+    figure.suptitle("How many particles a body needs", color=INK, fontsize=14)
+    if rough:
+        left, right = figure.subfigures(1, 2, squeeze=False, wspace=0.02)[0]
+        draw_answer(left, convergence, colours)
+        draw_evidence(right, convergence, colours)
+    else:
+        axes = figure.subplots()
+        draw_exact(axes, convergence.curves, convergence.most)
+        axes.set_xlabel("particles in total")
+    figure.savefig(path, dpi=110)
+
+
+def colours_of(curves: Sequence[Curve]) -> dict[str, str]:
+    """One colour for all that has an order, a tint each for what has none."""
+    curved = [curve.shape for curve in curves if math.isnan(order(curve))]
+    tints = {name: CURVED[k % len(CURVED)] for k, name in enumerate(curved)}
+    return {curve.shape: tints.get(curve.shape, SMOOTH) for curve in curves}
+
+
+def title(curve: Curve) -> str:
+    """Name of a shape, and the order where there is one."""
+    name, p = curve.shape.replace("_", " "), order(curve)
+    return name if math.isnan(p) else f"{name}, 1/n^{p:.2f}"
+
+
+def finish(axes: Axes) -> None:
+    """What all panels have in common."""
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.grid(color=GRID, lw=0.6)
+    bare(axes)
+
+
+# Left: error against the total number of particles
+
+
+def draw_answer(figure: SubFigure, convergence: Convergence, colours: dict[str, str]) -> None:
+    """Errors that no larger set exceeds, and the strip of rounding below them."""
+    exact = [curve for curve in convergence.curves if is_exact(curve)]
+    rows = 2 if exact else 1
+    ratios = (4.6, 1.4)[:rows]
+    panels = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+    draw_settled(panels[0], convergence, colours)
+    if exact:
+        draw_exact(panels[1], exact, convergence.most)
+    panels[-1].set_xlabel("particles in total")
+
+
+def draw_settled(axes: Axes, convergence: Convergence, colours: dict[str, str]) -> None:
+    """The error that neither this set nor any larger one that was tried exceeds."""
+    ends = []
+    for curve in (c for c in convergence.curves if not is_exact(c)):
+        shown = is_confirmed(curve) & (settled(curve) >= BOTTOM)
+        if not shown.any():
+            continue
+        number, error = curve.particles[shown], settled(curve)[shown]
+        style = "steps-post" if math.isnan(order(curve)) else "default"
+        axes.plot(number, error, color=colours[curve.shape], lw=1.8, drawstyle=style)
+        ends.append((float(number[-1]), float(error[-1]), title(curve), colours[curve.shape]))
+    finish(axes)
+    axes.set_ylim(BOTTOM, 1.0)
+    axes.set_xlim(1.0, WIDEST * convergence.most)
+    name_ends(axes, ends, convergence.most, gap=0.16)
+    axes.hlines(WANTED, 1.0, convergence.most, color=INK, lw=0.8, ls=":")
+    axes.set_title("error that no larger lattice exceeds", fontsize=10, loc="left")
+    axes.set_ylabel("relative error of tensor or com")
+
+
+def name_ends(axes: Axes, ends: Sequence[End], most: int, gap: float) -> None:
+    """Names beside the ends of curves, at least `gap` decades apart."""
+    far = sorted((end for end in ends if end[0] > SHORT * most), key=lambda end: end[1])
+    heights = spread_apart(np.log10([end[1] for end in far]), gap)
+    for (x, y, name, colour), height in zip(far, heights, strict=True):
+        axes.annotate(
+            name, (x, y), (NAMES_AT * most, 10.0**height), color=colour, va="center",
+            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6},
+        )  # fmt: skip
+    for x, y, name, colour in (end for end in ends if end[0] <= SHORT * most):
+        axes.annotate(name, (x, y), (6, 6), textcoords="offset points", color=colour)
+
+
+def spread_apart(height: Floats, gap: float) -> Floats:
+    """Ascending heights moved apart to this gap, as far up as down."""
+    steps = gap * np.arange(len(height))
+    rising = np.maximum.accumulate(height - steps)
+    falling = np.minimum.accumulate((height - steps)[::-1])[::-1]
+    moved: Floats = 0.5 * (rising + falling) + steps
+    return moved
+
+
+def draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
+    """Sets with the tensor of the solid: a mark with a name, or a line where every n is one."""
+    marks = sorted((c for c in curves if len(c.n) == 1), key=lambda curve: curve.particles[0])
+    for k, curve in enumerate(marks):
+        number, error = int(curve.particles[0]), max(float(curve.error[0]), FLOOR)
+        axes.plot(number, error, "o", color=EXACT, ms=5)
+        axes.annotate(
+            f"{title(curve)} {number}", (number, error), (0.02 + 0.16 * k, 0.8), color=EXACT,
+            textcoords="axes fraction", arrowprops={"arrowstyle": "-", "color": EXACT, "lw": 0.6},
+        )  # fmt: skip
+    ends = []
+    for curve in (c for c in curves if len(c.n) > 1):
+        worst = max(float(curve.error.max()), FLOOR)
+        axes.plot(curve.particles, np.full(len(curve.n), worst), color=EXACT, lw=1.8)
+        ends.append((float(curve.particles[-1]), worst, f"{title(curve)}, any n", EXACT))
+    finish(axes)
+    axes.set_xlim(1.0, WIDEST * most)
+    name_ends(axes, ends, most, gap=0.8)
+    axes.set_ylim(FLOOR / 2, 3e-14)
+    axes.set_yticks([FLOOR, 1e-16, 1e-15, 1e-14], ["0", "$10^{-16}$", "$10^{-15}$", "$10^{-14}$"])
+    axes.tick_params(axis="y", which="minor", left=False)
+    axes.set_title("exact sets: only rounding is left", fontsize=10, loc="left", color=EXACT)
+
+
+# Right: every lattice that was tried, against particles per edge
+
+
+def draw_evidence(figure: SubFigure, convergence: Convergence, colours: dict[str, str]) -> None:
+    """One panel per shape, the numbers of particles in it."""
+    rough = [curve for curve in convergence.curves if not is_exact(curve)]
+    exact = {c.shape: int(c.particles[0]) for c in convergence.curves if is_exact(c)}
+    columns = min(3, math.ceil(math.sqrt(len(rough))))
+    rows = math.ceil(len(rough) / columns)
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, curve in zip(panels.flat, rough, strict=False):
+        draw_lattices(axes, curve, colours[curve.shape])
+        write_needs(axes, curve, exact.get(curve.shape))
+    for axes in panels.flat[len(rough) :]:
+        axes.remove()
+    figure.suptitle(
+        "each lattice (dots), median and range of neighbouring n (line, band), 1/n² (dotted)",
+        fontsize=10,
+    )
+    figure.supxlabel("particles per edge, n", fontsize=10)
+
+
+def draw_lattices(axes: Axes, curve: Curve, colour: str) -> None:
+    """Every error, the band and the median of neighbouring n, and 1/n² to compare with."""
+    lowest, median, highest = spread(curve)
+    axes.plot(curve.n, curve.n**-2.0, color=INK, lw=0.9, ls=":", zorder=3)
+    axes.plot(curve.n, curve.error, ".", color=colour, ms=4, alpha=0.7, mew=0)
+    if math.isnan(order(curve)):
+        axes.fill_between(curve.n, lowest, highest, color=colour, alpha=0.2, lw=0)
+        axes.plot(curve.n, median, color=colour, lw=1.6)
+    finish(axes)
+    axes.set_ylim(LOWEST, 1.0)
+    axes.text(0.98, 0.97, title(curve), transform=axes.transAxes, ha="right", va="top",
+              color=colour)  # fmt: skip
+
+
+def write_needs(axes: Axes, curve: Curve, exact: int | None) -> None:
+    """Particles for each wanted error, in the corner below the points."""
+    rows = [("error", "particles")]
+    for wanted in WANTED:
+        need = needed(curve, wanted)
+        rows.append((f"{wanted:g}", f"{'' if need.is_reached else '> '}{need.particles:,}"))
+    if exact is not None:
+        rows.append(("exact", f"{exact}"))
+    text = "\n".join(f"{error:<6}{number:>10}" for error, number in rows).replace(",", " ")
+    axes.text(0.03, 0.03, text, transform=axes.transAxes, fontsize=7, family="monospace",
+              color=INK, va="bottom", linespacing=1.25)  # fmt: skip

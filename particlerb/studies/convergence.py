@@ -1,0 +1,406 @@
+"""How close particles come to the solid they stand for: the study of `converge`.
+
+For every shape with an analytic tensor: particles are laid out as a case would have them, summed
+as a run would sum them, and compared with the integral over the solid. Read in this order: the
+analytic tensors, written here and independent of all sums; `SOLIDS`, the examples; `converge`;
+then what a curve says: its order or its spread, and how many particles a wanted error needs.
+Explained in docs/convergence.md. Nothing here prints, draws or knows of a run.
+
+The error of a set is the larger of two ratios:
+
+- tensor: ‖I_sum − I‖₂ / ‖I‖₂ in the spectral norm, each tensor about its own com, in the shape's
+  own axes: the largest error of the moment about any axis, as a share of the largest moment;
+- com: |com_sum − com| / g with the radius of gyration g = √(½ tr I / M).
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from particlerb.bodies import shapes as particle_shapes
+from particlerb.bodies.mass_properties import ROUNDING, mass_properties
+from particlerb.bodies.particles import Particles
+from particlerb.maths.vec3 import Bools, Floats, Ints
+
+MOST: Final = 1_000_000  # particles of the finest lattice
+FEWEST: Final = 1000  # with fewer, some curves have too few n to say anything
+WANTED: Final = (1e-2, 1e-3, 1e-4)  # errors that the table asks for
+NEAR: Final = 1.25  # n and m are neighbours if neither exceeds the other by this factor
+CLEAN: Final = 1.02  # largest factor between the errors and a power of n that is called an order
+ENOUGH: Final = 8  # errors, over a factor of 4 in n, before anything is called an order
+EXPLANATION: Final = """\
+tried: every n whose lattice has at most {most} particles
+error: of the tensor, spectral norm, relative; of the com in radii of gyration if larger
+no order: lowest, median and highest error of these n
+0.01 and so on: smallest n from which on no n tried exceeds this error, and its particles;
+  `>`: more than these are needed"""
+
+
+# Analytic tensors: numbers of docs/bodies.md in brackets
+
+
+class Analytic(NamedTuple):
+    """What integration says of a solid of uniform density, per unit of mass."""
+
+    com: Floats
+    """[m], shape (3,); in the shape's own axes."""
+    tensor: Floats
+    """[m²], shape (3, 3); about com, in the same axes."""
+
+
+def centred(x: float, y: float, z: float) -> Analytic:
+    """Moments per mass [m²] about the axes of a shape with its com at the origin."""
+    return Analytic(np.zeros(3), np.diag([x, y, z]))
+
+
+def analytic_box(size: Sequence[float]) -> Analytic:
+    """I_x = M (b² + c²)/12, and cyclic (5)."""
+    a, b, c = size
+    return centred((b * b + c * c) / 12.0, (a * a + c * c) / 12.0, (a * a + b * b) / 12.0)
+
+
+def analytic_ellipsoid(semi_axes: Sequence[float]) -> Analytic:
+    """I_x = M (b² + c²)/5, and cyclic (7)."""
+    a, b, c = semi_axes
+    return centred((b * b + c * c) / 5.0, (a * a + c * c) / 5.0, (a * a + b * b) / 5.0)
+
+
+def analytic_ball(radius: float) -> Analytic:
+    """I = (2/5) M R² (6)."""
+    return analytic_shell(radius, 0.0)
+
+
+def analytic_shell(radius: float, inner_radius: float | None = None) -> Analytic:
+    """Thick: (2/5) M (R⁵ − r⁵)/(R³ − r³) (9); thin: (2/3) M R² (8)."""
+    R, r = radius, inner_radius
+    moment = 2.0 / 3.0 * R**2 if r is None else 0.4 * (R**5 - r**5) / (R**3 - r**3)
+    return centred(moment, moment, moment)
+
+
+def analytic_cylinder(radius: float, height: float, inner_radius: float = 0.0) -> Analytic:
+    """I_z = M (R² + r²)/2, I_x = M (3 (R² + r²) + h²)/12 (10)."""
+    squares = radius**2 + inner_radius**2
+    across = (3.0 * squares + height**2) / 12.0
+    return centred(across, across, 0.5 * squares)
+
+
+def analytic_cone(radius: float, height: float) -> Analytic:
+    """Com at h/4 above the base, I_z = (3/10) M R², I_x = (3/80) M (4R² + h²) (11)."""
+    across = 3.0 / 80.0 * (4.0 * radius**2 + height**2)
+    tensor = np.diag([across, across, 0.3 * radius**2])
+    return Analytic(np.array([0.0, 0.0, 0.25 * height]), tensor)
+
+
+def analytic_torus(major_radius: float, minor_radius: float) -> Analytic:
+    """I_z = M (c² + 3a²/4), I_x = M (c²/2 + 5a²/8) (12)."""
+    c, a = major_radius, minor_radius
+    across = 0.5 * c**2 + 0.625 * a**2
+    return centred(across, across, c**2 + 0.75 * a**2)
+
+
+def analytic_rod(length: float) -> Analytic:
+    """I_x = M L²/12, I_z = 0 (13)."""
+    return centred(length**2 / 12.0, length**2 / 12.0, 0.0)
+
+
+def analytic_tetrahedron(vertices: ArrayLike) -> Analytic:
+    """Com at the mean of the vertices; Σ m r rᵀ = (M/20) Σ_v r_v r_vᵀ about it (14)."""
+    corner = np.asarray(vertices, dtype=np.float64)
+    com = corner.mean(axis=0)
+    second = (corner - com).T @ (corner - com) / 20.0
+    return Analytic(com, np.trace(second) * np.eye(3) - second)
+
+
+# Examples
+
+
+class Solid(NamedTuple):
+    """A solid of the study: how to fill it, and what it should then be."""
+
+    shape: str
+    """Function of particlerb.bodies.shapes."""
+    size: dict[str, Any]
+    """Its arguments [m]; the same ones give the analytic tensor."""
+    analytic: Callable[..., Analytic]
+    has_exact: bool = False
+    """Whether the shape also has an exact set of a few particles."""
+    coarsest: int = 2
+    """Smallest n for which a lattice has particles."""
+    finest: float = math.inf
+    """Largest n that is tried; where every n is exact, a hundred of them will do."""
+
+    def filled(self, **how: Any) -> Particles:
+        """Particles of one kilogram."""
+        particles: Particles = getattr(particle_shapes, self.shape)(**self.size, mass=1.0, **how)
+        return particles
+
+
+CORNERS: Final = ((0.0, 0.0, 0.0), (1.0, 0.1, 0.0), (0.2, 0.8, 0.1), (0.3, 0.2, 0.9))
+SOLIDS: Final[dict[str, Solid]] = {
+    "box": Solid("box", {"size": (1.0, 0.8, 0.5)}, analytic_box, has_exact=True),
+    "rod": Solid("rod", {"length": 1.0}, analytic_rod, has_exact=True),
+    "tetrahedron": Solid(
+        "tetrahedron", {"vertices": CORNERS}, analytic_tetrahedron, has_exact=True, finest=100
+    ),
+    "thin_shell": Solid("shell", {"radius": 0.5}, analytic_shell, coarsest=1, finest=100),
+    "ball": Solid("ball", {"radius": 0.5}, analytic_ball, has_exact=True),
+    "ellipsoid": Solid(
+        "ellipsoid", {"semi_axes": (0.5, 0.35, 0.25)}, analytic_ellipsoid, has_exact=True
+    ),
+    "shell": Solid("shell", {"radius": 0.5, "inner_radius": 0.3}, analytic_shell),
+    "cylinder": Solid("cylinder", {"radius": 0.25, "height": 0.75}, analytic_cylinder),
+    "tube": Solid(
+        "cylinder",
+        {"radius": 0.25, "height": 0.75, "inner_radius": 0.15},
+        analytic_cylinder,
+        coarsest=3,
+    ),
+    "cone": Solid("cone", {"radius": 0.25, "height": 0.75}, analytic_cone),
+    "torus": Solid("torus", {"major_radius": 0.5, "minor_radius": 0.2}, analytic_torus),
+}
+
+
+# The study
+
+
+class Curve(NamedTuple):
+    """Errors of one solid filled in one way; arrays over n."""
+
+    shape: str
+    """Key of SOLIDS."""
+    arrangement: str
+    """Lattice or exact, as in a case."""
+    n: Ints
+    """Particles per edge, ascending, shape (k,); one 0 for an exact set, which has no n."""
+    particles: Ints
+    """Total number, shape (k,)."""
+    tensor_error: Floats
+    """Shape (k,)."""
+    com_error: Floats
+    """Shape (k,)."""
+
+    @property
+    def error(self) -> Floats:
+        """The larger of the two, shape (k,)."""
+        return np.maximum(self.tensor_error, self.com_error)
+
+
+class Convergence(NamedTuple):
+    """All curves of a study."""
+
+    curves: tuple[Curve, ...]
+    most: int
+    """Particles of the finest lattice at most."""
+
+
+def converge(
+    shapes: Sequence[str] = (),
+    most: int = MOST,
+    progress: Callable[[int], object] = lambda _: None,
+) -> Convergence:
+    """Errors of the summed mass properties for every n, from the coarsest lattice on.
+
+    Parameters
+    ----------
+    shapes : sequence of str
+        Keys of SOLIDS; none: all of them.
+    most : int
+        Every n is tried whose set has at most this many particles, up to n = 2 ∛most.
+    progress : callable
+        Called with 1 after every curve; there are as many as `arrangements(shapes)` has.
+
+    Raises
+    ------
+    ValueError
+        If a shape has no analytic tensor here, or `most` is below 1000.
+    """
+    if most < FEWEST:
+        raise ValueError(f"most is {most}: {FEWEST} particles or more are needed")
+    curves = []
+    for name, arrangement in arrangements(shapes):
+        curves.append(curve_of(name, arrangement, most))
+        progress(1)
+    return Convergence(tuple(curves), int(most))
+
+
+def arrangements(shapes: Sequence[str] = ()) -> list[tuple[str, str]]:
+    """Shape and arrangement of every curve; ValueError names shapes that are not known."""
+    unknown = [name for name in shapes if name not in SOLIDS]
+    if unknown:
+        raise ValueError(
+            f"no analytic tensor for {', '.join(unknown)}; shapes of this study: "
+            + ", ".join(SOLIDS)
+        )
+    chosen = dict.fromkeys(shapes or SOLIDS)
+    return [
+        (name, arrangement)
+        for name in chosen
+        for arrangement in ("lattice", "exact")
+        if arrangement == "lattice" or SOLIDS[name].has_exact
+    ]
+
+
+def curve_of(name: str, arrangement: str, most: int) -> Curve:
+    """Errors of one solid filled in one way, of sets with at most this many particles."""
+    solid = SOLIDS[name]
+    rows = [
+        (n, len(particles.mass), *errors(solid, particles))
+        for n, particles in sets(solid, arrangement, most)
+    ]
+    n, number, tensor, com = zip(*rows, strict=True)
+    counts = np.array(n, dtype=np.int64), np.array(number, dtype=np.int64)
+    return Curve(name, arrangement, *counts, np.array(tensor), np.array(com))
+
+
+def sets(solid: Solid, arrangement: str, most: int) -> Iterator[tuple[int, Particles]]:
+    """n and the particles of every set of a curve, one after the other: they are large."""
+    if arrangement == "exact":
+        yield 0, solid.filled(exact=True)
+        return
+    finest = int(min(solid.finest, 2.0 * math.cbrt(most)))
+    for n in range(solid.coarsest, finest + 1):
+        particles = solid.filled(n=n)
+        if len(particles.mass) > most:
+            return
+        yield n, particles
+
+
+def errors(solid: Solid, particles: Particles) -> tuple[float, float]:
+    """Error of the tensor and of the com of particles of one kilogram."""
+    com, tensor = solid.analytic(**solid.size)
+    summed = mass_properties(particles)
+    difference = np.linalg.norm(summed.inertia_tensor[0] - tensor, 2)
+    gyration = math.sqrt(0.5 * np.trace(tensor))
+    return (
+        float(difference / np.linalg.norm(tensor, 2)),
+        float(np.linalg.norm(summed.com[0] - com)) / gyration,
+    )
+
+
+# What a curve says
+
+
+class Spread(NamedTuple):
+    """Errors among neighbouring n, arrays over n of a curve, shape (k,)."""
+
+    lowest: Floats
+    median: Floats
+    highest: Floats
+
+
+class Need(NamedTuple):
+    """Particles for a wanted error."""
+
+    n: int
+    """Per edge; 0 for an exact set."""
+    particles: int
+    """In total."""
+    is_reached: bool
+    """False: more than these are needed, they are the finest lattice that misses the error."""
+
+
+def is_exact(curve: Curve) -> bool:
+    """Whether nothing is left but rounding, for every n."""
+    return bool((curve.error <= ROUNDING).all())
+
+
+def order(curve: Curve) -> float:
+    """Exponent p of error ∝ 1/n^p if all errors follow it within 2 %; else NaN: a spread.
+
+    A straight line through log errors, by least squares; 8 errors over a factor of 4 in n at least.
+    """
+    n, error = curve.n, curve.error
+    if len(n) < ENOUGH or n[-1] < 4 * n[0] or not (error > ROUNDING).all():
+        return math.nan
+    slope, height = np.polyfit(np.log(n), np.log(error), 1)
+    distance = np.abs(np.log(error) - (slope * np.log(n) + height)).max()
+    return -float(slope) if distance <= math.log(CLEAN) else math.nan
+
+
+def spread(curve: Curve) -> Spread:
+    """Lowest, median and highest error among the n' with n/1.25 <= n' <= 1.25 n that were tried.
+
+    Neighbours hold both even n, with the com in a corner of four cells, and odd n, with the com in
+    the centre of one: the two places that a centred lattice can have.
+    """
+    n, error = curve.n, curve.error
+    near = [error[(n >= m / NEAR) & (n <= NEAR * m)] for m in n]
+    return Spread(*(np.array([f(e) for e in near]) for f in (np.min, np.median, np.max)))
+
+
+def settled(curve: Curve) -> Floats:
+    """Largest error of this n and of every larger one that was tried, shape (k,)."""
+    largest: Floats = np.maximum.accumulate(curve.error[::-1])[::-1]
+    return largest
+
+
+def is_confirmed(curve: Curve) -> Bools:
+    """Whether enough larger n were tried to say «from here on», shape (k,).
+
+    Up to 1.25 n, which is twice the particles. An order and rounding need no such proof.
+    """
+    if is_exact(curve) or math.isfinite(order(curve)):
+        return np.ones(len(curve.n), dtype=np.bool_)
+    return np.asarray(NEAR * curve.n <= curve.n[-1])
+
+
+def needed(curve: Curve, wanted: float) -> Need:
+    """Smallest n from which on every n that was tried has at most the wanted error."""
+    below = settled(curve) <= wanted + ROUNDING
+    holds = np.flatnonzero(below & is_confirmed(curve))
+    if len(holds):
+        return Need(int(curve.n[holds[0]]), int(curve.particles[holds[0]]), True)
+    k = np.flatnonzero(~below)[-1]
+    return Need(int(curve.n[k]), int(curve.particles[k]), False)
+
+
+# Text and rows
+
+
+def table(convergence: Convergence) -> str:
+    """What the study found, a line per curve: law of the error, n and particles for some errors."""
+    head = ("shape", "arrangement", "error", *(f"{wanted:g}" for wanted in WANTED))
+    rows = [head]
+    for curve in convergence.curves:
+        needs = (need_text(needed(curve, wanted)) for wanted in WANTED)
+        rows.append((curve.shape, curve.arrangement, law_text(curve), *needs))
+    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+    return "\n".join([*lines, "", EXPLANATION.format(most=convergence.most)])
+
+
+def law_text(curve: Curve) -> str:
+    """Rounding, an order, or the spread over the finest n."""
+    if is_exact(curve):
+        worst = curve.error.max()
+        return f"rounding, {worst:.0e}" if worst > 0.0 else "rounding, 0"
+    p = order(curve)
+    if math.isfinite(p):
+        return f"1/n^{p:.2f}"
+    k = int(np.searchsorted(NEAR * curve.n, curve.n[-1], side="right")) - 1
+    numbers = " ".join(f"{values[k]:.0e}" for values in spread(curve))
+    return f"no order: {numbers} for n {math.ceil(curve.n[k] / NEAR)}-{curve.n[-1]}"
+
+
+def need_text(need: Need) -> str:
+    """`n: particles`, or `> n: particles` of what is too few."""
+    n = f"{need.n}: " if need.n else ""
+    return ("" if need.is_reached else "> ") + f"{n}{need.particles}"
+
+
+def csv_rows(convergence: Convergence) -> Iterator[Sequence[object]]:
+    """Rows of numbers without units, the header first; an exact set has no n per edge."""
+    yield (
+        "shape", "arrangement", "n_per_edge", "particles", "tensor_error", "com_error",
+        "lowest_near_n", "median_near_n", "highest_near_n",
+    )  # fmt: skip
+    for curve in convergence.curves:
+        columns = (*curve[2:], *spread(curve))
+        for n, *values in zip(*(column.tolist() for column in columns), strict=True):
+            yield (curve.shape, curve.arrangement, n or "", *values)
