@@ -13,6 +13,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 from typing import Any, TypeVar, cast
 
 import numba
@@ -119,3 +120,16 @@ def compile_with(**options: Any) -> Callable[[Function], Function]:
 
 inline = compile_with(forceinline=True)
 kernel = compile_with(cache=True, nogil=True)
+
+
+def kernel_from(template: Function, name: str, **names: Any) -> Function:
+    """Compile a kernel from a function whose globals of these names are to be others.
+
+    A method brings its step, the loop around it is the same for all. Handed over as an argument,
+    the step would be compiled and optimised once more on each level that it passes; as a closure
+    it would never be found in the cache on disk. The kernel's name tells it there from the others.
+    """
+    function = FunctionType(template.__code__, template.__globals__ | names, name)
+    function.__qualname__ = f"{template.__qualname__}_{name}"
+    function.__doc__ = template.__doc__
+    return kernel(cast(Function, function))

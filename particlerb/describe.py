@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from particlerb.bodies.scene import Scene
-from particlerb.case.schema import Case
+from particlerb.case.schema import FORCES, Case
 from particlerb.maths.vec3 import Ints
-from particlerb.plan import GroupPlan, Plan, Segment, has_step
+from particlerb.plan import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.rotors.rotor_class import NAMES
-from particlerb.terms import Terms
+from particlerb.terms import Terms, has_potential, is_constant
 
 GROUPS_SHOWN = 20
 SEGMENTS_SHOWN = 12
@@ -22,7 +22,7 @@ def describe(case: Case, scene: Scene, plan: Plan) -> str:
         ("bodies", bodies_line(scene)),
         ("particles", particles_line(scene)),
         ("gravity", gravity_line(case)),
-        *((kind, force_line(case, kind)) for kind in ("push", "torque", "impulse")),
+        *((kind, force_line(case, kind)) for kind in FORCES),
         ("contact", contact_line(scene)),
         ("step", plan.step),
         ("ledger", ledger_line(plan)),
@@ -76,13 +76,11 @@ def contact_line(scene: Scene) -> str:
 
 def ledger_line(plan: Plan) -> str:
     """What booking costs."""
-    books = any(
-        has_step(s.method) and (s.terms.follower is not None or s.terms.torque is not None)
-        for group in plan.groups
-        for s in group.segments
-    )
-    if books:
-        return "work and impulses booked kick by kick: a force without potential acts"
+    stepped = [s for group in plan.groups for s in group.segments if has_step(s.method)]
+    if not all(has_potential(segment.terms) for segment in stepped):
+        return "work and impulses booked step by step: a force without potential acts"
+    if not all(is_constant(segment.terms) for segment in stepped):
+        return "work from potentials; impulses booked step by step: a force is not constant"
     return "booked in closed form: every force has a potential, kicks pay nothing for it"
 
 
@@ -115,6 +113,9 @@ def segment_line(segment: Segment) -> str:
     start = f"after {len(segment.jumps)} impulse(s), " if segment.jumps else ""
     if not has_step(segment.method):
         return f"{when}: {start}free, closed form, no step ({free_reason(segment.terms)})"
+    if is_adaptive(segment.method):
+        driver = f"driven by {driving(segment.terms)}, {segment.method}"
+        return f"{when}: {start}{driver}, tolerance {segment.tolerance:.3g}"
     steps = (segment.stop - segment.start) / segment.dt
     count = f"{round(steps)} steps of " if np.isfinite(steps) else "steps of "
     return f"{when}: {start}driven by {driving(segment.terms)}, {segment.method}, " + (
@@ -137,6 +138,9 @@ def driving(terms: Terms) -> str:
         "push": terms.push,
         "load fixed in the body": terms.follower,
         "torque": terms.torque,
+        "drag": terms.drag,
+        "spring": terms.spring,
+        "central field": terms.central,
     }
     acting = [name for name, term in names.items() if term is not None]
     return " and ".join(acting) if acting else "nothing, but the case names the method"

@@ -15,16 +15,20 @@ from particlerb.bodies.state import turned_back
 from particlerb.case.placement import resolve_bodies
 from particlerb.case.problems import Problem
 from particlerb.case.reader import problem_at
-from particlerb.case.schema import Case, Impulse, Push, Torque
+from particlerb.case.schema import AnyForce, Case, Central, Drag, Impulse, Push, Spring, Torque
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 from particlerb.terms import Terms
+from particlerb.terms.central import Central as Centre
+from particlerb.terms.drag import Drag as WorldDrag
 from particlerb.terms.follower import Follower
 from particlerb.terms.gravity import UniformGravity
 from particlerb.terms.impulse import Impulse as Jump
 from particlerb.terms.push import Push as WorldPush
+from particlerb.terms.spring import Spring as WorldSpring
 from particlerb.terms.torque import Torque as WorldTorque
 
+N_NUMBERS: Final = 8
 LARGEST_TORQUE: Final = float(np.finfo(np.float64).max)
 AXIAL_ROUNDING: Final = 1e-12  # share of a torque about a rod's axis that is its rounding
 
@@ -33,36 +37,60 @@ class Load(NamedTuple):
     """One force or impulse of the case, resolved."""
 
     number: int  # index of [[force]]
-    force: Push | Torque | Impulse
+    force: AnyForce
     members: Ints  # bodies on which it acts, ascending
 
     @property
     def at(self) -> tuple[float, float, float]:
         """Point where it acts [m], body frame."""
-        return (0.0, 0.0, 0.0) if isinstance(self.force, Torque) else self.force.at
+        force = self.force
+        return force.at if isinstance(force, (Push, Impulse, Spring)) else (0.0, 0.0, 0.0)
 
     @property
     def vector(self) -> tuple[float, float, float]:
-        """The force [N], torque [N m] or impulse [N s]."""
+        """The force [N], torque [N m] or impulse [N s] of those that are constant."""
         force = self.force
         if isinstance(force, Push):
             return force.force
-        return force.torque if isinstance(force, Torque) else force.impulse
+        if isinstance(force, Torque):
+            return force.torque
+        return force.impulse if isinstance(force, Impulse) else (0.0, 0.0, 0.0)
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """What a kernel needs of it, N_NUMBERS at most; `acting_terms` knows the order."""
+        force = self.force
+        if isinstance(force, Drag):
+            return (force.translation, force.rotation)
+        if isinstance(force, Spring):
+            return (*force.at, *force.anchor, force.stiffness, force.rest_length)
+        if isinstance(force, Central):
+            return (*force.centre, force.mu)
+        return (*self.at, *self.vector)
 
     @property
     def form(self) -> tuple[object, ...]:
         """What it has in common with others of a group: all but its size, direction and point."""
         force = self.force
         when = force.time if isinstance(force, Impulse) else force.during
-        return force.type, force.frame, when, any(self.at)
+        return force.type, getattr(force, "frame", None), when, any(self.at)
 
 
 class Forces(NamedTuple):
     """One force of the same form on each of n bodies."""
 
-    form: Push | Torque | Impulse  # one of them
-    at: Floats  # (3, n) [m], body frame
-    vector: Floats  # (3, n) [N, N m or N s]
+    form: AnyForce  # one of them
+    numbers: Floats  # (N_NUMBERS, n)
+
+    @property
+    def at(self) -> Floats:
+        """Points of those that act at one, (3, n) [m], body frame."""
+        return self.numbers[:3]
+
+    @property
+    def vector(self) -> Floats:
+        """Forces, torques or impulses that are constant, (3, n) [N, N m or N s]."""
+        return self.numbers[3:6]
 
 
 def loads_of(case: Case) -> list[Load]:
@@ -72,23 +100,24 @@ def loads_of(case: Case) -> list[Load]:
 
 def groups_of_bodies(scene: Scene, loads: list[Load]) -> list[tuple[Ints, list[Forces]]]:
     """Bodies with forces of the same forms, and these forces; in the order of bodies."""
-    numbers: defaultdict[int, list[int]] = defaultdict(list)
+    acting: defaultdict[int, list[int]] = defaultdict(list)
     for k, load in enumerate(loads):
         for b in load.members.tolist():
-            numbers[b].append(k)
+            acting[b].append(k)
     forms = [load.form for load in loads]
     members: defaultdict[tuple[object, ...], list[int]] = defaultdict(list)
-    for b in sorted(numbers):
-        members[tuple(forms[k] for k in numbers[b])].append(b)
-    at = np.array([load.at for load in loads]).reshape(-1, 3)
-    vector = np.array([load.vector for load in loads]).reshape(-1, 3)
+    for b in sorted(acting):
+        members[tuple(forms[k] for k in acting[b])].append(b)
+    numbers = np.zeros((len(loads), N_NUMBERS))
+    for k, load in enumerate(loads):
+        numbers[k, : len(load.numbers)] = load.numbers
     groups = []
     for bodies in members.values():
-        own = np.array([numbers[b] for b in bodies])
-        forces = [Forces(loads[k[0]].force, at[k].T, vector[k].T) for k in own.T]
+        own = np.array([acting[b] for b in bodies])
+        forces = [Forces(loads[k[0]].force, numbers[k].T) for k in own.T]
         groups.append((np.array(bodies), forces))
     alone = np.ones(len(scene.kind), dtype=bool)
-    alone[list(numbers)] = False
+    alone[list(acting)] = False
     if alone.any():
         groups.append((np.flatnonzero(alone), []))
     return sorted(groups, key=lambda group: int(group[0][0]))
@@ -103,35 +132,49 @@ def acts(force: Forces, start: float) -> bool:
 
 
 def acting_terms(case: Case, bodies: Bodies, forces: list[Forces]) -> Terms:
-    """Sum of the forces of a segment, one term of each kind at most."""
+    """Sum of the forces of a segment: one term of each kind, but springs and centres one by one."""
     n = bodies.mass.size
     force, lever = np.zeros((3, n)), np.zeros((3, 3, n))
     body_force, body_torque, torque = np.zeros((3, 3, n))
-    for form, at, vector in forces:
-        arm = turned_back(bodies.rotor_frame, at)
-        if isinstance(form, Push) and form.frame == "world":
-            force += vector
-            lever += vector[:, None] * arm  # [j, l] = F_j r_l
+    drag = np.zeros((2, n))
+    springs: list[WorldSpring] = []
+    centres: list[Centre] = []
+    for one in forces:
+        form, numbers = one.form, one.numbers
+        if isinstance(form, Drag):
+            drag += numbers[:2]
+        elif isinstance(form, Spring):
+            arm = turned_back(bodies.rotor_frame, one.at)
+            springs.append(WorldSpring(arm, numbers[3:6], numbers[6], numbers[7]))
+        elif isinstance(form, Central):
+            centres.append(Centre(numbers[:3], numbers[3], bodies.mass, bodies.inertia))
+        elif isinstance(form, Push) and form.frame == "world":
+            arm = turned_back(bodies.rotor_frame, one.at)
+            force += one.vector
+            lever += one.vector[:, None] * arm  # [j, l] = F_j r_l
         elif isinstance(form, Push):
-            own = turned_back(bodies.rotor_frame, vector)
+            own = turned_back(bodies.rotor_frame, one.vector)
             body_force += own
-            body_torque += np.cross(arm, own, axis=0)
-        elif form.frame == "world":
-            torque += vector
+            body_torque += np.cross(turned_back(bodies.rotor_frame, one.at), own, axis=0)
+        elif isinstance(form, Torque) and form.frame == "world":
+            torque += one.vector
         else:
-            body_torque += turned_back(bodies.rotor_frame, vector)
+            body_torque += turned_back(bodies.rotor_frame, one.vector)
     gravity = np.array(case.gravity.acceleration) if case.gravity else np.zeros(3)
     return Terms(
         UniformGravity(bodies.mass, gravity) if gravity.any() else None,
         WorldPush(force, lever.reshape(9, n)) if force.any() or lever.any() else None,
         Follower(body_force, body_torque) if body_force.any() or body_torque.any() else None,
         WorldTorque(torque) if torque.any() else None,
+        WorldDrag(drag[0] * bodies.inv_mass, drag[1]) if drag.any() else None,
+        tuple(springs) or None,
+        tuple(centres) or None,
     )
 
 
 def jump(force: Forces, bodies: Bodies) -> Jump:
     """An impulse as the term takes it."""
-    follows = force.form.frame == "body"
+    follows = isinstance(force.form, Impulse) and force.form.frame == "body"
     J = turned_back(bodies.rotor_frame, force.vector) if follows else force.vector
     return Jump(turned_back(bodies.rotor_frame, force.at), np.ascontiguousarray(J), follows)
 
@@ -144,7 +187,7 @@ def sizes(vectors: Floats) -> Floats:
 def too_large(case: Case, load: Load) -> list[Problem]:
     """What is wrong with a force whose torque exceeds the range of float64."""
     force = load.force
-    if isinstance(force, Torque):
+    if not isinstance(force, (Push, Impulse)):
         return []
     arm, size = max(map(abs, load.at)), max(map(abs, load.vector))
     if 2.0 * arm * size < LARGEST_TORQUE:
@@ -186,9 +229,10 @@ def turning_part(load: Load, bodies: Bodies, q: Floats) -> tuple[Floats, Floats]
     For a force at a point it is the lever arm and not the torque: an arm along a rod never turns
     it about its axis, any other arm does so but by chance. Points can follow nothing.
     """
-    is_torque = isinstance(load.force, Torque)
+    force = load.force
+    is_torque = isinstance(force, Torque)
     given = np.array(load.vector if is_torque else load.at)[:, None]
-    in_world = is_torque and load.force.frame == "world"
+    in_world = isinstance(force, Torque) and force.frame == "world"
     turn = turned_back(q if in_world else bodies.rotor_frame, np.tile(given, bodies.mass.size))
     axial = np.abs(turn[2]) if is_torque else np.hypot(turn[0], turn[1])
     size = sizes(turn)

@@ -5,6 +5,7 @@ an impulse acts; each segment is free (closed form) or driven (stepped). What a 
 is neither computed nor compiled, and the plan says so in words.
 """
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -46,7 +47,17 @@ class Segment(NamedTuple):
     jumps: tuple[Jump, ...]  # impulses at the start
     terms: Terms
     method: str
-    dt: float  # [s]; 0 where the method has no step
+    dt: float  # [s]; 0 where the method has no step, the first one where it is adaptive
+    tolerance: float  # of one step of adaptive methods, relative
+
+
+class Stepping(NamedTuple):
+    """How the driven segments of a group are stepped."""
+
+    method: str
+    dt: float  # [s]
+    tolerance: float
+    reason: str  # in words, for the plan
 
 
 class GroupPlan(NamedTuple):
@@ -69,8 +80,15 @@ class Plan(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def make_plan(case: Case, scene: Scene) -> Plan:
+def make_plan(case: Case, scene: Scene, choice: Sequence[Stepping | None] = ()) -> Plan:
     """Plan of a case.
+
+    Parameters
+    ----------
+    case, scene : Case, Scene
+        What the user says, and the bodies made of it.
+    choice : sequence of Stepping or None
+        For each group, in place of what the case says; empty: as the case says.
 
     Raises
     ------
@@ -83,19 +101,26 @@ def make_plan(case: Case, scene: Scene) -> Plan:
     problems += [p for load in loads for p in impossible_torques(case, scene, load)]
     if problems:
         raise CaseError(problems)
+    grouped = groups_of_bodies(scene, loads)
+    choice = choice or [None] * len(grouped)
     cut = [
-        cut_into_segments(case, scene, members, forces)
-        for members, forces in groups_of_bodies(scene, loads)
+        cut_into_segments(case, scene, members, forces, chosen)
+        for (members, forces), chosen in zip(grouped, choice, strict=True)
     ]
     refuse_method(case, cut)
-    steps = [step(case, scene, group) for group in cut]
+    steps = [
+        step(case, scene, group) if chosen is None else chosen.dt
+        for group, chosen in zip(cut, choice, strict=True)
+    ]
     groups = tuple(with_steps(group, dt) for group, dt in zip(cut, steps, strict=True))
     refuse_endless(case, groups)
     warnings = tuple(step_warnings(case, scene, groups))
-    return Plan(groups, step_reason(case, scene, groups), warnings)
+    return Plan(groups, step_reason(case, scene, groups, choice), warnings)
 
 
-def cut_into_segments(case: Case, scene: Scene, members: Ints, forces: list[Forces]) -> GroupPlan:
+def cut_into_segments(
+    case: Case, scene: Scene, members: Ints, forces: list[Forces], choice: Stepping | None
+) -> GroupPlan:
     """Segments of a group between the edges of its forces; steps are set later."""
     edges = {0.0}
     for force in forces:
@@ -113,8 +138,10 @@ def cut_into_segments(case: Case, scene: Scene, members: Ints, forces: list[Forc
             for force in forces
             if isinstance(force.form, Impulse) and force.form.time == start
         )
-        method = chosen_method(case, bodies, terms)
-        segments.append(Segment(start, stop, jumps, terms, method, 0.0))
+        named = case.run.method if choice is None else choice.method
+        method = chosen_method(named, bodies, terms, choice is not None)
+        tolerance = case.run.tolerance if choice is None else choice.tolerance
+        segments.append(Segment(start, stop, jumps, terms, method, 0.0, tolerance))
     return GroupPlan(members, bodies, tuple(segments))
 
 
@@ -136,13 +163,20 @@ def has_step(method: str) -> bool:
     return METHODS[method].ORDER is not None
 
 
-def chosen_method(case: Case, bodies: Bodies, terms: Terms) -> str:
-    """Name of the method of a segment: a named one steps whatever rotates."""
+def is_adaptive(method: str) -> bool:
+    """Whether a method chooses its steps itself."""
+    return bool(METHODS[method].IS_ADAPTIVE)
+
+
+def chosen_method(named: str, bodies: Bodies, terms: Terms, prefer_exact: bool) -> str:
+    """Name of the method of a segment: a named one steps whatever rotates, `auto` does not."""
     is_free = accepts("exact", terms)
-    if case.run.method == "auto":
-        return "exact" if is_free else "strang"
+    if is_free and (prefer_exact or named == "auto"):
+        return "exact"
+    if named == "auto":
+        return "strang"
     rotates = bool((bodies.rotor_class != POINT).any())
-    return case.run.method if rotates or not is_free else "exact"
+    return named if rotates or not is_free else "exact"
 
 
 def refuse_method(case: Case, groups: list[GroupPlan]) -> None:
@@ -170,19 +204,30 @@ def step(case: Case, scene: Scene, group: GroupPlan) -> float:
     return min(case.run.every, RADIANS_PER_STEP / rate) if rate > 0 else case.run.every
 
 
-def step_reason(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> str:
+def step_reason(
+    case: Case, scene: Scene, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
+) -> str:
     """The steps in words, and why these."""
-    stepped = [g for g in groups if any(has_step(s.method) for s in g.segments)]
+    stepped = [
+        (group, chosen)
+        for group, chosen in zip(groups, choice, strict=True)
+        if any(has_step(segment.method) for segment in group.segments)
+    ]
     if not stepped:
         return "no step: nothing is stepped"
+    reasons = dict.fromkeys(chosen.reason for _, chosen in stepped if chosen is not None)
+    if reasons:
+        return "; ".join(reasons)
+    if all(is_adaptive(s.method) or not has_step(s.method) for g, _ in stepped for s in g.segments):
+        return f"each body takes its own, with an error of {case.run.tolerance!r} in each"
     if case.run.dt is not None:
         return f"{case.run.dt!r} s, as the case says"
-    steps = {step(case, scene, group) for group in stepped}
+    steps = {step(case, scene, group) for group, _ in stepped}
     rule = f"the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
     if len(steps) > 1:
         return f"{min(steps):.6g} s to {max(steps):.6g} s, for each group {rule}"
     (dt,) = steps
-    rate = max(fastest_rate(scene, group) for group in stepped)
+    rate = max(fastest_rate(scene, group) for group, _ in stepped)
     why = "run.every" if dt == case.run.every else f"{RADIANS_PER_STEP} / ({rate:.6g} rad/s)"
     return f"{dt:.6g} s = {why}, {rule}"
 
@@ -192,14 +237,15 @@ def refuse_endless(case: Case, groups: tuple[GroupPlan, ...]) -> None:
     for group in groups:
         for segment in group.segments:
             length = min(segment.stop, case.run.t_end) - segment.start
-            if has_step(segment.method) and length > MOST_STEPS * segment.dt:
+            is_fixed = has_step(segment.method) and not is_adaptive(segment.method)
+            if is_fixed and length > MOST_STEPS * segment.dt:
                 key = "run" if case.run.dt is None else "run.dt"
                 reason = f"the step of {segment.dt:.3g} s would be taken {length / segment.dt:.3g}"
                 hint = "give a longer run.dt, or a smaller force"
                 raise CaseError([problem_at(case, key, f"{reason} times until t_end", hint)])
 
 
-@np.errstate(over="ignore")
+@np.errstate(over="ignore", divide="ignore")
 def fastest_rate(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> float:
     """Estimate of the fastest rate [rad/s] of a group: spin, impulses, torques.
 
@@ -213,7 +259,7 @@ def fastest_rate(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> float:
     for segment in group.segments:
         for at, impulse, _ in segment.jumps:
             spin = spin + sizes(at) * sizes(impulse) * inv_inertia
-        _, push, follower, torque = segment.terms
+        _, push, follower, torque, drag, springs, centres = segment.terms
         lasting = np.zeros_like(spin)
         if follower is not None:
             lasting = lasting + sizes(follower.torque)
@@ -223,6 +269,14 @@ def fastest_rate(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> float:
         spin = spin + lasting * inv_inertia * max(length, 0.0)
         swinging = lasting if push is None else lasting + sizes(push.lever)
         swing = np.maximum(swing, np.sqrt(swinging * inv_inertia))
+        if drag is not None:
+            swing = np.maximum(swing, np.maximum(drag.rate, drag.rotation * inv_inertia))
+        for spring in springs or ():
+            softness = bodies.inv_mass + sizes(spring.at) ** 2 * inv_inertia
+            swing = np.maximum(swing, np.sqrt(spring.stiffness * softness))
+        for centre in centres or ():
+            distance = sizes(state.com - centre.centre)
+            swing = np.maximum(swing, np.sqrt(3.0 * centre.mu / distance) / distance)
     return float(np.maximum(spin, swing).max())
 
 
@@ -232,7 +286,8 @@ def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
     for segment in group.segments:
         if has_step(segment.method):
             length = segment.stop - segment.start
-            own = dt if np.isinf(length) else length / np.ceil(length / dt * (1 - 1e-12))
+            is_even = np.isinf(length) or is_adaptive(segment.method)
+            own = dt if is_even else length / np.ceil(length / dt * (1 - 1e-12))
             segments.append(segment._replace(dt=float(own)))
         else:
             segments.append(segment)
@@ -243,7 +298,7 @@ def step_warnings(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> li
     """Warnings about a step that turns a body too far, now or by t_end."""
     worst, rate, dt, name = 0.0, 0.0, 0.0, ""
     for group in groups:
-        longest = max(segment.dt for segment in group.segments)
+        longest = max((s.dt for s in group.segments if not is_adaptive(s.method)), default=0.0)
         fastest = fastest_rate(scene, group, case.run.t_end) if longest else 0.0
         if longest * fastest > worst:
             worst, rate, dt = longest * fastest, fastest, longest

@@ -131,8 +131,8 @@ class Traveller:
         for jump in segment.jumps:
             state, booked = apply_impulse(jump, self.plan.bodies, state)
             self.before += booked
-        motion: Motion = METHODS[segment.method].BEGIN(
-            self.plan.group(segment), state, segment.start, segment.dt
+        motion: Motion = METHODS[segment.method].begin(
+            self.plan.group(segment), state, segment.start, segment.dt, segment.tolerance
         )
         return motion
 

@@ -188,7 +188,7 @@ def test_plan_gives_a_reason_for_what_is_done(make):
     assert text["push"] == "on: 3 of them\n"
     assert text["contact"] == "off: not in this version; radii add to the inertia tensor only\n"
     assert text["step"] == "0.1 s, as the case says\n"
-    assert "kick by kick: a force without potential acts" in text["ledger"]
+    assert "step by step: a force without potential acts" in text["ledger"]
     assert text["body"].splitlines() == [
         "0 s to 0.2 s: free, closed form, no step (gravity through the centre of mass: a parabola)",
         "0.2 s to 0.5 s: driven by gravity and push, strang, 3 steps of 0.1 s",

@@ -43,7 +43,16 @@ from particlerb.case.values import (
     one_of,
 )
 
-METHODS = ("auto", "exact", "strang")
+METHODS = (
+    "auto",
+    "exact",
+    "strang",
+    "rkn6",
+    "dop853",
+    "rk4",
+    "semi_implicit_euler",
+    "explicit_euler",
+)
 FieldName = Literal[
     "position", "orientation", "linear_momentum", "angular_momentum", "velocity", "angular_velocity"
 ]
@@ -64,6 +73,14 @@ class Run(Table):
         json_schema_extra={"enum": list(METHODS)},
     )
     dt: Positive | None = Field(None, description="Step of stepping methods; default: chosen. [s]")
+    tolerance: Annotated[Positive, Field(ge=1e-14, le=0.1)] = Field(
+        1e-10, description="Error of one step of adaptive methods, relative. [-]"
+    )
+    accuracy: Annotated[Positive, Field(le=1.0)] | None = Field(
+        None,
+        description="Largest error at t_end; chooses method and step, in place of method and dt."
+        " [rad, and position relative to size or way]",
+    )
     seed: Annotated[int, Strict(), Field(ge=0, le=2**63 - 1)] = Field(
         0, description="Seed of all random numbers. [-]"
     )
@@ -260,8 +277,48 @@ class Impulse(Table):
     time: NonNegative = Field(description="When, at most t_end. [s]")
 
 
-Force = Annotated[Push | Torque | Impulse, Field(discriminator="type")]
-FORCES: dict[str, type[Table]] = {"push": Push, "torque": Torque, "impulse": Impulse}
+class Drag(Table):
+    """Linear drag: F = -c v and τ = -c_r ω."""
+
+    type: Literal["drag"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    translation: NonNegative = Field(0.0, description="Coefficient c. [N s/m]")
+    rotation: NonNegative = Field(0.0, description="Coefficient c_r. [N m s/rad]")
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
+class Spring(Table):
+    """A spring from a point of the body to an anchor in the world: F = k (l - l₀)."""
+
+    type: Literal["spring"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
+    anchor: Vector = Field(description="The other end, world frame. [m]")
+    stiffness: Positive = Field(description="Stiffness k. [N/m]")
+    rest_length: NonNegative = Field(0.0, description="Length l₀ without force. [m]")
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
+class Central(Table):
+    """Attraction by a fixed centre, inverse-square, with its gravity-gradient torque."""
+
+    type: Literal["central"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    centre: Vector = Field(ORIGIN, description="Where the centre is, world frame. [m]")
+    mu: Positive = Field(description="G times the mass of the centre. [m³/s²]")
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
+AnyForce = Push | Torque | Impulse | Drag | Spring | Central
+Force = Annotated[AnyForce, Field(discriminator="type")]
+FORCES: dict[str, type[Table]] = {
+    "push": Push,
+    "torque": Torque,
+    "impulse": Impulse,
+    "drag": Drag,
+    "spring": Spring,
+    "central": Central,
+}
 
 
 def are_unique(fields: tuple[FieldName, ...]) -> tuple[FieldName, ...]:

@@ -3,13 +3,15 @@
 v_world = q v_body q⁻¹; a product a b turns by b first, then by a. q and -q are the same rotation.
 """
 
+import math
 from typing import TypeAlias
 
 from particlerb._jit import inline
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot
 
 Quat: TypeAlias = tuple[float, float, float, float]
 Rows4: TypeAlias = tuple[Floats, Floats, Floats, Floats]
+Rows: TypeAlias = tuple[Vec3, Vec3, Vec3]  # of a rotation matrix
 
 
 @inline
@@ -21,6 +23,31 @@ def multiply(a: Quat, b: Quat) -> Quat:
         a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
         a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
     )
+
+
+@inline
+def times_vector(q: Quat, v: Vec3) -> Quat:
+    """q (0, v)."""
+    w, x, y, z = q
+    return (
+        -x * v[0] - y * v[1] - z * v[2],
+        w * v[0] + y * v[2] - z * v[1],
+        w * v[1] - x * v[2] + z * v[0],
+        w * v[2] + x * v[1] - y * v[0],
+    )
+
+
+@inline
+def add_scaled4(a: float, x: Quat, y: Quat) -> Quat:
+    """y + a x."""
+    return y[0] + a * x[0], y[1] + a * x[1], y[2] + a * x[2], y[3] + a * x[3]
+
+
+@inline
+def normalised(q: Quat) -> Quat:
+    """q/|q|."""
+    f = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return f * q[0], f * q[1], f * q[2], f * q[3]
 
 
 @inline
@@ -45,7 +72,7 @@ def to_body(q: Quat, v: Vec3) -> Vec3:
 
 
 @inline
-def matrix(q: Quat) -> tuple[Vec3, Vec3, Vec3]:
+def matrix(q: Quat) -> Rows:
     """Rows of the rotation matrix R of a unit quaternion; cheaper than `to_world` from three on."""
     w, x, y, z = q
     x2, y2, z2 = x + x, y + y, z + z
@@ -56,6 +83,23 @@ def matrix(q: Quat) -> tuple[Vec3, Vec3, Vec3]:
         (1.0 - (yy + zz), xy - wz, xz + wy),
         (xy + wz, 1.0 - (xx + zz), yz - wx),
         (xz - wy, yz + wx, 1.0 - (xx + yy)),
+    )
+
+
+@inline
+def turn(R: Rows, v: Vec3) -> Vec3:
+    """R v."""
+    return dot(R[0], v), dot(R[1], v), dot(R[2], v)
+
+
+@inline
+def turn_back(R: Rows, v: Vec3) -> Vec3:
+    """Rᵀ v."""
+    x, y, z = R
+    return (
+        x[0] * v[0] + y[0] * v[1] + z[0] * v[2],
+        x[1] * v[0] + y[1] * v[1] + z[1] * v[2],
+        x[2] * v[0] + y[2] * v[1] + z[2] * v[2],
     )
 
 

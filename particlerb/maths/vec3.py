@@ -32,6 +32,12 @@ def scale(a: float, x: Vec3) -> Vec3:
 
 
 @inline
+def multiplied3(x: Vec3, y: Vec3) -> Vec3:
+    """Component by component; a diagonal tensor times a vector."""
+    return x[0] * y[0], x[1] * y[1], x[2] * y[2]
+
+
+@inline
 def subtract(x: Vec3, y: Vec3) -> Vec3:
     """x - y."""
     return x[0] - y[0], x[1] - y[1], x[2] - y[2]

@@ -1,12 +1,29 @@
 """Integrators, one per file.
 
-Each has ORDER (None for a closed form, which has no step), ACCEPTS (the terms that may turn a
-body while it works), SUMMARY, and BEGIN, which makes a `motion.Motion`.
+Each has ORDER (None for a closed form, which has no step), FREE_ORDER (where no force acts),
+IS_ADAPTIVE (whether it chooses its steps by a tolerance), ACCEPTS (the terms that may act while it
+works), SUMMARY, COST and `begin`, which makes a `motion.Motion`.
 """
 
 from types import ModuleType
 from typing import Final
 
-from particlerb.methods import exact, strang
+from particlerb.methods import (
+    dop853,
+    exact,
+    explicit_euler,
+    rk4,
+    rkn6,
+    semi_implicit_euler,
+    strang,
+)
 
-METHODS: Final[dict[str, ModuleType]] = {"exact": exact, "strang": strang}
+METHODS: Final[dict[str, ModuleType]] = {
+    "exact": exact,
+    "strang": strang,
+    "rkn6": rkn6,
+    "dop853": dop853,
+    "rk4": rk4,
+    "semi_implicit_euler": semi_implicit_euler,
+    "explicit_euler": explicit_euler,
+}

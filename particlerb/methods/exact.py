@@ -27,6 +27,9 @@ from particlerb.rotors.exact import (
 from particlerb.threads import BLOCK, THREADS
 
 ORDER: Final = None
+FREE_ORDER: Final = None
+IS_ADAPTIVE: Final = False
+COST: Final = 4.0  # ns per body and frame, roughly
 ACCEPTS: Final = frozenset({"gravity"})  # and a push that acts at the centre of mass
 SUMMARY: Final = "closed form, no step; free bodies only (uniform gravity, push through the com)"
 
@@ -87,8 +90,7 @@ def fly_blocks(
 class FreeMotion:
     """A group of free bodies, sorted into kinds of turn; see `motion.Motion`."""
 
-    def __init__(self, group: Group, state: State, start: float, dt: float) -> None:
-        del dt  # a closed form has no step
+    def __init__(self, group: Group, state: State, start: float) -> None:
         self.group, self.state, self.start = group, state, start
         self.force = force_of(group)[1]
         self.constant = constant_force(group, state)
@@ -129,4 +131,7 @@ class FreeMotion:
         return State(com, q, p + t * self.force, L), self.constant.booked(np.array([t]))[0]
 
 
-BEGIN: Final = FreeMotion
+def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> FreeMotion:
+    """Set off from a state at a time [s]; a closed form has neither step nor tolerance."""
+    del dt, tolerance
+    return FreeMotion(group, state, start)

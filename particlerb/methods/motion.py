@@ -10,10 +10,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies
+from particlerb.bodies.bodies import Bodies, taken
 from particlerb.bodies.state import Frames, State
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.terms import Terms
+from particlerb.terms import Terms, terms_on
 
 
 class Group(NamedTuple):
@@ -54,7 +54,7 @@ class ConstantForce(NamedTuple):
 
 def force_of(group: Group) -> tuple[Floats, Floats]:
     """Force of the pushes alone, and of all that is constant in the world; (3, n) [N]."""
-    gravity, push, _, _ = group.terms
+    gravity, push = group.terms.gravity, group.terms.push
     pushed = np.zeros((3, group.members.size)) if push is None else push.force
     if gravity is None:
         return pushed, pushed
@@ -75,3 +75,33 @@ def constant_force(group: Group, state: State) -> ConstantForce:
             ]
         ),
     )
+
+
+class Together(NamedTuple):
+    """Parts of a group that move by different kernels, as one motion."""
+
+    parts: tuple[tuple[Ints, Motion], ...]  # which bodies of the group, and how they move
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        given = np.zeros((times.size, 7))
+        for _, motion in self.parts:
+            given += motion.record(times, rows, frames)
+        return given
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State at the end of the segment, and (7,) booked until then."""
+        n = sum(which.size for which, _ in self.parts)
+        state = State(*(np.empty((rows, n)) for rows in (3, 4, 3, 3)))
+        booked = np.zeros(7)
+        for which, motion in self.parts:
+            part, given = motion.finish(stop)
+            for whole, own in zip(state, part, strict=True):
+                whole[:, which] = own
+            booked += given
+        return state, booked
+
+
+def part_of(group: Group, which: Ints) -> Group:
+    """Some bodies of a group with what acts on them."""
+    return Group(group.members[which], taken(group.bodies, which), terms_on(group.terms, which))

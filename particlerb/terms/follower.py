@@ -4,11 +4,14 @@ A thruster at a body point r gives the body force F and the body torque r × F; 
 add up to one of each. They have no potential, so their work is booked kick by kick.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from particlerb._jit import inline
-from particlerb.maths.quaternion import Rows4, load4, to_world
-from particlerb.maths.vec3 import Floats, Rows3, add_scaled, load3, rows3, store3
+from particlerb.bodies.block import get3
+from particlerb.maths.quaternion import Rows, turn
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled
+
+FOLLOWER_ROWS: Final = 6
 
 
 class Follower(NamedTuple):
@@ -20,13 +23,10 @@ class Follower(NamedTuple):
 
 @inline
 def kick_follower(
-    follower: Follower | None, q: Rows4, p: Rows3, L: Rows3, lo: int, hi: int, dt: float
-) -> None:
-    """p ← p + R F dt,  L ← L + R τ dt."""
+    follower: int | None, rows: Floats, at: int, b: int, R: Rows, dt: float, p: Vec3, L: Vec3
+) -> tuple[Vec3, Vec3]:
+    """p + R F dt,  L + R τ dt."""
     if follower is None:
-        return
-    force, torque = rows3(follower.force, lo, hi), rows3(follower.torque, lo, hi)
-    for b in range(force[0].size):
-        q_b = load4(q, b)
-        store3(p, b, add_scaled(dt, to_world(q_b, load3(force, b)), load3(p, b)))
-        store3(L, b, add_scaled(dt, to_world(q_b, load3(torque, b)), load3(L, b)))
+        return p, L
+    force, torque = turn(R, get3(rows, at, b)), turn(R, get3(rows, at + 3, b))
+    return add_scaled(dt, force, p), add_scaled(dt, torque, L)

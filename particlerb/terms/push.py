@@ -5,13 +5,16 @@ tensor T = Σ r_i F_iᵀ the torque is the axial vector of R T, τ_x = (R T)_yz 
 -Σ F_i·(x + R r_i) = -F·x - tr(R T) is a potential of all of them.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from particlerb._jit import inline
-from particlerb.maths.quaternion import Rows4, load4, matrix
-from particlerb.maths.vec3 import Floats, Rows3, add_scaled, dot, load3, rows3, store3
+from particlerb.bodies.block import get3
+from particlerb.maths.quaternion import Rows
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
+
+LEVER_ROWS: Final = 9
 
 
 class Push(NamedTuple):
@@ -22,24 +25,28 @@ class Push(NamedTuple):
 
 
 @inline
-def kick_push(push: Push | None, q: Rows4, p: Rows3, L: Rows3, lo: int, hi: int, dt: float) -> None:
-    """p ← p + Σ F_i dt,  L ← L + axial(R T) dt."""
-    if push is None:
-        return
-    force = rows3(push.force, lo, hi)
-    tx = rows3(push.lever[0:3], lo, hi)
-    ty = rows3(push.lever[3:6], lo, hi)
-    tz = rows3(push.lever[6:9], lo, hi)
-    for b in range(force[0].size):
-        store3(p, b, add_scaled(dt, load3(force, b), load3(p, b)))
-        x, y, z = matrix(load4(q, b))
-        t_x, t_y, t_z = load3(tx, b), load3(ty, b), load3(tz, b)
-        torque = (
-            dot(y, t_z) - dot(z, t_y),
-            dot(z, t_x) - dot(x, t_z),
-            dot(x, t_y) - dot(y, t_x),
-        )
-        store3(L, b, add_scaled(dt, torque, load3(L, b)))
+def kick_force(force: int | None, rows: Floats, at: int, b: int, dt: float, p: Vec3) -> Vec3:
+    """p + F dt, with F constant in the world: pushes and gravity."""
+    if force is None:
+        return p
+    return add_scaled(dt, get3(rows, at, b), p)
+
+
+@inline
+def kick_lever(
+    lever: int | None, rows: Floats, at: int, b: int, R: Rows, dt: float, L: Vec3
+) -> Vec3:
+    """L + axial(R T) dt."""
+    if lever is None:
+        return L
+    x, y, z = R
+    t_x, t_y, t_z = get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
+    torque = (
+        dot(y, t_z) - dot(z, t_y),
+        dot(z, t_x) - dot(x, t_z),
+        dot(x, t_y) - dot(y, t_x),
+    )
+    return add_scaled(dt, torque, L)
 
 
 def lever_work(lever: Floats, q: Floats) -> Floats:

@@ -1,9 +1,12 @@
 """Constant world torques: free couples. No potential in general; the work is booked by kicks."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from particlerb._jit import inline
-from particlerb.maths.vec3 import Floats, Rows3, add_scaled, load3, rows3, store3
+from particlerb.bodies.block import get3
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled
+
+TORQUE_ROWS: Final = 3
 
 
 class Torque(NamedTuple):
@@ -13,10 +16,8 @@ class Torque(NamedTuple):
 
 
 @inline
-def kick_torque(torque: Torque | None, L: Rows3, lo: int, hi: int, dt: float) -> None:
-    """L ← L + τ dt."""
+def kick_torque(torque: int | None, rows: Floats, at: int, b: int, dt: float, L: Vec3) -> Vec3:
+    """L + τ dt."""
     if torque is None:
-        return
-    tau = rows3(torque.torque, lo, hi)
-    for b in range(tau[0].size):
-        store3(L, b, add_scaled(dt, load3(tau, b), load3(L, b)))
+        return L
+    return add_scaled(dt, get3(rows, at, b), L)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from particlerb.methods import strang
+from particlerb.methods import stepped, strang
 
 INERTIA = (1.0, 2.0, 2.5)
 TENSOR = np.diag(INERTIA)
@@ -235,7 +235,7 @@ def test_progress_pauses_change_no_bit(make, monkeypatch):
     """The host takes the kernel back every so many steps; the motion does not notice."""
     scene = make.case(make.body(**START), force=forces(make, "push"), t_end=1.0, every=0.4, dt=0.03)
     straight = make.arrays(scene)
-    monkeypatch.setattr(strang, "BODY_STEPS_PER_CALL", 5)
+    monkeypatch.setattr(stepped, "NANOSECONDS_PER_CALL", 5 * strang.COST)
     paused = make.arrays(scene)
     assert (straight.orientation == paused.orientation).all()
     assert (straight.angular_momentum == paused.angular_momentum).all()

@@ -1,0 +1,44 @@
+"""Keeps the answers of benchmarks by commit, in results/*.csv: date, commit, machine, figures."""
+
+import csv
+import datetime as dt
+import platform
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+FOLDER = Path(__file__).parent / "results"
+
+
+def processor() -> str:
+    """Name of the processor, as far as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        name = next(
+            line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")
+        )
+    except (OSError, IndexError):
+        name = platform.processor() or platform.machine()
+    return name
+
+
+def commit() -> str:
+    """The commit that was measured; with + where the sources differ from it."""
+    command = ["git", "describe", "--always", "--dirty=+", "--abbrev=10"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=FOLDER.parent)
+    return done.stdout.strip() or "unknown"
+
+
+def record(name: str, figures: Sequence[tuple[str, float]]) -> None:
+    """Add figures to the table of a benchmark."""
+    FOLDER.mkdir(exist_ok=True)
+    path = FOLDER / f"{name}.csv"
+    is_new = not path.exists()
+    today = dt.datetime.now(tz=dt.UTC).date().isoformat()
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        if is_new:
+            writer.writerow(("date", "commit", "processor", "figure", "value"))
+        for figure, value in figures:
+            writer.writerow((today, commit(), processor(), figure, f"{value:.4g}"))
+    print(f"written: {path}")

@@ -1,0 +1,137 @@
+"""A block of bodies in the cache: state, constants and loads as rows of one flat buffer.
+
+Row r of body b is rows[r * STRIDE + b]. All distances between rows are known while compiling, so
+LLVM needs no checks for overlap, and a loop over the bodies of a block fills SIMD lanes however
+long its body is; with separate arrays it gives up silently beyond some sixteen rows.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from particlerb._jit import config, inline
+from particlerb.bodies.bodies import Bodies
+from particlerb.bodies.state import State
+from particlerb.maths.quaternion import Quat
+from particlerb.maths.vec3 import Floats, Vec3
+from particlerb.threads import BLOCK
+
+STRIDE: Final = BLOCK + 8  # from row to row: a power of two would meet the same lines of the cache
+LINE: Final = 8  # numbers of a line of the cache, and of the widest SIMD register
+COM: Final = 0
+Q: Final = 3
+P: Final = 7
+L: Final = 10
+BOOKED: Final = 13  # work, impulse, angular impulse: see methods/booking.py
+CHANGING: Final = 20  # rows before this one change with time
+INV_MASS: Final = 20
+INV_INERTIA: Final = 21
+OWN: Final = 24  # constants of a method's rotor
+SCRATCH: Final = 46
+LOADS: Final = 56  # from here on the parameters of the terms
+
+
+unsigned: Any = int if config.DISABLE_JIT else np.uint64
+
+
+@inline
+def cell(at: int, b: int) -> int:
+    """Index of body b in row `at`: unsigned, so that Numba asks not whether it is negative."""
+    index: int = unsigned(at * STRIDE + b)
+    return index
+
+
+@inline
+def get(rows: Floats, at: int, b: int) -> float:
+    """Number of body b in row `at`."""
+    value: float = rows[cell(at, b)]
+    return value
+
+
+@inline
+def put(rows: Floats, at: int, b: int, value: float) -> None:
+    """Write the number of body b."""
+    rows[cell(at, b)] = value
+
+
+@inline
+def get3(rows: Floats, at: int, b: int) -> Vec3:
+    """Vector of body b from row `at` on."""
+    return rows[cell(at, b)], rows[cell(at + 1, b)], rows[cell(at + 2, b)]
+
+
+@inline
+def put3(rows: Floats, at: int, b: int, v: Vec3) -> None:
+    """Write the vector of body b."""
+    rows[cell(at, b)], rows[cell(at + 1, b)], rows[cell(at + 2, b)] = v
+
+
+@inline
+def get4(rows: Floats, at: int, b: int) -> Quat:
+    """Quaternion of body b from row `at` on."""
+    return rows[cell(at, b)], rows[cell(at + 1, b)], rows[cell(at + 2, b)], rows[cell(at + 3, b)]
+
+
+@inline
+def put4(rows: Floats, at: int, b: int, q: Quat) -> None:
+    """Write the quaternion of body b."""
+    rows[cell(at, b)], rows[cell(at + 1, b)], rows[cell(at + 2, b)], rows[cell(at + 3, b)] = q
+
+
+@inline
+def copy_changing(source: Floats, target: Floats, n: int) -> None:
+    """Copy what changes with time."""
+    for r in range(CHANGING):
+        for b in range(n):
+            put(target, r, b, get(source, r, b))
+
+
+def in_blocks(n: int, n_rows: int, parts: Sequence[tuple[int, Floats]]) -> Floats:
+    """Blocks (n_blocks, n_rows * STRIDE) of n bodies.
+
+    Parameters
+    ----------
+    n, n_rows : int
+        Bodies, and rows of a block.
+    parts : sequence of (int, ndarray of shape (rows, n))
+        What goes into the rows, and the first of these rows; all others are zero.
+    """
+    n_blocks = -(-n // BLOCK)
+    blocks = aligned_zeros(n_blocks * n_rows * STRIDE).reshape(n_blocks, n_rows, STRIDE)
+    for at, values in parts:
+        room = np.zeros((len(values), n_blocks * BLOCK))
+        room[:, :n] = values
+        blocks[:, at : at + len(values), :BLOCK] = room.reshape(-1, n_blocks, BLOCK).swapaxes(0, 1)
+    return blocks.reshape(n_blocks, n_rows * STRIDE)
+
+
+def aligned_zeros(size: int) -> Floats:
+    """Zeros from the beginning of a line of the cache on: registers never straddle two lines."""
+    room = np.zeros(size + LINE)
+    first = -(room.ctypes.data // room.itemsize) % LINE
+    return room[first : first + size]
+
+
+def out_of_blocks(blocks: Floats, at: int, count: int, n: int) -> Floats:
+    """Some rows of all blocks as one array (count, n)."""
+    parts = blocks.reshape(len(blocks), -1, STRIDE)[:, at : at + count, :BLOCK]
+    return np.ascontiguousarray(parts.swapaxes(0, 1).reshape(count, -1)[:, :n])
+
+
+def state_rows(state: State, bodies: Bodies) -> list[tuple[int, Floats]]:
+    """Where state and constants of bodies go."""
+    return [
+        (COM, state.com),
+        (Q, state.q),
+        (P, state.p),
+        (L, state.L),
+        (INV_MASS, bodies.inv_mass[None]),
+        (INV_INERTIA, bodies.inv_inertia),
+    ]
+
+
+def state_of(blocks: Floats, n: int) -> State:
+    """State of n bodies."""
+    com, q = out_of_blocks(blocks, COM, 3, n), out_of_blocks(blocks, Q, 4, n)
+    return State(com, q, out_of_blocks(blocks, P, 3, n), out_of_blocks(blocks, L, 3, n))

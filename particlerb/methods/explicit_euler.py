@@ -1,0 +1,52 @@
+"""Explicit Euler on (x, Q, v, ω): each slope at the beginning of the step.
+
+A baseline: what one writes first, and what several engines do with the gyroscopic term. Energy
+grows in each step, by (hω)² of an oscillation; a spinning body changes even its angular momentum,
+because its rates advance in its own axes, I ω̇ = Rᵀτ - ω × I ω. See docs/stability.md.
+"""
+
+from typing import Final
+
+from particlerb._jit import inline, kernel_from
+from particlerb.bodies.block import INV_INERTIA, get3
+from particlerb.bodies.state import State
+from particlerb.maths.quaternion import matrix, turn, turn_back
+from particlerb.maths.vec3 import Floats, add_scaled, cross, multiplied3
+from particlerb.methods.booking import book
+from particlerb.methods.motion import Group
+from particlerb.methods.rates import Pose, add_pose, on_sphere, pose, put_pose, slopes
+from particlerb.methods.stepped import SteppedMotion, advance_blocks
+from particlerb.terms import Acting
+
+ORDER: Final = 1
+FREE_ORDER: Final = 1
+IS_ADAPTIVE: Final = False
+ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
+SUMMARY: Final = "order 1, baseline; explicit Euler on rates in the body; energy grows; any force"
+COST: Final = 3.0  # ns per body-step, roughly
+
+
+@inline
+def step(
+    acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
+) -> None:
+    """All slopes at the beginning; the rotor's momentum in its own axes."""
+    for b in range(n):
+        y = pose(rows, b)
+        slope, entry = slopes(acting, rows, b, y)
+        R = matrix(y.q)
+        m = turn_back(R, y.L)
+        w = multiplied3(get3(rows, INV_INERTIA, b), m)
+        m = add_scaled(dt, add_scaled(1.0, turn_back(R, slope.L), cross(m, w)), m)
+        after = on_sphere(add_pose(dt, slope, y))
+        put_pose(rows, b, Pose(after.x, after.q, after.p, turn(matrix(after.q), m)))
+        book(books, rows, b, dt, entry)
+
+
+advance = kernel_from(advance_blocks, "explicit_euler", step=step, EDGE=0.0)
+
+
+def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> SteppedMotion:
+    """Set off from a state at a time [s]."""
+    del tolerance
+    return SteppedMotion(advance, COST, group, state, start, dt, keeps_spin=False)

@@ -1,0 +1,83 @@
+"""The equations of motion as slopes of (x, Q, P, L), Baraff's form, for methods that need them.
+
+ẋ = P/M, Q̇ = ½ Q (0, Ω), Ṗ = F, L̇ = τ with Ω = I⁻¹ Rᵀ L; docs/theory.md, (1.1).
+"""
+
+from typing import NamedTuple
+
+from particlerb._jit import inline
+from particlerb.bodies.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
+from particlerb.maths.quaternion import (
+    Quat,
+    add_scaled4,
+    matrix,
+    normalised,
+    times_vector,
+    turn_back,
+)
+from particlerb.maths.vec3 import (
+    Floats,
+    Vec3,
+    add_scaled,
+    cross,
+    dot,
+    multiplied3,
+    scale,
+    subtract,
+)
+from particlerb.methods.booking import Entry
+from particlerb.terms import Acting, load_at
+
+
+class Pose(NamedTuple):
+    """State of one body, or its slopes."""
+
+    x: Vec3
+    q: Quat
+    p: Vec3
+    L: Vec3
+
+
+@inline
+def pose(rows: Floats, b: int) -> Pose:
+    """State of body b."""
+    return Pose(get3(rows, COM, b), get4(rows, Q, b), get3(rows, P, b), get3(rows, L, b))
+
+
+@inline
+def put_pose(rows: Floats, b: int, y: Pose) -> None:
+    """Write the state of body b."""
+    put3(rows, COM, b, y.x)
+    put4(rows, Q, b, y.q)
+    put3(rows, P, b, y.p)
+    put3(rows, L, b, y.L)
+
+
+@inline
+def add_pose(a: float, k: Pose, y: Pose) -> Pose:
+    """y + a k."""
+    return Pose(
+        add_scaled(a, k.x, y.x),
+        add_scaled4(a, k.q, y.q),
+        add_scaled(a, k.p, y.p),
+        add_scaled(a, k.L, y.L),
+    )
+
+
+@inline
+def on_sphere(y: Pose) -> Pose:
+    """The same with |q| = 1."""
+    return Pose(y.x, normalised(y.q), y.p, y.L)
+
+
+@inline
+def slopes(acting: Acting, rows: Floats, b: int, y: Pose) -> tuple[Pose, Entry]:
+    """Slopes of body b in a state, and the rates of what it books."""
+    R = matrix(y.q)
+    m = turn_back(R, y.L)
+    w = multiplied3(get3(rows, INV_INERTIA, b), m)
+    v = scale(get(rows, INV_MASS, b), y.p)
+    F, tau, own_force, own_torque = load_at(acting, rows, b, y.x, R, y.p, y.L)
+    power = dot(subtract(F, own_force), v) + dot(turn_back(R, subtract(tau, own_torque)), w)
+    turning = add_scaled(1.0, tau, cross(y.x, F))
+    return Pose(v, times_vector(y.q, scale(0.5, w)), F, tau), (power, F, turning)

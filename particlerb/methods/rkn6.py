@@ -1,0 +1,194 @@
+"""Order 6 for forces that depend on the pose alone: eleven kicks and drifts of Blanes and Moan.
+
+A symmetric splitting of Runge-Kutta-Nyström type, symplectic where the forces have a potential.
+It asks that the forces know nothing of the velocities, so there is no drag. Asymmetric bodies
+drift by the preprocessed Moser-Veselov map of order 8, all others in closed form; on free bodies
+the order is therefore 8, or the drift exact. Where a sub-step turns a body too far for the fixed
+point of that map, the drift is cut into pieces (rotors/moser_veselov.py).
+
+Source: Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002), coefficients SRKN₁₁ᵇ.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from particlerb._jit import inline, kernel_from
+from particlerb.bodies.block import (
+    COM,
+    INV_INERTIA,
+    INV_MASS,
+    OWN,
+    SCRATCH,
+    L,
+    P,
+    Q,
+    get,
+    get3,
+    get4,
+    put,
+    put3,
+    put4,
+)
+from particlerb.bodies.bodies import taken
+from particlerb.bodies.state import State
+from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, dot, multiplied3, scale
+from particlerb.methods.motion import Group, Motion, Together, part_of
+from particlerb.methods.splitting import kick
+from particlerb.methods.stepped import SteppedMotion, advance_blocks
+from particlerb.rotors.moser_veselov import (
+    Cubic,
+    first_guess,
+    modified_inertia,
+    pieces_of,
+    sweep,
+    sweeps_of,
+)
+from particlerb.rotors.rotor_class import ASYMMETRIC
+from particlerb.rotors.symmetric_split import symmetric_split
+from particlerb.terms import Acting
+
+ORDER: Final = 6
+FREE_ORDER: Final = 8
+IS_ADAPTIVE: Final = False
+ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "spring", "central"})
+SUMMARY: Final = "order 6 (8 on free bodies), symplectic; for forces that depend on the pose alone"
+COST: Final = 110.0  # ns per body-step, roughly
+KICKS: Final = (
+    0.0414649985182624,
+    0.198128671918067,
+    -0.0400061921041533,
+    0.0752539843015807,
+    -0.0115113874206879,
+    0.2366699247869311,
+    0.2366699247869311,
+    -0.0115113874206879,
+    0.0752539843015807,
+    -0.0400061921041533,
+    0.198128671918067,
+)  # and the first one again, left open
+DRIFTS: Final = (
+    0.123229775946271,
+    0.290553797799558,
+    -0.127049212625417,
+    -0.246331761062075,
+    0.357208872795928,
+    0.20477705429147,
+    0.357208872795928,
+    -0.246331761062075,
+    -0.127049212625417,
+    0.290553797799558,
+    0.123229775946271,
+)
+EDGE: Final = KICKS[0]
+U: Final = SCRATCH  # of the Moser-Veselov map: u, f, and the solution
+F: Final = SCRATCH + 3
+V: Final = SCRATCH + 6
+RATE: Final = SCRATCH + 9
+LONGEST_DRIFT: Final = max(map(abs, DRIFTS))
+
+
+@inline
+def fly(rows: Floats, b: int, dt: float) -> None:
+    """x + p dt/M of body b."""
+    x, p = get3(rows, COM, b), get3(rows, P, b)
+    put3(rows, COM, b, add_scaled(dt * get(rows, INV_MASS, b), p, x))
+
+
+@inline
+def body_momentum(rows: Floats, b: int) -> Vec3:
+    """Rᵀ L of body b."""
+    return turn_back(matrix(get4(rows, Q, b)), get3(rows, L, b))
+
+
+@inline
+def fastest_turn(rows: Floats, n: int) -> float:
+    """Largest |ω| of a block [rad/s]; 0 where it is not finite."""
+    for b in range(n):
+        w = multiplied3(get3(rows, INV_INERTIA, b), body_momentum(rows, b))
+        put(rows, RATE, b, dot(w, w))
+    largest = 0.0
+    for b in range(n):
+        largest = max(largest, get(rows, RATE, b))
+    return math.sqrt(largest) if largest < np.inf else 0.0
+
+
+@inline
+def cubic(rows: Floats, at: int, b: int) -> Cubic:
+    """Nine coefficients of body b."""
+    return get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
+
+
+@inline
+def turn_block(rows: Floats, n: int, dt: float, rate: float) -> None:
+    """Free rotation of a block over dt; no body turns faster than `rate` [rad/s]."""
+    turn = abs(dt) * rate
+    pieces = pieces_of(turn)
+    sweeps = sweeps_of(turn / pieces)
+    for _ in range(pieces):
+        for b in range(n):
+            m = scale(dt / pieces * get(rows, OWN + 3, b), body_momentum(rows, b))
+            coefficients = cubic(rows, OWN + 4, b), cubic(rows, OWN + 13, b)
+            u, f, v = first_guess(m, get3(rows, OWN, b), coefficients[0], coefficients[1])
+            put3(rows, U, b, u)
+            put3(rows, F, b, f)
+            put3(rows, V, b, v)
+        for _ in range(sweeps):
+            for b in range(n):
+                put3(rows, V, b, sweep(get3(rows, U, b), get3(rows, F, b), get3(rows, V, b)))
+        for b in range(n):
+            x, y, z = get3(rows, V, b)
+            put4(rows, Q, b, normalised(multiply(get4(rows, Q, b), (1.0, x, y, z))))
+
+
+@inline
+def asymmetric_step(
+    acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
+) -> None:
+    """Eleven kicks and drifts; the last kick stays open."""
+    rate = fastest_turn(rows, n)
+    for k in range(len(DRIFTS)):
+        h = KICKS[k] * dt if k > 0 else opening
+        for b in range(n):
+            kick(acting, books, rows, b, h)
+            fly(rows, b, DRIFTS[k] * dt)
+        turn_block(rows, n, DRIFTS[k] * dt, rate)
+
+
+@inline
+def symmetric_step(
+    acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
+) -> None:
+    """The same for bodies whose drift has a closed form."""
+    for k in range(len(DRIFTS)):
+        h = KICKS[k] * dt if k > 0 else opening
+        for b in range(n):
+            kick(acting, books, rows, b, h)
+            fly(rows, b, DRIFTS[k] * dt)
+            q = get4(rows, Q, b)
+            m = body_momentum(rows, b)
+            put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), DRIFTS[k] * dt))
+
+
+advance_asymmetric = kernel_from(advance_blocks, "rkn6_asymmetric", step=asymmetric_step, EDGE=EDGE)
+advance_symmetric = kernel_from(advance_blocks, "rkn6_symmetric", step=symmetric_step, EDGE=EDGE)
+
+
+def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> Motion:
+    """Set off from a state at a time [s]."""
+    del tolerance
+    is_asymmetric = group.bodies.rotor_class == ASYMMETRIC
+    parts: list[tuple[Ints, Motion]] = []
+    for chosen, advance in (
+        (is_asymmetric, advance_asymmetric),
+        (~is_asymmetric, advance_symmetric),
+    ):
+        which = np.flatnonzero(chosen)
+        if which.size:
+            part = part_of(group, which)
+            own = modified_inertia(part.bodies.inv_inertia) if chosen is is_asymmetric else None
+            motion = SteppedMotion(advance, COST, part, taken(state, which), start, dt, own=own)
+            parts.append((which, motion))
+    return parts[0][1] if len(parts) == 1 else Together(tuple(parts))

@@ -1,0 +1,251 @@
+"""What every method on a grid of steps shares: blocks, frames, the grid, booking.
+
+Steps stand on a grid that starts with the segment. A frame is reached by a partial step from a
+copy, so that what is recorded never changes the motion. A method brings a step for a block of
+bodies, `step(acting, books, rows, n, opening, dt)`, and its `edge`: the share of dt of the kick
+with which a step ends, 0 where it ends with none. That kick stays open, and the next step makes
+it together with its own first one, over `opening`.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb._jit import inline
+from particlerb.bodies.block import (
+    BOOKED,
+    CHANGING,
+    COM,
+    OWN,
+    STRIDE,
+    L,
+    P,
+    Q,
+    copy_changing,
+    in_blocks,
+    out_of_blocks,
+    state_of,
+    state_rows,
+)
+from particlerb.bodies.state import Frames, State, multiplied, room_for, store_frame
+from particlerb.maths.quaternion import rows4
+from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.methods.booking import store_sums
+from particlerb.methods.motion import Group, constant_force
+from particlerb.methods.splitting import kick
+from particlerb.terms import (
+    DRAG,
+    Acting,
+    acting_of,
+    is_constant,
+    row_count,
+    rows_of_terms,
+    work_of_potentials,
+)
+from particlerb.terms.drag import prepare_decay
+from particlerb.threads import BLOCK, THREADS
+
+PAUSE: Final = -1  # a stop without a frame: the host asks for progress and interrupts
+CLOSE: Final = -2  # the end of the segment: make the open kick
+NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
+TIME_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of a time that is a sum of steps
+
+
+class Schedule(NamedTuple):
+    """When to step and when to record: one entry per stop."""
+
+    dt: float  # [s]
+    done: int  # steps of the segment that lie behind
+    steps: Ints  # (T,) whole steps before the stop
+    rest: Floats  # (T,) [s] length of the partial step from there to the frame
+    frame: Ints  # (T,) row of the frames to write, or PAUSE, or CLOSE
+
+
+@inline
+def close(acting: Acting, books: int | None, rows: Floats, n: int, dt: float) -> None:
+    """Make the open kick of a block."""
+    if dt == 0.0:
+        return
+    prepare_decay(acting.drag, rows, DRAG, n, dt)
+    for b in range(n):
+        kick(acting, books, rows, b, dt)
+
+
+@inline
+def step(
+    acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
+) -> None:
+    """Advance a block by dt; stands for the step of a method."""
+    raise NotImplementedError
+
+
+EDGE: Final = 0.0  # stands for the edge of a method
+
+
+def advance_blocks(
+    blocks: Floats,
+    acting: Acting,
+    books: int | None,
+    schedule: Schedule,
+    rotor_frame: Floats,
+    members: Ints,
+    frames: Frames,
+    sums: Floats,
+    first: int,
+    last: int,
+) -> None:
+    """Take some blocks through a schedule; `kernel_from` puts a method's step and edge in."""
+    dt, behind, steps, rest, frame = schedule
+    saved = np.empty(CHANGING * STRIDE)
+    for k in range(first, last):
+        rows, lo = blocks[k], k * BLOCK
+        n = min(members.size - lo, BLOCK)
+        index, turn = members[lo : lo + n], rows4(rotor_frame, lo, lo + n)
+        is_open = EDGE * dt if behind > 0 else 0.0
+        for s in range(steps.size):
+            was_open = is_open
+            for i in range(steps[s] + 1):  # the last is the partial step to a frame
+                h = dt
+                if i == steps[s]:
+                    if frame[s] < 0:
+                        break
+                    copy_changing(rows, saved, n)
+                    h, was_open = rest[s], is_open
+                if h > 0.0:
+                    step(acting, books, rows, n, EDGE * h + is_open, h)
+                    is_open = EDGE * h
+            if frame[s] != PAUSE:
+                close(acting, books, rows, n, is_open)
+            if frame[s] >= 0:
+                local = rows.reshape(rows.size // STRIDE, STRIDE)
+                com, q = rows3(local[COM : COM + 3], 0, n), rows4(local[Q : Q + 4], 0, n)
+                p, spin = rows3(local[P : P + 3], 0, n), rows3(local[L : L + 3], 0, n)
+                store_frame(frames, frame[s], index, turn, com, q, p, spin)
+                store_sums(sums, frame[s], k, books, rows, n)
+                copy_changing(saved, rows, n)
+                is_open = was_open
+
+
+def grid_position(elapsed: Floats, dt: float) -> tuple[Ints, Floats]:
+    """Whole steps before each time, and what remains [s]; 0 where only rounding remains."""
+    nearest = np.rint(elapsed / dt)
+    on_grid = np.abs(elapsed - nearest * dt) <= TIME_ROUNDING * np.abs(elapsed)
+    steps = np.where(on_grid, nearest, np.floor(elapsed / dt))
+    return steps.astype(np.int64), np.where(on_grid, 0.0, elapsed - steps * dt)
+
+
+class SteppedMotion:
+    """A group of bodies on a grid of steps; see `motion.Motion`.
+
+    Parameters
+    ----------
+    advance : kernel
+        Made from `advance_blocks`.
+    cost : float
+        Estimate of the time for one step of one body [ns].
+    keeps_spin : bool
+        Whether L changes by torques alone, as it should.
+    own : ndarray, shape (rows, n), optional
+        Constants of the method for each body.
+    """
+
+    def __init__(
+        self,
+        advance: Callable[..., None],
+        cost: float,
+        group: Group,
+        state: State,
+        start: float,
+        dt: float,
+        keeps_spin: bool = True,
+        own: Floats | None = None,
+    ) -> None:
+        self.advance_blocks, self.group, self.start, self.dt = advance, group, start, dt
+        self.first = state
+        n, terms = group.members.size, group.terms
+        parts = state_rows(state, group.bodies) + rows_of_terms(terms)
+        parts += [] if own is None else [(OWN, own)]
+        self.blocks = in_blocks(n, row_count(terms), parts)
+        self.done = 0
+        self.constant = constant_force(group, state)
+        self.work_before = work_of_potentials(terms, state.com, state.q)
+        self.books = None if is_constant(terms) and keeps_spin else 1
+        self.most = max(1, int(NANOSECONDS_PER_CALL / (cost * n)))
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        elapsed = times - self.start
+        sums = self.advance(*grid_position(elapsed, self.dt), rows, frames)
+        own, frame = self.group.members, self.group.bodies.rotor_frame
+        given = np.empty((times.size, 7))
+        for k, row in enumerate(rows):
+            q = multiplied(np.ascontiguousarray(frames.orientation[row, own].T), frame)
+            com = frames.position[row, own].T
+            L_now = frames.angular_momentum[row, own].T
+            given[k] = self.given(elapsed[k], com, q, L_now, sums[row])
+        return given
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State at the end of the segment, and (7,) booked until then."""
+        elapsed = np.array([stop - self.start])
+        steps, _ = grid_position(elapsed, self.dt)
+        none = room_for(0, 0, np.empty((0, 4)))
+        self.advance(steps, np.zeros(1), np.array([CLOSE]), none)
+        n = self.group.members.size
+        sums, state = out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1), state_of(self.blocks, n)
+        return state, self.given(float(elapsed[0]), state.com, state.q, state.L, sums)
+
+    def advance(self, steps: Ints, rest: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Go through stops given by their distance from the start; sums of what was booked."""
+        group = self.group
+        n = group.members.size
+        sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
+        for schedule in self.calls(np.diff(steps, prepend=self.done), rest, rows):
+            count = int(schedule.steps.sum())
+            through = partial(
+                self.advance_blocks, self.blocks, acting_of(group.terms), self.books, schedule,
+                group.bodies.rotor_frame, group.members, frames, sums,
+            )  # fmt: skip
+            THREADS.spread(through, n, n * (count + schedule.steps.size))
+            self.done += count
+        return np.asarray(sums.sum(axis=1))
+
+    def calls(self, counts: Ints, rest: Floats, rows: Ints) -> Iterator[Schedule]:
+        """Schedules of a bounded number of steps, with pauses where a frame is further away."""
+        stops: list[tuple[int, float, int]] = []
+        total = 0
+        for count, h, row in zip(counts.tolist(), rest.tolist(), rows.tolist(), strict=True):
+            left = count
+            while total + left > self.most:
+                stops.append((self.most - total, 0.0, PAUSE))
+                left -= self.most - total
+                yield self.schedule(stops)
+                stops, total = [], 0
+            stops.append((left, h, row))
+            total += left
+        if stops:
+            yield self.schedule(stops)
+
+    def schedule(self, stops: list[tuple[int, float, int]]) -> Schedule:
+        """Stops as arrays, from where the group is now."""
+        steps, rest, frame = zip(*stops, strict=True)
+        return Schedule(self.dt, self.done, np.array(steps), np.array(rest), np.array(frame))
+
+    def given(self, elapsed: float, com: Floats, q: Floats, L_now: Floats, sums: Floats) -> Floats:
+        """Work, impulse and angular impulse until a state.
+
+        The work of a potential is its loss. Where every force is constant in the world, the centre
+        of mass is on its parabola and the rest is closed form, but for the angular impulse about
+        the centre of mass: only torques change L, so it is the change of L.
+        """
+        potential = work_of_potentials(self.group.terms, com, q) - self.work_before
+        if self.books is None:
+            given: Floats = self.constant.booked(np.array([elapsed]))[0]
+            given[0] = potential
+            given[4:] += (L_now - self.first.L).sum(axis=1)
+            return given
+        given = sums.copy()
+        given[0] += potential
+        return given

@@ -1,0 +1,88 @@
+"""Linear drag: a force against the velocity and a torque against the angular velocity.
+
+F = -c v and τ = -c_r ω. At a fixed pose, and with any other force F₀ and torque held, the momenta
+decay by exact exponentials, with γ = c/M, and in the rotor frame γ_k = c_r/I_k:
+
+    p ← e^{-γ h} p + (1 - e^{-γ h})/γ F₀.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb._jit import inline
+from particlerb.bodies.block import INV_INERTIA, get, get3, put
+from particlerb.maths.quaternion import Rows, turn, turn_back
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, multiplied3, subtract
+
+DRAG_ROWS: Final = 2
+DECAY_ROWS: Final = 9  # of the exact flow: four factors for p and L, four for what is added; h
+
+
+class Drag(NamedTuple):
+    """Parameters of the term for n bodies."""
+
+    rate: Floats  # (n,) [1/s], c/M
+    rotation: Floats  # (n,) [N m s/rad], c_r
+
+
+@inline
+def drag_load(
+    drag: int | None,
+    rows: Floats,
+    at: int,
+    b: int,
+    R: Rows,
+    p: Vec3,
+    L: Vec3,
+    F: Vec3,
+    tau: Vec3,
+) -> tuple[Vec3, Vec3]:
+    """F - γ p,  τ - c_r ω."""
+    if drag is None:
+        return F, tau
+    w = turn(R, multiplied3(get3(rows, INV_INERTIA, b), turn_back(R, L)))
+    rotation = get(rows, at + 1, b)
+    return add_scaled(-get(rows, at, b), p, F), add_scaled(-rotation, w, tau)
+
+
+@inline
+def prepare_decay(drag: int | None, rows: Floats, at: int, n: int, dt: float) -> None:
+    """Factors of the exact flow over dt, in the rows after those of the drag."""
+    if drag is None:
+        return
+    if get(rows, at + DRAG_ROWS + 8, 0) == dt:
+        return
+    put(rows, at + DRAG_ROWS + 8, 0, dt)
+    for b in range(n):
+        rate, rotation = get(rows, at, b), get(rows, at + 1, b)
+        inverse = get3(rows, INV_INERTIA, b)
+        for k in range(4):
+            x = rate * dt if k == 0 else rotation * inverse[max(k - 1, 0)] * dt
+            first = at + DRAG_ROWS + k
+            put(rows, first, b, np.exp(-x))
+            put(rows, first + 4, b, -np.expm1(-x) / x if x > 0.0 else 1.0)
+
+
+@inline
+def damp(
+    drag: int | None,
+    rows: Floats,
+    at: int,
+    b: int,
+    R: Rows,
+    p_old: Vec3,
+    L_old: Vec3,
+    p: Vec3,
+    L: Vec3,
+) -> tuple[Vec3, Vec3]:
+    """Exact flow: p and L are p_old and L_old with the kicks of all other forces."""
+    if drag is None:
+        return p, L
+    first = at + DRAG_ROWS
+    decay, share = get(rows, first, b), get(rows, first + 4, b)
+    kicked = subtract(p, p_old)
+    p = add_scaled(decay, p_old, (share * kicked[0], share * kicked[1], share * kicked[2]))
+    m = multiplied3(get3(rows, first + 1, b), turn_back(R, L_old))
+    dm = multiplied3(get3(rows, first + 5, b), turn_back(R, subtract(L, L_old)))
+    return p, turn(R, add_scaled(1.0, m, dm))
