@@ -5,15 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from particlerb.bodies.bodies import taken
+from particlerb.bodies.comparison import CONJUGATE, angles
 from particlerb.bodies.scene import Scene, inertia_in_body
 from particlerb.bodies.state import Frames, State, kinetic_energy, multiplied, omega_world, turned
 from particlerb.case.placement import normalised, resolve_bodies
 from particlerb.case.schema import Case, CheckValue
 from particlerb.maths.vec3 import Floats
-from particlerb.rotors.rotor_class import POINT, ROD
 from particlerb.simulate import Outcome
-
-BODY_COLUMNS = np.array([[1.0], [-1.0], [-1.0], [-1.0]])
 
 
 class Result(NamedTuple):
@@ -70,7 +68,7 @@ def value_result(check: CheckValue, time: float, scene: Scene, b: int, frames: F
     error = float(np.abs(found - expected).max())
     if check.quantity == "orientation":
         expected = normalised(expected)
-        error = angle(scene, b, expected, found)
+        error = float(angles(taken(scene.bodies, np.array([b])), expected[None], found[None])[0])
         found = found if found @ expected >= 0 else -found
     frame = f", {check.frame} frame" if check.frame == "body" else ""
     when = "" if check.quantity == "inertia" else f" at {time:.9g} s"
@@ -105,7 +103,7 @@ def quantity(check: CheckValue, scene: Scene, b: int, frames: Frames) -> Floats:
     }
     vector = vectors[check.quantity]
     if check.frame == "body":
-        vector = turned(orientation[0, index].T * BODY_COLUMNS, vector)
+        vector = turned(orientation[0, index].T * CONJUGATE, vector)
     return vector[:, 0]
 
 
@@ -114,19 +112,6 @@ def rotated(q: Floats, tensor: Floats) -> Floats:
     R = turned(np.tile(q[:, None], 3), np.eye(3))
     result: Floats = R @ tensor @ R.T
     return result
-
-
-def angle(scene: Scene, b: int, expected: Floats, found: Floats) -> float:
-    """Angle between orientations [rad], 2 atan2(|v|, |w|); rods compare axes, points nothing."""
-    code = scene.bodies.rotor_class[b]
-    if code == POINT:
-        return 0.0
-    if code == ROD:
-        axis = turned(scene.bodies.rotor_frame[:, [b]], np.array([[0.0], [0.0], [1.0]]))
-        a, c = turned(expected[:, None], axis)[:, 0], turned(found[:, None], axis)[:, 0]
-        return float(np.arctan2(np.linalg.norm(np.cross(a, c)), a @ c))
-    w, *v = multiplied(expected[:, None] * BODY_COLUMNS, found[:, None])[:, 0]
-    return float(2 * np.arctan2(np.linalg.norm(v), abs(w)))
 
 
 def numbers(values: Floats) -> str:

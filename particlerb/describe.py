@@ -16,8 +16,8 @@ SEGMENTS_SHOWN = 12
 RUNS_SHOWN = 4
 
 
-def describe(case: Case, scene: Scene, plan: Plan) -> str:
-    """Text of a plan."""
+def describe(case: Case, scene: Scene, plan: Plan, accuracy: str = "") -> str:
+    """Text of a plan, with what is known of its accuracy."""
     lines = [
         ("bodies", bodies_line(scene)),
         ("particles", particles_line(scene)),
@@ -25,6 +25,7 @@ def describe(case: Case, scene: Scene, plan: Plan) -> str:
         *((kind, force_line(case, kind)) for kind in FORCES),
         ("contact", contact_line(scene)),
         ("step", plan.step),
+        *([("accuracy", accuracy)] if accuracy else []),
         ("ledger", ledger_line(plan)),
     ]
     for group in plan.groups[:GROUPS_SHOWN]:

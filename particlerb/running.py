@@ -6,7 +6,8 @@ from typing import Any
 
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
-from particlerb.simulate import prepare, run_prepared
+from particlerb.simulate import run_prepared
+from particlerb.studies.accuracy import prepare_accurately
 from particlerb.trajectory import Trajectory, open_trajectory
 
 
@@ -44,7 +45,7 @@ def run(
     particlerb.simulate.RunError
         If the run fails; the frames until then are in the file.
     """
-    prepared = prepare(load(case, overrides))
+    prepared = prepare_accurately(load(case, overrides))
     path = None if output is None else Path(output)
     outcome = run_prepared(prepared, path, overwrite)
     return open_trajectory(path) if path else Trajectory(outcome.file)

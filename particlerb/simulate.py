@@ -6,9 +6,10 @@ in the motion, so a run can be prolonged, or recorded more finely, without chang
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import h5py
@@ -66,6 +67,7 @@ class Prepared(NamedTuple):
     scene: Scene
     plan: Plan
     text: str  # the plan in words
+    parameters: Mapping[str, str] = MappingProxyType({})  # more for /parameters of the file
 
 
 def prepare(case: Case) -> Prepared:
@@ -165,7 +167,7 @@ class Run:
     """A prepared case on its way."""
 
     def __init__(self, prepared: Prepared) -> None:
-        case, self.scene, plan, _ = prepared
+        case, self.scene, plan = prepared.case, prepared.scene, prepared.plan
         self.gravity = np.array(case.gravity.acceleration if case.gravity else (0.0, 0.0, 0.0))
         initial = as_frame(self.scene.bodies, self.scene.state)
         self.last = initial.last
@@ -267,7 +269,8 @@ def run_prepared(
     """
     case = prepared.case
     THREADS.use(case.run.threads)
-    recorder = Recorder(path, case, prepared.scene, prepared.text, overwrite)
+    parameters = {"plan": prepared.text, **prepared.parameters}
+    recorder = Recorder(path, case, prepared.scene, parameters, overwrite)
     try:
         run = Run(prepared)
         probes: list[Probe] = []

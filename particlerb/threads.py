@@ -6,6 +6,7 @@ Numba's parallel loops would double the time to compile, and stop a fork of the 
 """
 
 import os
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Final
@@ -23,6 +24,7 @@ class Threads:
         self.count = available()
         self.pool: ThreadPoolExecutor | None = None
         self.is_stopping = False  # set by a signal: the next call raises KeyboardInterrupt
+        self.busy = 0.0  # [s] wall time in kernels so far: what studies compare
 
     def use(self, count: int | None) -> None:
         """Use so many threads from now on; None for all cores."""
@@ -53,6 +55,20 @@ class Threads:
         if self.is_stopping:
             self.is_stopping = False
             raise KeyboardInterrupt
+        start = time.perf_counter()
+        try:
+            self.share_out(kernel, bodies, work)
+        finally:
+            self.busy += time.perf_counter() - start
+
+    def alone(self, kernel: Callable[..., object], *arguments: object) -> None:
+        """Call a kernel on this thread."""
+        start = time.perf_counter()
+        kernel(*arguments)
+        self.busy += time.perf_counter() - start
+
+    def share_out(self, kernel: Callable[[int, int], object], bodies: int, work: int) -> None:
+        """Do the work of `spread`."""
         blocks = -(-bodies // BLOCK)
         if self.count == 1 or blocks == 1 or work < LEAST_WORK:
             kernel(0, blocks)

@@ -410,6 +410,21 @@ class Check(Table):
     value: tuple[CheckValue, ...] = Field((), description="Values to reach, [[check.value]]. [-]")
 
 
+class Published(Table):
+    """An error that somebody else found for this case."""
+
+    name: Name = Field(description="Who found it. [-]")
+    error: Positive = Field(description="Error of the orientation at t_end. [rad]")
+
+
+class Chart(Table):
+    """What `chart` draws beside what it measures."""
+
+    published: tuple[Published, ...] = Field(
+        (), description="Errors found elsewhere, [[chart.published]]. [-]"
+    )
+
+
 class Case(Table):
     """A whole scene; made by `particlerb.case.reader.load`."""
 
@@ -420,6 +435,7 @@ class Case(Table):
     force: tuple[Force, ...] = Field((), description="What acts on them. [-]")
     output: Output = Field(default_factory=Output, description="What is recorded. [-]")
     check: Check = Field(default_factory=Check, description="What must hold. [-]")
+    chart: Chart = Field(default_factory=Chart, description="Beside the methods on a chart. [-]")
     _source: Source = PrivateAttr(default_factory=Source)
 
     @property

@@ -63,8 +63,10 @@ class Recorder:
     ----------
     path : Path or None
         Where; None keeps the file in memory.
-    case, scene, plan : Case, Scene, str
-        What is run, the bodies, and the plan in words.
+    case, scene : Case, Scene
+        What is run, and the bodies.
+    parameters : mapping of str to str
+        More texts for /parameters: the plan in words, what is known of the accuracy.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -83,7 +85,12 @@ class Recorder:
     broken: ClassVar[list["Recorder"]] = []  # kept: HDF5 complains when it lets go of them
 
     def __init__(
-        self, path: Path | None, case: Case, scene: Scene, plan: str, overwrite: bool = False
+        self,
+        path: Path | None,
+        case: Case,
+        scene: Scene,
+        parameters: Mapping[str, str],
+        overwrite: bool = False,
     ) -> None:
         self.file, self.path = create(path, overwrite), path
         self.case, self.scene = case, scene
@@ -93,7 +100,7 @@ class Recorder:
         self.last_commit = time.monotonic()
         write_header(self.file)
         write_bodies(self.file, scene)
-        write_parameters(self.file, case, plan)
+        write_parameters(self.file, case, parameters)
         self.step, self.time = make_clock(self.file)
         self.values: dict[str, h5py.Dataset] = {
             name: self.make_element(f"{TRAJECTORY}/{name}", FIELDS[name], per_body=True)
@@ -260,12 +267,12 @@ def write_bodies(file: h5py.File, scene: Scene) -> None:
         file[path].attrs["meaning"] = table.meaning
 
 
-def write_parameters(file: h5py.File, case: Case, plan: str) -> None:
+def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> None:
     """Where the file comes from: enough to run it again."""
     parameters = {
         "case": case.text,
         "case_resolved": case.model_dump_json(),
-        "plan": plan,
+        **more,
         "versions": json.dumps(versions()),
         "machine": f"{platform.machine()} {platform.system()} {platform.release()}",
         "git_revision": git_revision(),

@@ -33,6 +33,7 @@ from particlerb.rotors.theta import (
     oriented,
     theta_local,
 )
+from particlerb.threads import THREADS
 
 BLOCK = 256
 CROSSOVER = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
@@ -188,7 +189,7 @@ def turn_all(
 def orientation(turn: Turn, t: float) -> Floats:
     """Orientations at time t [s], rotor frame to world, shape (4, n)."""
     q = np.empty((4, turn[0].shape[1]))
-    turn_all(*by_kind(turn), float(t), q)
+    THREADS.alone(turn_all, *by_kind(turn), float(t), q)
     return q
 
 
@@ -226,23 +227,23 @@ def prepare(
     units = np.stack([inverse_power_of_two(inertia), inverse_power_of_two(L)])
     modulus = np.full(rotor_class.size, -1.0)
     if (which := np.flatnonzero(rotor_class == ASYMMETRIC)).size:
-        moduli(inertia, q, L, units, which, modulus)
+        THREADS.alone(moduli, inertia, q, L, units, which, modulus)
     is_steady, is_theta = modulus < 0.0, modulus >= CROSSOVER
     groups: list[tuple[Ints, Turn]] = []
     if (which := np.flatnonzero(is_theta)).size:
         table, right = np.empty((THETA_ROWS, which.size)), np.empty((4, which.size), np.int8)
-        theta_table(inertia, q, L, units, which, table, right)
+        THREADS.alone(theta_table, inertia, q, L, units, which, table, right)
         clock, left, series = split(table, 3, 4, 3)
         groups.append((which, ThetaTurn(clock, left, right, series)))
     if (which := np.flatnonzero(~(is_theta | is_steady))).size:
         table, right = np.empty((NEAR_ROWS, which.size)), np.empty((4, which.size), np.int8)
-        near_table(inertia, q, L, units, which, table, right)
+        THREADS.alone(near_table, inertia, q, L, units, which, table, right)
         clock, left, *rest = split(table, 3, 4, 5, 6, 6)
         groups.append((which, HyperbolicTurn(clock, left, right, *rest)))
     if (which := np.flatnonzero(is_steady)).size:
         table = np.empty((STEADY_ROWS, which.size))
         inverse = steady_inverse(inertia[:, which], rotor_class[which], modulus[which])
-        steady_table(inverse, q, L, which, table)
+        THREADS.alone(steady_table, inverse, q, L, which, table)
         groups.append((which, SteadyTurn(*split(table, 3, 2, 4))))
     return groups
 

@@ -1,0 +1,114 @@
+"""What all commands share: exit codes, how a command ends, how a case is found and read."""
+
+import argparse
+import difflib
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import particlerb
+
+if TYPE_CHECKING:
+    from particlerb.case.schema import Case
+    from particlerb.simulate import Prepared
+
+DONE: Final = 0
+FAILED: Final = 1
+WRONG: Final = 2
+MISSED: Final = 3
+INTERRUPTED: Final = 130
+NAMES: Final = (
+    "run",
+    "check",
+    "mass",
+    "info",
+    "plot",
+    "chart",
+    "stability",
+    "converge",
+    "cases",
+    "methods",
+    "schema",
+)
+PICTURES: Final = (".png", ".svg", ".pdf")
+
+
+class Ending(Exception):  # noqa: N818
+    """One message with which a command ends, and its exit code; by default wrong usage."""
+
+    def __init__(self, message: str, code: int = WRONG) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+def example_folders() -> list[Path]:
+    """Where cases are looked for by name: here, then the repository's, then the installed ones."""
+    package = Path(particlerb.__file__).parent
+    return [Path("cases"), package.parent / "cases", package / "_cases"]
+
+
+def find_case(name: str) -> Path:
+    """Path of a case given by path or by name.
+
+    Raises
+    ------
+    Ending
+        If there is none; with the nearest names.
+    """
+    if Path(name).suffix or os.sep in name or Path(name).exists():
+        return Path(name)
+    for folder in example_folders():
+        if (folder / f"{name}.toml").is_file():
+            return folder / f"{name}.toml"
+    known = sorted({path.stem for folder in example_folders() for path in folder.glob("*.toml")})
+    near = difflib.get_close_matches(name, [*known, *NAMES], 3)
+    hint = f"did you mean {' or '.join(near)}?" if near else "`cases` lists the examples"
+    raise Ending(f"{name}: no such command, file or case; {hint}")
+
+
+def read_case(options: argparse.Namespace) -> "Case":
+    """Case of a command line; ends the program with code 2 where it is wrong."""
+    from particlerb.case.problems import CaseError
+    from particlerb.case.reader import load
+
+    overrides = list(options.overrides)
+    if getattr(options, "threads", None) is not None:
+        overrides.append(f"run.threads={options.threads}")
+    try:
+        return load(find_case(options.case), overrides)
+    except CaseError as error:
+        raise Ending(str(error)) from None
+
+
+def prepared_case(options: argparse.Namespace) -> "Prepared":
+    """Case made ready to run."""
+    from particlerb.case.problems import CaseError
+
+    case = read_case(options)
+    try:
+        from particlerb.studies.accuracy import prepare_accurately
+
+        prepared = prepare_accurately(case)
+    except CaseError as error:
+        raise Ending(str(error)) from None
+    warn(options, list(prepared.plan.warnings))
+    return prepared
+
+
+def warn(options: argparse.Namespace, warnings: list[str]) -> None:
+    """Print warnings; with --strict they end the program."""
+    for warning in warnings:
+        print(warning, file=sys.stderr)
+    if warnings and options.strict:
+        raise Ending("--strict: a warning is an error")
+
+
+def opened(path: str) -> Any:
+    """Trajectory in a file; wrong usage where it is none."""
+    from particlerb.trajectory import TrajectoryError, open_trajectory
+
+    try:
+        return open_trajectory(path)
+    except (TrajectoryError, FileNotFoundError, IsADirectoryError) as error:
+        raise Ending(str(error)) from None

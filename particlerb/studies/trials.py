@@ -1,0 +1,115 @@
+"""Runs without files, of some bodies of a plan: what studies compare and time.
+
+Bodies that do not act on each other move alike whether the others are there or not, so a study
+looks at a sample of a large scene, and sees bit for bit what the whole run does.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.bodies import Bodies, taken
+from particlerb.bodies.comparison import angles, radii
+from particlerb.bodies.scene import Scene
+from particlerb.bodies.state import Frames, State, as_frame, room_for
+from particlerb.case.schema import Case
+from particlerb.ledger import Ledger, totals
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.methods.motion import part_of
+from particlerb.plan import GroupPlan, Plan
+from particlerb.simulate import Traveller
+from particlerb.terms.impulse import Impulse
+from particlerb.threads import THREADS
+
+
+class Part(NamedTuple):
+    """Some bodies of a scene, and how they will move."""
+
+    bodies: Bodies
+    state: State
+    groups: tuple[GroupPlan, ...]
+    size: Floats  # (n,) [m] reach of each body from its centre of mass
+    gravity: Floats  # (3,) [m/s²]
+
+
+class Error(NamedTuple):
+    """How far a run is from another."""
+
+    worst: float  # orientation [rad]
+    rms: float  # orientation [rad]
+    position: float  # worst, relative to the larger of size and way of the body
+
+
+def part(case: Case, scene: Scene, plan: Plan, which: Ints) -> Part:
+    """Chosen bodies of a plan, ascending."""
+    gravity = np.array(case.gravity.acceleration if case.gravity else (0.0, 0.0, 0.0))
+    size = radii(scene.particles, scene.kind[which])
+    groups = []
+    for group in plan.groups:
+        own = np.flatnonzero(np.isin(group.members, which))
+        if own.size:
+            groups.append(chosen(group, own, np.searchsorted(which, group.members[own])))
+    return Part(taken(scene.bodies, which), taken(scene.state, which), tuple(groups), size, gravity)
+
+
+def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
+    """Some bodies of a group under new numbers."""
+    segments = tuple(
+        segment._replace(
+            terms=part_of(group.group(segment), own).terms,
+            jumps=tuple(
+                Impulse(
+                    np.ascontiguousarray(jump.at[:, own]),
+                    np.ascontiguousarray(jump.impulse[:, own]),
+                    jump.follows,
+                )
+                for jump in segment.jumps
+            ),
+        )
+        for segment in group.segments
+    )
+    return GroupPlan(members, taken(group.bodies, own), segments)
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def states_at(part: Part, times: Floats) -> tuple[Frames, Floats]:
+    """Frames at ascending times, and what was booked until then (T, 7)."""
+    frames = room_for(times.size, part.bodies.mass.size, as_frame(part.bodies, part.state).last)
+    booked = np.zeros((times.size, 7))
+    for group in part.groups:
+        booked += Traveller(group, taken(part.state, group.members)).record(times, frames)
+    return frames, booked
+
+
+def seconds(part: Part, t_end: float) -> float:
+    """Time in kernels of a run to t_end with one frame, the set-up of the motion included [s]."""
+    before = THREADS.busy
+    states_at(part, np.array([t_end]))
+    return THREADS.busy - before
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def drifts(part: Part, frames: Frames, booked: Floats) -> tuple[float, float]:
+    """Largest errors of energy and of angular momentum, relative as in the ledger of a run."""
+    ledger = Ledger(totals(as_frame(part.bodies, part.state), part.bodies, part.gravity))
+    ledger.enter(totals(frames, part.bodies, part.gravity), booked)
+    drift = ledger.drift()
+    return drift.energy, drift.angular_momentum
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def errors(part: Part, found: Frames, expected: Frames) -> list[Error]:
+    """Errors at each time; the way of a body is summed over the times before."""
+    way = np.zeros(part.bodies.mass.size)
+    before = part.state.com.T
+    result = []
+    for k in range(len(found.position)):
+        way += np.linalg.norm(expected.position[k] - before, axis=1)
+        before = expected.position[k]
+        off = np.linalg.norm(found.position[k] - expected.position[k], axis=1)
+        scale = np.maximum(part.size, way)
+        relative = np.divide(off, scale, out=off.copy(), where=scale > 0.0)
+        turn = angles(part.bodies, expected.orientation[k], found.orientation[k])
+        rms = float(np.sqrt(np.mean(turn * turn)))
+        result.append(Error(float(turn.max()), rms, float(relative.max())))
+    return result
