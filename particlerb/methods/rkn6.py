@@ -3,8 +3,8 @@
 A symmetric splitting of Runge-Kutta-Nyström type, symplectic where the forces have a potential.
 It asks that the forces know nothing of the velocities, so there is no drag. Asymmetric bodies
 drift by the preprocessed Moser-Veselov map of order 8, all others in closed form; on free bodies
-the order is therefore 8, or the drift exact. Where a sub-step turns a body too far for the fixed
-point of that map, the drift is cut into pieces (rotors/moser_veselov.py).
+the order is therefore 8, or the drift exact. Where a sub-step turns a body too far for that map
+to be solved, the drift is cut into pieces (rotors/moser_veselov.py).
 
 Source: Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002), coefficients SRKN₁₁ᵇ.
 """
@@ -41,10 +41,10 @@ from particlerb.methods.stepped import SteppedMotion, advance_blocks
 from particlerb.rotors.moser_veselov import (
     Cubic,
     first_guess,
+    iterations_of,
     modified_inertia,
+    newton,
     pieces_of,
-    sweep,
-    sweeps_of,
 )
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.rotors.symmetric_split import symmetric_split
@@ -126,7 +126,7 @@ def turn_block(rows: Floats, n: int, dt: float, rate: float) -> None:
     """Free rotation of a block over dt; no body turns faster than `rate` [rad/s]."""
     turn = abs(dt) * rate
     pieces = pieces_of(turn)
-    sweeps = sweeps_of(turn / pieces)
+    iterations = iterations_of(turn / pieces)
     for _ in range(pieces):
         for b in range(n):
             m = scale(dt / pieces * get(rows, OWN + 3, b), body_momentum(rows, b))
@@ -135,9 +135,9 @@ def turn_block(rows: Floats, n: int, dt: float, rate: float) -> None:
             put3(rows, U, b, u)
             put3(rows, F, b, f)
             put3(rows, V, b, v)
-        for _ in range(sweeps):
+        for _ in range(iterations):
             for b in range(n):
-                put3(rows, V, b, sweep(get3(rows, U, b), get3(rows, F, b), get3(rows, V, b)))
+                put3(rows, V, b, newton(get3(rows, U, b), get3(rows, F, b), get3(rows, V, b)))
         for b in range(n):
             x, y, z = get3(rows, V, b)
             put4(rows, Q, b, normalised(multiply(get4(rows, Q, b), (1.0, x, y, z))))

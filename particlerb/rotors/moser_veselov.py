@@ -8,8 +8,9 @@ quaternion (1, x, y, z) normalised, where
 
     x = (1 + x² + y² + z²) u₁ + f₁ y z   and cyclic,   u = ½ h m b, f₁ = (I₂ - I₃)/I₁
 
-with the modified inertia 1/b. Fixed-point iteration solves it while a step turns by less than
-about 0.7 rad; longer ones are cut into pieces.
+with the modified inertia 1/b. Newton's method solves it in two to four steps while a map turns by
+less than 0.8 rad; a fixed point, as is usual, takes up to forty and stops converging soon after.
+Longer turns are cut into pieces.
 
 Source: Moser and Veselov, Commun. Math. Phys. 139, 217 (1991); Hairer and Vilmart, J. Phys. A 39,
 13225 (2006), for the modified inertia up to order 8.
@@ -20,13 +21,12 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from particlerb._jit import inline
-from particlerb.maths.vec3 import Floats, Vec3, dot, multiplied3, scale
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, scale
 
 Cubic: TypeAlias = tuple[Vec3, Vec3, Vec3]  # coefficients of N, H, N², NH, H², N³, N²H, NH², H³
 CONSTANTS: Final = 22  # numbers of `modified_inertia` per body
-LONGEST_PIECE: Final = 0.5  # rad that one map may turn
+LONGEST_PIECE: Final = 0.8  # rad that one map may turn
 MOST_PIECES: Final = 1024
-ROUNDING: Final = 1e-17
 
 
 def modified_inertia(inv_inertia: Floats) -> Floats:
@@ -95,11 +95,14 @@ def pieces_of(turn: float) -> int:
 
 
 @inline
-def sweeps_of(turn: float) -> int:
-    """Sweeps of the fixed point until nothing changes, for a map that turns by so many radians."""
-    half = 0.5 * turn
-    share = half * (1.0 + 2.0 * half)  # that a sweep leaves of an error, at most
-    return 2 + int(np.log(ROUNDING) / np.log(max(share * share, 1e-30)))
+def iterations_of(turn: float) -> int:
+    """Newton steps from the first guess to rounding, for a map that turns by so many radians.
+
+    Enough for all of 20 000 random bodies, needles and discs among them.
+    """
+    if turn < 0.08:
+        return 2
+    return 3 if turn < 0.45 else 4
 
 
 @inline
@@ -121,9 +124,19 @@ def first_guess(m: Vec3, a: Vec3, s: Cubic, d: Cubic) -> tuple[Vec3, Vec3, Vec3]
 
 
 @inline
-def sweep(u: Vec3, f: Vec3, v: Vec3) -> Vec3:
-    """One sweep of the fixed point; each component is used at once."""
+def newton(u: Vec3, f: Vec3, v: Vec3) -> Vec3:
+    """One Newton step towards (x, y, z)."""
+    x, y, z = v
     size = 1.0 + dot(v, v)
-    x = size * u[0] + f[0] * (v[1] * v[2])
-    y = size * u[1] + f[1] * (x * v[2])
-    return x, y, size * u[2] + f[2] * (x * y)
+    g = (
+        x - size * u[0] - f[0] * (y * z),
+        y - size * u[1] - f[1] * (x * z),
+        z - size * u[2] - f[2] * (x * y),
+    )
+    x2, y2, z2 = x + x, y + y, z + z
+    r0 = (1.0 - x2 * u[0], -y2 * u[0] - f[0] * z, -z2 * u[0] - f[0] * y)
+    r1 = (-x2 * u[1] - f[1] * z, 1.0 - y2 * u[1], -z2 * u[1] - f[1] * x)
+    r2 = (-x2 * u[2] - f[2] * y, -y2 * u[2] - f[2] * x, 1.0 - z2 * u[2])
+    c0, c1, c2 = cross(r1, r2), cross(r2, r0), cross(r0, r1)
+    change = add_scaled(g[2], c2, add_scaled(g[1], c1, scale(g[0], c0)))
+    return add_scaled(-1.0 / dot(r0, c0), change, v)

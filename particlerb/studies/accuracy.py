@@ -40,7 +40,8 @@ SAMPLED: Final = 8  # bodies of a group: half of them the fastest, half any
 LOOKED_AT: Final = 32  # times at which errors are looked at
 SHARE: Final = 0.3  # of the wanted error that a step is chosen for
 ENOUGH: Final = 0.6  # of the wanted error with which the search ends
-REGULAR: Final = 1e-2  # errors below it follow the order of a method
+REGULAR: Final = 1e-2  # differences below it follow the order of a method
+ROUNDING: Final = 1e-12  # and those above it
 FIRST_TURN: Final = 1.0  # rad of the first step that is tried
 LOWEST_TOLERANCE: Final = 1e-14
 CHEAP: Final = (
@@ -202,8 +203,9 @@ class Trials:
         for _ in range(MOST_TRIALS):
             half = step._replace(dt=0.5 * step.dt)
             change = self.differences(half, self.run(step), self.run(half))
-            is_regular = change[-1] < REGULAR
-            # prudent by a factor of 2 to 1: in the limit the share is 1 / (2^order - 1)
+            is_regular = ROUNDING < change[-1] < REGULAR
+            # prudent by a factor of 2 to 1: in the limit the share is 1 / (2^order - 1); below
+            # ROUNDING the difference is not all truncation, which alone shrinks with the step
             found = self.judged(half, change * 2.0 ** (1 - order) if is_regular else change)
             yield found
             stays = stays + 1 if found.error > 0.5 * last else 0

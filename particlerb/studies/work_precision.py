@@ -219,8 +219,9 @@ class Study:
             return Reference(self.states("auto", None), "the closed form", floor)
         oracle = self.states("dop853", FINEST_TOLERANCE)
         second = "rk4" if self.refusal("rkn6") else "rkn6"
-        start, best, step = time.monotonic(), np.inf, self.first_step()
-        stays = 0
+        step, best, stays = self.first_step(), np.inf, 0
+        self.states(second, step)  # compile
+        start = time.monotonic()
         while time.monotonic() - start < budget and stays < 2:
             step *= 0.5
             difference = self.difference(self.states(second, step), oracle)

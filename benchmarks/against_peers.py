@@ -1,0 +1,154 @@
+"""Measure particlerb beside other engines on the same bodies, at the same error.
+
+    python benchmarks/against_peers.py [--budget 240] [--record]
+
+Three scenes: one free body near its intermediate axis (t = 100), 1000 free bodies (t = 10), 1000
+asymmetric heavy tops of different tilt and spin (t = 10). Each engine runs its ladder of steps or
+tolerances (benchmarks/peers); what counts is its least time with a worst orientation error below
+the wanted one, beside ours in the same run, one thread. Times are those of the stepping loops: for
+ours the time in kernels, set-up of the motion included. For the single body the closed form is
+also measured in a batch of 100 000 such bodies, since a call of a kernel from Python costs more
+than one body does. `--record` adds the figures to results/peers.csv.
+
+Goals: one body 1000 times the best peer at 1e-6 rad; 1000 free bodies 50 times SciPy DOP853 and
+500 times MuJoCo RK4 at 1e-6; 1000 tops 10 times SciPy and 50 times MuJoCo RK4 at 1e-6, 20 times
+every engine at 1e-3.
+"""
+
+import argparse
+
+import numpy as np
+from results import record
+
+from particlerb.case.reader import load
+from particlerb.studies.trials import seconds
+from particlerb.studies.work_precision import Chart, Point, Study, chart
+from particlerb.threads import THREADS
+
+ENGINES = ("mujoco", "lammps", "pybullet", "scipy", "rebound")
+
+
+def one_body(count: int = 1) -> dict:
+    """Free bodies that spin about the intermediate axis, nearly."""
+    rows = np.tile([1e-3, 1.0, 1e-3], (count, 1))
+    return {
+        "title": "one free body near its intermediate axis",
+        "run": {"t_end": 100.0, "every": 100.0},
+        "body": [
+            {
+                "name": "handle",
+                "shape": {"type": "moments", "inertia": [1.0, 2.0, 3.0]},
+                "mass": 1.0,
+                "count": count,
+                "position": np.zeros((count, 3)).tolist() if count > 1 else [0, 0, 0],
+                "angular_velocity": rows.tolist() if count > 1 else rows[0].tolist(),
+            }
+        ],
+    }
+
+
+def free_bodies(n: int = 1000) -> dict:
+    """Bodies of one asymmetric kind with random orientation and spin of about 1 rad/s."""
+    random = np.random.default_rng(1)
+    omega = random.normal(size=(n, 3))
+    omega *= random.uniform(0.5, 1.0, (n, 1)) / np.linalg.norm(omega, axis=1, keepdims=True)
+    return {
+        "title": "1000 free bodies",
+        "run": {"t_end": 10.0, "every": 10.0},
+        "body": [
+            {
+                "name": "body",
+                "shape": {"type": "moments", "inertia": [1.0, 2.0, 2.5]},
+                "mass": 1.0,
+                "count": n,
+                "place": {"type": "grid", "spacing": 3.0},
+                "orientation": "random",
+                "angular_velocity": omega.tolist(),
+            }
+        ],
+    }
+
+
+def heavy_tops(n: int = 1000) -> dict:
+    """Asymmetric tops on a held tip, tilted by 0.1 to 2 rad, spinning with 1 to 10 rad/s."""
+    random = np.random.default_rng(2)
+    tilt, spin = random.uniform(0.1, 2.0, n), random.uniform(1.0, 10.0, n)
+    zero = np.zeros(n)
+    turn = np.stack([np.cos(tilt / 2), np.sin(tilt / 2), zero, zero], axis=1)
+    axis = np.stack([zero, -np.sin(tilt), np.cos(tilt)], axis=1)  # the body's z in the world
+    weight = {"type": "push", "body": "top", "at": [0.0, 0.0, 1.0], "force": [0.0, 0.0, -1.0]}
+    return {
+        "title": "1000 heavy tops",
+        "run": {"t_end": 10.0, "every": 10.0},
+        "body": [
+            {
+                "name": "top",
+                "shape": {"type": "moments", "inertia": [1.0, 1.2, 0.6]},
+                "mass": 1.0,
+                "count": n,
+                "place": {"type": "grid", "spacing": 3.0},
+                "orientation": turn.tolist(),
+                "angular_velocity": (spin[:, None] * axis).tolist(),
+            }
+        ],
+        "force": [weight, {"type": "push", "body": "top", "force": [0.0, 0.0, 1.0]}],
+    }
+
+
+def best(points: list[Point], wanted: float) -> Point | None:
+    """Point of least time whose error is small enough."""
+    good = [p for p in points if not p.failure and p.error.worst <= wanted]
+    return min(good, key=lambda p: p.seconds, default=None)
+
+
+def compared(found: Chart, wanted: float) -> list[tuple[str, float]]:
+    """Print our best and each engine's, and how many times faster ours is."""
+    ours = best([p for p in found.points if not p.engine], wanted)
+    assert ours is not None
+    print(f"\n{found.title}, worst error {wanted:g} rad, one thread")
+    print(f"  {'particlerb ' + ours.method:<30} {ours.seconds * 1e3:10.4f} ms")
+    rows = [(f"{found.title}, {wanted:g} rad, ours [ms]", ours.seconds * 1e3)]
+    for label in sorted({p.label for p in found.points if p.engine}):
+        rival = best([p for p in found.points if p.label == label], wanted)
+        if rival is None:
+            print(f"  {label:<30} does not get there")
+            continue
+        ratio = rival.seconds / ours.seconds
+        print(f"  {label:<30} {rival.seconds * 1e3:10.3f} ms, {ratio:8.1f} times ours")
+        rows.append((f"{found.title}, {wanted:g} rad, {label} / ours", ratio))
+    return rows
+
+
+def in_a_batch(n: int = 100_000) -> float:
+    """Time of the closed form for one body of a batch, with one output [s]."""
+    case = load(one_body(n))
+    study = Study(case, 1e-6, 10.0)
+    THREADS.use(1)
+    from particlerb.studies.trials import part
+
+    whole = part(case, study.scene, study.plan("auto", None), np.arange(n))
+    return float(np.median([seconds(whole, 100.0) for _ in range(9)])) / n
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--budget", type=float, default=240.0, help="seconds for each scene")
+    parser.add_argument("--record", action="store_true", help="add to results/peers.csv")
+    options = parser.parse_args()
+    rows: list[tuple[str, float]] = []
+    for scene, errors in ((one_body, (1e-6,)), (free_bodies, (1e-6,)), (heavy_tops, (1e-6, 1e-3))):
+        found = chart(load(scene()), (), ENGINES, budget=options.budget)
+        for name, reason in found.left_out:
+            print(f"  {name}: left out, {reason}")
+        for wanted in errors:
+            rows += compared(found, wanted)
+    alone = in_a_batch()
+    print(f"\nclosed form, one body of a batch of 100 000: {alone * 1e9:.0f} ns, set-up included")
+    rows.append(("one free body, in a batch [ns]", alone * 1e9))
+    if options.record:
+        record("peers", rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""`run.accuracy`: the number that was asked for is met, against rows that know nothing of us."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import particlerb
+from particlerb.case.problems import CaseError
+from particlerb.case.reader import load
+from particlerb.studies.accuracy import prepare_accurately
+
+REFERENCE = Path(__file__).parents[1] / "reference"
+CASES = Path(__file__).parents[2] / "cases"
+
+
+def turn_between(a, b):
+    """Angle between two orientations [rad]."""
+    w = abs(a @ b)
+    v = a[0] * b[1:] - b[0] * a[1:] - np.cross(a[1:], b[1:])
+    return 2 * np.arctan2(np.linalg.norm(v), w)
+
+
+def final_error(case, body, expected, *overrides):
+    """Angle from the expected orientation at t_end, and the estimate in the file."""
+    with particlerb.run(CASES / f"{case}.toml", overrides=overrides) as t:
+        found = t.orientation[-1, list(t.names).index(body)]
+        return turn_between(found, np.array(expected)), json.loads(t.parameter("accuracy"))
+
+
+ROWS = {  # orientation at t_end of the cases, from the rows of tests/reference
+    ("heavy_top", "top"): [
+        0.12294713504153347,
+        -0.49107989255002704,
+        0.35043003034362097,
+        -0.7879868875504856,
+    ],
+    ("spinning_tops", "cusps"): [
+        -0.6972186556827392,
+        -0.597172006170605,
+        -0.38963414443129785,
+        -0.07387133887658665,
+    ],
+}
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(("case", "body"), ROWS)
+@pytest.mark.parametrize("wanted", [1e-9, 1e-6, 1e-3])
+def test_accuracy_is_met_against_reference_rows(case, body, wanted):
+    error, said = final_error(case, body, ROWS[case, body], f"run.accuracy={wanted}")
+    assert error <= wanted
+    assert said["is_met"]
+    assert said["error"] <= wanted
+    # an estimate that is wrong by more than an order of magnitude is none
+    assert said["error"] > 0.1 * error
+
+
+@pytest.mark.compiled
+def test_pushed_cube_meets_the_accuracy(make):
+    """The push of 0.02 s against an integration by DOP853 at 1e-13."""
+    body = {"name": "cube", "shape": {"type": "box", "size": [1, 1, 1], "arrangement": "exact"}}
+    push = make.push([0, 0, 50.0], [0.2, 0.2, -0.5], "cube", during=[0.0, 0.02])
+    scene = make.case(body | {"mass": 2.0}, force=[push], t_end=5.0, every=0.5)
+
+    def load_of(t, R):
+        F = np.array([0, 0, 50.0 if t < 0.02 else 0.0])
+        return F, np.cross(R @ np.array([0.2, 0.2, -0.5]), F)
+
+    pushed = make.integrate(np.eye(3) / 3, 2.0, {}, load_of, [0.02])
+    rate = np.linalg.norm(pushed.angular_velocity[-1])
+    axis = pushed.angular_velocity[-1] / rate
+    for wanted in (1e-9, 1e-4):
+        found = make.arrays(scene, f"run.accuracy={wanted}")
+        q = pushed.orientation[-1]
+        half = 0.5 * rate * 4.98
+        turn = np.array([np.cos(half), *(np.sin(half) * axis)])
+        expected = np.array(
+            [
+                turn[0] * q[0] - turn[1:] @ q[1:],
+                *(turn[0] * q[1:] + q[0] * turn[1:] + np.cross(turn[1:], q[1:])),
+            ]
+        )
+        assert turn_between(found.orientation[-1, 0], expected) <= wanted + 1e-12
+
+
+@pytest.mark.compiled
+def test_less_accuracy_takes_fewer_steps(make):
+    scene = make.case(
+        make.body(angular_velocity=[1, 2, 0.5]), force=[make.push([0, 0, 1], [0.3, 0, 0])]
+    )
+    steps = [
+        json.loads(particlerb.run(scene, overrides=[f"run.accuracy={a}"]).parameter("accuracy"))[
+            "groups"
+        ][0]["dt"]
+        for a in (1e-9, 1e-3)
+    ]
+    assert steps[0] < 0.1 * steps[1]
+
+
+def test_free_bodies_need_no_choice(make):
+    prepared = prepare_accurately(
+        load(make.case(make.body(angular_velocity=[1, 2, 3]), accuracy=1e-9))
+    )
+    assert "nothing is stepped: closed form" in prepared.text
+    assert json.loads(prepared.parameters["accuracy"])["is_met"]
+
+
+@pytest.mark.compiled
+def test_what_cannot_be_met_is_said_with_the_time_until_it_holds(make):
+    """An upside-down start next to the unstable balance: errors grow by e^t, until all is lost."""
+    body = make.body(
+        inertia=(1.0, 1.1, 0.3), orientation=[1e-7, 1.0, 0, 0], angular_velocity=[1e-8, 0.3, 2.0]
+    )
+    top = make.push([0, 0, -30.0], [0, 0, 1])
+    held = make.push([0, 0, 30.0])
+    scene = make.case(body, force=[top, held], t_end=60.0, every=1.0)
+    prepared = prepare_accurately(load(scene | {"run": scene["run"] | {"accuracy": 1e-14}}))
+    said = json.loads(prepared.parameters["accuracy"])
+    assert not said["is_met"]
+    assert 0.0 <= said["until"] < 60.0
+    (warning,) = [w for w in prepared.plan.warnings if "accuracy" in w]
+    assert "NOT met, it holds until" in warning
+    assert f"{said['until']:.6g} s" in prepared.text
+
+
+@pytest.mark.compiled
+def test_each_group_gets_its_own_step(make):
+    bodies = [
+        make.body("slow", angular_velocity=[0.1, 0.2, 0.1]),
+        make.body("fast", angular_velocity=[20, 30, 10]),
+    ]
+    forces = [make.push([0, 0, 1], [0.3, 0, 0], "slow"), make.torque([0, 0, 1], "fast")]
+    with particlerb.run(make.case(*bodies, force=forces, accuracy=1e-6)) as t:
+        groups = json.loads(t.parameter("accuracy"))["groups"]
+    dt = {group["bodies"]: group["dt"] for group in groups}
+    assert dt["fast"] < 0.2 * dt["slow"]
+
+
+@pytest.mark.compiled
+def test_drag_is_not_given_to_rkn6(make):
+    drag = {"type": "drag", "body": "body", "translation": 0.5, "rotation": 0.2}
+    scene = make.case(
+        make.body(angular_velocity=[1, 2, 3], velocity=[1, 0, 0]), force=[drag], accuracy=1e-11
+    )
+    with particlerb.run(scene) as t:
+        said = json.loads(t.parameter("accuracy"))
+    assert said["is_met"]
+    assert said["groups"][0]["method"] in ("strang", "dop853")
+
+
+@pytest.mark.parametrize("wrong", ["0", "-1e-3", "2.0", '"high"'])
+def test_accuracy_that_is_none_is_refused(make, wrong):
+    with pytest.raises(CaseError, match=r"run\.accuracy"):
+        load(make.case(make.body()), [f"run.accuracy={wrong}"])

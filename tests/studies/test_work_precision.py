@@ -1,0 +1,205 @@
+"""Charts of work against precision: what they say is what a run by hand gives."""
+
+import csv
+import math
+
+import numpy as np
+import pytest
+
+from particlerb.case.reader import load
+from particlerb.studies.trials import Error
+from particlerb.studies.work_precision import (
+    Chart,
+    Point,
+    advice,
+    chart,
+    cheapest,
+    csv_rows,
+    duration,
+    failure,
+    frontier,
+    nice_steps,
+    table,
+)
+
+
+def point(seconds, worst, method="strang", engine="", step=0.1, position=0.0, failed=""):
+    error = Error(worst, worst, position)
+    return Point(method, engine, step, False, seconds, error, 0.0, 0.0, failed)
+
+
+def made(*points, wanted=1e-6):
+    return Chart("scene", 1, 1, 1.0, points, "the closed form", 1e-15, (), (), wanted)
+
+
+def test_steps_are_those_that_one_would_write_down():
+    steps = nice_steps(0.3)
+    assert [next(steps) for _ in range(5)] == [0.2, 0.1, 0.05, 0.02, 0.01]
+    assert next(nice_steps(5.0)) == 5.0
+    assert next(nice_steps(4.99)) == 2.0
+
+
+def test_frontier_has_what_nothing_of_ours_beats_in_time_and_error():
+    slow, quick, beaten = point(2.0, 1e-9), point(1.0, 1e-3), point(1.5, 1e-2)
+    rival, lost = point(0.1, 1e-12, engine="peer"), point(0.2, 2.0, failed="lost")
+    assert frontier([slow, rival, beaten, lost, quick]) == [quick, slow]
+
+
+def test_advice_names_the_cheapest_run_that_is_good_enough():
+    points = [
+        point(1e-3, 1e-4),
+        point(2e-3, 1e-7, "rkn6", step=0.02),
+        point(9e-3, 1e-8),
+        point(1e-3, 1e-9, position=1e-2),  # the position is what it misses
+        point(1e-5, 1e-9, engine="peer"),
+    ]
+    assert cheapest(points, 1e-6) == points[1]
+    assert advice(made(*points)) == "for an error of 1e-06 take rkn6 with dt = 0.02 s: 2 ms"
+
+
+def test_advice_says_what_came_nearest_where_nothing_is_good_enough():
+    text = advice(made(point(1e-3, 1e-4), point(1.0, 1e-5)))
+    assert text == (
+        "no run came below 1e-06 rad within the time; the best was strang with dt = 0.1 s:"
+        " 1e-05 rad in 1 s"
+    )
+    assert "shorten run.t_end" in advice(made(point(1.0, 3.0, failed="lost")))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(2.5, "2.5 s"), (1.3e-3, "1.3 ms"), (4e-6, "4 µs"), (7e-9, "7 ns")]
+)
+def test_durations_read_as_one_would_say_them(seconds, words):
+    assert duration(seconds) == words
+
+
+def test_failures_are_told_apart():
+    assert failure(Error(0.9, 0.1, 0.0)) == ""
+    assert failure(Error(1.5, 1.0, 0.0)).startswith("lost: off by 1.5 rad")
+    assert failure(Error(math.nan, 0.0, 0.0)) == "not finite"
+    assert failure(Error(0.0, 0.0, math.inf)) == "not finite"
+
+
+@pytest.fixture(scope="module")
+def tumbling(make):
+    """Chart of a free body; short, for its numbers and not for its times."""
+    body = make.body(angular_velocity=[0.5, 2.0, 0.3])
+    return make.case(body, t_end=5.0, every=5.0), chart(
+        load(make.case(body, t_end=5.0, every=5.0)),
+        ("exact", "strang", "rkn6", "rk4", "explicit_euler"),
+        budget=2.0,
+    )
+
+
+@pytest.mark.compiled
+def test_a_point_and_the_same_case_run_by_hand_give_the_same_error(make, tumbling):
+    case, found = tumbling
+    exact = make.arrays(case)
+    for p in [p for p in found.points if p.step][::5]:
+        by_hand = make.arrays(case, f"run.method={p.method}", f"run.dt={p.step!r}")
+        error = make.angle(exact.orientation[-1, 0], by_hand.orientation[-1, 0])
+        assert p.error.worst == pytest.approx(float(error), rel=1e-6, abs=2e-15)
+
+
+@pytest.mark.compiled
+def test_curves_fall_with_the_order_of_their_method(tumbling):
+    _, found = tumbling
+    for method, order in (("strang", 2), ("rk4", 4), ("explicit_euler", 1)):
+        good = [p for p in found.points if p.method == method and 1e-10 < p.error.worst < 1e-2]
+        steps, errors = zip(*[(p.step, p.error.worst) for p in good[-4:]], strict=True)
+        slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+        assert slope == pytest.approx(order, abs=0.15)
+
+
+@pytest.mark.compiled
+def test_failed_points_are_marked_and_kept(tumbling):
+    _, found = tumbling
+    failed = [p for p in found.points if p.failure]
+    assert {p.method for p in failed} >= {"explicit_euler"}
+    assert table(found).count("FAILED") == len(failed)
+    assert all(p not in failed for p in frontier(found.points))
+
+
+@pytest.mark.compiled
+def test_free_scene_is_best_served_by_the_closed_form(tumbling):
+    _, found = tumbling
+    assert found.reference == "the closed form"
+    assert frontier(found.points)[-1].method == "exact"
+
+
+@pytest.mark.compiled
+def test_csv_has_all_points(tumbling, tmp_path):
+    _, found = tumbling
+    with (tmp_path / "chart.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(csv_rows(found))
+    with (tmp_path / "chart.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(found.points)
+    assert [float(row["worst [rad]"]) for row in rows] == [p.error.worst for p in found.points]
+
+
+@pytest.mark.compiled
+def test_forced_scene_has_a_reference_of_two_methods_that_agree(make):
+    drag = {"type": "drag", "body": "body", "rotation": 0.3}
+    push = make.push([0, 0, 1.0], [0.3, 0, 0])
+    case = make.case(
+        make.body(angular_velocity=[1, 2, 0.5]), force=[push, drag], t_end=2.0, every=2.0
+    )
+    found = chart(load(case), ("exact", "strang", "rkn6"), budget=2.0)
+    assert "dop853 at its finest, beside rk4" in found.reference
+    assert found.floor < 1e-10
+    assert dict(found.left_out)["rkn6"] == "rkn6 does not accept what acts here: drag, push"
+    assert {p.method for p in found.points} == {"strang"}
+
+
+@pytest.mark.compiled
+def test_a_large_scene_is_judged_by_a_sample_and_timed_as_a_whole(make):
+    bodies = make.body(
+        count=300, place={"type": "grid", "spacing": 2.0}, angular_velocity={"random": 1.0}
+    )
+    found = chart(load(make.case(bodies)), ("strang",), budget=1.0)
+    assert found.n_bodies == 300
+    assert found.n_judged == 128
+    assert "128 bodies judged" in table(found)
+
+
+def test_names_that_are_none_are_refused(make):
+    case = load(make.case(make.body()))
+    with pytest.raises(ValueError, match="verlet: no such method; there are exact, strang"):
+        chart(case, ("verlet",))
+    with pytest.raises(ValueError, match="unity: no such peer; there are all, mujoco"):
+        chart(case, (), ("unity",))
+
+
+@pytest.mark.compiled
+def test_picture_is_drawn(tumbling, tmp_path):
+    from particlerb.studies.charts.work_precision import draw_chart, together
+
+    _, found = tumbling
+    lines = (("A", 1e-9), ("B", 2e-9), ("C", 1e-4))
+    for suffix in ("png", "svg"):
+        draw_chart(found._replace(published=lines), tmp_path / f"chart.{suffix}")
+        assert (tmp_path / f"chart.{suffix}").stat().st_size > 10_000
+    assert together(lines) == [("A, B", 2e-9), ("C", 1e-4)]
+
+
+@pytest.mark.compiled
+def test_peer_on_the_chart_has_the_errors_of_its_own_order(make):
+    """SciPy's DOP853 beside ours, on bodies with pushes and gravity: the same bodies."""
+    pytest.importorskip("scipy")
+    push = make.push([0.4, 0.5, -0.3], [0.3, 0.2, -0.1])
+    case = make.case(
+        make.body(angular_velocity=[0.5, 0.7, 0.6], orientation=[0.8, 0, 0.6, 0]),
+        force=[push],
+        gravity={"acceleration": [0, 0, -9.81]},
+        t_end=3.0,
+        every=3.0,
+    )
+    found = chart(load(case), ("dop853",), ("scipy",), budget=4.0)
+    theirs = [p for p in found.points if p.label == "SciPy DOP853"]
+    assert min(p.error.worst for p in theirs) < 1e-10
+    assert min(p.error.position for p in theirs) < 1e-12
+    turning = make.case(make.body(), force=[make.torque([0, 0, 1])])
+    refused = chart(load(turning), ("dop853",), ("scipy",), budget=1.0)
+    (reason,) = [why for name, why in refused.left_out if name == "SciPy"]
+    assert reason == "peers are given gravity and constant world pushes alone"
