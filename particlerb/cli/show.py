@@ -131,9 +131,11 @@ def methods_command(options: argparse.Namespace) -> int:
     del options
     from particlerb.methods import METHODS
 
-    print("auto    closed form where a body is free, strang where a force drives it (default)")
+    width = max(map(len, METHODS))
+    default = "closed form where a body is free, strang where a force drives it (default)"
+    print(f"{'auto':<{width}}  {default}")
     for name, method in METHODS.items():
-        print(f"{name:<7} {method.SUMMARY}")
+        print(f"{name:<{width}}  {method.SUMMARY}")
     return DONE
 
 

@@ -77,7 +77,7 @@ class Estimate(NamedTuple):
         """In one line."""
         if not self.groups:
             return f"{self.wanted:.3g} wanted; nothing is stepped: closed form, to rounding"
-        verdict = "" if self.is_met else f"; NOT met, it holds until {self.until:.6g} s"
+        verdict = "" if self.is_met else f"; NOT met: it holds until {self.until:.6g} s"
         return f"{self.wanted:.3g} wanted, {self.error:.2g} estimated at t_end{verdict}"
 
     def json(self) -> str:
@@ -109,8 +109,11 @@ def prepare_accurately(case: Case) -> Prepared:
     estimate = estimate_of(case, scene, chosen, found)
     warnings = chosen.warnings
     if not estimate.is_met:
-        reason = f"accuracy {estimate.wanted:.3g} is not reached at t_end: {estimate.text()}"
-        hint = "rounding and the scene itself allow no more; ask for less, or a shorter run"
+        reason = (
+            f"{estimate.wanted:.3g} is not reached: {estimate.error:.2g} is estimated at t_end,"
+            f" it holds until {estimate.until:.6g} s"
+        )
+        hint = "rounding and the scene itself allow no more; ask for less, or run for less time"
         problem = str(problem_at(case, "run.accuracy", reason, hint))
         warnings = (*warnings, problem.replace(": error: ", ": warning: ", 1))
     chosen = Plan(chosen.groups, chosen.step, warnings)

@@ -121,7 +121,7 @@ def test_what_cannot_be_met_is_said_with_the_time_until_it_holds(make):
     assert not said["is_met"]
     assert 0.0 <= said["until"] < 60.0
     (warning,) = [w for w in prepared.plan.warnings if "accuracy" in w]
-    assert "NOT met, it holds until" in warning
+    assert "is not reached: " in warning
     assert f"{said['until']:.6g} s" in prepared.text
 
 
