@@ -113,7 +113,7 @@ def make_plan(case: Case, scene: Scene, choice: Sequence[Stepping | None] = ()) 
         for group, chosen in zip(cut, choice, strict=True)
     ]
     groups = tuple(with_steps(group, dt) for group, dt in zip(cut, steps, strict=True))
-    refuse_endless(case, groups)
+    refuse_endless(case, scene, groups)
     warnings = tuple(step_warnings(case, scene, groups))
     return Plan(groups, step_reason(case, scene, groups, choice), warnings)
 
@@ -232,15 +232,19 @@ def step_reason(
     return f"{dt:.6g} s = {why}, {rule}"
 
 
-def refuse_endless(case: Case, groups: tuple[GroupPlan, ...]) -> None:
+def refuse_endless(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> None:
     """Raise CaseError where steps until t_end are more than can be counted."""
     for group in groups:
         for segment in group.segments:
             length = min(segment.stop, case.run.t_end) - segment.start
-            is_fixed = has_step(segment.method) and not is_adaptive(segment.method)
-            if is_fixed and length > MOST_STEPS * segment.dt:
+            if not has_step(segment.method) or length <= 0.0:
+                continue
+            step = segment.dt
+            if is_adaptive(segment.method):  # it will find a step of about a radian
+                step = 1.0 / max(fastest_rate(scene, group, case.run.t_end), 1.0 / length)
+            if length > MOST_STEPS * step:
                 key = "run" if case.run.dt is None else "run.dt"
-                reason = f"the step of {segment.dt:.3g} s would be taken {length / segment.dt:.3g}"
+                reason = f"the step of {step:.3g} s would be taken {length / step:.3g}"
                 hint = "give a longer run.dt, or a smaller force"
                 raise CaseError([problem_at(case, key, f"{reason} times until t_end", hint)])
 

@@ -10,6 +10,7 @@ II.10; coefficients in dop853_table.py.
 """
 
 import math
+from collections.abc import Iterator
 from functools import partial
 from typing import Final
 
@@ -47,6 +48,7 @@ IS_ADAPTIVE: Final = True
 ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
 SUMMARY: Final = "order 8, adaptive by run.tolerance, dense output; the oracle; any force"
 COST: Final = 2500.0  # ns per body-step, roughly
+NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
 SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
 GROW: Final = 5.0
 SAFETY: Final = 0.9
@@ -198,6 +200,7 @@ def advance(
     tolerance: float,
     times: Floats,
     index: Ints,
+    until: float,
     stop: float,
     rotor_frame: Floats,
     members: Ints,
@@ -206,7 +209,7 @@ def advance(
     first: int,
     last: int,
 ) -> None:
-    """All frames of some blocks, and then, if it is finite, on to `stop`.
+    """All frames of some blocks, then on to the step around `until`, or to `stop` if it is finite.
 
     The clock (2, n) has the time from which a body's next step starts, and the step to try.
     """
@@ -240,7 +243,7 @@ def advance(
             )  # fmt: skip
             for c in range(7):
                 sums[index[f], k, c] += out[BOOKED + c]
-        while t + h < stop < np.inf:
+        while t + h < until:
             t += h
             y[:] = new
             h, h_next = find_step(acting, rows, b, y, K, new, t, h_next, tolerance)
@@ -293,12 +296,37 @@ class AdaptiveMotion:
         group = self.group
         n = group.members.size
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
-        through = partial(
-            advance, self.blocks, acting_of(group.terms), self.clock, self.tolerance, times, rows,
-            stop, group.bodies.rotor_frame, group.members, frames, sums,
-        )  # fmt: skip
-        THREADS.spread(through, n, int(n * (times.size + 1) * COST))
+        for lo, hi, until in self.calls(times, stop):
+            cut = stop if until == stop else np.inf
+            through = partial(
+                advance, self.blocks, acting_of(group.terms), self.clock, self.tolerance,
+                times[lo:hi], rows[lo:hi], until, cut, group.bodies.rotor_frame, group.members,
+                frames, sums,
+            )  # fmt: skip
+            THREADS.spread(through, n, int(n * (hi - lo + 1) * COST))
         return np.asarray(sums.sum(axis=1))
+
+    def calls(self, times: Floats, stop: float) -> Iterator[tuple[int, int, float]]:
+        """Ranges of frames, and times to go to after them, of about a second each."""
+        most = max(1.0, NANOSECONDS_PER_CALL / (COST * self.group.members.size))
+        done = 0
+        while done < times.size:
+            horizon = self.horizon(most)
+            reached = max(int(np.searchsorted(times, horizon, side="right")), done)
+            if reached == done and self.horizon(2.0 * most) < times[done]:
+                yield done, done, horizon
+            else:
+                yield done, max(reached, done + 1), 0.0
+                done = max(reached, done + 1)
+        while stop < np.inf and self.horizon(most) < stop:
+            yield done, done, self.horizon(most)
+        if stop < np.inf:
+            yield done, done, stop
+
+    def horizon(self, steps: float) -> float:
+        """Time that every body will have reached after so many more steps, about."""
+        ahead = self.clock[0] + steps * self.clock[1]
+        return float(np.min(ahead, initial=np.inf, where=np.isfinite(ahead)))
 
     def work_of(self, com: Floats, q: Floats) -> float:
         """What forces with a potential have done since the start [J]."""
