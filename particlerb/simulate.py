@@ -36,7 +36,8 @@ BATCH_SECONDS = 0.5  # that a batch should take
 FIRST_BATCH = 8  # frames, before it is known how long one takes
 FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of its multiples
 EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
-ROD_ROUNDING = 1e-9  # share of L along a rod that stepping may leave
+ROD_ROUNDING = 1e-9  # share of L along a rod that exact drifts may leave
+ROD_ERROR = 0.2  # that other methods may leave: more is a torque about the axis, or no result
 
 Progress = Callable[[int], object]
 
@@ -172,6 +173,7 @@ class Run:
         initial = as_frame(self.scene.bodies, self.scene.state)
         self.last = initial.last
         self.room = initial  # used again and again: fresh memory costs more than what fills it
+        self.rod_limit = rod_limits(plan, len(self.scene.kind))
         self.ledger = Ledger(totals(initial, self.scene.bodies, self.gravity))
         self.travellers = [
             Traveller(group, State(*(a[:, group.members] for a in self.scene.state)))
@@ -234,7 +236,7 @@ class Run:
             return rods
         q = multiplied(frames.orientation[f, rods].T, self.scene.bodies.rotor_frame[:, rods])
         m = turned_back(q, frames.angular_momentum[f, rods].T)
-        axial: Ints = rods[np.abs(m[2]) > ROD_ROUNDING * np.linalg.norm(m, axis=0)]
+        axial: Ints = rods[np.abs(m[2]) > self.rod_limit[rods] * np.linalg.norm(m, axis=0)]
         return axial
 
 
@@ -288,6 +290,15 @@ def run_prepared(
     finally:
         recorder.finish()
     return Outcome(run.ledger.drift(), tuple(probes), recorder.file)
+
+
+def rod_limits(plan: Plan, n_bodies: int) -> Floats:
+    """Share of L along its axis with which each body, were it a rod, is taken to turn about it."""
+    limits = np.full(n_bodies, ROD_ROUNDING)
+    for group in plan.groups:
+        if not all(METHODS[segment.method].KEEPS_RODS for segment in group.segments):
+            limits[group.members] = ROD_ERROR
+    return limits
 
 
 def probe_times(case: Case) -> Floats:

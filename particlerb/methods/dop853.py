@@ -45,6 +45,7 @@ from particlerb.threads import BLOCK, THREADS
 ORDER: Final = 8
 FREE_ORDER: Final = 8
 IS_ADAPTIVE: Final = True
+KEEPS_RODS: Final = False
 ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
 SUMMARY: Final = "order 8, adaptive by run.tolerance, dense output; the oracle; any force"
 COST: Final = 2500.0  # ns per body-step, roughly

@@ -21,6 +21,7 @@ from particlerb.terms import Acting
 ORDER: Final = 1
 FREE_ORDER: Final = 1
 IS_ADAPTIVE: Final = False
+KEEPS_RODS: Final = False
 ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
 SUMMARY: Final = "order 1, baseline; explicit Euler on rates in the body; energy grows; any force"
 COST: Final = 3.0  # ns per body-step, roughly

@@ -21,6 +21,7 @@ from particlerb.terms import Acting
 ORDER: Final = 4
 FREE_ORDER: Final = 4
 IS_ADAPTIVE: Final = False
+KEEPS_RODS: Final = False
 ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
 SUMMARY: Final = "order 4, baseline; Runge-Kutta on (x, Q, P, L); energy drifts; any force"
 COST: Final = 6.0  # ns per body-step, roughly

@@ -53,6 +53,7 @@ from particlerb.terms import Acting
 ORDER: Final = 6
 FREE_ORDER: Final = 8
 IS_ADAPTIVE: Final = False
+KEEPS_RODS: Final = True
 ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "spring", "central"})
 SUMMARY: Final = "order 6 (8 on free bodies), symplectic; for forces that depend on the pose alone"
 COST: Final = 60.0  # ns per body-step, roughly

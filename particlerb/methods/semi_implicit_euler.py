@@ -40,6 +40,7 @@ from particlerb.terms.drag import drag_load
 ORDER: Final = 1
 FREE_ORDER: Final = 1
 IS_ADAPTIVE: Final = False
+KEEPS_RODS: Final = False
 ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
 SUMMARY: Final = "order 1, baseline; the game standard, implicit gyroscopic term; damps; any force"
 COST: Final = 4.0  # ns per body-step, roughly

@@ -24,6 +24,7 @@ from particlerb.terms.drag import prepare_decay
 ORDER: Final = 2
 FREE_ORDER: Final = 2
 IS_ADAPTIVE: Final = False
+KEEPS_RODS: Final = True
 ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
 SUMMARY: Final = "order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force"
 COST: Final = 6.0  # ns per body-step, roughly
