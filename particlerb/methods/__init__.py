@@ -2,8 +2,8 @@
 
 Each has ORDER (None for a closed form, which has no step), FREE_ORDER (where no force acts),
 IS_ADAPTIVE (whether it chooses its steps by a tolerance), KEEPS_RODS (whether the angular momentum
-of a rod stays across its axis to rounding, and not to the error of the steps), ACCEPTS (the terms that may act while it
-works), SUMMARY, COST and `begin`, which makes a `motion.Motion`.
+of a rod stays across its axis to rounding, and not to the error of the steps), ACCEPTS (the terms
+that may act while it works), SUMMARY, COST and `begin`, which makes a `motion.Motion`.
 """
 
 from types import ModuleType
