@@ -38,13 +38,13 @@ from particlerb.bodies.block import (
     state_of,
     state_rows,
 )
-from particlerb.bodies.state import Frames, State, multiplied, room_for, store_frame
+from particlerb.bodies.state import Frames, State, room_for, store_frame
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.methods.dop853_table import STAGES, A, D, E
-from particlerb.methods.motion import Group
+from particlerb.methods.motion import Account, Group
 from particlerb.methods.rates import Pose, slopes
-from particlerb.terms import Acting, acting_of, row_count, rows_of_terms, work_of_potentials
+from particlerb.terms import Acting, acting_of, row_count, rows_of_terms
 from particlerb.threads import BLOCK, THREADS
 
 ORDER: Final = 8
@@ -53,29 +53,25 @@ IS_ADAPTIVE: Final = True
 KEEPS_RODS: Final = False
 ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
 SUMMARY: Final = "order 8, adaptive by run.tolerance, dense output; the oracle; any force"
-COST: Final = 800.0  # ns per body-step, roughly
+COST: Final = 400.0  # ns per body-step, roughly
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
 SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
 GROW: Final = 5.0
 SAFETY: Final = 0.9
 LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any more
 PACK: Final = 16  # bodies that take the same steps; BLOCK is a multiple of it
-SIZE: Final = CHANGING  # of the vector of a body: x, q, p, L, booked
+ALONE: Final = 13  # numbers of a body: x, q, p, L; what it books follows where it books
 WORK: Final = 1024  # rows of a pack from which on a stage and its slopes lie, after all loads
 
 
-@inline
-def into_rows(values: Floats, rows: Floats, at: int, n: int) -> None:
-    """Copy the vectors of a pack into rows."""
-    for c in range(SIZE):
-        for b in range(n):
-            put(rows, at + c, b, values[c * PACK + b])
-
-
 @kernel
-def take_slopes(acting: Acting, rows: Floats, n: int, y: Floats, slope: Floats) -> None:
+def take_slopes(
+    acting: Acting, books: int | None, rows: Floats, n: int, y: Floats, slope: Floats
+) -> None:
     """Slopes of a pack in the states y."""
-    into_rows(y, rows, WORK, n)
+    for c in range(ALONE):
+        for b in range(n):
+            put(rows, WORK + c, b, y[c * PACK + b])
     for b in range(n):
         now = Pose(
             get3(rows, WORK, b),
@@ -84,28 +80,40 @@ def take_slopes(acting: Acting, rows: Floats, n: int, y: Floats, slope: Floats) 
             get3(rows, WORK + 10, b),
         )
         rate, (power, force, turning) = slopes(acting, rows, b, now)
-        put3(rows, WORK + SIZE, b, rate.x)
-        put4(rows, WORK + SIZE + 3, b, rate.q)
-        put3(rows, WORK + SIZE + 7, b, rate.p)
-        put3(rows, WORK + SIZE + 10, b, rate.L)
-        put(rows, WORK + SIZE + 13, b, power)
-        put3(rows, WORK + SIZE + 14, b, force)
-        put3(rows, WORK + SIZE + 17, b, turning)
-    for c in range(SIZE):
+        put3(rows, WORK + CHANGING, b, rate.x)
+        put4(rows, WORK + CHANGING + 3, b, rate.q)
+        put3(rows, WORK + CHANGING + 7, b, rate.p)
+        put3(rows, WORK + CHANGING + 10, b, rate.L)
+        if books is not None:
+            put(rows, WORK + CHANGING + 13, b, power)
+            put3(rows, WORK + CHANGING + 14, b, force)
+            put3(rows, WORK + CHANGING + 17, b, turning)
+    for c in range(y.size // PACK):
         for b in range(n):
-            slope[c * PACK + b] = get(rows, WORK + SIZE + c, b)
+            slope[c * PACK + b] = get(rows, WORK + CHANGING + c, b)
 
 
 @kernel
-def add_scaled_row(share: float, x: Floats, y: Floats) -> None:
-    """y ← y + share x."""
-    for i in range(y.size):
-        y[i] += share * x[i]
+def add_rows(h: float, weights: Floats, K: Floats, count: int, out: Floats) -> None:
+    """out ← out + h Σ w_k K_k over the first rows: four at a time, to load `out` less often."""
+    k = 0
+    while k + 4 <= count:
+        a, b, c, d = h * weights[k], h * weights[k + 1], h * weights[k + 2], h * weights[k + 3]
+        p, q, r, s = K[k], K[k + 1], K[k + 2], K[k + 3]
+        for i in range(out.size):
+            out[i] += (a * p[i] + b * q[i]) + (c * r[i] + d * s[i])
+        k += 4
+    while k < count:
+        a, p = h * weights[k], K[k]
+        for i in range(out.size):
+            out[i] += a * p[i]
+        k += 1
 
 
 @kernel
 def take_stages(
     acting: Acting,
+    books: int | None,
     rows: Floats,
     n: int,
     y: Floats,
@@ -118,10 +126,8 @@ def take_stages(
     """Slopes of the stages i .. j - 1 of a step h; `new` is the state of the last one."""
     for stage in range(i, j):
         new[:] = y
-        for k in range(stage):
-            if A[stage, k] != 0.0:
-                add_scaled_row(h * A[stage, k], K[k], new)
-        take_slopes(acting, rows, n, new, K[stage])
+        add_rows(h, A[stage], K, stage, new)
+        take_slopes(acting, books, rows, n, new, K[stage])
 
 
 @inline
@@ -155,9 +161,8 @@ def size_of(rows: Floats, b: int) -> float:
 def error_of(rows: Floats, n: int, y: Floats, K: Floats, new: Floats, h: float) -> float:
     """Largest error estimate of a step in the pack, relative to what is turned over."""
     five, three = np.zeros(y.size), np.zeros(y.size)
-    for k in range(13):
-        add_scaled_row(E[0, k], K[k], five)
-        add_scaled_row(E[1, k], K[k], three)
+    add_rows(1.0, E[0], K, 13, five)
+    add_rows(1.0, E[1], K, 13, three)
     worst = 0.0
     for b in range(n):
         sum5, sum3 = 0.0, 0.0
@@ -191,16 +196,16 @@ def normalise(values: Floats, n: int) -> None:
 
 @kernel
 def find_step(
-    acting: Acting, rows: Floats, n: int, y: Floats, K: Floats, new: Floats, t: float, h: float,
-    tolerance: float,
+    acting: Acting, books: int | None, rows: Floats, n: int, y: Floats, K: Floats, new: Floats,
+    t: float, h: float, tolerance: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Longest step up to h that is accurate, and the one to try after it; `new` is its end.
 
     NaN where no step is: the state is not finite, or the forces are not smooth.
     """
-    take_slopes(acting, rows, n, y, K[0])
+    take_slopes(acting, books, rows, n, y, K[0])
     while True:
-        take_stages(acting, rows, n, y, K, new, h, 1, 13)
+        take_stages(acting, books, rows, n, y, K, new, h, 1, 13)
         error = error_of(rows, n, y, K, new, h) / tolerance
         if error < 1.0:
             factor = GROW if error == 0.0 else min(GROW, SAFETY * error ** (-1.0 / 8.0))
@@ -221,9 +226,7 @@ def interpolate(
     rest = 1.0 - share
     out[:] = 0.0
     for i in range(4):
-        for k in range(STAGES):
-            if D[3 - i, k] != 0.0:
-                add_scaled_row(h * D[3 - i, k], K[k], out)
+        add_rows(h, D[3 - i], K, STAGES, out)
         for c in range(out.size):
             out[c] *= share if i % 2 == 0 else rest
     for c in range(out.size):
@@ -242,7 +245,7 @@ def take_pack(blocks: Floats, pack: int, n: int, rows: Floats, y: Floats) -> Non
     for r in range(source.size // STRIDE):
         for b in range(n):
             put(rows, r, b, get(source, r, first + b))
-    for c in range(SIZE):
+    for c in range(y.size // PACK):
         for b in range(n):
             y[c * PACK + b] = get(source, c, first + b)
 
@@ -252,7 +255,7 @@ def give_pack(y: Floats, blocks: Floats, pack: int, n: int) -> None:
     """Write the vectors of a pack back."""
     block, first = pack * PACK // BLOCK, pack * PACK % BLOCK
     target = blocks[block]
-    for c in range(SIZE):
+    for c in range(y.size // PACK):
         for b in range(n):
             put(target, c, first + b, y[c * PACK + b])
 
@@ -261,6 +264,7 @@ def give_pack(y: Floats, blocks: Floats, pack: int, n: int) -> None:
 def advance(
     blocks: Floats,
     acting: Acting,
+    books: int | None,
     clock: Floats,
     tolerance: float,
     times: Floats,
@@ -278,44 +282,45 @@ def advance(
 
     The clock (2, packs) has the time from which a pack's next step starts, and the step to try.
     """
-    rows = np.zeros((WORK + 2 * SIZE) * STRIDE)
-    y, new, out = np.zeros(SIZE * PACK), np.zeros(SIZE * PACK), np.zeros(SIZE * PACK)
-    K = np.zeros((STAGES, SIZE * PACK))
+    size = ALONE if books is None else CHANGING
+    rows = np.zeros((WORK + 2 * CHANGING) * STRIDE)
+    y, new, out = np.zeros(size * PACK), np.zeros(size * PACK), np.zeros(size * PACK)
+    K = np.zeros((STAGES, size * PACK))
     packs = -(-members.size // PACK)
     for pack in range(first * BLOCK // PACK, min(last * BLOCK // PACK, packs)):
         lo = pack * PACK
         n = min(members.size - lo, PACK)
         take_pack(blocks, pack, n, rows, y)
         t, h = clock[0, pack], clock[1, pack]
-        h, h_next = find_step(acting, rows, n, y, K, new, t, h, tolerance)
+        h, h_next = find_step(acting, books, rows, n, y, K, new, t, h, tolerance)
         is_dense = False
         for f in range(times.size):
             while times[f] > t + h:
                 t += h
                 y[:] = new
-                h, h_next = find_step(acting, rows, n, y, K, new, t, h_next, tolerance)
+                h, h_next = find_step(acting, books, rows, n, y, K, new, t, h_next, tolerance)
                 is_dense = False
             out[:] = y
             if times[f] > t or not h > 0.0:
                 if not is_dense:
-                    take_stages(acting, rows, n, y, K, out, h, 13, STAGES)
+                    take_stages(acting, books, rows, n, y, K, out, h, 13, STAGES)
                     is_dense = True
                 interpolate(n, y, new, K, h, (times[f] - t) / h, out)
-            shown = out.reshape(SIZE, PACK)
+            shown = out.reshape(size, PACK)
             store_frame(
                 frames, index[f], members[lo : lo + n], rows4(rotor_frame, lo, lo + n),
                 rows3(shown[COM : COM + 3], 0, n), rows4(shown[Q : Q + 4], 0, n),
                 rows3(shown[P : P + 3], 0, n), rows3(shown[L : L + 3], 0, n),
             )  # fmt: skip
-            for c in range(7):
+            for c in range(size - ALONE):
                 for b in range(n):
                     sums[index[f], lo // BLOCK, c] += shown[BOOKED + c, b]
         while t + h < until:
             t += h
             y[:] = new
-            h, h_next = find_step(acting, rows, n, y, K, new, t, h_next, tolerance)
+            h, h_next = find_step(acting, books, rows, n, y, K, new, t, h_next, tolerance)
         while t < stop < np.inf:  # the last step may have to be cut again
-            h, h_next = find_step(acting, rows, n, y, K, new, t, min(stop - t, h), tolerance)
+            h, h_next = find_step(acting, books, rows, n, y, K, new, t, min(stop - t, h), tolerance)
             y[:] = new
             if not h > 0.0:
                 break
@@ -335,28 +340,24 @@ class AdaptiveMotion:
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
         assert row_count(terms) <= WORK
         self.blocks = in_blocks(n, row_count(terms), parts)
-        self.work_before = work_of_potentials(terms, state.com, state.q)
+        self.account = Account(group, state)
         self.clock = np.zeros((2, -(-n // PACK)))
         self.clock[1] = first_step
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
-        given = self.advance(times - self.start, rows, np.inf, frames)[rows]
-        own, frame = self.group.members, self.group.bodies.rotor_frame
-        for k, row in enumerate(rows):
-            q = multiplied(np.ascontiguousarray(frames.orientation[row, own].T), frame)
-            given[k, 0] += self.work_of(frames.position[row, own].T, q)
-        return given
+        elapsed = times - self.start
+        sums = self.advance(elapsed, rows, np.inf, frames)
+        return self.account.of_frames(elapsed, rows, frames, sums)
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
         none = room_for(0, 0, np.empty((0, 4)))
-        self.advance(np.empty(0), np.empty(0, dtype=np.int64), stop - self.start, none)
+        elapsed = stop - self.start
+        self.advance(np.empty(0), np.empty(0, dtype=np.int64), elapsed, none)
         n = self.group.members.size
-        state, given = state_of(self.blocks, n), out_of_blocks(self.blocks, BOOKED, 7, n)
-        booked: Floats = given.sum(axis=1)
-        booked[0] += self.work_of(state.com, state.q)
-        return state, booked
+        state, sums = state_of(self.blocks, n), out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1)
+        return state, self.account.of_state(elapsed, state.com, state.q, state.L, sums)
 
     def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
         """Through all times; sums of what was booked, for each row of the frames."""
@@ -366,9 +367,9 @@ class AdaptiveMotion:
         for lo, hi, until in self.calls(times, stop):
             cut = stop if until == stop else np.inf
             through = partial(
-                advance, self.blocks, acting_of(group.terms), self.clock, self.tolerance,
-                times[lo:hi], rows[lo:hi], until, cut, group.bodies.rotor_frame, group.members,
-                frames, sums,
+                advance, self.blocks, acting_of(group.terms), self.account.books, self.clock,
+                self.tolerance, times[lo:hi], rows[lo:hi], until, cut, group.bodies.rotor_frame,
+                group.members, frames, sums,
             )  # fmt: skip
             THREADS.spread(through, n, int(n * (hi - lo + 1) * COST))
         return np.asarray(sums.sum(axis=1))
@@ -394,10 +395,6 @@ class AdaptiveMotion:
         """Time that every body will have reached after so many more steps, about."""
         ahead = self.clock[0] + steps * self.clock[1]
         return float(np.min(ahead, initial=np.inf, where=np.isfinite(ahead)))
-
-    def work_of(self, com: Floats, q: Floats) -> float:
-        """What forces with a potential have done since the start [J]."""
-        return work_of_potentials(self.group.terms, com, q) - self.work_before
 
 
 def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> AdaptiveMotion:

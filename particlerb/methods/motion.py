@@ -11,9 +11,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from particlerb.bodies.bodies import Bodies, taken
-from particlerb.bodies.state import Frames, State
+from particlerb.bodies.state import Frames, State, multiplied
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.terms import Terms, terms_on
+from particlerb.terms import Terms, is_constant, terms_on, work_of_potentials
 
 
 class Group(NamedTuple):
@@ -75,6 +75,44 @@ def constant_force(group: Group, state: State) -> ConstantForce:
             ]
         ),
     )
+
+
+class Account:
+    """What the forces have given a group since its segment began.
+
+    The work of a potential is its loss. Where every force is constant in the world, the centre of
+    mass is on its parabola and the rest is closed form, but for the angular impulse about the
+    centre of mass: only torques change L, so it is the change of L. Elsewhere, and where a method
+    lets L change by itself, the kernels book step by step.
+    """
+
+    def __init__(self, group: Group, state: State, keeps_spin: bool = True) -> None:
+        self.group, self.first = group, state
+        self.constant = constant_force(group, state)
+        self.work_before = work_of_potentials(group.terms, state.com, state.q)
+        self.books = None if is_constant(group.terms) and keeps_spin else 1
+
+    def of_state(self, elapsed: float, com: Floats, q: Floats, L: Floats, sums: Floats) -> Floats:
+        """Work, impulse and angular impulse (7,) until a state; `sums` were booked by kernels."""
+        potential = work_of_potentials(self.group.terms, com, q) - self.work_before
+        if self.books is None:
+            given: Floats = self.constant.booked(np.array([elapsed]))[0]
+            given[0] = potential
+            given[4:] += (L - self.first.L).sum(axis=1)
+            return given
+        given = sums.copy()
+        given[0] += potential
+        return given
+
+    def of_frames(self, elapsed: Floats, rows: Ints, frames: Frames, sums: Floats) -> Floats:
+        """The same (T, 7) until rows of the frames."""
+        own, frame = self.group.members, self.group.bodies.rotor_frame
+        given = np.empty((elapsed.size, 7))
+        for k, row in enumerate(rows):
+            q = multiplied(np.ascontiguousarray(frames.orientation[row, own].T), frame)
+            com, L = frames.position[row, own].T, frames.angular_momentum[row, own].T
+            given[k] = self.of_state(float(elapsed[k]), com, q, L, sums[row])
+        return given
 
 
 class Together(NamedTuple):

@@ -29,20 +29,18 @@ from particlerb.bodies.block import (
     state_of,
     state_rows,
 )
-from particlerb.bodies.state import Frames, State, multiplied, room_for, store_frame
+from particlerb.bodies.state import Frames, State, room_for, store_frame
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.methods.booking import store_sums
-from particlerb.methods.motion import Group, constant_force
+from particlerb.methods.motion import Account, Group
 from particlerb.methods.splitting import kick
 from particlerb.terms import (
     DRAG,
     Acting,
     acting_of,
-    is_constant,
     row_count,
     rows_of_terms,
-    work_of_potentials,
 )
 from particlerb.terms.drag import prepare_decay
 from particlerb.threads import BLOCK, THREADS
@@ -163,29 +161,19 @@ class SteppedMotion:
         own: Floats | None = None,
     ) -> None:
         self.advance_blocks, self.group, self.start, self.dt = advance, group, start, dt
-        self.first = state
         n, terms = group.members.size, group.terms
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
         parts += [] if own is None else [(OWN, own)]
         self.blocks = in_blocks(n, row_count(terms), parts)
         self.done = 0
-        self.constant = constant_force(group, state)
-        self.work_before = work_of_potentials(terms, state.com, state.q)
-        self.books = None if is_constant(terms) and keeps_spin else 1
+        self.account = Account(group, state, keeps_spin)
         self.most = max(1, int(NANOSECONDS_PER_CALL / (cost * n)))
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         elapsed = times - self.start
         sums = self.advance(*grid_position(elapsed, self.dt), rows, frames)
-        own, frame = self.group.members, self.group.bodies.rotor_frame
-        given = np.empty((times.size, 7))
-        for k, row in enumerate(rows):
-            q = multiplied(np.ascontiguousarray(frames.orientation[row, own].T), frame)
-            com = frames.position[row, own].T
-            L_now = frames.angular_momentum[row, own].T
-            given[k] = self.given(elapsed[k], com, q, L_now, sums[row])
-        return given
+        return self.account.of_frames(elapsed, rows, frames, sums)
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
@@ -195,7 +183,8 @@ class SteppedMotion:
         self.advance(steps, np.zeros(1), np.array([CLOSE]), none)
         n = self.group.members.size
         sums, state = out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1), state_of(self.blocks, n)
-        return state, self.given(float(elapsed[0]), state.com, state.q, state.L, sums)
+        given = self.account.of_state(stop - self.start, state.com, state.q, state.L, sums)
+        return state, given
 
     def advance(self, steps: Ints, rest: Floats, rows: Ints, frames: Frames) -> Floats:
         """Go through stops given by their distance from the start; sums of what was booked."""
@@ -205,8 +194,8 @@ class SteppedMotion:
         for schedule in self.calls(np.diff(steps, prepend=self.done), rest, rows):
             count = int(schedule.steps.sum())
             through = partial(
-                self.advance_blocks, self.blocks, acting_of(group.terms), self.books, schedule,
-                group.bodies.rotor_frame, group.members, frames, sums,
+                self.advance_blocks, self.blocks, acting_of(group.terms), self.account.books,
+                schedule, group.bodies.rotor_frame, group.members, frames, sums,
             )  # fmt: skip
             THREADS.spread(through, n, n * (count + schedule.steps.size))
             self.done += count
@@ -232,20 +221,3 @@ class SteppedMotion:
         """Stops as arrays, from where the group is now."""
         steps, rest, frame = zip(*stops, strict=True)
         return Schedule(self.dt, self.done, np.array(steps), np.array(rest), np.array(frame))
-
-    def given(self, elapsed: float, com: Floats, q: Floats, L_now: Floats, sums: Floats) -> Floats:
-        """Work, impulse and angular impulse until a state.
-
-        The work of a potential is its loss. Where every force is constant in the world, the centre
-        of mass is on its parabola and the rest is closed form, but for the angular impulse about
-        the centre of mass: only torques change L, so it is the change of L.
-        """
-        potential = work_of_potentials(self.group.terms, com, q) - self.work_before
-        if self.books is None:
-            given: Floats = self.constant.booked(np.array([elapsed]))[0]
-            given[0] = potential
-            given[4:] += (L_now - self.first.L).sum(axis=1)
-            return given
-        given = sums.copy()
-        given[0] += potential
-        return given
