@@ -123,25 +123,25 @@ def cubic(rows: Floats, at: int, b: int) -> Cubic:
 
 
 @inline
-def turn_block(rows: Floats, n: int, dt: float, rate: float) -> None:
-    """Free rotation of a block over dt; no body turns faster than `rate` [rad/s]."""
-    turn = abs(dt) * rate
-    pieces = pieces_of(turn)
-    iterations = iterations_of(turn / pieces)
-    for _ in range(pieces):
+def start_map(rows: Floats, b: int, m: Vec3, dt: float) -> None:
+    """Modified inertia and a first guess for body b with the momentum m in its own axes."""
+    s, d = cubic(rows, OWN + 4, b), cubic(rows, OWN + 13, b)
+    turn = scale(dt * get(rows, OWN + 3, b), m)
+    u, f, v = first_guess(turn, get3(rows, OWN, b), s, d)
+    put3(rows, U, b, u)
+    put3(rows, F, b, f)
+    put3(rows, V, b, v)
+
+
+@inline
+def finish_map(rows: Floats, n: int, iterations: int) -> None:
+    """Solve the map of a block, and turn its bodies."""
+    for _ in range(iterations - 1):
         for b in range(n):
-            m = scale(dt / pieces * get(rows, OWN + 3, b), body_momentum(rows, b))
-            coefficients = cubic(rows, OWN + 4, b), cubic(rows, OWN + 13, b)
-            u, f, v = first_guess(m, get3(rows, OWN, b), coefficients[0], coefficients[1])
-            put3(rows, U, b, u)
-            put3(rows, F, b, f)
-            put3(rows, V, b, v)
-        for _ in range(iterations):
-            for b in range(n):
-                put3(rows, V, b, newton(get3(rows, U, b), get3(rows, F, b), get3(rows, V, b)))
-        for b in range(n):
-            x, y, z = get3(rows, V, b)
-            put4(rows, Q, b, normalised(multiply(get4(rows, Q, b), (1.0, x, y, z))))
+            put3(rows, V, b, newton(get3(rows, U, b), get3(rows, F, b), get3(rows, V, b)))
+    for b in range(n):
+        x, y, z = newton(get3(rows, U, b), get3(rows, F, b), get3(rows, V, b))
+        put4(rows, Q, b, normalised(multiply(get4(rows, Q, b), (1.0, x, y, z))))
 
 
 @inline
@@ -151,11 +151,20 @@ def asymmetric_step(
     """Eleven kicks and drifts; the last kick stays open."""
     rate = fastest_turn(rows, n)
     for k in range(len(DRIFTS)):
-        h = KICKS[k] * dt if k > 0 else opening
+        kick_dt = KICKS[k] * dt if k > 0 else opening
+        drift_dt = DRIFTS[k] * dt
+        turn = abs(drift_dt) * rate
+        pieces = pieces_of(turn)
+        iterations = iterations_of(turn / pieces)
         for b in range(n):
-            kick(acting, books, rows, b, h)
-            fly(rows, b, DRIFTS[k] * dt)
-        turn_block(rows, n, DRIFTS[k] * dt, rate)
+            _, L_b, R = kick(acting, books, rows, b, kick_dt)
+            fly(rows, b, drift_dt)
+            start_map(rows, b, turn_back(R, L_b), drift_dt / pieces)
+        finish_map(rows, n, iterations)
+        for _ in range(pieces - 1):
+            for b in range(n):
+                start_map(rows, b, body_momentum(rows, b), drift_dt / pieces)
+            finish_map(rows, n, iterations)
 
 
 @inline
