@@ -223,6 +223,20 @@ def impossible_torques(case: Case, scene: Scene, load: Load) -> list[Problem]:
     return [problem_at(case, key, reason, hint)]
 
 
+def bodies_at_centres(case: Case, scene: Scene, load: Load) -> list[Problem]:
+    """What is wrong with a centre in which a body starts."""
+    force = load.force
+    if not isinstance(force, Central):
+        return []
+    away = scene.state.com[:, load.members] - np.array(force.centre)[:, None]
+    there = np.flatnonzero(~away.any(axis=0))
+    if not there.size:
+        return []
+    name = scene.names[int(load.members[there[0]])]
+    reason = f"{name} starts exactly at this centre, where the force has no direction"
+    return [problem_at(case, f"force[{load.number}].centre", reason, "move one of the two")]
+
+
 def turning_part(load: Load, bodies: Bodies, q: Floats) -> tuple[Floats, Floats]:
     """Size of what turns these points and rods, and its part that they cannot follow, (n,) each.
 

@@ -20,6 +20,7 @@ from particlerb.forces import (
     Forces,
     acting_terms,
     acts,
+    bodies_at_centres,
     groups_of_bodies,
     impossible_torques,
     jump,
@@ -99,6 +100,7 @@ def make_plan(case: Case, scene: Scene, choice: Sequence[Stepping | None] = ()) 
     loads = loads_of(case)
     problems = [p for load in loads for p in too_large(case, load)]
     problems += [p for load in loads for p in impossible_torques(case, scene, load)]
+    problems += [p for load in loads for p in bodies_at_centres(case, scene, load)]
     if problems:
         raise CaseError(problems)
     grouped = groups_of_bodies(scene, loads)

@@ -218,7 +218,8 @@ class Run:
             body = self.scene.names[int(np.argmin(finite[f]))]
             return f, RunError(
                 f"{name} of {body} is not finite at t = {float(times[f])!r} s: the step is too"
-                " long for this force, or a number too large for float64"
+                " long for this force, the body met a singular point of it, or a number is too"
+                " large for float64"
             )
         rods = np.flatnonzero(self.scene.bodies.rotor_class == ROD)
         if not self.spinning(rods, frames, -1).size:
@@ -240,7 +241,9 @@ class Run:
         return axial
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is not finite is found in the frames
+@np.errstate(
+    over="ignore", invalid="ignore", divide="ignore"
+)  # what is not finite is found in the frames
 def run_prepared(
     prepared: Prepared,
     path: Path | None,

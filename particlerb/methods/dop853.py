@@ -58,6 +58,7 @@ NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in betw
 SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
 GROW: Final = 5.0
 SAFETY: Final = 0.9
+ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of what a step computes
 LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any more
 PACK: Final = 16  # bodies that take the same steps; BLOCK is a multiple of it
 ALONE: Final = 13  # numbers of a body: x, q, p, L; what it books follows where it books
@@ -150,36 +151,66 @@ def moved(y: Floats, new: Floats, b: int) -> float:
 
 
 @inline
-def size_of(rows: Floats, b: int) -> float:
-    """Radius of gyration of body b [m], about the axis of its largest moment; 0 for a point."""
-    inverse = get3(rows, INV_INERTIA, b)
-    least = min(inverse[0], inverse[1], inverse[2])
-    return math.sqrt(get(rows, INV_MASS, b) / least) if least > 0.0 else 0.0
+def largest_moment(rows: Floats, b: int) -> float:
+    """Largest principal moment of body b [kg m²]; 0 for a point."""
+    least = np.inf
+    for inverse in get3(rows, INV_INERTIA, b):
+        if inverse > 0.0:
+            least = min(least, inverse)
+    return 1.0 / least
+
+
+@inline
+def scales_of(
+    rows: Floats, y: Floats, new: Floats, b: int, h: float, tolerance: float
+) -> tuple[float, float, float, float]:
+    """What errors of x, q, p and L of body b are relative to.
+
+    For x the larger of the way and the radius of gyration, for p and L their lengths. Where a body
+    comes to rest all of these are rounding, of positions and so of the forces that hold it: none
+    is taken for smaller than what rounding makes of it in a step.
+    """
+    noise = ROUNDING / tolerance
+    mass, moment = 1.0 / get(rows, INV_MASS, b), largest_moment(rows, b)
+    size = math.sqrt(moment / mass)
+    way = max(moved(y, new, b), size, noise * larger(y, new, 0, 3, b))
+    p = max(larger(y, new, 7, 10, b), noise * mass * max(way, larger(y, new, 0, 3, b)) / h)
+    return way, 1.0, p, max(larger(y, new, 10, 13, b), noise * moment / h)
 
 
 @kernel
-def error_of(rows: Floats, n: int, y: Floats, K: Floats, new: Floats, h: float) -> float:
-    """Largest error estimate of a step in the pack, relative to what is turned over."""
+def errors_of(
+    rows: Floats,
+    n: int,
+    y: Floats,
+    K: Floats,
+    new: Floats,
+    h: float,
+    tolerance: float,
+    errors: Floats,
+) -> float:
+    """Write the error estimate of each body over the tolerance; the largest of those that live.
+
+    A body that is not a number any more has no say in the steps of the others.
+    """
     five, three = np.zeros(y.size), np.zeros(y.size)
     add_rows(1.0, E[0], K, 13, five)
     add_rows(1.0, E[1], K, 13, three)
     worst = 0.0
     for b in range(n):
         sum5, sum3 = 0.0, 0.0
-        for lo, hi in ((0, 3), (3, 7), (7, 10), (10, 13)):
-            scale = 1.0 if lo == 3 else larger(y, new, lo, hi, b)
-            if lo == 0:
-                scale = max(moved(y, new, b), size_of(rows, b))
+        scales = scales_of(rows, y, new, b, h, tolerance)
+        for (lo, hi), scale in zip(((0, 3), (3, 7), (7, 10), (10, 13)), scales):  # noqa: B905
             for c in range(lo, hi):
                 e5, e3 = five[c * PACK + b], three[c * PACK + b]
                 if e5 != 0.0 or e3 != 0.0:
                     sum5 += (e5 / scale) ** 2
                     sum3 += (e3 / scale) ** 2
-        error = 0.0
+        errors[b] = 0.0
         if sum5 != 0.0:
-            error = abs(h) * sum5 / math.sqrt((sum5 + 0.01 * sum3) * 13.0)
-        if not error <= worst:  # what is not a number is the worst
-            worst = error
+            errors[b] = abs(h) * sum5 / math.sqrt((sum5 + 0.01 * sum3) * 13.0) / tolerance
+        if not np.isnan(y[b]) and not errors[b] <= worst:
+            worst = errors[b]
     return worst
 
 
@@ -201,21 +232,26 @@ def find_step(
 ) -> tuple[float, float]:  # fmt: skip
     """Longest step up to h that is accurate, and the one to try after it; `new` is its end.
 
-    NaN where no step is: the state is not finite, or the forces are not smooth.
+    Bodies for which no step is short enough become NaN: their state is not finite, or the forces
+    are not smooth. The others go on.
     """
+    errors = np.zeros(PACK)
     take_slopes(acting, books, rows, n, y, K[0])
+    longest = h
     while True:
         take_stages(acting, books, rows, n, y, K, new, h, 1, 13)
-        error = error_of(rows, n, y, K, new, h) / tolerance
+        error = errors_of(rows, n, y, K, new, h, tolerance, errors)
         if error < 1.0:
             factor = GROW if error == 0.0 else min(GROW, SAFETY * error ** (-1.0 / 8.0))
             normalise(new, n)
             return h, h * max(factor, SHRINK)
-        factor = max(SHRINK, SAFETY * error ** (-1.0 / 8.0)) if error < np.inf else SHRINK
-        h *= factor
+        h *= max(SHRINK, SAFETY * error ** (-1.0 / 8.0)) if error < np.inf else SHRINK
         if not h > LEAST_STEP * t:
-            new[:] = np.nan
-            return np.nan, np.nan
+            h = longest
+            for b in range(n):
+                for c in range(y.size // PACK):
+                    if not errors[b] < 1.0:
+                        y[c * PACK + b] = np.nan
 
 
 @kernel
