@@ -29,6 +29,7 @@ from particlerb.maths.vec3 import (
 from particlerb.threads import BLOCK, THREADS
 
 N_TOTALS = 10
+NEAR = 1e-6  # share of |x| |p| that an angular momentum is never judged below: x × p rounds
 
 
 class Totals(NamedTuple):
@@ -70,7 +71,8 @@ def momenta_rows(
         potential[b] = -mass[b] * dot(g, x_b)
         store3(H, b, add_scaled(1.0, orbit, L_b))
         size[b] = np.sqrt(dot(p_b, p_b))
-        spin[b] = np.sqrt(dot(L_b, L_b)) + np.sqrt(dot(orbit, orbit))
+        reach = NEAR * np.sqrt(dot(x_b, x_b) * dot(p_b, p_b))  # straight through the origin
+        spin[b] = np.sqrt(dot(L_b, L_b)) + np.sqrt(dot(orbit, orbit)) + reach
 
 
 @inline

@@ -28,7 +28,7 @@ from particlerb.forces import (
     sizes,
     too_large,
 )
-from particlerb.maths.vec3 import Ints
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.methods import METHODS
 from particlerb.methods.motion import Group
 from particlerb.rotors.rotor_class import POINT
@@ -187,7 +187,8 @@ def refuse_method(case: Case, groups: list[GroupPlan]) -> None:
         for segment in group.segments:
             if accepts(segment.method, segment.terms):
                 continue
-            acting = ", ".join(sorted(turning_terms(segment.terms)))
+            refused = turning_terms(segment.terms) - METHODS[segment.method].ACCEPTS
+            acting = ", ".join(sorted(refused))
             able = ", ".join(name for name in METHODS if accepts(name, segment.terms))
             reason = f"{segment.method} does not accept what acts here: {acting}"
             raise CaseError([problem_at(case, "run.method", reason, f"methods that do: {able}")])
@@ -252,8 +253,8 @@ def refuse_endless(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> N
 
 
 @np.errstate(over="ignore", divide="ignore")
-def fastest_rate(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> float:
-    """Estimate of the fastest rate [rad/s] of a group: spin, impulses, torques.
+def rates(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> Floats:
+    """Estimate of the fastest rate of each body of a group, (n,) [rad/s]: spin, forces, impulses.
 
     A torque without potential spins a body up while it lasts, by |τ| Δt / I; one without end counts
     up to `t_end`. Any torque makes a body at rest turn or swing at a rate of √(|τ| / I).
@@ -283,7 +284,12 @@ def fastest_rate(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> float:
         for centre in centres or ():
             distance = sizes(state.com - centre.centre)
             swing = np.maximum(swing, np.sqrt(3.0 * centre.mu / distance) / distance)
-    return float(np.maximum(spin, swing).max())
+    return np.asarray(np.maximum(spin, swing))
+
+
+def fastest_rate(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> float:
+    """Largest of the rates of a group [rad/s]."""
+    return float(rates(scene, group, t_end).max())
 
 
 def with_steps(group: GroupPlan, dt: float) -> GroupPlan:

@@ -64,6 +64,72 @@ def impulse(impulse: Sequence[float], at=(0, 0, 0), time=0.0, body="body", **key
     } | keys
 
 
+def spring(anchor, stiffness, rest_length=0.0, at=(0, 0, 0), body="body", **keys) -> dict:
+    """Spring from a body point to an anchor in the world."""
+    return {
+        "type": "spring",
+        "body": body,
+        "at": list(at),
+        "anchor": list(anchor),
+        "stiffness": stiffness,
+        "rest_length": rest_length,
+    } | keys
+
+
+def central(mu: float, centre: Sequence[float] = (0, 0, 0), body="body", **keys) -> dict:
+    """Central field."""
+    return {"type": "central", "body": body, "mu": mu, "centre": list(centre)} | keys
+
+
+def drag(translation: float, rotation: float, body="body", **keys) -> dict:
+    """Linear drag."""
+    return {"type": "drag", "body": body, "translation": translation, "rotation": rotation} | keys
+
+
+def ghosts(body="body", field: bool = True) -> list[dict]:
+    """Forces of all kinds but pushes in the world, too small to change a bit.
+
+    With them a case needs no other compiled code than one in which all of them act; without
+    `field` they are those of them that rkn6 does not accept, or that have no potential.
+    """
+    others = [
+        drag(1e-300, 0.0, body),
+        torque([1e-300, 0, 0], body),
+        push([1e-300, 0, 0], body=body, frame="body"),
+    ]
+    near = [spring([0, 0, 1], 1e-300, body=body)] * 2 + [central(1e-300, [9, 9, 9], body)]
+    return near + others if field else others
+
+
+def pulled(x, R, tensor, mass, v, w, force: dict) -> tuple[np.ndarray, np.ndarray]:
+    """Force and torque about the centre of mass, world frame, of a [[force]] on one body.
+
+    Written from the definitions and not from the code: the central field is that of a mass and its
+    quadrupole Q = tr I - 3 I, U = -μ (M/d + x·Q x / 2 d⁵), and turns so that x × F + τ = 0.
+    """
+    kind, zero = force["type"], np.zeros(3)
+    if kind == "drag":
+        return -force["translation"] * v, -force["rotation"] * w
+    if kind == "torque":
+        return zero, np.array(force["torque"])
+    if kind == "central":
+        r = x - np.array(force["centre"])
+        d = np.linalg.norm(r)
+        inertia = R @ tensor @ R.T
+        Q = np.trace(tensor) * np.eye(3) - 3.0 * inertia
+        tidal = force["mu"] * (Q @ r / d**5 - 2.5 * (r @ Q @ r) * r / d**7)
+        return tidal - force["mu"] * mass * r / d**3, -np.cross(r, tidal)
+    arm = R @ np.array(force["at"])
+    if kind == "spring":
+        way = np.array(force["anchor"]) - x - arm
+        length = np.linalg.norm(way)
+        F = force["stiffness"] * (length - force["rest_length"]) * way / length
+    else:
+        F = np.array(force["force"], dtype=float)
+        F = R @ F if force.get("frame") == "body" else F
+    return F, np.cross(arm, F)
+
+
 def rotation(q: np.ndarray):
     """SciPy's rotation of a quaternion with the scalar first."""
     from scipy.spatial.transform import Rotation
@@ -80,13 +146,14 @@ def integrate(
     tensor: np.ndarray,
     mass: float,
     start: dict,
-    load: Callable,
+    load: Callable | Sequence[dict],
     times: Sequence[float],
 ) -> SimpleNamespace:
     """Newton's and Euler's equations in the body frame, by DOP853 at a tolerance of 1e-13.
 
-    `load(t, R)` gives the force and the torque about the centre of mass, world frame; the work of
-    both and the impulses about the origin are integrated along.
+    `load(t, R)` gives the force and the torque about the centre of mass, world frame; it may also
+    be a list of [[force]] tables. The work of both and the impulses about the origin are integrated
+    along.
     """
     from scipy.integrate import solve_ivp
 
@@ -99,7 +166,11 @@ def integrate(
     def slope(t, y):
         x, v, q, w = y[0:3], y[3:6], y[6:10], y[10:13]
         R = rotation(q).as_matrix()
-        F, tau = (np.asarray(u, dtype=float) for u in load(t, R))
+        if callable(load):
+            F, tau = (np.asarray(u, dtype=float) for u in load(t, R))
+        else:
+            loads = [pulled(x, R, tensor, mass, v, R @ w, force) for force in load]
+            F, tau = np.sum(loads, axis=0)
         dq = 0.5 * np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))])
         dw = inverse @ (R.T @ tau - np.cross(w, tensor @ w))
         turning = np.cross(x, F) + tau
@@ -160,6 +231,11 @@ def make() -> SimpleNamespace:
         push=push,
         torque=torque,
         impulse=impulse,
+        spring=spring,
+        central=central,
+        drag=drag,
+        ghosts=ghosts,
+        pulled=pulled,
         rotation=rotation,
         angle=angle,
         integrate=integrate,

@@ -50,6 +50,7 @@ def test_totals_against_a_loop(make, n):
         momentum, angular = momentum + p, angular + L + np.cross(x, p)
         size += np.linalg.norm(p)
         spin += np.linalg.norm(L) + np.linalg.norm(np.cross(x, p))
+        spin += 1e-6 * np.linalg.norm(x) * np.linalg.norm(p)  # straight through the origin
     assert now.kinetic_energy[0] == pytest.approx(kinetic, rel=1e-13)
     assert now.potential_energy[0] == pytest.approx(potential, rel=1e-12)
     assert now.linear_momentum[0] == pytest.approx(momentum, rel=1e-11)

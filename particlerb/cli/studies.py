@@ -88,6 +88,8 @@ def measured(total: int, unit: str, study: Callable[[Callable[[int], object]], A
 def outputs(options: argparse.Namespace, stem: str) -> list[Path]:
     """Files that a study writes: CSV, PNG and SVG of one name; none may exist unless told."""
     base = Path(options.output) if options.output else Path("output") / stem
+    if not base.name or base.is_dir():
+        raise Ending(f"{base} is a folder: name files with -o")
     if base.suffix in (".csv", ".png", ".svg"):
         base = base.with_suffix("")
     paths = [base.with_name(base.name + suffix) for suffix in (".csv", ".png", ".svg")]
@@ -97,6 +99,10 @@ def outputs(options: argparse.Namespace, stem: str) -> list[Path]:
     wrong = [parent for parent in base.parents if parent.exists() and not parent.is_dir()]
     if wrong:
         raise Ending(f"{base} cannot be made: {wrong[0]} is no folder")
+    try:
+        base.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:  # known now, and not after the study
+        raise Ending(f"{base} cannot be made: {error}") from None
     return paths
 
 
@@ -105,7 +111,6 @@ def write(
 ) -> None:
     """Write table and pictures; say where they are."""
     table, *pictures = paths
-    table.parent.mkdir(parents=True, exist_ok=True)
     with table.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows(rows)
     for picture in pictures:

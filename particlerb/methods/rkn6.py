@@ -106,7 +106,7 @@ def body_momentum(rows: Floats, b: int) -> Vec3:
 
 @inline
 def fastest_turn(rows: Floats, n: int) -> float:
-    """Largest |ω| of a block [rad/s]; 0 where it is not finite."""
+    """Largest |ω| of a block at the beginning of a step [rad/s]; 0 where it is not finite."""
     for b in range(n):
         w = multiplied3(get3(rows, INV_INERTIA, b), body_momentum(rows, b))
         put(rows, RATE, b, dot(w, w))

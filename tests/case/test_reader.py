@@ -230,7 +230,8 @@ def test_message_is_the_promised_one():
         "cube.toml:5:1: error: run.evry: unknown key\n"
         "    5 | evry = 0.1\n"
         "      | ^^^^\n"
-        '      hint: did you mean "every"? keys here: t_end, every, method, dt, seed, threads'
+        '      hint: did you mean "every"? keys here: t_end, every, method, dt, tolerance,'
+        " accuracy, seed, threads"
     )
 
 

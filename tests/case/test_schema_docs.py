@@ -30,6 +30,8 @@ HEADINGS = {
     "[output]": "Output",
     "[check]": "Check",
     "[[check.value]]": "CheckValue",
+    "[chart]": "Chart",
+    "[[chart.published]]": "Published",
 }
 HEAD = "| key | type | unit | default | meaning |"
 

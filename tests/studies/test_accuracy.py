@@ -139,6 +139,30 @@ def test_each_group_gets_its_own_step(make):
 
 
 @pytest.mark.compiled
+def test_the_stiffest_body_of_a_group_is_looked_at(make):
+    """One of 101 bodies at rest hangs on a spring 2000 times as stiff: it decides the step."""
+    bodies, forces = [], []
+    for k in range(101):
+        bodies.append(make.body(f"b{k}", position=[3.0 * k, 0, 0]))
+        spring = {
+            "type": "spring",
+            "body": f"b{k}",
+            "at": [0.3, 0.1, 0.2],
+            "anchor": [3.0 * k, 0, 2.0],
+            "stiffness": 2000.0 if k == 50 else 1.0,
+        }
+        forces.append(spring)
+    common = {"t_end": 1.0, "every": 1.0, "accuracy": 1e-8}
+    with particlerb.run(make.case(*bodies, force=forces, **common)) as t:
+        said = json.loads(t.parameter("accuracy"))
+        found = t.orientation[-1, 50]
+    alone = make.case(bodies[50], force=[forces[50]], t_end=1.0, every=1.0)
+    fine = make.arrays(alone, "run.method=dop853", "run.tolerance=1e-13")
+    assert turn_between(found, fine.orientation[-1, 0]) < 1e-8
+    assert said["is_met"]
+
+
+@pytest.mark.compiled
 def test_drag_is_not_given_to_rkn6(make):
     drag = {"type": "drag", "body": "body", "translation": 0.5, "rotation": 0.2}
     scene = make.case(

@@ -48,7 +48,9 @@ def draw_chart(chart: Chart, path: Path) -> None:
     )  # fmt: skip
     axes.set_title(advice(chart), fontsize=11, loc="left", color=INK, fontweight="bold")
     axes.set_xlabel("time in kernels for the whole run [s]   (faster to the left)")
-    axes.set_ylabel("largest error of the orientation at t_end [rad]   (better below)")
+    axes.set_ylabel(
+        "largest error at t_end: orientation [rad], or position, relative   (better below)"
+    )
     axes.grid(color=GRID, lw=0.6)
     bare(axes)
     figure.savefig(path, dpi=130)
@@ -61,7 +63,7 @@ def colour_of(point: Point) -> str:
 
 def height(point: Point, floor: float) -> float:
     """Where a point stands; those that failed stand at the top, none below the reference."""
-    return LOST if point.failure else max(point.error.worst, 0.5 * floor)
+    return LOST if point.failure else max(point.size, 0.5 * floor)
 
 
 def draw_curve(
@@ -135,7 +137,7 @@ def draw_marks(axes: Axes, chart: Chart) -> None:
     )  # fmt: skip
     axes.axhline(chart.wanted, color=INK, lw=0.9, ls=":")
     axes.text(
-        0.005, chart.wanted, f"wanted: {chart.wanted:.3g} rad", fontsize=8, color=INK,
+        0.005, chart.wanted, f"wanted: {chart.wanted:.3g}", fontsize=8, color=INK,
         va="bottom", transform=along,
     )  # fmt: skip
     for names, error in together(chart.published):
