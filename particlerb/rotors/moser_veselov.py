@@ -1,10 +1,11 @@
 """Free rotation over one step by the preprocessed discrete Moser-Veselov map, order 8.
 
-The map keeps energy and angular momentum to rounding. As it stands it has order 2; with the
-inertia tensor replaced by one that depends on the constants of motion and the step it follows the
-true motion to order 8: 1/I_k becomes s/I_k + d, with polynomials s and d in half the squared
-momentum N and the energy H, both in units of the step. The rotation over the step is the
-quaternion (1, x, y, z) normalised, where
+The map keeps energy and angular momentum to rounding. As it stands it has order 2; with the inertia
+tensor replaced by one that depends on the constants of motion and the step it follows the true
+motion to order 8: 1/I_k becomes s/I_k + d, with polynomials s and d in half the squared momentum N
+and the energy H, both in units of the step. Because s and d depend on N and H, the map is
+symplectic up to its order only. The rotation over the step is the quaternion (1, x, y, z)
+normalised, where
 
     x = (1 + x² + y² + z²) u₁ + f₁ y z   and cyclic,   u = ½ h m b, f₁ = (I₂ - I₃)/I₁
 
@@ -26,7 +27,7 @@ from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multipli
 Cubic: TypeAlias = tuple[Vec3, Vec3, Vec3]  # coefficients of N, H, N², NH, H², N³, N²H, NH², H³
 CONSTANTS: Final = 22  # numbers of `modified_inertia` per body
 LONGEST_PIECE: Final = 0.8  # rad that one map may turn
-MOST_PIECES: Final = 1024
+MOST_PIECES: Final = 64  # a drift that turns further says nothing any more
 
 
 def modified_inertia(inv_inertia: Floats) -> Floats:

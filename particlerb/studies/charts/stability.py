@@ -1,0 +1,340 @@
+"""Picture of `stability`: where each method fails.
+
+Above: two maps per method, over the step and over what the bodies are; a colour for each verdict,
+named in the map and in the legend, and lines of equal energy error. Below: every limit by its
+distance from theory, and the energy error over long times. Nothing is computed here.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
+
+from particlerb.maths.vec3 import Bools, Floats
+from particlerb.studies.charts.convergence import spread_apart
+from particlerb.studies.charts.style import GRID, INK, bare
+from particlerb.studies.stability import (
+    MOTIONS,
+    Drift,
+    Map,
+    Stability,
+    growth_exponent,
+    is_tolerance,
+    largest_pace,
+    number,
+)
+from particlerb.studies.stability_limits import (
+    Limit,
+)
+from particlerb.studies.stability_runs import (
+    SMALL,
+    UNSOLVABLE,
+    VERDICTS,
+)
+
+TINTS: Final = ("#9fd8b4", "#f3e9a2", "#79b4dd", "#e8823a", "#4a4a4a")  # of VERDICTS
+WORDS: Final = (
+    "accurate",
+    "accurate so far,\ngrowing",
+    "bounded\nand wrong",
+    "growing",
+    "no numbers\nleft",
+)
+MEANING: Final = (
+    "accurate: energy within 0.1 %, no growth",
+    "accurate so far, but the error grows",
+    "bounded and wrong: off by more than 0.1 %",
+    "growing: wrong, and more so with time",
+    "not solvable: NaN or infinite",
+)
+LEVELS: Final = (-9.0, -6.0, -3.0, -1.0)  # decades of the lines of equal error
+COLOURS: Final = {
+    "exact": "#333333",
+    "strang": "#0072b2",
+    "rkn6": "#009e73",
+    "dop853": "#7b3294",
+    "rk4": "#b8860b",
+    "semi_implicit_euler": "#d55e00",
+    "explicit_euler": "#b2182b",
+}
+STEPS: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
+STARTS: Final = (
+    (2.0 / 3.0, "axis of\nlargest"),
+    (1.0, "separa-\ntrix"),
+    (2.0, "axis of\nsmallest"),
+)
+FLOOR: Final = 1e-17  # lowest error drawn
+BOTTOM, TOP = 1e-15, 30.0  # of the drift
+
+
+def draw_stability(study: Stability, path: Path) -> None:
+    """Draw a study; as PNG, SVG or PDF, by the suffix of the path."""
+    methods = list(dict.fromkeys(one.method for one in study.maps))
+    has_limits = bool(study.limits and study.drifts)
+    size = (max(18.0, 3.1 * len(methods)), 17.5 if has_limits else 9.0)
+    figure = Figure(figsize=size, layout="constrained")
+    turns = f"{study.turns:,.0f}".replace(",", " ")
+    figure.suptitle(
+        f"Where each method fails: energy of free bodies over {turns} turns", fontsize=16
+    )
+    rows = figure.subfigures(2 if has_limits else 1, 1, squeeze=False)[:, 0]
+    draw_maps(rows[0], study, methods)
+    if has_limits:
+        left, right = rows[1].subfigures(1, 2, squeeze=False)[0]
+        draw_limits(left, study.limits)
+        draw_drifts(right, study.drifts)
+    figure.savefig(path, dpi=100)
+
+
+# Maps
+
+
+def draw_maps(figure: SubFigure, study: Stability, methods: Sequence[str]) -> None:
+    """A column per method, a row per family."""
+    families = list(dict.fromkeys(one.family for one in study.maps))
+    panels = figure.subplots(len(families), len(methods), squeeze=False)
+    for one in study.maps:
+        axes = panels[families.index(one.family), methods.index(one.method)]
+        draw_map(axes, one)
+        if one.method == methods[0] and not is_tolerance(one):
+            axes.set_ylabel("h |ω|  [rad per step]", fontsize=11)
+    for axes, method in zip(panels[0], methods, strict=True):
+        axes.set_title(spoken(method), color=COLOURS[method], fontsize=13, pad=20)
+        axes.text(0.5, 1.03, headline(study, method), ha="center", va="bottom", fontsize=9,
+                  transform=axes.transAxes)  # fmt: skip
+    patches = [
+        Patch(facecolor=tint, edgecolor=INK, lw=0.5, label=text)
+        for tint, text in zip(TINTS, MEANING, strict=True)
+    ]
+    figure.legend(handles=patches, loc="outside upper center", ncols=5, frameon=False, fontsize=11)
+
+
+def spoken(method: str) -> str:
+    """Name of a method in words."""
+    return method.replace("_", " ")
+
+
+def headline(study: Stability, method: str) -> str:
+    """How far a method is accurate, over all its maps."""
+    own = [one for one in study.maps if one.method == method]
+    if not own[0].pace.any():
+        return "no step, no limit"
+    pace = min(largest_pace(one, SMALL) for one in own)
+    if pace == 0.0:
+        return "wrong at every step tried"
+    if pace == own[0].pace[-1]:
+        return "within 0.1 % at every step tried"
+    what = "tolerance" if is_tolerance(own[0]) else "h|ω|"
+    return f"within 0.1 % up to {what} = {pace:.2g}"
+
+
+def draw_map(axes: Axes, one: Map) -> None:
+    """Colours of the verdicts, lines of equal error, names of the regions."""
+    columns = np.arange(one.across.size + 1) - 0.5
+    norm = BoundaryNorm(np.arange(len(VERDICTS) + 1) - 0.5, len(VERDICTS))
+    edges = edges_of(one.pace) if one.pace.size > 1 else np.array([STEPS[0], STEPS[-1]])
+    axes.pcolormesh(columns, edges, one.verdict, cmap=ListedColormap(TINTS), norm=norm)
+    axes.set_yscale("log")
+    if one.pace.any():
+        draw_levels(axes, one)
+        name_regions(axes, one)
+    else:
+        text = f"closed form:\nno step\n\nworst error\n{one.error.max():.0e}"
+        axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes, fontsize=11)
+    mark_across(axes, one)
+    mark_pace(axes, one)
+
+
+def edges_of(pace: Floats) -> Floats:
+    """Edges of cells on a logarithmic axis."""
+    half = math.sqrt(pace[1] / pace[0])
+    return np.append(pace / half, pace[-1] * half)
+
+
+def draw_levels(axes: Axes, one: Map) -> None:
+    """Lines of equal worst energy error, where it is finite."""
+    height = np.log10(np.clip(one.error, FLOOR, 1e3))
+    levels = [level for level in LEVELS if height.min() < level < height.max()]
+    if not levels or (one.verdict == UNSOLVABLE).all():
+        return
+    lines = axes.contour(
+        np.arange(one.across.size), one.pace, height, levels=levels, colors=INK, linewidths=0.7,
+        linestyles="solid",
+    )  # fmt: skip
+    axes.clabel(lines, fmt=lambda level: f"1e{level:.0f}", fontsize=8)
+
+
+def name_regions(axes: Axes, one: Map) -> None:
+    """The word of each verdict in the widest place of its region, and how soon all is lost."""
+    for k, word in enumerate(WORDS):
+        place = widest(one.verdict == k)
+        if place is None:
+            continue
+        axes.text(
+            place[1], one.pace[place[0]], word, ha="center", va="center", fontsize=10,
+            weight="bold", color=ink_on(k),
+            bbox={"facecolor": TINTS[k], "edgecolor": "none", "alpha": 0.75, "pad": 1.5},
+        )  # fmt: skip
+    if largest_pace(one, SMALL) > 0.0 or is_tolerance(one):
+        return
+    for row in (one.pace.size // 10, 5 * one.pace.size // 6):
+        turns, verdict = one.turns[row], int(one.verdict[row].max())
+        text = f"energy off by 10 %\nafter {turns.min():.2g} turns or more"
+        axes.text((one.across.size - 1) / 2, one.pace[row], text, ha="center", va="center",
+                  fontsize=9, color=ink_on(verdict))  # fmt: skip
+
+
+def ink_on(verdict: int) -> str:
+    """Colour of words on a tint."""
+    return "white" if verdict == UNSOLVABLE else "black"
+
+
+def widest(region: Bools) -> tuple[int, int] | None:
+    """Cell of a region that is furthest from its edge, by peeling off layer after layer.
+
+    Words are wide: a layer takes two cells at the left and right, one above and below. None where
+    the first one leaves nothing.
+    """
+    left = region
+    while True:
+        room = np.pad(left, ((1, 1), (2, 2)))
+        inner = left.copy()
+        for row, column in ((0, 2), (2, 2), (1, 0), (1, 1), (1, 3), (1, 4)):
+            inner &= room[row : row + left.shape[0], column : column + left.shape[1]]
+        if not inner.any():
+            break
+        left = inner
+    if left is region:
+        return None
+    cells = np.argwhere(left)
+    r, c = cells[np.abs(cells - np.median(cells, axis=0)).sum(axis=1).argmin()]
+    return int(r), int(c)
+
+
+def mark_across(axes: Axes, one: Map) -> None:
+    """What the columns are."""
+    axes.xaxis.set_minor_locator(NullLocator())
+    x = np.arange(one.across.size, dtype=float)
+    if one.family == "shape":
+        at = [0.0, *np.interp([0.25, 0.5], one.across[1:], x[1:]), x[-1]]
+        axes.set_xticks(at, ["needle", "plate\n1 : 4", "plate\n1 : 2", "disc"], fontsize=9)
+        axes.set_xlabel("shape of the body")
+        return
+    at = [float(np.interp(value, one.across, x)) for value, _ in STARTS]
+    axes.set_xticks(at, [text for _, text in STARTS], fontsize=9)
+    axes.axvline(at[1], color=INK, lw=0.8, ls=":")
+    axes.set_xlabel("start, I = (1, 2, 3)")
+
+
+def mark_pace(axes: Axes, one: Map) -> None:
+    """Ticks of the steps, and of the steps per turn; or of the tolerances."""
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    if is_tolerance(one):
+        axes.set_ylabel("tolerance")
+        return
+    axes.set_ylim(STEPS[0], STEPS[-1])
+    axes.yaxis.set_major_locator(FixedLocator(STEPS))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    if one.method == "explicit_euler":
+        right = axes.secondary_yaxis("right")
+        right.set_yticks(STEPS, [f"{round(2.0 * math.pi / step, 1):.3g}" for step in STEPS])
+        right.yaxis.set_minor_locator(NullLocator())
+        right.set_ylabel("steps per turn")
+    missing = one.pace[0] / STEPS[0] if one.pace.any() else 1.0
+    if missing > 2.0:
+        height = 0.5 * math.log(missing) / math.log(STEPS[-1] / STEPS[0])
+        axes.text(0.5, height, "not run: small steps\nof this method are dear", ha="center",
+                  va="center", fontsize=8, color=INK, transform=axes.transAxes)  # fmt: skip
+
+
+# Limits
+
+
+def draw_limits(figure: SubFigure, limits: Sequence[Limit]) -> None:
+    """Each limit: its distance from theory in per cent, and both figures in words."""
+    axes = figure.subplots()
+    beside = axes.get_yaxis_transform()
+    mono: dict[str, Any] = {"transform": beside, "va": "center", "family": "monospace"}
+    axes.axvspan(-1.0, 1.0, color="#eef5ee", lw=0)
+    axes.axvline(0.0, color=INK, lw=0.8)
+    for y, one in zip(range(len(limits), 0, -1), limits, strict=True):
+        colour = COLOURS[one.method]
+        if math.isfinite(one.theory):
+            axes.plot(100.0 * (one.measured / one.theory - 1.0), y, "o", color=colour, ms=6)
+        name = f"{spoken(one.method)}: {one.name.replace(': largest', ',')}"
+        axes.text(-0.02, y, name, transform=beside, ha="right", va="center", fontsize=9,
+                  color=colour)  # fmt: skip
+        axes.text(
+            1.02, y, f"{number(one.theory):>12} {number(one.measured):>12}", fontsize=8.5, **mono
+        )
+    heading = f"{'theory':>12} {'measured':>12}"
+    axes.text(1.02, len(limits) + 1.0, heading, fontsize=8.5, weight="bold", **mono)
+    axes.set_xlim(-1.3, 1.3)
+    axes.set_ylim(0.3, len(limits) + 1.5)
+    axes.set_yticks([])
+    axes.set_xlabel("measured less theory [%]; shaded: 1 %")
+    axes.set_title("limits of the step, and factors per step", loc="left", fontsize=12)
+    axes.spines["left"].set_visible(False)
+    bare(axes)
+
+
+# Drift
+
+
+def draw_drifts(figure: SubFigure, drifts: Sequence[Drift]) -> None:
+    """Energy error against time: one panel per motion."""
+    panels = figure.subplots(len(MOTIONS), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for axes, motion in zip(panels, MOTIONS, strict=True):
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        own = [one for one in drifts if one.motion == motion]
+        for drift in own:
+            draw_drift(axes, drift)
+        finish_drift(axes, own)
+        title = f"{motion}, eight starts: every sample (dots), largest until then (line)"
+        axes.set_title(title, loc="left", fontsize=12)
+    panels[-1].set_xlabel("turns")
+
+
+def draw_drift(axes: Axes, drift: Drift) -> None:
+    """Samples of the worst body, and the running maximum; where it ends if it ends."""
+    colour = COLOURS[drift.method]
+    is_finite = np.isfinite(drift.largest)
+    turns, worst = drift.turns[is_finite], drift.error.max(axis=1)[is_finite]
+    axes.plot(turns, np.maximum(worst, FLOOR), ".", color=colour, ms=2.5, alpha=0.5)
+    axes.plot(turns, np.maximum(drift.largest[is_finite], FLOOR), color=colour, lw=1.8)
+    if not is_finite.all():
+        text = f"{spoken(drift.method)}, h|ω| = {drift.pace:g}: NaN after {turns[-1]:.1g} turns"
+        axes.annotate(text, (turns[-1], 8.0), (8, 0), textcoords="offset points", color=colour,
+                      va="center")  # fmt: skip
+
+
+def finish_drift(axes: Axes, drifts: Sequence[Drift]) -> None:
+    """Names at the ends, apart from each other, and the axes."""
+    whole = sorted(
+        (one for one in drifts if np.isfinite(one.largest).all()), key=lambda one: one.largest[-1]
+    )
+    ends = [min(max(float(one.largest[-1]), BOTTOM), TOP) for one in whole]
+    for drift, end, height in zip(whole, ends, spread_apart(np.log10(ends), 1.8), strict=True):
+        last, exponent = float(drift.turns[-1]), abs(growth_exponent(drift)[0])
+        text = f"{spoken(drift.method)}, h|ω| = {drift.pace:g}: ∝ t^{exponent:.2f}"
+        axes.annotate(
+            text, (last, end), (1.6 * last, 10.0**height), color=COLOURS[drift.method],
+            va="center", arrowprops={"arrowstyle": "-", "color": COLOURS[drift.method], "lw": 0.6},
+        )  # fmt: skip
+    longest = max(one.turns[-1] for one in drifts)
+    axes.set_ylim(BOTTOM, TOP)
+    axes.set_xlim(0.1, 300.0 * longest)
+    axes.set_xticks([10.0**k for k in range(-1, round(math.log10(longest)) + 1)])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.grid(color=GRID, lw=0.6)
+    axes.set_ylabel("|E/E₀ − 1|")
+    bare(axes)

@@ -1,0 +1,338 @@
+"""Limits of the step, by theory and measured: for the study of `stability`.
+
+Steps up to which linear motions stay bounded, found by bisection, and factors of one step. The
+closed forms are written here and share nothing with the methods but, for rkn6, its coefficients.
+`LIMITS` lists them by method. Explained in docs/stability.md.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.state import turned_back
+from particlerb.maths.vec3 import Bools, Floats
+from particlerb.methods.rkn6 import DRIFTS, KICKS
+from particlerb.rotors.moser_veselov import modified_inertia
+from particlerb.studies.stability_runs import (
+    ACCURATE,
+    TURNS,
+    Scene,
+    bodies_of,
+    energy,
+    history,
+    row_of,
+    scene,
+    states,
+)
+from particlerb.terms import Terms
+from particlerb.terms.drag import Drag
+from particlerb.terms.spring import Spring
+
+LINGERING: Final = 100_000  # steps where growth sets in slowly beyond the limit
+
+
+# Measured
+
+
+class Limit(NamedTuple):
+    """A figure that theory gives, and what the method did."""
+
+    method: str
+    name: str
+    theory: float
+    """NaN where there is no closed form; inf: no limit."""
+    measured: float
+
+    @property
+    def difference(self) -> float:
+        """Relative; NaN where there is nothing to compare with."""
+        if self.theory == self.measured:
+            return 0.0
+        return abs(self.measured / self.theory - 1.0) if math.isfinite(self.theory) else math.nan
+
+
+def points(stiffness: Floats, rate: Floats | None = None) -> Scene:
+    """Points of 1 kg at (1, 0, 0) with p = (1, 0, 0), on springs to the origin, with drag."""
+    n = stiffness.size
+    zero = np.zeros((3, n))
+    spring = Spring(zero, zero, stiffness, np.zeros(n))
+    drag = None if rate is None else Drag(rate, np.zeros(n))
+    resting = np.zeros((n, 3))
+    moved = scene(resting, resting, Terms(spring=(spring,), drag=drag), (1.0, 0.0, 0.0))
+    moved.state.p[0] = 1.0
+    return moved
+
+
+def oscillators(z: Floats, zeta: float = 0.0) -> Scene:
+    """Points with hω = z for h = 1 s, and with drag 2ζω."""
+    return points(z * z, 2.0 * zeta * z if zeta else None)
+
+
+def tops(omega: Floats, stiffness: Floats) -> Scene:
+    """Tops, I = (1, 2, 3), in a uniform field: a torque k r × A, r = -A the body's axis 3 at first.
+
+    A spring from (0, 0, -1) in the body to A = (0, 0, -1) in the world; the mass is so large that
+    the centre of mass stays, and the energy ½k|A - r|² is -k A·r.
+    """
+    n = stiffness.size
+    inertia = np.tile([1.0, 2.0, 3.0], (n, 1))
+    hook = np.tile([[0.0], [0.0], [-1.0]], (1, n))
+    own = turned_back(bodies_of(inertia).rotor_frame, hook)
+    spring = Spring(own, hook, stiffness, np.zeros(n))
+    return scene(inertia, omega, Terms(spring=(spring,)), mass=1e20)
+
+
+def pendulums(z: Floats) -> Scene:
+    """Tops that librate about axis 1 with hΩ = z for h = 1 s, by 1e-6 rad/s: Ω² = k/I₁."""
+    return tops(np.tile([1e-6, 0.0, 0.0], (z.size, 1)), z * z)
+
+
+def is_bounded(method: str, moved: Scene, steps: int) -> Bools:
+    """Whether so many steps of 1 s leave momenta below 1e6 and tilts below 1e-3."""
+    frames = history(moved, method, 1.0, np.rint(steps * np.linspace(0.125, 1.0, 8)))
+    p, tilt = np.abs(frames.linear_momentum[..., 0]), np.abs(frames.orientation[..., 1])
+    return np.asarray(((p < 1e6) & (tilt < 1e-3)).all(axis=0))
+
+
+def limit(
+    method: str,
+    make: Callable[[Floats], Scene],
+    low: float = 0.0,
+    high: float = 10.0,
+    steps: int = 20_000,
+) -> float:
+    """Smallest z with an unbounded motion, by bisection, 128 at a time; inf if none is."""
+    for k in range(3):
+        z = np.linspace(low, high, 129)[1:]
+        bounded = is_bounded(method, make(z), steps)
+        if bounded.all():
+            return math.inf if k == 0 else high
+        first = int(bounded.argmin())
+        low, high = z[first] - (z[1] - z[0]), z[first]
+    return float(high)
+
+
+def gain(method: str, z: float, steps: int = 20) -> float:
+    """Factor of the energy of an oscillator per step, less 1; over the second half of 2N steps."""
+    moved = oscillators(np.array([z]))
+    frames = history(moved, method, 1.0, np.array([steps, 2.0 * steps]))
+    E = [energy(moved, state)[0] for state in states(moved, frames)]
+    return float((E[1] / E[0]) ** (1.0 / steps) - 1.0)
+
+
+def top_gain(method: str, z: float, steps: int = 20) -> float:
+    """Factor of |ω⊥|² of a symmetric top, I = (1, 1, 1.5), with hω₃ = z, per step, less 1."""
+    moved = scene(np.array([[1.0, 1.0, 1.5]]), np.array([[0.1 * z, 0.0, z]]))
+    frames = history(moved, method, 1.0, np.array([steps, 2.0 * steps]))
+    across = [(turned_back(s.q, s.L)[:2] ** 2).sum() for s in states(moved, frames)]
+    return float((across[1] / across[0]) ** (1.0 / steps) - 1.0)
+
+
+def turn_in_a_step(method: str, z: float) -> float:
+    """Angle [rad] by which a step with hω = z turns a body about its axis 3."""
+    moved = scene(np.array([[1.0, 2.0, 3.0]]), np.array([[0.0, 0.0, z]]))
+    w, x, y, s = history(moved, method, 1.0, np.array([1.0])).orientation[0, 0]
+    return 2.0 * math.atan2(math.sqrt(x * x + y * y + s * s), w)
+
+
+# Theory
+
+
+def damped_semi_implicit(zeta: float) -> float:
+    """hω of v⁺ = v - h (2ζω v + ω² x), x⁺ = x + h v⁺, where a root leaves the circle at -1."""
+    return 2.0 * (math.sqrt(1.0 + zeta**2) - zeta)
+
+
+def damped_splitting(zeta: float) -> float:
+    """Strang with the exact flow of drag: z = 4ζ coth(ζz), where a root leaves the circle at -1.
+
+    A kick is v ← e v - s z² x with e = exp(-2ζz), s = (1 - e)/2ζz; with the drift the trace is
+    1 + e - s z², the determinant e, and s z² = 2 (1 + e) is the limit.
+    """
+    z = 2.0
+    for _ in range(200):
+        z = 4.0 * zeta / math.tanh(zeta * z)
+    return z
+
+
+def rk4_factor(z: complex) -> complex:
+    """1 + z + z²/2 + z³/6 + z⁴/24."""
+    return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
+
+
+def half_trace(kicks: Sequence[float], drifts: Sequence[float], z: Floats) -> Floats:
+    """½ tr of a step of kicks and drifts of an oscillator with hω = z; bounded while |½ tr| <= 1.
+
+    The last kick, which closes the step, is the first one again.
+    """
+    (x, p), (y, q) = (np.ones_like(z), np.zeros_like(z)), (np.zeros_like(z), np.ones_like(z))
+    for kick, drift in zip((*kicks, kicks[0]), (*drifts, 0.0), strict=True):
+        p, q = p - kick * z * x, q - kick * z * y
+        x, y = x + drift * z * p, y + drift * z * q
+    return 0.5 * (x + q)
+
+
+def splitting_limit(kicks: Sequence[float], drifts: Sequence[float]) -> float:
+    """hω from which |½ tr| exceeds 1 by more than 1e-6, the size of narrow resonances."""
+    z = np.linspace(0.0, 12.0, 600_001)
+    beyond = np.abs(half_trace(kicks, drifts, z)) > 1.0 + 1e-6
+    return float(z[beyond.argmax()])
+
+
+def root(f: Callable[[float], float], low: float, high: float) -> float:
+    """Where f changes its sign, by bisection."""
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if f(low) * f(middle) > 0.0 else (low, middle)
+    return low
+
+
+# The Moser-Veselov map, as it would be without cutting
+
+
+def plain_map(inertia: Floats, omega: Floats, sweeps: int = 3000) -> tuple[Floats, Floats]:
+    """(x, y, z) of rotors/moser_veselov.py for a step of 1 s, (3, n), and its last change, (n,)."""
+    given = modified_inertia(1.0 / inertia.T)
+    a, m = given[:3], given[3] * (inertia * omega).T
+    N, H = 0.5 * (m * m).sum(axis=0), 0.5 * (a * m * m).sum(axis=0)
+    powers = np.array([N, H, N**2, N * H, H**2, N**3, N**2 * H, N * H**2, H**3])
+    s, d = (given[4:13] * powers).sum(axis=0), (given[13:22] * powers).sum(axis=0)
+    b = (1.0 + s) * a + d
+    u = 0.5 * m * b
+    f = [(1.0 / b[k - 2] - 1.0 / b[k - 1]) * b[k] for k in range(3)]
+    v, change = u.copy(), np.full(len(inertia), np.inf)
+    with np.errstate(all="ignore"):
+        for _ in range(sweeps):
+            before, size = v.copy(), 1.0 + (v * v).sum(axis=0)
+            for k in range(3):
+                v[k] = size * u[k] + f[k] * v[k - 2] * v[k - 1]
+            change = np.abs(v - before).max(axis=0)
+    return v, change
+
+
+def steady_limit() -> float:
+    """Smallest turn [rad] about axis 3 that the plain map misses by more than 2 %."""
+    turn = np.linspace(0.5, 3.0, 1001)
+    spins = turn[:, None] * np.array([0.0, 0.0, 1.0])
+    v, _ = plain_map(np.tile([1.0, 2.0, 3.0], (turn.size, 1)), spins)
+    missed = ~(np.abs(2.0 * np.arctan(v[2]) / turn - 1.0) < 0.02)
+    return float(turn[missed.argmax()])
+
+
+def tumbling_limit() -> float:
+    """Smallest h|ω| for which the plain fixed point of some of 200 spins has not converged."""
+    turn = np.linspace(0.5, 3.0, 251)
+    axis = np.random.default_rng(1).normal(size=(200, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    spins = (turn[:, None, None] * axis).reshape(-1, 3)
+    _, change = plain_map(np.tile([1.0, 2.0, 3.0], (len(spins), 1)), spins, 300)
+    missed = ~(change.reshape(turn.size, -1) < 1e-9).all(axis=1)
+    return float(turn[missed.argmax()])
+
+
+def cut_limit(pace: float = 64.0) -> float:
+    """Inf if `rkn6`, which cuts long turns, stays accurate at this step; else the step."""
+    rows = row_of("rkn6", pace, 5, TURNS)
+    return math.inf if (rows.verdict == ACCURATE).all() else pace
+
+
+# All of them
+
+
+def damped(zeta: float) -> Callable[[Floats], Scene]:
+    """Oscillators with this drag, for `limit`."""
+    return partial(oscillators, zeta=zeta)
+
+
+def drag_alone(z: Floats) -> Scene:
+    """Points without a spring, with hγ = z for h = 1 s."""
+    return points(np.zeros_like(z), z)
+
+
+def limits_of_strang() -> Iterator[Limit]:
+    """Störmer-Verlet for translation; drag as an exact flow."""
+    name = "strang"
+    yield Limit(name, "oscillator: largest hω", 2.0, limit(name, oscillators))
+    yield Limit(name, "libration: largest hΩ", 2.0, limit(name, pendulums, steps=300))
+    for zeta in (0.5, 1.0):
+        measured = limit(name, damped(zeta), steps=LINGERING)
+        yield Limit(name, f"damped, ζ = {zeta}: largest hω", damped_splitting(zeta), measured)
+    yield Limit(name, "drag alone: largest hγ", math.inf, limit(name, drag_alone, high=1e3))
+
+
+def limits_of_rkn6() -> Iterator[Limit]:
+    """Eleven kicks and drifts; the Moser-Veselov map without and with cutting."""
+    name, theory = "rkn6", splitting_limit(KICKS, DRIFTS)
+    yield Limit(name, "oscillator: largest hω", theory, limit(name, oscillators))
+    measured = limit(name, pendulums, low=8.5, high=9.5, steps=60)
+    yield Limit(name, "libration: largest hΩ", theory, measured)
+    z = 3.14188
+    exponent = 2.0 * math.acosh(abs(float(half_trace(KICKS, DRIFTS, np.array([z]))[0])))
+    measured = gain(name, z, 30_000)
+    yield Limit(name, f"energy per step - 1 at hω = {z}", math.expm1(exponent), measured)
+    yield Limit(name, "plain map, steady: largest turn", 0.5 * math.pi, steady_limit())
+    yield Limit(name, "plain map, (1, 2, 3): largest h|ω|", math.nan, tumbling_limit())
+    yield Limit(name, "map cut in pieces: largest h|ω|", math.inf, cut_limit())
+
+
+def limits_of_rk4() -> Iterator[Limit]:
+    """The imaginary and the real axis of the stability region."""
+    name = "rk4"
+    yield Limit(name, "oscillator: largest hω", math.sqrt(8.0), limit(name, oscillators))
+    measured = limit(name, pendulums, steps=300)
+    yield Limit(name, "libration: largest hΩ", math.sqrt(8.0), measured)
+    for z in (0.5, 1.0, 2.0):
+        theory = -(z**6) / 72.0 + z**8 / 576.0
+        yield Limit(name, f"energy per step - 1 at hω = {z}", theory, gain(name, z))
+    theory = root(lambda z: rk4_factor(-z).real - 1.0, 1.0, 4.0)
+    yield Limit(name, "drag alone: largest hγ", theory, limit(name, drag_alone, steps=LINGERING))
+
+
+def limits_of_semi_implicit_euler() -> Iterator[Limit]:
+    """Velocities first, drag at the old velocity; backward Euler for the gyroscopic term."""
+    name, top = "semi_implicit_euler", 0.2
+    yield Limit(name, "oscillator: largest hω", 2.0, limit(name, oscillators))
+    for zeta in (0.2, 0.5, 1.0):
+        measured = limit(name, damped(zeta), steps=LINGERING)
+        yield Limit(name, f"damped, ζ = {zeta}: largest hω", damped_semi_implicit(zeta), measured)
+    yield Limit(name, "drag alone: largest hγ", 2.0, limit(name, drag_alone, steps=LINGERING))
+    theory = 1.0 / (1.0 + (0.5 * top) ** 2) - 1.0
+    yield Limit(name, "symmetric top: |ω⊥|² per step - 1, hλ = 0.1", theory, top_gain(name, top))
+    yield quaternion_turn(name)
+
+
+def limits_of_explicit_euler() -> Iterator[Limit]:
+    """Everything at the old state."""
+    name, top = "explicit_euler", 0.2
+    for z in (0.1, 1.0):
+        yield Limit(name, f"energy per step - 1 at hω = {z}", z**2, gain(name, z))
+    for zeta in (0.2, 0.5):
+        measured = limit(name, damped(zeta), steps=LINGERING)
+        yield Limit(name, f"damped, ζ = {zeta}: largest hω", 2.0 * zeta, measured)
+    yield Limit(name, "drag alone: largest hγ", 2.0, limit(name, drag_alone, steps=LINGERING))
+    measured = top_gain(name, top)
+    yield Limit(name, "symmetric top: |ω⊥|² per step - 1, hλ = 0.1", (0.5 * top) ** 2, measured)
+    yield quaternion_turn(name)
+
+
+def quaternion_turn(method: str) -> Limit:
+    """A step q + ½ h q ω, normalised, turns by 2 atan(hω/2)."""
+    measured = turn_in_a_step(method, 1.0)
+    return Limit(method, "turn of a step with hω = 1", 2.0 * math.atan(0.5), measured)
+
+
+LIMITS: Final[dict[str, Callable[[], Iterator[Limit]]]] = {
+    "strang": limits_of_strang,
+    "rkn6": limits_of_rkn6,
+    "rk4": limits_of_rk4,
+    "semi_implicit_euler": limits_of_semi_implicit_euler,
+    "explicit_euler": limits_of_explicit_euler,
+}
+
+
+def limits_of(method: str) -> tuple[Limit, ...]:
+    """All limits of a method."""
+    return tuple(LIMITS[method]())

@@ -1,0 +1,237 @@
+"""What the study of `stability` moves, and what becomes of it.
+
+Bodies on which nothing acts, over shapes and starts (`FAMILIES`), or with the terms that the limits
+and the drift ask for, driven by a method as a run drives it (`history`), and judged by the energy
+(`outcome`). See stability.py for the maps made of it. Nothing here knows of cases and files.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.bodies import Bodies, made_of, quaternions, rotor_order
+from particlerb.bodies.state import (
+    Frames,
+    State,
+    initial_state,
+    kinetic_energy,
+    multiplied,
+    room_for,
+)
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.methods import METHODS
+from particlerb.methods.motion import Group
+from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, SYMMETRIC
+from particlerb.terms import Terms
+from particlerb.terms.spring import spring_work
+
+TURNS: Final = 1e4  # of each body of a map
+EVERY: Final = 0.25  # [s] grid of the times of methods without a step of their own
+SMALL: Final = 1e-3  # relative error of the energy up to which a run is called accurate
+LARGE: Final = 0.1
+GROWTH: Final = 1.5  # of the worst error from the first half of a run to the second
+ROUNDING: Final = 1e-10  # a worst error below is not called growing: sums of rounding errors grow
+NEEDLE: Final = 0.05  # side ratio of the thinnest plate, and thickness of the needle
+
+VERDICTS: Final = (
+    "accurate",
+    "accurate so far, growing",
+    "bounded and wrong",
+    "growing",
+    "not solvable",
+)
+ACCURATE, SO_FAR, WRONG, GROWING, UNSOLVABLE = range(5)
+
+
+# What is moved, and how
+
+
+class Scene(NamedTuple):
+    """Bodies with what acts on them, and where they start; |ω| = 1 rad/s."""
+
+    bodies: Bodies
+    terms: Terms
+    state: State
+
+
+def bodies_of(inertia: Floats, mass: float = 1.0) -> Bodies:
+    """Bodies with these principal moments, ascending, (n, 3) [kg m²]; zeros: points."""
+    n = len(inertia)
+    ordered, axes = rotor_order(inertia, np.tile(np.eye(3), (n, 1, 1)))
+    is_equal = (inertia[:, 0] == inertia[:, 1]) | (inertia[:, 1] == inertia[:, 2])
+    rotor_class = np.where(is_equal, SYMMETRIC, ASYMMETRIC)
+    rotor_class[~inertia.any(axis=1)] = POINT
+    frame = np.ascontiguousarray(quaternions(axes).T)
+    return made_of(np.full(n, mass), np.ascontiguousarray(ordered.T), frame, rotor_class)
+
+
+def scene(
+    inertia: Floats,
+    omega: Floats,
+    terms: Terms | None = None,
+    position: Sequence[float] = (0.0, 0.0, 0.0),
+    mass: float = 1.0,
+) -> Scene:
+    """Bodies whose principal axes are those of the world, all at one position, with no velocity.
+
+    Parameters
+    ----------
+    inertia, omega : ndarray, shape (n, 3) [kg m², rad/s]
+        Moments ascending.
+    terms : Terms, optional
+    position : (3,) [m]
+    mass : float [kg]
+    """
+    n = len(inertia)
+    bodies = bodies_of(inertia, mass)
+    place = np.tile(np.array(position), (n, 1))
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    state = initial_state(bodies, place, upright, np.zeros((n, 3)), omega)
+    return Scene(bodies, terms or Terms(), state)
+
+
+def history(
+    moved: Scene, method: str, dt: float, times: Floats, tolerance: float = 0.0, chunks: int = 1
+) -> Frames:
+    """States at ascending times, multiples of dt; NaN once no body is finite any more.
+
+    Parameters
+    ----------
+    moved : Scene
+    method : str
+    dt, tolerance : float [s, 1]
+        For adaptive methods the first step, and the tolerance.
+    times : ndarray, shape (T,) [s]
+    chunks : int
+        How often to look whether anything is left.
+    """
+    n = moved.bodies.mass.size
+    group = Group(np.arange(n), moved.bodies, moved.terms)
+    motion = METHODS[method].begin(group, moved.state, 0.0, dt, tolerance)
+    frames = room_for(times.size, n, np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
+    for array in frames[:4]:
+        array[:] = np.nan
+    for rows in np.array_split(np.arange(times.size), chunks):
+        with np.errstate(all="ignore"):
+            motion.record(times[rows], rows, frames)
+        if not np.isfinite(frames.orientation[rows[-1]]).all(axis=1).any():
+            break
+    return frames
+
+
+def energy_errors(moved: Scene, frames: Frames) -> Floats:
+    """|E/E₀ - 1| of each body at each time, (T, n); not finite where the state is not."""
+    start = energy(moved, moved.state)
+    with np.errstate(all="ignore"):
+        errors = [np.abs(energy(moved, state) / start - 1.0) for state in states(moved, frames)]
+    return np.array(errors)
+
+
+def states(moved: Scene, frames: Frames) -> Iterator[State]:
+    """The states of frames, one after the other."""
+    x, q, p, L = frames[:4]
+    for f in range(len(x)):
+        yield State(x[f].T, multiplied(q[f].T, moved.bodies.rotor_frame), p[f].T, L[f].T)
+
+
+def energy(moved: Scene, state: State) -> Floats:
+    """Kinetic energy and that of the springs, (n,) [J]."""
+    value = kinetic_energy(moved.bodies, state)
+    for spring in moved.terms.spring or ():
+        value = value - spring_work(spring, state.com, state.q)
+    return value
+
+
+def sampling(dt: float, turns: float) -> Floats:
+    """Times on the grid of steps: 200 even ones, and 60 whose distances grow from one step on."""
+    steps = math.ceil(2.0 * math.pi * turns / dt)
+    share = np.concatenate([np.geomspace(1.0 / steps, 1.0, 60), np.linspace(0.005, 1.0, 200)])
+    times: Floats = np.unique(np.rint(share * steps)) * dt
+    return times
+
+
+# What becomes of a body
+
+
+class Outcome(NamedTuple):
+    """What became of n bodies."""
+
+    error: Floats
+    """Worst relative error of the energy, shape (n,); inf where the state is not finite."""
+    verdict: Ints
+    """Index of VERDICTS, shape (n,)."""
+    turns: Floats
+    """Turns until the error first was above 10 %, shape (n,); inf where it never was."""
+
+
+def outcome(times: Floats, errors: Floats) -> Outcome:
+    """Judge errors (T, n) at ascending times [s], by these rules in this order.
+
+    - not solvable: an error is not a number, or infinite;
+    - growing: the worst error of the second half of the time is more than 1.5 times that of the
+      first half and above 1e-10; below 1e-3 all the time: accurate so far, growing;
+    - accurate: never above 1e-3; bounded and wrong: the rest.
+    """
+    errors = np.where(np.isfinite(errors), errors, np.inf)
+    first = errors[times <= 0.5 * times[-1]].max(axis=0)
+    worst = errors.max(axis=0)
+    grows = (worst > GROWTH * first) & (worst > ROUNDING)
+    small = worst <= SMALL
+    verdict = np.select(
+        [np.isinf(worst), grows & small, grows, small],
+        [UNSOLVABLE, SO_FAR, GROWING, ACCURATE],
+        WRONG,
+    )
+    lost = errors > LARGE
+    turns = np.where(lost.any(axis=0), times[lost.argmax(axis=0)] / (2.0 * math.pi), np.inf)
+    return Outcome(worst, verdict, turns)
+
+
+# Bodies of the maps
+
+
+def plates(columns: int) -> tuple[Floats, Floats, Floats]:
+    """A needle, then flat plates a by b up to the square one, which turns like a disc.
+
+    Side ratio b/a (0: the needle), moments (r², 1, 1 + r²), and a spin with equal components.
+    """
+    ratio = np.linspace(NEEDLE, 1.0, columns - 1)
+    flat = np.stack([ratio**2, np.ones(columns - 1), 1.0 + ratio**2], axis=1)
+    inertia = np.vstack([[NEEDLE**2, 1.0, 1.0], flat])
+    omega = np.full((columns, 3), 1.0 / math.sqrt(3.0))
+    return np.append(0.0, ratio), inertia, omega
+
+
+def starts(columns: int) -> tuple[Floats, Floats, Floats]:
+    """L from near the axis of the largest moment, through the separatrix, to that of the smallest.
+
+    2HI₂/L², I = (1, 2, 3), and the spin. L lies in the plane of axes 1 and 3, at an angle to axis 3
+    that comes closest to the separatrix, 30°, in the middle column.
+    """
+    u = np.linspace(-1.0, 1.0, columns)
+    angle = np.radians(30.0 + u * np.abs(u) * np.where(u < 0.0, 29.0, 59.0))
+    L = np.stack([np.sin(angle), np.zeros(columns), np.cos(angle)], axis=1)
+    moments = np.array([1.0, 2.0, 3.0])
+    across = moments[1] * (L * L / moments).sum(axis=1)
+    omega = L / moments
+    omega /= np.linalg.norm(omega, axis=1, keepdims=True)
+    return across, np.tile(moments, (columns, 1)), omega
+
+
+Family = Callable[[int], tuple[Floats, Floats, Floats]]
+FAMILIES: Final[dict[str, Family]] = {"shape": plates, "start": starts}
+
+
+def row_of(method: str, pace: float, columns: int, turns: float) -> Outcome:
+    """Outcome of all families at one step, one after the other."""
+    _, inertia, omega = map(
+        np.concatenate, zip(*(f(columns) for f in FAMILIES.values()), strict=True)
+    )
+    free = scene(inertia, omega)
+    is_stepped = METHODS[method].ORDER and not METHODS[method].IS_ADAPTIVE
+    dt = pace if is_stepped else EVERY
+    times = sampling(dt, turns)
+    frames = history(free, method, dt, times, pace, chunks=20)
+    return outcome(times, energy_errors(free, frames))
