@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import startup
 import trajectory_output
+from results import record
 
 import particlerb
 from particlerb._jit import compile_with, kernel
@@ -86,12 +87,13 @@ def timed(work: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def speed(n: int) -> None:
-    """Print times, memory and shares."""
+def speed(n: int) -> list[tuple[str, float]]:
+    """Print times, memory and shares; return the times."""
     bodies = random_bodies(n)
     groups = prepare(*bodies)
     set_up = median(timed(lambda: prepare(*bodies)) for _ in range(7))
     print(f"{n} bodies: set-up {set_up / n * 1e9:.0f} ns per body")
+    figures = [(f"set-up, {n} bodies [ns]", set_up / n * 1e9)]
     for which, turn in groups:
         q = np.empty((4, which.size))
         kinds = by_kind(turn)
@@ -107,10 +109,13 @@ def speed(n: int) -> None:
         print(f"{type(turn).__name__:15} {which.size / n:8.2%} of bodies, {size:.0f} bytes each")
         print(f"    vectorised            {fast:8.2f} ns per body and output")
         print(f"    one body at a time    {slow:8.2f} ns; {ratio:.1f} times as long")
+        figures.append((f"{type(turn).__name__}, {n} bodies [ns]", fast))
+        figures.append((f"{type(turn).__name__}, {n} bodies, gain by lanes", ratio))
+    return figures
 
 
-def accuracy() -> None:
-    """Print the worst errors over the reference file."""
+def accuracy() -> list[tuple[str, float]]:
+    """Print the worst errors over the reference file; return them."""
     stored = np.load(REFERENCE)
     n = stored["t"].size
     groups = prepare(stored["inertia"], np.full(n, 4), stored["q0"], stored["L"])
@@ -126,6 +131,7 @@ def accuracy() -> None:
         f"median {np.median(ratio):.3f}, worst {ratio.max():.2f}; "
         f"worst error {error[~well].max():.1e} rad"
     )
+    return [("worst error, well-conditioned [rad]", error[well].max())]
 
 
 def brick() -> None:
@@ -145,11 +151,13 @@ def main() -> None:
     """Print everything."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bodies", type=int, nargs="+", default=[100_000, 10_000])
-    sizes = parser.parse_args().bodies
+    parser.add_argument("--record", action="store_true", help="add to results/free.csv")
+    options = parser.parse_args()
     brick()
-    for n in sizes:
-        speed(n)
-    accuracy()
+    figures = [figure for n in options.bodies for figure in speed(n)]
+    figures += accuracy()
+    if options.record:
+        record("free", figures)
     trajectory_output.main()
     startup.main()
 

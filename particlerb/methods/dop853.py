@@ -51,28 +51,42 @@ ORDER: Final = 8
 FREE_ORDER: Final = 8
 IS_ADAPTIVE: Final = True
 KEEPS_RODS: Final = False
-ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
-SUMMARY: Final = "order 8, adaptive by run.tolerance, dense output; the oracle; any force"
+ACCEPTS: Final = frozenset(
+    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
+)
+SUMMARY: Final = (
+    "order 8, adaptive by run.tolerance, dense output; the oracle; any force"
+)
 COST: Final = 400.0  # ns per body-step, roughly
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
-SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
+SHRINK: Final = (
+    0.2  # of a step at most, growth at most, and prudence: as the authors take them
+)
 GROW: Final = 5.0
 SAFETY: Final = 0.9
 ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of what a step computes
 LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any more
 PACK: Final = 16  # bodies that take the same steps; BLOCK is a multiple of it
 ALONE: Final = 13  # numbers of a body: x, q, p, L; what it books follows where it books
-WORK: Final = 1024  # rows of a pack from which on a stage and its slopes lie, after all loads
+WORK: Final = (
+    1024  # rows of a pack from which on a stage and its slopes lie, after all loads
+)
 
 
 @kernel
 def take_slopes(
-    acting: Acting, books: int | None, rows: Floats, n: int, y: Floats, slope: Floats
+    acting: Acting,
+    books: int | None,
+    rows: Floats,
+    n: int,
+    w: int,
+    y: Floats,
+    slope: Floats,
 ) -> None:
     """Slopes of a pack in the states y."""
     for c in range(ALONE):
         for b in range(n):
-            put(rows, WORK + c, b, y[c * PACK + b])
+            put(rows, WORK + c, b, y[c * w + b])
     for b in range(n):
         now = Pose(
             get3(rows, WORK, b),
@@ -89,9 +103,9 @@ def take_slopes(
             put(rows, WORK + CHANGING + 13, b, power)
             put3(rows, WORK + CHANGING + 14, b, force)
             put3(rows, WORK + CHANGING + 17, b, turning)
-    for c in range(y.size // PACK):
+    for c in range(y.size // w):
         for b in range(n):
-            slope[c * PACK + b] = get(rows, WORK + CHANGING + c, b)
+            slope[c * w + b] = get(rows, WORK + CHANGING + c, b)
 
 
 @kernel
@@ -99,7 +113,12 @@ def add_rows(h: float, weights: Floats, K: Floats, count: int, out: Floats) -> N
     """out ← out + h Σ w_k K_k over the first rows: four at a time, to load `out` less often."""
     k = 0
     while k + 4 <= count:
-        a, b, c, d = h * weights[k], h * weights[k + 1], h * weights[k + 2], h * weights[k + 3]
+        a, b, c, d = (
+            h * weights[k],
+            h * weights[k + 1],
+            h * weights[k + 2],
+            h * weights[k + 3],
+        )
         p, q, r, s = K[k], K[k + 1], K[k + 2], K[k + 3]
         for i in range(out.size):
             out[i] += (a * p[i] + b * q[i]) + (c * r[i] + d * s[i])
@@ -117,6 +136,7 @@ def take_stages(
     books: int | None,
     rows: Floats,
     n: int,
+    w: int,
     y: Floats,
     K: Floats,
     new: Floats,
@@ -128,25 +148,25 @@ def take_stages(
     for stage in range(i, j):
         new[:] = y
         add_rows(h, A[stage], K, stage, new)
-        take_slopes(acting, books, rows, n, new, K[stage])
+        take_slopes(acting, books, rows, n, w, new, K[stage])
 
 
 @inline
-def larger(y: Floats, new: Floats, lo: int, hi: int, b: int) -> float:
+def larger(w: int, y: Floats, new: Floats, lo: int, hi: int, b: int) -> float:
     """Larger of the lengths of two vectors of body b."""
     old_size, new_size = 0.0, 0.0
     for c in range(lo, hi):
-        old_size += y[c * PACK + b] ** 2
-        new_size += new[c * PACK + b] ** 2
+        old_size += y[c * w + b] ** 2
+        new_size += new[c * w + b] ** 2
     return math.sqrt(max(old_size, new_size))
 
 
 @inline
-def moved(y: Floats, new: Floats, b: int) -> float:
+def moved(w: int, y: Floats, new: Floats, b: int) -> float:
     """Way of the centre of mass of body b."""
     way = 0.0
     for c in range(3):
-        way += (new[c * PACK + b] - y[c * PACK + b]) ** 2
+        way += (new[c * w + b] - y[c * w + b]) ** 2
     return math.sqrt(way)
 
 
@@ -162,7 +182,7 @@ def largest_moment(rows: Floats, b: int) -> float:
 
 @inline
 def scales_of(
-    rows: Floats, y: Floats, new: Floats, b: int, h: float, tolerance: float
+    rows: Floats, w: int, y: Floats, new: Floats, b: int, h: float, tolerance: float
 ) -> tuple[float, float, float, float]:
     """What errors of x, q, p and L of body b are relative to.
 
@@ -173,15 +193,19 @@ def scales_of(
     noise = ROUNDING / tolerance
     mass, moment = 1.0 / get(rows, INV_MASS, b), largest_moment(rows, b)
     size = math.sqrt(moment / mass)
-    way = max(moved(y, new, b), size, noise * larger(y, new, 0, 3, b))
-    p = max(larger(y, new, 7, 10, b), noise * mass * max(way, larger(y, new, 0, 3, b)) / h)
-    return way, 1.0, p, max(larger(y, new, 10, 13, b), noise * moment / h)
+    way = max(moved(w, y, new, b), size, noise * larger(w, y, new, 0, 3, b))
+    p = max(
+        larger(w, y, new, 7, 10, b),
+        noise * mass * max(way, larger(w, y, new, 0, 3, b)) / h,
+    )
+    return way, 1.0, p, max(larger(w, y, new, 10, 13, b), noise * moment / h)
 
 
 @kernel
 def errors_of(
     rows: Floats,
     n: int,
+    w: int,
     y: Floats,
     K: Floats,
     new: Floats,
@@ -199,36 +223,38 @@ def errors_of(
     worst = 0.0
     for b in range(n):
         sum5, sum3 = 0.0, 0.0
-        scales = scales_of(rows, y, new, b, h, tolerance)
+        scales = scales_of(rows, w, y, new, b, h, tolerance)
         for (lo, hi), scale in zip(((0, 3), (3, 7), (7, 10), (10, 13)), scales):  # noqa: B905
             for c in range(lo, hi):
-                e5, e3 = five[c * PACK + b], three[c * PACK + b]
+                e5, e3 = five[c * w + b], three[c * w + b]
                 if e5 != 0.0 or e3 != 0.0:
                     sum5 += (e5 / scale) ** 2
                     sum3 += (e3 / scale) ** 2
         errors[b] = 0.0
         if sum5 != 0.0:
-            errors[b] = abs(h) * sum5 / math.sqrt((sum5 + 0.01 * sum3) * 13.0) / tolerance
+            errors[b] = (
+                abs(h) * sum5 / math.sqrt((sum5 + 0.01 * sum3) * 13.0) / tolerance
+            )
         if not np.isnan(y[b]) and not errors[b] <= worst:
             worst = errors[b]
     return worst
 
 
 @inline
-def normalise(values: Floats, n: int) -> None:
+def normalise(values: Floats, n: int, w: int) -> None:
     """Make |q| = 1."""
     for b in range(n):
         norm = 0.0
         for c in range(Q, Q + 4):
-            norm += values[c * PACK + b] ** 2
+            norm += values[c * w + b] ** 2
         for c in range(Q, Q + 4):
-            values[c * PACK + b] /= math.sqrt(norm)
+            values[c * w + b] /= math.sqrt(norm)
 
 
 @kernel
 def find_step(
-    acting: Acting, books: int | None, rows: Floats, n: int, y: Floats, K: Floats, new: Floats,
-    t: float, h: float, tolerance: float,
+    acting: Acting, books: int | None, rows: Floats, n: int, w: int, y: Floats, K: Floats,
+    new: Floats, t: float, h: float, tolerance: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Longest step up to h that is accurate, and the one to try after it; `new` is its end.
 
@@ -236,27 +262,34 @@ def find_step(
     are not smooth. The others go on.
     """
     errors = np.zeros(PACK)
-    take_slopes(acting, books, rows, n, y, K[0])
+    take_slopes(acting, books, rows, n, w, y, K[0])
     longest = h
     while True:
-        take_stages(acting, books, rows, n, y, K, new, h, 1, 13)
-        error = errors_of(rows, n, y, K, new, h, tolerance, errors)
+        take_stages(acting, books, rows, n, w, y, K, new, h, 1, 13)
+        error = errors_of(rows, n, w, y, K, new, h, tolerance, errors)
         if error < 1.0:
             factor = GROW if error == 0.0 else min(GROW, SAFETY * error ** (-1.0 / 8.0))
-            normalise(new, n)
+            normalise(new, n, w)
             return h, h * max(factor, SHRINK)
         h *= max(SHRINK, SAFETY * error ** (-1.0 / 8.0)) if error < np.inf else SHRINK
         if not h > LEAST_STEP * t:
             h = longest
             for b in range(n):
-                for c in range(y.size // PACK):
+                for c in range(y.size // w):
                     if not errors[b] < 1.0:
-                        y[c * PACK + b] = np.nan
+                        y[c * w + b] = np.nan
 
 
 @kernel
 def interpolate(
-    n: int, y: Floats, new: Floats, K: Floats, h: float, share: float, out: Floats
+    n: int,
+    w: int,
+    y: Floats,
+    new: Floats,
+    K: Floats,
+    h: float,
+    share: float,
+    out: Floats,
 ) -> None:
     """State at a share of a step by the polynomial of order 7; |q| = 1."""
     rest = 1.0 - share
@@ -270,30 +303,32 @@ def interpolate(
         value = (out[c] + 2.0 * change - h * (K[12, c] + K[0, c])) * share
         value = (value + h * K[0, c] - change) * rest
         out[c] = y[c] + (value + change) * share
-    normalise(out, n)
+    normalise(out, n, w)
 
 
 @inline
-def take_pack(blocks: Floats, pack: int, n: int, rows: Floats, y: Floats) -> None:
+def take_pack(
+    blocks: Floats, pack: int, n: int, w: int, rows: Floats, y: Floats
+) -> None:
     """Bring the bodies of a pack to the first lanes of rows, and their vectors to y."""
     block, first = pack * PACK // BLOCK, pack * PACK % BLOCK
     source = blocks[block]
     for r in range(source.size // STRIDE):
         for b in range(n):
             put(rows, r, b, get(source, r, first + b))
-    for c in range(y.size // PACK):
+    for c in range(y.size // w):
         for b in range(n):
-            y[c * PACK + b] = get(source, c, first + b)
+            y[c * w + b] = get(source, c, first + b)
 
 
 @inline
-def give_pack(y: Floats, blocks: Floats, pack: int, n: int) -> None:
+def give_pack(y: Floats, w: int, blocks: Floats, pack: int, n: int) -> None:
     """Write the vectors of a pack back."""
     block, first = pack * PACK // BLOCK, pack * PACK % BLOCK
     target = blocks[block]
-    for c in range(y.size // PACK):
+    for c in range(y.size // w):
         for b in range(n):
-            put(target, c, first + b, y[c * PACK + b])
+            put(target, c, first + b, y[c * w + b])
 
 
 @kernel
@@ -320,29 +355,32 @@ def advance(
     """
     size = ALONE if books is None else CHANGING
     rows = np.zeros((WORK + 2 * CHANGING) * STRIDE)
-    y, new, out = np.zeros(size * PACK), np.zeros(size * PACK), np.zeros(size * PACK)
-    K = np.zeros((STAGES, size * PACK))
+    w = min(members.size, PACK)  # a body that is alone pays for itself only
+    y, new, out = np.zeros(size * w), np.zeros(size * w), np.zeros(size * w)
+    K = np.zeros((STAGES, size * w))
     packs = -(-members.size // PACK)
     for pack in range(first * BLOCK // PACK, min(last * BLOCK // PACK, packs)):
         lo = pack * PACK
         n = min(members.size - lo, PACK)
-        take_pack(blocks, pack, n, rows, y)
+        take_pack(blocks, pack, n, w, rows, y)
         t, h = clock[0, pack], clock[1, pack]
-        h, h_next = find_step(acting, books, rows, n, y, K, new, t, h, tolerance)
+        h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h, tolerance)
         is_dense = False
         for f in range(times.size):
             while times[f] > t + h:
                 t += h
                 y[:] = new
-                h, h_next = find_step(acting, books, rows, n, y, K, new, t, h_next, tolerance)
+                h, h_next = find_step(
+                    acting, books, rows, n, w, y, K, new, t, h_next, tolerance
+                )
                 is_dense = False
             out[:] = y
             if times[f] > t or not h > 0.0:
                 if not is_dense:
-                    take_stages(acting, books, rows, n, y, K, out, h, 13, STAGES)
+                    take_stages(acting, books, rows, n, w, y, K, out, h, 13, STAGES)
                     is_dense = True
-                interpolate(n, y, new, K, h, (times[f] - t) / h, out)
-            shown = out.reshape(size, PACK)
+                interpolate(n, w, y, new, K, h, (times[f] - t) / h, out)
+            shown = out.reshape(size, w)
             store_frame(
                 frames, index[f], members[lo : lo + n], rows4(rotor_frame, lo, lo + n),
                 rows3(shown[COM : COM + 3], 0, n), rows4(shown[Q : Q + 4], 0, n),
@@ -354,22 +392,31 @@ def advance(
         while t + h < until:
             t += h
             y[:] = new
-            h, h_next = find_step(acting, books, rows, n, y, K, new, t, h_next, tolerance)
+            h, h_next = find_step(
+                acting, books, rows, n, w, y, K, new, t, h_next, tolerance
+            )
         while t < stop < np.inf:  # the last step may have to be cut again
-            h, h_next = find_step(acting, books, rows, n, y, K, new, t, min(stop - t, h), tolerance)
+            h, h_next = find_step(
+                acting, books, rows, n, w, y, K, new, t, min(stop - t, h), tolerance
+            )
             y[:] = new
             if not h > 0.0:
                 break
             t = stop if h >= stop - t else t + h
         clock[0, pack], clock[1, pack] = t, h
-        give_pack(y, blocks, pack, n)
+        give_pack(y, w, blocks, pack, n)
 
 
 class AdaptiveMotion:
     """A group of bodies, each with steps of its own; see `motion.Motion`."""
 
     def __init__(
-        self, group: Group, state: State, start: float, first_step: float, tolerance: float
+        self,
+        group: Group,
+        state: State,
+        start: float,
+        first_step: float,
+        tolerance: float,
     ) -> None:
         self.group, self.start, self.tolerance = group, start, tolerance
         n, terms = group.members.size, group.terms
@@ -392,7 +439,10 @@ class AdaptiveMotion:
         elapsed = stop - self.start
         self.advance(np.empty(0), np.empty(0, dtype=np.int64), elapsed, none)
         n = self.group.members.size
-        state, sums = state_of(self.blocks, n), out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1)
+        state, sums = (
+            state_of(self.blocks, n),
+            out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1),
+        )
         return state, self.account.of_state(elapsed, state.com, state.q, state.L, sums)
 
     def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
@@ -433,6 +483,8 @@ class AdaptiveMotion:
         return float(np.min(ahead, initial=np.inf, where=np.isfinite(ahead)))
 
 
-def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> AdaptiveMotion:
+def begin(
+    group: Group, state: State, start: float, dt: float, tolerance: float
+) -> AdaptiveMotion:
     """Set off from a state at a time [s]; dt is the first step to try."""
     return AdaptiveMotion(group, state, start, dt, tolerance)
