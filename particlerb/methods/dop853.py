@@ -51,26 +51,18 @@ ORDER: Final = 8
 FREE_ORDER: Final = 8
 IS_ADAPTIVE: Final = True
 KEEPS_RODS: Final = False
-ACCEPTS: Final = frozenset(
-    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
-)
-SUMMARY: Final = (
-    "order 8, adaptive by run.tolerance, dense output; the oracle; any force"
-)
+ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
+SUMMARY: Final = "order 8, adaptive by run.tolerance, dense output; the oracle; any force"
 COST: Final = 400.0  # ns per body-step, roughly
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
-SHRINK: Final = (
-    0.2  # of a step at most, growth at most, and prudence: as the authors take them
-)
+SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
 GROW: Final = 5.0
 SAFETY: Final = 0.9
 ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of what a step computes
 LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any more
 PACK: Final = 16  # bodies that take the same steps; BLOCK is a multiple of it
 ALONE: Final = 13  # numbers of a body: x, q, p, L; what it books follows where it books
-WORK: Final = (
-    1024  # rows of a pack from which on a stage and its slopes lie, after all loads
-)
+WORK: Final = 1024  # rows of a pack from which on a stage and its slopes lie, after all loads
 
 
 @kernel
@@ -232,9 +224,7 @@ def errors_of(
                     sum3 += (e3 / scale) ** 2
         errors[b] = 0.0
         if sum5 != 0.0:
-            errors[b] = (
-                abs(h) * sum5 / math.sqrt((sum5 + 0.01 * sum3) * 13.0) / tolerance
-            )
+            errors[b] = abs(h) * sum5 / math.sqrt((sum5 + 0.01 * sum3) * 13.0) / tolerance
         if not np.isnan(y[b]) and not errors[b] <= worst:
             worst = errors[b]
     return worst
@@ -307,9 +297,7 @@ def interpolate(
 
 
 @inline
-def take_pack(
-    blocks: Floats, pack: int, n: int, w: int, rows: Floats, y: Floats
-) -> None:
+def take_pack(blocks: Floats, pack: int, n: int, w: int, rows: Floats, y: Floats) -> None:
     """Bring the bodies of a pack to the first lanes of rows, and their vectors to y."""
     block, first = pack * PACK // BLOCK, pack * PACK % BLOCK
     source = blocks[block]
@@ -370,9 +358,7 @@ def advance(
             while times[f] > t + h:
                 t += h
                 y[:] = new
-                h, h_next = find_step(
-                    acting, books, rows, n, w, y, K, new, t, h_next, tolerance
-                )
+                h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h_next, tolerance)
                 is_dense = False
             out[:] = y
             if times[f] > t or not h > 0.0:
@@ -392,9 +378,7 @@ def advance(
         while t + h < until:
             t += h
             y[:] = new
-            h, h_next = find_step(
-                acting, books, rows, n, w, y, K, new, t, h_next, tolerance
-            )
+            h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h_next, tolerance)
         while t < stop < np.inf:  # the last step may have to be cut again
             h, h_next = find_step(
                 acting, books, rows, n, w, y, K, new, t, min(stop - t, h), tolerance
@@ -483,8 +467,6 @@ class AdaptiveMotion:
         return float(np.min(ahead, initial=np.inf, where=np.isfinite(ahead)))
 
 
-def begin(
-    group: Group, state: State, start: float, dt: float, tolerance: float
-) -> AdaptiveMotion:
+def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> AdaptiveMotion:
     """Set off from a state at a time [s]; dt is the first step to try."""
     return AdaptiveMotion(group, state, start, dt, tolerance)
