@@ -222,7 +222,7 @@ def step_reason(
     if reasons:
         return "; ".join(reasons)
     if all(is_adaptive(s.method) or not has_step(s.method) for g, _ in stepped for s in g.segments):
-        return f"each body takes its own, with an error of {case.run.tolerance!r} in each"
+        return f"packs of sixteen bodies take their own, error {case.run.tolerance!r} in each"
     if case.run.dt is not None:
         return f"{case.run.dt!r} s, as the case says"
     steps = {step(case, scene, group) for group, _ in stepped}

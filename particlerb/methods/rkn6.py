@@ -90,7 +90,6 @@ U: Final = SCRATCH  # of the Moser-Veselov map: u, f, and the solution
 F: Final = SCRATCH + 3
 V: Final = SCRATCH + 6
 RATE: Final = SCRATCH + 9
-LONGEST_DRIFT: Final = max(map(abs, DRIFTS))
 
 
 @inline

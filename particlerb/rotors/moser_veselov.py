@@ -25,7 +25,6 @@ from particlerb._jit import inline
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, scale
 
 Cubic: TypeAlias = tuple[Vec3, Vec3, Vec3]  # coefficients of N, H, N², NH, H², N³, N²H, NH², H³
-CONSTANTS: Final = 22  # numbers of `modified_inertia` per body
 LONGEST_PIECE: Final = 0.8  # rad that one map may turn
 MOST_PIECES: Final = 64  # a drift that turns further says nothing any more
 

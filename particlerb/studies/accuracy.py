@@ -238,7 +238,7 @@ class Trials:
     def tolerances(self, method: str) -> Iterator[Found]:
         """Ever smaller tolerances with the error of each."""
         tolerance = max(self.wanted, 10.0 * LOWEST_TOLERANCE)
-        reason = f"{method}, each body by its own error estimate"
+        reason = f"{method}, by the error estimates of the bodies"
         stepping = Stepping(method, 0.1 * self.first, tolerance, reason)
         coarse = self.run(stepping)
         while tolerance > LOWEST_TOLERANCE:
