@@ -273,3 +273,11 @@ def test_a_missed_limit_of_drift_shows(make):
     (limit,) = results(prepared.case, prepared.scene, outcome)
     assert not limit.holds
     assert limit.error == outcome.drift.energy
+
+
+def test_a_motion_straight_through_the_origin_has_no_drift_that_is_a_ratio_of_rounding(make):
+    body = make.body(position=[1.0, 0.3, 0.1], velocity=[-1.0, -0.3, -0.1])
+    spring = {"type": "spring", "body": "body", "anchor": [0, 0, 0], "stiffness": 2.0}
+    case = make.case(body, force=[spring], dt=0.01, t_end=2.0)
+    drift = run_prepared(prepare(load(case)), None).drift
+    assert drift.angular_momentum < 1e-9

@@ -86,23 +86,26 @@ def measured(total: int, unit: str, study: Callable[[Callable[[int], object]], A
 
 
 def outputs(options: argparse.Namespace, stem: str) -> list[Path]:
-    """Files that a study writes: CSV, PNG and SVG of one name; none may exist unless told."""
+    """Files that a study writes: CSV, PNG and SVG of one name; none may exist unless told.
+
+    What stands in the way is found now, and not after the study.
+    """
     base = Path(options.output) if options.output else Path("output") / stem
-    if not base.name or base.is_dir():
-        raise Ending(f"{base} is a folder: name files with -o")
-    if base.suffix in (".csv", ".png", ".svg"):
-        base = base.with_suffix("")
-    paths = [base.with_name(base.name + suffix) for suffix in (".csv", ".png", ".svg")]
-    existing = [path for path in paths if path.exists()]
-    if existing and not options.overwrite:
-        raise Ending(f"{existing[0]} exists: give another name with -o, or --overwrite")
-    wrong = [parent for parent in base.parents if parent.exists() and not parent.is_dir()]
-    if wrong:
-        raise Ending(f"{base} cannot be made: {wrong[0]} is no folder")
     try:
+        if not base.name or base.is_dir():
+            raise Ending(f"{base} is a folder: name files with -o")
+        if base.suffix in (".csv", ".png", ".svg"):
+            base = base.with_suffix("")
+        paths = [base.with_name(base.name + suffix) for suffix in (".csv", ".png", ".svg")]
+        existing = [path for path in paths if path.exists()]
+        if existing and not options.overwrite:
+            raise Ending(f"{existing[0]} exists: give another name with -o, or --overwrite")
+        wrong = [parent for parent in base.parents if parent.exists() and not parent.is_dir()]
+        if wrong:
+            raise Ending(f"{base} cannot be made: {wrong[0]} is no folder")
         base.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:  # known now, and not after the study
-        raise Ending(f"{base} cannot be made: {error}") from None
+    except OSError as error:
+        raise Ending(f"{base} cannot be made: {error.strerror}") from None
     return paths
 
 

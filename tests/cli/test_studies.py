@@ -95,3 +95,18 @@ def test_accuracy_beyond_reach_is_a_warning_and_an_error_where_strict(here, caps
     assert main(words) == 0
     assert "warning: run.accuracy: 1e-17 is not reached: " in capsys.readouterr().err
     assert main([*words, "--strict"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("output", "message"),
+    [
+        (".", ". is a folder: name files with -o"),
+        ("top.toml/chart", "top.toml is no folder"),
+        ("a" * 300 + "/chart", "cannot be made"),
+    ],
+)
+def test_an_output_that_cannot_be_written_is_told_before_the_study(here, capsys, output, message):
+    assert main(["chart", "top.toml", "--budget", "1000", "-o", output]) == 2
+    out, err = capsys.readouterr()
+    assert message in err
+    assert out == ""
