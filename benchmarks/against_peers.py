@@ -1,6 +1,6 @@
 """Measure particlerb beside other engines on the same bodies, at the same error.
 
-    python benchmarks/against_peers.py [--budget 240] [--record]
+    python benchmarks/against_peers.py [--budget 240] [--engines mujoco,scipy] [--record]
 
 Three scenes: one free body near its intermediate axis (t = 100), 1000 free bodies (t = 10), 1000
 asymmetric heavy tops of different tilt and spin (t = 10). Each engine runs its ladder of steps or
@@ -134,11 +134,12 @@ def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--budget", type=float, default=240.0, help="seconds for each scene")
+    parser.add_argument("--engines", default=",".join(ENGINES), help="those to compare with")
     parser.add_argument("--record", action="store_true", help="add to results/peers.csv")
     options = parser.parse_args()
     rows: list[tuple[str, float]] = []
     for scene, errors in ((one_body, (1e-6,)), (free_bodies, (1e-6,)), (heavy_tops, (1e-6, 1e-3))):
-        found = chart(load(scene()), (), ENGINES, budget=options.budget)
+        found = chart(load(scene()), (), options.engines.split(","), budget=options.budget)
         for name, reason in found.left_out:
             print(f"  {name}: left out, {reason}")
         for wanted in errors:
