@@ -35,14 +35,18 @@ class Threads:
         self.count = wanted
 
     def spread(self, kernel: Callable[[int, int], object], bodies: int, work: int) -> None:
-        """Call kernel(first, last) for ranges of blocks that cover all bodies.
+        """Call kernel(first, last) for ranges of blocks that cover all bodies; see `share`."""
+        self.share(kernel, -(-bodies // BLOCK), work)
+
+    def share(self, kernel: Callable[[int, int], object], units: int, work: int) -> None:
+        """Call kernel(first, last) for ranges of units of work that cover all.
 
         Parameters
         ----------
         kernel : callable
-            Works on the blocks first to last, last excluded.
-        bodies : int
-            Number of bodies.
+            Works on the units first to last, last excluded.
+        units : int
+            Number of units, for instance blocks.
         work : int
             Body-steps or body-frames of the whole call; few are done by this thread alone.
 
@@ -52,32 +56,36 @@ class Threads:
             If a signal has asked for the end. Raised here, between kernels, because an exception
             that a signal handler raises is lost where it meets a destructor of HDF5.
         """
-        if self.is_stopping:
-            self.is_stopping = False
-            raise KeyboardInterrupt
+        self.heed()
         start = time.perf_counter()
         try:
-            self.share_out(kernel, bodies, work)
+            self.share_out(kernel, units, work)
         finally:
             self.busy += time.perf_counter() - start
 
+    def heed(self) -> None:
+        """Raise KeyboardInterrupt if a signal has asked for the end."""
+        if self.is_stopping:
+            self.is_stopping = False
+            raise KeyboardInterrupt
+
     def alone(self, kernel: Callable[..., object], *arguments: object) -> None:
-        """Call a kernel on this thread."""
+        """Call a kernel on this thread; KeyboardInterrupt as in `share`."""
+        self.heed()
         start = time.perf_counter()
         kernel(*arguments)
         self.busy += time.perf_counter() - start
 
-    def share_out(self, kernel: Callable[[int, int], object], bodies: int, work: int) -> None:
-        """Do the work of `spread`."""
-        blocks = -(-bodies // BLOCK)
-        if self.count == 1 or blocks == 1 or work < LEAST_WORK:
-            kernel(0, blocks)
+    def share_out(self, kernel: Callable[[int, int], object], units: int, work: int) -> None:
+        """Do the work of `share`."""
+        if self.count == 1 or units == 1 or work < LEAST_WORK:
+            kernel(0, units)
             return
         if self.pool is None:
             self.pool = ThreadPoolExecutor(self.count, "particlerb")
         pieces = min(SHARES * self.count, max(self.count, work // SHARE_WORK))
-        size = -(-blocks // pieces)
-        ranges = [(lo, min(lo + size, blocks)) for lo in range(0, blocks, size)]
+        size = -(-units // pieces)
+        ranges = [(lo, min(lo + size, units)) for lo in range(0, units, size)]
         futures = [self.pool.submit(kernel, *own) for own in ranges]
         try:
             for future in futures:

@@ -1,0 +1,409 @@
+"""Newton's attraction between the particles of different bodies, summed pair by pair.
+
+Particle i of body a, at x_i, is attracted by all particles j that are not of a; ε softens:
+
+    g_i = Σ_j G m_j d/(d² + ε²)^{3/2},  d = x_j - x_i,
+    F_a = Σ_i m_i g_i,  τ_a = Σ_i (R r_i) × m_i g_i,  U = -½ Σ_i Σ_j G m_i m_j/√(d² + ε²).
+
+F and τ are the exact derivatives of U. An evaluation has three parts: `place_points` turns bodies
+into points, `attract` finds the field at these, `add_attraction` collects the loads. Targets of the
+field lie in the lanes of SIMD registers and meet one source after another; tiles of targets can be
+spread over threads, and a target meets its sources in the same order however they are. Source of
+the softened potential: Plummer, Monthly Notices of the RAS 71, 460 (1911).
+"""
+
+import math
+import struct
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple, cast
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic
+
+from particlerb._jit import config, inline, kernel
+from particlerb.bodies.block import LINE, aligned_zeros
+from particlerb.maths.quaternion import load4, matrix, rows4, turn
+from particlerb.maths.vec3 import (
+    Floats,
+    Ints,
+    Rows3,
+    Vec3,
+    add_scaled,
+    cross,
+    load3,
+    rows3,
+    scale,
+    store3,
+    subtract,
+)
+from particlerb.threads import THREADS
+
+TILE: Final = 256  # targets at a time: their places and fields stay in the first level of cache
+PAIRS: Final = 64  # take as long as a step of a body, the unit of work in `threads`
+SEED: Final = 0x5FE2220000000000  # less half the bits of x: those of about x^{-1/2}
+
+
+class Attraction(NamedTuple):
+    """Particles of a group of bodies that attract those of other bodies."""
+
+    arm: Floats  # (3, n_points) [m], rotor frame of the particle's body, from its centre of mass
+    mass: Floats  # (n_points,) [kg]
+    gm: Floats  # (n_points,) [m³/s²], G times the mass
+    offset: Ints  # (n_bodies + 1,), particles of body b are offset[b] to offset[b + 1]
+    softening: float  # [m²] ε², added to every squared distance
+
+
+class Work(NamedTuple):
+    """What an evaluation writes; rows are padded to whole lines of the cache."""
+
+    arm: Floats  # (3, n_padded) [m], from the centre of mass of the particle's body, world axes
+    point: Floats  # (3, n_padded) [m], world frame
+    field: Floats  # (3, n_padded) [m/s²], acceleration by all other bodies, world axes
+    depth: Floats  # (n_padded,) [m²/s²], minus the potential of all other bodies
+    body: Ints  # (n_padded,) body of each particle, -1 beyond the last; is not written
+
+
+def work_of(attraction: Attraction) -> Work:
+    """Room for evaluations of these particles."""
+    n, offset = attraction.mass.size, attraction.offset
+    padded = (-(-n // LINE) | 1) * LINE  # an odd number: rows that a power of two parts collide
+    rows = [aligned_zeros(3 * padded).reshape(3, padded) for _ in range(3)]
+    body = np.full(padded, -1)
+    body[:n] = np.repeat(np.arange(offset.size - 1), np.diff(offset))
+    return Work(rows[0], rows[1], rows[2], aligned_zeros(padded), body)
+
+
+def tiles_of(n_points: int) -> int:
+    """Tiles that cover so many particles."""
+    return -(-n_points // TILE)
+
+
+# Powers of a squared distance
+
+
+def seed_in_python(x: float) -> float:
+    """About x^{-1/2}."""
+    bits = SEED - (struct.unpack("<q", struct.pack("<d", x))[0] >> 1)
+    return cast(float, struct.unpack("<d", struct.pack("<q", bits))[0])
+
+
+def seed_instruction(typing: Any, x: Any) -> Any:
+    """About x^{-1/2} of a normal x > 0: the bits of a double are, roughly, its logarithm."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        integer = context.get_value_type(types.int64)
+        bits = builder.lshr(builder.bitcast(arguments[0], integer), integer(1))
+        return builder.bitcast(builder.sub(integer(SEED), bits), arguments[0].type)
+
+    return types.float64(types.float64), generate
+
+
+seed = cast(
+    Callable[[float], float],
+    seed_in_python if config.DISABLE_JIT else intrinsic(seed_instruction),
+)
+
+
+@inline
+def rough_inverse_root(x: float) -> float:
+    """x^{-1/2} to 2.1e-5, of a normal x > 0, without the slow instructions √ and /.
+
+    With y = seed(x) the product z = x y² is within [0.633, 0.720] for every x; there z² - 2.2533 z
+    + 2.2825 is the best polynomial for z^{-1/2} of those whose square has no factor, which holds
+    for this seed alone.
+    """
+    y = seed(x)
+    z = x * (y * y) - 1.12665326
+    return y * (z * z + 1.01317212)
+
+
+@inline
+def inverse_root(x: float) -> float:
+    """x^{-1/2}: with 1 - e = x y² it is y (1 - e)^{-1/2}, by the series in e, |e| < 4.1e-5."""
+    y = rough_inverse_root(x)
+    e = 1.0 - x * (y * y)
+    return y + y * (e * (0.5 + e * (0.375 + e * 0.3125)))
+
+
+@inline
+def inverse_cube(size: float, x: float) -> float:
+    """size x^{-3/2}: with 1 - e = x y² it is y³ size (1 - e)^{-3/2}.
+
+    The factors with `size` are those of a source, computed once for all its targets.
+    """
+    y = rough_inverse_root(x)
+    square = y * y
+    e = 1.0 - x * square
+    return y * square * (size + e * (1.5 * size + e * (1.875 * size + e * (2.1875 * size))))
+
+
+@inline
+def squared(d: Vec3, softening: float) -> float:
+    """d² + ε²."""
+    return d[0] * d[0] + (d[1] * d[1] + (d[2] * d[2] + softening))
+
+
+# Bodies to points
+
+
+@inline
+def place(attraction: Attraction, work: Work, y: Floats, first: int, last: int) -> None:
+    """Place the particles of bodies first to last: x = com + R r.
+
+    Parameters
+    ----------
+    attraction, work : Attraction, Work
+        Particles, and the arrays whose arms and points are written.
+    y : ndarray, shape (13, n_bodies)
+        Centre of mass [m], unit quaternion from rotor frame to world; the rest is not used.
+    first, last : int
+        Bodies, last excluded.
+    """
+    own, _, _, offset, _ = attraction
+    arm, point, _, _, _ = work
+    com, q = rows3(y, 0, y.shape[1]), rows4(y[3:7], 0, y.shape[1])
+    for b in range(first, last):
+        lo, hi = offset[b], offset[b + 1]
+        r, arms, points = rows3(own, lo, hi), rows3(arm, lo, hi), rows3(point, lo, hi)
+        x, R = load3(com, b), matrix(load4(q, b))
+        for i in range(hi - lo):
+            turned = turn(R, load3(r, i))
+            store3(arms, i, turned)
+            store3(points, i, add_scaled(1.0, turned, x))
+
+
+@kernel
+def place_points(attraction: Attraction, work: Work, y: Floats, first: int, last: int) -> None:
+    """Place the particles of bodies first to last: see `place`."""
+    place(attraction, work, y, first, last)
+
+
+# Field at the points
+
+
+@inline
+def add_source(x: Vec3, gm: float, softening: float, targets: Rows3, fields: Rows3, n: int) -> None:
+    """Add the field of a source at x to that at n targets."""
+    for i in range(n):
+        d = subtract(x, load3(targets, i))
+        w = inverse_cube(gm, squared(d, softening))
+        store3(fields, i, add_scaled(w, d, load3(fields, i)))
+
+
+@inline
+def add_near_source(
+    x: Vec3, gm: float, own: int, softening: float, targets: Rows3, fields: Rows3, bodies: Ints
+) -> None:
+    """Add the field of a source at x to that at targets, except those of its own body."""
+    for i in range(bodies.size):
+        is_own = bodies[i] == own
+        d = subtract(x, load3(targets, i))
+        w = inverse_cube(gm, 1.0 if is_own else squared(d, softening))
+        store3(fields, i, add_scaled(0.0 if is_own else w, d, load3(fields, i)))
+
+
+@inline
+def pull(attraction: Attraction, work: Work, first: int, last: int) -> None:
+    """Write the field at the particles of tiles first to last.
+
+    Sources are cut into those before the bodies that a tile touches, those of these bodies, where
+    each target leaves out its own, and those after.
+    """
+    _, _, gm, offset, softening = attraction
+    _, point, field, _, body = work
+    n = gm.size
+    sources = rows3(point, 0, n)
+    for tile in range(first, last):
+        lo, hi = tile * TILE, min((tile + 1) * TILE, n)
+        targets, fields, bodies = rows3(point, lo, hi), rows3(field, lo, hi), body[lo:hi]
+        for i in range(hi - lo):
+            fields[0][i], fields[1][i], fields[2][i] = 0.0, 0.0, 0.0
+        before, after = offset[body[lo]], offset[body[hi - 1] + 1]
+        for j in range(before):
+            add_source(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
+        if body[lo] != body[hi - 1]:
+            for j in range(before, after):
+                x = load3(sources, j)
+                add_near_source(x, gm[j], body[j], softening, targets, fields, bodies)
+        for j in range(after, n):
+            add_source(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
+
+
+@kernel
+def attract(attraction: Attraction, work: Work, first: int, last: int) -> None:
+    """Write the field at the particles of tiles first to last: see `pull`."""
+    pull(attraction, work, first, last)
+
+
+# Loads on the bodies
+
+
+@inline
+def collect(attraction: Attraction, work: Work, load: Floats, first: int, last: int) -> None:
+    """Add force and torque of bodies first to last: Σ m g and Σ R r × m g.
+
+    Parameters
+    ----------
+    attraction, work : Attraction, Work
+        Particles, with arms and field.
+    load : ndarray, shape (rows, n_bodies) [N, N m]
+        Force in rows 0 to 2, torque about the centre of mass in rows 3 to 5, world axes.
+    first, last : int
+        Bodies, last excluded.
+    """
+    _, mass, _, offset, _ = attraction
+    arm, _, field, _, _ = work
+    arms, fields = rows3(arm, 0, mass.size), rows3(field, 0, mass.size)
+    forces, torques = rows3(load, 0, load.shape[1]), rows3(load[3:6], 0, load.shape[1])
+    for b in range(first, last):
+        F, tau = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        for i in range(offset[b], offset[b + 1]):
+            own = scale(mass[i], load3(fields, i))
+            F = add_scaled(1.0, own, F)
+            tau = add_scaled(1.0, cross(load3(arms, i), own), tau)
+        store3(forces, b, add_scaled(1.0, F, load3(forces, b)))
+        store3(torques, b, add_scaled(1.0, tau, load3(torques, b)))
+
+
+@kernel
+def add_attraction(attraction: Attraction, work: Work, load: Floats, first: int, last: int) -> None:
+    """Add force and torque of bodies first to last: see `collect`."""
+    collect(attraction, work, load, first, last)
+
+
+@kernel
+def attraction_loads(attraction: Attraction, work: Work, y: Floats, load: Floats) -> None:
+    """Add the loads on all bodies at y: the three parts, by this thread alone.
+
+    The parts stand in this kernel themselves: a call with so many arrays takes as long as two pairs
+    of points.
+    """
+    n_bodies, n = attraction.offset.size - 1, attraction.mass.size
+    place(attraction, work, y, 0, n_bodies)
+    pull(attraction, work, 0, (n + TILE - 1) // TILE)
+    collect(attraction, work, load, 0, n_bodies)
+
+
+def spread_loads(attraction: Attraction, work: Work, y: Floats, load: Floats) -> None:
+    """Add the loads on all bodies at y, tiles spread over the threads; same bits."""
+    n_bodies = attraction.offset.size - 1
+    THREADS.alone(place_points, attraction, work, y, 0, n_bodies)
+    spread_tiles(lambda first, last: attract(attraction, work, first, last), attraction)
+    THREADS.alone(add_attraction, attraction, work, load, 0, n_bodies)
+
+
+def spread_tiles(part: Callable[[int, int], object], attraction: Attraction) -> None:
+    """Call part(first, last) for ranges of tiles that cover all particles."""
+    n = attraction.mass.size
+    THREADS.share(part, tiles_of(n), n * n // PAIRS)
+
+
+# Energy
+
+
+@kernel
+def attraction_potential(
+    attraction: Attraction, work: Work, first: int, last: int, sums: Floats
+) -> None:
+    """Write the potential energy of tiles first to last: -½ Σ_i m_i Σ_j G m_j/√(d² + ε²).
+
+    Parameters
+    ----------
+    attraction, work : Attraction, Work
+        Particles, with points; the depth of the potential is written.
+    first, last : int
+        Tiles, last excluded.
+    sums : ndarray, shape (n_tiles,) [J]
+        One for each tile is written; their sum is U, every pair in halves.
+    """
+    _, mass, gm, _, softening = attraction
+    _, point, _, depth, body = work
+    n = gm.size
+    sources = rows3(point, 0, n)
+    for tile in range(first, last):
+        lo, hi = tile * TILE, min((tile + 1) * TILE, n)
+        targets, depths, bodies = rows3(point, lo, hi), depth[lo:hi], body[lo:hi]
+        for i in range(hi - lo):
+            depths[i] = 0.0
+        for j in range(n):
+            x = load3(sources, j)
+            for i in range(hi - lo):
+                is_own = bodies[i] == body[j]
+                square = squared(subtract(x, load3(targets, i)), softening)
+                inverse = inverse_root(1.0 if is_own else square)
+                depths[i] += gm[j] * (0.0 if is_own else inverse)
+        total = 0.0
+        for i in range(lo, hi):
+            total += mass[i] * depth[i]
+        sums[tile] = -0.5 * total
+
+
+def potential_energy(attraction: Attraction, work: Work, y: Floats) -> float:
+    """U of all pairs of different bodies [J] at y, (13, n_bodies); tiles spread over threads."""
+    THREADS.alone(place_points, attraction, work, y, 0, attraction.offset.size - 1)
+    sums = np.zeros(tiles_of(attraction.mass.size))
+    spread_tiles(
+        lambda first, last: attraction_potential(attraction, work, first, last, sums), attraction
+    )
+    return math.fsum(sums)
+
+
+# Rates
+
+
+@kernel
+def raise_squared_rates(
+    gm_body: Floats, com: Floats, softening: float, which: Ints, chosen: Floats, squares: Floats
+) -> None:
+    """Raise `squares` to max_b (G M_a + G M_b)/(d² + ε²)^{3/2} [1/s²] of the chosen bodies a.
+
+    Parameters
+    ----------
+    gm_body, com, softening, which
+        As for `fastest_rates`.
+    chosen : ndarray, shape (4, n) [m, m³/s²]
+        Centre of mass and G times mass of the chosen bodies: they fill the lanes.
+    squares : ndarray, shape (n,) [1/s²]
+    """
+    coms = rows3(com, 0, gm_body.size)
+    for lo in range(0, which.size, TILE):
+        hi = min(lo + TILE, which.size)
+        targets, gms = rows3(chosen, lo, hi), chosen[3, lo:hi]
+        own, best = which[lo:hi], squares[lo:hi]
+        for b in range(gm_body.size):
+            x, gm = load3(coms, b), gm_body[b]
+            for i in range(hi - lo):
+                is_own = own[i] == b
+                square = squared(subtract(x, load3(targets, i)), softening)
+                value = inverse_cube(gm + gms[i], 1.0 if is_own else square)
+                value = 0.0 if is_own else value
+                best[i] = value if value > best[i] else best[i]
+
+
+def fastest_rates(gm_body: Floats, com: Floats, softening: float, which: Ints) -> Floats:
+    """Fastest rate at which each chosen body would go round another one: an estimate.
+
+    max_b √(G (M_a + M_b)/(d² + ε²)^{3/2}) with the distance d of the centres of mass; another one
+    at no distance, and without softening, is left out.
+
+    Parameters
+    ----------
+    gm_body : ndarray, shape (n_bodies,) [m³/s²]
+        G times the mass of each body.
+    com : ndarray, shape (3, n_bodies) [m]
+        World frame.
+    softening : float [m²]
+        ε².
+    which : ndarray, shape (n,)
+        The chosen bodies.
+
+    Returns
+    -------
+    ndarray, shape (n,) [rad/s]
+        Zero where there is no other body.
+    """
+    chosen = np.ascontiguousarray(np.vstack([com[:, which], gm_body[which]]))
+    squares = np.zeros(which.size)
+    THREADS.alone(raise_squared_rates, gm_body, com, softening, which, chosen, squares)
+    return np.sqrt(squares)
