@@ -1,0 +1,264 @@
+"""Moments and fields of cells of particles, by Cartesian tensors up to a total order.
+
+With a multi-index α = (α₁, α₂, α₃), |α| = α₁ + α₂ + α₃, α! = α₁! α₂! α₃! and the centres of mass
+X_A, X_B of two cells, R = X_A - X_B, φ(r) = 1/√(r² + ε²) and D_α = ∂^α φ(R),
+
+    m_α = Σ_i m_i a_i^α/α!,  a_i = x_i - X,                                  moments of a cell
+    U_AB = -G Σ_{|α| + |β| ≤ p} (-1)^{|β|} D_{α+β} m_α^A m_β^B,              energy of a pair
+    L_α = Σ_{|β| ≤ p - |α|} (-1)^{|β|} D_{α+β} m_β^B,                        field of B in A
+
+which is the series of φ(R + a - b) up to order p. The derivative with respect to a particle of A is
+G m_i Σ_α L_{α+e} a_i^α/α!; that with respect to R has further terms of |α| + |β| = p,
+
+    E_e = Σ_γ D_{γ+e} Q_γ/m₀^A,  Q_γ = Σ_{α+β=γ} (-1)^{|β|} m_α^A m_β^B,  |γ| = p,
+
+which accelerate all of A, whose centre moves with it: they are added to L_e. So all forces of a
+pair derive from one U that depends on differences alone, and momentum and angular momentum stay.
+D_α are those of the softened φ, which is not harmonic: no trace vanishes. Sums over cells or
+particles run in lanes (lanes.py). Sources: Dehnen, J. Comput. Phys. 179, 27 (2002), for the series;
+Marcello, Astron. J. 154, 92 (2017), for an angular momentum that stays.
+"""
+
+import itertools
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from particlerb._jit import inline
+from particlerb.maths.vec3 import Floats, Ints, Vec3
+from particlerb.terms.attraction import inverse_root
+from particlerb.terms.lanes import LANES, Product, at, lane_sum, sums_of
+
+ORDER: Final = 5  # p: the fastest for errors of 1e-3 to 1e-4; 7 is, by a fifth, for 1e-5
+
+Index: TypeAlias = tuple[int, int, int]
+
+
+def indices(order: int) -> list[Index]:
+    """Multi-indices up to an order, lower orders first."""
+    side = range(order + 1)
+    every = itertools.product(side, side, side)
+    return sorted([i for i in every if sum(i) <= order], key=lambda i: (sum(i), *(-k for k in i)))
+
+
+def plus(a: Index, b: Index) -> Index:
+    """a + b."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+UNITS: Final[tuple[Index, ...]] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+OWN: Final = indices(ORDER)  # of moments and fields
+AT: Final = {index: k for k, index in enumerate(OWN)}
+TERMS: Final = len(OWN)
+
+
+def step_down(index: Index) -> tuple[int, Index]:
+    """An axis in which an index is not zero but smallest, and the index less one there."""
+    axis = min((k for k in range(3) if index[k]), key=lambda k: index[k])
+    unit = UNITS[axis]
+    return axis, (index[0] - unit[0], index[1] - unit[1], index[2] - unit[2])
+
+
+# Rows of the buffer. The derivatives of φ need the functions g_n = (2n - 1)!! (-1)^n/d^{2n+1}, with
+# d² = r² + ε²: D^n_{α+e} = r_e D^{n+1}_α + α_e D^{n+1}_{α-e} and D^n_0 = g_n give D_α = D^0_α.
+
+TOWER: Final = [(n, i) for i in indices(ORDER + 1) for n in range(ORDER + 2 - sum(i))]
+PLACE: Final = 0  # of R, or of a particle from the centre of its cell
+MASS: Final = 3
+FIELD: Final = 4  # acceleration of particles
+OWNER: Final = 7  # body of a particle
+MOMENT: Final = 8  # (-1)^{|β|} m_β, or a^α/α!
+LOCAL: Final = MOMENT + TERMS
+MIXED: Final = LOCAL + TERMS
+DERIVATIVE: Final = MIXED + TERMS
+ROWS: Final = DERIVATIVE + len(TOWER)
+D_AT: Final = {key: DERIVATIVE + k for k, key in enumerate(TOWER)}
+
+
+def derivatives() -> list[Product]:
+    """D^n_{α+e} of all orders from D^n_0 and r, the lower orders first."""
+    products = []
+    for n, i in TOWER[ORDER + 2 :]:
+        axis, less = step_down(i)
+        out, first = D_AT[n, i], D_AT[n + 1, less]
+        products.append(Product(out, first, PLACE + axis, adds=False))
+        if less[axis]:
+            unit = UNITS[axis]
+            twice = (less[0] - unit[0], less[1] - unit[1], less[2] - unit[2])
+            products.append(Product(out, D_AT[n + 1, twice], factor=float(less[axis])))
+    return products
+
+
+def fields() -> list[Product]:
+    """L_α += D_{α+β} (-1)^{|β|} m_β; there are no moments of first order."""
+    return [
+        Product(LOCAL + AT[a], D_AT[0, plus(a, b)], MOMENT + AT[b])
+        for a in OWN
+        for b in OWN
+        if plus(a, b) in AT and sum(b) != 1
+    ]
+
+
+def point_fields() -> list[Product]:
+    """L_0 and L_e alone, at a point: there |β| goes up to p for both."""
+    return [
+        Product(LOCAL + AT[a], D_AT[0, plus(a, b)], MOMENT + AT[b])
+        for a in OWN[:4]
+        for b in OWN
+        if sum(b) != 1
+    ]
+
+
+def mixtures() -> list[Product]:
+    """Q_γ of order p; the moments of A, over m₀, are the list of numbers."""
+    products, begun = [], set()
+    for a, b in itertools.product(OWN, OWN):
+        if sum(a) + sum(b) == ORDER and sum(a) != 1 and sum(b) != 1:
+            out = MIXED + AT[plus(a, b)]
+            products.append(Product(out, MOMENT + AT[b], number=AT[a], adds=out in begun))
+            begun.add(out)
+    return products
+
+
+def whole() -> list[Product]:
+    """L_e += D_{γ+e} Q_γ."""
+    return [
+        Product(LOCAL + AT[unit], D_AT[0, plus(i, unit)], MIXED + AT[i])
+        for unit in UNITS
+        for i in OWN
+        if sum(i) == ORDER
+    ]
+
+
+def particle_powers() -> list[Product]:
+    """Rows a^α/α! of particles at a."""
+    return [
+        Product(MOMENT + AT[i], MOMENT + AT[less], PLACE + axis, factor=1.0 / i[axis], adds=False)
+        for i in OWN[1:]
+        for axis, less in [step_down(i)]
+    ]
+
+
+def particle_fields() -> list[Product]:
+    """Σ L_{α+e} a^α/α!, with L as the list of numbers."""
+    return [
+        Product(FIELD + axis, MOMENT + AT[i], number=AT[plus(i, unit)])
+        for axis, unit in enumerate(UNITS)
+        for i in OWN
+        if sum(i) < ORDER
+    ]
+
+
+def masses() -> list[Product]:
+    """m a^α/α!."""
+    return [Product(MOMENT + k, MOMENT + k, MASS, adds=False) for k in range(TERMS)]
+
+
+sum_far = sums_of([*derivatives(), *fields(), *mixtures(), *whole()], range(LOCAL, LOCAL + TERMS))
+sum_far_at_point = sums_of([*derivatives(), *point_fields()], range(LOCAL, LOCAL + 4))
+sum_moments = sums_of([*particle_powers(), *masses()], range(MOMENT, MOMENT + TERMS))
+sum_fields = sums_of([*particle_powers(), *particle_fields()], range(FIELD, FIELD + 3))
+
+
+# From cell to cell
+
+
+def table(rows: list[tuple[int, ...]]) -> Ints:
+    """Rows of numbers as a constant of kernels."""
+    return np.array(rows, dtype=np.int64)
+
+
+POWERS: Final = table(
+    [(AT[i], AT[less], axis, i[axis]) for i in OWN[1:] for axis, less in [step_down(i)]]
+)  # a^{α+e}/(α+e)! = a^α/α! a_e/(α_e + 1): rows α + e and α, axis, divisor
+SHIFTS: Final = table(
+    [(AT[a], AT[b], AT[plus(a, b)]) for a in OWN for b in OWN if plus(a, b) in AT]
+)  # all α, β, α + β of order p at most
+SIGNS: Final = np.array([(-1.0) ** sum(i) for i in OWN])
+
+
+@inline
+def fill_powers(s: Vec3, powers: Floats) -> None:
+    """Write s^α/α!."""
+    powers[0] = 1.0
+    for k in range(POWERS.shape[0]):
+        out, less, axis, divisor = POWERS[k]
+        powers[out] = powers[less] * s[axis] / divisor
+
+
+@inline
+def add_shifted_moments(s: Vec3, moment: Floats, powers: Floats, total: Floats) -> None:
+    """Add moments about a centre at s: m_{α+β} += s^α/α! m_β."""
+    fill_powers(s, powers)
+    for k in range(SHIFTS.shape[0]):
+        total[SHIFTS[k, 2]] += powers[SHIFTS[k, 0]] * moment[SHIFTS[k, 1]]
+
+
+@inline
+def add_shifted_field(s: Vec3, field: Floats, powers: Floats, total: Floats) -> None:
+    """Add a field, seen from s: L_β += L_{α+β} s^α/α!."""
+    fill_powers(s, powers)
+    for k in range(SHIFTS.shape[0]):
+        total[SHIFTS[k, 1]] += powers[SHIFTS[k, 0]] * field[SHIFTS[k, 2]]
+
+
+@inline
+def begin_derivatives(rows: Floats, softening: float) -> None:
+    """Write g_n(R)."""
+    for i in range(LANES):
+        x, y, z = rows[at(PLACE, i)], rows[at(PLACE + 1, i)], rows[at(PLACE + 2, i)]
+        inverse = inverse_root(x * x + (y * y + (z * z + softening)))
+        square, g = inverse * inverse, inverse
+        for n in range(ORDER + 2):
+            rows[at(DERIVATIVE + n, i)] = g
+            g *= -(2.0 * n + 1.0) * square
+
+
+@inline
+def add_far(rows: Floats, scaled: Floats, softening: float) -> None:
+    """Add fields of LANES cells, whose R and (-1)^{|β|} m_β are in the buffer, to the rows of L.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (ROWS * LANES,)
+        Buffer.
+    scaled : ndarray, shape (TERMS,) [m^|α|]
+        Moments of the cell in which the field is, over its mass.
+    softening : float [m²]
+        ε².
+    """
+    begin_derivatives(rows, softening)
+    sum_far(rows, scaled)
+
+
+@inline
+def add_far_to_point(rows: Floats, scaled: Floats, softening: float) -> None:
+    """The same for L_0 and L_e of a single particle; `scaled` is not used."""
+    begin_derivatives(rows, softening)
+    sum_far_at_point(rows, scaled)
+
+
+# From particles to cell and back
+
+
+@inline
+def begin_powers(rows: Floats) -> None:
+    """Write a^0."""
+    for i in range(LANES):
+        rows[at(MOMENT, i)] = 1.0
+
+
+@inline
+def add_particle_moments(rows: Floats, moment: Floats) -> None:
+    """Add m a^α/α! of particles at a of mass m, zero in lanes without one."""
+    begin_powers(rows)
+    sum_moments(rows, moment)
+    for k in range(TERMS):
+        moment[k] += lane_sum(rows, MOMENT + k)
+
+
+@inline
+def add_particle_fields(rows: Floats, field: Floats) -> None:
+    """Add the acceleration Σ L_{α+e} a^α/α! of particles at a to the rows of fields."""
+    begin_powers(rows)
+    sum_fields(rows, field)

@@ -1,0 +1,405 @@
+"""The walk down a tree of cells that finds the field in each of them: see tree.py.
+
+A cell carries a list of the others that it still has to meet. Each is met as a whole, or particle
+by particle, or one of the two is split, as `encounter` says; it says the same of A and B as of B
+and A, so that A meets B where B meets A. A bucket can be split too, into its particles, which are
+cells with the numbers `second.size` on. Where a bucket lies far out among few and looks upon very
+many, as in a halo, its own size would otherwise make it meet all of them one by one.
+"""
+
+from typing import Final, NamedTuple, TypeAlias
+
+from particlerb._jit import inline, kernel
+from particlerb.maths.vec3 import Floats, Ints, Vec3, subtract
+from particlerb.terms.attraction import inverse_cube
+from particlerb.terms.cells import Cells, Nodes, Points, load_lanes
+from particlerb.terms.lanes import LANES, at, clear, lane_sum
+from particlerb.terms.multipole import (
+    FIELD,
+    LOCAL,
+    MASS,
+    MOMENT,
+    OWNER,
+    PLACE,
+    SIGNS,
+    TERMS,
+    add_far,
+    add_far_to_point,
+    add_particle_fields,
+    add_shifted_field,
+)
+
+RANGES: Final = 128  # of particles that are waited for
+MANY: Final = 256  # particles from which on a larger bucket that sees them is split
+Ball: TypeAlias = tuple[float, float, float, float, float, float]
+WHOLE: Final = 0
+NEAR: Final = 1
+SPLIT_A: Final = 2
+SPLIT_B: Final = 3
+
+
+class Scratch(NamedTuple):
+    """Room of one thread."""
+
+    rows: Floats  # (ROWS * LANES,) buffer of multipole.py
+    near: Floats  # (MOMENT * LANES,) particles of a bucket, and what attracts them
+    powers: Floats  # (TERMS,)
+    scaled: Floats  # (TERMS,) [m^|α|] moments over mass
+    local: Floats  # (DEEPEST, TERMS) field in the cells on the way from the root
+    far: Ints  # (LANES,) cells to be met as a whole
+    ranges: Ints  # (2 * RANGES,) particles to be met one by one
+    stack: Ints  # (5, 4 * DEEPEST)
+    meets: Ints  # (levels * n,) cells that those of a level have to meet
+
+
+# Meeting
+
+
+@inline
+def encounter(a: Ball, b: Ball, is_later: bool, square: float) -> int:
+    """How cells A and B, A later than B or not, meet at θ²: the same if they are exchanged."""
+    dx, dy, dz = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    if 2.0 * (a[3] * a[3] + b[3] * b[3]) < square * (dx * dx + (dy * dy + dz * dz)):
+        return WHOLE
+    is_end, is_other_end = a[5] > 0.0, b[5] > 0.0
+    if is_end and is_other_end:
+        return NEAR
+    if is_end:
+        return SPLIT_A if a[3] > b[3] and b[4] > MANY else SPLIT_B
+    if is_other_end:
+        return SPLIT_B if b[3] > a[3] and a[4] > MANY else SPLIT_A
+    return SPLIT_B if b[3] > a[3] or (b[3] == a[3] and is_later) else SPLIT_A
+
+
+@inline
+def load_far(cells: Cells, X: Vec3, far: Ints, count: int, rows: Floats) -> None:
+    """Put cells into lanes, seen from X; lanes without one have no mass."""
+    ball, moment, _ = cells
+    for i in range(LANES):
+        B = far[i if i < count else 0]
+        for k in range(3):
+            rows[at(PLACE + k, i)] = X[k] - ball[B, k]
+        is_cell = moment.shape[0] > B
+        if i < count and is_cell:
+            for k in range(TERMS):
+                rows[at(MOMENT + k, i)] = SIGNS[k] * moment[B, k]
+        else:
+            for k in range(TERMS):
+                rows[at(MOMENT + k, i)] = 0.0
+            if i < count:
+                rows[at(MOMENT, i)] = ball[B, 6]
+
+
+@kernel
+def meet_far(
+    cells: Cells,
+    X: Vec3,
+    far: Ints,
+    count: int,
+    eps2: float,
+    rows: Floats,
+    scaled: Floats,
+) -> None:
+    """Add the fields of some cells to that of a cell at X, given its moments over its mass."""
+    load_far(cells, X, far, count, rows)
+    add_far(rows, scaled, eps2)
+
+
+@kernel
+def meet_far_point(
+    cells: Cells,
+    X: Vec3,
+    far: Ints,
+    count: int,
+    eps2: float,
+    rows: Floats,
+    scaled: Floats,
+) -> None:
+    """Add the fields of some cells to that at a point."""
+    load_far(cells, X, far, count, rows)
+    add_far_to_point(rows, scaled, eps2)
+
+
+@kernel
+def pull_by(
+    place: Floats, mass: Floats, ranges: Ints, count: int, eps2: float, near: Floats
+) -> None:
+    """Add the field of ranges of particles to that of a bucket, and their potential's depth."""
+    for k in range(count):
+        for j in range(ranges[2 * k], ranges[2 * k + 1]):
+            x, y, z, m = place[0, j], place[1, j], place[2, j], mass[j]
+            for i in range(LANES):
+                dx = x - near[at(PLACE, i)]
+                dy = y - near[at(PLACE + 1, i)]
+                dz = z - near[at(PLACE + 2, i)]
+                square = dx * dx + (dy * dy + (dz * dz + eps2))
+                w = inverse_cube(m, square)
+                near[at(FIELD, i)] += w * dx
+                near[at(FIELD + 1, i)] += w * dy
+                near[at(FIELD + 2, i)] += w * dz
+                near[at(MASS, i)] += w * square
+
+
+@kernel
+def pull_each_other(points: Points, lo: int, hi: int, eps2: float, near: Floats) -> None:
+    """Add the field of a bucket's own particles, those of the same body left out."""
+    for j in range(lo, hi):
+        x, y, z, m = points.place[0, j], points.place[1, j], points.place[2, j], points.mass[j]
+        own = points.owner[j]
+        for i in range(LANES):
+            dx = x - near[at(PLACE, i)]
+            dy = y - near[at(PLACE + 1, i)]
+            dz = z - near[at(PLACE + 2, i)]
+            is_own = near[at(OWNER, i)] == own
+            square = 1.0 if is_own else dx * dx + (dy * dy + (dz * dz + eps2))
+            w = inverse_cube(0.0 if is_own else m, square)
+            near[at(FIELD, i)] += w * dx
+            near[at(FIELD + 1, i)] += w * dy
+            near[at(FIELD + 2, i)] += w * dz
+            near[at(MASS, i)] += w * square
+
+
+@inline
+def meet_itself(
+    nodes: Nodes, points: Points, A: int, tail: int, eps2: float, scratch: Scratch
+) -> int:
+    """Let the parts of a cell meet each other, unless all are of one body."""
+    if nodes.body[A] >= 0:
+        return tail
+    if nodes.second[A] == 0:
+        pull_each_other(points, nodes.first[A], nodes.last[A], eps2, scratch.near)
+        return tail
+    scratch.meets[tail], scratch.meets[tail + 1] = A + 1, nodes.second[A]
+    return tail + 2
+
+
+@inline
+def meet(
+    tree: tuple[Nodes, Points, Cells],
+    scratch: Scratch,
+    A: int,
+    lists: tuple[int, int],
+    square: float,
+    eps2: float,
+) -> int:
+    """Let cell A meet those in a list; return the end of the list for its parts.
+
+    Parameters
+    ----------
+    A : int
+        The cell whose field grows.
+    lists : tuple of two ints
+        First and last of its list; that for its parts is written behind it.
+    square, eps2 : float
+        θ² and ε².
+    """
+    nodes, points, cells = tree
+    second, _, first, last, _ = nodes
+    ball, place, mass = cells.ball, points.place, points.mass
+    rows, scaled, near, ranges = scratch.rows, scratch.scaled, scratch.near, scratch.ranges
+    meets, stack, far = scratch.meets, scratch.stack, scratch.far
+    a = (ball[A, 0], ball[A, 1], ball[A, 2], ball[A, 3], ball[A, 4], ball[A, 5])
+    X = (a[0], a[1], a[2])
+    tail, n_far, n_near = lists[1], 0, 0
+    for listed in range(lists[0], lists[1]):
+        stack[2, 0], top = meets[listed], 1
+        while top > 0:
+            top -= 1
+            B = stack[2, top]
+            if A == B:
+                tail = meet_itself(nodes, points, A, tail, eps2, scratch)
+                continue
+            b = (ball[B, 0], ball[B, 1], ball[B, 2], ball[B, 3], ball[B, 4], ball[B, 5])
+            how = encounter(a, b, A > B, square)
+            if how == WHOLE:
+                far[n_far] = B
+                n_far += 1
+                if n_far == LANES:
+                    meet_far(cells, X, far, n_far, eps2, rows, scaled)
+                    n_far = 0
+            elif how == NEAR:
+                j = B - second.size
+                ranges[2 * n_near] = j if j >= 0 else first[B]
+                ranges[2 * n_near + 1] = j + 1 if j >= 0 else last[B]
+                n_near += 1
+                if n_near == RANGES:
+                    pull_by(place, mass, ranges, n_near, eps2, near)
+                    n_near = 0
+            elif how == SPLIT_A:
+                meets[tail] = B
+                tail += 1
+            elif second[B] > 0:
+                stack[2, top], stack[2, top + 1] = second[B], B + 1
+                top += 2
+            else:
+                for j in range(first[B], last[B]):
+                    stack[2, top] = second.size + j
+                    top += 1
+    pull_by(place, mass, ranges, n_near, eps2, near)
+    if n_far > 0:
+        meet_far(cells, X, far, n_far, eps2, rows, scaled)
+    return tail
+
+
+@kernel
+def pull_lane(
+    place: Floats, mass: Floats, lo: int, hi: int, eps2: float, near: Floats, lane: int
+) -> None:
+    """Add the field of particles to that of one of a bucket."""
+    x, y, z = near[at(PLACE, lane)], near[at(PLACE + 1, lane)], near[at(PLACE + 2, lane)]
+    for j in range(lo, hi):
+        dx, dy, dz = place[0, j] - x, place[1, j] - y, place[2, j] - z
+        square = dx * dx + (dy * dy + (dz * dz + eps2))
+        w = inverse_cube(mass[j], square)
+        near[at(FIELD, lane)] += w * dx
+        near[at(FIELD + 1, lane)] += w * dy
+        near[at(FIELD + 2, lane)] += w * dz
+        near[at(MASS, lane)] += w * square
+
+
+@kernel
+def meet_point(
+    tree: tuple[Nodes, Points, Cells],
+    scratch: Scratch,
+    i: int,
+    lane: int,
+    lists: tuple[int, int],
+    square: float,
+    eps2: float,
+) -> None:
+    """Let particle i, in a lane of a bucket, meet the cells in a list."""
+    nodes, points, cells = tree
+    second, _, first, last, _ = nodes
+    ball, place, mass = cells.ball, points.place, points.mass
+    rows, scaled, near = scratch.rows, scratch.scaled, scratch.near
+    meets, stack, far = scratch.meets, scratch.stack, scratch.far
+    A, n_far = second.size + i, 0
+    a = (ball[A, 0], ball[A, 1], ball[A, 2], ball[A, 3], ball[A, 4], ball[A, 5])
+    X = (a[0], a[1], a[2])
+    clear(rows, LOCAL, LOCAL + 4)
+    for listed in range(lists[0], lists[1]):
+        stack[2, 0], top = meets[listed], 1
+        while top > 0:
+            top -= 1
+            B = stack[2, top]
+            b = (ball[B, 0], ball[B, 1], ball[B, 2], ball[B, 3], ball[B, 4], ball[B, 5])
+            how = encounter(a, b, A > B, square)
+            if how == WHOLE:
+                far[n_far] = B
+                n_far += 1
+                if n_far == LANES:
+                    meet_far_point(cells, X, far, n_far, eps2, rows, scaled)
+                    n_far = 0
+            elif how == NEAR:
+                pull_lane(place, mass, first[B], last[B], eps2, near, lane)
+            else:
+                stack[2, top], stack[2, top + 1] = second[B], B + 1
+                top += 2
+    if n_far > 0:
+        meet_far_point(cells, X, far, n_far, eps2, rows, scaled)
+    near[at(MASS, lane)] += lane_sum(rows, LOCAL)
+    for k in range(3):
+        near[at(FIELD + k, lane)] += lane_sum(rows, LOCAL + 1 + k)
+
+
+# Walking
+
+
+@inline
+def load_bucket(points: Points, lo: int, hi: int, near: Floats) -> None:
+    """Put the particles of a bucket into lanes, without a field."""
+    load_lanes(near, points, (0.0, 0.0, 0.0), lo, hi)
+    for i in range(LANES):
+        near[at(OWNER, i)] = points.owner[lo + i] if lo + i < hi else points.owner[lo]
+    clear(near, MASS, FIELD + 3)
+
+
+@inline
+def store_fields(
+    points: Points, X: Vec3, lo: int, hi: int, local: Floats, scratch: Scratch
+) -> float:
+    """Write the fields at the particles of a bucket; return the depth of what it meets nearby."""
+    rows, near = scratch.rows, scratch.near
+    load_lanes(rows, points, X, lo, hi)
+    clear(rows, FIELD, FIELD + 3)
+    add_particle_fields(rows, local)
+    depth = 0.0
+    for i in range(hi - lo):
+        for k in range(3):
+            points.field[k, lo + i] = near[at(FIELD + k, i)] + rows[at(FIELD + k, i)]
+        depth += points.mass[lo + i] * near[at(MASS, i)]
+    return depth
+
+
+@inline
+def sum_local(
+    cells: Cells, A: int, scratch: Scratch, inherited: Floats, local: Floats, parent: int
+) -> float:
+    """Write the field in A, from what it has met and from its parent's; return the depth of A."""
+    depth = 0.0
+    for k in range(TERMS):
+        local[k] = lane_sum(scratch.rows, LOCAL + k)
+        depth += local[k] * cells.moment[A, k]
+    if parent >= 0:
+        X, Y = cells.ball[A], cells.ball[parent]
+        s = subtract((X[0], X[1], X[2]), (Y[0], Y[1], Y[2]))
+        add_shifted_field(s, inherited, scratch.powers, local)
+    return depth
+
+
+@kernel
+def walk(
+    tree: tuple[Nodes, Points, Cells],
+    scratch: Scratch,
+    square: float,
+    eps2: float,
+    start: int,
+    stop: int,
+) -> None:
+    """Write the fields at the particles of cells start to stop, and the energy of these cells.
+
+    Cells above are gone through on the way, by every thread that needs them, with the same bits.
+
+    Parameters
+    ----------
+    tree : tuple
+        Cells that are filled; fields and energies are written.
+    scratch : Scratch
+        Own room of the thread.
+    square, eps2 : float
+        θ² and ε² [m²].
+    start, stop : int
+        Cells, last excluded: whole branches.
+    """
+    nodes, points, cells = tree
+    second, end, first, last, _ = nodes
+    local, stack, near = scratch.local, scratch.stack, scratch.near
+    scratch.meets[0], bounds, path = 0, stack[3], stack[4]
+    stack[0, 0], stack[1, 0], bounds[0], bounds[1], top = 0, 0, 0, 1, 1
+    while top > 0:
+        top -= 1
+        A, level = stack[0, top], stack[1, top]
+        if stop <= A or end[A] <= start:
+            continue
+        clear(scratch.rows, LOCAL, LOCAL + TERMS)
+        m = cells.moment[A]
+        for k in range(TERMS):
+            scratch.scaled[k] = m[k] / m[0] if m[0] > 0.0 else 0.0
+        if second[A] == 0:
+            load_bucket(points, first[A], last[A], near)
+        lists = (bounds[level], bounds[level + 1])
+        tail = meet(tree, scratch, A, lists, square, eps2)
+        parent = path[level - 1] if level > 0 else -1
+        depth = sum_local(cells, A, scratch, local[level], local[level + 1], parent)
+        if second[A] > 0:
+            path[level], bounds[level + 2] = A, tail
+            stack[0, top], stack[0, top + 1] = second[A], A + 1
+            stack[1, top], stack[1, top + 1] = level + 1, level + 1
+            top += 2
+        else:
+            if tail > lists[1]:
+                for i in range(first[A], last[A]):
+                    meet_point(tree, scratch, i, i - first[A], (lists[1], tail), square, eps2)
+            X = (cells.ball[A, 0], cells.ball[A, 1], cells.ball[A, 2])
+            depth += store_fields(points, X, first[A], last[A], local[level + 1], scratch)
+        cells.energy[A] = -0.5 * depth
