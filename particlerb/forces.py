@@ -4,7 +4,6 @@ Bodies with forces of the same forms share a group, however different the sizes,
 points of these forces are.
 """
 
-from collections import defaultdict
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -13,10 +12,21 @@ from particlerb.bodies.bodies import Bodies, taken
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import turned_back
 from particlerb.case.placement import resolve_bodies
-from particlerb.case.problems import Problem
+from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
-from particlerb.case.schema import AnyForce, Case, Central, Drag, Impulse, Push, Spring, Torque
+from particlerb.case.schema import (
+    AnyForce,
+    Case,
+    Central,
+    Drag,
+    Impulse,
+    Push,
+    Spring,
+    Torque,
+    UniformField,
+)
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.pairs import AXIAL_ROUNDING, is_link, places
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 from particlerb.terms import Terms
 from particlerb.terms.central import Central as Centre
@@ -30,7 +40,7 @@ from particlerb.terms.torque import Torque as WorldTorque
 
 N_NUMBERS: Final = 8
 LARGEST_TORQUE: Final = float(np.finfo(np.float64).max)
-AXIAL_ROUNDING: Final = 1e-12  # share of a torque about a rod's axis that is its rounding
+MOMENT_ROUNDING: Final = 1e-14  # share of a moment of charges that is its rounding
 
 
 class Load(NamedTuple):
@@ -39,17 +49,22 @@ class Load(NamedTuple):
     number: int  # index of [[force]]
     force: AnyForce
     members: Ints  # bodies on which it acts, ascending
+    own: tuple[float, ...] = ()  # what the bodies add: a spring's length, the charge and its moment
 
     @property
     def at(self) -> tuple[float, float, float]:
-        """Point where it acts [m], body frame."""
+        """Point where it acts [m], or moment of charges [C m], body frame."""
         force = self.force
+        if isinstance(force, UniformField):
+            return self.own[0], self.own[1], self.own[2]
         return force.at if isinstance(force, (Push, Impulse, Spring)) else (0.0, 0.0, 0.0)
 
     @property
     def vector(self) -> tuple[float, float, float]:
-        """The force [N], torque [N m] or impulse [N s] of those that are constant."""
+        """The force [N], torque [N m], impulse [N s] or field of those that are constant."""
         force = self.force
+        if isinstance(force, UniformField):
+            return force.field
         if isinstance(force, Push):
             return force.force
         if isinstance(force, Torque):
@@ -63,10 +78,10 @@ class Load(NamedTuple):
         if isinstance(force, Drag):
             return (force.translation, force.rotation)
         if isinstance(force, Spring):
-            return (*force.at, *force.anchor, force.stiffness, force.rest_length)
+            return (*force.at, *(force.anchor or ()), force.stiffness, *self.own)
         if isinstance(force, Central):
             return (*force.centre, force.mu)
-        return (*self.at, *self.vector)
+        return (*self.at, *self.vector, *self.own[3:])
 
     @property
     def form(self) -> tuple[object, ...]:
@@ -84,48 +99,93 @@ class Forces(NamedTuple):
 
     @property
     def at(self) -> Floats:
-        """Points of those that act at one, (3, n) [m], body frame."""
+        """Points of those that act at one [m], or moments of charges [C m], (3, n), body frame."""
         return self.numbers[:3]
 
     @property
     def vector(self) -> Floats:
-        """Forces, torques or impulses that are constant, (3, n) [N, N m or N s]."""
+        """Forces, torques, impulses or fields that are constant, (3, n) [N, N m, N s or V/m]."""
         return self.numbers[3:6]
 
 
-def loads_of(case: Case) -> list[Load]:
-    """All forces and impulses of a case."""
-    return [Load(i, f, resolve_bodies(case, f.body)) for i, f in enumerate(case.force)]
+def loads_of(case: Case, scene: Scene) -> list[Load]:
+    """All forces and impulses of a case that act on one body each; `pairs` has the others.
+
+    Raises
+    ------
+    CaseError
+        If a field has not as many charges as a body has particles.
+    """
+    loads: list[Load] = []
+    problems: list[Problem] = []
+    for number, force in enumerate(case.force):
+        if is_link(force):
+            continue
+        load = Load(number, force, resolve_bodies(case, force.body))
+        if isinstance(force, Spring):
+            loads += with_lengths(scene, load, force)
+        elif isinstance(force, UniformField):
+            wrong = wrong_charges(case, scene, load, force)
+            problems += wrong
+            loads += [] if wrong else with_charges(scene, load, force)
+        else:
+            loads.append(load)
+    if problems:
+        raise CaseError(problems)
+    return loads
 
 
-def groups_of_bodies(scene: Scene, loads: list[Load]) -> list[tuple[Ints, list[Forces]]]:
-    """Bodies with forces of the same forms, and these forces; in the order of bodies."""
-    acting: defaultdict[int, list[int]] = defaultdict(list)
-    for k, load in enumerate(loads):
-        for b in load.members.tolist():
-            acting[b].append(k)
-    forms = [load.form for load in loads]
-    members: defaultdict[tuple[object, ...], list[int]] = defaultdict(list)
-    for b in sorted(acting):
-        members[tuple(forms[k] for k in acting[b])].append(b)
-    numbers = np.zeros((len(loads), N_NUMBERS))
-    for k, load in enumerate(loads):
-        numbers[k, : len(load.numbers)] = load.numbers
-    groups = []
-    for bodies in members.values():
-        own = np.array([acting[b] for b in bodies])
-        forces = [Forces(loads[k[0]].force, numbers[k].T) for k in own.T]
-        groups.append((np.array(bodies), forces))
-    alone = np.ones(len(scene.kind), dtype=bool)
-    alone[list(acting)] = False
-    if alone.any():
-        groups.append((np.flatnonzero(alone), []))
-    return sorted(groups, key=lambda group: int(group[0][0]))
+def with_lengths(scene: Scene, load: Load, force: Spring) -> list[Load]:
+    """A spring with its rest length; one for each body where it is that of t = 0."""
+    if force.rest_length != "initial":
+        return [load._replace(own=(force.rest_length,))]
+    ways = places(scene, load.members, force.at) - np.array(force.anchor)[:, None]
+    return [
+        load._replace(members=load.members[k : k + 1], own=(length,))
+        for k, length in enumerate(sizes(ways).tolist())
+    ]
 
 
-def acts(force: Forces, start: float) -> bool:
+def wrong_charges(case: Case, scene: Scene, load: Load, force: UniformField) -> list[Problem]:
+    """What is wrong with a list of charges that is no list of one per particle."""
+    count = np.diff(scene.particles.offset)[scene.kind[load.members]]
+    if not isinstance(force.charge, tuple) or (count == len(force.charge)).all():
+        return []
+    b = int(np.argmax(count != len(force.charge)))
+    name = scene.names[int(load.members[b])]
+    reason = f"{name} has {count[b]} particles, the list {len(force.charge)} charges"
+    hint = "give one for each in its order (`particlerb mass` counts them), or one number"
+    return [problem_at(case, f"force[{load.number}].charge", reason, hint)]
+
+
+@np.errstate(over="ignore")  # `too_large` finds what is
+def with_charges(scene: Scene, load: Load, force: UniformField) -> list[Load]:
+    """A field with the total charge of its bodies and the moment of charges; one for each kind.
+
+    The charges q_i at r_i and a dipole d turn the body like Σ q_i r_i + d, by whatever it is more
+    than the rounding of this sum: charges in proportion to the masses have none.
+    """
+    if not isinstance(force.charge, tuple):
+        moment = force.charge * np.array(force.at) + force.dipole
+        return [load._replace(own=(*moment.tolist(), force.charge))]
+    loads = []
+    kinds = scene.kind[load.members]
+    q = np.array(force.charge)
+    for kind in np.unique(kinds).tolist():
+        own = slice(scene.particles.offset[kind], scene.particles.offset[kind + 1])
+        r = scene.particles.position[own]  # with the rounding of places in the axes of the shape
+        size = np.abs(q) @ (sizes(r.T) + sizes(scene.properties.com[kind]))
+        moment = q @ r
+        if sizes(moment) <= MOMENT_ROUNDING * size:
+            moment = np.zeros(3)
+        moment = moment + force.dipole
+        members = load.members[kinds == kind]
+        loads.append(load._replace(members=members, own=(*moment.tolist(), float(q.sum()))))
+    return loads
+
+
+def acts(form: AnyForce, start: float) -> bool:
     """Whether a lasting force acts in the segment that begins at `start`."""
-    form = force.form
     if isinstance(form, Impulse):
         return False
     return form.during is None or form.during[0] <= start < form.during[1]
@@ -148,6 +208,10 @@ def acting_terms(case: Case, bodies: Bodies, forces: list[Forces]) -> Terms:
             springs.append(WorldSpring(arm, numbers[3:6], numbers[6], numbers[7]))
         elif isinstance(form, Central):
             centres.append(Centre(numbers[:3], numbers[3], bodies.mass, bodies.inertia))
+        elif isinstance(form, UniformField):
+            moment = turned_back(bodies.rotor_frame, one.at)
+            force += numbers[6] * one.vector
+            lever += one.vector[:, None] * moment  # a moment m turns by m × E, as an arm r by r × F
         elif isinstance(form, Push) and form.frame == "world":
             arm = turned_back(bodies.rotor_frame, one.at)
             force += one.vector
@@ -187,13 +251,17 @@ def sizes(vectors: Floats) -> Floats:
 def too_large(case: Case, load: Load) -> list[Problem]:
     """What is wrong with a force whose torque exceeds the range of float64."""
     force = load.force
-    if not isinstance(force, (Push, Impulse)):
+    if not isinstance(force, (Push, Impulse, UniformField)):
         return []
     arm, size = max(map(abs, load.at)), max(map(abs, load.vector))
-    if 2.0 * arm * size < LARGEST_TORQUE:
+    is_field = isinstance(force, UniformField)
+    charge = abs(load.own[3]) if is_field else 0.0
+    if 2.0 * max(arm, charge) * size < LARGEST_TORQUE:
         return []
-    reason = f"arm {arm!r} m and {force.type} {size!r} give a torque beyond the range of float64"
-    return [problem_at(case, f"force[{load.number}].at", reason)]
+    what = f"charge {charge!r} with moment {arm!r}" if is_field else f"arm {arm!r} m"
+    load_shown = "load" if is_field else "torque"
+    reason = f"{what} and {force.type} {size!r} give a {load_shown} beyond the range of float64"
+    return [problem_at(case, f"force[{load.number}].{'field' if is_field else 'at'}", reason)]
 
 
 def impossible_torques(case: Case, scene: Scene, load: Load) -> list[Problem]:
@@ -210,17 +278,24 @@ def impossible_torques(case: Case, scene: Scene, load: Load) -> list[Problem]:
     b = int(wrong[0])
     name, code = scene.names[int(index[b])], int(bodies.rotor_class[b])
     what = "has no extent: nothing can turn it" if code == POINT else "cannot turn about its axis"
-    is_torque = isinstance(load.force, Torque)
     reason = (
         f"{name} is a {NAMES[code]} with moments {sorted(bodies.inertia[:, b].tolist())} kg m²"
         f" and {what}, but this {load.force.type} would"
     )
-    if is_torque:
-        hint = "leave it out" if code == POINT else "give a torque across the rod"
-    else:
-        hint = "act at the centre of mass" if code == POINT else "act at a point of the rod's axis"
-    key = f"force[{load.number}].{'torque' if is_torque else 'at'}"
-    return [problem_at(case, key, reason, hint)]
+    key, hint = what_turns(load.force, code)
+    return [problem_at(case, f"force[{load.number}].{key}", reason, hint)]
+
+
+def what_turns(force: AnyForce, code: int) -> tuple[str, str]:
+    """Key of a force by which it turns a point or a rod, and what it should say instead."""
+    if isinstance(force, Torque):
+        return "torque", "leave it out" if code == POINT else "give a torque across the rod"
+    if isinstance(force, UniformField) and any(force.dipole):
+        return "dipole", "leave it out" if code == POINT else "give a dipole along the rod's axis"
+    if isinstance(force, UniformField) and isinstance(force.charge, tuple):
+        return "charge", "give one number, the charge of the body"
+    where = "the centre of mass" if code == POINT else "a point of the rod's axis"
+    return "at", f"act at {where}"
 
 
 def bodies_at_centres(case: Case, scene: Scene, load: Load) -> list[Problem]:

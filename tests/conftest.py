@@ -38,7 +38,8 @@ def body(name: str = "body", inertia: Sequence[float] = (1.0, 2.0, 2.5), **keys)
 
 def case(*bodies: dict, force: Sequence[dict] = (), t_end=1.0, every=0.1, **keys) -> dict:
     """Case; keys that are not tables go to [run]."""
-    tables = {k: keys.pop(k) for k in ("gravity", "output", "check", "title") if k in keys}
+    names = ("gravity", "attraction", "output", "check", "title")
+    tables = {k: keys.pop(k) for k in names if k in keys}
     run = {"t_end": t_end, "every": every} | keys
     return {"run": run, "body": list(bodies), "force": list(force)} | tables
 
@@ -74,6 +75,18 @@ def spring(anchor, stiffness, rest_length=0.0, at=(0, 0, 0), body="body", **keys
         "stiffness": stiffness,
         "rest_length": rest_length,
     } | keys
+
+
+def tie(to: str | Sequence[str] | None = None, stiffness=1.0, body="body", **keys) -> dict:
+    """Spring between bodies; without `to` the keys have a reach."""
+    ends = {"body": body} if to is None else {"body": body, "to": to}
+    return {"type": "spring", **ends, "stiffness": stiffness} | keys
+
+
+def field(field: Sequence[float], charge=0.0, dipole=(0, 0, 0), body="body", **keys) -> dict:
+    """Uniform field on charges and a dipole."""
+    vectors = {"field": list(field), "dipole": list(dipole)}
+    return {"type": "field", "body": body, "charge": charge} | vectors | keys
 
 
 def central(mu: float, centre: Sequence[float] = (0, 0, 0), body="body", **keys) -> dict:
@@ -119,6 +132,10 @@ def pulled(x, R, tensor, mass, v, w, force: dict) -> tuple[np.ndarray, np.ndarra
         Q = np.trace(tensor) * np.eye(3) - 3.0 * inertia
         tidal = force["mu"] * (Q @ r / d**5 - 2.5 * (r @ Q @ r) * r / d**7)
         return tidal - force["mu"] * mass * r / d**3, -np.cross(r, tidal)
+    if kind == "field":
+        E, q = np.array(force["field"], dtype=float), force["charge"]
+        moment = q * np.array(force.get("at", zero)) + np.array(force["dipole"])
+        return q * E, np.cross(R @ moment, E)
     arm = R @ np.array(force["at"])
     if kind == "spring":
         way = np.array(force["anchor"]) - x - arm
@@ -232,6 +249,8 @@ def make() -> SimpleNamespace:
         torque=torque,
         impulse=impulse,
         spring=spring,
+        tie=tie,
+        field=field,
         central=central,
         drag=drag,
         ghosts=ghosts,

@@ -10,6 +10,7 @@ from particlerb.case.problems import Path, nearest, shown
 from particlerb.case.schema import (
     FORCES,
     PLACES,
+    Attraction,
     Body,
     Case,
     Check,
@@ -23,7 +24,10 @@ from particlerb.case.schema import (
 from particlerb.case.shapes import SHAPES
 from particlerb.case.values import Table
 
-TAGGED = {"shape", "place", "position", "orientation", "velocity", "angular_velocity"}
+TAGGED = {
+    "body": {"shape", "place", "position", "orientation", "velocity", "angular_velocity"},
+    "force": {"rest_length", "charge"},
+}
 KINDS = {
     "float_type": "must be a number",
     "int_type": "must be a whole number",
@@ -35,7 +39,7 @@ KINDS = {
 }
 EMPTY = ("string_too_short", "too_short")
 BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"),
-          "less_than_equal": ("<=", "le")}  # fmt: skip
+          "less_than": ("<", "lt"), "less_than_equal": ("<=", "le")}  # fmt: skip
 WORDS: dict[type, str] = {
     bool: "true or false", str: "a text", list: "a list", tuple: "a list", dict: "a table",
     int: "a whole number", float: "a number", type(None): "nothing",
@@ -52,8 +56,12 @@ class Complaint(NamedTuple):
 
 
 def complaints(raw: Any, errors: Sequence[ErrorDetails]) -> list[Complaint]:
-    """All errors of a validation, without missing keys that are there with a typing mistake."""
-    found = [complaint(raw, error) for error in errors if not is_follow_up(error)]
+    """All errors of a validation."""
+    return [complaint(raw, error) for error in errors if not is_follow_up(error)]
+
+
+def without_typos(found: Sequence[Complaint]) -> list[Complaint]:
+    """Complaints without missing keys that are there with a typing mistake."""
     meant = {
         (*one.path[:-1], guess[1])
         for one in found
@@ -147,7 +155,7 @@ def path_in(raw: Any, loc: tuple[int | str, ...]) -> Path:
 def is_tagged(path: list[int | str]) -> bool:
     """Whether pydantic puts the tag of a union after this path."""
     is_force = len(path) == 2 and path[0] == "force" and isinstance(path[1], int)
-    return is_force or (path[-1] in TAGGED and path[0] == "body")
+    return is_force or path[-1] in TAGGED.get(str(path[0]), ())
 
 
 def child(node: Any, part: int | str) -> Any:
@@ -168,8 +176,8 @@ def type_of(raw: Any, path: Path) -> Any:
 
 FAMILIES = {"shape": SHAPES, "place": PLACES, "force": FORCES}
 TABLES: dict[str, type[Table]] = {
-    "": Case, "run": Run, "gravity": Gravity, "body": Body, "part": Part, "output": Output,
-    "check": Check, "value": CheckValue, "orientation": Euler,
+    "": Case, "run": Run, "gravity": Gravity, "attraction": Attraction, "body": Body, "part": Part,
+    "output": Output, "check": Check, "value": CheckValue, "orientation": Euler,
 }  # fmt: skip
 
 

@@ -230,10 +230,15 @@ def resolve_bodies(case: Case, names: str | Sequence[str]) -> IntArray:
     KeyError
         If there is no such body; `load` has refused a case that names one.
     """
+    return np.unique(bodies_in_order(case, names))
+
+
+def bodies_in_order(case: Case, names: str | Sequence[str]) -> IntArray:
+    """Indices of the bodies as they are named: in this order, and as often; else as above."""
     first = first_bodies(case)
     blocks = {body.name: i for i, body in enumerate(case.body)}
     wanted = [names] if isinstance(names, str) else names
-    return np.unique(np.concatenate([bodies_named(name, blocks, first) for name in wanted]))
+    return np.concatenate([bodies_named(name, blocks, first) for name in wanted])
 
 
 def bodies_named(name: str, blocks: dict[str, int], first: IntArray) -> IntArray:

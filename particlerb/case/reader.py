@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from particlerb.case.complaints import Complaint, complaints
+from particlerb.case.complaints import Complaint, complaints, without_typos
 from particlerb.case.overrides import overridden
 from particlerb.case.problems import CaseError, Problem, key_of, nearest, path_of
 from particlerb.case.rules import findings
@@ -167,7 +167,7 @@ def build(source: Source, overrides: Sequence[str]) -> Case:
         except ValidationError as error:
             found = complaints(raw, error.errors(include_url=False)) + found
         if found:
-            raise CaseError(located(source, found))
+            raise CaseError(located(source, without_typos(found)))
     except RecursionError:
         raise CaseError([file_problem(source.path, "is nested too deeply")]) from None
     case._source = source

@@ -10,6 +10,7 @@ from pathlib import Path as FilePath
 from typing import Any, TypeAlias
 
 from particlerb.case.problems import Path, nearest
+from particlerb.case.schema import Spring
 from particlerb.case.shapes import SHAPES
 from particlerb.case.values import REFERENCE, is_rows
 
@@ -47,6 +48,12 @@ def findings(raw: dict[str, Any], folder: FilePath) -> Iterator[Finding]:
     yield from times(raw)
     yield from names(raw)
     yield from references(raw)
+    for i, force in tables(raw, "force"):
+        if force.get("type") == "spring":
+            yield from spring_rules(("force", i), force, members(raw))
+        if force.get("type") == "field" and isinstance(force.get("charge"), list):
+            yield from out_of_place(("force", i), force, "at", "a charge for each particle")
+    yield from attraction_rules(raw.get("attraction"), members(raw))
     for i, body in tables(raw, "body"):
         yield from body_rules(("body", i), body)
         yield from many_bodies(("body", i), body)
@@ -97,6 +104,10 @@ def references(raw: dict[str, Any]) -> Iterator[Finding]:
             counts.setdefault(body["name"], body.get("count", 1))
     for i, force in tables(raw, "force"):
         yield from reference(("force", i, "body"), force.get("body"), counts)
+        if force.get("type") == "spring":
+            yield from reference(("force", i, "to"), force.get("to"), counts)
+    if isinstance(raw.get("attraction"), dict):
+        yield from reference(("attraction", "body"), raw["attraction"].get("body"), counts)
     for i, check in tables(raw.get("check"), "value"):
         if isinstance(check.get("body"), str):
             yield from reference(("check", "value", i, "body"), check["body"], counts)
@@ -118,6 +129,79 @@ def reference(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Findin
     is_count = isinstance(count, int) and count > 0
     if match["index"] and is_count and int(match["index"]) >= count:
         yield path, f'there is no body "{value}"', f"{match['name']}[0] to [{count - 1}] exist"
+
+
+def members(raw: dict[str, Any]) -> dict[str, range]:
+    """Indices of the bodies of every block; none where a block says not how many it has."""
+    found: dict[str, range] = {}
+    first = 0
+    for _, body in tables(raw, "body"):
+        name, count = body.get("name"), body.get("count", 1)
+        if not isinstance(name, str) or not isinstance(count, int) or count < 1:
+            return {}
+        found[name] = range(first, first + count)
+        first += count
+    return found
+
+
+def named(value: Any, known: dict[str, range]) -> list[range] | None:
+    """Bodies of one name, or of each of a list; None where one is not there."""
+    found = []
+    for name in value if isinstance(value, list) else [value]:
+        match = REFERENCE.fullmatch(name) if isinstance(name, str) else None
+        if match is None or match["name"] not in known:
+            return None
+        block = known[match["name"]]
+        if match["index"]:
+            k = int(match["index"])
+            block = block[k : k + 1]
+        if not block:
+            return None
+        found.append(block)
+    return found
+
+
+def spring_rules(path: Path, force: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+    """A spring has one other end, and as many bodies there as it needs."""
+    has_end = any(given(force, key) for key in ("anchor", "to", "reach"))
+    has_typo = not Spring.model_fields.keys() >= force.keys()
+    if not has_end and not has_typo:
+        hint = "give `anchor` for the world, `to` or `reach` for other bodies"
+        yield (*path, "anchor"), "missing", hint
+    if given(force, "anchor"):
+        for key in ("to", "reach"):
+            if given(force, key):
+                yield (*path, key), "given beside anchor", "a spring has one other end"
+        yield from out_of_place(path, force, "to_at", "an anchor")
+    if not given(force, "to") or given(force, "reach"):
+        return
+    first, second = named(force.get("body"), known), named(force["to"], known)
+    if not first or not second:
+        return
+    n, m = sum(map(len, first)), sum(map(len, second))
+    if n != m and 1 not in {n, m}:
+        reason = f"names {m} bodies, `body` {n}: they make no pairs"
+        hint = "name equal numbers, or one for all; or give `reach`"
+        yield (*path, "to"), reason, hint
+
+
+def out_of_place(path: Path, table: dict[str, Any], key: str, what: str) -> Iterator[Finding]:
+    """A point has no place beside something else; a resolved case states its default there."""
+    if given(table, key) and not is_origin(table[key]):
+        yield (*path, key), f"has no place beside {what}", "leave it out"
+
+
+def attraction_rules(table: Any, known: dict[str, range]) -> Iterator[Finding]:
+    """Two bodies at least attract each other, and what a tree sums as one is said once."""
+    if not isinstance(table, dict):
+        return
+    if given(table, "opening_angle") and given(table, "accuracy"):
+        yield ("attraction", "accuracy"), "given beside opening_angle", "give one of them"
+    every = list(known.values())
+    blocks = named(table["body"], known) if given(table, "body") else every
+    if blocks and all(len(b) == 1 and b == blocks[0] for b in blocks):
+        key = ("attraction", "body") if given(table, "body") else ("attraction",)
+        yield key, "needs two bodies at least, has one", "name more of them, or leave this out"
 
 
 def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:

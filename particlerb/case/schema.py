@@ -32,6 +32,7 @@ from particlerb.case.values import (
     Numbers,
     Positive,
     Quaternion,
+    Real,
     Rows3,
     Rows4,
     Spacing,
@@ -60,6 +61,7 @@ FIELDS: tuple[FieldName, ...] = ("position", "orientation", "linear_momentum", "
 KIND = "Kind of force or placement. [-]"
 FRAME = "Axes of the vector: world or body. [-]"
 BODIES = "Name of a [[body]] block, of one body as name[3], or a list of such names. [-]"
+NEWTON = 6.67430e-11  # G [m³/(kg s²)], CODATA 2018
 
 
 class Run(Table):
@@ -91,6 +93,29 @@ class Gravity(Table):
     """Uniform gravity."""
 
     acceleration: Vector = Field(description="Acceleration, world frame. [m/s²]")
+
+
+class Attraction(Table):
+    """Newton's attraction between the particles of different bodies."""
+
+    G: Positive = Field(NEWTON, description="Constant of gravitation; CODATA 2018. [m³/(kg s²)]")
+    softening: NonNegative = Field(
+        0.0, description="Length ε of the potential -G m m' / √(d² + ε²). [m]"
+    )
+    body: Names | None = Field(
+        None, description="Bodies that attract each other, named as in forces; default: all. [-]"
+    )
+    sum: Literal["auto", "direct", "tree"] = Field(
+        "auto", description="Every pair, or distant ones together; auto: the faster. [-]"
+    )
+    opening_angle: Annotated[Positive, Field(lt=1.0)] | None = Field(
+        None, description="Size over distance of what a tree sums as one; default: by accuracy. [-]"
+    )
+    accuracy: Annotated[Positive, Field(le=0.1)] | None = Field(
+        None,
+        description="Error of accelerations that a tree may make, rms, relative;"
+        " default: a tenth of run.accuracy, else 1e-4. [-]",
+    )
 
 
 class Euler(Table):
@@ -287,15 +312,61 @@ class Drag(Table):
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
+def rest_form(value: Any) -> str:
+    """Tag of a rest length."""
+    return "word" if isinstance(value, str) else "number"
+
+
+def charge_form(value: Any) -> str:
+    """Tag of a charge: one, or one per particle."""
+    return "list" if isinstance(value, (list, tuple)) else "number"
+
+
+RestLength = Annotated[
+    Annotated[NonNegative, Tag("number")] | Annotated[Literal["initial"], Tag("word")],
+    Discriminator(rest_form),
+]
+Charge = Annotated[
+    Annotated[Real, Tag("number")] | Annotated[tuple[Real, ...], Field(min_length=1), Tag("list")],
+    Discriminator(charge_form),
+]
+
+
 class Spring(Table):
-    """A spring from a point of the body to an anchor in the world: F = k (l - l₀)."""
+    """A spring from a point of the body to the world or another body: F = k (l - l₀) + c dl/dt."""
 
     type: Literal["spring"] = Field(description=KIND)
     body: Names = Field(description=BODIES)
     at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
-    anchor: Vector = Field(description="The other end, world frame. [m]")
+    anchor: Vector | None = Field(
+        None, description="The other end, world frame; this, or to or reach. [m]"
+    )
+    to: Names | None = Field(
+        None, description="Bodies at the other end: one for each, one for all, or by reach. [-]"
+    )
+    to_at: Vector = Field(ORIGIN, description="Point of the other body, in its body frame. [m]")
+    reach: Positive | None = Field(
+        None, description="Ties every pair of points that are at most this far apart at t = 0. [m]"
+    )
     stiffness: Positive = Field(description="Stiffness k. [N/m]")
-    rest_length: NonNegative = Field(0.0, description="Length l₀ without force. [m]")
+    damping: NonNegative = Field(0.0, description="Damping c along the spring. [N s/m]")
+    rest_length: RestLength = Field(
+        0.0, description='Length l₀ without force; "initial": as long as it is at t = 0. [m]'
+    )
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
+class UniformField(Table):
+    """A uniform field that acts on charges and on a dipole of the body: Σ q E and d × E."""
+
+    type: Literal["field"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    field: Vector = Field(description="Field E, world frame. [V/m; T for a magnetic dipole]")
+    charge: Charge = Field(
+        0.0, description="Charge q of the body, or a list with one per particle. [C]"
+    )
+    at: Vector = Field(ORIGIN, description="Where a single charge sits, body frame. [m]")
+    dipole: Vector = Field(ORIGIN, description="Dipole d, body frame. [C m; A m²]")
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
@@ -309,7 +380,7 @@ class Central(Table):
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
-AnyForce = Push | Torque | Impulse | Drag | Spring | Central
+AnyForce = Push | Torque | Impulse | Drag | Spring | UniformField | Central
 Force = Annotated[AnyForce, Field(discriminator="type")]
 FORCES: dict[str, type[Table]] = {
     "push": Push,
@@ -317,6 +388,7 @@ FORCES: dict[str, type[Table]] = {
     "impulse": Impulse,
     "drag": Drag,
     "spring": Spring,
+    "field": UniformField,
     "central": Central,
 }
 
@@ -431,6 +503,9 @@ class Case(Table):
     title: Annotated[str, Strict()] = Field("", description="What the case shows. [-]")
     run: Run = Field(description="How long, how often, and how. [-]")
     gravity: Gravity | None = Field(None, description="Uniform gravity; default: none. [-]")
+    attraction: Attraction | None = Field(
+        None, description="Attraction between bodies; default: none. [-]"
+    )
     body: Annotated[tuple[Body, ...], Field(min_length=1)] = Field(description="The bodies. [-]")
     force: tuple[Force, ...] = Field((), description="What acts on them. [-]")
     output: Output = Field(default_factory=Output, description="What is recorded. [-]")

@@ -39,14 +39,20 @@ def make_everything() -> dict:
     part = {"shape": shapes[0], "mass": 1, "position": [0, 0, 0], "orientation": [1, 0, 0, 0]}
     bodies.append({"name": "p", "part": [part]})
     vector = {"at": [0, 0, 0], "during": [0, 1]}
+    spring = {"type": "spring", "body": "p", "stiffness": 1}
     return {
         "run": {"t_end": 5, "every": 1, "dt": 1, "seed": 1, "threads": 1},
         "gravity": {"acceleration": [0, 0, 0]},
+        "attraction": {"G": 1, "softening": 0, "accuracy": 0.1},
         "body": bodies,
         "force": [
             {"type": "push", "body": "p", "force": [0, 0, 0], **vector},
             {"type": "torque", "body": "p", "torque": [0, 0, 0], "during": [0, 1]},
             {"type": "impulse", "body": "p", "impulse": [0, 0, 0], "at": [0, 0, 0], "time": 1},
+            spring | {"to": "b1", "to_at": [0, 0, 0], "reach": 1, "damping": 0, **vector},
+            spring | {"anchor": [0, 0, 0], "rest_length": 0},
+            {"type": "field", "body": "p", "field": [0, 0, 0], "charge": [1, 1], "dipole": [0] * 3},
+            {"type": "field", "body": "p", "field": [0, 0, 0], **vector},
         ],
         "check": {
             "energy_drift": 1,

@@ -428,6 +428,147 @@ def test_mistake_has_one_message(old, new, line, key, reason, hint):
     assert problem.file == str(Path("cases/x.toml"))
 
 
+BETWEEN = [
+    # table before [[force]] of the good case, key, reason, part of the hint
+    ("spring", 'to = "clmp"', "to", 'there is no body "clmp"', 'did you mean "clump"?'),
+    ("spring", 'to = ["clump", "clump[4]"]', "to[1]", 'there is no body "clump[4]"', "[3] exist"),
+    ("spring", "to = 5", "to", "must be a list, got a whole number: 5", ""),
+    ("spring", "", "anchor", "missing", "give `anchor` for the world, `to` or `reach` for other"),
+    ("spring", "anchr = [0, 0, 1]", "anchr", "unknown key", 'did you mean "anchor"?'),
+    ("spring", 'too = "clump"', "too", "unknown key", 'did you mean "to"?'),
+    ("spring", "dampng = 1\nreach = 1", "dampng", "unknown key", 'did you mean "damping"?'),
+    ("spring", 'anchor = [0, 0, 1]\nto = "clump"', "to", "given beside anchor", "one other end"),
+    ("spring", "anchor = [0, 0, 1]\nreach = 1", "reach", "given beside anchor", "one other end"),
+    (
+        "spring",
+        "anchor = [0, 0, 1]\nto_at = [0, 0, 1]",
+        "to_at",
+        "has no place beside an anchor",
+        "",
+    ),
+    ("spring", "reach = 0", "reach", "must be > 0, got 0", ""),
+    ("spring", "reach = -1.0", "reach", "must be > 0, got -1.0", ""),
+    ("spring", "reach = 1\ndamping = -1", "damping", "must be >= 0, got -1", ""),
+    ("spring", "reach = 1\nrest_length = -1", "rest_length", "must be >= 0, got -1", ""),
+    (
+        "spring",
+        'reach = 1\nrest_length = "inital"',
+        "rest_length",
+        "unknown: 'inital'",
+        'did you mean "initial"?',
+    ),
+    (
+        "spring",
+        "reach = 1\nrest_length = true",
+        "rest_length",
+        "must be a number, got true or false: True",
+        "",
+    ),
+    (
+        "spring",
+        "reach = 1\nrest_length = [1]",
+        "rest_length",
+        "must be a number, got a list",
+        "",
+    ),
+    (
+        "spring",
+        'to = ["clump[0]", "clump[1]", "cube"]',
+        "to",
+        "names 3 bodies, `body` 4: they make no pairs",
+        "name equal numbers, or one for all; or give `reach`",
+    ),
+    ("field", "", "field", "missing", "keys here: type, body, field, charge, at, dipole, during"),
+    ("field", "fild = [0, 0, 1]", "fild", "unknown key", 'did you mean "field"?'),
+    ("field", "field = [0, 1]", "field", "must have 3 entries, has 2", ""),
+    ("field", "field = [0, 0, 1]\ndipole = 2", "dipole", "must be a list of 3 numbers", ""),
+    (
+        "field",
+        'field = [0, 0, 1]\ncharge = "much"',
+        "charge",
+        "must be a number, got a text: 'much'",
+        "",
+    ),
+    ("field", "field = [0, 0, 1]\ncharge = []", "charge", "must not be empty", ""),
+    (
+        "field",
+        "field = [0, 0, 1]\ncharge = [1, inf]",
+        "charge[1]",
+        "must be finite, got inf",
+        "",
+    ),
+    (
+        "field",
+        "field = [0, 0, 1]\ncharge = [1, 2]\nat = [0, 0, 1]",
+        "at",
+        "has no place beside a charge for each particle",
+        "",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys", "key", "reason", "hint"), BETWEEN, ids=[m[1][-40:] or m[0] for m in BETWEEN]
+)
+def test_mistake_in_a_force_between_bodies_has_one_message(kind, keys, key, reason, hint):
+    stiffness = "stiffness = 1\n" if kind == "spring" else ""
+    table = f'[[force]]\ntype = "{kind}"\nbody = "clump"\n{stiffness}{keys}\n[[force]]'
+    (problem,) = problems(edited("[[force]]", table))
+    assert (problem.key, problem.reason) == (f"force[0].{key}", reason)
+    assert hint in problem.hint
+    assert problem.line
+
+
+@pytest.mark.parametrize(
+    ("keys", "key", "reason", "hint"),
+    [
+        ("softening = -0.1", ".softening", "must be >= 0, got -0.1", ""),
+        ("G = 0", ".G", "must be > 0, got 0", ""),
+        ("softning = 0.1", ".softning", "unknown key", 'did you mean "softening"?'),
+        ("during = [0, 1]", ".during", "unknown key", "keys here: G, softening, body, sum"),
+        ('sum = "tre"', ".sum", "unknown: 'tre'", 'did you mean "tree"? known: auto, direct'),
+        ("opening_angle = 1.0", ".opening_angle", "must be < 1, got 1.0", ""),
+        ("opening_angle = 0", ".opening_angle", "must be > 0, got 0", ""),
+        ("accuracy = 0.2", ".accuracy", "must be <= 0.1, got 0.2", ""),
+        (
+            "accuracy = 1e-3\nopening_angle = 0.5",
+            ".accuracy",
+            "given beside opening_angle",
+            "give one",
+        ),
+        ('body = "cub"', ".body", 'there is no body "cub"', 'did you mean "cube"?'),
+        ('body = ["clump", "cub"]', ".body[1]", 'there is no body "cub"', ""),
+        ('body = "cube"', ".body", "needs two bodies at least, has one", "name more"),
+        ('body = ["clump[1]", "clump[1]"]', ".body", "needs two bodies at least, has one", ""),
+    ],
+)
+def test_mistake_in_attraction_has_one_message(keys, key, reason, hint):
+    (problem,) = problems(edited("[[force]]", f"[attraction]\n{keys}\n[[force]]"))
+    assert (problem.key, problem.reason) == (f"attraction{key}", reason)
+    assert hint in problem.hint
+    assert problem.line == 16
+
+
+def test_one_body_attracts_nothing():
+    one = '[run]\nt_end = 1\nevery = 1\n[attraction]\n[[body]]\nname = "a"\nmass = 1\n'
+    one += 'shape = { type = "ball", radius = 1 }\n'
+    (problem,) = problems(one)
+    assert (problem.line, problem.key) == (4, "attraction")
+    assert problem.reason == "needs two bodies at least, has one"
+
+
+def test_equal_numbers_one_for_all_and_reach_make_pairs():
+    for body, keys in (
+        ("clump", 'to = "cube"'),
+        ("cube", 'to = "clump"'),
+        (["clump[0]", "clump[1]"], 'to = ["clump[2]", "cube"]'),
+        ("clump", 'to = ["cube", "clump[0]"]\nreach = 1'),
+        ("clump", "reach = 1"),
+    ):
+        table = f'[[force]]\ntype = "spring"\nbody = {body!r}\nstiffness = 1\n{keys}\n'
+        assert parse(edited("[[force]]", table + "[[force]]")).force[0].body
+
+
 SHAPES = [
     # shape, key after "shape.", reason
     ('type = "cone", radius = 1, height = 0', "height", "must be > 0, got 0"),

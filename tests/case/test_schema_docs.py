@@ -19,6 +19,7 @@ HEADINGS = {
     "Top level": "Case",
     "[run]": "Run",
     "[gravity]": "Gravity",
+    "[attraction]": "Attraction",
     "[[body]]": "Body",
     "[[body.part]]": "Part",
     "orientation = { euler_deg = [..] }": "Euler",

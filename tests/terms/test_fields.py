@@ -1,4 +1,4 @@
-"""Springs, central fields and drag: their symmetries and potentials, closed forms, integrations.
+"""Springs, fields and drag: their symmetries and potentials, closed forms, integrations.
 
 Rounding of what is computed here in one place is some 1e-16 of the largest number on the way.
 """
@@ -90,7 +90,7 @@ def only(terms, name, one=None):
 
     `one` picks a single one of two springs or centres.
     """
-    push, follower, torque, drag, springs, centres = terms[1:]
+    push, follower, torque, drag, springs, centres = terms[1:7]
 
     def keep(kind, k=0):
         return 1.0 if kind == name and one in (None, k) else 0.0
@@ -448,6 +448,194 @@ def test_energy_and_momentum_of_an_asymmetric_body_in_a_central_field_are_kept(m
     assert np.abs(spin - spin[0]).max() > 1e-3
     # order 2 at a spin of 1.3 rad/s: (0.05 · 1.3)² of a kinetic energy of 1.5 J
     assert 0 < np.abs(found.ledger.energy_error).max() < 6e-3
+
+
+# Uniform fields
+
+
+CORNERS = np.array([[x, y, z] for x in (-0.5, 0.4) for y in (-0.3, 0.6) for z in (-0.2, 0.7)])
+CHARGES = [1.0, -2.0, 0.5, 3.0, -1.5, 0.2, 0.7, -0.4]
+
+
+def charged(make, name="body", mass=None, **keys):
+    """Eight particles that no axis is a symmetry of, from their centre of mass."""
+    mass = np.array([0.1, 0.2, 0.3, 0.4, 0.1, 0.3, 0.2, 0.4]) if mass is None else mass
+    r = CORNERS - mass @ CORNERS / mass.sum()
+    shape = {"type": "points", "position": r, "mass": mass}
+    return {"name": name, "shape": shape, **START, **keys}, r, mass
+
+
+def test_charges_and_a_dipole_against_an_integration(make):
+    """Of an asymmetric body: the field pulls at the charge, turns by it and by the dipole."""
+    force = [make.field([0.3, -0.8, 1.2], 1.5, [0.2, 0.5, -0.4], at=[0.4, -0.3, 0.2])]
+    keys = {"force": force, "t_end": 1.6, "every": 0.4}
+    found = make.arrays(make.case(make.body(**START), method="dop853", tolerance=1e-13, **keys))
+    true = make.integrate(np.diag(INERTIA), MASS, START, force, found.time)
+    check_motion(make, found, true, 1e-11)
+    assert found.ledger.work == pytest.approx(true.booked[:, 0], abs=1e-11)
+    assert np.abs(true.booked[-1, 0]) > 0.1
+
+
+@pytest.mark.parametrize("tilt", [0.01, 1.5])
+def test_a_dipole_librates_like_a_pendulum(make, tilt):
+    """θ'' = -(d E/I) sin θ: for small tilts ω² = d E/I, for others 4 K(sin² θ₀/2)/ω a period."""
+    d, E, moment = 0.3, 5.0, 1.3
+    omega = np.sqrt(d * E / moment)
+    period = 4 * ellipk(np.sin(tilt / 2) ** 2) / omega
+    if tilt == 0.01:
+        assert period == pytest.approx(2 * np.pi * np.sqrt(moment / (d * E)), rel=1e-5)
+    q = [np.cos(tilt / 2), np.sin(tilt / 2), 0, 0]
+    rod = make.body(inertia=ROD, orientation=q)
+    keys = {"t_end": period, "every": period / 4, "method": "dop853", "tolerance": 1e-13}
+    found = make.arrays(make.case(rod, force=[make.field([0, 0, E], dipole=[0, 0, d])], **keys))
+    axis = make.rotation(found.orientation[:, 0]).apply([0, 0, 1])
+    theta = np.arctan2(-axis[:, 1], axis[:, 2])
+    assert theta == pytest.approx([tilt, 0, -tilt, 0, tilt], abs=1e-10)
+    assert not found.linear_momentum.any()
+
+
+def test_a_charge_falls_in_a_field_as_a_mass_does_in_gravity(make):
+    """a = q E/m: the same parabola, in closed form, to rounding."""
+    q, E = 0.6, np.array([0.5, -3.0, 1.0])
+    body = make.body(**START)
+    in_field = make.arrays(make.case(body, force=[make.field(E, q)], t_end=2.0))
+    falling = make.arrays(make.case(body, gravity={"acceleration": q * E / MASS}, t_end=2.0))
+    assert "closed form" in in_field.plan.splitlines()[-1]
+    for name in ("position", "velocity"):
+        assert getattr(in_field, name) == pytest.approx(getattr(falling, name), abs=1e-14)
+    assert (in_field.orientation == falling.orientation).all()
+    way = np.array(START["velocity"]) * 2.0 + 0.5 * q * E / MASS * 4.0
+    assert in_field.position[-1, 0] == pytest.approx(START["position"] + way, abs=1e-14)
+
+
+def test_energy_in_a_field_is_kept_and_its_work_is_the_loss_of_potential_energy(make):
+    """-Σ q_i E·x_i - d·E with every particle where it is."""
+    E, d = np.array([0.4, 1.0, -0.7]), np.array([0.1, -0.3, 0.2])
+    body, r, _ = charged(make)
+    keys = {"force": [make.field(E, CHARGES, d)], "t_end": 2.0, "every": 0.25, "dt": 0.01}
+    found = make.arrays(make.case(body, method="rkn6", **keys))
+    R = make.rotation(found.orientation[:, 0])
+    x = found.position[:, 0]
+    fallen = sum(q * (x + R.apply(p)) @ E for q, p in zip(CHARGES, r, strict=True)) + R.apply(d) @ E
+    assert found.ledger.work == pytest.approx(fallen - fallen[0], abs=1e-12)
+    assert np.ptp(fallen) > 0.5
+    assert np.abs(found.ledger.energy_error).max() < 1e-9
+
+
+def test_charges_of_particles_are_one_charge_at_their_centre_or_at_the_mass_and_a_dipole(make):
+    """Force and torque of charges know of Σ q and Σ q r only."""
+    E, q = [0.4, 1.0, -0.7], np.array(CHARGES)
+    names = ["each", "at their centre", "beside a dipole", "without charge"]
+    bodies = [charged(make, name)[0] for name in names]
+    r = charged(make)[1]
+    moment, neutral = q @ r, (q - q.mean()) @ r
+    fields = [
+        make.field(E, CHARGES, body=names[0]),
+        make.field(E, float(q.sum()), body=names[1], at=(moment / q.sum()).tolist()),
+        make.field(E, float(q.sum()), moment.tolist(), body=names[2]),
+        make.field(E, (q - q.mean()).tolist(), body=names[3]),
+    ]
+    found = make.arrays(make.case(*bodies, force=fields, t_end=1.0, dt=0.02))
+    for k in (1, 2):
+        assert found.position[:, k] == pytest.approx(found.position[:, 0], abs=1e-13)
+        assert found.orientation[:, k] == pytest.approx(found.orientation[:, 0], abs=1e-13)
+    assert np.abs(found.position[-1, 0] - found.position[-1, 3]).max() > 0.1
+    assert found.linear_momentum[:, 3] == pytest.approx(
+        np.tile(found.linear_momentum[0, 3], (11, 1))
+    )
+    R = make.rotation(START["orientation"])
+    first = found.angular_momentum[0, 3] + 1e-6 * np.cross(R.apply(neutral), E)
+    early = make.arrays(make.case(bodies[3], force=fields[3:], t_end=1e-6, every=1e-6))
+    assert early.angular_momentum[-1, 0] == pytest.approx(first, abs=1e-10)
+
+
+@pytest.mark.parametrize("offset", [[0.0, 0, 0], [1000.1, -2000.2, 300.3]])
+def test_charges_in_proportion_to_the_masses_only_pull(make, offset):
+    """Their centre is the centre of mass but for rounding, which must not make a body step.
+
+    It is that of the places in the axes of the shape, whose origin may be far away.
+    """
+    body, r, mass = charged(make)
+    body["shape"]["position"] = r + offset
+    field = make.field([1.0, 2.0, 3.0], (3.0 * mass).tolist())
+    found = make.arrays(make.case(body, force=[field]))
+    assert "closed form" in found.plan.splitlines()[-1]
+    spin = found.angular_momentum[:, 0]
+    assert spin == pytest.approx(np.tile(spin[0], (11, 1)), abs=1e-14)
+
+
+def test_bodies_of_different_particles_have_moments_of_their_own(make):
+    """Two clouds and a body of as many particles under one [[force]]."""
+    cloud = {"type": "cloud", "radius": 0.5, "n": 8}
+    clouds = {"name": "cloud", "shape": cloud, "mass": 2.0, "count": 2}
+    clouds |= {"position": [[0, 0, 0], [5, 0, 0]]}
+    body, r, _ = charged(make)
+    E, h = np.array([0.4, 1.0, -0.7]), 1e-6
+    field = make.field(E, CHARGES, body=["cloud", "body"])
+    with particlerb.run(make.case(clouds, body, force=[field], t_end=h, every=h)) as t:
+        L = t.angular_momentum[-1] - t.angular_momentum[0]
+        particles, centres = t.particle_positions(-1), t.position[-1]
+    for k in range(2):
+        arms = particles[8 * k : 8 * (k + 1)] - centres[k]
+        assert L[k] == pytest.approx(h * np.cross(CHARGES @ arms, E), abs=1e-11)
+    turned = make.rotation(START["orientation"]).apply(CHARGES @ r)
+    assert L[2] == pytest.approx(h * np.cross(turned, E), abs=1e-10)
+    assert np.abs(L[0] - L[1]).max() > 1e-7
+
+
+WRONG_FIELDS = [
+    # inertia, field, key, words
+    (None, {"charge": [1.0] * 3}, "charge", "thing has 8 particles, the list 3 charges"),
+    ([0, 0, 0], {"dipole": [0, 0, 1]}, "dipole", "but this field would"),
+    ([0, 0, 0], {"charge": 1.0, "at": [0, 0, 1]}, "at", "act at the centre of mass"),
+    ([1.3, 1.3, 0.0], {"dipole": [0, 1, 1]}, "dipole", "give a dipole along the rod's axis"),
+    ([1.3, 1.3, 0.0], {"charge": 1.0, "at": [0, 1, 1]}, "at", "act at a point of the rod's axis"),
+    ([1, 2, 2.5], {"charge": 1e200, "field": [1e200, 0, 0]}, "field", "beyond the range"),
+    ([1, 2, 2.5], {"dipole": [1e200, 0, 0], "field": [0, 1e200, 0]}, "field", "beyond the range"),
+]
+
+
+@pytest.mark.parametrize(("inertia", "keys", "key", "words"), WRONG_FIELDS)
+def test_a_field_that_cannot_act_so_has_one_clear_message(make, inertia, keys, key, words):
+    body = charged(make, "thing")[0] if inertia is None else make.body("thing", inertia)
+    field = make.field([0, 0, 1.0], body="thing") | keys
+    with pytest.raises(CaseError) as caught:
+        particlerb.run(make.case(body, force=[field]))
+    (problem,) = caught.value.problems
+    assert problem.key == f"force[0].{key}"
+    assert words in str(problem)
+
+
+def test_a_rod_may_have_charges_and_a_dipole_along_its_axis(make):
+    """Also where the charges cancel but for rounding."""
+    rod = {"name": "rod", "shape": {"type": "rod", "length": 1.0, "n": 5}, "mass": 1.0}
+    rod |= {"orientation": [0.9, 0.1, -0.3, 0.2]}
+    for charge, dipole in (([0.1] * 5, [0, 0, 0]), ([0.1, 0, 0, 0, -0.1], [0, 0, 0.2])):
+        field = make.field([1.0, 0, 0], charge, dipole, body="rod")
+        found = make.arrays(make.case(rod, force=[field], t_end=1.0, dt=0.05))
+        assert np.isfinite(found.orientation).all()
+    assert np.abs(found.angular_momentum[-1]).max() > 0.01
+
+
+def test_a_spring_of_its_initial_length_starts_without_a_force(make):
+    """One [[force]] on bodies at different distances: none moves; pulled aside, each swings."""
+    rows = {"position": [[0, 0, -1.0], [0.3, 0, -2.0], [2.0, 1.0, 0.5]], "count": 3}
+    spring = make.spring([0, 0, 1.0], 3.0, "initial", [0.1, 0.2, 0.3])
+    found = make.arrays(make.case(make.body(**rows), force=[spring], dt=0.05))
+    assert np.abs(found.linear_momentum).max() < 1e-14
+    rows["velocity"] = [[0.5, 0, 0]] * 3
+    ways = np.array(rows["position"]) - [-0.1, -0.2, 0.7]  # the anchor less the point
+    lengths = np.linalg.norm(ways, axis=1)
+    each = [
+        spring | {"rest_length": float(length), "body": f"body[{k}]"}
+        for k, length in enumerate(lengths)
+    ]
+    one, other = (
+        make.arrays(make.case(make.body(**rows), force=force, dt=0.05))
+        for force in ([spring], each)
+    )
+    assert one.position == pytest.approx(other.position, abs=1e-14)
+    assert np.abs(one.angular_momentum[-1]).min(axis=0).max() > 1e-3
 
 
 # Edges in time, and wrong input

@@ -1,0 +1,415 @@
+"""Forces between bodies, resolved: which pairs, where, how long at rest; and who belongs together.
+
+`links_of` finds the pairs of every [[force]] that ties two bodies, `attracted` the bodies of
+[attraction], and `components` labels the bodies that have to advance together. Pairs by distance
+come from a grid of cells, so that time and memory grow with the pairs and not with their square.
+"""
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.scene import Scene
+from particlerb.bodies.state import multiplied, turned, turned_back
+from particlerb.case.placement import bodies_in_order, resolve_bodies
+from particlerb.case.problems import CaseError, Problem
+from particlerb.case.reader import problem_at
+from particlerb.case.schema import AnyForce, Case, Spring
+from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.rotors.rotor_class import NAMES, POINT, ROD
+from particlerb.terms.links import WORLD
+
+REACH_ROUNDING: Final = 1e-9  # share by which a pair may be further apart than reach
+AXIAL_ROUNDING: Final = 1e-12  # share of an arm across a rod that is its rounding
+MOST_SPRINGS: Final = 10_000_000  # of one [[force]]
+MOST_AT_ONCE: Final = 1_000_000  # pairs that are looked at together
+MOST_SOUGHT: Final = 30_000_000  # pairs that are looked at for the distance in a message
+SHARE_OF_RUN: Final = 0.1  # of run.accuracy that a tree may take
+TREE_ACCURACY: Final = 1e-4  # of a tree where the case asks for none
+
+
+class Link(NamedTuple):
+    """Springs of one [[force]] between points of two bodies, or damped ones to the world."""
+
+    number: int  # index of [[force]]
+    force: Spring
+    first: Ints  # (s,) bodies of the scene
+    second: Ints  # (s,) bodies of the scene; WORLD: an anchor
+    first_at: Floats  # (3, s) [m], body frame of first, from its centre of mass
+    second_at: Floats  # (3, s) [m], body frame of second, or the anchor in the world frame
+    rest_length: Floats  # (s,) [m]
+
+
+# Springs between bodies
+
+
+def is_link(force: AnyForce) -> bool:
+    """Whether a spring ties two bodies or is damped; others act on one body each."""
+    if not isinstance(force, Spring):
+        return False
+    return force.anchor is None or force.damping > 0.0
+
+
+def links_of(case: Case, scene: Scene) -> list[Link]:
+    """All links of a case.
+
+    Raises
+    ------
+    CaseError
+        With all that is wrong: a body tied to itself, a pair that is named twice, a reach in which
+        there is none or too many, a point off the centre of mass of a body without extent or off
+        the axis of a rod.
+    """
+    links: list[Link] = []
+    problems: list[Problem] = []
+    for number, force in enumerate(case.force):
+        if not is_link(force) or not isinstance(force, Spring):
+            continue
+        try:
+            link = link_of(case, scene, number, force)
+        except CaseError as error:
+            problems += error.problems
+            continue
+        problems += misplaced_ends(case, scene, link)
+        links.append(link)
+    if problems:
+        raise CaseError(problems)
+    return links
+
+
+def link_of(case: Case, scene: Scene, number: int, force: Spring) -> Link:
+    """Springs of one [[force]].
+
+    Raises
+    ------
+    CaseError
+        If its bodies make no pairs.
+    """
+    if force.anchor is not None:
+        first = resolve_bodies(case, force.body)
+        second = np.full_like(first, WORLD)
+    elif force.reach is not None:
+        first, second = pairs_in_reach(case, scene, number, force)
+    else:
+        first, second = pairs_as_named(case, scene, number, force)
+    first_at = np.tile(np.array(force.at)[:, None], first.size)
+    end = force.to_at if force.anchor is None else force.anchor
+    second_at = np.tile(np.array(end)[:, None], second.size)
+    if force.rest_length == "initial":
+        here = places(scene, first, force.at)
+        there = second_at if force.anchor is not None else places(scene, second, force.to_at)
+        rest_length = lengths(there - here)
+    else:
+        rest_length = np.full(first.size, force.rest_length)
+    return Link(number, force, first, second, first_at, second_at, rest_length)
+
+
+def pairs_as_named(case: Case, scene: Scene, number: int, force: Spring) -> tuple[Ints, Ints]:
+    """Body after body of `body` and `to`, or one with each of the others.
+
+    Raises
+    ------
+    CaseError
+        If a body is its own other end, or a pair is there twice.
+    """
+    key = f"force[{number}].to"
+    first, second = np.broadcast_arrays(
+        bodies_in_order(case, force.body), bodies_in_order(case, force.to or ())
+    )
+    itself = np.flatnonzero(first == second)
+    if itself.size:
+        reason = f"ties {scene.names[int(first[itself[0]])]} to itself{and_more(itself.size - 1)}"
+        hint = "name another body in its place, or give `reach`"
+        raise CaseError([problem_at(case, key, reason, hint)])
+    a, b = first, second
+    if force.at == force.to_at:  # then neither end is the first
+        a, b = np.minimum(first, second), np.maximum(first, second)
+    order = np.lexsort((b, a))
+    same = (np.diff(a[order]) == 0) & (np.diff(b[order]) == 0)
+    again = order[1:][same]
+    if again.size:
+        one, other = scene.names[int(first[again[0]])], scene.names[int(second[again[0]])]
+        reason = f"ties {one} to {other} twice{and_more(again.size - 1)}"
+        raise CaseError([problem_at(case, key, reason, "name every pair once")])
+    return first.copy(), second.copy()
+
+
+def and_more(count: int) -> str:
+    """How many others there are of a kind of which one has been named."""
+    return f", and {count} more" if count else ""
+
+
+def pairs_in_reach(case: Case, scene: Scene, number: int, force: Spring) -> tuple[Ints, Ints]:
+    """Every pair of different bodies whose points are near each other at t = 0, sorted.
+
+    Where both points are the same one of the body frame, a pair is taken once.
+
+    Raises
+    ------
+    CaseError
+        If there is none, or there are more than MOST_SPRINGS.
+    """
+    reach = force.reach or 0.0
+    first = resolve_bodies(case, force.body)
+    second = resolve_bodies(case, force.to or force.body)
+    key = f"force[{number}].reach"
+    if first.size == second.size == 1 and first[0] == second[0]:
+        reason = f"there is no other body than {scene.names[int(first[0])]} to tie it to"
+        raise CaseError([problem_at(case, key, reason, "name more in `body`, or in `to`")])
+    here, there = places(scene, first, force.at), places(scene, second, force.to_at)
+    is_first, is_second = is_among(first, scene), is_among(second, scene)
+    found, count = [], 0
+    for i, j, _ in near(here, there, reach * (1.0 + REACH_ROUNDING)):
+        a, b = first[i], second[j]
+        wanted = a != b
+        if force.at == force.to_at:
+            wanted &= (a < b) | ~(is_second[a] & is_first[b])
+        found.append(np.stack([a[wanted], b[wanted]]))
+        count += int(wanted.sum())
+        if count > MOST_SPRINGS:
+            reason = f"ties more than {MOST_SPRINGS:.0e} pairs"
+            raise CaseError([problem_at(case, key, reason, "give a shorter reach")])
+    if not count:
+        closest = nearest_distance(first, second, here, there, reach)
+        reason = f"no two points are that near: the nearest are {closest:.6g} m apart"
+        raise CaseError([problem_at(case, key, reason, "give a longer reach")])
+    a, b = np.concatenate(found, axis=1)
+    order = np.lexsort((b, a))
+    return a[order], b[order]
+
+
+def is_among(bodies: Ints, scene: Scene) -> Bools:
+    """Whether each body of the scene is one of these, (n_bodies,)."""
+    mask = np.zeros(len(scene.kind), dtype=np.bool_)
+    mask[bodies] = True
+    return mask
+
+
+def misplaced_ends(case: Case, scene: Scene, link: Link) -> list[Problem]:
+    """What is wrong with ends that would turn a point, or a rod about its own axis."""
+    problems = []
+    for key, ends, at in (
+        ("at", link.first, link.force.at),
+        ("to_at", link.second, link.force.to_at),
+    ):
+        if not any(at):  # as at an anchor
+            continue
+        index = np.unique(ends)
+        index = index[np.isin(scene.bodies.rotor_class[index], (POINT, ROD))]
+        arm = turned_back(
+            scene.bodies.rotor_frame[:, index], np.tile(np.array(at)[:, None], index.size)
+        )
+        is_point = scene.bodies.rotor_class[index] == POINT
+        across = np.where(is_point, lengths(arm), np.hypot(arm[0], arm[1]))
+        wrong = index[across > AXIAL_ROUNDING * lengths(arm)]
+        if not wrong.size:
+            continue
+        b = int(wrong[0])
+        code = int(scene.bodies.rotor_class[b])
+        what = (
+            "has no extent: nothing can turn it" if code == POINT else "cannot turn about its axis"
+        )
+        reason = (
+            f"{scene.names[b]} is a {NAMES[code]} with moments"
+            f" {sorted(scene.bodies.inertia[:, b].tolist())} kg m² and {what},"
+            " but this spring would"
+        )
+        where = "the centre of mass" if code == POINT else "a point of the rod's axis"
+        problems.append(problem_at(case, f"force[{link.number}].{key}", reason, f"act at {where}"))
+    return problems
+
+
+# Attraction
+
+
+def attracted(case: Case, scene: Scene) -> Ints:
+    """Bodies of [attraction], ascending; none without it."""
+    if case.attraction is None:
+        return np.zeros(0, dtype=np.int64)
+    if case.attraction.body is None:
+        return np.arange(len(scene.kind))
+    return resolve_bodies(case, case.attraction.body)
+
+
+def tree_accuracy(case: Case) -> float:
+    """Error of accelerations that a tree may make, rms, relative."""
+    if case.attraction is not None and case.attraction.accuracy is not None:
+        return case.attraction.accuracy
+    return TREE_ACCURACY if case.run.accuracy is None else SHARE_OF_RUN * case.run.accuracy
+
+
+def coincident(case: Case, scene: Scene) -> list[Problem]:
+    """What is wrong with particles of two bodies at one place, where attraction has no bound."""
+    bodies = attracted(case, scene)
+    if case.attraction is None or case.attraction.softening > 0.0 or not bodies.size:
+        return []
+    index, owner = particles_of(scene, bodies)
+    heavy = scene.particles.mass[index] > 0.0
+    index, owner = index[heavy], owner[heavy]
+    place = places(scene, owner, scene.particles.position[index].T)
+    order = np.lexsort((owner, *place))
+    place, owner = place[:, order], owner[order]
+    is_same = (place[:, 1:] == place[:, :-1]).all(axis=0) & (owner[1:] != owner[:-1])
+    same = np.flatnonzero(is_same)
+    if not same.size:
+        return []
+    k = int(same[0])
+    one, other = scene.names[int(owner[k])], scene.names[int(owner[k + 1])]
+    where = ", ".join(f"{x:.6g}" for x in place[:, k])
+    reason = (
+        f"{one} and {other} each have a particle at [{where}] m at t = 0, where their attraction"
+        f" has no bound{and_more(same.size - 1)}"
+    )
+    return [problem_at(case, "attraction", reason, "give `softening`, or move one of the two")]
+
+
+def particles_of(scene: Scene, bodies: Ints) -> tuple[Ints, Ints]:
+    """Particles of these bodies, body after body.
+
+    Returns
+    -------
+    index, owner : ndarray, shape (n_particles,)
+        Which of `scene.particles` it is, and the body of the scene to which it belongs.
+    """
+    start = scene.particles.offset[scene.kind[bodies]]
+    count = scene.particles.offset[scene.kind[bodies] + 1] - start
+    before = np.cumsum(count) - count
+    index = np.repeat(start - before, count) + np.arange(int(count.sum()))
+    return index, np.repeat(bodies, count)
+
+
+# Who belongs together
+
+
+def components(n_bodies: int, links: list[Link], attracted: Ints) -> Ints:
+    """Label of each body, (n_bodies,): the first body of all those that forces between tie to it.
+
+    Parameters
+    ----------
+    n_bodies : int
+        Of the scene.
+    links : list of Link
+        Ends in the world tie nothing.
+    attracted : ndarray, shape (k,)
+        Bodies that attract each other.
+
+    References
+    ----------
+    Shiloach and Vishkin, J. Algorithms 3, 57 (1982): roots are hooked to smaller ones, then every
+    body is made to point to its root; the number of rounds grows with the logarithm of n.
+    """
+    first = np.concatenate([*(link.first for link in links), attracted[1:]])
+    second = np.concatenate([*(link.second for link in links), attracted[:-1]])
+    first, second = first[second != WORLD], second[second != WORLD]
+    label = np.arange(n_bodies)
+    while True:
+        a, b = label[first], label[second]
+        apart = a != b
+        if not apart.any():
+            return label
+        first, second, a, b = first[apart], second[apart], a[apart], b[apart]
+        np.minimum.at(label, np.maximum(a, b), np.minimum(a, b))
+        while (label[label] != label).any():
+            label = label[label]
+
+
+# Places and distances
+
+
+def places(scene: Scene, bodies: Ints, at: Floats | tuple[float, float, float]) -> Floats:
+    """Places of points of bodies at t = 0, (3, n) [m], world frame.
+
+    Parameters
+    ----------
+    scene : Scene
+        Gives the state at t = 0.
+    bodies : ndarray, shape (n,)
+        Of the scene.
+    at : tuple of 3 floats, or ndarray of shape (3, n) [m]
+        Body frame, from the centre of mass; one point for all, or one for each.
+    """
+    own = np.array(at, dtype=np.float64)
+    own = np.tile(own[:, None], bodies.size) if own.ndim == 1 else own
+    inverse = scene.bodies.rotor_frame[:, bodies] * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
+    q = multiplied(scene.state.q[:, bodies], inverse)
+    place: Floats = scene.state.com[:, bodies] + turned(q, own)
+    return place
+
+
+def lengths(vectors: Floats) -> Floats:
+    """|v| of each column."""
+    return np.asarray(np.linalg.norm(vectors, axis=0))
+
+
+@np.errstate(over="ignore", under="ignore")
+def near(here: Floats, there: Floats, reach: float) -> Iterator[tuple[Ints, Ints, Floats]]:
+    """Pairs (i, j) of points of two sets that are at most `reach` apart, and their distance [m].
+
+    A point has its neighbours in its own cell of a grid of that width and in the 26 around it. The
+    cells of `there` are sorted by column and height, so that three of them lie side by side and
+    nine columns are looked up. Only cells with points have a number, however far apart they are.
+
+    Parameters
+    ----------
+    here, there : ndarray, shapes (3, n) and (3, m) [m]
+    reach : float
+        Positive [m].
+    """
+    n = here.shape[1]
+    cells = [numbered_cells(np.floor(axis / reach)) for axis in np.hstack([here, there])]
+    width, height = int(cells[1].max()) + 2, int(cells[2].max()) + 2
+    column, level = cells[0] * width + cells[1], cells[2]
+    columns, own = np.unique(column[n:], return_inverse=True)
+    cell = own * height + level[n:]
+    order = np.argsort(cell, kind="stable")
+    cell = cell[order]
+    for to_the_side in (-width - 1, -width, -width + 1, -1, 0, 1, width - 1, width, width + 1):
+        wanted = column[:n] + to_the_side
+        k = np.minimum(np.searchsorted(columns, wanted), columns.size - 1)
+        middle = k * height + level[:n]
+        start = np.searchsorted(cell, middle - 1, side="left")
+        stop = np.searchsorted(cell, middle + 1, side="right")
+        count = np.where(columns[k] == wanted, stop - start, 0)
+        for lo, hi in chunks(count):
+            i = np.repeat(np.arange(lo, hi), count[lo:hi])
+            before = np.cumsum(count[lo:hi]) - count[lo:hi]
+            j = order[np.repeat(start[lo:hi] - before, count[lo:hi]) + np.arange(i.size)]
+            share = lengths((there[:, j] - here[:, i]) / reach)
+            close = share <= 1.0
+            yield i[close], j[close], reach * share[close]
+
+
+def numbered_cells(cells: Floats) -> Ints:
+    """Numbers from 1 of cells on a line, of which two differ by 1 only if the cells do."""
+    known, own = np.unique(cells, return_inverse=True)
+    gaps = np.minimum(np.diff(known), 2.0).astype(np.int64)
+    return np.concatenate([[1], 1 + np.cumsum(gaps)])[own]
+
+
+def chunks(count: Ints) -> Iterator[tuple[int, int]]:
+    """Ranges of rows that together have about MOST_AT_ONCE entries, or a row that has more."""
+    total = np.cumsum(count)
+    lo = 0
+    while lo < count.size and total[-1] > (total[lo - 1] if lo else 0):
+        most = (int(total[lo - 1]) if lo else 0) + MOST_AT_ONCE
+        hi = max(int(np.searchsorted(total, most, side="right")), lo + 1)
+        yield lo, hi
+        lo = hi
+
+
+def nearest_distance(first: Ints, second: Ints, here: Floats, there: Floats, reach: float) -> float:
+    """Distance of the nearest points of different bodies [m], all further apart than `reach`.
+
+    Among very many at about the same distance it is that of the first MOST_SOUGHT pairs.
+    """
+    found, sought = np.inf, 0
+    while not np.isfinite(found):
+        reach *= 2.0
+        for i, j, distance in near(here, there, reach):
+            others = distance[first[i] != second[j]]
+            found = min(found, float(others.min(initial=np.inf)))
+            sought += i.size
+            if sought > MOST_SOUGHT and np.isfinite(found):
+                break
+    return found
