@@ -22,6 +22,7 @@ def describe(case: Case, scene: Scene, plan: Plan, accuracy: str = "") -> str:
         ("bodies", bodies_line(scene)),
         ("particles", particles_line(scene)),
         ("gravity", gravity_line(case)),
+        ("attraction", attraction_line(case, plan)),
         *((kind, force_line(case, kind)) for kind in FORCES),
         ("contact", contact_line(scene)),
         ("step", plan.step),
@@ -55,6 +56,19 @@ def gravity_line(case: Case) -> str:
     if case.gravity is None or not any(case.gravity.acceleration):
         return "off: no [gravity], or zero"
     return f"on: {vector(case.gravity.acceleration)} m/s²"
+
+
+def attraction_line(case: Case, plan: Plan) -> str:
+    """Whether bodies attract each other, and how it is summed."""
+    if case.attraction is None:
+        return "off: no [attraction]"
+    terms = [s.terms for g in plan.groups for s in g.segments if s.terms.attraction is not None]
+    assert terms[0].attraction is not None
+    n, softening = terms[0].attraction.mass.size, case.attraction.softening
+    by = f"a tree, opening angle {terms[0].opening_angle:.3g}"
+    how = by if terms[0].opening_angle else "each particle with all those of other bodies"
+    soft = f"softened by {softening:.6g} m" if softening else "not softened"
+    return f"on: {n} particles, {how}; G = {case.attraction.G:.9g} m³/(kg s²), {soft}"
 
 
 def vector(values: Sequence[float]) -> str:
@@ -115,11 +129,11 @@ def segment_line(segment: Segment) -> str:
     if not has_step(segment.method):
         return f"{when}: {start}free, closed form, no step ({free_reason(segment.terms)})"
     if is_adaptive(segment.method):
-        driver = f"driven by {driving(segment.terms)}, {segment.method}"
+        driver = f"{driving(segment.terms)}, {segment.method}"
         return f"{when}: {start}{driver}, tolerance {segment.tolerance:.3g}"
     steps = (segment.stop - segment.start) / segment.dt
     count = f"{round(steps)} steps of " if np.isfinite(steps) else "steps of "
-    return f"{when}: {start}driven by {driving(segment.terms)}, {segment.method}, " + (
+    return f"{when}: {start}{driving(segment.terms)}, {segment.method}, " + (
         f"{count}{segment.dt:.6g} s"
     )
 
@@ -133,7 +147,7 @@ def free_reason(terms: Terms) -> str:
 
 
 def driving(terms: Terms) -> str:
-    """Names of the terms that act."""
+    """How the terms that act make bodies move, and their names."""
     names = {
         "gravity": terms.gravity,
         "push": terms.push,
@@ -144,4 +158,13 @@ def driving(terms: Terms) -> str:
         "central field": terms.central,
     }
     acting = [name for name, term in names.items() if term is not None]
-    return " and ".join(acting) if acting else "nothing, but the case names the method"
+    outside = f"driven by {' and '.join(acting)}" if acting else ""
+    if not terms.is_coupled:
+        return outside or "driven by nothing, but the case names the method"
+    between = []
+    if terms.links is not None:
+        kind = "springs" if terms.links.damping is None else "springs and dashpots"
+        between.append(f"{terms.links.first.size} {kind}")
+    if terms.attraction is not None:
+        between.append("attraction")
+    return f"coupled by {' and '.join(between)}{outside and f', {outside}'}"

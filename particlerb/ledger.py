@@ -36,7 +36,7 @@ class Totals(NamedTuple):
     """Sums over all bodies, per frame."""
 
     kinetic_energy: Floats  # (T,) [J]
-    potential_energy: Floats  # (T,) [J] of uniform gravity, zero at the origin
+    potential_energy: Floats  # (T,) [J] of uniform gravity, zero at the origin, and between bodies
     linear_momentum: Floats  # (T, 3) [kg m/s]
     angular_momentum: Floats  # (T, 3) [kg m²/s], about the origin of the world
     momentum_size: Floats  # (T,) Σ|p| [kg m/s]
@@ -111,13 +111,27 @@ def sum_blocks(
                     sums[f, k, c] += out[c, b]
 
 
-def totals(frames: Frames, bodies: Bodies, gravity: Floats) -> Totals:
-    """Totals of frames; gravity is the acceleration (3,) [m/s²]."""
+def totals(
+    frames: Frames, bodies: Bodies, gravity: Floats, potential: Floats | float = 0.0
+) -> Totals:
+    """Totals of frames.
+
+    Parameters
+    ----------
+    frames, bodies : Frames, Bodies
+        States and constants.
+    gravity : ndarray, shape (3,)
+        Its acceleration [m/s²].
+    potential : ndarray, shape (T,)
+        Potential energy of forces between bodies [J].
+    """
     n, n_frames = bodies.mass.size, len(frames.position)
     blocks = np.empty((n_frames, -(-n // BLOCK), N_TOTALS))
     THREADS.spread(partial(sum_blocks, frames, bodies, gravity, blocks), n, n * n_frames)
     sums = blocks.sum(axis=1)
-    return Totals(sums[:, 0], sums[:, 1], sums[:, 2:5], sums[:, 5:8], sums[:, 8], sums[:, 9])
+    return Totals(
+        sums[:, 0], sums[:, 1] + potential, sums[:, 2:5], sums[:, 5:8], sums[:, 8], sums[:, 9]
+    )
 
 
 class Entries(NamedTuple):
@@ -126,7 +140,7 @@ class Entries(NamedTuple):
     kinetic_energy: Floats  # (T,) [J]
     potential_energy: Floats  # (T,) [J]
     energy: Floats  # (T,) [J] kinetic and potential
-    work: Floats  # (T,) [J] booked by forces and impulses other than gravity
+    work: Floats  # (T,) [J] booked by impulses and forces without a place in potential_energy
     energy_error: Floats  # (T,) [J] energy - initial energy - work
     linear_momentum: Floats  # (T, 3) [kg m/s]
     linear_momentum_error: Floats  # (T, 3) [kg m/s] total - initial - booked

@@ -17,26 +17,27 @@ from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case, Impulse
 from particlerb.forces import (
-    Forces,
-    acting_terms,
     acts,
     bodies_at_centres,
-    groups_of_bodies,
     impossible_torques,
     jump,
     loads_of,
     sizes,
     too_large,
 )
+from particlerb.groups import Together, groups_of, terms_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.methods import METHODS
 from particlerb.methods.motion import Group
+from particlerb.pairs import coincident, links_of
 from particlerb.rotors.rotor_class import POINT
 from particlerb.terms import Terms
+from particlerb.terms.attraction import Attraction, fastest_rates
 from particlerb.terms.impulse import Impulse as Jump
+from particlerb.terms.links import fastest_oscillation, link_rates, with_springs
 
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
-LARGEST_TURN: Final = 0.5  # rad in one step above which it is worth a warning
+MOST_LOOKED_AT: Final = 2000  # bodies whose nearest neighbours are looked for
 MOST_STEPS: Final = 2.0**53  # steps are counted in float64 where times are
 
 
@@ -97,17 +98,19 @@ def make_plan(case: Case, scene: Scene, choice: Sequence[Stepping | None] = ()) 
         If a torque overflows or turns a body that cannot turn so, if the method does not accept a
         force, or if no step can be chosen.
     """
-    loads = loads_of(case)
+    loads = loads_of(case, scene)
+    links = links_of(case, scene)
     problems = [p for load in loads for p in too_large(case, load)]
     problems += [p for load in loads for p in impossible_torques(case, scene, load)]
     problems += [p for load in loads for p in bodies_at_centres(case, scene, load)]
+    problems += coincident(case, scene)
     if problems:
         raise CaseError(problems)
-    grouped = groups_of_bodies(scene, loads)
+    grouped = groups_of(case, scene, loads, links)
     choice = choice or [None] * len(grouped)
     cut = [
-        cut_into_segments(case, scene, members, forces, chosen)
-        for (members, forces), chosen in zip(grouped, choice, strict=True)
+        cut_into_segments(case, scene, group, chosen)
+        for group, chosen in zip(grouped, choice, strict=True)
     ]
     refuse_method(case, cut)
     steps = [
@@ -121,20 +124,23 @@ def make_plan(case: Case, scene: Scene, choice: Sequence[Stepping | None] = ()) 
 
 
 def cut_into_segments(
-    case: Case, scene: Scene, members: Ints, forces: list[Forces], choice: Stepping | None
+    case: Case, scene: Scene, group: Together, choice: Stepping | None
 ) -> GroupPlan:
     """Segments of a group between the edges of its forces; steps are set later."""
     edges = {0.0}
-    for force in forces:
-        if isinstance(force.form, Impulse):
-            edges.add(force.form.time)
-        elif force.form.during is not None:
-            edges.update(force.form.during)
+    for form in (*(force.form for force in group.forces), *(link.force for link in group.links)):
+        if isinstance(form, Impulse):
+            edges.add(form.time)
+        elif form.during is not None:
+            edges.update(form.during)
     starts = sorted(edges)
+    members, forces = group.members, group.forces
     bodies = taken(scene.bodies, members)
     segments = []
     for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
-        terms = acting_terms(case, bodies, [force for force in forces if acts(force, start)])
+        acting = [force for force in forces if acts(force.form, start)]
+        links = [link for link in group.links if acts(link.force, start)]
+        terms = terms_of(case, scene, group, bodies, acting, links)
         jumps = tuple(
             jump(force, bodies)
             for force in forces
@@ -150,6 +156,9 @@ def cut_into_segments(
 def turning_terms(terms: Terms) -> set[str]:
     """Names of the terms that a closed form cannot have: not a push at the centre of mass."""
     acting = {name for name, term in terms._asdict().items() if term is not None}
+    acting.discard("opening_angle")
+    if terms.links is not None and terms.links.damping is not None:
+        acting.add("dashpots")
     if terms.push is not None and not terms.push.lever.any():
         acting.discard("push")
     return acting
@@ -222,7 +231,8 @@ def step_reason(
     if reasons:
         return "; ".join(reasons)
     if all(is_adaptive(s.method) or not has_step(s.method) for g, _ in stepped for s in g.segments):
-        return f"packs of sixteen bodies take their own, error {case.run.tolerance!r} in each"
+        packs = "packs of sixteen bodies, and those that act on each other,"
+        return f"{packs} take their own, error {case.run.tolerance!r} in each"
     if case.run.dt is not None:
         return f"{case.run.dt!r} s, as the case says"
     steps = {step(case, scene, group) for group, _ in stepped}
@@ -266,7 +276,7 @@ def rates(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> Floats:
     for segment in group.segments:
         for at, impulse, _ in segment.jumps:
             spin = spin + sizes(at) * sizes(impulse) * inv_inertia
-        _, push, follower, torque, drag, springs, centres = segment.terms
+        _, push, follower, torque, drag, springs, centres, links, attraction, _ = segment.terms
         lasting = np.zeros_like(spin)
         if follower is not None:
             lasting = lasting + sizes(follower.torque)
@@ -278,13 +288,32 @@ def rates(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> Floats:
         swing = np.maximum(swing, np.sqrt(swinging * inv_inertia))
         if drag is not None:
             swing = np.maximum(swing, np.maximum(drag.rate, drag.rotation * inv_inertia))
+        squares = np.zeros_like(spin)
         for spring in springs or ():
             softness = bodies.inv_mass + sizes(spring.at) ** 2 * inv_inertia
-            swing = np.maximum(swing, np.sqrt(spring.stiffness * softness))
+            squares += spring.stiffness * softness
+        swing = np.maximum(swing, np.sqrt(squares))
         for centre in centres or ():
             distance = sizes(state.com - centre.centre)
             swing = np.maximum(swing, np.sqrt(3.0 * centre.mu / distance) / distance)
+        if links is not None:
+            swing = np.maximum(swing, link_rates(links))
+        if attraction is not None:
+            swing = np.maximum(swing, attraction_rates(attraction, state.com))
     return np.asarray(np.maximum(spin, swing))
+
+
+def attraction_rates(attraction: Attraction, com: Floats) -> Floats:
+    """Rates at which bodies would go round their nearest neighbours, (n,) [rad/s].
+
+    Of very many bodies some are looked at, and all others get the largest of these.
+    """
+    n = com.shape[1]
+    which = np.unique(np.linspace(0, n - 1, min(n, MOST_LOOKED_AT)).astype(np.int64))
+    owner = np.repeat(np.arange(n), np.diff(attraction.offset))
+    gm: Floats = np.bincount(owner, attraction.gm, n).astype(np.float64)
+    found = fastest_rates(gm, com, attraction.softening, which)
+    return found if which.size == n else np.full(n, found.max())
 
 
 def fastest_rate(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> float:
@@ -307,20 +336,41 @@ def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
 
 
 def step_warnings(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> list[str]:
-    """Warnings about a step that turns a body too far, now or by t_end."""
-    worst, rate, dt, name = 0.0, 0.0, 0.0, ""
+    """Warnings about steps that turn a body too far, now or by t_end, or let springs explode."""
+    found: dict[str, tuple[float, str, float]] = {}
     for group in groups:
-        longest = max((s.dt for s in group.segments if not is_adaptive(s.method)), default=0.0)
-        fastest = fastest_rate(scene, group, case.run.t_end) if longest else 0.0
-        if longest * fastest > worst:
-            worst, rate, dt = longest * fastest, fastest, longest
-            name = scene.names[int(group.members[0])]
-    if worst <= LARGEST_TURN:
-        return []
-    problem = problem_at(
-        case,
-        "run" if case.run.dt is None else "run.dt",
-        f"the step of {dt:.6g} s turns bodies like {name} by up to {worst:.3g} rad",
-        f"advised: dt = {RADIANS_PER_STEP / rate:.3g} s or less",
-    )
-    return [str(problem).replace(": error: ", ": warning: ", 1)]
+        stepped = [s for s in group.segments if has_step(s.method) and not is_adaptive(s.method)]
+        if not stepped:
+            continue
+        rate = fastest_rate(scene, group, case.run.t_end)
+        name = scene.names[int(group.members[0])]
+        for segment in stepped:
+            method, turn = METHODS[segment.method], segment.dt * rate
+            limit = stable_step(scene, group, segment) if turn > method.REACH else np.inf
+            if segment.dt > limit:
+                reason = (
+                    f"the step of {segment.dt:.6g} s is above the limit of {segment.method}: on the"
+                    f" springs of bodies like {name} it grows without bound above {limit:.6g} s"
+                )
+                found["limit"] = max(found.get("limit", (0.0, "", 0.0)), (turn, reason, rate))
+            elif turn > method.LONGEST:
+                reason = f"the step of {segment.dt:.6g} s turns bodies like {name} by up to"
+                reason += f" {turn:.3g} rad"
+                found["turn"] = max(found.get("turn", (0.0, "", 0.0)), (turn, reason, rate))
+    key = "run" if case.run.dt is None else "run.dt"
+    problems = [
+        problem_at(case, key, reason, f"advised: dt = {RADIANS_PER_STEP / rate:.3g} s or less")
+        for _, reason, rate in found.values()
+    ]
+    return [str(problem).replace(": error: ", ": warning: ", 1) for problem in problems]
+
+
+def stable_step(scene: Scene, group: GroupPlan, segment: Segment) -> float:
+    """Longest step [s] with which the springs of a segment stay bounded at t = 0; inf: any."""
+    links, springs = segment.terms.links, segment.terms.spring or ()
+    if links is None and not springs:
+        return np.inf
+    state = taken(scene.state, group.members)
+    everything = with_springs(links, springs, group.bodies)
+    rate = fastest_oscillation(everything, group.bodies, state.com, state.q)
+    return float(METHODS[segment.method].REACH / rate) if rate > 0.0 else np.inf

@@ -6,7 +6,7 @@ in the motion, so a run can be prolonged, or recorded more finely, without chang
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from types import MappingProxyType
@@ -23,6 +23,7 @@ from particlerb.ledger import Drift, Entries, Ledger, totals
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods import METHODS
 from particlerb.methods.motion import Motion
+from particlerb.methods.pair_forces import PairForces
 from particlerb.plan import GroupPlan, Plan, Segment, make_plan
 from particlerb.record.writer import Recorder
 from particlerb.rotors.rotor_class import ROD
@@ -122,12 +123,22 @@ class Traveller:
         self.plan = plan
         self.before = np.zeros(7)  # booked in earlier segments
         self.number = 0
+        self.pairs = self.pair_forces()
         self.motion = self.begin(plan.segments[0], state)
 
     @property
     def segment(self) -> Segment:
         """The segment that it is in."""
         return self.plan.segments[self.number]
+
+    def pair_forces(self) -> PairForces | None:
+        """What the bodies of the segment do to each other; None where it is nothing."""
+        terms = self.segment.terms
+        return PairForces(terms, self.plan.members.size, True) if terms.is_coupled else None
+
+    def potential(self, com: Floats, q: Floats) -> float:
+        """Potential energy of the bodies with each other, and of links to the world [J]."""
+        return 0.0 if self.pairs is None else self.pairs.potential_energy(com, q)
 
     def begin(self, segment: Segment, state: State) -> Motion:
         """Apply the impulses at the start of a segment and set off."""
@@ -140,28 +151,49 @@ class Traveller:
         return motion
 
     def cross(self) -> None:
-        """Go from this segment into the next."""
+        """Go from this segment into the next.
+
+        Who connects a link that is stretched gives its energy, and gets it who disconnects it.
+        """
         state, booked = self.motion.finish(self.segment.stop)
         self.before += booked
+        self.before[0] -= self.potential(state.com, state.q)
         self.number += 1
+        self.pairs = self.pair_forces()
+        self.before[0] += self.potential(state.com, state.q)
         self.motion = self.begin(self.segment, state)
 
-    def record(self, times: Floats, frames: Frames) -> Floats:
-        """Write rows 0.. of the frames at ascending times; return (T, 7) booked since t = 0.
+    def record(self, times: Floats, frames: Frames) -> tuple[Floats, Floats]:
+        """Write rows 0.. of the frames at ascending times.
 
         A frame at the instant of an edge shows the state after it.
+
+        Returns
+        -------
+        booked, potential : ndarray, shapes (T, 7) and (T,)
+            What was booked since t = 0, and the potential energy between bodies [J].
         """
-        booked = np.empty((times.size, 7))
+        booked, potential = np.empty((times.size, 7)), np.zeros(times.size)
         done = 0
         while done < times.size:
             until = int(np.searchsorted(times, self.segment.stop, side="left"))
             if until > done:
                 rows = np.arange(done, until)
                 booked[rows] = self.before + self.motion.record(times[rows], rows, frames)
+                if self.pairs is not None:
+                    potential[rows] = [
+                        self.potential(*self.pose(frames, row)) for row in rows.tolist()
+                    ]
                 done = until
             if done < times.size:
                 self.cross()
-        return booked
+        return booked, potential
+
+    def pose(self, frames: Frames, row: int) -> tuple[Floats, Floats]:
+        """Centres of mass (3, n) and orientations of the rotor frames (4, n) in a frame."""
+        own = self.plan.members
+        q = multiplied(frames.orientation[row, own].T, self.plan.bodies.rotor_frame)
+        return frames.position[row, own].T, q
 
 
 class Run:
@@ -174,11 +206,18 @@ class Run:
         self.last = initial.last
         self.room = initial  # used again and again: fresh memory costs more than what fills it
         self.rod_limit = rod_limits(plan, len(self.scene.kind))
-        self.ledger = Ledger(totals(initial, self.scene.bodies, self.gravity))
         self.travellers = [
             Traveller(group, State(*(a[:, group.members] for a in self.scene.state)))
             for group in plan.groups
         ]
+        self.ledger = Ledger(
+            totals(
+                initial,
+                self.scene.bodies,
+                self.gravity,
+                initial_potential(self.travellers, initial),
+            )
+        )
 
     def frames_at(self, times: Floats, is_frame: Bools) -> tuple[Frames, Entries, RunError | None]:
         """States at ascending times, not before those asked for earlier, and their ledger.
@@ -190,15 +229,13 @@ class Run:
             self.room = room_for(times.size, len(self.scene.kind), self.last)
         frames = first_rows(self.room, times.size)
         frames.is_frame[:] = is_frame
-        booked = np.zeros((times.size, 7))
-        for traveller in self.travellers:
-            booked += traveller.record(times, frames)
-        now = totals(frames, self.scene.bodies, self.gravity)
+        booked, potential = record_all(self.travellers, times, frames)
+        now = totals(frames, self.scene.bodies, self.gravity, potential)
         is_finite = all(np.isfinite(total).all() for total in now)
         sound, error = self.sound_frames(times, frames, is_finite)
         if sound < times.size:
             frames = first_rows(frames, sound)
-            now = totals(frames, self.scene.bodies, self.gravity)
+            now = totals(frames, self.scene.bodies, self.gravity, potential[:sound])
         return frames, self.ledger.enter(now, booked[:sound]), error
 
     def sound_frames(
@@ -239,6 +276,24 @@ class Run:
         m = turned_back(q, frames.angular_momentum[f, rods].T)
         axial: Ints = rods[np.abs(m[2]) > self.rod_limit[rods] * np.linalg.norm(m, axis=0)]
         return axial
+
+
+def record_all(
+    travellers: Sequence[Traveller], times: Floats, frames: Frames
+) -> tuple[Floats, Floats]:
+    """Sums over the groups of what `Traveller.record` returns."""
+    booked, potential = np.zeros((times.size, 7)), np.zeros(times.size)
+    for traveller in travellers:
+        given, own = traveller.record(times, frames)
+        booked += given
+        potential += own
+    return booked, potential
+
+
+def initial_potential(travellers: Sequence[Traveller], initial: Frames) -> Floats:
+    """Potential energy between bodies at t = 0, (1,) [J]."""
+    parts = [t.potential(*t.pose(initial, 0)) for t in travellers if t.pairs is not None]
+    return np.array([sum(parts)])
 
 
 @np.errstate(

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.plan import LARGEST_TURN, RADIANS_PER_STEP
+from particlerb.methods.strang import LONGEST
+from particlerb.plan import RADIANS_PER_STEP
 from particlerb.simulate import prepare
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7]}
@@ -142,7 +143,7 @@ def test_a_step_that_is_too_long_warns(make):
     assert ": warning: " in warning
     assert "the step of 0.0501 s turns bodies like body by up to 0.501 rad" in warning
     assert "advised: dt = 0.005 s or less" in warning
-    limit = make.case(body, method="strang", dt=LARGEST_TURN / 10.0)
+    limit = make.case(body, method="strang", dt=LONGEST / 10.0)
     assert plan_of(limit).warnings == ()
     assert plan_of(make.case(body, dt=1.0)).warnings == ()  # free: nothing is stepped
 

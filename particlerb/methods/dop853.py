@@ -9,7 +9,6 @@ Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I (1
 II.10; coefficients in dop853_table.py.
 """
 
-import math
 from collections.abc import Iterator
 from functools import partial
 from typing import Final
@@ -21,29 +20,25 @@ from particlerb.bodies.block import (
     BOOKED,
     CHANGING,
     COM,
-    INV_INERTIA,
-    INV_MASS,
     STRIDE,
     L,
     P,
     Q,
     get,
-    get3,
-    get4,
     in_blocks,
     out_of_blocks,
     put,
-    put3,
-    put4,
     state_of,
     state_rows,
 )
 from particlerb.bodies.state import Frames, State, room_for, store_frame
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
-from particlerb.methods.dop853_table import STAGES, A, D, E
-from particlerb.methods.motion import Account, Group
-from particlerb.methods.rates import Pose, slopes
+from particlerb.methods import dop853_joint as joint
+from particlerb.methods.dop853_step import ALONE, find_step, interpolate, take_stages
+from particlerb.methods.dop853_table import STAGES
+from particlerb.methods.motion import Account, Group, Motion
+from particlerb.terms import STAGE as WORK
 from particlerb.terms import Acting, acting_of, row_count, rows_of_terms
 from particlerb.threads import BLOCK, THREADS
 
@@ -51,249 +46,15 @@ ORDER: Final = 8
 FREE_ORDER: Final = 8
 IS_ADAPTIVE: Final = True
 KEEPS_RODS: Final = False
-ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
+ACCEPTS: Final = frozenset(
+    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
+    | {"links", "dashpots", "attraction"}
+)
 SUMMARY: Final = "order 8, adaptive by run.tolerance, dense output; the oracle; any force"
-COST: Final = 400.0  # ns per body-step, roughly
+COST: Final = joint.COST
+EVALUATIONS: Final = joint.EVALUATIONS
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
-SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
-GROW: Final = 5.0
-SAFETY: Final = 0.9
-ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of what a step computes
-LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any more
 PACK: Final = 16  # bodies that take the same steps; BLOCK is a multiple of it
-ALONE: Final = 13  # numbers of a body: x, q, p, L; what it books follows where it books
-WORK: Final = 1024  # rows of a pack from which on a stage and its slopes lie, after all loads
-
-
-@kernel
-def take_slopes(
-    acting: Acting,
-    books: int | None,
-    rows: Floats,
-    n: int,
-    w: int,
-    y: Floats,
-    slope: Floats,
-) -> None:
-    """Slopes of a pack in the states y."""
-    for c in range(ALONE):
-        for b in range(n):
-            put(rows, WORK + c, b, y[c * w + b])
-    for b in range(n):
-        now = Pose(
-            get3(rows, WORK, b),
-            get4(rows, WORK + 3, b),
-            get3(rows, WORK + 7, b),
-            get3(rows, WORK + 10, b),
-        )
-        rate, (power, force, turning) = slopes(acting, rows, b, now)
-        put3(rows, WORK + CHANGING, b, rate.x)
-        put4(rows, WORK + CHANGING + 3, b, rate.q)
-        put3(rows, WORK + CHANGING + 7, b, rate.p)
-        put3(rows, WORK + CHANGING + 10, b, rate.L)
-        if books is not None:
-            put(rows, WORK + CHANGING + 13, b, power)
-            put3(rows, WORK + CHANGING + 14, b, force)
-            put3(rows, WORK + CHANGING + 17, b, turning)
-    for c in range(y.size // w):
-        for b in range(n):
-            slope[c * w + b] = get(rows, WORK + CHANGING + c, b)
-
-
-@kernel
-def add_rows(h: float, weights: Floats, K: Floats, count: int, out: Floats) -> None:
-    """out ← out + h Σ w_k K_k over the first rows: four at a time, to load `out` less often."""
-    k = 0
-    while k + 4 <= count:
-        a, b, c, d = (
-            h * weights[k],
-            h * weights[k + 1],
-            h * weights[k + 2],
-            h * weights[k + 3],
-        )
-        p, q, r, s = K[k], K[k + 1], K[k + 2], K[k + 3]
-        for i in range(out.size):
-            out[i] += (a * p[i] + b * q[i]) + (c * r[i] + d * s[i])
-        k += 4
-    while k < count:
-        a, p = h * weights[k], K[k]
-        for i in range(out.size):
-            out[i] += a * p[i]
-        k += 1
-
-
-@kernel
-def take_stages(
-    acting: Acting,
-    books: int | None,
-    rows: Floats,
-    n: int,
-    w: int,
-    y: Floats,
-    K: Floats,
-    new: Floats,
-    h: float,
-    i: int,
-    j: int,
-) -> None:
-    """Slopes of the stages i .. j - 1 of a step h; `new` is the state of the last one."""
-    for stage in range(i, j):
-        new[:] = y
-        add_rows(h, A[stage], K, stage, new)
-        take_slopes(acting, books, rows, n, w, new, K[stage])
-
-
-@inline
-def larger(w: int, y: Floats, new: Floats, lo: int, hi: int, b: int) -> float:
-    """Larger of the lengths of two vectors of body b."""
-    old_size, new_size = 0.0, 0.0
-    for c in range(lo, hi):
-        old_size += y[c * w + b] ** 2
-        new_size += new[c * w + b] ** 2
-    return math.sqrt(max(old_size, new_size))
-
-
-@inline
-def moved(w: int, y: Floats, new: Floats, b: int) -> float:
-    """Way of the centre of mass of body b."""
-    way = 0.0
-    for c in range(3):
-        way += (new[c * w + b] - y[c * w + b]) ** 2
-    return math.sqrt(way)
-
-
-@inline
-def largest_moment(rows: Floats, b: int) -> float:
-    """Largest principal moment of body b [kg m²]; 0 for a point."""
-    least = np.inf
-    for inverse in get3(rows, INV_INERTIA, b):
-        if inverse > 0.0:
-            least = min(least, inverse)
-    return 1.0 / least
-
-
-@inline
-def scales_of(
-    rows: Floats, w: int, y: Floats, new: Floats, b: int, h: float, tolerance: float
-) -> tuple[float, float, float, float]:
-    """What errors of x, q, p and L of body b are relative to.
-
-    For x the larger of the way and the radius of gyration, for p and L their lengths. Where a body
-    comes to rest all of these are rounding, of positions and so of the forces that hold it: none
-    is taken for smaller than what rounding makes of it in a step.
-    """
-    noise = ROUNDING / tolerance
-    mass, moment = 1.0 / get(rows, INV_MASS, b), largest_moment(rows, b)
-    size = math.sqrt(moment / mass)
-    way = max(moved(w, y, new, b), size, noise * larger(w, y, new, 0, 3, b))
-    p = max(
-        larger(w, y, new, 7, 10, b),
-        noise * mass * max(way, larger(w, y, new, 0, 3, b)) / h,
-    )
-    return way, 1.0, p, max(larger(w, y, new, 10, 13, b), noise * moment / h)
-
-
-@kernel
-def errors_of(
-    rows: Floats,
-    n: int,
-    w: int,
-    y: Floats,
-    K: Floats,
-    new: Floats,
-    h: float,
-    tolerance: float,
-    errors: Floats,
-) -> float:
-    """Write the error estimate of each body over the tolerance; the largest of those that live.
-
-    A body that is not a number any more has no say in the steps of the others.
-    """
-    five, three = np.zeros(y.size), np.zeros(y.size)
-    add_rows(1.0, E[0], K, 13, five)
-    add_rows(1.0, E[1], K, 13, three)
-    worst = 0.0
-    for b in range(n):
-        sum5, sum3 = 0.0, 0.0
-        scales = scales_of(rows, w, y, new, b, h, tolerance)
-        for (lo, hi), scale in zip(((0, 3), (3, 7), (7, 10), (10, 13)), scales):  # noqa: B905
-            for c in range(lo, hi):
-                e5, e3 = five[c * w + b], three[c * w + b]
-                if e5 != 0.0 or e3 != 0.0:
-                    sum5 += (e5 / scale) ** 2
-                    sum3 += (e3 / scale) ** 2
-        errors[b] = 0.0
-        if sum5 != 0.0:
-            errors[b] = abs(h) * sum5 / math.sqrt((sum5 + 0.01 * sum3) * 13.0) / tolerance
-        if not np.isnan(y[b]) and not errors[b] <= worst:
-            worst = errors[b]
-    return worst
-
-
-@inline
-def normalise(values: Floats, n: int, w: int) -> None:
-    """Make |q| = 1."""
-    for b in range(n):
-        norm = 0.0
-        for c in range(Q, Q + 4):
-            norm += values[c * w + b] ** 2
-        for c in range(Q, Q + 4):
-            values[c * w + b] /= math.sqrt(norm)
-
-
-@kernel
-def find_step(
-    acting: Acting, books: int | None, rows: Floats, n: int, w: int, y: Floats, K: Floats,
-    new: Floats, t: float, h: float, tolerance: float,
-) -> tuple[float, float]:  # fmt: skip
-    """Longest step up to h that is accurate, and the one to try after it; `new` is its end.
-
-    Bodies for which no step is short enough become NaN: their state is not finite, or the forces
-    are not smooth. The others go on.
-    """
-    errors = np.zeros(PACK)
-    take_slopes(acting, books, rows, n, w, y, K[0])
-    longest = h
-    while True:
-        take_stages(acting, books, rows, n, w, y, K, new, h, 1, 13)
-        error = errors_of(rows, n, w, y, K, new, h, tolerance, errors)
-        if error < 1.0:
-            factor = GROW if error == 0.0 else min(GROW, SAFETY * error ** (-1.0 / 8.0))
-            normalise(new, n, w)
-            return h, h * max(factor, SHRINK)
-        h *= max(SHRINK, SAFETY * error ** (-1.0 / 8.0)) if error < np.inf else SHRINK
-        if not h > LEAST_STEP * t:
-            h = longest
-            for b in range(n):
-                for c in range(y.size // w):
-                    if not errors[b] < 1.0:
-                        y[c * w + b] = np.nan
-
-
-@kernel
-def interpolate(
-    n: int,
-    w: int,
-    y: Floats,
-    new: Floats,
-    K: Floats,
-    h: float,
-    share: float,
-    out: Floats,
-) -> None:
-    """State at a share of a step by the polynomial of order 7; |q| = 1."""
-    rest = 1.0 - share
-    out[:] = 0.0
-    for i in range(4):
-        add_rows(h, D[3 - i], K, STAGES, out)
-        for c in range(out.size):
-            out[c] *= share if i % 2 == 0 else rest
-    for c in range(out.size):
-        change = new[c] - y[c]
-        value = (out[c] + 2.0 * change - h * (K[12, c] + K[0, c])) * share
-        value = (value + h * K[0, c] - change) * rest
-        out[c] = y[c] + (value + change) * share
-    normalise(out, n, w)
 
 
 @inline
@@ -467,6 +228,8 @@ class AdaptiveMotion:
         return float(np.min(ahead, initial=np.inf, where=np.isfinite(ahead)))
 
 
-def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> AdaptiveMotion:
+def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> Motion:
     """Set off from a state at a time [s]; dt is the first step to try."""
+    if group.terms.is_coupled:
+        return joint.JointMotion(group, state, start, dt, tolerance)
     return AdaptiveMotion(group, state, start, dt, tolerance)

@@ -13,6 +13,7 @@ from particlerb.bodies.state import State
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import Floats, add_scaled, cross, multiplied3
 from particlerb.methods.booking import book
+from particlerb.methods.coupled import CoupledMotion, stages_of
 from particlerb.methods.motion import Group
 from particlerb.methods.rates import Pose, add_pose, on_sphere, pose, put_pose, slopes
 from particlerb.methods.stepped import SteppedMotion, advance_blocks
@@ -22,9 +23,15 @@ ORDER: Final = 1
 FREE_ORDER: Final = 1
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = False
-ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
+ACCEPTS: Final = frozenset(
+    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
+    | {"links", "dashpots", "attraction"}
+)
 SUMMARY: Final = "order 1, baseline; explicit Euler on rates in the body; energy grows; any force"
 COST: Final = 3.0  # ns per body-step, roughly
+EVALUATIONS: Final = 1  # of the forces in a step
+REACH: Final = 0.0  # largest hω of an oscillator that stays bounded (none)
+LONGEST: Final = 0.5  # rad in one step above which it is worth a warning
 
 
 @inline
@@ -44,10 +51,28 @@ def step(
         book(books, rows, b, dt, entry)
 
 
+@inline
+def stage(
+    k: int,
+    is_asymmetric: bool,
+    acting: Acting,
+    books: int | None,
+    rows: Floats,
+    n: int,
+    opening: float,
+    dt: float,
+) -> None:
+    """The same where bodies act on each other: one stage."""
+    step(acting, books, rows, n, opening, dt)
+
+
 advance = kernel_from(advance_blocks, "explicit_euler", step=step, EDGE=0.0)
+together = stages_of("explicit_euler", stage, 1, 0.0, flows=False)
 
 
 def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> SteppedMotion:
     """Set off from a state at a time [s]."""
     del tolerance
+    if group.terms.is_coupled:
+        return CoupledMotion(together, COST, group, state, start, dt, keeps_spin=False)
     return SteppedMotion(advance, COST, group, state, start, dt, keeps_spin=False)

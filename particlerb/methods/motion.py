@@ -82,8 +82,9 @@ class Account:
 
     The work of a potential is its loss. Where every force is constant in the world, the centre of
     mass is on its parabola and the rest is closed form, but for the angular impulse about the
-    centre of mass: only torques change L, so it is the change of L. Elsewhere, and where a method
-    lets L change by itself, the kernels book step by step.
+    centre of mass: only torques change L, so it is the change of L; what bodies give each other is
+    not booked. Elsewhere, and where a method lets L change by itself, the kernels book step by
+    step.
     """
 
     def __init__(self, group: Group, state: State, keeps_spin: bool = True) -> None:
@@ -98,7 +99,8 @@ class Account:
         if self.books is None:
             given: Floats = self.constant.booked(np.array([elapsed]))[0]
             given[0] = potential
-            given[4:] += (L - self.first.L).sum(axis=1)
+            if not self.group.terms.is_coupled:
+                given[4:] += (L - self.first.L).sum(axis=1)
             return given
         given = sums.copy()
         given[0] += potential

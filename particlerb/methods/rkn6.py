@@ -37,6 +37,7 @@ from particlerb.bodies.bodies import taken
 from particlerb.bodies.state import State
 from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, dot, multiplied3, scale
+from particlerb.methods.coupled import CoupledMotion, stages_of
 from particlerb.methods.motion import Group, Motion, Together, part_of
 from particlerb.methods.splitting import kick
 from particlerb.methods.stepped import SteppedMotion, advance_blocks
@@ -56,9 +57,14 @@ ORDER: Final = 6
 FREE_ORDER: Final = 8
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = True
-ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "spring", "central"})
+ACCEPTS: Final = frozenset(
+    {"gravity", "push", "follower", "torque", "spring", "central", "links", "attraction"}
+)
 SUMMARY: Final = "order 6 (8 on free bodies), symmetric; for forces that depend on the pose alone"
 COST: Final = 60.0  # ns per body-step, roughly
+EVALUATIONS: Final = 11  # of the forces in a step
+REACH: Final = 3.0  # largest hω of an oscillator that stays bounded (below its first resonance)
+LONGEST: Final = 3.0  # rad in one step above which it is worth a warning
 KICKS: Final = (
     0.0414649985182624,
     0.198128671918067,
@@ -90,6 +96,7 @@ U: Final = SCRATCH  # of the Moser-Veselov map: u, f, and the solution
 F: Final = SCRATCH + 3
 V: Final = SCRATCH + 6
 RATE: Final = SCRATCH + 9
+OWN_ROWS: Final = SCRATCH - OWN
 
 
 @inline
@@ -146,51 +153,99 @@ def finish_map(rows: Floats, n: int, iterations: int) -> None:
 
 
 @inline
+def asymmetric_stage(
+    k: int,
+    rate: float,
+    acting: Acting,
+    books: int | None,
+    rows: Floats,
+    n: int,
+    opening: float,
+    dt: float,
+) -> None:
+    """Kick and drift k; `rate` is the fastest turn of the block at the beginning of the step."""
+    kick_dt = KICKS[k] * dt if k > 0 else opening
+    drift_dt = DRIFTS[k] * dt
+    turn = abs(drift_dt) * rate
+    pieces = pieces_of(turn)
+    iterations = iterations_of(turn / pieces)
+    for b in range(n):
+        _, L_b, R = kick(acting, books, rows, b, kick_dt)
+        fly(rows, b, drift_dt)
+        start_map(rows, b, turn_back(R, L_b), drift_dt / pieces)
+    finish_map(rows, n, iterations)
+    for _ in range(pieces - 1):
+        for b in range(n):
+            start_map(rows, b, body_momentum(rows, b), drift_dt / pieces)
+        finish_map(rows, n, iterations)
+
+
+@inline
 def asymmetric_step(
     acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
 ) -> None:
     """Eleven kicks and drifts; the last kick stays open."""
     rate = fastest_turn(rows, n)
     for k in range(len(DRIFTS)):
-        kick_dt = KICKS[k] * dt if k > 0 else opening
-        drift_dt = DRIFTS[k] * dt
-        turn = abs(drift_dt) * rate
-        pieces = pieces_of(turn)
-        iterations = iterations_of(turn / pieces)
-        for b in range(n):
-            _, L_b, R = kick(acting, books, rows, b, kick_dt)
-            fly(rows, b, drift_dt)
-            start_map(rows, b, turn_back(R, L_b), drift_dt / pieces)
-        finish_map(rows, n, iterations)
-        for _ in range(pieces - 1):
-            for b in range(n):
-                start_map(rows, b, body_momentum(rows, b), drift_dt / pieces)
-            finish_map(rows, n, iterations)
+        asymmetric_stage(k, rate, acting, books, rows, n, opening, dt)
+
+
+@inline
+def symmetric_stage(
+    k: int, acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
+) -> None:
+    """Kick and drift k of bodies whose drift has a closed form."""
+    h = KICKS[k] * dt if k > 0 else opening
+    for b in range(n):
+        kick(acting, books, rows, b, h)
+        fly(rows, b, DRIFTS[k] * dt)
+        q = get4(rows, Q, b)
+        m = body_momentum(rows, b)
+        put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), DRIFTS[k] * dt))
 
 
 @inline
 def symmetric_step(
     acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
 ) -> None:
-    """The same for bodies whose drift has a closed form."""
+    """Eleven kicks and drifts of these."""
     for k in range(len(DRIFTS)):
-        h = KICKS[k] * dt if k > 0 else opening
-        for b in range(n):
-            kick(acting, books, rows, b, h)
-            fly(rows, b, DRIFTS[k] * dt)
-            q = get4(rows, Q, b)
-            m = body_momentum(rows, b)
-            put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), DRIFTS[k] * dt))
+        symmetric_stage(k, acting, books, rows, n, opening, dt)
+
+
+@inline
+def stage(
+    k: int,
+    is_asymmetric: bool,
+    acting: Acting,
+    books: int | None,
+    rows: Floats,
+    n: int,
+    opening: float,
+    dt: float,
+) -> None:
+    """Kick and drift k where bodies act on each other."""
+    if is_asymmetric:
+        if k == 0:
+            put(rows, RATE, 0, fastest_turn(rows, n))
+        asymmetric_stage(k, get(rows, RATE, 0), acting, books, rows, n, opening, dt)
+    else:
+        symmetric_stage(k, acting, books, rows, n, opening, dt)
 
 
 advance_asymmetric = kernel_from(advance_blocks, "rkn6_asymmetric", step=asymmetric_step, EDGE=EDGE)
 advance_symmetric = kernel_from(advance_blocks, "rkn6_symmetric", step=symmetric_step, EDGE=EDGE)
+together = stages_of("rkn6", stage, len(DRIFTS), EDGE, flows=False)
 
 
 def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> Motion:
     """Set off from a state at a time [s]."""
     del tolerance
     is_asymmetric = group.bodies.rotor_class == ASYMMETRIC
+    if group.terms.is_coupled:
+        own = np.zeros((OWN_ROWS, is_asymmetric.size))
+        own[:, is_asymmetric] = modified_inertia(group.bodies.inv_inertia[:, is_asymmetric])
+        return CoupledMotion(together, COST, group, state, start, dt, own=own)
     parts: list[tuple[Ints, Motion]] = []
     for chosen, advance in (
         (is_asymmetric, advance_asymmetric),
@@ -199,7 +254,7 @@ def begin(group: Group, state: State, start: float, dt: float, tolerance: float)
         which = np.flatnonzero(chosen)
         if which.size:
             part = part_of(group, which)
-            own = modified_inertia(part.bodies.inv_inertia) if chosen is is_asymmetric else None
-            motion = SteppedMotion(advance, COST, part, taken(state, which), start, dt, own=own)
+            rotor = modified_inertia(part.bodies.inv_inertia) if chosen is is_asymmetric else None
+            motion = SteppedMotion(advance, COST, part, taken(state, which), start, dt, own=rotor)
             parts.append((which, motion))
     return parts[0][1] if len(parts) == 1 else Together(tuple(parts))

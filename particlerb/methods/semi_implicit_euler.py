@@ -31,19 +31,26 @@ from particlerb.maths.vec3 import (
     scale,
 )
 from particlerb.methods.booking import book, kick_entry
+from particlerb.methods.coupled import CoupledMotion, stages_of
 from particlerb.methods.motion import Group
 from particlerb.methods.rates import Pose, pose, put_pose
 from particlerb.methods.stepped import SteppedMotion, advance_blocks
-from particlerb.terms import DRAG, Acting, kick_others, kick_potential
+from particlerb.terms import DRAG, Acting, kick_others, kick_potential, less_internal
 from particlerb.terms.drag import drag_load
 
 ORDER: Final = 1
 FREE_ORDER: Final = 1
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = False
-ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
+ACCEPTS: Final = frozenset(
+    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
+    | {"links", "dashpots", "attraction"}
+)
 SUMMARY: Final = "order 1, baseline; the game standard, implicit gyroscopic term; damps; any force"
 COST: Final = 4.0  # ns per body-step, roughly
+EVALUATIONS: Final = 1  # of the forces in a step
+REACH: Final = 2.0  # largest hω of an oscillator that stays bounded
+LONGEST: Final = 0.5  # rad in one step above which it is worth a warning
 
 
 @inline
@@ -80,7 +87,8 @@ def step(
         zero = (0.0, 0.0, 0.0)
         against, braking = drag_load(acting.drag, rows, DRAG, b, R, y.p, y.L, zero, zero)
         p, L = add_scaled(dt, against, p), add_scaled(dt, braking, L)
-        book(books, rows, b, 1.0, kick_entry(rows, b, y.x, R, (y.p, y.L), middle, (p, L)))
+        entry = kick_entry(rows, b, y.x, R, (y.p, y.L), middle, (p, L))
+        book(books, rows, b, 1.0, less_internal(acting.pair, rows, b, y.x, dt, entry))
         w = gyroscopic(multiplied3(inverse, turn_back(R, L)), inverse, dt)
         q = normalised(add_scaled4(dt, times_vector(y.q, scale(0.5, w)), y.q))
         m = (w[0] / inverse[0], w[1] / inverse[1], w[2] / inverse[2]) if inverse[0] > 0.0 else zero
@@ -88,10 +96,28 @@ def step(
         put_pose(rows, b, Pose(x, q, p, turn(matrix(q), m)))
 
 
+@inline
+def stage(
+    k: int,
+    is_asymmetric: bool,
+    acting: Acting,
+    books: int | None,
+    rows: Floats,
+    n: int,
+    opening: float,
+    dt: float,
+) -> None:
+    """The same where bodies act on each other: one stage."""
+    step(acting, books, rows, n, opening, dt)
+
+
 advance = kernel_from(advance_blocks, "semi_implicit_euler", step=step, EDGE=0.0)
+together = stages_of("semi_implicit_euler", stage, 1, 0.0, flows=False)
 
 
 def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> SteppedMotion:
     """Set off from a state at a time [s]."""
     del tolerance
+    if group.terms.is_coupled:
+        return CoupledMotion(together, COST, group, state, start, dt, keeps_spin=False)
     return SteppedMotion(advance, COST, group, state, start, dt, keeps_spin=False)

@@ -9,7 +9,7 @@ from particlerb.bodies.block import COM, L, P, Q, get3, get4, put3
 from particlerb.maths.quaternion import Rows, matrix
 from particlerb.maths.vec3 import Floats, Vec3
 from particlerb.methods.booking import book, kick_entry
-from particlerb.terms import DRAG, Acting, kick_others, kick_potential
+from particlerb.terms import DRAG, Acting, kick_others, kick_potential, less_internal
 from particlerb.terms.drag import damp
 
 
@@ -25,5 +25,6 @@ def kick(
     p, L_new = damp(acting.drag, rows, DRAG, b, R, old[0], old[1], p, L_new)
     put3(rows, P, b, p)
     put3(rows, L, b, L_new)
-    book(books, rows, b, 1.0, kick_entry(rows, b, x, R, old, middle, (p, L_new)))
+    entry = kick_entry(rows, b, x, R, old, middle, (p, L_new))
+    book(books, rows, b, 1.0, less_internal(acting.pair, rows, b, x, dt, entry))
     return p, L_new, R

@@ -26,7 +26,6 @@ from particlerb.bodies.block import (
     copy_changing,
     in_blocks,
     out_of_blocks,
-    state_of,
     state_rows,
 )
 from particlerb.bodies.state import Frames, State, room_for, store_frame
@@ -164,10 +163,18 @@ class SteppedMotion:
         n, terms = group.members.size, group.terms
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
         parts += [] if own is None else [(OWN, own)]
-        self.blocks = in_blocks(n, row_count(terms), parts)
+        self.blocks = self.make_blocks(parts, row_count(terms))
         self.done = 0
         self.account = Account(group, state, keeps_spin)
         self.most = max(1, int(NANOSECONDS_PER_CALL / (cost * n)))
+
+    def make_blocks(self, parts: list[tuple[int, Floats]], n_rows: int) -> Floats:
+        """Blocks of the group with these rows."""
+        return in_blocks(self.group.members.size, n_rows, parts)
+
+    def values(self, at: int, count: int) -> Floats:
+        """Some rows of all bodies, (count, n)."""
+        return out_of_blocks(self.blocks, at, count, self.group.members.size)
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
@@ -181,25 +188,29 @@ class SteppedMotion:
         steps, _ = grid_position(elapsed, self.dt)
         none = room_for(0, 0, np.empty((0, 4)))
         self.advance(steps, np.zeros(1), np.array([CLOSE]), none)
-        n = self.group.members.size
-        sums, state = out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1), state_of(self.blocks, n)
+        sums = self.values(BOOKED, 7).sum(axis=1)
+        state = State(*(self.values(*rows) for rows in ((COM, 3), (Q, 4), (P, 3), (L, 3))))
         given = self.account.of_state(stop - self.start, state.com, state.q, state.L, sums)
         return state, given
 
     def advance(self, steps: Ints, rest: Floats, rows: Ints, frames: Frames) -> Floats:
         """Go through stops given by their distance from the start; sums of what was booked."""
-        group = self.group
-        n = group.members.size
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
         for schedule in self.calls(np.diff(steps, prepend=self.done), rest, rows):
             count = int(schedule.steps.sum())
-            through = partial(
-                self.advance_blocks, self.blocks, acting_of(group.terms), self.account.books,
-                schedule, group.bodies.rotor_frame, group.members, frames, sums,
-            )  # fmt: skip
-            THREADS.spread(through, n, n * (count + schedule.steps.size))
+            self.run(schedule, count, frames, sums)
             self.done += count
         return np.asarray(sums.sum(axis=1))
+
+    def run(self, schedule: Schedule, count: int, frames: Frames, sums: Floats) -> None:
+        """Go through a schedule of so many steps."""
+        group = self.group
+        n = group.members.size
+        through = partial(
+            self.advance_blocks, self.blocks, acting_of(group.terms), self.account.books,
+            schedule, group.bodies.rotor_frame, group.members, frames, sums,
+        )  # fmt: skip
+        THREADS.spread(through, n, n * (count + schedule.steps.size))
 
     def calls(self, counts: Ints, rest: Floats, rows: Ints) -> Iterator[Schedule]:
         """Schedules of a bounded number of steps, with pauses where a frame is further away."""

@@ -14,6 +14,7 @@ from particlerb.bodies.block import COM, INV_INERTIA, INV_MASS, Q, get, get3, ge
 from particlerb.bodies.state import State
 from particlerb.maths.quaternion import turn_back
 from particlerb.maths.vec3 import Floats, add_scaled
+from particlerb.methods.coupled import CoupledMotion, stages_of
 from particlerb.methods.motion import Group
 from particlerb.methods.splitting import kick
 from particlerb.methods.stepped import SteppedMotion, advance_blocks
@@ -25,9 +26,15 @@ ORDER: Final = 2
 FREE_ORDER: Final = 2
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = True
-ACCEPTS: Final = frozenset({"gravity", "push", "follower", "torque", "drag", "spring", "central"})
+ACCEPTS: Final = frozenset(
+    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
+    | {"links", "dashpots", "attraction"}
+)
 SUMMARY: Final = "order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force"
 COST: Final = 6.0  # ns per body-step, roughly
+EVALUATIONS: Final = 1  # of the forces in a step
+REACH: Final = 2.0  # largest hω of an oscillator that stays bounded
+LONGEST: Final = 0.5  # rad in one step above which it is worth a warning
 EDGE: Final = 0.5
 
 
@@ -44,10 +51,28 @@ def step(
         put4(rows, Q, b, symmetric_split(q, turn_back(R, L), get3(rows, INV_INERTIA, b), dt))
 
 
+@inline
+def stage(
+    k: int,
+    is_asymmetric: bool,
+    acting: Acting,
+    books: int | None,
+    rows: Floats,
+    n: int,
+    opening: float,
+    dt: float,
+) -> None:
+    """The same where bodies act on each other: one stage."""
+    step(acting, books, rows, n, opening, dt)
+
+
 advance = kernel_from(advance_blocks, "strang", step=step, EDGE=EDGE)
+together = stages_of("strang", stage, 1, EDGE, flows=True)
 
 
 def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> SteppedMotion:
     """Set off from a state at a time [s]."""
     del tolerance
+    if group.terms.is_coupled:
+        return CoupledMotion(together, COST, group, state, start, dt)
     return SteppedMotion(advance, COST, group, state, start, dt)

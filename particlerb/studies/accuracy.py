@@ -22,6 +22,7 @@ from particlerb.case.schema import Case
 from particlerb.describe import describe, group_name
 from particlerb.maths.vec3 import Floats
 from particlerb.methods import METHODS
+from particlerb.methods.pair_forces import cost_of
 from particlerb.plan import (
     Plan,
     Stepping,
@@ -260,12 +261,15 @@ class Trials:
     def cost(self, stepping: Stepping) -> float:
         """Estimate of the time for the whole group to t_end [ns]."""
         method = METHODS[stepping.method]
+        between = max(cost_of(segment.terms) for segment in self.group.segments)
         if method.IS_ADAPTIVE:
             turn = stepping.tolerance ** (1.0 / method.ORDER) * 4.0  # rad of a step, about
-            steps = self.stepped_time * FIRST_TURN / self.first / turn
-            return float(self.group.members.size * method.COST * (steps + 1.0))
-        lanes = max(self.group.members.size, 16)  # a few bodies cost as much as a full register
-        return float(lanes * method.COST * self.stepped_time / stepping.dt)
+            steps = self.stepped_time * FIRST_TURN / self.first / turn + 1.0
+            lanes = self.group.members.size
+        else:
+            steps = self.stepped_time / stepping.dt
+            lanes = max(self.group.members.size, 16)  # a few bodies cost as much as a full register
+        return float(steps * (lanes * method.COST + method.EVALUATIONS * between))
 
 
 def falls(coarse: Found, fine: Found) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -96,6 +96,9 @@ def engines(names: Sequence[str]) -> list[Engine]:
     return found
 
 
+GIVEN: Final = "peers are given gravity and constant world pushes"
+
+
 def peer_scene(case: Case, scene: Scene) -> PeerScene:
     """The scene in plain arrays.
 
@@ -106,10 +109,12 @@ def peer_scene(case: Case, scene: Scene) -> PeerScene:
     """
     types = sys.modules[f"{adapters().__name__}.scene"]
     bodies, state = scene.bodies, scene.state
+    if case.attraction is not None:
+        raise ValueError(f"{GIVEN} alone")
     pushes = []
     for force in case.force:
         if not isinstance(force, Push) or force.frame != "world" or force.during is not None:
-            raise ValueError("peers are given gravity and constant world pushes alone")
+            raise ValueError(f"{GIVEN} alone")
         for b in resolve_bodies(case, force.body).tolist():
             at = to_rotor(bodies.rotor_frame[:, b], force.at)
             pushes.append(types.Push(b, at, np.array(force.force)))

@@ -29,8 +29,10 @@ from particlerb.studies.stability_runs import (
 )
 from particlerb.terms import Terms
 from particlerb.terms.drag import Drag
+from particlerb.terms.links import Links
 from particlerb.terms.spring import Spring
 
+PAIR: Final = "two bodies on a spring: largest hω"
 LINGERING: Final = 100_000  # steps where growth sets in slowly beyond the limit
 
 
@@ -71,6 +73,24 @@ def oscillators(z: Floats, zeta: float = 0.0) -> Scene:
     return points(z * z, 2.0 * zeta * z if zeta else None)
 
 
+def pairs(z: Floats) -> Scene:
+    """Pairs of points of 1 kg on springs of no length, with hω = z for h = 1 s: ω² = k (1/m + 1/m).
+
+    The first of each pair come first; all have p = (1, 0, 0) or its reverse.
+    """
+    n = z.size
+    first, zero = np.arange(n), np.zeros((3, n))
+    bodies = bodies_of(np.zeros((2 * n, 3)))
+    springs = Links(
+        first, n + first, zero, zero, 0.5 * z * z, np.zeros(n), None, bodies.inv_mass,
+        bodies.inv_inertia,
+    )  # fmt: skip
+    resting = np.zeros((2 * n, 3))
+    moved = scene(resting, resting, Terms(links=springs))
+    moved.state.p[0] = np.where(np.arange(2 * n) < n, 1.0, -1.0)
+    return moved
+
+
 def tops(omega: Floats, stiffness: Floats) -> Scene:
     """Tops, I = (1, 2, 3), in a uniform field: a torque k r × A, r = -A the body's axis 3 at first.
 
@@ -107,7 +127,7 @@ def limit(
     """Smallest z with an unbounded motion, by bisection, 128 at a time; inf if none is."""
     for k in range(3):
         z = np.linspace(low, high, 129)[1:]
-        bounded = is_bounded(method, make(z), steps)
+        bounded = is_bounded(method, make(z), steps).reshape(-1, z.size).all(axis=0)
         if bounded.all():
             return math.inf if k == 0 else high
         first = int(bounded.argmin())
@@ -256,6 +276,7 @@ def limits_of_strang() -> Iterator[Limit]:
     """Störmer-Verlet for translation; drag as an exact flow."""
     name = "strang"
     yield Limit(name, "oscillator: largest hω", 2.0, limit(name, oscillators))
+    yield Limit(name, PAIR, 2.0, limit(name, pairs))
     yield Limit(name, "libration: largest hΩ", 2.0, limit(name, pendulums, steps=300))
     for zeta in (0.5, 1.0):
         measured = limit(name, damped(zeta), steps=LINGERING)
@@ -267,6 +288,7 @@ def limits_of_rkn6() -> Iterator[Limit]:
     """Eleven kicks and drifts; the Moser-Veselov map without and with cutting."""
     name, theory = "rkn6", splitting_limit(KICKS, DRIFTS)
     yield Limit(name, "oscillator: largest hω", theory, limit(name, oscillators))
+    yield Limit(name, PAIR, theory, limit(name, pairs))
     measured = limit(name, pendulums, low=8.5, high=9.5, steps=60)
     yield Limit(name, "libration: largest hΩ", theory, measured)
     z = 3.14188
@@ -282,6 +304,7 @@ def limits_of_rk4() -> Iterator[Limit]:
     """The imaginary and the real axis of the stability region."""
     name = "rk4"
     yield Limit(name, "oscillator: largest hω", math.sqrt(8.0), limit(name, oscillators))
+    yield Limit(name, PAIR, math.sqrt(8.0), limit(name, pairs))
     measured = limit(name, pendulums, steps=300)
     yield Limit(name, "libration: largest hΩ", math.sqrt(8.0), measured)
     for z in (0.5, 1.0, 2.0):
@@ -295,6 +318,7 @@ def limits_of_semi_implicit_euler() -> Iterator[Limit]:
     """Velocities first, drag at the old velocity; backward Euler for the gyroscopic term."""
     name, top = "semi_implicit_euler", 0.2
     yield Limit(name, "oscillator: largest hω", 2.0, limit(name, oscillators))
+    yield Limit(name, PAIR, 2.0, limit(name, pairs))
     for zeta in (0.2, 0.5, 1.0):
         measured = limit(name, damped(zeta), steps=LINGERING)
         yield Limit(name, f"damped, ζ = {zeta}: largest hω", damped_semi_implicit(zeta), measured)

@@ -2,7 +2,8 @@
 
 Bodies that do not act on each other move alike whether the others are there or not, so a study
 looks at a sample of a large scene. It takes whole packs, sixteen neighbours of a group, because
-those share the steps of adaptive methods; the pack of the fastest body is always among them.
+those share the steps of adaptive methods; the pack of the fastest body is always among them. Bodies
+that act on each other are one pack.
 """
 
 from typing import NamedTuple
@@ -19,7 +20,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.methods.dop853 import PACK
 from particlerb.methods.motion import part_of
 from particlerb.plan import GroupPlan, Plan, rates
-from particlerb.simulate import Traveller
+from particlerb.simulate import Traveller, initial_potential, record_all
 from particlerb.terms.impulse import Impulse
 from particlerb.threads import THREADS
 
@@ -32,6 +33,14 @@ class Part(NamedTuple):
     groups: tuple[GroupPlan, ...]
     size: Floats  # (n,) [m] reach of each body from its centre of mass
     gravity: Floats  # (3,) [m/s²]
+
+
+class Books(NamedTuple):
+    """What a ledger needs beside the frames of a run."""
+
+    given: Floats  # (T, 7) work, impulse, angular impulse
+    initial: Floats  # (1,) [J] potential energy between bodies at t = 0
+    potential: Floats  # (T,) [J] the same later
 
 
 class Error(NamedTuple):
@@ -47,6 +56,9 @@ def sample(scene: Scene, plan: Plan, t_end: float, packs: int) -> Ints:
     found: list[tuple[float, Ints]] = []
     for group in plan.groups:
         rate = np.nan_to_num(rates(scene, group, t_end), posinf=np.inf)
+        if any(segment.terms.is_coupled for segment in group.segments):
+            found.append((float(rate.max()), group.members))
+            continue
         for lo in range(0, group.members.size, PACK):
             own = slice(lo, lo + PACK)
             found.append((float(rate[own].max()), group.members[own]))
@@ -88,13 +100,14 @@ def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def states_at(part: Part, times: Floats) -> tuple[Frames, Floats]:
-    """Frames at ascending times, and what was booked until then (T, 7)."""
-    frames = room_for(times.size, part.bodies.mass.size, as_frame(part.bodies, part.state).last)
-    booked = np.zeros((times.size, 7))
-    for group in part.groups:
-        booked += Traveller(group, taken(part.state, group.members)).record(times, frames)
-    return frames, booked
+def states_at(part: Part, times: Floats) -> tuple[Frames, Books]:
+    """Frames at ascending times, and what was booked until then."""
+    initial = as_frame(part.bodies, part.state)
+    frames = room_for(times.size, part.bodies.mass.size, initial.last)
+    travellers = [Traveller(group, taken(part.state, group.members)) for group in part.groups]
+    first = initial_potential(travellers, initial)
+    given, potential = record_all(travellers, times, frames)
+    return frames, Books(given, first, potential)
 
 
 def seconds(part: Part, t_end: float) -> float:
@@ -105,10 +118,11 @@ def seconds(part: Part, t_end: float) -> float:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def drifts(part: Part, frames: Frames, booked: Floats) -> tuple[float, float]:
+def drifts(part: Part, frames: Frames, books: Books) -> tuple[float, float]:
     """Largest errors of energy and of angular momentum, relative as in the ledger of a run."""
-    ledger = Ledger(totals(as_frame(part.bodies, part.state), part.bodies, part.gravity))
-    ledger.enter(totals(frames, part.bodies, part.gravity), booked)
+    initial = as_frame(part.bodies, part.state)
+    ledger = Ledger(totals(initial, part.bodies, part.gravity, books.initial))
+    ledger.enter(totals(frames, part.bodies, part.gravity, books.potential), books.given)
     drift = ledger.drift()
     return drift.energy, drift.angular_momentum
 

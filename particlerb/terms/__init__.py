@@ -1,21 +1,26 @@
 """The forces that can act on bodies, one per file; `Terms` gathers them, `Acting` tells a kernel.
 
 A term that does not act is None: None is a type, so Numba leaves its code out while compiling.
+Forces between bodies reach a kernel as a load in the rows PAIR, which `methods.pair_forces` fills
+before each kick; links and attraction therefore cost nothing where no body touches another.
 """
 
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
 from particlerb._jit import inline
-from particlerb.bodies.block import LOADS
+from particlerb.bodies.block import LOADS, get, get3
 from particlerb.bodies.bodies import taken
 from particlerb.maths.quaternion import Rows
-from particlerb.maths.vec3 import Floats, Ints, Vec3
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, subtract
+from particlerb.terms.attraction import Attraction
 from particlerb.terms.central import CENTRAL_ROWS, Central, central_work, kick_centres
 from particlerb.terms.drag import DECAY_ROWS, DRAG_ROWS, Drag, drag_load
 from particlerb.terms.follower import FOLLOWER_ROWS, Follower, kick_follower
 from particlerb.terms.gravity import UniformGravity
+from particlerb.terms.links import LOAD_ROWS, OUTSIDE, POWER, WORLD, Links
+from particlerb.terms.links import TORQUE as PAIR_TORQUE
 from particlerb.terms.push import LEVER_ROWS, Push, kick_force, kick_lever, lever_work
 from particlerb.terms.spring import SPRING_ROWS, Spring, kick_springs, spring_work
 from particlerb.terms.torque import TORQUE_ROWS, Torque, kick_torque
@@ -25,8 +30,11 @@ LEVER: Final = FORCE + 3
 FOLLOWER: Final = LEVER + LEVER_ROWS
 TORQUE: Final = FOLLOWER + FOLLOWER_ROWS
 DRAG: Final = TORQUE + TORQUE_ROWS
-MANY: Final = DRAG + DRAG_ROWS + DECAY_ROWS  # springs, then centres
+PAIR: Final = DRAG + DRAG_ROWS + DECAY_ROWS  # rows of terms/links.py: what other bodies do
+MANY: Final = PAIR + LOAD_ROWS  # springs, then centres
+STAGE: Final = 1024  # rows from here on, after all loads, are room for a method's stages
 ZERO: Final = (0.0, 0.0, 0.0)
+Entry: TypeAlias = tuple[float, Vec3, Vec3]  # work, impulse, angular impulse: methods/booking.py
 
 
 class Terms(NamedTuple):
@@ -39,6 +47,14 @@ class Terms(NamedTuple):
     drag: Drag | None = None
     spring: tuple[Spring, ...] | None = None
     central: tuple[Central, ...] | None = None
+    links: Links | None = None
+    attraction: Attraction | None = None
+    opening_angle: float = 0.0  # of the tree that sums the attraction; 0: a direct sum
+
+    @property
+    def is_coupled(self) -> bool:
+        """Whether bodies act on each other."""
+        return self.links is not None or self.attraction is not None
 
 
 class Acting(NamedTuple):
@@ -51,11 +67,12 @@ class Acting(NamedTuple):
     drag: int | None
     springs: tuple[int, ...] | None  # as many entries as there are on each body
     centres: tuple[int, ...] | None
+    pair: int | None  # what other bodies do
 
 
 def rows_of_terms(terms: Terms) -> list[tuple[int, Floats]]:
     """Parameters of the terms, and the rows of a block where they go."""
-    gravity, push, follower, torque, drag, springs, centres = terms
+    gravity, push, follower, torque, drag, springs, centres, _, _, _ = terms
     parts: list[tuple[int, Floats]] = []
     if gravity is not None:
         parts.append((FORCE, gravity.mass * gravity.acceleration[:, None]))
@@ -88,12 +105,14 @@ def acting_of(terms: Terms) -> Acting:
         tag(DRAG),
         None if terms.spring is None else tuple(range(len(terms.spring))),
         None if terms.central is None else tuple(range(len(terms.central))),
+        PAIR if terms.is_coupled else None,
     )
 
 
 def terms_on(terms: Terms, which: Ints) -> Terms:
-    """Terms of some of the bodies."""
-    gravity, push, follower, torque, drag, spring, central = terms
+    """Terms of some of the bodies; of all of them, in order, where they act on each other."""
+    gravity, push, follower, torque, drag, spring, central, links, attraction, angle = terms
+    assert not terms.is_coupled or np.array_equal(which, np.arange(which.size))
     return Terms(
         None if gravity is None else UniformGravity(gravity.mass[which], gravity.acceleration),
         None if push is None else taken(push, which),
@@ -102,6 +121,9 @@ def terms_on(terms: Terms, which: Ints) -> Terms:
         None if drag is None else taken(drag, which),
         None if spring is None else tuple(taken(one, which) for one in spring),
         None if central is None else tuple(taken(one, which) for one in central),
+        links,
+        attraction,
+        angle,
     )
 
 
@@ -113,16 +135,25 @@ def row_count(terms: Terms) -> int:
 
 def has_potential(terms: Terms) -> bool:
     """Whether every force has one: then energy needs no booking on the way."""
-    return terms.follower is None and terms.torque is None and terms.drag is None
+    damped = terms.links is not None and terms.links.damping is not None
+    others = terms.follower is None and terms.torque is None and terms.drag is None
+    return others and not damped
 
 
 def is_constant(terms: Terms) -> bool:
-    """Whether the total force on each body is constant in the world."""
-    return has_potential(terms) and terms.spring is None and terms.central is None
+    """Whether the total force on each body is constant in the world, but for other bodies'.
+
+    Forces between bodies do not change the sums that are booked, as long as those from outside are
+    uniform gravity alone.
+    """
+    if not has_potential(terms) or terms.spring is not None or terms.central is not None:
+        return False
+    reaches_out = terms.links is not None and bool((terms.links.second == WORLD).any())
+    return not reaches_out and not (terms.is_coupled and terms.push is not None)
 
 
 def work_of_potentials(terms: Terms, com: Floats, q: Floats) -> float:
-    """What all forces with a potential, but gravity, have done until here [J], up to a constant."""
+    """Work [J] of forces from outside with a potential, but gravity, up to a constant."""
     work = 0.0
     if terms.push is not None:
         work += float(
@@ -133,6 +164,32 @@ def work_of_potentials(terms: Terms, com: Floats, q: Floats) -> float:
     for central in terms.central or ():
         work += float(central_work(central, com, q).sum())
     return work
+
+
+@inline
+def kick_pair(
+    pair: int | None, rows: Floats, at: int, b: int, dt: float, p: Vec3, L: Vec3
+) -> tuple[Vec3, Vec3]:
+    """p + F dt,  L + τ dt of the forces of other bodies."""
+    if pair is None:
+        return p, L
+    F, tau = get3(rows, at, b), get3(rows, at + PAIR_TORQUE, b)
+    return add_scaled(dt, F, p), add_scaled(dt, tau, L)
+
+
+@inline
+def less_internal(
+    pair: int | None, rows: Floats, b: int, x: Vec3, dt: float, entry: Entry
+) -> Entry:
+    """What is booked: without the impulses that bodies give each other, with dashpots' work."""
+    if pair is None:
+        return entry
+    work, impulse, angular = entry
+    F = subtract(get3(rows, PAIR, b), get3(rows, PAIR + OUTSIDE, b))
+    turning = add_scaled(1.0, cross(x, get3(rows, PAIR, b)), get3(rows, PAIR + PAIR_TORQUE, b))
+    turning = subtract(turning, get3(rows, PAIR + OUTSIDE + 3, b))
+    work += dt * get(rows, PAIR + POWER, b)
+    return work, add_scaled(-dt, F, impulse), add_scaled(-dt, turning, angular)
 
 
 @inline
@@ -151,6 +208,7 @@ def kick_potential(
     p = kick_force(acting.force, rows, FORCE, b, dt, p)
     L = kick_lever(acting.lever, rows, LEVER, b, R, dt, L)
     p, L = kick_springs(acting.springs, rows, MANY, b, x, R, dt, p, L)
+    p, L = kick_pair(acting.pair, rows, PAIR, b, dt, p, L)
     return kick_centres(acting.centres, rows, MANY + rows_of(acting.springs), b, x, R, dt, p, L)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -211,7 +212,7 @@ def test_check_prints_the_plan_and_writes_nothing(here, capsys):
     assert main(["check", "cube.toml"]) == 0
     out = capsys.readouterr().out
     assert "driven by push, strang" in out
-    assert "contact  off: no particle has a radius" in out.replace("    ", "  ")
+    assert re.search("contact +off: no particle has a radius", out)
     assert not Path("output").exists()
 
 

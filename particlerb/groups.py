@@ -1,0 +1,225 @@
+"""Which bodies advance together, and under which terms.
+
+Bodies on which the same forms of forces act share a group. Bodies that act on each other, directly
+or through others, are a cluster and share one too; clusters that are copies of each other, so that
+the same step suits them, share one group again. Asymmetric bodies of a cluster come first.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.bodies import Bodies
+from particlerb.bodies.scene import Scene
+from particlerb.bodies.state import turned_back
+from particlerb.case.schema import Case, Central
+from particlerb.forces import N_NUMBERS, Forces, Load, acting_terms
+from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.pairs import Link, attracted, components, particles_of, tree_accuracy
+from particlerb.rotors.rotor_class import ASYMMETRIC
+from particlerb.terms import Terms
+from particlerb.terms.attraction import Attraction
+from particlerb.terms.links import WORLD, Links
+from particlerb.terms.tree import BREAK_EVEN, angle_for
+
+FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
+
+
+class Together(NamedTuple):
+    """Bodies that share a group, and all that ever acts on them."""
+
+    members: Ints  # (n,) bodies of the scene
+    forces: list[Forces]  # on each of them
+    links: list[Link]  # among them, with numbers of the scene
+    attracts: bool  # whether they attract each other
+
+
+def groups_of(
+    case: Case, scene: Scene, loads: Sequence[Load], links: Sequence[Link]
+) -> list[Together]:
+    """Groups of a scene, in the order of their first bodies."""
+    heavy = attracted(case, scene)
+    ends = [end[end != WORLD] for link in links for end in (link.first, link.second)]
+    bound = np.unique(np.concatenate([heavy, *ends])) if ends or heavy.size else heavy
+    groups = [
+        Together(members, forces, [], False)
+        for members, forces in groups_alone(scene, loads, bound)
+    ]
+    label = components(len(scene.kind), list(links), heavy)
+    for members in clusters(scene, loads, links, label, bound):
+        own = np.zeros(len(scene.kind), dtype=bool)
+        own[members] = True
+        inside = [within(link, own) for link in links if own[link.first].any()]
+        attracts = bool(heavy.size) and bool(own[heavy[0]])
+        groups.append(Together(members, aligned(loads, members), inside, attracts))
+    return sorted(groups, key=lambda group: int(group.members.min()))
+
+
+def groups_alone(
+    scene: Scene, loads: Sequence[Load], bound: Ints
+) -> list[tuple[Ints, list[Forces]]]:
+    """Bodies that no other body acts on, with forces of the same forms, and these forces."""
+    alone = np.ones(len(scene.kind), dtype=bool)
+    alone[bound] = False
+    acting: defaultdict[int, list[int]] = defaultdict(list)
+    for k, load in enumerate(loads):
+        for b in load.members[alone[load.members]].tolist():
+            acting[b].append(k)
+    forms = [load.form for load in loads]
+    members: defaultdict[tuple[object, ...], list[int]] = defaultdict(list)
+    for b in sorted(acting):
+        members[tuple(forms[k] for k in acting[b])].append(b)
+    numbers = np.zeros((len(loads), N_NUMBERS))
+    for k, load in enumerate(loads):
+        numbers[k, : len(load.numbers)] = load.numbers
+    groups = []
+    for bodies in members.values():
+        own = np.array([acting[b] for b in bodies])
+        forces = [Forces(loads[k[0]].force, numbers[k].T) for k in own.T]
+        groups.append((np.array(bodies), forces))
+    alone[list(acting)] = False
+    if alone.any():
+        groups.append((np.flatnonzero(alone), []))
+    return groups
+
+
+def clusters(
+    scene: Scene, loads: Sequence[Load], links: Sequence[Link], label: Ints, bound: Ints
+) -> list[Ints]:
+    """Bodies of each group of clusters that are copies of each other; asymmetric ones first."""
+    if not bound.size:
+        return []
+    order = bound[np.argsort(label[bound], kind="stable")]
+    starts = np.flatnonzero(np.diff(label[order], prepend=-1))
+    signs: dict[int, list[object]] = {
+        int(label[part[0]]): [tuple(scene.kind[part].tolist())]
+        for part in np.split(order, starts[1:])
+    }
+    for link in links:
+        found, count = np.unique(label[link.first], return_counts=True)
+        for one, springs in zip(found.tolist(), count.tolist(), strict=True):
+            signs[one].append((link.number, springs))
+    for load in loads:
+        found = np.unique(label[load.members[np.isin(load.members, bound)]])
+        for one in found.tolist():
+            signs[one].append(load.form)
+    alike: defaultdict[tuple[object, ...], list[Ints]] = defaultdict(list)
+    for part in np.split(order, starts[1:]):
+        alike[tuple(signs[int(label[part[0]])])].append(part)
+    whole = [np.sort(np.concatenate(parts)) for parts in alike.values()]
+    is_asymmetric = scene.bodies.rotor_class == ASYMMETRIC
+    return [own[np.argsort(~is_asymmetric[own], kind="stable")] for own in whole]
+
+
+def within(link: Link, own: Bools) -> Link:
+    """The springs of a link on bodies of a cluster."""
+    which = np.flatnonzero(own[link.first])
+    return link._replace(
+        first=link.first[which],
+        second=link.second[which],
+        first_at=link.first_at[:, which],
+        second_at=link.second_at[:, which],
+        rest_length=link.rest_length[which],
+    )
+
+
+def aligned(loads: Sequence[Load], members: Ints) -> list[Forces]:
+    """Forces on the bodies of a cluster; those that act on some only are zero on the others."""
+    place = {b: i for i, b in enumerate(members.tolist())}
+    found: dict[tuple[object, ...], list[tuple[Forces, Bools]]] = {}
+    for load in loads:
+        own = np.array([place[b] for b in load.members.tolist() if b in place], dtype=np.int64)
+        if not own.size:
+            continue
+        rooms = found.setdefault(load.form, [])
+        free = next((room for room in rooms if not room[1][own].any()), None)
+        if free is None:
+            free = (
+                Forces(load.force, np.zeros((N_NUMBERS, members.size))),
+                np.zeros(members.size, dtype=bool),
+            )
+            if isinstance(load.force, Central):
+                free[0].numbers[:3] = FAR
+            rooms.append(free)
+        numbers, taken_ = free[0].numbers, free[1]
+        numbers[: len(load.numbers), own] = np.array(load.numbers)[:, None]
+        taken_[own] = True
+    return [forces for rooms in found.values() for forces, _ in rooms]
+
+
+def terms_of(
+    case: Case,
+    scene: Scene,
+    group: Together,
+    bodies: Bodies,
+    forces: list[Forces],
+    links: list[Link],
+) -> Terms:
+    """Terms of a group while these of its forces and links act."""
+    terms = acting_terms(case, bodies, forces)
+    if links:
+        terms = terms._replace(links=links_among(group.members, bodies, links))
+    if group.attracts:
+        attraction = attraction_among(case, scene, group.members, bodies)
+        angle = opening_angle(case, attraction.mass.size)
+        terms = terms._replace(attraction=attraction, opening_angle=angle)
+    return terms
+
+
+def links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
+    """Links of a group, with its own numbers and in rotor frames."""
+    place = np.full(int(members.max()) + 1, WORLD)
+    place[members] = np.arange(members.size)
+    first = place[np.concatenate([link.first for link in links])]
+    second = np.concatenate([link.second for link in links])
+    inside = second != WORLD
+    second = np.where(inside, place[np.where(inside, second, members[0])], WORLD)
+    first_at = np.concatenate([link.first_at for link in links], axis=1)
+    second_at = np.concatenate([link.second_at for link in links], axis=1)
+    springs = [(link.force.stiffness, link.force.damping, link.first.size) for link in links]
+    stiffness, damping = (
+        np.concatenate([np.full(spring[2], spring[k]) for spring in springs]) for k in (0, 1)
+    )
+    frame = bodies.rotor_frame
+    return Links(
+        first,
+        second,
+        np.ascontiguousarray(turned_back(frame[:, first], first_at)),
+        np.ascontiguousarray(np.where(inside, turned_back(frame[:, second], second_at), second_at)),
+        stiffness,
+        np.concatenate([link.rest_length for link in links]),
+        damping if damping.any() else None,
+        bodies.inv_mass,
+        bodies.inv_inertia,
+    )
+
+
+def attraction_among(case: Case, scene: Scene, members: Ints, bodies: Bodies) -> Attraction:
+    """Particles with mass of all that attracts in a group, in rotor frames."""
+    assert case.attraction is not None
+    index, _ = particles_of(scene, members)
+    counts = np.diff(scene.particles.offset)[scene.kind[members]]
+    owner = np.repeat(np.arange(members.size), counts)
+    takes_part = np.isin(members, attracted(case, scene))[owner]
+    takes_part &= scene.particles.mass[index] > 0.0
+    index, owner = index[takes_part], owner[takes_part]
+    position: Floats = np.ascontiguousarray(scene.particles.position[index].T)
+    mass = scene.particles.mass[index]
+    return Attraction(
+        np.ascontiguousarray(turned_back(bodies.rotor_frame[:, owner], position)),
+        mass,
+        case.attraction.G * mass,
+        np.searchsorted(owner, np.arange(members.size + 1)),
+        case.attraction.softening**2,
+    )
+
+
+def opening_angle(case: Case, n_particles: int) -> float:
+    """Opening angle of the tree that sums the attraction; 0 for a direct sum."""
+    asked = case.attraction
+    assert asked is not None
+    if asked.sum == "direct" or (asked.sum == "auto" and n_particles < BREAK_EVEN):
+        return 0.0
+    return asked.opening_angle or angle_for(tree_accuracy(case))

@@ -1,0 +1,369 @@
+"""DOP853 for bodies that act on each other: one step for all of them.
+
+The step is as long as the error estimate of the worst body allows. The vectors of block k are one
+row of arrays (blocks, size * w), in the order of `dop853_step`. Where forces between the bodies
+are worth several threads, the same loops run as Python and spread them.
+"""
+
+from collections.abc import Callable, Iterator
+from types import FunctionType
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from particlerb._jit import kernel, kernel_from
+from particlerb.bodies.block import (
+    BOOKED,
+    CHANGING,
+    COM,
+    L,
+    P,
+    Q,
+    get,
+    in_blocks,
+    out_of_blocks,
+    put,
+    state_of,
+    state_rows,
+)
+from particlerb.bodies.state import Frames, State, room_for, store_frame
+from particlerb.maths.quaternion import rows4
+from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.methods.coupled import Layout, scatter
+from particlerb.methods.dop853_step import (
+    ALONE,
+    LEAST_STEP,
+    add_rows,
+    differences,
+    errors_of,
+    factor_of,
+    interpolate,
+    normalise,
+    take_slopes,
+)
+from particlerb.methods.dop853_table import STAGES, A
+from particlerb.methods.motion import Account, Group
+from particlerb.methods.pair_forces import PairForces, Pairs, loads_over_threads, pair_loads
+from particlerb.terms import PAIR, STAGE, Acting, acting_of, row_count, rows_of_terms
+from particlerb.threads import BLOCK, THREADS
+
+NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
+COST: Final = 400.0  # ns per body-step, roughly
+EVALUATIONS: Final = 12  # of the forces in a step
+
+
+class Room(NamedTuple):
+    """Vectors of all bodies, (blocks, size * w) each."""
+
+    y: Floats
+    new: Floats
+    out: Floats
+    five: Floats
+    three: Floats
+    K: Floats  # (STAGES, blocks * size * w)
+    errors: Floats  # (blocks, w)
+    width: int  # w
+
+
+@kernel
+def spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
+    """Vectors into states (13, n)."""
+    for k in range(layout.first.size):
+        lo = layout.first[k]
+        for c in range(ALONE):
+            for b in range(layout.size[k]):
+                states[c, lo + b] = y[k, c * w + b]
+
+
+@kernel
+def slopes_of_blocks(
+    acting: Acting,
+    books: int | None,
+    blocks: Floats,
+    layout: Layout,
+    w: int,
+    y: Floats,
+    slope: Floats,
+) -> None:
+    """Slopes of all blocks in the states y, with the loads in their rows."""
+    own = slope.reshape(y.shape)
+    for k in range(layout.first.size):
+        take_slopes(acting, books, blocks[k], layout.size[k], w, y[k], own[k])
+
+
+def joint_slopes(
+    acting: Acting,
+    books: int | None,
+    blocks: Floats,
+    layout: Layout,
+    pairs: Pairs,
+    w: int,
+    y: Floats,
+    slope: Floats,
+) -> None:
+    """Slopes of all bodies in the states y."""
+    links, attraction, work, with_dashpots, states, load, _ = pairs
+    spread_out(y, layout, w, states)
+    pair_loads(links, attraction, work, with_dashpots, states, load)
+    scatter(load, blocks, layout, PAIR, 0)
+    slopes_of_blocks(acting, books, blocks, layout, w, y, slope)
+
+
+@kernel
+def add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
+    """State where the slope of a stage is taken."""
+    new[:] = y
+    add_rows(h, A[stage], K, stage, new.reshape(new.size))
+
+
+def joint_stages(
+    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: Pairs, room: Room,
+    new: Floats, h: float, i: int, j: int,
+) -> None:  # fmt: skip
+    """Slopes of the stages i .. j - 1 of a step h; `new` is the state of the last one."""
+    for stage in range(i, j):
+        add_stages(h, stage, room.K, room.y, new)
+        joint_slopes(acting, books, blocks, layout, pairs, room.width, new, room.K[stage])
+
+
+@kernel
+def joint_error(blocks: Floats, layout: Layout, room: Room, h: float, tolerance: float) -> float:
+    """Largest error of a step over the tolerance, of the bodies that are numbers."""
+    y, new, _, five, three, K, errors, w = room
+    differences(K, five.reshape(five.size), three.reshape(three.size))
+    worst = 0.0
+    for k in range(layout.first.size):
+        n = layout.size[k]
+        error = errors_of(blocks[k], n, w, y[k], five[k], three[k], new[k], h, tolerance, errors[k])
+        if not error <= worst:
+            worst = error
+    return worst
+
+
+@kernel
+def normalise_blocks(values: Floats, layout: Layout, w: int) -> None:
+    """Make |q| = 1."""
+    for k in range(layout.first.size):
+        normalise(values[k], layout.size[k], w)
+
+
+@kernel
+def give_up(layout: Layout, room: Room) -> None:
+    """Make bodies NaN whose error no step is short enough for."""
+    for k in range(layout.first.size):
+        for b in range(layout.size[k]):
+            for c in range(room.y.shape[1] // room.width):
+                if not room.errors[k, b] < 1.0:
+                    room.y[k, c * room.width + b] = np.nan
+
+
+def find_joint_step(
+    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: Pairs, room: Room,
+    t: float, h: float, tolerance: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Longest step up to h that is accurate, and the one to try after it; see `find_step`."""
+    joint_slopes(acting, books, blocks, layout, pairs, room.width, room.y, room.K[0])
+    longest = h
+    while True:
+        joint_stages(acting, books, blocks, layout, pairs, room, room.new, h, 1, 13)
+        error = joint_error(blocks, layout, room, h, tolerance)
+        if error < 1.0:
+            normalise_blocks(room.new, layout, room.width)
+            return h, h * factor_of(error)
+        h *= factor_of(error)
+        if not h > LEAST_STEP * t:
+            h = longest
+            give_up(layout, room)
+
+
+@kernel
+def interpolate_blocks(layout: Layout, room: Room, h: float, share: float) -> None:
+    """State at a share of a step, into `out`."""
+    y, new, out, _, _, K, _, w = room
+    own = K.reshape((K.shape[0], y.shape[0], y.shape[1]))
+    for k in range(layout.first.size):
+        slopes = np.ascontiguousarray(own[:, k])
+        interpolate(layout.size[k], w, y[k], new[k], slopes, h, share, out[k])
+
+
+@kernel
+def store_blocks(
+    layout: Layout, room: Room, rotor_frame: Floats, members: Ints, frames: Frames, sums: Floats,
+    f: int,
+) -> None:  # fmt: skip
+    """Write `out` into frame f."""
+    w = room.width
+    for k in range(layout.first.size):
+        lo, n = layout.first[k], layout.size[k]
+        shown = room.out[k].reshape(room.out[k].size // w, w)
+        store_frame(
+            frames, f, members[lo : lo + n], rows4(rotor_frame, lo, lo + n),
+            rows3(shown[COM : COM + 3], 0, n), rows4(shown[Q : Q + 4], 0, n),
+            rows3(shown[P : P + 3], 0, n), rows3(shown[L : L + 3], 0, n),
+        )  # fmt: skip
+        for c in range(shown.shape[0] - ALONE):
+            for b in range(n):
+                sums[f, k, c] += shown[BOOKED + c, b]
+
+
+def advance_joint(
+    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: Pairs, room: Room,
+    clock: Floats, tolerance: float, times: Floats, index: Ints, until: float, stop: float,
+    rotor_frame: Floats, members: Ints, frames: Frames, sums: Floats,
+) -> None:  # fmt: skip
+    """All frames, then on to the step around `until`, or to `stop` if it is finite.
+
+    The clock has the time from which the next step starts, and the step to try.
+    """
+    y, new, out = room.y, room.new, room.out
+    t, h = clock[0], clock[1]
+    h, h_next = find_joint_step(acting, books, blocks, layout, pairs, room, t, h, tolerance)
+    is_dense = False
+    for f in range(times.size):
+        while times[f] > t + h:
+            t += h
+            y[:] = new
+            h, h_next = find_joint_step(
+                acting, books, blocks, layout, pairs, room, t, h_next, tolerance
+            )
+            is_dense = False
+        out[:] = y
+        if times[f] > t or not h > 0.0:
+            if not is_dense:
+                joint_stages(acting, books, blocks, layout, pairs, room, out, h, 13, STAGES)
+                is_dense = True
+            interpolate_blocks(layout, room, h, (times[f] - t) / h)
+        store_blocks(layout, room, rotor_frame, members, frames, sums, index[f])
+    while t + h < until:
+        t += h
+        y[:] = new
+        h, h_next = find_joint_step(
+            acting, books, blocks, layout, pairs, room, t, h_next, tolerance
+        )
+    while t < stop < np.inf:  # the last step may have to be cut again
+        h, h_next = find_joint_step(
+            acting, books, blocks, layout, pairs, room, t, min(stop - t, h), tolerance
+        )
+        y[:] = new
+        if not h > 0.0:
+            break
+        t = stop if h >= stop - t else t + h
+    clock[0], clock[1] = t, h
+
+
+def in_python(function: Callable[..., Any], name: str, **names: Any) -> Callable[..., Any]:
+    """The function with other globals, not compiled."""
+    return FunctionType(function.__code__, function.__globals__ | names, name)
+
+
+def family(make: Callable[..., Callable[..., Any]], name: str, **names: Any) -> Callable[..., None]:
+    """`advance_joint` and what it calls, made anew with other globals."""
+    for function in (joint_slopes, joint_stages, find_joint_step, advance_joint):
+        names[function.__name__] = make(function, name, **names)
+    advance: Callable[..., None] = names["advance_joint"]
+    return advance
+
+
+compiled = family(kernel_from, "here")
+spread = family(in_python, "spread", pair_loads=loads_over_threads)
+
+
+class JointMotion:
+    """A group of bodies that act on each other, with common steps; see `motion.Motion`."""
+
+    def __init__(
+        self, group: Group, state: State, start: float, first_step: float, tolerance: float
+    ) -> None:
+        self.group, self.start, self.tolerance = group, start, tolerance
+        n, terms = group.members.size, group.terms
+        assert row_count(terms) <= STAGE
+        self.forces = PairForces(terms, n, True)
+        parts = state_rows(state, group.bodies) + rows_of_terms(terms)
+        self.blocks = in_blocks(n, STAGE + 2 * CHANGING, parts)
+        first = np.arange(0, n, BLOCK)
+        self.layout = Layout(first, np.minimum(BLOCK, n - first), 0)
+        self.account = Account(group, state)
+        self.room = self.make_room(ALONE if self.account.books is None else CHANGING)
+        self.clock = np.array([0.0, first_step])
+        self.cost = COST * n + EVALUATIONS * self.forces.cost
+        take_blocks(self.blocks, self.layout, self.room)
+
+    def make_room(self, size: int) -> Room:
+        """Vectors of `size` numbers for each body."""
+        width = int(self.layout.size[0])
+        shape = (len(self.blocks), size * width)
+        y, new, out, five, three = (np.zeros(shape) for _ in range(5))
+        K = np.zeros((STAGES, shape[0] * shape[1]))
+        return Room(y, new, out, five, three, K, np.zeros((len(self.blocks), width)), width)
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        elapsed = times - self.start
+        sums = self.advance(elapsed, rows, np.inf, frames)
+        return self.account.of_frames(elapsed, rows, frames, sums)
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State at the end of the segment, and (7,) booked until then."""
+        none = room_for(0, 0, np.empty((0, 4)))
+        elapsed = stop - self.start
+        self.advance(np.empty(0), np.empty(0, dtype=np.int64), elapsed, none)
+        give_blocks(self.blocks, self.layout, self.room)
+        n = self.group.members.size
+        state = state_of(self.blocks, n)
+        sums = out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1)
+        return state, self.account.of_state(elapsed, state.com, state.q, state.L, sums)
+
+    def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
+        """Through all times; sums of what was booked, for each row of the frames."""
+        group, large = self.group, self.forces.is_large
+        pairs = self.forces.for_python if large else self.forces.pairs
+        sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
+        for lo, hi, until in self.calls(times, stop):
+            cut = stop if until == stop else np.inf
+            arguments = (
+                acting_of(group.terms), self.account.books, self.blocks, self.layout, pairs,
+                self.room, self.clock, self.tolerance, times[lo:hi], rows[lo:hi], until, cut,
+                group.bodies.rotor_frame, group.members, frames, sums,
+            )  # fmt: skip
+            if large:
+                spread(*arguments)
+            else:
+                THREADS.alone(compiled, *arguments)
+        return np.asarray(sums.sum(axis=1))
+
+    def calls(self, times: Floats, stop: float) -> Iterator[tuple[int, int, float]]:
+        """Ranges of frames, and times to go to after them, of about a second each."""
+        most = max(1.0, NANOSECONDS_PER_CALL / self.cost)
+        done = 0
+        while done < times.size:
+            horizon = self.clock[0] + most * self.clock[1]
+            reached = max(int(np.searchsorted(times, horizon, side="right")), done)
+            if reached == done and horizon + most * self.clock[1] < times[done]:
+                yield done, done, horizon
+            else:
+                yield done, max(reached, done + 1), 0.0
+                done = max(reached, done + 1)
+        while stop < np.inf and self.clock[0] + most * self.clock[1] < stop:
+            yield done, done, self.clock[0] + most * self.clock[1]
+        if stop < np.inf:
+            yield done, done, stop
+
+
+@kernel
+def take_blocks(blocks: Floats, layout: Layout, room: Room) -> None:
+    """Bring the states of all blocks into vectors."""
+    w = room.width
+    for k in range(layout.first.size):
+        for c in range(room.y.shape[1] // w):
+            for b in range(layout.size[k]):
+                room.y[k, c * w + b] = get(blocks[k], c, b)
+
+
+@kernel
+def give_blocks(blocks: Floats, layout: Layout, room: Room) -> None:
+    """Write the vectors back."""
+    w = room.width
+    for k in range(layout.first.size):
+        for c in range(room.y.shape[1] // w):
+            for b in range(layout.size[k]):
+                put(blocks[k], c, b, room.y[k, c * w + b])

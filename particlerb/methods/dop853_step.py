@@ -1,0 +1,289 @@
+"""One step of DOP853 for bodies side by side: stages, error estimate, dense output.
+
+The bodies' vectors lie in flat arrays: number c of body b is y[c * w + b], and K has a row of all
+of them for every stage.
+
+Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I (1993), section
+II.10; coefficients in dop853_table.py.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from particlerb._jit import inline, kernel
+from particlerb.bodies.block import (
+    CHANGING,
+    INV_INERTIA,
+    INV_MASS,
+    Q,
+    get,
+    get3,
+    get4,
+    put,
+    put3,
+    put4,
+)
+from particlerb.maths.vec3 import Floats
+from particlerb.methods.dop853_table import STAGES, A, D, E
+from particlerb.methods.rates import Pose, slopes
+from particlerb.terms import STAGE as WORK
+from particlerb.terms import Acting
+
+SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
+GROW: Final = 5.0
+SAFETY: Final = 0.9
+ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of what a step computes
+LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any more
+ALONE: Final = 13  # numbers of a body: x, q, p, L; what it books follows where it books
+
+
+@kernel
+def take_slopes(
+    acting: Acting,
+    books: int | None,
+    rows: Floats,
+    n: int,
+    w: int,
+    y: Floats,
+    slope: Floats,
+) -> None:
+    """Slopes of a pack in the states y."""
+    for c in range(ALONE):
+        for b in range(n):
+            put(rows, WORK + c, b, y[c * w + b])
+    for b in range(n):
+        now = Pose(
+            get3(rows, WORK, b),
+            get4(rows, WORK + 3, b),
+            get3(rows, WORK + 7, b),
+            get3(rows, WORK + 10, b),
+        )
+        rate, (power, force, turning) = slopes(acting, rows, b, now)
+        put3(rows, WORK + CHANGING, b, rate.x)
+        put4(rows, WORK + CHANGING + 3, b, rate.q)
+        put3(rows, WORK + CHANGING + 7, b, rate.p)
+        put3(rows, WORK + CHANGING + 10, b, rate.L)
+        if books is not None:
+            put(rows, WORK + CHANGING + 13, b, power)
+            put3(rows, WORK + CHANGING + 14, b, force)
+            put3(rows, WORK + CHANGING + 17, b, turning)
+    for c in range(y.size // w):
+        for b in range(n):
+            slope[c * w + b] = get(rows, WORK + CHANGING + c, b)
+
+
+@kernel
+def add_rows(h: float, weights: Floats, K: Floats, count: int, out: Floats) -> None:
+    """out ← out + h Σ w_k K_k over the first rows: four at a time, to load `out` less often."""
+    k = 0
+    while k + 4 <= count:
+        a, b, c, d = (
+            h * weights[k],
+            h * weights[k + 1],
+            h * weights[k + 2],
+            h * weights[k + 3],
+        )
+        p, q, r, s = K[k], K[k + 1], K[k + 2], K[k + 3]
+        for i in range(out.size):
+            out[i] += (a * p[i] + b * q[i]) + (c * r[i] + d * s[i])
+        k += 4
+    while k < count:
+        a, p = h * weights[k], K[k]
+        for i in range(out.size):
+            out[i] += a * p[i]
+        k += 1
+
+
+@kernel
+def take_stages(
+    acting: Acting,
+    books: int | None,
+    rows: Floats,
+    n: int,
+    w: int,
+    y: Floats,
+    K: Floats,
+    new: Floats,
+    h: float,
+    i: int,
+    j: int,
+) -> None:
+    """Slopes of the stages i .. j - 1 of a step h; `new` is the state of the last one."""
+    for stage in range(i, j):
+        new[:] = y
+        add_rows(h, A[stage], K, stage, new)
+        take_slopes(acting, books, rows, n, w, new, K[stage])
+
+
+@inline
+def larger(w: int, y: Floats, new: Floats, lo: int, hi: int, b: int) -> float:
+    """Larger of the lengths of two vectors of body b."""
+    old_size, new_size = 0.0, 0.0
+    for c in range(lo, hi):
+        old_size += y[c * w + b] ** 2
+        new_size += new[c * w + b] ** 2
+    return math.sqrt(max(old_size, new_size))
+
+
+@inline
+def moved(w: int, y: Floats, new: Floats, b: int) -> float:
+    """Way of the centre of mass of body b."""
+    way = 0.0
+    for c in range(3):
+        way += (new[c * w + b] - y[c * w + b]) ** 2
+    return math.sqrt(way)
+
+
+@inline
+def largest_moment(rows: Floats, b: int) -> float:
+    """Largest principal moment of body b [kg m²]; 0 for a point."""
+    least = np.inf
+    for inverse in get3(rows, INV_INERTIA, b):
+        if inverse > 0.0:
+            least = min(least, inverse)
+    moment: float = 1.0 / least
+    return moment
+
+
+@inline
+def scales_of(
+    rows: Floats, w: int, y: Floats, new: Floats, b: int, h: float, tolerance: float
+) -> tuple[float, float, float, float]:
+    """What errors of x, q, p and L of body b are relative to.
+
+    For x the larger of the way and the radius of gyration, for p and L their lengths. Where a body
+    comes to rest all of these are rounding, of positions and so of the forces that hold it: none
+    is taken for smaller than what rounding makes of it in a step.
+    """
+    noise = ROUNDING / tolerance
+    mass, moment = 1.0 / get(rows, INV_MASS, b), largest_moment(rows, b)
+    size = math.sqrt(moment / mass)
+    way = max(moved(w, y, new, b), size, noise * larger(w, y, new, 0, 3, b))
+    p = max(
+        larger(w, y, new, 7, 10, b),
+        noise * mass * max(way, larger(w, y, new, 0, 3, b)) / h,
+    )
+    return way, 1.0, p, max(larger(w, y, new, 10, 13, b), noise * moment / h)
+
+
+@kernel
+def differences(K: Floats, five: Floats, three: Floats) -> None:
+    """Differences from the embedded results of orders 5 and 3."""
+    five[:], three[:] = 0.0, 0.0
+    add_rows(1.0, E[0], K, 13, five)
+    add_rows(1.0, E[1], K, 13, three)
+
+
+@kernel
+def errors_of(
+    rows: Floats,
+    n: int,
+    w: int,
+    y: Floats,
+    five: Floats,
+    three: Floats,
+    new: Floats,
+    h: float,
+    tolerance: float,
+    errors: Floats,
+) -> float:
+    """Write the error estimate of each body over the tolerance; the largest of those that live.
+
+    A body that is not a number any more has no say in the steps of the others.
+    """
+    worst = 0.0
+    for b in range(n):
+        sum5, sum3 = 0.0, 0.0
+        scales = scales_of(rows, w, y, new, b, h, tolerance)
+        for (lo, hi), scale in zip(((0, 3), (3, 7), (7, 10), (10, 13)), scales):  # noqa: B905
+            for c in range(lo, hi):
+                e5, e3 = five[c * w + b], three[c * w + b]
+                if e5 != 0.0 or e3 != 0.0:
+                    sum5 += (e5 / scale) ** 2
+                    sum3 += (e3 / scale) ** 2
+        errors[b] = 0.0
+        if sum5 != 0.0:
+            errors[b] = abs(h) * sum5 / math.sqrt((sum5 + 0.01 * sum3) * 13.0) / tolerance
+        if not np.isnan(y[b]) and not errors[b] <= worst:
+            worst = errors[b]
+    return worst
+
+
+@inline
+def normalise(values: Floats, n: int, w: int) -> None:
+    """Make |q| = 1."""
+    for b in range(n):
+        norm = 0.0
+        for c in range(Q, Q + 4):
+            norm += values[c * w + b] ** 2
+        for c in range(Q, Q + 4):
+            values[c * w + b] /= math.sqrt(norm)
+
+
+@inline
+def factor_of(error: float) -> float:
+    """By how much the next step is longer than the one with this error over the tolerance."""
+    if error == 0.0:
+        return GROW
+    if not error < np.inf:
+        return SHRINK
+    most = GROW if error < 1.0 else 1.0
+    factor: float = SAFETY * error ** (-1.0 / 8.0)
+    return max(SHRINK, min(most, factor))
+
+
+@kernel
+def find_step(
+    acting: Acting, books: int | None, rows: Floats, n: int, w: int, y: Floats, K: Floats,
+    new: Floats, t: float, h: float, tolerance: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Longest step up to h that is accurate, and the one to try after it; `new` is its end.
+
+    Bodies for which no step is short enough become NaN: their state is not finite, or the forces
+    are not smooth. The others go on.
+    """
+    errors, five, three = np.zeros(n), np.empty(y.size), np.empty(y.size)
+    take_slopes(acting, books, rows, n, w, y, K[0])
+    longest = h
+    while True:
+        take_stages(acting, books, rows, n, w, y, K, new, h, 1, 13)
+        differences(K, five, three)
+        error = errors_of(rows, n, w, y, five, three, new, h, tolerance, errors)
+        if error < 1.0:
+            normalise(new, n, w)
+            return h, h * factor_of(error)
+        h *= factor_of(error)
+        if not h > LEAST_STEP * t:
+            h = longest
+            for b in range(n):
+                for c in range(y.size // w):
+                    if not errors[b] < 1.0:
+                        y[c * w + b] = np.nan
+
+
+@kernel
+def interpolate(
+    n: int,
+    w: int,
+    y: Floats,
+    new: Floats,
+    K: Floats,
+    h: float,
+    share: float,
+    out: Floats,
+) -> None:
+    """State at a share of a step by the polynomial of order 7; |q| = 1."""
+    rest = 1.0 - share
+    out[:] = 0.0
+    for i in range(4):
+        add_rows(h, D[3 - i], K, STAGES, out)
+        for c in range(out.size):
+            out[c] *= share if i % 2 == 0 else rest
+    for c in range(out.size):
+        change = new[c] - y[c]
+        value = (out[c] + 2.0 * change - h * (K[12, c] + K[0, c])) * share
+        value = (value + h * K[0, c] - change) * rest
+        out[c] = y[c] + (value + change) * share
+    normalise(out, n, w)

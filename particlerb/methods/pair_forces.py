@@ -1,0 +1,169 @@
+"""Forces between the bodies of a group, evaluated together: links, direct sum, tree.
+
+They work on one array of states y (13, n) and one of loads (13, n), with the component first; what
+is in blocks is brought there and back. Small scenes are evaluated by one kernel inside the loop
+over steps, large ones from Python, spread over threads: the sums are the same to the bit.
+"""
+
+from typing import Any, Final, NamedTuple, cast
+
+import numpy as np
+
+from particlerb._jit import inline
+from particlerb.maths.vec3 import Floats
+from particlerb.terms import Terms
+from particlerb.terms.attraction import (
+    Attraction,
+    Work,
+    attraction_loads,
+    potential_energy,
+    spread_loads,
+    work_of,
+)
+from particlerb.terms.links import LOAD_ROWS, STATE_ROWS, Links, link_energy, link_loads
+from particlerb.terms.tree import Tree
+from particlerb.threads import THREADS
+
+NANOSECONDS_PER_PAIR: Final = 0.4  # of the direct sum, roughly, for one of the two
+NANOSECONDS_PER_LINK: Final = 15.0
+NANOSECONDS_TO_CALL: Final = 150.0
+NANOSECONDS_IN_TREE: Final = 5000.0  # per particle
+WORTH_THREADS: Final = 1e6  # ns of an evaluation from which on threads pay for their start
+
+
+class Pairs(NamedTuple):
+    """What kernels need to evaluate a group."""
+
+    links: Links | None
+    attraction: Attraction | None
+    work: Work | None
+    with_dashpots: bool  # whether they are among the loads: splittings have a flow for them
+    y: Floats  # (13, n) states
+    load: Floats  # (13, n), rows of terms/links.py
+    booked: Floats  # (13, n) the same rows, of flows
+
+
+@inline
+def attraction_into(
+    attraction: Attraction | None, work: Work | None, y: Floats, load: Floats
+) -> None:
+    """Add the loads of a direct sum, if there is one."""
+    if attraction is None or work is None:
+        return
+    attraction_loads(attraction, work, y, load)
+
+
+@inline
+def clear(load: Floats) -> None:
+    """Make all loads zero."""
+    for c in range(load.shape[0]):
+        for b in range(load.shape[1]):
+            load[c, b] = 0.0
+
+
+@inline
+def pair_loads(
+    links: Links | None,
+    attraction: Attraction | None,
+    work: Work | None,
+    with_dashpots: bool,
+    y: Floats,
+    load: Floats,
+) -> None:
+    """Loads in the state y, on this thread.
+
+    Takes what `Pairs` has one by one: to take it apart for every call costs more than two points.
+    """
+    clear(load)
+    link_loads(links, y, load, with_dashpots)
+    attraction_into(attraction, work, y, load)
+
+
+def cost_of(terms: Terms) -> float:
+    """Estimate of one evaluation of the forces between bodies on one thread [ns]."""
+    links, attraction = terms.links, terms.attraction
+    if not terms.is_coupled:
+        return 0.0
+    cost = NANOSECONDS_TO_CALL
+    if links is not None:
+        cost += NANOSECONDS_PER_LINK * links.first.size
+    if attraction is not None:
+        n = float(attraction.mass.size)
+        cost += NANOSECONDS_IN_TREE * n if terms.opening_angle else NANOSECONDS_PER_PAIR * n * n
+    return cost
+
+
+class PairForces:
+    """The forces between the bodies of a group, for the host.
+
+    Parameters
+    ----------
+    terms : Terms
+        Of a group whose bodies act on each other.
+    n : int
+        Its bodies.
+    with_dashpots : bool
+        Whether loads contain dashpots.
+    """
+
+    def __init__(self, terms: Terms, n: int, with_dashpots: bool) -> None:
+        attraction = terms.attraction
+        self.cost = cost_of(terms)
+        self.tree = None
+        if attraction is not None and terms.opening_angle > 0.0:
+            self.tree = Tree(attraction, terms.opening_angle)
+        direct = attraction if self.tree is None else None
+        self.pairs = Pairs(
+            terms.links,
+            direct,
+            None if direct is None else work_of(direct),
+            with_dashpots,
+            np.zeros((STATE_ROWS, n)),
+            np.zeros((LOAD_ROWS, n)),
+            np.zeros((LOAD_ROWS, n)),
+        )
+
+    @property
+    def for_python(self) -> Any:
+        """Pairs as a loop that runs as Python takes them: its `loads_over_threads` finds this."""
+        return self.pairs._replace(work=cast(Any, self))
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it is to be evaluated from Python, over threads."""
+        return self.tree is not None or self.cost > WORTH_THREADS
+
+    def evaluate(self) -> None:
+        """Loads in the state y, over all threads."""
+        links, attraction, work, with_dashpots, y, load, _ = self.pairs
+        load[:] = 0.0
+        THREADS.alone(link_loads, links, y, load, with_dashpots)
+        if self.tree is not None:
+            self.tree.loads(y, load)
+        if attraction is not None and work is not None:
+            spread_loads(attraction, work, y, load)
+
+    def potential_energy(self, com: Floats, q: Floats) -> float:
+        """Of the bodies with each other, and of links to the world [J]."""
+        energy = 0.0
+        if self.pairs.links is not None:
+            energy += link_energy(self.pairs.links, com, q)
+        y = np.zeros((STATE_ROWS, com.shape[1]))
+        y[:3], y[3:7] = com, q
+        if self.pairs.attraction is not None and self.pairs.work is not None:
+            energy += potential_energy(self.pairs.attraction, self.pairs.work, y)
+        if self.tree is not None:
+            energy += self.tree.potential_energy(y)
+        return energy
+
+
+def loads_over_threads(
+    links: Links | None,
+    attraction: Attraction | None,
+    forces: PairForces,
+    with_dashpots: bool,
+    y: Floats,
+    load: Floats,
+) -> None:
+    """Stands for `pair_loads` where the loop around it runs as Python."""
+    forces.evaluate()

@@ -1,0 +1,310 @@
+"""Springs and dashpots between points of two bodies, or of a body and the world.
+
+With d from the first point to the second, l = |d| and n = d/l, the first body feels
+F = k (l - l₀) n + c v n, where v is the rate of l; the second feels -F at its own point. The
+potential is k (l - l₀)²/2. While nothing moves, a dashpot alone lets v decay exactly, as
+e^{-c w h} with w = 1/m_eff = Σ over both of 1/M + (r × n)·I⁻¹(r × n): the flow that splittings use.
+A link of no length has no direction and gives no force.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb._jit import inline, kernel
+from particlerb.bodies.bodies import Bodies
+from particlerb.bodies.state import turned, turned_back
+from particlerb.maths.quaternion import Quat, Rows, matrix, turn, turn_back
+from particlerb.maths.vec3 import (
+    Floats,
+    Ints,
+    Vec3,
+    add_scaled,
+    cross,
+    dot,
+    multiplied3,
+    scale,
+    subtract,
+)
+from particlerb.terms.spring import Spring
+
+ITERATIONS: Final = 60  # of the power method
+TINY: Final = 1e-300  # keeps 1/l finite where a link has no length
+WORLD: Final = -1  # stands for the second body of a link to a point of the world
+FORCE: Final = 0  # rows of a load: force [N] and torque about the centre of mass [N m], world axes
+TORQUE: Final = 3
+POWER: Final = 6  # [W], or the work [J], of dashpots; booked on the first body
+OUTSIDE: Final = 7  # force from the world, and its torque about the world's origin
+LOAD_ROWS: Final = 13
+STATE_ROWS: Final = 13  # of a state: x, q, p, L
+
+
+class Links(NamedTuple):
+    """Parameters of s links among n bodies."""
+
+    first: Ints  # (s,) body
+    second: Ints  # (s,) body, or WORLD
+    first_at: Floats  # (3, s) [m], rotor frame of the first, from its centre of mass
+    second_at: Floats  # (3, s) [m], rotor frame of the second; or in the world
+    stiffness: Floats  # (s,) [N/m]
+    rest_length: Floats  # (s,) [m]
+    damping: Floats | None  # (s,) [N s/m]; None: no link has any
+    inv_mass: Floats  # (n,) [1/kg]
+    inv_inertia: Floats  # (3, n) [1/(kg m²)], rotor frame
+
+
+@inline
+def column3(rows: Floats, at: int, b: int) -> Vec3:
+    """Vector of body b from row `at` on."""
+    return rows[at, b], rows[at + 1, b], rows[at + 2, b]
+
+
+@inline
+def add_column3(rows: Floats, at: int, b: int, a: float, v: Vec3) -> None:
+    """Add a v to the vector of body b."""
+    rows[at, b] += a * v[0]
+    rows[at + 1, b] += a * v[1]
+    rows[at + 2, b] += a * v[2]
+
+
+@inline
+def attitude(y: Floats, b: int) -> Rows:
+    """Rotation matrix of body b."""
+    q: Quat = (y[3, b], y[4, b], y[5, b], y[6, b])
+    return matrix(q)
+
+
+class End(NamedTuple):
+    """One end of a link."""
+
+    arm: Vec3  # [m] from the centre of mass, world axes
+    point: Vec3  # [m] world
+    R: Rows
+
+
+@inline
+def first_end(links: Links, y: Floats, s: int) -> End:
+    """End of link s on its first body."""
+    a = links.first[s]
+    R = attitude(y, a)
+    arm = turn(R, column3(links.first_at, 0, s))
+    return End(arm, add_scaled(1.0, column3(y, 0, a), arm), R)
+
+
+@inline
+def second_end(links: Links, y: Floats, s: int) -> End:
+    """End of link s on its second body, or in the world."""
+    b, at = links.second[s], column3(links.second_at, 0, s)
+    if b == WORLD:
+        return End((0.0, 0.0, 0.0), at, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    R = attitude(y, b)
+    arm = turn(R, at)
+    return End(arm, add_scaled(1.0, column3(y, 0, b), arm), R)
+
+
+@inline
+def velocity(links: Links, y: Floats, b: int, end: End) -> Vec3:
+    """Velocity of the end on body b [m/s]."""
+    w = multiplied3(column3(links.inv_inertia, 0, b), turn_back(end.R, column3(y, 10, b)))
+    return add_scaled(links.inv_mass[b], column3(y, 7, b), cross(turn(end.R, w), end.arm))
+
+
+@inline
+def rate(links: Links, y: Floats, s: int, ends: tuple[End, End], n: Vec3) -> float:
+    """How fast link s grows [m/s]."""
+    a, b = links.first[s], links.second[s]
+    v: float = -dot(n, velocity(links, y, a, ends[0]))
+    if b != WORLD:
+        v += dot(n, velocity(links, y, b, ends[1]))
+    return v
+
+
+@inline
+def share(links: Links, b: int, end: End, n: Vec3) -> float:
+    """1/M + (r × n)·I⁻¹(r × n) of one body [1/kg]."""
+    m = turn_back(end.R, cross(end.arm, n))
+    turning = dot(m, multiplied3(column3(links.inv_inertia, 0, b), m))
+    total: float = links.inv_mass[b] + turning
+    return total
+
+
+@inline
+def inverse_mass(links: Links, s: int, ends: tuple[End, End], n: Vec3) -> float:
+    """1/m_eff of link s along n [1/kg]."""
+    w = share(links, links.first[s], ends[0], n)
+    if links.second[s] != WORLD:
+        w += share(links, links.second[s], ends[1], n)
+    return w
+
+
+@inline
+def coefficient(damping: Floats | None, s: int) -> float:
+    """Damping of link s [N s/m]."""
+    if damping is None:
+        return 0.0
+    value: float = damping[s]
+    return value
+
+
+@kernel
+def link_loads(links: Links | None, y: Floats, load: Floats, with_dashpots: bool) -> None:
+    """Add the loads (13, n) of all links in the state y (13, n), one after the other."""
+    if links is None:
+        return
+    for s in range(links.first.size):
+        a, b = links.first[s], links.second[s]
+        ends = first_end(links, y, s), second_end(links, y, s)
+        d = subtract(ends[1].point, ends[0].point)
+        inverse = 1.0 / math.sqrt(dot(d, d) + TINY)
+        size = links.stiffness[s] * (1.0 - links.rest_length[s] * inverse)
+        c = coefficient(links.damping, s)
+        if with_dashpots and c > 0.0:
+            v = rate(links, y, s, ends, scale(inverse, d))
+            size += c * v * inverse
+            load[POWER, a] -= c * v * v
+        force = scale(size, d)
+        add_column3(load, FORCE, a, 1.0, force)
+        add_column3(load, TORQUE, a, 1.0, cross(ends[0].arm, force))
+        if b == WORLD:
+            add_column3(load, OUTSIDE, a, 1.0, force)
+            add_column3(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, force))
+        else:
+            add_column3(load, FORCE, b, -1.0, force)
+            add_column3(load, TORQUE, b, -1.0, cross(ends[1].arm, force))
+
+
+@kernel
+def damp_links(links: Links | None, y: Floats, load: Floats, dt: float, backwards: bool) -> None:
+    """Exact flow of each dashpot over dt, one after the other, on the momenta of y.
+
+    What they take is booked in the rows POWER (as work) and OUTSIDE (as impulses) of `load`. Going
+    through them backwards is the adjoint: both directions in turn are of order two.
+    """
+    if links is None or dt == 0.0:
+        return
+    for i in range(links.first.size):
+        s = links.first.size - 1 - i if backwards else i
+        c = coefficient(links.damping, s)
+        if c == 0.0:
+            continue
+        a, b = links.first[s], links.second[s]
+        ends = first_end(links, y, s), second_end(links, y, s)
+        d = subtract(ends[1].point, ends[0].point)
+        n = scale(1.0 / math.sqrt(dot(d, d) + TINY), d)
+        v, w = rate(links, y, s, ends, n), inverse_mass(links, s, ends, n)
+        if not w > 0.0:
+            continue
+        given = -math.expm1(-c * w * dt) * v / w
+        impulse = scale(given, n)
+        load[POWER, a] += given * (0.5 * given * w - v)
+        add_column3(y, 7, a, 1.0, impulse)
+        add_column3(y, 10, a, 1.0, cross(ends[0].arm, impulse))
+        if b == WORLD:
+            add_column3(load, OUTSIDE, a, 1.0, impulse)
+            add_column3(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, impulse))
+        else:
+            add_column3(y, 7, b, -1.0, impulse)
+            add_column3(y, 10, b, -1.0, cross(ends[1].arm, impulse))
+
+
+def spans(links: Links, com: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
+    """From first to second point (3, s) [m], and both arms in world axes (3, s) [m]."""
+    a, b = links.first, links.second
+    first = turned(q[:, a], links.first_at)
+    inside = b != WORLD
+    arm = np.where(inside, turned(q[:, b], links.second_at), 0.0)
+    second = np.where(inside, com[:, b] + arm, links.second_at)
+    return second - com[:, a] - first, first, arm
+
+
+def link_energy(links: Links, com: Floats, q: Floats) -> float:
+    """Σ k (l - l₀)²/2 [J]."""
+    stretch = np.linalg.norm(spans(links, com, q)[0], axis=0) - links.rest_length
+    return float((0.5 * links.stiffness * stretch * stretch).sum())
+
+
+def with_springs(links: Links | None, springs: tuple[Spring, ...], bodies: Bodies) -> Links:
+    """Links of a group with the springs of single bodies among them; without dashpots."""
+    n = bodies.mass.size
+    nobody, nowhere, nothing = np.zeros(0, dtype=np.int64), np.zeros((3, 0)), np.zeros(0)
+    none = Links(
+        nobody, nobody, nowhere, nowhere, nothing, nothing, None, bodies.inv_mass,
+        bodies.inv_inertia,
+    )  # fmt: skip
+    parts = [none if links is None else links]
+    for one in springs:
+        ends = np.arange(n), np.full(n, WORLD)
+        own = (one.at, one.anchor, one.stiffness, one.rest_length)
+        parts.append(none._replace(**dict(zip(none._fields, (*ends, *own), strict=False))))
+    joined = {
+        name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
+        for name in none._fields[:6]
+    }
+    return none._replace(**joined)
+
+
+def fastest_oscillation(links: Links, bodies: Bodies, com: Floats, q: Floats) -> float:
+    """Fastest frequency of the bodies on their links in this pose [rad/s], by power iteration.
+
+    Along a link the stiffness is k, across it k (1 - l₀/l) where that is positive. Rayleigh's
+    quotient never exceeds the true ω², and is within a per cent of it.
+    """
+    d, first, second = spans(links, com, q)
+    length = np.linalg.norm(d, axis=0)
+    n = np.divide(d, length, out=np.zeros_like(d), where=length > 0.0)
+    across = 1.0 - np.divide(
+        links.rest_length, length, out=np.ones_like(length), where=length > 0.0
+    )
+    across = links.stiffness * np.maximum(across, 0.0)
+    ends = links.first, np.where(links.second == WORLD, com.shape[1], links.second)
+    v, w = np.random.default_rng(0).standard_normal((2, 3, com.shape[1] + 1))
+    squared = 0.0
+    for _ in range(ITERATIONS):
+        v[:, -1], w[:, -1] = 0.0, 0.0  # the world
+        u = v[:, ends[1]] + np.cross(w[:, ends[1]], second, axis=0)
+        u -= v[:, ends[0]] + np.cross(w[:, ends[0]], first, axis=0)
+        along = n * (n * u).sum(axis=0)
+        f = links.stiffness * along + across * (u - along)
+        m = turned_back(q, w[:, :-1])
+        kinetic = (bodies.mass * v[:, :-1] ** 2).sum() + (bodies.inertia * m * m).sum()
+        squared = float((u * f).sum() / kinetic) if kinetic > 0.0 else 0.0
+        F, tau = np.zeros_like(v), np.zeros_like(w)
+        for end, arm, sign in ((ends[0], first, -1.0), (ends[1], second, 1.0)):
+            for c in range(3):
+                F[c] += sign * np.bincount(end, f[c], F.shape[1])
+                turn_ = np.cross(arm, f, axis=0)[c]
+                tau[c] += sign * np.bincount(end, turn_, F.shape[1])
+        v[:, :-1] = bodies.inv_mass * F[:, :-1]
+        w[:, :-1] = turned(q, bodies.inv_inertia * turned_back(q, tau[:, :-1]))
+        size = max(float(np.abs(v).max()), float(np.abs(w).max()))
+        if not 0.0 < size < np.inf:
+            return math.sqrt(squared)
+        v, w = v / size, w / size
+    return math.sqrt(squared)
+
+
+def link_rates(links: Links) -> Floats:
+    """Bound of the fastest oscillation that takes part in each body, (n,) [rad/s].
+
+    With u = √(k/m_eff) of one body at one link, the eigenvalues of all links together are at most
+    u_a Σ_a u + u_b Σ_b u for some link, after Gershgorin; dashpots add c/m_eff.
+    """
+    n = links.inv_mass.size
+    softest = links.inv_inertia.max(axis=0)
+    inside = links.second != WORLD
+    own = [
+        links.inv_mass[body] + (at * at).sum(axis=0) * softest[body]
+        for body, at in ((links.first, links.first_at), (links.second, links.second_at))
+    ]
+    own[1] = np.where(inside, own[1], 0.0)
+    u = [np.sqrt(links.stiffness * softness) for softness in own]
+    sums = np.bincount(links.first, u[0], n)
+    np.add.at(sums, links.second[inside], u[1][inside])
+    fastest = np.sqrt(u[0] * sums[links.first] + u[1] * sums[links.second])
+    if links.damping is not None:
+        fastest = np.maximum(fastest, links.damping * (own[0] + own[1]))
+    rates = np.zeros(n)
+    np.maximum.at(rates, links.first, fastest)
+    np.maximum.at(rates, links.second[inside], fastest[inside])
+    return rates
