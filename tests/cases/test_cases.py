@@ -25,7 +25,14 @@ from particlerb.rotors.rotor_class import NAMES
 
 TESTS = Path(__file__).parents[1]
 CASES = TESTS.parent / "cases"
-MANY_STEPS = ("heavy_top", "spinning_tops", "ten_thousand_clumps")
+MANY_STEPS = (
+    "binary_asteroid",
+    "heavy_top",
+    "kepler",
+    "spinning_tops",
+    "spring_net",
+    "ten_thousand_clumps",
+)
 LIGHTER = {"ten_thousand_clumps": ("run.every=1",)}  # 11 frames instead of 1001
 NASA_RATES_DEG = (10.0, 20.0, 30.0)
 SLUG_FT2 = Fraction("0.45359237") * Fraction("9.80665") * Fraction("0.3048")  # [kg m²], exact
@@ -341,3 +348,265 @@ def test_the_clumps_take_the_stated_room_on_the_disk():
     case = load(CASES / "ten_thousand_clumps.toml")
     assert case.n_bodies == 10_000
     assert bytes_of_run(case, 1001) == pytest.approx(1.05e9, rel=0.01)
+
+
+# binary_asteroid ---------------------------------------------------------------------------------
+
+
+def around(run: SimpleNamespace) -> tuple[np.ndarray, np.ndarray, float]:
+    """Way from the first body to the second, its length [m], and the mean rate of its angle."""
+    way = run.x[:, 1] - run.x[:, 0]
+    phase = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
+    return way, np.linalg.norm(way, axis=1), (phase[-1] - phase[0]) / (run.t[-1] - run.t[0])
+
+
+@pytest.mark.compiled
+def test_dimorphos_circles_in_the_stated_time_and_shows_one_face():
+    run = ran("binary_asteroid")
+    way, distance, rate = around(run)
+    assert 2 * np.pi / rate / 3600 == pytest.approx(11.825, abs=5e-4)
+    assert np.abs(distance - 1180.0).max() < 3e-3
+    axis = turn(run.q[:, 1]).apply([1.0, 0.0, 0.0])
+    across = np.linalg.norm(np.cross(axis, way), axis=1) / distance
+    assert np.degrees(across.max()) < 1e-3
+    assert (axis * way).sum(axis=1).min() > 0
+    spin = run.w_world[:, 0, 2]
+    assert 2 * np.pi / spin / 3600 == pytest.approx(2.26, abs=1e-6)
+    assert np.abs(spin / spin[0] - 1).max() < 4e-8
+    assert 0.10 < np.linalg.norm(run.x[-1, 1] - run.x[0, 1]) < 0.115
+
+
+@pytest.mark.compiled
+def test_two_points_of_these_masses_take_11_92_hours_as_kepler_says():
+    case = tomllib.loads((CASES / "binary_asteroid.toml").read_text())
+    masses = np.array([body["mass"] for body in case["body"]])
+    rate = np.sqrt(case["attraction"]["G"] * masses.sum() / 1180.0**3)
+    assert 2 * np.pi / rate / 3600 == pytest.approx(11.920, abs=5e-4)
+    for body in case["body"]:
+        body["shape"] = {"type": "points", "position": [[0, 0, 0]], "mass": [1]}
+        body["velocity"] = [0.0, rate * body["position"][0], 0.0]
+        del body["angular_velocity"]
+    run = ran(case | {"check": {}})
+    _, distance, found = around(run)
+    assert found == pytest.approx(rate, rel=1e-9)
+    assert np.abs(distance - 1180.0).max() < 1e-6
+
+
+def test_the_shapes_of_didymos_and_dimorphos_shorten_the_period_by_their_inertia():
+    """n² = G (M + m)/d³ (1 + (3/2)(I_y + I_z - 2 I_x)/(M d²) of both), x towards the other."""
+    case = load(CASES / "binary_asteroid.toml")
+    shares = []
+    for body in case.body:
+        a, b, c = body.shape.semi_axes
+        shares.append(0.3 * (2 * a * a - b * b - c * c) / 1180.0**2)
+    assert shares == pytest.approx([0.0155, 0.0010], abs=5e-5)
+    assert 11.920 * (1 - sum(shares) / 2) == pytest.approx(11.825, abs=0.01)
+
+
+# dumbbell_pair -----------------------------------------------------------------------------------
+
+
+def test_the_dumbbells_turn_like_one_rigid_body_at_the_rate_of_the_force_between_them():
+    force = 0.25 * (1 / 2.8**2 + 2 / 2**2 + 1 / 1.2**2)
+    rate = np.sqrt(force)
+    assert rate == pytest.approx(0.574890307983316, abs=1e-15)
+    run = ran("dumbbell_pair")
+    assert run.t[-1] == pytest.approx(2 * np.pi / rate, rel=1e-14)
+    whole = Rotation.from_rotvec(run.t[:, None] * rate * UP)
+    for b, x in enumerate((-1.0, 1.0)):
+        assert np.abs(run.x[:, b] - whole.apply([x, 0.0, 0.0])).max() < 2e-11
+        assert np.abs(turn(run.q[:, b]).apply([1, 0, 0]) - whole.apply([1, 0, 0])).max() < 2e-11
+        assert np.abs(run.w_world[:, b] - rate * UP).max() < 2e-11
+
+
+def test_halving_the_step_of_the_dumbbells_divides_their_error_by_64():
+    found = []
+    for steps in (40, 80):
+        run = ran("dumbbell_pair", f"run.dt={10.929363775883889 / steps}", "run.every=10")
+        found.append(np.abs(run.x[-1, 1] - [1.0, 0.0, 0.0]).max())
+    assert found[0] / found[1] == pytest.approx(64.0, rel=0.1)
+
+
+# kepler ------------------------------------------------------------------------------------------
+
+
+def ellipse(run: SimpleNamespace) -> tuple[np.ndarray, np.ndarray]:
+    """Direction of the nearest point in the plane of the orbit, and mean anomaly [rad]."""
+    r, v = run.x[:, 1] - run.x[:, 0], run.v[:, 1] - run.v[:, 0]
+    distance = np.linalg.norm(r, axis=1)
+    eccentricity = np.cross(v, np.cross(r, v)) - r / distance[:, None]
+    e = np.linalg.norm(eccentricity, axis=1)
+    a = 1 / (2 / distance - (v * v).sum(axis=1))
+    E = np.arctan2((r * v).sum(axis=1) / np.sqrt(a), 1 * (a - distance))
+    along = eccentricity @ [0.0, np.cos(np.pi / 6), 0.5]
+    return np.arctan2(along, eccentricity[:, 0]), E - e * np.sin(E)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(("part", "share"), [(500, 1), (1000, 4)])
+def test_the_points_on_ellipses_stay_behind_by_the_stated_way(part, share):
+    """And halving the step divides all of it by four."""
+    orbit = 2 * np.pi
+    changes = (f"run.dt={orbit / part}", f"run.every={orbit}", f"run.t_end={10 * orbit}")
+    run = ran("kepler", *changes)
+    turned, anomaly = ellipse(run)
+    assert anomaly[[1, 10]] == pytest.approx([-3.91e-3 / share, -3.91e-2 / share], rel=5e-3)
+    assert turned[[1, 10]] == pytest.approx([-6.1e-4 / share, -6.1e-3 / share], rel=2e-2)
+    lag = np.linalg.norm(run.x[1, 1] - run.x[0, 1])
+    assert lag == pytest.approx(5.3e-3 / share, rel=1e-2)
+    fine = ran("kepler", f"run.dt={orbit / part}", "run.every=0.05", f"run.t_end={orbit}")
+    error = np.abs(fine.ledger.energy_error).max() / fine.ledger.kinetic_energy.max()
+    assert error == pytest.approx(1.43e-4 / share, rel=5e-3)
+
+
+@pytest.mark.compiled
+def test_the_energy_of_a_hundred_orbits_is_bounded_and_the_plane_stays():
+    run = ran("kepler")
+    error = np.abs(run.ledger.energy_error) / run.ledger.kinetic_energy.max()
+    tenth = len(error) // 10
+    assert error.max() == pytest.approx(1.43e-4, rel=5e-3)
+    assert error[-tenth:].max() == pytest.approx(error[:tenth].max(), rel=1e-2)
+    assert np.linalg.norm(run.x[:, 1] - run.x[:, 0], axis=1).min() == pytest.approx(0.5, rel=1e-3)
+    assert np.abs(run.x @ [0.0, -0.5, np.cos(np.pi / 6)]).max() < 1e-12
+
+
+@pytest.mark.compiled
+def test_the_energy_of_100_000_orbits_is_bounded():
+    """A hundred steps an orbit: wrong by up to 3.6e-3 in each passage, a share (500/100)²."""
+    orbit = 2 * np.pi
+    changes = (f"run.dt={orbit / 100}", f"run.t_end={1e5 * orbit}", f"run.every={orbit * 20.037}")
+    run = ran("kepler", *changes, "check={}")
+    error = run.ledger.energy_error / run.ledger.kinetic_energy.max()
+    tenth = len(error) // 10
+    assert np.abs(error).max() < 3.7e-3
+    assert np.abs(error[-tenth:]).max() == pytest.approx(np.abs(error[:tenth]).max(), rel=0.02)
+    assert np.abs(error).max() > 3e-3  # the frames do meet passages
+    assert np.abs(run.ledger.angular_momentum_error).max() < 1e-12
+
+
+# spring_net --------------------------------------------------------------------------------------
+
+
+def net() -> SimpleNamespace:
+    """The sheet in its plane: places, arms of springs, and what accelerates (x, y, θ) of a tile."""
+    n, gap, h, mass, k = 20, 0.1, 0.03, 0.01, 30.0
+    place = np.array([(gap * (i - 9.5), gap * (j - 9.5)) for j in range(n) for i in range(n)])
+    ties = []
+    for b in range(n * n):
+        right, up = b % n < n - 1, b < n * (n - 1)
+        ties += [(b, b + 1, (h, s), (-h, s)) for s in (h, -h) if right]
+        ties += [(b, b + n, (s, h), (s, -h)) for s in (h, -h) if up]
+        if right and up:
+            ties += [(b, b + n + 1, (h, h), (-h, -h)), (b + 1, b + n, (-h, h), (h, -h))]
+    a, b = np.array([tie[:2] for tie in ties]).T
+    at, to = np.array([tie[2] for tie in ties]), np.array([tie[3] for tie in ties])
+    rest = np.linalg.norm(place[b] + to - place[a] - at, axis=1)
+    inertia = np.array([mass, mass, mass * (2 * h) ** 2 / 6])
+
+    def turned(r, theta):
+        c, s = np.cos(theta), np.sin(theta)
+        return np.stack([c * r[:, 0] - s * r[:, 1], s * r[:, 0] + c * r[:, 1]], axis=1)
+
+    def slope(t, y):
+        x, v = y.reshape(2, n * n, 3)
+        first, second = turned(at, x[a, 2]), turned(to, x[b, 2])
+        d = x[b, :2] + second - x[a, :2] - first
+        F = (k * (1 - rest / np.linalg.norm(d, axis=1)))[:, None] * d
+        turning = [r[:, 0] * F[:, 1] - r[:, 1] * F[:, 0] for r in (first, second)]
+        loads = (F[:, 0], -F[:, 0]), (F[:, 1], -F[:, 1]), (turning[0], -turning[1])
+        load = [np.bincount(a, one, n * n) + np.bincount(b, two, n * n) for one, two in loads]
+        return np.concatenate([v.ravel(), (np.stack(load, axis=1) / inertia).ravel()])
+
+    def start(impulse):
+        y = np.zeros((2, n * n, 3))
+        y[0, :, :2] = place
+        y[1, 0] = [impulse / mass, 0.0, h * impulse / inertia[2]]
+        return y
+
+    return SimpleNamespace(
+        slope=slope, start=start, place=place, springs=len(ties), inertia=inertia
+    )
+
+
+@pytest.mark.compiled
+def test_the_wave_in_the_net_is_that_of_an_independent_integrator():
+    own, run = net(), ran("spring_net", "run.every=0.05")
+    y = own.start(0.005).ravel()
+    done = solve_ivp(own.slope, (0, 1), y, "DOP853", t_eval=run.t, rtol=1e-10, atol=1e-12)
+    x = done.y.T.reshape(len(run.t), 2, 400, 3)[:, 0]
+    apart = np.abs(run.x[:, :, :2] - x[:, :, :2]).max(axis=(1, 2))
+    assert apart.max() < 1.5e-6
+    angle_found = 2 * np.arctan2(run.q[:, :, 3], run.q[:, :, 0])
+    assert np.abs(angle_found - x[:, :, 2]).max() < 1.4e-4
+    assert not run.x[:, :, 2].any()
+    moved = np.linalg.norm(run.x - run.x[0], axis=2)
+    rows = rows_at(run, np.array([0.2, 0.25, 0.5, 1.0]))
+    assert moved[rows, 19][:2] == pytest.approx([0.113e-3, 2.39e-3], rel=5e-3)  # the comment
+    assert moved[rows, 399][2:] == pytest.approx([3.5e-3, 15.8e-3], rel=5e-3)
+    assert moved[rows[0], 399] < 1e-9
+
+
+@pytest.mark.compiled
+def test_the_net_keeps_energy_and_momenta_as_stated():
+    coarse, fine = (
+        ran("spring_net", "run.every=0.01", f"run.dt={dt}").ledger for dt in (2e-4, 1e-4)
+    )
+    drifts = [np.abs(one.energy_error).max() / one.kinetic_energy[0] for one in (coarse, fine)]
+    assert drifts == pytest.approx([1.1e-4, 1.1e-4 / 4], rel=0.03)
+    assert fine.linear_momentum == pytest.approx(np.tile([0.005, 0, 0], (101, 1)), abs=1e-15)
+    assert fine.angular_momentum == pytest.approx(np.tile([0, 0, 0.0049], (101, 1)), abs=1e-15)
+
+
+@pytest.mark.compiled
+def test_small_swings_of_the_net_are_the_sum_of_its_normal_modes():
+    """u = Σ v sin(ωt)/ω with eigenvectors of the stiffness, which is found by differences."""
+    own = net()
+    rest, step = own.start(0.0), 1e-6
+    weight = np.sqrt(np.tile(own.inertia, 400))
+    stiffness = np.empty((1200, 1200))
+    for i in range(1200):
+        away = np.zeros(1200)
+        away[i] = step
+        pair = [
+            own.slope(0, np.concatenate([rest[0].ravel() + s * away, away * 0])) for s in (1, -1)
+        ]
+        stiffness[:, i] = -(pair[0] - pair[1])[1200:] / (2 * step) * weight / weight[i]
+    squares, modes = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+    rates = np.sqrt(np.maximum(squares, 0.0))
+    assert own.springs == 2242
+    assert rates[-1] == pytest.approx(268, abs=1)
+    assert (rates < 1e-2).sum() == 4  # moves of the whole sheet, and one more that bends no spring
+    run = ran(
+        "spring_net",
+        "force.6.impulse=[5e-5, 0.0, 0.0]",
+        "run.every=0.05",
+        "run.t_end=0.3",
+        "check={}",
+    )
+    share = modes.T @ (own.start(5e-5)[1].ravel() * weight)
+    for f, t in enumerate(run.t):
+        swing = modes @ (share * t * np.sinc(rates * t / np.pi)) / weight
+        u = (run.x[f] - run.x[0])[:, :2]
+        assert np.abs(u - swing.reshape(400, 3)[:, :2]).max() < 5e-8 + 0.01 * np.abs(u).max()
+
+
+# gravity_gradient --------------------------------------------------------------------------------
+
+
+def test_the_dumbbells_librate_at_root_3_and_at_2_times_the_rate_of_their_orbit():
+    n = np.sqrt(3.986004418e14 / 7e6**3)
+    assert n == pytest.approx(1.078007612872506e-3, rel=1e-15)
+    periods = 2 * np.pi / (n * np.array([np.sqrt(3), 2.0, 1.0]))
+    assert periods == pytest.approx([3365.1, 2914.3, 5828.5], abs=0.05)
+    run = ran("gravity_gradient")
+    upright = Rotation.from_rotvec(run.t[:, None] * n * UP)
+    out, along, across = np.moveaxis(
+        np.stack([upright.inv().apply(turn(run.q[:, b]).apply([1.0, 0, 0])) for b in (0, 1)]), 2, 0
+    )
+    assert out.min() > 1 - 1e-6
+    assert along[0] == pytest.approx(1e-3 * np.sin(np.sqrt(3) * n * run.t), abs=2e-8)
+    assert across[1] == pytest.approx(-1e-3 * np.sin(2 * n * run.t), abs=2e-8)
+    assert np.abs(across[0]).max() < 1e-12
+    assert np.abs(along[1]).max() < 2e-6  # of the order of the square
+    assert np.abs(np.linalg.norm(run.x, axis=2) - 7e6).max() < 1e-3
+    assert run.t[-1] / periods == pytest.approx([7, 8.083, 4.0414], rel=1e-4)
