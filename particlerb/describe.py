@@ -7,6 +7,7 @@ import numpy as np
 from particlerb.bodies.scene import Scene
 from particlerb.case.schema import FORCES, Case
 from particlerb.maths.vec3 import Ints
+from particlerb.methods.dilute import can_fly
 from particlerb.plan import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.rotors.rotor_class import NAMES
 from particlerb.terms import Terms, has_potential, is_constant
@@ -24,7 +25,7 @@ def describe(case: Case, scene: Scene, plan: Plan, accuracy: str = "") -> str:
         ("gravity", gravity_line(case)),
         ("attraction", attraction_line(case, plan)),
         *((kind, force_line(case, kind)) for kind in FORCES),
-        ("contact", contact_line(scene)),
+        ("contact", contact_line(case, scene, plan)),
         ("step", plan.step),
         *([("accuracy", accuracy)] if accuracy else []),
         ("ledger", ledger_line(plan)),
@@ -82,11 +83,30 @@ def force_line(case: Case, kind: str) -> str:
     return f"on: {count} of them" if count else f"off: no [[force]] of type {kind}"
 
 
-def contact_line(scene: Scene) -> str:
-    """Why nothing touches."""
+def contact_line(case: Case, scene: Scene, plan: Plan) -> str:
+    """What may touch, by which law, or why nothing touches."""
+    found = [s.terms.contact for g in plan.groups for s in g.segments if s.terms.contact]
+    if case.contact is not None and found:
+        spheres, walls = found[0].scene.spheres.radius.size, len(found[0].motions)
+        what = f"{spheres} spheres and {walls} walls, {case.contact.law}"
+        return f"on: {what}, pairs kept within {found[0].skin:.3g} m{flying(plan)}"
     if not scene.particles.radius.any():
         return "off: no particle has a radius"
-    return "off: not in this version; radii add to the inertia tensor only"
+    return "off: no [contact]; radii add to the inertia tensor only"
+
+
+def flying(plan: Plan) -> str:
+    """Whether bodies with nothing in reach fly in closed form."""
+    return ", closed form where none is in reach" if any_flies(plan) else ""
+
+
+def any_flies(plan: Plan) -> bool:
+    """Whether a group of touching bodies may do so."""
+    return any(
+        segment.terms.contact is not None and can_fly(segment.terms, group.members.size)
+        for group in plan.groups
+        for segment in group.segments
+    )
 
 
 def ledger_line(plan: Plan) -> str:
@@ -167,4 +187,6 @@ def driving(terms: Terms) -> str:
         between.append(f"{terms.links.first.size} {kind}")
     if terms.attraction is not None:
         between.append("attraction")
+    if terms.contact is not None:
+        between.append("contact")
     return f"coupled by {' and '.join(between)}{outside and f', {outside}'}"

@@ -15,6 +15,9 @@ from particlerb.bodies.bodies import Bodies
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import turned_back
 from particlerb.case.schema import Case, Central
+from particlerb.contact.laws import SHEAR_DAMPING, Law
+from particlerb.contact.loads import MOTION, Contact, Spheres
+from particlerb.contact.loads import Scene as Touchable
 from particlerb.forces import N_NUMBERS, Forces, Load, acting_terms
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.pairs import Link, attracted, components, particles_of, tree_accuracy
@@ -23,7 +26,9 @@ from particlerb.terms import Terms
 from particlerb.terms.attraction import Attraction
 from particlerb.terms.links import WORLD, Links
 from particlerb.terms.tree import BREAK_EVEN, angle_for
+from particlerb.touching import Contact as Touching
 
+SKIN: Final = 0.6  # default skin, in units of the smallest radius
 FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
 
 
@@ -34,26 +39,33 @@ class Together(NamedTuple):
     forces: list[Forces]  # on each of them
     links: list[Link]  # among them, with numbers of the scene
     attracts: bool  # whether they attract each other
+    touches: bool  # whether they touch
 
 
 def groups_of(
-    case: Case, scene: Scene, loads: Sequence[Load], links: Sequence[Link]
+    case: Case,
+    scene: Scene,
+    loads: Sequence[Load],
+    links: Sequence[Link],
+    touching: Touching | None,
 ) -> list[Together]:
     """Groups of a scene, in the order of their first bodies."""
     heavy = attracted(case, scene)
+    solid = np.zeros(0, dtype=np.int64) if touching is None else touching.body
     ends = [end[end != WORLD] for link in links for end in (link.first, link.second)]
-    bound = np.unique(np.concatenate([heavy, *ends])) if ends or heavy.size else heavy
+    bound = np.unique(np.concatenate([heavy, solid, *ends]))
     groups = [
-        Together(members, forces, [], False)
+        Together(members, forces, [], False, False)
         for members, forces in groups_alone(scene, loads, bound)
     ]
-    label = components(len(scene.kind), list(links), heavy)
+    label = components(len(scene.kind), list(links), heavy, solid)
     for members in clusters(scene, loads, links, label, bound):
         own = np.zeros(len(scene.kind), dtype=bool)
         own[members] = True
         inside = [within(link, own) for link in links if own[link.first].any()]
         attracts = bool(heavy.size) and bool(own[heavy[0]])
-        groups.append(Together(members, aligned(loads, members), inside, attracts))
+        touches = bool(solid.size) and bool(own[solid[0]])
+        groups.append(Together(members, aligned(loads, members), inside, attracts, touches))
     return sorted(groups, key=lambda group: int(group.members.min()))
 
 
@@ -156,6 +168,7 @@ def terms_of(
     bodies: Bodies,
     forces: list[Forces],
     links: list[Link],
+    touching: Touching | None,
 ) -> Terms:
     """Terms of a group while these of its forces and links act."""
     terms = acting_terms(case, bodies, forces)
@@ -165,6 +178,8 @@ def terms_of(
         attraction = attraction_among(case, scene, group.members, bodies)
         angle = opening_angle(case, attraction.mass.size)
         terms = terms._replace(attraction=attraction, opening_angle=angle)
+    if group.touches and touching is not None:
+        terms = terms._replace(contact=contact_among(scene, group.members, bodies, touching))
     return terms
 
 
@@ -213,6 +228,55 @@ def attraction_among(case: Case, scene: Scene, members: Ints, bodies: Bodies) ->
         case.attraction.G * mass,
         np.searchsorted(owner, np.arange(members.size + 1)),
         case.attraction.softening**2,
+    )
+
+
+def contact_among(scene: Scene, members: Ints, bodies: Bodies, touching: Touching) -> Contact:
+    """Spheres, law and walls of a group."""
+    index, _ = particles_of(scene, members)
+    counts = np.diff(scene.particles.offset)[scene.kind[members]]
+    owner = np.repeat(np.arange(members.size), counts)
+    takes_part = (scene.particles.radius[index] > 0.0) & (touching.material[members][owner] >= 0)
+    index, owner = index[takes_part], owner[takes_part]
+    place = np.ascontiguousarray(scene.particles.position[index].T)
+    radius = scene.particles.radius[index]
+    reach = np.zeros(members.size)
+    np.maximum.at(reach, owner, np.sqrt((place * place).sum(axis=0)))
+    k = len(touching.materials)
+    spheres = Spheres(
+        np.ascontiguousarray(turned_back(bodies.rotor_frame[:, owner], place)),
+        radius,
+        owner,
+        touching.material[members][owner],
+        np.searchsorted(owner, np.arange(members.size + 1)),
+    )
+    motions = np.zeros((len(touching.motions), MOTION))
+    for row, one in zip(motions, touching.motions, strict=True):
+        row[:] = [*one.centre, *one.velocity, *one.angular_velocity, *one.amplitude, *one[4:]]
+    material = touching.wall_material[touching.walls.wall]
+    law = law_of(touching)
+    pair_of = np.arange(k * k).reshape(k, k)
+    skin = touching.skin or SKIN * float(radius.min())
+    touchable = Touchable(
+        spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia
+    )
+    return Contact(touchable, motions, reach, skin)
+
+
+def law_of(touching: Touching) -> Law:
+    """Law with the numbers of all pairs of materials."""
+    pairs = touching.pairs
+    is_hertz = touching.law == "hertz"
+    rolling = pairs.rolling_friction.ravel()
+    return Law(
+        (pairs.modulus if is_hertz else pairs.stiffness).ravel(),
+        (pairs.shear_modulus if is_hertz else pairs.tangential_stiffness).ravel(),
+        pairs.damping_ratio.ravel(),
+        np.full(rolling.size, SHEAR_DAMPING),
+        pairs.friction.ravel(),
+        rolling if rolling.any() else None,
+        1 if is_hertz else None,
+        1 if touching.attract else None,
     )
 
 

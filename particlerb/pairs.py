@@ -29,6 +29,9 @@ SHARE_OF_RUN: Final = 0.1  # of run.accuracy that a tree may take
 TREE_ACCURACY: Final = 1e-4  # of a tree where the case asks for none
 
 
+NOBODY: Final = np.zeros(0, dtype=np.int64)
+
+
 class Link(NamedTuple):
     """Springs of one [[force]] between points of two bodies, or damped ones to the world."""
 
@@ -282,7 +285,7 @@ def particles_of(scene: Scene, bodies: Ints) -> tuple[Ints, Ints]:
 # Who belongs together
 
 
-def components(n_bodies: int, links: list[Link], attracted: Ints) -> Ints:
+def components(n_bodies: int, links: list[Link], attracted: Ints, touching: Ints = NOBODY) -> Ints:
     """Label of each body, (n_bodies,): the first body of all those that forces between tie to it.
 
     Parameters
@@ -299,8 +302,8 @@ def components(n_bodies: int, links: list[Link], attracted: Ints) -> Ints:
     Shiloach and Vishkin, J. Algorithms 3, 57 (1982): roots are hooked to smaller ones, then every
     body is made to point to its root; the number of rounds grows with the logarithm of n.
     """
-    first = np.concatenate([*(link.first for link in links), attracted[1:]])
-    second = np.concatenate([*(link.second for link in links), attracted[:-1]])
+    first = np.concatenate([*(link.first for link in links), attracted[1:], touching[1:]])
+    second = np.concatenate([*(link.second for link in links), attracted[:-1], touching[:-1]])
     first, second = first[second != WORLD], second[second != WORLD]
     label = np.arange(n_bodies)
     while True:

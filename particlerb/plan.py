@@ -5,6 +5,7 @@ an impulse acts; each segment is free (closed form) or driven (stepped). What a 
 is neither computed nor compiled, and the plan says so in words.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -12,10 +13,11 @@ import numpy as np
 
 from particlerb.bodies.bodies import Bodies, taken
 from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import omega_world
+from particlerb.bodies.state import State, omega_world
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case, Impulse
+from particlerb.contact.loads import Contact
 from particlerb.forces import (
     acts,
     bodies_at_centres,
@@ -26,7 +28,7 @@ from particlerb.forces import (
     too_large,
 )
 from particlerb.groups import Together, groups_of, terms_of
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods import METHODS
 from particlerb.methods.motion import Group
 from particlerb.pairs import coincident, links_of
@@ -35,8 +37,11 @@ from particlerb.terms import Terms
 from particlerb.terms.attraction import Attraction, fastest_rates
 from particlerb.terms.impulse import Impulse as Jump
 from particlerb.terms.links import fastest_oscillation, link_rates, with_springs
+from particlerb.touching import Contact as Touching
+from particlerb.touching import contact_of
 
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
+STEPS_PER_CONTACT: Final = 20  # below which a contact is not accurate
 MOST_LOOKED_AT: Final = 2000  # bodies whose nearest neighbours are looked for
 MOST_STEPS: Final = 2.0**53  # steps are counted in float64 where times are
 
@@ -106,10 +111,11 @@ def make_plan(case: Case, scene: Scene, choice: Sequence[Stepping | None] = ()) 
     problems += coincident(case, scene)
     if problems:
         raise CaseError(problems)
-    grouped = groups_of(case, scene, loads, links)
+    touching = contact_of(case, scene)
+    grouped = groups_of(case, scene, loads, links, touching)
     choice = choice or [None] * len(grouped)
     cut = [
-        cut_into_segments(case, scene, group, chosen)
+        cut_into_segments(case, scene, group, chosen, touching)
         for group, chosen in zip(grouped, choice, strict=True)
     ]
     refuse_method(case, cut)
@@ -119,12 +125,17 @@ def make_plan(case: Case, scene: Scene, choice: Sequence[Stepping | None] = ()) 
     ]
     groups = tuple(with_steps(group, dt) for group, dt in zip(cut, steps, strict=True))
     refuse_endless(case, scene, groups)
+    refuse_unstable(case, scene, groups)
     warnings = tuple(step_warnings(case, scene, groups))
     return Plan(groups, step_reason(case, scene, groups, choice), warnings)
 
 
 def cut_into_segments(
-    case: Case, scene: Scene, group: Together, choice: Stepping | None
+    case: Case,
+    scene: Scene,
+    group: Together,
+    choice: Stepping | None,
+    touching: Touching | None,
 ) -> GroupPlan:
     """Segments of a group between the edges of its forces; steps are set later."""
     edges = {0.0}
@@ -136,11 +147,13 @@ def cut_into_segments(
     starts = sorted(edges)
     members, forces = group.members, group.forces
     bodies = taken(scene.bodies, members)
+    if touching is not None:
+        bodies = held(bodies, touching.fixed[members])
     segments = []
     for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
         acting = [force for force in forces if acts(force.form, start)]
         links = [link for link in group.links if acts(link.force, start)]
-        terms = terms_of(case, scene, group, bodies, acting, links)
+        terms = terms_of(case, scene, group, bodies, acting, links, touching)
         jumps = tuple(
             jump(force, bodies)
             for force in forces
@@ -151,6 +164,16 @@ def cut_into_segments(
         tolerance = case.run.tolerance if choice is None else choice.tolerance
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, tolerance))
     return GroupPlan(members, bodies, tuple(segments))
+
+
+def held(bodies: Bodies, fixed: Bools) -> Bodies:
+    """Bodies of which some do not move, whatever acts on them."""
+    moves = ~fixed
+    return bodies._replace(
+        mass=bodies.mass * moves,
+        inv_mass=bodies.inv_mass * moves,
+        inv_inertia=bodies.inv_inertia * moves,
+    )
 
 
 def turning_terms(terms: Terms) -> set[str]:
@@ -262,6 +285,37 @@ def refuse_endless(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> N
                 raise CaseError([problem_at(case, key, f"{reason} times until t_end", hint)])
 
 
+def refuse_unstable(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> None:
+    """Raise CaseError where a step is above the limit of a single contact, unless it is allowed."""
+    if case.contact is None or case.contact.allow_unstable:
+        return
+    for group in groups:
+        for segment in group.segments:
+            if segment.terms.contact is None:
+                continue
+            rate = fastest_contact(scene, group, segment)
+            limit = METHODS[segment.method].REACH / rate if rate > 0.0 else np.inf
+            if segment.dt > limit:
+                reason = (
+                    f"the step of {segment.dt:.3g} s is above {limit:.3g} s, where a contact of"
+                    f" bodies like {scene.names[int(group.members[0])]} grows without bound"
+                )
+                hint = (
+                    f"dt = {math.pi / rate / STEPS_PER_CONTACT:.2g} s or less is accurate;"
+                    " contact.allow_unstable = true takes it all the same"
+                )
+                key = "run" if case.run.dt is None else "run.dt"
+                raise CaseError([problem_at(case, key, reason, hint)])
+
+
+def fastest_contact(scene: Scene, group: GroupPlan, segment: Segment) -> float:
+    """Largest rate of a contact in a segment [rad/s]."""
+    contact, state = segment.terms.contact, taken(scene.state, group.members)
+    assert contact is not None
+    fall = falling_speed(scene, segment.terms)
+    return float(contact_rates(contact, group.bodies, state, fall).max())
+
+
 @np.errstate(over="ignore", divide="ignore")
 def rates(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> Floats:
     """Estimate of the fastest rate of each body of a group, (n,) [rad/s]: spin, forces, impulses.
@@ -276,7 +330,7 @@ def rates(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> Floats:
     for segment in group.segments:
         for at, impulse, _ in segment.jumps:
             spin = spin + sizes(at) * sizes(impulse) * inv_inertia
-        _, push, follower, torque, drag, springs, centres, links, attraction, _ = segment.terms
+        _, push, follower, torque, drag, springs, centres, links, attraction, *_ = segment.terms
         lasting = np.zeros_like(spin)
         if follower is not None:
             lasting = lasting + sizes(follower.torque)
@@ -300,7 +354,44 @@ def rates(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> Floats:
             swing = np.maximum(swing, link_rates(links))
         if attraction is not None:
             swing = np.maximum(swing, attraction_rates(attraction, state.com))
+        if segment.terms.contact is not None:
+            fall = falling_speed(scene, segment.terms)
+            swing = np.maximum(swing, contact_rates(segment.terms.contact, bodies, state, fall))
     return np.asarray(np.maximum(spin, swing))
+
+
+def falling_speed(scene: Scene, terms: Terms) -> float:
+    """Speed [m/s] that bodies of a scene reach by falling through all of it."""
+    if terms.gravity is None:
+        return 0.0
+    g = terms.gravity.acceleration
+    com = scene.state.com
+    extent = com.max(axis=1) - com.min(axis=1)
+    size = float(np.linalg.norm(g))
+    lowest = np.abs(com).max(axis=1)  # the ground may lie at the origin
+    return math.sqrt(2.0 * max(float(np.abs(g) @ np.maximum(extent, lowest)), 0.0)) if size else 0.0
+
+
+def contact_rates(contact: Contact, bodies: Bodies, state: State, fall: float) -> Floats:
+    """Rate of the fastest contact of each body with its own kind or a wall, (n,) [rad/s].
+
+    ω² = k (1/m_eff) with 1/m_eff = Σ 1/M + r²/I of both bodies, at the sphere farthest out, and k
+    with the tangential stiffness; for hertz k is that at the deepest overlap of an impact with the
+    speed that is there at t = 0 or reached by falling.
+    """
+    softness = bodies.inv_mass + contact.reach**2 * bodies.inv_inertia.max(axis=0)
+    softness = softness + softness.max()
+    law, radius = contact.scene.law, contact.scene.spheres.radius
+    if law.hertz is None:
+        k = float((law.stiffness + law.shear).max())
+        return np.asarray(np.sqrt(k * softness))
+    speed = np.linalg.norm(state.p * bodies.inv_mass, axis=0)
+    spin = np.linalg.norm(omega_world(bodies, state), axis=0)
+    speed = 2.0 * float((speed + spin * contact.reach).max()) + fall
+    K = (4.0 / 3.0) * float(law.stiffness.max()) * np.sqrt(float(radius.max()))
+    share = 1.0 + 6.0 * float((law.shear / np.maximum(law.stiffness, 1e-300)).max())
+    depth = (1.25 * speed**2 / (K * np.maximum(softness, 1e-300))) ** 0.4
+    return np.asarray(np.sqrt(1.5 * K * np.sqrt(depth) * share * softness))
 
 
 def attraction_rates(attraction: Attraction, com: Floats) -> Floats:
@@ -347,7 +438,15 @@ def step_warnings(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> li
         for segment in stepped:
             method, turn = METHODS[segment.method], segment.dt * rate
             limit = stable_step(scene, group, segment) if turn > method.REACH else np.inf
-            if segment.dt > limit:
+            contact = 0.0
+            if segment.terms.contact is not None:
+                contact = fastest_contact(scene, group, segment)
+            if segment.dt * contact > math.pi / STEPS_PER_CONTACT:
+                steps = math.pi / (segment.dt * contact)
+                reason = f"the step of {segment.dt:.6g} s is taken {steps:.2g} times in a contact"
+                reason += f" of bodies like {name}, and {STEPS_PER_CONTACT} make it accurate"
+                found["contact"] = max(found.get("contact", (0.0, "", 0.0)), (turn, reason, rate))
+            elif segment.dt > limit:
                 reason = (
                     f"the step of {segment.dt:.6g} s is above the limit of {segment.method}: on the"
                     f" springs of bodies like {name} it grows without bound above {limit:.6g} s"

@@ -22,8 +22,10 @@ from particlerb.describe import describe
 from particlerb.ledger import Drift, Entries, Ledger, totals
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods import METHODS
-from particlerb.methods.motion import Motion
+from particlerb.methods.dilute import DiluteMotion
+from particlerb.methods.motion import Motion, MotionError
 from particlerb.methods.pair_forces import PairForces
+from particlerb.methods.touching import TouchingMotion
 from particlerb.plan import GroupPlan, Plan, Segment, make_plan
 from particlerb.record.writer import Recorder
 from particlerb.rotors.rotor_class import ROD
@@ -39,6 +41,8 @@ FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of 
 EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
 ROD_ROUNDING = 1e-9  # share of L along a rod that exact drifts may leave
 ROD_ERROR = 0.2  # that other methods may leave: more is a torque about the axis, or no result
+
+TOUCHING = (TouchingMotion, DiluteMotion)  # motions that know the elastic energy of contacts
 
 Progress = Callable[[int], object]
 
@@ -60,6 +64,7 @@ class Outcome(NamedTuple):
     drift: Drift
     probes: tuple[Probe, ...]
     file: h5py.File  # closed, or open if it is in memory
+    flown: float | None = None  # share of body-steps that closed forms saved; None: not known
 
 
 class Prepared(NamedTuple):
@@ -184,6 +189,8 @@ class Traveller:
                     potential[rows] = [
                         self.potential(*self.pose(frames, row)) for row in rows.tolist()
                     ]
+                if isinstance(self.motion, TOUCHING):
+                    potential[rows] += self.motion.energies[rows]
                 done = until
             if done < times.size:
                 self.cross()
@@ -218,6 +225,12 @@ class Run:
                 initial_potential(self.travellers, initial),
             )
         )
+
+    def flown(self) -> float | None:
+        """Share of body-steps of touching bodies that were saved by closed forms."""
+        motions = [t.motion for t in self.travellers if isinstance(t.motion, DiluteMotion)]
+        steps = sum(motion.all_steps for motion in motions)
+        return sum(motion.saved for motion in motions) / steps if steps else None
 
     def frames_at(self, times: Floats, is_frame: Bools) -> tuple[Frames, Entries, RunError | None]:
         """States at ascending times, not before those asked for earlier, and their ledger.
@@ -293,6 +306,9 @@ def record_all(
 def initial_potential(travellers: Sequence[Traveller], initial: Frames) -> Floats:
     """Potential energy between bodies at t = 0, (1,) [J]."""
     parts = [t.potential(*t.pose(initial, 0)) for t in travellers if t.pairs is not None]
+    parts += [
+        t.motion.elastic for t in travellers if isinstance(t.motion, (TouchingMotion, DiluteMotion))
+    ]
     return np.array([sum(parts)])
 
 
@@ -345,9 +361,11 @@ def run_prepared(
                 probes.append(Probe(float(times[row]), one_row(frames, int(row))))
             if error is not None:
                 raise error
+    except (MotionError, FloatingPointError) as problem:
+        raise RunError(str(problem)) from None
     finally:
         recorder.finish()
-    return Outcome(run.ledger.drift(), tuple(probes), recorder.file)
+    return Outcome(run.ledger.drift(), tuple(probes), recorder.file, run.flown())
 
 
 def rod_limits(plan: Plan, n_bodies: int) -> Floats:

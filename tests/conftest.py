@@ -38,10 +38,25 @@ def body(name: str = "body", inertia: Sequence[float] = (1.0, 2.0, 2.5), **keys)
 
 def case(*bodies: dict, force: Sequence[dict] = (), t_end=1.0, every=0.1, **keys) -> dict:
     """Case; keys that are not tables go to [run]."""
-    names = ("gravity", "attraction", "output", "check", "title")
+    names = ("gravity", "attraction", "contact", "material", "wall", "output", "check", "title")
     tables = {k: keys.pop(k) for k in names if k in keys}
     run = {"t_end": t_end, "every": every} | keys
     return {"run": run, "body": list(bodies), "force": list(force)} | tables
+
+
+def sphere(name: str = "ball", radius: float = 0.1, **keys) -> dict:
+    """Ball of 2 kg that touches."""
+    return {"name": name, "shape": {"type": "sphere", "radius": radius}, "mass": 2.0} | keys
+
+
+def hooke(stiffness: float = 1e5, restitution: float = 0.8, friction: float = 0.5, **keys) -> dict:
+    """Numbers of [contact] for all materials."""
+    return {"stiffness": stiffness, "restitution": restitution, "friction": friction} | keys
+
+
+def plane(normal: Sequence[float] = (0, 0, 1), name: str = "floor", **keys) -> dict:
+    """Wall through the origin."""
+    return {"type": "plane", "name": name, "normal": list(normal)} | keys
 
 
 def push(force: Sequence[float], at: Sequence[float] = (0, 0, 0), body="body", **keys) -> dict:
@@ -245,6 +260,9 @@ def make() -> SimpleNamespace:
     return SimpleNamespace(
         body=body,
         case=case,
+        sphere=sphere,
+        hooke=hooke,
+        plane=plane,
         push=push,
         torque=torque,
         impulse=impulse,

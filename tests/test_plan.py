@@ -187,7 +187,7 @@ def test_plan_gives_a_reason_for_what_is_done(make):
     text = lines(make.case(*bodies, force=forces, dt=0.1, gravity=gravity))
     assert text["gravity"] == "on: (0, 0, -9.8) m/s²\n"
     assert text["push"] == "on: 3 of them\n"
-    assert text["contact"] == "off: not in this version; radii add to the inertia tensor only\n"
+    assert text["contact"] == "off: no [contact]; radii add to the inertia tensor only\n"
     assert text["step"] == "0.1 s, as the case says\n"
     assert "step by step: a force without potential acts" in text["ledger"]
     assert text["body"].splitlines() == [

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from pydantic_core import ErrorDetails
 
+from particlerb.case.contact import WALLS, Contact, Material, Oscillation, Pair, WallMotion
 from particlerb.case.problems import Path, nearest, shown
 from particlerb.case.schema import (
     FORCES,
@@ -27,8 +28,10 @@ from particlerb.case.values import Table
 TAGGED = {
     "body": {"shape", "place", "position", "orientation", "velocity", "angular_velocity"},
     "force": {"rest_length", "charge"},
+    "wall": {"orientation"},
 }
 KINDS = {
+    "bool_type": "must be true or false",
     "float_type": "must be a number",
     "int_type": "must be a whole number",
     "string_type": "must be a text",
@@ -100,15 +103,15 @@ def complaint(raw: Any, error: ErrorDetails) -> Complaint:
 def forms(path: Path) -> str:
     """What may stand for an orientation or a velocity."""
     if path[-1:] == ("orientation",):
-        random = "" if "part" in path else ', or "random"'
+        random = "" if path[0] == "wall" or "part" in path else ', or "random"'
         return f"[w, x, y, z], {{ euler_deg = [roll, pitch, yaw] }}{random}"
-    if path[-1:] in {("velocity",), ("angular_velocity",)}:
+    if path[0] == "body" and path[-1] in {"velocity", "angular_velocity"}:
         return "[x, y, z], { body = [x, y, z] }, or { random = v }"
     return ""
 
 
 def type_complaint(path: Path, context: dict[str, Any]) -> Complaint:
-    """A `type` that is missing or that no shape, force or placement has."""
+    """A `type` that is missing or that no shape, force, placement or wall has."""
     keys = table_keys(path)
     if "tag" not in context:
         return Complaint((*path, "type"), "missing", f"known: {', '.join(keys)}")
@@ -154,8 +157,8 @@ def path_in(raw: Any, loc: tuple[int | str, ...]) -> Path:
 
 def is_tagged(path: list[int | str]) -> bool:
     """Whether pydantic puts the tag of a union after this path."""
-    is_force = len(path) == 2 and path[0] == "force" and isinstance(path[1], int)
-    return is_force or path[-1] in TAGGED.get(str(path[0]), ())
+    is_kind = len(path) == 2 and path[0] in {"force", "wall"} and isinstance(path[1], int)
+    return is_kind or path[-1] in TAGGED.get(str(path[0]), ())
 
 
 def child(node: Any, part: int | str) -> Any:
@@ -174,10 +177,12 @@ def type_of(raw: Any, path: Path) -> Any:
     return kind if isinstance(kind, str) else None
 
 
-FAMILIES = {"shape": SHAPES, "place": PLACES, "force": FORCES}
+FAMILIES = {"shape": SHAPES, "place": PLACES, "force": FORCES, "wall": WALLS}
 TABLES: dict[str, type[Table]] = {
     "": Case, "run": Run, "gravity": Gravity, "attraction": Attraction, "body": Body, "part": Part,
     "output": Output, "check": Check, "value": CheckValue, "orientation": Euler,
+    "contact": Contact, "pair": Pair, "material": Material, "motion": WallMotion,
+    "oscillation": Oscillation,
 }  # fmt: skip
 
 

@@ -54,10 +54,14 @@ def findings(raw: dict[str, Any], folder: FilePath) -> Iterator[Finding]:
         if force.get("type") == "field" and isinstance(force.get("charge"), list):
             yield from out_of_place(("force", i), force, "at", "a charge for each particle")
     yield from attraction_rules(raw.get("attraction"), members(raw))
+    yield from contact_rules(raw)
     for i, body in tables(raw, "body"):
         yield from body_rules(("body", i), body)
+        yield from fixed_rules(("body", i), body, raw)
         yield from many_bodies(("body", i), body)
         yield from shapes(("body", i), body, folder)
+    for i, wall in tables(raw, "wall"):
+        yield from file_rules(("wall", i, "file"), wall.get("file"), folder)
 
 
 def times(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -88,12 +92,14 @@ def within(path: Path, time: float | None, t_end: float) -> Iterator[Finding]:
 
 
 def names(raw: dict[str, Any]) -> Iterator[Finding]:
-    """Bodies have different names."""
-    first: dict[str, int] = {}
-    for i, body in tables(raw, "body"):
-        name = body.get("name")
-        if isinstance(name, str) and first.setdefault(name, i) != i:
-            yield ("body", i, "name"), f'"{name}" is the name of body[{first[name]}] already', ""
+    """Bodies and walls have different names, and so have materials."""
+    for family in (("body", "wall"), ("material",)):
+        first: dict[str, str] = {}
+        for kind in family:
+            for i, table in tables(raw, kind):
+                name, own = table.get("name"), f"{kind}[{i}]"
+                if isinstance(name, str) and first.setdefault(name, own) != own:
+                    yield (kind, i, "name"), f'"{name}" is the name of {first[name]} already', ""
 
 
 def references(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -204,6 +210,82 @@ def attraction_rules(table: Any, known: dict[str, range]) -> Iterator[Finding]:
         yield key, "needs two bodies at least, has one", "name more of them, or leave this out"
 
 
+def contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
+    """Walls and numbers of contact have a use, and materials that are named are there."""
+    contact = raw.get("contact")
+    if contact is None:
+        for i, _ in tables(raw, "wall")[:1]:
+            yield ("wall", i), "nothing touches a wall without [contact]", "add [contact]"
+    known = [one["name"] for _, one in tables(raw, "material") if isinstance(one.get("name"), str)]
+    for kind in ("body", "wall"):
+        for i, table in tables(raw, kind):
+            yield from material((kind, i, "material"), table.get("material"), known)
+    first: dict[frozenset[str], int] = {}
+    for i, pair in tables(contact, "pair"):
+        path: Path = ("contact", "pair", i)
+        named = pair.get("materials")
+        listed = [name for name in named if isinstance(name, str)] if type(named) is list else []
+        for j, name in enumerate(listed):
+            yield from material((*path, "materials", j), name, known)
+        if len(listed) == 2 and first.setdefault(frozenset(listed), i) != i:
+            reason = f"this pair is contact.pair[{first[frozenset(listed)]}] already"
+            yield (*path, "materials"), reason, "name every pair once"
+        yield from number_rules(path, pair, contact)
+    if isinstance(contact, dict):
+        yield from number_rules(("contact",), contact, contact)
+
+
+def material(path: Path, name: Any, known: list[str]) -> Iterator[Finding]:
+    """A material that is named is there."""
+    if isinstance(name, str) and name and name not in known:
+        hint = nearest(name, known) or "there is no [[material]]"
+        yield path, f'there is no material "{name}"', hint
+
+
+def number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[Finding]:
+    """The law has a use for a number, and there is a damping for a restitution."""
+    if contact.get("law") == "hertz":
+        for key in ("stiffness", "tangential_stiffness"):
+            if given(table, key):
+                hint = "give `young` and `poisson` of each [[material]]"
+                yield (*path, key), "hertz takes its stiffness from the materials", hint
+    if number(table, "restitution") == 0.0 and contact.get("attract") is not True:
+        reason = "no damping gives 0 where it may not pull"
+        yield (*path, "restitution"), reason, "give a small number, or contact.attract = true"
+
+
+def fixed_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterator[Finding]:
+    """A fixed body is an obstacle of contact, and neither moves nor is pulled."""
+    if body.get("fixed") is not True:
+        return
+    if raw.get("contact") is None:
+        yield (*path, "fixed"), "a fixed body is an obstacle of [contact], which is not there", ""
+    if body.get("contact") is False:
+        yield (*path, "contact"), "a fixed body that nothing touches has no effect", "leave it out"
+    for key in ("velocity", "angular_velocity"):
+        if given(body, key) and not is_origin(body[key]):
+            yield (*path, key), "a fixed body does not move", "leave it out"
+    name = body.get("name")
+    hint = "leave the fixed body out; a spring has `anchor` for the world"
+    for i, force in tables(raw, "force"):
+        for key in ("body", "to"):
+            if isinstance(name, str) and name in bases(force.get(key)):
+                yield ("force", i, key), f"{name} is fixed: no force acts on it", hint
+    attraction = raw.get("attraction")
+    if isinstance(attraction, dict) and isinstance(name, str):
+        named = attraction.get("body")
+        if named is None or name in bases(named):
+            reason = f"{name} is fixed: it takes no part in attraction"
+            yield ("attraction", "body"), reason, "name the others"
+
+
+def bases(names: Any) -> set[str]:
+    """Names of the blocks of bodies that are named."""
+    listed = names if isinstance(names, list) else [names]
+    found = (REFERENCE.fullmatch(name) for name in listed if isinstance(name, str))
+    return {match["name"] for match in found if match}
+
+
 def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
     """A body is one shape, or parts that carry the mass."""
     if given(body, "part"):
@@ -212,10 +294,26 @@ def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
                 yield (*path, key), "has no place beside [[body.part]]", "give it with each part"
         for j, part in tables(body, "part"):
             yield from mass_rules((*path, "part", j), part)
+        if all(is_massless(part) for part in body["part"]):
+            yield (*path, "part"), "no part has mass", "give one of them a `mass`"
     elif not given(body, "shape"):
         yield (*path, "shape"), "missing", "a body needs a `shape`, or [[body.part]]"
     else:
         yield from mass_rules(path, body)
+        if is_massless(body) and body["shape"]["type"] == "points":
+            yield (*path, "shape", "mass"), "must not all be zero", ""
+
+
+def is_massless(table: Any) -> bool:
+    """Whether a part only touches: a sphere of mass 0, or points that have none."""
+    shape = table.get("shape") if isinstance(table, dict) else None
+    if not isinstance(shape, dict):
+        return False
+    if shape.get("type") == "sphere":
+        return number(table, "mass") == 0.0
+    masses = shape.get("mass") if shape.get("type") == "points" else None
+    listed = masses if isinstance(masses, list) else [masses]
+    return bool(listed) and all(number({"m": m}, "m") == 0.0 for m in listed)
 
 
 def mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
@@ -233,6 +331,9 @@ def mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
         yield (*path, "density"), "given beside mass", "give one of `mass` and `density`"
     elif allowed and not given(table, "mass") and not given(table, "density"):
         yield (*path, "mass"), "missing", f"give {' or '.join(f'`{key}`' for key in allowed)}"
+    elif "part" in path and number(table, "mass") == 0.0 and kind != "sphere":
+        hint = "give `mass = 0` among the points" if kind == "points" else ""
+        yield (*path, "mass"), "must be > 0 for all but a sphere, got 0", hint
 
 
 def many_bodies(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
@@ -271,9 +372,13 @@ def shapes(path: Path, body: dict[str, Any], folder: FilePath) -> Iterator[Findi
     for where, table in places:
         shape = table.get("shape")
         name = shape.get("file") if isinstance(shape, dict) else None
-        if isinstance(name, str) and name and not is_file(folder / name):
-            folder_shown = folder.as_posix()
-            yield (*where, "shape", "file"), f'there is no file "{name}" in {folder_shown}', ""
+        yield from file_rules((*where, "shape", "file"), name, folder)
+
+
+def file_rules(path: Path, name: Any, folder: FilePath) -> Iterator[Finding]:
+    """A file that is named is there."""
+    if isinstance(name, str) and name and not is_file(folder / name):
+        yield path, f'there is no file "{name}" in {folder.as_posix()}', ""
 
 
 def is_file(path: FilePath) -> bool:

@@ -20,16 +20,18 @@ from pydantic import (
     model_validator,
 )
 
-from particlerb.case.shapes import Shape
+from particlerb.case.contact import Contact, Material, Wall, Yes
+from particlerb.case.shapes import Shape, Sphere, as_points
 from particlerb.case.source import Source
 from particlerb.case.values import (
     Count,
     Counts,
+    Euler,
     Frame,
     Name,
     Names,
     NonNegative,
-    Numbers,
+    OneOrientation,
     Positive,
     Quaternion,
     Real,
@@ -43,6 +45,37 @@ from particlerb.case.values import (
     is_rows,
     one_of,
 )
+from particlerb.case.wanted import Chart, Check, CheckValue, Output
+
+__all__ = [
+    "FORCES",
+    "METHODS",
+    "PLACES",
+    "AnyForce",
+    "Attraction",
+    "Body",
+    "Case",
+    "Central",
+    "Check",
+    "CheckValue",
+    "Drag",
+    "Euler",
+    "Gravity",
+    "Grid",
+    "Impulse",
+    "InBody",
+    "Motion",
+    "Output",
+    "Part",
+    "Push",
+    "RandomBox",
+    "Run",
+    "Spread",
+    "Spring",
+    "Torque",
+    "UniformField",
+    "case_json_schema",
+]
 
 METHODS = (
     "auto",
@@ -54,10 +87,6 @@ METHODS = (
     "semi_implicit_euler",
     "explicit_euler",
 )
-FieldName = Literal[
-    "position", "orientation", "linear_momentum", "angular_momentum", "velocity", "angular_velocity"
-]
-FIELDS: tuple[FieldName, ...] = ("position", "orientation", "linear_momentum", "angular_momentum")
 KIND = "Kind of force or placement. [-]"
 FRAME = "Axes of the vector: world or body. [-]"
 BODIES = "Name of a [[body]] block, of one body as name[3], or a list of such names. [-]"
@@ -118,12 +147,6 @@ class Attraction(Table):
     )
 
 
-class Euler(Table):
-    """Orientation from angles: intrinsic z-y-x, given as [roll, pitch, yaw]."""
-
-    euler_deg: Vector = Field(description="Roll, pitch, yaw; intrinsic z-y-x. [°]")
-
-
 class InBody(Table):
     """Vector in the body's own axes."""
 
@@ -165,11 +188,6 @@ def place_form(value: Any) -> str:
     return "rows" if is_rows(value) else "vector"
 
 
-def turn_form(value: Any) -> str:
-    """Tag of the orientation of a part."""
-    return "euler" if isinstance(value, (Mapping, BaseModel)) else "vector"
-
-
 def orientation_form(value: Any) -> str:
     """Tag of an orientation."""
     if isinstance(value, (Mapping, BaseModel)):
@@ -190,10 +208,6 @@ def motion_form(value: Any) -> str:
 Position = Annotated[
     Annotated[Vector, Tag("vector")] | Annotated[Rows3, Tag("rows")],
     Discriminator(place_form),
-]
-OneOrientation = Annotated[
-    Annotated[Quaternion, Tag("vector")] | Annotated[Euler, Tag("euler")],
-    Discriminator(turn_form),
 ]
 Orientation = Annotated[
     Annotated[Quaternion, Tag("vector")]
@@ -219,12 +233,27 @@ class Part(Table):
     """One shape of a body that is put together from several."""
 
     shape: Shape = Field(description="Table with `type` and the shape's keys. [-]")
-    mass: Positive | None = Field(None, description="Mass; this or density. [kg]")
+    mass: NonNegative | None = Field(
+        None, description="Mass; this or density; 0 for a sphere that only touches. [kg]"
+    )
     density: Positive | None = Field(None, description="Density; this or mass. [kg/m³]")
     position: Vector = Field(ORIGIN, description="Of the shape's origin, in the body's axes. [m]")
     orientation: OneOrientation = Field(
         IDENTITY, description="Shape to body axes: quaternion or { euler_deg = [..] }. [-]"
     )
+
+    @model_validator(mode="after")
+    def with_particles(self) -> Self:
+        """A sphere as the one particle that it is."""
+        return self.model_copy(update=particles_of(self))
+
+
+def particles_of(table: "Part | Body") -> dict[str, Any]:
+    """Keys of a part or body in which a sphere has become one point with mass and radius."""
+    if not isinstance(table.shape, Sphere):
+        return {}
+    points = as_points(table.shape, table.mass, table.density)
+    return {"shape": points, "mass": None, "density": None}
 
 
 def plain_name(name: str) -> str:
@@ -258,6 +287,16 @@ class Body(Table):
     angular_velocity: Motion = Field(
         ORIGIN, description="World frame, { body = [..] }, { random = v }; or rows. [rad/s]"
     )
+    material: Name | None = Field(
+        None, description="Name of a [[material]]; default: the only one. [-]"
+    )
+    contact: Yes = Field(True, description="Whether it touches others where [contact] is. [-]")
+    fixed: Yes = Field(False, description="Whether it stays where it is: an obstacle. [-]")
+
+    @model_validator(mode="after")
+    def with_particles(self) -> Self:
+        """A sphere as the one particle that it is."""
+        return self.model_copy(update=particles_of(self))
 
 
 def is_interval(value: tuple[float, float]) -> tuple[float, float]:
@@ -393,110 +432,6 @@ FORCES: dict[str, type[Table]] = {
 }
 
 
-def are_unique(fields: tuple[FieldName, ...]) -> tuple[FieldName, ...]:
-    """Require each field once."""
-    if len(set(fields)) < len(fields):
-        raise broken("must not repeat a name")
-    return fields
-
-
-class Output(Table):
-    """What the trajectory file holds."""
-
-    fields: Annotated[tuple[FieldName, ...], Field(min_length=1), AfterValidator(are_unique)] = (
-        Field(FIELDS, description="Recorded per body and frame. [-]")
-    )
-    dtype: Literal["float64", "float32"] = Field(
-        "float64", description="Precision of the file. [-]"
-    )
-
-
-Quantity = Literal[
-    "position",
-    "orientation",
-    "velocity",
-    "angular_velocity",
-    "linear_momentum",
-    "angular_momentum",
-    "kinetic_energy",
-    "inertia",
-]
-EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
-    "orientation": ((4,),),
-    "kinetic_energy": ((),),
-    "inertia": ((3,), (3, 3)),
-}
-FRAMELESS = ("position", "orientation", "kinetic_energy")
-
-
-def shape_of(value: Any) -> tuple[int, ...] | None:
-    """Shape of nested tuples; None where they are ragged."""
-    if not isinstance(value, tuple):
-        return ()
-    inner = {shape_of(entry) for entry in value}
-    if len(inner) > 1 or None in inner:
-        return None
-    return (len(value), *(inner.pop() or ())) if inner else (0,)
-
-
-class CheckValue(Table):
-    """A value that the run must reach."""
-
-    body: Name = Field(description="Name of a [[body]] block, or of one body as name[3]. [-]")
-    quantity: Quantity = Field(description="What is compared. [-]")
-    frame: Frame = Field("world", description=FRAME)
-    time: NonNegative | None = Field(None, description="When; default: t_end. [s]")
-    value: Numbers = Field(description="Expected number or list. [SI unit of the quantity]")
-    tolerance: NonNegative = Field(description="Largest allowed difference. [SI unit, or rad]")
-
-    @model_validator(mode="after")
-    def has_right_length(self) -> Self:
-        """Require as many numbers as the quantity has."""
-        shape = shape_of(self.value)
-        allowed = EXPECTED_SHAPES.get(self.quantity, ((3,),))
-        if shape not in allowed:
-            wanted = {(): "one number", (3, 3): "3 x 3 numbers"}
-            words = " or ".join(wanted.get(s) or f"{s[0]} numbers" for s in allowed)
-            raise broken(f"{self.quantity} needs {words}", "value")
-        if self.quantity == "orientation" and not any(self.value):
-            raise broken("must not be zero: it is no orientation", "value")
-        if self.frame == "body" and self.quantity in FRAMELESS:
-            raise broken(f"{self.quantity} is not given in the body frame", "frame")
-        return self
-
-
-class Check(Table):
-    """Limits: a run that misses one ends with exit code 3."""
-
-    energy_drift: Positive | None = Field(
-        None, description="Largest error of energy, over the largest kinetic energy or work. [-]"
-    )
-    linear_momentum_drift: Positive | None = Field(
-        None, description="Largest error of momentum, over the sum of the bodies' momenta. [-]"
-    )
-    angular_momentum_drift: Positive | None = Field(
-        None,
-        description="Largest error of angular momentum about the origin, over the sum of the"
-        " bodies' spins and orbits. [-]",
-    )
-    value: tuple[CheckValue, ...] = Field((), description="Values to reach, [[check.value]]. [-]")
-
-
-class Published(Table):
-    """An error that somebody else found for this case."""
-
-    name: Name = Field(description="Who found it. [-]")
-    error: Positive = Field(description="Error of the orientation at t_end. [rad]")
-
-
-class Chart(Table):
-    """What `chart` draws beside what it measures."""
-
-    published: tuple[Published, ...] = Field(
-        (), description="Errors found elsewhere, [[chart.published]]. [-]"
-    )
-
-
 class Case(Table):
     """A whole scene; made by `particlerb.case.reader.load`."""
 
@@ -508,6 +443,9 @@ class Case(Table):
     )
     body: Annotated[tuple[Body, ...], Field(min_length=1)] = Field(description="The bodies. [-]")
     force: tuple[Force, ...] = Field((), description="What acts on them. [-]")
+    contact: Contact | None = Field(None, description="How bodies touch; default: not. [-]")
+    material: tuple[Material, ...] = Field((), description="Of bodies and walls. [-]")
+    wall: tuple[Wall, ...] = Field((), description="Walls that bodies touch. [-]")
     output: Output = Field(default_factory=Output, description="What is recorded. [-]")
     check: Check = Field(default_factory=Check, description="What must hold. [-]")
     chart: Chart = Field(default_factory=Chart, description="Beside the methods on a chart. [-]")

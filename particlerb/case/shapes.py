@@ -5,9 +5,11 @@ Solids are centred at the origin of their axes unless said otherwise; those with
 along z. How a shape becomes particles is the business of `particlerb.bodies`.
 """
 
-from typing import Annotated, ClassVar, Literal, Self
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from particlerb.case.values import (
     Count,
@@ -146,6 +148,25 @@ class Rod(Table):
     arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
 
 
+class Sphere(Table):
+    """One solid ball that touches others: a single particle with this radius."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: Literal["sphere"] = Field(description=KIND)
+    radius: Positive = Field(description="Radius, of its matter and of its surface. [m]")
+
+
+def for_each(value: Any) -> Any:
+    """One number, or a number for each particle; `Points` makes a list of both."""
+    return value
+
+
+Each = Annotated[
+    tuple[NonNegative, ...],
+    BeforeValidator(for_each, NonNegative | tuple[NonNegative, ...]),
+]
+
+
 class Points(Table):
     """Particles given one by one, here or in a CSV file; their masses are the body's."""
 
@@ -154,13 +175,27 @@ class Points(Table):
     position: tuple[Vector, ...] | None = Field(
         None, description="Positions in the body's axes. [m]"
     )
-    mass: tuple[NonNegative, ...] | None = Field(None, description="Masses. [kg]")
-    radius: tuple[NonNegative, ...] | None = Field(
-        None, description="Radii; 0 is a point mass. [m]"
+    mass: Each | None = Field(None, description="Masses, or that of every particle. [kg]")
+    radius: Each | None = Field(
+        None, description="Radii, or that of every particle; 0 is a point mass. [m]"
     )
     file: Name | None = Field(
         None, description="CSV file with columns x, y, z, m and optionally r. [m, kg]"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def repeats_numbers(cls, raw: Any) -> Any:
+        """One mass or radius for all particles, as a list."""
+        position = raw.get("position") if isinstance(raw, Mapping) else None
+        if not isinstance(position, (list, tuple)):
+            return raw
+        single = {
+            key: [raw[key]] * len(position)
+            for key in ("mass", "radius")
+            if isinstance(raw.get(key), (int, float, str))
+        }
+        return {**raw, **single}
 
     @model_validator(mode="after")
     def has_one_source(self) -> Self:
@@ -186,14 +221,12 @@ class Points(Table):
             raise broken(f"must have {length} entries like position, has {len(entries)}", key)
 
     def check_masses(self) -> None:
-        """Require mass; a particle without mass must at least have a radius."""
+        """Require of a particle without mass that it has a radius."""
         mass = self.mass or ()
         radius = self.radius or (0.0,) * len(mass)
         for i, (m, r) in enumerate(zip(mass, radius, strict=True)):
             if m == 0 and r == 0:
                 raise broken(f"particle {i} has neither mass nor radius", "mass")
-        if not any(mass):
-            raise broken("must not all be zero", "mass")
 
 
 class Moments(Table):
@@ -215,6 +248,15 @@ class Cloud(Table):
     radius: Positive = Field(description="Radius of the ball. [m]")
 
 
+def as_points(sphere: Sphere, mass: float | None, density: float | None) -> Points:
+    """The one particle of a sphere, of a mass or of a density [kg, kg/m³]."""
+    if mass is None:
+        mass = (density or 0.0) * 4.0 / 3.0 * math.pi * sphere.radius**3
+    return Points.model_construct(
+        type="points", position=((0.0, 0.0, 0.0),), mass=(mass,), radius=(sphere.radius,)
+    )
+
+
 def require_smaller(inner_radius: float, radius: float) -> None:
     """Require inner_radius < radius."""
     if inner_radius >= radius:
@@ -222,8 +264,8 @@ def require_smaller(inner_radius: float, radius: float) -> None:
 
 
 AnyShape = (
-    Box | Ball | Shell | Cylinder | Cone | Torus | Ellipsoid | Tetrahedron | Rod | Points
-    | Moments | Cloud
+    Box | Ball | Shell | Cylinder | Cone | Torus | Ellipsoid | Tetrahedron | Rod | Sphere
+    | Points | Moments | Cloud
 )  # fmt: skip
 Shape = Annotated[AnyShape, Field(discriminator="type")]
 SHAPES: dict[str, type[Table]] = {
@@ -236,6 +278,7 @@ SHAPES: dict[str, type[Table]] = {
     "ellipsoid": Ellipsoid,
     "tetrahedron": Tetrahedron,
     "rod": Rod,
+    "sphere": Sphere,
     "points": Points,
     "moments": Moments,
     "cloud": Cloud,

@@ -15,10 +15,12 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Discriminator,
     Field,
     PlainSerializer,
     PlainValidator,
     Strict,
+    Tag,
 )
 from pydantic_core import PydanticCustomError
 
@@ -169,3 +171,20 @@ AS_LISTS = PlainSerializer(lambda array: array.tolist(), return_type=list, when_
 Rows3 = Annotated[FloatArray, rows(3), AS_LISTS]
 Rows4 = Annotated[FloatArray, rows(4), AS_LISTS]
 Frame = Literal["world", "body"]
+
+
+class Euler(Table):
+    """Orientation from angles: intrinsic z-y-x, given as [roll, pitch, yaw]."""
+
+    euler_deg: Vector = Field(description="Roll, pitch, yaw; intrinsic z-y-x. [°]")
+
+
+def turn_form(value: Any) -> str:
+    """Tag of the orientation of a part."""
+    return "euler" if isinstance(value, (Mapping, BaseModel)) else "vector"
+
+
+OneOrientation = Annotated[
+    Annotated[Quaternion, Tag("vector")] | Annotated[Euler, Tag("euler")],
+    Discriminator(turn_form),
+]

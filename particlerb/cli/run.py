@@ -136,10 +136,14 @@ def kept(path: Path) -> str:
 def drift_text(outcome: "Outcome") -> str:
     """The ledger in one line."""
     energy, linear, angular = outcome.drift
-    return (
+    text = (
         f"drift (total less booked, relative): energy {energy:.2g}, momentum {linear:.2g},"
         f" angular momentum {angular:.2g}"
     )
+    if outcome.flown is None:
+        return text
+    share = f"{100.0 * outcome.flown:.3g} % of the body-steps"
+    return f"{share} were saved: nothing was in reach, closed form\n{text}"
 
 
 def summary(path: Path, outcome: "Outcome", checks: "list[Result]") -> dict[str, Any]:

@@ -31,6 +31,7 @@ from particlerb.bodies.block import (
     out_of_blocks,
     put,
 )
+from particlerb.bodies.load import LOAD_ROWS, POWER, STATE_ROWS
 from particlerb.bodies.state import Frames, State, store_frame
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
@@ -46,7 +47,7 @@ from particlerb.methods.pair_forces import (
 from particlerb.methods.stepped import PAUSE, Schedule, SteppedMotion, close
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.terms import PAIR, STAGE, Acting, acting_of
-from particlerb.terms.links import LOAD_ROWS, POWER, STATE_ROWS, Links, damp_links
+from particlerb.terms.links import Links, damp_links
 from particlerb.threads import BLOCK, THREADS
 
 MOMENTA: Final = 7  # row of a state from which on p and L are
@@ -269,7 +270,10 @@ class Stages(NamedTuple):
     compiled: Callable[..., None]  # a whole schedule
     spread: Callable[..., None]  # the same from Python, over threads
     number: int
+    edge: float
     has_flows: bool  # whether dashpots act as flows, and not as loads
+    move_here: Callable[..., None]  # a stage of all blocks, on this thread
+    move_over_threads: Callable[..., None]
 
 
 def stages_of(
@@ -292,7 +296,7 @@ def stages_of(
     own |= {"move": move_all, "pair_loads": loads_over_threads}
     names = advance_together.__globals__ | own
     spread: Any = FunctionType(advance_together.__code__, names, f"{name}_spread")
-    return Stages(compiled, spread, count, flows)
+    return Stages(compiled, spread, count, edge, flows, here, move_all)
 
 
 def move_here(

@@ -16,6 +16,10 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.terms import Terms, is_constant, terms_on, work_of_potentials
 
 
+class MotionError(Exception):
+    """A motion that cannot go on: why."""
+
+
 class Group(NamedTuple):
     """Bodies that advance together through one segment."""
 

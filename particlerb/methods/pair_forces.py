@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 
 from particlerb._jit import inline
+from particlerb.bodies.load import CONTACT_ROWS, LOAD_ROWS, STATE_ROWS
 from particlerb.maths.vec3 import Floats
 from particlerb.terms import Terms
 from particlerb.terms.attraction import (
@@ -20,7 +21,7 @@ from particlerb.terms.attraction import (
     spread_loads,
     work_of,
 )
-from particlerb.terms.links import LOAD_ROWS, STATE_ROWS, Links, link_energy, link_loads
+from particlerb.terms.links import Links, link_energy, link_loads
 from particlerb.terms.tree import Tree
 from particlerb.threads import THREADS
 
@@ -39,7 +40,7 @@ class Pairs(NamedTuple):
     work: Work | None
     with_dashpots: bool  # whether they are among the loads: splittings have a flow for them
     y: Floats  # (13, n) states
-    load: Floats  # (13, n), rows of terms/links.py
+    load: Floats  # (13, n), rows of bodies/load.py
     booked: Floats  # (13, n) the same rows, of flows
 
 
@@ -119,7 +120,7 @@ class PairForces:
             None if direct is None else work_of(direct),
             with_dashpots,
             np.zeros((STATE_ROWS, n)),
-            np.zeros((LOAD_ROWS, n)),
+            np.zeros((LOAD_ROWS if terms.contact is None else CONTACT_ROWS, n)),
             np.zeros((LOAD_ROWS, n)),
         )
 

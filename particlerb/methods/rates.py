@@ -79,5 +79,5 @@ def slopes(acting: Acting, rows: Floats, b: int, y: Pose) -> tuple[Pose, Entry]:
     F, tau, own_force, own_torque = load_at(acting, rows, b, y.x, R, y.p, y.L)
     power = dot(subtract(F, own_force), v) + dot(turn_back(R, subtract(tau, own_torque)), w)
     turning = add_scaled(1.0, tau, cross(y.x, F))
-    entry = less_internal(acting.pair, rows, b, y.x, 1.0, (power, F, turning))
+    entry = less_internal(acting.pair, acting.contact, rows, b, y.x, 1.0, (power, F, turning))
     return Pose(v, times_vector(y.q, scale(0.5, w)), F, tau), entry

@@ -11,6 +11,7 @@ from typing import Final
 
 from particlerb._jit import inline, kernel_from
 from particlerb.bodies.block import get3, get4, put3, put4
+from particlerb.bodies.load import STATE_ROWS
 from particlerb.bodies.state import State
 from particlerb.maths.vec3 import Floats
 from particlerb.methods.booking import book
@@ -19,7 +20,6 @@ from particlerb.methods.motion import Group
 from particlerb.methods.rates import Pose, add_pose, on_sphere, pose, put_pose, slopes
 from particlerb.methods.stepped import SteppedMotion, advance_blocks
 from particlerb.terms import STAGE, Acting
-from particlerb.terms.links import STATE_ROWS
 
 ORDER: Final = 4
 FREE_ORDER: Final = 4

@@ -88,7 +88,9 @@ def step(
         against, braking = drag_load(acting.drag, rows, DRAG, b, R, y.p, y.L, zero, zero)
         p, L = add_scaled(dt, against, p), add_scaled(dt, braking, L)
         entry = kick_entry(rows, b, y.x, R, (y.p, y.L), middle, (p, L))
-        book(books, rows, b, 1.0, less_internal(acting.pair, rows, b, y.x, dt, entry))
+        book(
+            books, rows, b, 1.0, less_internal(acting.pair, acting.contact, rows, b, y.x, dt, entry)
+        )
         w = gyroscopic(multiplied3(inverse, turn_back(R, L)), inverse, dt)
         q = normalised(add_scaled4(dt, times_vector(y.q, scale(0.5, w)), y.q))
         m = (w[0] / inverse[0], w[1] / inverse[1], w[2] / inverse[2]) if inverse[0] > 0.0 else zero

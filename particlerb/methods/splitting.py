@@ -26,5 +26,5 @@ def kick(
     put3(rows, P, b, p)
     put3(rows, L, b, L_new)
     entry = kick_entry(rows, b, x, R, old, middle, (p, L_new))
-    book(books, rows, b, 1.0, less_internal(acting.pair, rows, b, x, dt, entry))
+    book(books, rows, b, 1.0, less_internal(acting.pair, acting.contact, rows, b, x, dt, entry))
     return p, L_new, R

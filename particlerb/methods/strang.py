@@ -15,9 +15,11 @@ from particlerb.bodies.state import State
 from particlerb.maths.quaternion import turn_back
 from particlerb.maths.vec3 import Floats, add_scaled
 from particlerb.methods.coupled import CoupledMotion, stages_of
-from particlerb.methods.motion import Group
+from particlerb.methods.dilute import DiluteMotion, can_fly
+from particlerb.methods.motion import Group, Motion
 from particlerb.methods.splitting import kick
 from particlerb.methods.stepped import SteppedMotion, advance_blocks
+from particlerb.methods.touching import TouchingMotion, kernels_of
 from particlerb.rotors.symmetric_split import symmetric_split
 from particlerb.terms import DRAG, Acting
 from particlerb.terms.drag import prepare_decay
@@ -28,7 +30,7 @@ IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = True
 ACCEPTS: Final = frozenset(
     {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
-    | {"links", "dashpots", "attraction"}
+    | {"links", "dashpots", "attraction", "contact"}
 )
 SUMMARY: Final = "order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force"
 COST: Final = 6.0  # ns per body-step, roughly
@@ -68,11 +70,15 @@ def stage(
 
 advance = kernel_from(advance_blocks, "strang", step=step, EDGE=EDGE)
 together = stages_of("strang", stage, 1, EDGE, flows=True)
+touching = kernels_of("strang", together)
 
 
-def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> SteppedMotion:
+def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> Motion:
     """Set off from a state at a time [s]."""
     del tolerance
+    if group.terms.contact is not None:
+        kind = DiluteMotion if can_fly(group.terms, group.members.size) else TouchingMotion
+        return kind(touching, together, COST, group, state, start, dt)
     if group.terms.is_coupled:
         return CoupledMotion(together, COST, group, state, start, dt)
     return SteppedMotion(advance, COST, group, state, start, dt)

@@ -4,7 +4,8 @@ For each group of driven bodies, each method that accepts its forces is tried on
 fastest among them, with steps that are halved until the error shrinks as its order says; then the
 step for the wanted error is known, and a run with half of it verifies it. The cheapest method is
 taken. Where the error does not shrink (chaos, or rounding), it says until when it holds. The plan
-receives a method and a step and knows nothing of this.
+receives a method and a step and knows nothing of this. Where bodies touch, which is chaotic, the
+error is that of the energy over the energy turned over.
 """
 
 import json
@@ -33,7 +34,7 @@ from particlerb.plan import (
     make_plan,
 )
 from particlerb.simulate import Prepared, prepare
-from particlerb.studies.trials import Error, Part, errors, part, sample, states_at
+from particlerb.studies.trials import Error, Part, drifts, errors, part, sample, states_at
 
 CANDIDATES: Final = ("strang", "rkn6", "dop853")  # tried in this order
 SAMPLED: Final = 2  # packs of a group: that of the fastest body, and another
@@ -151,6 +152,8 @@ def search(case: Case, scene: Scene, plan: Plan, g: int) -> Found | None:
     if not stepped:
         return None
     trials = Trials(case, scene, plan, g)
+    if any(s.terms.contact is not None for s in stepped):
+        return trials.by_energy("strang")
     found: list[Found] = []
     for method in CANDIDATES:
         if not all(accepts(method, s.terms) for s in stepped):
@@ -184,6 +187,26 @@ class Trials:
         longest = 0.25 * min(lengths)  # a step is cut at the end of a segment: half of it would be
         self.first = min(FIRST_TURN / rate, longest) if rate > 0.0 else longest
         self.stepped_time = sum(lengths)
+
+    def by_energy(self, method: str) -> Found:
+        """Longest step with which the energy is right, for contact: what touches is chaotic.
+
+        A pilot run, shorter than the run where that is dear, is repeated with half the step until
+        the error of integration is small enough beside the energy that is turned over.
+        """
+        reason = f"{method}, by the energy ledger of a pilot run"
+        stepping = Stepping(method, self.first, self.case.run.tolerance, reason)
+        share = min(1.0, DEAREST / self.cost(stepping._replace(dt=self.first * 0.05)))
+        times = share * self.times
+        while True:
+            own = self.part(stepping)
+            error = drifts(own, *states_at(own, times))[0]
+            met = error <= ENOUGH * self.wanted
+            if met or self.cost(stepping) * share > DEAREST:
+                until = self.case.run.t_end if met else 0.0
+                return Found(stepping, float(error), until, self.cost(stepping), self.which.size)
+            promised = (SHARE * self.wanted / error) ** 0.5 if np.isfinite(error) else 0.1
+            stepping = stepping._replace(dt=stepping.dt * min(max(promised, 0.1), 0.5))
 
     def part(self, stepping: Stepping) -> Part:
         """The sampled bodies, stepped so."""

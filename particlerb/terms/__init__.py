@@ -12,6 +12,9 @@ import numpy as np
 from particlerb._jit import inline
 from particlerb.bodies.block import LOADS, get, get3
 from particlerb.bodies.bodies import taken
+from particlerb.bodies.load import CONTACT_ROWS, OTHER, OUTSIDE, POWER
+from particlerb.bodies.load import TORQUE as PAIR_TORQUE
+from particlerb.contact.loads import Contact
 from particlerb.maths.quaternion import Rows
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, subtract
 from particlerb.terms.attraction import Attraction
@@ -19,8 +22,7 @@ from particlerb.terms.central import CENTRAL_ROWS, Central, central_work, kick_c
 from particlerb.terms.drag import DECAY_ROWS, DRAG_ROWS, Drag, drag_load
 from particlerb.terms.follower import FOLLOWER_ROWS, Follower, kick_follower
 from particlerb.terms.gravity import UniformGravity
-from particlerb.terms.links import LOAD_ROWS, OUTSIDE, POWER, WORLD, Links
-from particlerb.terms.links import TORQUE as PAIR_TORQUE
+from particlerb.terms.links import WORLD, Links
 from particlerb.terms.push import LEVER_ROWS, Push, kick_force, kick_lever, lever_work
 from particlerb.terms.spring import SPRING_ROWS, Spring, kick_springs, spring_work
 from particlerb.terms.torque import TORQUE_ROWS, Torque, kick_torque
@@ -31,7 +33,7 @@ FOLLOWER: Final = LEVER + LEVER_ROWS
 TORQUE: Final = FOLLOWER + FOLLOWER_ROWS
 DRAG: Final = TORQUE + TORQUE_ROWS
 PAIR: Final = DRAG + DRAG_ROWS + DECAY_ROWS  # rows of terms/links.py: what other bodies do
-MANY: Final = PAIR + LOAD_ROWS  # springs, then centres
+MANY: Final = PAIR + CONTACT_ROWS  # springs, then centres
 STAGE: Final = 1024  # rows from here on, after all loads, are room for a method's stages
 ZERO: Final = (0.0, 0.0, 0.0)
 Entry: TypeAlias = tuple[float, Vec3, Vec3]  # work, impulse, angular impulse: methods/booking.py
@@ -50,11 +52,13 @@ class Terms(NamedTuple):
     links: Links | None = None
     attraction: Attraction | None = None
     opening_angle: float = 0.0  # of the tree that sums the attraction; 0: a direct sum
+    contact: Contact | None = None
 
     @property
     def is_coupled(self) -> bool:
         """Whether bodies act on each other."""
-        return self.links is not None or self.attraction is not None
+        between = self.links, self.attraction, self.contact
+        return any(term is not None for term in between)
 
 
 class Acting(NamedTuple):
@@ -68,11 +72,12 @@ class Acting(NamedTuple):
     springs: tuple[int, ...] | None  # as many entries as there are on each body
     centres: tuple[int, ...] | None
     pair: int | None  # what other bodies do
+    contact: int | None  # and contacts beside their potential
 
 
 def rows_of_terms(terms: Terms) -> list[tuple[int, Floats]]:
     """Parameters of the terms, and the rows of a block where they go."""
-    gravity, push, follower, torque, drag, springs, centres, _, _, _ = terms
+    gravity, push, follower, torque, drag, springs, centres, _, _, _, _ = terms
     parts: list[tuple[int, Floats]] = []
     if gravity is not None:
         parts.append((FORCE, gravity.mass * gravity.acceleration[:, None]))
@@ -106,24 +111,24 @@ def acting_of(terms: Terms) -> Acting:
         None if terms.spring is None else tuple(range(len(terms.spring))),
         None if terms.central is None else tuple(range(len(terms.central))),
         PAIR if terms.is_coupled else None,
+        PAIR + OTHER if terms.contact is not None else None,
     )
 
 
 def terms_on(terms: Terms, which: Ints) -> Terms:
     """Terms of some of the bodies; of all of them, in order, where they act on each other."""
-    gravity, push, follower, torque, drag, spring, central, links, attraction, angle = terms
+    gravity, push, follower, torque, drag, spring, central, *_ = terms
     assert not terms.is_coupled or np.array_equal(which, np.arange(which.size))
-    return Terms(
-        None if gravity is None else UniformGravity(gravity.mass[which], gravity.acceleration),
-        None if push is None else taken(push, which),
-        None if follower is None else taken(follower, which),
-        None if torque is None else taken(torque, which),
-        None if drag is None else taken(drag, which),
-        None if spring is None else tuple(taken(one, which) for one in spring),
-        None if central is None else tuple(taken(one, which) for one in central),
-        links,
-        attraction,
-        angle,
+    return terms._replace(
+        gravity=None
+        if gravity is None
+        else UniformGravity(gravity.mass[which], gravity.acceleration),
+        push=None if push is None else taken(push, which),
+        follower=None if follower is None else taken(follower, which),
+        torque=None if torque is None else taken(torque, which),
+        drag=None if drag is None else taken(drag, which),
+        spring=None if spring is None else tuple(taken(one, which) for one in spring),
+        central=None if central is None else tuple(taken(one, which) for one in central),
     )
 
 
@@ -137,7 +142,7 @@ def has_potential(terms: Terms) -> bool:
     """Whether every force has one: then energy needs no booking on the way."""
     damped = terms.links is not None and terms.links.damping is not None
     others = terms.follower is None and terms.torque is None and terms.drag is None
-    return others and not damped
+    return others and not damped and terms.contact is None
 
 
 def is_constant(terms: Terms) -> bool:
@@ -179,14 +184,16 @@ def kick_pair(
 
 @inline
 def less_internal(
-    pair: int | None, rows: Floats, b: int, x: Vec3, dt: float, entry: Entry
+    pair: int | None, contact: int | None, rows: Floats, b: int, x: Vec3, dt: float, entry: Entry
 ) -> Entry:
     """What is booked: without the impulses that bodies give each other, with dashpots' work."""
     if pair is None:
         return entry
     work, impulse, angular = entry
-    F = subtract(get3(rows, PAIR, b), get3(rows, PAIR + OUTSIDE, b))
-    turning = add_scaled(1.0, cross(x, get3(rows, PAIR, b)), get3(rows, PAIR + PAIR_TORQUE, b))
+    F, tau = get3(rows, PAIR, b), get3(rows, PAIR + PAIR_TORQUE, b)
+    F, tau = kick_pair(contact, rows, PAIR + OTHER, b, 1.0, F, tau)
+    turning = add_scaled(1.0, cross(x, F), tau)
+    F = subtract(F, get3(rows, PAIR + OUTSIDE, b))
     turning = subtract(turning, get3(rows, PAIR + OUTSIDE + 3, b))
     work += dt * get(rows, PAIR + POWER, b)
     return work, add_scaled(-dt, F, impulse), add_scaled(-dt, turning, angular)
@@ -218,6 +225,7 @@ def kick_others(
 ) -> tuple[Vec3, Vec3]:
     """Momenta after dt of the forces without potential, drag aside, at a fixed pose."""
     p, L = kick_follower(acting.follower, rows, FOLLOWER, b, R, dt, p, L)
+    p, L = kick_pair(acting.contact, rows, PAIR + OTHER, b, dt, p, L)
     return p, kick_torque(acting.torque, rows, TORQUE, b, dt, L)
 
 

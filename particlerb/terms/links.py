@@ -14,6 +14,7 @@ import numpy as np
 
 from particlerb._jit import inline, kernel
 from particlerb.bodies.bodies import Bodies
+from particlerb.bodies.load import FORCE, OUTSIDE, POWER, TORQUE
 from particlerb.bodies.state import turned, turned_back
 from particlerb.maths.quaternion import Quat, Rows, matrix, turn, turn_back
 from particlerb.maths.vec3 import (
@@ -32,12 +33,6 @@ from particlerb.terms.spring import Spring
 ITERATIONS: Final = 60  # of the power method
 TINY: Final = 1e-300  # keeps 1/l finite where a link has no length
 WORLD: Final = -1  # stands for the second body of a link to a point of the world
-FORCE: Final = 0  # rows of a load: force [N] and torque about the centre of mass [N m], world axes
-TORQUE: Final = 3
-POWER: Final = 6  # [W], or the work [J], of dashpots; booked on the first body
-OUTSIDE: Final = 7  # force from the world, and its torque about the world's origin
-LOAD_ROWS: Final = 13
-STATE_ROWS: Final = 13  # of a state: x, q, p, L
 
 
 class Links(NamedTuple):

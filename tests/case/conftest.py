@@ -4,6 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
+NUMBERS = ("stiffness", "tangential_stiffness", "restitution", "friction", "rolling_friction")
+
 
 @pytest.fixture
 def everything() -> Callable[[], dict]:
@@ -26,6 +28,7 @@ def make_everything() -> dict:
         {"type": "points", "position": [[0, 0, 0]], "mass": [1], "radius": [1]},
         {"type": "moments", "inertia": [1, 1, 1]},
         {"type": "cloud", "radius": 2, "n": 4},
+        {"type": "sphere", "radius": 1},
     ]
     bodies = [{"name": f"b{i}", "shape": s, "mass": 1} for i, s in enumerate(shapes)]
     bodies[0] |= {"position": [0, 0, 0], "orientation": [1, 0, 0, 0], "velocity": [0, 0, 0]}
@@ -40,7 +43,21 @@ def make_everything() -> dict:
     bodies.append({"name": "p", "part": [part]})
     vector = {"at": [0, 0, 0], "during": [0, 1]}
     spring = {"type": "spring", "body": "p", "stiffness": 1}
+    numbers = dict.fromkeys(NUMBERS, 1)
+    pair = {"materials": ["m", "m"]}
+    motion = {"velocity": [0, 0, 0], "angular_velocity": [0, 0, 0], "centre": [0, 0, 0]}
+    motion["oscillation"] = {"amplitude": [0, 0, 0], "frequency": 1, "phase": 0}
+    walls = [
+        {"type": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "motion": motion},
+        {"type": "box", "lower": [0, 0, 0], "upper": [1, 1, 1], "open": ["+z"]},
+        {"type": "cylinder", "centre": [0, 0, 0], "axis": [0, 0, 1], "radius": 1, "length": 1},
+        {"type": "mesh", "file": __file__, "scale": 1, "position": [0, 0, 0]},
+    ]
+    walls[3]["orientation"] = {"euler_deg": [0, 0, 0]}
     return {
+        "contact": numbers | {"skin": 1, "overlap": 0, "pair": [pair | numbers]},
+        "material": [{"name": "m", "young": 1, "poisson": 0.1}],
+        "wall": [{"name": f"w{i}", "material": "m"} | wall for i, wall in enumerate(walls)],
         "run": {"t_end": 5, "every": 1, "dt": 1, "seed": 1, "threads": 1},
         "gravity": {"acceleration": [0, 0, 0]},
         "attraction": {"G": 1, "softening": 0, "accuracy": 0.1},

@@ -549,6 +549,359 @@ def test_mistake_in_attraction_has_one_message(keys, key, reason, hint):
     assert problem.line == 16
 
 
+GRANULAR = """\
+[run]
+t_end = 1
+every = 1
+[contact]
+stiffness = 1e5
+restitution = 0.8
+friction = 0.5
+[[contact.pair]]
+materials = ["steel", "glass"]
+friction = 0.3
+[[material]]
+name = "steel"
+[[material]]
+name = "glass"
+[[body]]
+name = "ball"
+shape = { type = "sphere", radius = 0.1 }
+mass = 1.0
+material = "glass"
+[[body]]
+name = "post"
+shape = { type = "sphere", radius = 0.1 }
+mass = 1.0
+material = "glass"
+fixed = true
+[[wall]]
+type = "plane"
+name = "floor"
+normal = [0, 0, 1]
+material = "steel"
+[[wall]]
+type = "box"
+name = "bin"
+lower = [0, 0, 0]
+upper = [1, 1, 1]
+material = "steel"
+[[wall]]
+type = "cylinder"
+name = "drum"
+radius = 1
+length = 1
+material = "steel"
+"""
+
+
+def test_the_granular_case_that_the_tests_break_is_good():
+    assert len(parse(GRANULAR).wall) == 3
+
+
+OF_CONTACT = [
+    # old text, new text, key, reason, part of the hint
+    ("restitution = 0.8", "restitution = 1.5", "contact.restitution", "must be <= 1, got 1.5", ""),
+    ("restitution = 0.8", "restitution = -1", "contact.restitution", "must be >= 0, got -1", ""),
+    (
+        "restitution = 0.8",
+        "restitution = 0",
+        "contact.restitution",
+        "no damping gives 0 where it may not pull",
+        "contact.attract = true",
+    ),
+    ("friction = 0.5", "friction = -0.5", "contact.friction", "must be >= 0, got -0.5", ""),
+    ("stiffness = 1e5", "stiffness = -1e5", "contact.stiffness", "must be > 0, got -100000.0", ""),
+    ("stiffness = 1e5", "stifness = 1e5", "contact.stifness", "unknown key", '"stiffness"?'),
+    ("stiffness = 1e5", 'law = "hertzz"', "contact.law", "unknown: 'hertzz'", '"hertz"?'),
+    (
+        "stiffness = 1e5",
+        'law = "hertz"\nstiffness = 1e5',
+        "contact.stiffness",
+        "hertz takes its stiffness from the materials",
+        "give `young` and `poisson` of each [[material]]",
+    ),
+    ("stiffness = 1e5", "skin = 0", "contact.skin", "must be > 0, got 0", ""),
+    ("stiffness = 1e5", "overlap = -1e-3", "contact.overlap", "must be >= 0, got -0.001", ""),
+    (
+        "stiffness = 1e5",
+        "relax = 1",
+        "contact.relax",
+        "must be true or false, got a whole number: 1",
+        "",
+    ),
+    ("friction = 0.3", "friction = -1", "contact.pair[0].friction", "must be >= 0, got -1", ""),
+    (
+        "friction = 0.3",
+        "fricton = 0.3",
+        "contact.pair[0].fricton",
+        "unknown key",
+        'did you mean "friction"? keys here: materials, stiffness',
+    ),
+    (
+        "friction = 0.3",
+        "restitution = 0",
+        "contact.pair[0].restitution",
+        "no damping gives 0 where it may not pull",
+        "contact.attract = true",
+    ),
+    (
+        '"steel", "glass"]',
+        '"steel", "glas"]',
+        "contact.pair[0].materials[1]",
+        'there is no material "glas"',
+        'did you mean "glass"? known: steel, glass',
+    ),
+    (
+        '"steel", "glass"]',
+        '"steel"]',
+        "contact.pair[0].materials",
+        "must have 2 entries, has 1",
+        "",
+    ),
+    (
+        '[[material]]\nname = "steel"',
+        '[[contact.pair]]\nmaterials = ["glass", "steel"]\n[[material]]\nname = "steel"',
+        "contact.pair[1].materials",
+        "this pair is contact.pair[0] already",
+        "name every pair once",
+    ),
+    (
+        '[[material]]\nname = "glass"',
+        '[[material]]\nname = "glass"\n[[material]]\nname = "glass"',
+        "material[2].name",
+        '"glass" is the name of material[1] already',
+        "",
+    ),
+    ('"steel"\n[[m', '"steel"\nyoung = 0\n[[m', "material[0].young", "must be > 0, got 0", ""),
+    (
+        '"steel"\n[[m',
+        '"steel"\npoisson = 0.6\n[[m',
+        "material[0].poisson",
+        "must be <= 0.5, got 0.6",
+        "",
+    ),
+    (
+        'material = "glass"\n[[body]]',
+        'material = "gold"\n[[body]]',
+        "body[0].material",
+        'there is no material "gold"',
+        "known: steel, glass",
+    ),
+    ("fixed = true", "fixed = 1", "body[1].fixed", "must be true or false, got a whole", ""),
+    (
+        "fixed = true",
+        "fixed = true\nvelocity = [0, 0, 1]",
+        "body[1].velocity",
+        "a fixed body does not move",
+        "leave it out",
+    ),
+    (
+        "fixed = true",
+        "fixed = true\nangular_velocity = { random = 1.0 }",
+        "body[1].angular_velocity",
+        "a fixed body does not move",
+        "leave it out",
+    ),
+    (
+        "fixed = true",
+        "fixed = true\ncontact = false",
+        "body[1].contact",
+        "a fixed body that nothing touches has no effect",
+        "leave it out",
+    ),
+    (
+        "fixed = true",
+        'fixed = true\n[[force]]\ntype = "push"\nforce = [0, 0, 1]\nbody = ["ball", "post[0]"]',
+        "force[0].body",
+        "post is fixed: no force acts on it",
+        "leave the fixed body out",
+    ),
+    (
+        "fixed = true",
+        'fixed = true\n[[force]]\ntype = "spring"\nstiffness = 1\nbody = "ball"\nto = "post"',
+        "force[0].to",
+        "post is fixed: no force acts on it",
+        "a spring has `anchor` for the world",
+    ),
+    (
+        "fixed = true",
+        "fixed = true\n[attraction]",
+        "attraction.body",
+        "post is fixed: it takes no part in attraction",
+        "name the others",
+    ),
+    (
+        "fixed = true",
+        'fixed = true\n[attraction]\nbody = ["ball", "post"]',
+        "attraction.body",
+        "post is fixed: it takes no part in attraction",
+        "name the others",
+    ),
+    (
+        'type = "plane"',
+        'type = "plan"',
+        "wall[0].type",
+        "unknown type 'plan'",
+        'did you mean "plane"? known: plane, box, cylinder, mesh',
+    ),
+    ('type = "plane"\n', "", "wall[0].type", "missing", "known: plane, box, cylinder, mesh"),
+    (
+        "normal = [0, 0, 1]",
+        "nrmal = [0, 0, 1]",
+        "wall[0].nrmal",
+        "unknown key",
+        'did you mean "normal"? keys here: type, name, point, normal',
+    ),
+    (
+        "normal = [0, 0, 1]",
+        "normal = [0, 0, 0]",
+        "wall[0].normal",
+        "must not be zero: it is no direction",
+        "",
+    ),
+    (
+        'name = "floor"',
+        'name = "bin"',
+        "wall[1].name",
+        '"bin" is the name of wall[0] already',
+        "",
+    ),
+    (
+        'name = "floor"',
+        'name = "ball"',
+        "wall[0].name",
+        '"ball" is the name of body[0] already',
+        "",
+    ),
+    (
+        'normal = [0, 0, 1]\nmaterial = "steel"',
+        'normal = [0, 0, 1]\nmaterial = "stel"',
+        "wall[0].material",
+        'there is no material "stel"',
+        'did you mean "steel"?',
+    ),
+    (
+        "upper = [1, 1, 1]",
+        "upper = [1, 0, 1]",
+        "wall[1].upper",
+        "must be above lower on each axis, is 0.0 on y",
+        "",
+    ),
+    (
+        "upper = [1, 1, 1]",
+        'upper = [1, 1, 1]\nopen = ["+w"]',
+        "wall[1].open[0]",
+        "unknown: '+w'",
+        "known: -x, +x, -y, +y, -z, +z",
+    ),
+    (
+        "upper = [1, 1, 1]",
+        'upper = [1, 1, 1]\nopen = ["+z", "+z"]',
+        "wall[1].open",
+        "must not repeat a face",
+        "",
+    ),
+    (
+        "upper = [1, 1, 1]",
+        'upper = [1, 1, 1]\nopen = ["+z", "-z", "+x", "-x", "+y", "-y"]',
+        "wall[1].open",
+        "leaves no face of the box",
+        "",
+    ),
+    ("radius = 1\n", "radius = 0\n", "wall[2].radius", "must be > 0, got 0", ""),
+    (
+        "radius = 1\n",
+        "radius = 1\naxis = [0, 0, 0]\n",
+        "wall[2].axis",
+        "must not be zero: it is no direction",
+        "",
+    ),
+    ("length = 1\n", "length = -1\n", "wall[2].length", "must be > 0, got -1", ""),
+    (
+        "length = 1\n",
+        'length = 1\nopen = ["+z"]\n',
+        "wall[2].open[0]",
+        "unknown: '+z'",
+        "known: -, +",
+    ),
+    ("length = 1\n", "", "wall[2].length", "missing", "keys here: type, name, centre, axis"),
+    ("length = 1\n", "length = 1\ninside = 1\n", "wall[2].inside", "must be true or false", ""),
+    (
+        "radius = 1\n",
+        "radius = 1\nmotion = { velocty = [0, 0, 1] }\n",
+        "wall[2].motion.velocty",
+        "unknown key",
+        'did you mean "velocity"? keys here: velocity, angular_velocity, centre',
+    ),
+    (
+        "radius = 1\n",
+        "radius = 1\nmotion = { velocity = { body = [0, 0, 1] } }\n",
+        "wall[2].motion.velocity",
+        "must be a list of 3 numbers",
+        "",
+    ),
+    (
+        "radius = 1\n",
+        "radius = 1\nmotion = { oscillation = { amplitude = [0, 0, 1], frequency = 0 } }\n",
+        "wall[2].motion.oscillation.frequency",
+        "must be > 0, got 0",
+        "",
+    ),
+    (
+        "radius = 1\n",
+        "radius = 1\nmotion = { oscillation = { amplitude = [0, 0, 1] } }\n",
+        "wall[2].motion.oscillation.frequency",
+        "missing",
+        "keys here: amplitude, frequency, phase",
+    ),
+    (
+        'type = "cylinder"\nname = "drum"\nradius = 1\nlength = 1\n',
+        'type = "mesh"\nname = "drum"\nfile = "no.stl"\n',
+        "wall[2].file",
+        'there is no file "no.stl" in cases',
+        "",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "reason", "hint"),
+    OF_CONTACT,
+    ids=[f"{m[2]}-{m[1][-30:]}" for m in OF_CONTACT],
+)
+def test_mistake_in_contact_has_one_message(old, new, key, reason, hint):
+    assert GRANULAR.count(old) == 1
+    (problem,) = problems(GRANULAR.replace(old, new))
+    assert problem.key == key
+    assert problem.reason.startswith(reason)
+    assert hint in problem.hint
+    assert bool(hint) == bool(problem.hint)
+    assert problem.line
+
+
+def test_walls_and_fixed_bodies_need_contact():
+    start = GRANULAR.index("[contact]")
+    text = GRANULAR[:start] + GRANULAR[GRANULAR.index("[[material]]") :]
+    assert [(p.key, p.reason) for p in problems(text)] == [
+        ("body[1].fixed", "a fixed body is an obstacle of [contact], which is not there"),
+        ("wall[0]", "nothing touches a wall without [contact]"),
+    ]
+
+
+def test_material_without_any():
+    text = GRANULAR.replace('[[material]]\nname = "steel"\n[[material]]\nname = "glass"\n', "")
+    found = problems(text)
+    assert {p.reason for p in found} == {f'there is no material "{m}"' for m in ("steel", "glass")}
+    assert all(p.hint == "there is no [[material]]" for p in found)
+    assert len(found) == 7
+
+
+def test_restitution_of_nothing_needs_damping_that_pulls():
+    text = GRANULAR.replace("restitution = 0.8", "restitution = 0\nattract = true")
+    assert parse(text).contact.restitution == 0.0
+
+
 def test_one_body_attracts_nothing():
     one = '[run]\nt_end = 1\nevery = 1\n[attraction]\n[[body]]\nname = "a"\nmass = 1\n'
     one += 'shape = { type = "ball", radius = 1 }\n'
@@ -691,6 +1044,66 @@ def test_body_without_shape_and_part_without_mass():
     ]
 
 
+MASSLESS = [
+    # keys of the only part that has mass, key after "body[2].", reason, part of the hint
+    (
+        'shape = { type = "box", size = [1, 1, 1] }\nmass = 0',
+        "part[1].mass",
+        "must be > 0 for all but a sphere, got 0",
+        "",
+    ),
+    (
+        'shape = { type = "points", position = [[0, 0, 0]], mass = 1 }\nmass = 0',
+        "part[1].mass",
+        "must be > 0 for all but a sphere, got 0",
+        "give `mass = 0` among the points",
+    ),
+    (
+        'shape = { type = "sphere", radius = 1 }\nmass = 0',
+        "part",
+        "no part has mass",
+        "one of them",
+    ),
+    (
+        'shape = { type = "points", position = [[0, 0, 0]], mass = 0, radius = 1 }',
+        "part",
+        "no part has mass",
+        "",
+    ),
+    ('shape = { type = "sphere", radius = 1 }', "part[1].mass", "missing", "`mass` or `density`"),
+    ('shape = { type = "sphere", radius = 1 }\nmass = -1', "part[1].mass", "must be >= 0", ""),
+    (
+        'shape = { type = "sphere", radius = 0 }\nmass = 1',
+        "part[1].shape.radius",
+        "must be > 0",
+        "",
+    ),
+]
+
+
+@pytest.mark.parametrize(("keys", "key", "reason", "hint"), MASSLESS)
+def test_only_surface_may_be_without_mass(keys, key, reason, hint):
+    part = (
+        '[[body]]\nname = "b"\n[[body.part]]\nshape = { type = "sphere", radius = 1 }\nmass = 0\n'
+    )
+    (problem,) = problems(edited("[[force]]", f"{part}[[body.part]]\n{keys}\n[[force]]"))
+    assert problem.key == f"body[2].{key}"
+    assert problem.reason.startswith(reason)
+    assert hint in problem.hint
+
+
+def test_a_whole_body_has_mass():
+    sphere = edited('type = "box", size = [1.0, 1.0, 1.0]', 'type = "sphere", radius = 1')
+    (problem,) = problems(sphere.replace("mass = 2.0", "mass = 0"))
+    assert (problem.key, problem.reason) == ("body[0].mass", "must be > 0, got 0")
+
+
+def test_one_number_for_all_points_is_checked_once():
+    shape = 'type = "points", position = [[0, 0, 0], [0, 0, 1]], mass = 1, radius = -1'
+    (problem,) = problems(edited('type = "box", size = [1.0, 1.0, 1.0]', shape))
+    assert (problem.key, problem.reason) == ("body[0].shape.radius", "must be >= 0, got -1")
+
+
 BAD_NUMBERS = [math.nan, math.inf, -math.inf, "1", None, True, np.nan, [1.0], 10**400]
 
 
@@ -711,7 +1124,7 @@ def numeric_places(case: dict) -> list[tuple[str | int, ...]]:
 
 
 def test_the_case_with_everything_is_good(everything):
-    assert len(load(everything()).body) == 13
+    assert len(load(everything()).body) == 14
 
 
 @pytest.mark.parametrize("bad", BAD_NUMBERS)

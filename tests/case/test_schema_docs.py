@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from particlerb.case.contact import WALLS
 from particlerb.case.reader import load
 from particlerb.case.schema import FORCES, METHODS, PLACES, case_json_schema
 from particlerb.case.shapes import SHAPES
@@ -28,6 +29,12 @@ HEADINGS = {
     **{f"place: {name}": model.__name__ for name, model in PLACES.items()},
     **{f"shape: {name}": model.__name__ for name, model in SHAPES.items()},
     **{f"force: {name}": model.__name__ for name, model in FORCES.items()},
+    "[contact]": "Contact",
+    "[[contact.pair]]": "Pair",
+    "[[material]]": "Material",
+    **{f"wall: {name}": model.__name__ for name, model in WALLS.items()},
+    "motion of a wall": "WallMotion",
+    "oscillation of a wall": "Oscillation",
     "[output]": "Output",
     "[check]": "Check",
     "[[check.value]]": "CheckValue",

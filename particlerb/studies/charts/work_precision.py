@@ -48,9 +48,7 @@ def draw_chart(chart: Chart, path: Path) -> None:
     )  # fmt: skip
     axes.set_title(advice(chart), fontsize=11, loc="left", color=INK, fontweight="bold")
     axes.set_xlabel("time in kernels for the whole run [s]   (faster to the left)")
-    axes.set_ylabel(
-        "largest error at t_end: orientation [rad], or position, relative   (better below)"
-    )
+    axes.set_ylabel(f"largest {chart.measure}   (better below)")
     axes.grid(color=GRID, lw=0.6)
     bare(axes)
     figure.savefig(path, dpi=130)

@@ -1,0 +1,206 @@
+"""What a case says about contact: its law, materials and pairs of them, and the walls.
+
+Bodies touch with their particles of positive radius. A number that is given in [contact] holds for
+every pair of materials that does not give its own in [[contact.pair]]. Which pairs can meet, and
+so which numbers must be there, is the business of `particlerb.touching`.
+"""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, Strict, model_validator
+
+from particlerb.case.values import (
+    Name,
+    NonNegative,
+    OneOrientation,
+    Positive,
+    Real,
+    Table,
+    Vector,
+    broken,
+    entries,
+)
+
+Yes = Annotated[bool, Strict()]
+Share = Annotated[NonNegative, Field(le=1.0)]
+Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
+End = Literal["-", "+"]
+ORIGIN = (0.0, 0.0, 0.0)
+STIFFNESS = "Normal stiffness, hooke. [N/m]"
+TANGENTIAL = "Tangential stiffness, hooke; default: 2/7 of the normal one. [N/m]"
+RESTITUTION = "Speed after over speed before a central impact, 0 to 1. [-]"
+FRICTION = "Coefficient of sliding friction. [-]"
+ROLLING = "Coefficient of rolling friction; default: 0. [-]"
+KIND = "Kind of wall. [-]"
+NAME = "Unique name. [-]"
+MATERIAL = "Name of a [[material]]; default: the only one. [-]"
+INSIDE = "Whether all bodies are inside at t = 0, or anywhere. [-]"
+MOTION = "How it moves; default: not at all. [-]"
+
+
+class Material(Table):
+    """A material that bodies and walls are made of."""
+
+    name: Name = Field(description=NAME)
+    young: Positive | None = Field(None, description="Young's modulus, for hertz. [Pa]")
+    poisson: Annotated[Real, Field(gt=-1.0, le=0.5)] | None = Field(
+        None, description="Poisson's ratio, for hertz. [-]"
+    )
+
+
+class Pair(Table):
+    """Numbers of the contact between two materials, or of one with itself."""
+
+    materials: Annotated[tuple[Name, Name], entries(2, "names")] = Field(
+        description="Names of the two. [-]"
+    )
+    stiffness: Positive | None = Field(None, description=STIFFNESS)
+    tangential_stiffness: NonNegative | None = Field(None, description=TANGENTIAL)
+    restitution: Share | None = Field(None, description=RESTITUTION)
+    friction: NonNegative | None = Field(None, description=FRICTION)
+    rolling_friction: NonNegative | None = Field(None, description=ROLLING)
+
+
+class Contact(Table):
+    """Contact between bodies and with walls; without this table nothing touches."""
+
+    law: Literal["hooke", "hertz"] = Field("hooke", description="Force by overlap. [-]")
+    stiffness: Positive | None = Field(None, description=STIFFNESS)
+    tangential_stiffness: NonNegative | None = Field(None, description=TANGENTIAL)
+    restitution: Share | None = Field(None, description=RESTITUTION)
+    friction: NonNegative | None = Field(None, description=FRICTION)
+    rolling_friction: NonNegative | None = Field(None, description=ROLLING)
+    attract: Yes = Field(False, description="Whether damping may pull. [-]")
+    skin: Positive | None = Field(
+        None, description="Distance up to which pairs are kept; default: chosen. [m]"
+    )
+    overlap: NonNegative = Field(
+        0.0, description="Overlap at t = 0 that is no mistake; rounding always is none. [m]"
+    )
+    relax: Yes = Field(False, description="Whether to push apart what overlaps at t = 0. [-]")
+    allow_unstable: Yes = Field(
+        False, description="Whether a step above the stability limit is taken. [-]"
+    )
+    pair: tuple[Pair, ...] = Field((), description="Pairs of materials, [[contact.pair]]. [-]")
+
+
+# Walls
+
+
+class Oscillation(Table):
+    """Displacement A sin(2π f t + φ)."""
+
+    amplitude: Vector = Field(description="Amplitude A, world frame. [m]")
+    frequency: Positive = Field(description="Frequency f. [1/s]")
+    phase: Real = Field(0.0, description="Phase φ. [rad]")
+
+
+class WallMotion(Table):
+    """Motion of a wall, whatever touches it: it turns about a centre that moves."""
+
+    velocity: Vector = Field(ORIGIN, description="Of the centre, world frame. [m/s]")
+    angular_velocity: Vector = Field(ORIGIN, description="World frame. [rad/s]")
+    centre: Vector | None = Field(
+        None, description="Point of the axis at t = 0, world frame; default: the wall's own. [m]"
+    )
+    oscillation: Oscillation | None = Field(
+        None, description="Added to the motion of the centre; default: none. [-]"
+    )
+
+
+def direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Require a vector that points somewhere."""
+    if not any(value):
+        raise broken("must not be zero: it is no direction")
+    return value
+
+
+def once(faces: tuple[str, ...]) -> tuple[str, ...]:
+    """Require each face once."""
+    if len(set(faces)) < len(faces):
+        raise broken("must not repeat a face")
+    return faces
+
+
+Direction = Annotated[Vector, AfterValidator(direction)]
+
+
+class PlaneWall(Table):
+    """A plane; bodies are on the side to which its normal points."""
+
+    type: Literal["plane"] = Field(description=KIND)
+    name: Name = Field(description=NAME)
+    point: Vector = Field(ORIGIN, description="Any of its points, world frame. [m]")
+    normal: Direction = Field(description="Towards the bodies, of any length. [-]")
+    material: Name | None = Field(None, description=MATERIAL)
+    motion: WallMotion | None = Field(None, description=MOTION)
+
+
+class BoxWall(Table):
+    """A box along the axes of the world, thin faces of which some may be open."""
+
+    type: Literal["box"] = Field(description=KIND)
+    name: Name = Field(description=NAME)
+    lower: Vector = Field(description="Lower corner, world frame. [m]")
+    upper: Vector = Field(description="Upper corner, world frame. [m]")
+    open: Annotated[tuple[Face, ...], AfterValidator(once)] = Field(
+        (), description="Faces that are not there. [-]"
+    )
+    inside: Yes = Field(True, description=INSIDE)
+    material: Name | None = Field(None, description=MATERIAL)
+    motion: WallMotion | None = Field(None, description=MOTION)
+
+    @model_validator(mode="after")
+    def is_box(self) -> Self:
+        """Require lower < upper on each axis, and a face."""
+        for axis, (a, b) in enumerate(zip(self.lower, self.upper, strict=True)):
+            if a >= b:
+                raise broken(
+                    f"must be above lower on each axis, is {b!r} on {'xyz'[axis]}", "upper"
+                )
+        if len(self.open) == 6:
+            raise broken("leaves no face of the box", "open")
+        return self
+
+
+class CylinderWall(Table):
+    """A cylinder, a thin tube with ends of which some may be open."""
+
+    type: Literal["cylinder"] = Field(description=KIND)
+    name: Name = Field(description=NAME)
+    centre: Vector = Field(ORIGIN, description="Middle of its axis, world frame. [m]")
+    axis: Direction = Field((0.0, 0.0, 1.0), description="Along the axis, of any length. [-]")
+    radius: Positive = Field(description="Inner radius. [m]")
+    length: Positive = Field(description="Between the ends. [m]")
+    open: Annotated[tuple[End, ...], AfterValidator(once)] = Field(
+        (), description="Ends that are not there: against the axis (-), along it (+). [-]"
+    )
+    inside: Yes = Field(True, description=INSIDE)
+    material: Name | None = Field(None, description=MATERIAL)
+    motion: WallMotion | None = Field(None, description=MOTION)
+
+
+class MeshWall(Table):
+    """A thin surface of triangles from a file, which trimesh reads."""
+
+    type: Literal["mesh"] = Field(description=KIND)
+    name: Name = Field(description=NAME)
+    file: Name = Field(description="STL file, relative to the folder of the case. [-]")
+    scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
+    position: Vector = Field(ORIGIN, description="Of the file's origin, world frame. [m]")
+    orientation: OneOrientation = Field(
+        (1.0, 0.0, 0.0, 0.0),
+        description="File to world axes: quaternion or { euler_deg = [..] }. [-]",
+    )
+    material: Name | None = Field(None, description=MATERIAL)
+    motion: WallMotion | None = Field(None, description=MOTION)
+
+
+AnyWall = PlaneWall | BoxWall | CylinderWall | MeshWall
+Wall = Annotated[AnyWall, Field(discriminator="type")]
+WALLS: dict[str, type[Table]] = {
+    "plane": PlaneWall,
+    "box": BoxWall,
+    "cylinder": CylinderWall,
+    "mesh": MeshWall,
+}

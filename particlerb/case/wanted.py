@@ -1,0 +1,125 @@
+"""What a case asks for: what is recorded, what must hold, and what a chart shows beside."""
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from particlerb.case.values import (
+    Frame,
+    Name,
+    NonNegative,
+    Numbers,
+    Positive,
+    Table,
+    broken,
+)
+
+FRAME = "Axes of the vector: world or body. [-]"
+FieldName = Literal[
+    "position", "orientation", "linear_momentum", "angular_momentum", "velocity", "angular_velocity"
+]
+FIELDS: tuple[FieldName, ...] = ("position", "orientation", "linear_momentum", "angular_momentum")
+
+
+def are_unique(fields: tuple[FieldName, ...]) -> tuple[FieldName, ...]:
+    """Require each field once."""
+    if len(set(fields)) < len(fields):
+        raise broken("must not repeat a name")
+    return fields
+
+
+class Output(Table):
+    """What the trajectory file holds."""
+
+    fields: Annotated[tuple[FieldName, ...], Field(min_length=1), AfterValidator(are_unique)] = (
+        Field(FIELDS, description="Recorded per body and frame. [-]")
+    )
+    dtype: Literal["float64", "float32"] = Field(
+        "float64", description="Precision of the file. [-]"
+    )
+
+
+Quantity = Literal[
+    "position",
+    "orientation",
+    "velocity",
+    "angular_velocity",
+    "linear_momentum",
+    "angular_momentum",
+    "kinetic_energy",
+    "inertia",
+]
+EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
+    "orientation": ((4,),),
+    "kinetic_energy": ((),),
+    "inertia": ((3,), (3, 3)),
+}
+FRAMELESS = ("position", "orientation", "kinetic_energy")
+
+
+def shape_of(value: Any) -> tuple[int, ...] | None:
+    """Shape of nested tuples; None where they are ragged."""
+    if not isinstance(value, tuple):
+        return ()
+    inner = {shape_of(entry) for entry in value}
+    if len(inner) > 1 or None in inner:
+        return None
+    return (len(value), *(inner.pop() or ())) if inner else (0,)
+
+
+class CheckValue(Table):
+    """A value that the run must reach."""
+
+    body: Name = Field(description="Name of a [[body]] block, or of one body as name[3]. [-]")
+    quantity: Quantity = Field(description="What is compared. [-]")
+    frame: Frame = Field("world", description=FRAME)
+    time: NonNegative | None = Field(None, description="When; default: t_end. [s]")
+    value: Numbers = Field(description="Expected number or list. [SI unit of the quantity]")
+    tolerance: NonNegative = Field(description="Largest allowed difference. [SI unit, or rad]")
+
+    @model_validator(mode="after")
+    def has_right_length(self) -> Self:
+        """Require as many numbers as the quantity has."""
+        shape = shape_of(self.value)
+        allowed = EXPECTED_SHAPES.get(self.quantity, ((3,),))
+        if shape not in allowed:
+            wanted = {(): "one number", (3, 3): "3 x 3 numbers"}
+            words = " or ".join(wanted.get(s) or f"{s[0]} numbers" for s in allowed)
+            raise broken(f"{self.quantity} needs {words}", "value")
+        if self.quantity == "orientation" and not any(self.value):
+            raise broken("must not be zero: it is no orientation", "value")
+        if self.frame == "body" and self.quantity in FRAMELESS:
+            raise broken(f"{self.quantity} is not given in the body frame", "frame")
+        return self
+
+
+class Check(Table):
+    """Limits: a run that misses one ends with exit code 3."""
+
+    energy_drift: Positive | None = Field(
+        None, description="Largest error of energy, over the largest kinetic energy or work. [-]"
+    )
+    linear_momentum_drift: Positive | None = Field(
+        None, description="Largest error of momentum, over the sum of the bodies' momenta. [-]"
+    )
+    angular_momentum_drift: Positive | None = Field(
+        None,
+        description="Largest error of angular momentum about the origin, over the sum of the"
+        " bodies' spins and orbits. [-]",
+    )
+    value: tuple[CheckValue, ...] = Field((), description="Values to reach, [[check.value]]. [-]")
+
+
+class Published(Table):
+    """An error that somebody else found for this case."""
+
+    name: Name = Field(description="Who found it. [-]")
+    error: Positive = Field(description="Error of the orientation at t_end. [rad]")
+
+
+class Chart(Table):
+    """What `chart` draws beside what it measures."""
+
+    published: tuple[Published, ...] = Field(
+        (), description="Errors found elsewhere, [[chart.published]]. [-]"
+    )

@@ -1,0 +1,449 @@
+"""Loads of all contacts at one instant: spheres of bodies with each other and with walls.
+
+Three passes, each over ranges that a host can spread over threads: bodies place their spheres,
+contacts find their forces, bodies collect them in the order of the contacts. So the sums do not
+depend on the threads. The elastic part of the normal force has a potential and is kept apart from
+the rest, which the ledger books.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb._jit import inline, kernel
+from particlerb.bodies.load import FORCE, OTHER, OUTSIDE, POWER, TORQUE
+from particlerb.contact.laws import (
+    Law,
+    Touch,
+    contact_force,
+    normal_spring,
+    rolling_torque,
+    turned_spring,
+)
+from particlerb.contact.walls import Motion, Walls, pose_at
+from particlerb.contact.walls import touch as touch_wall
+from particlerb.maths.quaternion import matrix, turn, turn_back
+from particlerb.maths.vec3 import (
+    Floats,
+    Ints,
+    Vec3,
+    add_scaled,
+    cross,
+    dot,
+    multiplied3,
+    scale,
+    subtract,
+)
+
+COM: Final = 0  # columns of a body at the instant of a kick: centre of mass [m],
+VELOCITY: Final = 3  # velocity [m/s],
+SPIN: Final = 6  # angular velocity [rad/s], world axes,
+INV_MASS: Final = 9  # and 1/M [1/kg]
+BODY_COLUMNS: Final = 10
+SPRING: Final = 0  # columns of what a contact keeps: tangential spring [m],
+BEFORE: Final = 3  # and overlap at the instant before [m]
+ROLLED: Final = 4  # rolling spring [m], with resistance to rolling
+KEPT: Final = 7
+ELASTIC: Final = 0  # columns of what a contact does: elastic force on the first [N],
+REST: Final = 3  # the rest of its force on the first [N],
+POINT: Final = 6  # where it acts [m], world frame,
+STORED: Final = 9  # elastic energy of the normal spring [J],
+DRIVEN: Final = 10  # and power of the elastic force on a wall that moves [W]
+ACTS: Final = 11  # whether it does anything,
+TWIST: Final = 12  # and torque against rolling on the first [N m]
+DONE: Final = 15
+MOTION: Final = 14
+POSE: Final = 13
+UNIT: Final = 256  # contacts, or bodies, a kernel takes at a time
+
+
+class Spheres(NamedTuple):
+    """Spheres of a group of bodies that can touch others."""
+
+    arm: Floats  # (3, n) [m], rotor frame of the body, from its centre of mass
+    radius: Floats  # (n,) [m]
+    body: Ints  # (n,) ascending
+    material: Ints  # (n,)
+    offset: Ints  # (n_bodies + 1,) those of body b are offset[b] to offset[b + 1]
+
+
+class Contacts(NamedTuple):
+    """Pairs that touch or soon may, what they keep from step to step, and what they do."""
+
+    first: Ints  # (m,) sphere
+    second: Ints  # (m,) sphere, or primitive of a wall
+    kept: Floats  # (m, KEPT)
+    done: Floats  # (m, DONE)
+
+
+class Scene(NamedTuple):
+    """What does not change with the steps."""
+
+    spheres: Spheres
+    law: Law
+    pair_of: Ints  # (n_materials, n_materials) pair of two materials
+    wall_material: Ints  # (n_primitives,)
+    walls: Walls
+    inv_mass: Floats  # (n_bodies,) [1/kg]
+    inv_inertia: Floats  # (3, n_bodies) [1/(kg m²)], rotor frame
+
+
+class Contact(NamedTuple):
+    """Contact of a group of bodies."""
+
+    scene: Scene
+    motions: Floats  # (n_walls, MOTION) numbers of `walls.Motion`
+    reach: Floats  # (n_bodies,) [m] from the centre of mass to the farthest centre of a sphere
+    skin: float  # [m] pairs nearer than this are kept
+
+
+class Room(NamedTuple):
+    """What an evaluation writes."""
+
+    place: Floats  # (n_spheres, 4) [m] centre and radius
+    poses: Floats  # (n_walls, POSE)
+    bodies: Floats  # (n_bodies, BODY_COLUMNS)
+
+
+@inline
+def column(rows: Floats, i: int, at: int) -> Vec3:
+    """Vector of row i from column `at` on."""
+    return rows[i, at], rows[i, at + 1], rows[i, at + 2]
+
+
+@inline
+def put_column(rows: Floats, i: int, at: int, v: Vec3) -> None:
+    """Write a vector."""
+    rows[i, at], rows[i, at + 1], rows[i, at + 2] = v
+
+
+@kernel
+def place_bodies(
+    scene: Scene, room: Room, y: Floats, last: Floats, ahead: float, first: int, end: int
+) -> None:
+    """Place spheres of bodies, and find velocities at the instant of the kick.
+
+    Parameters
+    ----------
+    scene, room : Scene, Room
+    y : ndarray, shape (13, n_bodies)
+        States, the momenta those of the drift before.
+    last : ndarray, shape (6, n_bodies)
+        Momenta of the drift before that one.
+    ahead : float
+        By how much of their change the momenta are to be carried on.
+    first, end : int
+        Bodies, `end` excluded.
+    """
+    spheres, inv_mass, inertia = scene.spheres, scene.inv_mass, scene.inv_inertia
+    arm, radius, offset = spheres.arm, spheres.radius, spheres.offset
+    place, bodies = room.place, room.bodies
+    for b in range(first, end):
+        x = (y[0, b], y[1, b], y[2, b])
+        R = matrix((y[3, b], y[4, b], y[5, b], y[6, b]))
+        p = (y[7, b], y[8, b], y[9, b])
+        L = (y[10, b], y[11, b], y[12, b])
+        p = add_scaled(ahead, subtract(p, (last[0, b], last[1, b], last[2, b])), p)
+        L = add_scaled(ahead, subtract(L, (last[3, b], last[4, b], last[5, b])), L)
+        inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
+        put_column(bodies, b, COM, x)
+        put_column(bodies, b, VELOCITY, scale(inv_mass[b], p))
+        put_column(bodies, b, SPIN, turn(R, multiplied3(inverse, turn_back(R, L))))
+        bodies[b, INV_MASS] = inv_mass[b]
+        for i in range(offset[b], offset[b + 1]):
+            r = turn(R, (arm[0, i], arm[1, i], arm[2, i]))
+            place[i, 0], place[i, 1], place[i, 2] = x[0] + r[0], x[1] + r[1], x[2] + r[2]
+            place[i, 3] = radius[i]
+
+
+@inline
+def put_poses(motions: Floats, t: float, poses: Floats) -> None:
+    """Write the poses of all walls at a time, (n_walls, POSE): see `walls.touch`."""
+    for w in range(motions.shape[0]):
+        motion = Motion(
+            column(motions, w, 0), column(motions, w, 3), column(motions, w, 6),
+            column(motions, w, 9), motions[w, 12], motions[w, 13],
+        )  # fmt: skip
+        x, q, v, omega = pose_at(motion, t)
+        put_column(poses, w, 0, x)
+        poses[w, 3], poses[w, 4], poses[w, 5], poses[w, 6] = q
+        put_column(poses, w, 7, v)
+        put_column(poses, w, 10, omega)
+
+
+@inline
+def velocity(bodies: Floats, b: int, point: Vec3) -> Vec3:
+    """Velocity of a point of body b [m/s]."""
+    arm = subtract(point, column(bodies, b, COM))
+    return add_scaled(1.0, cross(column(bodies, b, SPIN), arm), column(bodies, b, VELOCITY))
+
+
+@inline
+def act(
+    law: Law,
+    pair: int,
+    contacts: Contacts,
+    c: int,
+    delta: float,
+    normal: Vec3,
+    point: Vec3,
+    relative: Vec3,
+    turning: Vec3,
+    drift: Vec3,
+    m_eff: float,
+    r_eff: float,
+    before: float,
+    after: float,
+) -> None:
+    """Find the forces of contact c, and keep what the next instant needs.
+
+    The normal points from the first to the second; `relative` and `turning` are the velocity and
+    the angular velocity of the first relative to the second, `drift` is the velocity of a wall.
+    The spring grows by half of `before` with the slide of the instant before, kept with it, and
+    by the other half with that of now.
+    """
+    kept, done = contacts.kept, contacts.done
+    rate = dot(relative, normal)
+    slide = add_scaled(-rate, normal, relative)
+    spring = turned_spring(column(kept, c, SPRING), normal)
+    spring = add_scaled(0.5 * before, slide, spring)
+    touch = Touch(delta, kept[c, BEFORE], rate, slide, m_eff, r_eff)
+    load = contact_force(law, pair, touch, spring, before)
+    elastic, stored = normal_spring(law, pair, delta, r_eff)
+    put_column(kept, c, SPRING, add_scaled(0.5 * after, slide, load.spring))
+    kept[c, BEFORE] = max(delta, 0.0)
+    put_column(done, c, ELASTIC, scale(-elastic, normal))
+    put_column(done, c, REST, add_scaled(elastic - load.normal, normal, load.tangential))
+    put_column(done, c, POINT, point)
+    resist(law.rolling, law, pair, contacts, c, touch, turning, normal, load.normal, before, after)
+    done[c, STORED] = stored
+    done[c, DRIVEN] = -elastic * dot(normal, drift)
+    done[c, ACTS] = 1.0
+
+
+@inline
+def resist(
+    rolling: Floats | None,
+    law: Law,
+    pair: int,
+    contacts: Contacts,
+    c: int,
+    touch: Touch,
+    turning: Vec3,
+    normal: Vec3,
+    pressure: float,
+    before: float,
+    after: float,
+) -> None:
+    """Torque of contact c against rolling, if anything resists."""
+    if rolling is None:
+        return
+    kept = contacts.kept
+    turning = add_scaled(-dot(turning, normal), normal, turning)
+    spring = turned_spring(column(kept, c, ROLLED), normal)
+    spring = add_scaled(0.5 * before * touch.r_eff, turning, spring)
+    found = rolling_torque(rolling, law, pair, touch, turning, pressure, spring, before)
+    put_column(kept, c, ROLLED, add_scaled(0.5 * after * touch.r_eff, turning, found.spring))
+    put_column(contacts.done, c, TWIST, found.torque)
+
+
+@inline
+def forget(contacts: Contacts, c: int) -> None:
+    """Contact c does nothing, and keeps nothing."""
+    kept, done = contacts.kept, contacts.done
+    for k in range(KEPT):
+        kept[c, k] = 0.0
+    for k in range(DONE):
+        done[c, k] = 0.0
+
+
+@kernel
+def touch_spheres(
+    scene: Scene, room: Room, contacts: Contacts, before: float, after: float, first: int, end: int
+) -> None:
+    """Forces of contacts between spheres, in units first to end.
+
+    Parameters
+    ----------
+    scene, room, contacts : Scene, Room, Contacts
+    before, after : float [s]
+        Lengths of the drifts before and after this instant; 0 where there is none.
+    first, end : int
+        Units of contacts, `end` excluded.
+    """
+    spheres, law, pair_of = scene.spheres, scene.law, scene.pair_of
+    firsts, seconds, body, material = (
+        contacts.first,
+        contacts.second,
+        spheres.body,
+        spheres.material,
+    )
+    place, bodies = room.place, room.bodies
+    for c in range(first * UNIT, min(end * UNIT, firsts.size)):
+        i, j = firsts[c], seconds[c]
+        x, d = column(place, i, 0), subtract(column(place, j, 0), column(place, i, 0))
+        square, reach = dot(d, d), place[i, 3] + place[j, 3]
+        a, b = body[i], body[j]
+        apart = square >= reach * reach
+        if apart and not is_near(bodies, a, b, square, reach, before + after):
+            if contacts.done[c, ACTS] != 0.0:
+                forget(contacts, c)
+            continue
+        distance = math.sqrt(square)
+        normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
+        delta = reach - distance
+        point = add_scaled(place[i, 3] - 0.5 * delta, normal, x)
+        second = velocity(bodies, b, point)
+        relative = subtract(velocity(bodies, a, point), second)
+        turning = subtract(column(bodies, a, SPIN), column(bodies, b, SPIN))
+        total = bodies[a, INV_MASS] + bodies[b, INV_MASS]
+        m_eff = 1.0 / total if total > 0.0 else 0.0
+        r_eff = place[i, 3] * place[j, 3] / reach
+        pair = pair_of[material[i], material[j]]
+        act(
+            law, pair, contacts, c, delta, normal, point, relative, turning, (0.0, 0.0, 0.0), m_eff,
+            r_eff, before, after,
+        )  # fmt: skip
+
+
+@inline
+def is_near(bodies: Floats, a: int, b: int, square: float, reach: float, around: float) -> bool:
+    """Whether two spheres that do not touch may do so within the step around this instant."""
+    v = subtract(column(bodies, a, VELOCITY), column(bodies, b, VELOCITY))
+    w = math.sqrt(dot(column(bodies, a, SPIN), column(bodies, a, SPIN)))
+    w += math.sqrt(dot(column(bodies, b, SPIN), column(bodies, b, SPIN)))
+    far = reach + 0.25 * around * (math.sqrt(dot(v, v)) + 4.0 * w * reach)
+    return square < far * far
+
+
+@kernel
+def touch_walls(
+    scene: Scene,
+    room: Room,
+    contacts: Contacts,
+    before: float,
+    after: float,
+    first: int,
+    end: int,
+) -> None:
+    """Forces of contacts of spheres with walls, whose poses in `room` are those of this instant."""
+    spheres, law, pair_of, walls = scene.spheres, scene.law, scene.pair_of, scene.walls
+    firsts, seconds, body, material = (
+        contacts.first,
+        contacts.second,
+        spheres.body,
+        spheres.material,
+    )
+    place, bodies, poses = room.place, room.bodies, room.poses
+    for c in range(first * UNIT, min(end * UNIT, firsts.size)):
+        i, primitive = firsts[c], seconds[c]
+        a, x, radius = body[i], column(place, i, 0), place[i, 3]
+        gap, moving = touch_wall(walls, poses, primitive, x)
+        distance = math.sqrt(dot(gap, gap))
+        delta = radius - distance
+        normal = scale(-1.0 / distance, gap) if distance > 0.0 else (0.0, 0.0, 1.0)
+        point = add_scaled(radius - 0.5 * delta, normal, x)
+        relative = subtract(velocity(bodies, a, point), moving)
+        omega = column(poses, scene.walls.wall[primitive], 10)
+        turning = subtract(column(bodies, a, SPIN), omega)
+        if delta <= -0.25 * (before + after) * abs(dot(relative, normal)):
+            if contacts.done[c, ACTS] != 0.0:
+                forget(contacts, c)
+            continue
+        inverse = bodies[a, INV_MASS]
+        m_eff = 1.0 / inverse if inverse > 0.0 else 0.0
+        pair = pair_of[material[i], scene.wall_material[primitive]]
+        act(
+            law, pair, contacts, c, delta, normal, point, relative, turning, moving, m_eff, radius,
+            before, after,
+        )  # fmt: skip
+
+
+@kernel
+def collect(
+    contacts: Contacts,
+    offset: Ints,
+    entry: Ints,
+    body: Ints,
+    room: Room,
+    load: Floats,
+    are_walls: bool,
+    first: int,
+    end: int,
+) -> None:
+    """Add what contacts do to the loads of bodies, in units first to end.
+
+    Parameters
+    ----------
+    contacts : Contacts
+    offset, entry : ndarray
+        Contacts of each body: see `search.Incidence`.
+    body : ndarray, shape (n_spheres,)
+        Whose spheres these are.
+    room : Room
+    load : ndarray, shape (rows, n_bodies)
+        See bodies/load.py.
+    are_walls : bool
+        Whether these are contacts with walls. What a wall or a fixed body does, the world does.
+    first, end : int
+        Units of bodies, `end` excluded.
+    """
+    done, bodies, firsts, seconds = contacts.done, room.bodies, contacts.first, contacts.second
+    for b in range(first * UNIT, min(end * UNIT, offset.size - 1)):
+        if bodies[b, INV_MASS] == 0.0:  # fixed
+            continue
+        x = column(bodies, b, COM)
+        F, tau, rest, turning = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        world, about, power = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
+        for k in range(offset[b], offset[b + 1]):
+            c, sign = entry[k], 1.0
+            if c < 0:
+                c, sign = ~c, -1.0
+            if done[c, ACTS] == 0.0:
+                continue
+            elastic, other = column(done, c, ELASTIC), column(done, c, REST)
+            point = column(done, c, POINT)
+            arm = subtract(point, x)
+            F, rest = add_scaled(sign, elastic, F), add_scaled(sign, other, rest)
+            tau = add_scaled(sign, cross(arm, elastic), tau)
+            turning = add_scaled(sign, cross(arm, other), turning)
+            twist = column(done, c, TWIST)
+            turning = add_scaled(sign, twist, turning)
+            outside = are_walls
+            if not are_walls:
+                partner = body[seconds[c]] if sign > 0.0 else body[firsts[c]]
+                outside = bodies[partner, INV_MASS] == 0.0
+            if outside:
+                both = add_scaled(1.0, elastic, other)
+                world = add_scaled(sign, both, world)
+                about = add_scaled(sign, add_scaled(1.0, twist, cross(point, both)), about)
+                power += done[c, DRIVEN]
+        for k in range(3):
+            load[FORCE + k, b] += F[k]
+            load[TORQUE + k, b] += tau[k]
+            load[OTHER + k, b] += rest[k]
+            load[OTHER + 3 + k, b] += turning[k]
+            load[OUTSIDE + k, b] += world[k]
+            load[OUTSIDE + 3 + k, b] += about[k]
+        load[POWER, b] += power
+
+
+@kernel
+def stored_energy(contacts: Contacts) -> float:
+    """Energy of all normal springs [J]."""
+    total = 0.0
+    for c in range(contacts.first.size):
+        total += contacts.done[c, STORED]
+    return total
+
+
+def units_of(n: int) -> int:
+    """Units that cover so many contacts or bodies."""
+    return -(-n // UNIT)
+
+
+def no_contacts() -> Contacts:
+    """An empty list."""
+    none = np.zeros(0, dtype=np.int64)
+    return Contacts(none, none, np.zeros((0, KEPT)), np.zeros((0, DONE)))

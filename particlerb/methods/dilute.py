@@ -1,0 +1,238 @@
+"""Many bodies that seldom touch: those with nothing in reach fly in closed form.
+
+Time is cut into intervals of whole steps. At the start of one, bodies that are within the
+interval's skin of another one, or of a wall, are stepped, judged by the spheres around them; all
+others fly, at no cost per step. The skin grows while beginning intervals costs more than stepping,
+and shrinks while it costs less.
+
+This holds as long as nobody has moved by half of the skin, which is verified at the end of the
+interval: if it does not hold, the interval is taken again with half the steps. Only then are frames
+recorded, from a second run of the same steps, so that what is recorded never changes the motion.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from particlerb.bodies.bodies import taken
+from particlerb.bodies.state import Frames, State
+from particlerb.contact.loads import Contact
+from particlerb.contact.search import Search, has_moved
+from particlerb.contact.walls import WallSearch, farthest_way, poses_at
+from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.methods.coupled import Stages
+from particlerb.methods.exact import FreeMotion
+from particlerb.methods.motion import Group, Motion, Together
+from particlerb.methods.touching import Kept, Kernels, TouchingMotion, motion_of
+from particlerb.terms import Terms, terms_on
+
+LEAST_BODIES: Final = 300  # below, to begin an interval costs more than to step all
+MOST_STEPS: Final = 2048  # of an interval
+TO_BEGIN: Final = 15.0  # steps of a body that beginning an interval costs, for every body
+GROW: Final = 1.3  # of the skin, or its shrinking
+PRUDENCE: Final = 0.5  # of half the skin that bodies may use up if nothing accelerates them
+DENSE: Final = 0.6  # share of active bodies from which on all are stepped
+
+
+def can_fly(terms: Terms, n: int) -> bool:
+    """Whether bodies without contact have a closed form, and are many enough."""
+    others = (
+        terms.push, terms.follower, terms.torque, terms.drag, terms.spring, terms.central,
+        terms.links, terms.attraction,
+    )  # fmt: skip
+    return n >= LEAST_BODIES and all(term is None for term in others)
+
+
+class Interval:
+    """Bodies of a group during some steps: those that are stepped, and those that fly."""
+
+    def __init__(
+        self, parent: "DiluteMotion", state: State, start: float, active: Bools, kept: Kept
+    ) -> None:
+        stepped, flying = np.flatnonzero(active), np.flatnonzero(~active)
+        self.motions: list[tuple[Ints, Motion]] = []
+        self.touching: TouchingMotion | None = None
+        group = parent.group
+        if stepped.size:
+            own, spheres = parent.part(stepped)
+            self.touching = TouchingMotion(
+                parent.kernels, parent.stages, parent.cost, own, taken(state, stepped), start,
+                parent.dt, spheres, kept,
+            )  # fmt: skip
+            self.motions.append((stepped, self.touching))
+        if flying.size:
+            terms = terms_on(group.terms._replace(contact=None), flying)
+            free = Group(group.members[flying], taken(group.bodies, flying), terms)
+            self.motions.append((flying, FreeMotion(free, taken(state, flying), start)))
+        self.together = Together(tuple(self.motions))
+
+    def kept(self) -> Kept:
+        """What contacts keep at the end."""
+        return [] if self.touching is None else self.touching.what_is_kept()
+
+    def energies(self, rows: Ints) -> Floats:
+        """Elastic energy in frames that were recorded [J]."""
+        if self.touching is None:
+            return np.zeros(rows.size)
+        values: Floats = self.touching.energies[rows]
+        return values
+
+
+class DiluteMotion:
+    """A group of which many bodies have nothing in reach; see `motion.Motion`.
+
+    Parameters
+    ----------
+    kernels, stages, cost, group, state, start, dt :
+        As for `TouchingMotion`.
+    """
+
+    def __init__(
+        self,
+        kernels: Kernels,
+        stages: Stages,
+        cost: float,
+        group: Group,
+        state: State,
+        start: float,
+        dt: float,
+    ) -> None:
+        contact = group.terms.contact
+        assert contact is not None
+        self.kernels, self.stages, self.cost = kernels, stages, cost
+        self.group, self.contact, self.start, self.dt = group, contact, start, dt
+        self.skin = 2.0 * contact.skin
+        spheres, n = contact.scene.spheres, group.members.size
+        self.bound = np.zeros(n)
+        far = np.sqrt((spheres.arm**2).sum(axis=0)) + spheres.radius
+        np.maximum.at(self.bound, spheres.body, far)
+        self.bodies = Search(self.bound, np.arange(n))
+        self.walls = WallSearch(contact.scene.walls, self.bound)
+        self.wall_motions = [motion_of(row) for row in contact.motions.tolist()]
+        whole = TouchingMotion(kernels, stages, cost, group, state, start, dt)
+        self.elastic, self.energies = whole.elastic, np.zeros(0)
+        self.state, self.next = state, state
+        self.done, self.steps = 0, 0
+        self.booked, self.coming = np.zeros(7), np.zeros(7)
+        self.kept: Kept = []
+        self.kept_next: Kept = []
+        self.active = np.ones(group.members.size, dtype=np.bool_)
+        self.shown: Interval | None = None
+        self.saved, self.all_steps = 0, 0  # body-steps that were saved, and all
+        self.plan()
+
+    def part(self, which: Ints) -> tuple[Group, Ints]:
+        """Some bodies of the group, ascending, and the numbers of their spheres."""
+        contact, group = self.contact, self.group
+        scene = contact.scene
+        own = np.flatnonzero(np.isin(scene.spheres.body, which))
+        number = np.full(group.members.size, -1)
+        number[which] = np.arange(which.size)
+        body = number[scene.spheres.body[own]]
+        spheres = scene.spheres._replace(
+            arm=np.ascontiguousarray(scene.spheres.arm[:, own]),
+            radius=scene.spheres.radius[own],
+            body=body,
+            material=scene.spheres.material[own],
+            offset=np.searchsorted(body, np.arange(which.size + 1)),
+        )
+        inertia = np.ascontiguousarray(scene.inv_inertia[:, which])
+        touchable = scene._replace(
+            spheres=spheres, inv_mass=scene.inv_mass[which], inv_inertia=inertia
+        )
+        part = Contact(touchable, contact.motions, contact.reach[which], contact.skin)
+        terms = terms_on(group.terms._replace(contact=None), which)._replace(contact=part)
+        return Group(group.members[which], taken(group.bodies, which), terms), own
+
+    def time(self, steps: int) -> float:
+        """Time after so many steps of the segment [s]."""
+        return self.start + steps * self.dt
+
+    def wanted_steps(self) -> int:
+        """Steps of the next interval, by the speeds of now."""
+        contact, gravity = self.contact, self.group.terms.gravity
+        y = np.vstack(self.state)
+        speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * contact.scene.inv_mass
+        spin = np.sqrt((y[10:13] ** 2).sum(axis=0)) * contact.scene.inv_inertia.max(axis=0)
+        v = float((speed + spin * contact.reach).max())
+        g = 0.0 if gravity is None else float(np.linalg.norm(gravity.acceleration))
+        way = PRUDENCE * 0.5 * self.skin
+        longest = 2.0 * way / (v + np.sqrt(v * v + 2.0 * g * way)) if v + g > 0.0 else np.inf
+        return int(np.clip(longest / self.dt, 1, MOST_STEPS))
+
+    def plan(self) -> None:
+        """Find the next interval: how long, who is stepped, and where it ends."""
+        self.shown = None
+        steps = self.wanted_steps()
+        y = np.vstack(self.state)
+        while True:
+            self.active = self.within_skin(y, steps)
+            if self.active.mean() > DENSE:
+                self.active[:] = True
+            end = self.time(self.done + steps)
+            interval = self.interval()
+            after, booked = interval.together.finish(end)
+            moved = has_moved(y, np.vstack(after), self.contact.reach, 0.5 * self.skin)
+            if not moved or self.active.all():
+                break
+            steps = max(1, steps // 2)
+            if steps == 1:
+                self.active[:] = True
+        self.next, self.coming, self.steps = after, booked, steps
+        self.kept_next = interval.kept()
+        is_dear = TO_BEGIN * self.active.size > steps * int(self.active.sum())
+        self.skin *= GROW if is_dear else 1.0 / GROW
+        self.skin = max(self.skin, 2.0 * self.contact.skin)
+        self.all_steps += steps * self.active.size
+        self.saved += steps * int((~self.active).sum())
+
+    def within_skin(self, y: Floats, steps: int) -> Bools:
+        """Whether each body has another one, or a wall, within the skin for so many steps."""
+        com = np.ascontiguousarray(y[:3])
+        first, second, _ = self.bodies.pairs(com, self.skin)
+        poses = poses_at(self.wall_motions, self.time(self.done))
+        extent = float(np.abs(com).max())
+        way = farthest_way(self.wall_motions, (steps + 1) * self.dt, 2.0 * extent)
+        touched, _, _ = self.walls.pairs(com, poses, self.skin + way)
+        found = np.zeros(self.bound.size, dtype=np.bool_)
+        for own in (first, second, touched):
+            found[own] = True
+        return found
+
+    def interval(self) -> Interval:
+        """The interval that begins now."""
+        return Interval(self, self.state, self.time(self.done), self.active, self.kept)
+
+    def cross(self) -> None:
+        """Go to the end of the interval."""
+        self.state, self.kept = self.next, self.kept_next
+        self.booked += self.coming
+        self.done += self.steps
+        self.plan()
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        self.energies = np.zeros(frames.position.shape[0])
+        booked = np.empty((times.size, 7))
+        done = 0
+        while done < times.size:
+            end = self.time(self.done + self.steps)
+            until = int(np.searchsorted(times, end, side="left"))
+            if until > done:
+                if self.shown is None:
+                    self.shown = self.interval()
+                own = rows[done:until]
+                given = self.shown.together.record(times[done:until], own, frames)
+                booked[done:until] = self.booked + given
+                self.energies[own] = self.shown.energies(own)
+                done = until
+            if done < times.size:
+                self.cross()
+        return booked
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State at the end of the segment, and (7,) booked until then."""
+        while self.time(self.done + self.steps) <= stop:
+            self.cross()
+        state, given = self.interval().together.finish(stop)
+        return state, self.booked + given

@@ -1,0 +1,435 @@
+"""Bodies that touch each other and walls, on a grid of steps: strang with contacts.
+
+The lists of pairs that may touch hold while no body has moved by more than half the skin; the loop
+over steps stops where one has, and the host makes new lists. Forces that depend on velocities are
+taken at the instant of the kick, to which the momenta are carried on from the two drifts before;
+so the order stays two with one evaluation a step. What contacts keep (tangential springs, overlaps)
+belongs to the grid: partial steps to frames work on a copy.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from types import FunctionType
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+
+from particlerb._jit import inline, kernel, kernel_from
+from particlerb.bodies.state import Frames, State
+from particlerb.contact.loads import (
+    BODY_COLUMNS,
+    DONE,
+    POSE,
+    Contact,
+    Contacts,
+    Room,
+    collect,
+    no_contacts,
+    place_bodies,
+    put_poses,
+    stored_energy,
+    touch_spheres,
+    touch_walls,
+    units_of,
+)
+from particlerb.contact.loads import Scene as Touchable
+from particlerb.contact.search import Search, carry_over, has_moved, incidence, keys_of
+from particlerb.contact.walls import Motion, WallSearch, farthest_way
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.methods.coupled import (
+    CoupledMotion,
+    Layout,
+    Stages,
+    close_blocks,
+    copy_blocks,
+    gather,
+    move,
+    scatter,
+    store_blocks,
+)
+from particlerb.methods.motion import Group, MotionError
+from particlerb.methods.pair_forces import Pairs, loads_over_threads, pair_loads
+from particlerb.methods.stepped import PAUSE, Schedule
+from particlerb.terms import PAIR, Acting, acting_of
+from particlerb.threads import THREADS
+
+CONTACT_WORK: Final = 4  # body-steps that a contact takes as long as
+NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
+WORTH_THREADS: Final = 3e5  # ns of an evaluation from which on threads pay for their start
+MOST_NUMBERS: Final = 2**31  # of spheres, or primitives of walls, in a key
+MOST_STEPS_AHEAD: Final = 64  # for which lists are made where walls move
+SLACK: Final = 0.8  # of half the skin, with which lists are made anew: a frame may lie ahead
+
+
+class Lists(NamedTuple):
+    """Pairs that may touch, and the contacts of each body among them."""
+
+    spheres: Contacts
+    walls: Contacts
+    sphere_offset: Ints
+    sphere_entry: Ints
+    wall_offset: Ints
+    wall_entry: Ints
+
+
+class Memory(NamedTuple):
+    """What an evaluation knows of those before."""
+
+    last: Floats  # (6, n) momenta of the drift before the last kick
+    times: Floats  # (4,) [s] last kick; time on the grid; start; time until which lists hold
+    then: Floats  # (13, n) states when the lists were made
+
+
+class Place(NamedTuple):
+    """Where in a schedule the loop is."""
+
+    stop: int
+    step: int
+    is_open: float
+
+
+@inline
+def contact_loads(
+    scene: Touchable,
+    room: Room,
+    lists: Lists,
+    y: Floats,
+    last: Floats,
+    ahead: float,
+    before: float,
+    after: float,
+    load: Floats,
+) -> None:
+    """Add the loads of all contacts, on this thread."""
+    spheres, walls, offset, entry, wall_offset, wall_entry = lists
+    n = y.shape[1]
+    units = (n + 255) // 256
+    place_bodies(scene, room, y, last, ahead, 0, n)
+    if spheres.first.size > 0:
+        touch_spheres(scene, room, spheres, before, after, 0, (spheres.first.size + 255) // 256)
+        collect(spheres, offset, entry, scene.spheres.body, room, load, False, 0, units)
+    if walls.first.size > 0:
+        touch_walls(scene, room, walls, before, after, 0, (walls.first.size + 255) // 256)
+        collect(walls, wall_offset, wall_entry, scene.spheres.body, room, load, True, 0, units)
+
+
+def contact_loads_over_threads(
+    scene: Touchable,
+    room: Room,
+    lists: Lists,
+    y: Floats,
+    last: Floats,
+    ahead: float,
+    before: float,
+    after: float,
+    load: Floats,
+) -> None:
+    """The same over all threads."""
+    spheres, walls, offset, entry, wall_offset, wall_entry = lists
+    n = y.shape[1]
+    THREADS.share(partial(place_all, scene, room, y, last, ahead), units_of(n), n)
+    for contacts, own, kernel_ in (
+        (spheres, (offset, entry), partial(touch_spheres, scene, room, spheres, before, after)),
+        (
+            walls,
+            (wall_offset, wall_entry),
+            partial(touch_walls, scene, room, walls, before, after),
+        ),
+    ):
+        m = contacts.first.size
+        if m:
+            THREADS.share(kernel_, units_of(m), CONTACT_WORK * m)
+            body = scene.spheres.body
+            gathered = partial(collect, contacts, *own, body, room, load, contacts is walls)
+            THREADS.share(gathered, units_of(n), 2 * n)
+
+
+@kernel
+def place_all(
+    scene: Touchable, room: Room, y: Floats, last: Floats, ahead: float, first: int, end: int
+) -> None:
+    """Place bodies of units first to end."""
+    place_bodies(scene, room, y, last, ahead, first * 256, min(end * 256, y.shape[1]))
+
+
+@inline
+def remember(y: Floats, last: Floats) -> None:
+    """Keep the momenta of the drift before this kick."""
+    for c in range(6):
+        for b in range(y.shape[1]):
+            last[c, b] = y[7 + c, b]
+
+
+@inline
+def copied(source: Floats, target: Floats) -> None:
+    """Copy an array."""
+    for i in range(source.shape[0]):
+        for k in range(source.shape[1]):
+            target[i, k] = source[i, k]
+
+
+EDGE: Final = 0.5
+
+
+def advance_touching(  # noqa: PLR0915
+    blocks: Floats,
+    layout: Layout,
+    acting: Acting,
+    books: int | None,
+    pairs: Pairs,
+    contact: Contact,
+    room: Room,
+    lists: Lists,
+    memory: Memory,
+    schedule: Schedule,
+    place: Place,
+    rotor_frame: Floats,
+    members: Ints,
+    frames: Frames,
+    sums: Floats,
+    elastic: Floats,
+    saved: tuple[Floats, Floats, Floats, Floats],
+) -> tuple[int, int, float]:
+    """Take a group through a schedule until its lists have to be made anew; where it is then."""
+    dt, _, steps, rest, frame = schedule
+    links, attraction, work, with_dashpots, y, load, _ = pairs
+    scene, motions, reach, skin = contact
+    last, times, then = memory
+    allowance = 0.5 * SLACK * skin
+    first_stop, first_step, is_open = place
+    for s in range(first_stop, steps.size):
+        was_open = is_open
+        begin = first_step if s == first_stop else 0
+        for i in range(begin, steps[s] + 1):  # the last is the partial step to a frame
+            h = dt
+            if i == steps[s]:
+                if frame[s] < 0:
+                    break
+                h = rest[s]
+            if h > 0.0:
+                gather(blocks, layout, y)
+                if has_moved(then, y, reach, allowance) or times[1] >= times[3]:
+                    return s, i, is_open
+            if i == steps[s]:
+                copy_blocks(blocks, saved[0], layout)
+                copied(last, saved[1])
+                copied(lists.spheres.kept, saved[2])
+                copied(lists.walls.kept, saved[3])
+                kicked, was_open = times[0], is_open
+            if h > 0.0:
+                pair_loads(links, attraction, work, with_dashpots, y, load)
+                put_poses(motions, times[2] + times[1], room.poses)
+                before, kick = is_open / EDGE, is_open + EDGE * h
+                ahead = is_open / times[0] if times[0] > 0.0 else 0.0
+                contact_loads(scene, room, lists, y, last, ahead, before, h, load)
+                remember(y, last)
+                times[0] = kick
+                scatter(load, blocks, layout, PAIR, 0)
+                move(blocks, layout, acting, books, 0, kick, h)
+                is_open = EDGE * h
+                if i < steps[s]:
+                    times[1] += dt
+        if frame[s] != PAUSE and is_open > 0.0:
+            gather(blocks, layout, y)
+            pair_loads(links, attraction, work, with_dashpots, y, load)
+            partial_step = rest[s] if frame[s] >= 0 else 0.0
+            put_poses(motions, times[2] + times[1] + partial_step, room.poses)
+            before = is_open / EDGE
+            ahead = is_open / times[0] if times[0] > 0.0 else 0.0
+            contact_loads(scene, room, lists, y, last, ahead, before, 0.0, load)
+            scatter(load, blocks, layout, PAIR, 0)
+            close_blocks(blocks, layout, acting, books, is_open, 0, len(blocks))
+        if frame[s] >= 0:
+            elastic[frame[s]] = stored_energy(lists.spheres) + stored_energy(lists.walls)
+            store_blocks(blocks, layout, books, rotor_frame, members, frames, sums, frame[s])
+            copy_blocks(saved[0], blocks, layout)
+            copied(saved[1], last)
+            copied(saved[2], lists.spheres.kept)
+            copied(saved[3], lists.walls.kept)
+            times[0], is_open = kicked, was_open
+    return steps.size, 0, is_open
+
+
+class Kernels(NamedTuple):
+    """The loop of a method, compiled, and as Python that spreads its parts over threads."""
+
+    compiled: Callable[..., tuple[int, int, float]]
+    spread: Callable[..., tuple[int, int, float]]
+
+
+def kernels_of(name: str, stages: Stages) -> Kernels:
+    """Kernels of a method with one stage."""
+    own: dict[str, Any] = {"EDGE": stages.edge}
+    compiled = kernel_from(advance_touching, f"{name}_touching", move=stages.move_here, **own)
+    own |= {
+        "move": stages.move_over_threads,
+        "pair_loads": loads_over_threads,
+        "contact_loads": contact_loads_over_threads,
+    }
+    names = advance_touching.__globals__ | own
+    spread: Any = FunctionType(advance_touching.__code__, names, f"{name}_touching_spread")
+    return Kernels(compiled, spread)
+
+
+def motion_of(row: list[float]) -> Motion:
+    """Motion of a wall from its numbers."""
+    centre, velocity, omega, amplitude = ((row[k], row[k + 1], row[k + 2]) for k in (0, 3, 6, 9))
+    return Motion(centre, velocity, omega, amplitude, row[12], row[13])
+
+
+Kept: TypeAlias = Sequence[tuple[Ints, Floats]]  # keys of contacts, and what these keep
+
+
+class TouchingMotion(CoupledMotion):
+    """A group of bodies that touch; see `motion.Motion`.
+
+    Parameters
+    ----------
+    kernels : Kernels
+    stages, cost, group, state, start, dt :
+        As for `CoupledMotion`.
+    numbers : ndarray, shape (n_spheres,), optional
+        Of the spheres, ascending, where they are some of more.
+    kept : sequence of (keys, values), optional
+        What contacts of spheres with these numbers, and with walls, keep from earlier steps.
+    """
+
+    def __init__(
+        self,
+        kernels: Kernels,
+        stages: Stages,
+        cost: float,
+        group: Group,
+        state: State,
+        start: float,
+        dt: float,
+        numbers: Ints | None = None,
+        kept: Kept = (),
+    ) -> None:
+        contact = group.terms.contact
+        assert contact is not None
+        spheres = contact.scene.spheres
+        n, n_spheres = group.members.size, spheres.radius.size
+        cost += NANOSECONDS_PER_SPHERE * n_spheres / n
+        super().__init__(stages, cost, group, state, start, dt)
+        self.kernels, self.contact = kernels, contact
+        self.search = Search(spheres.radius, spheres.body)
+        self.radius = np.full(n, np.inf)
+        np.minimum.at(self.radius, spheres.body, spheres.radius)
+        self.walls = WallSearch(contact.scene.walls, spheres.radius)
+        self.motions = [motion_of(row) for row in contact.motions.tolist()]
+        room = np.zeros((len(self.motions), POSE))
+        self.room = Room(np.zeros((n_spheres, 4)), room, np.zeros((n, BODY_COLUMNS)))
+        y = np.vstack(state)
+        self.memory = Memory(y[7:].copy(), np.array([0.0, 0.0, start, np.inf]), y.copy())
+        self.numbers = np.arange(n_spheres) if numbers is None else numbers
+        self.keys = [keys for keys, _ in kept] or [np.zeros(0, dtype=np.int64)] * 2
+        old = [no_contacts()._replace(kept=values) for _, values in kept] or [no_contacts()] * 2
+        self.lists = Lists(old[0], old[1], *(np.zeros(n + 1, np.int64),) * 4)
+        self.make_lists(y)
+        self.is_dense = NANOSECONDS_PER_SPHERE * n_spheres > WORTH_THREADS
+        self.elastic = self.evaluate(y)
+        self.energies = np.zeros(0)  # [J] elastic energy in the frames of the last `record`
+
+    def make_lists(self, y: Floats) -> None:
+        """Pairs that may touch until a body has moved by half the skin."""
+        contact, n = self.contact, y.shape[1]
+        scene = contact.scene
+        self.memory.then[:] = y
+        self.refuse_tunnelling(y)
+        THREADS.share(
+            partial(place_all, scene, self.room, y, self.memory.last, 0.0), units_of(n), n
+        )
+        points = np.ascontiguousarray(self.room.place[:, :3].T)
+        first, second, _ = self.search.pairs(points, contact.skin)
+        first, second = first.copy(), second.copy()
+        _, time, start, _ = self.memory.times
+        put_poses(contact.motions, start + time, self.room.poses)
+        ahead, way = self.walls_ahead(points)
+        self.memory.times[3] = time + ahead
+        sphere, primitive, _ = self.walls.pairs(points, self.room.poses, contact.skin + way)
+        before = self.lists
+        number = self.numbers
+        spheres = self.carried(0, before.spheres, first, second, number[second])
+        walls = self.carried(1, before.walls, sphere, primitive, primitive)
+        body = scene.spheres.body
+        own = incidence(body[first], body[second], n)
+        outside = incidence(body[sphere], np.full(sphere.size, -1), n)
+        self.lists = Lists(spheres, walls, *own, *outside)
+
+    def refuse_tunnelling(self, y: Floats) -> None:
+        """Raise MotionError where a body moves by more than its own radius in a step."""
+        speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * self.contact.scene.inv_mass
+        fast = np.flatnonzero(speed * self.dt > self.radius)
+        if fast.size:
+            b = int(fast[np.argmax(speed[fast])])
+            way, radius = speed[b] * self.dt, self.radius[b]
+            raise MotionError(
+                f"at t = {self.memory.times[2] + self.memory.times[1]:.6g} s"
+                f" body {int(self.group.members[b])} moves by {way:.3g} m in a step of"
+                f" {self.dt:.3g} s, more than its smallest radius, {radius:.3g} m: it could pass"
+                f" through another; dt = {0.5 * radius / speed[b]:.2g} s or less is right"
+            )
+
+    def walls_ahead(self, points: Floats) -> tuple[float, float]:
+        """How long lists hold as walls move [s], and how far these may move until then [m]."""
+        steps, skin = MOST_STEPS_AHEAD, self.contact.skin
+        if not any(any(row) for row in self.contact.motions.tolist()):
+            return np.inf, 0.0
+        extent = float(np.abs(points - self.room.poses[:, :3].mean(axis=0)[:, None]).max())
+        while steps > 1 and farthest_way(self.motions, steps * self.dt, 2.0 * extent) > skin:
+            steps //= 2
+        return steps * self.dt, farthest_way(self.motions, (steps + 1) * self.dt, 2.0 * extent)
+
+    def carried(
+        self, which: int, old: Contacts, first: Ints, second: Ints, other: Ints
+    ) -> Contacts:
+        """New contacts, with what those of the old list keep; `other` numbers the second."""
+        keys = keys_of(self.numbers[first], other, MOST_NUMBERS)
+        kept = carry_over(self.keys[which], old.kept, keys)
+        self.keys[which] = keys
+        return Contacts(first, second, kept, np.zeros((first.size, DONE)))
+
+    def what_is_kept(self) -> Kept:
+        """What contacts keep, with their keys."""
+        contacts = self.lists.spheres, self.lists.walls
+        return [(keys, c.kept.copy()) for keys, c in zip(self.keys, contacts, strict=True)]
+
+    def evaluate(self, y: Floats) -> float:
+        """Elastic energy in a state at the start [J]."""
+        contact, lists = self.contact, self.lists
+        kept = lists.spheres.kept.copy(), lists.walls.kept.copy()
+        put_poses(contact.motions, self.memory.times[2], self.room.poses)
+        load = np.zeros_like(self.forces.pairs.load)
+        contact_loads_over_threads(
+            contact.scene, self.room, lists, y, self.memory.last, 0.0, 0.0, 0.0, load
+        )
+        lists.spheres.kept[:], lists.walls.kept[:] = kept
+        return float(stored_energy(lists.spheres) + stored_energy(lists.walls))
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        self.energies = np.zeros(frames.position.shape[0])
+        return super().record(times, rows, frames)
+
+    def run(self, schedule: Schedule, count: int, frames: Frames, sums: Floats) -> None:
+        """Go through a schedule, with new lists where they are used up."""
+        del count
+        group, edge = self.group, self.stages.edge
+        large = self.is_dense or self.forces.is_large
+        advance: Callable[..., Any] = self.kernels.spread if large else self.kernels.compiled
+        pairs = self.forces.for_python if large else self.forces.pairs
+        place = Place(0, 0, edge * schedule.dt if schedule.done > 0 else 0.0)
+        elastic = self.energies
+        while place.stop < schedule.steps.size:
+            kept = self.lists.spheres.kept, self.lists.walls.kept
+            saved = self.saved, np.empty_like(self.memory.last), *(np.empty_like(k) for k in kept)
+            arguments = (
+                self.blocks, self.layout, acting_of(group.terms), self.account.books, pairs,
+                self.contact, self.room, self.lists, self.memory, schedule, place,
+                group.bodies.rotor_frame, group.members, frames, sums, elastic, saved,
+            )  # fmt: skip
+            reached = advance(*arguments)
+            place = Place(*reached)
+            if place.stop < schedule.steps.size:
+                self.make_lists(self.values(0, 13))

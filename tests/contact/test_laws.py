@@ -1,0 +1,508 @@
+"""Laws of one contact: closed forms, published collisions, restitution, order, energy."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad, solve_ivp
+
+from particlerb._jit import kernel
+from particlerb.contact import laws
+from particlerb.contact import restitution as closed
+from particlerb.contact.laws import (
+    Touch,
+    contact_force,
+    hertz,
+    hooke,
+    rolling_torque,
+    settled_rate,
+    turned_spring,
+)
+
+K, MASS, RADIUS, SPEED = 1e4, 1.0, 0.1, 1.0  # of the ball that most tests throw at a floor
+MODULUS, SHEAR_MODULUS = 1e6, 0.4e6
+LSD = {  # linear spring-dashpot with k = 1e4 N/m, m = 1 kg: ζ, c [N s/m], duration [s]
+    0.9: (0.03351844910567637, 6.703689821135274, 0.03143358910361501),
+    0.5: (0.2154537619662468, 43.09075239324936, 0.032171505117118096),
+    0.2: (0.4559498107691261, 91.18996215382522, 0.035298576168267176),
+}
+TEXTBOOK = {0.9: 0.902, 0.5: 0.550, 0.2: 0.325}  # what LSD's ζ gives where nothing attracts
+CLAMPED = [(ratio, False) for ratio in (0.0, 0.05, 0.3, 0.8, 0.999, 1.0, 1.7, 6.0)]
+COLLISIONS = CLAMPED + [(ratio, True) for ratio in (0.05, 0.3, 0.8)]
+ZERO = (0.0, 0.0, 0.0)
+COLUMNS = ("delta", "rate", "slide", "spin", "normal", "tangential", "energy", "booked", "torque")
+
+
+def one(*values):
+    return [np.array([float(value)]) for value in values]
+
+
+def hooke_law(e=0.5, mu=0.0, rolling=None, attract=False):
+    rolling = None if rolling is None else np.array([rolling])
+    return hooke(*one(K, e, mu), rolling=rolling, attract=attract)
+
+
+def hertz_law(e=0.5, mu=0.0):
+    return hertz(*one(MODULUS, SHEAR_MODULUS, e, mu))
+
+
+LAWS = {"hooke": hooke_law, "hertz": hertz_law}
+
+
+@kernel
+def thrown(law, ball, start, gravity, dt, onset, settled, rows):
+    """Ball (m, I, R, R*) over a floor at z = 0, by velocity Verlet with predicted velocities.
+
+    `start` is gap, rate of overlap, velocity along x, spin about y; `onset` replaces dt in the law;
+    where `settled`, the law corrects the predicted rate.
+    Each row gets what COLUMNS says at the instants 0, dt, …; the energy is kinetic, elastic and
+    that of gravity, `booked` what the law says that it has taken.
+    """
+    m, inertia, R, r_eff = ball
+    gap, fall, v, w = start
+    acceleration = (0.0, 0.0, 0.0)
+    fall0, v0, w0 = fall, v, w
+    spring, rolled, before, normal, booked, last = acceleration, acceleration, 0.0, 0.0, 0.0, 0.0
+    for n in range(rows.shape[0]):
+        if n > 0:
+            half = 0.5 * dt
+            fall0 = fall + half * acceleration[0]
+            v0 = v + half * acceleration[1]
+            w0 = w + half * acceleration[2]
+            gap -= dt * fall0
+            spring = (spring[0] + dt * (v0 - R * w0), 0.0, 0.0)
+            rolled = (0.0, rolled[1] + dt * r_eff * w0, 0.0)
+            fall = fall0 + half * acceleration[0]
+            v = v0 + half * acceleration[1]
+            w = w0 + half * acceleration[2]
+        touch = Touch(-gap, before, fall, (v - R * w, 0.0, 0.0), m, r_eff)
+        if settled:
+            rate = settled_rate(law, 0, touch, normal, onset)
+            touch = Touch(-gap, before, rate, touch.slide, m, r_eff)
+        load = contact_force(law, 0, touch, spring, onset)
+        normal = load.normal
+        turning = (0.0, w, 0.0)
+        torque = rolling_torque(law.rolling, law, 0, touch, turning, load.normal, rolled, onset)
+        along, turn = load.tangential[0], torque.torque[1] - R * load.tangential[0]
+        acceleration = (gravity - load.normal / m, along / m, turn / inertia)
+        if n > 0:
+            fall = fall0 + half * acceleration[0]
+            v = v0 + half * acceleration[1]
+            w = w0 + half * acceleration[2]
+        spring, rolled, before = load.spring, torque.spring, max(-gap, 0.0)
+        power = load.power + torque.power
+        booked += 0.5 * dt * (power + last) + load.lost + torque.lost
+        last = power
+        energy = 0.5 * m * (fall * fall + v * v) + 0.5 * inertia * w * w + m * gravity * gap
+        energy += load.elastic + torque.elastic
+        rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3] = -gap, fall, v - R * w, w
+        rows[n, 4], rows[n, 5], rows[n, 6], rows[n, 7] = load.normal, along, energy, booked
+        rows[n, 8] = torque.torque[1]
+
+
+def throw(law, start, dt, steps, ball=(MASS, 0.4 * MASS * RADIUS**2, RADIUS, RADIUS), **keys):
+    keys = {"gravity": 0.0, "onset": dt, "settled": False} | keys
+    rows, start = np.zeros((steps, len(COLUMNS))), tuple(map(float, start))
+    thrown(law, ball, start, keys["gravity"], dt, keys["onset"], keys["settled"], rows)
+    return SimpleNamespace(**dict(zip(COLUMNS, rows.T, strict=True)), dt=dt, rows=rows)
+
+
+def hit(law, per_contact, phase=0.5, velocity=0.0, spin=0.0, **keys):
+    """A ball that hits the floor with SPEED, `phase` of a step after the second instant."""
+    ratio = law.damping_ratio[0]
+    if law.hertz is None:
+        duration = closed.hooke_duration(K, MASS, ratio)
+    else:
+        duration = closed.hertz_duration(MODULUS, RADIUS, MASS, SPEED, ratio)
+    dt = duration / per_contact
+    start = (1.0 + phase) * dt * SPEED, SPEED, velocity, spin
+    return throw(law, start, dt, int(1.5 * per_contact) + 3, **keys)
+
+
+# Restitution in closed form
+
+
+@pytest.mark.parametrize("e", LSD)
+def test_spring_and_dashpot_of_the_textbook(e):
+    ratio, c, duration = LSD[e]
+    assert closed.damping_ratio(e, attract=True) == pytest.approx(ratio, rel=1e-14)
+    assert 2.0 * ratio * math.sqrt(K * MASS) == pytest.approx(c, rel=1e-14)
+    assert closed.hooke_duration(K, MASS, ratio, attract=True) == pytest.approx(duration, rel=1e-14)
+    touch = Touch(0.01, 0.01, 0.3, ZERO, MASS, RADIUS)
+    force = contact_force(hooke_law(e, attract=True), 0, touch, ZERO, 0.0).normal
+    assert force == pytest.approx(0.01 * K + 0.3 * c, rel=1e-13)
+
+
+@pytest.mark.parametrize("e", TEXTBOOK)
+def test_textbook_damping_bounces_higher_where_nothing_attracts(e):
+    ratio = LSD[e][0]
+    assert closed.restitution(ratio) == pytest.approx(TEXTBOOK[e], abs=6e-4)
+    law = hooke_law()._replace(damping_ratio=np.array([ratio]))
+    assert -hit(law, 400).rate[-1] == pytest.approx(TEXTBOOK[e], abs=6e-4)
+
+
+@given(st.floats(1e-6, 1.0), st.booleans())
+def test_damping_ratio_is_the_inverse_of_restitution(e, attract):
+    assert closed.restitution(closed.damping_ratio(e, attract), attract) == pytest.approx(e, 1e-12)
+
+
+def test_special_ratios():
+    assert closed.restitution(1.0) == pytest.approx(math.exp(-2.0), rel=1e-15)
+    assert closed.restitution(50.0) == pytest.approx(0.25 / 50.0**2, rel=2e-3)
+    assert closed.damping_ratio(0.0, attract=True) == 1.0
+    assert closed.damping_ratio(1.0) == closed.damping_ratio(1.0, attract=True) == 0.0
+
+
+@pytest.mark.parametrize(("e", "attract"), [(1.1, False), (-0.1, True), (0.0, False), (np.nan, 1)])
+def test_restitution_that_no_damping_gives(e, attract):
+    with pytest.raises(ValueError, match=r"no damping gives a restitution"):
+        closed.damping_ratio(e, attract)
+
+
+def collision(power, ratio, attract):
+    """δ̈ = -δ^p - c δ̇ from δ̇ = 1, with c of the law, by DOP853: restitution, duration, peak.
+
+    It starts at δ = 1e-30: at 0 the equation of hertz has no Taylor series.
+    """
+    c, q = (2.0 * ratio, 0.0) if power == 1.0 else (math.sqrt(5.0) * ratio, 0.25)
+
+    def slope(_, y):
+        x = max(y[0], 0.0)
+        return [y[1], -(x**power) - c * x**q * y[1]]
+
+    def end(_, y):
+        if attract or ratio == 0.0:
+            return y[0]
+        return max(y[0], 0.0) ** (power - q) + c * y[1]
+
+    def peak(_, y):
+        return y[1]
+
+    end.terminal, end.direction = True, -1.0
+    found = solve_ivp(
+        slope, (0.0, 100.0), [1e-30, 1.0], "DOP853", events=[end, peak], rtol=1e-12, atol=1e-16
+    )
+    return -found.y_events[0][0][1], found.t_events[0][0], found.y_events[1][0][0]
+
+
+@pytest.mark.parametrize(("ratio", "attract"), COLLISIONS)
+def test_closed_forms_of_hooke(ratio, attract):
+    e, duration, peak = collision(1.0, ratio, attract)
+    assert closed.restitution(ratio, attract) == pytest.approx(e, rel=1e-9)
+    assert closed.hooke_duration(4.0, 1.0, ratio, attract) == pytest.approx(duration / 2.0, 1e-9)
+    assert closed.hooke_overlap(4.0, 1.0, 3.0, ratio) == pytest.approx(1.5 * peak, rel=1e-9)
+
+
+@pytest.mark.parametrize(("ratio", "attract"), COLLISIONS)
+def test_hertz_has_the_same_restitution_at_the_same_ratio(ratio, attract):
+    e, duration, peak = collision(1.5, ratio, attract)
+    assert closed.restitution(ratio, attract) == pytest.approx(e, abs=1e-9)
+    found = closed.hertz_duration(0.75, 1.0, 1.0, 1.0, ratio, attract)
+    assert found == pytest.approx(duration, rel=1e-8)
+    assert closed.hertz_overlap(0.75, 1.0, 1.0, 1.0, ratio) == pytest.approx(peak, rel=1e-9)
+
+
+def test_duration_of_an_elastic_hertz_collision():
+    exact = 0.8 * math.sqrt(math.pi) * math.gamma(0.4) / math.gamma(0.9)
+    peak = closed.hertz_overlap(MODULUS, RADIUS, MASS, SPEED)
+    found = closed.hertz_duration(MODULUS, RADIUS, MASS, SPEED)
+    assert found == pytest.approx(exact * peak / SPEED, rel=1e-12)
+    rounded = 2.868 * (MASS**2 / (RADIUS * MODULUS**2 * SPEED)) ** 0.2
+    assert found == pytest.approx(rounded, rel=2e-4)
+    assert math.isinf(closed.hertz_duration(MODULUS, RADIUS, MASS, SPEED, 1.0, attract=True))
+
+
+# Published collisions: Chung and Ooi, Granular Matter 13, 643 (2011)
+
+
+CHUNG_OOI = {  # materials, R*, effective mass, speed; peak force, peak overlap, duration
+    "1 glass": (
+        ((4.8e10, 4.8e10), (0.2, 0.2), 0.005, 0.5 * 0.011728612573401897, 20.0),
+        (10696.888983989631, 0.00027411270208928186, 4.0339455688378695e-05),
+    ),
+    "2 aluminium on rigid": (
+        ((7e10, math.inf), (0.3, 0.3), 0.1, 11.30554476271847, 0.2),
+        (11369.858311285168, 4.9717175241740354e-05, 0.0007316566406186849),
+    ),
+}
+
+
+@pytest.mark.parametrize("test", CHUNG_OOI)
+def test_elastic_collisions_of_chung_and_ooi(test):
+    (young, poisson, R, mass, speed), wanted = CHUNG_OOI[test]
+    modulus = closed.effective_modulus(young, poisson)
+    shear = closed.effective_shear_modulus(young, poisson)
+    law = hertz(*one(modulus, shear, 1.0, 0.0))
+    dt = wanted[2] / 400
+    run = throw(law, (1.5 * dt * speed, speed, 0.0, 0.0), dt, 500, ball=(mass, 1.0, R, R))
+    touching = np.count_nonzero(run.normal > 0.0) * dt
+    assert run.normal.max() == pytest.approx(wanted[0], rel=1e-3)
+    assert run.delta.max() == pytest.approx(wanted[1], rel=1e-3)
+    assert touching == pytest.approx(wanted[2], rel=5e-3)
+    assert closed.hertz_overlap(modulus, R, mass, speed) == pytest.approx(wanted[1], rel=1e-12)
+    assert closed.hertz_duration(modulus, R, mass, speed) == pytest.approx(wanted[2], rel=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [35, 40, 50, 60, 70, 80, 85])
+def test_oblique_collisions_of_chung_and_ooi_that_slide_throughout(degrees):
+    R, mu, e, speed = 0.0025, 0.092, 0.98, 3.9
+    mass, angle = 4000.0 * 4.0 / 3.0 * math.pi * R**3, math.radians(degrees)
+    young, poisson = (3.8e11, math.inf), (0.23, 0.23)
+    modulus = closed.effective_modulus(young, poisson)
+    law = hertz(*one(modulus, closed.effective_shear_modulus(young, poisson), e, mu))
+    fall, v = speed * math.cos(angle), speed * math.sin(angle)
+    dt = closed.hertz_duration(modulus, R, mass, fall) / 400
+    ball = mass, 0.4 * mass * R * R, R, R
+    run = throw(law, (1.5 * dt * fall, fall, v, 0.0), dt, 600, ball=ball)
+    final = run.slide[-1] + R * run.spin[-1]
+    assert final / v == pytest.approx(1.0 - mu * (1.0 + e) / math.tan(angle), rel=2e-3)
+    assert run.spin[-1] == pytest.approx(2.5 * mu * (1.0 + e) * fall / R, rel=1e-2)
+
+
+def test_effective_radius_and_moduli():
+    assert closed.effective_radius(0.2, 0.2) == pytest.approx(0.1)
+    assert closed.effective_radius(0.3, math.inf) == pytest.approx(0.3)
+    young, nu = (7e10, 7e10), (0.3, 0.3)
+    ratio = closed.effective_shear_modulus(young, nu) / closed.effective_modulus(young, nu)
+    assert 4.0 * ratio == pytest.approx(2.0 * (1.0 - 0.3) / (2.0 - 0.3))  # k_t/k, Mindlin
+
+
+# Restitution and order of the law as stepped
+
+
+@pytest.mark.parametrize("e", [0.9, 0.5, 0.2])
+@pytest.mark.parametrize("kind", LAWS)
+def test_restitution(kind, e):
+    rebound = [-hit(LAWS[kind](e), 300, phase).rate[-1] for phase in (0.05, 0.3, 0.7, 0.95)]
+    assert rebound == pytest.approx([e * SPEED] * 4, abs=1e-4)
+
+
+def errors(law, wanted, counts, quantity, **keys):
+    """Root mean square over when the touch lies within a step, for each number of steps."""
+    phases = (np.arange(8) + 0.5) / 8
+    found = [
+        [getattr(hit(law, n, phase, **keys), quantity)[-1] - wanted for phase in phases]
+        for n in counts
+    ]
+    return np.sqrt(np.mean(np.square(found), axis=1))
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_restitution_is_of_order_two_in_the_step(kind):
+    error = errors(LAWS[kind](), -0.5, (50, 100, 200), "rate")
+    assert np.log2(error[:-1] / error[1:]) == pytest.approx([2.0, 2.0], abs=0.25)
+
+
+@pytest.mark.parametrize(("kind", "order"), [("hooke", 1.0), ("hertz", 1.25)])
+def test_without_the_mean_over_a_step_it_is_not(kind, order):
+    error = errors(LAWS[kind](), -0.5, (50, 100, 200, 400), "rate", onset=0.0)
+    assert np.log2(error[:-1] / error[1:]) == pytest.approx([order] * 3, abs=0.25)
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_settled_rate_is_of_order_two_with_a_smaller_error(kind):
+    counts = (50, 100, 200)
+    error = errors(LAWS[kind](), -0.5, counts, "rate", settled=True)
+    assert np.log2(error[:-1] / error[1:]) == pytest.approx([2.0, 2.0], abs=0.25)
+    assert error[0] < 0.25 * errors(LAWS[kind](), -0.5, counts[:1], "rate")[0]
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_settled_rate_is_stable_where_the_dashpot_is_strong(kind):
+    law = LAWS[kind](0.002)
+    assert -hit(law, 4).rate[-1] > 2.0 * SPEED
+    assert np.abs(hit(law, 4, settled=True).rate).max() <= SPEED
+    assert -hit(law, 8, settled=True).rate[-1] == pytest.approx(0.002, abs=1e-3)
+
+
+OBLIQUE = [(0.3, 1.0), (0.3, 0.1), (1.0, 0.5)]  # friction, velocity along the floor: slides, sticks
+
+
+@pytest.mark.parametrize(("mu", "velocity"), OBLIQUE)
+@pytest.mark.parametrize("kind", LAWS)
+def test_oblique_collisions_are_of_order_two(kind, mu, velocity):
+    law, keys = LAWS[kind](0.7, mu), {"velocity": velocity, "spin": -1.0}
+    wanted = hit(law, 12800, **keys).slide[-1]
+    error = errors(law, wanted, (50, 100, 200, 400), "slide", **keys)
+    assert np.log2(error[0] / error[3]) / 3.0 == pytest.approx(2.0, abs=0.35)
+
+
+@pytest.mark.parametrize(("mu", "velocity"), OBLIQUE)
+@pytest.mark.parametrize("kind", LAWS)
+def test_energy_closes_to_order_two(kind, mu, velocity):
+    law, residual = LAWS[kind](0.7, mu), []
+    for n in (100, 200, 400):
+        runs = [hit(law, n, phase, velocity, -1.0) for phase in (np.arange(8) + 0.5) / 8]
+        left = [run.energy[-1] + run.booked[-1] - run.energy[0] for run in runs]
+        residual.append(np.sqrt(np.mean(np.square(left))))
+    assert np.log2(residual[0] / residual[2]) / 2.0 == pytest.approx(2.0, abs=0.3)
+    assert residual[0] < 1e-3 * runs[0].energy[0]
+
+
+# Friction and rolling
+
+
+vectors = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
+touches = st.builds(
+    Touch,
+    delta=st.floats(-0.01, 0.05),
+    before=st.floats(0.0, 0.05),
+    rate=st.floats(-2.0, 2.0),
+    slide=vectors,
+    m_eff=st.floats(0.01, 10.0),
+    r_eff=st.floats(0.01, 1.0),
+)
+steps = st.sampled_from([0.0, 1e-6, 1e-3, 0.1])
+kinds = st.sampled_from(
+    [hooke_law(0.3, 0.4), hertz_law(0.3, 0.4), hooke_law(0.3, 0.4, attract=True)]
+)
+
+
+@given(kinds, touches, vectors, steps)
+def test_force_neither_attracts_nor_exceeds_the_limit_of_friction(law, touch, spring, dt):
+    load = contact_force(law, 0, touch, spring, dt)
+    limit = 0.4 * max(load.normal, 0.0) * (1.0 + 1e-12)
+    assert np.linalg.norm(load.tangential) <= limit
+    assert load.normal >= 0.0 or law.attract is not None
+    k = laws.shear_stiffness(law, 0, touch)[2]
+    assert k * np.linalg.norm(load.spring) <= limit
+    assert load.power >= -1e-12 * abs(load.normal)
+    assert load.elastic >= 0.0
+
+
+@given(kinds, touches, vectors, steps)
+def test_second_body_feels_the_opposite(law, touch, spring, dt):
+    load = contact_force(law, 0, touch, spring, dt)
+    swapped = touch._replace(slide=tuple(-v for v in touch.slide))
+    other = contact_force(law, 0, swapped, tuple(-x for x in spring), dt)
+    assert np.all(np.negative(other.tangential) == load.tangential)
+    assert np.all(np.negative(other.spring) == load.spring)
+    assert (other.normal, *other[3:]) == (load.normal, *load[3:])
+
+
+@given(touches, st.floats(0.0, 500.0))
+def test_settled_rate_agrees_with_the_force_that_it_gives(touch, normal):
+    law, dt, touch = hooke_law(0.3), 1e-4, touch._replace(delta=abs(touch.delta) + 0.1)
+    rate, w = settled_rate(law, 0, touch, normal, dt), 0.5 * dt / touch.m_eff
+    force = contact_force(law, 0, touch._replace(rate=rate), ZERO, dt).normal
+    assert rate + w * force == pytest.approx(touch.rate + w * normal, abs=1e-9)
+    leaving = touch._replace(rate=-1e3)
+    assert settled_rate(law, 0, leaving, normal, dt) == pytest.approx(w * normal - 1e3)
+
+
+@given(kinds, touches, vectors)
+def test_bodies_apart_feel_nothing(law, touch, spring):
+    load = contact_force(law, 0, touch._replace(delta=-0.01, rate=1.0), spring, 0.019)
+    assert load.normal == load.elastic == load.power == 0.0
+    assert load.tangential == load.spring == ZERO
+    assert laws.share_of_step(0.0, 0.0) == laws.mean_fourth_root(0.0, 0.0) == 0.0
+
+
+@given(st.floats(-3.0, 3.0), st.floats(1e-3, 3.0))
+def test_dashpot_is_the_mean_over_the_step(delta, half):
+    around, kink = (delta - half, delta + half), [0.0] if abs(delta) < half else None
+    touching = quad(lambda x: float(x > 0.0), *around, points=kink)[0] / (2.0 * half)
+    root = quad(lambda x: max(x, 0.0) ** 0.25, *around, points=kink, epsabs=1e-12)[0]
+    assert laws.share_of_step(delta, half) == pytest.approx(touching, abs=1e-9)
+    assert laws.mean_fourth_root(delta, half) == pytest.approx(root / (2.0 * half), abs=2e-8)
+
+
+@given(st.floats(0.0, 3.0), st.floats(1e-3, 3.0))
+def test_mean_of_a_root(before, now):
+    mean = quad(math.sqrt, before, now)[0] / (now - before) if now != before else math.sqrt(now)
+    assert laws.mean_root(before, now) == pytest.approx(mean, rel=1e-6)
+
+
+@given(vectors, vectors)
+def test_turned_spring_lies_in_the_plane_and_keeps_its_length(spring, axis):
+    if np.linalg.norm(axis) < 1e-3 or np.linalg.norm(np.cross(spring, axis)) < 1e-3:
+        return
+    n = np.array(axis) / np.linalg.norm(axis)
+    turned = np.array(turned_spring(spring, tuple(n)))
+    assert turned @ n == pytest.approx(0.0, abs=1e-9)
+    assert np.linalg.norm(turned) == pytest.approx(np.linalg.norm(spring), rel=1e-12)
+    assert np.cross(turned, np.array(spring) - (spring @ n) * n) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_spring_along_the_normal_is_dropped():
+    assert turned_spring((0.0, 0.0, 1.0), (0.0, 0.0, 1.0)) == ZERO
+    assert turned_spring(ZERO, (0.0, 0.6, 0.8)) == ZERO
+
+
+def test_tangential_force_of_hooke_and_hertz():
+    """k_t ξ + c_t v with k_t = 2/7 k and 8 G* √(R* δ), c_t = c/2."""
+    touch = Touch(0.01, 0.01, 0.0, (0.2, 0.0, 0.0), MASS, RADIUS)
+    for law, k, c in (
+        (hooke_law(0.2, 1e3), 2.0 / 7.0 * K, 0.5 * 2.0 * closed.damping_ratio(0.2) * 100.0),
+        (
+            hertz_law(0.2, 1e3),
+            8.0 * SHEAR_MODULUS * math.sqrt(RADIUS * 0.01),
+            0.5
+            * math.sqrt(5.0)
+            * closed.damping_ratio(0.2)
+            * math.sqrt(4.0 / 3.0 * MODULUS * math.sqrt(RADIUS))
+            * 0.01**0.25,
+        ),
+    ):
+        force = contact_force(law, 0, touch, (0.003, 0.001, 0.0), 0.0).tangential
+        assert force == pytest.approx((-0.003 * k - 0.2 * c, -0.001 * k, 0.0), rel=1e-12)
+
+
+def cycle(law, size, lag, steps=2001, dt=1e-3):
+    """Load and slide that go round five times: Σ lost, work of friction, energy stored."""
+    t = 2.0 * math.pi * np.arange(steps) / 400
+    way, overlap = size * np.sin(t + lag), 0.01 + 4e-3 * np.sin(t)
+    spring, before, force, found = ZERO, 0.01, 0.0, []
+    for step, delta in zip(np.diff(way), overlap[1:], strict=True):
+        touch = Touch(delta, before, 0.0, (step / dt, 0.0, 0.0), MASS, RADIUS)
+        load = contact_force(law, 0, touch, (spring[0] + step, 0.0, 0.0), dt)
+        stored = load.elastic - laws.normal_spring(law, 0, delta, RADIUS)[1]
+        found.append((load.lost, 0.5 * (force - load.tangential[0]) * step, stored))
+        spring, before, force = load.spring, delta, -load.tangential[0]
+    return np.array(found).T
+
+
+@pytest.mark.parametrize("size", [1e-3, 2e-2])
+@pytest.mark.parametrize("kind", LAWS)
+def test_no_cycle_of_load_and_slide_gives_energy(kind, size):
+    for lag in np.linspace(0.0, 2.0 * math.pi, 9):
+        lost, work, stored = cycle(LAWS[kind](1.0, 0.5), size, lag)
+        assert lost.min() > -1e-3 * lost.max() - 1e-15
+        for n in range(0, 1600, 50):
+            assert lost[n : n + 400].sum() >= -1e-15
+        assert work.sum() == pytest.approx(lost.sum() + stored[-1], rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_touch_stores_no_energy_of_nothing(kind):
+    """A fast slide at the first touch: the spring holds what friction can hold, and no more."""
+    run = hit(LAWS[kind](0.2, 0.5), 2000, velocity=20.0)
+    total = run.energy + run.booked
+    assert np.abs(total - total[0]).max() < 2e-6 * total[0]
+    assert np.diff(run.booked).min() >= -1e-12
+
+
+# Rolling
+
+
+def test_resistance_to_rolling_slows_a_ball_down_and_stops_it():
+    """It loses μ_r g/(1 + 2/5) as long as it rolls without slip, R* = R; then it stays."""
+    law, gravity, mu, spin = hooke_law(0.2, 0.8, rolling=0.2), 9.81, 0.2, 10.0
+    start = -MASS * gravity / K, 0.0, RADIUS * spin, spin
+    run = throw(law, start, 2e-4, 5000, gravity=gravity)
+    wanted = spin - mu * gravity / 1.4 / RADIUS * run.dt * np.arange(5000)
+    assert run.spin == pytest.approx(np.maximum(wanted, 0.0), abs=0.15)
+    assert abs(run.spin[-1]) < 1e-3
+    limit = mu * RADIUS * run.normal * (1.0 + 1e-12)
+    assert np.all(np.abs(run.torque) <= limit)
+    total = run.energy + run.booked
+    assert np.abs(total - total[0]).max() < 1e-4 * total[0]
+
+
+def test_nothing_resists_rolling_unless_asked():
+    touch = Touch(0.01, 0.01, 0.0, ZERO, MASS, RADIUS)
+    found = rolling_torque(None, hooke_law(), 0, touch, (1.0, 0.0, 0.0), 10.0, ZERO, 1e-3)
+    assert found == laws.Resistance(ZERO, ZERO, 0.0, 0.0, 0.0)
