@@ -15,7 +15,7 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 
-from particlerb.bodies.scene import Scene, assemble
+from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames, State, as_frame, multiplied, room_for, turned_back
 from particlerb.case.schema import Case
 from particlerb.describe import describe
@@ -28,6 +28,7 @@ from particlerb.methods.pair_forces import PairForces
 from particlerb.methods.touching import TouchingMotion
 from particlerb.plan import GroupPlan, Plan, Segment, make_plan
 from particlerb.record.writer import Recorder
+from particlerb.relaxing import assembled
 from particlerb.rotors.rotor_class import ROD
 from particlerb.terms.impulse import apply_impulse
 from particlerb.threads import THREADS
@@ -85,7 +86,7 @@ def prepare(case: Case) -> Prepared:
     CaseError
         With all problems that show here.
     """
-    scene = assemble(case)
+    scene = assembled(case)
     plan = make_plan(case, scene)
     return Prepared(case, scene, plan, describe(case, scene, plan))
 

@@ -25,6 +25,7 @@ from particlerb.contact.walls import Motion, Walls, pose_at
 from particlerb.contact.walls import touch as touch_wall
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import (
+    Bools,
     Floats,
     Ints,
     Vec3,
@@ -39,8 +40,10 @@ from particlerb.maths.vec3 import (
 COM: Final = 0  # columns of a body at the instant of a kick: centre of mass [m],
 VELOCITY: Final = 3  # velocity [m/s],
 SPIN: Final = 6  # angular velocity [rad/s], world axes,
-INV_MASS: Final = 9  # and 1/M [1/kg]
-BODY_COLUMNS: Final = 10
+INV_MASS: Final = 9  # 1/M [1/kg],
+SPEED: Final = 10  # |velocity| [m/s]
+TURNING: Final = 11  # and |angular velocity| [rad/s]
+BODY_COLUMNS: Final = 12
 SPRING: Final = 0  # columns of what a contact keeps: tangential spring [m],
 BEFORE: Final = 3  # and overlap at the instant before [m]
 ROLLED: Final = 4  # rolling spring [m], with resistance to rolling
@@ -49,10 +52,9 @@ ELASTIC: Final = 0  # columns of what a contact does: elastic force on the first
 REST: Final = 3  # the rest of its force on the first [N],
 POINT: Final = 6  # where it acts [m], world frame,
 STORED: Final = 9  # elastic energy of the normal spring [J],
-DRIVEN: Final = 10  # and power of the elastic force on a wall that moves [W]
-ACTS: Final = 11  # whether it does anything,
-TWIST: Final = 12  # and torque against rolling on the first [N m]
-DONE: Final = 15
+DRIVEN: Final = 10  # power of the elastic force on a wall that moves [W]
+TWIST: Final = 11  # and torque against rolling on the first [N m]
+DONE: Final = 14
 MOTION: Final = 14
 POSE: Final = 13
 UNIT: Final = 256  # contacts, or bodies, a kernel takes at a time
@@ -75,6 +77,7 @@ class Contacts(NamedTuple):
     second: Ints  # (m,) sphere, or primitive of a wall
     kept: Floats  # (m, KEPT)
     done: Floats  # (m, DONE)
+    acts: Bools  # (m,) whether it does anything: far fewer do, and these rows alone are read
 
 
 class Scene(NamedTuple):
@@ -148,9 +151,11 @@ def place_bodies(
         L = add_scaled(ahead, subtract(L, (last[3, b], last[4, b], last[5, b])), L)
         inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
         put_column(bodies, b, COM, x)
-        put_column(bodies, b, VELOCITY, scale(inv_mass[b], p))
-        put_column(bodies, b, SPIN, turn(R, multiplied3(inverse, turn_back(R, L))))
+        v, omega = scale(inv_mass[b], p), turn(R, multiplied3(inverse, turn_back(R, L)))
+        put_column(bodies, b, VELOCITY, v)
+        put_column(bodies, b, SPIN, omega)
         bodies[b, INV_MASS] = inv_mass[b]
+        bodies[b, SPEED], bodies[b, TURNING] = math.sqrt(dot(v, v)), math.sqrt(dot(omega, omega))
         for i in range(offset[b], offset[b + 1]):
             r = turn(R, (arm[0, i], arm[1, i], arm[2, i]))
             place[i, 0], place[i, 1], place[i, 2] = x[0] + r[0], x[1] + r[1], x[2] + r[2]
@@ -219,7 +224,7 @@ def act(
     resist(law.rolling, law, pair, contacts, c, touch, turning, normal, load.normal, before, after)
     done[c, STORED] = stored
     done[c, DRIVEN] = -elastic * dot(normal, drift)
-    done[c, ACTS] = 1.0
+    contacts.acts[c] = True
 
 
 @inline
@@ -256,6 +261,16 @@ def forget(contacts: Contacts, c: int) -> None:
         kept[c, k] = 0.0
     for k in range(DONE):
         done[c, k] = 0.0
+    contacts.acts[c] = False
+
+
+@inline
+def fastest(bodies: Floats) -> tuple[float, float]:
+    """Largest speed [m/s] and angular velocity [rad/s]."""
+    v, w = 0.0, 0.0
+    for b in range(bodies.shape[0]):
+        v, w = max(v, bodies[b, SPEED]), max(w, bodies[b, TURNING])
+    return v, w
 
 
 @kernel
@@ -279,15 +294,20 @@ def touch_spheres(
         spheres.body,
         spheres.material,
     )
-    place, bodies = room.place, room.bodies
+    place, bodies, acts = room.place, room.bodies, contacts.acts
+    v, w = fastest(bodies)
+    margin, stretch = 0.5 * (before + after) * v, 1.0 + 2.0 * (before + after) * w
     for c in range(first * UNIT, min(end * UNIT, firsts.size)):
         i, j = firsts[c], seconds[c]
         x, d = column(place, i, 0), subtract(column(place, j, 0), column(place, i, 0))
         square, reach = dot(d, d), place[i, 3] + place[j, 3]
+        far = stretch * reach + margin  # for all bodies, without reading these
         a, b = body[i], body[j]
         apart = square >= reach * reach
-        if apart and not is_near(bodies, a, b, square, reach, before + after):
-            if contacts.done[c, ACTS] != 0.0:
+        if square >= far * far or (
+            apart and not is_near(bodies, a, b, square, reach, before + after)
+        ):
+            if acts[c]:
                 forget(contacts, c)
             continue
         distance = math.sqrt(square)
@@ -311,8 +331,7 @@ def touch_spheres(
 def is_near(bodies: Floats, a: int, b: int, square: float, reach: float, around: float) -> bool:
     """Whether two spheres that do not touch may do so within the step around this instant."""
     v = subtract(column(bodies, a, VELOCITY), column(bodies, b, VELOCITY))
-    w = math.sqrt(dot(column(bodies, a, SPIN), column(bodies, a, SPIN)))
-    w += math.sqrt(dot(column(bodies, b, SPIN), column(bodies, b, SPIN)))
+    w = bodies[a, TURNING] + bodies[b, TURNING]
     far = reach + 0.25 * around * (math.sqrt(dot(v, v)) + 4.0 * w * reach)
     return square < far * far
 
@@ -348,7 +367,7 @@ def touch_walls(
         omega = column(poses, scene.walls.wall[primitive], 10)
         turning = subtract(column(bodies, a, SPIN), omega)
         if delta <= -0.25 * (before + after) * abs(dot(relative, normal)):
-            if contacts.done[c, ACTS] != 0.0:
+            if contacts.acts[c]:
                 forget(contacts, c)
             continue
         inverse = bodies[a, INV_MASS]
@@ -389,7 +408,8 @@ def collect(
     first, end : int
         Units of bodies, `end` excluded.
     """
-    done, bodies, firsts, seconds = contacts.done, room.bodies, contacts.first, contacts.second
+    firsts, seconds, _, done, acts = contacts
+    bodies = room.bodies
     for b in range(first * UNIT, min(end * UNIT, offset.size - 1)):
         if bodies[b, INV_MASS] == 0.0:  # fixed
             continue
@@ -400,7 +420,7 @@ def collect(
             c, sign = entry[k], 1.0
             if c < 0:
                 c, sign = ~c, -1.0
-            if done[c, ACTS] == 0.0:
+            if not acts[c]:
                 continue
             elastic, other = column(done, c, ELASTIC), column(done, c, REST)
             point = column(done, c, POINT)
@@ -446,4 +466,5 @@ def units_of(n: int) -> int:
 def no_contacts() -> Contacts:
     """An empty list."""
     none = np.zeros(0, dtype=np.int64)
-    return Contacts(none, none, np.zeros((0, KEPT)), np.zeros((0, DONE)))
+    done, acts = np.zeros((0, DONE)), np.zeros(0, dtype=np.bool_)
+    return Contacts(none, none, np.zeros((0, KEPT)), done, acts)

@@ -367,7 +367,7 @@ class CoupledMotion(SteppedMotion):
     def run(self, schedule: Schedule, count: int, frames: Frames, sums: Floats) -> None:
         """Go through a schedule."""
         group = self.group
-        large = self.forces.is_large and THREADS.count > 0
+        large = self.forces.is_large
         advance: Callable[..., None] = self.stages.spread if large else self.stages.compiled
         pairs = self.forces.for_python if large else self.forces.pairs
         through = partial(

@@ -5,9 +5,10 @@ interval's skin of another one, or of a wall, are stepped, judged by the spheres
 others fly, at no cost per step. The skin grows while beginning intervals costs more than stepping,
 and shrinks while it costs less.
 
-This holds as long as nobody has moved by half of the skin, which is verified at the end of the
-interval: if it does not hold, the interval is taken again with half the steps. Only then are frames
-recorded, from a second run of the same steps, so that what is recorded never changes the motion.
+This holds as long as nobody has moved by half of the skin, which is verified on the way of those
+that are stepped and at the end of the interval: if it does not hold, the interval is taken again
+with half the steps. Only then are frames recorded, from a second run of the same steps, so that
+what is recorded never changes the motion.
 """
 
 from typing import Final
@@ -31,7 +32,8 @@ MOST_STEPS: Final = 2048  # of an interval
 TO_BEGIN: Final = 15.0  # steps of a body that beginning an interval costs, for every body
 GROW: Final = 1.3  # of the skin, or its shrinking
 PRUDENCE: Final = 0.5  # of half the skin that bodies may use up if nothing accelerates them
-DENSE: Final = 0.6  # share of active bodies from which on all are stepped
+DENSE: Final = 0.6  # share of active bodies from which on all are stepped,
+DENSE_STEPS: Final = 512  # for so many steps
 
 
 def can_fly(terms: Terms, n: int) -> bool:
@@ -69,6 +71,10 @@ class Interval:
     def kept(self) -> Kept:
         """What contacts keep at the end."""
         return [] if self.touching is None else self.touching.what_is_kept()
+
+    def farthest(self) -> float:
+        """Longest way of a stepped body from where it began, whenever lists were made [m]."""
+        return 0.0 if self.touching is None else self.touching.farthest
 
     def energies(self, rows: Ints) -> Floats:
         """Elastic energy in frames that were recorded [J]."""
@@ -108,14 +114,15 @@ class DiluteMotion:
         np.maximum.at(self.bound, spheres.body, far)
         self.bodies = Search(self.bound, np.arange(n))
         self.walls = WallSearch(contact.scene.walls, self.bound)
+        self.no_reach = np.zeros(n)  # a sphere around a body does not move when it turns
         self.wall_motions = [motion_of(row) for row in contact.motions.tolist()]
         whole = TouchingMotion(kernels, stages, cost, group, state, start, dt)
         self.elastic, self.energies = whole.elastic, np.zeros(0)
-        self.state, self.next = state, state
+        self.state = state
+        self.next: tuple[State, Floats, Kept] | None = None  # at the end of the interval
         self.done, self.steps = 0, 0
-        self.booked, self.coming = np.zeros(7), np.zeros(7)
+        self.booked = np.zeros(7)
         self.kept: Kept = []
-        self.kept_next: Kept = []
         self.active = np.ones(group.members.size, dtype=np.bool_)
         self.shown: Interval | None = None
         self.saved, self.all_steps = 0, 0  # body-steps that were saved, and all
@@ -153,38 +160,44 @@ class DiluteMotion:
         contact, gravity = self.contact, self.group.terms.gravity
         y = np.vstack(self.state)
         speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * contact.scene.inv_mass
-        spin = np.sqrt((y[10:13] ** 2).sum(axis=0)) * contact.scene.inv_inertia.max(axis=0)
-        v = float((speed + spin * contact.reach).max())
+        v = float(speed.max())
         g = 0.0 if gravity is None else float(np.linalg.norm(gravity.acceleration))
         way = PRUDENCE * 0.5 * self.skin
         longest = 2.0 * way / (v + np.sqrt(v * v + 2.0 * g * way)) if v + g > 0.0 else np.inf
         return int(np.clip(longest / self.dt, 1, MOST_STEPS))
 
     def plan(self) -> None:
-        """Find the next interval: how long, who is stepped, and where it ends."""
-        self.shown = None
+        """Find the next interval: how long, who is stepped, and, if some fly, where it ends."""
+        self.shown, self.next = None, None
         steps = self.wanted_steps()
         y = np.vstack(self.state)
         while True:
             self.active = self.within_skin(y, steps)
-            if self.active.mean() > DENSE:
+            if steps == 1 or self.active.mean() > DENSE:
                 self.active[:] = True
-            end = self.time(self.done + steps)
-            interval = self.interval()
-            after, booked = interval.together.finish(end)
-            moved = has_moved(y, np.vstack(after), self.contact.reach, 0.5 * self.skin)
-            if not moved or self.active.all():
+                steps = DENSE_STEPS
+                self.shown = self.interval()
                 break
-            steps = max(1, steps // 2)
-            if steps == 1:
-                self.active[:] = True
-        self.next, self.coming, self.steps = after, booked, steps
-        self.kept_next = interval.kept()
-        is_dear = TO_BEGIN * self.active.size > steps * int(self.active.sum())
-        self.skin *= GROW if is_dear else 1.0 / GROW
+            interval = self.interval()
+            after, booked = interval.together.finish(self.time(self.done + steps))
+            is_far = interval.farthest() + 0.5 * self.contact.skin > 0.5 * self.skin
+            if not is_far and not has_moved(y, np.vstack(after), self.no_reach, 0.5 * self.skin):
+                self.next = after, booked, interval.kept()
+                break
+            steps //= 2
+        self.steps = steps
+        self.fit_skin()
+
+    def fit_skin(self) -> None:
+        """Skin of the next interval, by what this one costs."""
+        n, active = self.active.size, int(self.active.sum())
+        if active < n:
+            self.skin *= GROW if TO_BEGIN * n > self.steps * active else 1.0 / GROW
+        else:
+            self.skin /= GROW
         self.skin = max(self.skin, 2.0 * self.contact.skin)
-        self.all_steps += steps * self.active.size
-        self.saved += steps * int((~self.active).sum())
+        self.all_steps += self.steps * n
+        self.saved += self.steps * (n - active)
 
     def within_skin(self, y: Floats, steps: int) -> Bools:
         """Whether each body has another one, or a wall, within the skin for so many steps."""
@@ -205,8 +218,12 @@ class DiluteMotion:
 
     def cross(self) -> None:
         """Go to the end of the interval."""
-        self.state, self.kept = self.next, self.kept_next
-        self.booked += self.coming
+        if self.next is None:
+            assert self.shown is not None
+            state, booked = self.shown.together.finish(self.time(self.done + self.steps))
+            self.next = state, booked, self.shown.kept()
+        self.state, booked, self.kept = self.next
+        self.booked += booked
         self.done += self.steps
         self.plan()
 
@@ -234,5 +251,6 @@ class DiluteMotion:
         """State at the end of the segment, and (7,) booked until then."""
         while self.time(self.done + self.steps) <= stop:
             self.cross()
-        state, given = self.interval().together.finish(stop)
+        shown = self.shown or self.interval()
+        state, given = shown.together.finish(stop)
         return state, self.booked + given

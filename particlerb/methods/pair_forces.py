@@ -131,8 +131,8 @@ class PairForces:
 
     @property
     def is_large(self) -> bool:
-        """Whether it is to be evaluated from Python, over threads."""
-        return self.tree is not None or self.cost > WORTH_THREADS
+        """Whether it is to be evaluated from Python, over threads; a tree always is."""
+        return self.tree is not None or (THREADS.count > 1 and self.cost > WORTH_THREADS)
 
     def evaluate(self) -> None:
         """Loads in the state y, over all threads."""

@@ -125,10 +125,13 @@ def advance_blocks(
                 is_open = was_open
 
 
-def grid_position(elapsed: Floats, dt: float) -> tuple[Ints, Floats]:
-    """Whole steps before each time, and what remains [s]; 0 where only rounding remains."""
+def grid_position(elapsed: Floats, dt: float, start: float = 0.0) -> tuple[Ints, Floats]:
+    """Whole steps before each time, and what remains [s]; 0 where only rounding remains.
+
+    Times since the start are differences, and round like what they are differences of.
+    """
     nearest = np.rint(elapsed / dt)
-    on_grid = np.abs(elapsed - nearest * dt) <= TIME_ROUNDING * np.abs(elapsed)
+    on_grid = np.abs(elapsed - nearest * dt) <= TIME_ROUNDING * (np.abs(elapsed) + abs(start))
     steps = np.where(on_grid, nearest, np.floor(elapsed / dt))
     return steps.astype(np.int64), np.where(on_grid, 0.0, elapsed - steps * dt)
 
@@ -179,13 +182,13 @@ class SteppedMotion:
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         elapsed = times - self.start
-        sums = self.advance(*grid_position(elapsed, self.dt), rows, frames)
+        sums = self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)
         return self.account.of_frames(elapsed, rows, frames, sums)
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
         elapsed = np.array([stop - self.start])
-        steps, _ = grid_position(elapsed, self.dt)
+        steps, _ = grid_position(elapsed, self.dt, self.start)
         none = room_for(0, 0, np.empty((0, 4)))
         self.advance(steps, np.zeros(1), np.array([CLOSE]), none)
         sums = self.values(BOOKED, 7).sum(axis=1)

@@ -35,7 +35,7 @@ from particlerb.contact.loads import (
 from particlerb.contact.loads import Scene as Touchable
 from particlerb.contact.search import Search, carry_over, has_moved, incidence, keys_of
 from particlerb.contact.walls import Motion, WallSearch, farthest_way
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods.coupled import (
     CoupledMotion,
     Layout,
@@ -57,6 +57,7 @@ CONTACT_WORK: Final = 4  # body-steps that a contact takes as long as
 NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
 WORTH_THREADS: Final = 3e5  # ns of an evaluation from which on threads pay for their start
 MOST_NUMBERS: Final = 2**31  # of spheres, or primitives of walls, in a key
+NEAR: Final = 0.1  # of the skin: pairs nearer than this stand together, first in the list
 MOST_STEPS_AHEAD: Final = 64  # for which lists are made where walls move
 SLACK: Final = 0.8  # of half the skin, with which lists are made anew: a frame may lie ahead
 
@@ -322,8 +323,10 @@ class TouchingMotion(CoupledMotion):
         self.room = Room(np.zeros((n_spheres, 4)), room, np.zeros((n, BODY_COLUMNS)))
         y = np.vstack(state)
         self.memory = Memory(y[7:].copy(), np.array([0.0, 0.0, start, np.inf]), y.copy())
+        self.origin, self.farthest = y[:3].copy(), 0.0  # [m] way of a body so far, at new lists
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
         self.keys = [keys for keys, _ in kept] or [np.zeros(0, dtype=np.int64)] * 2
+        self.rows = [np.arange(keys.size) for keys in self.keys]  # of the contacts with these keys
         old = [no_contacts()._replace(kept=values) for _, values in kept] or [no_contacts()] * 2
         self.lists = Lists(old[0], old[1], *(np.zeros(n + 1, np.int64),) * 4)
         self.make_lists(y)
@@ -336,6 +339,8 @@ class TouchingMotion(CoupledMotion):
         contact, n = self.contact, y.shape[1]
         scene = contact.scene
         self.memory.then[:] = y
+        way = np.sqrt(((y[:3] - self.origin) ** 2).sum(axis=0)).max()
+        self.farthest = max(self.farthest, float(way))
         self.refuse_tunnelling(y)
         THREADS.share(
             partial(place_all, scene, self.room, y, self.memory.last, 0.0), units_of(n), n
@@ -349,10 +354,15 @@ class TouchingMotion(CoupledMotion):
         self.memory.times[3] = time + ahead
         sphere, primitive, _ = self.walls.pairs(points, self.room.poses, contact.skin + way)
         before = self.lists
-        number = self.numbers
-        spheres = self.carried(0, before.spheres, first, second, number[second])
-        walls = self.carried(1, before.walls, sphere, primitive, primitive)
+        number, radius = self.numbers, scene.spheres.radius
+        away = points[:, second] - points[:, first]
+        reach = radius[first] + radius[second] + NEAR * contact.skin
+        near = np.einsum("ij,ij->j", away, away) < reach * reach
+        spheres = self.carried(0, before.spheres, first, second, number[second], near)
+        near = np.ones(sphere.size, dtype=np.bool_)
+        walls = self.carried(1, before.walls, sphere, primitive, primitive, near)
         body = scene.spheres.body
+        first, second = spheres.first, spheres.second
         own = incidence(body[first], body[second], n)
         outside = incidence(body[sphere], np.full(sphere.size, -1), n)
         self.lists = Lists(spheres, walls, *own, *outside)
@@ -382,18 +392,24 @@ class TouchingMotion(CoupledMotion):
         return steps * self.dt, farthest_way(self.motions, (steps + 1) * self.dt, 2.0 * extent)
 
     def carried(
-        self, which: int, old: Contacts, first: Ints, second: Ints, other: Ints
+        self, which: int, old: Contacts, first: Ints, second: Ints, other: Ints, near: Bools
     ) -> Contacts:
         """New contacts, with what those of the old list keep; `other` numbers the second."""
         keys = keys_of(self.numbers[first], other, MOST_NUMBERS)
-        kept = carry_over(self.keys[which], old.kept, keys)
+        kept = carry_over(self.keys[which], old.kept[self.rows[which]], keys)
+        order = np.concatenate([np.flatnonzero(near), np.flatnonzero(~near)])
         self.keys[which] = keys
-        return Contacts(first, second, kept, np.zeros((first.size, DONE)))
+        self.rows[which] = np.empty_like(order)
+        self.rows[which][order] = np.arange(order.size)
+        first, second, kept = first[order], second[order], kept[order]
+        done, acts = np.zeros((first.size, DONE)), np.zeros(first.size, dtype=np.bool_)
+        return Contacts(first, second, kept, done, acts)
 
     def what_is_kept(self) -> Kept:
         """What contacts keep, with their keys."""
         contacts = self.lists.spheres, self.lists.walls
-        return [(keys, c.kept.copy()) for keys, c in zip(self.keys, contacts, strict=True)]
+        found = zip(self.keys, contacts, self.rows, strict=True)
+        return [(keys, c.kept[rows]) for keys, c, rows in found]
 
     def evaluate(self, y: Floats) -> float:
         """Elastic energy in a state at the start [J]."""
@@ -416,7 +432,7 @@ class TouchingMotion(CoupledMotion):
         """Go through a schedule, with new lists where they are used up."""
         del count
         group, edge = self.group, self.stages.edge
-        large = self.is_dense or self.forces.is_large
+        large = (THREADS.count > 1 and self.is_dense) or self.forces.is_large
         advance: Callable[..., Any] = self.kernels.spread if large else self.kernels.compiled
         pairs = self.forces.for_python if large else self.forces.pairs
         place = Place(0, 0, edge * schedule.dt if schedule.done > 0 else 0.0)

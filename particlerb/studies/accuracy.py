@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.scene import Scene, assemble
+from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
@@ -33,6 +33,7 @@ from particlerb.plan import (
     is_adaptive,
     make_plan,
 )
+from particlerb.relaxing import assembled
 from particlerb.simulate import Prepared, prepare
 from particlerb.studies.trials import Error, Part, drifts, errors, part, sample, states_at
 
@@ -110,7 +111,7 @@ def prepare_accurately(case: Case) -> Prepared:
     """
     if case.run.accuracy is None:
         return prepare(case)
-    scene = assemble(case)
+    scene = assembled(case)
     free = case.model_copy(update={"run": case.run.model_copy(update={"method": "auto"})})
     plan = make_plan(free, scene)
     found = [search(free, scene, plan, g) for g in range(len(plan.groups))]

@@ -17,13 +17,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.scene import Scene, assemble
+from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames, omega_world
 from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
 from particlerb.maths.vec3 import Ints
 from particlerb.methods import METHODS
 from particlerb.plan import Plan, fastest_rate, has_step, is_adaptive, make_plan
+from particlerb.relaxing import assembled
 from particlerb.studies.peers import Engine, PeerScene, engines, peer_errors, peer_scene
 from particlerb.studies.trials import Error, drifts, errors, part, sample, seconds, states_at
 from particlerb.threads import THREADS
@@ -187,7 +188,7 @@ class Study:
 
     def __init__(self, case: Case, wanted: float, budget: float) -> None:
         self.case, self.wanted = case, wanted
-        self.scene: Scene = assemble(case)
+        self.scene: Scene = assembled(case)
         self.times = np.linspace(0.0, case.run.t_end, WAYPOINTS + 1)[1:]
         auto = self.plan("auto", None)
         self.which: Ints = sample(self.scene, auto, case.run.t_end, SAMPLED)

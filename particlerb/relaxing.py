@@ -1,0 +1,95 @@
+"""Bodies of a case, pushed apart where they overlap at t = 0 and the case asks for it.
+
+Each round, every overlap pushes its two bodies apart by half of its depth each, or the one that can
+move by all of it; a body takes the mean of its pushes, a little lengthened. Attitudes stay.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from particlerb._jit import kernel
+from particlerb.bodies.scene import Scene, assemble
+from particlerb.case.problems import CaseError
+from particlerb.case.reader import problem_at
+from particlerb.case.schema import Case
+from particlerb.contact.search import Search
+from particlerb.contact.walls import Walls, WallSearch, poses_at, touch
+from particlerb.maths.vec3 import Floats, Ints, load3
+from particlerb.pairs import lengths
+from particlerb.touching import Contact, contact_of, spheres_of
+
+ROUNDS: Final = 2000  # at most
+LENGTHENED: Final = 1.5  # times the mean of all pushes on a body
+LEFT: Final = 1e-3  # overlap that may be left, in units of the smallest radius
+
+
+def assembled(case: Case) -> Scene:
+    """Scene of a case, pushed apart where `contact.relax` asks for it.
+
+    Raises
+    ------
+    CaseError
+        As `assemble` and `contact_of`; and if bodies have too little room to be pushed apart.
+    """
+    scene = assemble(case)
+    if case.contact is None or not case.contact.relax:
+        return scene
+    contact = contact_of(case, scene)
+    assert contact is not None
+    com = pushed_apart(case, scene, contact)
+    return scene._replace(state=scene.state._replace(com=com))
+
+
+def pushed_apart(case: Case, scene: Scene, contact: Contact) -> Floats:
+    """Centres of mass (3, n_bodies) [m] with which hardly anything overlaps.
+
+    Raises
+    ------
+    CaseError
+        If overlaps remain.
+    """
+    spheres = spheres_of(scene, contact)
+    place, radius, body = spheres
+    com, moves = scene.state.com.copy(), ~contact.fixed
+    search, walls = Search(radius, body), WallSearch(contact.walls, radius)
+    poses = poses_at(contact.motions, 0.0)
+    enough = max(LEFT * float(radius.min()), case.contact.overlap if case.contact else 0.0)
+    deepest = np.inf
+    for _ in range(ROUNDS):
+        points = np.ascontiguousarray(place + (com - scene.state.com)[:, body])
+        first, second, _ = search.pairs(points, 0.0)
+        d = points[:, second] - points[:, first]
+        distance = np.maximum(lengths(d), 1e-300)
+        depth = radius[first] + radius[second] - distance
+        a, b = body[first], body[second]
+        share = moves[a].astype(float) + moves[b]
+        depth *= share > 0.0
+        push = d / distance * depth / np.maximum(share, 1.0)
+        i, p, _ = walls.pairs(points, poses, 0.0)
+        gap = np.empty((3, i.size))
+        find_gaps(contact.walls, poses, points, i, p, gap)
+        size = np.maximum(lengths(gap), 1e-300)
+        into = np.maximum(radius[i] - size, 0.0) * moves[body[i]]
+        deepest = max(float(depth.max(initial=0.0)), float(into.max(initial=0.0)))
+        if deepest <= enough:
+            return com
+        bodies = np.concatenate([a, b, body[i]])
+        pushes = np.concatenate([-push, push, gap / size * into], axis=1)
+        counts = np.maximum(np.bincount(bodies, minlength=moves.size), 1)
+        for c in range(3):
+            total = np.bincount(bodies, pushes[c], moves.size)
+            com[c] += LENGTHENED * total / counts * moves
+    reason = f"bodies still overlap by {deepest:.3g} m after {ROUNDS} rounds of pushing them apart"
+    raise CaseError([problem_at(case, "contact.relax", reason, "give them more room")])
+
+
+@kernel
+def find_gaps(
+    walls: Walls, poses: Floats, points: Floats, first: Ints, second: Ints, gap: Floats
+) -> None:
+    """Write the vector from each wall's primitive to the centre of a sphere, (3, n) [m]."""
+    place = points[0], points[1], points[2]
+    for k in range(first.size):
+        away, _ = touch(walls, poses, second[k], load3(place, first[k]))
+        gap[0, k], gap[1, k], gap[2, k] = away

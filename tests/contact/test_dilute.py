@@ -1,0 +1,81 @@
+"""Bodies with nothing in reach fly in closed form, and nothing else changes."""
+
+import numpy as np
+import pytest
+
+import particlerb
+from particlerb.case.reader import load
+from particlerb.methods import dilute
+from particlerb.simulate import prepare, run_prepared
+
+DUMBBELL = {"type": "points", "position": [[-0.08, 0, 0], [0.08, 0, 0]], "mass": 0.5, "radius": 0.1}
+
+
+def gas(n: int, t_end: float = 0.3, **keys) -> dict:
+    """Dumbbells of balls with random velocities in a box, without loss."""
+    side = 0.5 * n
+    body = {
+        "name": "d", "shape": DUMBBELL, "count": n**3, "place": {"type": "grid", "spacing": 1.0},
+        "orientation": "random", "velocity": {"random": 1.5},
+    }  # fmt: skip
+    corner = [side] * 3
+    wall = {"name": "box", "type": "box", "lower": [-side] * 3, "upper": corner}
+    run = {"t_end": t_end, "every": t_end / 2, "dt": 2e-4, "seed": 3} | keys
+    contact = {"stiffness": 1e5, "restitution": 1.0, "friction": 0.0}
+    return {"run": run, "contact": contact, "wall": [wall], "body": [body]}
+
+
+@pytest.mark.compiled
+def test_bodies_fly_as_they_are_stepped(monkeypatch):
+    monkeypatch.setattr(dilute, "LEAST_BODIES", 10)
+    flown = particlerb.run(gas(4))
+    monkeypatch.setattr(dilute, "LEAST_BODIES", 10**9)
+    stepped = particlerb.run(gas(4))
+    assert (np.abs(np.diff(stepped.linear_momentum, axis=0)) > 0.1).any()  # some have met
+    np.testing.assert_allclose(flown.position, stepped.position, atol=2e-7)
+    np.testing.assert_allclose(flown.orientation, stepped.orientation, atol=2e-6)
+    assert np.abs(flown.ledger.energy_error).max() < 1e-4 * flown.ledger.kinetic_energy[0]
+
+
+@pytest.mark.compiled
+def test_frames_do_not_change_the_motion(monkeypatch):
+    monkeypatch.setattr(dilute, "LEAST_BODIES", 10)
+    few, many = particlerb.run(gas(3)), particlerb.run(gas(3, every=0.011))
+    assert (few.position[-1] == many.position[-1]).all()
+    assert (few.angular_momentum[-1] == many.angular_momentum[-1]).all()
+
+
+@pytest.mark.compiled
+def test_long_run_goes_on_where_a_short_one_ends(monkeypatch):
+    monkeypatch.setattr(dilute, "LEAST_BODIES", 10)
+    long, short = particlerb.run(gas(3, t_end=0.3)), particlerb.run(gas(3, t_end=0.15, every=0.15))
+    assert long.time[1] == short.time[1]
+    assert (long.position[1] == short.position[1]).all()
+
+
+@pytest.mark.compiled
+def test_share_of_steps_that_is_saved_is_told(monkeypatch):
+    monkeypatch.setattr(dilute, "LEAST_BODIES", 10)
+    prepared = prepare(load(gas(4)))
+    assert "closed form where none is in reach" in prepared.text
+    outcome = run_prepared(prepared, None)
+    assert 0.1 < outcome.flown < 1.0
+
+
+@pytest.mark.compiled
+def test_dense_bodies_are_all_stepped(monkeypatch):
+    monkeypatch.setattr(dilute, "LEAST_BODIES", 10)
+    dense = gas(3, t_end=0.02)
+    dense["body"][0]["place"]["spacing"] = 0.38
+    dense["body"][0]["velocity"] = {"random": 0.1}
+    assert run_prepared(prepare(load(dense)), None).flown == 0.0
+
+
+def test_only_bodies_under_nothing_but_gravity_fly():
+    case = gas(7)
+    group = prepare(load(case)).plan.groups[0]
+    assert dilute.can_fly(group.segments[0].terms, group.members.size)
+    assert not dilute.can_fly(group.segments[0].terms, dilute.LEAST_BODIES - 1)
+    case["force"] = [{"type": "drag", "body": "d", "translation": 0.1}]
+    group = prepare(load(case)).plan.groups[0]
+    assert not dilute.can_fly(group.segments[0].terms, group.members.size)

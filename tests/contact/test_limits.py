@@ -1,0 +1,102 @@
+"""Steps of contact scenes: chosen, refused, warned of; bodies that are too fast; relaxation."""
+
+import math
+
+import numpy as np
+import pytest
+
+import particlerb
+from particlerb.case.problems import CaseError
+from particlerb.case.reader import load
+from particlerb.plan import STEPS_PER_CONTACT
+from particlerb.simulate import RunError, prepare
+
+
+def drop(dt: float | None = None, **contact) -> dict:
+    """A ball of 1 kg above a floor; ω² = 2 k (1 + 2/7) (1/m + 0) for two such balls."""
+    run = {"t_end": 0.5, "every": 0.1} | ({} if dt is None else {"dt": dt})
+    numbers = {"stiffness": 1e5, "restitution": 0.5, "friction": 0.0} | contact
+    ball = {"name": "ball", "shape": {"type": "sphere", "radius": 0.1}, "mass": 1.0}
+    floor = {"name": "floor", "type": "plane", "normal": [0, 0, 1]}
+    bodies = [ball | {"position": [0.0, 0.0, 0.2]}]
+    gravity = {"acceleration": [0.0, 0.0, -9.81]}
+    return {"run": run, "contact": numbers, "wall": [floor], "body": bodies, "gravity": gravity}
+
+
+RATE = math.sqrt(2.0 * 1e5 * (9.0 / 7.0))
+
+
+def test_step_is_chosen_by_the_contact():
+    (group,) = prepare(load(drop())).plan.groups
+    assert group.segments[0].dt == pytest.approx(0.05 / RATE)
+
+
+def test_unstable_step_is_refused_unless_allowed():
+    with pytest.raises(CaseError, match=r"above 0\.00394 s, where a contact of bodies like ball"):
+        prepare(load(drop(1.001 * 2.0 / RATE)))
+    prepare(load(drop(0.999 * 2.0 / RATE)))
+    assert prepare(load(drop(0.1, allow_unstable=True))).plan.warnings
+
+
+def test_few_steps_in_a_contact_are_worth_a_warning():
+    limit = math.pi / RATE / STEPS_PER_CONTACT
+    (warning,) = prepare(load(drop(1.1 * limit))).plan.warnings
+    assert "is taken 18 times in a contact of bodies like ball, and 20 make it accurate" in warning
+    assert not prepare(load(drop(0.9 * limit))).plan.warnings
+
+
+def test_rate_of_hertz_is_that_of_the_deepest_overlap():
+    case = drop(1e-6, law="hertz")
+    del case["contact"]["stiffness"]
+    case["material"] = [{"name": "rubber", "young": 1e7, "poisson": 0.4}]
+    (group,) = prepare(load(case)).plan.groups
+    slow = particlerb.plan.rates(prepare(load(case)).scene, group)[0]
+    case["body"][0]["velocity"] = [0.0, 0.0, -20.0]
+    (group,) = prepare(load(case)).plan.groups
+    fast = particlerb.plan.rates(prepare(load(case)).scene, group)[0]
+    fall = math.sqrt(2.0 * 9.81 * 0.2)  # the ground may be as far away as the origin
+    assert fast / slow == pytest.approx(((40.0 + fall) / fall) ** 0.2, rel=1e-12)
+
+
+@pytest.mark.compiled
+def test_body_that_could_pass_through_another_ends_the_run():
+    case = drop(1e-3, stiffness=1e3)
+    case["body"][0]["velocity"] = [150.0, 0.0, 0.0]
+    with pytest.raises(RunError, match=r"moves by 0\.15 m in a step of 0\.001 s, more than its"):
+        particlerb.run(case)
+
+
+@pytest.mark.compiled
+def test_accuracy_bounds_the_error_of_the_energy():
+    case = drop(restitution=1.0)
+    case["run"]["accuracy"] = 1e-3
+    run = particlerb.run(case)
+    assert "energy ledger" in run.parameter("plan") or run.parameter("accuracy")
+    turned_over = run.ledger.kinetic_energy.max()
+    assert np.abs(run.ledger.energy_error).max() < 1e-3 * max(turned_over, 0.981)
+
+
+def test_relaxed_bodies_hardly_overlap():
+    shape = {"type": "sphere", "radius": 0.1}
+    place = {"type": "random", "lower": [-0.6] * 3, "upper": [0.6] * 3}
+    case = drop(1e-4, relax=True)
+    case["wall"] = [{"name": "b", "type": "box", "lower": [-0.7] * 3, "upper": [0.7] * 3}]
+    case["body"] = [{"name": "s", "shape": shape, "mass": 1.0, "count": 40, "place": place}]
+    x = prepare(load(case)).scene.state.com
+    apart = np.linalg.norm(x[:, :, None] - x[:, None], axis=0) + np.eye(40)
+    assert 0.2 - 1.1e-4 < apart.min() < 0.2 + 1e-3
+    assert np.abs(x).max() < 0.6 + 1.1e-4
+    case["contact"]["relax"] = False
+    with pytest.raises(CaseError, match="bodies overlap at t = 0"):
+        prepare(load(case))
+
+
+def test_bodies_without_room_cannot_be_relaxed(monkeypatch):
+    monkeypatch.setattr("particlerb.relaxing.ROUNDS", 30)
+    shape = {"type": "sphere", "radius": 0.1}
+    place = {"type": "random", "lower": [-0.1] * 3, "upper": [0.1] * 3}
+    case = drop(1e-4, relax=True)
+    case["wall"] = [{"name": "b", "type": "box", "lower": [-0.2] * 3, "upper": [0.2] * 3}]
+    case["body"] = [{"name": "s", "shape": shape, "mass": 1.0, "count": 30, "place": place}]
+    with pytest.raises(CaseError, match="after 30 rounds of pushing them apart"):
+        prepare(load(case))
