@@ -183,6 +183,25 @@ def normal_spring(law: Law, pair: int, delta: float, r_eff: float) -> tuple[floa
 
 
 @inline
+def mean_spring(law: Law, pair: int, touch: Touch, dt: float) -> tuple[float, float]:
+    """Mean of the elastic force [N] over the step along δ + δ̇ t, and energy [J] at its middle.
+
+    Inside a contact the mean is as good as the force at the middle. In the step of the touch, and
+    in that of the release, the kink of the force would make an error of order two in the energy
+    of every collision, which depends on where in the step it lies; the mean leaves order three.
+    """
+    force, stored = normal_spring(law, pair, touch.delta, touch.r_eff)
+    half = 0.5 * abs(touch.rate) * dt
+    if touch.delta >= half or touch.delta <= -half:
+        return force, stored
+    above = touch.delta + half
+    if law.hertz is None:
+        return law.stiffness[pair] * above * above / (4.0 * half), stored
+    K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(touch.r_eff)
+    return 0.2 * K * above * above * math.sqrt(above) / half, stored
+
+
+@inline
 def damping(law: Law, pair: int, touch: Touch, dt: float) -> float:
     """Mean of c over the step [N s/m]."""
     half = 0.5 * abs(touch.rate) * dt
@@ -302,7 +321,7 @@ def contact_force(law: Law, pair: int, touch: Touch, spring: Vec3, dt: float) ->
     Load
         The sum of kinetic energy, `elastic`, ∫ `power` dt and Σ `lost` stays, to second order.
     """
-    elastic, stored = normal_spring(law, pair, touch.delta, touch.r_eff)
+    elastic, stored = mean_spring(law, pair, touch, dt)
     c = damping(law, pair, touch, dt)
     normal = elastic + c * touch.rate
     if law.attract is None:

@@ -17,7 +17,7 @@ from particlerb.contact.laws import (
     Law,
     Touch,
     contact_force,
-    normal_spring,
+    mean_spring,
     rolling_torque,
     turned_spring,
 )
@@ -215,7 +215,7 @@ def act(
     spring = add_scaled(0.5 * before, slide, spring)
     touch = Touch(delta, kept[c, BEFORE], rate, slide, m_eff, r_eff)
     load = contact_force(law, pair, touch, spring, before)
-    elastic, stored = normal_spring(law, pair, delta, r_eff)
+    elastic, stored = mean_spring(law, pair, touch, before)
     put_column(kept, c, SPRING, add_scaled(0.5 * after, slide, load.spring))
     kept[c, BEFORE] = max(delta, 0.0)
     put_column(done, c, ELASTIC, scale(-elastic, normal))
@@ -333,7 +333,8 @@ def is_near(bodies: Floats, a: int, b: int, square: float, reach: float, around:
     v = subtract(column(bodies, a, VELOCITY), column(bodies, b, VELOCITY))
     w = bodies[a, TURNING] + bodies[b, TURNING]
     far = reach + 0.25 * around * (math.sqrt(dot(v, v)) + 4.0 * w * reach)
-    return square < far * far
+    near: bool = square < far * far
+    return near
 
 
 @kernel

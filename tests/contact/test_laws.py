@@ -506,3 +506,21 @@ def test_nothing_resists_rolling_unless_asked():
     touch = Touch(0.01, 0.01, 0.0, ZERO, MASS, RADIUS)
     found = rolling_torque(None, hooke_law(), 0, touch, (1.0, 0.0, 0.0), 10.0, ZERO, 1e-3)
     assert found == laws.Resistance(ZERO, ZERO, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("law", "power"), [("hooke", 1.0), ("hertz", 1.5)])
+def test_spring_of_the_step_of_the_touch_is_the_mean_over_it(law, power):
+    """Against quadrature of K max(δ, 0)^p over δ ± half; inside a contact the middle serves."""
+    one = np.ones(1)
+    made = laws.hooke(one, one, one) if law == "hooke" else laws.hertz(0.75 * one, one, one, one)
+    rate, dt = 0.3, 0.02
+    half = 0.5 * rate * dt
+    for share in (-1.5, -0.7, 0.0, 0.2, 0.9):
+        touch = laws.Touch(share * half, 0.0, -rate, (0.0, 0.0, 0.0), 1.0, 1.0)
+        way = share * half + half * np.linspace(-1.0, 1.0, 400_001)
+        mean = np.trapezoid(np.maximum(way, 0.0) ** power, way) / (2.0 * half)
+        force, stored = laws.mean_spring(made, 0, touch, dt)
+        assert force == pytest.approx(mean, rel=1e-7, abs=1e-15)
+        assert stored == laws.normal_spring(made, 0, share * half, 1.0)[1]
+    inside = laws.Touch(1.01 * half, 0.0, -rate, (0.0, 0.0, 0.0), 1.0, 1.0)
+    assert laws.mean_spring(made, 0, inside, dt) == laws.normal_spring(made, 0, 1.01 * half, 1.0)
