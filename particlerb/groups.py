@@ -260,7 +260,7 @@ def contact_among(scene: Scene, members: Ints, bodies: Bodies, touching: Touchin
     touchable = Touchable(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia
     )
-    return Contact(touchable, motions, reach, skin)
+    return Contact(touchable, motions, reach, skin, touching.skin is not None)
 
 
 def law_of(touching: Touching) -> Law:

@@ -98,7 +98,8 @@ class Contact(NamedTuple):
     scene: Scene
     motions: Floats  # (n_walls, MOTION) numbers of `walls.Motion`
     reach: Floats  # (n_bodies,) [m] from the centre of mass to the farthest centre of a sphere
-    skin: float  # [m] pairs nearer than this are kept
+    skin: float  # [m] pairs nearer than this are kept, at first
+    is_fixed: bool  # whether the skin stays so
 
 
 class Room(NamedTuple):

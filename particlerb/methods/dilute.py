@@ -147,7 +147,7 @@ class DiluteMotion:
         touchable = scene._replace(
             spheres=spheres, inv_mass=scene.inv_mass[which], inv_inertia=inertia
         )
-        part = Contact(touchable, contact.motions, contact.reach[which], contact.skin)
+        part = Contact(touchable, contact.motions, contact.reach[which], *contact[3:])
         terms = terms_on(group.terms._replace(contact=None), which)._replace(contact=part)
         return Group(group.members[which], taken(group.bodies, which), terms), own
 

@@ -59,6 +59,10 @@ WORTH_THREADS: Final = 3e5  # ns of an evaluation from which on threads pay for 
 MOST_NUMBERS: Final = 2**31  # of spheres, or primitives of walls, in a key
 NEAR: Final = 0.1  # of the skin: pairs nearer than this stand together, first in the list
 MOST_STEPS_AHEAD: Final = 64  # for which lists are made where walls move
+TO_MAKE: Final = 4e5  # ns of new lists, roughly,
+TO_MAKE_SPHERE: Final = 150.0  # and for each sphere;
+TO_USE: Final = 6.0  # of a pair in a step
+WIDEN: Final = 1.25  # of the skin, or its narrowing
 SLACK: Final = 0.8  # of half the skin, with which lists are made anew: a frame may lie ahead
 
 
@@ -194,7 +198,7 @@ def advance_touching(  # noqa: PLR0915
     """Take a group through a schedule until its lists have to be made anew; where it is then."""
     dt, _, steps, rest, frame = schedule
     links, attraction, work, with_dashpots, y, load, _ = pairs
-    scene, motions, reach, skin = contact
+    scene, motions, reach, skin, _ = contact
     last, times, then = memory
     allowance = 0.5 * SLACK * skin
     first_stop, first_step, is_open = place
@@ -324,6 +328,7 @@ class TouchingMotion(CoupledMotion):
         y = np.vstack(state)
         self.memory = Memory(y[7:].copy(), np.array([0.0, 0.0, start, np.inf]), y.copy())
         self.origin, self.farthest = y[:3].copy(), 0.0  # [m] way of a body so far, at new lists
+        self.least_skin, self.made = contact.skin, 0.0
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
         self.keys = [keys for keys, _ in kept] or [np.zeros(0, dtype=np.int64)] * 2
         self.rows = [np.arange(keys.size) for keys in self.keys]  # of the contacts with these keys
@@ -336,6 +341,7 @@ class TouchingMotion(CoupledMotion):
 
     def make_lists(self, y: Floats) -> None:
         """Pairs that may touch until a body has moved by half the skin."""
+        self.fit_skin()
         contact, n = self.contact, y.shape[1]
         scene = contact.scene
         self.memory.then[:] = y
@@ -366,6 +372,17 @@ class TouchingMotion(CoupledMotion):
         own = incidence(body[first], body[second], n)
         outside = incidence(body[sphere], np.full(sphere.size, -1), n)
         self.lists = Lists(spheres, walls, *own, *outside)
+
+    def fit_skin(self) -> None:
+        """Widen the skin where making lists costs more than going through them, and the reverse."""
+        time, lists = float(self.memory.times[1]), self.lists
+        steps, self.made = (time - self.made) / self.dt, time
+        if self.contact.is_fixed or steps <= 0.0:
+            return
+        to_make = TO_MAKE + TO_MAKE_SPHERE * self.numbers.size
+        to_use = TO_USE * (lists.spheres.first.size + lists.walls.first.size) * steps
+        factor = WIDEN if to_make > to_use else 1.0 / WIDEN
+        self.contact = self.contact._replace(skin=max(self.contact.skin * factor, self.least_skin))
 
     def refuse_tunnelling(self, y: Floats) -> None:
         """Raise MotionError where a body moves by more than its own radius in a step."""

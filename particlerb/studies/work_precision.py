@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import Frames, omega_world
+from particlerb.bodies.state import Frames, as_frame, omega_world
 from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
 from particlerb.maths.vec3 import Ints
@@ -34,6 +34,7 @@ MOST_REPEATS: Final = 41
 FILLED: Final = 0.02  # s that the repeats of a short run should fill: longer than a time slice
 LOST: Final = 1.0  # rad: an orientation that is off by more says nothing
 FIRST_TURN: Final = 20.0  # rad of the longest step that is tried: a drift in closed form bears it
+FIRST_TOUCH: Final = 1.0  # rad of the fastest contact in the longest step: 2 is the limit
 SAMPLED: Final = 8  # packs of sixteen bodies that are judged
 WAYPOINTS: Final = 32  # times at which the way of a body is summed up
 COARSEST_TOLERANCE: Final = 1e-3
@@ -133,11 +134,12 @@ def chart(
     THREADS.use(1)
     try:
         study = Study(case, wanted, budget)
-        curves = len(names) + sum(len(engine.variants) for engine in rivals)
+        reasons = {name: study.refusal(name) for name in names}
+        curves = sum(not reason for reason in reasons.values())
+        curves += sum(len(engine.variants) for engine in rivals)
         points, left_out = [], []
-        share = (1.0 - REFERENCE_SHARE) * budget / curves
-        for name in names:
-            reason = study.refusal(name)
+        share = (1.0 - REFERENCE_SHARE) * budget / max(curves, 1)
+        for name, reason in reasons.items():
             if reason:
                 left_out.append((name, reason))
             else:
@@ -209,7 +211,7 @@ class Study:
     def refusal(self, method: str) -> str:
         """Why a method cannot run the case; empty where it can."""
         try:
-            self.plan(method, self.case.run.t_end)
+            self.plan(method, self.first_step())
         except CaseError as error:
             problem = error.problems[0]
             return str(getattr(problem, "reason", problem))
@@ -235,7 +237,7 @@ class Study:
             floor = ROUNDING * max(1.0, turn * self.case.run.t_end)
             return Reference(self.states("auto", None), "the closed form", floor)
         if self.by_energy:
-            frames = self.states("auto", self.first_step())
+            frames = as_frame(self.scene.bodies, self.scene.state)  # nothing is compared with it
             return Reference(frames, "the ledger: of the energy over what is turned over", ROUNDING)
         oracle = self.states("dop853", FINEST_TOLERANCE)
         second = "rk4" if self.refusal("rkn6") else "rkn6"
@@ -256,7 +258,8 @@ class Study:
     def first_step(self) -> float:
         """Longest step that is worth a trial [s]."""
         t_end = self.case.run.t_end
-        return min(FIRST_TURN / self.rate, 0.5 * t_end) if self.rate > 0.0 else 0.5 * t_end
+        first = FIRST_TURN if not self.by_energy else FIRST_TOUCH
+        return min(first / self.rate, 0.5 * t_end) if self.rate > 0.0 else 0.5 * t_end
 
     def ladder(self, method: str) -> Iterator[float]:
         """Ever shorter steps, or smaller tolerances, that one would write down."""
