@@ -365,8 +365,9 @@ def touch_walls(
         delta = radius - distance
         normal = scale(-1.0 / distance, gap) if distance > 0.0 else (0.0, 0.0, 1.0)
         point = add_scaled(radius - 0.5 * delta, normal, x)
-        relative = subtract(velocity(bodies, a, point), moving)
         omega = column(poses, scene.walls.wall[primitive], 10)
+        moving = add_scaled(1.0, cross(omega, add_scaled(1.0, gap, subtract(point, x))), moving)
+        relative = subtract(velocity(bodies, a, point), moving)
         turning = subtract(column(bodies, a, SPIN), omega)
         if delta <= -0.25 * (before + after) * abs(dot(relative, normal)):
             if contacts.acts[c]:
@@ -418,12 +419,14 @@ def collect(
         x = column(bodies, b, COM)
         F, tau, rest, turning = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         world, about, power = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
+        is_touched, is_held = False, False  # most rows of loads are left alone
         for k in range(offset[b], offset[b + 1]):
             c, sign = entry[k], 1.0
             if c < 0:
                 c, sign = ~c, -1.0
             if not acts[c]:
                 continue
+            is_touched = True
             elastic, other = column(done, c, ELASTIC), column(done, c, REST)
             point = column(done, c, POINT)
             arm = subtract(point, x)
@@ -437,15 +440,21 @@ def collect(
                 partner = body[seconds[c]] if sign > 0.0 else body[firsts[c]]
                 outside = bodies[partner, INV_MASS] == 0.0
             if outside:
+                is_held = True
                 both = add_scaled(1.0, elastic, other)
                 world = add_scaled(sign, both, world)
                 about = add_scaled(sign, add_scaled(1.0, twist, cross(point, both)), about)
                 power += done[c, DRIVEN]
+        if not is_touched:
+            continue
         for k in range(3):
             load[FORCE + k, b] += F[k]
             load[TORQUE + k, b] += tau[k]
             load[OTHER + k, b] += rest[k]
             load[OTHER + 3 + k, b] += turning[k]
+        if not is_held:
+            continue
+        for k in range(3):
             load[OUTSIDE + k, b] += world[k]
             load[OUTSIDE + 3 + k, b] += about[k]
         load[POWER, b] += power

@@ -17,6 +17,7 @@ import numpy as np
 from particlerb._jit import inline, kernel, kernel_from
 from particlerb.bodies.state import Frames, State
 from particlerb.contact.loads import (
+    BEFORE,
     BODY_COLUMNS,
     DONE,
     POSE,
@@ -55,7 +56,7 @@ from particlerb.threads import THREADS
 
 CONTACT_WORK: Final = 4  # body-steps that a contact takes as long as
 NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
-WORTH_THREADS: Final = 3e5  # ns of an evaluation from which on threads pay for their start
+WORTH_THREADS: Final = 1e7  # ns of an evaluation from which on threads pay for their start
 MOST_NUMBERS: Final = 2**31  # of spheres, or primitives of walls, in a key
 NEAR: Final = 0.1  # of the skin: pairs nearer than this stand together, first in the list
 MOST_STEPS_AHEAD: Final = 64  # for which lists are made where walls move
@@ -173,6 +174,13 @@ def copied(source: Floats, target: Floats) -> None:
             target[i, k] = source[i, k]
 
 
+@inline
+def recall(contacts: Contacts) -> None:
+    """Let contacts that keep something act, so that they forget it where they have ended."""
+    for c in range(contacts.acts.size):
+        contacts.acts[c] = contacts.acts[c] or contacts.kept[c, BEFORE] > 0.0
+
+
 EDGE: Final = 0.5
 
 
@@ -251,6 +259,8 @@ def advance_touching(  # noqa: PLR0915
             copied(saved[1], last)
             copied(saved[2], lists.spheres.kept)
             copied(saved[3], lists.walls.kept)
+            recall(lists.spheres)
+            recall(lists.walls)
             times[0], is_open = kicked, was_open
     return steps.size, 0, is_open
 
@@ -419,7 +429,7 @@ class TouchingMotion(CoupledMotion):
         self.rows[which] = np.empty_like(order)
         self.rows[which][order] = np.arange(order.size)
         first, second, kept = first[order], second[order], kept[order]
-        done, acts = np.zeros((first.size, DONE)), np.zeros(first.size, dtype=np.bool_)
+        done, acts = np.zeros((first.size, DONE)), kept[:, BEFORE] > 0.0
         return Contacts(first, second, kept, done, acts)
 
     def what_is_kept(self) -> Kept:
