@@ -1,8 +1,8 @@
 """The command line: exit codes, messages, what goes to which stream, what is left on disk."""
 
-import re
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
