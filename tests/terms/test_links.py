@@ -7,14 +7,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import particlerb
+from particlerb.bodies.load import FORCE, LOAD_ROWS, OUTSIDE, POWER, TORQUE
 from particlerb.case.problems import CaseError
 from particlerb.cli import main
 from particlerb.terms.links import (
-    FORCE,
-    LOAD_ROWS,
-    OUTSIDE,
-    POWER,
-    TORQUE,
     WORLD,
     Links,
     damp_links,
