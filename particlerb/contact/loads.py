@@ -215,8 +215,9 @@ def act(
     spring = turned_spring(column(kept, c, SPRING), normal)
     spring = add_scaled(0.5 * before, slide, spring)
     touch = Touch(delta, kept[c, BEFORE], rate, slide, m_eff, r_eff)
-    load = contact_force(law, pair, touch, spring, before)
-    elastic, stored = mean_spring(law, pair, touch, before)
+    step = before if before > 0.0 else after  # a kick at rest stands for half of the same step
+    load = contact_force(law, pair, touch, spring, step)
+    elastic, stored = mean_spring(law, pair, touch, step)
     put_column(kept, c, SPRING, add_scaled(0.5 * after, slide, load.spring))
     kept[c, BEFORE] = max(delta, 0.0)
     put_column(done, c, ELASTIC, scale(-elastic, normal))

@@ -27,8 +27,17 @@ TESTS = Path(__file__).parents[1]
 CASES = TESTS.parent / "cases"
 MANY_STEPS = (
     "binary_asteroid",
+    "bouncing",
+    "clump_drop",
+    "dominoes",
+    "heap",
     "heavy_top",
+    "incline",
     "kepler",
+    "mixer",
+    "newtons_cradle",
+    "rocking_block",
+    "slide_to_roll",
     "spinning_tops",
     "spring_net",
     "ten_thousand_clumps",

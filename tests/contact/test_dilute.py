@@ -32,8 +32,9 @@ def test_bodies_fly_as_they_are_stepped(monkeypatch):
     monkeypatch.setattr(dilute, "LEAST_BODIES", 10**9)
     stepped = particlerb.run(gas(4))
     assert (np.abs(np.diff(stepped.linear_momentum, axis=0)) > 0.1).any()  # some have met
-    np.testing.assert_allclose(flown.position, stepped.position, atol=2e-7)
-    np.testing.assert_allclose(flown.orientation, stepped.orientation, atol=2e-6)
+    # an interval that begins within a step of a touch knows the velocity there a little better
+    np.testing.assert_allclose(flown.position, stepped.position, atol=2e-5)
+    np.testing.assert_allclose(flown.orientation, stepped.orientation, atol=1e-4)
     assert np.abs(flown.ledger.energy_error).max() < 1e-4 * flown.ledger.kinetic_energy[0]
 
 
