@@ -8,6 +8,7 @@ import pytest
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
+from particlerb.contact.restitution import damping_ratio
 from particlerb.plan import STEPS_PER_CONTACT
 from particlerb.simulate import RunError, prepare
 
@@ -33,8 +34,13 @@ def test_step_is_chosen_by_the_contact():
 
 def test_unstable_step_is_refused_unless_allowed():
     with pytest.raises(CaseError, match=r"above 0\.00394 s, where a contact of bodies like ball"):
-        prepare(load(drop(1.001 * 2.0 / RATE)))
-    prepare(load(drop(0.999 * 2.0 / RATE)))
+        prepare(load(drop(1.001 * 2.0 / RATE, restitution=1.0)))
+    prepare(load(drop(0.999 * 2.0 / RATE, restitution=1.0)))
+    ratio = damping_ratio(0.5, attract=False)
+    damped = (math.sqrt(16.0 * ratio**2 + 4.0) - 4.0 * ratio) / RATE
+    with pytest.raises(CaseError, match="grows without bound"):
+        prepare(load(drop(1.001 * damped)))
+    prepare(load(drop(0.999 * damped)))
     assert prepare(load(drop(0.1, allow_unstable=True))).plan.warnings
 
 
