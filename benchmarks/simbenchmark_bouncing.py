@@ -2,10 +2,15 @@
 
     python benchmarks/simbenchmark_bouncing.py [--picture docs/bouncing.png]
 
-Elastic balls of 10 kg fall from 5 m and bounce for 20 s (cases/bouncing.toml; one ball here, since
-all are alike). SimBenchmark counts the mean over time of the squared error of the energy of a ball.
+Elastic balls of 10 kg fall from 5 m and bounce for 20 s (cases/bouncing.toml). SimBenchmark counts
+the mean over time of the squared error of the energy of all 49 balls together, as its figures for
+ODE show: 49² (m g h/2)² v²/3 with v = 9.8 m/s, what semi-implicit Euler does in free fall, is
+0.0185 J² at h = 1e-5 s. All balls are alike, so one is run here and counts 49 times.
+
 Its data are in tests/reference/simbenchmark_bouncing.csv; where an engine has several solvers, the
 best is drawn. Ours is the penalty method with three stiffnesses: the energy of the spring counts.
+Of order two like RaiSim's, it lies above: what is counted arises within a bounce, where the energy
+of a splitting swings by (ω h)²/24 of itself and which an event without duration does not have.
 """
 
 import argparse
@@ -21,6 +26,7 @@ from particlerb.studies.charts.style import COLOURS, GRID, INK, bare
 PUBLISHED = Path(__file__).parents[1] / "tests" / "reference" / "simbenchmark_bouncing.csv"
 STEPS = (4e-3, 2e-3, 1e-3, 4e-4, 2e-4, 1e-4, 4e-5, 2e-5, 1e-5)  # s
 STIFFNESSES = (1e5, 1e6, 1e7)  # N/m
+BALLS = 49  # all alike
 LEAST = 10.0  # steps in a bounce
 
 
@@ -35,7 +41,7 @@ def published() -> dict[str, dict[float, float]]:
 
 
 def ours(stiffness: float, step: float) -> float:
-    """Error of a ball that is given the spring of this stiffness [J²]."""
+    """Error of all balls with a spring of this stiffness [J²]."""
     ball = {"name": "ball", "shape": {"type": "sphere", "radius": 0.1}, "mass": 10.0}
     contact = {"stiffness": stiffness, "restitution": 1.0, "friction": 0.8}
     case = {
@@ -46,7 +52,7 @@ def ours(stiffness: float, step: float) -> float:
         "body": [ball | {"position": [0.0, 0.0, 5.0]}],
     }
     with particlerb.run(case) as run:
-        return float(np.mean(run.ledger.energy_error**2))
+        return float(np.mean((BALLS * run.ledger.energy_error) ** 2))
 
 
 def main() -> None:
@@ -83,7 +89,7 @@ def draw(curves: dict[float, dict[float, float]], path: Path) -> None:
     axes.set_xlabel("step [s]")
     axes.set_ylabel("mean squared error of the energy [J²]   (better below)")
     axes.set_title(
-        "SimBenchmark's bouncing ball: 490 J for 20 s; grey as published",
+        "SimBenchmark's 49 bouncing balls: 24 kJ for 20 s; grey as published",
         loc="left", color=INK, fontsize=12,
     )  # fmt: skip
     axes.grid(color=GRID, lw=0.6)

@@ -299,6 +299,33 @@ def stages_of(
     return Stages(compiled, spread, count, edge, flows, here, move_all)
 
 
+@inline
+def step(
+    acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
+) -> None:
+    """Advance a block by dt; stands for the step of a method."""
+    raise NotImplementedError
+
+
+def whole_step(
+    k: int,
+    is_asymmetric: bool,
+    acting: Acting,
+    books: int | None,
+    rows: Floats,
+    n: int,
+    opening: float,
+    dt: float,
+) -> None:
+    """Stage of a method that has one; `kernel_from` puts its step in."""
+    step(acting, books, rows, n, opening, dt)
+
+
+def one_stage(name: str, step: Callable[..., None], edge: float, flows: bool) -> Stages:
+    """Kernels of a method that evaluates the forces once, from its step in `stepped`."""
+    return stages_of(name, kernel_from(whole_step, f"{name}_whole", step=step), 1, edge, flows)
+
+
 def move_here(
     blocks: Floats,
     layout: Layout,

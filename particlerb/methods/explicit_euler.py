@@ -13,7 +13,7 @@ from particlerb.bodies.state import State
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import Floats, add_scaled, cross, multiplied3
 from particlerb.methods.booking import book
-from particlerb.methods.coupled import CoupledMotion, stages_of
+from particlerb.methods.coupled import CoupledMotion, one_stage
 from particlerb.methods.motion import Group
 from particlerb.methods.rates import Pose, add_pose, on_sphere, pose, put_pose, slopes
 from particlerb.methods.stepped import SteppedMotion, advance_blocks
@@ -51,23 +51,8 @@ def step(
         book(books, rows, b, dt, entry)
 
 
-@inline
-def stage(
-    k: int,
-    is_asymmetric: bool,
-    acting: Acting,
-    books: int | None,
-    rows: Floats,
-    n: int,
-    opening: float,
-    dt: float,
-) -> None:
-    """The same where bodies act on each other: one stage."""
-    step(acting, books, rows, n, opening, dt)
-
-
 advance = kernel_from(advance_blocks, "explicit_euler", step=step, EDGE=0.0)
-together = stages_of("explicit_euler", stage, 1, 0.0, flows=False)
+together = one_stage("explicit_euler", step, 0.0, flows=False)
 
 
 def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> SteppedMotion:

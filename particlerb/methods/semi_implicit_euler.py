@@ -31,7 +31,7 @@ from particlerb.maths.vec3 import (
     scale,
 )
 from particlerb.methods.booking import book, kick_entry
-from particlerb.methods.coupled import CoupledMotion, stages_of
+from particlerb.methods.coupled import CoupledMotion, one_stage
 from particlerb.methods.motion import Group
 from particlerb.methods.rates import Pose, pose, put_pose
 from particlerb.methods.stepped import SteppedMotion, advance_blocks
@@ -98,23 +98,8 @@ def step(
         put_pose(rows, b, Pose(x, q, p, turn(matrix(q), m)))
 
 
-@inline
-def stage(
-    k: int,
-    is_asymmetric: bool,
-    acting: Acting,
-    books: int | None,
-    rows: Floats,
-    n: int,
-    opening: float,
-    dt: float,
-) -> None:
-    """The same where bodies act on each other: one stage."""
-    step(acting, books, rows, n, opening, dt)
-
-
 advance = kernel_from(advance_blocks, "semi_implicit_euler", step=step, EDGE=0.0)
-together = stages_of("semi_implicit_euler", stage, 1, 0.0, flows=False)
+together = one_stage("semi_implicit_euler", step, 0.0, flows=False)
 
 
 def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> SteppedMotion:

@@ -14,7 +14,7 @@ from particlerb.bodies.block import COM, INV_INERTIA, INV_MASS, Q, get, get3, ge
 from particlerb.bodies.state import State
 from particlerb.maths.quaternion import turn_back
 from particlerb.maths.vec3 import Floats, add_scaled
-from particlerb.methods.coupled import CoupledMotion, stages_of
+from particlerb.methods.coupled import CoupledMotion, one_stage
 from particlerb.methods.dilute import DiluteMotion, can_fly
 from particlerb.methods.motion import Group, Motion
 from particlerb.methods.splitting import kick
@@ -53,23 +53,8 @@ def step(
         put4(rows, Q, b, symmetric_split(q, turn_back(R, L), get3(rows, INV_INERTIA, b), dt))
 
 
-@inline
-def stage(
-    k: int,
-    is_asymmetric: bool,
-    acting: Acting,
-    books: int | None,
-    rows: Floats,
-    n: int,
-    opening: float,
-    dt: float,
-) -> None:
-    """The same where bodies act on each other: one stage."""
-    step(acting, books, rows, n, opening, dt)
-
-
 advance = kernel_from(advance_blocks, "strang", step=step, EDGE=EDGE)
-together = stages_of("strang", stage, 1, EDGE, flows=True)
+together = one_stage("strang", step, EDGE, flows=True)
 touching = kernels_of("strang", together)
 
 

@@ -2,7 +2,7 @@
 
 A term that does not act is None: None is a type, so Numba leaves its code out while compiling.
 Forces between bodies reach a kernel as a load in the rows PAIR, which `methods.pair_forces` fills
-before each kick; links and attraction therefore cost nothing where no body touches another.
+before each kick; links, attraction and contact cost nothing where no body acts on another.
 """
 
 from typing import Final, NamedTuple, TypeAlias
