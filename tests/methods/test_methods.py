@@ -8,6 +8,7 @@ import pytest
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.methods import METHODS, stepped
+from particlerb.methods.stepped import grid_position
 from particlerb.simulate import RunError
 from particlerb.threads import BLOCK
 
@@ -346,3 +347,13 @@ def test_forces_that_start_and_stop_and_impulses_within_against_an_integration(m
 
 def no_force(t, R):
     return np.zeros(3), np.zeros(3)
+
+
+def test_whole_steps_late_in_a_run_are_whole():
+    """0.164 s - 0.1568 s is 36 steps of 0.2 ms, but for the rounding of the two times."""
+    elapsed = np.array([0.164 - 0.1568, 1000.1 - 1000.0])
+    assert elapsed[0] != 36 * 2e-4
+    for k, (dt, start, steps) in enumerate([(2e-4, 0.1568, 36), (1e-3, 1000.0, 100)]):
+        whole, rest = grid_position(elapsed[k : k + 1], dt, start)
+        assert whole[0] == steps
+        assert rest[0] == 0.0
