@@ -2,21 +2,17 @@
 
 A *kind* is one distinct set of particles. Many equal bodies share one kind, so that its mass
 properties are summed once; bodies refer to kinds by index. `Particles` first, then what joins and
-checks and moves sets, then the CSV reader. Nothing here knows of shapes, tensors or motion.
+checks and moves sets. Nothing here knows of shapes, tensors or motion.
 """
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from particlerb.maths.vec3 import Bools, Floats, Ints
-
-REQUIRED_COLUMNS = ("x", "y", "z", "m")
-OPTIONAL_COLUMN = "r"
 
 
 class Particles(NamedTuple):
@@ -172,71 +168,3 @@ def scaled_to_mass(particles: Particles, mass: ArrayLike) -> Particles:
         raise ValueError(f"kind {int(np.argmin(total > 0.0))} has no mass to scale")
     share = particles.mass / np.repeat(total, np.diff(particles.offset))
     return particles._replace(mass=share * np.repeat(wanted, np.diff(particles.offset)))
-
-
-def read_csv(path: str | Path) -> Particles:
-    """Particles of one kind from a file with the columns x, y, z, m and optionally r.
-
-    The first line that is neither blank nor a comment is the header, in any order of columns;
-    values are separated by commas; what follows a # is a comment.
-
-    Parameters
-    ----------
-    path : path of the file
-        x, y, z, r in metres, m in kilograms.
-
-    Returns
-    -------
-    Particles
-        One kind, in the order of the lines.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        With file, line and reason: a missing, unknown or repeated column, a wrong number of
-        values, no number, a number not finite, a negative mass or radius, no rows.
-    """
-    text = Path(path).read_text(encoding="utf-8-sig")
-    stripped = ((n, line.partition("#")[0].strip()) for n, line in enumerate(text.splitlines(), 1))
-    lines = [(n, [cell.strip() for cell in line.split(",")]) for n, line in stripped if line]
-    if not lines:
-        raise ValueError(f"{path}: empty; expected the header {', '.join(REQUIRED_COLUMNS)}")
-    names = header(lines[0][1], f"{path}:{lines[0][0]}")
-    if len(lines) == 1:
-        raise ValueError(f"{path}:{lines[0][0]}: no particles below the header")
-    table = np.array([row(cells, names, f"{path}:{n}") for n, cells in lines[1:]])
-    column = dict(zip(names, table.T, strict=True))
-    xyz = np.stack([column["x"], column["y"], column["z"]], axis=1)
-    return one_kind(xyz, column["m"], column.get(OPTIONAL_COLUMN))
-
-
-def header(cells: Sequence[str], where: str) -> list[str]:
-    """Names of the columns in lower case; ValueError for a missing, unknown or repeated one."""
-    names = [cell.lower() for cell in cells]
-    if missing := [name for name in REQUIRED_COLUMNS if name not in names]:
-        raise ValueError(f"{where}: column {', '.join(missing)} is missing; found {names}")
-    if unknown := [name for name in names if name not in (*REQUIRED_COLUMNS, OPTIONAL_COLUMN)]:
-        raise ValueError(f"{where}: unknown column {unknown[0]!r}; known are x, y, z, m, r")
-    if len(set(names)) < len(names):
-        raise ValueError(f"{where}: a column is given twice: {names}")
-    return names
-
-
-def row(cells: Sequence[str], names: Sequence[str], where: str) -> list[float]:
-    """Numbers of one line in the order of the header; ValueError says what is wrong with which."""
-    if len(cells) != len(names):
-        raise ValueError(f"{where}: {len(cells)} values for the {len(names)} columns {names}")
-    values = []
-    for name, cell in zip(names, cells, strict=True):
-        try:
-            value = float(cell)
-        except ValueError:
-            raise ValueError(f"{where}: {name} = {cell!r} is not a number") from None
-        if not math.isfinite(value):
-            raise ValueError(f"{where}: {name} = {cell} is not finite")
-        if name in {"m", OPTIONAL_COLUMN} and value < 0.0:
-            raise ValueError(f"{where}: {name} = {cell} is negative")
-        values.append(value)
-    return values

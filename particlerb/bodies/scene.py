@@ -12,15 +12,16 @@ import numpy as np
 
 from particlerb.bodies import shapes
 from particlerb.bodies.bodies import Bodies, bodies_of_kind
+from particlerb.bodies.files import read_points, read_spheres
 from particlerb.bodies.mass_properties import MassProperties, mass_properties
 from particlerb.bodies.particles import (
     Particles,
     concatenate,
-    read_csv,
     scaled_to_mass,
     transformed,
     united,
 )
+from particlerb.bodies.spheres import spheres
 from particlerb.bodies.state import State, initial_state, turned
 from particlerb.case.placement import (
     Placement,
@@ -32,7 +33,7 @@ from particlerb.case.placement import (
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Body, Case, Euler, Part, Spread
-from particlerb.case.shapes import AnyShape, Cloud, Points
+from particlerb.case.shapes import AnyShape, Cloud, Points, Spheres
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import POINT, ROD
 
@@ -132,10 +133,12 @@ def shape_particles(
     """Particles of a shape in its own axes."""
     if isinstance(shape, Points):
         if shape.file is not None:
-            particles = read_csv(case.file(shape.file))
+            particles = read_points(case.file(shape.file))
         else:
             particles = shapes.points(shape.position or (), shape.mass or (), shape.radius)
         return particles if mass is None else scaled_to_mass(particles, mass)
+    if isinstance(shape, Spheres):
+        return spheres(*spheres_of(case, shape), mass, density, shape.overlap)
     parameters = shape.model_dump(exclude={"type", "arrangement"})
     if getattr(shape, "arrangement", "lattice") == "exact":
         parameters["exact"] = True
@@ -144,6 +147,14 @@ def shape_particles(
     particles_of = getattr(shapes, shape.type)
     made: Particles = particles_of(mass=mass, **parameters)
     return made
+
+
+def spheres_of(case: Case, shape: Spheres) -> tuple[Floats, Floats]:
+    """Centres (n, 3) and radii (n,) [m] of a shape."""
+    if shape.file is None:
+        return np.array(shape.position), np.array(shape.radius)
+    position, radius = read_spheres(case.file(shape.file))
+    return position * shape.scale, radius * shape.scale
 
 
 def kinds_of_bodies(case: Case, placement: Placement, first_kind: Ints) -> Ints:

@@ -305,11 +305,11 @@ def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
 
 
 def is_massless(table: Any) -> bool:
-    """Whether a part only touches: a sphere of mass 0, or points that have none."""
+    """Whether a part only touches: spheres of mass 0, or points that have none."""
     shape = table.get("shape") if isinstance(table, dict) else None
     if not isinstance(shape, dict):
         return False
-    if shape.get("type") == "sphere":
+    if shape.get("type") in ("sphere", "spheres"):
         return number(table, "mass") == 0.0
     masses = shape.get("mass") if shape.get("type") == "points" else None
     listed = masses if isinstance(masses, list) else [masses]
@@ -331,9 +331,9 @@ def mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
         yield (*path, "density"), "given beside mass", "give one of `mass` and `density`"
     elif allowed and not given(table, "mass") and not given(table, "density"):
         yield (*path, "mass"), "missing", f"give {' or '.join(f'`{key}`' for key in allowed)}"
-    elif "part" in path and number(table, "mass") == 0.0 and kind != "sphere":
+    elif "part" in path and number(table, "mass") == 0.0 and kind not in ("sphere", "spheres"):
         hint = "give `mass = 0` among the points" if kind == "points" else ""
-        yield (*path, "mass"), "must be > 0 for all but a sphere, got 0", hint
+        yield (*path, "mass"), "must be > 0 for all but spheres, got 0", hint
 
 
 def many_bodies(path: Path, body: dict[str, Any]) -> Iterator[Finding]:

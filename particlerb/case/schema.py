@@ -234,7 +234,7 @@ class Part(Table):
 
     shape: Shape = Field(description="Table with `type` and the shape's keys. [-]")
     mass: NonNegative | None = Field(
-        None, description="Mass; this or density; 0 for a sphere that only touches. [kg]"
+        None, description="Mass; this or density; 0 for spheres that only touch. [kg]"
     )
     density: Positive | None = Field(None, description="Density; this or mass. [kg/m³]")
     position: Vector = Field(ORIGIN, description="Of the shape's origin, in the body's axes. [m]")

@@ -167,6 +167,42 @@ Each = Annotated[
 ]
 
 
+PositiveEach = Annotated[
+    tuple[Positive, ...],
+    BeforeValidator(for_each, Positive | tuple[Positive, ...]),
+]
+
+
+def repeated_for_each(raw: Any, keys: tuple[str, ...]) -> Any:
+    """Data of a shape in which a single number has become one for each position."""
+    position = raw.get("position") if isinstance(raw, Mapping) else None
+    if not isinstance(position, (list, tuple)):
+        return raw
+    single = {
+        key: [raw[key]] * len(position)
+        for key in keys
+        if isinstance(raw.get(key), (int, float, str))
+    }
+    return {**raw, **single}
+
+
+def is_in_file(shape: "Points | Spheres", lists: tuple[str, ...]) -> bool:
+    """Whether particles come from a file; then no list is given beside it."""
+    if shape.file is None:
+        return False
+    for key in lists:
+        if getattr(shape, key) is not None:
+            raise broken("particles come from `file` or from lists, not both", key)
+    return True
+
+
+def require_length(shape: "Points | Spheres", key: str, length: int) -> None:
+    """Require as many entries as there are positions."""
+    entries = getattr(shape, key)
+    if entries is not None and len(entries) != length:
+        raise broken(f"must have {length} entries like position, has {len(entries)}", key)
+
+
 class Points(Table):
     """Particles given one by one, here or in a CSV file; their masses are the body's."""
 
@@ -180,45 +216,43 @@ class Points(Table):
         None, description="Radii, or that of every particle; 0 is a point mass. [m]"
     )
     file: Name | None = Field(
-        None, description="CSV file with columns x, y, z, m and optionally r. [m, kg]"
+        None, description="Text or CSV file with columns x, y, z, m and optionally r. [m, kg]"
     )
 
     @model_validator(mode="before")
     @classmethod
     def repeats_numbers(cls, raw: Any) -> Any:
         """One mass or radius for all particles, as a list."""
-        position = raw.get("position") if isinstance(raw, Mapping) else None
-        if not isinstance(position, (list, tuple)):
-            return raw
-        single = {
-            key: [raw[key]] * len(position)
-            for key in ("mass", "radius")
-            if isinstance(raw.get(key), (int, float, str))
-        }
-        return {**raw, **single}
+        return repeated_for_each(raw, ("mass", "radius"))
 
     @model_validator(mode="after")
     def has_one_source(self) -> Self:
         """Require either lists of equal length with a positive total mass, or a file."""
-        if self.file is not None:
-            for key in ("position", "mass", "radius"):
-                if getattr(self, key) is not None:
-                    raise broken("particles come from `file` or from lists, not both", key)
+        if is_in_file(self, ("position", "mass", "radius")):
             return self
         if not self.position:
             raise broken("has no particles", "position", "give `position` and `mass`, or a `file`")
+        if self.mass is None:
+            raise broken("particles need a mass each", "mass")
         for key in ("mass", "radius"):
-            self.check_length(key, len(self.position))
+            require_length(self, key, len(self.position))
         self.check_masses()
+        self.check_places()
         return self
 
-    def check_length(self, key: str, length: int) -> None:
-        """Require as many entries as there are positions."""
-        entries = getattr(self, key)
-        if entries is None and key == "mass":
-            raise broken("particles need a mass each", "mass")
-        if entries is not None and len(entries) != length:
-            raise broken(f"must have {length} entries like position, has {len(entries)}", key)
+    def check_places(self) -> None:
+        """Require different places of all masses, and of all balls."""
+        n = len(self.position or ())
+        for values in (self.mass or (), self.radius or ()):
+            first: dict[Any, int] = {}
+            for i in range(n):
+                place = (self.position or ())[i]
+                if i < len(values) and values[i] > 0 and first.setdefault(place, i) != i:
+                    raise broken(
+                        f"particles {first[place]} and {i} are both at {list(place)}",
+                        "position",
+                        "leave one out, or give one the mass of both",
+                    )
 
     def check_masses(self) -> None:
         """Require of a particle without mass that it has a radius."""
@@ -227,6 +261,42 @@ class Points(Table):
         for i, (m, r) in enumerate(zip(mass, radius, strict=True)):
             if m == 0 and r == 0:
                 raise broken(f"particle {i} has neither mass nor radius", "mass")
+
+
+class Spheres(Table):
+    """Union of overlapping spheres of uniform matter, given here or in a file."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: Literal["spheres"] = Field(description=KIND)
+    position: tuple[Vector, ...] | None = Field(None, description="Centres in the body's axes. [m]")
+    radius: PositiveEach | None = Field(None, description="Radii, or that of every sphere. [m]")
+    file: Name | None = Field(
+        None, description="Text or CSV file with columns x, y, z, r. [m / scale]"
+    )
+    scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
+    overlap: Literal["exact", "sum", "error"] = Field(
+        "exact", description="Matter in several spheres counts once, in each, or is an error. [-]"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def repeats_numbers(cls, raw: Any) -> Any:
+        """One radius for all spheres, as a list."""
+        return repeated_for_each(raw, ("radius",))
+
+    @model_validator(mode="after")
+    def has_one_source(self) -> Self:
+        """Require either lists of equal length, or a file."""
+        if is_in_file(self, ("position", "radius")):
+            return self
+        if not self.position:
+            raise broken("has no spheres", "position", "give `position` and `radius`, or a `file`")
+        if self.radius is None:
+            raise broken("spheres need a radius each", "radius")
+        if "scale" in self.model_fields_set:
+            raise broken("is for spheres from a `file`", "scale", "positions and radii are in m")
+        require_length(self, "radius", len(self.position))
+        return self
 
 
 class Moments(Table):
@@ -265,7 +335,7 @@ def require_smaller(inner_radius: float, radius: float) -> None:
 
 AnyShape = (
     Box | Ball | Shell | Cylinder | Cone | Torus | Ellipsoid | Tetrahedron | Rod | Sphere
-    | Points | Moments | Cloud
+    | Points | Spheres | Moments | Cloud
 )  # fmt: skip
 Shape = Annotated[AnyShape, Field(discriminator="type")]
 SHAPES: dict[str, type[Table]] = {
@@ -280,6 +350,7 @@ SHAPES: dict[str, type[Table]] = {
     "rod": Rod,
     "sphere": Sphere,
     "points": Points,
+    "spheres": Spheres,
     "moments": Moments,
     "cloud": Cloud,
 }

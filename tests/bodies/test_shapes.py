@@ -13,11 +13,11 @@ import pytest
 
 from particlerb._jit import CACHE_FOLDER
 from particlerb.bodies import shapes
+from particlerb.bodies.files import read_points
 from particlerb.bodies.mass_properties import mass_properties
 from particlerb.bodies.particles import (
     concatenate,
     one_kind,
-    read_csv,
     scaled_to_mass,
     transformed,
     united,
@@ -334,7 +334,7 @@ def test_scaled_to_mass_keeps_proportions_of_each_kind():
 def test_csv_columns_come_in_any_order(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("# made by hand\n\n M, z ,x,y, r\n1,3,1,2,0.5 # first\n\n2e-3, 6,4,5,0\n")
-    particles = read_csv(path)
+    particles = read_points(path)
     assert particles.position.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert particles.mass.tolist() == [1, 2e-3]
     assert particles.radius.tolist() == [0.5, 0]
@@ -343,7 +343,7 @@ def test_csv_columns_come_in_any_order(tmp_path):
 def test_csv_without_radius_holds_points(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("x,y,z,m\n1,2,3,4", encoding="utf-8-sig")
-    assert read_csv(str(path)).radius.tolist() == [0.0]
+    assert read_points(str(path)).radius.tolist() == [0.0]
 
 
 @pytest.mark.parametrize(
@@ -368,12 +368,12 @@ def test_csv_errors_say_file_line_and_reason(tmp_path, text, message):
     path = tmp_path / "a.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
-        read_csv(path)
+        read_points(path)
 
 
 def test_csv_that_does_not_exist(tmp_path):
     with pytest.raises(FileNotFoundError):
-        read_csv(tmp_path / "none.csv")
+        read_points(tmp_path / "none.csv")
 
 
 @pytest.mark.parametrize(

@@ -1049,13 +1049,13 @@ MASSLESS = [
     (
         'shape = { type = "box", size = [1, 1, 1] }\nmass = 0',
         "part[1].mass",
-        "must be > 0 for all but a sphere, got 0",
+        "must be > 0 for all but spheres, got 0",
         "",
     ),
     (
         'shape = { type = "points", position = [[0, 0, 0]], mass = 1 }\nmass = 0',
         "part[1].mass",
-        "must be > 0 for all but a sphere, got 0",
+        "must be > 0 for all but spheres, got 0",
         "give `mass = 0` among the points",
     ),
     (

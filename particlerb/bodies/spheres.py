@@ -1,0 +1,170 @@
+"""Bodies made of overlapping spheres: uniform matter that no overlap counts twice.
+
+`union_solid` is the exact union, `plain_solid` what adding up the spheres would give; `spheres`
+makes the particles of a body. The spheres keep their radii, with which they touch. Where they do
+not overlap they carry the matter as well; where they do, they have no mass, and six points beside
+them (see bodies/solid.py) give the body the exact mass, com and tensor of the union.
+"""
+
+import math
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from particlerb.bodies.particles import Particles, concatenate, one_kind, united
+from particlerb.bodies.solid import Solid, stand_in
+from particlerb.bodies.union import neighbours, union
+from particlerb.maths.vec3 import Floats, Ints
+
+Overlap: TypeAlias = Literal["exact", "sum", "error"]
+TOUCHING: Final = 1e-12  # overlap, of the sum of the radii, that is rounding of a touch
+EPSILON: Final = float(np.finfo(np.float64).eps)
+
+
+class Overlaps(NamedTuple):
+    """How deep spheres lie in each other."""
+
+    pairs: int
+    pair: tuple[int, int]  # the deepest, by overlap over the smaller diameter
+    depth: float  # [m] of this pair, R_i + R_j − d
+    hidden: Ints  # spheres that lie inside another one
+
+
+def spheres(
+    position: ArrayLike,
+    radius: ArrayLike,
+    mass: float | None = None,
+    density: float | None = None,
+    overlap: Overlap = "exact",
+) -> Particles:
+    """Particles of a body of uniform spheres.
+
+    Parameters
+    ----------
+    position : array_like, shape (n, 3) [m]
+    radius : array_like, shape (n,) or () [m]
+        Positive.
+    mass : float [kg]
+        Of the body, 0 for surface without matter; or
+    density : float [kg/m³]
+        Of its matter.
+    overlap : {"exact", "sum", "error"}
+        Matter in several spheres counts once; counts in each of them; is refused.
+
+    Returns
+    -------
+    Particles
+        The spheres in their order, then the six points where spheres overlap and count once.
+
+    Raises
+    ------
+    ValueError
+        If not exactly one of mass and density is given and positive, a number is not finite, a
+        radius not positive, there is no sphere, or spheres overlap and must not.
+    """
+    centre, R = checked(position, radius)
+    amount = mass if density is None else density
+    if amount is None or (mass is not None and density is not None) or not 0 <= amount < math.inf:
+        raise ValueError(f"mass {mass} and density {density}: one of them, positive, is needed")
+    found = overlaps(centre, R)
+    if found.pairs and overlap == "error":
+        raise ValueError(refusal(centre, R, found))
+    if amount == 0.0:
+        return one_kind(centre, 0.0, R)
+    if not found.pairs or overlap == "sum":
+        volumes = 4.0 / 3.0 * math.pi * R**3
+        share = volumes if mass is None else volumes / math.fsum(volumes)
+        return one_kind(centre, amount * share, R)
+    solid = union_solid(centre, R)
+    surface = one_kind(centre, 0.0, R)
+    matter = stand_in(solid, amount * solid.volume if mass is None else amount)
+    return united(concatenate([surface, matter]))
+
+
+def checked(position: ArrayLike, radius: ArrayLike) -> tuple[Floats, Floats]:
+    """Centres (n, 3) and radii (n,) as float64; ValueError where they are no spheres."""
+    given = one_kind(position, 1.0, radius)
+    if not (given.radius > 0.0).all():
+        i = int(np.argmin(given.radius > 0.0))
+        raise ValueError(f"radius of sphere {i} is {given.radius[i]}: positive is needed")
+    return given.position, given.radius
+
+
+def union_solid(position: ArrayLike, radius: ArrayLike) -> Solid:
+    """Volume, com and tensor of the union of spheres, in closed form.
+
+    Parameters
+    ----------
+    position : array_like, shape (n, 3) [m]
+    radius : array_like, shape (n,) or () [m]
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, a radius not positive, or there is no sphere.
+
+    References
+    ----------
+    Derived in docs/mass_properties.md.
+    """
+    centre, R = checked(position, radius)
+    unit = math.ldexp(1.0, math.frexp(float(R.max()))[1])
+    weight = (R / unit) ** 3
+    origin = weight @ centre / weight.sum()
+    c = (centre - origin) / unit
+    found = union(c, R / unit)
+    com = found.first / found.volume
+    second = full(found.second) - found.volume * np.outer(com, com)
+    inertia = np.trace(second) * np.eye(3) - second
+    extent = float((np.linalg.norm(c, axis=1) + R / unit).max())
+    error = (found.gap + EPSILON * found.area) * extent / (3.0 * found.volume)
+    return Solid(found.volume * unit**3, origin + com * unit, inertia * unit**5, error)
+
+
+def plain_solid(position: ArrayLike, radius: ArrayLike) -> Solid:
+    """The sum over all spheres, as if no two of them overlapped."""
+    centre, R = checked(position, radius)
+    volume = 4.0 / 3.0 * math.pi * R**3
+    total = math.fsum(volume)
+    com = volume @ centre / total
+    r = centre - com
+    second = (r.T * volume) @ r + 0.2 * (volume @ R**2) * np.eye(3)
+    return Solid(total, com, np.trace(second) * np.eye(3) - second, len(R) * EPSILON)
+
+
+def full(second: Floats) -> Floats:
+    """Symmetric matrix of xx yy zz xy xz yz."""
+    xx, yy, zz, xy, xz, yz = second
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def overlaps(centre: Floats, radius: Floats) -> Overlaps:
+    """Overlapping pairs, of which touching ones are none."""
+    start, other = neighbours(centre, radius)
+    hidden = np.flatnonzero(start[:-1] < 0)
+    begin = np.where(start < 0, -1 - start, start)
+    first = np.repeat(np.arange(len(radius)), np.diff(begin))
+    depth = radius[first] + radius[other]
+    depth -= np.linalg.norm(centre[first] - centre[other], axis=1)
+    is_deep = (first < other) & (depth > TOUCHING * (radius[first] + radius[other]))
+    pairs, depth = np.stack([first, other])[:, is_deep], depth[is_deep]
+    n_pairs = len(depth) + len(hidden)
+    if len(hidden) or not n_pairs:
+        return Overlaps(n_pairs, (-1, -1), 0.0, hidden)
+    k = int(np.argmax(depth / np.minimum(radius[pairs[0]], radius[pairs[1]])))
+    return Overlaps(n_pairs, (int(pairs[0, k]), int(pairs[1, k])), float(depth[k]), hidden)
+
+
+def refusal(centre: Floats, radius: Floats, found: Overlaps) -> str:
+    """What overlaps, for the message."""
+    if found.hidden.size:
+        i = int(found.hidden[0])
+        inside = np.linalg.norm(centre - centre[i], axis=1) + radius[i] - radius
+        inside[i] = math.inf
+        return f"sphere {i} lies inside sphere {int(np.argmin(inside))}: overlap is an error here"
+    i, j = found.pair
+    return (
+        f"{found.pairs} pairs of spheres overlap, most of all {i} and {j}, by {found.depth:.6g} m:"
+        ' overlap is an error here; "exact" counts their matter once'
+    )

@@ -1,0 +1,315 @@
+"""Volume, first and second moments of a union of balls in closed form, from its surface.
+
+By Gauss's theorem all of them are integrals over the surface, and this consists of the exposed
+parts of the spheres. On each sphere the exposed part E is what no cap of another sphere covers.
+Integrals over E of spherical harmonics of degree 1 to 3 are integrals along its edge, which
+consists of arcs of circles; that of degree 0, the solid angle, is a sum of triangles with one
+apex and of segments, modulo 4π. No piece of space is ever cut, so that touching, identical,
+concentric, collinear or cocircular spheres are no special cases. Formulas: docs/mass_properties.md.
+
+Read in this order: `union`, `neighbours`, bodies/caps.py, `patches` with what it calls. Everything
+is scaled by the caller so that no number over- or underflows.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb._jit import inline, kernel
+from particlerb.bodies.caps import (
+    SAME,
+    Caps,
+    between,
+    caps_of,
+    circle,
+    exposed_arcs,
+    length,
+    open_by,
+    point,
+    row3,
+)
+from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, cross, dot
+from particlerb.threads import THREADS
+
+PIECE: Final = 0.5 * math.pi  # [rad] an arc is integrated in pieces of at most this
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)  # of cubic trigonometric terms: 3e-17
+COARSEST: Final = 1e-9  # as far as this is raised where the edge of a patch does not close
+GAP: Final = 1e-12  # length [of the radius] that counts as no gap in the edge of a patch
+NEARLY: Final = 1e-6  # solid angle below which all or nothing of a sphere may be exposed
+WORK_PER_SPHERE: Final = 200  # in the units of threads.LEAST_WORK
+COLUMNS: Final = 15  # volume, first (3), second (6) moments, vector area (3), area, gap
+
+
+class Union(NamedTuple):
+    """Moments of a union of balls of density 1."""
+
+    volume: float
+    first: Floats  # (3,) ∫ x dV
+    second: Floats  # (6,) ∫ x xᵀ dV: xx yy zz xy xz yz
+    area: float
+    gap: float  # |∮ n dA|, and the gaps in the edges of patches: 0 but for rounding
+
+
+def union(centre: Floats, radius: Floats) -> Union:
+    """Moments of the union of balls about the origin of their centres.
+
+    Parameters
+    ----------
+    centre : ndarray, shape (n, 3)
+        Of the order of one, as is the largest radius: their cubes must not underflow.
+    radius : ndarray, shape (n,)
+        Positive.
+    """
+    start, other = neighbours(centre, radius)
+    rows = np.zeros((len(radius), COLUMNS))
+    c, R = np.ascontiguousarray(centre), np.ascontiguousarray(radius)
+
+    def work(first: int, last: int) -> None:
+        patches(c, R, start, other, NODES, WEIGHTS, APEXES, rows, first, last)
+
+    THREADS.share(work, len(radius), WORK_PER_SPHERE * len(radius))
+    sums = np.array([math.fsum(column) for column in rows.T])
+    gap = math.hypot(*sums[10:13]) + sums[14]
+    return Union(float(sums[0]), sums[1:4], sums[4:10], float(sums[13]), float(gap))
+
+
+# Directions for the apex of the triangles: the one farthest from the edge's antipode is taken.
+APEXES: Final = np.array(
+    [
+        [math.sqrt(1.0 - z * z) * math.cos(a), math.sqrt(1.0 - z * z) * math.sin(a), z]
+        for k in range(12)
+        for z, a in [((2 * k + 1.0) / 12.0 - 1.0, 0.7 + 2.399963229728653 * k)]
+    ]
+)
+
+
+# Who covers whom
+
+
+def neighbours(centre: Floats, radius: Floats) -> tuple[Ints, Ints]:
+    """Overlapping balls of each ball: other[start[i]:start[i + 1]]; start[i] < 0 for hidden ones.
+
+    A ball inside another one is hidden and nobody's neighbour; of identical balls all but the
+    first are. Found by a sweep along the longest axis.
+
+    Returns
+    -------
+    start : ndarray, shape (n + 1,)
+        −1 − position for a hidden ball, whose list is empty.
+    other : ndarray, shape (number of pairs · 2,)
+    """
+    along = int(np.argmax(np.ptp(centre, axis=0)))
+    low = np.ascontiguousarray(centre[:, along] - radius)
+    order = np.argsort(low, kind="stable")
+    hidden = np.zeros(len(radius), dtype=np.bool_)
+    arrays = (centre, radius, low, order, hidden)
+    hide(*arrays, along)
+    count = np.zeros(len(radius) + 1, dtype=np.int64)
+    pairs(*arrays, along, count, np.empty(0, dtype=np.int64))
+    start = np.concatenate([[0], np.cumsum(count[:-1])]).astype(np.int64)
+    other = np.empty(int(start[-1]), dtype=np.int64)
+    pairs(*arrays, along, start[:-1].copy(), other)
+    start[:-1][hidden] = -1 - start[:-1][hidden]
+    return start, other
+
+
+@kernel
+def hide(
+    centre: Floats, radius: Floats, low: Floats, order: Ints, hidden: Bools, along: int
+) -> None:
+    """Mark the balls that lie inside another one, |d| <= R_j − R_i to rounding."""
+    n = len(order)
+    for a in range(n):
+        i = order[a]
+        top = centre[i, along] + radius[i]
+        for b in range(a + 1, n):
+            j = order[b]
+            if low[j] > top:
+                break
+            d = length(between(centre, i, j))
+            large, small = (i, j) if (radius[i], -i) > (radius[j], -j) else (j, i)
+            if d <= (radius[large] - radius[small]) + SAME * radius[large]:
+                hidden[small] = True
+
+
+@kernel
+def pairs(
+    centre: Floats,
+    radius: Floats,
+    low: Floats,
+    order: Ints,
+    hidden: Bools,
+    along: int,
+    at: Ints,
+    other: Ints,
+) -> None:
+    """Write both ends of each overlapping pair at other[at[i]] and advance at[i]; or only count."""
+    n, writes = len(order), len(other) > 0
+    for a in range(n):
+        i = order[a]
+        if hidden[i]:
+            continue
+        top = centre[i, along] + radius[i]
+        for b in range(a + 1, n):
+            j = order[b]
+            if low[j] > top:
+                break
+            if not hidden[j] and length(between(centre, i, j)) < radius[i] + radius[j]:
+                if writes:
+                    other[at[i]], other[at[j]] = j, i
+                at[i] += 1
+                at[j] += 1
+
+
+# One sphere
+
+
+@kernel
+def patches(
+    centre: Floats,
+    radius: Floats,
+    start: Ints,
+    other: Ints,
+    nodes: Floats,
+    weights: Floats,
+    apexes: Floats,
+    rows: Floats,
+    first: int,
+    last: int,
+) -> None:
+    """Write what the exposed parts of the spheres first to last add to the moments."""
+    for i in range(first, last):
+        if start[i] < 0:
+            continue
+        stop = start[i + 1] if start[i + 1] >= 0 else -1 - start[i + 1]
+        same = SAME
+        while True:
+            caps = caps_of(centre, radius, other[start[i] : stop], i, same)
+            arcs = exposed_arcs(caps, same)
+            gap = open_by(caps, arcs)
+            if gap <= GAP or same >= COARSEST:
+                break
+            same *= 10.0
+        c = (centre[i, 0], centre[i, 1], centre[i, 2])
+        add_patch(caps, arcs, c, radius[i], nodes, weights, apexes, rows[i])
+        rows[i, 14] = gap * radius[i] * radius[i] if gap > GAP else 0.0
+
+
+@kernel
+def best_apex(caps: Caps, arcs: Floats, apexes: Floats) -> int:
+    """Number of the apex whose antipode is farthest from the ends of arcs."""
+    best, farthest = 0, -1.0
+    for a in range(len(apexes)):
+        nearest = 2.0
+        for m in range(len(arcs)):
+            c = circle(caps, int(arcs[m, 0]))
+            pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / PIECE))
+            for piece in range(pieces + 1):
+                t = arcs[m, 1] + (arcs[m, 2] - arcs[m, 1]) * piece / pieces
+                nearest = min(nearest, 1.0 + dot(row3(apexes, a), point(c, t)))
+        if nearest > farthest:
+            best, farthest = a, nearest
+    return best
+
+
+@inline
+def triangle(a: Vec3, p: Vec3, q: Vec3) -> float:
+    """Signed solid angle of a spherical triangle, −2π to 2π.
+
+    Source: Van Oosterom, Strackee, IEEE Trans. Biomed. Eng. 30, 125 (1983), equation 8.
+    """
+    return 2.0 * math.atan2(dot(a, cross(p, q)), 1.0 + dot(a, p) + dot(a, q) + dot(p, q))
+
+
+@kernel
+def add_patch(
+    caps: Caps,
+    arcs: Floats,
+    c: Vec3,
+    R: float,
+    nodes: Floats,
+    weights: Floats,
+    apexes: Floats,
+    row: Floats,
+) -> None:
+    """Moments of the exposed part of one sphere with centre c and radius R.
+
+    With ∫ Y = −1/(l (l + 1)) ∮ ∂Y/∂ν for a harmonic Y of degree l, ν = (u − h n) / s pointing out
+    of the patch: N = ∫ n, T = ∫ n nᵀ and U = ∫ n nᵀ (c · n) from A = ∫ 1.
+    """
+    A = solid_angle(caps, arcs, apexes)
+    N, K, W = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+    cc = np.array(c)
+    for m in range(len(arcs)):
+        k = int(arcs[m, 0])
+        own = circle(caps, k)
+        u, h = caps.axis[k], caps.height[k]
+        cu = dot(c, own[0])
+        pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / PIECE))
+        half = 0.5 * (arcs[m, 2] - arcs[m, 1]) / pieces
+        for piece in range(pieces):
+            middle = arcs[m, 1] + (2 * piece + 1) * half
+            for g in range(len(nodes)):
+                weight, n = half * weights[g], point(own, middle + half * nodes[g])
+                cn = dot(c, n)
+                for a in range(3):
+                    N[a] += weight * (u[a] - h * n[a])
+                    for b in range(a, 3):
+                        un, nn = u[a] * n[b] + n[a] * u[b], n[a] * n[b]
+                        K[a, b] += weight * (un - 2.0 * h * nn)
+                        mixed = cc[a] * (u[b] - h * n[b]) + cc[b] * (u[a] - h * n[a])
+                        if a == b:
+                            mixed += cu - h * cn
+                        W[a, b] += weight * (un * cn + nn * (cu - 3.0 * h * cn) - 0.2 * mixed)
+    cT, cN = np.zeros(3), 0.0
+    for a in range(3):
+        N[a] *= -0.5
+        cN += cc[a] * N[a]
+        for b in range(a, 3):
+            K[a, b] = (A / 3.0 if a == b else 0.0) - K[a, b] / 6.0
+            K[b, a] = K[a, b]
+    for a in range(3):
+        cT[a] = K[a, 0] * c[0] + K[a, 1] * c[1] + K[a, 2] * c[2]
+    flux = cN + R * A
+    RR = R * R
+    row[0] = RR * flux / 3.0
+    for a in range(3):
+        row[1 + a] = 0.25 * RR * (cc[a] * flux + R * (cT[a] + R * N[a]))
+        row[10 + a] = RR * N[a]
+    row[13] = RR * A
+    for at, (a, b) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
+        U = 0.2 * (cc[a] * N[b] + cc[b] * N[a] + (cN if a == b else 0.0)) - W[a, b] / 12.0
+        outer = cc[a] * cc[b] * flux + R * (cc[a] * cT[b] + cc[b] * cT[a])
+        outer += RR * (cc[a] * N[b] + cc[b] * N[a] + U) + RR * R * K[a, b]
+        row[4 + at] = 0.2 * RR * outer
+
+
+@kernel
+def solid_angle(caps: Caps, arcs: Floats, apexes: Floats) -> float:
+    """Solid angle ∫ 1 of what the caps leave, from its edge.
+
+    The edge, run with the caps on the left, encloses what the triangles (apex, p, q) and the
+    segments between chord and arc add up to, modulo 4π. All or nothing, which both are 0 then, are
+    told apart by the largest cap.
+    """
+    if len(arcs) == 0:
+        return 4.0 * math.pi if len(caps.height) == 0 else 0.0
+    a = row3(apexes, best_apex(caps, arcs, apexes))
+    covered = 0.0
+    for m in range(len(arcs)):
+        c = circle(caps, int(arcs[m, 0]))
+        h, depth = c[3], c[4]
+        pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / PIECE))
+        step = (arcs[m, 2] - arcs[m, 1]) / pieces
+        for piece in range(pieces):
+            p, q = point(c, arcs[m, 1] + piece * step), point(c, arcs[m, 1] + (piece + 1) * step)
+            chord = 2.0 * math.atan2(depth * math.sin(step), 1.0 + h + depth * math.cos(step))
+            covered += triangle(a, p, q) + depth * step - chord
+    whole = 4.0 * math.pi
+    A = -covered - whole * math.floor(-covered / whole)
+    if NEARLY < A < whole - NEARLY:
+        return A
+    rest = A - whole if A > NEARLY else A  # from −NEARLY to NEARLY
+    is_bare = 2.0 * math.pi * caps.depth.max() <= 2.0 * NEARLY
+    return whole + min(rest, 0.0) if is_bare else max(rest, 0.0)
