@@ -22,6 +22,7 @@ def describe(case: Case, scene: Scene, plan: Plan, accuracy: str = "") -> str:
     lines = [
         ("bodies", bodies_line(scene)),
         ("particles", particles_line(scene)),
+        *scene.notes,
         ("gravity", gravity_line(case)),
         ("attraction", attraction_line(case, plan)),
         *((kind, force_line(case, kind)) for kind in FORCES),

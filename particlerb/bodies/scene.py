@@ -6,6 +6,7 @@ is an error where the case gives it, and left out where it was drawn at random.
 """
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,9 @@ import numpy as np
 from particlerb.bodies import shapes
 from particlerb.bodies.bodies import Bodies, bodies_of_kind
 from particlerb.bodies.files import read_points, read_spheres
+from particlerb.bodies.fill import Filled, enough, mesh_particles
 from particlerb.bodies.mass_properties import MassProperties, mass_properties
+from particlerb.bodies.mesh import read_mesh
 from particlerb.bodies.particles import (
     Particles,
     concatenate,
@@ -33,7 +36,7 @@ from particlerb.case.placement import (
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Body, Case, Euler, Part, Spread
-from particlerb.case.shapes import AnyShape, Cloud, Points, Spheres
+from particlerb.case.shapes import AnyShape, Cloud, Mesh, Points, Spheres
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import POINT, ROD
 
@@ -55,6 +58,8 @@ class Scene(NamedTuple):
     """Constants of all bodies."""
     state: State
     """At t = 0."""
+    notes: Sequence[tuple[str, str]] = ()
+    """Name of a block and a line on how its shape became particles: what was tried, or changed."""
 
 
 def assemble(case: Case) -> Scene:
@@ -67,7 +72,8 @@ def assemble(case: Case) -> Scene:
         body spins where it cannot.
     """
     placement = place(case)
-    particles, properties, first_kind = kinds(case)
+    notes: list[tuple[str, str]] = []
+    particles, properties, first_kind = kinds(case, notes)
     kind = kinds_of_bodies(case, placement, first_kind)
     bodies = bodies_of_kind(properties, kind)
     omega = possible_spin(case, placement, bodies)
@@ -78,15 +84,15 @@ def assemble(case: Case) -> Scene:
     centred = particles._replace(
         position=particles.position - np.repeat(properties.com, counts, axis=0)
     )
-    return Scene(placement.names, centred, properties, kind, bodies, state)
+    return Scene(placement.names, centred, properties, kind, bodies, state, tuple(notes))
 
 
-def kinds(case: Case) -> tuple[Particles, MassProperties, Ints]:
+def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProperties, Ints]:
     """Particles of all kinds, their mass properties, and the first kind of each block."""
     sets, properties, first, problems = [], [], [0], []
     for i, body in enumerate(case.body):
         try:
-            sets.append(concatenate(list(particle_sets(case, i, body))))
+            sets.append(concatenate(list(particle_sets(case, i, body, notes))))
             properties.append(mass_properties(sets[-1]))
             first.append(first[-1] + len(properties[-1].mass))
         except (ValueError, OSError) as error:
@@ -99,7 +105,9 @@ def kinds(case: Case) -> tuple[Particles, MassProperties, Ints]:
     return concatenate(sets), together, np.array(first[:-1])
 
 
-def particle_sets(case: Case, i: int, body: Body) -> Iterator[Particles]:
+def particle_sets(
+    case: Case, i: int, body: Body, notes: list[tuple[str, str]]
+) -> Iterator[Particles]:
     """Particles of a block: one set, or one for each body where they are random clouds."""
     if isinstance(body.shape, Cloud):
         stream = random_stream(case, i, "shape")
@@ -107,46 +115,58 @@ def particle_sets(case: Case, i: int, body: Body) -> Iterator[Particles]:
         for _ in range(body.count):
             yield shapes.cloud(body.shape.n, body.shape.radius, mass, stream)
     elif body.shape is not None:
-        yield shape_particles(case, body.shape, body.mass, body.density)
+        filled = shape_particles(case, body.shape, body.mass, body.density)
+        notes += [(body.name, line) for line in filled.lines]
+        yield filled.particles
     else:
-        yield united(concatenate([part_particles(case, i, part) for part in body.part]))
+        parts = [part_particles(case, i, part) for part in body.part]
+        for j, filled in enumerate(parts):
+            notes += [(f"{body.name}, part {j}", line) for line in filled.lines]
+        yield united(concatenate([filled.particles for filled in parts]))
 
 
-def part_particles(case: Case, i: int, part: Part) -> Particles:
+def part_particles(case: Case, i: int, part: Part) -> Filled:
     """Particles of one part, where it stands in its body."""
     if isinstance(part.shape, Cloud):
         stream = random_stream(case, i, "shape")
-        particles = shapes.cloud(part.shape.n, part.shape.radius, part.mass or 0.0, stream)
+        mass = part.mass or 0.0
+        filled = Filled(shapes.cloud(part.shape.n, part.shape.radius, mass, stream))
     else:
-        particles = shape_particles(case, part.shape, part.mass, part.density)
+        filled = shape_particles(case, part.shape, part.mass, part.density)
     if isinstance(part.orientation, Euler):
         q = quaternion_of_euler(part.orientation.euler_deg)
     else:
         q = np.array(part.orientation)
     columns = np.tile(normalised(q)[:, None], 3)
-    return transformed(particles, turned(columns, np.eye(3)), part.position)
+    turn = turned(columns, np.eye(3))
+    return filled._replace(particles=transformed(filled.particles, turn, part.position))
 
 
 def shape_particles(
     case: Case, shape: AnyShape, mass: float | None, density: float | None
-) -> Particles:
-    """Particles of a shape in its own axes."""
+) -> Filled:
+    """Particles of a shape in its own axes, and what is to be said of them."""
     if isinstance(shape, Points):
         if shape.file is not None:
             particles = read_points(case.file(shape.file))
         else:
             particles = shapes.points(shape.position or (), shape.mass or (), shape.radius)
-        return particles if mass is None else scaled_to_mass(particles, mass)
+        return Filled(particles if mass is None else scaled_to_mass(particles, mass))
     if isinstance(shape, Spheres):
-        return spheres(*spheres_of(case, shape), mass, density, shape.overlap)
-    parameters = shape.model_dump(exclude={"type", "arrangement"})
-    if getattr(shape, "arrangement", "lattice") == "exact":
-        parameters["exact"] = True
+        return Filled(spheres(*spheres_of(case, shape), mass, density, shape.overlap))
+    if isinstance(shape, Mesh):
+        mesh = read_mesh(case.file(shape.file), shape.scale)
+        how = shape.arrangement, shape.n, shape.inertia_error
+        return mesh_particles(mesh, mass, density, *how)
+    parameters = shape.model_dump(exclude={"type", "inertia_error"})
     if mass is None:
         mass = (density or 0.0) * shapes.volume(shape.type, parameters)
-    particles_of = getattr(shapes, shape.type)
-    made: Particles = particles_of(mass=mass, **parameters)
-    return made
+    particles_of = partial(getattr(shapes, shape.type), **parameters, mass=mass)
+    wanted = getattr(shape, "inertia_error", None)
+    if wanted is None:
+        return Filled(particles_of())
+    size = {key: parameters[key] for key in parameters.keys() - {"n", "arrangement"}}
+    return enough(shape.type, size, wanted, lambda n: particles_of(n=n))
 
 
 def spheres_of(case: Case, shape: Spheres) -> tuple[Floats, Floats]:

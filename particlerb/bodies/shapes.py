@@ -9,7 +9,9 @@ whole numbers along the other extents allow; a particle sits in the centre of ev
 centre lies inside the shape. Curved surfaces make staircases, so that the tensor approaches the
 solid's without a clean order (docs/bodies.md).
 
-exact=True: the few particles that have exactly the mass, com and inertia tensor of the solid.
+Arrangements: "lattice"; "cells", the same cells, each weighted by the share of it that is inside
+(docs/mass_properties.md); "exact", the few particles that have exactly the mass, com and inertia
+tensor of the solid.
 """
 
 import math
@@ -20,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from particlerb.bodies.particles import Particles, one_kind
+from particlerb.bodies.sections import BALL, CONE, Profile, hollow, ring, section_particles, tube
 from particlerb.maths.vec3 import Floats
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])  # six unit vectors: +x +y +z -x -y -z
@@ -88,19 +91,43 @@ def lattice(name: str, half_size: Floats, mass: float, n: int, inside: Inside) -
     return equal(position, mass)
 
 
+def filled(
+    name: str,
+    half_size: Floats,
+    mass: float,
+    n: int,
+    arrangement: str,
+    inside: Inside,
+    profile: Profile,
+) -> Particles:
+    """Particles of a lattice as in `lattice`, or of cells; `profile` as in `bodies.sections`."""
+    one_of(arrangement, "lattice", "cells")
+    if arrangement == "cells":
+        cells = at_least("n", n, 2)
+        return section_particles(profile, half_size, float(positive("mass", mass)), cells)
+    return lattice(name, half_size, mass, n, inside)
+
+
+def one_of(arrangement: str, *known: str) -> None:
+    """ValueError for an arrangement that a shape has not."""
+    if arrangement not in known:
+        raise ValueError(f"arrangement is {arrangement!r}: {' or '.join(known)} is needed")
+
+
 # Solids
 
 
 def box(
-    size: ArrayLike, mass: float, n: int | Sequence[int] = 10, exact: bool = False
+    size: ArrayLike, mass: float, n: int | Sequence[int] = 10, arrangement: str = "lattice"
 ) -> Particles:
     """Box of edges `size` (3,) [m]: n cells per edge (or three numbers), exact: 8 particles.
 
     Lattice: I_x = (M/12) (b² (1 − 1/n_y²) + c² (1 − 1/n_z²)). Exact: at (±a, ±b, ±c) / (2√3),
     where Σ m x² = M a²/12 and products cancel.
     """
+    one_of(arrangement, "lattice", "exact")
     half_size = 0.5 * positive("size", size, (3,))
-    if exact:
+    if arrangement == "exact":
         return equal(CORNERS * half_size / math.sqrt(3.0), mass)
     if np.shape(n) not in {(), (3,)}:
         raise ValueError(f"n is {n}: one number or three")
@@ -109,20 +136,36 @@ def box(
     return equal(np.stack(grid, axis=-1).reshape(-1, 3) * half_size, mass)
 
 
-def ball(radius: float, mass: float, n: int = 10, exact: bool = False) -> Particles:
+def ball(radius: float, mass: float, n: int = 10, arrangement: str = "lattice") -> Particles:
     """Ball: n cells per diameter; exact: 6 particles at R √(3/5) on the axes, I = 2/5 M R²."""
-    return ellipsoid(np.full(3, positive("radius", radius)), mass, n, exact)
+    return ellipsoid(np.full(3, positive("radius", radius)), mass, n, arrangement)
 
 
-def ellipsoid(semi_axes: ArrayLike, mass: float, n: int = 10, exact: bool = False) -> Particles:
+def ellipsoid(
+    semi_axes: ArrayLike, mass: float, n: int = 10, arrangement: str = "lattice"
+) -> Particles:
     """Ellipsoid of half axes (3,) [m]; exact: 6 particles at a √(3/5), Σ m x² = M a²/5."""
     half_size = positive("semi_axes", semi_axes, (3,))
-    if exact:
+    if arrangement == "exact":
         return equal(AXES * half_size * math.sqrt(0.6), mass)
-    return lattice("ellipsoid", half_size, mass, n, lambda x, y, z: x * x + y * y + z * z <= 1.0)
+    return filled(
+        "ellipsoid",
+        half_size,
+        mass,
+        n,
+        arrangement,
+        lambda x, y, z: x * x + y * y + z * z <= 1.0,
+        BALL,
+    )
 
 
-def shell(radius: float, mass: float, inner_radius: float | None = None, n: int = 10) -> Particles:
+def shell(
+    radius: float,
+    mass: float,
+    inner_radius: float | None = None,
+    n: int = 10,
+    arrangement: str = "lattice",
+) -> Particles:
     """Spherical shell: thin without `inner_radius`, else the matter between two radii.
 
     Thin: 6 n² particles on the sphere, the centres of n × n cells of equal angle on the six faces
@@ -132,14 +175,18 @@ def shell(radius: float, mass: float, inner_radius: float | None = None, n: int 
     """
     R = positive("radius", radius)
     if inner_radius is not None:
-        hole = (inner("inner_radius", inner_radius, float(R)) / R) ** 2
-        return lattice(
+        share = float(inner("inner_radius", inner_radius, float(R)) / R)
+        hole = share**2
+        return filled(
             "shell",
             np.full(3, R),
             mass,
             n,
+            arrangement,
             lambda x, y, z: (hole <= x * x + y * y + z * z) & (x * x + y * y + z * z <= 1.0),
+            hollow(share),
         )
+    one_of(arrangement, "lattice")
     slope = np.tan(0.25 * math.pi * cell_centres(at_least("n", n, 1)))
     u, v = (axis.ravel() for axis in np.meshgrid(slope, slope, indexing="ij"))
     distance = np.sqrt(1.0 + (u * u + v * v))
@@ -156,37 +203,59 @@ def inner(name: str, value: float, outer: float) -> float:
 
 
 def cylinder(
-    radius: float, height: float, mass: float, inner_radius: float = 0.0, n: int = 10
+    radius: float,
+    height: float,
+    mass: float,
+    inner_radius: float = 0.0,
+    n: int = 10,
+    arrangement: str = "lattice",
 ) -> Particles:
     """Cylinder or tube along z.
 
     The solid has I_z = M (R² + r²)/2 and I_x = M (3 (R² + r²) + h²)/12.
     """
     R, h = float(positive("radius", radius)), float(positive("height", height))
-    hole = (inner("inner_radius", inner_radius, R) / R) ** 2
-    return lattice(
+    bore = inner("inner_radius", inner_radius, R) / R
+    hole = bore**2
+    return filled(
         "cylinder",
         np.array([R, R, 0.5 * h]),
         mass,
         n,
+        arrangement,
         lambda x, y, z: (hole <= x * x + y * y) & (x * x + y * y <= 1.0) & (np.abs(z) <= 1.0),
+        tube(bore),
     )
 
 
-def cone(radius: float, height: float, mass: float, n: int = 10) -> Particles:
+def cone(
+    radius: float, height: float, mass: float, n: int = 10, arrangement: str = "lattice"
+) -> Particles:
     """Cone along z, base at z = 0, apex at z = h.
 
     The solid has its com at h/4, I_z = (3/10) M R² and I_x = (3/80) M (4R² + h²).
     """
     R, h = float(positive("radius", radius)), float(positive("height", height))
     half_size = np.array([R, R, 0.5 * h])
-    filled = lattice(
-        "cone", half_size, mass, n, lambda x, y, z: x * x + y * y <= (0.5 - 0.5 * z) ** 2
+    particles = filled(
+        "cone",
+        half_size,
+        mass,
+        n,
+        arrangement,
+        lambda x, y, z: x * x + y * y <= (0.5 - 0.5 * z) ** 2,
+        CONE,
     )
-    return filled._replace(position=filled.position + np.array([0.0, 0.0, 0.5 * h]))
+    return particles._replace(position=particles.position + np.array([0.0, 0.0, 0.5 * h]))
 
 
-def torus(major_radius: float, minor_radius: float, mass: float, n: int = 10) -> Particles:
+def torus(
+    major_radius: float,
+    minor_radius: float,
+    mass: float,
+    n: int = 10,
+    arrangement: str = "lattice",
+) -> Particles:
     """Ring about z: circle of the minor radius a led round the circle of the major radius c.
 
     The solid has I_z = M (c² + 3a²/4) and I_x = M (c²/2 + 5a²/8). ValueError unless a <= c.
@@ -199,21 +268,24 @@ def torus(major_radius: float, minor_radius: float, mass: float, n: int = 10) ->
         raise ValueError(f"minor_radius {a} exceeds major_radius {c}: no ring")
     outer = c + a
     half_size = np.array([outer, outer, a])
-    return lattice(
+    return filled(
         "torus",
         half_size,
         mass,
         n,
+        arrangement,
         lambda x, y, z: ((np.hypot(x, y) - c / outer) * (outer / a)) ** 2 + z * z <= 1.0,
+        ring(a / c),
     )
 
 
-def rod(length: float, mass: float, n: int = 10, exact: bool = False) -> Particles:
+def rod(length: float, mass: float, n: int = 10, arrangement: str = "lattice") -> Particles:
     """Thin rod along z: n equal particles, I = (M L²/12)(1 − 1/n²).
 
     Exact: masses M/6, 2M/3, M/6 at −L/2, 0, L/2 (Simpson's rule), I = M L²/12.
     """
-    L = positive("length", length)
+    one_of(arrangement, "lattice", "exact")
+    L, exact = positive("length", length), arrangement == "exact"
     z = np.array([-1.0, 0.0, 1.0]) if exact else cell_centres(at_least("n", n, 1))
     position = np.outer(z * (0.5 * L), [0.0, 0.0, 1.0])
     if exact:
@@ -221,7 +293,9 @@ def rod(length: float, mass: float, n: int = 10, exact: bool = False) -> Particl
     return equal(position, mass)
 
 
-def tetrahedron(vertices: ArrayLike, mass: float, n: int = 10, exact: bool = False) -> Particles:
+def tetrahedron(
+    vertices: ArrayLike, mass: float, n: int = 10, arrangement: str = "lattice"
+) -> Particles:
     """Solid tetrahedron with vertices (4, 3) [m], in their frame (not centred).
 
     A set with the symmetry of the barycentric coordinates λ has a multiple of the solid's second
@@ -230,10 +304,11 @@ def tetrahedron(vertices: ArrayLike, mass: float, n: int = 10, exact: bool = Fal
     δ = (√(s (s + 4)) − s)/4 makes it the solid's for every n ≥ 2. Exact: M/20 in each vertex and
     4M/5 in the centroid, Var λ = (3/4)(1/20).
     """
+    one_of(arrangement, "lattice", "exact")
     corner = np.asarray(vertices, dtype=np.float64)
     if corner.shape != (4, 3) or not np.isfinite(corner).all():
         raise ValueError(f"vertices of shape {corner.shape}: (4, 3) finite numbers are needed")
-    if exact:
+    if arrangement == "exact":
         share = np.array([1 / 20, 1 / 20, 1 / 20, 1 / 20, 4 / 5])
         centroid = corner.mean(axis=0, keepdims=True)
         return one_kind(np.concatenate([corner, centroid]), positive("mass", mass) * share)

@@ -25,14 +25,35 @@ from particlerb.case.values import (
 )
 
 Arrangement = Literal["lattice", "exact"]
+CurvedArrangement = Literal["lattice", "cells"]
+RoundArrangement = Literal["lattice", "cells", "exact"]
 KIND = "Kind of shape. [-]"
 ACROSS = "Particles along the largest extent of the lattice. [-]"
 SHELL_N = "As for a ball; on a thin shell per quarter of a great circle. [-]"
 ARRANGEMENT = "A lattice, or the smallest exact set of particles. [-]"
+CURVED = "Whole cells, or cells weighted by their share inside. [-]"
+ROUND = "Whole cells, cells weighted by their share inside, or the smallest exact set. [-]"
+ENOUGH = "Chooses n: largest relative error of tensor and centre of mass. [-]"
+Share = Annotated[Positive, Field(lt=1.0)]
 Vertices = Annotated[tuple[Vector, Vector, Vector, Vector], entries(4, "corners")]
 
 
-class Box(Table):
+class Filled(Table):
+    """A shape that cells fill: how finely is said once."""
+
+    @model_validator(mode="after")
+    def says_once_how_fine(self) -> Self:
+        """Require n or inertia_error, and neither of them beside an exact set that has no n."""
+        wanted = getattr(self, "inertia_error", None)
+        default = type(self).model_fields["n"].default
+        if wanted is not None and getattr(self, "n", default) != default:
+            raise broken("given beside n, which it chooses", "inertia_error", "give one of them")
+        if wanted is not None and getattr(self, "arrangement", "lattice") == "exact":
+            raise broken("has nothing to choose: this arrangement is exact", "inertia_error")
+        return self
+
+
+class Box(Filled):
     """Solid box."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -40,19 +61,21 @@ class Box(Table):
     size: Lengths = Field(description="Edge lengths. [m]")
     n: Resolution = Field((10, 10, 10), description="Particles per edge. [-]")
     arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
+    inertia_error: Share | None = Field(None, description=ENOUGH)
 
 
-class Ball(Table):
+class Ball(Filled):
     """Solid ball."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["ball"] = Field(description=KIND)
     radius: Positive = Field(description="Radius. [m]")
     n: Count = Field(10, description=ACROSS)
-    arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
+    arrangement: RoundArrangement = Field("lattice", description=ROUND)
+    inertia_error: Share | None = Field(None, description=ENOUGH)
 
 
-class Shell(Table):
+class Shell(Filled):
     """Hollow ball; without `inner_radius` an infinitely thin one, which has no density."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -62,16 +85,20 @@ class Shell(Table):
         None, description="Inner radius; left out: a thin shell. [m]"
     )
     n: Count = Field(10, description=SHELL_N)
+    arrangement: CurvedArrangement = Field("lattice", description=CURVED)
+    inertia_error: Share | None = Field(None, description=ENOUGH)
 
     @model_validator(mode="after")
     def is_hollow(self) -> Self:
         """Require the inner radius below the outer one."""
         if self.inner_radius is not None:
             require_smaller(self.inner_radius, self.radius)
+        elif self.arrangement == "cells":
+            raise broken("a thin shell has no cells", "arrangement", "leave it out: it is exact")
         return self
 
 
-class Cylinder(Table):
+class Cylinder(Filled):
     """Solid or hollow cylinder about z."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -80,6 +107,8 @@ class Cylinder(Table):
     height: Positive = Field(description="Height along z. [m]")
     inner_radius: NonNegative = Field(0.0, description="Radius of the bore. [m]")
     n: Count = Field(10, description=ACROSS)
+    arrangement: CurvedArrangement = Field("lattice", description=CURVED)
+    inertia_error: Share | None = Field(None, description=ENOUGH)
 
     @model_validator(mode="after")
     def has_wall(self) -> Self:
@@ -88,7 +117,7 @@ class Cylinder(Table):
         return self
 
 
-class Cone(Table):
+class Cone(Filled):
     """Solid cone about z, base at z = 0, apex at z = height."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -96,9 +125,11 @@ class Cone(Table):
     radius: Positive = Field(description="Radius of the base. [m]")
     height: Positive = Field(description="Height along z. [m]")
     n: Count = Field(10, description=ACROSS)
+    arrangement: CurvedArrangement = Field("lattice", description=CURVED)
+    inertia_error: Share | None = Field(None, description=ENOUGH)
 
 
-class Torus(Table):
+class Torus(Filled):
     """Solid torus about z."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -106,6 +137,8 @@ class Torus(Table):
     major_radius: Positive = Field(description="Distance of the tube's centre from the axis. [m]")
     minor_radius: Positive = Field(description="Radius of the tube. [m]")
     n: Count = Field(10, description=ACROSS)
+    arrangement: CurvedArrangement = Field("lattice", description=CURVED)
+    inertia_error: Share | None = Field(None, description=ENOUGH)
 
     @model_validator(mode="after")
     def does_not_overlap(self) -> Self:
@@ -118,14 +151,15 @@ class Torus(Table):
         return self
 
 
-class Ellipsoid(Table):
+class Ellipsoid(Filled):
     """Solid ellipsoid."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["ellipsoid"] = Field(description=KIND)
     semi_axes: Lengths = Field(description="Half of the lengths along x, y, z. [m]")
     n: Count = Field(10, description=ACROSS)
-    arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
+    arrangement: RoundArrangement = Field("lattice", description=ROUND)
+    inertia_error: Share | None = Field(None, description=ENOUGH)
 
 
 class Tetrahedron(Table):
@@ -138,7 +172,7 @@ class Tetrahedron(Table):
     arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
 
 
-class Rod(Table):
+class Rod(Filled):
     """Thin straight rod along z: it has no volume, hence no density."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
@@ -146,6 +180,7 @@ class Rod(Table):
     length: Positive = Field(description="Length along z. [m]")
     n: Count = Field(10, description="Particles along the rod. [-]")
     arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
+    inertia_error: Share | None = Field(None, description=ENOUGH)
 
 
 class Sphere(Table):
@@ -299,6 +334,20 @@ class Spheres(Table):
         return self
 
 
+class Mesh(Filled):
+    """Uniform matter inside a closed surface of triangles from a file, which trimesh reads."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: Literal["mesh"] = Field(description=KIND)
+    file: Name = Field(description="STL, OBJ or PLY file, relative to the folder of the case. [-]")
+    scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
+    arrangement: Literal["exact", "cells", "spheres"] = Field(
+        "exact", description="Six particles, weighted cells, or spheres inside to touch with. [-]"
+    )
+    n: Count = Field(10, description="Cells along the largest extent, or spheres. [-]")
+    inertia_error: Share | None = Field(None, description=ENOUGH)
+
+
 class Moments(Table):
     """Six equal particles with exactly these principal moments about the body's axes."""
 
@@ -335,7 +384,7 @@ def require_smaller(inner_radius: float, radius: float) -> None:
 
 AnyShape = (
     Box | Ball | Shell | Cylinder | Cone | Torus | Ellipsoid | Tetrahedron | Rod | Sphere
-    | Points | Spheres | Moments | Cloud
+    | Points | Spheres | Mesh | Moments | Cloud
 )  # fmt: skip
 Shape = Annotated[AnyShape, Field(discriminator="type")]
 SHAPES: dict[str, type[Table]] = {
@@ -351,6 +400,7 @@ SHAPES: dict[str, type[Table]] = {
     "sphere": Sphere,
     "points": Points,
     "spheres": Spheres,
+    "mesh": Mesh,
     "moments": Moments,
     "cloud": Cloud,
 }

@@ -1,10 +1,10 @@
 """How close particles come to the solid they stand for: the study of `converge`.
 
 For every shape with an analytic tensor: particles are laid out as a case would have them, summed
-as a run would sum them, and compared with the integral over the solid. Read in this order: the
-analytic tensors, written here and independent of all sums; `SOLIDS`, the examples; `converge`;
-then what a curve says: its order or its spread, and how many particles a wanted error needs.
-Explained in docs/convergence.md. Nothing here prints, draws or knows of a run.
+as a run would sum them, and compared with the integral over the solid. Read in this order:
+`SOLIDS`, the examples; `converge`; then what a curve says: its order or its spread, and how many
+particles a wanted error needs. Explained in docs/convergence.md. Nothing here prints, draws or
+knows of a run.
 
 The error of a set is the larger of two ratios:
 
@@ -18,10 +18,11 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from particlerb.bodies import fill
 from particlerb.bodies import shapes as particle_shapes
-from particlerb.bodies.mass_properties import ROUNDING, mass_properties
+from particlerb.bodies.analytic import ANALYTIC, Analytic
+from particlerb.bodies.mass_properties import ROUNDING
 from particlerb.bodies.particles import Particles
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
@@ -37,81 +38,6 @@ error: of the tensor, spectral norm, relative; of the com in radii of gyration i
 no order: lowest, median and highest error of these n
 0.01 and so on: smallest n from which on no n tried exceeds this error, and its particles;
   `>`: more than these are needed"""
-
-
-# Analytic tensors: numbers of docs/bodies.md in brackets
-
-
-class Analytic(NamedTuple):
-    """What integration says of a solid of uniform density, per unit of mass."""
-
-    com: Floats
-    """[m], shape (3,); in the shape's own axes."""
-    tensor: Floats
-    """[m²], shape (3, 3); about com, in the same axes."""
-
-
-def centred(x: float, y: float, z: float) -> Analytic:
-    """Moments per mass [m²] about the axes of a shape with its com at the origin."""
-    return Analytic(np.zeros(3), np.diag([x, y, z]))
-
-
-def analytic_box(size: Sequence[float]) -> Analytic:
-    """I_x = M (b² + c²)/12, and cyclic (5)."""
-    a, b, c = size
-    return centred((b * b + c * c) / 12.0, (a * a + c * c) / 12.0, (a * a + b * b) / 12.0)
-
-
-def analytic_ellipsoid(semi_axes: Sequence[float]) -> Analytic:
-    """I_x = M (b² + c²)/5, and cyclic (7)."""
-    a, b, c = semi_axes
-    return centred((b * b + c * c) / 5.0, (a * a + c * c) / 5.0, (a * a + b * b) / 5.0)
-
-
-def analytic_ball(radius: float) -> Analytic:
-    """I = (2/5) M R² (6)."""
-    return analytic_shell(radius, 0.0)
-
-
-def analytic_shell(radius: float, inner_radius: float | None = None) -> Analytic:
-    """Thick: (2/5) M (R⁵ − r⁵)/(R³ − r³) (9); thin: (2/3) M R² (8)."""
-    R, r = radius, inner_radius
-    moment = 2.0 / 3.0 * R**2 if r is None else 0.4 * (R**5 - r**5) / (R**3 - r**3)
-    return centred(moment, moment, moment)
-
-
-def analytic_cylinder(radius: float, height: float, inner_radius: float = 0.0) -> Analytic:
-    """I_z = M (R² + r²)/2, I_x = M (3 (R² + r²) + h²)/12 (10)."""
-    squares = radius**2 + inner_radius**2
-    across = (3.0 * squares + height**2) / 12.0
-    return centred(across, across, 0.5 * squares)
-
-
-def analytic_cone(radius: float, height: float) -> Analytic:
-    """Com at h/4 above the base, I_z = (3/10) M R², I_x = (3/80) M (4R² + h²) (11)."""
-    across = 3.0 / 80.0 * (4.0 * radius**2 + height**2)
-    tensor = np.diag([across, across, 0.3 * radius**2])
-    return Analytic(np.array([0.0, 0.0, 0.25 * height]), tensor)
-
-
-def analytic_torus(major_radius: float, minor_radius: float) -> Analytic:
-    """I_z = M (c² + 3a²/4), I_x = M (c²/2 + 5a²/8) (12)."""
-    c, a = major_radius, minor_radius
-    across = 0.5 * c**2 + 0.625 * a**2
-    return centred(across, across, c**2 + 0.75 * a**2)
-
-
-def analytic_rod(length: float) -> Analytic:
-    """I_x = M L²/12, I_z = 0 (13)."""
-    return centred(length**2 / 12.0, length**2 / 12.0, 0.0)
-
-
-def analytic_tetrahedron(vertices: ArrayLike) -> Analytic:
-    """Com at the mean of the vertices; Σ m r rᵀ = (M/20) Σ_v r_v r_vᵀ about it (14)."""
-    corner = np.asarray(vertices, dtype=np.float64)
-    com = corner.mean(axis=0)
-    second = (corner - com).T @ (corner - com) / 20.0
-    return Analytic(com, np.trace(second) * np.eye(3) - second)
 
 
 # Examples
@@ -140,26 +66,26 @@ class Solid(NamedTuple):
 
 CORNERS: Final = ((0.0, 0.0, 0.0), (1.0, 0.1, 0.0), (0.2, 0.8, 0.1), (0.3, 0.2, 0.9))
 SOLIDS: Final[dict[str, Solid]] = {
-    "box": Solid("box", {"size": (1.0, 0.8, 0.5)}, analytic_box, has_exact=True),
-    "rod": Solid("rod", {"length": 1.0}, analytic_rod, has_exact=True),
+    "box": Solid("box", {"size": (1.0, 0.8, 0.5)}, ANALYTIC["box"], has_exact=True),
+    "rod": Solid("rod", {"length": 1.0}, ANALYTIC["rod"], has_exact=True),
     "tetrahedron": Solid(
-        "tetrahedron", {"vertices": CORNERS}, analytic_tetrahedron, has_exact=True, finest=100
+        "tetrahedron", {"vertices": CORNERS}, ANALYTIC["tetrahedron"], has_exact=True, finest=100
     ),
-    "thin_shell": Solid("shell", {"radius": 0.5}, analytic_shell, coarsest=1, finest=100),
-    "ball": Solid("ball", {"radius": 0.5}, analytic_ball, has_exact=True),
+    "thin_shell": Solid("shell", {"radius": 0.5}, ANALYTIC["shell"], coarsest=1, finest=100),
+    "ball": Solid("ball", {"radius": 0.5}, ANALYTIC["ball"], has_exact=True),
     "ellipsoid": Solid(
-        "ellipsoid", {"semi_axes": (0.5, 0.35, 0.25)}, analytic_ellipsoid, has_exact=True
+        "ellipsoid", {"semi_axes": (0.5, 0.35, 0.25)}, ANALYTIC["ellipsoid"], has_exact=True
     ),
-    "shell": Solid("shell", {"radius": 0.5, "inner_radius": 0.3}, analytic_shell),
-    "cylinder": Solid("cylinder", {"radius": 0.25, "height": 0.75}, analytic_cylinder),
+    "shell": Solid("shell", {"radius": 0.5, "inner_radius": 0.3}, ANALYTIC["shell"]),
+    "cylinder": Solid("cylinder", {"radius": 0.25, "height": 0.75}, ANALYTIC["cylinder"]),
     "tube": Solid(
         "cylinder",
         {"radius": 0.25, "height": 0.75, "inner_radius": 0.15},
-        analytic_cylinder,
+        ANALYTIC["cylinder"],
         coarsest=3,
     ),
-    "cone": Solid("cone", {"radius": 0.25, "height": 0.75}, analytic_cone),
-    "torus": Solid("torus", {"major_radius": 0.5, "minor_radius": 0.2}, analytic_torus),
+    "cone": Solid("cone", {"radius": 0.25, "height": 0.75}, ANALYTIC["cone"]),
+    "torus": Solid("torus", {"major_radius": 0.5, "minor_radius": 0.2}, ANALYTIC["torus"]),
 }
 
 
@@ -258,7 +184,7 @@ def curve_of(name: str, arrangement: str, most: int) -> Curve:
 def sets(solid: Solid, arrangement: str, most: int) -> Iterator[tuple[int, Particles]]:
     """n and the particles of every set of a curve, one after the other: they are large."""
     if arrangement == "exact":
-        yield 0, solid.filled(exact=True)
+        yield 0, solid.filled(arrangement="exact")
         return
     finest = int(min(solid.finest, 2.0 * math.cbrt(most)))
     for n in range(solid.coarsest, finest + 1):
@@ -269,15 +195,8 @@ def sets(solid: Solid, arrangement: str, most: int) -> Iterator[tuple[int, Parti
 
 
 def errors(solid: Solid, particles: Particles) -> tuple[float, float]:
-    """Error of the tensor and of the com of particles of one kilogram."""
-    com, tensor = solid.analytic(**solid.size)
-    summed = mass_properties(particles)
-    difference = np.linalg.norm(summed.inertia_tensor[0] - tensor, 2)
-    gyration = math.sqrt(0.5 * np.trace(tensor))
-    return (
-        float(difference / np.linalg.norm(tensor, 2)),
-        float(np.linalg.norm(summed.com[0] - com)) / gyration,
-    )
+    """Error of the tensor and of the com of particles."""
+    return fill.errors(particles, solid.analytic(**solid.size))
 
 
 # What a curve says

@@ -89,7 +89,7 @@ VOXEL_BALLS = [
 def test_exact_set_has_the_tensor_of_the_solid(name):
     """Each factor of Σ m x² is rounded: a few u."""
     parameters, moments = EXACT[name]
-    particles = getattr(shapes, name)(**parameters, mass=3.7, exact=True)
+    particles = getattr(shapes, name)(**parameters, mass=3.7, arrangement="exact")
     difference = tensor_of(particles) - 3.7 * np.diag(moments)
     assert np.abs(difference).max() <= 6 * U * 3.7 * max(moments)
     assert len(particles.mass) == {"box": 8, "ball": 6, "ellipsoid": 6, "rod": 3}.get(name, 5)
@@ -151,7 +151,7 @@ def test_thin_shell_is_well_distributed():
 @pytest.mark.parametrize("vertices", [REGULAR, SKEW])
 @pytest.mark.parametrize("n", [2, 3, 10, None])
 def test_tetrahedron_has_the_exact_tensor_for_every_n(vertices, n):
-    particles = shapes.tetrahedron(vertices, 2.0, n or 10, exact=n is None)
+    particles = shapes.tetrahedron(vertices, 2.0, n or 10, arrangement="lattice" if n else "exact")
     expected = naive.tetrahedron_tensor(vertices, 2.0)
     found = mass_properties(particles)
     trace = np.trace(found.inertia_tensor[0])

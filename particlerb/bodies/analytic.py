@@ -1,0 +1,98 @@
+"""Centre of mass and tensor of the analytic solids, per unit of mass.
+
+Written independently of all sums: `converge` and the stop rule measure particles against these.
+Numbers of docs/bodies.md in brackets.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from particlerb.maths.vec3 import Floats
+
+
+class Analytic(NamedTuple):
+    """What integration says of a solid of uniform density, per unit of mass."""
+
+    com: Floats
+    """[m], shape (3,); in the shape's own axes."""
+    tensor: Floats
+    """[m²], shape (3, 3); about com, in the same axes."""
+
+
+def centred(x: float, y: float, z: float) -> Analytic:
+    """Moments per mass [m²] about the axes of a shape with its com at the origin."""
+    return Analytic(np.zeros(3), np.diag([x, y, z]))
+
+
+def analytic_box(size: Sequence[float]) -> Analytic:
+    """I_x = M (b² + c²)/12, and cyclic (5)."""
+    a, b, c = size
+    return centred((b * b + c * c) / 12.0, (a * a + c * c) / 12.0, (a * a + b * b) / 12.0)
+
+
+def analytic_ellipsoid(semi_axes: Sequence[float]) -> Analytic:
+    """I_x = M (b² + c²)/5, and cyclic (7)."""
+    a, b, c = semi_axes
+    return centred((b * b + c * c) / 5.0, (a * a + c * c) / 5.0, (a * a + b * b) / 5.0)
+
+
+def analytic_ball(radius: float) -> Analytic:
+    """I = (2/5) M R² (6)."""
+    return analytic_shell(radius, 0.0)
+
+
+def analytic_shell(radius: float, inner_radius: float | None = None) -> Analytic:
+    """Thick: (2/5) M (R⁵ − r⁵)/(R³ − r³) (9); thin: (2/3) M R² (8)."""
+    R, r = radius, inner_radius
+    moment = 2.0 / 3.0 * R**2 if r is None else 0.4 * (R**5 - r**5) / (R**3 - r**3)
+    return centred(moment, moment, moment)
+
+
+def analytic_cylinder(radius: float, height: float, inner_radius: float = 0.0) -> Analytic:
+    """I_z = M (R² + r²)/2, I_x = M (3 (R² + r²) + h²)/12 (10)."""
+    squares = radius**2 + inner_radius**2
+    across = (3.0 * squares + height**2) / 12.0
+    return centred(across, across, 0.5 * squares)
+
+
+def analytic_cone(radius: float, height: float) -> Analytic:
+    """Com at h/4 above the base, I_z = (3/10) M R², I_x = (3/80) M (4R² + h²) (11)."""
+    across = 3.0 / 80.0 * (4.0 * radius**2 + height**2)
+    tensor = np.diag([across, across, 0.3 * radius**2])
+    return Analytic(np.array([0.0, 0.0, 0.25 * height]), tensor)
+
+
+def analytic_torus(major_radius: float, minor_radius: float) -> Analytic:
+    """I_z = M (c² + 3a²/4), I_x = M (c²/2 + 5a²/8) (12)."""
+    c, a = major_radius, minor_radius
+    across = 0.5 * c**2 + 0.625 * a**2
+    return centred(across, across, c**2 + 0.75 * a**2)
+
+
+def analytic_rod(length: float) -> Analytic:
+    """I_x = M L²/12, I_z = 0 (13)."""
+    return centred(length**2 / 12.0, length**2 / 12.0, 0.0)
+
+
+def analytic_tetrahedron(vertices: ArrayLike) -> Analytic:
+    """Com at the mean of the vertices; Σ m r rᵀ = (M/20) Σ_v r_v r_vᵀ about it (14)."""
+    corner = np.asarray(vertices, dtype=np.float64)
+    com = corner.mean(axis=0)
+    second = (corner - com).T @ (corner - com) / 20.0
+    return Analytic(com, np.trace(second) * np.eye(3) - second)
+
+
+ANALYTIC: Final[dict[str, Callable[..., Analytic]]] = {
+    "box": analytic_box,
+    "ball": analytic_ball,
+    "ellipsoid": analytic_ellipsoid,
+    "shell": analytic_shell,
+    "cylinder": analytic_cylinder,
+    "cone": analytic_cone,
+    "torus": analytic_torus,
+    "rod": analytic_rod,
+    "tetrahedron": analytic_tetrahedron,
+}

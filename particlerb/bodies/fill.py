@@ -1,0 +1,258 @@
+"""From a mesh to particles, and how many particles or spheres suffice for a wanted error.
+
+`mesh_particles` fills a mesh; `enough` is the stop rule `inertia_error` of a case: it tries finer
+and finer sets until one has at most this error, and keeps what it has tried.
+
+The error of a set is the larger of ‖I_sum − I‖₂ / ‖I‖₂, each tensor per mass and about its own
+com, and of the distance of the coms in radii of gyration, as in docs/convergence.md. The error of
+a packing of spheres is that of their union, whose volume is compared as well.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.analytic import ANALYTIC, Analytic
+from particlerb.bodies.cells import cell_particles, cut_mesh, grid_over
+from particlerb.bodies.mass_properties import mass_properties
+from particlerb.bodies.mesh import Mesh, mesh_solid
+from particlerb.bodies.packing import packing
+from particlerb.bodies.particles import Particles, concatenate, one_kind, united
+from particlerb.bodies.solid import Solid, stand_in
+from particlerb.bodies.spheres import union_solid
+from particlerb.maths.vec3 import Floats
+
+MOST_PARTICLES: Final = 1_000_000
+MOST_SPHERES: Final = 1000
+FINER: Final = 1.2  # ratio of the numbers of cells that are tried one after the other
+MORE: Final = 1.5  # and of the numbers of spheres
+
+
+class Trial(NamedTuple):
+    """A set that was tried."""
+
+    n: int
+    """Cells along the largest extent, particles per edge, or spheres."""
+    particles: int
+    inertia_error: float
+    com_error: float
+    volume_error: float = math.nan
+    """Of the union of spheres, relative, signed; NaN where there are none."""
+
+    @property
+    def error(self) -> float:
+        """The larger of the two that the motion feels."""
+        return max(self.inertia_error, self.com_error)
+
+
+class Filled(NamedTuple):
+    """Particles, and what was tried on the way to them."""
+
+    particles: Particles
+    trials: tuple[Trial, ...] = ()
+    notes: tuple[str, ...] = ()
+    """What was changed in a mesh, in words."""
+
+    @property
+    def lines(self) -> list[str]:
+        """Notes, and a table of the trials, the chosen one last."""
+        if not self.trials:
+            return list(self.notes)
+        last = self.trials[-1]
+        head = f"inertia error {last.error:.3g} with n = {last.n}, as wanted; tried:"
+        return [*self.notes, head, *table(self.trials)]
+
+
+def table(trials: Sequence[Trial]) -> list[str]:
+    """Lines of a table of trials, its head first."""
+    has_volume = math.isfinite(trials[0].volume_error)
+    volume = [f"{'volume':>10}"] if has_volume else []
+    lines = [
+        "  ".join([f"{'n':>5}", f"{'particles':>9}", f"{'inertia':>9}", f"{'com':>9}", *volume])
+    ]
+    for trial in trials:
+        cells = [f"{trial.n:>5}", f"{trial.particles:>9}", f"{trial.inertia_error:>9.2e}"]
+        cells += [f"{trial.com_error:>9.2e}"] + [f"{trial.volume_error:>+10.2e}"] * has_volume
+        lines.append("  ".join(cells))
+    return lines
+
+
+def errors(particles: Particles, analytic: Analytic) -> tuple[float, float]:
+    """Error of the tensor per mass and of the com of one kind of particles.
+
+    Parameters
+    ----------
+    particles : Particles
+    analytic : Analytic
+        Of the solid that they stand for.
+    """
+    summed = mass_properties(particles)
+    return differences(summed.com[0], summed.inertia_tensor[0] / summed.mass[0], analytic)
+
+
+def differences(com: Floats, tensor: Floats, analytic: Analytic) -> tuple[float, float]:
+    """The same of a com [m] and a tensor per mass [m²]."""
+    gyration = math.sqrt(0.5 * np.trace(analytic.tensor))
+    off = float(np.linalg.norm(tensor - analytic.tensor, 2))
+    return (
+        off / float(np.linalg.norm(analytic.tensor, 2)),
+        float(np.linalg.norm(com - analytic.com)) / gyration,
+    )
+
+
+def enough(
+    shape: str, size: dict[str, object], wanted: float, make: Callable[[int], Particles]
+) -> Filled:
+    """Coarsest set that was tried of an analytic shape with at most the wanted error.
+
+    Parameters
+    ----------
+    shape, size : str, dict
+        Key of `bodies.analytic.ANALYTIC`, and the arguments.
+    wanted : float
+    make : callable
+        Particles for n; ValueError where n is too small.
+
+    Raises
+    ------
+    ValueError
+        If a million particles are too few; with the table of what was tried.
+    """
+    analytic = ANALYTIC[shape](**size)
+
+    def trial(n: int) -> tuple[Trial, Particles]:
+        particles = make(n)
+        return Trial(n, len(particles.mass), *errors(particles, analytic)), particles
+
+    return first_below(wanted, trial)
+
+
+def first_below(wanted: float, trial: Callable[[int], tuple[Trial, Particles]]) -> Filled:
+    """Try n = 1, 2, ... and, from 5 on, a fifth more each time."""
+    trials: list[Trial] = []
+    n, refusal = 1, None
+    while True:
+        try:
+            made, particles = trial(n)
+        except ValueError as error:  # none of the cells is inside, or all lie in a plane
+            if trials:
+                raise
+            refusal = error
+            if n > FINER**20:
+                raise refusal from None
+        else:
+            trials.append(made)
+            if made.error <= wanted:
+                return Filled(particles, tuple(trials))
+            if made.particles * FINER**3 > MOST_PARTICLES:
+                raise ValueError(missed(wanted, trials))
+        n = max(n + 1, round(FINER * n))
+
+
+def missed(wanted: float, trials: Sequence[Trial]) -> str:
+    """What was tried in vain."""
+    return "\n".join(
+        [
+            f"inertia_error = {wanted:g} is not met; the best of these has"
+            f" {min(trial.error for trial in trials):.3g}",
+            *table(trials),
+        ]
+    )
+
+
+# Meshes
+
+
+def mesh_particles(
+    mesh: Mesh,
+    mass: float | None = None,
+    density: float | None = None,
+    arrangement: str = "exact",
+    n: int = 10,
+    inertia_error: float | None = None,
+) -> Filled:
+    """Particles of the matter inside a mesh.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        As `bodies.mesh.checked` leaves it.
+    mass, density : float [kg, kg/m³]
+        One of them.
+    arrangement : {"exact", "cells", "spheres"}
+        Six particles with exactly the com and tensor of the mesh; cells, each weighted by its share
+        inside, with the same com and tensor; inscribed spheres without mass, to touch with, and
+        the six particles.
+    n : int
+        Cells along the largest extent, or spheres.
+    inertia_error : float, optional
+        Chooses n: the error of cells, or of the union of the spheres.
+
+    Raises
+    ------
+    ValueError
+        If not one of mass and density is given and positive, the arrangement is none of these, n
+        is too small, or the error is not met.
+    """
+    solid = mesh_solid(mesh)
+    if (mass is None) == (density is None):
+        raise ValueError(f"mass {mass} and density {density}: one of them is needed")
+    total = float(density or 0.0) * solid.volume if mass is None else mass
+    if not 0.0 < total < math.inf:
+        raise ValueError(f"mass is {total} kg: positive and finite is needed")
+    analytic = Analytic(solid.com, solid.inertia / solid.volume)
+    if arrangement == "exact":
+        return Filled(stand_in(solid, total), (), mesh.notes)
+    if arrangement == "cells":
+
+        def cells(n: int) -> tuple[Trial, Particles]:
+            particles = mesh_cells(mesh, total, n)
+            return Trial(n, len(particles.mass), *errors(particles, analytic)), particles
+
+        filled = Filled(cells(n)[1]) if inertia_error is None else first_below(inertia_error, cells)
+        return filled._replace(notes=mesh.notes)
+    if arrangement != "spheres":
+        raise ValueError(f"arrangement is {arrangement!r}: exact, cells or spheres is needed")
+    filled = spheres_in(mesh, solid, total, n, inertia_error)
+    return filled._replace(notes=mesh.notes)
+
+
+def mesh_cells(mesh: Mesh, mass: float, n: int) -> Particles:
+    """Particles of cells of a mesh, n along its largest extent."""
+    grid = grid_over(mesh.vertices.min(axis=0), mesh.vertices.max(axis=0), n)
+    return cell_particles(cut_mesh(mesh.vertices, mesh.faces, grid), grid, mass)
+
+
+def spheres_in(
+    mesh: Mesh, solid: Solid, mass: float, n: int, inertia_error: float | None
+) -> Filled:
+    """Inscribed spheres without mass, and six particles with all of it."""
+    analytic = Analytic(solid.com, solid.inertia / solid.volume)
+
+    def trial(count: int) -> Trial:
+        union = union_solid(found.centre[:count], found.radius[:count])
+        off = differences(union.com, union.inertia / union.volume, analytic)
+        return Trial(count, count + 6, *off, union.volume / solid.volume - 1.0)
+
+    def filled(count: int, trials: Sequence[Trial]) -> Filled:
+        surface = one_kind(found.centre[:count], 0.0, found.radius[:count])
+        made = united(concatenate([surface, stand_in(solid, mass)]))
+        return Filled(made, tuple(trials))
+
+    found = packing(mesh, n if inertia_error is None else 16)
+    if inertia_error is None:
+        if len(found.radius) < n:
+            raise ValueError(f"only {len(found.radius)} of {n} spheres find room: lower n")
+        return filled(n, ())
+    trials: list[Trial] = []
+    count = 1
+    while count <= len(found.radius):
+        trials.append(trial(count))
+        if trials[-1].error <= inertia_error:
+            return filled(count, trials)
+        count = max(count + 1, round(MORE * count))
+        if count > len(found.radius) and len(found.radius) < MOST_SPHERES:
+            found = packing(mesh, min(4 * count, MOST_SPHERES))
+    raise ValueError(missed(inertia_error, trials))

@@ -1,0 +1,315 @@
+"""Spheres that fill a mesh from inside: the contact shape of a body that is no sphere.
+
+Each sphere is inscribed: it lies in the matter and touches the surface. Of all that are centred in
+the cells of a grid, the one that holds most matter which no sphere holds yet comes next, so that
+the first k of a packing are the packing of k. This greedy cover holds at least 1 − 1/e of what the
+best k spheres of the grid would (Nemhauser, Wolsey, Fisher, Math. Programming 14, 265, 1978).
+
+Read in this order: `packing`; `near_faces` and `sweep_distance`, the distance of every cell from
+the surface; `cover`, which takes sphere after sphere.
+"""
+
+import heapq
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb._jit import inline, kernel
+from particlerb.bodies.cells import EMPTY, cut_mesh, grid_over
+from particlerb.bodies.mesh import Mesh
+from particlerb.bodies.winding import solid_angle
+from particlerb.maths.vec3 import Floats, Ints, Vec3, dot, subtract
+
+FINE: Final = 48  # cells along the largest extent: how finely centres are tried
+SMALLEST: Final = 0.25  # radius in units of a cell, below which spheres are of no use
+SWEEPS: Final = 2  # in each of the eight directions
+GROWTH: Final = 5  # halvings of the step by which a sphere is moved to grow
+HOLDS: Final = 0.9  # of a step that a radius must grow by: the old sphere is in the new, nearly
+
+Triangle = tuple[Vec3, Vec3, Vec3]
+
+
+class Packing(NamedTuple):
+    """Inscribed spheres, the most useful first."""
+
+    centre: Floats
+    """[m], shape (k, 3)."""
+    radius: Floats
+    """[m], shape (k,)."""
+
+
+def packing(mesh: Mesh, most: int) -> Packing:
+    """Spheres in a mesh, `most` of them, or fewer where no more find room in the grid.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        As `bodies.mesh.checked` leaves it.
+    most : int
+
+    Raises
+    ------
+    ValueError
+        If not one sphere finds room.
+    """
+    lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    grid = grid_over(lower, upper, FINE)
+    share, centroid = np.zeros(grid.counts), np.zeros((*grid.counts, 3))
+    for i, sums in cut_mesh(mesh.vertices, mesh.faces, grid):
+        share[i] = np.where(sums[:, :, 0] > EMPTY, sums[:, :, 0], 0.0)
+        held = share[i] > 0.0
+        cell = np.argwhere(held)
+        mean = np.clip(sums[held][:, 1:4] / share[i][held][:, None], 0.0, 1.0)
+        at = np.column_stack([np.full(len(cell), i), cell])
+        centroid[i][held] = grid.lower + (at + mean) * grid.spacing
+    corner = np.ascontiguousarray(mesh.vertices[mesh.faces])
+    nearest = np.full(grid.counts, -1, dtype=np.int64)
+    distance = np.full(grid.counts, np.inf)
+    near_faces(corner, share, centroid, grid.lower, grid.spacing, nearest, distance)
+    for turn in range(8 * SWEEPS):
+        signs = 1 - 2 * (turn & 1), 1 - (turn & 2), 1 - (turn & 4) // 2
+        sweep_distance(corner, share, centroid, signs, nearest, distance)
+    centre, radius = np.empty((most, 3)), np.empty(most)
+    held = share > 0.0
+    point = np.ascontiguousarray(np.concatenate([centroid[held].T, share[held][None]]))
+    step = float(grid.spacing.min())
+    found = cover(corner, point, np.ascontiguousarray(distance[held]), step, centre, radius)
+    if found == 0:
+        raise ValueError("no sphere finds room in the mesh: it is thinner than a cell of the grid")
+    return Packing(centre[:found].copy(), radius[:found].copy())
+
+
+# Distance from the surface
+
+
+@inline
+def clamped(x: float) -> float:
+    """x between 0 and 1."""
+    return min(max(x, 0.0), 1.0)
+
+
+@inline
+def off_segment(p: Vec3, a: Vec3, b: Vec3) -> float:
+    """Square of the distance of a point from a segment."""
+    d, r = subtract(b, a), subtract(p, a)
+    t = clamped(dot(r, d) / dot(d, d))
+    e = r[0] - t * d[0], r[1] - t * d[1], r[2] - t * d[2]
+    return dot(e, e)
+
+
+@kernel
+def off_triangle(p: Vec3, corner: Floats, f: int) -> float:
+    """Square of the distance of a point from a face."""
+    a = corner[f, 0, 0], corner[f, 0, 1], corner[f, 0, 2]
+    b = corner[f, 1, 0], corner[f, 1, 1], corner[f, 1, 2]
+    c = corner[f, 2, 0], corner[f, 2, 1], corner[f, 2, 2]
+    ab, ac, ap = subtract(b, a), subtract(c, a), subtract(p, a)
+    aa, cc, ac_ab = dot(ab, ab), dot(ac, ac), dot(ab, ac)
+    x, y = dot(ap, ab), dot(ap, ac)
+    below = aa * cc - ac_ab * ac_ab
+    s, t = (cc * x - ac_ab * y) / below, (aa * y - ac_ab * x) / below
+    if s >= 0.0 and t >= 0.0 and s + t <= 1.0:
+        e = (
+            ap[0] - s * ab[0] - t * ac[0],
+            ap[1] - s * ab[1] - t * ac[1],
+            ap[2] - s * ab[2] - t * ac[2],
+        )
+        return dot(e, e)
+    return min(off_segment(p, a, b), off_segment(p, b, c), off_segment(p, c, a))
+
+
+@inline
+def point_of(centroid: Floats, i: int, j: int, k: int) -> Vec3:
+    """Centroid of the matter in a cell."""
+    return centroid[i, j, k, 0], centroid[i, j, k, 1], centroid[i, j, k, 2]
+
+
+@kernel
+def near_faces(
+    corner: Floats,
+    share: Floats,
+    centroid: Floats,
+    lower: Floats,
+    spacing: Floats,
+    nearest: Ints,
+    squared: Floats,
+) -> None:
+    """Nearest face, and squared distance, of the matter in cells that the box of a face reaches."""
+    counts = share.shape
+    low, high = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
+    for f in range(len(corner)):
+        for a in range(3):
+            least = min(corner[f, 0, a], corner[f, 1, a], corner[f, 2, a])
+            most = max(corner[f, 0, a], corner[f, 1, a], corner[f, 2, a])
+            low[a] = max(int((least - lower[a]) / spacing[a]) - 1, 0)
+            high[a] = min(int((most - lower[a]) / spacing[a]) + 1, counts[a] - 1)
+        for i in range(low[0], high[0] + 1):
+            for j in range(low[1], high[1] + 1):
+                for k in range(low[2], high[2] + 1):
+                    if share[i, j, k] > 0.0:
+                        d = off_triangle(point_of(centroid, i, j, k), corner, f)
+                        if d < squared[i, j, k]:
+                            squared[i, j, k], nearest[i, j, k] = d, f
+
+
+@inline
+def ascending(n: int, sign: int) -> range:
+    """0 to n − 1, or the other way round where sign is -1."""
+    return range(0 if sign > 0 else n - 1, n if sign > 0 else -1, sign)
+
+
+@kernel
+def sweep_distance(
+    corner: Floats,
+    share: Floats,
+    centroid: Floats,
+    signs: tuple[int, int, int],
+    nearest: Ints,
+    squared: Floats,
+) -> None:
+    """Hand the nearest face on to neighbours in one direction: the way to it leads through matter.
+
+    A face may be missed that no neighbour is nearest to, so that the result is an upper bound,
+    which `cover` does not trust.
+
+    Source: Zhao, Math. Comp. 74, 603 (2005), with faces in place of values.
+    """
+    si, sj, sk = signs
+    ni, nj, nk = share.shape
+    for i in ascending(ni, si):
+        for j in ascending(nj, sj):
+            for k in ascending(nk, sk):
+                if share[i, j, k] == 0.0:
+                    continue
+                p = point_of(centroid, i, j, k)
+                for a, b, c in ((i - si, j, k), (i, j - sj, k), (i, j, k - sk)):
+                    if 0 <= a < ni and 0 <= b < nj and 0 <= c < nk:
+                        f = nearest[a, b, c]
+                        if f >= 0 and f != nearest[i, j, k]:
+                            d = off_triangle(p, corner, f)
+                            if d < squared[i, j, k]:
+                                squared[i, j, k], nearest[i, j, k] = d, f
+
+
+# Sphere after sphere
+
+
+@inline
+def matter_within(p: Vec3, r: float, free: Floats, n_free: int) -> float:
+    """Matter within r of a point, of the first n_free cells that are free: x, y, z, share."""
+    held, square = 0.0, r * r
+    for m in range(n_free):
+        x, y, z = free[0, m] - p[0], free[1, m] - p[1], free[2, m] - p[2]
+        held += free[3, m] if x * x + y * y + z * z <= square else 0.0
+    return held
+
+
+@inline
+def without(p: Vec3, r: float, free: Floats, n_free: int) -> int:
+    """Take the cells within r of a point from the list; how many are left."""
+    left = 0
+    for m in range(n_free):
+        x, y, z = free[0, m] - p[0], free[1, m] - p[1], free[2, m] - p[2]
+        if x * x + y * y + z * z > r * r:
+            for k in range(4):
+                free[k, left] = free[k, m]
+            left += 1
+    return left
+
+
+@inline
+def room(p: Vec3, corner: Floats, near: Ints, n_near: int) -> float:
+    """Distance of a point from the first n_near of some faces."""
+    squared = math.inf
+    for m in range(n_near):
+        squared = min(squared, off_triangle(p, corner, near[m]))
+    return math.sqrt(squared)
+
+
+@kernel
+def grown(p: Vec3, r: float, step: float, corner: Floats, near: Ints) -> tuple[Vec3, float]:
+    """Move a sphere, by up to a few steps, to where it is larger by what it moves: it holds itself.
+
+    On the way to a ridge of the distance the radius grows by the length of the way.
+    """
+    n_near = 0
+    reach = r + 8.0 * step
+    for f in range(len(corner)):
+        if off_triangle(p, corner, f) <= reach * reach:
+            near[n_near] = f
+            n_near += 1
+    size = step
+    for _ in range(GROWTH):
+        for a in range(-1, 2):
+            for b in range(-1, 2):
+                for c in range(-1, 2):
+                    length = math.sqrt(a * a + b * b + c * c)
+                    if length == 0.0:
+                        continue
+                    by = size / length
+                    q = p[0] + by * a, p[1] + by * b, p[2] + by * c
+                    wider = room(q, corner, near, n_near)
+                    if wider >= r + HOLDS * size:
+                        p, r = q, wider
+        size *= 0.5
+    return p, r
+
+
+@kernel
+def cover(
+    corner: Floats, point: Floats, squared: Floats, step: float, centre: Floats, radius: Floats
+) -> int:
+    """Fill `centre` and `radius`; the number of spheres found.
+
+    What a sphere adds can only shrink while others are taken: a sphere whose last known gain is
+    the largest is looked at again, and taken if it still is (lazy evaluation, Minoux 1978). That
+    it is inside, and its radius, are then made sure of against all faces.
+
+    Parameters
+    ----------
+    corner : ndarray, shape (m, 3, 3) [m]
+        Of the faces.
+    point : ndarray, shape (4, n)
+        Centroid [m] and share of every cell that holds matter.
+    squared : ndarray, shape (n,) [m²]
+        Distance of the centroid from the surface.
+    step : float [m]
+        Size of a cell.
+    """
+    free, n_free = point.copy(), point.shape[1]
+    near = np.empty(len(corner), dtype=np.int64)
+    queue = [(0.0, -1, 0)]
+    for index in range(len(squared)):
+        d = squared[index]
+        if math.isfinite(d) and d > (SMALLEST * step) ** 2:
+            queue.append((-5.0 * d * math.sqrt(d) / step**3 - 1.0, index, -1))
+    heapq.heapify(queue)
+    found = 0
+    while found < len(radius) and len(queue) > 1:
+        gain, index, known = heapq.heappop(queue)
+        if index < 0:
+            break
+        p = point[0, index], point[1, index], point[2, index]
+        r = math.sqrt(squared[index])
+        if known != found:
+            held = matter_within(p, r, free, n_free)
+            if held > 0.0:
+                heapq.heappush(queue, (-held, index, found))
+            continue
+        exact = squared[index]
+        for f in range(len(corner)):
+            exact = min(exact, off_triangle(p, corner, f))
+        if exact < squared[index]:
+            squared[index] = exact
+            if exact > (SMALLEST * step) ** 2:
+                heapq.heappush(queue, (gain, index, -1))
+            continue
+        if not solid_angle(corner, point[:3, index].copy()) > 2.0 * math.pi:
+            continue
+        p, r = grown(p, r, 0.5 * step, corner, near)
+        n_free = without(p, r, free, n_free)
+        centre[found, 0], centre[found, 1], centre[found, 2] = p
+        radius[found] = r
+        found += 1
+    return found
