@@ -1,55 +1,53 @@
 """The cost of summing a particle, against reading it once.
 
-Prints one CSV row per number of particles in a kind (a million particles altogether): nanoseconds
-per particle of `mass_properties` and of its summing kernel alone, and of the memory-bandwidth
-bound, one NumPy sum over the same 40 bytes per particle. Each figure is the best of five.
+Prints one CSV row per number of particles in a kind: nanoseconds per particle and core of
+`mass_properties`, of its sums alone, and of the memory-bandwidth bound, one NumPy sum over the same
+40 bytes per particle; best of interleaved repeats on one thread. The last column is how many
+particles a second the sums take.
 
     python benchmarks/mass_properties.py
 """
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 
-from particlerb.bodies.mass_properties import mass_properties, sum_kinds
+from particlerb.bodies.mass_properties import mass_properties
 from particlerb.bodies.particles import Particles
+from particlerb.bodies.sums import sums_of
+from particlerb.threads import THREADS
 
-TOTAL = 1_000_000
-PER_KIND = (20, 1_000, TOTAL)
-
-
-def best(run: Callable[[], object], repeats: int = 5) -> float:
-    """Shortest of some runs [s], after one that compiles."""
-    run()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - start)
-    return min(times)
+TOTAL = (1_000_000, 1_000_000, 1_000_000, 10_000_000)
+PER_KIND = (20, 1_000, 1_000_000, 10_000_000)
+REPEATS = 7
 
 
-def random_kinds(per_kind: int) -> Particles:
-    """Kinds of random particles, a million altogether."""
+def random_kinds(total: int, per_kind: int) -> Particles:
+    """Kinds of random particles."""
     rng = np.random.default_rng(1)
-    offset = np.arange(0, TOTAL + 1, per_kind, dtype=np.int64)
-    return Particles(rng.random((TOTAL, 3)), rng.random(TOTAL), np.zeros(TOTAL), offset)
+    offset = np.arange(0, total + 1, per_kind, dtype=np.int64)
+    return Particles(rng.random((total, 3)), rng.random(total), np.zeros(total), offset)
 
 
 def main() -> None:
     """Print the table."""
-    print("particles_per_kind,mass_properties_ns,kernel_ns,numpy_read_ns")
-    for per_kind in PER_KIND:
-        particles = random_kinds(per_kind)
-        n = len(particles.offset) - 1
-        sums, exponent = np.empty((n, 11)), np.empty((n, 2), dtype=np.int64)
-        figures = (
-            best(lambda p=particles: mass_properties(p)),
-            best(lambda p=particles, s=sums, e=exponent: sum_kinds(*p, s, e)),
-            best(lambda p=particles: (p.position.sum(), p.mass.sum(), p.radius.sum())),
+    THREADS.use(1)
+    print("particles_per_kind,mass_properties_ns,sums_ns,numpy_read_ns,sums_per_second")
+    for total, per_kind in zip(TOTAL, PER_KIND, strict=True):
+        particles = random_kinds(total, per_kind)
+        runs = (
+            lambda p=particles: mass_properties(p),
+            lambda p=particles: sums_of(p),
+            lambda p=particles: (p.position.sum(), p.mass.sum(), p.radius.sum()),
         )
-        print(per_kind, *(f"{1e9 * t / TOTAL:.2f}" for t in figures), sep=",")
+        times = np.empty((REPEATS, len(runs)))
+        for repeat in range(REPEATS):
+            for k, run in enumerate(runs):
+                start = time.perf_counter()
+                run()
+                times[repeat, k] = time.perf_counter() - start
+        best = times[1:].min(axis=0) / total
+        print(per_kind, *(f"{1e9 * t:.2f}" for t in best), f"{1 / best[1]:.2g}", sep=",")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Mass, centre of mass, inertia tensor, principal frame and rotor class of particle sets.
 
-Read in this order: `MassProperties`; `mass_properties`; the kernel that sums in two passes;
+Read in this order: `MassProperties`; `mass_properties`, which calls bodies/sums.py;
 `principal_frames`, which decides the rotor class and builds the axes with NumPy over all kinds at
 once; `describe`, the text of the `mass` command. Formulas are numbered in docs/bodies.md.
 
@@ -9,16 +9,14 @@ mass of about one before anything is squared, and scaled back at the end.
 """
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.bodies.particles import Particles, check, refuse
+from particlerb.bodies.particles import Particles, refuse
+from particlerb.bodies.sums import sums_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import ASYMMETRIC, NAMES, POINT, ROD, SPHERE, SYMMETRIC
-
-Sum: TypeAlias = tuple[float, float]
 
 ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # 1.8e-15: sums, coordinates, eigenvalues
 TIE = 0.999  # components this close to the largest count as equal when an axis takes its sign
@@ -80,11 +78,8 @@ def mass_properties(particles: Particles) -> MassProperties:
     ----------
     Goldstein, Poole, Safko, Classical Mechanics, 3rd ed., section 5.3.
     """
-    check(particles)
-    n = len(particles.offset) - 1
-    sums, exponent = np.empty((n, 11)), np.empty((n, 2), dtype=np.int64)
     with np.errstate(all="ignore"):  # underflow, and the ratios of points: 0 / 0
-        sum_kinds(*particles, sums, exponent)
+        sums, exponent = sums_of(particles)
         mass, com, second = sums[:, 0], sums[:, 1:4], sums[:, 4:10]
         tensor = inertia_tensors(second, sums[:, 10])
         moments, axes, rotor_class = principal_frames(mass, com, tensor)
@@ -100,85 +95,6 @@ def mass_properties(particles: Particles) -> MassProperties:
     overflown = np.isinf(properties.inertia_tensor).any(axis=(1, 2))
     refuse(np.asarray(overflown), "the inertia tensor exceeds the range of float64")
     return properties
-
-
-# Sums
-
-
-@inline
-def add(total: Sum, term: float) -> Sum:
-    """total + term with the rounding error carried along, whichever of the two is larger.
-
-    Source: two-sum, Knuth, The Art of Computer Programming 2, 3rd ed., 4.2.2, theorem B.
-    """
-    high, low = total
-    s = high + term
-    z = s - high
-    return s, low + ((high - (s - z)) + (term - z))
-
-
-@inline
-def exponents(position: Floats, mass: Floats, radius: Floats, lo: int, hi: int) -> tuple[int, int]:
-    """Powers of two above the largest coordinate or radius, and above the largest mass."""
-    extent, heaviest = 0.0, 0.0
-    for i in range(lo, hi):
-        if mass[i] > 0.0:
-            heaviest = max(heaviest, mass[i])
-            extent = max(extent, abs(position[i, 0]), abs(position[i, 1]))
-            extent = max(extent, abs(position[i, 2]), radius[i])
-    return max(math.frexp(extent)[1], -1000), max(math.frexp(heaviest)[1], -1000)
-
-
-@kernel
-def sum_kinds(
-    position: Floats, mass: Floats, radius: Floats, offset: Ints, sums: Floats, exponent: Ints
-) -> None:
-    """Scaled sums of every kind: M, com (3), Σ m r rᵀ (xx yy zz xy xz yz), Σ (2/5) m radius².
-
-    Lengths are in units of 2^exponent[k, 0], masses of 2^exponent[k, 1]. Two passes, with r
-    measured from the rounded com c of the first: d = Σ m r / M then corrects com = c + d and,
-    by the parallel axis theorem, Σ m r rᵀ − M d dᵀ.
-
-    Source: corrected two-pass algorithm, Chan, Golub, LeVeque, Am. Stat. 37, 242 (1983).
-    """
-    for k in range(len(offset) - 1):
-        lo, hi = offset[k], offset[k + 1]
-        e_length, e_mass = exponents(position, mass, radius, lo, hi)
-        per_length, per_mass = math.ldexp(1.0, -e_length), math.ldexp(1.0, -e_mass)
-
-        M = X = Y = Z = (0.0, 0.0)
-        for i in range(lo, hi):
-            m = mass[i] * per_mass
-            M = add(M, m)
-            X = add(X, m * (position[i, 0] * per_length))
-            Y = add(Y, m * (position[i, 1] * per_length))
-            Z = add(Z, m * (position[i, 2] * per_length))
-        total = M[0] + M[1]
-        cx, cy, cz = (X[0] + X[1]) / total, (Y[0] + Y[1]) / total, (Z[0] + Z[1]) / total
-
-        X = Y = Z = XX = YY = ZZ = XY = XZ = YZ = balls = (0.0, 0.0)
-        for i in range(lo, hi):
-            m = mass[i] * per_mass
-            x = position[i, 0] * per_length - cx
-            y = position[i, 1] * per_length - cy
-            z = position[i, 2] * per_length - cz
-            r = radius[i] * per_length
-            mx, my, mz = m * x, m * y, m * z
-            X, Y, Z = add(X, mx), add(Y, my), add(Z, mz)
-            XX, YY, ZZ = add(XX, mx * x), add(YY, my * y), add(ZZ, mz * z)
-            XY, XZ, YZ = add(XY, mx * y), add(XZ, mx * z), add(YZ, my * z)
-            balls = add(balls, 0.4 * m * r * r)
-        dx, dy, dz = (X[0] + X[1]) / total, (Y[0] + Y[1]) / total, (Z[0] + Z[1]) / total
-
-        exponent[k, 0], exponent[k, 1] = e_length, e_mass
-        sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3] = total, cx + dx, cy + dy, cz + dz
-        sums[k, 4] = XX[0] + (XX[1] - total * dx * dx)
-        sums[k, 5] = YY[0] + (YY[1] - total * dy * dy)
-        sums[k, 6] = ZZ[0] + (ZZ[1] - total * dz * dz)
-        sums[k, 7] = XY[0] + (XY[1] - total * dx * dy)
-        sums[k, 8] = XZ[0] + (XZ[1] - total * dx * dz)
-        sums[k, 9] = YZ[0] + (YZ[1] - total * dy * dz)
-        sums[k, 10] = balls[0] + balls[1]
 
 
 def inertia_tensors(second: Floats, balls: Floats) -> Floats:

@@ -1,0 +1,315 @@
+"""Compensated sums over particles at the speed of memory: mass, first and second moments.
+
+Each particle is read once. Sums run in LANES lanes, each with its own rounding error carried along,
+so that neighbouring particles fill SIMD registers; lanes, then chunks of a fixed size are joined in
+a fixed order, so that any number of threads gives the same bits. Second moments need an origin
+near the centre of mass: it is guessed from a sample, the parallel axis theorem removes what it is
+off, and where that would cost digits, the kind is summed again from the com so found. So the cost
+is one reading for almost all sets and the accuracy that of two.
+"""
+
+import math
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+
+from particlerb._jit import config, inline, kernel
+from particlerb.bodies.particles import Particles, check, refuse
+from particlerb.maths.vec3 import Bools, Floats, Ints, add_scaled, dot
+from particlerb.threads import THREADS
+
+Sum: TypeAlias = tuple[float, float]
+
+LANES: Final = 16
+CHUNK: Final = 16384  # particles that are summed by one thread without a stop
+SAMPLE: Final = 64  # particles of a kind from which origin and scale are guessed
+NEAR: Final = 1 / 16  # |com|² over the square of the size up to which the origin stays where it is
+GOLDEN: Final = 0.6180339887498949
+PASSES: Final = 3  # readings of a kind at most
+SPARE: Final = (
+    200  # powers of two between the scale guessed and the largest value that are harmless
+)
+SUMS: Final = 11  # M, Σ m r (3), Σ m r rᵀ (xx yy zz xy xz yz), Σ (2/5) m radius²
+LOW: Final = SUMS  # rows of rounding errors
+EXTENT: Final = 2 * SUMS  # largest coordinate or radius of what has mass
+HEAVIEST: Final = EXTENT + 1
+LEAST: Final = EXTENT + 2  # smallest mass or radius: below 0 is an error
+BAD: Final = EXTENT + 3  # 0, or NaN where a number is not finite
+ROWS: Final = EXTENT + 4
+X: Final = ROWS  # rows of the group at hand: r, mass, radius
+BUFFER: Final = (ROWS + 5) * LANES
+
+unsigned: Any = int if config.DISABLE_JIT else np.uint64
+
+
+class Sums(NamedTuple):
+    """Scaled sums of kinds: lengths in units of 2^exponent[:, 0], masses of 2^exponent[:, 1]."""
+
+    moments: Floats  # (n, SUMS) about the com but for column 1 to 3, which are the com
+    exponent: Ints  # (n, 2)
+
+
+def sums_of(particles: Particles) -> Sums:
+    """Sums of every kind.
+
+    Raises
+    ------
+    ValueError
+        If a kind has no particles, a negative mass or radius, a number that is not finite, or no
+        mass; the message names the kind.
+    """
+    position, mass, radius, offset = particles
+    count = np.diff(offset)
+    refuse(count < 1, "no particles")
+    n = len(count)
+    origin, exponent = np.empty((n, 3)), np.empty((n, 2), dtype=np.int64)
+    arrays = (np.ascontiguousarray(position).reshape(-1), mass, radius)
+    guess(*arrays, offset, origin, exponent)
+    moments, kinds = np.empty((n, SUMS)), np.arange(n)
+    for remaining in range(PASSES - 1, -1, -1):
+        chunks = chunks_of(offset, kinds)
+        rows = np.empty((len(chunks), ROWS))
+
+        def work(first: int, last: int, chunks: Ints = chunks, rows: Floats = rows) -> None:
+            sum_chunks(*arrays, chunks, origin, exponent, rows, first, last)
+
+        THREADS.share(work, len(chunks), int(count[kinds].sum()) // 16)
+        has_mass = np.bincount(chunks[:, 0], rows[:, HEAVIEST], n)[kinds] > 0.0
+        if not (has_mass.all() and (rows[:, LEAST] >= 0.0).all() and (rows[:, BAD] == 0.0).all()):
+            check(particles)
+        again = np.zeros(n, dtype=np.bool_)
+        join(chunks, rows, origin, exponent, moments, again)
+        kinds = np.flatnonzero(again)
+        if remaining == 0 or kinds.size == 0:
+            break
+    return Sums(moments, exponent)
+
+
+def chunks_of(offset: Ints, kinds: Ints) -> Ints:
+    """Kind, first and last particle (excluded) of chunks of the given kinds, (n, 3)."""
+    count = -(-(offset[kinds + 1] - offset[kinds]) // CHUNK)
+    kind = np.repeat(kinds, count)
+    first = np.arange(len(kind)) - np.repeat(np.cumsum(count) - count, count)
+    low = offset[kind] + first * CHUNK
+    return np.stack([kind, low, np.minimum(low + CHUNK, offset[kind + 1])], axis=1)
+
+
+@inline
+def sampled(lo: int, n: int, s: int) -> int:
+    """Number s of a sample that follows no period of the list; all of a short list, in order."""
+    if n <= SAMPLE:
+        return lo + s
+    return lo + int(n * ((s * GOLDEN) % 1.0))
+
+
+@kernel
+def guess(
+    place: Floats, mass: Floats, radius: Floats, offset: Ints, origin: Floats, exponent: Ints
+) -> None:
+    """Origin (scaled) and scales of every kind from a sample.
+
+    The origin is that of the coordinates where the com is not far from it by the size of the set:
+    sums of symmetric sets about their centre are then 0 to the bit.
+    """
+    for k in range(len(offset) - 1):
+        lo, n = offset[k], offset[k + 1] - offset[k]
+        taken = min(n, SAMPLE)
+        extent = heaviest = 0.0
+        for s in range(taken):
+            i = sampled(lo, n, s)
+            if mass[i] > 0.0:
+                heaviest = max(heaviest, mass[i])
+                extent = max(extent, abs(place[3 * i]), abs(place[3 * i + 1]))
+                extent = max(extent, abs(place[3 * i + 2]), radius[i])
+        exponent[k, 0], exponent[k, 1] = power_above(extent), power_above(heaviest)
+        per_length = math.ldexp(1.0, -int(exponent[k, 0]))
+        per_mass = math.ldexp(1.0, -int(exponent[k, 1]))
+        M = far = 0.0
+        c = (0.0, 0.0, 0.0)
+        for s in range(taken):
+            i = sampled(lo, n, s)
+            m = mass[i] * per_mass
+            p = (place[3 * i], place[3 * i + 1], place[3 * i + 2])
+            p = (p[0] * per_length, p[1] * per_length, p[2] * per_length)
+            M += m
+            far += m * dot(p, p)
+            c = add_scaled(m, p, c)
+        per_mass = 1.0 / M if M > 0.0 else 0.0
+        c = (c[0] * per_mass, c[1] * per_mass, c[2] * per_mass)
+        offset_squared = dot(c, c)
+        is_off = offset_squared > NEAR * (far * per_mass - offset_squared)
+        for axis in range(3):
+            origin[k, axis] = c[axis] if is_off and offset_squared < math.inf else 0.0
+
+
+@inline
+def power_above(value: float) -> int:
+    """Power of two above a number, −1000 at least; 0 of what is no number."""
+    return max(math.frexp(value)[1], -1000) if value < math.inf else 0
+
+
+# Lanes
+
+
+@inline
+def at(row: int, lane: int) -> int:
+    """Index of a lane in a row: unsigned, so that Numba asks not whether it is negative."""
+    index: int = unsigned(row * LANES + lane)
+    return index
+
+
+@inline
+def add(total: Sum, term: float) -> Sum:
+    """total + term with the rounding error carried along, whichever of the two is larger.
+
+    Source: two-sum, Knuth, The Art of Computer Programming 2, 3rd ed., 4.2.2, theorem B.
+    """
+    high, low = total
+    s = high + term
+    z = s - high
+    return s, low + ((high - (s - z)) + (term - z))
+
+
+@inline
+def put(room: Floats, row: int, lane: int, term: float) -> None:
+    """Add a term to a sum of one lane."""
+    high, low = add((room[at(row, lane)], room[at(LOW + row, lane)]), term)
+    room[at(row, lane)], room[at(LOW + row, lane)] = high, low
+
+
+@inline
+def load(
+    room: Floats, lane: int, x: float, y: float, z: float, m: float, r: float, units: Floats
+) -> None:
+    """Write one particle into its lane: scaled, from the origin; note its size and faults."""
+    room[at(BAD, lane)] += ((x - x) + (y - y)) + ((z - z) + (m - m)) + (r - r)
+    room[at(LEAST, lane)] = min(room[at(LEAST, lane)], m, r)
+    room[at(HEAVIEST, lane)] = max(room[at(HEAVIEST, lane)], m)
+    size = max(abs(x), abs(y), abs(z), r) if m > 0.0 else 0.0
+    room[at(EXTENT, lane)] = max(room[at(EXTENT, lane)], size)
+    room[at(X, lane)] = x * units[0] - units[2]
+    room[at(X + 1, lane)] = y * units[0] - units[3]
+    room[at(X + 2, lane)] = z * units[0] - units[4]
+    room[at(X + 3, lane)] = m * units[1]
+    room[at(X + 4, lane)] = r * units[0]
+
+
+@inline
+def add_group(room: Floats) -> None:
+    """Add the particles of all lanes to the sums."""
+    for lane in range(LANES):
+        m, x = room[at(X + 3, lane)], room[at(X, lane)]
+        y, z, r = room[at(X + 1, lane)], room[at(X + 2, lane)], room[at(X + 4, lane)]
+        mx, my, mz = m * x, m * y, m * z
+        put(room, 0, lane, m)
+        put(room, 1, lane, mx)
+        put(room, 2, lane, my)
+        put(room, 3, lane, mz)
+        put(room, 4, lane, mx * x)
+        put(room, 5, lane, my * y)
+        put(room, 6, lane, mz * z)
+        put(room, 7, lane, mx * y)
+        put(room, 8, lane, mx * z)
+        put(room, 9, lane, my * z)
+        put(room, 10, lane, 0.4 * m * r * r)
+
+
+@kernel
+def sum_chunks(
+    place: Floats,
+    mass: Floats,
+    radius: Floats,
+    chunks: Ints,
+    origin: Floats,
+    exponent: Ints,
+    rows: Floats,
+    first: int,
+    last: int,
+) -> None:
+    """Sums of the chunks first to last, high parts, then low parts, and what was noted."""
+    room, units = np.empty(BUFFER), np.empty(5)
+    for c in range(first, last):
+        k, lo, hi = chunks[c]
+        units[0] = math.ldexp(1.0, -int(exponent[k, 0]))
+        units[1] = math.ldexp(1.0, -int(exponent[k, 1]))
+        units[2], units[3], units[4] = origin[k, 0], origin[k, 1], origin[k, 2]
+        room[:] = 0.0
+        whole = lo + (hi - lo) // LANES * LANES
+        for start in range(lo, whole, LANES):
+            x = place[3 * start : 3 * (start + LANES)]
+            m, r = mass[start : start + LANES], radius[start : start + LANES]
+            for lane in range(LANES):
+                i = unsigned(3 * lane)
+                j = unsigned(lane)
+                load(room, lane, x[i], x[i + unsigned(1)], x[i + unsigned(2)], m[j], r[j], units)
+            add_group(room)
+        if whole < hi:
+            room[X * LANES :] = 0.0
+            for lane in range(hi - whole):
+                i = whole + lane
+                x0, y0, z0 = place[3 * i], place[3 * i + 1], place[3 * i + 2]
+                load(room, lane, x0, y0, z0, mass[i], radius[i], units)
+            add_group(room)
+        rows[c, :EXTENT] = 0.0
+        for lane in range(LANES):  # rows inside: additions that need not wait for each other
+            for row in range(SUMS):
+                total = add((rows[c, row], rows[c, LOW + row]), room[row * LANES + lane])
+                rows[c, row], rows[c, LOW + row] = add(total, room[(LOW + row) * LANES + lane])
+        for row in range(EXTENT, ROWS):
+            value = 0.0
+            for lane in range(LANES):
+                found = room[row * LANES + lane]
+                if row == BAD:
+                    value += found
+                else:
+                    value = min(value, found) if row == LEAST else max(value, found)
+            rows[c, row] = value
+
+
+@kernel
+def join(
+    chunks: Ints, rows: Floats, origin: Floats, exponent: Ints, moments: Floats, again: Bools
+) -> None:
+    """Sums of kinds about their com from those of their chunks; say which to sum again, from where.
+
+    With d = Σ m r / M the com is origin + d, and Σ m r rᵀ loses M d dᵀ. The sums stand unless they
+    were larger than what is left of them, or their scale was far off.
+    """
+    c = 0
+    while c < len(chunks):
+        k, total, extent, heaviest = chunks[c, 0], np.zeros((SUMS, 2)), 0.0, 0.0
+        while c < len(chunks) and chunks[c, 0] == k:
+            for row in range(SUMS):
+                high, low = add((total[row, 0], total[row, 1]), rows[c, row])
+                total[row, 0], total[row, 1] = add((high, low), rows[c, LOW + row])
+            extent = max(extent, rows[c, EXTENT])
+            heaviest = max(heaviest, rows[c, HEAVIEST])
+            c += 1
+        M = total[0, 0] + total[0, 1]
+        dx = (total[1, 0] + total[1, 1]) / M
+        dy = (total[2, 0] + total[2, 1]) / M
+        dz = (total[3, 0] + total[3, 1]) / M
+        moments[k, 0] = M
+        moments[k, 1], moments[k, 2], moments[k, 3] = (
+            origin[k, 0] + dx,
+            origin[k, 1] + dy,
+            origin[k, 2] + dz,
+        )
+        moments[k, 4] = total[4, 0] + (total[4, 1] - M * dx * dx)
+        moments[k, 5] = total[5, 0] + (total[5, 1] - M * dy * dy)
+        moments[k, 6] = total[6, 0] + (total[6, 1] - M * dz * dz)
+        moments[k, 7] = total[7, 0] + (total[7, 1] - M * dx * dy)
+        moments[k, 8] = total[8, 0] + (total[8, 1] - M * dx * dz)
+        moments[k, 9] = total[9, 0] + (total[9, 1] - M * dy * dz)
+        moments[k, 10] = total[10, 0] + total[10, 1]
+        e_length, e_mass = power_above(extent), power_above(heaviest)
+        is_far = abs(e_length - exponent[k, 0]) > SPARE or abs(e_mass - exponent[k, 1]) > SPARE
+        spread = moments[k, 4] + moments[k, 5] + moments[k, 6]
+        off = M * (dx * dx + dy * dy + dz * dz)
+        if is_far:
+            exponent[k, 0], exponent[k, 1] = e_length, e_mass
+            origin[k, 0] = origin[k, 1] = origin[k, 2] = 0.0
+        elif off > spread:
+            for axis in range(3):
+                origin[k, axis] = moments[k, 1 + axis]
+        again[k] = is_far or off > spread
