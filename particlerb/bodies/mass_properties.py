@@ -2,7 +2,7 @@
 
 Read in this order: `MassProperties`; `mass_properties`, which calls bodies/sums.py;
 `principal_frames`, which decides the rotor class and builds the axes with NumPy over all kinds at
-once; `describe`, the text of the `mass` command. Formulas are numbered in docs/bodies.md.
+once. Formulas are numbered in docs/bodies.md.
 
 Nothing here has an absolute threshold. A kind is scaled by powers of two, exactly, to extent and
 mass of about one before anything is squared, and scaled back at the end.
@@ -16,7 +16,7 @@ import numpy as np
 from particlerb.bodies.particles import Particles, refuse
 from particlerb.bodies.sums import sums_of
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.rotors.rotor_class import ASYMMETRIC, NAMES, POINT, ROD, SPHERE, SYMMETRIC
+from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
 
 ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # 1.8e-15: sums, coordinates, eigenvalues
 TIE = 0.999  # components this close to the largest count as equal when an axis takes its sign
@@ -54,6 +54,13 @@ class Ratios(NamedTuple):
     """ε + (ε |com|/g)², shape (n,): a smaller λ_1 / λ_3 is zero."""
     equal_below: Floats
     """ε (1 + |com|/g), shape (n,): moments with a smaller gap are equal."""
+
+
+def of_kind(properties: MassProperties, k: int) -> MassProperties:
+    """Mass properties of one kind, as arrays of length one."""
+    mass, com, tensor, moments, axes, code = properties
+    own = slice(k, k + 1)
+    return MassProperties(mass[own], com[own], tensor[own], moments[own], axes[own], code[own])
 
 
 def mass_properties(particles: Particles) -> MassProperties:
@@ -248,63 +255,3 @@ def right_handed(axes: Floats) -> Floats:
     last = axes[:, :, 2]
     hand = np.sign(np.sum(np.cross(first, second) * last, axis=1, keepdims=True))
     return np.stack([first, second, last * hand + 0.0], axis=2)
-
-
-# Report
-
-
-def describe(properties: MassProperties, k: int, name: str, n_particles: int) -> str:
-    """Text of the `mass` command for kind k: every number at full precision, SI units.
-
-    Parameters
-    ----------
-    properties : MassProperties
-    k : int
-        Kind.
-    name : str
-        What to call it.
-    n_particles : int
-        Of this kind.
-    """
-    mass, com, tensor, moments, axes, code = (array[k] for array in properties)
-    excess = moments[0] + moments[1] - moments[2]
-    class_name = NAMES[int(code)]
-    lines = [
-        f"{name}: {class_name}, {n_particles} particles",
-        f"  mass                 {numbers(mass)} kg",
-        f"  centre of mass       {numbers(com)} m",
-        *matrix("inertia tensor", tensor, "kg m², about the centre of mass"),
-        f"  principal moments    {numbers(moments)} kg m²",
-        *matrix("principal axes", axes, "in columns"),
-        f"  radii of gyration    {numbers(np.sqrt(moments / mass))} m",
-        f"  triangle inequality  I1 + I2 − I3 = {numbers(excess)} kg m² (0 or more, to rounding)",
-        f"  rotor class          {class_name}: {reason(properties, k)}",
-    ]
-    return "\n".join(lines)
-
-
-def numbers(values: Floats) -> str:
-    """Numbers with the digits that give back the same float64."""
-    return ", ".join(repr(float(value)) for value in np.atleast_1d(values))
-
-
-def matrix(name: str, rows: Floats, unit: str) -> list[str]:
-    """Lines of a (3, 3) matrix, the first with its name, the last with its unit."""
-    heads = (f"  {name:<19}  ", *2 * (" " * 23,))
-    ends = ("", "", f"  {unit}")
-    return [f"{h}[{numbers(row)}]{end}" for h, row, end in zip(heads, rows, ends, strict=True)]
-
-
-def reason(properties: MassProperties, k: int) -> str:
-    """Ratios of kind k that decided its class, beside the thresholds."""
-    mass, com, tensor, _, _, _ = properties
-    mass, com, tensor = mass[k : k + 1], com[k : k + 1], tensor[k : k + 1]
-    with np.errstate(all="ignore"):
-        ratio = ratios(mass, com, tensor, eigen_systems(tensor)[0])
-        offset, smallest, lower, upper, zero_below, equal_below = (float(r[0]) for r in ratio)
-    if properties.rotor_class[k] == POINT:
-        return f"|com|/g = {offset:.3g}, a point from {1 / ROUNDING:.3g} on"
-    return (
-        f"I1/I3 = {smallest:.3g} (zero up to {zero_below:.2g}), (I2 − I1)/I3 = {lower:.3g},"
-        f" (I3 − I2)/I3 = {upper:.3g} (equal up to {equal_below:.2g}), |com|/g = {offset:.3g}"
-    )

@@ -13,9 +13,10 @@ import numpy as np
 
 from particlerb.bodies import shapes
 from particlerb.bodies.bodies import Bodies, bodies_of_kind
-from particlerb.bodies.files import read_points, read_spheres
+from particlerb.bodies.files import read_points
 from particlerb.bodies.fill import Filled, enough, mesh_particles
 from particlerb.bodies.mass_properties import MassProperties, mass_properties
+from particlerb.bodies.matter import case_spheres
 from particlerb.bodies.mesh import read_mesh
 from particlerb.bodies.particles import (
     Particles,
@@ -62,8 +63,14 @@ class Scene(NamedTuple):
     """Name of a block and a line on how its shape became particles: what was tried, or changed."""
 
 
-def assemble(case: Case) -> Scene:
+def assemble(case: Case, keeps_all: bool = False) -> Scene:
     """Scene of a case.
+
+    Parameters
+    ----------
+    case : Case
+    keeps_all : bool
+        Whether to keep particles that nothing needs once they are summed.
 
     Raises
     ------
@@ -97,7 +104,7 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
             first.append(first[-1] + len(properties[-1].mass))
         except (ValueError, OSError) as error:
             key = f"body[{i}].shape" if body.shape is not None else f"body[{i}].part"
-            problems.append(problem_at(case, key, str(error)))
+            problems.append(problem_at(case, key, f"{body.name}: {error}"))
     if problems:
         raise CaseError(problems)
     arrays = zip(*properties, strict=True)
@@ -153,7 +160,7 @@ def shape_particles(
             particles = shapes.points(shape.position or (), shape.mass or (), shape.radius)
         return Filled(particles if mass is None else scaled_to_mass(particles, mass))
     if isinstance(shape, Spheres):
-        return Filled(spheres(*spheres_of(case, shape), mass, density, shape.overlap))
+        return Filled(spheres(*case_spheres(case, shape), mass, density, shape.overlap))
     if isinstance(shape, Mesh):
         mesh = read_mesh(case.file(shape.file), shape.scale)
         how = shape.arrangement, shape.n, shape.inertia_error
@@ -167,14 +174,6 @@ def shape_particles(
         return Filled(particles_of())
     size = {key: parameters[key] for key in parameters.keys() - {"n", "arrangement"}}
     return enough(shape.type, size, wanted, lambda n: particles_of(n=n))
-
-
-def spheres_of(case: Case, shape: Spheres) -> tuple[Floats, Floats]:
-    """Centres (n, 3) and radii (n,) [m] of a shape."""
-    if shape.file is None:
-        return np.array(shape.position), np.array(shape.radius)
-    position, radius = read_spheres(case.file(shape.file))
-    return position * shape.scale, radius * shape.scale
 
 
 def kinds_of_bodies(case: Case, placement: Placement, first_kind: Ints) -> Ints:

@@ -16,11 +16,11 @@ from typing import Final, NoReturn
 
 import particlerb
 from particlerb.cli.common import DONE, FAILED, INTERRUPTED, Ending
+from particlerb.cli.mass import mass_command
 from particlerb.cli.run import check_command, run_command
 from particlerb.cli.show import (
     cases_command,
     info_command,
-    mass_command,
     methods_command,
     plot_command,
     schema_command,
@@ -57,8 +57,8 @@ def parser() -> argparse.ArgumentParser:
     add_plan(check)
 
     mass = commands.add_parser("mass", help="mass, com, inertia tensor, principal axes of bodies")
-    add_case(mass)
-    mass.add_argument("body", nargs="?", metavar="BODY", help="name of one body; default: all")
+    add_bodies(mass)
+    mass.add_argument("--json", action="store_true", help="machine-readable result")
 
     info = commands.add_parser("info", help="what a trajectory file holds")
     info.add_argument("file", metavar="FILE")
@@ -130,6 +130,12 @@ def positive(text: str) -> float:
 def add_case(command: argparse.ArgumentParser) -> None:
     """Options of all commands that read a case."""
     command.add_argument("case", metavar="CASE")
+    add_overrides(command)
+    command.add_argument("--json", action="store_true", help="machine-readable result")
+
+
+def add_overrides(command: argparse.ArgumentParser) -> None:
+    """Option that changes a case."""
     command.add_argument(
         "--set",
         dest="overrides",
@@ -138,7 +144,23 @@ def add_case(command: argparse.ArgumentParser) -> None:
         metavar="KEY=VALUE",
         help="change a key of the case, as run.dt=1e-4 or body.0.mass=2; repeatable",
     )
-    command.add_argument("--json", action="store_true", help="machine-readable result")
+
+
+def add_bodies(command: argparse.ArgumentParser) -> None:
+    """Options of the commands that read bodies: of a case, or one from a file of its own."""
+    command.add_argument(
+        "case", metavar="FILE", help="a case; or a table x y z m [r] of points, x y z r of spheres"
+    )
+    command.add_argument("body", nargs="?", metavar="BODY", help="of a case; default: all")
+    add_overrides(command)
+    file = command.add_argument_group("of a file that is no case")
+    amount = file.add_mutually_exclusive_group()
+    amount.add_argument("--mass", type=positive, metavar="KG", help="of the body")
+    amount.add_argument(
+        "--density", type=positive, metavar="KG/M3", help="of its matter; default: 1"
+    )
+    file.add_argument("--scale", type=positive, metavar="M", help="unit of length; default: 1 m")
+    file.add_argument("--spin", type=positive, metavar="RAD/S", help="to advise a step for")
 
 
 def add_plan(command: argparse.ArgumentParser) -> None:

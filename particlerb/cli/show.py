@@ -1,4 +1,4 @@
-"""Commands that show what is there: bodies, files, pictures, cases, methods, the schema."""
+"""Commands that show what is there: files, pictures, cases, methods, the schema."""
 
 import argparse
 import difflib
@@ -6,49 +6,9 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from particlerb.cli.common import DONE, PICTURES, Ending, example_folders, opened, read_case
+from particlerb.cli.common import DONE, PICTURES, Ending, example_folders, opened
 
 PLOTTED: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
-
-
-def mass_command(options: argparse.Namespace) -> int:
-    """`mass`: mass properties of the distinct bodies."""
-    from particlerb.bodies.mass_properties import describe
-    from particlerb.bodies.scene import assemble
-    from particlerb.case.placement import resolve_bodies
-    from particlerb.case.problems import CaseError
-
-    case = read_case(options)
-    try:
-        scene = assemble(case)
-    except CaseError as error:
-        raise Ending(str(error)) from None
-    bodies = range(len(scene.kind))
-    if options.body is not None:
-        try:
-            bodies = resolve_bodies(case, options.body).tolist()
-        except KeyError:
-            known = ", ".join(body.name for body in case.body)
-            raise Ending(f"{options.body}: no such body; bodies here: {known}") from None
-    shown: dict[int, str] = {}
-    for b in bodies:
-        shown.setdefault(int(scene.kind[b]), scene.names[b])
-    counts = scene.particles.offset[1:] - scene.particles.offset[:-1]
-    if options.json:
-        print(json.dumps([mass_record(scene, k, name) for k, name in shown.items()]))
-        return DONE
-    texts = [describe(scene.properties, k, n, int(counts[k])) for k, n in shown.items()]
-    print("\n\n".join(texts))
-    return DONE
-
-
-def mass_record(scene: Any, k: int, name: str) -> dict[str, Any]:
-    """Mass properties of one kind for machines."""
-    from particlerb.rotors.rotor_class import NAMES
-
-    record = {field: values[k].tolist() for field, values in scene.properties._asdict().items()}
-    record["rotor_class"] = NAMES[record["rotor_class"]]
-    return {"name": name, **record}
 
 
 def info_command(options: argparse.Namespace) -> int:

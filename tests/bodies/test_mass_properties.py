@@ -14,11 +14,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from particlerb.bodies import shapes, sums
-from particlerb.bodies.mass_properties import describe, mass_properties
+from particlerb.bodies.mass_properties import mass_properties
 from particlerb.bodies.particles import (
     concatenate,
     one_kind,
-    scaled_to_mass,
     transformed,
     united,
 )
@@ -371,17 +370,6 @@ def test_empty_kind_and_overflow_are_errors():
         mass_properties(empty)
     with pytest.raises(ValueError, match="kind 0: the inertia tensor exceeds"):
         mass_properties(shapes.box([1e120, 1e120, 1e120], 1e120))
-
-
-def test_description_states_every_number_in_full():
-    particles = scaled_to_mass(random_set(9), 0.1 + 0.2)
-    found = mass_properties(particles)
-    text = describe(found, 0, "potato", 12)
-    numbers = [found.mass[0], *found.com[0], *found.inertia_tensor[0].flat, *found.moments[0]]
-    assert all(repr(float(number)) in text for number in numbers)
-    assert "potato: asymmetric, 12 particles" in text
-    assert all(unit in text for unit in (" kg\n", " m\n", " kg m²"))
-    assert "point" in describe(mass_properties(naive.of_kind(CLASSES["point"][0], 0)), 0, "p", 3)
 
 
 # Sums over many particles

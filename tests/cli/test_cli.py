@@ -229,6 +229,51 @@ def test_mass_reports_tensor_class_and_digits(here, capsys):
     assert "bodies here: cube" in capsys.readouterr().err
 
 
+def test_mass_of_tables(here, capsys):
+    Path("clump.txt").write_text("0 0 0 1\n0.5 0 0 1\n")
+    assert main(["mass", "clump.txt", "--density", "2", "--spin", "10"]) == 0
+    out = capsys.readouterr().out
+    assert "plain sum            mass +" in out
+    assert "0.005 s for 10 rad/s" in out
+    assert main(["mass", "clump.txt", "--json", "--mass", "3", "--scale", "0.001"]) == 0
+    (record,) = json.loads(capsys.readouterr().out)
+    assert record["mass"] == pytest.approx(3.0, rel=1e-15)
+    assert 5e-9 < record["volume"] < 8e-9
+    Path("points.csv").write_text("x,y,z,m\n1,0,0,1\n-1,0,0,1\n")
+    assert main(["mass", "points.csv"]) == 0
+    assert "points: rod, 2 particles" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("", [], "body.txt: empty"),
+        ("0 0 0 1\n1 0 zero 1\n", [], "body.txt:2: z = 'zero' is not a number"),
+        ("0 0 0 -1\n", [], "body.txt:1: r = -1 is negative"),
+        ("x,y,z,m\n0,0,0,-1\n", [], "body.txt:2: m = -1 is negative"),
+        ("x,y,z,m\n0,0,0,1\n0,0,0,1\n", [], "body.txt:3: at [0.0, 0.0, 0.0]"),
+        ("x,y,z,m\n0,0,0,1\n", ["--density", "2"], "points bring their masses"),
+        ("0 0 0 1\n", ["nose"], "nose: body.txt is one body"),
+        ("0 0 0 1\n", ["--set", "run.dt=1"], "only a case has keys"),
+    ],
+)
+def test_mass_refuses_what_is_no_body(here, capsys, text, options, message):
+    Path("body.txt").write_text(text)
+    assert main(["mass", "body.txt", *options]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_mass_says_which_body_cannot_exist(here, capsys):
+    Path("egg.toml").write_text(
+        "[run]\nt_end = 1.0\nevery = 1.0\n[[body]]\nname = 'egg'\nmass = 1.0\n"
+        "shape = { type = 'moments', inertia = [1.0, 2.0, 3.5] }\n"
+    )
+    assert main(["mass", "egg.toml"]) == 2
+    assert "egg: inertia [1.0, 2.0, 3.5]: moment 3 = 3.5 exceeds" in capsys.readouterr().err
+    assert main(["mass", "egg.toml", "--mass", "2"]) == 2
+    assert "change it with --set" in capsys.readouterr().err
+
+
 def test_info_and_plot_of_a_file(here, capsys):
     main(["cube.toml"])
     capsys.readouterr()

@@ -1,0 +1,72 @@
+"""What is known of a body's matter beside its particles: volume, plain sum, how exact it is.
+
+Mass properties are sums over particles, whatever the body is made of. Where the body is a solid,
+its volume and the error of its integrals are known too, and where it is made of overlapping
+spheres, what a sum over them would have given instead.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.bodies import shapes
+from particlerb.bodies.files import read_spheres
+from particlerb.bodies.solid import Solid
+from particlerb.bodies.spheres import overlaps, plain_solid, union_solid
+from particlerb.case.schema import Body, Case, Part
+from particlerb.case.shapes import Cloud, Points, Spheres
+from particlerb.maths.vec3 import Floats
+
+
+class Matter(NamedTuple):
+    """What is known of one kind of body."""
+
+    volume: float | None = None
+    """[m³]; None where particles have none."""
+    error: float = 0.0
+    """Estimated relative error of the integrals from which the particles come."""
+    plain: Solid | None = None
+    """For density 1, the sum over spheres that counts overlaps twice; None where none overlap."""
+    exact: Solid | None = None
+    """For density 1, the union of these spheres."""
+
+
+def matter_of(case: Case, body: Body) -> Matter:
+    """Matter of the bodies of a block."""
+    if body.shape is None:
+        volumes = [matter_of_shape(case, part).volume for part in body.part]
+        return Matter(None if None in volumes else math.fsum(v for v in volumes if v is not None))
+    return matter_of_shape(case, body)
+
+
+def matter_of_shape(case: Case, table: Body | Part) -> Matter:
+    """Matter of a shape on its own."""
+    shape = table.shape
+    if isinstance(shape, Spheres):
+        centre, radius = case_spheres(case, shape)
+        return matter_of_spheres(centre, radius, shape.overlap == "sum")
+    if shape is None or isinstance(shape, (Points, Cloud)):
+        return Matter()
+    try:
+        return Matter(shapes.volume(shape.type, shape.model_dump()))
+    except ValueError:
+        return Matter()
+
+
+def case_spheres(case: Case, shape: Spheres) -> tuple[Floats, Floats]:
+    """Centres (n, 3) and radii (n,) [m] of a shape."""
+    if shape.file is None:
+        return np.array(shape.position), np.array(shape.radius)
+    position, radius = read_spheres(case.file(shape.file))
+    return position * shape.scale, radius * shape.scale
+
+
+def matter_of_spheres(centre: Floats, radius: Floats, as_sum: bool = False) -> Matter:
+    """Matter of spheres: the union, or their sum."""
+    plain = plain_solid(centre, radius)
+    if not overlaps(centre, radius).pairs:
+        return Matter(plain.volume, plain.error)
+    exact = union_solid(centre, radius)
+    best = plain if as_sum else exact
+    return Matter(best.volume, best.error, plain, exact)

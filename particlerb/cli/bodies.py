@@ -1,0 +1,136 @@
+"""Bodies by name from whatever describes them: a case, a table of points or spheres."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from particlerb.cli.common import Ending, find_case, read_case
+
+if TYPE_CHECKING:
+    from particlerb.bodies.mass_properties import MassProperties
+    from particlerb.bodies.matter import Matter
+    from particlerb.bodies.particles import Particles
+    from particlerb.case.schema import Case
+
+TABLES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
+UNWEIGHED: Final = 1.0  # [kg/m³] density of a file that says none, and no option either
+
+
+class Named(NamedTuple):
+    """One kind of body."""
+
+    name: str
+    particles: "Particles"
+    """All of this kind, in the axes in which they are given."""
+    properties: "MassProperties"
+    """Arrays of length one."""
+    matter: "Matter"
+    spin: float
+    """[rad/s], the fastest of the bodies of this kind."""
+
+
+def is_case(path: Path) -> bool:
+    """Whether a file is a case rather than one body."""
+    return path.suffix.lower() not in (*TABLES, *READERS)
+
+
+def named_bodies(options: argparse.Namespace) -> list[Named]:
+    """Kinds of bodies of a command line: its file, and the body of it where one is named.
+
+    Raises
+    ------
+    Ending
+        If the file or the body is wrong, or options do not go with it.
+    """
+    path = find_case(options.case)
+    if not is_case(path):
+        return [body_of_file(path, options)]
+    for option in ("mass", "density", "scale", "spin"):
+        if getattr(options, option) is not None:
+            raise Ending(f"--{option}: a case says it itself; change it with --set")
+    return bodies_of_case(read_case(options), options.body)
+
+
+def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
+    """Distinct kinds among the bodies of a case."""
+    import numpy as np
+
+    from particlerb.bodies.mass_properties import of_kind
+    from particlerb.bodies.matter import matter_of
+    from particlerb.bodies.particles import one_kind
+    from particlerb.bodies.scene import assemble
+    from particlerb.bodies.state import omega_world
+    from particlerb.case.placement import place, resolve_bodies
+    from particlerb.case.problems import CaseError
+
+    try:
+        scene = assemble(case, keeps_all=True)
+        bodies = np.arange(len(scene.kind)) if wanted is None else resolve_bodies(case, wanted)
+    except CaseError as error:
+        raise Ending(str(error)) from None
+    except KeyError:
+        known = ", ".join(body.name for body in case.body)
+        raise Ending(f"{wanted}: no such body; bodies here: {known}") from None
+    speed = np.linalg.norm(omega_world(scene.bodies, scene.state), axis=0)
+    block = place(case).block
+    found = []
+    _, first = np.unique(scene.kind[bodies], return_index=True)
+    for b in bodies[np.sort(first)]:
+        k = scene.kind[b]
+        own = slice(scene.particles.offset[k], scene.particles.offset[k + 1])
+        position, mass, radius = (array[own] for array in scene.particles[:3])
+        particles = one_kind(position + scene.properties.com[k], mass, radius)
+        spin = float(speed[bodies][scene.kind[bodies] == k].max())
+        matter = matter_of(case, case.body[block[b]])
+        found.append(Named(scene.names[b], particles, of_kind(scene.properties, k), matter, spin))
+    return found
+
+
+def body_of_file(path: Path, options: argparse.Namespace) -> Named:
+    """The one body of a file."""
+    from particlerb.bodies.mass_properties import mass_properties
+
+    if options.body is not None:
+        raise Ending(f"{options.body}: {path} is one body; only a case has names")
+    if options.overrides:
+        raise Ending("--set: only a case has keys")
+    read = READERS.get(path.suffix.lower(), table_body)
+    try:
+        particles, matter = read(path, options)
+        return Named(path.stem, particles, mass_properties(particles), matter, options.spin or 0.0)
+    except (ValueError, FileNotFoundError, IsADirectoryError) as error:
+        message = str(error)
+        raise Ending(message if str(path) in message else f"{path}: {message}") from None
+
+
+def table_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Matter]":
+    """Points or spheres of a table."""
+    from particlerb.bodies.files import POINTS, columns_of, read_points, read_spheres
+    from particlerb.bodies.matter import Matter, matter_of_spheres
+    from particlerb.bodies.particles import scaled_to_mass
+    from particlerb.bodies.spheres import spheres
+
+    scale = options.scale or 1.0
+    if columns_of(path) is POINTS:
+        if options.density is not None:
+            raise Ending("--density: points bring their masses; --mass rescales them")
+        points = read_points(path)
+        points = points._replace(position=points.position * scale, radius=points.radius * scale)
+        return points if options.mass is None else scaled_to_mass(points, options.mass), Matter()
+    centre, radius = (array * scale for array in read_spheres(path))
+    return spheres(centre, radius, *amount(options)), matter_of_spheres(centre, radius)
+
+
+def amount(options: argparse.Namespace) -> tuple[float | None, float | None]:
+    """Mass and density of uniform matter, one of them given."""
+    if options.mass is not None and options.density is not None:
+        raise Ending("--density beside --mass: give one of them")
+    if options.mass is None and options.density is None:
+        return None, UNWEIGHED
+    return options.mass, options.density
+
+
+READERS: Final[
+    dict[str, Callable[[Path, argparse.Namespace], "tuple[Particles, Matter]"]]
+] = {}  # by suffix, beside tables

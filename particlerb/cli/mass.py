@@ -1,0 +1,30 @@
+"""`mass`: mass properties of the bodies of a case, of a table of points or spheres."""
+
+import argparse
+import json
+
+from particlerb.cli.bodies import named_bodies
+from particlerb.cli.common import DONE, Ending
+
+
+def mass_command(options: argparse.Namespace) -> int:
+    """Print the mass properties of distinct bodies."""
+    from particlerb.bodies.report import record_of, text_of
+    from particlerb.plan import RADIANS_PER_STEP
+
+    records = []
+    for body in named_bodies(options):
+        n = len(body.particles.mass)
+        try:
+            records.append(
+                record_of(
+                    body.name, body.properties, 0, n, body.matter, body.spin, RADIANS_PER_STEP
+                )
+            )
+        except ValueError as error:
+            raise Ending(f"{options.case}: {error}") from None
+    if options.json:
+        print(json.dumps(records))
+    else:
+        print("\n\n".join(map(text_of, records)))
+    return DONE
