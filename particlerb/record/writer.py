@@ -26,10 +26,14 @@ from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames, derived
 from particlerb.case.schema import Case
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record.integrity import Words, frame_checksums, seal
 from particlerb.record.schema import (
+    AXES,
     BODIES,
+    CHUNK_OF_NUMBERS,
     COMMITTED,
     FIELDS,
+    INTEGRITY,
     LEDGER,
     OBSERVABLES,
     PARAMETERS,
@@ -39,12 +43,20 @@ from particlerb.record.schema import (
     Element,
     frames_per_chunk,
 )
+from particlerb.record.vtkhdf import append_steps, count_steps, create_vtkhdf, resize_vtkhdf
 
 SECONDS_BETWEEN_COMMITS = 1.0
 LARGEST_SPARE = 32_000_000  # bytes that HDF5 may hold back in its caches, 1 MiB a dataset
 SMALLEST_FILE = 600_000  # bytes of a file of few bodies and frames
 CLOCK = "time"
-SHORT_CHUNK = 1024  # entries per chunk of a number per frame
+CHECKSUM = "checksum"
+SHOWN = {  # what VTK shows of each body beside the recorded fields
+    "id": f"{TRAJECTORY}/id",
+    "mass": f"{TRAJECTORY}/mass",
+    "extent": f"{TRAJECTORY}/extent",
+    "kind": f"{BODIES}/kind",
+}
+THINNEST = 0.02  # edge of a glyph, of the longest one: rods and points are to be seen
 NUMBERS = itertools.count()  # of the files in memory
 
 
@@ -96,7 +108,7 @@ class Recorder:
         self.case, self.scene = case, scene
         self.dtype = np.dtype(case.output.dtype)
         # Frames committed, and the small arrays of those that are not: replaced as one.
-        self.ready: tuple[int, list[dict[str, Floats]]] = (0, [])
+        self.ready: tuple[int, list[dict[str, Floats | Words]]] = (0, [])
         self.last_commit = time.monotonic()
         write_header(self.file)
         write_bodies(self.file, scene)
@@ -110,6 +122,9 @@ class Recorder:
             name: self.make_element(f"{OBSERVABLES}/{name}", element, per_body=False)
             for name, element in LEDGER.items()
         }
+        self.checksums = make_checksums(self.file)
+        if path is not None:  # nobody else can open a file in memory
+            create_vtkhdf(self.file, self.values, SHOWN, most_frames(case))
         self.file.attrs[COMMITTED] = np.int64(0)
         self.commit()
 
@@ -120,16 +135,21 @@ class Recorder:
         n, width = len(self.scene.kind), len(element.components)
         shape = ((n,) if per_body else ()) + ((width,) if width else ())
         dtype = self.dtype if per_body else np.dtype(np.float64)
-        frames = frames_per_chunk(n, width, dtype.itemsize) if per_body else SHORT_CHUNK
+        frames = frames_per_chunk(n, width, dtype.itemsize) if per_body else CHUNK_OF_NUMBERS
         value = group.create_dataset(
-            "value", (0, *shape), dtype, maxshape=(None, *shape), chunks=(frames, *shape)
+            "value",
+            (0, *shape),
+            dtype,
+            maxshape=(None, *shape),
+            chunks=(frames, *shape),
+            fillvalue=np.nan,  # what was never written is no number
         )
         value.attrs["units"] = element.units
         value.attrs["meaning"] = element.meaning
         trajectory = self.file[TRAJECTORY]
         scales = [self.time]
         scales += [trajectory["body"]] if per_body else []
-        scales += [trajectory[element.components]] if width else []
+        scales += [self.file[element.components]] if width else []
         for dimension, scale in zip(value.dims, scales, strict=True):
             dimension.attach_scale(scale)
         return value
@@ -149,11 +169,13 @@ class Recorder:
     def write(self, times: Floats, frames: Frames, rows: Ints, ledger: Any) -> None:
         """Write the large arrays now and keep the small ones until the next commit."""
         n = self.n_frames
-        arrays = fields_of(frames, rows, self.scene, self.values)
+        found = fields_of(frames, rows, self.scene, self.values)
+        arrays = {name: found[name].astype(self.dtype, copy=False) for name in self.values}
         for name, dataset in self.values.items():
-            append_rows(dataset, n, arrays[name].astype(self.dtype, copy=False))
-        entries = {name: getattr(ledger, name)[rows] for name in self.ledger}
-        self.ready[1].append({CLOCK: times, **entries})
+            append_rows(dataset, n, arrays[name])
+        entries = {CLOCK: times} | {name: getattr(ledger, name)[rows] for name in self.ledger}
+        sums = frame_checksums(len(times), [*arrays.values(), *entries.values()])
+        self.ready[1].append({**entries, CHECKSUM: sums})
         if time.monotonic() - self.last_commit > SECONDS_BETWEEN_COMMITS:
             self.commit()
 
@@ -179,12 +201,14 @@ class Recorder:
         """Put what is written on disk, then say so; may be repeated after an interrupt."""
         first, pending = self.ready
         n = self.n_frames
-        small = {CLOCK: self.time, **self.ledger}
+        small = {CLOCK: self.time, CHECKSUM: self.checksums, **self.ledger}
         for name in pending[0] if pending else ():
             append_rows(small[name], first, np.concatenate([part[name] for part in pending]))
         append_rows(self.step, first, np.arange(first, n))
+        append_steps(self.file, self.time[first:n])
         self.file.flush()
         self.file.attrs.modify(COMMITTED, np.int64(n))
+        count_steps(self.file, n)
         self.file.flush()
         self.ready = (n, [])
         self.last_commit = time.monotonic()
@@ -197,12 +221,13 @@ class Recorder:
             self.commit()
             for dataset in self.values.values():
                 dataset.resize(self.n_frames, axis=0)
+            resize_vtkhdf(self.file, self.values, self.n_frames)
             self.file.flush()
             if self.path is not None:
                 self.file.close()
 
 
-def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints) -> None:
+def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints | Words) -> None:
     """Append values from row `first` on; a row that is a chunk goes straight to the file."""
     dataset.resize(first + len(values), axis=0)
     if dataset.chunks[0] > 1:
@@ -244,14 +269,15 @@ def write_bodies(file: h5py.File, scene: Scene) -> None:
     n = len(scene.kind)
     trajectory["body"] = np.arange(n)
     trajectory["body"].make_scale("body")
-    for axis in ("xyz", "wxyz"):
-        trajectory[axis] = np.array([letter.encode() for letter in axis])
-        trajectory[axis].make_scale(axis)
+    for axis in AXES:
+        file[axis] = np.array([letter.encode() for letter in axis])
+        file[axis].make_scale(axis)
     bodies, particles = scene.bodies, scene.particles
     arrays = {
         f"{TRAJECTORY}/id": np.arange(n),
         f"{TRAJECTORY}/mass": bodies.mass,
         f"{TRAJECTORY}/moment_inertia": bodies.inertia.T,
+        f"{TRAJECTORY}/extent": extents(scene),
         f"{BODIES}/names": np.array([name.encode() for name in scene.names]),
         f"{BODIES}/kind": scene.kind,
         f"{BODIES}/rotor_class": bodies.rotor_class,
@@ -265,6 +291,25 @@ def write_bodies(file: h5py.File, scene: Scene) -> None:
         file[path] = arrays[path]
         file[path].attrs["units"] = table.units
         file[path].attrs["meaning"] = table.meaning
+    for name in ("id", "mass", "moment_inertia", "extent"):
+        trajectory[name].dims[0].attach_scale(trajectory["body"])
+    trajectory["extent"].dims[1].attach_scale(file["xyz"])
+    trajectory["moment_inertia"].dims[1].attach_scale(file["123"])
+
+
+def extents(scene: Scene) -> Floats:
+    """Edges of a box about the centre of mass of each body that holds its particles, (N, 3) [m].
+
+    Axes of the body frame. No edge is thinner than a share of the longest one: of the body, or of
+    all bodies where the body is a point.
+    """
+    particles = scene.particles
+    reach = np.abs(particles.position) + particles.radius[:, None]
+    edges = 2.0 * np.maximum.reduceat(reach, particles.offset[:-1], axis=0)
+    longest = edges.max(axis=1, keepdims=True)
+    longest[longest == 0.0] = longest.max() or 1.0
+    thick: Floats = np.maximum(edges, THINNEST * longest)[scene.kind]
+    return thick
 
 
 def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> None:
@@ -280,6 +325,8 @@ def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> No
     for name, text in parameters.items():
         file[f"{PARAMETERS}/{name}"] = text
     file[f"{PARAMETERS}/seed"] = case.run.seed
+    file.create_group(INTEGRITY)
+    seal(file)
 
 
 def versions() -> dict[str, str]:
@@ -305,11 +352,26 @@ def git_revision() -> str:
 def make_clock(file: h5py.File) -> tuple[h5py.Dataset, h5py.Dataset]:
     """Step and time, which every element shares by hard links."""
     group = file[TRAJECTORY]
-    step = group.create_dataset("step", (0,), "i8", maxshape=(None,), chunks=(SHORT_CHUNK,))
-    clock = group.create_dataset("time", (0,), "f8", maxshape=(None,), chunks=(SHORT_CHUNK,))
+    step = group.create_dataset("step", (0,), "i8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,))
+    clock = group.create_dataset(
+        "time", (0,), "f8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,), fillvalue=np.nan
+    )
     clock.attrs["units"] = "s"
     clock.make_scale("time")
+    step.dims[0].attach_scale(clock)
     return step, clock
+
+
+def make_checksums(file: h5py.File) -> h5py.Dataset:
+    """Checksums of the frames."""
+    checksums = file[INTEGRITY].create_dataset(
+        CHECKSUM, (0,), "u8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,)
+    )
+    checksums.attrs["units"] = "1"
+    checksums.attrs["meaning"] = "of each frame, see particlerb.record.integrity"
+    file[INTEGRITY]["time"] = file[f"{TRAJECTORY}/time"]  # netCDF looks for scales in this group
+    checksums.dims[0].attach_scale(file[f"{TRAJECTORY}/time"])
+    return checksums
 
 
 def fields_of(
@@ -331,9 +393,14 @@ def fields_of(
     return arrays
 
 
+def most_frames(case: Case) -> int:
+    """Frames of a run, or a few more."""
+    return int(case.run.t_end / case.run.every) + 2
+
+
 def spare_bytes(case: Case) -> int:
     """Room on the disk for what HDF5 has still to write when a run must end."""
-    whole = bytes_of_run(case, int(case.run.t_end / case.run.every) + 2)
+    whole = bytes_of_run(case, most_frames(case))
     return min(LARGEST_SPARE, SMALLEST_FILE + 2 * whole)
 
 
@@ -341,4 +408,4 @@ def bytes_of_run(case: Case, n_frames: int) -> int:
     """Size of the fields of a run on disk [bytes], without the small rest."""
     item = np.dtype(case.output.dtype).itemsize
     width = sum(len(FIELDS[name].components) for name in case.output.fields)
-    return n_frames * (case.n_bodies * width * item + 8 * 18)
+    return n_frames * (case.n_bodies * width * item + 8 * 21)

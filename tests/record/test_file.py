@@ -56,7 +56,7 @@ def test_header_is_h5md(written):
     for group, names in (("author", ["name"]), ("creator", ["name", "version"])):
         for name in names:
             assert isinstance(file[f"h5md/{group}"].attrs[name], np.bytes_)  # fixed length
-    assert file.attrs["schema"].tolist() == [1, 0]
+    assert file.attrs["schema"].tolist() == [1, 1]
     assert file.attrs["n_frames"] == 24
     box = file["particles/trajectory/box"]
     assert box.attrs["dimension"] == 3
@@ -101,15 +101,16 @@ def test_observables_are_one_level_deep_and_as_long_as_the_run(written):
 def test_dimension_scales_are_on_all_dimensions(written):
     file = written()
     trajectory = file["particles/trajectory"]
-    for name in ("time", "body", "xyz", "wxyz"):
-        assert trajectory[name].is_scale
-    assert trajectory["xyz"][:].tolist() == [b"x", b"y", b"z"]
-    assert trajectory["wxyz"][:].tolist() == [b"w", b"x", b"y", b"z"]
+    for scale in (trajectory["time"], trajectory["body"], file["xyz"], file["wxyz"], file["123"]):
+        assert scale.is_scale
+    assert file["xyz"][:].tolist() == [b"x", b"y", b"z"]
+    assert file["wxyz"][:].tolist() == [b"w", b"x", b"y", b"z"]
 
     def scales(dataset):
         return [[scale.name.rsplit("/", 1)[1] for scale in d.values()] for d in dataset.dims]
 
     assert scales(trajectory["position/value"]) == [["time"], ["body"], ["xyz"]]
+    assert scales(trajectory["moment_inertia"]) == [["body"], ["123"]]
     assert scales(trajectory["orientation/value"]) == [["time"], ["body"], ["wxyz"]]
     assert scales(file["observables/energy/value"]) == [["time"]]
     assert scales(file["observables/angular_momentum/value"]) == [["time"], ["xyz"]]
