@@ -16,7 +16,7 @@ from typing import Final, NoReturn
 
 import particlerb
 from particlerb.cli.common import DONE, FAILED, INTERRUPTED, Ending
-from particlerb.cli.run import check_command, run_command
+from particlerb.cli.run import check_command, resume_command, run_command
 from particlerb.cli.show import (
     cases_command,
     info_command,
@@ -51,6 +51,17 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("-o", "--output", metavar="FILE", help="default: output/<case>.h5")
     run.add_argument("--overwrite", action="store_true", help="replace an existing file")
     run.add_argument("-q", "--quiet", action="store_true", help="print the checks only")
+
+    resume = commands.add_parser(
+        "resume", help="go on with a run that was stopped, or to a later end"
+    )
+    resume.add_argument("file", metavar="FILE", help="of the run; it grows")
+    resume.add_argument(
+        "--t-end", type=positive, metavar="SECONDS", help="where to end; default: as its case says"
+    )
+    resume.add_argument("--json", action="store_true", help="machine-readable result")
+    add_plan(resume)
+    resume.add_argument("-q", "--quiet", action="store_true", help="print the checks only")
 
     check = commands.add_parser("check", help="read a case and print its plan, without a run")
     add_case(check)
@@ -192,6 +203,7 @@ def complain(message: str, code: int) -> int:
 
 COMMANDS: Final[dict[str, Callable[[argparse.Namespace], int]]] = {
     "run": run_command,
+    "resume": resume_command,
     "check": check_command,
     "mass": mass_command,
     "info": info_command,

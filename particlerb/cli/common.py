@@ -20,6 +20,7 @@ MISSED: Final = 3
 INTERRUPTED: Final = 130
 NAMES: Final = (
     "run",
+    "resume",
     "check",
     "mass",
     "info",

@@ -16,6 +16,11 @@ BODIES: Final = "bodies"
 VTKHDF: Final = "VTKHDF"
 INTEGRITY: Final = "integrity"
 AXES: Final = ("xyz", "wxyz", "123")  # dimension scales: the world, quaternions, principal axes
+CHECKPOINT: Final = "checkpoint"
+SLOTS: Final = ("a", "b")  # of the checkpoint: archives of arrays, written in turn
+CURRENT: Final = "current"  # attribute of the checkpoint: number of the slot that counts
+SLOT_FRAMES: Final = "frames"  # attributes of a slot: frames that lay behind,
+SLOT_DIGEST: Final = "sha256"  # and the hash of its bytes
 COMMITTED: Final = "n_frames"  # root attribute: frames that are wholly on disk
 CHUNK_OF_NUMBERS: Final = 1024  # entries per chunk of a number per frame
 

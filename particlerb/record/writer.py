@@ -10,28 +10,34 @@ import json
 import os
 import platform
 import shutil
+import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import h5py
 import numpy as np
 
 import particlerb
+from particlerb._jit import source_hash
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames, derived
 from particlerb.case.schema import Case
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record.checkpoint import make_slots, write_checkpoint
+from particlerb.record.claim import Claim
 from particlerb.record.integrity import Words, frame_checksums, seal
 from particlerb.record.schema import (
     AXES,
     BODIES,
+    CHECKPOINT,
     CHUNK_OF_NUMBERS,
     COMMITTED,
+    CURRENT,
     FIELDS,
     INTEGRITY,
     LEDGER,
@@ -46,6 +52,7 @@ from particlerb.record.schema import (
 from particlerb.record.vtkhdf import append_steps, count_steps, create_vtkhdf, resize_vtkhdf
 
 SECONDS_BETWEEN_COMMITS = 1.0
+SHARE_OF_CHECKPOINTS = 0.02  # of the time of a run that may go into them
 LARGEST_SPARE = 32_000_000  # bytes that HDF5 may hold back in its caches, 1 MiB a dataset
 SMALLEST_FILE = 600_000  # bytes of a file of few bodies and frames
 CLOCK = "time"
@@ -56,6 +63,8 @@ SHOWN = {  # what VTK shows of each body beside the recorded fields
     "extent": f"{TRAJECTORY}/extent",
     "kind": f"{BODIES}/kind",
 }
+SUPERBLOCK = 96  # bytes of it, in version 0,
+END_OF_FILE = 40  # and where in it the end of the file stands
 THINNEST = 0.02  # edge of a glyph, of the longest one: rods and points are to be seen
 NUMBERS = itertools.count()  # of the files in memory
 
@@ -65,7 +74,11 @@ class FullDiskError(OSError):
 
 
 class WriteError(OSError):
-    """HDF5 could not write; the process should end at once, since HDF5 crashes on its way out."""
+    """HDF5 could not write; what was committed is whole."""
+
+
+class OtherFrameError(Exception):
+    """A frame that was computed again is not the one in the file: which."""
 
 
 class Recorder:
@@ -86,6 +99,8 @@ class Recorder:
     ------
     FileExistsError
         If the file exists and may not be replaced.
+    InUseError
+        If another process writes the file.
     FullDiskError
         If the disk has no room for the next frames; those before are whole.
     WriteError
@@ -104,12 +119,8 @@ class Recorder:
         parameters: Mapping[str, str],
         overwrite: bool = False,
     ) -> None:
-        self.file, self.path = create(path, overwrite), path
-        self.case, self.scene = case, scene
-        self.dtype = np.dtype(case.output.dtype)
-        # Frames committed, and the small arrays of those that are not: replaced as one.
-        self.ready: tuple[int, list[dict[str, Floats | Words]]] = (0, [])
-        self.last_commit = time.monotonic()
+        claim = None if path is None else claimed(path, overwrite)
+        self.take(create(path), claim, path, case, scene)
         write_header(self.file)
         write_bodies(self.file, scene)
         write_parameters(self.file, case, parameters)
@@ -127,6 +138,64 @@ class Recorder:
             create_vtkhdf(self.file, self.values, SHOWN, most_frames(case))
         self.file.attrs[COMMITTED] = np.int64(0)
         self.commit()
+
+    @classmethod
+    def again(cls, path: Path, case: Case, scene: Scene, n_frames: int, known: int) -> Self:
+        """Recorder of a file that has frames: what is appended again must be the same.
+
+        Parameters
+        ----------
+        path : Path
+            A file that no other process writes.
+        case, scene : Case, Scene
+            As for a new file.
+        n_frames : int
+            Frames that lie behind the state that is carried on.
+        known : int
+            Frames that the file keeps, of those that it has: not fewer.
+        """
+        self = cls.__new__(cls)
+        claim = Claim(path)
+        try:
+            mend(path)
+            self.take(h5py.File(path, "r+", locking=False), claim, path, case, scene)
+        except BaseException:
+            claim.release()
+            raise
+        self.ready, self.known = (n_frames, []), known
+        group = self.file[TRAJECTORY]
+        self.step, self.time = group["step"], group["time"]
+        self.values = {name: group[f"{name}/value"] for name in case.output.fields}
+        self.ledger = {name: self.file[f"{OBSERVABLES}/{name}/value"] for name in LEDGER}
+        self.checksums = self.file[INTEGRITY][CHECKSUM]
+        with self.watched():
+            self.cut(known)
+        return self
+
+    def take(
+        self, file: h5py.File, claim: Claim | None, path: Path | None, case: Case, scene: Scene
+    ) -> None:
+        """Begin with an open file."""
+        self.file, self.claim, self.path = file, claim, path
+        self.case, self.scene = case, scene
+        self.dtype = np.dtype(case.output.dtype)
+        # Frames committed, and the small arrays of those that are not: replaced as one.
+        self.ready: tuple[int, list[dict[str, Floats | Words]]] = (0, [])
+        self.known = 0  # frames that were there before
+        self.last_commit = self.last_kept = time.monotonic()
+        self.slot: int | None = None  # of the checkpoint, that counts from the next commit on
+        self.seconds_to_keep, self.bytes_kept = 0.0, 0
+
+    def cut(self, n: int) -> None:
+        """Forget frames from n on, and what a kill has left half written behind them."""
+        self.file.attrs.modify(COMMITTED, np.int64(n))
+        count_steps(self.file, n)
+        self.file.flush()
+        small = (self.step, self.time, self.checksums, *self.ledger.values())
+        for dataset in (*small, *self.values.values()):
+            dataset.resize(n, axis=0)
+        resize_vtkhdf(self.file, self.values, most_frames(self.case))
+        self.file.flush()
 
     def make_element(self, path: str, element: Element, per_body: bool) -> h5py.Dataset:
         """One H5MD element: step, time, and an empty value that can grow."""
@@ -171,12 +240,61 @@ class Recorder:
         n = self.n_frames
         found = fields_of(frames, rows, self.scene, self.values)
         arrays = {name: found[name].astype(self.dtype, copy=False) for name in self.values}
-        for name, dataset in self.values.items():
-            append_rows(dataset, n, arrays[name])
         entries = {CLOCK: times} | {name: getattr(ledger, name)[rows] for name in self.ledger}
         sums = frame_checksums(len(times), [*arrays.values(), *entries.values()])
-        self.ready[1].append({**entries, CHECKSUM: sums})
-        if time.monotonic() - self.last_commit > SECONDS_BETWEEN_COMMITS:
+        new = slice(self.recognise(n, sums), None)
+        if not len(sums[new]):
+            return
+        for name, dataset in self.values.items():
+            append_rows(dataset, self.n_frames, arrays[name][new])
+        small = {**entries, CHECKSUM: sums}
+        self.ready[1].append({name: values[new] for name, values in small.items()})
+
+    def recognise(self, first: int, sums: Words) -> int:
+        """Number of frames, from `first` on, that were in the file before: they must be the same.
+
+        Raises
+        ------
+        OtherFrameError
+            If one is another.
+        """
+        known = min(max(self.known - first, 0), len(sums))
+        stored: Words = self.checksums[first : first + known]
+        other = np.flatnonzero(sums[:known] != stored)
+        if other.size:
+            raise OtherFrameError(
+                f"frame {first + int(other[0])} comes out differently than it is in {self.path}:"
+                " the file was changed, or written on another kind of processor"
+            )
+        if known:
+            self.ready = (first + known, [])
+        return known
+
+    def keep(self, checkpoint: Callable[[], Mapping[str, Any]]) -> None:
+        """Write a checkpoint of the state behind all frames; it counts from the next commit on."""
+        if self.path is None:
+            return
+        start = time.monotonic()
+        arrays = checkpoint()
+        self.bytes_kept = sum(array.nbytes for array in arrays.values())
+        self.refuse_full_disk(0)
+        with self.watched():
+            if CHECKPOINT in self.file:
+                self.slot = write_checkpoint(self.file, self.n_frames, arrays)
+            else:
+                make_slots(self.file, self.n_frames, arrays)
+        self.last_kept = time.monotonic()
+        self.seconds_to_keep = self.last_kept - start
+
+    def commit_if_due(self, checkpoint: Callable[[], Mapping[str, Any]] | None) -> None:
+        """Commit what has waited for a second; with a checkpoint, where that costs little."""
+        now = time.monotonic()
+        if now - self.last_commit <= SECONDS_BETWEEN_COMMITS or self.n_frames < self.known:
+            return
+        waited = now - self.last_kept
+        if checkpoint is not None and SHARE_OF_CHECKPOINTS * waited >= self.seconds_to_keep:
+            self.keep(checkpoint)
+        with self.watched():
             self.commit()
 
     @contextmanager
@@ -193,7 +311,7 @@ class Recorder:
         """Raise FullDiskError while the file is whole: HDF5 does not survive a failed write."""
         if self.path is None:
             return
-        needed = 2 * bytes_of_run(self.case, n_frames) + spare_bytes(self.case)
+        needed = 2 * bytes_of_run(self.case, n_frames) + spare_bytes(self.case) + self.bytes_kept
         if shutil.disk_usage(self.path.parent).free < needed:
             raise FullDiskError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
@@ -209,8 +327,10 @@ class Recorder:
         self.file.flush()
         self.file.attrs.modify(COMMITTED, np.int64(n))
         count_steps(self.file, n)
+        if self.slot is not None:
+            self.file[CHECKPOINT].attrs.modify(CURRENT, np.int64(self.slot))
         self.file.flush()
-        self.ready = (n, [])
+        self.ready, self.slot = (n, []), None
         self.last_commit = time.monotonic()
 
     def finish(self) -> None:
@@ -218,13 +338,17 @@ class Recorder:
         if self in Recorder.broken:
             return
         with self.watched():
-            self.commit()
+            if self.n_frames >= self.known:
+                self.commit()
+            n = max(self.n_frames, self.known)
             for dataset in self.values.values():
-                dataset.resize(self.n_frames, axis=0)
-            resize_vtkhdf(self.file, self.values, self.n_frames)
+                dataset.resize(n, axis=0)
+            resize_vtkhdf(self.file, self.values, n)
             self.file.flush()
             if self.path is not None:
                 self.file.close()
+        if self.claim is not None:
+            self.claim.release()
 
 
 def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints | Words) -> None:
@@ -238,15 +362,37 @@ def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints | Words
         dataset.id.write_direct_chunk((first + k, *origin), values[k])
 
 
-def create(path: Path | None, overwrite: bool) -> h5py.File:
+def claimed(path: Path, overwrite: bool) -> Claim:
+    """Right to write a new file."""
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return Claim(path)
+
+
+def create(path: Path | None) -> h5py.File:
     """Open a new file."""
     if path is None:  # HDF5 tells files in memory apart by their names
         name = f"memory-{next(NUMBERS)}.h5"
         return h5py.File(name, "w", driver="core", backing_store=False)
-    if path.exists() and not overwrite:
-        raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
-    path.parent.mkdir(parents=True, exist_ok=True)
     return h5py.File(path, "w", locking=False)
+
+
+def mend(path: Path) -> None:
+    """Let the end of a file that a kill has left lie behind all of its bytes.
+
+    A commit writes the end last. What lies beyond it belongs to something, and HDF5 would give it
+    away a second time. In superblocks of version 0, which are written here, it is a plain number.
+    """
+    with path.open("r+b") as file:
+        start = file.read(SUPERBLOCK)
+        size = file.seek(0, os.SEEK_END)
+        if len(start) < SUPERBLOCK or not start.startswith(b"\x89HDF\r\n\x1a\n\0"):
+            return
+        (end,) = struct.unpack_from("<Q", start, END_OF_FILE)
+        if end < size:
+            file.seek(END_OF_FILE)
+            file.write(struct.pack("<Q", size))
 
 
 def write_header(file: h5py.File) -> None:
@@ -319,6 +465,7 @@ def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> No
         "case_resolved": case.model_dump_json(),
         **more,
         "versions": json.dumps(versions()),
+        "case_path": str(case.path.absolute()) if case.path else "",
         "machine": f"{platform.machine()} {platform.system()} {platform.release()}",
         "git_revision": git_revision(),
     }
@@ -329,11 +476,20 @@ def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> No
     seal(file)
 
 
+def replace_case(file: h5py.File, case: Case) -> None:
+    """Let the file say that its case is this one: the same with another end."""
+    resolved = file[f"{PARAMETERS}/case_resolved"]
+    resolved[()] = case.model_dump_json()
+    seal(file)
+    file.flush()
+
+
 def versions() -> dict[str, str]:
     """Versions of what made the file."""
     names = ("numpy", "numba", "h5py")
     found = {name: str(sys.modules[name].__version__) for name in names if name in sys.modules}
-    return {"particlerb": particlerb.__version__, "python": platform.python_version(), **found}
+    own = {"particlerb": particlerb.__version__, "sources": source_hash()}
+    return {**own, "python": platform.python_version(), **found}
 
 
 def git_revision() -> str:
