@@ -6,7 +6,7 @@ They find what a disk, a copy or an editor has changed. They protect from chance
 import hashlib
 from collections.abc import Iterable
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import h5py
 import numpy as np
@@ -42,7 +42,7 @@ def frame_checksums(n_frames: int, elements: Iterable[NDArray[np.generic]]) -> W
     total = np.zeros(n_frames, dtype=np.uint64)
     for values in elements:
         word = np.uint32 if values.itemsize == 4 else np.uint64
-        words = np.ascontiguousarray(values).reshape(n_frames, -1).view(word)
+        words: Any = np.ascontiguousarray(values).reshape(n_frames, -1).view(word)
         total = total * np.uint64(ODD) + words @ factors(words.shape[1])
     return total
 

@@ -8,7 +8,7 @@ dimensions of a variable or on none.
 
 from typing import Final, NamedTuple
 
-SCHEMA_VERSION: Final = (1, 1)
+SCHEMA_VERSION: Final = (2, 0)
 TRAJECTORY: Final = "particles/trajectory"
 OBSERVABLES: Final = "observables"
 PARAMETERS: Final = "parameters"

@@ -470,7 +470,7 @@ def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> No
         "git_revision": git_revision(),
     }
     for name, text in parameters.items():
-        file[f"{PARAMETERS}/{name}"] = text
+        write_text(file, name, text)
     file[f"{PARAMETERS}/seed"] = case.run.seed
     file.create_group(INTEGRITY)
     seal(file)
@@ -478,10 +478,21 @@ def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> No
 
 def replace_case(file: h5py.File, case: Case) -> None:
     """Let the file say that its case is this one: the same with another end."""
-    resolved = file[f"{PARAMETERS}/case_resolved"]
-    resolved[()] = case.model_dump_json()
+    write_text(file, "case_resolved", case.model_dump_json())
     seal(file)
     file.flush()
+
+
+def write_text(file: h5py.File, name: str, text: str) -> None:
+    """Write a text of /parameters, UTF-8, in place of what is there.
+
+    Of fixed length: its bytes lie in one place, and a reader can tell beforehand how many they are.
+    """
+    group = file.require_group(PARAMETERS)
+    if name in group:
+        del group[name]
+    data = text.encode()
+    group.create_dataset(name, data=data, dtype=h5py.string_dtype("utf-8", max(len(data), 1)))
 
 
 def versions() -> dict[str, str]:

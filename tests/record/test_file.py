@@ -56,7 +56,7 @@ def test_header_is_h5md(written):
     for group, names in (("author", ["name"]), ("creator", ["name", "version"])):
         for name in names:
             assert isinstance(file[f"h5md/{group}"].attrs[name], np.bytes_)  # fixed length
-    assert file.attrs["schema"].tolist() == [1, 1]
+    assert file.attrs["schema"].tolist() == [2, 0]
     assert file.attrs["n_frames"] == 24
     box = file["particles/trajectory/box"]
     assert box.attrs["dimension"] == 3
