@@ -21,6 +21,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.checked import (
     TrajectoryError,
     attempts,
+    attribute,
     blaming,
     checked,
     followed,
@@ -69,8 +70,8 @@ class Trajectory:
         self.file = file
         self.path = None if file.driver == "core" else file.filename
         with blaming(file):
-            self.schema = tuple(int(k) for k in file.attrs["schema"])
-            major, minor = self.schema
+            major, minor = (int(k) for k in attribute(file, "schema", "iu"))
+            self.schema = (major, minor)
         if major != SCHEMA_VERSION[0]:
             raise TrajectoryError(
                 f"{file.filename} has schema {major}.{minor}, this version reads"

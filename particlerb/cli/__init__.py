@@ -74,6 +74,7 @@ def parser() -> argparse.ArgumentParser:
     info = commands.add_parser("info", help="what a trajectory file holds")
     info.add_argument("file", metavar="FILE")
     info.add_argument("--json", action="store_true", help="machine-readable")
+    info.add_argument("--verify", action="store_true", help="whether it is whole; exit 1 if not")
 
     plot = commands.add_parser("plot", help="picture of a trajectory: ways, rates, drifts")
     plot.add_argument("file", metavar="FILE")

@@ -13,10 +13,11 @@ from typing import Any, Final
 
 import h5py
 import numpy as np
-from h5py import h5d, h5l, h5z
+from h5py import h5a, h5d, h5l, h5z
 
 FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
 LAYOUTS: Final = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
+LARGEST_ATTRIBUTE: Final = 65536  # bytes
 BEST_DEFLATE: Final = 1032  # bytes that one byte can become at most
 SECONDS_OF_PATIENCE: Final = 2.0
 SECONDS_AT_REST: Final = 0.5  # without a write: what fails now fails for good
@@ -166,9 +167,32 @@ def text(file: h5py.File, path: str) -> str:
         return value.decode(errors="replace")
 
 
-def number(file: h5py.File, name: str) -> int:
-    """A whole number among the attributes of the root."""
-    value = np.asarray(file.attrs[name])
-    if value.shape != () or value.dtype.kind not in "iu":
+def attribute(place: Any, name: str, kinds: str) -> Any:
+    """Value of an attribute, an array or bytes, if it lies within the header of its object.
+
+    HDF5 may go round forever in a damaged heap, where strings without a fixed length lie.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If it is not there, or of another type.
+    """
+    if not h5a.exists(place.id, name.encode()):
+        raise KeyError(f"{name} is missing")
+    found = h5a.open(place.id, name.encode())
+    dtype = found.dtype
+    if dtype.kind not in kinds or dtype.hasobject or len(found.shape) > 1:
+        raise ValueError(f"{name} has the type {dtype}")
+    if int(np.prod(found.shape)) * dtype.itemsize > LARGEST_ATTRIBUTE:
+        raise ValueError(f"{name} is too large")
+    values = np.empty(found.shape, dtype)
+    found.read(values)
+    return values[()]
+
+
+def number(place: Any, name: str) -> int:
+    """A whole number among the attributes of a file or group."""
+    value = attribute(place, name, "iu")
+    if np.shape(value) != ():
         raise ValueError(f"{name} is no number")
     return int(value)

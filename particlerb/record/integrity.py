@@ -61,4 +61,4 @@ def digest(file: h5py.File) -> str:
 
 def seal(file: h5py.File) -> None:
     """Write the digest; to be repeated whenever /parameters has changed."""
-    file[INTEGRITY].attrs["digest"] = digest(file)
+    file[INTEGRITY].attrs["digest"] = np.bytes_(digest(file))

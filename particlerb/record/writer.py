@@ -213,8 +213,7 @@ class Recorder:
             chunks=(frames, *shape),
             fillvalue=np.nan,  # what was never written is no number
         )
-        value.attrs["units"] = element.units
-        value.attrs["meaning"] = element.meaning
+        describe(value, element.units, element.meaning)
         trajectory = self.file[TRAJECTORY]
         scales = [self.time]
         scales += [trajectory["body"]] if per_body else []
@@ -241,7 +240,8 @@ class Recorder:
         found = fields_of(frames, rows, self.scene, self.values)
         arrays = {name: found[name].astype(self.dtype, copy=False) for name in self.values}
         entries = {CLOCK: times} | {name: getattr(ledger, name)[rows] for name in self.ledger}
-        sums = frame_checksums(len(times), [*arrays.values(), *entries.values()])
+        rows_of_fields = [arrays[name] for name in FIELDS if name in arrays]
+        sums = frame_checksums(len(times), [*rows_of_fields, *entries.values()])
         new = slice(self.recognise(n, sums), None)
         if not len(sums[new]):
             return
@@ -435,8 +435,7 @@ def write_bodies(file: h5py.File, scene: Scene) -> None:
     }
     for path, table in STATIC.items():
         file[path] = arrays[path]
-        file[path].attrs["units"] = table.units
-        file[path].attrs["meaning"] = table.meaning
+        describe(file[path], table.units, table.meaning)
     for name in ("id", "mass", "moment_inertia", "extent"):
         trajectory[name].dims[0].attach_scale(trajectory["body"])
     trajectory["extent"].dims[1].attach_scale(file["xyz"])
@@ -483,6 +482,12 @@ def replace_case(file: h5py.File, case: Case) -> None:
     file.flush()
 
 
+def describe(dataset: h5py.Dataset, units: str, meaning: str) -> None:
+    """Say what the numbers are; `units` is CF's name, H5MD's `unit` stops MDAnalysis."""
+    dataset.attrs["units"] = units
+    dataset.attrs["meaning"] = meaning
+
+
 def write_text(file: h5py.File, name: str, text: str) -> None:
     """Write a text of /parameters, UTF-8, in place of what is there.
 
@@ -523,7 +528,7 @@ def make_clock(file: h5py.File) -> tuple[h5py.Dataset, h5py.Dataset]:
     clock = group.create_dataset(
         "time", (0,), "f8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,), fillvalue=np.nan
     )
-    clock.attrs["units"] = "s"
+    describe(clock, "s", "of each frame")
     clock.make_scale("time")
     step.dims[0].attach_scale(clock)
     return step, clock
@@ -534,8 +539,7 @@ def make_checksums(file: h5py.File) -> h5py.Dataset:
     checksums = file[INTEGRITY].create_dataset(
         CHECKSUM, (0,), "u8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,)
     )
-    checksums.attrs["units"] = "1"
-    checksums.attrs["meaning"] = "of each frame, see particlerb.record.integrity"
+    describe(checksums, "1", "of each frame, see particlerb.record.integrity")
     file[INTEGRITY]["time"] = file[f"{TRAJECTORY}/time"]  # netCDF looks for scales in this group
     checksums.dims[0].attach_scale(file[f"{TRAJECTORY}/time"])
     return checksums
