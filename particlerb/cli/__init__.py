@@ -16,6 +16,8 @@ from typing import Final, NoReturn
 
 import particlerb
 from particlerb.cli.common import DONE, FAILED, INTERRUPTED, Ending
+from particlerb.cli.export import export_command, frame_slice
+from particlerb.cli.guard import guarded, wants_guard
 from particlerb.cli.run import check_command, resume_command, run_command
 from particlerb.cli.show import (
     cases_command,
@@ -84,12 +86,34 @@ def parser() -> argparse.ArgumentParser:
     )
     plot.add_argument("--overwrite", action="store_true", help="replace an existing picture")
 
+    add_export(commands)
     add_studies(commands)
 
     commands.add_parser("cases", help="list the example cases")
     commands.add_parser("methods", help="list the integrators")
     commands.add_parser("schema", help="JSON schema of a case file, for editors")
     return top
+
+
+def add_export(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """The command that writes files of other programs."""
+    export = commands.add_parser("export", help="a trajectory as gsd, csv, particles, lammps, npz")
+    export.add_argument("file", metavar="FILE")
+    export.add_argument(
+        "--to", required=True, metavar="FORMAT", help="gsd, csv, particles, lammps or npz"
+    )
+    export.add_argument("-o", "--output", metavar="FILE", help="default: the input's name")
+    export.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    export.add_argument(
+        "--bodies", type=names, default=[], metavar="A,B", help="bodies or blocks; default: all"
+    )
+    export.add_argument(
+        "--frames", type=frame_slice, default=slice(None), metavar="A:B:C",
+        help="from A before B, every C-th; a number alone is one frame; default: all",
+    )  # fmt: skip
+    export.add_argument(
+        "--fields", type=names, default=[], metavar="A,B", help="default: all recorded"
+    )
 
 
 def add_studies(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -186,6 +210,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def entry() -> NoReturn:
     """Run the command of this process and end it."""
+    if wants_guard(sys.argv[1:]):
+        sys.exit(guarded(sys.argv[1:]))
     code = main()
     writer = sys.modules.get("particlerb.record.writer")
     if writer is not None and writer.Recorder.broken:
@@ -209,6 +235,7 @@ COMMANDS: Final[dict[str, Callable[[argparse.Namespace], int]]] = {
     "mass": mass_command,
     "info": info_command,
     "plot": plot_command,
+    "export": export_command,
     "chart": chart_command,
     "stability": stability_command,
     "converge": converge_command,

@@ -27,6 +27,7 @@ NAMES: Final = (
     "mass",
     "info",
     "plot",
+    "export",
     "chart",
     "stability",
     "converge",

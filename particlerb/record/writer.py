@@ -121,7 +121,8 @@ class Recorder:
     ) -> None:
         claim = None if path is None else claimed(path, overwrite)
         self.take(create(path), claim, path, case, scene)
-        write_header(self.file)
+        self.file.attrs["schema"] = np.array(SCHEMA_VERSION, dtype=np.int32)
+        write_h5md(self.file)
         write_bodies(self.file, scene)
         write_parameters(self.file, case, parameters)
         self.step, self.time = make_clock(self.file)
@@ -395,9 +396,8 @@ def mend(path: Path) -> None:
             file.write(struct.pack("<Q", size))
 
 
-def write_header(file: h5py.File) -> None:
-    """Root attributes and the group that H5MD asks for."""
-    file.attrs["schema"] = np.array(SCHEMA_VERSION, dtype=np.int32)
+def write_h5md(file: h5py.File) -> None:
+    """The group that H5MD asks for."""
     h5md = file.create_group("h5md")
     h5md.attrs["version"] = np.array([1, 1], dtype=np.int32)
     h5md.create_group("author").attrs["name"] = np.bytes_("unknown")
@@ -406,12 +406,18 @@ def write_header(file: h5py.File) -> None:
     creator.attrs["version"] = np.bytes_(particlerb.__version__)
 
 
-def write_bodies(file: h5py.File, scene: Scene) -> None:
-    """What does not change: box, dimension scales, masses, particles."""
-    trajectory = file.create_group(TRAJECTORY)
-    box = trajectory.create_group("box")
+def make_group(file: h5py.File) -> h5py.Group:
+    """The group of the particles, in an endless box."""
+    group = file.create_group(TRAJECTORY)
+    box = group.create_group("box")
     box.attrs["dimension"] = np.int32(3)
     box.attrs["boundary"] = np.array(["none"] * 3, dtype="S8")
+    return group
+
+
+def write_bodies(file: h5py.File, scene: Scene) -> None:
+    """What does not change: box, dimension scales, masses, particles."""
+    trajectory = make_group(file)
     n = len(scene.kind)
     trajectory["body"] = np.arange(n)
     trajectory["body"].make_scale("body")
