@@ -1,6 +1,7 @@
 """Many rigid bodies built from mass particles: closed-form free motion, Numba kernels, HDF5.
 
-`run(case)` integrates a case and returns its `Trajectory`; `open(path)` reads one back.
+`run(case)` integrates a case and returns its `Trajectory`; `open(path)` reads one back, and
+`resume(path)` goes on with a run that was stopped or is to be prolonged.
 """
 
 from importlib import import_module
@@ -9,18 +10,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from particlerb.case.problems import CaseError
     from particlerb.case.schema import Case
-    from particlerb.running import run
+    from particlerb.running import resume, run
     from particlerb.trajectory import Trajectory
     from particlerb.trajectory import open_trajectory as open
 
 __version__ = "0.1.0"
-__all__ = ["Case", "CaseError", "Trajectory", "__version__", "open", "run"]
+__all__ = ["Case", "CaseError", "Trajectory", "__version__", "open", "resume", "run"]
 
 HOMES = {
     "Case": ("particlerb.case.schema", "Case"),
     "CaseError": ("particlerb.case.problems", "CaseError"),
     "Trajectory": ("particlerb.trajectory", "Trajectory"),
     "open": ("particlerb.trajectory", "open_trajectory"),
+    "resume": ("particlerb.running", "resume"),
     "run": ("particlerb.running", "run"),
 }
 

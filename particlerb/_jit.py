@@ -6,6 +6,7 @@ another file, nor a changed NUMBA_* flag; so the cache folder has a hash of all 
 """
 
 import contextlib
+import functools
 import hashlib
 import os
 import shutil
@@ -29,6 +30,7 @@ FLAGS: dict[str, Any] = {
 }
 
 
+@functools.cache
 def source_hash() -> str:
     """Hash of everything that decides what the compiler makes: sources, flags, versions."""
     digest = hashlib.sha256()

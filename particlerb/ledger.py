@@ -5,6 +5,7 @@ kinetic energy or energy turned over, Σ|p| and Σ|L|, never against a value tha
 Sums run over fixed blocks of bodies in a fixed order: the same bits for any number of threads.
 """
 
+from collections.abc import Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -166,6 +167,17 @@ class Ledger:
         self.errors = np.zeros(3)
         self.scales = np.zeros(3)
         self.widen(initial, np.zeros(1))
+
+    def checkpoint(self) -> dict[str, Floats]:
+        """Initial totals, largest errors and scales so far."""
+        initial = np.array([self.energy, *self.linear, *self.angular])
+        return {"initial": initial, "errors": self.errors.copy(), "scales": self.scales.copy()}
+
+    def restore(self, saved: Mapping[str, Floats]) -> None:
+        """Go on from what was saved."""
+        initial = saved["initial"]
+        self.energy, self.linear, self.angular = float(initial[0]), initial[1:4], initial[4:7]
+        self.errors, self.scales = saved["errors"], saved["scales"]
 
     def widen(self, now: Totals, work: Floats) -> None:
         """Let the scales grow with what is turned over."""

@@ -1,4 +1,4 @@
-"""The Python entry: run a case, get its trajectory."""
+"""The Python entry: run a case or go on with it, get its trajectory."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import Any
 
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
+from particlerb.resuming import look_at, resume_pending
 from particlerb.simulate import run_prepared
 from particlerb.studies.accuracy import prepare_accurately
 from particlerb.trajectory import Trajectory, open_trajectory
@@ -49,3 +50,33 @@ def run(
     path = None if output is None else Path(output)
     outcome = run_prepared(prepared, path, overwrite)
     return open_trajectory(path) if path else Trajectory(outcome.file)
+
+
+def resume(path: str | Path, t_end: float | None = None) -> Trajectory:
+    """Go on with a run that was killed, interrupted, or that is to end later; bit for bit.
+
+    Parameters
+    ----------
+    path : path
+        File of the run; it grows.
+    t_end : float, optional
+        Where to end [s]; left out, where its case says.
+
+    Returns
+    -------
+    Trajectory
+        Open; close it, or use it in a `with` statement.
+
+    Raises
+    ------
+    particlerb.resuming.ResumeError
+        If it cannot go on: why.
+    CaseError
+        If the case is wrong with this end.
+    FileNotFoundError, TrajectoryError, OSError
+        Of the file.
+    particlerb.simulate.RunError
+        If the run fails; the frames until then are in the file.
+    """
+    resume_pending(look_at(Path(path), t_end))
+    return open_trajectory(path)

@@ -5,6 +5,7 @@ is written and the recorder appends it. Frames and times that only a check asks 
 in the motion, so a run can be prolonged, or recorded more finely, without changing a bit of it.
 """
 
+import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
@@ -25,9 +26,11 @@ from particlerb.methods import METHODS
 from particlerb.methods.dilute import DiluteMotion
 from particlerb.methods.motion import Motion, MotionError
 from particlerb.methods.pair_forces import PairForces
+from particlerb.methods.saving import Saved, under, within
 from particlerb.methods.touching import TouchingMotion
 from particlerb.plan import GroupPlan, Plan, Segment, make_plan
-from particlerb.record.writer import Recorder
+from particlerb.record.checkpoint import Checkpoint
+from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.relaxing import assembled
 from particlerb.rotors.rotor_class import ROD
 from particlerb.terms.impulse import apply_impulse
@@ -37,9 +40,10 @@ FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momen
 BATCH_BYTES = 32_000_000  # of frames that are held before they are written
 BATCH_FRAMES = 1024
 BATCH_SECONDS = 0.5  # that a batch should take
-FIRST_BATCH = 8  # frames, before it is known how long one takes
+FIRST_BATCH = 1  # frames, before it is known how long one takes
 FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of its multiples
 EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
+STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
 ROD_ROUNDING = 1e-9  # share of L along a rod that exact drifts may leave
 ROD_ERROR = 0.2  # that other methods may leave: more is a torque about the axis, or no result
 
@@ -129,8 +133,26 @@ class Traveller:
         self.plan = plan
         self.before = np.zeros(7)  # booked in earlier segments
         self.number = 0
+        self.first = state  # of this segment
         self.pairs = self.pair_forces()
         self.motion = self.begin(plan.segments[0], state)
+
+    def checkpoint(self) -> Saved:
+        """The segment, how it began, and its motion."""
+        saved = under("motion", self.motion.checkpoint())
+        if self.number:
+            saved |= {"first": np.vstack(self.first), "before": self.before.copy()}
+        return saved | {"number": np.array(self.number)}
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        self.number = int(saved["number"])
+        if self.number:
+            self.before = saved["before"]
+            self.first = State(*np.split(saved["first"], STATE_SPLITS))
+            self.pairs = self.pair_forces()
+            self.motion = self.set_off()
+        self.motion.restore(within("motion", saved))
 
     @property
     def segment(self) -> Segment:
@@ -151,8 +173,14 @@ class Traveller:
         for jump in segment.jumps:
             state, booked = apply_impulse(jump, self.plan.bodies, state)
             self.before += booked
+        self.first = state
+        return self.set_off()
+
+    def set_off(self) -> Motion:
+        """Motion of this segment from its first state."""
+        segment = self.segment
         motion: Motion = METHODS[segment.method].begin(
-            self.plan.group(segment), state, segment.start, segment.dt, segment.tolerance
+            self.plan.group(segment), self.first, segment.start, segment.dt, segment.tolerance
         )
         return motion
 
@@ -226,6 +254,30 @@ class Run:
                 initial_potential(self.travellers, initial),
             )
         )
+
+        self.n_frames = 0  # that lie behind
+        self.probes: list[Probe] = []
+
+    def checkpoint(self) -> Saved:
+        """All that a run that goes on from here has to know, beside its case."""
+        saved = {"last": self.last.copy()} | under("ledger", self.ledger.checkpoint())
+        for k, traveller in enumerate(self.travellers):
+            saved |= under(f"group.{k}", traveller.checkpoint())
+        for k, probe in enumerate(self.probes):
+            saved |= {f"probe.{k}.{name}": getattr(probe.frame, name) for name in FIELDS_OF_STATES}
+        return saved | {"probes": np.array([probe.time for probe in self.probes])}
+
+    def restore(self, n_frames: int, saved: Saved) -> None:
+        """Go on behind so many frames from what was saved then."""
+        self.n_frames = n_frames
+        self.last[:] = saved["last"]
+        self.ledger.restore(within("ledger", saved))
+        for k, traveller in enumerate(self.travellers):
+            traveller.restore(within(f"group.{k}", saved))
+        for k, time_ in enumerate(saved["probes"].tolist()):
+            x, q, p, L = (saved[f"probe.{k}.{name}"] for name in FIELDS_OF_STATES)
+            frame = Frames(x, q, p, L, self.last, np.zeros(1, dtype=np.bool_))
+            self.probes.append(Probe(time_, frame))
 
     def flown(self) -> float | None:
         """Share of body-steps of touching bodies that were saved by closed forms."""
@@ -313,9 +365,6 @@ def initial_potential(travellers: Sequence[Traveller], initial: Frames) -> Float
     return np.array([sum(parts)])
 
 
-@np.errstate(
-    over="ignore", invalid="ignore", divide="ignore"
-)  # what is not finite is found in the frames
 def run_prepared(
     prepared: Prepared,
     path: Path | None,
@@ -344,29 +393,79 @@ def run_prepared(
     RunError
         If the run fails; the frames until then are committed.
     """
-    case = prepared.case
+    case, scene = prepared.case, prepared.scene
     THREADS.use(case.run.threads)
-    parameters = {"plan": prepared.text, **prepared.parameters}
-    recorder = Recorder(path, case, prepared.scene, parameters, overwrite)
+    own = {"plan": prepared.text, "identity": identity(prepared)}
+    recorder = Recorder(path, case, scene, {**own, **prepared.parameters}, overwrite)
+    return advance(prepared, recorder, None, progress)
+
+
+@np.errstate(
+    over="ignore", invalid="ignore", divide="ignore"
+)  # what is not finite is found in the frames
+def advance(
+    prepared: Prepared, recorder: Recorder, checkpoint: Checkpoint | None, progress: Progress
+) -> Outcome:
+    """Run a prepared case to its end, from its start or from a checkpoint.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If a signal has asked for the end; behind a whole frame, the first time.
+    FullDiskError, WriteError, RunError
+        As in `run_prepared`.
+    """
+    case = prepared.case
     try:
         run = Run(prepared)
-        probes: list[Probe] = []
-        for times, is_frame, is_probe in batches(case):
-            frames, entries, error = run.frames_at(times, is_frame)
-            sound = len(frames.position)
-            rows = np.flatnonzero(is_frame[:sound])
-            if rows.size:
-                recorder.append(times[rows], frames, rows, entries)
-                progress(rows.size)
-            for row in np.flatnonzero(is_probe[:sound]):
-                probes.append(Probe(float(times[row]), one_row(frames, int(row))))
+        if checkpoint is None:
+            recorder.keep(run.checkpoint)
+        else:
+            run.restore(checkpoint.n_frames, dict(checkpoint.arrays))
+        for batch in batches(case, run.n_frames):
+            rows, error = one_batch(run, recorder, batch)
+            progress(rows)
             if error is not None:
                 raise error
-    except (MotionError, FloatingPointError) as problem:
+            if batch.is_whole_end:
+                recorder.keep(run.checkpoint)
+            recorder.commit_if_due(None if batch.is_odd else run.checkpoint)
+            if THREADS.is_ending:
+                THREADS.is_ending = False
+                if not batch.is_odd:
+                    recorder.keep(run.checkpoint)
+                raise KeyboardInterrupt
+    except (MotionError, FloatingPointError, OtherFrameError) as problem:
         raise RunError(str(problem)) from None
     finally:
         recorder.finish()
-    return Outcome(run.ledger.drift(), tuple(probes), recorder.file, run.flown())
+    return Outcome(run.ledger.drift(), tuple(run.probes), recorder.file, run.flown())
+
+
+def one_batch(run: "Run", recorder: Recorder, batch: "Batch") -> tuple[int, RunError | None]:
+    """Compute and append a batch; how many frames it had, and what was wrong behind them."""
+    frames, entries, error = run.frames_at(batch.times, batch.is_frame)
+    sound = len(frames.position)
+    rows = np.flatnonzero(batch.is_frame[:sound])
+    if rows.size:
+        recorder.append(batch.times[rows], frames, rows, entries)
+    for row in np.flatnonzero(batch.is_probe[:sound]):
+        run.probes.append(Probe(float(batch.times[row]), one_row(frames, int(row))))
+    run.n_frames += rows.size
+    return rows.size, error
+
+
+def identity(prepared: Prepared) -> str:
+    """Hash of what decides the motion: the case without its end and threads, bodies, plan."""
+    case, scene, plan = prepared.case, prepared.scene, prepared.plan
+    found = hashlib.sha256(case.model_dump_json(exclude={"run": {"t_end", "threads"}}).encode())
+    for values in (*scene.bodies, *scene.state, *scene.particles, scene.kind):
+        found.update(np.ascontiguousarray(values).tobytes())
+    for group in plan.groups:
+        for s in group.segments:
+            found.update(repr((s.start, s.stop, s.method, s.dt, s.tolerance)).encode())
+        found.update(group.members.tobytes())
+    return found.hexdigest()
 
 
 def rod_limits(plan: Plan, n_bodies: int) -> Floats:
@@ -384,24 +483,46 @@ def probe_times(case: Case) -> Floats:
     return np.unique(np.array(wanted, dtype=np.float64))
 
 
-def batches(case: Case) -> Iterator[tuple[Floats, Bools, Bools]]:
-    """Times [s] that are computed together; which are frames, and which a check asks for.
+class Batch(NamedTuple):
+    """Times that are computed together."""
+
+    times: Floats  # [s]
+    is_frame: Bools  # which are frames,
+    is_probe: Bools  # and which a check asks for
+    is_whole_end: bool  # whether it ends with the last frame that a longer run has as well
+    is_odd: bool  # whether it is the frame at t_end, which a longer run has not
+
+
+def batches(case: Case, done: int = 0) -> Iterator[Batch]:
+    """Times of a run, or of its rest behind some frames.
 
     As many as fit into the cache and take about half a second, so that a long run is written,
     shows progress and can be interrupted.
     """
     most = int(min(max(BATCH_BYTES // (case.n_bodies * 13 * 8), 1), BATCH_FRAMES))
-    n, probes = frame_count(case), probe_times(case)
-    done, size = 0, min(FIRST_BATCH, most)
+    n, whole = frame_count(case), whole_frames(case)
+    probes = probe_times(case)
+    if done:
+        probes = probes[probes > frame_times(case, done - 1, done)]
+    size = min(FIRST_BATCH, most)
     while done < n:
-        frames = frame_times(case, done, min(done + size, n))
+        stop = whole if done < whole else n
+        frames = frame_times(case, done, min(done + size, stop))
         due, probes = probes[probes <= frames[-1]], probes[probes > frames[-1]]
         times = np.union1d(frames, due)
         start = time.monotonic()
-        yield times, np.isin(times, frames), np.isin(times, due)
-        share = BATCH_SECONDS / max(time.monotonic() - start, 1e-9)
         done += len(frames)
+        given = np.isin(times, frames), np.isin(times, due)
+        yield Batch(times, *given, done == whole, done > whole)
+        share = BATCH_SECONDS / max(time.monotonic() - start, 1e-9)
         size = int(min(max(size * min(share, 4.0), 1), most))
+
+
+def whole_frames(case: Case) -> int:
+    """Number of frames that a run to any later end has as well: all, or all but that at t_end."""
+    n = frame_count(case)
+    is_multiple = multiples(case.run.every, n - 1, n)[0] == case.run.t_end
+    return n if is_multiple else n - 1
 
 
 def first_rows(frames: Frames, n: int) -> Frames:

@@ -23,7 +23,8 @@ class Threads:
     def __init__(self) -> None:
         self.count = available()
         self.pool: ThreadPoolExecutor | None = None
-        self.is_stopping = False  # set by a signal: the next call raises KeyboardInterrupt
+        self.is_ending = False  # set by a signal: the run ends behind the frame it is at
+        self.is_stopping = False  # set by a second one: the next call raises KeyboardInterrupt
         self.busy = 0.0  # [s] wall time in kernels so far: what studies compare
 
     def use(self, count: int | None) -> None:

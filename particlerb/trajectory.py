@@ -1,40 +1,58 @@
-"""Reads a trajectory file back: arrays, derived quantities, particle positions, provenance."""
+"""Reads a trajectory file back: arrays, derived quantities, particle positions, provenance.
+
+A file may still be growing in another process, and it may come from anyone: see `record.checked`.
+"""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import h5py
 import numpy as np
 
 from particlerb.bodies.bodies import Bodies, made_of, taken
+from particlerb.bodies.particles import Particles
 from particlerb.bodies.state import derived, turned, turned_back
 from particlerb.ledger import Entries
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record.checked import (
+    TrajectoryError,
+    attempts,
+    attribute,
+    blaming,
+    checked,
+    followed,
+    number,
+    open_file,
+    text,
+)
 from particlerb.record.schema import (
     BODIES,
     COMMITTED,
     FIELDS,
+    LEDGER,
     OBSERVABLES,
     PARAMETERS,
     SCHEMA_VERSION,
     TRAJECTORY,
 )
 
+__all__ = ["Trajectory", "TrajectoryError", "open_trajectory"]
+
 PORTION = 100_000  # states that are read at a time where all are gone through
+JSON_TEXTS = ("case_resolved", "versions")
 
-
-class TrajectoryError(Exception):
-    """A file that is no trajectory of particlerb, or that cannot be read."""
+Result = TypeVar("Result")
 
 
 class Trajectory:
     """States of N bodies in T frames, read from a file when asked for.
 
-    Frames that were not yet committed when the file was opened do not count. Usable as a context
-    manager; closes its file.
+    Frames that were not yet committed when the file was opened do not count; `refresh` counts
+    again. Usable as a context manager; closes its file.
 
     Parameters
     ----------
@@ -44,25 +62,33 @@ class Trajectory:
     Raises
     ------
     TrajectoryError
-        If the file lacks what a trajectory has, or is of another schema.
+        If the file lacks what a trajectory has, or is of another schema; from any method if what
+        it reads is damaged.
     """
 
     def __init__(self, file: h5py.File) -> None:
         self.file = file
-        try:
-            major, minor = (int(k) for k in file.attrs["schema"])
-            self.n_frames = int(file.attrs[COMMITTED])
-            self.mass: Floats = file[f"{TRAJECTORY}/mass"][:]
-        except (KeyError, TypeError, ValueError) as error:
-            raise TrajectoryError(
-                f"{file.filename} is not a trajectory of particlerb: {error}"
-            ) from None
+        self.path = None if file.driver == "core" else file.filename
+        with blaming(file):
+            major, minor = (int(k) for k in attribute(file, "schema", "iu"))
+            self.schema = (major, minor)
         if major != SCHEMA_VERSION[0]:
             raise TrajectoryError(
                 f"{file.filename} has schema {major}.{minor}, this version reads"
                 f" {SCHEMA_VERSION[0]}.x"
             )
+        self.mass: Floats = checked(file, f"{TRAJECTORY}/mass", "f", (None,))[:]
         self.n_bodies = len(self.mass)
+        self.n_frames = self.count()
+
+    def count(self) -> int:
+        """Frames that are committed now, all of which the file holds."""
+        with blaming(self.file):
+            n = number(self.file, COMMITTED)
+            held = len(checked(self.file, f"{TRAJECTORY}/time", "f", (None,)))
+            if not 0 <= n <= held:
+                raise ValueError(f"{COMMITTED} is {n}, but there are {held} times")
+        return n
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -81,26 +107,120 @@ class Trajectory:
         """Close the file."""
         self.file.close()
 
-    def read(self, name: str, frames: slice = slice(None)) -> Floats:
-        """Values of one recorded field for some frames, shape (T, N, 3) or (T, N, 4).
+    def refresh(self) -> int:
+        """Open the file again and count the frames that were committed since.
+
+        Returns
+        -------
+        int
+            The number of frames.
+        """
+        self.n_frames = self.patiently(self.count, again=True)
+        return self.n_frames
+
+    def patiently(self, read: Callable[[], Result], again: bool = False) -> Result:
+        """What a function reads; where the file is just being written, at the next try.
+
+        A reader may hold a part of the file's index that a writer has replaced meanwhile: the file
+        is opened again.
+        """
+        for is_last in attempts(self.path):
+            try:
+                if again and self.path is not None:
+                    self.file.close()
+                    self.file = open_file(self.path)
+                return read()
+            except TrajectoryError:
+                if is_last:
+                    raise
+                again = True
+        raise AssertionError
+
+    def rows(
+        self, path: str, width: int, frames: slice, bodies: int | slice | None = None
+    ) -> Floats:
+        """Rows of an element, of all its bodies or of some; all of them are numbers."""
+        lo, hi, stride = frames.indices(self.n_frames)
+        shape = (None, *(() if bodies is None else (self.n_bodies,)), *((width,) if width else ()))
+        pick = (slice(lo, hi, stride), *(() if bodies is None else (bodies,)))
+
+        def read() -> Floats:
+            values = checked(self.file, path, "f", shape)
+            with blaming(self.file):
+                if len(values) < self.n_frames:
+                    raise ValueError(f"{path} ends before frame {self.n_frames - 1}")
+                found: Floats = values[pick]
+                if not np.isfinite(found).all():
+                    raise ValueError(f"{path} has entries that are no numbers")
+            return found
+
+        return self.patiently(read)
+
+    def table(self, path: str, kinds: str, shape: tuple[int | None, ...]) -> Any:
+        """A whole dataset that does not change in time."""
+        with blaming(self.file):
+            found = checked(self.file, path, kinds, shape)[()]
+            if found.dtype.kind == "f" and not np.isfinite(found).all():
+                raise ValueError(f"{path} has entries that are no numbers")
+        return found
+
+    def read(
+        self,
+        name: str,
+        frames: slice = slice(None),
+        bodies: int | slice | Sequence[int] | Ints = slice(None),
+    ) -> Floats:
+        """Values of one recorded field for some frames and bodies.
+
+        Parameters
+        ----------
+        name : str
+            One of `fields`.
+        frames : slice, optional
+            Left out: all. With a positive stride.
+        bodies : int, slice or sequence of int, optional
+            Numbers of bodies, ascending and each once. Left out: all.
+
+        Returns
+        -------
+        ndarray, shape (T, N, 3) or (T, N, 4)
+            Without the axis of bodies where `bodies` is a number.
 
         Raises
         ------
         KeyError
             If the field was not recorded.
+        IndexError
+            If there is no such body.
         """
-        path = f"{TRAJECTORY}/{name}/value"
-        if path not in self.file:
+        if name not in self.fields:
             raise KeyError(f"{name} was not recorded: see [output] fields")
-        lo, hi, stride = frames.indices(self.n_frames)
-        values: Floats = self.file[path][lo:hi:stride]
-        return values
+        if isinstance(bodies, (int, np.integer)):
+            pick: int | slice | Ints = range(self.n_bodies)[int(bodies)]
+        elif isinstance(bodies, slice):
+            pick = bodies
+        else:
+            pick = np.asarray(bodies, dtype=np.int64)
+            if pick.size and not 0 <= pick.min() <= pick.max() < self.n_bodies:
+                raise IndexError(f"bodies are numbered 0 to {self.n_bodies - 1}")
+        width = len(FIELDS[name].components)
+        path = f"{TRAJECTORY}/{name}/value"
+        if isinstance(pick, np.ndarray):  # HDF5 is slow in picking one by one
+            return self.rows(path, width, frames, slice(None))[:, pick]
+        return self.rows(path, width, frames, pick)
+
+    def portions(self, frames: slice = slice(None), n_bodies: int = 0) -> Iterator[slice]:
+        """Parts of some frames that are small enough to hold in memory, in their order."""
+        chosen = range(self.n_frames)[frames]
+        size = max(1, PORTION // max(n_bodies or self.n_bodies, 1))
+        for first in range(0, len(chosen), size):
+            part = chosen[first : first + size]
+            yield slice(part.start, part.stop, part.step)
 
     @property
     def time(self) -> Floats:
         """Times of the frames [s], shape (T,)."""
-        values: Floats = self.file[f"{TRAJECTORY}/time"][: self.n_frames]
-        return values
+        return self.rows(f"{TRAJECTORY}/time", 0, slice(None))
 
     @property
     def position(self) -> Floats:
@@ -136,8 +256,8 @@ class Trajectory:
     def omega_body(self, body: int) -> Floats:
         """Angular velocity of one body in its own axes [rad/s], shape (T, 3)."""
         n = self.n_frames
-        q = self.file[f"{TRAJECTORY}/orientation/value"][:n, body].T
-        L = self.file[f"{TRAJECTORY}/angular_momentum/value"][:n, body].T
+        q = self.read("orientation", bodies=body).T
+        L = self.read("angular_momentum", bodies=body).T
         one = taken(self.bodies, np.array([body]))
         frame = np.repeat(one.rotor_frame, n, axis=1)
         m = turned_back(frame, turned_back(q, L))
@@ -147,10 +267,9 @@ class Trajectory:
     def momentum_sizes(self) -> tuple[float, float]:
         """Scales of the drifts: Σ|p| [kg m/s], and Σ|L| + Σ|x × p| [kg m²/s], largest of all."""
         linear = angular = 0.0
-        size = max(1, PORTION // self.n_bodies)
-        for lo in range(0, self.n_frames, size):
+        for part in self.portions():
             x, p, L = (
-                self.read(name, slice(lo, lo + size))
+                self.read(name, part)
                 for name in ("position", "linear_momentum", "angular_momentum")
             )
             spin = np.linalg.norm(L, axis=2) + np.linalg.norm(np.cross(x, p), axis=2)
@@ -158,37 +277,65 @@ class Trajectory:
             angular = max(angular, float(spin.sum(axis=1).max()))
         return linear, angular
 
-    @property
+    @cached_property
     def bodies(self) -> Bodies:
         """Constants of the bodies, with their moments in the rotor frame."""
-        return made_of(
-            self.mass,
-            self.file[f"{TRAJECTORY}/moment_inertia"][:].T.copy(),
-            self.file[f"{BODIES}/rotor_frame"][:].T.copy(),
-            self.file[f"{BODIES}/rotor_class"][:],
-        )
+        n = self.n_bodies
+        moments = self.table(f"{TRAJECTORY}/moment_inertia", "f", (n, 3))
+        frame = self.table(f"{BODIES}/rotor_frame", "f", (n, 4))
+        rotor_class = self.table(f"{BODIES}/rotor_class", "i", (n,))
+        return made_of(self.mass, moments.T.copy(), frame.T.copy(), rotor_class)
 
-    @property
+    @cached_property
     def fields(self) -> list[str]:
         """Names of the recorded fields."""
-        return [name for name in FIELDS if f"{TRAJECTORY}/{name}/value" in self.file]
+        with blaming(self.file):
+            group = followed(self.file, TRAJECTORY)
+            return [name for name in FIELDS if name in group]
 
-    @property
+    @cached_property
     def names(self) -> Sequence[str]:
         """Names of the bodies."""
-        return [name.decode() for name in self.file[f"{BODIES}/names"][:]]
+        names = self.table(f"{BODIES}/names", "S", (self.n_bodies,))
+        return [name.decode(errors="replace") for name in names]
+
+    @cached_property
+    def kind(self) -> Ints:
+        """Kind of each body, shape (N,): which set of particles it is made of."""
+        kind: Ints = self.table(f"{BODIES}/kind", "i", (self.n_bodies,))
+        return kind
+
+    @cached_property
+    def particles(self) -> Particles:
+        """Particles of all kinds, body frame, from the centre of mass."""
+        offset = self.table(f"{BODIES}/particles/offset", "i", (None,))
+        n = int(offset[-1]) if offset.size else 0
+        with blaming(self.file):
+            if offset.size < 2 or offset[0] != 0 or (np.diff(offset) < 0).any():
+                raise ValueError(f"{BODIES}/particles/offset does not ascend from 0")
+            if not 0 <= self.kind.min(initial=0) <= self.kind.max(initial=0) < offset.size - 1:
+                raise ValueError(f"{BODIES}/kind names kinds that are not there")
+        return Particles(
+            self.table(f"{BODIES}/particles/position", "f", (n, 3)),
+            self.table(f"{BODIES}/particles/mass", "f", (n,)),
+            self.table(f"{BODIES}/particles/radius", "f", (n,)),
+            offset,
+        )
 
     @property
     def ledger(self) -> Entries:
         """Energy, momenta, booked work and the errors of integration, one entry per frame."""
-        n = self.n_frames
-        group = self.file[OBSERVABLES]
-        return Entries(*(group[f"{name}/value"][:n] for name in Entries._fields))
+        return Entries(*(self.observable(name) for name in Entries._fields))
+
+    def observable(self, name: str, frames: slice = slice(None)) -> Floats:
+        """One of the observables for some frames, shape (T,) or (T, 3)."""
+        width = len(LEDGER[name].components)
+        return self.rows(f"{OBSERVABLES}/{name}/value", width, frames)
 
     @property
     def energy(self) -> Floats:
         """Kinetic and potential energy of all bodies [J], shape (T,)."""
-        return self.ledger.energy
+        return self.observable("energy")
 
     def particle_positions(self, frame: int) -> Floats:
         """Positions of all particles of all bodies in one frame.
@@ -209,23 +356,31 @@ class Trajectory:
             If there is no such frame.
         """
         k = range(self.n_frames)[frame]
-        table = self.file[f"{BODIES}/particles"]
-        kind, offset = self.file[f"{BODIES}/kind"][:], table["offset"][:]
-        counts = (offset[1:] - offset[:-1])[kind]
-        body = np.repeat(np.arange(self.n_bodies), counts)
-        first = np.cumsum(counts) - counts
-        which = offset[kind][body] + np.arange(counts.sum()) - first[body]
-        local = table["position"][:][which]
+        body, row = self.constituents
+        local = self.particles.position[row]
         q = self.read("orientation", slice(k, k + 1))[0]
         x = self.read("position", slice(k, k + 1))[0]
         positions: Floats = x[body] + turned(q[body].T, local.T).T
         return positions
 
+    @cached_property
+    def constituents(self) -> tuple[Ints, Ints]:
+        """Body of each particle of the scene, and its row in `particles`, body after body."""
+        offset, kind = self.particles.offset, self.kind
+        counts = np.diff(offset)[kind]
+        body = np.repeat(np.arange(self.n_bodies), counts)
+        first = np.cumsum(counts) - counts
+        return body, offset[kind][body] + np.arange(counts.sum()) - first[body]
+
     def parameter(self, name: str) -> Any:
         """One entry of /parameters: case, case_resolved, plan, versions, machine, seed, ..."""
-        value = self.file[f"{PARAMETERS}/{name}"][()]
-        text = value.decode() if isinstance(value, bytes) else value
-        return json.loads(text) if name in ("case_resolved", "versions") else text
+        if name == "seed":
+            return int(self.table(f"{PARAMETERS}/seed", "iu", ()))
+        words = text(self.file, f"{PARAMETERS}/{name}")
+        if name not in JSON_TEXTS:
+            return words
+        with blaming(self.file):
+            return json.loads(words)
 
 
 def open_trajectory(path: str | Path) -> Trajectory:
@@ -240,12 +395,14 @@ def open_trajectory(path: str | Path) -> Trajectory:
     """
     if not Path(path).exists():
         raise FileNotFoundError(f"{path}: no such file")
-    try:
-        file = h5py.File(path, "r", locking=False)
-    except OSError as error:
-        raise TrajectoryError(f"{path} is not a readable HDF5 file: {error}") from None
-    try:
-        return Trajectory(file)
-    except TrajectoryError:
-        file.close()
-        raise
+    for is_last in attempts(path):
+        file = None
+        try:
+            file = open_file(path)
+            return Trajectory(file)
+        except TrajectoryError:
+            if file is not None:
+                file.close()
+            if is_last:
+                raise
+    raise AssertionError

@@ -196,14 +196,14 @@ def test_a_folder(tmp_path):
     "attributes",
     [
         {},
-        {"schema": [1, 0]},
-        {"schema": [1, 0], "n_frames": 1},
+        {"schema": [2, 0]},
+        {"schema": [2, 0], "n_frames": 1},
         {"schema": 1, "n_frames": 1},
         {"schema": [1], "n_frames": 1},
         {"schema": np.empty(0, dtype=int), "n_frames": 1},
         {"schema": "one", "n_frames": 1},
-        {"schema": [1, 0], "n_frames": "many"},
-        {"schema": [1, 0], "n_frames": [1, 2]},
+        {"schema": [2, 0], "n_frames": "many"},
+        {"schema": [2, 0], "n_frames": [1, 2]},
     ],
 )
 def test_a_foreign_hdf5_file(tmp_path, attributes):
@@ -217,7 +217,7 @@ def test_a_foreign_hdf5_file(tmp_path, attributes):
 @pytest.mark.parametrize("mass", ["group", "number"])
 def test_an_hdf5_file_with_something_else_for_the_masses(tmp_path, mass):
     path = tmp_path / "foreign.h5"
-    foreign(path, schema=[1, 0], n_frames=1)
+    foreign(path, schema=[2, 0], n_frames=1)
     with h5py.File(path, "a") as file:
         if mass == "group":
             file.create_group("particles/trajectory/mass")
@@ -230,14 +230,14 @@ def test_an_hdf5_file_with_something_else_for_the_masses(tmp_path, mass):
 def test_another_schema_is_refused(written, tmp_path):
     copy = tmp_path / "copy.h5"
     copy.write_bytes(written.read_bytes())
-    for version in ([2, 3], [0, 9]):
+    for version in ([3, 3], [1, 0]):
         with h5py.File(copy, "a") as file:
             file.attrs["schema"] = version
-        words = rf"has schema {version[0]}\.{version[1]}, this version reads 1\.x"
+        words = rf"has schema {version[0]}\.{version[1]}, this version reads 2\.x"
         with pytest.raises(TrajectoryError, match=words):
             particlerb.open(copy)
     with h5py.File(copy, "a") as file:
-        file.attrs["schema"] = [1, 7]  # a newer minor one adds only
+        file.attrs["schema"] = [2, 7]  # a newer minor one adds only
     particlerb.open(copy).close()
 
 

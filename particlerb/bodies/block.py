@@ -98,12 +98,19 @@ def in_blocks(n: int, n_rows: int, parts: Sequence[tuple[int, Floats]]) -> Float
         What goes into the rows, and the first of these rows; all others are zero.
     """
     n_blocks = -(-n // BLOCK)
-    blocks = aligned_zeros(n_blocks * n_rows * STRIDE).reshape(n_blocks, n_rows, STRIDE)
+    blocks = aligned_zeros(n_blocks * n_rows * STRIDE).reshape(n_blocks, n_rows * STRIDE)
     for at, values in parts:
-        room = np.zeros((len(values), n_blocks * BLOCK))
-        room[:, :n] = values
-        blocks[:, at : at + len(values), :BLOCK] = room.reshape(-1, n_blocks, BLOCK).swapaxes(0, 1)
-    return blocks.reshape(n_blocks, n_rows * STRIDE)
+        into_blocks(blocks, at, values)
+    return blocks
+
+
+def into_blocks(blocks: Floats, at: int, values: Floats) -> None:
+    """Write rows (count, n) into the rows of all blocks from `at` on; the reverse of the below."""
+    count, n = values.shape
+    room = np.zeros((count, len(blocks) * BLOCK))
+    room[:, :n] = values
+    rows = blocks.reshape(len(blocks), -1, STRIDE)
+    rows[:, at : at + count, :BLOCK] = room.reshape(count, -1, BLOCK).swapaxes(0, 1)
 
 
 def aligned_zeros(size: int) -> Floats:

@@ -41,6 +41,7 @@ from particlerb.case.shapes import AnyShape, Cloud, Mesh, Points, Spheres
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import POINT, ROD
 
+SMALLEST = 1e-300  # mass [kg] or moment of inertia [kg m²]
 SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its rounding
 
 
@@ -101,6 +102,7 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
         try:
             sets.append(concatenate(list(particle_sets(case, i, body, notes))))
             properties.append(mass_properties(sets[-1]))
+            refuse_underflow(properties[-1])
             first.append(first[-1] + len(properties[-1].mass))
         except (ValueError, OSError) as error:
             key = f"body[{i}].shape" if body.shape is not None else f"body[{i}].part"
@@ -110,6 +112,17 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
     arrays = zip(*properties, strict=True)
     together = MassProperties(*(np.concatenate(array) for array in arrays))
     return concatenate(sets), together, np.array(first[:-1])
+
+
+def refuse_underflow(properties: MassProperties) -> None:
+    """Raise ValueError where 1 / M or 1 / I would overflow."""
+    sizes = np.append(properties.mass, properties.moments)
+    sizes = sizes[sizes > 0.0]
+    if sizes.min(initial=1.0) < SMALLEST:
+        raise ValueError(
+            f"mass or moment of inertia {float(sizes.min())!r} is too small: its inverse is too"
+            " large for float64"
+        )
 
 
 def particle_sets(

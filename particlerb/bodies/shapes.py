@@ -349,7 +349,11 @@ def moments(inertia: ArrayLike, mass: float) -> Particles:
             f"inertia {given.tolist()}: moment {k + 1} = {float(given[k])!r} exceeds the sum of the"
             f" other two, {float(others[k])!r}, by {-float(excess[k])!r} kg m²: no body has these"
         )
-    return equal(AXES * (0.5 * np.sqrt(np.maximum(excess, 0.0) / m)), mass)
+    with np.errstate(over="ignore", invalid="ignore"):
+        arms = AXES * (0.5 * np.sqrt(np.maximum(excess, 0.0) / m))
+    if not np.isfinite(arms).all():
+        raise ValueError(f"inertia {given.tolist()} is too large for a mass of {mass!r} kg")
+    return equal(arms, mass)
 
 
 def cloud(n: int, radius: float, mass: float, rng: np.random.Generator) -> Particles:

@@ -294,7 +294,8 @@ def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
                 yield (*path, key), "has no place beside [[body.part]]", "give it with each part"
         for j, part in tables(body, "part"):
             yield from mass_rules((*path, "part", j), part)
-        if all(is_massless(part) for part in body["part"]):
+        parts = body["part"]
+        if isinstance(parts, list) and all(is_massless(part) for part in parts):
             yield (*path, "part"), "no part has mass", "give one of them a `mass`"
     elif not given(body, "shape"):
         yield (*path, "shape"), "missing", "a body needs a `shape`, or [[body.part]]"

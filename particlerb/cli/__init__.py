@@ -16,8 +16,10 @@ from typing import Final, NoReturn
 
 import particlerb
 from particlerb.cli.common import DONE, FAILED, INTERRUPTED, Ending
+from particlerb.cli.export import export_command, frame_slice
+from particlerb.cli.guard import guarded, wants_guard
 from particlerb.cli.mass import mass_command
-from particlerb.cli.run import check_command, run_command
+from particlerb.cli.run import check_command, resume_command, run_command
 from particlerb.cli.show import (
     cases_command,
     info_command,
@@ -52,6 +54,17 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--overwrite", action="store_true", help="replace an existing file")
     run.add_argument("-q", "--quiet", action="store_true", help="print the checks only")
 
+    resume = commands.add_parser(
+        "resume", help="go on with a run that was stopped, or to a later end"
+    )
+    resume.add_argument("file", metavar="FILE", help="of the run; it grows")
+    resume.add_argument(
+        "--t-end", type=positive, metavar="SECONDS", help="where to end; default: as its case says"
+    )
+    resume.add_argument("--json", action="store_true", help="machine-readable result")
+    add_plan(resume)
+    resume.add_argument("-q", "--quiet", action="store_true", help="print the checks only")
+
     check = commands.add_parser("check", help="read a case and print its plan, without a run")
     add_case(check)
     add_plan(check)
@@ -63,6 +76,7 @@ def parser() -> argparse.ArgumentParser:
     info = commands.add_parser("info", help="what a trajectory file holds")
     info.add_argument("file", metavar="FILE")
     info.add_argument("--json", action="store_true", help="machine-readable")
+    info.add_argument("--verify", action="store_true", help="whether it is whole; exit 1 if not")
 
     plot = commands.add_parser("plot", help="picture of a trajectory: ways, rates, drifts")
     plot.add_argument("file", metavar="FILE")
@@ -72,12 +86,34 @@ def parser() -> argparse.ArgumentParser:
     )
     plot.add_argument("--overwrite", action="store_true", help="replace an existing picture")
 
+    add_export(commands)
     add_studies(commands)
 
     commands.add_parser("cases", help="list the example cases")
     commands.add_parser("methods", help="list the integrators")
     commands.add_parser("schema", help="JSON schema of a case file, for editors")
     return top
+
+
+def add_export(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """The command that writes files of other programs."""
+    export = commands.add_parser("export", help="a trajectory as gsd, csv, particles, lammps, npz")
+    export.add_argument("file", metavar="FILE")
+    export.add_argument(
+        "--to", required=True, metavar="FORMAT", help="gsd, csv, particles, lammps or npz"
+    )
+    export.add_argument("-o", "--output", metavar="FILE", help="default: the input's name")
+    export.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    export.add_argument(
+        "--bodies", type=names, default=[], metavar="A,B", help="bodies or blocks; default: all"
+    )
+    export.add_argument(
+        "--frames", type=frame_slice, default=slice(None), metavar="A:B:C",
+        help="from A before B, every C-th; a number alone is one frame; default: all",
+    )  # fmt: skip
+    export.add_argument(
+        "--fields", type=names, default=[], metavar="A,B", help="default: all recorded"
+    )
 
 
 def add_studies(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -196,6 +232,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def entry() -> NoReturn:
     """Run the command of this process and end it."""
+    if wants_guard(sys.argv[1:]):
+        sys.exit(guarded(sys.argv[1:]))
     code = main()
     writer = sys.modules.get("particlerb.record.writer")
     if writer is not None and writer.Recorder.broken:
@@ -214,10 +252,12 @@ def complain(message: str, code: int) -> int:
 
 COMMANDS: Final[dict[str, Callable[[argparse.Namespace], int]]] = {
     "run": run_command,
+    "resume": resume_command,
     "check": check_command,
     "mass": mass_command,
     "info": info_command,
     "plot": plot_command,
+    "export": export_command,
     "chart": chart_command,
     "stability": stability_command,
     "converge": converge_command,

@@ -1,9 +1,11 @@
 """What all commands share: exit codes, how a command ends, how a case is found and read."""
 
 import argparse
+import contextlib
 import difflib
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,10 +22,12 @@ MISSED: Final = 3
 INTERRUPTED: Final = 130
 NAMES: Final = (
     "run",
+    "resume",
     "check",
     "mass",
     "info",
     "plot",
+    "export",
     "chart",
     "stability",
     "converge",
@@ -112,3 +116,14 @@ def opened(path: str) -> Any:
         return open_trajectory(path)
     except (TrajectoryError, FileNotFoundError, IsADirectoryError) as error:
         raise Ending(str(error)) from None
+
+
+@contextlib.contextmanager
+def readable() -> Iterator[None]:
+    """End the command with one message where a trajectory turns out to be damaged."""
+    from particlerb.record.checked import TrajectoryError
+
+    try:
+        yield
+    except TrajectoryError as error:
+        raise Ending(str(error), FAILED) from None

@@ -1,11 +1,14 @@
-"""Commands `run` and `check`: a case, its plan, its run, its checks."""
+"""Commands `run`, `resume` and `check`: a case, its plan, its run, its checks."""
 
 import argparse
 import contextlib
 import json
+import math
+import shlex
 import signal
+import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +17,7 @@ from particlerb.cli.common import DONE, FAILED, INTERRUPTED, MISSED, Ending, pre
 if TYPE_CHECKING:
     from particlerb.case.schema import Case
     from particlerb.checks import Result
-    from particlerb.simulate import Outcome, Prepared
+    from particlerb.simulate import Outcome, Prepared, Progress
 
 
 def run_command(options: argparse.Namespace) -> int:
@@ -24,8 +27,53 @@ def run_command(options: argparse.Namespace) -> int:
     warn(options, disk_warnings(prepared.case, path))
     if not (options.quiet or options.json):
         title = prepared.case.title or path.stem
-        print(f"{title}\n\nplan\n{prepared.text}\n", flush=True)
-    outcome = execute(prepared, path, options)
+        print(f"{title}\n\nplan\n{prepared.text}", flush=True)
+        print(f"  file: {size_text(prepared.case, path)}\n", flush=True)
+    from particlerb.simulate import frame_count, run_prepared
+
+    def run(progress: "Progress") -> "Outcome":
+        return run_prepared(prepared, path, options.overwrite, progress)
+
+    outcome = execute(run, path, options, frame_count(prepared.case))
+    return conclude(prepared, outcome, path, options)
+
+
+def resume_command(options: argparse.Namespace) -> int:
+    """`resume`: go on with the run of a file."""
+    from particlerb.case.problems import CaseError
+    from particlerb.resuming import ResumeError, look_at, resume_pending
+    from particlerb.trajectory import TrajectoryError
+
+    path = Path(options.file)
+    try:
+        pending = look_at(path, options.t_end, options.threads)
+    except (CaseError, ResumeError, TrajectoryError, FileNotFoundError) as error:
+        raise Ending(str(error)) from None
+    warn(options, list(pending.warnings))
+    case, start = pending.prepared.case, pending.checkpoint.n_frames
+    warn(options, disk_warnings(case, path, pending.known))
+    if not (options.quiet or options.json):
+        again = f", the last {pending.known - start} of them to be computed again"
+        print(
+            f"{case.title or path.stem}\n\n{path} has {pending.known} of {pending.total} frames"
+            f"{again if start < pending.known else ''}\n",
+            flush=True,
+        )
+
+    def run(progress: "Progress") -> "Outcome":
+        return resume_pending(pending, progress)
+
+    try:
+        outcome = execute(run, path, options, pending.total, start)
+    except ResumeError as error:
+        raise Ending(str(error)) from None
+    return conclude(pending.prepared, outcome, path, options)
+
+
+def conclude(
+    prepared: "Prepared", outcome: "Outcome", path: Path, options: argparse.Namespace
+) -> int:
+    """Print what came out; the exit code."""
     from particlerb.checks import results, table
 
     checks = results(prepared.case, prepared.scene, outcome)
@@ -54,51 +102,83 @@ def output_path(options: argparse.Namespace, case: "Case") -> Path:
     return path
 
 
-def disk_warnings(case: "Case", path: Path) -> list[str]:
-    """Warning where the file would not fit on the disk."""
-    import shutil
-
+def disk_warnings(case: "Case", path: Path, done: int = 0) -> list[str]:
+    """Warning where what is left to write, behind some frames, would not fit on the disk."""
     from particlerb.record.writer import bytes_of_run, spare_bytes
     from particlerb.simulate import frame_count
 
-    size = bytes_of_run(case, frame_count(case)) + spare_bytes(case)
-    folder = next(parent for parent in path.absolute().parents if parent.exists())
-    free = shutil.disk_usage(folder).free
+    size = bytes_of_run(case, frame_count(case) - done) + spare_bytes(case)
+    free = free_bytes(path)
     if size <= free:
         return []
     return [
-        f"particlerb: warning: {path} would take {size / 1e9:.3g} GB, the disk has"
-        f" {free / 1e9:.3g} GB free; raise run.every, or give fewer [output] fields"
+        f"particlerb: warning: {path} would take {amount(size)}, the disk has {amount(free)} free;"
+        " raise run.every, or give fewer [output] fields"
     ]
 
 
-def execute(prepared: "Prepared", path: Path, options: argparse.Namespace) -> "Outcome":
-    """Run with a progress bar; an interrupt or a failure says what was kept."""
+def free_bytes(path: Path) -> int:
+    """Room on the disk of a file that need not be there yet."""
+    import shutil
+
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    return shutil.disk_usage(folder).free
+
+
+def size_text(case: "Case", path: Path) -> str:
+    """File, frames and size of a run, and the room that there is."""
+    from particlerb.record.writer import SMALLEST_FILE, bytes_of_run
+    from particlerb.simulate import frame_count
+
+    n = frame_count(case)
+    size = bytes_of_run(case, n) + SMALLEST_FILE
+    return f"{path}, {n} frames, about {amount(size)}; {amount(free_bytes(path))} are free"
+
+
+def amount(size: float) -> str:
+    """Number of bytes in words."""
+    power = int(min(max(math.log10(max(size, 1.0)) // 3, 1), 4))
+    return f"{size / 1000.0**power:.3g} {('', 'kB', 'MB', 'GB', 'TB')[power]}"
+
+
+def execute(
+    run: "Callable[[Progress], Outcome]",
+    path: Path,
+    options: argparse.Namespace,
+    total: int,
+    done: int = 0,
+) -> "Outcome":
+    """Run with a progress bar; an interrupt or a failure says what was kept, and how to go on."""
     from tqdm import tqdm
 
+    from particlerb.record.claim import InUseError
     from particlerb.record.writer import FullDiskError
-    from particlerb.simulate import RunError, frame_count, run_prepared
+    from particlerb.simulate import RunError
 
-    frames = frame_count(prepared.case)
-    bar = tqdm(total=frames, unit="frame", disable=True if options.quiet else None, delay=0.5)
+    silent = True if options.quiet else None
+    bar = tqdm(total=total, initial=done, unit="frame", disable=silent, delay=0.5)
     try:
         with bar, stoppable():
-            return run_prepared(prepared, path, options.overwrite, bar.update)
+            return run(bar.update)
     except RunError as error:
-        raise Ending(f"the run failed: {error}; {kept(path)}", FAILED) from None
+        raise Ending(f"the run failed: {error}; {kept(path, False)}", FAILED) from None
     except KeyboardInterrupt:
         raise Ending(f"interrupted; {kept(path)}", INTERRUPTED) from None
+    except InUseError:
+        raise Ending(f"{path} is being written by another run: give another name with -o") from None
     except FileExistsError as error:
         raise Ending(str(error)) from None
     except FullDiskError:
         raise Ending(f"the run failed: the disk is full; {kept(path)}", FAILED) from None
     except OSError as error:
-        raise Ending(f"the run failed: cannot write {error}", FAILED) from None
+        raise Ending(f"the run failed: cannot write {error}; {kept(path)}", FAILED) from None
 
 
 @contextlib.contextmanager
 def stoppable() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end a run between two kernels; what ignored them goes on doing so."""
+    """Let Ctrl-C and SIGTERM end a run; what ignored them goes on doing so."""
+    from particlerb.threads import THREADS
+
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {n: signal.getsignal(n) for n in numbers if signal.getsignal(n) != signal.SIG_IGN}
     if threading.current_thread() is not threading.main_thread():
@@ -110,25 +190,34 @@ def stoppable() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        THREADS.is_ending = THREADS.is_stopping = False
 
 
 def ask_to_stop(number: int, frame: object) -> None:
-    """End the run after the kernel that is running; the second time, at once."""
+    """End the run behind the frame that is computed; the second time, behind the kernel."""
     del frame
     from particlerb.threads import THREADS
 
+    if not THREADS.is_ending:
+        THREADS.is_ending = True
+        print("\nfinishing the frame; once more to stop at once", file=sys.stderr, flush=True)
+        return
     THREADS.is_stopping = True
     signal.signal(number, signal.default_int_handler)
 
 
-def kept(path: Path) -> str:
-    """What is left in a file after a run that did not end."""
+def kept(path: Path, can_go_on: bool = True) -> str:
+    """What is left in a file after a run that did not end, and how to go on with it."""
+    from particlerb.record.schema import CHECKPOINT
     from particlerb.trajectory import TrajectoryError, open_trajectory
 
     try:
         with open_trajectory(path) as trajectory:
             n = trajectory.n_frames
-            return f"{n} {'frame is' if n == 1 else 'frames are'} kept in {path}"
+            text = f"{n} {'frame is' if n == 1 else 'frames are'} kept in {path}"
+            if can_go_on and CHECKPOINT in trajectory.file:
+                text += f"\ngo on with: python -m particlerb resume {shlex.quote(str(path))}"
+            return text
     except (OSError, TrajectoryError):
         return "no file was written"
 

@@ -4,35 +4,84 @@ import argparse
 import difflib
 import json
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from particlerb.cli.common import DONE, PICTURES, Ending, example_folders, opened
+from particlerb.cli.common import (
+    DONE,
+    FAILED,
+    PICTURES,
+    Ending,
+    example_folders,
+    opened,
+    readable,
+)
 
+if TYPE_CHECKING:
+    from particlerb.trajectory import Trajectory
+    from particlerb.verification import Finding
+
+LONGEST_TEXT: Final = 10_000
 PLOTTED: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
 
 
 def info_command(options: argparse.Namespace) -> int:
-    """`info`: what a file holds and where it comes from."""
-    with opened(options.file) as trajectory:
-        facts = {
-            "title": trajectory.parameter("case_resolved")["title"],
-            "bodies": trajectory.n_bodies,
-            "frames": trajectory.n_frames,
-            "time": [float(t) for t in trajectory.time[[0, -1]]] if trajectory.n_frames else [],
-            "fields": trajectory.fields,
-            "seed": int(trajectory.parameter("seed")),
-            "versions": trajectory.parameter("versions"),
-            "machine": trajectory.parameter("machine"),
-            "git_revision": trajectory.parameter("git_revision"),
-        }
-        plan = trajectory.parameter("plan")
+    """`info`: what a file holds and where it comes from; with --verify, whether it is whole."""
+    with opened(options.file) as trajectory, readable():
+        facts, texts = facts_of(trajectory), texts_of(trajectory)
+        findings = []
+        if options.verify:
+            from particlerb.verification import verify
+
+            findings = verify(trajectory)
+    is_whole = all(finding.is_whole for finding in findings)
     if options.json:
-        print(json.dumps({**facts, "plan": plan}))
-        return DONE
+        verified = {"findings": [f._asdict() for f in findings]} if options.verify else {}
+        print(json.dumps({**facts, **texts, **verified}))
+        return DONE if is_whole else FAILED
     for name, value in facts.items():
         print(f"{name:<13} {text_of(value)}")
-    print(f"plan\n{plan}")
-    return DONE
+    for name, value in texts.items():
+        words = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+        print(f"\n{name}\n{shortened(words.rstrip()) or '(none)'}")
+    if options.verify:
+        print(f"\nverified\n{findings_text(findings)}")
+        print(f"{options.file} is {'whole' if is_whole else 'DAMAGED'}")
+    return DONE if is_whole else FAILED
+
+
+def facts_of(trajectory: "Trajectory") -> dict[str, Any]:
+    """What can be said in a line."""
+    case = trajectory.parameter("case_resolved")
+    return {
+        "title": case.get("title", "") if isinstance(case, dict) else "",
+        "schema": ".".join(map(str, trajectory.schema)),
+        "bodies": trajectory.n_bodies,
+        "frames": trajectory.n_frames,
+        "time": [float(t) for t in trajectory.time[[0, -1]]] if trajectory.n_frames else [],
+        "fields": trajectory.fields,
+        "seed": trajectory.parameter("seed"),
+        **{name: trajectory.parameter(name) for name in ("versions", "machine", "git_revision")},
+    }
+
+
+def texts_of(trajectory: "Trajectory") -> dict[str, Any]:
+    """What takes many lines."""
+    return {name: trajectory.parameter(name) for name in ("plan", "case", "case_resolved")}
+
+
+def shortened(words: str) -> str:
+    """A text that may be long, as far as one reads it."""
+    if len(words) <= LONGEST_TEXT:
+        return words
+    return f"{words[:LONGEST_TEXT]}\n... ({len(words)} characters; --json prints all)"
+
+
+def findings_text(findings: "list[Finding]") -> str:
+    """Findings in lines."""
+    return "\n".join(
+        f"  {'ok' if finding.is_whole else 'NOT OK':<7}{finding.what:<15}{finding.words}"
+        for finding in findings
+    )
 
 
 def text_of(value: Any) -> str:
@@ -44,7 +93,7 @@ def text_of(value: Any) -> str:
 
 def plot_command(options: argparse.Namespace) -> int:
     """`plot`: a picture of a trajectory."""
-    with opened(options.file) as trajectory:
+    with opened(options.file) as trajectory, readable():
         path = Path(options.output or Path(options.file).with_suffix(".png"))
         if path.exists() and not options.overwrite:
             raise Ending(f"{path} exists: give another name with -o, or --overwrite")

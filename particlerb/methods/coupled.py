@@ -28,6 +28,7 @@ from particlerb.bodies.block import (
     copy_changing,
     get,
     in_blocks,
+    into_blocks,
     out_of_blocks,
     put,
 )
@@ -379,12 +380,19 @@ class CoupledMotion(SteppedMotion):
     def make_blocks(self, parts: list[tuple[int, Floats]], n_rows: int) -> Floats:
         """Blocks in which asymmetric bodies have blocks of their own, with room for stages."""
         room = len(self.layout.first) * BLOCK
-        spaced = []
-        for at, values in parts:
-            spaced.append((at, np.zeros((len(values), room))))
-            spaced[-1][1][:, self.slots] = values
         assert n_rows <= STAGE
+        spaced = [(at, self.spaced(values)) for at, values in parts]
         return in_blocks(room, STAGE + STAGE_ROWS, spaced)
+
+    def spaced(self, values: Floats) -> Floats:
+        """Rows of all bodies with the gaps of the blocks between them."""
+        room = np.zeros((len(values), len(self.layout.first) * BLOCK))
+        room[:, self.slots] = values
+        return room
+
+    def put_values(self, at: int, values: Floats) -> None:
+        """Write rows of all bodies, (count, n)."""
+        into_blocks(self.blocks, at, self.spaced(values))
 
     def values(self, at: int, count: int) -> Floats:
         """Some rows of all bodies, (count, n)."""

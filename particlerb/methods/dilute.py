@@ -24,6 +24,7 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods.coupled import Stages
 from particlerb.methods.exact import FreeMotion
 from particlerb.methods.motion import Group, Motion, Together
+from particlerb.methods.saving import Saved, filled, flat, under, within
 from particlerb.methods.touching import Kept, Kernels, TouchingMotion, motion_of
 from particlerb.terms import Terms, terms_on
 
@@ -254,3 +255,22 @@ class DiluteMotion:
         shown = self.shown or self.interval()
         state, given = shown.together.finish(stop)
         return state, self.booked + given
+
+    def checkpoint(self) -> Saved:
+        """The state at the start of the interval, and who is stepped in it: it is taken again."""
+        saved = under("state", flat(self.state))
+        for k, (keys, values) in enumerate(self.kept):
+            saved |= {f"kept.{k}.keys": keys.copy(), f"kept.{k}.values": values.copy()}
+        saved |= {"active": self.active.copy(), "booked": self.booked.copy()}
+        counts = np.array([self.done, self.steps, self.saved, self.all_steps])
+        return saved | {"counts": counts, "skin": np.array(self.skin)}
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        self.state = filled(self.state, within("state", saved))
+        kept = [within(f"kept.{k}", saved) for k in range(2)]
+        self.kept = [(one["keys"], one["values"]) for one in kept if one]
+        self.active, self.booked = saved["active"], saved["booked"]
+        self.done, self.steps, self.saved, self.all_steps = saved["counts"].tolist()
+        self.skin = float(saved["skin"])
+        self.next, self.shown = None, self.interval()

@@ -26,6 +26,7 @@ from particlerb.bodies.block import (
     Q,
     get,
     in_blocks,
+    into_blocks,
     out_of_blocks,
     put,
     state_of,
@@ -38,6 +39,7 @@ from particlerb.methods import dop853_joint as joint
 from particlerb.methods.dop853_step import ALONE, find_step, interpolate, take_stages
 from particlerb.methods.dop853_table import STAGES
 from particlerb.methods.motion import Account, Group, Motion
+from particlerb.methods.saving import Saved
 from particlerb.terms import STAGE as WORK
 from particlerb.terms import Acting, acting_of, row_count, rows_of_terms
 from particlerb.threads import BLOCK, THREADS
@@ -189,6 +191,19 @@ class AdaptiveMotion:
             out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1),
         )
         return state, self.account.of_state(elapsed, state.com, state.q, state.L, sums)
+
+    def checkpoint(self) -> Saved:
+        """States at the start of each pack's step, when that is, and how long the step is."""
+        n = self.group.members.size
+        return {
+            "changing": out_of_blocks(self.blocks, 0, CHANGING, n),
+            "clock": self.clock.copy(),
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        into_blocks(self.blocks, 0, saved["changing"])
+        self.clock[:] = saved["clock"]
 
     def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
         """Through all times; sums of what was booked, for each row of the frames."""

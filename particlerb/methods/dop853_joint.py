@@ -44,6 +44,7 @@ from particlerb.methods.dop853_step import (
 from particlerb.methods.dop853_table import STAGES, A
 from particlerb.methods.motion import Account, Group
 from particlerb.methods.pair_forces import PairForces, Pairs, loads_over_threads, pair_loads
+from particlerb.methods.saving import Saved
 from particlerb.terms import PAIR, STAGE, Acting, acting_of, row_count, rows_of_terms
 from particlerb.threads import BLOCK, THREADS
 
@@ -312,6 +313,15 @@ class JointMotion:
         state = state_of(self.blocks, n)
         sums = out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1)
         return state, self.account.of_state(elapsed, state.com, state.q, state.L, sums)
+
+    def checkpoint(self) -> Saved:
+        """States at the start of the step, when that is, and how long the step is."""
+        return {"y": self.room.y.copy(), "clock": self.clock.copy()}
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        self.room.y[:] = saved["y"]
+        self.clock[:] = saved["clock"]
 
     def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
         """Through all times; sums of what was booked, for each row of the frames."""

@@ -15,6 +15,7 @@ from particlerb.bodies.state import Frames, State, store_frame
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, Rows3, add_scaled, load3, rows3, store3
 from particlerb.methods.motion import Group, constant_force, force_of
+from particlerb.methods.saving import Saved
 from particlerb.rotors.exact import (
     HyperbolicTurn,
     SteadyTurn,
@@ -130,6 +131,13 @@ class FreeMotion:
         inv_mass = self.group.bodies.inv_mass
         com = com + t * inv_mass * (p + 0.5 * t * self.force)
         return State(com, q, p + t * self.force, L), self.constant.booked(np.array([t]))[0]
+
+    def checkpoint(self) -> Saved:
+        """Nothing: all follows from the start."""
+        return {}
+
+    def restore(self, saved: Saved) -> None:
+        """Do nothing."""
 
 
 def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> FreeMotion:

@@ -13,6 +13,7 @@ import numpy as np
 from particlerb.bodies.bodies import Bodies, taken
 from particlerb.bodies.state import Frames, State, multiplied
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.methods.saving import Saved, under, within
 from particlerb.terms import Terms, is_constant, terms_on, work_of_potentials
 
 
@@ -36,6 +37,12 @@ class Motion(Protocol):
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment [s], and (7,) booked until then."""
+
+    def checkpoint(self) -> Saved:
+        """Copies of what has changed since the start of the segment; nothing where it is known."""
+
+    def restore(self, saved: Saved) -> None:
+        """Go on, bit for bit, from what a motion has saved that began at the same state."""
 
 
 class ConstantForce(NamedTuple):
@@ -144,6 +151,18 @@ class Together(NamedTuple):
                 whole[:, which] = own
             booked += given
         return state, booked
+
+    def checkpoint(self) -> Saved:
+        """What each part has changed."""
+        saved: Saved = {}
+        for k, (_, motion) in enumerate(self.parts):
+            saved |= under(str(k), motion.checkpoint())
+        return saved
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        for k, (_, motion) in enumerate(self.parts):
+            motion.restore(within(str(k), saved))
 
 
 def part_of(group: Group, which: Ints) -> Group:

@@ -25,6 +25,7 @@ from particlerb.bodies.block import (
     Q,
     copy_changing,
     in_blocks,
+    into_blocks,
     out_of_blocks,
     state_rows,
 )
@@ -33,6 +34,7 @@ from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.methods.booking import store_sums
 from particlerb.methods.motion import Account, Group
+from particlerb.methods.saving import Saved
 from particlerb.methods.splitting import kick
 from particlerb.terms import (
     DRAG,
@@ -178,6 +180,19 @@ class SteppedMotion:
     def values(self, at: int, count: int) -> Floats:
         """Some rows of all bodies, (count, n)."""
         return out_of_blocks(self.blocks, at, count, self.group.members.size)
+
+    def put_values(self, at: int, values: Floats) -> None:
+        """Write rows of all bodies, (count, n)."""
+        into_blocks(self.blocks, at, values)
+
+    def checkpoint(self) -> Saved:
+        """States on the grid with what was booked, and the steps until there."""
+        return {"changing": self.values(0, CHANGING), "done": np.array(self.done)}
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        self.put_values(0, saved["changing"])
+        self.done = int(saved["done"])
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""

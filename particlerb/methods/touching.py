@@ -50,6 +50,7 @@ from particlerb.methods.coupled import (
 )
 from particlerb.methods.motion import Group, MotionError
 from particlerb.methods.pair_forces import Pairs, loads_over_threads, pair_loads
+from particlerb.methods.saving import Saved, filled, flat, under, within
 from particlerb.methods.stepped import PAUSE, Schedule
 from particlerb.terms import PAIR, Acting, acting_of
 from particlerb.threads import THREADS
@@ -437,6 +438,26 @@ class TouchingMotion(CoupledMotion):
         contacts = self.lists.spheres, self.lists.walls
         found = zip(self.keys, contacts, self.rows, strict=True)
         return [(keys, c.kept[rows]) for keys, c, rows in found]
+
+    def checkpoint(self) -> Saved:
+        """Lists with what contacts keep, the poses that they were made at, and their skin."""
+        saved = super().checkpoint()
+        saved |= under("memory", flat(self.memory)) | under("lists", flat(self.lists))
+        for k, (keys, rows) in enumerate(zip(self.keys, self.rows, strict=True)):
+            saved |= {f"keys.{k}": keys.copy(), f"rows.{k}": rows.copy()}
+        way = np.array([self.farthest, self.made, self.contact.skin])
+        return saved | {"origin": self.origin.copy(), "way": way}
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        super().restore(saved)
+        self.memory = filled(self.memory, within("memory", saved))
+        self.lists = filled(self.lists, within("lists", saved))
+        self.keys = [saved[f"keys.{k}"] for k in range(len(self.keys))]
+        self.rows = [saved[f"rows.{k}"] for k in range(len(self.rows))]
+        self.origin = saved["origin"]
+        self.farthest, self.made, skin = saved["way"].tolist()
+        self.contact = self.contact._replace(skin=skin)
 
     def evaluate(self, y: Floats) -> float:
         """Elastic energy in a state at the start [J]."""

@@ -8,12 +8,21 @@ dimensions of a variable or on none.
 
 from typing import Final, NamedTuple
 
-SCHEMA_VERSION: Final = (1, 0)
+SCHEMA_VERSION: Final = (2, 0)
 TRAJECTORY: Final = "particles/trajectory"
 OBSERVABLES: Final = "observables"
 PARAMETERS: Final = "parameters"
 BODIES: Final = "bodies"
+VTKHDF: Final = "VTKHDF"
+INTEGRITY: Final = "integrity"
+AXES: Final = ("xyz", "wxyz", "123")  # dimension scales: the world, quaternions, principal axes
+CHECKPOINT: Final = "checkpoint"
+SLOTS: Final = ("a", "b")  # of the checkpoint: archives of arrays, written in turn
+CURRENT: Final = "current"  # attribute of the checkpoint: number of the slot that counts
+SLOT_FRAMES: Final = "frames"  # attributes of a slot: frames that lay behind,
+SLOT_DIGEST: Final = "sha256"  # and the hash of its bytes
 COMMITTED: Final = "n_frames"  # root attribute: frames that are wholly on disk
+CHUNK_OF_NUMBERS: Final = 1024  # entries per chunk of a number per frame
 
 
 class Element(NamedTuple):
@@ -58,6 +67,9 @@ STATIC: Final[dict[str, Table]] = {
     f"{TRAJECTORY}/id": Table("1", "number of the body"),
     f"{TRAJECTORY}/mass": Table("kg", "of each body"),
     f"{TRAJECTORY}/moment_inertia": Table("kg m2", "principal, in the order of the rotor frame"),
+    f"{TRAJECTORY}/extent": Table(
+        "m", "edges of a box for glyphs: centred, body axes, holds all particles"
+    ),
     f"{BODIES}/names": Table("1", "of each body"),
     f"{BODIES}/kind": Table("1", "kind of each body: which set of particles it is made of"),
     f"{BODIES}/rotor_class": Table("1", "0 point, 1 rod, 2 sphere, 3 symmetric, 4 asymmetric"),

@@ -10,26 +10,36 @@ import json
 import os
 import platform
 import shutil
+import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import h5py
 import numpy as np
 
 import particlerb
+from particlerb._jit import source_hash
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames, derived
 from particlerb.case.schema import Case
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record.checkpoint import make_slots, write_checkpoint
+from particlerb.record.claim import Claim
+from particlerb.record.integrity import Words, frame_checksums, seal
 from particlerb.record.schema import (
+    AXES,
     BODIES,
+    CHECKPOINT,
+    CHUNK_OF_NUMBERS,
     COMMITTED,
+    CURRENT,
     FIELDS,
+    INTEGRITY,
     LEDGER,
     OBSERVABLES,
     PARAMETERS,
@@ -39,12 +49,23 @@ from particlerb.record.schema import (
     Element,
     frames_per_chunk,
 )
+from particlerb.record.vtkhdf import append_steps, count_steps, create_vtkhdf, resize_vtkhdf
 
 SECONDS_BETWEEN_COMMITS = 1.0
+SHARE_OF_CHECKPOINTS = 0.02  # of the time of a run that may go into them
 LARGEST_SPARE = 32_000_000  # bytes that HDF5 may hold back in its caches, 1 MiB a dataset
 SMALLEST_FILE = 600_000  # bytes of a file of few bodies and frames
 CLOCK = "time"
-SHORT_CHUNK = 1024  # entries per chunk of a number per frame
+CHECKSUM = "checksum"
+SHOWN = {  # what VTK shows of each body beside the recorded fields
+    "id": f"{TRAJECTORY}/id",
+    "mass": f"{TRAJECTORY}/mass",
+    "extent": f"{TRAJECTORY}/extent",
+    "kind": f"{BODIES}/kind",
+}
+SUPERBLOCK = 96  # bytes of it, in version 0,
+END_OF_FILE = 40  # and where in it the end of the file stands
+THINNEST = 0.02  # edge of a glyph, of the longest one: rods and points are to be seen
 NUMBERS = itertools.count()  # of the files in memory
 
 
@@ -53,7 +74,11 @@ class FullDiskError(OSError):
 
 
 class WriteError(OSError):
-    """HDF5 could not write; the process should end at once, since HDF5 crashes on its way out."""
+    """HDF5 could not write; what was committed is whole."""
+
+
+class OtherFrameError(Exception):
+    """A frame that was computed again is not the one in the file: which."""
 
 
 class Recorder:
@@ -74,6 +99,8 @@ class Recorder:
     ------
     FileExistsError
         If the file exists and may not be replaced.
+    InUseError
+        If another process writes the file.
     FullDiskError
         If the disk has no room for the next frames; those before are whole.
     WriteError
@@ -92,13 +119,10 @@ class Recorder:
         parameters: Mapping[str, str],
         overwrite: bool = False,
     ) -> None:
-        self.file, self.path = create(path, overwrite), path
-        self.case, self.scene = case, scene
-        self.dtype = np.dtype(case.output.dtype)
-        # Frames committed, and the small arrays of those that are not: replaced as one.
-        self.ready: tuple[int, list[dict[str, Floats]]] = (0, [])
-        self.last_commit = time.monotonic()
-        write_header(self.file)
+        claim = None if path is None else claimed(path, overwrite)
+        self.take(create(path), claim, path, case, scene)
+        self.file.attrs["schema"] = np.array(SCHEMA_VERSION, dtype=np.int32)
+        write_h5md(self.file)
         write_bodies(self.file, scene)
         write_parameters(self.file, case, parameters)
         self.step, self.time = make_clock(self.file)
@@ -110,8 +134,69 @@ class Recorder:
             name: self.make_element(f"{OBSERVABLES}/{name}", element, per_body=False)
             for name, element in LEDGER.items()
         }
+        self.checksums = make_checksums(self.file)
+        if path is not None:  # nobody else can open a file in memory
+            create_vtkhdf(self.file, self.values, SHOWN, most_frames(case))
         self.file.attrs[COMMITTED] = np.int64(0)
         self.commit()
+
+    @classmethod
+    def again(cls, path: Path, case: Case, scene: Scene, n_frames: int, known: int) -> Self:
+        """Recorder of a file that has frames: what is appended again must be the same.
+
+        Parameters
+        ----------
+        path : Path
+            A file that no other process writes.
+        case, scene : Case, Scene
+            As for a new file.
+        n_frames : int
+            Frames that lie behind the state that is carried on.
+        known : int
+            Frames that the file keeps, of those that it has: not fewer.
+        """
+        self = cls.__new__(cls)
+        claim = Claim(path)
+        try:
+            mend(path)
+            self.take(h5py.File(path, "r+", locking=False), claim, path, case, scene)
+        except BaseException:
+            claim.release()
+            raise
+        self.ready, self.known = (n_frames, []), known
+        group = self.file[TRAJECTORY]
+        self.step, self.time = group["step"], group["time"]
+        self.values = {name: group[f"{name}/value"] for name in case.output.fields}
+        self.ledger = {name: self.file[f"{OBSERVABLES}/{name}/value"] for name in LEDGER}
+        self.checksums = self.file[INTEGRITY][CHECKSUM]
+        with self.watched():
+            self.cut(known)
+        return self
+
+    def take(
+        self, file: h5py.File, claim: Claim | None, path: Path | None, case: Case, scene: Scene
+    ) -> None:
+        """Begin with an open file."""
+        self.file, self.claim, self.path = file, claim, path
+        self.case, self.scene = case, scene
+        self.dtype = np.dtype(case.output.dtype)
+        # Frames committed, and the small arrays of those that are not: replaced as one.
+        self.ready: tuple[int, list[dict[str, Floats | Words]]] = (0, [])
+        self.known = 0  # frames that were there before
+        self.last_commit = self.last_kept = time.monotonic()
+        self.slot: int | None = None  # of the checkpoint, that counts from the next commit on
+        self.seconds_to_keep, self.bytes_kept = 0.0, 0
+
+    def cut(self, n: int) -> None:
+        """Forget frames from n on, and what a kill has left half written behind them."""
+        self.file.attrs.modify(COMMITTED, np.int64(n))
+        count_steps(self.file, n)
+        self.file.flush()
+        small = (self.step, self.time, self.checksums, *self.ledger.values())
+        for dataset in (*small, *self.values.values()):
+            dataset.resize(n, axis=0)
+        resize_vtkhdf(self.file, self.values, most_frames(self.case))
+        self.file.flush()
 
     def make_element(self, path: str, element: Element, per_body: bool) -> h5py.Dataset:
         """One H5MD element: step, time, and an empty value that can grow."""
@@ -120,16 +205,20 @@ class Recorder:
         n, width = len(self.scene.kind), len(element.components)
         shape = ((n,) if per_body else ()) + ((width,) if width else ())
         dtype = self.dtype if per_body else np.dtype(np.float64)
-        frames = frames_per_chunk(n, width, dtype.itemsize) if per_body else SHORT_CHUNK
+        frames = frames_per_chunk(n, width, dtype.itemsize) if per_body else CHUNK_OF_NUMBERS
         value = group.create_dataset(
-            "value", (0, *shape), dtype, maxshape=(None, *shape), chunks=(frames, *shape)
+            "value",
+            (0, *shape),
+            dtype,
+            maxshape=(None, *shape),
+            chunks=(frames, *shape),
+            fillvalue=np.nan,  # what was never written is no number
         )
-        value.attrs["units"] = element.units
-        value.attrs["meaning"] = element.meaning
+        describe(value, element.units, element.meaning)
         trajectory = self.file[TRAJECTORY]
         scales = [self.time]
         scales += [trajectory["body"]] if per_body else []
-        scales += [trajectory[element.components]] if width else []
+        scales += [self.file[element.components]] if width else []
         for dimension, scale in zip(value.dims, scales, strict=True):
             dimension.attach_scale(scale)
         return value
@@ -149,12 +238,64 @@ class Recorder:
     def write(self, times: Floats, frames: Frames, rows: Ints, ledger: Any) -> None:
         """Write the large arrays now and keep the small ones until the next commit."""
         n = self.n_frames
-        arrays = fields_of(frames, rows, self.scene, self.values)
+        found = fields_of(frames, rows, self.scene, self.values)
+        arrays = {name: found[name].astype(self.dtype, copy=False) for name in self.values}
+        entries = {CLOCK: times} | {name: getattr(ledger, name)[rows] for name in self.ledger}
+        rows_of_fields = [arrays[name] for name in FIELDS if name in arrays]
+        sums = frame_checksums(len(times), [*rows_of_fields, *entries.values()])
+        new = slice(self.recognise(n, sums), None)
+        if not len(sums[new]):
+            return
         for name, dataset in self.values.items():
-            append_rows(dataset, n, arrays[name].astype(self.dtype, copy=False))
-        entries = {name: getattr(ledger, name)[rows] for name in self.ledger}
-        self.ready[1].append({CLOCK: times, **entries})
-        if time.monotonic() - self.last_commit > SECONDS_BETWEEN_COMMITS:
+            append_rows(dataset, self.n_frames, arrays[name][new])
+        small = {**entries, CHECKSUM: sums}
+        self.ready[1].append({name: values[new] for name, values in small.items()})
+
+    def recognise(self, first: int, sums: Words) -> int:
+        """Number of frames, from `first` on, that were in the file before: they must be the same.
+
+        Raises
+        ------
+        OtherFrameError
+            If one is another.
+        """
+        known = min(max(self.known - first, 0), len(sums))
+        stored: Words = self.checksums[first : first + known]
+        other = np.flatnonzero(sums[:known] != stored)
+        if other.size:
+            raise OtherFrameError(
+                f"frame {first + int(other[0])} comes out differently than it is in {self.path}:"
+                " the file was changed, or written on another kind of processor"
+            )
+        if known:
+            self.ready = (first + known, [])
+        return known
+
+    def keep(self, checkpoint: Callable[[], Mapping[str, Any]]) -> None:
+        """Write a checkpoint of the state behind all frames; it counts from the next commit on."""
+        if self.path is None:
+            return
+        start = time.monotonic()
+        arrays = checkpoint()
+        self.bytes_kept = sum(array.nbytes for array in arrays.values())
+        self.refuse_full_disk(0)
+        with self.watched():
+            if CHECKPOINT in self.file:
+                self.slot = write_checkpoint(self.file, self.n_frames, arrays)
+            else:
+                make_slots(self.file, self.n_frames, arrays)
+        self.last_kept = time.monotonic()
+        self.seconds_to_keep = self.last_kept - start
+
+    def commit_if_due(self, checkpoint: Callable[[], Mapping[str, Any]] | None) -> None:
+        """Commit what has waited for a second; with a checkpoint, where that costs little."""
+        now = time.monotonic()
+        if now - self.last_commit <= SECONDS_BETWEEN_COMMITS or self.n_frames < self.known:
+            return
+        waited = now - self.last_kept
+        if checkpoint is not None and SHARE_OF_CHECKPOINTS * waited >= self.seconds_to_keep:
+            self.keep(checkpoint)
+        with self.watched():
             self.commit()
 
     @contextmanager
@@ -171,7 +312,7 @@ class Recorder:
         """Raise FullDiskError while the file is whole: HDF5 does not survive a failed write."""
         if self.path is None:
             return
-        needed = 2 * bytes_of_run(self.case, n_frames) + spare_bytes(self.case)
+        needed = 2 * bytes_of_run(self.case, n_frames) + spare_bytes(self.case) + self.bytes_kept
         if shutil.disk_usage(self.path.parent).free < needed:
             raise FullDiskError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
@@ -179,14 +320,18 @@ class Recorder:
         """Put what is written on disk, then say so; may be repeated after an interrupt."""
         first, pending = self.ready
         n = self.n_frames
-        small = {CLOCK: self.time, **self.ledger}
+        small = {CLOCK: self.time, CHECKSUM: self.checksums, **self.ledger}
         for name in pending[0] if pending else ():
             append_rows(small[name], first, np.concatenate([part[name] for part in pending]))
         append_rows(self.step, first, np.arange(first, n))
+        append_steps(self.file, self.time[first:n])
         self.file.flush()
         self.file.attrs.modify(COMMITTED, np.int64(n))
+        count_steps(self.file, n)
+        if self.slot is not None:
+            self.file[CHECKPOINT].attrs.modify(CURRENT, np.int64(self.slot))
         self.file.flush()
-        self.ready = (n, [])
+        self.ready, self.slot = (n, []), None
         self.last_commit = time.monotonic()
 
     def finish(self) -> None:
@@ -194,15 +339,20 @@ class Recorder:
         if self in Recorder.broken:
             return
         with self.watched():
-            self.commit()
+            if self.n_frames >= self.known:
+                self.commit()
+            n = max(self.n_frames, self.known)
             for dataset in self.values.values():
-                dataset.resize(self.n_frames, axis=0)
+                dataset.resize(n, axis=0)
+            resize_vtkhdf(self.file, self.values, n)
             self.file.flush()
             if self.path is not None:
                 self.file.close()
+        if self.claim is not None:
+            self.claim.release()
 
 
-def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints) -> None:
+def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints | Words) -> None:
     """Append values from row `first` on; a row that is a chunk goes straight to the file."""
     dataset.resize(first + len(values), axis=0)
     if dataset.chunks[0] > 1:
@@ -213,20 +363,41 @@ def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints) -> Non
         dataset.id.write_direct_chunk((first + k, *origin), values[k])
 
 
-def create(path: Path | None, overwrite: bool) -> h5py.File:
+def claimed(path: Path, overwrite: bool) -> Claim:
+    """Right to write a new file."""
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return Claim(path)
+
+
+def create(path: Path | None) -> h5py.File:
     """Open a new file."""
     if path is None:  # HDF5 tells files in memory apart by their names
         name = f"memory-{next(NUMBERS)}.h5"
         return h5py.File(name, "w", driver="core", backing_store=False)
-    if path.exists() and not overwrite:
-        raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
-    path.parent.mkdir(parents=True, exist_ok=True)
     return h5py.File(path, "w", locking=False)
 
 
-def write_header(file: h5py.File) -> None:
-    """Root attributes and the group that H5MD asks for."""
-    file.attrs["schema"] = np.array(SCHEMA_VERSION, dtype=np.int32)
+def mend(path: Path) -> None:
+    """Let the end of a file that a kill has left lie behind all of its bytes.
+
+    A commit writes the end last. What lies beyond it belongs to something, and HDF5 would give it
+    away a second time. In superblocks of version 0, which are written here, it is a plain number.
+    """
+    with path.open("r+b") as file:
+        start = file.read(SUPERBLOCK)
+        size = file.seek(0, os.SEEK_END)
+        if len(start) < SUPERBLOCK or not start.startswith(b"\x89HDF\r\n\x1a\n\0"):
+            return
+        (end,) = struct.unpack_from("<Q", start, END_OF_FILE)
+        if end < size:
+            file.seek(END_OF_FILE)
+            file.write(struct.pack("<Q", size))
+
+
+def write_h5md(file: h5py.File) -> None:
+    """The group that H5MD asks for."""
     h5md = file.create_group("h5md")
     h5md.attrs["version"] = np.array([1, 1], dtype=np.int32)
     h5md.create_group("author").attrs["name"] = np.bytes_("unknown")
@@ -235,23 +406,30 @@ def write_header(file: h5py.File) -> None:
     creator.attrs["version"] = np.bytes_(particlerb.__version__)
 
 
-def write_bodies(file: h5py.File, scene: Scene) -> None:
-    """What does not change: box, dimension scales, masses, particles."""
-    trajectory = file.create_group(TRAJECTORY)
-    box = trajectory.create_group("box")
+def make_group(file: h5py.File) -> h5py.Group:
+    """The group of the particles, in an endless box."""
+    group = file.create_group(TRAJECTORY)
+    box = group.create_group("box")
     box.attrs["dimension"] = np.int32(3)
     box.attrs["boundary"] = np.array(["none"] * 3, dtype="S8")
+    return group
+
+
+def write_bodies(file: h5py.File, scene: Scene) -> None:
+    """What does not change: box, dimension scales, masses, particles."""
+    trajectory = make_group(file)
     n = len(scene.kind)
     trajectory["body"] = np.arange(n)
     trajectory["body"].make_scale("body")
-    for axis in ("xyz", "wxyz"):
-        trajectory[axis] = np.array([letter.encode() for letter in axis])
-        trajectory[axis].make_scale(axis)
+    for axis in AXES:
+        file[axis] = np.array([letter.encode() for letter in axis])
+        file[axis].make_scale(axis)
     bodies, particles = scene.bodies, scene.particles
     arrays = {
         f"{TRAJECTORY}/id": np.arange(n),
         f"{TRAJECTORY}/mass": bodies.mass,
         f"{TRAJECTORY}/moment_inertia": bodies.inertia.T,
+        f"{TRAJECTORY}/extent": extents(scene),
         f"{BODIES}/names": np.array([name.encode() for name in scene.names]),
         f"{BODIES}/kind": scene.kind,
         f"{BODIES}/rotor_class": bodies.rotor_class,
@@ -263,8 +441,26 @@ def write_bodies(file: h5py.File, scene: Scene) -> None:
     }
     for path, table in STATIC.items():
         file[path] = arrays[path]
-        file[path].attrs["units"] = table.units
-        file[path].attrs["meaning"] = table.meaning
+        describe(file[path], table.units, table.meaning)
+    for name in ("id", "mass", "moment_inertia", "extent"):
+        trajectory[name].dims[0].attach_scale(trajectory["body"])
+    trajectory["extent"].dims[1].attach_scale(file["xyz"])
+    trajectory["moment_inertia"].dims[1].attach_scale(file["123"])
+
+
+def extents(scene: Scene) -> Floats:
+    """Edges of a box about the centre of mass of each body that holds its particles, (N, 3) [m].
+
+    Axes of the body frame. No edge is thinner than a share of the longest one: of the body, or of
+    all bodies where the body is a point.
+    """
+    particles = scene.particles
+    reach = np.abs(particles.position) + particles.radius[:, None]
+    edges = 2.0 * np.maximum.reduceat(reach, particles.offset[:-1], axis=0)
+    longest = edges.max(axis=1, keepdims=True)
+    longest[longest == 0.0] = longest.max() or 1.0
+    thick: Floats = np.maximum(edges, THINNEST * longest)[scene.kind]
+    return thick
 
 
 def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> None:
@@ -274,19 +470,48 @@ def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> No
         "case_resolved": case.model_dump_json(),
         **more,
         "versions": json.dumps(versions()),
+        "case_path": str(case.path.absolute()) if case.path else "",
         "machine": f"{platform.machine()} {platform.system()} {platform.release()}",
         "git_revision": git_revision(),
     }
     for name, text in parameters.items():
-        file[f"{PARAMETERS}/{name}"] = text
+        write_text(file, name, text)
     file[f"{PARAMETERS}/seed"] = case.run.seed
+    file.create_group(INTEGRITY)
+    seal(file)
+
+
+def replace_case(file: h5py.File, case: Case) -> None:
+    """Let the file say that its case is this one: the same with another end."""
+    write_text(file, "case_resolved", case.model_dump_json())
+    seal(file)
+    file.flush()
+
+
+def describe(dataset: h5py.Dataset, units: str, meaning: str) -> None:
+    """Say what the numbers are; `units` is CF's name, H5MD's `unit` stops MDAnalysis."""
+    dataset.attrs["units"] = units
+    dataset.attrs["meaning"] = meaning
+
+
+def write_text(file: h5py.File, name: str, text: str) -> None:
+    """Write a text of /parameters, UTF-8, in place of what is there.
+
+    Of fixed length: its bytes lie in one place, and a reader can tell beforehand how many they are.
+    """
+    group = file.require_group(PARAMETERS)
+    if name in group:
+        del group[name]
+    data = text.encode()
+    group.create_dataset(name, data=data, dtype=h5py.string_dtype("utf-8", max(len(data), 1)))
 
 
 def versions() -> dict[str, str]:
     """Versions of what made the file."""
     names = ("numpy", "numba", "h5py")
     found = {name: str(sys.modules[name].__version__) for name in names if name in sys.modules}
-    return {"particlerb": particlerb.__version__, "python": platform.python_version(), **found}
+    own = {"particlerb": particlerb.__version__, "sources": source_hash()}
+    return {**own, "python": platform.python_version(), **found}
 
 
 def git_revision() -> str:
@@ -305,11 +530,25 @@ def git_revision() -> str:
 def make_clock(file: h5py.File) -> tuple[h5py.Dataset, h5py.Dataset]:
     """Step and time, which every element shares by hard links."""
     group = file[TRAJECTORY]
-    step = group.create_dataset("step", (0,), "i8", maxshape=(None,), chunks=(SHORT_CHUNK,))
-    clock = group.create_dataset("time", (0,), "f8", maxshape=(None,), chunks=(SHORT_CHUNK,))
-    clock.attrs["units"] = "s"
+    step = group.create_dataset("step", (0,), "i8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,))
+    clock = group.create_dataset(
+        "time", (0,), "f8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,), fillvalue=np.nan
+    )
+    describe(clock, "s", "of each frame")
     clock.make_scale("time")
+    step.dims[0].attach_scale(clock)
     return step, clock
+
+
+def make_checksums(file: h5py.File) -> h5py.Dataset:
+    """Checksums of the frames."""
+    checksums = file[INTEGRITY].create_dataset(
+        CHECKSUM, (0,), "u8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,)
+    )
+    describe(checksums, "1", "of each frame, see particlerb.record.integrity")
+    file[INTEGRITY]["time"] = file[f"{TRAJECTORY}/time"]  # netCDF looks for scales in this group
+    checksums.dims[0].attach_scale(file[f"{TRAJECTORY}/time"])
+    return checksums
 
 
 def fields_of(
@@ -331,9 +570,14 @@ def fields_of(
     return arrays
 
 
+def most_frames(case: Case) -> int:
+    """Frames of a run, or a few more."""
+    return int(case.run.t_end / case.run.every) + 2
+
+
 def spare_bytes(case: Case) -> int:
     """Room on the disk for what HDF5 has still to write when a run must end."""
-    whole = bytes_of_run(case, int(case.run.t_end / case.run.every) + 2)
+    whole = bytes_of_run(case, most_frames(case))
     return min(LARGEST_SPARE, SMALLEST_FILE + 2 * whole)
 
 
@@ -341,4 +585,4 @@ def bytes_of_run(case: Case, n_frames: int) -> int:
     """Size of the fields of a run on disk [bytes], without the small rest."""
     item = np.dtype(case.output.dtype).itemsize
     width = sum(len(FIELDS[name].components) for name in case.output.fields)
-    return n_frames * (case.n_bodies * width * item + 8 * 18)
+    return n_frames * (case.n_bodies * width * item + 8 * 21)

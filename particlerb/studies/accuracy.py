@@ -130,7 +130,27 @@ def prepare_accurately(case: Case) -> Prepared:
         warnings = (*warnings, problem.replace(": error: ", ": warning: ", 1))
     chosen = Plan(chosen.groups, chosen.step, warnings)
     text = describe(case, scene, chosen, estimate.text())
-    return Prepared(case, scene, chosen, text, {"accuracy": estimate.json()})
+    stepping = json.dumps([None if one is None else one._asdict() for one in choice])
+    return Prepared(case, scene, chosen, text, {"accuracy": estimate.json(), "stepping": stepping})
+
+
+def prepare_again(case: Case, stepping: str | None) -> Prepared:
+    """The same for a case that has run: `stepping` is what was chosen for its accuracy.
+
+    Raises
+    ------
+    CaseError
+        With all problems that show here.
+    ValueError, TypeError
+        If `stepping` is not what `prepare_accurately` has given.
+    """
+    if stepping is None:
+        return prepare(case)
+    choice = [None if one is None else Stepping(**one) for one in json.loads(stepping)]
+    scene = assembled(case)
+    free = case.model_copy(update={"run": case.run.model_copy(update={"method": "auto"})})
+    plan = make_plan(free, scene, choice)
+    return Prepared(case, scene, plan, describe(case, scene, plan))
 
 
 def estimate_of(case: Case, scene: Scene, plan: Plan, found: list[Found | None]) -> Estimate:

@@ -178,7 +178,7 @@ def test_a_disk_that_is_too_small_is_warned_of_with_the_size(here, capsys, monke
     monkeypatch.setattr("shutil.disk_usage", lambda folder: usage)
     main(["cube.toml"])
     err = capsys.readouterr().err
-    assert "cube.h5 would take 0.000604 GB, the disk has 1e-09 GB free" in err
+    assert "cube.h5 would take 605 kB, the disk has 0.001 kB free" in err
     assert main(["cube.toml", "--overwrite", "--strict"]) == 2
 
 
@@ -186,7 +186,7 @@ def test_a_disk_that_fills_up_ends_the_run_and_keeps_the_frames(here, capsys, mo
     """The run stops before a write fails, because HDF5 crashes on one."""
     Path("cube.toml").write_text(CUBE.replace("every = 0.25", "every = 1e-3"))
     usage = namedtuple("usage", "total used free")
-    free = iter([10**12] * 3)
+    free = iter([10**12] * 5)
     monkeypatch.setattr("shutil.disk_usage", lambda folder: usage(1, 1, next(free, 1000)))
     assert main(["cube.toml"]) == 1
     err = capsys.readouterr().err

@@ -90,16 +90,15 @@ def set_equal_scale(axes: Axes3D, points: Floats) -> None:
 
 def reach_of(trajectory: Trajectory, body: int) -> float:
     """Distance of the farthest particle of a body from its centre [m]; 1 for a point."""
-    table = trajectory.file["bodies/particles"]
-    kind = int(trajectory.file["bodies/kind"][body])
-    lo, hi = table["offset"][kind : kind + 2]
-    farthest = float(np.linalg.norm(table["position"][lo:hi], axis=1).max(initial=0.0))
+    particles, kind = trajectory.particles, trajectory.kind[body]
+    own = particles.position[particles.offset[kind] : particles.offset[kind + 1]]
+    farthest = float(np.linalg.norm(own, axis=1).max(initial=0.0))
     return farthest or 1.0
 
 
 def axis_of(trajectory: Trajectory, body: int) -> Floats:
     """The body's x axis in the world, (T, 3)."""
-    w, x, y, z = trajectory.read("orientation")[:, body].T
+    w, x, y, z = trajectory.read("orientation", bodies=body).T
     return np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
 
 

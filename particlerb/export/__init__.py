@@ -1,0 +1,175 @@
+"""Trajectories as the files of other programs; one format per module, all with `write`.
+
+`write(selection, path)` goes through the frames in portions, so that a trajectory need not fit into
+memory. What a format cannot hold, or a file was not asked to record, is said before anything is
+written. The formats know of no command line.
+"""
+
+import os
+from collections.abc import Iterator, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.bodies import taken
+from particlerb.bodies.state import derived
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record.schema import FIELDS
+from particlerb.trajectory import Trajectory
+
+FORMATS: Final = {  # name: suffix of its files, and what it is, in words
+    "gsd": (".gsd", "HOOMD's schema: one oriented particle per body; OVITO, freud"),
+    "csv": (".csv", "one row per frame and body; spreadsheets, pandas, R"),
+    "particles": (".vtkhdf", "every particle in the world frame, H5MD and VTKHDF; ParaView, VMD"),
+    "lammps": (".lammpstrj", "text dump of LAMMPS, one atom per body; OVITO, VMD"),
+    "npz": (".npz", "NumPy arrays"),
+}
+DERIVED: Final = {
+    "velocity": ("linear_momentum",),
+    "angular_velocity": ("orientation", "angular_momentum"),
+}
+
+
+class ExportError(Exception):
+    """What was asked for cannot be exported: why, and what can."""
+
+
+class Selection(NamedTuple):
+    """What is exported of a trajectory."""
+
+    trajectory: Trajectory
+    frames: range
+    bodies: Ints
+    fields: tuple[str, ...]
+
+    def portions(self, rows: int = 0) -> Iterator[slice]:
+        """Slices of the chosen frames that fit into memory; `rows` of a frame are held at a time.
+
+        As many as the trajectory has bodies where it is left out.
+        """
+        frames = slice(self.frames.start, self.frames.stop, self.frames.step)
+        return self.trajectory.portions(frames, rows)
+
+    def times(self, part: slice) -> Floats:
+        """Times of some frames [s], shape (T,)."""
+        return self.trajectory.time[part]
+
+    def values(self, name: str, part: slice) -> Floats:
+        """A field of the chosen bodies in some frames, shape (T, n, C); derived where need be."""
+        trajectory = self.trajectory
+        bodies: slice | Ints = self.bodies
+        if len(self.bodies) == trajectory.n_bodies:
+            bodies = slice(None)
+        if name in trajectory.fields:
+            return trajectory.read(name, part, bodies)
+        if name == "velocity":
+            momentum = trajectory.read("linear_momentum", part, bodies)
+            return momentum / trajectory.mass[self.bodies, None]
+        q = trajectory.read("orientation", part, bodies)
+        L = trajectory.read("angular_momentum", part, bodies)
+        return derived(taken(trajectory.bodies, self.bodies), q, L, L)[1]
+
+
+def export(
+    trajectory: Trajectory,
+    path: Path,
+    to: str,
+    bodies: Sequence[str] = (),
+    frames: slice = slice(None),
+    fields: Sequence[str] = (),
+) -> int:
+    """Write some bodies, frames and fields of a trajectory in another format.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Open.
+    path : Path
+        File to write; it appears, or is replaced, when it is whole.
+    to : str
+        One of `FORMATS`.
+    bodies : sequence of str
+        Names of bodies or of [[body]] blocks; left out: all.
+    frames : slice
+        With a positive stride.
+    fields : sequence of str
+        Of those recorded, or velocity and angular_velocity; left out: all recorded.
+
+    Returns
+    -------
+    int
+        Number of frames written.
+
+    Raises
+    ------
+    ExportError
+        If there is no such body or field, no frame is left, or a library is missing.
+    TrajectoryError
+        If the trajectory is damaged.
+    OSError
+        If the file cannot be written.
+    """
+    if to not in FORMATS:
+        raise ExportError(f"{to}: no such format; there are {', '.join(FORMATS)}")
+    selection = Selection(
+        trajectory,
+        chosen_frames(trajectory, frames),
+        chosen_bodies(trajectory, bodies),
+        chosen_fields(trajectory, fields),
+    )
+    writer = import_module(f"particlerb.export.{to}")
+    lacking = [name for name in writer.NEEDS if not is_known(trajectory, name)]
+    if lacking:
+        raise ExportError(f"{to} needs {', '.join(lacking)}, not recorded: see [output] fields")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        writer.write(selection, unfinished)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return len(selection.frames)
+
+
+def is_known(trajectory: Trajectory, name: str) -> bool:
+    """Whether a field was recorded or follows from what was."""
+    recorded = trajectory.fields
+    return name in recorded or all(part in recorded for part in DERIVED.get(name, (name,)))
+
+
+def chosen_frames(trajectory: Trajectory, frames: slice) -> range:
+    """Numbers of frames."""
+    if frames.step is not None and frames.step < 1:
+        raise ExportError(f"frames must go forward, got a stride of {frames.step}")
+    chosen = range(trajectory.n_frames)[frames]
+    if not chosen:
+        raise ExportError(f"no frame is left: there are {trajectory.n_frames}")
+    return chosen
+
+
+def chosen_bodies(trajectory: Trajectory, wanted: Sequence[str]) -> Ints:
+    """Numbers of the bodies of some names, ascending; a block's name stands for all its bodies."""
+    if not wanted:
+        return np.arange(trajectory.n_bodies)
+    numbers: dict[str, list[int]] = {}
+    for number, name in enumerate(trajectory.names):
+        numbers.setdefault(name, []).append(number)
+        if name.endswith("]"):
+            numbers.setdefault(name.rpartition("[")[0], []).append(number)
+    unknown = [name for name in wanted if name not in numbers]
+    if unknown:
+        raise ExportError(
+            f"{unknown[0]}: no such body; the first are {', '.join(trajectory.names[:3])}"
+        )
+    return np.unique(np.concatenate([numbers[name] for name in wanted]))
+
+
+def chosen_fields(trajectory: Trajectory, wanted: Sequence[str]) -> tuple[str, ...]:
+    """Names of fields, in the order of the schema."""
+    known = [name for name in FIELDS if is_known(trajectory, name)]
+    unknown = [name for name in wanted if name not in known]
+    if unknown:
+        raise ExportError(f"{unknown[0]}: no such field here; there are {', '.join(known)}")
+    return tuple(name for name in known if name in (wanted or trajectory.fields))

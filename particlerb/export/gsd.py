@@ -1,0 +1,124 @@
+"""GSD in HOOMD's schema: one particle per body, oriented as its principal moments ask.
+
+`orientation` turns the principal frame, and not the user's body frame, into the world, since
+`moment_inertia` has room for three principal moments only. `angmom` is HOOMD's quaternion
+p = 2 q (0, S) with S the angular momentum in the principal frame. Numbers have single precision.
+A kind of body with radii is shown as its spheres, another as the solid ellipsoid of its moments.
+
+Sources: the HOOMD schema of gsd (gsd.readthedocs.io); Kamberaj, Li, Hansen, J. Chem. Phys. 122,
+224114 (2005) for p.
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from particlerb.bodies.bodies import Bodies, taken
+from particlerb.bodies.state import multiplied, turned_back
+from particlerb.export import ExportError, Selection, is_known
+from particlerb.maths.vec3 import Floats
+from particlerb.trajectory import Trajectory
+
+NEEDS: Final = ("position", "orientation")
+MOST_SPHERES: Final = 1000  # of one shape
+THINNEST: Final = 0.02  # axis of an ellipsoid, of its longest: rods and points are to be seen
+ROOM: Final = 1.01  # of the box, times the positions
+
+
+def write(selection: Selection, path: Path) -> None:
+    """Write all frames; constants once."""
+    try:
+        import gsd.hoomd
+    except ImportError:
+        raise ExportError("gsd files need the package gsd: pip install gsd") from None
+    trajectory = selection.trajectory
+    bodies = taken(trajectory.bodies, selection.bodies)
+    kinds, types = np.unique(trajectory.kind[selection.bodies], return_inverse=True)
+    edges = box_edges(selection)
+    time, energy = trajectory.time, trajectory.energy
+    with gsd.hoomd.open(path, "w") as file:
+        for part in selection.portions():
+            columns = per_body(selection, bodies, part)
+            for row, number in enumerate(range(trajectory.n_frames)[part]):
+                frame = gsd.hoomd.Frame()
+                frame.configuration.step = number
+                frame.configuration.box = [*edges, 0, 0, 0]
+                particles = frame.particles
+                particles.N = len(selection.bodies)
+                particles.types = [type_name(trajectory, int(kind)) for kind in kinds]
+                particles.type_shapes = [type_shape(trajectory, int(kind)) for kind in kinds]
+                particles.typeid = types
+                particles.mass, particles.moment_inertia = bodies.mass, bodies.inertia.T
+                for name, values in columns.items():
+                    setattr(particles, name, values[row])
+                frame.log = {
+                    "time": time[number : number + 1],
+                    "energy": energy[number : number + 1],
+                }
+                file.append(frame)
+
+
+def per_body(selection: Selection, bodies: Bodies, part: slice) -> dict[str, Floats]:
+    """Columns of some frames, each (T, n, ...)."""
+    known = {name for name in selection.fields if is_known(selection.trajectory, name)}
+    position = selection.values("position", part)
+    body_frame = selection.values("orientation", part)
+    q = np.stack([multiplied(frame.T, bodies.rotor_frame).T for frame in body_frame])
+    columns = {"position": position, "orientation": q}
+    if known & {"velocity", "linear_momentum"}:
+        columns["velocity"] = selection.values("velocity", part)
+    if "angular_momentum" in known:
+        L = selection.values("angular_momentum", part)
+        columns["angmom"] = np.stack(
+            [momentum_quaternion(a.T, b.T).T for a, b in zip(q, L, strict=True)]
+        )
+    return columns
+
+
+def momentum_quaternion(q: Floats, L: Floats) -> Floats:
+    """HOOMD's p = 2 q (0, Rᵀ L), shapes (4, n) and (3, n)."""
+    spin = np.zeros_like(q)
+    spin[1:] = turned_back(q, L)
+    return 2.0 * multiplied(q, spin)
+
+
+def box_edges(selection: Selection) -> list[float]:
+    """Edges of a box about the origin that holds all positions."""
+    reach = np.zeros(3)
+    for part in selection.portions():
+        reach = np.maximum(reach, np.abs(selection.values("position", part)).max(axis=(0, 1)))
+    reach = np.where(reach > 0.0, reach, max(float(reach.max()), 1.0))
+    return (2.0 * ROOM * reach).tolist()  # type: ignore[no-any-return]
+
+
+def type_name(trajectory: Trajectory, kind: int) -> str:
+    """Name of the block of the first body of a kind; HOOMD wants each once."""
+    body = int(np.argmax(trajectory.kind == kind))
+    name = trajectory.names[body]
+    alone = np.count_nonzero(trajectory.kind == kind) == 1
+    return name if alone else name.rpartition("[")[0] or name
+
+
+def type_shape(trajectory: Trajectory, kind: int) -> dict[str, Any]:
+    """What OVITO shows of a kind, in the principal frame."""
+    particles = trajectory.particles
+    own = slice(particles.offset[kind], particles.offset[kind + 1])
+    radius, body = particles.radius[own], int(np.argmax(trajectory.kind == kind))
+    if (radius > 0.0).all() and 0 < radius.size <= MOST_SPHERES:
+        frame = np.tile(trajectory.bodies.rotor_frame[:, body : body + 1], radius.size)
+        centres = turned_back(frame, particles.position[own].T).T
+        return {
+            "type": "SphereUnion",
+            "centers": centres.tolist(),
+            "diameters": (2.0 * radius).tolist(),
+        }
+    a, b, c = ellipsoid(trajectory.bodies.inertia[:, body], float(trajectory.mass[body]))
+    return {"type": "Ellipsoid", "a": a, "b": b, "c": c}
+
+
+def ellipsoid(moments: Floats, mass: float) -> list[float]:
+    """Semi-axes [m] of the solid ellipsoid with these principal moments: I1 = m (b² + c²) / 5."""
+    squares = 2.5 / mass * (moments.sum() - 2.0 * moments)
+    axes = np.sqrt(np.maximum(squares, 0.0))
+    return np.maximum(axes, THINNEST * (axes.max() or 1.0)).tolist()  # type: ignore[no-any-return]

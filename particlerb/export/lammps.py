@@ -1,0 +1,59 @@
+"""Text dump of LAMMPS: one atom per body, its type the kind of body.
+
+OVITO, VMD and MDAnalysis read it; columns have the names of `dump custom`, of which OVITO takes
+quatw, quati, quatj, quatk for the orientation. The time step is the number of the frame; the bounds
+of the box are those of the positions.
+"""
+
+from pathlib import Path
+from typing import Any, Final, TextIO
+
+import numpy as np
+
+from particlerb.export import Selection
+from particlerb.maths.vec3 import Floats
+
+NEEDS: Final = ("position",)
+COLUMNS: Final = {
+    "position": ("x", "y", "z"),
+    "orientation": ("quatw", "quati", "quatj", "quatk"),
+    "velocity": ("vx", "vy", "vz"),
+    "angular_velocity": ("omegax", "omegay", "omegaz"),
+    "angular_momentum": ("angmomx", "angmomy", "angmomz"),
+    "force": ("fx", "fy", "fz"),
+    "torque": ("tqx", "tqy", "tqz"),
+}
+
+
+def write(selection: Selection, path: Path) -> None:
+    """Write all frames; momenta become velocities, which LAMMPS has a name for."""
+    wanted = {"position", *selection.fields}
+    if "linear_momentum" in wanted:
+        wanted.add("velocity")
+    fields = [name for name in COLUMNS if name in wanted]
+    labels = [label for name in fields for label in COLUMNS[name]]
+    trajectory, bodies = selection.trajectory, selection.bodies
+    constants = np.stack([bodies + 1, trajectory.kind[bodies] + 1], axis=1).tolist()
+    masses = trajectory.mass[bodies].tolist()
+    head = " ".join(["id", "type", "mass", *labels])
+    line = "%d %d %.17g" + " %.17g" * len(labels) + "\n"
+    with path.open("w", encoding="ascii") as file:
+        for part in selection.portions():
+            values = np.concatenate([selection.values(name, part) for name in fields], axis=2)
+            for frame, rows in zip(range(trajectory.n_frames)[part], values, strict=True):
+                begin(file, frame, rows[:, :3])
+                file.write(f"ITEM: ATOMS {head}\n")
+                entries: list[Any] = [
+                    entry
+                    for two, mass, row in zip(constants, masses, rows.tolist(), strict=True)
+                    for entry in (*two, mass, *row)
+                ]
+                file.write(line * len(rows) % tuple(entries))
+
+
+def begin(file: TextIO, frame: int, position: Floats) -> None:
+    """What stands before the atoms of a frame; MDAnalysis reads no ITEM: TIME."""
+    file.write(f"ITEM: TIMESTEP\n{frame}\nITEM: NUMBER OF ATOMS\n{len(position)}\n")
+    file.write("ITEM: BOX BOUNDS ss ss ss\n")
+    for low, high in zip(position.min(axis=0), position.max(axis=0), strict=True):
+        file.write(f"{low:.17g} {high:.17g}\n")

@@ -1,0 +1,98 @@
+"""Every particle of every body in the world frame, as H5MD and VTKHDF in one file.
+
+Particles stand body after body, in each in the order of its kind. ParaView shows them as spheres
+(3D Glyphs, scaled by `diameter`), MDAnalysis and VMD as atoms.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import h5py
+import numpy as np
+
+from particlerb.bodies.state import turned
+from particlerb.export import Selection, is_known
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record.schema import TRAJECTORY, frames_per_chunk
+from particlerb.record.vtkhdf import append_steps, count_steps, create_vtkhdf
+from particlerb.record.writer import describe, make_clock, make_group, write_h5md
+
+NEEDS: Final = ("position", "orientation")
+UNITS: Final = {"position": "m", "velocity": "m s-1"}
+
+
+def write(selection: Selection, path: Path) -> None:
+    """Write positions, and velocities v + ω × r where they are asked for and known."""
+    trajectory, n_frames = selection.trajectory, len(selection.frames)
+    body, row = chosen_particles(selection)
+    particles = trajectory.particles
+    moves = {"linear_momentum", "velocity"} & set(selection.fields)
+    spins = is_known(trajectory, "angular_velocity")
+    names = ["position", "velocity"] if moves and spins else ["position"]
+    static = {
+        "id": (np.arange(len(row)), "1", "number of the particle"),
+        "body": (body, "1", "number of its body"),
+        "mass": (particles.mass[row], "kg", "of each particle"),
+        "diameter": (2.0 * particles.radius[row], "m", "0 is a point mass"),
+    }
+    with h5py.File(path, "w") as file:
+        write_h5md(file)
+        group = make_group(file)
+        for name, (values, units, meaning) in static.items():
+            group[name] = values
+            describe(group[name], units, meaning)
+        step, clock = make_clock(file)
+        for clockwork in (step, clock):
+            clockwork.resize(n_frames, axis=0)
+        step[:], clock[:] = selection.frames, trajectory.time[selection.frames]
+        fields = {name: element(group, name, len(row), step, clock) for name in names}
+        create_vtkhdf(file, fields, {name: f"{TRAJECTORY}/{name}" for name in static}, n_frames)
+        column, local = np.searchsorted(selection.bodies, body), particles.position[row]
+        done = 0
+        for part in selection.portions(max(len(row), trajectory.n_bodies)):
+            for state in states(selection, names, part):
+                for name, values in placed(state, column, local).items():
+                    fields[name][done] = values
+                done += 1
+        append_steps(file, clock[:])
+        count_steps(file, n_frames)
+
+
+def states(selection: Selection, names: Sequence[str], part: slice) -> Iterator[tuple[Floats, ...]]:
+    """Position and orientation, and both velocities where wanted, of one frame after the other."""
+    wanted = ["position", "orientation"]
+    if "velocity" in names:
+        wanted += ["velocity", "angular_velocity"]
+    return zip(*(selection.values(name, part) for name in wanted), strict=True)
+
+
+def placed(state: tuple[Floats, ...], column: Ints, local: Floats) -> dict[str, Floats]:
+    """Particles of one frame in the world: x + R r, and v + ω × R r."""
+    x, q, *motion = state
+    arms = turned(q[column].T, local.T).T
+    found = {"position": x[column] + arms}
+    if motion:
+        v, omega = motion
+        found["velocity"] = v[column] + np.cross(omega[column], arms)
+    return found
+
+
+def chosen_particles(selection: Selection) -> tuple[Ints, Ints]:
+    """Body of each particle of the chosen bodies, and its row in the table of particles."""
+    body, row = selection.trajectory.constituents
+    chosen = np.isin(body, selection.bodies)
+    return body[chosen], row[chosen]
+
+
+def element(
+    group: h5py.Group, name: str, n: int, step: h5py.Dataset, clock: h5py.Dataset
+) -> h5py.Dataset:
+    """A field of all particles, of H5MD's form."""
+    own = group.create_group(name)
+    own["step"], own["time"] = step, clock
+    shape = (len(step), n, 3)
+    chunks = (min(frames_per_chunk(n, 3, 8), len(step)), n, 3)
+    value = own.create_dataset("value", shape, "f8", chunks=chunks, fillvalue=np.nan)
+    describe(value, UNITS[name], "of each particle, world frame")
+    return value

@@ -1,0 +1,51 @@
+"""What motions keep for a checkpoint: arrays by name, and back.
+
+A motion is begun anew from the state at the start of its segment; what it saves is what its steps
+have changed since. It says so beside its variables, in `checkpoint` and `restore`. Nothing here
+knows of files.
+"""
+
+from collections.abc import Mapping
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+
+Saved: TypeAlias = dict[str, Any]  # arrays by name
+Tuple = TypeVar("Tuple", bound=tuple[Any, ...])
+
+
+def under(name: str, saved: Mapping[str, Any]) -> Saved:
+    """The same arrays, with their names under another one."""
+    return {f"{name}.{key}": value for key, value in saved.items()}
+
+
+def within(name: str, saved: Mapping[str, Any]) -> Saved:
+    """Arrays whose names are under this one, as they were called before."""
+    start = f"{name}."
+    return {key[len(start) :]: value for key, value in saved.items() if key.startswith(start)}
+
+
+def flat(values: Any) -> Saved:
+    """Arrays of a NamedTuple of arrays, numbers, such tuples and None, by the names of fields."""
+    saved: Saved = {}
+    for name, value in values._asdict().items():
+        if hasattr(value, "_fields"):
+            saved |= under(name, flat(value))
+        elif value is not None:
+            saved[name] = np.array(value)
+    return saved
+
+
+def filled(like: Tuple, saved: Mapping[str, Any]) -> Tuple:
+    """NamedTuple of the same types with the arrays and numbers that `flat` has given."""
+    fields: Any = like
+    values = {}
+    for name, value in fields._asdict().items():
+        if hasattr(value, "_fields"):
+            values[name] = filled(value, within(name, saved))
+        elif isinstance(value, (bool, int, float)):
+            values[name] = type(value)(saved[name])
+        else:
+            values[name] = saved.get(name)
+    filled_in: Tuple = type(fields)(**values)
+    return filled_in

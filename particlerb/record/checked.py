@@ -1,0 +1,198 @@
+"""Reads files that may come from anyone, be damaged, or still grow: a value, or one clear error.
+
+A dataset is used only if hard links lead to it, its type and shape are those of the schema, and its
+numbers lie in this file: no external storage, no views of other files, no filters that HDF5 would
+have to load. So a foreign file can neither run code nor have another one read or written.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from h5py import h5a, h5d, h5l, h5z
+
+FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
+LAYOUTS: Final = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
+LARGEST_ATTRIBUTE: Final = 65536  # bytes
+BEST_DEFLATE: Final = 1032  # bytes that one byte can become at most
+SECONDS_OF_PATIENCE: Final = 2.0
+SECONDS_AT_REST: Final = 0.5  # without a write: what fails now fails for good
+PAUSE: Final = 0.01
+FAULTS: Final = (
+    OSError,
+    RuntimeError,
+    KeyError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    MemoryError,
+    IndexError,
+)  # what h5py raises on files that it cannot make sense of
+
+
+class TrajectoryError(Exception):
+    """A file that is no trajectory of particlerb, or that cannot be read."""
+
+
+@contextmanager
+def blaming(file: h5py.File | str | Path) -> Iterator[None]:
+    """Turn what h5py raises on damaged and foreign files into TrajectoryError."""
+    name = file.filename if isinstance(file, h5py.File) and file else file
+    try:
+        yield
+    except FAULTS as error:
+        reason = str(error.args[0] if isinstance(error, KeyError) else error)
+        reason = " ".join(reason.split()) or type(error).__name__
+        raise TrajectoryError(f"{name} is not a trajectory of particlerb: {reason}") from None
+
+
+def open_file(path: str | Path) -> h5py.File:
+    """File open for reading; also while another process writes it.
+
+    Raises
+    ------
+    TrajectoryError
+        If HDF5 cannot read it.
+    """
+    try:
+        return h5py.File(path, "r", locking=False)
+    except FAULTS as error:
+        reason = " ".join(str(error).split())
+        raise TrajectoryError(f"{path} is not a readable HDF5 file: {reason}") from None
+
+
+def attempts(path: str | Path | None) -> Iterator[bool]:
+    """Go round as long as another attempt may succeed; True for the last one.
+
+    A file that is being written may be refused for a moment. One at rest is tried once; None is a
+    file in memory.
+    """
+    start = time.monotonic()
+    while True:
+        is_last = path is None or time.monotonic() - start > SECONDS_OF_PATIENCE
+        is_last = is_last or not has_just_changed(Path(path or ""))
+        yield is_last
+        if is_last:
+            return
+        time.sleep(PAUSE)
+
+
+def has_just_changed(path: Path) -> bool:
+    """Whether a file was written a moment ago."""
+    try:
+        return abs(time.time() - path.stat().st_mtime) < SECONDS_AT_REST
+    except OSError:
+        return False
+
+
+def checked(file: h5py.File, path: str, kinds: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
+    """Dataset of a file whose content is not trusted.
+
+    Parameters
+    ----------
+    file : h5py.File
+        Open.
+    path : str
+        From the root, as `particles/trajectory/mass`.
+    kinds : str
+        NumPy's letters of the types that it may have: `f`, `i`, `u`, `S`.
+    shape : tuple
+        None where any length will do.
+
+    Raises
+    ------
+    TrajectoryError
+        If it is not there, or not what the schema says.
+    """
+    with blaming(file):
+        dataset = followed(file, path)
+        if not isinstance(dataset, h5py.Dataset):
+            raise ValueError(f"{path} is no dataset")
+        dtype, found = dataset.dtype, dataset.shape
+        if dtype.kind not in kinds or dtype.hasobject or (dtype.kind != "S" and dtype.itemsize < 4):
+            raise ValueError(f"{path} has the type {dtype}")
+        fits = found is not None and len(found) == len(shape)
+        if not fits or any(n not in (None, m) for m, n in zip(found, shape, strict=True)):
+            raise ValueError(f"{path} has the shape {found}")
+        refuse_foreign_storage(file, dataset, path)
+    return dataset
+
+
+def followed(file: h5py.File, path: str) -> Any:
+    """What hard links lead to."""
+    place: Any = file
+    for part in path.split("/"):
+        if not isinstance(place, h5py.Group) or part not in place:
+            raise KeyError(f"{path} is missing")
+        if place.id.links.get_info(part.encode()).type != h5l.TYPE_HARD:
+            raise ValueError(f"{path} is a link to elsewhere")
+        place = place[part]
+    return place
+
+
+def refuse_foreign_storage(file: h5py.File, dataset: h5py.Dataset, path: str) -> None:
+    """Raise ValueError unless the numbers lie in this file, and there can be as many."""
+    properties = dataset.id.get_create_plist()
+    if properties.get_layout() not in LAYOUTS or properties.get_external_count():
+        raise ValueError(f"{path} lies in another file")
+    filters = [properties.get_filter(k)[0] for k in range(properties.get_nfilters())]
+    if any(code not in FILTERS for code in filters):
+        raise ValueError(f"{path} is packed by a filter that is not known here")
+    room = file.id.get_filesize() * (BEST_DEFLATE if filters else 1)
+    if dataset.size * dataset.dtype.itemsize > room:
+        raise ValueError(f"{path} is larger than the file")
+
+
+def text(file: h5py.File, path: str) -> str:
+    """A text of the file.
+
+    Raises
+    ------
+    TrajectoryError
+        If it is not there, or no text.
+    """
+    with blaming(file):
+        dataset = followed(file, path)
+        if not isinstance(dataset, h5py.Dataset) or dataset.shape != ():
+            raise ValueError(f"{path} is no text")
+        refuse_foreign_storage(file, dataset, path)
+        value = dataset[()]
+        if not isinstance(value, bytes):
+            raise ValueError(f"{path} is no text")
+        return value.decode(errors="replace")
+
+
+def attribute(place: Any, name: str, kinds: str) -> Any:
+    """Value of an attribute, an array or bytes, if it lies within the header of its object.
+
+    HDF5 may go round forever in a damaged heap, where strings without a fixed length lie.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If it is not there, or of another type.
+    """
+    if not h5a.exists(place.id, name.encode()):
+        raise KeyError(f"{name} is missing")
+    found = h5a.open(place.id, name.encode())
+    dtype = found.dtype
+    if dtype.kind not in kinds or dtype.hasobject or len(found.shape) > 1:
+        raise ValueError(f"{name} has the type {dtype}")
+    if int(np.prod(found.shape)) * dtype.itemsize > LARGEST_ATTRIBUTE:
+        raise ValueError(f"{name} is too large")
+    values = np.empty(found.shape, dtype)
+    found.read(values)
+    return values[()]
+
+
+def number(place: Any, name: str) -> int:
+    """A whole number among the attributes of a file or group."""
+    value = attribute(place, name, "iu")
+    if np.shape(value) != ():
+        raise ValueError(f"{name} is no number")
+    return int(value)

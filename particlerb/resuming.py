@@ -1,0 +1,217 @@
+"""Goes on with the run of a file, bit for bit as if it had never stopped.
+
+The file has the case, what was chosen for it, and a checkpoint. Bodies and plan are made anew and
+must come out as they were; frames behind the checkpoint are computed again and must be those that
+the file has. Nothing is written before all of that is known to fit.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+
+from particlerb.case.reader import build
+from particlerb.case.schema import Case
+from particlerb.case.source import Source
+from particlerb.maths.vec3 import Floats
+from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint
+from particlerb.record.claim import InUseError
+from particlerb.record.schema import PARAMETERS
+from particlerb.record.writer import Recorder, replace_case, versions
+from particlerb.simulate import (
+    Outcome,
+    Prepared,
+    Progress,
+    advance,
+    frame_count,
+    frame_times,
+    identity,
+)
+from particlerb.studies.accuracy import prepare_again
+from particlerb.threads import THREADS
+from particlerb.trajectory import open_trajectory
+
+DECIDES = ("particlerb", "sources", "python", "numpy", "numba")  # what may change the bits
+
+
+class ResumeError(Exception):
+    """A run that cannot be gone on with: why, and what would be right."""
+
+
+class Pending(NamedTuple):
+    """A run that can be gone on with."""
+
+    path: Path
+    prepared: Prepared
+    checkpoint: Checkpoint
+    known: int  # frames of the file that stay
+    total: int  # frames that there will be
+    is_prolonged: bool  # whether it ends at another time than it was to
+    warnings: tuple[str, ...]
+
+
+def look_at(path: Path, t_end: float | None = None, threads: int | None = None) -> Pending:
+    """What there is to do for a file; it is only read.
+
+    Parameters
+    ----------
+    path : Path
+        File of a run.
+    t_end : float, optional
+        Where to end [s]; left out, where the case says.
+    threads : int, optional
+        In place of those that the case says.
+
+    Raises
+    ------
+    ResumeError
+        If it cannot be gone on with, or if nothing is left to do.
+    CaseError
+        If the case of the file is wrong with this end.
+    FileNotFoundError, TrajectoryError
+        If the file is not there, or no trajectory.
+    """
+    with open_trajectory(path) as trajectory:
+        file, n = trajectory.file, trajectory.n_frames
+        texts = {name: text_in(file, name) for name in ("case_resolved", "case_path", "case")}
+        refuse_other_version(path, text_in(file, "versions"), text_in(file, "git_revision"))
+        if texts["case_resolved"] is None or text_in(file, "identity") is None:
+            raise ResumeError(f"{path} does not say how it was made, so it cannot go on")
+        case = case_of(path, texts, t_end, threads)
+        prepared = prepare_again(case, text_in(file, "stepping"))
+        if identity(prepared) != text_in(file, "identity"):
+            raise ResumeError(
+                f"{path}: its case gives other bodies or another plan than the run had: the case"
+                " in the file, or a file that it names, was changed; run it anew"
+            )
+        known = frames_that_stay(path, trajectory.time, case)
+        total, stored = frame_count(case), Case.model_validate_json(texts["case_resolved"])
+        if known == total:
+            raise ResumeError(
+                f"{path} has nothing left to do: all {n} frames until"
+                f" t = {case.run.t_end!r} s are there; --t-end prolongs the run"
+            )
+        try:
+            checkpoint = read_checkpoint(file)
+        except CheckpointError as error:
+            raise ResumeError(f"{error}: it cannot go on; run the case anew") from None
+        if checkpoint.n_frames > known:
+            raise ResumeError(f"{path}: the checkpoint lies behind the frames; run the case anew")
+    is_prolonged = stored.run.t_end != case.run.t_end
+    warnings = (*prepared.plan.warnings, *remarks(texts, case, is_prolonged))
+    return Pending(path, prepared, checkpoint, known, total, is_prolonged, warnings)
+
+
+def resume_pending(pending: Pending, progress: Progress = lambda n: None) -> Outcome:
+    """Go on with a run.
+
+    Raises
+    ------
+    ResumeError
+        If another process writes the file.
+    KeyboardInterrupt, FullDiskError, WriteError, RunError
+        As in `simulate.advance`.
+    OSError
+        If the file cannot be opened for writing.
+    """
+    path, prepared, checkpoint = pending.path, pending.prepared, pending.checkpoint
+    THREADS.use(prepared.case.run.threads)
+    try:
+        recorder = Recorder.again(
+            path, prepared.case, prepared.scene, checkpoint.n_frames, pending.known
+        )
+    except InUseError:
+        raise ResumeError(f"{path} is being written by another run") from None
+    if pending.is_prolonged:
+        with recorder.watched():
+            replace_case(recorder.file, prepared.case)
+    return advance(prepared, recorder, checkpoint, progress)
+
+
+def text_in(file: h5py.File, name: str) -> str | None:
+    """Text of /parameters; None where there is none."""
+    try:
+        value = file[f"{PARAMETERS}/{name}"][()]
+    except (KeyError, OSError, RuntimeError, AttributeError):
+        return None
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else None
+
+
+def refuse_other_version(path: Path, stored: str | None, revision: str | None) -> None:
+    """Raise ResumeError where other versions have made the file."""
+    try:
+        made: Any = json.loads(stored or "")
+    except ValueError:
+        made = None
+    if not isinstance(made, dict):
+        raise ResumeError(f"{path} does not say which versions have made it, so it cannot go on")
+    now = versions()
+    for name in DECIDES:
+        if name in made and name in now and made[name] == now[name]:
+            continue
+        if name == "sources":
+            at = f" (git revision {revision[:12]})" if revision else ""
+            other = f"other sources of particlerb {made.get('particlerb')}{at}"
+        else:
+            other = f"{name} {made.get(name)}, and this is {now.get(name)}"
+        raise ResumeError(
+            f"{path} was made with {other}: it would not go on bit for bit; install what it was"
+            " made with, or run the case anew"
+        )
+
+
+def case_of(
+    path: Path, texts: Mapping[str, str | None], t_end: float | None, threads: int | None
+) -> Case:
+    """Case of a file, with another end or other threads if they are given."""
+    try:
+        raw = json.loads(texts["case_resolved"] or "")
+        raw["run"] |= {} if t_end is None else {"t_end": t_end}
+        raw["run"] |= {} if threads is None else {"threads": threads}
+    except (ValueError, TypeError, KeyError):
+        raise ResumeError(f"{path}: its case cannot be read") from None
+    origin = Path(texts["case_path"]) if texts["case_path"] else None
+    return build(Source(texts["case"] or "", origin, raw), ())
+
+
+def frames_that_stay(path: Path, times: Floats, case: Case) -> int:
+    """Number of frames that the case has too: not the one at an earlier t_end.
+
+    Raises
+    ------
+    ResumeError
+        If the case ends before them.
+    """
+    total = frame_count(case)
+    if len(times) > total or times[-1:].max(initial=0.0) > case.run.t_end:
+        raise ResumeError(
+            f"{path} has frames until t = {float(times[-1])!r} s, and cannot end before them at"
+            f" t = {case.run.t_end!r} s"
+        )
+    is_same = times == frame_times(case, 0, total)[: len(times)]
+    return len(times) if is_same.all() else int(np.argmin(is_same))
+
+
+def remarks(texts: Mapping[str, str | None], case: Case, is_prolonged: bool) -> list[str]:
+    """What a user should know, and need not do anything about."""
+    found = []
+    origin = case.path
+    if origin is not None and texts["case"]:
+        try:
+            is_same = origin.read_text(encoding="utf-8-sig") == texts["case"]
+        except (OSError, UnicodeDecodeError):
+            is_same = True  # it is not there any more, which is nobody's mistake
+        if not is_same:
+            found.append(
+                f"particlerb: warning: {origin} has been changed since; the run goes on with the"
+                " case that is in its own file"
+            )
+    if is_prolonged and case.run.accuracy is not None:
+        found.append(
+            "particlerb: warning: run.accuracy was verified until the earlier t_end only; method"
+            " and step stay as they were chosen"
+        )
+    return found

@@ -1,0 +1,196 @@
+"""Whether a trajectory file is whole: what can be computed anew is, and compared.
+
+The digest of tables and texts, the checksum of every frame, the ledger summed again from the
+frames, and what must hold of any frames. Frames are read in portions.
+"""
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.state import Frames
+from particlerb.ledger import totals
+from particlerb.maths.vec3 import Floats
+from particlerb.record.checked import (
+    TrajectoryError,
+    attribute,
+    blaming,
+    checked,
+    followed,
+    number,
+)
+from particlerb.record.integrity import digest, frame_checksums
+from particlerb.record.schema import INTEGRITY, LEDGER, TRAJECTORY, VTKHDF
+from particlerb.trajectory import Trajectory
+
+STATE: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
+SUMMED: Final = ("kinetic_energy", "linear_momentum", "angular_momentum")
+ROUNDING: Final = {"f8": 1e-11, "f4": 1e-5}  # of sums, relative to the size of what is summed
+
+
+class Finding(NamedTuple):
+    """What one look at the file has shown."""
+
+    what: str
+    is_whole: bool
+    words: str
+
+
+class Flaw(Exception):  # noqa: N818
+    """Something in the file is not as it was written: what."""
+
+
+def verify(trajectory: Trajectory) -> list[Finding]:
+    """Look at everything in a file.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Open; committed frames count.
+
+    Returns
+    -------
+    list of Finding
+        One for each kind of check, in a fixed order.
+    """
+    looks: dict[str, Callable[[Trajectory], str]] = {
+        "tables, texts": verify_tables,
+        "times": verify_times,
+        "checksums": verify_checksums,
+        "ledger": verify_ledger,
+        "frames": verify_frames,
+        "steps for VTK": verify_steps,
+    }
+    found = []
+    for what, look in looks.items():
+        try:
+            found.append(Finding(what, True, look(trajectory)))
+        except (Flaw, TrajectoryError) as flaw:
+            found.append(Finding(what, False, str(flaw)))
+    return found
+
+
+def verify_tables(trajectory: Trajectory) -> str:
+    """Compare the digest of what does not change."""
+    for table in ("bodies", "names", "particles"):
+        getattr(trajectory, table)  # with its types and shapes
+    with blaming(trajectory.file):
+        place = followed(trajectory.file, INTEGRITY)
+        stored = bytes(attribute(place, "digest", "S")).decode(errors="replace")
+        now = digest(trajectory.file)
+    if now != stored:
+        raise Flaw(f"have the digest {now[:12]}…, written was {stored[:12]}…")
+    return f"digest {now[:12]}… is that written"
+
+
+def verify_times(trajectory: Trajectory) -> str:
+    """Require steps 0, 1, 2, … at ascending times."""
+    n, time = trajectory.n_frames, trajectory.time
+    step = checked(trajectory.file, f"{TRAJECTORY}/step", "i", (None,))
+    with blaming(trajectory.file):
+        if not np.array_equal(step[:n], np.arange(n)):
+            raise Flaw("steps do not count the frames")
+    if (np.diff(time) <= 0.0).any():
+        raise Flaw(f"do not ascend after frame {int(np.argmax(np.diff(time) <= 0.0))}")
+    return f"{n}, ascending"
+
+
+def verify_checksums(trajectory: Trajectory) -> str:
+    """Compute the checksum of every frame again."""
+    n = trajectory.n_frames
+    stored = checked(trajectory.file, f"{INTEGRITY}/checksum", "u", (None,))
+    wrong: list[int] = []
+    for part in trajectory.portions():
+        size = len(range(n)[part])
+        values = [trajectory.read(name, part) for name in trajectory.fields]
+        values.append(trajectory.rows(f"{TRAJECTORY}/time", 0, part))
+        values += [trajectory.observable(name, part) for name in LEDGER]
+        with blaming(trajectory.file):
+            written = stored[part]
+        if len(written) != size:
+            raise Flaw(f"end before frame {n - 1}")
+        differ = np.flatnonzero(written != frame_checksums(size, values))
+        wrong += (part.start + differ).tolist()
+    if wrong:
+        more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
+        raise Flaw(f"frame {', '.join(map(str, wrong[:3]))}{more} differ from what was written")
+    return f"of {n} frames are those written"
+
+
+def verify_ledger(trajectory: Trajectory) -> str:
+    """Sum energy and momenta of the frames again, and balance the books."""
+    balance(trajectory)
+    lacking = [name for name in STATE if name not in trajectory.fields]
+    if lacking:
+        return f"balances; not summed again, {', '.join(lacking)} was not recorded"
+    worst = 0.0
+    for part in trajectory.portions():
+        worst = max(worst, summed_again(trajectory, part))
+    return f"balances; summed again from the frames it differs by {worst:.1g} at most"
+
+
+def balance(trajectory: Trajectory) -> None:
+    """Require that energy is the sum of its parts, and energy - work - energy_error constant."""
+    kinetic, potential, energy, work, error = (
+        trajectory.observable(name)
+        for name in ("kinetic_energy", "potential_energy", "energy", "work", "energy_error")
+    )
+    size = sum(float(np.abs(part).max(initial=0.0)) for part in (kinetic, potential, work))
+    if (np.abs(energy - kinetic - potential) > ROUNDING["f8"] * size).any():
+        raise Flaw("energy is not the sum of its parts")
+    initial = energy - work - error
+    if initial.size and np.ptp(initial) > ROUNDING["f8"] * size:
+        raise Flaw("energy, work and energy_error do not balance")
+
+
+def summed_again(trajectory: Trajectory, part: slice) -> float:
+    """Largest difference between observables and the sums of some frames, relative."""
+    values = {name: trajectory.read(name, part) for name in STATE}
+    precise = values["position"].dtype == np.float64
+    x, q, p, L = (np.ascontiguousarray(values[name], dtype=np.float64) for name in STATE)
+    n_frames = len(x)
+    frames = Frames(x, q, p, L, q[-1].copy(), np.ones(n_frames, dtype=np.bool_))
+    now = totals(frames, trajectory.bodies, np.zeros(3))
+    sizes: dict[str, Floats] = {
+        "kinetic_energy": now.kinetic_energy,
+        "linear_momentum": now.momentum_size,
+        "angular_momentum": now.spin_size,
+    }
+    worst = 0.0
+    for name in SUMMED:
+        difference = np.abs(trajectory.observable(name, part) - getattr(now, name))
+        difference = difference.reshape(n_frames, -1).max(axis=1)
+        largest = sizes[name].max(initial=0.0)
+        share = float(difference.max(initial=0.0)) / (largest or 1.0)
+        if share > ROUNDING["f8" if precise else "f4"]:
+            frame = int(np.argmax(difference)) + (part.start or 0)
+            raise Flaw(f"{name} of frame {frame} is not the sum over its bodies")
+        worst = max(worst, share)
+    return worst
+
+
+def verify_frames(trajectory: Trajectory) -> str:
+    """Require unit quaternions."""
+    if "orientation" not in trajectory.fields:
+        return "no orientations"
+    worst = 0.0
+    for part in trajectory.portions():
+        size = np.linalg.norm(trajectory.read("orientation", part), axis=2)
+        worst = max(worst, float(np.abs(size - 1.0).max(initial=0.0)))
+    if worst > ROUNDING["f4"]:
+        raise Flaw(f"an orientation is no rotation: |q| - 1 = {worst:.1g}")
+    return f"all orientations are rotations, |q| - 1 = {worst:.1g} at most"
+
+
+def verify_steps(trajectory: Trajectory) -> str:
+    """Require that VTK counts the same frames at the same times."""
+    with blaming(trajectory.file):
+        if VTKHDF not in trajectory.file:
+            return "none: positions were not recorded"
+        counted = number(followed(trajectory.file, f"{VTKHDF}/Steps"), "NSteps")
+        values: Any = checked(trajectory.file, f"{VTKHDF}/Steps/Values", "f", (None,))
+        same = np.array_equal(values[: trajectory.n_frames], trajectory.time)
+    if counted < trajectory.n_frames or not same:
+        raise Flaw(f"{counted} steps differ from {trajectory.n_frames} frames")
+    return f"{counted}"

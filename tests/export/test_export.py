@@ -1,0 +1,305 @@
+"""Exported files, read by the programs they are for, beside the trajectory they come from."""
+
+import csv
+import json
+
+import h5py
+import numpy as np
+import pytest
+
+import particlerb
+from particlerb.cli import main
+from particlerb.export import ExportError, export
+from particlerb.export.gsd import ellipsoid
+from particlerb.trajectory import Trajectory
+
+
+@pytest.fixture(scope="module")
+def path(make, tmp_path_factory):
+    """A file with principal axes that are not the body's, spheres, a rod; 11 frames."""
+    r = np.random.default_rng(3)
+    points = {"position": r.standard_normal((5, 3)).tolist(), "mass": r.uniform(1, 2, 5).tolist()}
+    motion = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
+    dumbbell = {"type": "points", "position": [[0, 0, 0], [0, 1, 0]], "mass": [1, 2]}
+    bodies = [
+        {"name": "odd", "shape": {"type": "points"} | points, "orientation": [0.8, 0, 0.6, 0]},
+        make.body("brick", count=2, place={"type": "grid", "spacing": 3.0}, **motion),
+        {"name": "dumbbell", "shape": dumbbell | {"radius": [0.2, 0.3]}, "position": [5, 0, 0]},
+    ]
+    bodies[0].update(motion)
+    bodies[2].update(motion)
+    path = tmp_path_factory.mktemp("export") / "run.h5"
+    particlerb.run(make.case(*bodies), path).close()
+    return path
+
+
+@pytest.fixture
+def trajectory(path):
+    with particlerb.open(path) as opened:
+        yield opened
+
+
+def test_gsd_has_the_principal_frame(path, tmp_path, make):
+    """Q diag(moments) Qᵀ is the tensor in the world, p gives the angular momentum back."""
+    import gsd.hoomd
+
+    with particlerb.open(path) as t:
+        assert export(t, tmp_path / "a.gsd", "gsd") == 11
+        frames = gsd.hoomd.open(tmp_path / "a.gsd")
+        assert len(frames) == 11
+        for k, frame in enumerate(frames):
+            assert frame.configuration.step == k
+            assert frame.particles.position == pytest.approx(t.position[k], rel=1e-6, abs=1e-6)
+            assert frame.particles.velocity == pytest.approx(t.velocity[k], rel=1e-6, abs=1e-6)
+            assert frame.log["time"] == t.time[k]
+            assert frame.log["energy"] == pytest.approx(t.energy[k])
+            for b in range(4):
+                q, moments = frame.particles.orientation[b], frame.particles.moment_inertia[b]
+                Q = make.rotation(q).as_matrix()
+                expected = tensor_from_particles(t, make, k, b)
+                assert pytest.approx(expected, abs=2e-5) == Q @ np.diag(moments) @ Q.T
+                S = 0.5 * product([1, -1, -1, -1] * q, frame.particles.angmom[b])
+                assert S[0] == pytest.approx(0.0, abs=1e-5)
+                assert pytest.approx(t.angular_momentum[k, b], abs=2e-5) == Q @ S[1:]
+        assert frames[0].particles.types == ["odd", "brick", "dumbbell"]
+        assert frames[0].particles.typeid.tolist() == [0, 1, 1, 2]
+        assert (frames[0].configuration.box[:3] / 2 >= np.abs(t.position).max(axis=(0, 1))).all()
+
+
+def tensor_from_particles(t, make, k, b):
+    """Inertia tensor of a body in the world, summed from its particles."""
+    offset, kind = t.particles.offset, t.kind[b]
+    own = slice(offset[kind], offset[kind + 1])
+    m, radius = t.particles.mass[own], t.particles.radius[own]
+    r = make.rotation(t.orientation[k, b]).apply(t.particles.position[own])
+    tensor = 0.4 * (m * radius**2).sum() * np.eye(3)
+    return tensor + (m * (r * r).sum(axis=1)).sum() * np.eye(3) - np.einsum("i,ij,ik", m, r, r)
+
+
+def product(a, b):
+    """Product of two quaternions, scalar first."""
+    vector = a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
+    return np.array([a[0] * b[0] - a[1:] @ b[1:], *vector])
+
+
+def test_gsd_shapes_are_what_the_bodies_are(trajectory, tmp_path, make):
+    import gsd.hoomd
+
+    export(trajectory, tmp_path / "a.gsd", "gsd", frames=slice(3, 4))
+    particles = gsd.hoomd.open(tmp_path / "a.gsd")[0].particles
+    odd, _, dumbbell = particles.type_shapes
+    assert odd["type"] == "Ellipsoid"
+    squares = np.array([odd[axis] for axis in "abc"]) ** 2
+    moments = trajectory.mass[0] / 5.0 * (squares.sum() - squares)
+    assert moments == pytest.approx(particles.moment_inertia[0], rel=1e-5)
+    assert dumbbell["type"] == "SphereUnion"
+    assert dumbbell["diameters"] == [0.4, 0.6]
+    Q = make.rotation(particles.orientation[3])
+    found = particles.position[3] + Q.apply(np.array(dumbbell["centers"]))
+    assert found == pytest.approx(trajectory.particle_positions(3)[-2:], abs=1e-5)
+
+
+def test_an_ellipsoid_of_a_rod_can_be_seen():
+    assert ellipsoid(np.array([2.0, 2.0, 0.0]), 2.0)[:2] == pytest.approx([0.02 * 5**0.5] * 2)
+    assert ellipsoid(np.zeros(3), 2.0) == [0.02] * 3
+
+
+def test_particles_are_those_of_all_bodies(path, tmp_path):
+    """H5MD and VTKHDF, positions and velocities, also of a selection."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkIOHDF import vtkHDFReader
+
+    out = tmp_path / "p.vtkhdf"
+    with particlerb.open(path) as t:
+        export(t, out, "particles", frames=slice(0, None, 2))
+        expected = np.array([t.particle_positions(k) for k in range(0, 11, 2)])
+        with h5py.File(out) as file:
+            group = file["particles/trajectory"]
+            assert (group["position/value"][:] == expected).all()
+            assert group["position/step"][:].tolist() == list(range(0, 11, 2))
+            assert (group["time"][:] == t.time[::2]).all()
+            assert group["body"][:].tolist() == [0] * 5 + [1] * 6 + [2] * 6 + [3] * 2
+            assert group["diameter"][-2:].tolist() == [0.4, 0.6]
+            mass, momentum = group["mass"][:], t.linear_momentum[::2].sum(axis=1)
+            total = np.einsum("p,tpc->tc", mass, group["velocity/value"][:])
+            assert total == pytest.approx(momentum, abs=1e-13)
+        export(t, tmp_path / "one.h5", "particles", ["dumbbell"], slice(4, 5), ["position"])
+        with h5py.File(tmp_path / "one.h5") as file:
+            assert (
+                file["particles/trajectory/position/value"][0] == t.particle_positions(4)[-2:]
+            ).all()
+            assert "velocity" not in file["particles/trajectory"]
+    reader = vtkHDFReader()
+    reader.SetFileName(str(out))
+    reader.UpdateInformation()
+    assert reader.GetNumberOfSteps() == 6
+    reader.SetStep(5)
+    reader.Update()
+    points = reader.GetOutput().GetPoints().GetData()
+    assert (vtk_to_numpy(points) == expected[5]).all()
+
+
+def test_csv_has_all_digits(trajectory, tmp_path):
+    export(trajectory, tmp_path / "a.csv", "csv", ["brick"], slice(2, 9, 3))
+    rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
+    assert [(int(row["frame"]), row["name"]) for row in rows] == [
+        (frame, name) for frame in (2, 5, 8) for name in ("brick[0]", "brick[1]")
+    ]
+    for row in rows:
+        frame, body = int(row["frame"]), int(row["body"])
+        assert float(row["time"]) == trajectory.time[frame]
+        for name, letters in (("position", "xyz"), ("orientation", "wxyz")):
+            found = [float(row[f"{name}_{letter}"]) for letter in letters]
+            assert found == getattr(trajectory, name)[frame, body].tolist()
+
+
+def test_npz_holds_the_arrays(trajectory, tmp_path, monkeypatch):
+    """Also where the frames come in many portions."""
+    monkeypatch.setattr("particlerb.trajectory.PORTION", 8)
+    fields = ["orientation", "angular_velocity"]
+    export(trajectory, tmp_path / "a.npz", "npz", ["odd", "brick[1]"], fields=fields)
+    found = np.load(tmp_path / "a.npz")
+    assert set(found) == {"frame", "time", "body", "name", "mass", *fields}
+    assert found["body"].tolist() == [0, 2]
+    assert found["name"].tolist() == ["odd", "brick[1]"]
+    assert (found["time"] == trajectory.time).all()
+    assert (found["orientation"] == trajectory.orientation[:, [0, 2]]).all()
+    assert (found["angular_velocity"] == trajectory.angular_velocity[:, [0, 2]]).all()
+
+
+def test_lammps_dump_is_read_by_mdanalysis(trajectory, tmp_path):
+    import MDAnalysis
+
+    out = tmp_path / "a.lammpstrj"
+    export(trajectory, out, "lammps")
+    universe = MDAnalysis.Universe(
+        str(out), format="LAMMPSDUMP", topology_format="LAMMPSDUMP", dt=0.1, convert_units=False
+    )
+    assert len(universe.trajectory) == 11
+    for k, _ in enumerate(universe.trajectory):
+        x = trajectory.position[k]  # MDAnalysis counts from the corner of the box
+        assert universe.atoms.positions == pytest.approx(x - x.min(axis=0), rel=1e-6, abs=1e-6)
+    lines = out.read_text().splitlines()
+    first = dict(zip(lines[8].split()[2:], lines[9].split(), strict=True))
+    q = [float(first[c]) for c in ("quatw", "quati", "quatj", "quatk")]
+    assert q == trajectory.orientation[0, 0].tolist()
+    assert [float(first[c]) for c in ("vx", "vy", "vz")] == trajectory.velocity[0, 0].tolist()
+    assert (first["id"], first["type"]) == ("1", "1")
+
+
+def test_a_long_trajectory_is_not_loaded_whole(path, tmp_path, monkeypatch):
+    """No read of a field spans more states than a portion."""
+    largest = []
+    read = Trajectory.rows
+
+    def spy(self, path, width, frames, bodies=None):
+        found = read(self, path, width, frames, bodies)
+        if bodies is not None:
+            largest.append(found.shape[0] * found.shape[1])
+        return found
+
+    monkeypatch.setattr(Trajectory, "rows", spy)
+    monkeypatch.setattr("particlerb.trajectory.PORTION", 8)
+    with particlerb.open(path) as t:
+        for to in ("gsd", "csv", "npz", "lammps", "particles"):
+            export(t, tmp_path / f"out_{to}", to)
+    assert 0 < max(largest) <= 8
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"bodies": ["brik"]}, "brik: no such body; the first are odd, brick"),
+        ({"fields": ["colour"]}, "colour: no such field here; there are position"),
+        ({"frames": slice(20, 30)}, "no frame is left: there are 11"),
+        ({"frames": slice(None, None, -1)}, "frames must go forward"),
+        ({"to": "xyz"}, "xyz: no such format; there are gsd, csv"),
+    ],
+)
+def test_what_cannot_be_exported(trajectory, tmp_path, keys, words):
+    with pytest.raises(ExportError, match=words):
+        export(trajectory, tmp_path / "a", **({"to": "npz"} | keys))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_field_that_the_format_needs(make, tmp_path):
+    case = make.case(make.body(), output={"fields": ["position"]})
+    with particlerb.run(case, tmp_path / "run.h5") as t:
+        for to in ("gsd", "particles"):
+            with pytest.raises(ExportError, match=f"{to} needs orientation, not recorded"):
+                export(t, tmp_path / "a", to)
+        with pytest.raises(ExportError, match="velocity: no such field here"):
+            export(t, tmp_path / "a", "npz", fields=["velocity"])
+        export(t, tmp_path / "a.csv", "csv")
+
+
+def test_a_failed_export_leaves_the_old_file(trajectory, tmp_path, monkeypatch):
+    (tmp_path / "a.csv").write_text("precious")
+
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("particlerb.export.csv.csv.writer", fail)
+    with pytest.raises(OSError, match="No space"):
+        export(trajectory, tmp_path / "a.csv", "csv")
+    assert [entry.read_text() for entry in tmp_path.iterdir()] == ["precious"]
+
+
+# Command
+
+
+def test_command_exports_beside_the_input(path, tmp_path, capsys):
+    source = tmp_path / "run.h5"
+    source.write_bytes(path.read_bytes())
+    assert main(["export", str(source), "--to", "csv", "--frames", "-1", "--bodies", "odd"]) == 0
+    assert capsys.readouterr().out == f"written: {tmp_path / 'run.csv'} (1 frame)\n"
+    assert len((tmp_path / "run.csv").read_text().splitlines()) == 2
+    assert main(["export", str(source), "--to", "particles"]) == 0
+    assert (tmp_path / "run_particles.vtkhdf").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--to", "xyz"], "--to xyz: trajectories become gsd, csv, particles, lammps, npz"),
+        (["--to", "csv", "--bodies", "nobody"], "nobody: no such body"),
+        (["--to", "csv", "-o", "."], ". is a folder: name a file with -o"),
+        (["--to", "npz", "-o", "INPUT", "--overwrite"], "is the input: give another name with -o"),
+        (["--to", "npz", "-o", "THERE"], "exists: give another name with -o, or --overwrite"),
+    ],
+)
+def test_wrong_usage(path, tmp_path, capsys, words, message):
+    there = tmp_path / "there.npz"
+    there.write_text("precious")
+    words = [{"INPUT": str(path), "THERE": str(there)}.get(word, word) for word in words]
+    assert main(["export", str(path), *words]) == 2
+    assert message in capsys.readouterr().err
+    assert there.read_text() == "precious"
+
+
+@pytest.mark.parametrize("frames", ["a", "1:2:3:4", "::-1", "::0", ""])
+def test_wrong_frames(path, frames, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["export", str(path), "--to", "csv", f"--frames={frames}"])
+    assert ended.value.code == 2
+    assert "must" in capsys.readouterr().err
+
+
+def test_an_export_never_follows_a_link(path, tmp_path):
+    """A dangling link in the place of the output is refused, or replaced; its target stays away."""
+    link, elsewhere = tmp_path / "out.csv", tmp_path / "elsewhere"
+    link.symlink_to(elsewhere)
+    words = ["export", str(path), "--to", "csv", "-o", str(link)]
+    assert main(words) == 2
+    assert main([*words, "--overwrite"]) == 0
+    assert not elsewhere.exists()
+    assert not link.is_symlink()
+
+
+def test_info_and_export_agree_on_what_is_there(path, tmp_path, capsys):
+    assert main(["info", str(path), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    main(["export", str(path), "--to", "npz", "-o", str(tmp_path / "a.npz")])
+    found = np.load(tmp_path / "a.npz")
+    assert set(facts["fields"]) < set(found)
+    assert found["position"].shape[:2] == (facts["frames"], facts["bodies"])
