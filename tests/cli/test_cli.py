@@ -402,7 +402,7 @@ def test_an_interrupt_keeps_the_frames_and_is_exit_code_130(here, number):
     ],
 )
 def test_a_force_that_overflows_is_refused(here, capsys, force, at, key, reason):
-    text = CUBE.replace("mass = 2.0", "mass = 1e-300")
+    text = CUBE.replace("mass = 2.0", "mass = 1e-290")
     push = PUSH.replace("[1.0,", f"[{force},").replace("0.5,", f"{at},")
     Path("cube.toml").write_text(text + push)
     assert main(["check", "cube.toml"]) == 2
