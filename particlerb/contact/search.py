@@ -418,31 +418,6 @@ def modular_strides(least: int) -> tuple[int, int, int]:
     return a, b, n
 
 
-# Bodies that can touch anything
-
-
-def active_bodies(com: Floats, bound: Floats, travel: Floats) -> Bools:
-    """Whether another body is in reach of each body in an interval, (n_bodies,).
-
-    Parameters
-    ----------
-    com : ndarray, shape (3, n_bodies) [m]
-        Centres of mass.
-    bound : ndarray, shape (n_bodies,) [m]
-        Distance from there to the farthest point of the body's spheres; negative: it has none.
-    travel : ndarray, shape (n_bodies,) [m]
-        How far the centre of mass may move in the interval, at most. A path that is as long as
-        many bodies makes every one of them a neighbour: shorten the interval then.
-    """
-    which = np.flatnonzero(bound >= 0.0)
-    radius = np.maximum(bound, 0.0) + travel
-    first, second, _ = Search(radius, np.arange(bound.size)).pairs(com, 0.0, which)
-    is_active = np.zeros(bound.size, dtype=np.bool_)
-    is_active[first] = True
-    is_active[second] = True
-    return is_active
-
-
 # Contacts of each body
 
 

@@ -99,14 +99,6 @@ def nearest_on_segment(a: Vec3, b: Vec3, x: Vec3) -> Vec3:
 
 
 @inline
-def nearest_on_rectangle(a: Vec3, u: Vec3, v: Vec3, x: Vec3) -> Vec3:
-    """Point of the rectangle with the corner a and the sides u and v."""
-    ax = subtract(x, a)
-    s, t = dot(ax, u) / dot(u, u), dot(ax, v) / dot(v, v)
-    return add_scaled(min(max(s, 0.0), 1.0), u, add_scaled(min(max(t, 0.0), 1.0), v, a))
-
-
-@inline
 def nearest_on_triangle(a: Vec3, b: Vec3, c: Vec3, x: Vec3) -> Vec3:  # noqa: PLR0911
     """Point of a triangle: by the region of the plane that x is above (Ericson, 5.1.5)."""
     ab, ac, ax = subtract(b, a), subtract(c, a), subtract(x, a)

@@ -13,7 +13,6 @@ from particlerb._jit import config
 from particlerb.contact import search as module
 from particlerb.contact.search import (
     Search,
-    active_bodies,
     carry_over,
     has_moved,
     incidence,
@@ -242,23 +241,6 @@ def test_room_and_time_do_not_grow_with_empty_space():
     begin = search.integers["begin"]
     assert begin.size < 8 * N
     assert np.diff(begin).max() <= 16
-
-
-# Bodies
-
-
-@settings(max_examples=20 if PLAIN else 100)
-@given(seeds)
-def test_bodies_with_another_in_reach_are_active(seed):
-    rng = np.random.default_rng(seed)
-    n = 40
-    com, bound, travel = rng.uniform(0, 8, (3, n)), near_radius(rng, n), rng.pareto(3.0, n)
-    bound[rng.integers(0, n, 5)] = -1.0
-    d = np.linalg.norm(com[:, :, None] - com[:, None], axis=0)
-    reach = bound + travel
-    is_near = (d < reach[:, None] + reach) & ~np.eye(n, dtype=bool)
-    is_near &= (bound >= 0) & (bound >= 0)[:, None]
-    assert (active_bodies(com, bound, travel) == is_near.any(axis=0)).all()
 
 
 @settings(max_examples=20 if PLAIN else 200)
