@@ -15,6 +15,7 @@ from particlerb.bodies.bodies import Bodies
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import turned_back
 from particlerb.case.schema import Case, Central
+from particlerb.case.wanted import FIELDS_OF_CONTACT
 from particlerb.contact.laws import SHEAR_DAMPING, Law
 from particlerb.contact.loads import MOTION, Contact, Spheres
 from particlerb.contact.loads import Scene as Touchable
@@ -179,7 +180,7 @@ def terms_of(
         angle = opening_angle(case, attraction.mass.size)
         terms = terms._replace(attraction=attraction, opening_angle=angle)
     if group.touches and touching is not None:
-        terms = terms._replace(contact=contact_among(scene, group.members, bodies, touching))
+        terms = terms._replace(contact=contact_among(case, scene, group.members, bodies, touching))
     return terms
 
 
@@ -231,7 +232,9 @@ def attraction_among(case: Case, scene: Scene, members: Ints, bodies: Bodies) ->
     )
 
 
-def contact_among(scene: Scene, members: Ints, bodies: Bodies, touching: Touching) -> Contact:
+def contact_among(
+    case: Case, scene: Scene, members: Ints, bodies: Bodies, touching: Touching
+) -> Contact:
     """Spheres, law and walls of a group."""
     index, _ = particles_of(scene, members)
     counts = np.diff(scene.particles.offset)[scene.kind[members]]
@@ -260,7 +263,8 @@ def contact_among(scene: Scene, members: Ints, bodies: Bodies, touching: Touchin
     touchable = Touchable(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia
     )
-    return Contact(touchable, motions, reach, skin, touching.skin is not None)
+    is_shown = any(name in FIELDS_OF_CONTACT for name in case.output.fields)
+    return Contact(touchable, motions, reach, skin, touching.skin is not None, is_shown)
 
 
 def law_of(touching: Touching) -> Law:

@@ -19,6 +19,7 @@ import numpy as np
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames, State, as_frame, multiplied, room_for, turned_back
 from particlerb.case.schema import Case
+from particlerb.contact.touches import Touches
 from particlerb.describe import describe
 from particlerb.ledger import Drift, Entries, Ledger, totals
 from particlerb.maths.vec3 import Bools, Floats, Ints
@@ -136,6 +137,7 @@ class Traveller:
         self.first = state  # of this segment
         self.pairs = self.pair_forces()
         self.motion = self.begin(plan.segments[0], state)
+        self.touches: dict[int, Touches] = {}  # in rows of the last `record`, where asked for
 
     def checkpoint(self) -> Saved:
         """The segment, how it began, and its motion."""
@@ -208,6 +210,7 @@ class Traveller:
             What was booked since t = 0, and the potential energy between bodies [J].
         """
         booked, potential = np.empty((times.size, 7)), np.zeros(times.size)
+        self.touches = {}
         done = 0
         while done < times.size:
             until = int(np.searchsorted(times, self.segment.stop, side="left"))
@@ -220,6 +223,7 @@ class Traveller:
                     ]
                 if isinstance(self.motion, TOUCHING):
                     potential[rows] += self.motion.energies[rows]
+                    self.touches |= self.motion.touches
                 done = until
             if done < times.size:
                 self.cross()
@@ -303,6 +307,11 @@ class Run:
             frames = first_rows(frames, sound)
             now = totals(frames, self.scene.bodies, self.gravity, potential[:sound])
         return frames, self.ledger.enter(now, booked[:sound]), error
+
+    def touches(self, rows: Ints) -> list[Touches]:
+        """Contacts in rows of the last frames; empty where nobody asks."""
+        found = [t.touches for t in self.travellers if t.touches]
+        return [found[0][row] for row in rows.tolist()] if found else []
 
     def sound_frames(
         self, times: Floats, frames: Frames, is_finite: bool
@@ -448,7 +457,7 @@ def one_batch(run: "Run", recorder: Recorder, batch: "Batch") -> tuple[int, RunE
     sound = len(frames.position)
     rows = np.flatnonzero(batch.is_frame[:sound])
     if rows.size:
-        recorder.append(batch.times[rows], frames, rows, entries)
+        recorder.append(batch.times[rows], frames, rows, entries, run.touches(rows))
     for row in np.flatnonzero(batch.is_probe[:sound]):
         run.probes.append(Probe(float(batch.times[row]), one_row(frames, int(row))))
     run.n_frames += rows.size

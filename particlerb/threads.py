@@ -9,7 +9,9 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Final
+from typing import Final, TypeVar
+
+Result = TypeVar("Result")
 
 BLOCK: Final = 256  # bodies a kernel takes at a time: its rows fit into the first levels of cache
 LEAST_WORK: Final = 20_000  # body-steps or body-frames below which a second thread does not pay
@@ -72,10 +74,15 @@ class Threads:
 
     def alone(self, kernel: Callable[..., object], *arguments: object) -> None:
         """Call a kernel on this thread; KeyboardInterrupt as in `share`."""
+        self.timed(kernel, *arguments)
+
+    def timed(self, kernel: Callable[..., Result], *arguments: object) -> Result:
+        """Call a kernel on this thread for what it returns; KeyboardInterrupt as in `share`."""
         self.heed()
         start = time.perf_counter()
-        kernel(*arguments)
+        result = kernel(*arguments)
         self.busy += time.perf_counter() - start
+        return result
 
     def share_out(self, kernel: Callable[[int, int], object], units: int, work: int) -> None:
         """Do the work of `share`."""

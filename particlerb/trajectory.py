@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import h5py
 import numpy as np
@@ -31,16 +31,33 @@ from particlerb.record.checked import (
 )
 from particlerb.record.schema import (
     BODIES,
+    COLUMNS,
     COMMITTED,
+    CONTACT_FIELDS,
+    CONTACTS,
     FIELDS,
     LEDGER,
     OBSERVABLES,
+    OFFSET,
     PARAMETERS,
     SCHEMA_VERSION,
     TRAJECTORY,
+    WALL_NAMES,
+    WALLS,
 )
 
-__all__ = ["Trajectory", "TrajectoryError", "open_trajectory"]
+__all__ = ["Contacts", "Trajectory", "TrajectoryError", "open_trajectory"]
+
+
+class Contacts(NamedTuple):
+    """All contacts in one frame: the force chains."""
+
+    body: Ints  # (m, 2) the two bodies, the first the lower; the second is -1 where it is a wall
+    wall: Ints  # (m,) number of the wall; -1 where the second is a body
+    point: Floats  # (m, 3) [m] where the force acts, world frame
+    force: Floats  # (m, 3) [N] on the first body, world frame; the second feels the opposite
+    overlap: Floats  # (m,) [m]
+
 
 PORTION = 100_000  # states that are read at a time where all are gone through
 JSON_TEXTS = ("case_resolved", "versions")
@@ -137,7 +154,12 @@ class Trajectory:
         raise AssertionError
 
     def rows(
-        self, path: str, width: int, frames: slice, bodies: int | slice | None = None
+        self,
+        path: str,
+        width: int,
+        frames: slice,
+        bodies: int | slice | None = None,
+        kinds: str = "f",
     ) -> Floats:
         """Rows of an element, of all its bodies or of some; all of them are numbers."""
         lo, hi, stride = frames.indices(self.n_frames)
@@ -145,7 +167,7 @@ class Trajectory:
         pick = (slice(lo, hi, stride), *(() if bodies is None else (bodies,)))
 
         def read() -> Floats:
-            values = checked(self.file, path, "f", shape)
+            values = checked(self.file, path, kinds, shape)
             with blaming(self.file):
                 if len(values) < self.n_frames:
                     raise ValueError(f"{path} ends before frame {self.n_frames - 1}")
@@ -321,6 +343,108 @@ class Trajectory:
             self.table(f"{BODIES}/particles/radius", "f", (n,)),
             offset,
         )
+
+    @property
+    def contact_fields(self) -> list[str]:
+        """Names of the recorded fields of contacts and walls."""
+        with blaming(self.file):
+            group = followed(self.file, TRAJECTORY)
+            found = [name for name in CONTACT_FIELDS if name in group]
+            found += [name for name in WALLS if name in self.file[OBSERVABLES]]
+            return found + ([CONTACTS] if CONTACTS in self.file else [])
+
+    def require(self, name: str) -> None:
+        """Raise KeyError if a field of contacts or walls was not recorded."""
+        if name not in self.contact_fields:
+            raise KeyError(f"{name} was not recorded: see [output] fields")
+
+    @property
+    def contact_number(self) -> Ints:
+        """Contacts of each body with other bodies and walls, shape (T, N)."""
+        self.require("contact_number")
+        found = self.rows(f"{TRAJECTORY}/contact_number/value", 0, slice(None), slice(None), "i")
+        return found.astype(np.int64)
+
+    @property
+    def contact_overlap(self) -> Floats:
+        """Largest overlap of each body [m], shape (T, N); 0 where it touches nothing."""
+        self.require("contact_overlap")
+        return self.rows(f"{TRAJECTORY}/contact_overlap/value", 0, slice(None), slice(None))
+
+    @cached_property
+    def wall_names(self) -> Sequence[str]:
+        """Names of the walls, where a field of walls was recorded."""
+        if not any(name in self.contact_fields for name in WALLS):
+            raise KeyError("no field of walls was recorded: see [output] fields")
+        names = self.table(WALL_NAMES, "S", (None,))
+        return [name.decode(errors="replace") for name in names]
+
+    @property
+    def wall_force(self) -> Floats:
+        """Force of all bodies on each wall [N], world frame, shape (T, n_walls, 3)."""
+        return self.of_walls("wall_force")
+
+    @property
+    def wall_torque(self) -> Floats:
+        """Torque of these forces about the centre of each wall [N m], shape (T, n_walls, 3)."""
+        return self.of_walls("wall_torque")
+
+    @property
+    def wall_position(self) -> Floats:
+        """Centre of each wall [m], about which it turns, shape (T, n_walls, 3)."""
+        return self.of_walls("wall_position")
+
+    @property
+    def wall_velocity(self) -> Floats:
+        """Velocity of the centre of each wall [m/s], shape (T, n_walls, 3)."""
+        return self.of_walls("wall_velocity")
+
+    def of_walls(self, name: str) -> Floats:
+        """One field of walls, (T, n_walls, 3)."""
+        self.require(name)
+        path, n = f"{OBSERVABLES}/{name}/value", len(self.wall_names)
+
+        def read() -> Floats:
+            with blaming(self.file):
+                found: Floats = checked(self.file, path, "f", (None, n, 3))[: self.n_frames]
+                if len(found) < self.n_frames or not np.isfinite(found).all():
+                    raise ValueError(f"{path} is not whole")
+            return found
+
+        return self.patiently(read)
+
+    def contacts(self, frame: int) -> Contacts:
+        """All contacts in one frame: who touches whom, where, how hard, how deep.
+
+        Parameters
+        ----------
+        frame : int
+            Number of the frame; negative counts from the end.
+
+        Raises
+        ------
+        KeyError
+            If contacts were not recorded.
+        IndexError
+            If there is no such frame.
+        """
+        self.require(CONTACTS)
+        k = range(self.n_frames)[frame]
+
+        def read() -> Contacts:
+            with blaming(self.file):
+                lo, hi = checked(self.file, OFFSET, "i", (None,))[k : k + 2].tolist()
+                found = []
+                for name, column in COLUMNS.items():
+                    shape = (None, column.width) if column.width else (None,)
+                    kinds = "i" if column.is_count else "f"
+                    values = checked(self.file, f"{CONTACTS}/{name}", kinds, shape)
+                    if not 0 <= lo <= hi <= len(values):
+                        raise ValueError(f"{CONTACTS}/{name} has no rows {lo} to {hi}")
+                    found.append(values[lo:hi])
+            return Contacts(*found)
+
+        return self.patiently(read)
 
     @property
     def ledger(self) -> Entries:

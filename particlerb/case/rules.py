@@ -13,6 +13,7 @@ from particlerb.case.problems import Path, nearest
 from particlerb.case.schema import Spring
 from particlerb.case.shapes import SHAPES
 from particlerb.case.values import REFERENCE, is_rows
+from particlerb.case.wanted import FIELDS_OF_CONTACT, FIELDS_OF_WALLS
 
 MOST_FRAMES = 10**9
 
@@ -216,6 +217,7 @@ def contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     if contact is None:
         for i, _ in tables(raw, "wall")[:1]:
             yield ("wall", i), "nothing touches a wall without [contact]", "add [contact]"
+    yield from output_rules(raw)
     known = [one["name"] for _, one in tables(raw, "material") if isinstance(one.get("name"), str)]
     for kind in ("body", "wall"):
         for i, table in tables(raw, kind):
@@ -233,6 +235,18 @@ def contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
         yield from number_rules(path, pair, contact)
     if isinstance(contact, dict):
         yield from number_rules(("contact",), contact, contact)
+
+
+def output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
+    """What is to be recorded of contacts and walls is there."""
+    output = raw.get("output")
+    fields = output.get("fields") if isinstance(output, dict) else None
+    for i, name in enumerate(fields if isinstance(fields, list) else []):
+        path: Path = ("output", "fields", i)
+        if name in FIELDS_OF_CONTACT and raw.get("contact") is None:
+            yield path, f"there is no {name} without [contact]", "add [contact], or leave it out"
+        elif name in FIELDS_OF_WALLS and not tables(raw, "wall"):
+            yield path, f"there is no {name} without a [[wall]]", "leave it out"
 
 
 def material(path: Path, name: Any, known: list[str]) -> Iterator[Finding]:

@@ -16,8 +16,22 @@ from particlerb.case.values import (
 
 FRAME = "Axes of the vector: world or body. [-]"
 FieldName = Literal[
-    "position", "orientation", "linear_momentum", "angular_momentum", "velocity", "angular_velocity"
+    "position",
+    "orientation",
+    "linear_momentum",
+    "angular_momentum",
+    "velocity",
+    "angular_velocity",
+    "contacts",
+    "contact_number",
+    "contact_overlap",
+    "wall_force",
+    "wall_torque",
+    "wall_position",
+    "wall_velocity",
 ]
+FIELDS_OF_WALLS = ("wall_force", "wall_torque", "wall_position", "wall_velocity")
+FIELDS_OF_CONTACT = ("contacts", "contact_number", "contact_overlap", *FIELDS_OF_WALLS)
 FIELDS: tuple[FieldName, ...] = ("position", "orientation", "linear_momentum", "angular_momentum")
 
 
@@ -32,7 +46,7 @@ class Output(Table):
     """What the trajectory file holds."""
 
     fields: Annotated[tuple[FieldName, ...], Field(min_length=1), AfterValidator(are_unique)] = (
-        Field(FIELDS, description="Recorded per body and frame. [-]")
+        Field(FIELDS, description="Recorded in each frame. [-]")
     )
     dtype: Literal["float64", "float32"] = Field(
         "float64", description="Precision of the file. [-]"

@@ -100,6 +100,7 @@ class Contact(NamedTuple):
     reach: Floats  # (n_bodies,) [m] from the centre of mass to the farthest centre of a sphere
     skin: float  # [m] pairs nearer than this are kept, at first
     is_fixed: bool  # whether the skin stays so
+    is_shown: bool  # whether frames show who touches whom
 
 
 class Room(NamedTuple):

@@ -19,6 +19,7 @@ from particlerb.bodies.bodies import taken
 from particlerb.bodies.state import Frames, State
 from particlerb.contact.loads import Contact
 from particlerb.contact.search import Search, has_moved
+from particlerb.contact.touches import Touches, nothing_touches
 from particlerb.contact.walls import WallSearch, farthest_way, poses_at
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods.coupled import Stages
@@ -119,6 +120,7 @@ class DiluteMotion:
         self.wall_motions = [motion_of(row) for row in contact.motions.tolist()]
         whole = TouchingMotion(kernels, stages, cost, group, state, start, dt)
         self.elastic, self.energies = whole.elastic, np.zeros(0)
+        self.touches: dict[int, Touches] = {}
         self.state = state
         self.next: tuple[State, Floats, Kept] | None = None  # at the end of the interval
         self.done, self.steps = 0, 0
@@ -230,7 +232,7 @@ class DiluteMotion:
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
-        self.energies = np.zeros(frames.position.shape[0])
+        self.energies, self.touches = np.zeros(frames.position.shape[0]), {}
         booked = np.empty((times.size, 7))
         done = 0
         while done < times.size:
@@ -243,10 +245,20 @@ class DiluteMotion:
                 given = self.shown.together.record(times[done:until], own, frames)
                 booked[done:until] = self.booked + given
                 self.energies[own] = self.shown.energies(own)
+                self.touches |= self.touches_in(times[done:until], own)
                 done = until
             if done < times.size:
                 self.cross()
         return booked
+
+    def touches_in(self, times: Floats, rows: Ints) -> dict[int, Touches]:
+        """Contacts in frames of the interval that is shown, where they are asked for."""
+        if not self.contact.is_shown or self.shown is None:
+            return {}
+        if self.shown.touching is not None:
+            return self.shown.touching.touches
+        frames = zip(times.tolist(), rows.tolist(), strict=True)
+        return {row: nothing_touches(self.wall_motions, t) for t, row in frames}
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""

@@ -7,7 +7,7 @@ so the order stays two with one evaluation a step. What contacts keep (tangentia
 belongs to the grid: partial steps to frames work on a copy.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from types import FunctionType
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -35,6 +35,7 @@ from particlerb.contact.loads import (
 )
 from particlerb.contact.loads import Scene as Touchable
 from particlerb.contact.search import Search, carry_over, has_moved, incidence, keys_of
+from particlerb.contact.touches import Touches, moved, rows_of, touches_of
 from particlerb.contact.walls import Motion, WallSearch, farthest_way
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods.coupled import (
@@ -207,7 +208,7 @@ def advance_touching(  # noqa: PLR0915
     """Take a group through a schedule until its lists have to be made anew; where it is then."""
     dt, _, steps, rest, frame = schedule
     links, attraction, work, with_dashpots, y, load, _ = pairs
-    scene, motions, reach, skin, _ = contact
+    scene, motions, reach, skin, _, _ = contact
     last, times, then = memory
     allowance = 0.5 * SLACK * skin
     first_stop, first_step, is_open = place
@@ -296,6 +297,17 @@ def motion_of(row: list[float]) -> Motion:
 Kept: TypeAlias = Sequence[tuple[Ints, Floats]]  # keys of contacts, and what these keep
 
 
+def one_by_one(schedule: Schedule) -> Iterator[Schedule]:
+    """The stops of a schedule, each as a schedule."""
+    done = schedule.done
+    for k, steps in enumerate(schedule.steps.tolist()):
+        own = slice(k, k + 1)
+        yield Schedule(
+            schedule.dt, done, schedule.steps[own], schedule.rest[own], schedule.frame[own]
+        )
+        done += steps
+
+
 class TouchingMotion(CoupledMotion):
     """A group of bodies that touch; see `motion.Motion`.
 
@@ -349,6 +361,7 @@ class TouchingMotion(CoupledMotion):
         self.is_dense = NANOSECONDS_PER_SPHERE * n_spheres > WORTH_THREADS
         self.elastic = self.evaluate(y)
         self.energies = np.zeros(0)  # [J] elastic energy in the frames of the last `record`
+        self.touches: dict[int, Touches] = {}  # in its frames, where they are asked for
 
     def make_lists(self, y: Floats) -> None:
         """Pairs that may touch until a body has moved by half the skin."""
@@ -473,12 +486,32 @@ class TouchingMotion(CoupledMotion):
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
-        self.energies = np.zeros(frames.position.shape[0])
+        self.energies, self.touches = np.zeros(frames.position.shape[0]), {}
         return super().record(times, rows, frames)
 
     def run(self, schedule: Schedule, count: int, frames: Frames, sums: Floats) -> None:
-        """Go through a schedule, with new lists where they are used up."""
+        """Go through a schedule; stop at each frame if it is to show who touches whom."""
         del count
+        if not self.contact.is_shown:
+            self.run_through(schedule, frames, sums)
+            return
+        for stop in one_by_one(schedule):
+            self.run_through(stop, frames, sums)
+            if stop.frame[0] >= 0:
+                self.touches[int(stop.frame[0])] = self.seen()
+
+    def seen(self) -> Touches:
+        """Contacts of the frame that was written last: its closing evaluation is still there."""
+        lists, scene, room = self.lists, self.contact.scene, self.room
+        found = [
+            rows_of(contacts, scene, room, self.group.members, self.numbers, are_walls)
+            for contacts, are_walls in ((lists.spheres, False), (lists.walls, True))
+        ]
+        centre = np.array([motion.centre for motion in self.motions]).reshape(-1, 3)
+        return touches_of(found, *moved(centre, room.poses))
+
+    def run_through(self, schedule: Schedule, frames: Frames, sums: Floats) -> None:
+        """Go through a schedule, with new lists where they are used up."""
         group, edge = self.group, self.stages.edge
         large = (THREADS.count > 1 and self.is_dense) or self.forces.is_large
         advance: Callable[..., Any] = self.kernels.spread if large else self.kernels.compiled
@@ -493,7 +526,7 @@ class TouchingMotion(CoupledMotion):
                 self.contact, self.room, self.lists, self.memory, schedule, place,
                 group.bodies.rotor_frame, group.members, frames, sums, elastic, saved,
             )  # fmt: skip
-            reached = advance(*arguments)
+            reached = advance(*arguments) if large else THREADS.timed(advance, *arguments)
             place = Place(*reached)
             if place.stop < schedule.steps.size:
                 self.make_lists(self.values(0, 13))

@@ -31,6 +31,7 @@ class Element(NamedTuple):
     components: str  # labels of the last dimension: xyz, wxyz, or none for a number
     units: str
     meaning: str
+    is_count: bool = False  # an integer
 
 
 FIELDS: Final[dict[str, Element]] = {
@@ -40,6 +41,16 @@ FIELDS: Final[dict[str, Element]] = {
     "angular_momentum": Element("xyz", "kg m2 s-1", "about the centre of mass, world frame"),
     "velocity": Element("xyz", "m s-1", "of the centre of mass, world frame"),
     "angular_velocity": Element("xyz", "rad s-1", "world frame"),
+}
+CONTACT_FIELDS: Final[dict[str, Element]] = {  # per body too, where there is contact
+    "contact_number": Element("", "1", "contacts with other bodies and walls", is_count=True),
+    "contact_overlap": Element("", "m", "largest overlap with another body or a wall"),
+}
+WALLS: Final[dict[str, Element]] = {
+    "wall_force": Element("xyz", "N", "of all bodies on each wall, world frame"),
+    "wall_torque": Element("xyz", "N m", "of all bodies on each wall, about its centre"),
+    "wall_position": Element("xyz", "m", "centre of each wall, about which it turns"),
+    "wall_velocity": Element("xyz", "m s-1", "of the centre of each wall"),
 }
 LEDGER: Final[dict[str, Element]] = {
     "kinetic_energy": Element("", "J", "of all bodies"),
@@ -63,6 +74,28 @@ class Table(NamedTuple):
     meaning: str
 
 
+class Column(NamedTuple):
+    """One property of all contacts of all frames, frame after frame."""
+
+    width: int  # numbers of a contact; 0 is a scalar
+    units: str
+    meaning: str
+    is_count: bool = False  # an integer
+
+
+CONTACTS: Final = "contacts"
+COLUMNS: Final[dict[str, Column]] = {
+    "body": Column(2, "1", "the two bodies; the second is -1 where it is a wall", is_count=True),
+    "wall": Column(0, "1", "number of the wall; -1 where the second is a body", is_count=True),
+    "point": Column(3, "m", "where the force acts, world frame"),
+    "force": Column(3, "N", "on the first body, world frame; the second feels the opposite"),
+    "overlap": Column(0, "m", "of the two particles, or of the particle and the wall"),
+}
+OFFSET: Final = f"{CONTACTS}/offset"  # contacts of frame f are offset[f] to offset[f + 1]
+WALL_NAMES: Final = "walls/names"
+WALL_NUMBERS: Final = "walls/wall"
+
+
 STATIC: Final[dict[str, Table]] = {
     f"{TRAJECTORY}/id": Table("1", "number of the body"),
     f"{TRAJECTORY}/mass": Table("kg", "of each body"),
@@ -83,4 +116,4 @@ STATIC: Final[dict[str, Table]] = {
 
 def frames_per_chunk(n_bodies: int, components: int, item: int) -> int:
     """Frames in one chunk: about 256 KiB, at least one frame, at most 1024."""
-    return int(min(max(262144 // max(n_bodies * components * item, 1), 1), 1024))
+    return int(min(max(262144 // (n_bodies * max(components, 1) * item), 1), 1024))

@@ -14,7 +14,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -27,9 +27,19 @@ from particlerb._jit import source_hash
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames, derived
 from particlerb.case.schema import Case
+from particlerb.contact.touches import Touches
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.checkpoint import make_slots, write_checkpoint
 from particlerb.record.claim import Claim
+from particlerb.record.contacts import (
+    BYTES_PER_CONTACT,
+    ContactList,
+    body_values,
+    make_contacts,
+    make_walls,
+    wall_values,
+    walls_wanted,
+)
 from particlerb.record.integrity import Words, frame_checksums, seal
 from particlerb.record.schema import (
     AXES,
@@ -37,15 +47,20 @@ from particlerb.record.schema import (
     CHECKPOINT,
     CHUNK_OF_NUMBERS,
     COMMITTED,
+    CONTACT_FIELDS,
+    CONTACTS,
     CURRENT,
     FIELDS,
     INTEGRITY,
     LEDGER,
     OBSERVABLES,
+    OFFSET,
     PARAMETERS,
     SCHEMA_VERSION,
     STATIC,
     TRAJECTORY,
+    WALL_NUMBERS,
+    WALLS,
     Element,
     frames_per_chunk,
 )
@@ -127,11 +142,21 @@ class Recorder:
         write_parameters(self.file, case, parameters)
         self.step, self.time = make_clock(self.file)
         self.values: dict[str, h5py.Dataset] = {
-            name: self.make_element(f"{TRAJECTORY}/{name}", FIELDS[name], per_body=True)
-            for name in case.output.fields
+            name: self.make_element(f"{TRAJECTORY}/{name}", element, "body")
+            for name, element in (FIELDS | CONTACT_FIELDS).items()
+            if name in case.output.fields
         }
+        if walls := walls_wanted(case):
+            make_walls(self.file, case)
+        self.walls: dict[str, h5py.Dataset] = {
+            name: self.make_element(f"{OBSERVABLES}/{name}", WALLS[name], "wall") for name in walls
+        }
+        self.contacts: ContactList | None = None
+        if CONTACTS in case.output.fields:
+            make_contacts(self.file, self.step, self.time, self.dtype)
+            self.contacts = ContactList(self.file)
         self.ledger = {
-            name: self.make_element(f"{OBSERVABLES}/{name}", element, per_body=False)
+            name: self.make_element(f"{OBSERVABLES}/{name}", element)
             for name, element in LEDGER.items()
         }
         self.checksums = make_checksums(self.file)
@@ -166,7 +191,14 @@ class Recorder:
         self.ready, self.known = (n_frames, []), known
         group = self.file[TRAJECTORY]
         self.step, self.time = group["step"], group["time"]
-        self.values = {name: group[f"{name}/value"] for name in case.output.fields}
+        self.values = {
+            name: group[f"{name}/value"]
+            for name in FIELDS | CONTACT_FIELDS
+            if name in case.output.fields
+        }
+        observables = self.file[OBSERVABLES]
+        self.walls = {name: observables[f"{name}/value"] for name in walls_wanted(case)}
+        self.contacts = ContactList(self.file) if CONTACTS in case.output.fields else None
         self.ledger = {name: self.file[f"{OBSERVABLES}/{name}/value"] for name in LEDGER}
         self.checksums = self.file[INTEGRITY][CHECKSUM]
         with self.watched():
@@ -181,7 +213,7 @@ class Recorder:
         self.case, self.scene = case, scene
         self.dtype = np.dtype(case.output.dtype)
         # Frames committed, and the small arrays of those that are not: replaced as one.
-        self.ready: tuple[int, list[dict[str, Floats | Words]]] = (0, [])
+        self.ready: tuple[int, list[dict[str, Floats | Ints | Words]]] = (0, [])
         self.known = 0  # frames that were there before
         self.last_commit = self.last_kept = time.monotonic()
         self.slot: int | None = None  # of the checkpoint, that counts from the next commit on
@@ -193,31 +225,36 @@ class Recorder:
         count_steps(self.file, n)
         self.file.flush()
         small = (self.step, self.time, self.checksums, *self.ledger.values())
-        for dataset in (*small, *self.values.values()):
+        for dataset in (*small, *self.values.values(), *self.walls.values()):
             dataset.resize(n, axis=0)
+        if self.contacts is not None:
+            self.contacts.cut(n)
         resize_vtkhdf(self.file, self.values, most_frames(self.case))
         self.file.flush()
 
-    def make_element(self, path: str, element: Element, per_body: bool) -> h5py.Dataset:
-        """One H5MD element: step, time, and an empty value that can grow."""
+    def make_element(self, path: str, element: Element, per: str = "") -> h5py.Dataset:
+        """One H5MD element: step, time, and an empty value that can grow, per body or wall."""
         group = self.file.require_group(path)
         group["step"], group["time"] = self.step, self.time
-        n, width = len(self.scene.kind), len(element.components)
-        shape = ((n,) if per_body else ()) + ((width,) if width else ())
-        dtype = self.dtype if per_body else np.dtype(np.float64)
-        frames = frames_per_chunk(n, width, dtype.itemsize) if per_body else CHUNK_OF_NUMBERS
+        scale_of = {"body": f"{TRAJECTORY}/body", "wall": WALL_NUMBERS}
+        numbers, width = [self.file[scale_of[per]]] if per else [], len(element.components)
+        n = len(numbers[0]) if per else 0
+        shape = ((n,) if per else ()) + ((width,) if width else ())
+        dtype: np.dtype[Any] = self.dtype if per == "body" else np.dtype(np.float64)
+        if element.is_count:
+            dtype = np.dtype(np.int32)
+        is_body = per == "body"
+        frames = frames_per_chunk(n, width, dtype.itemsize) if is_body else CHUNK_OF_NUMBERS
         value = group.create_dataset(
             "value",
             (0, *shape),
             dtype,
             maxshape=(None, *shape),
             chunks=(frames, *shape),
-            fillvalue=np.nan,  # what was never written is no number
+            fillvalue=None if element.is_count else np.nan,  # what was never written is no number
         )
         describe(value, element.units, element.meaning)
-        trajectory = self.file[TRAJECTORY]
-        scales = [self.time]
-        scales += [trajectory["body"]] if per_body else []
+        scales = [self.time, *numbers]
         scales += [self.file[element.components]] if width else []
         for dimension, scale in zip(value.dims, scales, strict=True):
             dimension.attach_scale(scale)
@@ -229,17 +266,31 @@ class Recorder:
         committed, pending = self.ready
         return committed + sum(len(part[CLOCK]) for part in pending)
 
-    def append(self, times: Floats, frames: Frames, rows: Ints, ledger: Any) -> None:
-        """Append rows of the frames with their times and ledger entries."""
-        self.refuse_full_disk(len(rows))
+    def append(
+        self,
+        times: Floats,
+        frames: Frames,
+        rows: Ints,
+        ledger: Any,
+        touches: Sequence[Touches] = (),
+    ) -> None:
+        """Append rows of the frames with their times, ledger entries, and contacts if wanted."""
+        n_contacts = sum(one.wall.size for one in touches)
+        self.refuse_full_disk(len(rows), BYTES_PER_CONTACT * n_contacts)
         with self.watched():
-            self.write(times, frames, rows, ledger)
+            self.write(times, frames, rows, ledger, touches)
 
-    def write(self, times: Floats, frames: Frames, rows: Ints, ledger: Any) -> None:
+    def write(
+        self, times: Floats, frames: Frames, rows: Ints, ledger: Any, touches: Sequence[Touches]
+    ) -> None:
         """Write the large arrays now and keep the small ones until the next commit."""
         n = self.n_frames
-        found = fields_of(frames, rows, self.scene, self.values)
-        arrays = {name: found[name].astype(self.dtype, copy=False) for name in self.values}
+        found: dict[str, Any] = fields_of(frames, rows, self.scene, self.values)
+        found |= self.of_contacts(touches)
+        arrays = {
+            name: found[name].astype(dataset.dtype, copy=False)
+            for name, dataset in self.values.items()
+        }
         entries = {CLOCK: times} | {name: getattr(ledger, name)[rows] for name in self.ledger}
         rows_of_fields = [arrays[name] for name in FIELDS if name in arrays]
         sums = frame_checksums(len(times), [*rows_of_fields, *entries.values()])
@@ -248,8 +299,12 @@ class Recorder:
             return
         for name, dataset in self.values.items():
             append_rows(dataset, self.n_frames, arrays[name][new])
-        small = {**entries, CHECKSUM: sums}
-        self.ready[1].append({name: values[new] for name, values in small.items()})
+        small = {**entries, **self.of_walls(touches), CHECKSUM: sums}
+        part: dict[str, Floats | Ints | Words]
+        part = {name: values[new] for name, values in small.items()}
+        if self.contacts is not None:
+            part[OFFSET] = self.contacts.write(self.n_contacts, touches[new])
+        self.ready[1].append(part)
 
     def recognise(self, first: int, sums: Words) -> int:
         """Number of frames, from `first` on, that were in the file before: they must be the same.
@@ -298,6 +353,24 @@ class Recorder:
         with self.watched():
             self.commit()
 
+    def of_contacts(self, touches: Sequence[Touches]) -> dict[str, Floats | Ints]:
+        """Fields per body that contacts decide, for some frames."""
+        n = len(self.scene.kind)
+        return {
+            name: body_values(name, touches, n) for name in self.values if name in CONTACT_FIELDS
+        }
+
+    def of_walls(self, touches: Sequence[Touches]) -> dict[str, Floats]:
+        """Fields of walls, for some frames."""
+        return wall_values(self.walls, touches) if self.walls else {}
+
+    @property
+    def n_contacts(self) -> int:
+        """Contacts that were appended."""
+        committed, pending = self.ready
+        assert self.contacts is not None
+        return int(pending[-1][OFFSET][-1] if pending else self.contacts.offset[committed])
+
     @contextmanager
     def watched(self) -> Iterator[None]:
         """Turn a failure of HDF5 into WriteError, and remember that the file is broken."""
@@ -308,11 +381,12 @@ class Recorder:
             reason = " ".join(str(error).split())
             raise WriteError(f"{self.path}: {reason}") from None
 
-    def refuse_full_disk(self, n_frames: int) -> None:
+    def refuse_full_disk(self, n_frames: int, more: int = 0) -> None:
         """Raise FullDiskError while the file is whole: HDF5 does not survive a failed write."""
         if self.path is None:
             return
-        needed = 2 * bytes_of_run(self.case, n_frames) + spare_bytes(self.case) + self.bytes_kept
+        needed = 2 * (bytes_of_run(self.case, n_frames) + more) + spare_bytes(self.case)
+        needed += self.bytes_kept
         if shutil.disk_usage(self.path.parent).free < needed:
             raise FullDiskError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
@@ -320,9 +394,13 @@ class Recorder:
         """Put what is written on disk, then say so; may be repeated after an interrupt."""
         first, pending = self.ready
         n = self.n_frames
-        small = {CLOCK: self.time, CHECKSUM: self.checksums, **self.ledger}
+        small = {CLOCK: self.time, CHECKSUM: self.checksums, **self.ledger, **self.walls}
         for name in pending[0] if pending else ():
-            append_rows(small[name], first, np.concatenate([part[name] for part in pending]))
+            values = np.concatenate([part[name] for part in pending])
+            if name == OFFSET and self.contacts is not None:  # it has one entry more than frames
+                append_rows(self.contacts.offset, first + 1, values)
+            else:
+                append_rows(small[name], first, values)
         append_rows(self.step, first, np.arange(first, n))
         append_steps(self.file, self.time[first:n])
         self.file.flush()
@@ -345,6 +423,8 @@ class Recorder:
             for dataset in self.values.values():
                 dataset.resize(n, axis=0)
             resize_vtkhdf(self.file, self.values, n)
+            if self.contacts is not None:
+                self.contacts.cut(n)
             self.file.flush()
             if self.path is not None:
                 self.file.close()
@@ -584,5 +664,8 @@ def spare_bytes(case: Case) -> int:
 def bytes_of_run(case: Case, n_frames: int) -> int:
     """Size of the fields of a run on disk [bytes], without the small rest."""
     item = np.dtype(case.output.dtype).itemsize
-    width = sum(len(FIELDS[name].components) for name in case.output.fields)
-    return n_frames * (case.n_bodies * width * item + 8 * 21)
+    per_body = FIELDS | CONTACT_FIELDS
+    own = [per_body[name] for name in case.output.fields if name in per_body]
+    width = sum(max(len(element.components), 1) for element in own)
+    walls = 3 * len(walls_wanted(case)) * len(case.wall)
+    return n_frames * (case.n_bodies * width * item + 8 * (21 + walls))

@@ -1,0 +1,131 @@
+"""What contacts do at one instant: who touches whom, where, how hard, how deep; forces on walls.
+
+Read from the evaluation that closes a frame, when somebody asks for it: stepping pays nothing for
+it. All is in an order of its own, which neither threads nor lists of pairs change.
+"""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.contact.loads import ELASTIC, POINT, REST, TWIST, Contacts, Room, Scene
+from particlerb.contact.walls import Motion, poses_at
+from particlerb.maths.vec3 import Floats, Ints
+
+NOBODY: Final = -1
+
+
+class Touches(NamedTuple):
+    """All contacts at one instant, by bodies, and how the walls move then.
+
+    The second feels the opposite force at the same point. Of two bodies the first has the lower
+    number.
+    """
+
+    body: Ints  # (m, 2) bodies of the scene, the second NOBODY where it is a wall
+    wall: Ints  # (m,) the wall, NOBODY where the second is a body
+    point: Floats  # (m, 3) [m] world frame
+    force: Floats  # (m, 3) [N] on the first, world axes
+    twist: Floats  # (m, 3) [N m] against rolling, on the first
+    overlap: Floats  # (m,) [m]
+    centre: Floats  # (n_walls, 3) [m] of each wall: about which it turns
+    velocity: Floats  # (n_walls, 3) [m/s] of the centre
+
+
+def walls_at(motions: Sequence[Motion], t: float) -> tuple[Floats, Floats]:
+    """Centres of walls (n_walls, 3) [m] and their velocities [m/s] at a time."""
+    centre = np.array([motion.centre for motion in motions]).reshape(-1, 3)
+    return moved(centre, poses_at(motions, t))
+
+
+def moved(centre: Floats, poses: Floats) -> tuple[Floats, Floats]:
+    """Where points of walls are in their poses, and how fast they are."""
+    w, v = poses[:, 3:4], poses[:, 4:7]
+    across = 2.0 * np.cross(v, centre)
+    arm = centre + w * across + np.cross(v, across)
+    return poses[:, :3] + arm, poses[:, 7:10] + np.cross(poses[:, 10:13], arm)
+
+
+def nothing_touches(motions: Sequence[Motion], t: float) -> Touches:
+    """No contacts, and walls as they move."""
+    return touches_of((), *walls_at(motions, t))
+
+
+def touches_of(parts: Sequence[tuple[Ints, Floats]], centre: Floats, velocity: Floats) -> Touches:
+    """Contacts in their order, from rows that `rows_of` makes."""
+    who = np.concatenate([np.zeros((0, 5), dtype=np.int64), *(part[0] for part in parts)])
+    what = np.concatenate([np.zeros((0, 10)), *(part[1] for part in parts)])
+    order = np.lexsort(who.T[::-1])
+    who, what = who[order], what[order]
+    point, force, twist, overlap = np.split(what, (3, 6, 9), axis=1)
+    return Touches(who[:, :2], who[:, 2], point, force, twist, overlap[:, 0], centre, velocity)
+
+
+def rows_of(
+    contacts: Contacts, scene: Scene, room: Room, members: Ints, numbers: Ints, are_walls: bool
+) -> tuple[Ints, Floats]:
+    """Contacts that were found acting by the last evaluation.
+
+    Parameters
+    ----------
+    contacts, scene, room : Contacts, Scene, Room
+        After an evaluation.
+    members, numbers : ndarray
+        Bodies of the scene, and numbers of the spheres that say where a contact comes in the list.
+    are_walls : bool
+        Whether these are contacts with walls.
+
+    Returns
+    -------
+    who : ndarray, shape (m, 5)
+        First, second, wall, sphere of the first, sphere or primitive of the second.
+    what : ndarray, shape (m, 10)
+        Point [m], force [N] and torque [N m] on the first, overlap [m].
+    """
+    acting = np.flatnonzero(contacts.done[:, ELASTIC : ELASTIC + 3].any(axis=1))
+    i, j, done = contacts.first[acting], contacts.second[acting], contacts.done[acting]
+    point = done[:, POINT : POINT + 3]
+    place = room.place[i]
+    overlap = 2.0 * (place[:, 3] - np.sqrt(((point - place[:, :3]) ** 2).sum(axis=1)))
+    first, nobody = members[scene.spheres.body[i]], np.full(i.size, NOBODY)
+    force = done[:, ELASTIC : ELASTIC + 3] + done[:, REST : REST + 3]
+    twist = done[:, TWIST : TWIST + 3]
+    if are_walls:
+        who = np.stack([first, nobody, scene.walls.wall[j], numbers[i], j], axis=1)
+    else:
+        second = members[scene.spheres.body[j]]
+        who = np.stack([first, second, nobody, numbers[i], numbers[j]], axis=1)
+        swap = first > second
+        who[swap] = who[swap][:, [1, 0, 2, 4, 3]]
+        sign = np.where(swap, -1.0, 1.0)[:, None]
+        force, twist = sign * force, sign * twist
+    is_deep = overlap > 0.0  # the force is that of a step around the instant: it may begin before
+    what = np.hstack([point, force, twist, overlap[:, None]])
+    return who[is_deep], what[is_deep]
+
+
+def contact_numbers(touches: Touches, n_bodies: int) -> Ints:
+    """Contacts of each body, (n_bodies,), those with walls among them."""
+    both = touches.body.reshape(-1)
+    return np.bincount(both[both != NOBODY], minlength=n_bodies)
+
+
+def largest_overlaps(touches: Touches, n_bodies: int) -> Floats:
+    """Largest overlap of each body, (n_bodies,) [m]; 0 where it touches nothing."""
+    found = np.zeros(n_bodies)
+    for side in touches.body.T:
+        own = side != NOBODY
+        np.maximum.at(found, side[own], touches.overlap[own])
+    return found
+
+
+def wall_loads(touches: Touches) -> tuple[Floats, Floats]:
+    """Force [N] on each wall, and torque [N m] about its centre, (n_walls, 3); world axes."""
+    force, torque = np.zeros((2, *touches.centre.shape))
+    own = touches.wall != NOBODY
+    wall, pressed = touches.wall[own], -touches.force[own]
+    arm = touches.point[own] - touches.centre[wall]
+    np.add.at(force, wall, pressed)
+    np.add.at(torque, wall, np.cross(arm, pressed) - touches.twist[own])
+    return force, torque
