@@ -5,6 +5,7 @@ or through others, are a cluster and share one too; clusters that are copies of 
 the same step suits them, share one group again. Asymmetric bodies of a cluster come first.
 """
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -16,9 +17,11 @@ from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import turned_back
 from particlerb.case.schema import Case, Central
 from particlerb.case.wanted import FIELDS_OF_CONTACT
+from particlerb.contact.drives import Drives
 from particlerb.contact.laws import SHEAR_DAMPING, Law
-from particlerb.contact.loads import MOTION, Contact, Spheres
+from particlerb.contact.loads import Contact, Spheres
 from particlerb.contact.loads import Scene as Touchable
+from particlerb.contact.walls import numbers_of
 from particlerb.forces import N_NUMBERS, Forces, Load, acting_terms
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.pairs import Link, attracted, components, particles_of, tree_accuracy
@@ -253,18 +256,38 @@ def contact_among(
         touching.material[members][owner],
         np.searchsorted(owner, np.arange(members.size + 1)),
     )
-    motions = np.zeros((len(touching.motions), MOTION))
-    for row, one in zip(motions, touching.motions, strict=True):
-        row[:] = [*one.centre, *one.velocity, *one.angular_velocity, *one.amplitude, *one[4:]]
     material = touching.wall_material[touching.walls.wall]
     law = law_of(touching)
     pair_of = np.arange(k * k).reshape(k, k)
     skin = touching.skin or SKIN * float(radius.min())
     touchable = Touchable(
-        spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia
-    )
+        spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
+        drives_among(scene, members, touching),
+    )  # fmt: skip
+    motions = numbers_of(touching.motions)
     is_shown = any(name in FIELDS_OF_CONTACT for name in case.output.fields)
-    return Contact(touchable, motions, reach, skin, touching.skin is not None, is_shown)
+    is_fixed, pistons = touching.skin is not None, touching.pistons
+    return Contact(touchable, motions, reach, skin, is_fixed, is_shown, pistons)
+
+
+def drives_among(scene: Scene, members: Ints, touching: Touching) -> Drives | None:
+    """Bodies of a group that move as prescribed, if there are any."""
+    which = np.flatnonzero(np.isin(members, touching.driven))
+    if not which.size:
+        return None
+    own = members[which]
+    numbers = np.searchsorted(touching.driven, own)
+    motions = [touching.drives[k] for k in numbers]
+    at_start = np.array([math.sin(motion.phase) * np.array(motion.amplitude) for motion in motions])
+    bodies, state = scene.bodies, scene.state
+    return Drives(
+        which,
+        numbers_of(motions),
+        np.ascontiguousarray(state.com[:, own] - at_start.T),
+        np.ascontiguousarray(state.q[:, own]),
+        bodies.mass[own],
+        np.ascontiguousarray(bodies.inertia[:, own]),
+    )
 
 
 def law_of(touching: Touching) -> Law:

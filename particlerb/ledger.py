@@ -45,14 +45,18 @@ class Totals(NamedTuple):
 
 
 @inline
-def load_rows(frames: Frames, f: int, lo: int, local: Floats, n: int) -> None:
-    """Copy x, p, L, q of n bodies of a frame into rows, so that what follows fills SIMD lanes."""
+def load_rows(frames: Frames, f: int, lo: int, mass: Floats, local: Floats, n: int) -> None:
+    """Copy x, p, L, q of n bodies of a frame into rows, so that what follows fills SIMD lanes.
+
+    Momenta of bodies without mass, which are held, do not count.
+    """
     position, orientation, linear, angular, _, _ = frames
     for b in range(n):
+        is_free = mass[lo + b] > 0.0
         for c in range(3):
             local[c, b] = position[f, lo + b, c]
-            local[3 + c, b] = linear[f, lo + b, c]
-            local[6 + c, b] = angular[f, lo + b, c]
+            local[3 + c, b] = linear[f, lo + b, c] if is_free else 0.0
+            local[6 + c, b] = angular[f, lo + b, c] if is_free else 0.0
         for c in range(4):
             local[9 + c, b] = orientation[f, lo + b, c]
 
@@ -99,7 +103,7 @@ def sum_blocks(
         x, p, L = rows3(local[0:3], 0, n), rows3(local[3:6], 0, n), rows3(local[6:9], 0, n)
         q, frame = rows4(local[9:13], 0, n), rows4(rotor_frame, lo, hi)
         for f in range(sums.shape[0]):
-            load_rows(frames, f, lo, local, n)
+            load_rows(frames, f, lo, mass, local, n)
             momenta_rows(x, p, L, mass[lo:hi], inv_mass[lo:hi], g, out)
             add_turning(q, L, frame, rows3(inv_inertia, lo, hi), out[0, :n])
             for c in range(3):
@@ -113,7 +117,11 @@ def sum_blocks(
 
 
 def totals(
-    frames: Frames, bodies: Bodies, gravity: Floats, potential: Floats | float = 0.0
+    frames: Frames,
+    bodies: Bodies,
+    gravity: Floats,
+    potential: Floats | float = 0.0,
+    kinetic: Floats | float = 0.0,
 ) -> Totals:
     """Totals of frames.
 
@@ -124,14 +132,21 @@ def totals(
     gravity : ndarray, shape (3,)
         Its acceleration [m/s²].
     potential : ndarray, shape (T,)
-        Potential energy of forces between bodies [J].
+        Potential energy of forces between bodies, and of loads on pistons [J].
+    kinetic : ndarray, shape (T,)
+        Kinetic energy of pistons [J].
     """
     n, n_frames = bodies.mass.size, len(frames.position)
     blocks = np.empty((n_frames, -(-n // BLOCK), N_TOTALS))
     THREADS.spread(partial(sum_blocks, frames, bodies, gravity, blocks), n, n * n_frames)
     sums = blocks.sum(axis=1)
     return Totals(
-        sums[:, 0], sums[:, 1] + potential, sums[:, 2:5], sums[:, 5:8], sums[:, 8], sums[:, 9]
+        sums[:, 0] + kinetic,
+        sums[:, 1] + potential,
+        sums[:, 2:5],
+        sums[:, 5:8],
+        sums[:, 8],
+        sums[:, 9],
     )
 
 

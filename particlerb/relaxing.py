@@ -10,6 +10,7 @@ import numpy as np
 
 from particlerb._jit import kernel
 from particlerb.bodies.scene import Scene, assemble
+from particlerb.case.placement import first_bodies
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case
@@ -17,7 +18,7 @@ from particlerb.contact.search import Search
 from particlerb.contact.walls import Walls, WallSearch, poses_at, touch
 from particlerb.maths.vec3 import Floats, Ints, load3
 from particlerb.pairs import lengths
-from particlerb.touching import Contact, contact_of, spheres_of
+from particlerb.touching import Contact, contact_of, shift_of, spheres_of
 
 ROUNDS: Final = 2000  # at most
 LENGTHENED: Final = 1.5  # times the mean of all pushes on a body
@@ -32,12 +33,22 @@ def assembled(case: Case) -> Scene:
     CaseError
         As `assemble` and `contact_of`; and if bodies have too little room to be pushed apart.
     """
-    scene = assemble(case)
+    scene = displaced(case, assemble(case))
     if case.contact is None or not case.contact.relax:
         return scene
     contact = contact_of(case, scene)
     assert contact is not None
     com = pushed_apart(case, scene, contact)
+    return scene._replace(state=scene.state._replace(com=com))
+
+
+def displaced(case: Case, scene: Scene) -> Scene:
+    """Scene with driven bodies where their motion has them at t = 0."""
+    if all(body.motion is None for body in case.body):
+        return scene
+    com, first = scene.state.com.copy(), first_bodies(case)
+    for i, body in enumerate(case.body):
+        com[:, first[i] : first[i + 1]] += shift_of(body)[:, None]
     return scene._replace(state=scene.state._replace(com=com))
 
 

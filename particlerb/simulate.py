@@ -16,6 +16,7 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 
+from particlerb.bodies.bodies import Bodies
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames, State, as_frame, multiplied, room_for, turned_back
 from particlerb.case.schema import Case
@@ -25,7 +26,7 @@ from particlerb.ledger import Drift, Entries, Ledger, totals
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods import METHODS
 from particlerb.methods.dilute import DiluteMotion
-from particlerb.methods.motion import Motion, MotionError
+from particlerb.methods.motion import Group, Motion, MotionError
 from particlerb.methods.pair_forces import PairForces
 from particlerb.methods.saving import Saved, under, within
 from particlerb.methods.touching import TouchingMotion
@@ -62,6 +63,13 @@ class Probe(NamedTuple):
 
     time: float
     frame: Frames  # one row
+
+
+class Energies(NamedTuple):
+    """Energies beside those of the bodies themselves."""
+
+    potential: Floats  # (T,) [J] between bodies, of contacts, of loads on pistons
+    kinetic: Floats  # (T,) [J] of pistons
 
 
 class Outcome(NamedTuple):
@@ -182,9 +190,18 @@ class Traveller:
         """Motion of this segment from its first state."""
         segment = self.segment
         motion: Motion = METHODS[segment.method].begin(
-            self.plan.group(segment), self.first, segment.start, segment.dt, segment.tolerance
+            self.group(), self.first, segment.start, segment.dt, segment.tolerance
         )
         return motion
+
+    def group(self) -> Group:
+        """What the method needs for this segment; pistons go on from where they are."""
+        group = self.plan.group(self.segment)
+        before, contact = getattr(self, "motion", None), group.terms.contact
+        if not isinstance(before, TouchingMotion) or contact is None:
+            return group
+        contact = contact._replace(pistons=before.onwards())
+        return group._replace(terms=group.terms._replace(contact=contact))
 
     def cross(self) -> None:
         """Go from this segment into the next.
@@ -199,17 +216,20 @@ class Traveller:
         self.before[0] += self.potential(state.com, state.q)
         self.motion = self.begin(self.segment, state)
 
-    def record(self, times: Floats, frames: Frames) -> tuple[Floats, Floats]:
+    def record(self, times: Floats, frames: Frames) -> tuple[Floats, Energies]:
         """Write rows 0.. of the frames at ascending times.
 
         A frame at the instant of an edge shows the state after it.
 
         Returns
         -------
-        booked, potential : ndarray, shapes (T, 7) and (T,)
-            What was booked since t = 0, and the potential energy between bodies [J].
+        booked : ndarray, shape (T, 7)
+            What was booked since t = 0.
+        energies : Energies
+            Beside those of the bodies themselves.
         """
-        booked, potential = np.empty((times.size, 7)), np.zeros(times.size)
+        booked = np.empty((times.size, 7))
+        potential, kinetic = np.zeros(times.size), np.zeros(times.size)
         self.touches = {}
         done = 0
         while done < times.size:
@@ -223,11 +243,12 @@ class Traveller:
                     ]
                 if isinstance(self.motion, TOUCHING):
                     potential[rows] += self.motion.energies[rows]
+                    kinetic[rows] += self.motion.kinetic[rows]
                     self.touches |= self.motion.touches
                 done = until
             if done < times.size:
                 self.cross()
-        return booked, potential
+        return booked, Energies(potential, kinetic)
 
     def pose(self, frames: Frames, row: int) -> tuple[Floats, Floats]:
         """Centres of mass (3, n) and orientations of the rotor frames (4, n) in a frame."""
@@ -250,14 +271,9 @@ class Run:
             Traveller(group, State(*(a[:, group.members] for a in self.scene.state)))
             for group in plan.groups
         ]
-        self.ledger = Ledger(
-            totals(
-                initial,
-                self.scene.bodies,
-                self.gravity,
-                initial_potential(self.travellers, initial),
-            )
-        )
+        self.counted = counted(plan.groups, self.scene.bodies)
+        energies = initial_energies(self.travellers, initial)
+        self.ledger = Ledger(totals(initial, self.counted, self.gravity, *energies))
 
         self.n_frames = 0  # that lie behind
         self.probes: list[Probe] = []
@@ -299,13 +315,13 @@ class Run:
             self.room = room_for(times.size, len(self.scene.kind), self.last)
         frames = first_rows(self.room, times.size)
         frames.is_frame[:] = is_frame
-        booked, potential = record_all(self.travellers, times, frames)
-        now = totals(frames, self.scene.bodies, self.gravity, potential)
+        booked, energies = record_all(self.travellers, times, frames)
+        now = totals(frames, self.counted, self.gravity, *energies)
         is_finite = all(np.isfinite(total).all() for total in now)
         sound, error = self.sound_frames(times, frames, is_finite)
         if sound < times.size:
             frames = first_rows(frames, sound)
-            now = totals(frames, self.scene.bodies, self.gravity, potential[:sound])
+            now = totals(frames, self.counted, self.gravity, *(e[:sound] for e in energies))
         return frames, self.ledger.enter(now, booked[:sound]), error
 
     def touches(self, rows: Ints) -> list[Touches]:
@@ -355,23 +371,33 @@ class Run:
 
 def record_all(
     travellers: Sequence[Traveller], times: Floats, frames: Frames
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Energies]:
     """Sums over the groups of what `Traveller.record` returns."""
-    booked, potential = np.zeros((times.size, 7)), np.zeros(times.size)
+    booked, energies = np.zeros((times.size, 7)), np.zeros((2, times.size))
     for traveller in travellers:
         given, own = traveller.record(times, frames)
         booked += given
-        potential += own
-    return booked, potential
+        energies += own
+    return booked, Energies(*energies)
 
 
-def initial_potential(travellers: Sequence[Traveller], initial: Frames) -> Floats:
-    """Potential energy between bodies at t = 0, (1,) [J]."""
-    parts = [t.potential(*t.pose(initial, 0)) for t in travellers if t.pairs is not None]
-    parts += [
-        t.motion.elastic for t in travellers if isinstance(t.motion, (TouchingMotion, DiluteMotion))
-    ]
-    return np.array([sum(parts)])
+def initial_energies(travellers: Sequence[Traveller], initial: Frames) -> Energies:
+    """Energies at t = 0 beside those of the bodies themselves, (1,)."""
+    potential = [t.potential(*t.pose(initial, 0)) for t in travellers if t.pairs is not None]
+    touching = [t.motion for t in travellers if isinstance(t.motion, TOUCHING)]
+    potential += [motion.elastic for motion in touching]
+    kinetic = sum(motion.at_rest for motion in touching)
+    return Energies(np.array([sum(potential)]), np.array([kinetic]))
+
+
+def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
+    """Bodies as the ledger counts them: those that are held have no mass."""
+    mass, inv_mass = bodies.mass.copy(), bodies.inv_mass.copy()
+    for group in groups:
+        mass[group.members], inv_mass[group.members] = group.bodies.mass, group.bodies.inv_mass
+    return bodies._replace(
+        mass=mass, inv_mass=inv_mass, inv_inertia=bodies.inv_inertia * (mass > 0)
+    )
 
 
 def run_prepared(

@@ -16,12 +16,21 @@ import numpy as np
 from particlerb._jit import kernel
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import turned
-from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, MeshWall, Pair, PlaneWall
+from particlerb.case.contact import (
+    AnyWall,
+    BoxWall,
+    CylinderWall,
+    MeshWall,
+    Pair,
+    PlaneWall,
+    Prescribed,
+)
 from particlerb.case.contact import Contact as ContactTable
 from particlerb.case.placement import first_bodies, normalised, quaternion_of_euler
 from particlerb.case.problems import CaseError, Problem, nearest
 from particlerb.case.reader import problem_at
-from particlerb.case.schema import Case, Euler
+from particlerb.case.schema import Body, Case, Euler
+from particlerb.contact.pistons import Pistons
 from particlerb.contact.restitution import (
     damping_ratio,
     effective_modulus,
@@ -39,6 +48,7 @@ from particlerb.contact.walls import (
     poses_at,
     surface,
     touch,
+    unit,
 )
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, dot, load3, rows3
 from particlerb.pairs import and_more, is_among, lengths, particles_of, places
@@ -76,9 +86,12 @@ class Contact(NamedTuple):
     pairs: Pairs
     body: Ints  # (m,) bodies of the scene that may touch, ascending
     material: Ints  # (n_bodies,) code; NOTHING for the others
-    fixed: Bools  # (n_bodies,) whether a body stays where it is
+    fixed: Bools  # (n_bodies,) whether a body is held: it stays, or moves as prescribed
+    driven: Ints  # (n_driven,) bodies of the scene that move as prescribed, ascending,
+    drives: tuple[Motion, ...]  # (n_driven,) and how
     walls: Walls  # primitives of all walls
     motions: tuple[Motion, ...]  # (n_walls,)
+    pistons: Pistons | None  # walls that slide
     wall_names: tuple[str, ...]  # (n_walls,)
     wall_material: Ints  # (n_walls,) code
 
@@ -102,7 +115,8 @@ def contact_of(case: Case, scene: Scene) -> Contact | None:
     touches = np.array([body.contact for body in case.body])
     block = np.repeat(np.arange(len(case.body)), np.diff(first_bodies(case)))
     material = np.where(touches[block], code[block], NOTHING)
-    fixed = np.array([body.fixed for body in case.body])[block]
+    fixed = np.array([body.is_held for body in case.body])[block]
+    driven = np.flatnonzero([case.body[i].motion is not None for i in block])
     parts: list[Walls] = []
     for number, table in enumerate(case.wall):
         try:
@@ -129,8 +143,11 @@ def contact_of(case: Case, scene: Scene) -> Contact | None:
         body=np.flatnonzero(material != NOTHING),
         material=material,
         fixed=fixed,
+        driven=driven,
+        drives=tuple(drive_of(case.body[block[b]], scene.state.com[:, b]) for b in driven),
         walls=joined(parts),
-        motions=tuple(motion_of(table) for table in case.wall),
+        motions=tuple(motion_of(table.motion, middle(table)) for table in case.wall),
+        pistons=pistons_of(case),
         wall_names=tuple(table.name for table in case.wall),
         wall_material=wall_material,
     )
@@ -310,12 +327,11 @@ def wall_of(case: Case, number: int, table: AnyWall) -> Walls:
     return mesh_of(case, number, table)
 
 
-def motion_of(table: AnyWall) -> Motion:
-    """Motion of a wall about a centre, its own one where none is given."""
-    motion = table.motion
+def motion_of(motion: Prescribed | None, own: Vec3) -> Motion:
+    """Motion about a centre, one's own where none is given."""
     if motion is None:
-        return Motion()
-    centre = middle(table) if motion.centre is None else motion.centre
+        return Motion(own)
+    centre = own if motion.centre is None else motion.centre
     swing = motion.oscillation
     if swing is None:
         return Motion(centre, motion.velocity, motion.angular_velocity)
@@ -326,6 +342,46 @@ def motion_of(table: AnyWall) -> Motion:
         swing.amplitude,
         swing.frequency,
         swing.phase,
+    )
+
+
+def drive_of(body: Body, com: Floats) -> Motion:
+    """Motion of a driven body whose centre of mass is at `com` at t = 0, where it may be displaced.
+
+    Its centre is where it is not.
+    """
+    motion = motion_of(body.motion, (0.0, 0.0, 0.0))
+    if body.motion is None or body.motion.centre is not None:
+        return motion
+    x, y, z = com - shift_of(body)
+    return motion._replace(centre=(x, y, z))
+
+
+def shift_of(body: Body) -> Floats:
+    """Displacement of a driven body at t = 0 [m], by the phase of its oscillation."""
+    swing = None if body.motion is None else body.motion.oscillation
+    return np.zeros(3) if swing is None else math.sin(swing.phase) * np.array(swing.amplitude)
+
+
+def pistons_of(case: Case) -> Pistons | None:
+    """Walls that slide, if there are any."""
+    wall = [w for w, table in enumerate(case.wall) if table.piston is not None]
+    given = [table.piston for table in case.wall if table.piston is not None]
+    if not given:
+        return None
+    of_wall = np.full(len(case.wall), -1)
+    of_wall[wall] = np.arange(len(wall))
+    axis = np.array([unit(one.axis) for one in given])
+    mass = np.array([one.mass for one in given])
+    g = np.array(case.gravity.acceleration if case.gravity else (0.0, 0.0, 0.0))
+    return Pistons(
+        np.array(wall),
+        of_wall,
+        axis,
+        mass,
+        np.array([one.load for one in given]) + mass * (axis @ g),
+        np.array([one.limits or (-np.inf, np.inf) for one in given]),
+        np.array([[0.0, one.velocity] for one in given]),
     )
 
 

@@ -334,7 +334,7 @@ def test_walls_are_their_primitives_one_after_another(make):
     assert found.walls.parameter[0, :6] == pytest.approx([1, -2, 0, 0, 0.6, 0.8], abs=1e-15)
     disc = found.walls.parameter[(found.walls.kind == DISC)][0]
     assert disc[1] == pytest.approx(9.0)  # the closed end is the one along the axis
-    assert found.motions == (Motion(),) * 3
+    assert found.motions == (Motion((1, -2, 0)), Motion((0, 0, 1)), Motion())
 
 
 def test_a_wall_turns_about_its_own_centre_unless_told_otherwise(make):

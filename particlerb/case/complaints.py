@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from pydantic_core import ErrorDetails
 
-from particlerb.case.contact import WALLS, Contact, Material, Oscillation, Pair, WallMotion
+from particlerb.case.contact import WALLS, Contact, Material, Oscillation, Pair, Piston, Prescribed
 from particlerb.case.problems import Path, nearest, shown
 from particlerb.case.schema import (
     FORCES,
@@ -181,7 +181,7 @@ FAMILIES = {"shape": SHAPES, "place": PLACES, "force": FORCES, "wall": WALLS}
 TABLES: dict[str, type[Table]] = {
     "": Case, "run": Run, "gravity": Gravity, "attraction": Attraction, "body": Body, "part": Part,
     "output": Output, "check": Check, "value": CheckValue, "orientation": Euler,
-    "contact": Contact, "pair": Pair, "material": Material, "motion": WallMotion,
+    "contact": Contact, "pair": Pair, "material": Material, "motion": Prescribed, "piston": Piston,
     "oscillation": Oscillation,
 }  # fmt: skip
 

@@ -36,6 +36,7 @@ NAME = "Unique name. [-]"
 MATERIAL = "Name of a [[material]]; default: the only one. [-]"
 INSIDE = "Whether all bodies are inside at t = 0, or anywhere. [-]"
 MOTION = "How it moves; default: not at all. [-]"
+PISTON = "How it slides under a load; default: it does not. [-]"
 
 
 class Material(Table):
@@ -95,13 +96,13 @@ class Oscillation(Table):
     phase: Real = Field(0.0, description="Phase φ. [rad]")
 
 
-class WallMotion(Table):
-    """Motion of a wall, whatever touches it: it turns about a centre that moves."""
+class Prescribed(Table):
+    """Motion of a wall or a body, whatever touches it: it turns about a centre that moves."""
 
     velocity: Vector = Field(ORIGIN, description="Of the centre, world frame. [m/s]")
     angular_velocity: Vector = Field(ORIGIN, description="World frame. [rad/s]")
     centre: Vector | None = Field(
-        None, description="Point of the axis at t = 0, world frame; default: the wall's own. [m]"
+        None, description="Point of the axis at t = 0, world frame; default: its own. [m]"
     )
     oscillation: Oscillation | None = Field(
         None, description="Added to the motion of the centre; default: none. [-]"
@@ -125,6 +126,26 @@ def once(faces: tuple[str, ...]) -> tuple[str, ...]:
 Direction = Annotated[Vector, AfterValidator(direction)]
 
 
+class Piston(Table):
+    """A wall with a mass that slides along an axis: under a load, its weight and contacts."""
+
+    mass: Positive = Field(description="Mass, which is pulled by [gravity] as well. [kg]")
+    axis: Direction = Field(description="Along which it slides, world frame, of any length. [-]")
+    load: Real = Field(0.0, description="Constant force along the axis. [N]")
+    velocity: Real = Field(0.0, description="Along the axis, at t = 0. [m/s]")
+    limits: Annotated[tuple[Real, Real], entries(2)] | None = Field(
+        None, description="Least and largest displacement; default: none. [m]"
+    )
+
+    @model_validator(mode="after")
+    def has_room(self) -> Self:
+        """Require limits around 0, where it starts."""
+        low, high = self.limits or (-1.0, 1.0)
+        if not low <= 0.0 <= high or low == high:
+            raise broken(f"must be below and above 0, got [{low!r}, {high!r}]", "limits")
+        return self
+
+
 class PlaneWall(Table):
     """A plane; bodies are on the side to which its normal points."""
 
@@ -133,7 +154,8 @@ class PlaneWall(Table):
     point: Vector = Field(ORIGIN, description="Any of its points, world frame. [m]")
     normal: Direction = Field(description="Towards the bodies, of any length. [-]")
     material: Name | None = Field(None, description=MATERIAL)
-    motion: WallMotion | None = Field(None, description=MOTION)
+    motion: Prescribed | None = Field(None, description=MOTION)
+    piston: Piston | None = Field(None, description=PISTON)
 
 
 class BoxWall(Table):
@@ -148,7 +170,8 @@ class BoxWall(Table):
     )
     inside: Yes = Field(True, description=INSIDE)
     material: Name | None = Field(None, description=MATERIAL)
-    motion: WallMotion | None = Field(None, description=MOTION)
+    motion: Prescribed | None = Field(None, description=MOTION)
+    piston: Piston | None = Field(None, description=PISTON)
 
     @model_validator(mode="after")
     def is_box(self) -> Self:
@@ -177,7 +200,8 @@ class CylinderWall(Table):
     )
     inside: Yes = Field(True, description=INSIDE)
     material: Name | None = Field(None, description=MATERIAL)
-    motion: WallMotion | None = Field(None, description=MOTION)
+    motion: Prescribed | None = Field(None, description=MOTION)
+    piston: Piston | None = Field(None, description=PISTON)
 
 
 class MeshWall(Table):
@@ -193,7 +217,8 @@ class MeshWall(Table):
         description="File to world axes: quaternion or { euler_deg = [..] }. [-]",
     )
     material: Name | None = Field(None, description=MATERIAL)
-    motion: WallMotion | None = Field(None, description=MOTION)
+    motion: Prescribed | None = Field(None, description=MOTION)
+    piston: Piston | None = Field(None, description=PISTON)
 
 
 AnyWall = PlaneWall | BoxWall | CylinderWall | MeshWall

@@ -58,7 +58,7 @@ def findings(raw: dict[str, Any], folder: FilePath) -> Iterator[Finding]:
     yield from contact_rules(raw)
     for i, body in tables(raw, "body"):
         yield from body_rules(("body", i), body)
-        yield from fixed_rules(("body", i), body, raw)
+        yield from held_rules(("body", i), body, raw)
         yield from many_bodies(("body", i), body)
         yield from shapes(("body", i), body, folder)
     for i, wall in tables(raw, "wall"):
@@ -268,28 +268,36 @@ def number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[Fi
         yield (*path, "restitution"), reason, "give a small number, or contact.attract = true"
 
 
-def fixed_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterator[Finding]:
-    """A fixed body is an obstacle of contact, and neither moves nor is pulled."""
-    if body.get("fixed") is not True:
+def held_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterator[Finding]:
+    """A body that is fixed or driven is an obstacle of contact: it is not moved nor pulled."""
+    is_driven = isinstance(body.get("motion"), dict)
+    if body.get("fixed") is not True and not is_driven:
         return
+    key, is_held = ("motion", "driven") if is_driven else ("fixed", "fixed")
+    if is_driven and body.get("fixed") is True:
+        yield (*path, "fixed"), "given beside motion", "give one of them"
     if raw.get("contact") is None:
-        yield (*path, "fixed"), "a fixed body is an obstacle of [contact], which is not there", ""
+        reason = f"a {is_held} body is an obstacle of [contact], which is not there"
+        yield (*path, key), reason, ""
     if body.get("contact") is False:
-        yield (*path, "contact"), "a fixed body that nothing touches has no effect", "leave it out"
+        reason = f"a {is_held} body that nothing touches has no effect"
+        yield (*path, "contact"), reason, "leave it out"
     for key in ("velocity", "angular_velocity"):
         if given(body, key) and not is_origin(body[key]):
-            yield (*path, key), "a fixed body does not move", "leave it out"
+            reason = "a fixed body does not move"
+            reason = "a driven body has its velocities in motion" if is_driven else reason
+            yield (*path, key), reason, "leave it out"
     name = body.get("name")
-    hint = "leave the fixed body out; a spring has `anchor` for the world"
+    hint = f"leave the {is_held} body out; a spring has `anchor` for the world"
     for i, force in tables(raw, "force"):
         for key in ("body", "to"):
             if isinstance(name, str) and name in bases(force.get(key)):
-                yield ("force", i, key), f"{name} is fixed: no force acts on it", hint
+                yield ("force", i, key), f"{name} is {is_held}: no force acts on it", hint
     attraction = raw.get("attraction")
     if isinstance(attraction, dict) and isinstance(name, str):
         named = attraction.get("body")
         if named is None or name in bases(named):
-            reason = f"{name} is fixed: it takes no part in attraction"
+            reason = f"{name} is {is_held}: it takes no part in attraction"
             yield ("attraction", "body"), reason, "name the others"
 
 

@@ -20,7 +20,7 @@ from pydantic import (
     model_validator,
 )
 
-from particlerb.case.contact import Contact, Material, Wall, Yes
+from particlerb.case.contact import Contact, Material, Prescribed, Wall, Yes
 from particlerb.case.shapes import Shape, Sphere, as_points
 from particlerb.case.source import Source
 from particlerb.case.values import (
@@ -292,11 +292,19 @@ class Body(Table):
     )
     contact: Yes = Field(True, description="Whether it touches others where [contact] is. [-]")
     fixed: Yes = Field(False, description="Whether it stays where it is: an obstacle. [-]")
+    motion: Prescribed | None = Field(
+        None, description="How it moves, whatever touches it; default: freely. [-]"
+    )
 
     @model_validator(mode="after")
     def with_particles(self) -> Self:
         """A sphere as the one particle that it is."""
         return self.model_copy(update=particles_of(self))
+
+    @property
+    def is_held(self) -> bool:
+        """Whether nothing can push it: it is fixed, or moves as prescribed."""
+        return self.fixed or self.motion is not None
 
 
 def is_interval(value: tuple[float, float]) -> tuple[float, float]:

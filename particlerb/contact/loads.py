@@ -13,6 +13,7 @@ import numpy as np
 
 from particlerb._jit import inline, kernel
 from particlerb.bodies.load import FORCE, OTHER, OUTSIDE, POWER, TORQUE
+from particlerb.contact.drives import Drives
 from particlerb.contact.laws import (
     Law,
     Touch,
@@ -21,7 +22,9 @@ from particlerb.contact.laws import (
     rolling_torque,
     turned_spring,
 )
-from particlerb.contact.walls import Motion, Walls, pose_at
+from particlerb.contact.pistons import PUSH, Pistons
+from particlerb.contact.pistons import REST as BESIDE
+from particlerb.contact.walls import Walls, motion_in, pose_at
 from particlerb.contact.walls import touch as touch_wall
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import (
@@ -56,7 +59,7 @@ DRIVEN: Final = 10  # power of the elastic force on a wall that moves [W]
 TWIST: Final = 11  # and torque against rolling on the first [N m]
 DONE: Final = 14
 MOTION: Final = 14
-POSE: Final = 13
+POSE: Final = 16
 UNIT: Final = 256  # contacts, or bodies, a kernel takes at a time
 
 
@@ -90,6 +93,7 @@ class Scene(NamedTuple):
     walls: Walls
     inv_mass: Floats  # (n_bodies,) [1/kg]
     inv_inertia: Floats  # (3, n_bodies) [1/(kg m²)], rotor frame
+    drives: Drives | None = None  # bodies that move as prescribed
 
 
 class Contact(NamedTuple):
@@ -101,13 +105,14 @@ class Contact(NamedTuple):
     skin: float  # [m] pairs nearer than this are kept, at first
     is_fixed: bool  # whether the skin stays so
     is_shown: bool  # whether frames show who touches whom
+    pistons: Pistons | None = None  # walls that slide under a load
 
 
 class Room(NamedTuple):
     """What an evaluation writes."""
 
     place: Floats  # (n_spheres, 4) [m] centre and radius
-    poses: Floats  # (n_walls, POSE)
+    poses: Floats  # (n_walls, POSE) as `walls.poses_at`; and of pistons the axis over √M
     bodies: Floats  # (n_bodies, BODY_COLUMNS)
 
 
@@ -149,11 +154,13 @@ def place_bodies(
         R = matrix((y[3, b], y[4, b], y[5, b], y[6, b]))
         p = (y[7, b], y[8, b], y[9, b])
         L = (y[10, b], y[11, b], y[12, b])
-        p = add_scaled(ahead, subtract(p, (last[0, b], last[1, b], last[2, b])), p)
-        L = add_scaled(ahead, subtract(L, (last[3, b], last[4, b], last[5, b])), L)
-        inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
         put_column(bodies, b, COM, x)
-        v, omega = scale(inv_mass[b], p), turn(R, multiplied3(inverse, turn_back(R, L)))
+        v, omega = p, L  # of bodies that are held: see `drives`
+        if inv_mass[b] > 0.0:
+            p = add_scaled(ahead, subtract(p, (last[0, b], last[1, b], last[2, b])), p)
+            L = add_scaled(ahead, subtract(L, (last[3, b], last[4, b], last[5, b])), L)
+            inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
+            v, omega = scale(inv_mass[b], p), turn(R, multiplied3(inverse, turn_back(R, L)))
         put_column(bodies, b, VELOCITY, v)
         put_column(bodies, b, SPIN, omega)
         bodies[b, INV_MASS] = inv_mass[b]
@@ -168,11 +175,7 @@ def place_bodies(
 def put_poses(motions: Floats, t: float, poses: Floats) -> None:
     """Write the poses of all walls at a time, (n_walls, POSE): see `walls.touch`."""
     for w in range(motions.shape[0]):
-        motion = Motion(
-            column(motions, w, 0), column(motions, w, 3), column(motions, w, 6),
-            column(motions, w, 9), motions[w, 12], motions[w, 13],
-        )  # fmt: skip
-        x, q, v, omega = pose_at(motion, t)
+        x, q, v, omega = pose_at(motion_in(motions, w), t)
         put_column(poses, w, 0, x)
         poses[w, 3], poses[w, 4], poses[w, 5], poses[w, 6] = q
         put_column(poses, w, 7, v)
@@ -317,17 +320,27 @@ def touch_spheres(
         normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
         delta = reach - distance
         point = add_scaled(place[i, 3] - 0.5 * delta, normal, x)
-        second = velocity(bodies, b, point)
-        relative = subtract(velocity(bodies, a, point), second)
+        v_a, v_b = velocity(bodies, a, point), velocity(bodies, b, point)
+        relative, drift = subtract(v_a, v_b), drift_of(scene.drives, bodies, a, b, v_a, v_b)
         turning = subtract(column(bodies, a, SPIN), column(bodies, b, SPIN))
         total = bodies[a, INV_MASS] + bodies[b, INV_MASS]
         m_eff = 1.0 / total if total > 0.0 else 0.0
         r_eff = place[i, 3] * place[j, 3] / reach
         pair = pair_of[material[i], material[j]]
         act(
-            law, pair, contacts, c, delta, normal, point, relative, turning, (0.0, 0.0, 0.0), m_eff,
-            r_eff, before, after,
+            law, pair, contacts, c, delta, normal, point, relative, turning, drift, m_eff, r_eff,
+            before, after,
         )  # fmt: skip
+
+
+@inline
+def drift_of(drives: Drives | None, bodies: Floats, a: int, b: int, v_a: Vec3, v_b: Vec3) -> Vec3:
+    """Velocity of the point of a held body: of b, or the opposite of that of a; else zero."""
+    if drives is None:
+        return 0.0, 0.0, 0.0
+    if bodies[b, INV_MASS] == 0.0:
+        return v_b
+    return scale(-1.0, v_a) if bodies[a, INV_MASS] == 0.0 else (0.0, 0.0, 0.0)
 
 
 @inline
@@ -367,7 +380,8 @@ def touch_walls(
         delta = radius - distance
         normal = scale(-1.0 / distance, gap) if distance > 0.0 else (0.0, 0.0, 1.0)
         point = add_scaled(radius - 0.5 * delta, normal, x)
-        omega = column(poses, scene.walls.wall[primitive], 10)
+        w = walls.wall[primitive]
+        omega = column(poses, w, 10)
         moving = add_scaled(1.0, cross(omega, add_scaled(1.0, gap, subtract(point, x))), moving)
         relative = subtract(velocity(bodies, a, point), moving)
         turning = subtract(column(bodies, a, SPIN), omega)
@@ -375,7 +389,7 @@ def touch_walls(
             if contacts.acts[c]:
                 forget(contacts, c)
             continue
-        inverse = bodies[a, INV_MASS]
+        inverse = bodies[a, INV_MASS] + dot(normal, column(poses, w, 13)) ** 2
         m_eff = 1.0 / inverse if inverse > 0.0 else 0.0
         pair = pair_of[material[i], scene.wall_material[primitive]]
         act(
@@ -460,6 +474,21 @@ def collect(
             load[OUTSIDE + k, b] += world[k]
             load[OUTSIDE + 3 + k, b] += about[k]
         load[POWER, b] += power
+
+
+@inline
+def press(pistons: Pistons | None, slides: Floats, contacts: Contacts, wall: Ints) -> None:
+    """Sum what contacts do to walls that slide, along their axes."""
+    if pistons is None:
+        return
+    for k in range(slides.shape[0]):
+        slides[k, PUSH], slides[k, BESIDE] = 0.0, 0.0
+    for c in range(contacts.second.size):
+        k = pistons.of_wall[wall[contacts.second[c]]]
+        if k >= 0 and contacts.acts[c]:
+            a = pistons.axis[k, 0], pistons.axis[k, 1], pistons.axis[k, 2]
+            slides[k, PUSH] -= dot(a, column(contacts.done, c, ELASTIC))
+            slides[k, BESIDE] -= dot(a, column(contacts.done, c, REST))
 
 
 @kernel

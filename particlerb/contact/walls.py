@@ -303,6 +303,25 @@ def touch(walls: Walls, poses: Floats, p: int, x: Vec3) -> tuple[Vec3, Vec3]:
 
 
 @inline
+def motion_in(rows: Floats, k: int) -> Motion:
+    """Motion from the numbers of a row."""
+    return Motion(
+        (rows[k, 0], rows[k, 1], rows[k, 2]),
+        (rows[k, 3], rows[k, 4], rows[k, 5]),
+        (rows[k, 6], rows[k, 7], rows[k, 8]),
+        (rows[k, 9], rows[k, 10], rows[k, 11]),
+        rows[k, 12],
+        rows[k, 13],
+    )
+
+
+def numbers_of(motions: Sequence[Motion]) -> Floats:
+    """Numbers of motions, (n, 14), for `motion_in`."""
+    rows = [[*m.centre, *m.velocity, *m.angular_velocity, *m.amplitude, *m[4:]] for m in motions]
+    return np.array(rows, dtype=np.float64).reshape(len(rows), 14)
+
+
+@inline
 def pose_at(motion: Motion, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]:
     """Pose of a wall's frame at a time, in closed form.
 

@@ -20,13 +20,13 @@ from particlerb.bodies.state import Frames, State
 from particlerb.contact.loads import Contact
 from particlerb.contact.search import Search, has_moved
 from particlerb.contact.touches import Touches, nothing_touches
-from particlerb.contact.walls import WallSearch, farthest_way, poses_at
+from particlerb.contact.walls import WallSearch, farthest_way, motion_in, poses_at
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods.coupled import Stages
 from particlerb.methods.exact import FreeMotion
 from particlerb.methods.motion import Group, Motion, Together
 from particlerb.methods.saving import Saved, filled, flat, under, within
-from particlerb.methods.touching import Kept, Kernels, TouchingMotion, motion_of
+from particlerb.methods.touching import Kept, Kernels, TouchingMotion
 from particlerb.terms import Terms, terms_on
 
 LEAST_BODIES: Final = 300  # below, to begin an interval costs more than to step all
@@ -44,7 +44,9 @@ def can_fly(terms: Terms, n: int) -> bool:
         terms.push, terms.follower, terms.torque, terms.drag, terms.spring, terms.central,
         terms.links, terms.attraction,
     )  # fmt: skip
-    return n >= LEAST_BODIES and all(term is None for term in others)
+    contact = terms.contact
+    is_moved = contact is not None and (contact.pistons or contact.scene.drives) is not None
+    return n >= LEAST_BODIES and not is_moved and all(term is None for term in others)
 
 
 class Interval:
@@ -117,9 +119,10 @@ class DiluteMotion:
         self.bodies = Search(self.bound, np.arange(n))
         self.walls = WallSearch(contact.scene.walls, self.bound)
         self.no_reach = np.zeros(n)  # a sphere around a body does not move when it turns
-        self.wall_motions = [motion_of(row) for row in contact.motions.tolist()]
+        self.wall_motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         whole = TouchingMotion(kernels, stages, cost, group, state, start, dt)
         self.elastic, self.energies = whole.elastic, np.zeros(0)
+        self.at_rest, self.kinetic = 0.0, np.zeros(0)  # [J] of pistons, of which there are none
         self.touches: dict[int, Touches] = {}
         self.state = state
         self.next: tuple[State, Floats, Kept] | None = None  # at the end of the interval
@@ -233,6 +236,7 @@ class DiluteMotion:
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         self.energies, self.touches = np.zeros(frames.position.shape[0]), {}
+        self.kinetic = np.zeros_like(self.energies)
         booked = np.empty((times.size, 7))
         done = 0
         while done < times.size:

@@ -15,7 +15,9 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb._jit import inline, kernel, kernel_from
+from particlerb.bodies.block import COM, L, P, Q, put3, put4
 from particlerb.bodies.state import Frames, State
+from particlerb.contact.drives import Drives, drive, driven_pose, momenta
 from particlerb.contact.loads import (
     BEFORE,
     BODY_COLUMNS,
@@ -27,6 +29,7 @@ from particlerb.contact.loads import (
     collect,
     no_contacts,
     place_bodies,
+    press,
     put_poses,
     stored_energy,
     touch_spheres,
@@ -34,9 +37,24 @@ from particlerb.contact.loads import (
     units_of,
 )
 from particlerb.contact.loads import Scene as Touchable
+from particlerb.contact.pistons import (
+    BOOKED,
+    PLACE,
+    SEEN,
+    SLIDE,
+    SPEED,
+    THEN,
+    Pistons,
+    energies_of,
+    have_slid,
+    kick_pistons,
+    put_pistons,
+    slide_pistons,
+    slides_of,
+)
 from particlerb.contact.search import Search, carry_over, has_moved, incidence, keys_of
 from particlerb.contact.touches import Touches, moved, rows_of, touches_of
-from particlerb.contact.walls import Motion, WallSearch, farthest_way
+from particlerb.contact.walls import WallSearch, farthest_way, motion_in
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods.coupled import (
     CoupledMotion,
@@ -86,6 +104,7 @@ class Memory(NamedTuple):
     last: Floats  # (6, n) momenta of the drift before the last kick
     times: Floats  # (4,) [s] last kick; time on the grid; start; time until which lists hold
     then: Floats  # (13, n) states when the lists were made
+    slides: Floats  # (k, SLIDE) of pistons
 
 
 class Place(NamedTuple):
@@ -183,10 +202,28 @@ def recall(contacts: Contacts) -> None:
         contacts.acts[c] = contacts.acts[c] or contacts.kept[c, BEFORE] > 0.0
 
 
+@inline
+def put_driven(drives: Drives | None, t: float, blocks: Floats, layout: Layout) -> None:
+    """Write driven bodies into their blocks, as others are there: with momenta."""
+    if drives is None:
+        return
+    for k in range(drives.which.size):
+        b, block = drives.which[k], 0
+        while b >= layout.first[block] + layout.size[block]:
+            block += 1
+        rows, slot = blocks[block], b - layout.first[block]
+        x, q, v, omega = driven_pose(drives, k, t)
+        p, spin = momenta(drives, k, q, v, omega)
+        put3(rows, COM, slot, x)
+        put4(rows, Q, slot, q)
+        put3(rows, P, slot, p)
+        put3(rows, L, slot, spin)
+
+
 EDGE: Final = 0.5
 
 
-def advance_touching(  # noqa: PLR0915
+def advance_touching(  # noqa: PLR0912, PLR0915
     blocks: Floats,
     layout: Layout,
     acting: Acting,
@@ -203,13 +240,14 @@ def advance_touching(  # noqa: PLR0915
     frames: Frames,
     sums: Floats,
     elastic: Floats,
-    saved: tuple[Floats, Floats, Floats, Floats],
+    pressed: Floats,
+    saved: tuple[Floats, Floats, Floats, Floats, Floats],
 ) -> tuple[int, int, float]:
     """Take a group through a schedule until its lists have to be made anew; where it is then."""
     dt, _, steps, rest, frame = schedule
     links, attraction, work, with_dashpots, y, load, _ = pairs
-    scene, motions, reach, skin, _, _ = contact
-    last, times, then = memory
+    scene, motions, reach, skin, _, _, pistons = contact
+    last, times, then, slides = memory
     allowance = 0.5 * SLACK * skin
     first_stop, first_step, is_open = place
     for s in range(first_stop, steps.size):
@@ -223,21 +261,29 @@ def advance_touching(  # noqa: PLR0915
                 h = rest[s]
             if h > 0.0:
                 gather(blocks, layout, y)
+                drive(scene.drives, times[2] + times[1], y)
                 if has_moved(then, y, reach, allowance) or times[1] >= times[3]:
+                    return s, i, is_open
+                if have_slid(pistons, slides, allowance):
                     return s, i, is_open
             if i == steps[s]:
                 copy_blocks(blocks, saved[0], layout)
                 copied(last, saved[1])
                 copied(lists.spheres.kept, saved[2])
                 copied(lists.walls.kept, saved[3])
+                copied(slides, saved[4])
                 kicked, was_open = times[0], is_open
             if h > 0.0:
                 pair_loads(links, attraction, work, with_dashpots, y, load)
                 put_poses(motions, times[2] + times[1], room.poses)
                 before, kick = is_open / EDGE, is_open + EDGE * h
                 ahead = is_open / times[0] if times[0] > 0.0 else 0.0
+                put_pistons(pistons, slides, ahead, room.poses)
                 contact_loads(scene, room, lists, y, last, ahead, before, h, load)
                 remember(y, last)
+                press(pistons, slides, lists.walls, scene.walls.wall)
+                kick_pistons(pistons, slides, is_open, EDGE * h, True)
+                slide_pistons(pistons, slides, h)
                 times[0] = kick
                 scatter(load, blocks, layout, PAIR, 0)
                 move(blocks, layout, acting, books, 0, kick, h)
@@ -245,22 +291,31 @@ def advance_touching(  # noqa: PLR0915
                 if i < steps[s]:
                     times[1] += dt
         if frame[s] != PAUSE and is_open > 0.0:
-            gather(blocks, layout, y)
-            pair_loads(links, attraction, work, with_dashpots, y, load)
             partial_step = rest[s] if frame[s] >= 0 else 0.0
+            gather(blocks, layout, y)
+            drive(scene.drives, times[2] + times[1] + partial_step, y)
+            pair_loads(links, attraction, work, with_dashpots, y, load)
             put_poses(motions, times[2] + times[1] + partial_step, room.poses)
             before = is_open / EDGE
             ahead = is_open / times[0] if times[0] > 0.0 else 0.0
+            put_pistons(pistons, slides, ahead, room.poses)
             contact_loads(scene, room, lists, y, last, ahead, before, 0.0, load)
             scatter(load, blocks, layout, PAIR, 0)
             close_blocks(blocks, layout, acting, books, is_open, 0, len(blocks))
+            press(pistons, slides, lists.walls, scene.walls.wall)
+            kick_pistons(pistons, slides, is_open, 0.0, False)
+        if frame[s] != PAUSE:
+            partial_step = rest[s] if frame[s] >= 0 else 0.0
+            put_driven(scene.drives, times[2] + times[1] + partial_step, blocks, layout)
         if frame[s] >= 0:
+            copied(slides, pressed[frame[s]])
             elastic[frame[s]] = stored_energy(lists.spheres) + stored_energy(lists.walls)
             store_blocks(blocks, layout, books, rotor_frame, members, frames, sums, frame[s])
             copy_blocks(saved[0], blocks, layout)
             copied(saved[1], last)
             copied(saved[2], lists.spheres.kept)
             copied(saved[3], lists.walls.kept)
+            copied(saved[4], slides)
             recall(lists.spheres)
             recall(lists.walls)
             times[0], is_open = kicked, was_open
@@ -286,12 +341,6 @@ def kernels_of(name: str, stages: Stages) -> Kernels:
     names = advance_touching.__globals__ | own
     spread: Any = FunctionType(advance_touching.__code__, names, f"{name}_touching_spread")
     return Kernels(compiled, spread)
-
-
-def motion_of(row: list[float]) -> Motion:
-    """Motion of a wall from its numbers."""
-    centre, velocity, omega, amplitude = ((row[k], row[k + 1], row[k + 2]) for k in (0, 3, 6, 9))
-    return Motion(centre, velocity, omega, amplitude, row[12], row[13])
 
 
 Kept: TypeAlias = Sequence[tuple[Ints, Floats]]  # keys of contacts, and what these keep
@@ -345,11 +394,13 @@ class TouchingMotion(CoupledMotion):
         self.radius = np.full(n, np.inf)
         np.minimum.at(self.radius, spheres.body, spheres.radius)
         self.walls = WallSearch(contact.scene.walls, spheres.radius)
-        self.motions = [motion_of(row) for row in contact.motions.tolist()]
+        self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         room = np.zeros((len(self.motions), POSE))
         self.room = Room(np.zeros((n_spheres, 4)), room, np.zeros((n, BODY_COLUMNS)))
         y = np.vstack(state)
-        self.memory = Memory(y[7:].copy(), np.array([0.0, 0.0, start, np.inf]), y.copy())
+        drive(contact.scene.drives, start, y)
+        slides = slides_of(contact.pistons)
+        self.memory = Memory(y[7:].copy(), np.array([0.0, 0.0, start, np.inf]), y.copy(), slides)
         self.origin, self.farthest = y[:3].copy(), 0.0  # [m] way of a body so far, at new lists
         self.least_skin, self.made = contact.skin, 0.0
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
@@ -362,6 +413,10 @@ class TouchingMotion(CoupledMotion):
         self.elastic = self.evaluate(y)
         self.energies = np.zeros(0)  # [J] elastic energy in the frames of the last `record`
         self.touches: dict[int, Touches] = {}  # in its frames, where they are asked for
+        self.slides = np.zeros((0, len(slides), SLIDE))  # of pistons in its frames
+        self.kinetic = np.zeros(0)  # [J] energy of pistons in its frames
+        self.at_rest = energies_of(contact.pistons, slides)[0]  # [J] the same at the start
+        self.elastic += energies_of(contact.pistons, slides)[1]
 
     def make_lists(self, y: Floats) -> None:
         """Pairs that may touch until a body has moved by half the skin."""
@@ -379,7 +434,8 @@ class TouchingMotion(CoupledMotion):
         first, second, _ = self.search.pairs(points, contact.skin)
         first, second = first.copy(), second.copy()
         _, time, start, _ = self.memory.times
-        put_poses(contact.motions, start + time, self.room.poses)
+        self.put_walls(start + time)
+        self.memory.slides[:, THEN] = self.memory.slides[:, PLACE]
         ahead, way = self.walls_ahead(points)
         self.memory.times[3] = time + ahead
         sphere, primitive, _ = self.walls.pairs(points, self.room.poses, contact.skin + way)
@@ -410,7 +466,8 @@ class TouchingMotion(CoupledMotion):
 
     def refuse_tunnelling(self, y: Floats) -> None:
         """Raise MotionError where a body moves by more than its own radius in a step."""
-        speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * self.contact.scene.inv_mass
+        inverse = self.contact.scene.inv_mass  # held bodies have velocities in place of momenta
+        speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * np.where(inverse > 0.0, inverse, 1.0)
         fast = np.flatnonzero(speed * self.dt > self.radius)
         if fast.size:
             b = int(fast[np.argmax(speed[fast])])
@@ -425,12 +482,14 @@ class TouchingMotion(CoupledMotion):
     def walls_ahead(self, points: Floats) -> tuple[float, float]:
         """How long lists hold as walls move [s], and how far these may move until then [m]."""
         steps, skin = MOST_STEPS_AHEAD, self.contact.skin
-        if not any(any(row) for row in self.contact.motions.tolist()):
-            return np.inf, 0.0
+        sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
+        if not any(any(row[3:]) for row in self.contact.motions.tolist()):
+            return np.inf, sliding
         extent = float(np.abs(points - self.room.poses[:, :3].mean(axis=0)[:, None]).max())
         while steps > 1 and farthest_way(self.motions, steps * self.dt, 2.0 * extent) > skin:
             steps //= 2
-        return steps * self.dt, farthest_way(self.motions, (steps + 1) * self.dt, 2.0 * extent)
+        way = farthest_way(self.motions, (steps + 1) * self.dt, 2.0 * extent)
+        return steps * self.dt, way + sliding
 
     def carried(
         self, which: int, old: Contacts, first: Ints, second: Ints, other: Ints, near: Bools
@@ -476,7 +535,7 @@ class TouchingMotion(CoupledMotion):
         """Elastic energy in a state at the start [J]."""
         contact, lists = self.contact, self.lists
         kept = lists.spheres.kept.copy(), lists.walls.kept.copy()
-        put_poses(contact.motions, self.memory.times[2], self.room.poses)
+        self.put_walls(self.memory.times[2])
         load = np.zeros_like(self.forces.pairs.load)
         contact_loads_over_threads(
             contact.scene, self.room, lists, y, self.memory.last, 0.0, 0.0, 0.0, load
@@ -484,10 +543,36 @@ class TouchingMotion(CoupledMotion):
         lists.spheres.kept[:], lists.walls.kept[:] = kept
         return float(stored_energy(lists.spheres) + stored_energy(lists.walls))
 
+    def put_walls(self, t: float) -> None:
+        """Poses of all walls at a time, those of pistons as they are now."""
+        put_poses(self.contact.motions, t, self.room.poses)
+        put_pistons(self.contact.pistons, self.memory.slides, 0.0, self.room.poses)
+
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
-        self.energies, self.touches = np.zeros(frames.position.shape[0]), {}
-        return super().record(times, rows, frames)
+        n, pistons = frames.position.shape[0], self.contact.pistons
+        self.energies, self.kinetic, self.touches = np.zeros(n), np.zeros(n), {}
+        self.slides = np.zeros((n, len(self.memory.slides), SLIDE))
+        booked = super().record(times, rows, frames)
+        if pistons is not None:
+            for k, row in enumerate(rows.tolist()):
+                kinetic, potential = energies_of(pistons, self.slides[row])
+                self.kinetic[row], self.energies[row] = kinetic, self.energies[row] + potential
+                booked[k, 0] += self.slides[row, :, BOOKED].sum()
+        return booked
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State at the end of the segment, and (7,) booked until then."""
+        state, booked = super().finish(stop)
+        booked[0] += self.memory.slides[:, BOOKED].sum()
+        return state, booked
+
+    def onwards(self) -> Pistons | None:
+        """Pistons as the next segment finds them."""
+        pistons = self.contact.pistons
+        if pistons is None:
+            return None
+        return pistons._replace(start=self.memory.slides[:, [PLACE, SPEED]].copy())
 
     def run(self, schedule: Schedule, count: int, frames: Frames, sums: Floats) -> None:
         """Go through a schedule; stop at each frame if it is to show who touches whom."""
@@ -497,10 +582,11 @@ class TouchingMotion(CoupledMotion):
             return
         for stop in one_by_one(schedule):
             self.run_through(stop, frames, sums)
-            if stop.frame[0] >= 0:
-                self.touches[int(stop.frame[0])] = self.seen()
+            row = int(stop.frame[0])
+            if row >= 0:
+                self.touches[row] = self.seen(self.slides[row])
 
-    def seen(self) -> Touches:
+    def seen(self, slides: Floats) -> Touches:
         """Contacts of the frame that was written last: its closing evaluation is still there."""
         lists, scene, room = self.lists, self.contact.scene, self.room
         found = [
@@ -508,7 +594,11 @@ class TouchingMotion(CoupledMotion):
             for contacts, are_walls in ((lists.spheres, False), (lists.walls, True))
         ]
         centre = np.array([motion.centre for motion in self.motions]).reshape(-1, 3)
-        return touches_of(found, *moved(centre, room.poses))
+        centre, velocity = moved(centre, room.poses)
+        if (pistons := self.contact.pistons) is not None:  # contacts saw a velocity carried on
+            ahead = slides[:, SPEED] - slides[:, SEEN]
+            velocity[pistons.wall] += ahead[:, None] * pistons.axis
+        return touches_of(found, centre, velocity)
 
     def run_through(self, schedule: Schedule, frames: Frames, sums: Floats) -> None:
         """Go through a schedule, with new lists where they are used up."""
@@ -519,14 +609,17 @@ class TouchingMotion(CoupledMotion):
         place = Place(0, 0, edge * schedule.dt if schedule.done > 0 else 0.0)
         elastic = self.energies
         while place.stop < schedule.steps.size:
-            kept = self.lists.spheres.kept, self.lists.walls.kept
+            kept = self.lists.spheres.kept, self.lists.walls.kept, self.memory.slides
             saved = self.saved, np.empty_like(self.memory.last), *(np.empty_like(k) for k in kept)
             arguments = (
                 self.blocks, self.layout, acting_of(group.terms), self.account.books, pairs,
                 self.contact, self.room, self.lists, self.memory, schedule, place,
-                group.bodies.rotor_frame, group.members, frames, sums, elastic, saved,
+                group.bodies.rotor_frame, group.members, frames, sums, elastic,
+                self.slides, saved,
             )  # fmt: skip
             reached = advance(*arguments) if large else THREADS.timed(advance, *arguments)
             place = Place(*reached)
             if place.stop < schedule.steps.size:
-                self.make_lists(self.values(0, 13))
+                y = self.values(0, 13)
+                drive(self.contact.scene.drives, self.memory.times[2] + self.memory.times[1], y)
+                self.make_lists(y)

@@ -20,7 +20,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.methods.dop853 import PACK
 from particlerb.methods.motion import part_of
 from particlerb.plan import GroupPlan, Plan, rates
-from particlerb.simulate import Traveller, initial_potential, record_all
+from particlerb.simulate import Energies, Traveller, counted, initial_energies, record_all
 from particlerb.terms.impulse import Impulse
 from particlerb.threads import THREADS
 
@@ -39,8 +39,8 @@ class Books(NamedTuple):
     """What a ledger needs beside the frames of a run."""
 
     given: Floats  # (T, 7) work, impulse, angular impulse
-    initial: Floats  # (1,) [J] potential energy between bodies at t = 0
-    potential: Floats  # (T,) [J] the same later
+    initial: Energies  # beside those of the bodies, at t = 0
+    later: Energies  # the same later
 
 
 class Error(NamedTuple):
@@ -105,9 +105,9 @@ def states_at(part: Part, times: Floats) -> tuple[Frames, Books]:
     initial = as_frame(part.bodies, part.state)
     frames = room_for(times.size, part.bodies.mass.size, initial.last)
     travellers = [Traveller(group, taken(part.state, group.members)) for group in part.groups]
-    first = initial_potential(travellers, initial)
-    given, potential = record_all(travellers, times, frames)
-    return frames, Books(given, first, potential)
+    first = initial_energies(travellers, initial)
+    given, later = record_all(travellers, times, frames)
+    return frames, Books(given, first, later)
 
 
 def seconds(part: Part, t_end: float) -> float:
@@ -121,8 +121,9 @@ def seconds(part: Part, t_end: float) -> float:
 def drifts(part: Part, frames: Frames, books: Books) -> tuple[float, float]:
     """Largest errors of energy and of angular momentum, relative as in the ledger of a run."""
     initial = as_frame(part.bodies, part.state)
-    ledger = Ledger(totals(initial, part.bodies, part.gravity, books.initial))
-    ledger.enter(totals(frames, part.bodies, part.gravity, books.potential), books.given)
+    bodies = counted(part.groups, part.bodies)
+    ledger = Ledger(totals(initial, bodies, part.gravity, *books.initial))
+    ledger.enter(totals(frames, bodies, part.gravity, *books.later), books.given)
     drift = ledger.drift()
     return drift.energy, drift.angular_momentum
 

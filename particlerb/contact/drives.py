@@ -1,0 +1,55 @@
+"""Bodies that move as prescribed, whatever touches them, by the motions that walls have.
+
+A driven body has no inverse mass, so nothing pushes it. Where the states of others have momenta,
+those of driven bodies have velocities while contacts are evaluated.
+"""
+
+from typing import NamedTuple
+
+from particlerb._jit import inline
+from particlerb.contact.walls import motion_in, pose_at
+from particlerb.maths.quaternion import Quat, multiply, to_body, to_world
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, multiplied3
+
+
+class Drives(NamedTuple):
+    """Driven bodies of a group."""
+
+    which: Ints  # (m,) bodies of the group
+    motions: Floats  # (m, MOTION) numbers of `walls.Motion`
+    com: Floats  # (3, m) [m] centre of mass before it is displaced,
+    q: Floats  # (4, m) and orientation of the rotor frame
+    mass: Floats  # (m,) [kg]
+    inertia: Floats  # (3, m) [kg m²] principal moments
+
+
+@inline
+def driven_pose(drives: Drives, k: int, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]:
+    """Place, orientation, velocity and angular velocity of driven body k at a time."""
+    x, turn, v, omega = pose_at(motion_in(drives.motions, k), t)
+    com, q = drives.com, drives.q
+    arm = to_world(turn, (com[0, k], com[1, k], com[2, k]))
+    own = multiply(turn, (q[0, k], q[1, k], q[2, k], q[3, k]))
+    return add_scaled(1.0, arm, x), own, add_scaled(1.0, cross(omega, arm), v), omega
+
+
+@inline
+def momenta(drives: Drives, k: int, q: Quat, v: Vec3, omega: Vec3) -> tuple[Vec3, Vec3]:
+    """M v and I ω of driven body k."""
+    inertia, mass = drives.inertia, drives.mass[k]
+    own = multiplied3((inertia[0, k], inertia[1, k], inertia[2, k]), to_body(q, omega))
+    return (mass * v[0], mass * v[1], mass * v[2]), to_world(q, own)
+
+
+@inline
+def drive(drives: Drives | None, t: float, y: Floats) -> None:
+    """Write places, orientations and velocities of driven bodies into states (13, n)."""
+    if drives is None:
+        return
+    for k in range(drives.which.size):
+        b = drives.which[k]
+        x, q, v, omega = driven_pose(drives, k, t)
+        y[0, b], y[1, b], y[2, b] = x
+        y[3, b], y[4, b], y[5, b], y[6, b] = q
+        y[7, b], y[8, b], y[9, b] = v
+        y[10, b], y[11, b], y[12, b] = omega
