@@ -415,6 +415,9 @@ def mesh_of(case: Case, number: int, table: MeshWall) -> Walls:
     except Exception as error:  # whatever a broken file makes of trimesh
         reason = f"trimesh cannot read it: {error}"
         raise CaseError([problem_at(case, key, reason, "give an STL file")]) from None
+    if not corners.size:
+        reason = "has no triangle: it is empty, cut off, or no STL file"
+        raise CaseError([problem_at(case, key, reason, "write it again, as binary or ASCII STL")])
     if not np.isfinite(corners).all():
         reason = "has a corner that is not finite"
         raise CaseError([problem_at(case, key, reason, "give an STL file")])

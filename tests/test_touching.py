@@ -412,7 +412,7 @@ def test_a_mesh_that_cannot_be_read_is_an_error_at_its_file(make, mesh, monkeypa
     monkeypatch.setitem(sys.modules, "trimesh", SimpleNamespace(load_mesh=broken))
     assert only(case)[1] == "trimesh cannot read it: no such facet"
     for triangles, reason in (
-        (np.zeros((0, 3, 3)), "has no triangle with an area"),
+        (np.zeros((0, 3, 3)), "has no triangle: it is empty, cut off, or no STL file"),
         (np.ones((1, 3, 3)), "has no triangle with an area"),
         ([[[0, 0, 0], [1, 0, 0], [0, np.nan, 0]]], "has a corner that is not finite"),
         ([[[0, 0, 0], [1, 0, 0], [0, np.inf, 1]]], "has a corner that is not finite"),

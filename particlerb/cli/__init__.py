@@ -123,7 +123,11 @@ def add_studies(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     chart.add_argument("--methods", type=names, default=[], metavar="A,B", help="default: all")
     chart.add_argument("--peers", type=names, default=[], metavar="A,B", help="engines, or all")
     chart.add_argument(
-        "--error", type=positive, default=1e-6, metavar="RAD", help="error to advise for"
+        "--error",
+        type=positive,
+        metavar="RAD",
+        help="error to advise for; default: 1e-6, "
+        "for contact the energy_drift that the case allows",
     )
     add_study(chart, 30.0)
 

@@ -21,20 +21,25 @@ from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames, as_frame, omega_world
 from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
-from particlerb.maths.vec3 import Ints
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.methods import METHODS
-from particlerb.plan import Plan, fastest_rate, has_step, is_adaptive, make_plan
+from particlerb.plan import Plan, damped_share, fastest_rate, has_step, is_adaptive, make_plan
 from particlerb.relaxing import assembled
+from particlerb.simulate import frame_count, frame_times
 from particlerb.studies.peers import Engine, PeerScene, engines, peer_errors, peer_scene
 from particlerb.studies.trials import Error, drifts, errors, part, sample, seconds, states_at
 from particlerb.threads import THREADS
 
-REPEATS: Final = 5  # at least
+REPEATS: Final = 5  # at least,
+FEW: Final = 2  # but so many of a run that takes LONG, which is disturbed less
+LONG: Final = 0.5  # s
 MOST_REPEATS: Final = 41
 FILLED: Final = 0.02  # s that the repeats of a short run should fill: longer than a time slice
 LOST: Final = 1.0  # rad: an orientation that is off by more says nothing
 FIRST_TURN: Final = 20.0  # rad of the longest step that is tried: a drift in closed form bears it
-FIRST_TOUCH: Final = 1.0  # rad of the fastest contact in the longest step: 2 is the limit
+FIRST_TOUCH: Final = 0.5  # of the stability limit of contacts, for the longest step
+USUAL_ERROR: Final = 1e-6
+MOST_FRAMES: Final = 2000  # at which the energy of contact is looked at
 SAMPLED: Final = 8  # packs of sixteen bodies that are judged
 WAYPOINTS: Final = 32  # times at which the way of a body is summed up
 COARSEST_TOLERANCE: Final = 1e-3
@@ -102,7 +107,7 @@ def chart(
     case: Case,
     methods: Sequence[str] = (),
     peers: Sequence[str] = (),
-    wanted: float = 1e-6,
+    wanted: float | None = None,
     budget: float = 30.0,
     progress: Progress = lambda n: None,
 ) -> Chart:
@@ -114,8 +119,9 @@ def chart(
         Its own method, step and accuracy do not matter.
     methods, peers : sequence of str
         Names; no methods: all. Peers are other engines, see `studies.peers`.
-    wanted : float
-        Error for which the cheapest method is sought [rad].
+    wanted : float, optional
+        Error for which the cheapest method is sought [rad]; left out: 1e-6, and where bodies touch
+        the energy_drift that the case allows, if it has one.
     budget : float
         Time to be spent on measuring, without compilation, about [s].
     progress : callable
@@ -133,7 +139,7 @@ def chart(
     before = THREADS.count
     THREADS.use(1)
     try:
-        study = Study(case, wanted, budget)
+        study = Study(case, budget)
         reasons = {name: study.refusal(name) for name in names}
         curves = sum(not reason for reason in reasons.values())
         curves += sum(len(engine.variants) for engine in rivals)
@@ -167,7 +173,7 @@ def chart(
         study.reference.floor,
         tuple(left_out),
         tuple((one.name, one.error) for one in case.chart.published),
-        wanted,
+        wanted or study.usual_error(),
         ENERGY if study.by_energy else POSE,
     )
 
@@ -188,17 +194,28 @@ def chosen(asked: Sequence[str], known: Sequence[str], what: str) -> list[str]:
 class Study:
     """A case with its reference, ready to be measured."""
 
-    def __init__(self, case: Case, wanted: float, budget: float) -> None:
-        self.case, self.wanted = case, wanted
+    def __init__(self, case: Case, budget: float) -> None:
+        self.case = case
         self.scene: Scene = assembled(case)
-        self.times = np.linspace(0.0, case.run.t_end, WAYPOINTS + 1)[1:]
         auto = self.plan("auto", None)
         self.which: Ints = sample(self.scene, auto, case.run.t_end, SAMPLED)
         self.rate = max(fastest_rate(self.scene, g, case.run.t_end) for g in auto.groups)
         self.is_free = not any(has_step(s.method) for g in auto.groups for s in g.segments)
         self.by_energy = any(s.terms.contact is not None for g in auto.groups for s in g.segments)
+        self.times = self.way_points()
         self.reference = self.find_reference(REFERENCE_SHARE * budget)
         self.peer_scene: PeerScene | None = None
+
+    def usual_error(self) -> float:
+        """Error that is good enough if nobody says which."""
+        return (self.by_energy and self.case.check.energy_drift) or USUAL_ERROR
+
+    def way_points(self) -> Floats:
+        """Times at which runs are looked at [s]; where bodies touch, those of the case's frames."""
+        t_end, n = self.case.run.t_end, frame_count(self.case) - 1
+        if self.by_energy and n <= MOST_FRAMES:
+            return frame_times(self.case, 1)
+        return np.linspace(0.0, t_end, (MOST_FRAMES if self.by_energy else WAYPOINTS) + 1)[1:]
 
     def plan(self, method: str, step: float | None) -> Plan:
         """Plan with a method at a step or tolerance."""
@@ -258,8 +275,18 @@ class Study:
     def first_step(self) -> float:
         """Longest step that is worth a trial [s]."""
         t_end = self.case.run.t_end
-        first = FIRST_TURN if not self.by_energy else FIRST_TOUCH
+        first = FIRST_TURN if not self.by_energy else FIRST_TOUCH * self.touching_reach()
         return min(first / self.rate, 0.5 * t_end) if self.rate > 0.0 else 0.5 * t_end
+
+    def touching_reach(self) -> float:
+        """Turn [rad] of the fastest contact in the longest step that leaves it bounded."""
+        plan = self.plan("auto", None)
+        return min(
+            float(METHODS[s.method].REACH) * damped_share(s.terms.contact)
+            for group in plan.groups
+            for s in group.segments
+            if s.terms.contact is not None
+        )
 
     def ladder(self, method: str) -> Iterator[float]:
         """Ever shorter steps, or smaller tolerances, that one would write down."""
@@ -284,8 +311,9 @@ class Study:
             if not point.failure:
                 stays = stays + 1 if error > 0.7 * best else 0
                 best = min(best, error)
+            runs = 1 + (FEW if point.seconds > LONG else REPEATS)
             is_done = best < 3.0 * self.reference.floor or (stays > 1 and best < 1e-3)
-            if is_done or spent + 2.2 * (REPEATS + 1) * point.seconds > budget:
+            if is_done or spent + 2.2 * runs * point.seconds > budget:
                 return
 
     def measured(self, method: str, step: float | None, repeats: int = REPEATS) -> Point:
@@ -293,7 +321,10 @@ class Study:
         plan = self.plan(method, step)
         whole = part(self.case, self.scene, plan, np.arange(len(self.scene.kind)))
         own = part(self.case, self.scene, plan, self.which)
+        before = THREADS.busy
         frames, booked = states_at(own, self.times)
+        if THREADS.busy - before > LONG:
+            repeats = min(repeats, FEW)
         energy, spin = drifts(own, frames, booked)
         if self.by_energy:
             error = Error(energy, energy, 0.0)
@@ -417,21 +448,21 @@ def duration(seconds: float) -> str:
 def table(found: Chart) -> str:
     """Text of a chart: one line per point, then what was left out, then the advice."""
     bodies = f"{found.n_bodies} bodies" if found.n_bodies > 1 else "1 body"
+    names = ("worst rad", "rms rad", "position", "energy", "|L|")
     lines = [
         f"{found.title}: {bodies} to t = {found.t_end:.6g} s, one thread",
         f"{found.measure}, against {found.reference}, good to {found.floor:.1g}"
         + (f"; {found.n_judged} bodies judged" if found.n_judged < found.n_bodies else ""),
         "",
-        f"{'method':<28} {'dt or tol':>10} {'time':>9} {'worst rad':>10} {'rms rad':>10}"
-        f" {'position':>9} {'energy':>9} {'|L|':>9}",
+        f"{'method':<28} {'dt or tol':>10} {'time':>9} {columns(found, names)}",
     ]
     front = {id(point) for point in frontier(found.points)}
     for point in found.points:
         mark = "*" if id(point) in front else " "
         error, step = point.error, f"{point.step:.3g}" if point.step else "-"
         lines.append(
-            f"{mark}{point.label:<27} {step:>10} {duration(point.seconds):>9} {error.worst:>10.2e}"
-            f" {error.rms:>10.2e} {error.position:>9.1e} {point.energy:>9.1e} {point.spin:>9.1e}"
+            f"{mark}{point.label:<27} {step:>10} {duration(point.seconds):>9} "
+            + columns(found, [f"{value:.2e}" for value in (*error, point.energy, point.spin)])
             + (f"  FAILED, {point.failure}" if point.failure else "")
         )
     lines += [f" {name}: left out, {reason}" for name, reason in found.left_out]
@@ -439,6 +470,12 @@ def table(found: Chart) -> str:
     return "\n".join(
         [*lines, "", "* on the frontier: nothing of ours is faster and better", advice(found)]
     )
+
+
+def columns(found: Chart, values: Sequence[str]) -> str:
+    """Columns of a table: errors of orientation and position, which say nothing of contact."""
+    shown = values if found.measure == POSE else values[3:]
+    return " ".join(f"{value:>9}" for value in shown)
 
 
 def csv_rows(found: Chart) -> Iterator[Sequence[object]]:
