@@ -31,8 +31,7 @@ from particlerb.studies.trials import Error, drifts, errors, part, sample, secon
 from particlerb.threads import THREADS
 
 REPEATS: Final = 5  # at least,
-FEW: Final = 2  # but so many of a run that takes LONG, which is disturbed less
-LONG: Final = 0.5  # s
+LONG: Final = 0.5  # s; but none of a run that takes longer, which is disturbed less
 MOST_REPEATS: Final = 41
 FILLED: Final = 0.02  # s that the repeats of a short run should fill: longer than a time slice
 LOST: Final = 1.0  # rad: an orientation that is off by more says nothing
@@ -311,7 +310,7 @@ class Study:
             if not point.failure:
                 stays = stays + 1 if error > 0.7 * best else 0
                 best = min(best, error)
-            runs = 1 + (FEW if point.seconds > LONG else REPEATS)
+            runs = 1 + (0 if point.seconds > LONG else REPEATS)
             is_done = best < 3.0 * self.reference.floor or (stays > 1 and best < 1e-3)
             if is_done or spent + 2.2 * runs * point.seconds > budget:
                 return
@@ -323,17 +322,17 @@ class Study:
         own = part(self.case, self.scene, plan, self.which)
         before = THREADS.busy
         frames, booked = states_at(own, self.times)
-        if THREADS.busy - before > LONG:
-            repeats = min(repeats, FEW)
+        spent = THREADS.busy - before
         energy, spin = drifts(own, frames, booked)
         if self.by_energy:
             error = Error(energy, energy, 0.0)
         else:
             error = errors(own, frames, self.reference.frames)[-1]
-        times = [seconds(whole, self.case.run.t_end) for _ in range(repeats)]
-        while repeats > 1 and sum(times) < FILLED and len(times) < MOST_REPEATS:
-            times.append(seconds(whole, self.case.run.t_end))
-        spent = float(np.median(times))
+        if spent < LONG or self.which.size < len(self.scene.kind):
+            times = [seconds(whole, self.case.run.t_end) for _ in range(repeats)]
+            while repeats > 1 and sum(times) < FILLED and len(times) < MOST_REPEATS:
+                times.append(seconds(whole, self.case.run.t_end))
+            spent = float(np.median(times))
         is_tolerance = has_step(method) and is_adaptive(method)
         return Point(
             method, "", step or 0.0, is_tolerance, spent, error, energy, spin, failure(error)
