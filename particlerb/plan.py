@@ -390,7 +390,10 @@ def contact_rates(contact: Contact, bodies: Bodies, state: State, fall: float) -
     speed that is there at t = 0 or reached by falling.
     """
     softness = bodies.inv_mass + contact.reach**2 * bodies.inv_inertia.max(axis=0)
-    softness = softness + softness.max()
+    partner = float(softness.max())
+    if contact.pistons is not None:
+        partner = max(partner, 1.0 / float(contact.pistons.mass.min()))
+    softness = softness + partner
     law, radius = contact.scene.law, contact.scene.spheres.radius
     if law.hertz is None:
         k = float((law.stiffness + law.shear).max())

@@ -84,6 +84,9 @@ def parser() -> argparse.ArgumentParser:
     plot.add_argument(
         "--body", metavar="NAME", help="body whose rates are drawn; default: the fastest to spin"
     )
+    plot.add_argument(
+        "--contacts", action="store_true", help="force chains in the last frame, if it has contacts"
+    )
     plot.add_argument("--overwrite", action="store_true", help="replace an existing picture")
 
     add_export(commands)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 LONGEST_TEXT: Final = 10_000
 PLOTTED: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
+CHAINS: Final = ("position", "orientation", "contacts")
 
 
 def info_command(options: argparse.Namespace) -> int:
@@ -98,7 +99,9 @@ def plot_command(options: argparse.Namespace) -> int:
         if path.exists() and not options.overwrite:
             raise Ending(f"{path} exists: give another name with -o, or --overwrite")
         names = list(trajectory.names)
-        lacking = [field for field in PLOTTED if field not in trajectory.fields]
+        recorded = [*trajectory.fields, *trajectory.contact_fields]
+        wanted = CHAINS if options.contacts else PLOTTED
+        lacking = [field for field in wanted if field not in recorded]
         if lacking:
             raise Ending(f"{options.file} lacks {', '.join(lacking)}: see [output] fields")
         if not trajectory.n_frames:
@@ -109,9 +112,14 @@ def plot_command(options: argparse.Namespace) -> int:
             near = difflib.get_close_matches(options.body, names, 3)
             hint = f"did you mean {' or '.join(near)}?" if near else f"the first is {names[0]}"
             raise Ending(f"{options.body}: no such body in {options.file}; {hint}")
-        from particlerb.studies.charts.trajectory import draw_trajectory
+        if options.contacts:
+            from particlerb.studies.charts.contacts import draw_contacts
 
-        draw_trajectory(trajectory, path, names.index(options.body) if options.body else None)
+            draw_contacts(trajectory, path)
+        else:
+            from particlerb.studies.charts.trajectory import draw_trajectory
+
+            draw_trajectory(trajectory, path, names.index(options.body) if options.body else None)
     print(f"written: {path}")
     return DONE
 

@@ -22,7 +22,7 @@ from particlerb.contact.laws import (
     rolling_torque,
     turned_spring,
 )
-from particlerb.contact.pistons import PUSH, Pistons
+from particlerb.contact.pistons import MOST, PUSH, STIFFNESS, Pistons
 from particlerb.contact.pistons import REST as BESIDE
 from particlerb.contact.walls import Walls, motion_in, pose_at
 from particlerb.contact.walls import touch as touch_wall
@@ -477,18 +477,25 @@ def collect(
 
 
 @inline
-def press(pistons: Pistons | None, slides: Floats, contacts: Contacts, wall: Ints) -> None:
-    """Sum what contacts do to walls that slide, along their axes."""
+def press(
+    pistons: Pistons | None, slides: Floats, contacts: Contacts, scene: Scene, room: Room
+) -> None:
+    """Sum what contacts do to walls that slide, along their axes, and how stiff they are."""
     if pistons is None:
         return
     for k in range(slides.shape[0]):
-        slides[k, PUSH], slides[k, BESIDE] = 0.0, 0.0
+        slides[k, PUSH], slides[k, BESIDE], slides[k, STIFFNESS] = 0.0, 0.0, 0.0
     for c in range(contacts.second.size):
-        k = pistons.of_wall[wall[contacts.second[c]]]
+        k = pistons.of_wall[scene.walls.wall[contacts.second[c]]]
         if k >= 0 and contacts.acts[c]:
             a = pistons.axis[k, 0], pistons.axis[k, 1], pistons.axis[k, 2]
             slides[k, PUSH] -= dot(a, column(contacts.done, c, ELASTIC))
             slides[k, BESIDE] -= dot(a, column(contacts.done, c, REST))
+            delta, radius = contacts.kept[c, BEFORE], room.place[contacts.first[c], 3]
+            share = math.sqrt(4.0 * radius * delta) if scene.law.hertz is not None else 1.0
+            slides[k, STIFFNESS] += share if delta > 0.0 else 0.0
+    for k in range(slides.shape[0]):
+        slides[k, MOST] = max(slides[k, MOST], slides[k, STIFFNESS])
 
 
 @kernel

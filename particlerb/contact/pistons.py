@@ -22,7 +22,9 @@ BOOKED: Final = 4  # work [J] of contacts without potential, and of stops
 SEEN: Final = 5  # velocity that contacts saw [m/s]
 PUSH: Final = 6  # elastic force of contacts along the axis [N],
 REST: Final = 7  # and the rest of it
-SLIDE: Final = 8
+MOST: Final = 8  # largest stiffness so far of all contacts together, over that of the law,
+STIFFNESS: Final = 9  # and that of now
+SLIDE: Final = 10
 
 
 class Pistons(NamedTuple):

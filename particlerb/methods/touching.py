@@ -39,6 +39,7 @@ from particlerb.contact.loads import (
 from particlerb.contact.loads import Scene as Touchable
 from particlerb.contact.pistons import (
     BOOKED,
+    MOST,
     PLACE,
     SEEN,
     SLIDE,
@@ -83,6 +84,7 @@ MOST_STEPS_AHEAD: Final = 64  # for which lists are made where walls move
 TO_MAKE: Final = 4e5  # ns of new lists, roughly,
 TO_MAKE_SPHERE: Final = 150.0  # and for each sphere;
 TO_USE: Final = 6.0  # of a pair in a step
+STABLE: Final = 2.0  # largest ω dt of a piston
 WIDEN: Final = 1.25  # of the skin, or its narrowing
 SLACK: Final = 0.8  # of half the skin, with which lists are made anew: a frame may lie ahead
 
@@ -281,7 +283,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
                 put_pistons(pistons, slides, ahead, room.poses)
                 contact_loads(scene, room, lists, y, last, ahead, before, h, load)
                 remember(y, last)
-                press(pistons, slides, lists.walls, scene.walls.wall)
+                press(pistons, slides, lists.walls, scene, room)
                 kick_pistons(pistons, slides, is_open, EDGE * h, True)
                 slide_pistons(pistons, slides, h)
                 times[0] = kick
@@ -302,7 +304,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
             contact_loads(scene, room, lists, y, last, ahead, before, 0.0, load)
             scatter(load, blocks, layout, PAIR, 0)
             close_blocks(blocks, layout, acting, books, is_open, 0, len(blocks))
-            press(pistons, slides, lists.walls, scene.walls.wall)
+            press(pistons, slides, lists.walls, scene, room)
             kick_pistons(pistons, slides, is_open, 0.0, False)
         if frame[s] != PAUSE:
             partial_step = rest[s] if frame[s] >= 0 else 0.0
@@ -479,6 +481,23 @@ class TouchingMotion(CoupledMotion):
                 f" through another; dt = {0.5 * radius / speed[b]:.2g} s or less is right"
             )
 
+    def refuse_light_pistons(self) -> None:
+        """Raise MotionError where a step is too long for a piston on all that it presses."""
+        pistons, scene = self.contact.pistons, self.contact.scene
+        if pistons is None:
+            return
+        stiffness = self.memory.slides[:, MOST] * float(scene.law.stiffness.max())
+        rate = np.sqrt(stiffness / pistons.mass)
+        k = int(np.argmax(rate))
+        if self.dt * rate[k] > STABLE:
+            raise MotionError(
+                f"by t = {self.memory.times[2] + self.memory.times[1]:.6g} s wall"
+                f" {int(pistons.wall[k])} has pressed so many particles, {stiffness[k]:.3g} N/m"
+                f" together, that its {pistons.mass[k]:.3g} kg swing too fast for a step of"
+                f" {self.dt:.3g} s: dt = {0.5 * STABLE / rate[k]:.2g} s or less is right, or a"
+                " larger mass"
+            )
+
     def walls_ahead(self, points: Floats) -> tuple[float, float]:
         """How long lists hold as walls move [s], and how far these may move until then [m]."""
         steps, skin = MOST_STEPS_AHEAD, self.contact.skin
@@ -618,6 +637,7 @@ class TouchingMotion(CoupledMotion):
                 self.slides, saved,
             )  # fmt: skip
             reached = advance(*arguments) if large else THREADS.timed(advance, *arguments)
+            self.refuse_light_pistons()
             place = Place(*reached)
             if place.stop < schedule.steps.size:
                 y = self.values(0, 13)

@@ -31,6 +31,7 @@ from particlerb.studies.trials import Error, drifts, errors, part, sample, secon
 from particlerb.threads import THREADS
 
 REPEATS: Final = 5  # at least,
+LEAST_POINTS: Final = 3  # of a curve, unless the next takes twice the time that there is
 LONG: Final = 0.5  # s; but none of a run that takes longer, which is disturbed less
 MOST_REPEATS: Final = 41
 FILLED: Final = 0.02  # s that the repeats of a short run should fill: longer than a time slice
@@ -301,7 +302,7 @@ class Study:
             yield self.measured(method, None)
             return
         self.measured(method, next(self.ladder(method)), repeats=1)  # compile
-        start, best, stays = time.monotonic(), np.inf, 0
+        start, best, stays, n_points = time.monotonic(), np.inf, 0, 0
         for step in self.ladder(method):
             point = self.measured(method, step)
             yield point
@@ -312,7 +313,9 @@ class Study:
                 best = min(best, error)
             runs = 1 + (0 if point.seconds > LONG else REPEATS)
             is_done = best < 3.0 * self.reference.floor or (stays > 1 and best < 1e-3)
-            if is_done or spent + 2.2 * runs * point.seconds > budget:
+            ahead, n_points = 2.2 * runs * point.seconds, n_points + 1
+            is_curve = n_points >= LEAST_POINTS or ahead > 2.0 * budget
+            if is_done or (is_curve and spent + ahead > budget):
                 return
 
     def measured(self, method: str, step: float | None, repeats: int = REPEATS) -> Point:

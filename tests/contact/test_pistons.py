@@ -9,6 +9,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.methods import touching
+from particlerb.simulate import RunError
 
 G = 9.81
 K = 1e5
@@ -178,6 +179,23 @@ def test_the_lid_of_a_shear_cell_is_drawn_along_and_slides(make):
         assert t.wall_velocity[:, 1, 0] == pytest.approx(0.5)
         assert t.ledger.work[-1] > 0.5 * 2.0 * 0.25**2
         assert np.abs(t.ledger.energy_error).max() < 2e-4 * t.ledger.work.max()
+
+
+def test_a_lid_too_light_for_the_step_and_all_that_it_presses_is_refused(make):
+    """ω² = n k/M: one contact is known before the run, as many as there are only in it."""
+    balls = make.sphere("ball", count=25, mass=0.1)
+    balls["place"] = {"type": "grid", "spacing": 0.3, "n": [5, 5, 1], "origin": [0, 0, 0.1]}
+    lid = make.plane([0, 0, -1], "lid", point=[0, 0, 0.2])
+    lid["piston"] = {"mass": 0.3, "axis": [0, 0, -1], "load": 20.0}
+    case = column(make) | {"body": [balls], "wall": [make.plane(), lid]}
+    case["run"] |= {"dt": 1.2e-3, "t_end": 0.2, "every": 0.2}
+    with pytest.raises(
+        RunError, match=r"wall 1 has pressed so many.*2\.5e\+06 N/m.*dt = 0\.00035 s or"
+    ):
+        particlerb.run(case)
+    case["wall"][1]["piston"]["mass"] = 1e-3
+    with pytest.raises(CaseError, match=r"run\.dt.*is above"):
+        particlerb.run(case)
 
 
 @pytest.mark.parametrize(
