@@ -6,16 +6,19 @@ spheres, what a sum over them would have given instead.
 """
 
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from particlerb.bodies import shapes
+from particlerb.bodies.analytic import ANALYTIC, Analytic
 from particlerb.bodies.files import read_spheres
+from particlerb.bodies.mesh import mesh_solid, read_mesh
 from particlerb.bodies.solid import Solid
 from particlerb.bodies.spheres import overlaps, plain_solid, union_solid
 from particlerb.case.schema import Body, Case, Part
-from particlerb.case.shapes import Cloud, Points, Spheres
+from particlerb.case.shapes import Cloud, Mesh, Moments, Points, Spheres
 from particlerb.maths.vec3 import Floats
 
 
@@ -30,6 +33,8 @@ class Matter(NamedTuple):
     """For density 1, the sum over spheres that counts overlaps twice; None where none overlap."""
     exact: Solid | None = None
     """For density 1, the union of these spheres."""
+    solid: Analytic | None = None
+    """What particles that fill a shape stand for."""
 
 
 def matter_of(case: Case, body: Body) -> Matter:
@@ -46,12 +51,23 @@ def matter_of_shape(case: Case, table: Body | Part) -> Matter:
     if isinstance(shape, Spheres):
         centre, radius = case_spheres(case, shape)
         return matter_of_spheres(centre, radius, shape.overlap == "sum")
-    if shape is None or isinstance(shape, (Points, Cloud)):
+    if isinstance(shape, Mesh):
+        return matter_of_mesh(case.file(shape.file), shape.scale)
+    if shape is None or isinstance(shape, (Points, Cloud, Moments)):
         return Matter()
+    size = shape.model_dump(exclude={"type", "n", "arrangement", "inertia_error"})
+    solid = ANALYTIC[shape.type](**size) if shape.type in ANALYTIC else None
     try:
-        return Matter(shapes.volume(shape.type, shape.model_dump()))
+        return Matter(shapes.volume(shape.type, size), solid=solid)
     except ValueError:
-        return Matter()
+        return Matter(solid=solid)
+
+
+def matter_of_mesh(path: str | Path, scale: float) -> Matter:
+    """Matter of a closed mesh in a file."""
+    solid = mesh_solid(read_mesh(path, scale))
+    per_mass = Analytic(solid.com, solid.inertia / solid.volume)
+    return Matter(solid.volume, solid.error, solid=per_mass)
 
 
 def case_spheres(case: Case, shape: Spheres) -> tuple[Floats, Floats]:

@@ -9,6 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from particlerb.bodies.analytic import Analytic
+from particlerb.bodies.fill import differences
 from particlerb.bodies.mass_properties import MassProperties, Ratios, eigen_systems, of_kind, ratios
 from particlerb.bodies.matter import Matter
 from particlerb.bodies.solid import impossible
@@ -76,6 +78,7 @@ def record_of(
         "rotor_class": NAMES[int(code)],
         "ratios": {field: float(value[0]) for field, value in ratio._asdict().items()},
         "error": max(relative, matter.error),
+        "solid": None if matter.solid is None else solid_record(com, tensor / mass, matter.solid),
         "plain_sum": None if matter.plain is None else plain_record(matter, float(mass)),
         "spin": spin,
         "advised_step": radians_per_step / spin if spin > 0.0 else None,
@@ -87,6 +90,12 @@ def ratios_of(properties: MassProperties, k: int) -> Ratios:
     mass, com, tensor, *_ = of_kind(properties, k)
     with np.errstate(all="ignore"):
         return ratios(mass, com, tensor, eigen_systems(tensor)[0])
+
+
+def solid_record(com: Floats, tensor: Floats, solid: Analytic) -> dict[str, float]:
+    """How far particles are from the solid that they stand for: shares of its tensor and size."""
+    inertia_error, com_error = differences(com, tensor, solid)
+    return {"inertia_error": inertia_error, "com_error": com_error}
 
 
 def plain_record(matter: Matter, mass: float) -> dict[str, Any]:
@@ -124,11 +133,23 @@ def text_of(record: dict[str, Any]) -> str:
         f"  triangle inequality  I1 + I2 − I3 = {numbers(record['triangle_excess'])} kg m²"
         " (0 or more, to rounding)",
         f"  rotor class          {record['rotor_class']}: {reason(record)}",
-        f"  error estimate       {record['error']:.2g} of mass and of the trace of the tensor",
+        f"  error of the sums    {record['error']:.2g} of mass and trace of the tensor, estimated",
+        *solid_lines(record["solid"]),
         *plain_lines(record["plain_sum"]),
         f"  step                 {step_text(record)}",
     ]
     return "\n".join(lines)
+
+
+def solid_lines(solid: dict[str, float] | None) -> list[str]:
+    """What a staircase of particles costs."""
+    if solid is None:
+        return []
+    inertia, com = solid["inertia_error"], solid["com_error"]
+    return [
+        f"  beside the solid     tensor per mass off by {inertia:.2g} of its norm, com by {com:.2g}"
+        " radii of gyration"
+    ]
 
 
 def plain_lines(plain: dict[str, Any] | None) -> list[str]:

@@ -34,6 +34,7 @@ CASE is a TOML file, or the name of one in ./cases or among the examples (`cases
 `python -m particlerb CASE` is short for `run CASE`.
 exit codes: 0 done, 1 the run failed, 2 wrong usage or case, 3 a [check] was missed, 130 interrupted
 """
+BODY_FILE: Final = "a case; a table x y z m [r] of points, x y z r of spheres; STL, OBJ, PLY"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -70,7 +71,10 @@ def parser() -> argparse.ArgumentParser:
     add_plan(check)
 
     mass = commands.add_parser("mass", help="mass, com, inertia tensor, principal axes of bodies")
-    add_bodies(mass)
+    mass.add_argument("file", metavar="FILE", help=BODY_FILE)
+    mass.add_argument("body", nargs="?", metavar="BODY", help="of a case; default: all")
+    add_matter(mass)
+    mass.add_argument("--spin", type=positive, metavar="RAD/S", help="to advise a step for")
     mass.add_argument("--json", action="store_true", help="machine-readable result")
 
     info = commands.add_parser("info", help="what a trajectory file holds")
@@ -100,11 +104,13 @@ def parser() -> argparse.ArgumentParser:
 
 def add_export(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """The command that writes files of other programs."""
-    export = commands.add_parser("export", help="a trajectory as gsd, csv, particles, lammps, npz")
-    export.add_argument("file", metavar="FILE")
+    export = commands.add_parser("export", help="a trajectory, or bodies, for other programs")
+    export.add_argument("file", metavar="FILE", help=f"a trajectory; or bodies: {BODY_FILE}")
     export.add_argument(
-        "--to", required=True, metavar="FORMAT", help="gsd, csv, particles, lammps or npz"
-    )
+        "--to", required=True, metavar="FORMAT",
+        help="a trajectory: gsd, csv, particles, lammps, npz; bodies: lammps, mjcf, yade, gsd",
+    )  # fmt: skip
+    add_matter(export)
     export.add_argument("-o", "--output", metavar="FILE", help="default: the input's name")
     export.add_argument("--overwrite", action="store_true", help="replace an existing file")
     export.add_argument(
@@ -189,21 +195,16 @@ def add_overrides(command: argparse.ArgumentParser) -> None:
     )
 
 
-def add_bodies(command: argparse.ArgumentParser) -> None:
+def add_matter(command: argparse.ArgumentParser) -> None:
     """Options of the commands that read bodies: of a case, or one from a file of its own."""
-    command.add_argument(
-        "case", metavar="FILE", help="a case; or a table x y z m [r] of points, x y z r of spheres"
-    )
-    command.add_argument("body", nargs="?", metavar="BODY", help="of a case; default: all")
     add_overrides(command)
-    file = command.add_argument_group("of a file that is no case")
+    file = command.add_argument_group("of a body in a table or mesh, which is no case")
     amount = file.add_mutually_exclusive_group()
     amount.add_argument("--mass", type=positive, metavar="KG", help="of the body")
     amount.add_argument(
         "--density", type=positive, metavar="KG/M3", help="of its matter; default: 1"
     )
     file.add_argument("--scale", type=positive, metavar="M", help="unit of length; default: 1 m")
-    file.add_argument("--spin", type=positive, metavar="RAD/S", help="to advise a step for")
 
 
 def add_plan(command: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""Bodies by name from whatever describes them: a case, a table of points or spheres."""
+"""Bodies by name from whatever describes them: a case, a table of points or spheres, a mesh."""
 
 import argparse
 from collections.abc import Callable
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from particlerb.case.schema import Case
 
 TABLES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
+MESHES: Final = (".stl", ".obj", ".ply")
+HDF5: Final = b"\x89HDF\r\n\x1a\n"
 UNWEIGHED: Final = 1.0  # [kg/m³] density of a file that says none, and no option either
 
 
@@ -30,26 +32,37 @@ class Named(NamedTuple):
     """[rad/s], the fastest of the bodies of this kind."""
 
 
-def is_case(path: Path) -> bool:
-    """Whether a file is a case rather than one body."""
-    return path.suffix.lower() not in (*TABLES, *READERS)
+def holds_bodies(name: str) -> bool:
+    """Whether a file is a case, a table or a mesh, rather than a trajectory."""
+    path = Path(name)
+    return path.suffix.lower() in (".toml", "", *READERS) and not is_hdf5(path)
 
 
-def named_bodies(options: argparse.Namespace) -> list[Named]:
-    """Kinds of bodies of a command line: its file, and the body of it where one is named.
+def is_hdf5(path: Path) -> bool:
+    """Whether a file says that it is HDF5."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(HDF5)) == HDF5
+    except OSError:
+        return False
+
+
+def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[Named]:
+    """Kinds of bodies of a command line: of its file, or the wanted one.
 
     Raises
     ------
     Ending
         If the file or the body is wrong, or options do not go with it.
     """
-    path = find_case(options.case)
-    if not is_case(path):
-        return [body_of_file(path, options)]
+    path = find_case(options.file)
+    if path.suffix.lower() in READERS:
+        return [body_of_file(path, wanted, options)]
     for option in ("mass", "density", "scale", "spin"):
-        if getattr(options, option) is not None:
+        if getattr(options, option, None) is not None:
             raise Ending(f"--{option}: a case says it itself; change it with --set")
-    return bodies_of_case(read_case(options), options.body)
+    options.case = options.file
+    return bodies_of_case(read_case(options), wanted)
 
 
 def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
@@ -87,18 +100,18 @@ def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
     return found
 
 
-def body_of_file(path: Path, options: argparse.Namespace) -> Named:
+def body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) -> Named:
     """The one body of a file."""
     from particlerb.bodies.mass_properties import mass_properties
 
-    if options.body is not None:
-        raise Ending(f"{options.body}: {path} is one body; only a case has names")
+    if wanted is not None:
+        raise Ending(f"{wanted}: {path} is one body; only a case has names")
     if options.overrides:
         raise Ending("--set: only a case has keys")
-    read = READERS.get(path.suffix.lower(), table_body)
     try:
-        particles, matter = read(path, options)
-        return Named(path.stem, particles, mass_properties(particles), matter, options.spin or 0.0)
+        particles, matter = READERS[path.suffix.lower()](path, options)
+        spin = getattr(options, "spin", None) or 0.0
+        return Named(path.stem, particles, mass_properties(particles), matter, spin)
     except (ValueError, FileNotFoundError, IsADirectoryError) as error:
         message = str(error)
         raise Ending(message if str(path) in message else f"{path}: {message}") from None
@@ -131,6 +144,18 @@ def amount(options: argparse.Namespace) -> tuple[float | None, float | None]:
     return options.mass, options.density
 
 
-READERS: Final[
-    dict[str, Callable[[Path, argparse.Namespace], "tuple[Particles, Matter]"]]
-] = {}  # by suffix, beside tables
+def mesh_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Matter]":
+    """A closed mesh, as six points with its exact mass properties."""
+    from particlerb.bodies.fill import mesh_particles
+    from particlerb.bodies.matter import matter_of_mesh
+    from particlerb.bodies.mesh import read_mesh
+
+    scale = options.scale or 1.0
+    filled = mesh_particles(read_mesh(path, scale), *amount(options))
+    return filled.particles, matter_of_mesh(path, scale)
+
+
+READERS: Final[dict[str, Callable[[Path, argparse.Namespace], "tuple[Particles, Matter]"]]] = {
+    **dict.fromkeys(TABLES, table_body),
+    **dict.fromkeys(MESHES, mesh_body),
+}

@@ -1,20 +1,55 @@
-"""Command `export`: a trajectory as the file of another program.
+"""Command `export`: a trajectory, or single bodies, as the file of another program.
 
-The kind of the input decides: a trajectory file is exported here frame by frame.
+The kind of the input decides: a case, a table or a mesh holds bodies, all else is a trajectory.
 """
 
 import argparse
 from pathlib import Path
 
+from particlerb.cli.bodies import holds_bodies, named_bodies
 from particlerb.cli.common import DONE, FAILED, Ending, opened, readable
 
 
 def export_command(options: argparse.Namespace) -> int:
-    """`export`: bodies, frames and fields in another format."""
-    source = Path(options.file)
-    if source.suffix == ".toml":
-        raise Ending(f"{source} is a case: `run` makes a trajectory of it, which can be exported")
+    """`export`: bodies, or frames and fields of a trajectory, in another format."""
+    if holds_bodies(options.file):
+        return export_of_bodies(options)
+    for option in ("mass", "density", "scale", "overrides"):
+        if getattr(options, option):
+            word = "set" if option == "overrides" else option
+            raise Ending(f"--{word}: {options.file} is a trajectory, this is for bodies")
     return export_trajectory(options)
+
+
+def export_of_bodies(options: argparse.Namespace) -> int:
+    """Export bodies of a case, or the body of a file."""
+    from particlerb.export import ExportError
+    from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies, file_name
+
+    if options.to not in BODY_FORMATS:
+        raise Ending(
+            f"--to {options.to}: bodies become {', '.join(BODY_FORMATS)}; for other formats `run`"
+            " the case and export its trajectory"
+        )
+    if options.frames != slice(None) or options.fields:
+        raise Ending("--frames and --fields are for trajectories")
+    found = [
+        Exported(body.name, body.particles, body.properties)
+        for name in options.bodies or [None]
+        for body in named_bodies(options, name)
+    ]
+    stem = file_name(found[0].name if len(found) == 1 else Path(options.file).stem)
+    path = export_path(options, Path(stem + BODY_FORMATS[options.to].suffix))
+    if options.to == "lammps" and path.with_suffix(".rigid").exists() and not options.overwrite:
+        raise Ending(f"{path.with_suffix('.rigid')} exists: -o, or --overwrite")
+    try:
+        written = export_bodies(found, path, options.to)
+    except ExportError as error:
+        raise Ending(str(error)) from None
+    except OSError as error:
+        raise Ending(f"cannot write {path}: {error.strerror or error}", FAILED) from None
+    print(f"written: {', '.join(map(str, written))}")
+    return DONE
 
 
 def export_trajectory(options: argparse.Namespace) -> int:
@@ -23,7 +58,9 @@ def export_trajectory(options: argparse.Namespace) -> int:
 
     if options.to not in FORMATS:
         raise Ending(f"--to {options.to}: trajectories become {', '.join(FORMATS)}")
-    path = export_path(options, FORMATS[options.to][0])
+    source = Path(options.file)
+    named = source.with_name(f"{source.stem}_particles") if options.to == "particles" else source
+    path = export_path(options, named.with_suffix(FORMATS[options.to][0]))
     with opened(options.file) as trajectory, readable():
         try:
             n = export(trajectory, path, options.to, options.bodies, options.frames, options.fields)
@@ -35,11 +72,10 @@ def export_trajectory(options: argparse.Namespace) -> int:
     return DONE
 
 
-def export_path(options: argparse.Namespace, suffix: str) -> Path:
+def export_path(options: argparse.Namespace, default: Path) -> Path:
     """File to write, which is neither the input nor, unless told, an existing one."""
     source = Path(options.file)
-    named = source.with_name(f"{source.stem}_particles") if options.to == "particles" else source
-    path = Path(options.output or named.with_suffix(suffix))
+    path = Path(options.output or default)
     if path.is_dir():
         raise Ending(f"{path} is a folder: name a file with -o")
     if path.exists() and source.exists() and path.samefile(source):

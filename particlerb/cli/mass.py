@@ -13,7 +13,7 @@ def mass_command(options: argparse.Namespace) -> int:
     from particlerb.plan import RADIANS_PER_STEP
 
     records = []
-    for body in named_bodies(options):
+    for body in named_bodies(options, options.body):
         n = len(body.particles.mass)
         try:
             records.append(
@@ -22,7 +22,7 @@ def mass_command(options: argparse.Namespace) -> int:
                 )
             )
         except ValueError as error:
-            raise Ending(f"{options.case}: {error}") from None
+            raise Ending(f"{options.file}: {error}") from None
     if options.json:
         print(json.dumps(records))
     else:

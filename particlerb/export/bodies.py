@@ -1,0 +1,280 @@
+"""Single bodies as other programs read them: inertial data in full, and the particles.
+
+Every format states mass, centre of mass and tensor as given here, so that the other code need not
+find them again from spheres that overlap. `carriers` are the particles that go along: the spheres
+with which a body touches, or its masses where it has none. One function per format; each returns
+the files to write, by suffix. They know of no command line.
+
+Sources: docs.lammps.org for `molecule` and `fix rigid`, mujoco.readthedocs.io for MJCF,
+ymport.textClumps of YADE, gsd.readthedocs.io for the shapes in gsd files.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from particlerb.bodies.mass_properties import MassProperties
+from particlerb.bodies.particles import Particles
+from particlerb.export import ExportError
+from particlerb.maths.vec3 import Floats
+from particlerb.rotors.rotor_class import NAMES, POINT, ROD
+
+COMMENT: Final = "made by particlerb; SI units"
+SMALLEST: Final = 1e-6  # diameter of a point in LAMMPS, of the size of its body
+
+
+class Exported(NamedTuple):
+    """One body."""
+
+    name: str
+    particles: Particles
+    """In the axes in which it was given."""
+    properties: MassProperties
+    """Arrays of length one, in the same axes."""
+
+
+class Carriers(NamedTuple):
+    """Particles that another code holds as the body."""
+
+    position: Floats  # (n, 3) [m], axes in which the body was given
+    mass: Floats  # (n,) [kg], positive; their sum is the body's mass
+    radius: Floats  # (n,) [m], 0 for points
+
+
+def carriers(body: Exported) -> Carriers:
+    """Spheres of a body, or its masses where it has no radius.
+
+    Spheres without mass, whose matter is elsewhere, share the body's by their volume: other codes
+    want a mass of every particle, and do not use it once they are told that of the body.
+    """
+    position, mass, radius, _ = body.particles
+    total = float(body.properties.mass[0])
+    chosen = radius > 0.0 if radius.any() else mass > 0.0
+    position, mass, radius = position[chosen], mass[chosen], radius[chosen]
+    if not (mass > 0.0).all() or (radius.any() and not np.isclose(mass.sum(), total, rtol=1e-12)):
+        weight = radius**3
+        mass = total * weight / weight.sum()
+    return Carriers(position, mass, radius)
+
+
+def export_bodies(bodies: Sequence[Exported], path: Path, to: str) -> list[Path]:
+    """Write bodies for another program.
+
+    Parameters
+    ----------
+    bodies : sequence of Exported
+    path : Path
+        File to write; a second one beside it differs in its suffix.
+    to : str
+        One of `BODY_FORMATS`.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    ExportError
+        If the format cannot hold such a body, or a library is missing.
+    OSError
+        If a file cannot be written.
+    """
+    if to == "gsd":
+        write_gsd(bodies, path)
+        return [path]
+    written: list[Path] = []
+    for suffix, text in BODY_FORMATS[to].write(bodies).items():
+        own = path.with_suffix(suffix) if written else path
+        own.write_text(text, encoding="utf-8")
+        written.append(own)
+    return written
+
+
+def numbers(*values: Any) -> str:
+    """Numbers with the digits that give back the same float64, between blanks."""
+    flat = np.concatenate([np.atleast_1d(np.asarray(value, dtype=float)) for value in values])
+    return " ".join(repr(float(value)) for value in flat.reshape(-1))
+
+
+def six(tensor: Floats) -> Floats:
+    """xx yy zz xy xz yz."""
+    return tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def only(bodies: Sequence[Exported], to: str) -> Exported:
+    """The one body that a file of a format holds."""
+    if len(bodies) != 1:
+        names = ", ".join(body.name for body in bodies)
+        raise ExportError(f"{to} files hold one body: name one of {names}")
+    return bodies[0]
+
+
+def refuse_degenerate(body: Exported, to: str, *classes: int) -> None:
+    """ExportError for a body without extent in a code that does not have such."""
+    code = int(body.properties.rotor_class[0])
+    if code in classes:
+        raise ExportError(f"{body.name} is a {NAMES[code]}: {to} wants three positive moments")
+
+
+def lammps(bodies: Sequence[Exported]) -> dict[str, str]:
+    """A molecule file, and the infile of `fix rigid` for one such molecule where the file has it.
+
+    In principal axes with the com at the origin, because the products of inertia in the header of a
+    molecule are taken in another order (yz xz xy, LAMMPS of July 2025) than its manual says. Bodies
+    that `fix deposit` or `fix pour` add to fix rigid/small have what the header says; those that
+    are there from the start need the infile, which holds for a body that stands as in the file.
+    """
+    body = only(bodies, "lammps")
+    refuse_degenerate(body, "fix rigid", POINT)
+    mass, com, _, moments, axes, _ = (array[0] for array in body.properties)
+    own = carriers(body)
+    place = (own.position - com) @ axes
+    reach = np.linalg.norm(place, axis=1).max()
+    diameter = np.where(own.radius > 0.0, 2.0 * own.radius, SMALLEST * reach)
+    rows = range(1, len(own.mass) + 1)
+    columns: dict[str, list[str]] = {
+        "Coords": [f"{k} {numbers(place[k - 1])}" for k in rows],
+        "Types": [f"{k} 1" for k in rows],
+        "Diameters": [f"{k} {numbers(diameter[k - 1])}" for k in rows],
+        "Masses": [f"{k} {numbers(own.mass[k - 1])}" for k in rows],
+    }
+    sections = [f"{name}\n\n" + "\n".join(lines) for name, lines in columns.items()]
+    facts = [
+        f"# {body.name}, {COMMENT}; from the com, principal axes",
+        f"# com {numbers(com)} (as given)",
+        f"# axes {numbers(axes.T)} (rows are the principal axes as given)",
+    ]
+    header = [
+        f"{len(own.mass)} atoms",
+        f"{numbers(mass)} mass",
+        f"{numbers(np.zeros(3))} com",
+        f"{numbers(moments, np.zeros(3))} inertia",
+    ]
+    infile = [
+        *facts,
+        "# id, mass, com, inertia xx yy zz xy xz yz, velocity, angular momentum, image flags",
+        "1",
+        f"1 {numbers(mass, np.zeros(3), moments, np.zeros(9))} 0 0 0",
+    ]
+    molecule = ["\n".join(facts), "\n".join(header), *sections]
+    return {".mol": "\n\n".join(molecule) + "\n", ".rigid": "\n".join(infile) + "\n"}
+
+
+def mjcf(bodies: Sequence[Exported]) -> dict[str, str]:
+    """An MJCF model: a free body each, its spheres as geoms without mass, points as sites."""
+    root = ET.Element("mujoco", model=bodies[0].name)
+    root.append(ET.Comment(f" {COMMENT} "))
+    world = ET.SubElement(root, "worldbody")
+    for body in bodies:
+        refuse_degenerate(body, "MuJoCo", POINT, ROD)
+        mass, com, tensor, *_ = (array[0] for array in body.properties)
+        element = ET.SubElement(world, "body", name=body.name)
+        ET.SubElement(element, "freejoint")
+        ET.SubElement(
+            element,
+            "inertial",
+            pos=numbers(com),
+            mass=numbers(mass),
+            fullinertia=numbers(six(tensor)),
+        )
+        own = carriers(body)
+        for position, radius in zip(own.position, own.radius, strict=True):
+            place = {"type": "sphere", "pos": numbers(position)}
+            if radius > 0.0:
+                ET.SubElement(element, "geom", place, size=numbers(radius), mass="0")
+            else:
+                ET.SubElement(element, "site", place)
+    ET.indent(root)
+    return {".xml": ET.tostring(root, encoding="unicode") + "\n"}
+
+
+def yade(bodies: Sequence[Exported]) -> dict[str, str]:
+    """Clumps for ymport.textClumps: x y z r id, in principal axes with the com at the origin.
+
+    Mass and moments stand in comments, with the lines that set them.
+    """
+    lines = [
+        f"# {COMMENT}; x y z r clump, for yade.ymport.textClumps: from the com, principal axes"
+    ]
+    for k, body in enumerate(bodies):
+        mass, com, _, moments, axes, _ = (array[0] for array in body.properties)
+        own = carriers(body)
+        if not own.radius.any():
+            raise ExportError(f"{body.name} has no particle with a radius: YADE holds spheres")
+        lines += [
+            f"# clump {k} {body.name}",
+            f"# mass {numbers(mass)}",
+            f"# inertia {numbers(moments)}",
+            f"# axes {numbers(axes.T)}  (rows are the principal axes as given)",
+            f"# com {numbers(com)}  (as given)",
+            "# set both after loading: O.bodies[id].state.mass = mass, .state.inertia = inertia",
+        ]
+        local = (own.position - com) @ axes
+        lines += [f"{numbers(p, r)} {k}" for p, r in zip(local, own.radius, strict=True)]
+    return {".txt": "\n".join(lines) + "\n"}
+
+
+def write_gsd(bodies: Sequence[Exported], path: Path) -> None:
+    """One frame with one particle per body, turned to its principal axes; float64 in the log."""
+    try:
+        import gsd.hoomd
+    except ImportError:
+        raise ExportError("gsd files need the package gsd: pip install gsd") from None
+    from particlerb.bodies.bodies import quaternions
+
+    frame = gsd.hoomd.Frame()
+    own = frame.particles
+    properties = [body.properties for body in bodies]
+    axes = np.concatenate([p.axes for p in properties])
+    own.N, own.typeid = len(bodies), np.arange(len(bodies))
+    own.types = [body.name for body in bodies]
+    own.mass = np.concatenate([p.mass for p in properties])
+    own.moment_inertia = np.concatenate([p.moments for p in properties])
+    own.position = np.concatenate([p.com for p in properties])
+    own.orientation = quaternions(axes)
+    own.type_shapes = [sphere_union(body) for body in bodies]
+    reach = max(float(np.abs(body.particles.position).max()) for body in bodies)
+    edge = 2.02 * (reach + max(float(body.particles.radius.max()) for body in bodies)) or 1.0
+    frame.configuration.box = [edge, edge, edge, 0, 0, 0]
+    frame.log = {
+        "mass": np.concatenate([p.mass for p in properties]),
+        "com": np.concatenate([p.com for p in properties]),
+        "inertia_tensor": np.concatenate([p.inertia_tensor for p in properties]).reshape(-1, 9),
+    }
+    with gsd.hoomd.open(path, "w") as file:
+        file.append(frame)
+
+
+def sphere_union(body: Exported) -> dict[str, Any]:
+    """Shape of a body for OVITO, in its principal axes; none where it has no radius."""
+    own = carriers(body)
+    if not own.radius.any():
+        return {}
+    local = (own.position - body.properties.com[0]) @ body.properties.axes[0]
+    diameters = (2.0 * own.radius).tolist()
+    return {"type": "SphereUnion", "centers": local.tolist(), "diameters": diameters}
+
+
+class Format(NamedTuple):
+    """One format of bodies."""
+
+    suffix: str
+    write: Callable[[Sequence[Exported]], dict[str, str]]
+
+
+BODY_FORMATS: Final = {
+    "lammps": Format(".mol", lammps),
+    "mjcf": Format(".xml", mjcf),
+    "yade": Format(".txt", yade),
+    "gsd": Format(".gsd", lambda _: {}),
+}
+
+
+def file_name(name: str) -> str:
+    """Name of a body as that of a file."""
+    return re.sub(r"[^\w.-]+", "_", name)
