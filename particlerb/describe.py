@@ -47,10 +47,19 @@ def bodies_line(scene: Scene) -> str:
 
 
 def particles_line(scene: Scene) -> str:
-    """How many particles were summed, and that motion needs them no more."""
+    """How many particles were summed, how many are kept, and why."""
     kinds = len(scene.particles.offset) - 1
     sets = "one set" if kinds == 1 else f"{kinds} sets"
-    return f"{len(scene.particles.mass)} in {sets}, summed once: motion needs mass, com, tensor"
+    line = f"{scene.summed.sum()} in {sets}, summed once: motion needs mass, com, tensor"
+    kept = np.diff(scene.particles.offset)
+    is_reduced = kept < scene.summed
+    if not is_reduced.any():
+        return line
+    touching = np.add.reduceat(scene.particles.radius > 0.0, scene.particles.offset[:-1])
+    surface = touching[is_reduced].sum()
+    rest = f"{surface} that touch, and " if surface else ""
+    why = "nothing attracts them" if surface else "nothing touches or attracts them"
+    return f"{line}; of {scene.summed[is_reduced].sum()} are kept {rest}6 points a set: {why}"
 
 
 def gravity_line(case: Case) -> str:

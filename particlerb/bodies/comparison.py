@@ -7,9 +7,8 @@ accurate for tiny angles. Rods compare their axes, points nothing.
 import numpy as np
 
 from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.particles import Particles
 from particlerb.bodies.state import multiplied, turned
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Floats
 from particlerb.rotors.rotor_class import POINT, ROD
 
 CONJUGATE = np.array([[1.0], [-1.0], [-1.0], [-1.0]])
@@ -37,9 +36,3 @@ def angles(bodies: Bodies, expected: Floats, found: Floats) -> Floats:
         angle[rods] = np.arctan2(across, (p * q).sum(axis=0))
     angle[bodies.rotor_class == POINT] = 0.0
     return np.asarray(angle)
-
-
-def radii(particles: Particles, kind: Ints) -> Floats:
-    """Distance of the farthest particle of each body from its centre of mass, (n,) [m]."""
-    reach = np.linalg.norm(particles.position, axis=1) + particles.radius
-    return np.asarray(np.maximum.reduceat(reach, particles.offset[:-1])[kind])

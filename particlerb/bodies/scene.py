@@ -25,6 +25,7 @@ from particlerb.bodies.particles import (
     transformed,
     united,
 )
+from particlerb.bodies.reduction import reduced
 from particlerb.bodies.spheres import spheres
 from particlerb.bodies.state import State, initial_state, turned
 from particlerb.case.placement import (
@@ -60,6 +61,10 @@ class Scene(NamedTuple):
     """Constants of all bodies."""
     state: State
     """At t = 0."""
+    summed: Ints
+    """Particles that each kind was summed from, shape (n_kinds,); `particles` may hold fewer."""
+    reach: Floats
+    """Distance of the farthest of these from the com, its radius included [m], (n_kinds,)."""
     notes: Sequence[tuple[str, str]] = ()
     """Name of a block and a line on how its shape became particles: what was tried, or changed."""
 
@@ -92,7 +97,18 @@ def assemble(case: Case, keeps_all: bool = False) -> Scene:
     centred = particles._replace(
         position=particles.position - np.repeat(properties.com, counts, axis=0)
     )
-    return Scene(placement.names, centred, properties, kind, bodies, state, tuple(notes))
+    reach = farthest(centred)
+    kept = centred
+    if not keeps_all:
+        kept = reduced(case, placement.block, kind, centred, properties)
+    summed = counts, reach
+    return Scene(placement.names, kept, properties, kind, bodies, state, *summed, tuple(notes))
+
+
+def farthest(particles: Particles) -> Floats:
+    """Largest distance of a particle from the origin, its radius included, of each kind [m]."""
+    reach = np.linalg.norm(particles.position, axis=1) + particles.radius
+    return np.asarray(np.maximum.reduceat(reach, particles.offset[:-1]))
 
 
 def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProperties, Ints]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particlerb.bodies.bodies import Bodies, taken
-from particlerb.bodies.comparison import angles, radii
+from particlerb.bodies.comparison import angles
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames, State, as_frame, room_for
 from particlerb.case.schema import Case
@@ -71,7 +71,7 @@ def sample(scene: Scene, plan: Plan, t_end: float, packs: int) -> Ints:
 def part(case: Case, scene: Scene, plan: Plan, which: Ints) -> Part:
     """Chosen bodies of a plan, ascending."""
     gravity = np.array(case.gravity.acceleration if case.gravity else (0.0, 0.0, 0.0))
-    size = radii(scene.particles, scene.kind[which])
+    size = scene.reach[scene.kind[which]]
     groups = []
     for group in plan.groups:
         own = np.flatnonzero(np.isin(group.members, which))

@@ -1,0 +1,79 @@
+"""Large sets of particles after they were summed: only what contact or attraction needs is kept.
+
+Motion needs mass, com and tensor. A kind of more than `MANY` particles keeps those with a radius
+if something can touch it, those with mass if something attracts it, all if charges are given for
+each. Six points of its mass and tensor stand for the matter that goes, so that what is kept has the
+mass properties of the whole. Smaller kinds stay as they are, to be looked at.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from particlerb.bodies.mass_properties import MassProperties
+from particlerb.bodies.particles import Particles, concatenate, one_kind, united
+from particlerb.bodies.solid import ROUNDING, Solid, stand_in
+from particlerb.case.placement import resolve_bodies
+from particlerb.case.schema import Case, UniformField
+from particlerb.maths.vec3 import Bools, Floats, Ints
+
+MANY: Final = 10_000
+
+
+def reduced(
+    case: Case, block: Ints, kind: Ints, particles: Particles, properties: MassProperties
+) -> Particles:
+    """Particles that are kept.
+
+    Parameters
+    ----------
+    case : Case
+    block, kind : ndarray, shape (n_bodies,)
+        [[body]] block and kind of each body.
+    particles : Particles
+        Of all kinds, from their com.
+    properties : MassProperties
+        Of all kinds.
+    """
+    count = np.diff(particles.offset)
+    if count.max() <= MANY:
+        return particles
+    touched, heavy = needs(case, block, kind, len(count))
+    sets = []
+    for k in range(len(count)):
+        own = slice(particles.offset[k], particles.offset[k + 1])
+        position, mass, radius = (array[own] for array in particles[:3])
+        whole = one_kind(position, mass, radius)
+        surface = (radius > 0.0) & touched[k]
+        if count[k] <= MANY or heavy[k] or 2 * np.count_nonzero(surface) > count[k]:
+            sets.append(whole)
+            continue
+        matter = points_for(properties, k)
+        if surface.any():
+            shell = one_kind(position[surface], 0.0, radius[surface])
+            matter = united(concatenate([shell, matter]))
+        sets.append(matter)
+    return concatenate(sets)
+
+
+def points_for(properties: MassProperties, k: int) -> Particles:
+    """Six points with the mass and tensor of a kind, about its com at the origin."""
+    mass = float(properties.mass[k])
+    per_mass: Floats = properties.inertia_tensor[k] / mass
+    offset = np.linalg.norm(properties.com[k]) / np.sqrt(np.trace(per_mass) or 1.0)
+    return stand_in(Solid(1.0, np.zeros(3), per_mass, ROUNDING * (1.0 + float(offset))), mass)
+
+
+def needs(case: Case, block: Ints, kind: Ints, n_kinds: int) -> tuple[Bools, Bools]:
+    """Which kinds (n_kinds,) need the particles with a radius, and which all of them."""
+    can_touch = np.array([case.contact is not None and body.contact for body in case.body])
+    touched, heavy = np.zeros(n_kinds, dtype=np.bool_), np.zeros(n_kinds, dtype=np.bool_)
+    touched[kind[can_touch[block]]] = True
+    if case.attraction is not None:
+        names = case.attraction.body
+        own = slice(None) if names is None else resolve_bodies(case, names)
+        heavy[kind[own]] = True
+    for force in case.force:
+        if isinstance(force, UniformField) and isinstance(force.charge, tuple):
+            heavy[kind[resolve_bodies(case, force.body)]] = True
+    return touched, heavy
