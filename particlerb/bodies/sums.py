@@ -22,8 +22,8 @@ Sum: TypeAlias = tuple[float, float]
 
 LANES: Final = 16
 CHUNK: Final = 16384  # particles that are summed by one thread without a stop
-SAMPLE: Final = 64  # particles of a kind from which origin and scale are guessed
-NEAR: Final = 1 / 16  # |com|² over the square of the size up to which the origin stays where it is
+SAMPLE: Final = 128  # particles of a kind from which origin and scale are guessed
+NEAR: Final = 1 / 4  # |com|² over the square of the size up to which the origin stays where it is
 GOLDEN: Final = 0.6180339887498949
 PASSES: Final = 3  # readings of a kind at most
 SPARE: Final = (
