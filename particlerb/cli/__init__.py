@@ -28,6 +28,7 @@ from particlerb.cli.show import (
     schema_command,
 )
 from particlerb.cli.studies import chart_command, converge_command, stability_command
+from particlerb.cli.view import add_view, view_command
 
 EPILOG = """\
 CASE is a TOML file, or the name of one in ./cases or among the examples (`cases` lists them).
@@ -94,6 +95,8 @@ def parser() -> argparse.ArgumentParser:
     plot.add_argument("--overwrite", action="store_true", help="replace an existing picture")
 
     add_export(commands)
+    add_view(commands.add_parser("view", help="push a case, or play a file, in the browser"))
+
     add_studies(commands)
 
     commands.add_parser("cases", help="list the example cases")
@@ -266,6 +269,7 @@ COMMANDS: Final[dict[str, Callable[[argparse.Namespace], int]]] = {
     "info": info_command,
     "plot": plot_command,
     "export": export_command,
+    "view": view_command,
     "chart": chart_command,
     "stability": stability_command,
     "converge": converge_command,

@@ -28,6 +28,7 @@ NAMES: Final = (
     "info",
     "plot",
     "export",
+    "view",
     "chart",
     "stability",
     "converge",

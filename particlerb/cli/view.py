@@ -1,0 +1,111 @@
+"""Command `view`: a case that can be pushed, or a file that is played, in the browser."""
+
+import argparse
+import contextlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from particlerb.cli.common import DONE, FAILED, Ending, opened, read_case
+
+if TYPE_CHECKING:
+    from particlerb.view.live import Turning
+
+AT_FIRST: Final = "cube_at_rest"
+FILES: Final = (".h5", ".hdf5", ".vtkhdf")
+MISSING: Final = 'the browser scene needs viser: pip install "particlerb[view]"'
+
+
+def add_view(command: argparse.ArgumentParser) -> None:
+    """Options of `view`."""
+    command.add_argument(
+        "case", nargs="?", default=AT_FIRST, metavar="CASE|FILE",
+        help="a case to push, or a trajectory file to play; default: the paper's cube",
+    )  # fmt: skip
+    command.add_argument(
+        "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE",
+        help="change a key of the case; repeatable",
+    )  # fmt: skip
+    command.add_argument("--threads", type=int, metavar="N", help="default: all cores")
+    command.add_argument("--port", type=port, default=8080, help="default: %(default)s")
+    command.add_argument(
+        "--host", default="127.0.0.1",
+        help="address to listen on; default: %(default)s, this machine only",
+    )  # fmt: skip
+    command.add_argument(
+        "-o", "--output", metavar="FILE", help="of a saved session; output/<case>_session.toml"
+    )
+
+
+def port(text: str) -> int:
+    """A port."""
+    value = int(text)
+    if not 1 <= value <= 65535:
+        raise argparse.ArgumentTypeError(f"must be between 1 and 65535, got {text}")
+    return value
+
+
+def view_command(options: argparse.Namespace) -> int:
+    """`view`: serve the page until Ctrl-C."""
+    try:
+        import viser  # noqa: F401
+
+        from particlerb.view.server import LOCAL, listening
+    except ImportError:
+        raise Ending(MISSING, FAILED) from None
+    if options.host not in LOCAL:
+        print(
+            f"particlerb: warning: {options.host} lets everyone who reaches this machine push the"
+            " bodies and save sessions; there is no password",
+            file=sys.stderr,
+        )
+    is_file = Path(options.case).suffix.lower() in FILES
+    with listening(options.host, options.port) as server:
+        if is_file:
+            return play(options, server)
+        return push(options, server)
+
+
+def push(options: argparse.Namespace, server: "object") -> int:
+    """Serve a case."""
+    from particlerb.case.problems import CaseError
+    from particlerb.view.live import Live, rehearse
+
+    case = read_case(options)
+    stem = case.path.stem if case.path else "case"
+    path = Path(options.output) if options.output else Path("output") / f"{stem}_session.toml"
+    try:
+        print("making ready (the first time compiles, up to a minute) ...", file=sys.stderr)
+        rehearse(case)
+        live = Live(case, server, path)  # type: ignore[arg-type]
+    except CaseError as error:
+        raise Ending(str(error)) from None
+    serve(live, server)
+    if len(live.session.applied) > live.saved:
+        with contextlib.suppress(ValueError):
+            live.save()
+            print(live.message)
+    return DONE
+
+
+def play(options: argparse.Namespace, server: "object") -> int:
+    """Serve a file."""
+    from particlerb.view.replay import Replay, ReplayError
+
+    with opened(options.case) as trajectory:
+        try:
+            replay = Replay(trajectory, server, Path(options.case))  # type: ignore[arg-type]
+        except ReplayError as error:
+            raise Ending(f"{options.case}: {error}") from None
+        serve(replay, server)
+    return DONE
+
+
+def serve(page: "Turning", server: object) -> None:
+    """Say where the page is, and keep it up to date until Ctrl-C."""
+    from particlerb.view.server import address
+
+    print(f"open {address(server)} in a browser; Ctrl-C ends", flush=True)  # type: ignore[arg-type]
+    with contextlib.suppress(KeyboardInterrupt):
+        page.go()
+    page.stop()

@@ -1,0 +1,215 @@
+"""The numbers of one body beside the hand calculation of its last push, as text and as a table.
+
+A number is shown with the digits that are asked for; `…` follows where the float has more, so that
+nothing is rounded silently; numbers that end within them are shown whole. Knows HTML, no browser.
+"""
+
+import html
+import math
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.bodies import taken
+from particlerb.bodies.scene import Scene, inertia_in_body
+from particlerb.bodies.state import derived, turned, turned_back
+from particlerb.case.schema import Case
+from particlerb.maths.vec3 import Floats
+from particlerb.view.session import Applied
+
+MOST_DIGITS: Final = 17  # that a float64 needs to be told from all others
+NARROW: Final = 6  # digits up to which three numbers stand side by side
+MORE: Final = "…"
+STYLE: Final = """<style>
+.pb{font:11.5px/1.5 ui-monospace,SFMono-Regular,Menlo,Consolas,monospace}
+.pb{color:#1b1f24;padding:0 8px}
+.pb b{font:600 13px system-ui,sans-serif}
+.pb h4{margin:9px 0 2px;font:600 11px/1.3 system-ui,sans-serif;color:#b4530a;
+letter-spacing:.04em;border-bottom:1px solid #e6e8eb}
+.pb div{display:flex;gap:5px;white-space:pre}.pb div.t{margin-top:4px}
+.pb u{flex:0 0 8em;font:12px/1.45 system-ui,sans-serif;color:#57606a;text-decoration:none}
+.pb u.s{flex-basis:1.5em}.pb span{flex:1 1 0;text-align:right}
+.pb i{color:#8b949e;font-style:normal}</style>"""
+
+
+class Row(NamedTuple):
+    """A quantity: a word for tests and screen readers, what is shown, and its numbers."""
+
+    key: str
+    label: str
+    values: tuple[float, ...]
+
+
+class Part(NamedTuple):
+    """Quantities under a heading."""
+
+    title: str
+    rows: tuple[Row, ...]
+
+
+class Motion(NamedTuple):
+    """State of one body, outside view."""
+
+    position: Floats  # (3,) [m]
+    orientation: Floats  # (4,)
+    linear_momentum: Floats  # (3,) [kg m/s]
+    angular_momentum: Floats  # (3,) [kg m²/s]
+    velocity: Floats  # (3,) [m/s]
+    angular_velocity: Floats  # (3,) [rad/s]
+
+    @property
+    def kinetic_energy(self) -> float:
+        """½ p·v + ½ L·ω [J]."""
+        linear = float(self.linear_momentum @ self.velocity)
+        return 0.5 * (linear + float(self.angular_momentum @ self.angular_velocity))
+
+
+def motion_of(scene: Scene, b: int, *state: Floats) -> Motion:
+    """Motion of body b from position, orientation and momenta of all bodies, (N, 3) and (N, 4)."""
+    x, q, p, L = (np.array(values[b], dtype=np.float64) for values in state)
+    one = taken(scene.bodies, np.array([b]))
+    v, omega = derived(one, q[None, None], p[None, None], L[None, None])
+    return Motion(x, q, p, L, v[0, 0], omega[0, 0])
+
+
+def shown(value: float, digits: int) -> str:
+    """A number with so many digits; whole where these suffice, else with `…`."""
+    if value == 0.0:
+        return "0"  # of either sign
+    rounded = f"{value:.{digits}g}"
+    return repr(value) if float(rounded) == value else f"{rounded}{MORE}"
+
+
+def euler_deg(q: Floats) -> Floats:
+    """Roll, pitch, yaw [°] of a unit quaternion: intrinsic z-y-x, as in a case."""
+    w, x, y, z = (float(c) for c in q)
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = math.asin(min(1.0, max(-1.0, 2.0 * (w * y - z * x))))
+    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.degrees([roll, pitch, yaw])
+
+
+def state_parts(scene: Scene, b: int, motion: Motion) -> list[Part]:
+    """Everything that is known of a body now."""
+    q = motion.orientation
+    body = inertia_in_body(scene.bodies, b)
+    R = turned(np.tile(q[:, None], 3), np.eye(3))
+    world = R @ body @ R.T
+    spin = turned_back(q[:, None], motion.angular_velocity[:, None])[:, 0]
+
+    def tensor(key: str, values: Floats) -> tuple[Row, ...]:
+        return tuple(row(f"{key}-{k}", "xyz"[k], values[k]) for k in range(3))
+
+    where = (
+        row("position", "position  m", motion.position),
+        row("orientation", "q", q),
+        row("euler", "roll pitch yaw  °", euler_deg(q)),
+    )
+    moves = (
+        row("velocity", "v  m/s", motion.velocity),
+        row("angular_velocity", "ω  rad/s", motion.angular_velocity),
+        row("angular_velocity_body", "ω, body axes", spin),
+        row("linear_momentum", "P  kg m/s", motion.linear_momentum),
+        row("angular_momentum", "L  kg m²/s", motion.angular_momentum),
+        row("kinetic_energy", "energy  J", [motion.kinetic_energy]),
+    )
+    mass = (row("mass", "mass  kg", [scene.bodies.mass[b]]),)
+    principal = (row("moments", "principal", np.sort(scene.bodies.inertia[:, b])),)
+    return [
+        Part("where", where),
+        Part("how it moves", moves),
+        Part("inertia, body axes  kg m²", mass + tensor("inertia", body) + principal),
+        Part("inertia, world axes  kg m²", tensor("inertia_world", world)),
+    ]
+
+
+def push_part(applied: Applied, drift: tuple[float, float] | None) -> Part:
+    """What was done to the body last, and the drifts of energy and |L| since it ended."""
+    blow = applied.blow
+    is_push = blow.duration > 0.0
+    rows = [
+        row("at", "body point  m", blow.at),
+        row("force", "F  N" if is_push else "J  N s", blow.vector),
+        row("lever", "lever arm r  m", applied.lever),
+        row("torque", "r × F  N m" if is_push else "r × J  N m s", applied.torque),
+        row("time", "from, to  s" if is_push else "at  s", times_of(applied)),
+    ]
+    if drift is not None:
+        rows.append(row("drift", "drifts: E, |L|", drift))
+    return Part("last push", tuple(rows))
+
+
+def times_of(applied: Applied) -> list[float]:
+    """Start and end of a push [s], or the instant of an impulse."""
+    return [applied.start, applied.stop] if applied.blow.duration > 0.0 else [applied.start]
+
+
+def hand_part(case: Case, scene: Scene, block: int, applied: Applied, motion: Motion) -> Part:
+    """The hand calculation of the paper beside the solver: I, ΔL = r × F Δt, ΔP = F Δt, ω = L/I.
+
+    The lever arm is taken as it is at the start. A push turns the body away under it, so that the
+    solver's L differs by what the arm has changed; an impulse leaves no time for that.
+    """
+    blow, b = applied.blow, applied.blow.body
+    J = np.array(blow.vector) * (blow.duration or 1.0)
+    hand_L = applied.angular_momentum + np.cross(applied.lever, J)
+    hand_P = applied.linear_momentum + J
+    mass = float(scene.bodies.mass[b])
+    rows: list[Row] = []
+    moments = hand_moments(case, block, mass)
+    if moments is not None:
+        rows += beside("I", "I  kg m²", moments, np.diag(inertia_in_body(scene.bodies, b)))
+    rows += beside("L", "L  kg m²/s", hand_L, motion.angular_momentum)
+    if moments is not None and np.ptp(moments) == 0.0:
+        rows += beside("omega", "ω = L/I", hand_L / moments[0], motion.angular_velocity)
+    rows += beside("v", "v = P/M  m/s", hand_P / mass, motion.velocity)
+    return Part("by hand, and by the solver", tuple(rows))
+
+
+def hand_moments(case: Case, block: int, mass: float) -> Floats | None:
+    """Moments of a solid box M (b² + c²)/12, for a cube M a²/6 [kg m²]; None for other shapes."""
+    shape = case.body[block].shape
+    if shape is None or shape.type != "box":
+        return None
+    a, b, c = shape.size
+    if a == b == c:
+        return np.full(3, mass * a * a / 6.0)
+    return mass * np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 12.0
+
+
+def beside(key: str, label: str, hand: Iterable[float], solver: Iterable[float]) -> list[Row]:
+    """By hand, by the solver, and the difference."""
+    hand, solver = np.array(list(hand)), np.array(list(solver))
+    return [
+        row(f"hand_{key}", f"{label}", hand),
+        row(f"solver_{key}", "  solver", solver),
+        row(f"difference_{key}", "  differs by", solver - hand),
+    ]
+
+
+def row(key: str, label: str, values: Iterable[float]) -> Row:
+    """Row of plain floats."""
+    return Row(key, label, tuple(float(value) for value in values))
+
+
+def table(title: str, parts: Iterable[Part], digits: int) -> str:
+    """HTML of quantities; the numbers of each lie in elements that carry its key."""
+    lines = [STYLE, f'<div class="pb" style="display:block"><b>{html.escape(title)}</b>']
+    for part in parts:
+        lines.append(f"<h4>{html.escape(part.title)}</h4>")
+        lines += [html_row(one, 2 if one.key.startswith("diff") else digits) for one in part.rows]
+    return "".join([*lines, "</div>"])
+
+
+def html_row(one: Row, digits: int) -> str:
+    """One quantity: side by side while there is room, else one below the other."""
+    texts = [shown(value, digits).replace(MORE, f"<i>{MORE}</i>") for value in one.values]
+    if digits > NARROW:
+        texts = ["<br>".join(texts)]
+    begins = ' class="t"' if one.key.startswith("hand_") else ""
+    is_long = len(texts) > 3
+    label = f"<u{' class=s' if is_long else ''}>{html.escape(one.label)}</u>"
+    cells = "".join(f'<span data-key="{one.key}">{text}</span>' for text in texts)
+    empty = "<span></span>" * (3 - len(texts)) if digits <= NARROW else ""
+    return f"<div{begins}>{label}{cells}{empty}</div>"

@@ -1,0 +1,360 @@
+"""The surfaces of bodies and walls: what is shown, and where a ray meets it. Knows no browser.
+
+A body is shown as the solid that its case names; bodies of loose particles as their balls, with a
+marker for a particle without radius. Rays meet balls and ellipsoids where the formula says, all
+else where the triangles are that the screen shows. Lengths in metres, body frame, from the com.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.scene import Scene
+from particlerb.bodies.state import turned, turned_back
+from particlerb.case.placement import normalised, quaternion_of_euler
+from particlerb.case.schema import Body, Case, Euler
+from particlerb.maths.vec3 import Floats, Ints
+
+trimesh: Any = import_module("trimesh")  # untyped in parts
+
+MARKER: Final = 0.08  # radius of a particle without one, in units of the body's extent
+THICKNESS: Final = 0.02  # of a rod, in units of its length
+PLANE: Final = 2.0  # size of a plane that is shown, in units of the scene
+MANY: Final = 10_000  # copies of which each is coarse
+ROUND: Final = 48  # facets around a cylinder
+PARALLEL: Final = 1e-14  # |det| of a ray beside a triangle, relative
+
+
+class Mesh(NamedTuple):
+    """Triangles."""
+
+    vertices: Floats  # (v, 3) [m]
+    faces: Ints  # (f, 3)
+    is_smooth: bool = False
+
+    def moved(self, R: Floats, shift: Floats) -> "Mesh":
+        """Turned by a rotation matrix and then shifted."""
+        return self._replace(vertices=self.vertices @ R.T + shift)
+
+
+class Form(NamedTuple):
+    """Surface of one kind of body."""
+
+    mesh: Mesh  # what is shown
+    corners: Floats  # (t, 3, 3) triangles that a ray can meet
+    centre: Floats  # (e, 3) ellipsoids that a ray can meet
+    semi_axes: Floats  # (e, 3) along the axes of the body
+
+    @property
+    def reach(self) -> float:
+        """Radius of a ball about the centre of mass that holds it all [m]."""
+        far = np.linalg.norm(self.mesh.vertices, axis=1).max(initial=0.0)
+        balls = np.linalg.norm(self.centre, axis=1) + self.semi_axes.max(axis=1, initial=0.0)
+        return float(max(far, balls.max(initial=0.0)))
+
+
+class Layer(NamedTuple):
+    """Copies of one mesh, one on each of some bodies: drawn together."""
+
+    mesh: Mesh
+    body: Ints  # (n,) body of each copy
+    turn: Floats | None  # (4, n) unit quaternions, axes of the mesh to those of the body
+    size: Floats | None  # (n, 3) by which it is scaled along its axes
+
+
+class Hit(NamedTuple):
+    """Where a ray meets a body."""
+
+    body: int
+    at: Floats  # (3,) [m], body frame
+    normal: Floats  # (3,) unit, outward, body frame
+    distance: float  # along the ray [m]
+
+
+class Surfaces:
+    """Surfaces of all bodies of a scene."""
+
+    def __init__(self, case: Case, scene: Scene) -> None:
+        self.case, self.scene = case, scene
+        self.known: dict[int, Form] = {}
+        self.block = np.repeat(np.arange(len(case.body)), [body.count for body in case.body])
+        self.layers: list[Layer] = []
+        self.reach: Floats = np.zeros(len(scene.kind))  # radius of a ball that holds each [m]
+        for i in range(len(case.body)):
+            own = np.flatnonzero(self.block == i)
+            kinds = np.unique(scene.kind[own])
+            self.reach[own] = (
+                [self.form(k).reach for k in scene.kind[own]]
+                if kinds.size > 1
+                else (self.form(int(kinds[0])).reach)
+            )
+            if kinds.size == 1:
+                self.layers.append(Layer(self.form(int(kinds[0])).mesh, own, None, None))
+            else:
+                axes = np.array([equal_ellipsoid(scene, b) for b in own.tolist()])
+                frame = scene.bodies.rotor_frame[:, own]
+                self.layers.append(Layer(ball(1.0, own.size), own, frame, axes))
+
+    def form(self, kind: int) -> Form:
+        """Surface of a kind of body."""
+        kind = int(kind)
+        if kind not in self.known:
+            first = int(np.argmax(self.scene.kind == kind))
+            body = self.case.body[int(self.block[first])]
+            if body.count > 1 and body.shape is not None and body.shape.type == "cloud":
+                self.known[kind] = ellipsoid_form(self.scene, first)
+            else:
+                self.known[kind] = form_of(self.case, self.scene, body, kind, body.count)
+        return self.known[kind]
+
+    def hit(self, position: Floats, q: Floats, origin: Floats, direction: Floats) -> Hit | None:
+        """Nearest point at which a ray meets a body; None where it meets none.
+
+        Parameters
+        ----------
+        position, q : ndarray, shapes (N, 3) [m] and (N, 4)
+            Of all bodies, as they are shown.
+        origin, direction : ndarray, shape (3,)
+            Of the ray, world frame.
+        """
+        size = np.linalg.norm(direction)
+        if not (np.isfinite(origin).all() and np.isfinite(size) and size > 0.0):
+            return None
+        direction = direction / size
+        away = position - origin
+        along = away @ direction
+        beside = np.linalg.norm(away - along[:, None] * direction, axis=1)
+        near = np.flatnonzero((beside <= self.reach) & (along + self.reach >= 0.0))
+        best: Hit | None = None
+        for b in near[np.argsort((along - self.reach)[near])].tolist():
+            if best is not None and along[b] - self.reach[b] > best.distance:
+                break
+            turn = q[b][:, None]
+            start = turned_back(turn, -away[b][:, None])[:, 0]
+            way = turned_back(turn, direction[:, None])[:, 0]
+            found = meet(self.form(self.scene.kind[b]), start, way)
+            if found is not None and (best is None or found[0] < best.distance):
+                best = Hit(b, start + found[0] * way, found[1], found[0])
+        return best
+
+
+def meet(form: Form, start: Floats, way: Floats) -> tuple[float, Floats] | None:
+    """Distance to the first point of a form in front of a ray, and the outward normal there."""
+    found = [*meet_triangles(form.corners, start, way)]
+    found += meet_ellipsoids(form.centre, form.semi_axes, start, way)
+    return min(found, key=lambda one: one[0], default=None)
+
+
+def meet_triangles(corners: Floats, start: Floats, way: Floats) -> list[tuple[float, Floats]]:
+    """Nearest triangle that a ray meets from either side, its normal against the ray.
+
+    Source: Möller and Trumbore, J. Graphics Tools 2, 21 (1997).
+    """
+    if not len(corners):
+        return []
+    edge_1, edge_2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    p = np.cross(way, edge_2)
+    det = np.einsum("ij,ij->i", edge_1, p)
+    scale = np.linalg.norm(edge_1, axis=1) * np.linalg.norm(edge_2, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        s = start - corners[:, 0]
+        q = np.cross(s, edge_1)
+        u, v = np.einsum("ij,ij->i", s, p) / det, (q @ way) / det
+        t = np.einsum("ij,ij->i", edge_2, q) / det
+        inside = (np.abs(det) > PARALLEL * scale) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
+    if not inside.any():
+        return []
+    k = int(np.argmin(np.where(inside, t, np.inf)))
+    normal = np.cross(edge_1[k], edge_2[k])
+    normal = normal / np.linalg.norm(normal)
+    return [(float(t[k]), -normal if normal @ way > 0.0 else normal)]
+
+
+def meet_ellipsoids(
+    centre: Floats, semi_axes: Floats, start: Floats, way: Floats
+) -> list[tuple[float, Floats]]:
+    """Nearest ellipsoid that a ray meets from outside."""
+    if not len(centre):
+        return []
+    o, d = (start - centre) / semi_axes, way / semi_axes
+    a, half_b, c = (d * d).sum(axis=1), (o * d).sum(axis=1), (o * o).sum(axis=1) - 1.0
+    root = half_b * half_b - a * c
+    with np.errstate(invalid="ignore"):
+        t = (-half_b - np.sqrt(root)) / a
+    ahead = (root >= 0.0) & (t > 0.0)
+    if not ahead.any():
+        return []
+    k = int(np.argmin(np.where(ahead, t, np.inf)))
+    normal = (o[k] + t[k] * d[k]) / semi_axes[k]
+    return [(float(t[k]), normal / np.linalg.norm(normal))]
+
+
+def form_of(case: Case, scene: Scene, body: Body, kind: int, copies: int) -> Form:
+    """Surface of the bodies of a [[body]] table."""
+    com = scene.properties.com[kind]
+    shapes = [(body.shape, np.eye(3), np.zeros(3))] if body.shape is not None else []
+    for part in body.part:
+        shapes.append((part.shape, rotation(part.orientation), np.array(part.position)))
+    forms = [solid(shape, R, place - com, copies) for shape, R, place in shapes]
+    known = [form for form in forms if form is not None]
+    if len(known) < len(forms):
+        return particles_form(scene, body, kind, copies)
+    return together(known)
+
+
+def rotation(given: Euler | tuple[float, ...]) -> Floats:
+    """Matrix (3, 3) of an orientation of a case."""
+    q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
+    R: Floats = turned(np.tile(normalised(q)[:, None], 3), np.eye(3))
+    return R
+
+
+def solid(shape: Any, R: Floats, shift: Floats, copies: int) -> Form | None:
+    """Surface of a shape where it stands in its body; None for loose particles."""
+    kind, own = shape.type, shape
+    round_axes: dict[str, Callable[[], Floats]] = {
+        "ball": lambda: np.full(3, own.radius),
+        "shell": lambda: np.full(3, own.radius),
+        "ellipsoid": lambda: np.array(own.semi_axes),
+    }
+    if kind in round_axes:
+        axes = round_axes[kind]()
+        mesh = ball(1.0, copies)
+        mesh = mesh._replace(vertices=mesh.vertices * axes).moved(R, shift)
+        is_aligned = np.ptp(axes) == 0.0 or np.array_equal(R, np.eye(3))
+        if is_aligned:
+            return Form(mesh, np.zeros((0, 3, 3)), shift[None], axes[None])
+        return triangles(mesh)
+    if kind == "points" and own.radius is not None and all(own.radius):
+        return balls_of(np.array(own.position) @ R.T + shift, np.array(own.radius), copies)
+    made: dict[str, Callable[[], Any]] = {
+        "box": lambda: trimesh.creation.box(extents=own.size),
+        "cylinder": lambda: hollow(own.radius, own.inner_radius, own.height),
+        "cone": lambda: trimesh.creation.cone(own.radius, own.height, sections=ROUND),
+        "torus": lambda: trimesh.creation.torus(own.major_radius, own.minor_radius),
+        "tetrahedron": lambda: trimesh.convex.convex_hull(np.array(own.vertices)),
+        "rod": lambda: trimesh.creation.cylinder(THICKNESS * own.length, own.length, sections=12),
+    }
+    return (
+        triangles(as_mesh(made[kind](), kind == "torus").moved(R, shift)) if kind in made else None
+    )
+
+
+def hollow(radius: float, inner: float, height: float) -> Any:
+    """Cylinder about z, with or without a bore."""
+    if inner > 0.0:
+        return trimesh.creation.annulus(inner, radius, height, sections=ROUND)
+    return trimesh.creation.cylinder(radius, height, sections=ROUND)
+
+
+def as_mesh(made: Any, is_smooth: bool = False) -> Mesh:
+    """Triangles of trimesh."""
+    return Mesh(np.array(made.vertices, dtype=np.float64), np.array(made.faces), is_smooth)
+
+
+def triangles(mesh: Mesh) -> Form:
+    """Form that a ray meets where its triangles are."""
+    none = np.zeros((0, 3))
+    return Form(mesh, mesh.vertices[mesh.faces], none, none)
+
+
+def ball(radius: float, copies: int) -> Mesh:
+    """Ball of as many triangles as the number of copies allows."""
+    fineness = 4 if copies <= 10 else 3 if copies <= 200 else 2 if copies <= 2000 else 1
+    return as_mesh(trimesh.creation.icosphere(subdivisions=fineness, radius=radius), True)
+
+
+def particles_form(scene: Scene, body: Body, kind: int, copies: int) -> Form:
+    """A body of loose particles: their balls; six particles with given moments as an octahedron."""
+    own = slice(scene.particles.offset[kind], scene.particles.offset[kind + 1])
+    place, radius = scene.particles.position[own], scene.particles.radius[own].copy()
+    extent = float(np.linalg.norm(place, axis=1).max())
+    radius[radius == 0.0] = MARKER * extent if extent > 0.0 else 1.0
+    form = balls_of(place, radius, copies)
+    if body.shape is not None and body.shape.type == "moments":
+        axes = np.abs(place).max(axis=0) * 0.999
+        corners = np.concatenate([np.diag(axes), -np.diag(axes)])
+        faces = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2],
+                          [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])  # fmt: skip
+        return together([triangles(Mesh(corners, faces)), form])
+    return form
+
+
+def equal_ellipsoid(scene: Scene, b: int) -> Floats:
+    """Semi-axes (3,) [m] of the solid ellipsoid with mass and moments of a body, rotor frame."""
+    inertia = scene.bodies.inertia[:, b]
+    squares = 2.5 * (inertia.sum() - 2.0 * inertia) / scene.bodies.mass[b]
+    largest = max(float(squares.max()), np.finfo(np.float64).tiny)
+    return np.asarray(np.sqrt(np.maximum(squares, 1e-4 * largest)))
+
+
+def ellipsoid_form(scene: Scene, b: int) -> Form:
+    """A body that shares its shape with no other, as the ellipsoid with its mass and moments."""
+    unit = ball(1.0, MANY)
+    R = turned(np.tile(scene.bodies.rotor_frame[:, b : b + 1], 3), np.eye(3))
+    mesh = unit._replace(vertices=unit.vertices * equal_ellipsoid(scene, b))
+    return triangles(mesh.moved(R, np.zeros(3)))
+
+
+def balls_of(place: Floats, radius: Floats, copies: int) -> Form:
+    """Balls as one form."""
+    unit = ball(1.0, copies * len(place))
+    meshes = [
+        unit._replace(vertices=r * unit.vertices + x) for x, r in zip(place, radius, strict=True)
+    ]
+    mesh = joined(meshes)
+    return Form(mesh, np.zeros((0, 3, 3)), place, np.tile(radius[:, None], 3))
+
+
+def joined(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    shift = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    faces = [mesh.faces + n for mesh, n in zip(meshes, shift[:-1], strict=True)]
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    return Mesh(vertices, np.concatenate(faces), all(mesh.is_smooth for mesh in meshes))
+
+
+def together(forms: Sequence[Form]) -> Form:
+    """Several forms as one."""
+    if len(forms) == 1:
+        return forms[0]
+    mesh = joined([form.mesh for form in forms])
+    return Form(mesh, *(np.concatenate([form[k] for form in forms]) for k in (1, 2, 3)))
+
+
+def walls_of(case: Case, size: float) -> list[Mesh]:
+    """Surfaces of the walls of a case, planes cut to a size [m]; world frame."""
+    found: list[Mesh] = []
+    for wall in case.wall:
+        if wall.type == "plane":
+            z = np.array(wall.normal) / np.linalg.norm(wall.normal)
+            x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+            x = x / np.linalg.norm(x)
+            y, half = np.cross(z, x), 0.5 * PLANE * size
+            corners = [a * half * x + b * half * y for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+            mesh = Mesh(np.array(corners) + wall.point, np.array([[0, 1, 2], [0, 2, 3]]))
+        elif wall.type == "box":
+            lower, upper = np.array(wall.lower), np.array(wall.upper)
+            mesh = as_mesh(trimesh.creation.box(extents=upper - lower))
+            mesh = mesh.moved(np.eye(3), 0.5 * (lower + upper))
+        elif wall.type == "cylinder":
+            axis = np.array(wall.axis) / np.linalg.norm(wall.axis)
+            R = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], axis)[:3, :3]
+            made = trimesh.creation.cylinder(wall.radius, wall.length, sections=ROUND)
+            mesh = as_mesh(made).moved(R, np.array(wall.centre))
+        else:
+            loaded = trimesh.load_mesh(case.file(wall.file), process=False)
+            mesh = as_mesh(loaded)._replace(vertices=wall.scale * np.array(loaded.vertices))
+            mesh = mesh.moved(rotation(wall.orientation), np.array(wall.position))
+        found.append(mesh)
+    return found
+
+
+def extent_of(position: Floats, reach: Floats) -> float:
+    """Size of a scene [m]: half the diagonal of the box that holds all bodies."""
+    far = position + reach[:, None], position - reach[:, None]
+    size = float(np.linalg.norm(far[0].max(axis=0) - far[1].min(axis=0))) / 2.0
+    return size if math.isfinite(size) and size > 0.0 else 1.0

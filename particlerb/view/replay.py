@@ -1,0 +1,339 @@
+"""The page on which a trajectory file is played: time, colours, a body to follow, pictures.
+
+Bodies are instances of the shapes of the case that the file holds. One thread reads and shows.
+"""
+
+import io
+import time
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import viser
+
+from particlerb.bodies.scene import Scene
+from particlerb.bodies.state import derived
+from particlerb.case.problems import CaseError
+from particlerb.case.reader import load
+from particlerb.case.schema import Case
+from particlerb.maths.vec3 import Floats
+from particlerb.relaxing import assembled
+from particlerb.trajectory import Trajectory
+from particlerb.view.controls import MOST_LISTED
+from particlerb.view.figures import motion_of, state_parts, table
+from particlerb.view.live import FIGURES, Turning, note
+from particlerb.view.server import finite
+from particlerb.view.stage import COLOURS, Stage
+
+COLOURED_BY: Final = ("body", "speed", "energy")
+WATCHED: Final = 15.0  # [s] in which a file is played
+PICTURE: Final = (1280, 720)  # width and height of pictures
+MOST_PICTURES: Final = 300  # of a film
+FILM_RATE: Final = 25  # pictures per second
+PATIENCE: Final = 60.0  # [s] that a browser may take for a picture
+VIRIDIS: Final = np.array([
+    (68, 1, 84), (72, 40, 120), (62, 74, 137), (49, 104, 142), (38, 130, 142), (31, 158, 137),
+    (53, 183, 121), (109, 205, 89), (180, 222, 44), (253, 231, 37),
+])  # fmt: skip
+NEEDED: Final = ("position", "orientation")
+
+
+class ReplayError(Exception):
+    """A file that cannot be shown: why."""
+
+
+def scene_of(trajectory: Trajectory) -> tuple[Case, Scene]:
+    """Case and bodies of a file.
+
+    Raises
+    ------
+    ReplayError
+        If fields or files are missing.
+    """
+    lacking = [name for name in NEEDED if name not in trajectory.fields]
+    if lacking:
+        raise ReplayError(f"the file lacks {', '.join(lacking)}: see [output] fields")
+    if not trajectory.n_frames:
+        raise ReplayError("the file has no frames")
+    try:
+        case = load(trajectory.parameter("case_resolved"))
+        scene = assembled(case)
+    except CaseError as error:
+        raise ReplayError(f"its bodies cannot be made again: {error}") from None
+    if len(scene.kind) != trajectory.n_bodies:
+        raise ReplayError(f"its case has {len(scene.kind)} bodies, it {trajectory.n_bodies}")
+    return case, scene
+
+
+class Replay(Turning):
+    """A trajectory on the page of a server.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Open.
+    server : ViserServer
+        Fresh.
+    path : Path
+        Of the file; pictures take its name.
+
+    Raises
+    ------
+    ReplayError
+        If the file cannot be shown.
+    """
+
+    def __init__(self, trajectory: Trajectory, server: viser.ViserServer, path: Path) -> None:
+        super().__init__()
+        self.trajectory, self.server, self.path = trajectory, server, path
+        case, self.scene = scene_of(trajectory)
+        self.times = trajectory.time
+        self.stage = Stage(server, case, self.scene)
+        self.names = [str(name) for name in trajectory.names]
+        self.index = {name: b for b, name in enumerate(self.names)}
+        self.body, self.frame, self.place = 0, -1, 0.0
+        self.is_running, self.next_figures = False, 0.0
+        self.is_new = True
+        self.followed: int | None = None
+        length = float(self.times[-1] - self.times[0])
+        self.speed = float(f"{max(length, 1e-300) / WATCHED:.2g}") or 1.0
+        self.has_momenta = {"linear_momentum", "angular_momentum"} <= set(trajectory.fields)
+        self.range: dict[str, tuple[float, float]] = {}
+        self.make_controls()
+        self.look_at_frame(0)
+
+    def make_controls(self) -> None:
+        """Fields of the page."""
+        gui: Any = self.server.gui
+        gui.set_panel_label("replay")
+        self.status = gui.add_html("")
+        last = len(self.times) - 1
+        self.run = gui.add_button_group("time", ["play / pause", "back", "next"])
+        self.slider = gui.add_slider("frame", 0, max(last, 1), 1, 0, visible=last > 0)
+        self.pace = gui.add_text("speed", repr(self.speed), hint="simulated seconds per second")
+        by = COLOURED_BY if self.has_momenta else COLOURED_BY[:1]
+        self.coloured = gui.add_dropdown("colour by", by)
+        if len(self.names) <= MOST_LISTED:
+            self.chosen = gui.add_dropdown("body", self.names)
+        else:
+            self.chosen = gui.add_text("body", self.names[0], hint="name, as clump[3]")
+        self.follow = gui.add_checkbox("camera stays on the body", False)
+        self.picture = gui.add_button("PNG of this frame")
+        self.film_form = gui.add_dropdown("film", film_forms())
+        self.film = gui.add_button("make the film")
+        panel = gui.add_panel()
+        with panel.add_tab("numbers"):
+            self.digits = gui.add_slider("digits", min=3, max=17, step=1, initial_value=6)
+            self.numbers = gui.add_html("")
+        panel.dock_left()
+        panel.set_width(410)
+        gui.main_panel.set_width(340)
+        self.run.on_click(self.later(lambda event: self.press(str(event.target.value))))
+        self.slider.on_update(self.later(self.slide))
+        self.pace.on_update(self.later(self.change_pace))
+        self.coloured.on_update(self.later(lambda _: self.paint()))
+        self.chosen.on_update(self.later(self.choose))
+        self.picture.on_click(self.later(self.send_picture))
+        self.film.on_click(self.later(self.send_film))
+        self.stage.clickable(self.later(self.click))
+
+    # What users do
+
+    def press(self, name: str) -> None:
+        """Play, pause, or go one frame on or back."""
+        self.is_running = name == "play / pause" and not self.is_running
+        if self.is_running and self.frame == len(self.times) - 1:
+            self.look_at_frame(0)
+        if name in ("back", "next"):
+            self.look_at_frame(self.frame + (1 if name == "next" else -1))
+
+    def slide(self, event: Any) -> None:
+        """Go where the slider is."""
+        del event
+        k = int(self.slider.value)
+        if k != self.frame:
+            self.is_running = False
+            self.look_at_frame(k)
+
+    def change_pace(self, event: Any) -> None:
+        """Take the speed of the field, if it is one."""
+        del event
+        speed = finite(self.pace.value, "speed")
+        if not 0.0 < speed < 1e15:
+            raise ValueError(f"speed must be positive, got {speed!r}")
+        self.speed, self.message = speed, ""
+
+    def choose(self, event: Any) -> None:
+        """Look at the body that the field names."""
+        del event
+        name = str(self.chosen.value)
+        if name not in self.index:
+            raise ValueError(f"there is no body {name[:40]!r}")
+        self.body, self.next_figures = self.index[name], 0.0
+
+    def click(self, event: Any) -> None:
+        """Look at the body that was clicked on."""
+        stage = self.stage
+        origin, way = stage.in_world(event.ray_origin), np.array(event.ray_direction)
+        hit = stage.surfaces.hit(stage.position, stage.q, origin, way)
+        if hit is not None:
+            self.body, self.next_figures = hit.body, 0.0
+            self.chosen.value = self.names[hit.body]
+
+    def send_picture(self, event: Any) -> None:
+        """Send the browser a PNG of what it shows."""
+        import imageio.v3 as imageio
+
+        image = rendered(event)
+        data = imageio.imwrite("<bytes>", image, extension=".png")
+        name = f"{self.path.stem}_{self.frame}.png"
+        event.client.send_file_download(name, data, save_immediately=True)
+        self.message = f"sent: {name}"
+
+    def send_film(self, event: Any) -> None:
+        """Send the browser a film of all frames, at most MOST_PICTURES, evenly spread."""
+        imageio: Any = import_module("imageio.v2")
+
+        form = str(self.film_form.value)
+        if form not in film_forms():
+            raise ValueError(f"a film is one of {', '.join(film_forms())}")
+        was, self.is_running = self.frame, False
+        n = min(len(self.times), MOST_PICTURES)
+        frames = np.unique(np.linspace(0, len(self.times) - 1, n).astype(int))
+        room = io.BytesIO()
+        how: dict[str, Any] = {"format": form}
+        how |= {"fps": FILM_RATE} if form == "mp4" else {"duration": 1000.0 / FILM_RATE, "loop": 0}
+        with imageio.get_writer(room, **how) as film:
+            for k in frames.tolist():
+                self.look_at_frame(k)
+                self.message = f"film: frame {k} of {len(self.times)}"
+                self.show(time.monotonic())
+                film.append_data(rendered(event)[..., :3])
+        name = f"{self.path.stem}.{form}"
+        event.client.send_file_download(name, room.getvalue(), save_immediately=True)
+        self.look_at_frame(was)
+        self.message = f"sent: {name}, {frames.size} frames"
+
+    # What happens all the time
+
+    def advance(self, elapsed: float) -> None:
+        """Go on by some seconds of the clock on the wall."""
+        self.place += elapsed * self.speed
+        k = int(np.searchsorted(self.times, self.place, side="right")) - 1
+        if k >= len(self.times) - 1:
+            self.is_running = False
+        if k != self.frame:
+            place = self.place
+            self.look_at_frame(k)
+            self.place = place
+
+    def look_at_frame(self, k: int) -> None:
+        """Read a frame."""
+        k = min(max(k, 0), len(self.times) - 1)
+        self.frame, self.place = k, float(self.times[k])
+        names = (*NEEDED, "linear_momentum", "angular_momentum") if self.has_momenta else NEEDED
+        rows = [self.trajectory.read(name, slice(k, k + 1))[0] for name in names]
+        self.state = [np.asarray(row, dtype=np.float64) for row in rows]
+        if self.slider.value != k:
+            self.slider.value = k
+        self.paint()
+        self.is_new = True
+
+    def paint(self) -> None:
+        """Colours of all bodies by what the field says."""
+        by = str(self.coloured.value)
+        if by == "body" or by not in COLOURED_BY or not self.has_momenta:
+            if self.range.get("shown") != (0.0, 0.0):
+                palette = np.array(COLOURS, dtype=np.uint8)
+                few = len(self.names) <= len(COLOURS)
+                which = np.arange(len(self.names)) if few else self.stage.surfaces.block
+                self.stage.colour(palette[which % len(palette)])
+                self.range["shown"] = 0.0, 0.0
+            return
+        values = self.values(by, self.state)
+        if by not in self.range:
+            self.range[by] = self.extremes(by)
+        low, high = self.range["shown"] = self.range[by]
+        share = np.clip((values - low) / max(high - low, 1e-300), 0.0, 1.0)
+        anchors = np.linspace(0.0, 1.0, len(VIRIDIS))
+        channels = [np.interp(share, anchors, channel) for channel in VIRIDIS.T]
+        self.stage.colour(np.stack(channels, axis=1).astype(np.uint8))
+
+    def values(self, by: str, state: list[Floats]) -> Floats:
+        """Speed [m/s] or kinetic energy [J] of all bodies."""
+        _, q, p, L = state
+        v, omega = derived(self.scene.bodies, q[None], p[None], L[None])
+        if by == "speed":
+            return np.asarray(np.linalg.norm(v[0], axis=1))
+        return np.asarray(0.5 * ((p * v[0]).sum(axis=1) + (L * omega[0]).sum(axis=1)))
+
+    def extremes(self, by: str) -> tuple[float, float]:
+        """Smallest and largest value in some frames of the file, so that colours keep meaning."""
+        frames = np.unique(np.linspace(0, len(self.times) - 1, 9).astype(int)).tolist()
+        names = (*NEEDED, "linear_momentum", "angular_momentum")
+        found = []
+        for k in frames:
+            rows = [self.trajectory.read(name, slice(k, k + 1))[0] for name in names]
+            values = self.values(by, [np.asarray(row, dtype=np.float64) for row in rows])
+            found.append(values[np.isfinite(values)])
+        everything = np.concatenate(found)
+        return (float(everything.min()), float(everything.max())) if everything.size else (0.0, 1.0)
+
+    def show(self, now: float) -> None:
+        """Bring the page up to the frame."""
+        follow = self.body if self.follow.value else None
+        if self.is_new or follow != self.followed:
+            with self.server.atomic():
+                self.stage.show(self.state[0], self.state[1], follow)
+            self.is_new, self.followed = False, follow
+        if now >= self.next_figures:
+            self.next_figures = now + FIGURES
+            self.write()
+
+    def write(self) -> None:
+        """The table of numbers and the line of the clock."""
+        t, last = float(self.times[self.frame]), len(self.times) - 1
+        status = f"<b>t = {t!r} s</b> · frame {self.frame} of {last}"
+        low, high = self.range.get("shown", (0.0, 0.0))
+        if high > low:
+            unit = "m/s" if self.coloured.value == "speed" else "J"
+            colours = ",".join(f"rgb({r},{g},{b})" for r, g, b in VIRIDIS.tolist())
+            status += (
+                f'<div style="height:8px;background:linear-gradient(90deg,{colours})"></div>'
+                f'<div style="display:flex;justify-content:space-between">'
+                f"<span>{low:.4g}</span><span>{unit}</span><span>{high:.4g}</span></div>"
+            )
+        status += note(self.message) if self.message else ""
+        status = (
+            f'<div id="clock" style="font:13px system-ui,sans-serif;padding:2px 8px 8px">{status}</div>'
+        )
+        if self.status.content != status:
+            self.status.content = status
+        if not self.has_momenta:
+            self.numbers.content = note("momenta were not recorded: see [output] fields")
+            return
+        motion = motion_of(self.scene, self.body, *self.state)
+        parts = state_parts(self.scene, self.body, motion)
+        text = table(self.names[self.body], parts, int(min(max(self.digits.value, 1), 17)))
+        if self.numbers.content != text:
+            self.numbers.content = text
+
+
+def film_forms() -> tuple[str, ...]:
+    """Forms of film that can be written here; MP4 needs imageio-ffmpeg."""
+    has_mp4 = find_spec("imageio_ffmpeg") is not None
+    return ("mp4", "gif") if has_mp4 else ("gif",)
+
+
+def rendered(event: Any) -> Any:
+    """Picture of the scene as the browser that asked shows it, (h, w, 3 or 4) of 0 to 255."""
+    client = getattr(event, "client", None)
+    if client is None:
+        raise ValueError("the browser that asked is gone")
+    width, height = PICTURE
+    try:
+        return client.get_render(height, width, transport_format="jpeg", timeout=PATIENCE)
+    except (TimeoutError, RuntimeError) as error:
+        raise ValueError(f"the browser sent no picture: {error}") from None

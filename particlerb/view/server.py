@@ -1,0 +1,81 @@
+"""A viser server for one page: where it listens, what it says, how it takes what is no message."""
+
+import asyncio
+import contextlib
+import io
+import logging
+import socket
+from collections.abc import Iterator
+from typing import Any, Final
+
+import viser
+
+LOCAL: Final = ("127.0.0.1", "localhost", "::1")
+EVERYWHERE: Final = ("0.0.0.0", "::")
+
+
+@contextlib.contextmanager
+def listening(host: str, port: int) -> Iterator[viser.ViserServer]:
+    """A server of a page, stopped at the end; takes the next free port where one is taken.
+
+    Raises
+    ------
+    OSError
+        If it cannot listen there.
+    """
+    socket.getaddrinfo(host, port)  # a wrong name fails here, and not in a thread of the server
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a broken message ends its sender
+    with contextlib.redirect_stdout(io.StringIO()):  # viser announces itself in a box
+        server = viser.ViserServer(host=host, port=port, label="particlerb", verbose=False)
+    server.get_event_loop().set_exception_handler(ignore)
+    server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(214, 106, 14))
+    server.scene.set_up_direction("+z")
+    server.gui.main_panel.dock_right()
+    try:
+        yield server
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+def address(server: viser.ViserServer) -> str:
+    """Where a browser on this machine finds the page."""
+    host = server.get_host()
+    return f"http://{'127.0.0.1' if host in EVERYWHERE else host}:{server.get_port()}"
+
+
+def ignore(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Leave out what a malformed message makes of viser; the page goes on."""
+    del loop, context
+
+
+def finite(text: str, what: str) -> float:
+    """The number that a field of the page says.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or not finite.
+    """
+    try:
+        value = float(str(text)[:100])
+    except ValueError:
+        raise ValueError(f"{what} must be a number, got {str(text)[:40]!r}") from None
+    if value - value != 0.0:
+        raise ValueError(f"{what} must be finite, got {text!r}")
+    return value
+
+
+def vector(text: str, what: str) -> tuple[float, float, float]:
+    """The three numbers that a field of the page says.
+
+    Raises
+    ------
+    ValueError
+        If there are not three, or one is none or not finite.
+    """
+    words = str(text)[:300].replace(",", " ").split()
+    if len(words) != 3:
+        raise ValueError(f"{what} must be three numbers x, y, z, got {len(words)}")
+    x, y, z = (finite(word, what) for word in words)
+    return x, y, z

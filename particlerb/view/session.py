@@ -1,0 +1,409 @@
+"""A motion that can be pushed while it goes on; it is at every moment the run of a case.
+
+A push makes the case one [[force]] longer, and the motion goes on as a run of the longer case: the
+plan is made anew, groups whose past has not changed keep what they have computed, others are run
+again from t = 0. So the state is that of a batch run of the recorded case, bit for bit, and what
+was asked for in between, frame rate included, changes nothing.
+
+Where steps go on without end, a push starts on their grid and the step is a power of two: then the
+grid before the push stays as it was. Must not know the browser.
+"""
+
+import copy
+import math
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.scene import Scene
+from particlerb.bodies.state import Frames, room_for, turned, turned_back
+from particlerb.case.problems import CaseError
+from particlerb.case.reader import load
+from particlerb.case.schema import Case
+from particlerb.ledger import Entries
+from particlerb.maths.vec3 import Floats
+from particlerb.methods.motion import MotionError
+from particlerb.plan import GroupPlan, Plan, Segment, has_step, is_adaptive, make_plan
+from particlerb.simulate import (
+    Prepared,
+    Run,
+    RunError,
+    Traveller,
+    first_rows,
+    multiples,
+    record_all,
+)
+from particlerb.studies.accuracy import prepare_accurately
+from particlerb.threads import THREADS
+
+STEPS_PER_FRAME: Final = 5000  # of a push on bodies that are free otherwise, per run.every
+LEAST_STEPS_PER_FRAME: Final = 32  # of bodies that are stepped all the time
+LONGEST: Final = 1000.0  # length of a session over t_end of its case, at least
+CHUNK: Final = 256  # frames that are computed together when a past is run again
+TRIES: Final = 64  # steps of the grid on which a push might start
+G: Final = (0.0, 0.0, -9.81)  # [m/s²] that is switched on where a case has no gravity
+
+
+class SessionError(Exception):
+    """A push that cannot be, or a motion that cannot go on: why."""
+
+
+class Blow(NamedTuple):
+    """What a user does to a body."""
+
+    body: int
+    at: tuple[float, float, float]  # [m], body frame, from the centre of mass
+    vector: tuple[float, float, float]  # force [N], or impulse [N s] without duration; world frame
+    duration: float  # [s]; 0 is an impulse
+
+
+class Applied(NamedTuple):
+    """A blow that was accepted, and the state in which it met the body."""
+
+    blow: Blow
+    start: float  # [s]
+    stop: float  # [s]; the start for an impulse
+    lever: Floats  # (3,) [m] from the centre of mass, world frame, at the start
+    linear_momentum: Floats  # (3,) [kg m/s] before
+    angular_momentum: Floats  # (3,) [kg m²/s] before
+    orientation: Floats  # (4,) at the start
+
+    @property
+    def torque(self) -> Floats:
+        """r × F [N m], or r × J [N m s], at the start; world frame."""
+        return np.cross(self.lever, self.blow.vector)
+
+
+class Session:
+    """A case on its way, which pushes make longer.
+
+    Parameters
+    ----------
+    case : Case
+        What starts the session. Its checks are left out: they are of another motion.
+
+    Raises
+    ------
+    CaseError
+        If the case cannot be run.
+    """
+
+    def __init__(self, case: Case) -> None:
+        prepared = prepare_accurately(case)
+        THREADS.use(case.run.threads)
+        self.scene: Scene = prepared.scene
+        self.longest = 2.0 ** math.ceil(math.log2(LONGEST * case.run.t_end))
+        self.every = case.run.every
+        self.start = opening(case, prepared.plan, self.longest)
+        self.start_path = case.path
+        self.own_gravity = case.gravity is not None
+        self.places = decimals(0.02 * self.every)
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to t = 0, without the pushes."""
+        self.raw: dict[str, Any] = copy.deepcopy(self.start)
+        self.case, self.warnings, self.run = self.prepared()
+        self.time, self.next_frame = 0.0, 0
+        self.applied: list[Applied] = []
+        self.has_gravity = self.own_gravity
+        self.weighing: list[int] = []  # the forces that stand for switched gravity now
+        self.frame, self.entries = self.looked_at(np.zeros(1), np.ones(1, dtype=np.bool_))
+        self.next_frame = 1
+
+    def prepared(self) -> tuple[Case, tuple[str, ...], Run]:
+        """The case as it is now, what its plan warns of, and a run of it."""
+        case = load(self.raw)
+        plan = make_plan(case, self.scene)
+        return case, plan.warnings, Run(Prepared(case, self.scene, plan, ""))
+
+    def advance(self, time: float) -> None:
+        """Go on to a time [s]; frames of the case in between are taken as a batch run does.
+
+        Raises
+        ------
+        SessionError
+            If the motion fails before, or the session would become too long.
+        """
+        if time <= self.time:
+            return
+        if time > self.longest:
+            raise SessionError(f"a session of this case ends at {self.longest:g} s: reset it")
+        while self.time < time:
+            due = self.frames_until(time)[:CHUNK]
+            is_whole = due.size < CHUNK
+            times = np.union1d(due, [time]) if is_whole else due
+            self.frame, self.entries = self.looked_at(times, np.isin(times, due))
+            self.time = float(times[-1])
+            self.next_frame += due.size
+
+    def frames_until(self, time: float) -> Floats:
+        """Times of the frames of the case that lie after those taken, up to a time [s]."""
+        last = int(time / self.every) + 2
+        times = multiples(self.every, self.next_frame, max(last, self.next_frame))
+        return times[times <= time]
+
+    def looked_at(self, times: Floats, is_frame: Any) -> tuple[Frames, Entries]:
+        """State and ledger at the last of some ascending times."""
+        try:
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                frames, entries, error = self.run.frames_at(times, is_frame)
+        except (MotionError, FloatingPointError) as problem:
+            raise SessionError(str(problem)) from None
+        if error is not None:
+            raise SessionError(str(error)) from None
+        x, q, p, L = (a[-1:].copy() for a in frames[:4])
+        row = Frames(x, q, p, L, frames.last, frames.is_frame[-1:])
+        return row, Entries(*(values[-1:].copy() for values in entries))
+
+    def apply(self, blow: Blow) -> Applied:
+        """Push a body from now on, or from the next step of its grid on.
+
+        Raises
+        ------
+        SessionError
+            If the blow is no number, or the body cannot take it; nothing has changed then.
+        """
+        numbers = (*blow.at, *blow.vector, blow.duration)
+        if not all(math.isfinite(value) for value in numbers) or blow.duration < 0.0:
+            raise SessionError("the push has a number that is not finite, or a negative duration")
+        if not any(blow.vector):
+            raise SessionError("a push of nothing: the force is zero")
+        self.advance(self.edge([blow.body]))
+        start = self.time
+        stop = start + blow.duration
+        if self.is_stepped([blow.body]):
+            stop = self.on_lattice(stop)
+        if stop > self.longest or (stop == start and blow.duration > 0.0):
+            raise SessionError(f"a push of {blow.duration!r} s from {start!r} s on is out of range")
+        entry: dict[str, Any] = {
+            "body": self.scene.names[blow.body],
+            "at": [float(x) for x in blow.at],
+        }
+        vector = [float(x) for x in blow.vector]
+        if blow.duration == 0.0:
+            entry = {"type": "impulse", **entry, "impulse": vector, "time": start}
+        else:
+            entry = {"type": "push", **entry, "force": vector, "during": [start, stop]}
+        applied = self.met(blow, start, stop)
+        self.go_on_with([*self.raw["force"], entry])
+        self.applied.append(applied)
+        return applied
+
+    def met(self, blow: Blow, start: float, stop: float) -> Applied:
+        """A blow and the state that it meets."""
+        _, orientation, p, L, _, _ = self.frame
+        q = orientation[0, blow.body]
+        lever = turned(q[:, None], np.array(blow.at)[:, None])[:, 0]
+        momenta = p[0, blow.body].copy(), L[0, blow.body].copy()
+        return Applied(blow, start, stop, lever, *momenta, q.copy())
+
+    def switch_gravity(self, on: bool) -> None:
+        """Uniform gravity on or off from now on: a push M g at every centre of mass.
+
+        Raises
+        ------
+        SessionError
+            As for `apply`.
+        """
+        if on == self.has_gravity:
+            return
+        self.advance(self.edge(range(len(self.scene.kind))))
+        forces = copy.deepcopy(self.raw["force"])
+        weighing: list[int] = []
+        if self.weighing:
+            for k in self.weighing:
+                forces[k]["during"][1] = self.time
+            forces = [f for f in forces if "during" not in f or f["during"][0] < f["during"][1]]
+        else:
+            weights = self.weights(-1.0 if self.own_gravity else 1.0)
+            weighing = list(range(len(forces), len(forces) + len(weights)))
+            forces += weights
+        self.go_on_with(forces)
+        self.weighing, self.has_gravity = weighing, on
+
+    def weights(self, sign: float) -> list[dict[str, Any]]:
+        """Pushes that stand for gravity, or take it away, from now on; one per [[body]]."""
+        gravity = self.case.gravity.acceleration if self.case.gravity else G
+        entries, first = [], 0
+        for body in self.case.body:
+            mass = self.scene.bodies.mass[first]
+            first += body.count
+            if not body.fixed:
+                entries.append(
+                    {
+                        "type": "push",
+                        "body": body.name,
+                        "force": [float(sign * mass * g) for g in gravity],
+                        "during": [self.time, self.longest],
+                    }
+                )
+        return entries
+
+    def go_on_with(self, forces: list[dict[str, Any]]) -> None:
+        """Go on as the run of the case with these forces, from the time that it is.
+
+        Raises
+        ------
+        SessionError
+            If there can be no such case; nothing has changed then.
+        """
+        before = self.raw, self.case, self.warnings
+        self.raw = {**self.raw, "force": forces}
+        try:
+            self.case, self.warnings, run = self.prepared()
+        except CaseError as error:
+            self.raw = before[0]
+            raise SessionError(error.problems[0].reason) from None
+        now, is_frame = np.array([self.time]), np.zeros(1, dtype=np.bool_)
+        try:
+            catch_up(run, self.run, self.frames_before(), self.time)
+            self.run = run
+            self.frame, self.entries = self.looked_at(now, is_frame)
+        except (SessionError, MotionError, RunError) as error:
+            self.raw, self.case, self.warnings = before
+            run = self.prepared()[2]
+            catch_up(run, None, self.frames_before(), self.time)
+            self.run = run
+            self.frame, self.entries = self.looked_at(now, is_frame)
+            raise SessionError(str(error)) from None
+
+    def frames_before(self) -> Floats:
+        """Times of the frames of the case until now [s]."""
+        return multiples(self.every, 0, self.next_frame)
+
+    def is_stepped(self, bodies: Any) -> bool:
+        """Whether one of these bodies is on a grid of steps now."""
+        return bool(self.grids(bodies))
+
+    def grids(self, bodies: Any) -> list[Segment]:
+        """Segments that outlast the session on whose grids these bodies are."""
+        wanted = np.fromiter(bodies, dtype=np.int64)
+        found = []
+        for traveller in self.run.travellers:
+            segment = traveller.segment
+            if on_grid(segment, self.longest) and np.isin(wanted, traveller.plan.members).any():
+                found.append(segment)
+        return found
+
+    def edge(self, bodies: Any) -> float:
+        """Time from now on [s] at which an edge leaves the steps of these bodies as they are."""
+        grids = self.grids(bodies)
+        if not grids:
+            return self.time
+        longest = max(grids, key=lambda segment: segment.dt)
+        first = math.ceil((self.time - longest.start) / longest.dt)
+        for n in range(first, first + TRIES):
+            time = longest.start + n * longest.dt
+            if time >= self.time and all(divides(segment, time) for segment in grids):
+                return time
+        return self.time  # their steps are laid anew
+
+    def on_lattice(self, time: float) -> float:
+        """Time [s] as a multiple of what all times of this session are multiples of."""
+        quantum = self.longest * 2.0**-52
+        return round(time / quantum) * quantum
+
+
+def opening(case: Case, plan: Plan, longest: float) -> dict[str, Any]:
+    """Data of the case with which a session starts: its step written out, its checks left out."""
+    raw: dict[str, Any] = copy.deepcopy(dict(case.source.raw))
+    for table in ("check", "chart"):
+        raw.pop(table, None)
+    run = {key: value for key, value in raw["run"].items() if key != "accuracy"}
+    stepped = [s for group in plan.groups for s in group.segments if on_grid(s, longest)]
+    if stepped:
+        shortest = min(*(s.dt for s in stepped), case.run.every / LEAST_STEPS_PER_FRAME)
+        run["dt"] = 2.0 ** math.floor(math.log2(shortest))
+    elif case.run.dt is None:
+        run["dt"] = case.run.every / STEPS_PER_FRAME
+    raw["run"] = {**run, "t_end": longest}
+    raw["force"] = list(raw.get("force", []))
+    opened: dict[str, Any] = with_absolute_files(raw, case)
+    return opened
+
+
+def with_absolute_files(raw: Any, case: Case) -> Any:
+    """Data in which every file is named by its full path, so that the case can lie anywhere."""
+    if isinstance(raw, Mapping):
+        return {
+            key: str(case.file(value).absolute())
+            if key == "file" and isinstance(value, str)
+            else with_absolute_files(value, case)
+            for key, value in raw.items()
+        }
+    return [with_absolute_files(entry, case) for entry in raw] if isinstance(raw, list) else raw
+
+
+def decimals(time: float) -> int:
+    """Decimals with which times of this size are written."""
+    return max(0, math.ceil(-math.log10(time)))
+
+
+def on_grid(segment: Segment, longest: float) -> bool:
+    """Whether a segment that outlasts the session is stepped on a grid."""
+    method = segment.method
+    return segment.stop >= longest and has_step(method) and not is_adaptive(method)
+
+
+def divides(segment: Segment, time: float) -> bool:
+    """Whether steps of the same length lead from the start of a segment to a time; see `plan`."""
+    length = time - segment.start
+    steps = math.ceil(length / segment.dt * (1 - 1e-12))
+    return steps == 0 or length / steps == segment.dt
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two records of arrays and numbers are equal in every bit."""
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return type(a) is type(b) and np.array_equal(a, b)
+    if isinstance(a, tuple):
+        return type(a) is type(b) and len(a) == len(b) and all(map(same, a, b))
+    return bool(a == b)
+
+
+def continues(traveller: Traveller, plan: GroupPlan, time: float) -> bool:
+    """Whether a group that went on by its old plan until a time has gone on by the new one."""
+    n = traveller.number + 1
+    was, now = traveller.plan.segments[:n], plan.segments[:n]
+    if len(now) < n or now[-1].stop < time or not same(was[:-1], now[:-1]):
+        return False
+    return same(was[-1]._replace(stop=0.0), now[-1]._replace(stop=0.0))
+
+
+def catch_up(run: Run, before: Run | None, frames: Floats, time: float) -> None:
+    """Bring a fresh run to a time [s], to which another run of the same bodies may have gone.
+
+    Groups with the same past take over what the other has computed; the others go through all
+    frames, whose orientations set the sign of the next.
+    """
+    known = {t.plan.members.tobytes(): t for t in before.travellers} if before else {}
+    fresh = []
+    for k, traveller in enumerate(run.travellers):
+        old = known.get(traveller.plan.members.tobytes())
+        if before and old and continues(old, traveller.plan, time):
+            old.plan = traveller.plan
+            run.travellers[k] = old
+            run.last[old.plan.members] = before.last[old.plan.members]
+        else:
+            fresh.append(traveller)
+    if before:
+        run.ledger.errors, run.ledger.scales = before.ledger.errors, before.ledger.scales
+    if not fresh:
+        return
+    room = room_for(min(CHUNK, max(frames.size, 1)), len(run.scene.kind), run.last)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for lo in range(0, frames.size, CHUNK):
+            times = frames[lo : lo + CHUNK]
+            record_all(fresh, times, first_rows(room, times.size))
+
+
+def axes_of(q: Floats) -> Floats:
+    """Rotation matrix (3, 3) of a unit quaternion: columns are the body's axes in the world."""
+    return turned(np.tile(q[:, None], 3), np.eye(3))
+
+
+def in_body(q: Floats, vector: Floats) -> Floats:
+    """A world vector in the axes of a body."""
+    return turned_back(q[:, None], vector[:, None])[:, 0]

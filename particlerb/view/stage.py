@@ -1,0 +1,197 @@
+"""Bodies, walls, arrows and trails on the page. Knows viser and shapes; no forces and no time.
+
+The page gets places relative to an origin, in a unit near the size of the scene: a screen computes
+in float32, and a scene may be of any size and anywhere.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+import viser
+
+from particlerb.bodies.scene import Scene
+from particlerb.bodies.state import multiplied
+from particlerb.case.schema import Case
+from particlerb.maths.vec3 import Floats
+from particlerb.view.forms import Surfaces, extent_of, walls_of
+
+Colour = tuple[int, int, int]
+COLOURS: Final[tuple[Colour, ...]] = (
+    (242, 92, 0), (30, 100, 190), (70, 160, 90), (196, 78, 82), (129, 102, 178),
+    (140, 110, 80), (218, 139, 195), (120, 130, 140), (190, 180, 50), (60, 180, 190),
+)  # fmt: skip
+WALL: Final[Colour] = (176, 184, 192)
+ARROWS: Final[dict[str, Colour]] = {
+    "force": (214, 39, 40), "omega": (31, 119, 180), "L": (148, 60, 189),
+    "axes": (90, 98, 106),
+}  # fmt: skip
+TRAIL: Final[Colour] = (20, 20, 20)
+LIGHT: Final = 0.9, 1.6  # of the sky and of the sun
+VIEW: Final = (1.15, -1.85, 1.1)  # where the camera stands at first, in sizes of the scene
+
+
+class Stage:
+    """A scene in the browser.
+
+    Parameters
+    ----------
+    server : ViserServer
+        What shows it.
+    case, scene : Case, Scene
+        Shapes and constants of the bodies.
+    """
+
+    def __init__(self, server: viser.ViserServer, case: Case, scene: Scene) -> None:
+        self.server, self.scene = server, scene
+        self.surfaces = Surfaces(case, scene)
+        position = scene.state.com.T
+        size = extent_of(position, self.surfaces.reach)
+        self.unit = 1.0 if 0.05 < size < 50.0 else 10.0 ** round(math.log10(size))  # [m]
+        self.size = size / self.unit
+        middle = 0.5 * (position.min(axis=0) + position.max(axis=0))
+        self.home: Floats = middle if np.abs(middle).max() > 0.05 * size else np.zeros(3)
+        self.origin: Floats = self.home
+        self.position, self.q = position.copy(), np.tile([1.0, 0.0, 0.0, 0.0], (len(position), 1))
+        self.fixed = server.scene.add_frame("/fixed", show_axes=False)
+        self.layers = [self.add_layer(k) for k in range(len(self.surfaces.layers))]
+        self.arrows: dict[str, Any] = {}
+        self.trail = self.add_line("/trail", TRAIL)
+        self.furnish(case, size)
+        server.initial_camera.position = self.size * np.array(VIEW)
+        server.initial_camera.look_at = (0.0, 0.0, 0.0)
+
+    def add_layer(self, k: int) -> Any:
+        """Instances of one mesh."""
+        layer = self.surfaces.layers[k]
+        sizes = None if layer.size is None else layer.size / self.unit
+        return self.server.scene.add_batched_meshes_simple(
+            f"/bodies/{k}",
+            layer.mesh.vertices / (self.unit if sizes is None else 1.0),
+            layer.mesh.faces,
+            np.tile([1.0, 0.0, 0.0, 0.0], (layer.body.size, 1)),
+            np.zeros((layer.body.size, 3)),
+            batched_scales=sizes,
+            batched_colors=np.array(COLOURS[k % len(COLOURS)]),
+            flat_shading=not layer.mesh.is_smooth,
+            lod="off",
+            cast_shadow=layer.body.size < 100,
+            receive_shadow=False,
+        )
+
+    def add_line(self, name: str, colour: Colour) -> Any:
+        """A line without points yet."""
+        return self.server.scene.add_line_segments(
+            name,
+            np.zeros((1, 2, 3)),
+            colour,
+            thickness=2.0,
+            thickness_units="screen",
+            visible=False,
+        )
+
+    def furnish(self, case: Case, size: float) -> None:
+        """Walls, light and a grid below the bodies."""
+        scene = self.server.scene
+        for k, mesh in enumerate(walls_of(case, size)):
+            scene.add_mesh_simple(
+                f"/fixed/walls/{k}",
+                (mesh.vertices - self.home) / self.unit,
+                mesh.faces,
+                color=WALL,
+                opacity=0.35,
+                side="double",
+                flat_shading=True,
+            )
+        if not any(wall.type == "plane" for wall in case.wall):
+            low = self.position - self.surfaces.reach[:, None]
+            floor = float((low[:, 2].min() - self.home[2]) / self.unit) - 0.35 * self.size
+            scene.add_grid(
+                "/fixed/grid",
+                width=8.0 * self.size,
+                height=8.0 * self.size,
+                plane="xy",
+                cell_size=0.5 * self.size / 1.5,
+                section_size=self.size / 0.75,
+                position=(0.0, 0.0, floor),
+                cell_color=(236, 238, 241),
+                section_color=(218, 222, 227),
+            )
+        scene.configure_default_lights(enabled=False)
+        scene.add_light_hemisphere("/lights/sky", intensity=LIGHT[0])
+        scene.add_light_directional(
+            "/lights/sun", intensity=LIGHT[1], position=(2.0, -3.0, 6.0), cast_shadow=True
+        )
+
+    def show(self, position: Floats, q: Floats, follow: int | None = None) -> None:
+        """Put the bodies where they are; with the camera on one of them, or on the scene.
+
+        Parameters
+        ----------
+        position, q : ndarray, shapes (N, 3) [m] and (N, 4)
+            Of all bodies.
+        """
+        if not (np.isfinite(position).all() and np.isfinite(q).all()):
+            return
+        self.position, self.q = position, q
+        self.origin = self.home if follow is None else position[follow]
+        shown = self.on_page(position)
+        for layer, handle in zip(self.surfaces.layers, self.layers, strict=True):
+            turn = q[layer.body]
+            if layer.turn is not None:
+                turn = multiplied(turn.T, layer.turn).T
+            handle.batched_positions = shown[layer.body].astype(np.float32)
+            handle.batched_wxyzs = turn.astype(np.float32)
+        place = tuple(((self.home - self.origin) / self.unit).tolist())
+        if tuple(self.fixed.position) != place:
+            self.fixed.position = place
+
+    def on_page(self, places: Floats) -> Floats:
+        """Places [m] in the units of the page."""
+        return (places - self.origin) / self.unit
+
+    def in_world(self, place: Sequence[float]) -> Floats:
+        """A place of the page [m]."""
+        return self.origin + self.unit * np.array(place, dtype=np.float64)
+
+    def colour(self, colours: Any) -> None:
+        """Colours of all bodies, (N, 3) of 0 to 255."""
+        for layer, handle in zip(self.surfaces.layers, self.layers, strict=True):
+            handle.batched_colors = colours[layer.body]
+
+    def point(self, name: str, start: Floats, vectors: Floats, thickness: float = 1.0) -> None:
+        """Arrows (n, 3) in units of the page from a place [m] on; none where they are empty."""
+        handle = self.arrows.get(name)
+        if not len(vectors):
+            if handle is not None and handle.visible:
+                handle.visible = False
+            return
+        first = np.tile(self.on_page(start), (len(vectors), 1))
+        points = np.stack([first, first + vectors], axis=1).astype(np.float32)
+        if handle is None:
+            r = 0.018 * self.size * thickness
+            self.arrows[name] = self.server.scene.add_arrows(
+                f"/arrows/{name}", points, ARROWS[name],
+                shaft_radius=r, head_radius=2.4 * r, head_length=6.0 * r,
+            )  # fmt: skip
+            return
+        handle.points = points
+        if not handle.visible:
+            handle.visible = True
+
+    def draw_trail(self, places: Floats) -> None:
+        """A line through places (n, 3) [m]."""
+        if len(places) < 2:
+            if self.trail.visible:
+                self.trail.visible = False
+            return
+        shown = self.on_page(places).astype(np.float32)
+        self.trail.points = np.stack([shown[:-1], shown[1:]], axis=1)
+        if not self.trail.visible:
+            self.trail.visible = True
+
+    def clickable(self, callback: Any) -> None:
+        """Call back with the event of every click on a body."""
+        for handle in self.layers:
+            handle.on_click(callback)
