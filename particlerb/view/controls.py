@@ -35,8 +35,8 @@ class Controls:
         self.numbers = self.left(server, names, digits)
         panel = gui.add_panel()
         with panel.add_tab("push: click on a body"):
-            self.force = gui.add_text("force  N", "50", hint="an impulse in N s if duration is 0")
-            self.duration = gui.add_text("duration  s", "0.02", hint="0: an impulse in N s")
+            self.force = gui.add_text("force [N]", "50", hint="an impulse in N s if duration is 0")
+            self.duration = gui.add_text("duration [s]", "0.02", hint="0: an impulse in N s")
             self.at_once = gui.add_checkbox(
                 "at once",
                 False,
@@ -44,7 +44,7 @@ class Controls:
             )
             self.direction = gui.add_dropdown("direction", DIRECTIONS)
             self.point = gui.add_text(
-                "point  m", "0.2, 0.2, -0.5", hint="in the body, from the centre of mass"
+                "point [m]", "0.2, 0.2, -0.5", hint="in the body, from the centre of mass"
             )
             self.apply = gui.add_button("push at this point")
             self.outcome = gui.add_html("")

@@ -23,7 +23,7 @@ NARROW: Final = 6  # digits up to which three numbers stand side by side
 MORE: Final = "…"
 STYLE: Final = """<style>
 .pb{font:11.5px/1.5 ui-monospace,SFMono-Regular,Menlo,Consolas,monospace}
-.pb{color:#1b1f24;padding:0 8px}
+.pb{color:#1b1f24;padding:0 14px 8px 8px}
 .pb b{font:600 13px system-ui,sans-serif}
 .pb h4{margin:9px 0 2px;font:600 11px/1.3 system-ui,sans-serif;color:#b4530a;
 letter-spacing:.04em;border-bottom:1px solid #e6e8eb}

@@ -62,7 +62,12 @@ class Turning:
         last = time.monotonic()
         while not self.is_over:
             start = time.monotonic()
-            self.turn(start - last)
+            try:
+                with np.errstate(all="ignore"):  # what is not finite is shown as such
+                    self.turn(start - last)
+            except Exception as problem:  # whatever a page sends, the page goes on
+                self.is_running = False
+                self.message = f"stopped by a mistake of the program: {problem!r}; reset goes on"
             last = start
             rest = 1.0 / UPDATES - (time.monotonic() - start)
             if rest > 0.0:
@@ -131,6 +136,7 @@ class Live(Turning):
         self.speed = 1.0 if is_ours else float(f"{length / WATCHED:.1g}")
         self.controls.speed.value = repr(self.speed)
         self.controls.gravity.value = self.session.has_gravity
+        self.controls.shown["follow"].value = len(names) == 1
         self.cost = 0.0  # [s] of computing per simulated second
         self.saved = 0
         self.begin()
@@ -423,9 +429,7 @@ class Live(Turning):
             pace += f", {1.0 / self.cost:.2g} × as computed"
         status = f"<b>t = {session.time!r} s</b> · {state} · {pace}"
         status += "".join(note(text, True) for text in (self.message, *session.warnings) if text)
-        status = (
-            f'<div id="clock" style="font:13px system-ui,sans-serif;padding:2px 8px 8px">{status}</div>'
-        )
+        status = clock(status)
         if c.status.content != status:
             c.status.content = status
 
@@ -440,6 +444,12 @@ class Live(Turning):
             self.reference = error, size
         energy = max(abs(float(entries.kinetic_energy[0])), 1e-300)
         return (error - self.reference[0]) / energy, (size - self.reference[1]) / max(size, 1e-300)
+
+
+def clock(content: str) -> str:
+    """The lines at the top of the page."""
+    style = "font:13px system-ui,sans-serif;padding:2px 8px 8px"
+    return f'<div id="clock" style="{style}">{content}</div>'
 
 
 def note(text: str, is_wrong: bool = False) -> str:

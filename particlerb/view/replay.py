@@ -23,7 +23,7 @@ from particlerb.relaxing import assembled
 from particlerb.trajectory import Trajectory
 from particlerb.view.controls import MOST_LISTED
 from particlerb.view.figures import motion_of, state_parts, table
-from particlerb.view.live import FIGURES, Turning, note
+from particlerb.view.live import FIGURES, Turning, clock, note
 from particlerb.view.server import finite
 from particlerb.view.stage import COLOURS, Stage
 
@@ -306,9 +306,7 @@ class Replay(Turning):
                 f"<span>{low:.4g}</span><span>{unit}</span><span>{high:.4g}</span></div>"
             )
         status += note(self.message) if self.message else ""
-        status = (
-            f'<div id="clock" style="font:13px system-ui,sans-serif;padding:2px 8px 8px">{status}</div>'
-        )
+        status = clock(status)
         if self.status.content != status:
             self.status.content = status
         if not self.has_momenta:

@@ -101,6 +101,7 @@ class Session:
         self.places = decimals(0.02 * self.every)
         self.reset()
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in the state
     def reset(self) -> None:
         """Back to t = 0, without the pushes."""
         self.raw: dict[str, Any] = copy.deepcopy(self.start)
@@ -144,11 +145,11 @@ class Session:
         times = multiples(self.every, self.next_frame, max(last, self.next_frame))
         return times[times <= time]
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def looked_at(self, times: Floats, is_frame: Any) -> tuple[Frames, Entries]:
         """State and ledger at the last of some ascending times."""
         try:
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                frames, entries, error = self.run.frames_at(times, is_frame)
+            frames, entries, error = self.run.frames_at(times, is_frame)
         except (MotionError, FloatingPointError) as problem:
             raise SessionError(str(problem)) from None
         if error is not None:
@@ -241,6 +242,7 @@ class Session:
                 )
         return entries
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def go_on_with(self, forces: list[dict[str, Any]]) -> None:
         """Go on as the run of the case with these forces, from the time that it is.
 
@@ -393,10 +395,9 @@ def catch_up(run: Run, before: Run | None, frames: Floats, time: float) -> None:
     if not fresh:
         return
     room = room_for(min(CHUNK, max(frames.size, 1)), len(run.scene.kind), run.last)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        for lo in range(0, frames.size, CHUNK):
-            times = frames[lo : lo + CHUNK]
-            record_all(fresh, times, first_rows(room, times.size))
+    for lo in range(0, frames.size, CHUNK):
+        times = frames[lo : lo + CHUNK]
+        record_all(fresh, times, first_rows(room, times.size))
 
 
 def axes_of(q: Floats) -> Floats:

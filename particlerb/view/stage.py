@@ -19,7 +19,7 @@ from particlerb.view.forms import Surfaces, extent_of, walls_of
 
 Colour = tuple[int, int, int]
 COLOURS: Final[tuple[Colour, ...]] = (
-    (242, 92, 0), (30, 100, 190), (70, 160, 90), (196, 78, 82), (129, 102, 178),
+    (245, 124, 20), (58, 123, 191), (70, 160, 90), (196, 78, 82), (129, 102, 178),
     (140, 110, 80), (218, 139, 195), (120, 130, 140), (190, 180, 50), (60, 180, 190),
 )  # fmt: skip
 WALL: Final[Colour] = (176, 184, 192)
@@ -28,7 +28,7 @@ ARROWS: Final[dict[str, Colour]] = {
     "axes": (90, 98, 106),
 }  # fmt: skip
 TRAIL: Final[Colour] = (20, 20, 20)
-LIGHT: Final = 0.9, 1.6  # of the sky and of the sun
+LIGHT: Final = 0.8, 2.0  # of the sky and of the sun
 VIEW: Final = (1.15, -1.85, 1.1)  # where the camera stands at first, in sizes of the scene
 
 
@@ -73,7 +73,7 @@ class Stage:
             np.tile([1.0, 0.0, 0.0, 0.0], (layer.body.size, 1)),
             np.zeros((layer.body.size, 3)),
             batched_scales=sizes,
-            batched_colors=np.array(COLOURS[k % len(COLOURS)]),
+            batched_colors=linear(np.array(COLOURS[k % len(COLOURS)])),
             flat_shading=not layer.mesh.is_smooth,
             lod="off",
             cast_shadow=layer.body.size < 100,
@@ -121,7 +121,7 @@ class Stage:
         scene.configure_default_lights(enabled=False)
         scene.add_light_hemisphere("/lights/sky", intensity=LIGHT[0])
         scene.add_light_directional(
-            "/lights/sun", intensity=LIGHT[1], position=(2.0, -3.0, 6.0), cast_shadow=True
+            "/lights/sun", intensity=LIGHT[1], position=(3.0, -1.2, 5.0), cast_shadow=True
         )
 
     def show(self, position: Floats, q: Floats, follow: int | None = None) -> None:
@@ -158,7 +158,7 @@ class Stage:
     def colour(self, colours: Any) -> None:
         """Colours of all bodies, (N, 3) of 0 to 255."""
         for layer, handle in zip(self.surfaces.layers, self.layers, strict=True):
-            handle.batched_colors = colours[layer.body]
+            handle.batched_colors = linear(colours[layer.body])
 
     def point(self, name: str, start: Floats, vectors: Floats, thickness: float = 1.0) -> None:
         """Arrows (n, 3) in units of the page from a place [m] on; none where they are empty."""
@@ -195,3 +195,8 @@ class Stage:
         """Call back with the event of every click on a body."""
         for handle in self.layers:
             handle.on_click(callback)
+
+
+def linear(colours: Any) -> Any:
+    """Colours as the page wants them of instances: proportional to light, not to sRGB."""
+    return np.rint(255.0 * (np.asarray(colours) / 255.0) ** 2.2).astype(np.uint8)

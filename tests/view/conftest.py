@@ -1,0 +1,161 @@
+"""A real browser, and pages on which a case or a file is served to it."""
+
+import contextlib
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+CHROMIUM = next((path for name in NAMES if (path := shutil.which(name))), None)
+MUST = os.environ.get("PARTICLERB_REQUIRE_BROWSER", "0") not in ("", "0")
+QUIET = (
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+SIZE = {"width": 1600, "height": 1000}
+PATIENCE = 20.0  # [s] on a slow machine
+
+
+def needed(module: str):
+    """A module of the extras, or a skipped test; with PARTICLERB_REQUIRE_BROWSER an error."""
+    return __import__(module) if MUST else pytest.importorskip(module)
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory):
+    """Chromium without a window."""
+    needed("playwright")
+    needed("viser")
+    if CHROMIUM is None:
+        if MUST:
+            pytest.fail("PARTICLERB_REQUIRE_BROWSER is set and there is no chromium")
+        pytest.skip("no chromium on this machine: apt-get install chromium")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        context = play.chromium.launch_persistent_context(
+            tmp_path_factory.mktemp("profile"),
+            executable_path=CHROMIUM,
+            headless=True,
+            args=list(QUIET),
+            viewport=SIZE,
+            accept_downloads=True,
+        )
+        yield context
+        context.close()
+
+
+class Served:
+    """A page in the browser, and the thread that serves it."""
+
+    def __init__(self, page, serving) -> None:
+        self.page, self.serving = page, serving
+
+    def until(self, holds: Callable[[], bool], what: str) -> None:
+        """Wait until something holds."""
+        end = time.monotonic() + PATIENCE
+        while not holds():
+            assert time.monotonic() < end, f"never: {what}; {self.serving.message}"
+            self.page.wait_for_timeout(50)
+
+    def field(self, label: str):
+        """The input beside a label."""
+        return self.page.locator(
+            f"xpath=//label[.='{label}']/ancestor::div[2]//input[not(@type='hidden')]"
+        ).first
+
+    def fill(self, label: str, value: str) -> None:
+        """Type into a field."""
+        self.field(label).fill(value)
+        self.field(label).press("Enter")
+        self.page.wait_for_timeout(200)
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose from a list."""
+        self.field(label).click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+        self.page.wait_for_timeout(200)
+
+    def press(self, name: str) -> None:
+        """Press a button."""
+        self.page.get_by_role("button", name=name).click()
+        self.page.wait_for_timeout(200)
+
+    def numbers(self, key: str) -> np.ndarray:
+        """Numbers of the table as people read them; only differences may have more digits."""
+        texts = self.page.locator(f"[data-key={key}]").all_inner_texts()
+        more = "…" if key.startswith("difference") else ""
+        return np.array([float(word.rstrip(more)) for text in texts for word in text.split()])
+
+    def canvas(self):
+        """Middle of the picture, in pixels of the page."""
+        box = self.page.locator("canvas").first.bounding_box()
+        return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def click(self, x: float, y: float) -> None:
+        """Rest over a point of the picture, then click on it."""
+        self.page.mouse.move(x - 1, y - 1)
+        self.page.wait_for_timeout(300)
+        self.page.mouse.move(x, y)
+        self.page.wait_for_timeout(1200)
+        self.page.mouse.down()
+        self.page.wait_for_timeout(60)
+        self.page.mouse.up()
+
+
+@pytest.fixture(scope="module")
+def serve(browser):
+    """How to serve what `make(server)` returns."""
+    return lambda make: served(browser, make)
+
+
+@contextlib.contextmanager
+def served(browser, make) -> Iterator[Served]:
+    """Serve what `make(server)` returns, until the end of the test."""
+    from particlerb.view.server import address, listening
+
+    with listening("127.0.0.1", 8200) as server:
+        serving = make(server)
+        thread = threading.Thread(target=serving.go, daemon=True)
+        thread.start()
+        page = browser.new_page()
+        try:
+            page.goto(address(server))
+            page.locator(".pb").first.wait_for(timeout=60_000)
+            page.add_style_tag(content=".mantine-Notification-root{display:none}")  # of SwiftShader
+            page.wait_for_timeout(1500)
+            yield Served(page, serving)
+        finally:
+            serving.stop()
+            thread.join(PATIENCE)
+            page.close()
+
+
+@pytest.fixture(scope="module")
+def open_cube(serve, tmp_path_factory) -> Iterator[Served]:
+    """The page of the paper's cube."""
+    from particlerb.case.reader import load
+    from particlerb.view.live import Live
+
+    case = load(Path(__file__).parents[2] / "cases" / "cube_at_rest.toml")
+    path = tmp_path_factory.mktemp("sessions") / "session.toml"
+    with serve(lambda server: Live(case, server, path)) as served:
+        yield served
+
+
+@pytest.fixture
+def cube(open_cube) -> Served:
+    """The paper's cube, paused at t = 0, with the fields as they are at first."""
+    open_cube.press("step")
+    open_cube.press("reset")
+    open_cube.until(lambda: open_cube.serving.session.time == 0.0, "reset")
+    for label, value in (("force [N]", "50"), ("duration [s]", "0.02"), ("digits", "17")):
+        open_cube.fill(label, value)
+    open_cube.field("at once").set_checked(False)
+    return open_cube

@@ -1,0 +1,85 @@
+"""The command `view`: what it takes, where it listens, what it leaves behind."""
+
+import sys
+
+import pytest
+
+pytest.importorskip("viser")
+
+import particlerb.cli.view as command
+from particlerb.cli import main
+from particlerb.case.reader import load
+from particlerb.view.session import Blow
+
+
+@pytest.fixture
+def served(monkeypatch, tmp_path):
+    """Pages that would be served, each ended at once; in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    pages = []
+    monkeypatch.setattr(command, "serve", lambda page, server: pages.append((page, server)))
+    return pages
+
+
+def test_without_arguments_it_shows_the_cube_of_the_paper(served, capsys):
+    assert main(["view", "--port", "8400"]) == 0
+    ((page, server),) = served
+    assert server.get_host() == "127.0.0.1"
+    (cube,) = page.session.case.body
+    assert (cube.mass, cube.shape.size) == (2.0, (1.0, 1.0, 1.0))
+    assert not page.session.has_gravity
+    assert not page.session.frame.position.any()
+    assert "warning" not in capsys.readouterr().err
+
+
+def test_another_address_is_warned_of(served, capsys):
+    assert main(["view", "--host", "0.0.0.0", "--port", "8410"]) == 0
+    assert "there is no password" in capsys.readouterr().err
+    assert served[0][1].get_host() == "0.0.0.0"
+
+
+def test_a_session_is_saved_at_the_end(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+
+    def pushed(page, server):
+        page.session.advance(0.25)
+        page.session.apply(Blow(0, (0.2, 0.2, -0.5), (0.0, 0.0, 1.0), 0.0))
+
+    monkeypatch.setattr(command, "serve", pushed)
+    for name in ("cube_at_rest_session", "cube_at_rest_session_2"):  # nothing is written over
+        assert main(["view", "--port", "8420"]) == 0
+        case = load(tmp_path / "output" / f"{name}.toml")
+        assert case.force[0].time == 0.25
+        assert f"{name}.toml" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nothing_like_this"], "no such command, file or case"),
+        (["nothing.h5"], "no such file"),
+        (["--port", "0"], "must be between 1 and 65535"),
+        (["cube_at_rest", "--set", "run.dtt=1"], "unknown key"),
+    ],
+)
+def test_wrong_use_is_said_in_one_message(served, capsys, arguments, message):
+    try:
+        code = main(["view", *arguments])
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+    assert message in capsys.readouterr().err
+    assert not served
+
+
+def test_an_address_that_is_not_ours_is_an_error(served, capsys):
+    assert main(["view", "--host", "no.such.host.invalid"]) == 1
+    assert capsys.readouterr().err
+    assert main(["view", "--host", "203.0.113.5"]) == 1  # of no machine: RFC 5737
+    assert not served
+
+
+def test_without_viser_it_says_what_to_install(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert main(["view"]) == 1
+    assert 'pip install "particlerb[view]"' in capsys.readouterr().err

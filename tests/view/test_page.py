@@ -1,0 +1,156 @@
+"""The page in a real browser: pushes, numbers, replay, and what no page would send."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import particlerb
+from particlerb.case.reader import load
+
+PICTURES = os.environ.get("PARTICLERB_PICTURES")  # folder for the screenshots of docs/
+pytestmark = pytest.mark.slow
+
+
+def picture(served, name: str) -> None:
+    """Keep a screenshot where one is asked for."""
+    if PICTURES:
+        served.page.wait_for_timeout(1500)
+        served.page.screenshot(path=Path(PICTURES) / f"{name}.png")
+
+
+def state(served) -> list[np.ndarray]:
+    """Position, orientation and momenta of all bodies."""
+    return [values[0] for values in served.serving.session.frame[:4]]
+
+
+def test_the_impulse_of_the_paper_gives_its_numbers_on_the_page(cube):
+    """50 N for 0.02 s at (0.2, 0.2, -0.5) at once: L = r × J = (0.2, -0.2, 0), ω = 3 L."""
+    cube.field("at once").check()
+    cube.choose("direction", "+z")
+    cube.press("push at this point")
+    cube.until(lambda: cube.numbers("angular_momentum").any(), "pushed")
+    assert cube.numbers("angular_momentum") == pytest.approx([0.2, -0.2, 0.0], abs=1e-12)
+    assert cube.numbers("angular_velocity") == pytest.approx([0.6, -0.6, 0.0], abs=1e-12)
+    assert cube.numbers("velocity") == pytest.approx([0.0, 0.0, 0.5], abs=1e-12)
+    assert cube.numbers("hand_I") == pytest.approx([1 / 3] * 3, abs=1e-15)
+    assert np.abs(cube.numbers("difference_omega")).max() < 1e-15
+    p, L = state(cube)[2:]
+    assert (cube.numbers("linear_momentum") == p[0]).all()  # every bit
+    assert (cube.numbers("angular_momentum") == L[0]).all()
+
+
+def test_a_push_gives_on_the_page_what_the_batch_run_of_the_session_gives(cube):
+    cube.choose("direction", "+z")
+    cube.press("push at this point")
+    cube.press("run / pause")
+    cube.until(lambda: cube.serving.session.time > 1.0, "running")
+    cube.press("run / pause")
+    cube.until(lambda: not cube.serving.is_running, "paused")
+    cube.page.wait_for_timeout(500)
+    shown = cube.numbers("position"), cube.numbers("angular_momentum"), cube.numbers("orientation")
+    assert shown[1] == pytest.approx([0.20100005, -0.20100005, 0.0], abs=5e-9)
+    picture(cube, "view_cube")
+    cube.press("save the session as a case")
+    path = cube.serving.path
+    cube.until(path.exists, "saved")
+    with particlerb.run(path) as batch:
+        assert (batch.position[-1, 0] == shown[0]).all()
+        assert (batch.angular_momentum[-1, 0] == shown[1]).all()
+        assert (batch.orientation[-1, 0] == shown[2]).all()
+
+
+def test_a_click_at_the_centre_does_not_turn_and_off_it_does(cube):
+    """Along the ray through the centre r × F = 0; off it, ΔL = r × F Δt of the point clicked."""
+    cube.field("at once").check()
+    cube.fill("force [N]", "5")
+    cube.choose("direction", "along the view")
+    x, y = cube.canvas()
+    cube.click(x, y)
+    cube.until(lambda: cube.serving.session.applied, "clicked")
+    first = cube.serving.session.applied[0]
+    arm = np.linalg.norm(np.cross(first.lever, first.blow.vector)) / 0.1  # [m] past the centre
+    assert arm < 0.005  # a pixel or two
+    assert np.linalg.norm(state(cube)[2][0]) == pytest.approx(0.1, rel=1e-12)  # N s
+    before = state(cube)[3][0].copy()
+    cube.press("reset")
+    cube.click(x + 90, y)
+    cube.until(lambda: cube.serving.session.applied, "clicked again")
+    second = cube.serving.session.applied[0]
+    gained = state(cube)[3][0]
+    expected = np.cross(second.lever, second.blow.vector)
+    assert np.linalg.norm(gained) > 5 * np.linalg.norm(before)
+    assert gained == pytest.approx(expected, abs=1e-15)
+    view = np.array(second.blow.vector) / 0.1
+    right = np.cross(view, [0.0, 0.0, 1.0])  # of the screen: the click was to this side
+    assert second.lever @ right > 0.05
+    assert gained[2] > 0.0  # pushed away from us at the right: anticlockwise from above
+    assert np.abs(np.abs(second.blow.at).max() - 0.5) < 1e-12  # on the surface
+
+
+def test_dragging_the_camera_does_not_push(cube):
+    x, y = cube.canvas()
+    mouse = cube.page.mouse
+    mouse.move(x, y)
+    cube.page.wait_for_timeout(1000)
+    mouse.down()
+    mouse.move(x + 120, y + 30, steps=12)
+    mouse.up()
+    cube.page.wait_for_timeout(1000)
+    assert not cube.serving.session.applied
+    assert not state(cube)[2].any()
+
+
+def test_reset_brings_back_the_start(cube):
+    cube.press("push at this point")
+    cube.until(lambda: cube.serving.session.applied, "pushed")
+    cube.press("run / pause")
+    cube.until(lambda: cube.serving.session.time > 0.2, "running")
+    cube.press("step")
+    cube.press("reset")
+    cube.until(lambda: cube.serving.session.time == 0.0, "reset")
+    cube.page.wait_for_timeout(400)
+    assert not cube.numbers("position").any()
+    assert "force" not in cube.serving.session.raw or not cube.serving.session.raw["force"]
+
+
+def test_no_number_in_a_field_breaks_the_scene(cube):
+    for wrong in ("nan", "inf", "1e999", "fifty", "", "1e308", "-1e200"):
+        cube.fill("force [N]", wrong)
+        before = state(cube)
+        cube.press("push at this point")
+        cube.page.wait_for_timeout(200)
+        if not cube.serving.session.applied:
+            assert all((was == now).all() for was, now in zip(before, state(cube), strict=True))
+            assert cube.serving.message, wrong
+        cube.press("reset")
+    cube.fill("force [N]", "50")
+    cube.press("push at this point")
+    cube.until(lambda: len(cube.serving.session.applied) == 1, "pushed after all that")
+
+
+def test_a_file_is_replayed(serve, tmp_path):
+    from particlerb.trajectory import open_trajectory
+    from particlerb.view.replay import Replay
+
+    path = tmp_path / "run.h5"
+    cases = Path(__file__).parents[2] / "cases"
+    particlerb.run(load(cases / "mixed_classes.toml"), path).close()
+    trajectory = open_trajectory(path)
+    with trajectory, serve(lambda server: Replay(trajectory, server, path)) as served:
+        served.fill("digits", "17")
+        served.fill("frame", "40")
+        served.until(lambda: served.serving.frame == 40, "the frame")
+        served.choose("body", trajectory.names[4])
+        served.choose("colour by", "energy")
+        served.page.wait_for_timeout(800)
+        assert (served.numbers("position") == trajectory.position[40, 4]).all()
+        assert (served.numbers("orientation") == trajectory.orientation[40, 4]).all()
+        assert "frame 40 of" in served.page.locator("#clock").inner_text()
+        picture(served, "view_replay")
+        with served.page.expect_download(timeout=60_000) as download:
+            served.press("PNG of this frame")
+        assert Path(download.value.path()).read_bytes()[:4] == b"\x89PNG"
+        served.press("play / pause")
+        served.until(lambda: served.serving.frame > 42, "playing")

@@ -1,0 +1,211 @@
+"""A session is the run of its case: the batch run of what it recorded gives the same bits."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+pytest.importorskip("tomlkit")
+
+import particlerb
+from particlerb.case.reader import load, parse
+from particlerb.view.recording import recorded
+from particlerb.view.session import Blow, Session, SessionError
+
+CUBE = {
+    "name": "cube",
+    "shape": {"type": "box", "size": [1.0, 1.0, 1.0], "arrangement": "exact"},
+    "mass": 2.0,
+}
+CORNER = (0.2, 0.2, -0.5)
+UP = (0.0, 0.0, 50.0)
+
+
+SPIN = [0.3, 1.0, 0.2]
+SCENES = {
+    "cube": lambda m: m.case(CUBE, t_end=2.0, dt=1e-3),
+    "asymmetric, one of three": lambda m: m.case(
+        m.body(count=3, position=[[k, 0.0, 0.0] for k in range(3)], angular_velocity=SPIN)
+    ),
+    "stepped without end": lambda m: m.case(
+        m.body(angular_velocity=SPIN), force=[m.spring([0, 0, 0], 30.0, at=[0.1, 0.0, 0.0])]
+    ),
+    "balls that fall on a floor": lambda m: m.case(
+        m.sphere("low", position=[0.0, 0.0, 0.12]),
+        m.sphere("high", position=[0.05, 0.0, 0.4], angular_velocity=SPIN),
+        gravity={"acceleration": [0.0, 0.0, -9.81]},
+        contact=m.hooke(1e4), wall=[m.plane()], t_end=0.5, dt=1e-3,
+    ),
+    "method of the case": lambda m: m.case(m.body(angular_velocity=SPIN), method="rk4", dt=0.01),
+    "adaptive": lambda m: m.case(
+        m.body(angular_velocity=SPIN), method="dop853", force=[m.drag(0.0, 0.1)]
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture
+def session(make):
+    """How to make a session of a scene."""
+    return lambda name="cube": Session(load(SCENES[name](make)))
+
+
+def pushed(session, updates):
+    """Three pushes and gravity on and off, looked at as often as asked."""
+    step = session.every * 0.37
+    number = len(session.scene.kind) - 1
+    for k in range(12):
+        start = k * step
+        for u in range(1, updates + 1):
+            session.advance(round(start + u * step / updates, 9))
+        if k in (2, 6, 9):
+            duration = 0.0 if k == 6 else 0.4 * step
+            force = (0.5, -1.0, 2.0 if k < 9 else -7.0)
+            session.apply(Blow(number, (0.05, -0.02, 0.03), force, duration))
+        if k in (4, 8):
+            session.switch_gravity(not session.has_gravity)
+    return session
+
+
+def batch_of(session):
+    """Last state of a batch run of the recorded case."""
+    with particlerb.run(parse(recorded(session))) as run:
+        return [
+            np.array(values[-1])
+            for values in (run.position, run.orientation, run.linear_momentum, run.angular_momentum)
+        ]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_batch_run_of_a_recorded_session_gives_the_same_bits(session, name):
+    session = pushed(session(name), 3)
+    for live, batch in zip(session.frame[:4], batch_of(session), strict=True):
+        assert (live[0] == batch).all()
+    assert np.abs(session.frame.angular_momentum).max() > 1e-4  # something has happened
+
+
+@pytest.mark.parametrize("name", ["cube", "stepped without end"])
+def test_the_frame_rate_changes_nothing(session, name):
+    few, many = (pushed(session(name), updates) for updates in (1, 17))
+    assert few.time == many.time
+    assert few.raw["force"] == many.raw["force"]
+    for a, b in zip(few.frame[:4], many.frame[:4], strict=True):
+        assert (a == b).all()
+
+
+def test_a_push_leaves_the_past_of_a_stepped_body_as_it_was(session):
+    """The state at the start of a push is that of the session that was never pushed."""
+    session, calm = session("stepped without end"), session("stepped without end")
+    session.advance(0.2345)
+    start = session.apply(Blow(0, (0.1, 0.0, 0.0), (0.0, 0.0, 1.0), 0.03)).start
+    calm.advance(start)
+    assert start > 0.2345
+    for a, b in zip(session.frame[:4], calm.frame[:4], strict=True):
+        assert (a == b).all()
+
+
+def test_impulse_of_the_paper(session):
+    session = session()
+    session.apply(Blow(0, CORNER, (0.0, 0.0, 1.0), 0.0))
+    assert session.frame.angular_momentum[0, 0] == pytest.approx([0.2, -0.2, 0.0], abs=1e-15)
+    assert session.frame.linear_momentum[0, 0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-15)
+
+
+def test_push_of_the_paper_is_driven_and_then_in_closed_form(make):
+    """L = ∫ r × F dt = 0.20100005 after 0.02 s: the arm turns while the push acts."""
+    session = Session(load(make.case(CUBE, t_end=2.0, dt=1e-5)))
+    session.apply(Blow(0, CORNER, UP, 0.02))
+    segments = session.run.travellers[0].plan.segments
+    assert [segment.method for segment in segments] == ["strang", "exact"]
+    session.advance(1.0)
+    expected = [0.20100005, -0.20100005, 0.0]
+    assert session.frame.angular_momentum[0, 0] == pytest.approx(expected, abs=5e-9)
+
+
+@pytest.mark.parametrize(
+    "blow",
+    [
+        Blow(0, CORNER, (np.nan, 0.0, 0.0), 0.0),
+        Blow(0, (np.inf, 0.0, 0.0), UP, 0.0),
+        Blow(0, CORNER, UP, -1.0),
+        Blow(0, CORNER, (0.0, 0.0, 0.0), 0.0),
+        Blow(0, CORNER, UP, 1e9),
+        Blow(0, (1e200, 0.0, 0.0), (0.0, 0.0, 1e200), 0.0),
+    ],
+)
+def test_what_cannot_be_leaves_everything_as_it_was(session, blow):
+    session = session()
+    session.advance(0.3)
+    session.apply(Blow(0, CORNER, UP, 0.02))
+    session.advance(0.5)
+    before, text = [values.copy() for values in session.frame[:4]], recorded(session)
+    with pytest.raises(SessionError):
+        session.apply(blow)
+    assert recorded(session) == text
+    session.advance(0.6)
+    for live, batch in zip(session.frame[:4], batch_of(session), strict=True):
+        assert (live[0] == batch).all()
+    assert (before[2] == session.frame.linear_momentum).all()
+
+
+def test_a_push_that_overflows_is_taken_back(session):
+    """p = 1.7e308 kg m/s is a float64, twice that is none."""
+    session = session()
+    huge = Blow(0, (0.0, 0.0, 0.0), (1.7e308, 0.0, 0.0), 0.0)
+    session.apply(huge)
+    with pytest.raises(SessionError, match="not finite"):
+        session.apply(huge)
+    assert len(session.raw["force"]) == 1
+    assert session.frame.linear_momentum[0, 0, 0] == 1.7e308
+
+
+def test_a_point_cannot_be_turned(make):
+    point = {"name": "p", "shape": {"type": "points", "position": [[0, 0, 0]], "mass": [1.0]}}
+    session = Session(load(make.case(point)))
+    session.advance(0.1)
+    with pytest.raises(SessionError, match="nothing can turn it"):
+        session.apply(Blow(0, (0.1, 0.0, 0.0), UP, 0.1))
+    assert not session.raw["force"]
+    session.apply(Blow(0, (0.0, 0.0, 0.0), UP, 0.1))
+
+
+def test_gravity_on_and_off_is_a_parabola(session):
+    """x = ½ g t² while it is on, straight afterwards; recorded as a push M g at the centre."""
+    session = session()
+    session.advance(0.5)
+    session.switch_gravity(True)
+    session.advance(1.5)
+    assert session.frame.position[0, 0, 2] == pytest.approx(-0.5 * 9.81, rel=1e-14)
+    session.switch_gravity(False)
+    session.advance(2.0)
+    assert session.frame.position[0, 0, 2] == pytest.approx(-9.81 * (0.5 + 0.5), rel=1e-14)
+    (weight,) = session.raw["force"]
+    assert weight["force"] == [0.0, 0.0, -19.62]
+    assert weight["during"] == [0.5, 1.5]
+
+
+def test_gravity_of_a_case_can_be_switched_off(make):
+    session = Session(load(make.case(CUBE, gravity={"acceleration": [0.0, 0.0, -2.0]})))
+    session.switch_gravity(False)
+    session.advance(1.0)
+    assert np.abs(session.frame.position).max() < 1e-15
+
+
+def test_reset_forgets_the_pushes(session):
+    session = pushed(session(), 1)
+    session.reset()
+    assert session.time == 0.0
+    assert not session.frame.position.any()
+    assert not session.raw["force"]
+
+
+def test_a_recorded_session_says_what_it_is(session):
+    session = session()
+    with pytest.raises(ValueError, match="t = 0"):
+        recorded(session)
+    session.advance(0.1)
+    session.apply(Blow(0, CORNER, UP, 0.02))
+    text = recorded(session)
+    assert text.startswith("# Recorded by `particlerb view`")
+    data = tomllib.loads(text)
+    assert data["force"][0]["during"] == [0.1, 0.12000000000000001]
+    assert data["run"]["t_end"] == 0.12000000000000001  # to the end of the push that begins now
