@@ -23,7 +23,7 @@ def listening(host: str, port: int) -> Iterator[viser.ViserServer]:
     OSError
         If it cannot listen there.
     """
-    socket.getaddrinfo(host, port)  # a wrong name fails here, and not in a thread of the server
+    refuse_foreign(host)
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a broken message ends its sender
     with contextlib.redirect_stdout(io.StringIO()):  # viser announces itself in a box
         server = viser.ViserServer(host=host, port=port, label="particlerb", verbose=False)
@@ -36,6 +36,16 @@ def listening(host: str, port: int) -> Iterator[viser.ViserServer]:
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
+
+
+def refuse_foreign(host: str) -> None:
+    """Raise OSError where this machine has no such address: a thread of viser would not say so."""
+    try:
+        family, kind, _, _, place = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            probe.bind(place)
+    except OSError as error:
+        raise OSError(f"cannot listen on {host}: {error.strerror}") from None
 
 
 def address(server: viser.ViserServer) -> str:

@@ -14,6 +14,11 @@ import pytest
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 CHROMIUM = next((path for name in NAMES if (path := shutil.which(name))), None)
 MUST = os.environ.get("PARTICLERB_REQUIRE_BROWSER", "0") not in ("", "0")
+if MUST:  # nothing here may be skipped
+    import playwright  # noqa: F401
+    import tomlkit  # noqa: F401
+    import trimesh  # noqa: F401
+    import viser  # noqa: F401
 QUIET = (
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
@@ -22,16 +27,11 @@ SIZE = {"width": 1600, "height": 1000}
 PATIENCE = 20.0  # [s] on a slow machine
 
 
-def needed(module: str):
-    """A module of the extras, or a skipped test; with PARTICLERB_REQUIRE_BROWSER an error."""
-    return __import__(module) if MUST else pytest.importorskip(module)
-
-
 @pytest.fixture(scope="session")
 def browser(tmp_path_factory):
     """Chromium without a window."""
-    needed("playwright")
-    needed("viser")
+    pytest.importorskip("playwright")
+    pytest.importorskip("viser")
     if CHROMIUM is None:
         if MUST:
             pytest.fail("PARTICLERB_REQUIRE_BROWSER is set and there is no chromium")

@@ -7,8 +7,8 @@ import pytest
 pytest.importorskip("viser")
 
 import particlerb.cli.view as command
-from particlerb.cli import main
 from particlerb.case.reader import load
+from particlerb.cli import main
 from particlerb.view.session import Blow
 
 

@@ -7,10 +7,24 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.case.reader import load
 
 PICTURES = os.environ.get("PARTICLERB_PICTURES")  # folder for the screenshots of docs/
 pytestmark = pytest.mark.slow
+BRICKS = {
+    "run": {"t_end": 4.0, "every": 0.1},
+    "body": [
+        {
+            "name": "brick",
+            "shape": {"type": "box", "size": [0.2, 0.3, 0.5], "arrangement": "exact"},
+            "mass": 1.0,
+            "count": 343,
+            "place": {"type": "grid", "spacing": 0.8},
+            "orientation": "random",
+            "velocity": {"random": 0.2},
+            "angular_velocity": {"random": 2.0},
+        }
+    ],
+}
 
 
 def picture(served, name: str) -> None:
@@ -51,6 +65,7 @@ def test_a_push_gives_on_the_page_what_the_batch_run_of_the_session_gives(cube):
     cube.page.wait_for_timeout(500)
     shown = cube.numbers("position"), cube.numbers("angular_momentum"), cube.numbers("orientation")
     assert shown[1] == pytest.approx([0.20100005, -0.20100005, 0.0], abs=5e-9)
+    cube.fill("digits", "6")
     picture(cube, "view_cube")
     cube.press("save the session as a case")
     path = cube.serving.path
@@ -135,22 +150,22 @@ def test_a_file_is_replayed(serve, tmp_path):
     from particlerb.view.replay import Replay
 
     path = tmp_path / "run.h5"
-    cases = Path(__file__).parents[2] / "cases"
-    particlerb.run(load(cases / "mixed_classes.toml"), path).close()
+    particlerb.run(BRICKS, path).close()
     trajectory = open_trajectory(path)
     with trajectory, serve(lambda server: Replay(trajectory, server, path)) as served:
         served.fill("digits", "17")
-        served.fill("frame", "40")
-        served.until(lambda: served.serving.frame == 40, "the frame")
-        served.choose("body", trajectory.names[4])
-        served.choose("colour by", "energy")
+        served.fill("frame", "30")
+        served.until(lambda: served.serving.frame == 30, "the frame")
+        served.fill("body", "brick[171]")
+        served.choose("colour by", "speed")
         served.page.wait_for_timeout(800)
-        assert (served.numbers("position") == trajectory.position[40, 4]).all()
-        assert (served.numbers("orientation") == trajectory.orientation[40, 4]).all()
-        assert "frame 40 of" in served.page.locator("#clock").inner_text()
+        assert (served.numbers("position") == trajectory.position[30, 171]).all()
+        assert (served.numbers("orientation") == trajectory.orientation[30, 171]).all()
+        assert "frame 30 of 40" in served.page.locator("#clock").inner_text()
+        served.fill("digits", "6")
         picture(served, "view_replay")
         with served.page.expect_download(timeout=60_000) as download:
             served.press("PNG of this frame")
         assert Path(download.value.path()).read_bytes()[:4] == b"\x89PNG"
         served.press("play / pause")
-        served.until(lambda: served.serving.frame > 42, "playing")
+        served.until(lambda: served.serving.frame > 32, "playing")
