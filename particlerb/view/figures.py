@@ -77,7 +77,7 @@ def shown(value: float, digits: int) -> str:
     """A number with so many digits; whole where these suffice, else with `…`."""
     if value == 0.0:
         return "0"  # of either sign
-    rounded = f"{value:.{digits}g}"
+    rounded = f"{value:#.{digits}g}"  # with the zeros that are digits too
     return repr(value) if float(rounded) == value else f"{rounded}{MORE}"
 
 

@@ -172,7 +172,7 @@ class Stage:
         if handle is None:
             r = 0.018 * self.size * thickness
             self.arrows[name] = self.server.scene.add_arrows(
-                f"/arrows/{name}", points, ARROWS[name],
+                f"/arrows/{name}", points, linear(ARROWS[name]),
                 shaft_radius=r, head_radius=2.4 * r, head_length=6.0 * r,
             )  # fmt: skip
             return
@@ -198,5 +198,5 @@ class Stage:
 
 
 def linear(colours: Any) -> Any:
-    """Colours as the page wants them of instances: proportional to light, not to sRGB."""
+    """Colours as the page wants them of instances and arrows: proportional to light, not sRGB."""
     return np.rint(255.0 * (np.asarray(colours) / 255.0) ** 2.2).astype(np.uint8)
