@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from particlerb.bodies.mesh import read_mesh
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import turned, turned_back
 from particlerb.case.placement import normalised, quaternion_of_euler
@@ -198,7 +199,7 @@ def form_of(case: Case, scene: Scene, body: Body, kind: int, copies: int) -> For
     shapes = [(body.shape, np.eye(3), np.zeros(3))] if body.shape is not None else []
     for part in body.part:
         shapes.append((part.shape, rotation(part.orientation), np.array(part.position)))
-    forms = [solid(shape, R, place - com, copies) for shape, R, place in shapes]
+    forms = [solid(case, shape, R, place - com, copies) for shape, R, place in shapes]
     known = [form for form in forms if form is not None]
     if len(known) < len(forms):
         return particles_form(scene, body, kind, copies)
@@ -212,7 +213,7 @@ def rotation(given: Euler | tuple[float, ...]) -> Floats:
     return R
 
 
-def solid(shape: Any, R: Floats, shift: Floats, copies: int) -> Form | None:
+def solid(case: Case, shape: Any, R: Floats, shift: Floats, copies: int) -> Form | None:
     """Surface of a shape where it stands in its body; None for loose particles."""
     kind, own = shape.type, shape
     round_axes: dict[str, Callable[[], Floats]] = {
@@ -228,6 +229,9 @@ def solid(shape: Any, R: Floats, shift: Floats, copies: int) -> Form | None:
         if is_aligned:
             return Form(mesh, np.zeros((0, 3, 3)), shift[None], axes[None])
         return triangles(mesh)
+    if kind == "mesh":
+        surface = read_mesh(case.file(own.file), own.scale)
+        return triangles(Mesh(surface.vertices, surface.faces).moved(R, shift))
     if kind == "points" and own.radius is not None and all(own.radius):
         return balls_of(np.array(own.position) @ R.T + shift, np.array(own.radius), copies)
     made: dict[str, Callable[[], Any]] = {
@@ -271,6 +275,8 @@ def particles_form(scene: Scene, body: Body, kind: int, copies: int) -> Form:
     """A body of loose particles: their balls; six particles with given moments as an octahedron."""
     own = slice(scene.particles.offset[kind], scene.particles.offset[kind + 1])
     place, radius = scene.particles.position[own], scene.particles.radius[own].copy()
+    if radius.any():
+        place, radius = place[radius > 0.0], radius[radius > 0.0]
     extent = float(np.linalg.norm(place, axis=1).max())
     radius[radius == 0.0] = MARKER * extent if extent > 0.0 else 1.0
     form = balls_of(place, radius, copies)

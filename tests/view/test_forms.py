@@ -103,6 +103,18 @@ def test_every_shape_has_a_surface_around_its_centre_of_mass(shape):
     assert np.mean(met) > 0.8  # a corner may be missed by rounding
 
 
+def test_a_mesh_and_spheres_are_shown_as_they_are(tmp_path):
+    import trimesh
+
+    trimesh.creation.box(extents=[2000.0, 1000.0, 500.0]).export(tmp_path / "b.stl")
+    shape = {"type": "mesh", "file": str(tmp_path / "b.stl"), "scale": 1e-3}
+    found = hit(surfaces({"name": "b", "shape": shape, "mass": 1.0}), [9, 0.2, 0.1], [-1, 0, 0])
+    assert found.at == pytest.approx([1.0, 0.2, 0.1], abs=1e-12)
+    shape = {"type": "spheres", "position": [[-0.4, 0, 0], [0.4, 0, 0]], "radius": 0.5}
+    found = hit(surfaces({"name": "b", "shape": shape, "mass": 1.0}), [9, 0, 0], [-1, 0, 0])
+    assert found.at == pytest.approx([0.9, 0.0, 0.0], abs=1e-12)
+
+
 def test_a_cloud_of_many_kinds_is_shown_by_ellipsoids_with_its_moments(make):
     shape = {"type": "cloud", "n": 9, "radius": 1.0}
     made = load(make.case({"name": "c", "shape": shape, "mass": 3.0, "count": 4} | PLACE))
