@@ -47,7 +47,7 @@ class Turning:
         self.commands: queue.SimpleQueue[tuple[Action, Any]] = queue.SimpleQueue()
         self.is_running, self.is_over = True, False
         self.rate = UPDATES  # updates per second
-        self.message = ""
+        self.message, self.is_refusal = "", False
 
     def later(self, action: Action) -> Callable[[Any], Any]:
         """A callback that leaves an action to the thread that computes."""
@@ -67,7 +67,7 @@ class Turning:
                     self.turn(start - last)
             except Exception as problem:  # whatever a page sends, the page goes on
                 self.is_running = False
-                self.message = f"stopped by a mistake of the program: {problem!r}; reset goes on"
+                self.refuse(f"stopped by a mistake of the program: {problem!r}; reset goes on")
             last = start
             rest = 1.0 / UPDATES - (time.monotonic() - start)
             if rest > 0.0:
@@ -99,7 +99,7 @@ class Turning:
 
     def refuse(self, reason: str) -> None:
         """Say on the page why something was not done."""
-        self.message = reason
+        self.message, self.is_refusal = reason, True
 
     def advance(self, elapsed: float) -> None:
         """Go on for some seconds of the clock on the wall."""
@@ -138,14 +138,13 @@ class Live(Turning):
         self.controls.gravity.value = self.session.has_gravity
         self.controls.shown["follow"].value = len(names) == 1
         self.cost = 0.0  # [s] of computing per simulated second
-        self.saved = 0
+        self.body = 0
         self.begin()
         self.listen()
 
     def begin(self) -> None:
         """Forget what belongs to a motion that was reset."""
-        self.clock = self.session.time
-        self.body = 0
+        self.clock, self.saved = self.session.time, 0
         self.arm = np.array(self.corner())
         self.trail: deque[Floats] = deque(maxlen=KEPT)
         self.history: deque[tuple[float, ...]] = deque(maxlen=KEPT)
@@ -327,6 +326,7 @@ class Live(Turning):
                 number += 1
                 path = self.path.with_stem(f"{self.path.stem}_{number}")
         self.saved = len(self.session.applied)
+        self.is_refusal = False
         self.message = f"saved: {path}; `python -m particlerb {path}` repeats it bit for bit"
         return path
 
@@ -334,7 +334,7 @@ class Live(Turning):
 
     def refuse(self, reason: str) -> None:
         """Say below the fields and beside the clock why something was not done."""
-        self.message = reason
+        super().refuse(reason)
         self.controls.outcome.content = note(reason, True)
 
     def advance(self, elapsed: float) -> None:
@@ -428,7 +428,8 @@ class Live(Turning):
         if self.cost * self.speed > 1.0:
             pace += f", {1.0 / self.cost:.2g} × as computed"
         status = f"<b>t = {session.time!r} s</b> · {state} · {pace}"
-        status += "".join(note(text, True) for text in (self.message, *session.warnings) if text)
+        status += note(self.message, self.is_refusal) if self.message else ""
+        status += "".join(note(warning, True) for warning in session.warnings)
         status = clock(status)
         if c.status.content != status:
             c.status.content = status

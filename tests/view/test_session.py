@@ -1,5 +1,6 @@
 """A session is the run of its case: the batch run of what it recorded gives the same bits."""
 
+import os
 import tomllib
 
 import numpy as np
@@ -43,6 +44,13 @@ SCENES = {
 }  # fmt: skip
 
 
+def marks_of(name):
+    """Scenes whose kernels take long to compile run in plain Python only: the logic is the same."""
+    is_quick = name in ("cube", "asymmetric, one of three", "stepped without end")
+    is_plain = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+    return [pytest.mark.skipif(not (is_quick or is_plain), reason="long to compile, runs in plain")]
+
+
 @pytest.fixture
 def session(make):
     """How to make a session of a scene."""
@@ -75,7 +83,7 @@ def batch_of(session):
         ]
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=marks_of(n)) for n in SCENES])
 def test_the_batch_run_of_a_recorded_session_gives_the_same_bits(session, name):
     session = pushed(session(name), 3)
     for live, batch in zip(session.frame[:4], batch_of(session), strict=True):
