@@ -231,7 +231,7 @@ class Session:
         for body in self.case.body:
             mass = self.scene.bodies.mass[first]
             first += body.count
-            if not body.fixed:
+            if not body.fixed and body.motion is None:
                 entries.append(
                     {
                         "type": "push",
