@@ -17,6 +17,7 @@ from particlerb.bodies.particles import Particles, one_kind
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 COMMENT: Final = re.compile(r"[#%].*")
+NUMBER: Final = re.compile(r"[+-]?\.?\d")
 OTHER_NAMES: Final = {"mass": "m", "radius": "r"}
 NOT_NEGATIVE: Final = ("m", "r")
 
@@ -137,8 +138,10 @@ def split(content: str) -> list[str]:
 
 
 def is_header(cells: Sequence[str]) -> bool:
-    """Whether a first line names columns: it has x, y or z."""
-    return bool({"x", "y", "z"} & {cell.lower() for cell in cells})
+    """Whether a first line names columns: it has x, y or z, and no number."""
+    return bool({"x", "y", "z"} & {cell.lower() for cell in cells}) and not any(
+        NUMBER.match(cell) for cell in cells
+    )
 
 
 def read_table(path: str | Path, columns: Columns) -> Lines:

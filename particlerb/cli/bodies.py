@@ -112,7 +112,9 @@ def body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) ->
         particles, matter = READERS[path.suffix.lower()](path, options)
         spin = getattr(options, "spin", None) or 0.0
         return Named(path.stem, particles, mass_properties(particles), matter, spin)
-    except (ValueError, FileNotFoundError, IsADirectoryError) as error:
+    except OSError as error:
+        raise Ending(f"{path}: {error.strerror or error}") from None
+    except ValueError as error:
         message = str(error)
         raise Ending(message if str(path) in message else f"{path}: {message}") from None
 

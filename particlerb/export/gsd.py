@@ -105,9 +105,11 @@ def type_shape(trajectory: Trajectory, kind: int) -> dict[str, Any]:
     particles = trajectory.particles
     own = slice(particles.offset[kind], particles.offset[kind + 1])
     radius, body = particles.radius[own], int(np.argmax(trajectory.kind == kind))
-    if (radius > 0.0).all() and 0 < radius.size <= MOST_SPHERES:
+    is_sphere = radius > 0.0  # beside these, points without a radius carry matter
+    radius = radius[is_sphere]
+    if 0 < radius.size <= MOST_SPHERES:
         frame = np.tile(trajectory.bodies.rotor_frame[:, body : body + 1], radius.size)
-        centres = turned_back(frame, particles.position[own].T).T
+        centres = turned_back(frame, particles.position[own][is_sphere].T).T
         return {
             "type": "SphereUnion",
             "centers": centres.tolist(),

@@ -46,6 +46,7 @@ def test_points_without_a_header(tmp_path):
         ("1 2 3\n", "a.txt:1: 3 values for the 4 columns"),
         ("1 2 3 4 5\n", "a.txt:1: 5 values for the 4 columns"),
         ("# c\n1 2 3 4\n1 2 three 4\n", "a.txt:3: z = 'three' is not a number"),
+        ("1 2 3 x\n", "a.txt:1: r = 'x' is not a number"),
         ("1 2 3 -4\n", "a.txt:1: r = -4 is negative"),
         ("1 2 3 1\n1 2 3 0\n", "a.txt:2: r = 0.0: a sphere has a positive radius"),
         ("1 2 inf 1\n", "a.txt:1: z = inf is not finite"),

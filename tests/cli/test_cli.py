@@ -263,6 +263,11 @@ def test_mass_refuses_what_is_no_body(here, capsys, text, options, message):
     assert message in capsys.readouterr().err
 
 
+def test_mass_of_a_file_that_is_not_there(here, capsys):
+    assert main(["mass", "none.csv"]) == 2
+    assert "none.csv: No such file" in capsys.readouterr().err
+
+
 def test_mass_says_which_body_cannot_exist(here, capsys):
     Path("egg.toml").write_text(
         "[run]\nt_end = 1.0\nevery = 1.0\n[[body]]\nname = 'egg'\nmass = 1.0\n"
