@@ -263,6 +263,16 @@ def test_mass_refuses_what_is_no_body(here, capsys, text, options, message):
     assert message in capsys.readouterr().err
 
 
+def test_mass_of_a_mesh(here, capsys):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box([1, 2, 3]).export("brick.stl")
+    assert main(["mass", "brick.stl", "--json", "--density", "2"]) == 0
+    (record,) = json.loads(capsys.readouterr().out)
+    assert record["volume"] == pytest.approx(6.0, rel=1e-14)
+    assert record["moments"] == pytest.approx([5.0, 10.0, 13.0], rel=1e-13)
+    assert record["solid"]["inertia_error"] < 1e-14
+
+
 def test_mass_of_a_file_that_is_not_there(here, capsys):
     assert main(["mass", "none.csv"]) == 2
     assert "none.csv: No such file" in capsys.readouterr().err
