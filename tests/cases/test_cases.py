@@ -36,6 +36,7 @@ MANY_STEPS = (
     "kepler",
     "mixer",
     "newtons_cradle",
+    "press",
     "rocking_block",
     "slide_to_roll",
     "spinning_tops",

@@ -11,7 +11,8 @@ from particlerb.maths.vec3 import Floats
 from particlerb.studies.charts.style import COLOURS, INK, bare
 from particlerb.trajectory import Contacts, Trajectory
 
-WIDEST = 5.0  # points, of the strongest force
+WIDTH = 11.0  # inches, of the picture
+WIDEST = 4.0  # points, of the strongest force
 WEAK, STRONG = "#9aa5b1", COLOURS[1]
 BODY = "#eceff2"
 
@@ -38,7 +39,9 @@ def draw_contacts(trajectory: Trajectory, path: Path, frame: int = -1) -> None:
     across, up = axes_of(trajectory, x)
     places = trajectory.particle_positions(k)
     radii = trajectory.particles.radius[trajectory.constituents[1]]
-    figure = Figure(figsize=(11, 6.0), layout="constrained")
+    span = np.ptp(places, axis=0) + 2.0 * radii.max()
+    height = float(np.clip(WIDTH * span[up] / span[across] + 1.4, 2.6, 9.0))
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
     axes = figure.add_subplot()
     draw_particles(axes, places[:, [across, up]], radii)
     draw_forces(axes, x, contacts, [across, up])
