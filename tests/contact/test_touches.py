@@ -189,3 +189,29 @@ def test_contacts_are_in_the_precision_asked_for(make):
         assert t.contacts(0).force.dtype == np.float32
         assert t.contact_overlap.dtype == np.float32
         assert t.contact_number.tolist()[0] == [0, 2, 2, 1]
+
+
+def test_a_run_that_is_resumed_shows_the_same_contacts_bodies_and_walls(make, tmp_path):
+    """With a lid that slides and a body that is driven: the file is that of a straight run."""
+    lid = make.plane([0, 0, -1], "lid", point=[0, 0, 0.2])
+    lid["piston"] = {"mass": 10.0, "axis": [0, 0, -1], "load": 500.0}
+    balls = [
+        make.sphere("a", position=[0, 0, 0.1]),
+        make.sphere("b", position=[0.25, 0, 0.1], motion={"velocity": [-1.0, 0, 0]}),
+    ]
+    case = stack(make, body=balls, wall=[make.plane(), lid])
+    case["run"] |= {"t_end": 0.05}
+    with particlerb.run(case, tmp_path / "resumed.h5"):
+        pass
+    case["run"] |= {"t_end": 0.1}
+
+    def content(t):
+        rows = [*t.contacts(0), *(column for k in range(t.n_frames) for column in t.contacts(k))]
+        return [t.position, t.wall_position, t.wall_force, t.contact_number, t.ledger.work, *rows]
+
+    with particlerb.resume(tmp_path / "resumed.h5", t_end=0.1) as t:
+        resumed = content(t)
+    with particlerb.run(case) as t:
+        assert sum(t.contact_number[-1]) > 2
+        for one, other in zip(resumed, content(t), strict=True):
+            assert np.array_equal(one, other)
