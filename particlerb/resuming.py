@@ -17,6 +17,7 @@ from particlerb.case.reader import build
 from particlerb.case.schema import Case
 from particlerb.case.source import Source
 from particlerb.maths.vec3 import Floats
+from particlerb.record.checked import refuse_elsewhere
 from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint
 from particlerb.record.claim import InUseError
 from particlerb.record.schema import PARAMETERS
@@ -76,6 +77,7 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
     """
     with open_trajectory(path) as trajectory:
         file, n = trajectory.file, trajectory.n_frames
+        refuse_elsewhere(file)
         texts = {name: text_in(file, name) for name in ("case_resolved", "case_path", "case")}
         refuse_other_version(path, text_in(file, "versions"), text_in(file, "git_revision"))
         if texts["case_resolved"] is None or text_in(file, "identity") is None:

@@ -148,6 +148,38 @@ def refuse_foreign_storage(file: h5py.File, dataset: h5py.Dataset, path: str) ->
         raise ValueError(f"{path} is larger than the file")
 
 
+def refuse_elsewhere(file: h5py.File) -> None:
+    """Require that all of a file lies in it, before it is written to.
+
+    Raises
+    ------
+    TrajectoryError
+        If a link, a view or a dataset leads to another file.
+    """
+    wrong: list[str] = []  # h5py wants no error in a visit
+
+    def look_at_link(name: str, link: Any) -> None:
+        if not isinstance(link, h5py.HardLink):
+            wrong.append(f"{name} is a link to elsewhere")
+
+    def look_at_object(name: str, found: Any) -> None:
+        if isinstance(found, h5py.Dataset) and not lies_inside(found):
+            wrong.append(f"{name} lies in another file")
+
+    with blaming(file):
+        file.visititems_links(look_at_link)
+        file.visititems(look_at_object)
+        if wrong:
+            raise ValueError(wrong[0])
+
+
+def lies_inside(dataset: h5py.Dataset) -> bool:
+    """Whether the numbers of a dataset, or those that it is a view of, lie in its file."""
+    if dataset.is_virtual:
+        return all(source.file_name == "." for source in dataset.virtual_sources())
+    return not dataset.id.get_create_plist().get_external_count()
+
+
 def text(file: h5py.File, path: str) -> str:
     """A text of the file.
 

@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from particlerb.record.checked import followed, refuse_foreign_storage
 from particlerb.record.schema import INTEGRITY, PARAMETERS, STATIC
 
 Words = NDArray[np.uint64]
@@ -50,9 +51,10 @@ def frame_checksums(n_frames: int, elements: Iterable[NDArray[np.generic]]) -> W
 def digest(file: h5py.File) -> str:
     """SHA-256 of the tables that do not change and of /parameters."""
     found = hashlib.sha256()
-    paths = [path for path in STATIC if path in file]
-    for path in [*paths, *(f"{PARAMETERS}/{name}" for name in sorted(file[PARAMETERS]))]:
-        value = file[path][()]
+    for path in [*STATIC, *(f"{PARAMETERS}/{name}" for name in sorted(file[PARAMETERS]))]:
+        dataset = followed(file, path)
+        refuse_foreign_storage(file, dataset, path)
+        value = dataset[()]
         data = value if isinstance(value, bytes) else np.ascontiguousarray(value).tobytes()
         found.update(f"{path} {len(data)} ".encode())
         found.update(data)

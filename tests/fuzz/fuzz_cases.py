@@ -34,6 +34,53 @@ VALUES = """1e-320 nan inf -inf 1e999 -0.0 0 1 -1 2 0.5 1e308 1e100 922337203685
 BYTES = [b"\0", b"\xff", b"\xc3\x28", *(bytes([byte]) for byte in b"[]{}\"'=#\n\r.")]
 
 
+BASE = """run = { t_end = 1.0, every = 0.5 }
+[[body]]
+name = "a"
+mass = 1.0
+shape = { type = "box", size = [1, 1, 1], n = 2 }
+"""
+SHAPES = """type = "ball", radius = 1.0, n = 3
+type = "rod", length = 1.0, n = 3
+type = "moments", inertia = [1, 2, 2.5]
+type = "points", position = [[0, 0, 0], [1, 0, 0]], mass = [1, 2], radius = [0.1, 0]
+type = "points", file = "points.csv"
+type = "sphere", radius = 0.1
+type = "cylinder", radius = 1.0, height = 2.0
+type = "torus", radius = 2.0, tube = 0.5
+type = "tetrahedron", edge = 1.0
+type = "ellipsoid", axes = [1, 2, 3], arrangement = "exact\"""".splitlines()
+PIECES = """velocity = [1, 0, 0]|angular_velocity = {{ body = [1, 2, 3] }}
+count = 3|place = {{ type = "grid", spacing = 2.0, n = [3, 1, 1] }}|orientation = "random"
+count = 2|place = {{ type = "random", lower = [0, 0, 0], upper = [1, 1, 1] }}
+[gravity]|acceleration = [0, 0, -9.8]
+[attraction]|G = 1.0|softening = 0.1|sum = "tree"|opening_angle = 0.5
+[[force]]|type = "push"|body = "a"|at = [0, 0, 1]|force = [1, 0, 0]|during = [0.0, 0.5]
+[[force]]|type = "torque"|body = "a"|torque = [1, 0, 0]|frame = "body"
+[[force]]|type = "impulse"|body = "a"|impulse = [1, 0, 0]|time = 0.5
+[[force]]|type = "drag"|body = "a"|translation = 1.0|rotation = 0.1
+[[force]]|type = "spring"|body = "a"|anchor = [0, 0, 1]|stiffness = 1.0|rest_length = "initial"
+[[force]]|type = "spring"|body = "a"|to = "a"|reach = 1.0|stiffness = 1.0|damping = 0.1
+[[force]]|type = "field"|body = "a"|field = [0, 0, 1]|charge = [1, 2]|dipole = [1, 0, 0]
+[[force]]|type = "central"|body = "a"|centre = [5, 0, 0]|mu = 1.0
+[contact]|stiffness = 1e5|restitution = 0.5|friction = 0.3
+[[wall]]|type = "plane"|normal = [0, 0, 1]
+[[material]]|name = "m"|friction = 0.5|[[contact.pair]]|between = ["m", "m"]|friction = 0.1
+[output]|fields = ["position", "orientation"]|dtype = "float32"
+[check]|energy_drift = 1e-9
+[[check.value]]|body = "a"|quantity = "position"|value = [0, 0, 0]|tolerance = 1.0
+[chart]|[[chart.published]]|name = "x"|error = 1e-3""".replace("{{", "{").replace("}}", "}")
+
+
+def small(dice: random.Random) -> str:
+    """A case of a few lines: quick to read, so that many can be tried."""
+    text = BASE
+    if dice.random() < 0.3:
+        text = text.replace('type = "box", size = [1, 1, 1], n = 2', dice.choice(SHAPES))
+    pieces = PIECES.splitlines()
+    return text + "\n".join(dice.choice(pieces).replace("|", "\n") for _ in range(2))
+
+
 @cache
 def seeds() -> list[bytes]:
     """Examples without their comments, and those of the page of keys."""
@@ -65,8 +112,9 @@ def lines() -> list[str]:
 def mutated(k: int) -> bytes:
     """The k-th text."""
     dice = random.Random(k)
-    rows = dice.choice(seeds()).decode().splitlines()
-    for _ in range(dice.choice((1, 1, 2, 3, 6))):
+    large = dice.random() < 0.1
+    rows = (dice.choice(seeds()).decode() if large else small(dice)).splitlines()
+    for _ in range(dice.choice((1, 1, 2, 3, 6) if large else (0, 1, 1, 1, 2, 3))):
         at = dice.randrange(len(rows)) if rows else 0
         match dice.randrange(9):
             case 0:

@@ -1,0 +1,375 @@
+"""Files that are damaged, foreign, or made to harm: one clear error, and nothing elsewhere."""
+
+import lzma
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from h5py import h5d, h5p, h5s
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import particlerb
+from particlerb.cli import main
+from particlerb.record import checked
+from particlerb.trajectory import TrajectoryError
+from particlerb.verification import verify
+
+FUZZ = Path(__file__).parents[1] / "fuzz"
+FOUND = sorted((FUZZ / "found").glob("*.xz"))
+MASS = "particles/trajectory/mass"
+ORIENTATION = "particles/trajectory/orientation/value"
+POSITION = "particles/trajectory/position/value"
+
+
+@pytest.fixture(scope="module")
+def sound(make, tmp_path_factory):
+    """A sound file of two bodies and five frames."""
+    path = tmp_path_factory.mktemp("hostile") / "sound.h5"
+    spin = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [1.0, 0, 0]}
+    bodies = [make.body("a", **spin), make.body("b", position=[3, 0, 0], **spin)]
+    particlerb.run(make.case(*bodies, t_end=0.4), path).close()
+    return path
+
+
+@pytest.fixture
+def copy(sound, tmp_path, monkeypatch):
+    """A copy to be harmed; it is at rest, so nobody waits for it."""
+    monkeypatch.setattr(checked, "SECONDS_OF_PATIENCE", 0.0)
+    return Path(shutil.copy(sound, tmp_path / "harmed.h5"))
+
+
+def damaged(path: Path) -> set[str]:
+    """What `verify` finds wrong."""
+    with particlerb.open(path) as t:
+        return {finding.what for finding in verify(t) if not finding.is_whole}
+
+
+# Verification
+
+
+def test_a_sound_file_is_whole(sound, capsys):
+    assert damaged(sound) == set()
+    assert main(["info", str(sound), "--verify"]) == 0
+    out = capsys.readouterr().out
+    assert f"{sound} is whole" in out
+    for heading in ("schema", "versions", "machine", "git_revision", "seed", "\nplan\n", "\ncase"):
+        assert heading in out
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_every_bit_of_a_frame_counts(make, tmp_path, dtype):
+    """Turn one bit of one number: the checksum of that frame differs."""
+    path = tmp_path / "run.h5"
+    case = make.case(make.body(angular_velocity=[1, 2, 3]), t_end=0.4, output={"dtype": dtype})
+    particlerb.run(case, path).close()
+    assert damaged(path) == set()
+    word = np.uint64 if dtype == "float64" else np.uint32
+    for bit in (0, 20, 31):
+        with h5py.File(path, "a") as file:
+            values = file["particles/trajectory/orientation/value"]
+            frame = values[3:4]
+            frame.view(word)[0, 0, 1] ^= word(1 << bit)
+            values[3:4] = frame
+        with particlerb.open(path) as t:
+            found = {f.what: f.words for f in verify(t) if not f.is_whole}
+        assert found["checksums"] == "frame 3 differ from what was written"
+        with h5py.File(path, "a") as file:
+            frame.view(word)[0, 0, 1] ^= word(1 << bit)
+            file["particles/trajectory/orientation/value"][3:4] = frame
+    assert damaged(path) == set()
+
+
+@pytest.mark.parametrize(
+    ("path", "index", "value", "found"),
+    [
+        (MASS, 0, 3.0, {"tables, texts", "ledger"}),
+        ("bodies/particles/position", (0, 0), 9.0, {"tables, texts"}),
+        (POSITION, (2, 0, 1), 7.0, {"checksums", "ledger"}),
+        (POSITION, (2, 0, 0), np.nan, {"checksums", "ledger"}),
+        ("particles/trajectory/linear_momentum/value", (4, 1, 2), 1.0, {"checksums", "ledger"}),
+        (
+            "particles/trajectory/orientation/value",
+            (1, 0, 3),
+            2.0,
+            {"checksums", "ledger", "frames"},
+        ),
+        ("observables/work/value", 3, 1.0, {"checksums", "ledger"}),
+        ("observables/energy/value", 3, 1.0, {"checksums", "ledger"}),
+        ("particles/trajectory/step", 3, 9, {"times"}),
+        ("particles/trajectory/time", 3, 0.0, {"times", "checksums", "steps for VTK"}),
+        ("VTKHDF/Steps/Values", 2, 9.0, {"steps for VTK"}),
+    ],
+)
+def test_what_was_changed_is_found(copy, path, index, value, found, capsys):
+    with h5py.File(copy, "a") as file:
+        file[path][index] = value
+    assert damaged(copy) == found
+    assert main(["info", str(copy), "--verify"]) == 1
+    out = capsys.readouterr().out
+    assert out.count("NOT OK") == len(found)
+    assert f"{copy} is DAMAGED" in out
+
+
+def test_a_changed_text_is_found(copy):
+    with h5py.File(copy, "a") as file:
+        text = file["parameters/plan"]
+        text[()] = text[()].replace(b"closed", b"cloSed")
+    assert damaged(copy) == {"tables, texts"}
+
+
+# Links and storage elsewhere
+
+
+def outside(tmp_path: Path) -> Path:
+    """Another file, that must not be read or written."""
+    path = tmp_path / "other.h5"
+    with h5py.File(path, "w") as file:
+        file["secret"] = np.arange(2.0)
+        file["frames"] = np.zeros((5, 2, 3))
+        file.create_group("group")["mass"] = np.arange(2.0)
+    return path
+
+
+def external_storage(file: h5py.File, path: str, target: Path, shape: tuple[int, ...]) -> None:
+    """A dataset whose bytes are those of any file."""
+    file.create_dataset(path, shape, "f8", external=[(str(target), 0, h5py.h5f.UNLIMITED)])
+
+
+def view_of(file: h5py.File, path: str, target: Path, name: str, shape: tuple[int, ...]) -> None:
+    space = h5s.create_simple(shape)
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_virtual(space, str(target).encode(), name.encode(), h5s.create_simple(shape))
+    h5d.create(file.id, path.encode(), h5py.h5t.NATIVE_DOUBLE, space, properties)
+
+
+HARM = {
+    "external link": lambda f, to: f.__setitem__(MASS, h5py.ExternalLink(str(to), "/secret")),
+    "soft link": lambda f, to: f.__setitem__(MASS, h5py.SoftLink("/bodies/particles/mass")),
+    "external storage": lambda f, to: external_storage(f, MASS, to, (2,)),
+    "virtual": lambda f, to: view_of(f, MASS, to, "secret", (2,)),
+    "strings": lambda f, to: f.__setitem__(MASS, ["a", "b"]),
+    "a table": lambda f, to: f.__setitem__(MASS, np.zeros(2, dtype=[("a", "f8")])),
+    "complex": lambda f, to: f.__setitem__(MASS, np.zeros(2, dtype=complex)),
+    "half precision": lambda f, to: f.__setitem__(MASS, np.zeros(2, dtype="f2")),
+    "too many": lambda f, to: f.create_dataset(MASS, (10**15,), "f8"),
+    "far too many": lambda f, to: f.create_dataset(MASS, (10**12,), "f8", chunks=(1000,)),
+    "nothing": lambda f, to: f.create_dataset(MASS, data=h5py.Empty("f8")),
+}
+
+
+@pytest.mark.parametrize("harm", HARM)
+def test_only_what_lies_in_the_file_is_read(copy, tmp_path, harm):
+    other = outside(tmp_path)
+    before = other.read_bytes()
+    with h5py.File(copy, "a") as file:
+        del file[MASS]
+        HARM[harm](file, other)
+    with pytest.raises(TrajectoryError, match="is not a trajectory of particlerb"):
+        particlerb.open(copy)
+    assert main(["info", str(copy)]) == 2
+    assert other.read_bytes() == before
+
+
+@pytest.mark.parametrize("kind", ["link", "group", "storage", "virtual"])
+def test_frames_that_lie_elsewhere_are_not_read(copy, tmp_path, kind):
+    other = outside(tmp_path)
+    with h5py.File(copy, "a") as file:
+        del file[POSITION if kind != "group" else "particles/trajectory/position"]
+        if kind == "link":
+            file[POSITION] = h5py.ExternalLink(str(other), "/frames")
+        elif kind == "group":
+            file["particles/trajectory/position"] = h5py.ExternalLink(str(other), "/group")
+        elif kind == "storage":
+            external_storage(file, POSITION, other, (5, 2, 3))
+        else:
+            view_of(file, POSITION, other, "frames", (5, 2, 3))
+    with particlerb.open(copy) as t, pytest.raises(TrajectoryError):
+        _ = t.position
+    assert main(["export", str(copy), "--to", "npz", "-o", str(tmp_path / "a.npz")]) == 1
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["harmed.h5", "other.h5"]
+
+
+@pytest.mark.parametrize(
+    "place", ["VTKHDF/Steps/Values", "particles/trajectory/time", POSITION, "observables/new"]
+)
+@pytest.mark.parametrize("kind", ["link", "storage"])
+def test_resume_writes_to_no_other_file(copy, tmp_path, place, kind):
+    other = outside(tmp_path)
+    before = other.read_bytes()
+    with h5py.File(copy, "a") as file:
+        if place in file:
+            del file[place]
+        if kind == "link":
+            file[place] = h5py.ExternalLink(str(other), "/frames")
+        else:
+            external_storage(file, place, other, (5,))
+    assert main(["resume", str(copy), "--t-end", "1.0"]) != 0
+    assert other.read_bytes() == before
+
+
+def test_a_case_only_reads_the_file_that_it_names(make, tmp_path):
+    """Points from a file that is no table of points: one message, and nothing is written."""
+    secret = tmp_path / "secret"
+    secret.write_text("root:x:0:0:root:/root:/bin/bash\n")
+    for name in ("../secret", str(secret), "/dev/null", "/proc/self/mem", ".."):
+        folder = tmp_path / "cases"
+        folder.mkdir(exist_ok=True)
+        path = folder / "case.toml"
+        shape = f'shape = {{ type = "points", file = "{name}" }}'
+        path.write_text(f'run = {{ t_end = 1.0, every = 1.0 }}\n[[body]]\nname = "a"\n{shape}\n')
+        with pytest.raises(particlerb.CaseError):
+            particlerb.run(path, tmp_path / "out.h5")
+        assert not (tmp_path / "out.h5").exists()
+
+
+# Broken bytes
+
+
+@settings(
+    max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
+@given(data=st.data())
+def test_any_bytes_give_a_value_or_one_error(sound, tmp_path, data):
+    """Truncated, or with bytes replaced anywhere; the drivers in tests/fuzz go on from here."""
+    content = bytearray(sound.read_bytes())
+    for _ in range(data.draw(st.integers(0, 8))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        content[at] = data.draw(st.integers(0, 255))
+    cut = data.draw(st.one_of(st.just(len(content)), st.integers(0, len(content))))
+    path = tmp_path / "broken.h5"
+    path.write_bytes(content[:cut])
+    os.utime(path, (0, 0))
+    words = [sys.executable, "-m", "particlerb", "info", str(path), "--verify"]
+    if data.draw(st.integers(0, 19)) == 0:  # a process takes half a second
+        done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode in (0, 1, 2)
+        assert "Traceback" not in done.stderr
+        assert done.returncode == 0 or done.stdout + done.stderr
+        return
+    try:
+        with particlerb.open(path) as t:
+            verify(t)
+            _ = t.position, t.names, t.ledger, t.parameter("case_resolved")
+    except TrajectoryError as error:
+        message = str(error)
+        assert str(path) in message
+
+
+@pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
+def test_what_was_found_by_fuzzing(path, tmp_path):
+    """Files that crashed HDF5, or sent it round in circles: the command ends with one message."""
+    copy = tmp_path / "found.h5"
+    copy.write_bytes(lzma.decompress(path.read_bytes()))
+    os.utime(copy, (0, 0))
+    words = [sys.executable, "-m", "particlerb", "info", str(copy), "--verify"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode in (1, 2)
+    assert "Traceback" not in done.stderr
+    assert str(copy) in done.stdout + done.stderr
+
+
+def test_a_crash_of_hdf5_is_a_message(tmp_path, monkeypatch, capfd):
+    """The guard tells a death by a signal from an exit code."""
+    from particlerb.cli import guard
+
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    for body, code in (("kill -SEGV $$", 1), ("exit 2", 2), ("exit 0", 0)):
+        (tmp_path / "python").write_text(f"#!/bin/sh\n{body}\n")
+        (tmp_path / "python").chmod(0o755)
+        assert guard.guarded(["info", "run.h5"]) == code
+    err = capfd.readouterr().err
+    assert "particlerb: run.h5 is damaged: HDF5 crashed reading it (signal 11)" in err
+
+
+def test_the_guard_is_for_commands_that_read_files(monkeypatch):
+    from particlerb.cli import guard
+
+    monkeypatch.delenv(guard.MARK, raising=False)
+    assert [guard.wants_guard([word]) for word in ("info", "plot", "export", "run")] == [
+        True,
+        True,
+        True,
+        False,
+    ]
+    monkeypatch.setenv(guard.MARK, "1")
+    assert not guard.wants_guard(["info"])
+
+
+# Refusals that pass
+
+
+def test_a_refusal_that_passes_is_waited_for(copy, monkeypatch):
+    """As while another process is in the middle of a commit."""
+    monkeypatch.setattr(checked, "SECONDS_OF_PATIENCE", 2.0)
+    content = copy.read_bytes()
+    copy.write_bytes(content[:300])
+    later = threading.Timer(0.1, lambda: copy.write_bytes(content))
+    later.start()
+    with particlerb.open(copy) as t:
+        assert t.n_frames == 5
+    later.join()
+
+
+def test_numbers_that_were_never_written_are_refused(copy):
+    """A chunk that the index does not know reads as no number, and not as zero."""
+    with h5py.File(copy, "a") as file:
+        values = file[POSITION]
+        values.resize(5000, axis=0)
+        assert np.isnan(values[4096:]).all()
+        file["particles/trajectory/time"].resize(5000, axis=0)
+        file.attrs["n_frames"] = 5000
+    with particlerb.open(copy) as t, pytest.raises(TrajectoryError, match="no numbers"):
+        _ = t.position
+
+
+LIVE = """
+import sys, particlerb
+from particlerb.record import writer
+from particlerb import simulate
+writer.SECONDS_BETWEEN_COMMITS = 0.0
+simulate.BATCH_FRAMES, simulate.BATCH_SECONDS = 20, 1e9
+shape = {"type": "moments", "inertia": [1.0, 2.0, 2.5]}
+body = {"name": "b", "shape": shape, "mass": 2.0, "count": 20, "velocity": [0.5, 0.0, -1.0],
+    "place": {"type": "grid", "spacing": 1.0}, "angular_velocity": [1.0, 0.4, -0.7]}
+particlerb.run({"run": {"t_end": 1e7, "every": 1.0}, "body": [body]}, sys.argv[1])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_a_reader_of_a_growing_file_reads_no_wrong_number(tmp_path):
+    """Another process commits as fast as it can; every read is compared with the closed form."""
+    path, reads, opened, longest = tmp_path / "live.h5", 0, 0, 0
+    rng = np.random.default_rng(1)
+    with subprocess.Popen([sys.executable, "-c", LIVE, str(path)]) as process:
+        try:
+            while not path.exists() or path.stat().st_size < 200_000:
+                assert process.poll() is None
+            while reads < 10_000:
+                with particlerb.open(path) as t:
+                    opened += 1
+                    start = t.read("position", slice(0, 1)) if t.n_frames else None
+                    for _ in range(100):
+                        n = t.refresh() if rng.random() < 0.1 else t.n_frames
+                        if start is None or n == 0:
+                            break
+                        k = int(rng.integers(n)) if rng.random() < 0.5 else n - 1
+                        x = t.read("position", slice(k, k + 1))
+                        moved = start + k * np.array([0.5, 0.0, -1.0])
+                        np.testing.assert_allclose(x, moved, rtol=1e-13, atol=1e-10)
+                        q = t.read("orientation", slice(k, k + 1), bodies=3)
+                        assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-12)
+                        reads += 1
+                        longest = max(longest, n)
+                assert process.poll() is None
+        finally:
+            process.kill()
+    assert opened > 50
+    assert longest > 1000
