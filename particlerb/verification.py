@@ -20,8 +20,19 @@ from particlerb.record.checked import (
     followed,
     number,
 )
+from particlerb.record.checkpoint import digest_of
 from particlerb.record.integrity import digest, frame_checksums
-from particlerb.record.schema import INTEGRITY, LEDGER, TRAJECTORY, VTKHDF
+from particlerb.record.schema import (
+    CHECKPOINT,
+    CURRENT,
+    INTEGRITY,
+    LEDGER,
+    SLOT_DIGEST,
+    SLOT_FRAMES,
+    SLOTS,
+    TRAJECTORY,
+    VTKHDF,
+)
 from particlerb.trajectory import Trajectory
 
 STATE: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
@@ -61,6 +72,7 @@ def verify(trajectory: Trajectory) -> list[Finding]:
         "ledger": verify_ledger,
         "frames": verify_frames,
         "steps for VTK": verify_steps,
+        "checkpoint": verify_checkpoint,
     }
     found = []
     for what, look in looks.items():
@@ -194,3 +206,20 @@ def verify_steps(trajectory: Trajectory) -> str:
     if counted < trajectory.n_frames or not same:
         raise Flaw(f"{counted} steps differ from {trajectory.n_frames} frames")
     return f"{counted}"
+
+
+def verify_checkpoint(trajectory: Trajectory) -> str:
+    """Compute the hash of the state from which the run can go on."""
+    with blaming(trajectory.file):
+        if CHECKPOINT not in trajectory.file:
+            return "none: the run cannot go on"
+        group = followed(trajectory.file, CHECKPOINT)
+        current = number(group, CURRENT)
+        slot = checked(trajectory.file, f"{CHECKPOINT}/{SLOTS[current]}", "u", (None,))
+        behind, stored = number(slot, SLOT_FRAMES), attribute(slot, SLOT_DIGEST, "S")
+        now = digest_of(slot[:].tobytes())
+    if now.encode() != bytes(stored):
+        raise Flaw(f"has the hash {now[:12]}…, written was {bytes(stored)[:12].decode()}…")
+    if behind > trajectory.n_frames:
+        raise Flaw(f"lies behind frame {behind - 1}, of {trajectory.n_frames}")
+    return f"behind {behind} frames, hash {now[:12]}… is that written"

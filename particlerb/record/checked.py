@@ -114,7 +114,8 @@ def checked(file: h5py.File, path: str, kinds: str, shape: tuple[int | None, ...
         if not isinstance(dataset, h5py.Dataset):
             raise ValueError(f"{path} is no dataset")
         dtype, found = dataset.dtype, dataset.shape
-        if dtype.kind not in kinds or dtype.hasobject or (dtype.kind != "S" and dtype.itemsize < 4):
+        is_short = dtype.kind == "f" and dtype.itemsize < 4
+        if dtype.kind not in kinds or dtype.hasobject or is_short:
             raise ValueError(f"{path} has the type {dtype}")
         fits = found is not None and len(found) == len(shape)
         if not fits or any(n not in (None, m) for m, n in zip(found, shape, strict=True)):

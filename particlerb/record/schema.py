@@ -3,7 +3,8 @@
 The file is H5MD 1.1: one "particle" is one body. Rules that other readers ask for, found by trial:
 explicit step and time for each element, the group named `trajectory`, the attribute `units` and
 not `unit`, observables one level deep and as long as the trajectory, dimension scales on all
-dimensions of a variable or on none.
+dimensions of a variable or on none. What the rest of a file holds, for VTK and for resuming, is
+listed in docs/schema.md, which a test compares with written files.
 """
 
 from typing import Final, NamedTuple
@@ -31,16 +32,19 @@ class Element(NamedTuple):
     components: str  # labels of the last dimension: xyz, wxyz, or none for a number
     units: str
     meaning: str
+    frame: str = "-"
     is_count: bool = False  # an integer
 
 
 FIELDS: Final[dict[str, Element]] = {
-    "position": Element("xyz", "m", "centre of mass, world frame"),
-    "orientation": Element("wxyz", "1", "unit quaternion, scalar first, body frame to world"),
-    "linear_momentum": Element("xyz", "kg m s-1", "world frame"),
-    "angular_momentum": Element("xyz", "kg m2 s-1", "about the centre of mass, world frame"),
-    "velocity": Element("xyz", "m s-1", "of the centre of mass, world frame"),
-    "angular_velocity": Element("xyz", "rad s-1", "world frame"),
+    "position": Element("xyz", "m", "centre of mass", "world"),
+    "orientation": Element(
+        "wxyz", "1", "unit quaternion, scalar first, body frame to world", "body to world"
+    ),
+    "linear_momentum": Element("xyz", "kg m s-1", "of each body", "world"),
+    "angular_momentum": Element("xyz", "kg m2 s-1", "about the centre of mass", "world"),
+    "velocity": Element("xyz", "m s-1", "of the centre of mass", "world"),
+    "angular_velocity": Element("xyz", "rad s-1", "of each body", "world"),
 }
 CONTACT_FIELDS: Final[dict[str, Element]] = {  # per body too, where there is contact
     "contact_number": Element("", "1", "contacts with other bodies and walls", is_count=True),
@@ -54,15 +58,21 @@ WALLS: Final[dict[str, Element]] = {
 }
 LEDGER: Final[dict[str, Element]] = {
     "kinetic_energy": Element("", "J", "of all bodies"),
-    "potential_energy": Element("", "J", "of uniform gravity, zero at the origin"),
+    "potential_energy": Element(
+        "", "J", "of uniform gravity, zero at the origin, and between bodies"
+    ),
     "energy": Element("", "J", "kinetic and potential"),
-    "work": Element("", "J", "booked by forces and impulses other than gravity"),
+    "work": Element("", "J", "booked by impulses and forces without a potential energy here"),
     "energy_error": Element("", "J", "energy - initial energy - work"),
-    "linear_momentum": Element("xyz", "kg m s-1", "of all bodies, world frame"),
-    "linear_momentum_error": Element("xyz", "kg m s-1", "total - initial - booked impulses"),
-    "angular_momentum": Element("xyz", "kg m2 s-1", "of all bodies, about the world's origin"),
+    "linear_momentum": Element("xyz", "kg m s-1", "of all bodies", "world"),
+    "linear_momentum_error": Element(
+        "xyz", "kg m s-1", "total - initial - booked impulses", "world"
+    ),
+    "angular_momentum": Element(
+        "xyz", "kg m2 s-1", "of all bodies, about the world's origin", "world"
+    ),
     "angular_momentum_error": Element(
-        "xyz", "kg m2 s-1", "total - initial - booked angular impulses"
+        "xyz", "kg m2 s-1", "total - initial - booked angular impulses", "world"
     ),
 }
 
@@ -72,6 +82,7 @@ class Table(NamedTuple):
 
     units: str
     meaning: str
+    frame: str = "-"
 
 
 class Column(NamedTuple):
@@ -99,15 +110,19 @@ WALL_NUMBERS: Final = "walls/wall"
 STATIC: Final[dict[str, Table]] = {
     f"{TRAJECTORY}/id": Table("1", "number of the body"),
     f"{TRAJECTORY}/mass": Table("kg", "of each body"),
-    f"{TRAJECTORY}/moment_inertia": Table("kg m2", "principal, in the order of the rotor frame"),
+    f"{TRAJECTORY}/moment_inertia": Table(
+        "kg m2", "principal moments, in the order of the rotor frame", "rotor"
+    ),
     f"{TRAJECTORY}/extent": Table(
-        "m", "edges of a box for glyphs: centred, body axes, holds all particles"
+        "m", "edges of a box about the centre of mass that holds all particles, for glyphs", "body"
     ),
     f"{BODIES}/names": Table("1", "of each body"),
     f"{BODIES}/kind": Table("1", "kind of each body: which set of particles it is made of"),
     f"{BODIES}/rotor_class": Table("1", "0 point, 1 rod, 2 sphere, 3 symmetric, 4 asymmetric"),
-    f"{BODIES}/rotor_frame": Table("1", "unit quaternion, scalar first, rotor frame to body frame"),
-    f"{BODIES}/particles/position": Table("m", "body frame, from the centre of mass"),
+    f"{BODIES}/rotor_frame": Table(
+        "1", "unit quaternion, scalar first, rotor frame to body frame", "rotor to body"
+    ),
+    f"{BODIES}/particles/position": Table("m", "from the centre of mass", "body"),
     f"{BODIES}/particles/mass": Table("kg", "of each particle"),
     f"{BODIES}/particles/radius": Table("m", "0 is a point mass"),
     f"{BODIES}/particles/offset": Table("1", "kind k owns particles offset[k] to offset[k + 1]"),

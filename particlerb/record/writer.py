@@ -614,7 +614,8 @@ def make_clock(file: h5py.File) -> tuple[h5py.Dataset, h5py.Dataset]:
     clock = group.create_dataset(
         "time", (0,), "f8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,), fillvalue=np.nan
     )
-    describe(clock, "s", "of each frame")
+    describe(clock, "s", "of each frame; linked into every element")
+    describe(step, "1", "number of the frame; linked into every element")
     clock.make_scale("time")
     step.dims[0].attach_scale(clock)
     return step, clock

@@ -1,0 +1,202 @@
+"""docs/schema.md lists exactly what written files hold, with and without the optional parts.
+
+`python tests/record/test_schema_page.py` prints the rows as the files have them.
+"""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import h5py
+import pytest
+
+import particlerb
+from particlerb.record.schema import BODIES, FIELDS, LEDGER, OBSERVABLES, STATIC, TRAJECTORY
+
+PAGE = Path(__file__).parents[2] / "docs" / "schema.md"
+HEAD = "| path | type | shape | unit | frame | meaning |"
+ATTRIBUTE_HEAD = "| attribute | type | shape | meaning |"
+# Numbers of frames, bodies, kinds, particles that occur nowhere else, so that a shape tells them.
+T, N, K, P = 11, 8, 5, 27
+SIZES = {T: "T", N: "N", K: "K", K + 1: "K + 1", P: "P", T * N: "T N", N + 1: "N + 1"}
+OF_OTHERS = {"DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME", "units", "meaning"}
+
+
+class Row(NamedTuple):
+    """What the page says of a dataset."""
+
+    type: str
+    shape: str
+    unit: str
+    frame: str
+    meaning: str
+
+
+def scene(make, **keys):
+    """N bodies of K kinds with P particles."""
+    points = {"type": "points", "position": [[0, 0, 0], [0, 0, 1], [1, 0, 0]], "mass": [1, 1, 1]}
+    bodies = [make.body(name) for name in "abcd"]  # six particles each
+    bodies.append(make.body("e", shape=points, count=4, place={"type": "grid", "spacing": 2.0}))
+    return make.case(*bodies, **keys)
+
+
+def type_words(dtype) -> str:
+    if dtype.kind in "SO":
+        return "text"
+    return {"uint8": "bytes"}.get(dtype.name, dtype.name)
+
+
+def shape_words(path: str, shape: tuple[int, ...]) -> str:
+    if path.startswith("checkpoint/"):
+        return "any"
+    return ", ".join(SIZES.get(n, str(n)) for n in shape) or "-"
+
+
+def held(path: Path) -> tuple[dict[str, Row], dict[str, tuple[str, str]]]:
+    """Datasets and attributes of a file; links to the clock count once."""
+    rows, attributes = {}, {}
+    with h5py.File(path) as file:
+        clock = [file[f"{TRAJECTORY}/{name}"] for name in ("step", "time")]
+
+        def walk(group: h5py.Group, prefix: str) -> None:
+            for name, entry in {f"{prefix}{name}": group[name] for name in group}.items():
+                if isinstance(entry, h5py.Dataset) and entry in clock:
+                    if name not in (f"{TRAJECTORY}/step", f"{TRAJECTORY}/time"):
+                        continue
+                for key, value in entry.attrs.items():
+                    if key not in OF_OTHERS:
+                        attributes[f"{name} {key}"] = shown(entry, key, value)
+                if isinstance(entry, h5py.Group):
+                    walk(entry, f"{name}/")
+                    continue
+                unit = entry.attrs.get("units", "-")
+                meaning = entry.attrs.get("meaning", "")
+                shape = shape_words(name, entry.shape)
+                rows[name] = Row(type_words(entry.dtype), shape, unit, frame_of(name), meaning)
+
+        walk(file, "")
+        for key, value in file.attrs.items():
+            attributes[f"/ {key}"] = shown(file, key, value)
+    return rows, attributes
+
+
+def shown(place, key, value) -> tuple[str, str]:
+    dtype = h5py.h5a.open(place.id, key.encode()).dtype
+    return type_words(dtype), ", ".join(map(str, getattr(value, "shape", ()))) or "-"
+
+
+def frame_of(path: str) -> str:
+    name = path.removesuffix("/value").rpartition("/")[2]
+    if path.endswith("/value"):
+        return (FIELDS if path.startswith(TRAJECTORY) else LEDGER)[name].frame
+    return STATIC[path].frame if path in STATIC else ""
+
+
+def page() -> tuple[dict[str, Row], dict[str, tuple[str, str]]]:
+    rows, attributes = {}, {}
+    for line in PAGE.read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if not line.startswith("| `"):
+            continue
+        name = cells[0].strip("`")
+        if len(cells) == 6:
+            assert name not in rows
+            rows[name] = Row(*cells[1:])
+        else:
+            attributes[name] = (cells[1], cells[2])
+    return rows, attributes
+
+
+FILES = {
+    "all": {"output": {"fields": list(FIELDS)}, "accuracy": 1e-3},
+    "default": {},
+    "float32": {"output": {"dtype": "float32"}},
+    "no positions": {"output": {"fields": ["orientation"]}},
+}
+
+
+@pytest.fixture(scope="module")
+def files(make, tmp_path_factory):
+    """Datasets and attributes of a file of each sort."""
+    folder = tmp_path_factory.mktemp("schema")
+    found = {}
+    for name, keys in FILES.items():
+        particlerb.run(scene(make, **keys), folder / f"{name}.h5").close()
+        found[name] = held(folder / f"{name}.h5")
+    return found
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_what_a_file_holds_is_on_the_page(files, name):
+    listed, described = page()
+    rows, attributes = files[name]
+    for path, row in rows.items():
+        said = listed[path]
+        kind = said.type
+        if name == "float32" and (path.startswith((TRAJECTORY, "VTKHDF"))):
+            kind = row.type if row.type == "float32" else kind
+        assert (kind, said.shape) == (row.type, row.shape), path
+        if row.unit != "-":
+            assert (said.unit, said.meaning) == (row.unit, row.meaning), path
+        if row.frame:
+            assert said.frame == row.frame, path
+        assert said.meaning
+    for attribute, words in attributes.items():
+        assert described[attribute] == words, attribute
+
+
+def test_what_is_on_the_page_is_in_a_file(files):
+    listed, described = page()
+    rows, attributes = files["all"]
+    assert set(listed) == set(rows)
+    assert set(described) == set(attributes)
+
+
+def test_only_single_precision_makes_numbers_shorter(files):
+    rows, _ = files["float32"]
+    short = {path for path, row in rows.items() if row.type == "float32"}
+    assert short == {
+        *(f"{TRAJECTORY}/{name}/value" for name in list(FIELDS)[:4]),
+        "VTKHDF/Points",
+        *(f"VTKHDF/PointData/{name}" for name in list(FIELDS)[1:4]),
+    }
+
+
+def test_the_schema_names_what_the_page_lists():
+    listed, _ = page()
+    for name, element in FIELDS.items():
+        assert listed[f"{TRAJECTORY}/{name}/value"].unit == element.units
+    for name, element in LEDGER.items():
+        assert listed[f"{OBSERVABLES}/{name}/value"].meaning == element.meaning
+    assert {path for path in listed if path.startswith(BODIES)} <= set(STATIC)
+    assert HEAD in PAGE.read_text(encoding="utf-8")
+    assert ATTRIBUTE_HEAD in PAGE.read_text(encoding="utf-8")
+
+
+def test_versions_agree():
+    from particlerb.record.schema import SCHEMA_VERSION
+
+    stated = re.search(r"Schema (\d+)\.(\d+)", PAGE.read_text(encoding="utf-8"))
+    assert tuple(map(int, stated.groups())) == SCHEMA_VERSION
+
+
+if __name__ == "__main__":
+    import tempfile
+    import types
+
+    import conftest
+
+    makers = types.SimpleNamespace(body=conftest.body, case=conftest.case)
+    with tempfile.TemporaryDirectory() as folder:
+        output = Path(folder) / "all.h5"
+        particlerb.run(scene(makers, **FILES["all"]), output).close()
+        found, named = held(output)
+    known, _ = page() if PAGE.exists() else ({}, {})
+    for where, one in found.items():
+        if where in known and one.unit == "-":
+            one = one._replace(**{key: getattr(known[where], key) for key in ("unit", "meaning")})  # noqa: PLW2901
+        if where in known and not one.frame:
+            one = one._replace(frame=known[where].frame)  # noqa: PLW2901
+        print("|", " | ".join((f"`{where}`", *one)), "|")
+    for where, words in named.items():
+        print("|", " | ".join((f"`{where}`", *words)), "| |")
