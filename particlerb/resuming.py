@@ -47,7 +47,8 @@ class Pending(NamedTuple):
 
     path: Path
     prepared: Prepared
-    checkpoint: Checkpoint
+    checkpoint: Checkpoint | None  # None: from the start
+    start: int  # frames that lie behind it
     known: int  # frames of the file that stay
     total: int  # frames that there will be
     is_prolonged: bool  # whether it ends at another time than it was to
@@ -97,14 +98,15 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
                 f" t = {case.run.t_end!r} s are there; --t-end prolongs the run"
             )
         try:
-            checkpoint = read_checkpoint(file)
+            checkpoint = read_checkpoint(file) if n else None
         except CheckpointError as error:
             raise ResumeError(f"{error}: it cannot go on; run the case anew") from None
-        if checkpoint.n_frames > known:
+        start = checkpoint.n_frames if checkpoint else 0
+        if start > known:
             raise ResumeError(f"{path}: the checkpoint lies behind the frames; run the case anew")
     is_prolonged = stored.run.t_end != case.run.t_end
     warnings = (*prepared.plan.warnings, *remarks(texts, case, is_prolonged))
-    return Pending(path, prepared, checkpoint, known, total, is_prolonged, warnings)
+    return Pending(path, prepared, checkpoint, start, known, total, is_prolonged, warnings)
 
 
 def resume_pending(pending: Pending, progress: Progress = lambda n: None) -> Outcome:
@@ -122,9 +124,7 @@ def resume_pending(pending: Pending, progress: Progress = lambda n: None) -> Out
     path, prepared, checkpoint = pending.path, pending.prepared, pending.checkpoint
     THREADS.use(prepared.case.run.threads)
     try:
-        recorder = Recorder.again(
-            path, prepared.case, prepared.scene, checkpoint.n_frames, pending.known
-        )
+        recorder = Recorder.again(path, prepared.case, prepared.scene, pending.start, pending.known)
     except InUseError:
         raise ResumeError(f"{path} is being written by another run") from None
     if pending.is_prolonged:

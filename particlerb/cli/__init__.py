@@ -245,13 +245,7 @@ def entry() -> NoReturn:
     """Run the command of this process and end it."""
     if wants_guard(sys.argv[1:]):
         sys.exit(guarded(sys.argv[1:]))
-    code = main()
-    writer = sys.modules.get("particlerb.record.writer")
-    if writer is not None and writer.Recorder.broken:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)  # HDF5 does not survive a failed write: it would crash on the way out
-    sys.exit(code)
+    sys.exit(main())
 
 
 def complain(message: str, code: int) -> int:

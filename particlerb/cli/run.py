@@ -50,7 +50,7 @@ def resume_command(options: argparse.Namespace) -> int:
     except (CaseError, ResumeError, TrajectoryError, FileNotFoundError) as error:
         raise Ending(str(error)) from None
     warn(options, list(pending.warnings))
-    case, start = pending.prepared.case, pending.checkpoint.n_frames
+    case, start = pending.prepared.case, pending.start
     warn(options, disk_warnings(case, path, pending.known))
     if not (options.quiet or options.json):
         again = f", the last {pending.known - start} of them to be computed again"

@@ -48,6 +48,8 @@ def unpacked(content: bytes) -> dict[str, Any]:
 def make_slots(file: h5py.File, n_frames: int, arrays: Mapping[str, Any]) -> None:
     """Make both slots, and write the first; it counts at once."""
     content = packed(arrays)
+    if CHECKPOINT in file:  # not wholly made
+        del file[CHECKPOINT]
     group = file.create_group(CHECKPOINT)
     size = 2 ** (len(content) - 1).bit_length()
     chunks = (min(max(size, SMALLEST_CHUNK), LARGEST_CHUNK),)

@@ -1,7 +1,9 @@
-"""One writer for a file: a lock that ends with the process, and that no reader notices.
+"""One writer for a file, with room on the disk.
 
-HDF5's own locks would keep readers out. This one lies on a byte far beyond the end of the file, so
-it is nobody else's; where the system or the file system knows no such locks, there is none.
+HDF5's own locks would keep readers out. The lock here ends with the process and lies on a byte far
+beyond the end of the file, so no reader notices it. Room is taken before HDF5 writes into it, since
+HDF5 does not survive a write that fails. Where the system or the file system has no such locks, or
+no such room, there is none.
 """
 
 import contextlib
@@ -17,6 +19,7 @@ except ImportError:  # not a POSIX system
 
 FAR = 2**62  # byte that is locked
 BUSY = (errno.EACCES, errno.EAGAIN)
+FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class InUseError(OSError):
@@ -41,6 +44,7 @@ class Claim:
 
     def __init__(self, path: Path) -> None:
         self.descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        self.size = os.fstat(self.descriptor).st_size  # that is taken
         try:
             self.lock()
         except OSError as error:
@@ -63,6 +67,29 @@ class Claim:
             if error.errno in BUSY:
                 raise
             # a file system without locks
+
+    def reserve(self, size: int) -> None:
+        """Take room on the disk, so that the file can grow to a size [bytes].
+
+        Raises
+        ------
+        OSError
+            With a number of FULL, if the disk, a quota or a limit has no room.
+        """
+        if size <= self.size or not hasattr(os, "posix_fallocate"):
+            return
+        try:
+            os.posix_fallocate(self.descriptor, self.size, size - self.size)
+        except OSError as error:
+            if error.errno in FULL:
+                raise
+            return  # a file system that cannot
+        self.size = size
+
+    def trim(self, size: int) -> None:
+        """Give back what lies beyond a size [bytes]."""
+        if size < os.fstat(self.descriptor).st_size:
+            os.ftruncate(self.descriptor, size)
 
     def release(self) -> None:
         """Give it back; may be repeated."""

@@ -9,15 +9,16 @@ import itertools
 import json
 import os
 import platform
+import re
 import shutil
 import struct
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import h5py
 import numpy as np
@@ -30,7 +31,7 @@ from particlerb.case.schema import Case
 from particlerb.contact.touches import Touches
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.checkpoint import make_slots, write_checkpoint
-from particlerb.record.claim import Claim
+from particlerb.record.claim import FULL, Claim
 from particlerb.record.contacts import (
     BYTES_PER_CONTACT,
     ContactList,
@@ -68,7 +69,7 @@ from particlerb.record.vtkhdf import append_steps, count_steps, create_vtkhdf, r
 
 SECONDS_BETWEEN_COMMITS = 1.0
 SHARE_OF_CHECKPOINTS = 0.02  # of the time of a run that may go into them
-LARGEST_SPARE = 32_000_000  # bytes that HDF5 may hold back in its caches, 1 MiB a dataset
+LARGEST_SPARE = 8_000_000  # bytes that HDF5 may hold back in its caches, 1 MiB a dataset
 SMALLEST_FILE = 600_000  # bytes of a file of few bodies and frames
 CLOCK = "time"
 CHECKSUM = "checksum"
@@ -124,8 +125,6 @@ class Recorder:
         If the file cannot be made.
     """
 
-    broken: ClassVar[list["Recorder"]] = []  # kept: HDF5 complains when it lets go of them
-
     def __init__(
         self,
         path: Path | None,
@@ -134,25 +133,47 @@ class Recorder:
         parameters: Mapping[str, str],
         overwrite: bool = False,
     ) -> None:
-        claim = None if path is None else claimed(path, overwrite)
-        self.take(create(path), claim, path, case, scene)
+        if path is None:
+            name = f"memory-{next(NUMBERS)}.h5"  # HDF5 tells files in memory apart by their names
+            file = h5py.File(name, "w", driver="core", backing_store=False)
+            self.take(file, None, None, case, scene)
+            self.lay_out(parameters)
+            return
+        refuse_existing(path, overwrite)
+        new = path if os.name == "nt" else path.with_name(f"{path.name}.new")
+        claim = Claim(new)
+        try:
+            self.take(h5py.File(new, "w", locking=False), claim, path, case, scene)
+            self.refuse_full_disk(0)
+            with self.watched():
+                self.lay_out(parameters)
+                self.commit()
+            new.replace(path)  # from here on a kill leaves a file that opens
+        except BaseException:
+            self.is_broken = True
+            self.abandon()
+            new.unlink(missing_ok=True)
+            raise
+
+    def lay_out(self, parameters: Mapping[str, str]) -> None:
+        """Write all that a file without frames has."""
         self.file.attrs["schema"] = np.array(SCHEMA_VERSION, dtype=np.int32)
         write_h5md(self.file)
-        write_bodies(self.file, scene)
-        write_parameters(self.file, case, parameters)
+        write_bodies(self.file, self.scene)
+        write_parameters(self.file, self.case, parameters)
         self.step, self.time = make_clock(self.file)
         self.values: dict[str, h5py.Dataset] = {
             name: self.make_element(f"{TRAJECTORY}/{name}", element, "body")
             for name, element in (FIELDS | CONTACT_FIELDS).items()
-            if name in case.output.fields
+            if name in self.case.output.fields
         }
-        if walls := walls_wanted(case):
-            make_walls(self.file, case)
+        if walls := walls_wanted(self.case):
+            make_walls(self.file, self.case)
         self.walls: dict[str, h5py.Dataset] = {
             name: self.make_element(f"{OBSERVABLES}/{name}", WALLS[name], "wall") for name in walls
         }
         self.contacts: ContactList | None = None
-        if CONTACTS in case.output.fields:
+        if CONTACTS in self.case.output.fields:
             make_contacts(self.file, self.step, self.time, self.dtype)
             self.contacts = ContactList(self.file)
         self.ledger = {
@@ -160,10 +181,9 @@ class Recorder:
             for name, element in LEDGER.items()
         }
         self.checksums = make_checksums(self.file)
-        if path is not None:  # nobody else can open a file in memory
-            create_vtkhdf(self.file, self.values, SHOWN, most_frames(case))
+        if self.path is not None:  # nobody else can open a file in memory
+            create_vtkhdf(self.file, self.values, SHOWN, most_frames(self.case))
         self.file.attrs[COMMITTED] = np.int64(0)
-        self.commit()
 
     @classmethod
     def again(cls, path: Path, case: Case, scene: Scene, n_frames: int, known: int) -> Self:
@@ -183,12 +203,12 @@ class Recorder:
         self = cls.__new__(cls)
         claim = Claim(path)
         try:
-            mend(path)
+            mend(claim.descriptor)
             self.take(h5py.File(path, "r+", locking=False), claim, path, case, scene)
         except BaseException:
             claim.release()
             raise
-        self.ready, self.known = (n_frames, []), known
+        self.ready, self.known, self.has_slots = (n_frames, []), known, n_frames > 0
         group = self.file[TRAJECTORY]
         self.step, self.time = group["step"], group["time"]
         self.values = {
@@ -215,6 +235,7 @@ class Recorder:
         # Frames committed, and the small arrays of those that are not: replaced as one.
         self.ready: tuple[int, list[dict[str, Floats | Ints | Words]]] = (0, [])
         self.known = 0  # frames that were there before
+        self.is_broken = self.has_slots = False
         self.last_commit = self.last_kept = time.monotonic()
         self.slot: int | None = None  # of the checkpoint, that counts from the next commit on
         self.seconds_to_keep, self.bytes_kept = 0.0, 0
@@ -335,10 +356,11 @@ class Recorder:
         self.bytes_kept = sum(array.nbytes for array in arrays.values())
         self.refuse_full_disk(0)
         with self.watched():
-            if CHECKPOINT in self.file:
+            if self.has_slots:
                 self.slot = write_checkpoint(self.file, self.n_frames, arrays)
             else:
                 make_slots(self.file, self.n_frames, arrays)
+                self.has_slots = True
         self.last_kept = time.monotonic()
         self.seconds_to_keep = self.last_kept - start
 
@@ -373,22 +395,49 @@ class Recorder:
 
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """Turn a failure of HDF5 into WriteError, and remember that the file is broken."""
+        """Turn a failure of HDF5 into WriteError, and write no more."""
         try:
             yield
         except (OSError, RuntimeError) as error:
-            Recorder.broken.append(self)
-            reason = " ".join(str(error).split())
+            self.is_broken = True
+            self.abandon()
+            found = re.search(r"error message = '([^']*)'", str(error))
+            reason = found[1] if found else " ".join(str(error).split())
             raise WriteError(f"{self.path}: {reason}") from None
+
+    def abandon(self) -> None:
+        """Let HDF5 write no more into the file: what it still holds back would spoil it."""
+        if self.path is None or not self.file:
+            return
+        null = os.open(os.devnull, os.O_RDWR)
+        os.dup2(null, self.file.id.get_vfd_handle())
+        os.close(null)
+        with suppress(OSError, RuntimeError, ValueError):
+            self.file.close()
+        if self.claim is not None:
+            lengthen(self.claim.descriptor)
+            self.claim.release()
 
     def refuse_full_disk(self, n_frames: int, more: int = 0) -> None:
         """Raise FullDiskError while the file is whole: HDF5 does not survive a failed write."""
-        if self.path is None:
+        if self.path is None or self.claim is None:
             return
         needed = 2 * (bytes_of_run(self.case, n_frames) + more) + spare_bytes(self.case)
         needed += self.bytes_kept
+        wanted = self.file.id.get_filesize() + needed
+        if wanted <= self.claim.size:
+            return
         if shutil.disk_usage(self.path.parent).free < needed:
             raise FullDiskError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+        try:
+            try:
+                self.claim.reserve(wanted + needed)  # not to ask every time
+            except OSError:
+                self.claim.reserve(wanted)
+        except OSError as error:
+            if error.errno in FULL:
+                raise FullDiskError(error.errno, error.strerror, str(self.path)) from None
+            raise
 
     def commit(self) -> None:
         """Put what is written on disk, then say so; may be repeated after an interrupt."""
@@ -414,7 +463,7 @@ class Recorder:
 
     def finish(self) -> None:
         """Commit, cut off what an interrupt has left half written, and close; once is enough."""
-        if self in Recorder.broken:
+        if self.is_broken:
             return
         with self.watched():
             if self.n_frames >= self.known:
@@ -429,6 +478,7 @@ class Recorder:
             if self.path is not None:
                 self.file.close()
         if self.claim is not None:
+            self.claim.trim(end_of(self.claim.descriptor))
             self.claim.release()
 
 
@@ -443,37 +493,47 @@ def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints | Words
         dataset.id.write_direct_chunk((first + k, *origin), values[k])
 
 
-def claimed(path: Path, overwrite: bool) -> Claim:
-    """Right to write a new file."""
-    if path.exists() and not overwrite:
-        raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
+def refuse_existing(path: Path, overwrite: bool) -> None:
+    """Raise where there is a file that may not be replaced; make the folder of a new one."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    return Claim(path)
+    if not path.exists():
+        return
+    if not overwrite:
+        raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
+    Claim(path).release()  # nobody writes it
 
 
-def create(path: Path | None) -> h5py.File:
-    """Open a new file."""
-    if path is None:  # HDF5 tells files in memory apart by their names
-        name = f"memory-{next(NUMBERS)}.h5"
-        return h5py.File(name, "w", driver="core", backing_store=False)
-    return h5py.File(path, "w", locking=False)
+def end_of(descriptor: int) -> int:
+    """End of a file as HDF5 has noted it [bytes]; in superblocks of version 0 a plain number."""
+    start = os.pread(descriptor, SUPERBLOCK, 0)
+    if len(start) < SUPERBLOCK or not start.startswith(b"\x89HDF\r\n\x1a\n\0"):
+        return os.fstat(descriptor).st_size
+    return int(struct.unpack_from("<Q", start, END_OF_FILE)[0])
 
 
-def mend(path: Path) -> None:
-    """Let the end of a file that a kill has left lie behind all of its bytes.
+def lengthen(descriptor: int) -> None:
+    """Let a file whose last bytes could not be written reach to its noted end, or end before.
 
-    A commit writes the end last. What lies beyond it belongs to something, and HDF5 would give it
-    away a second time. In superblocks of version 0, which are written here, it is a plain number.
+    HDF5 opens none that is shorter than noted.
     """
-    with path.open("r+b") as file:
-        start = file.read(SUPERBLOCK)
-        size = file.seek(0, os.SEEK_END)
-        if len(start) < SUPERBLOCK or not start.startswith(b"\x89HDF\r\n\x1a\n\0"):
-            return
-        (end,) = struct.unpack_from("<Q", start, END_OF_FILE)
-        if end < size:
-            file.seek(END_OF_FILE)
-            file.write(struct.pack("<Q", size))
+    size, end = os.fstat(descriptor).st_size, end_of(descriptor)
+    if size < end:
+        try:
+            os.ftruncate(descriptor, end)
+        except OSError:
+            with suppress(OSError):
+                os.pwrite(descriptor, struct.pack("<Q", size), END_OF_FILE)
+
+
+def mend(descriptor: int) -> None:
+    """Let the noted end of a file that a kill has left lie behind all of its bytes.
+
+    A commit writes it last. What lies beyond it belongs to something, and HDF5 would give it away
+    a second time.
+    """
+    size = os.fstat(descriptor).st_size
+    if end_of(descriptor) < size:
+        os.pwrite(descriptor, struct.pack("<Q", size), END_OF_FILE)
 
 
 def write_h5md(file: h5py.File) -> None:
