@@ -1,18 +1,29 @@
 """Runs that go on: bit for bit as if they had never stopped, for every method, or not at all."""
 
+import errno
+import resource
 import shutil
+import subprocess
+import sys
 
 import h5py
+import numpy as np
 import pytest
+from kills import SCENES as KILLED
+from kills import differences, kill_runs
 
 import particlerb
 from particlerb import simulate
 from particlerb._jit import config
 from particlerb.case.reader import load
+from particlerb.cli import main
 from particlerb.methods import dilute
-from particlerb.record import writer
-from particlerb.record.checkpoint import read_checkpoint
+from particlerb.methods.saving import filled, flat
+from particlerb.record import claim, writer
+from particlerb.record.checkpoint import CheckpointError, read_checkpoint
+from particlerb.resuming import ResumeError, look_at
 from particlerb.studies.accuracy import prepare_accurately
+from particlerb.threads import THREADS
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
 DOWN = {"acceleration": [0.0, 0.0, -9.81]}
@@ -21,27 +32,8 @@ SHORT = 0.85  # s at which runs are stopped that have an end of their own
 LONG = 1.13
 
 
-def contents(path):
-    """Every dataset, but for the texts that speak of the machine or of the time at the end."""
-    found = {}
-    others = ("parameters/case_path", "parameters/plan", "parameters/accuracy", "checkpoint/")
-
-    def note(name, item):
-        if isinstance(item, h5py.Dataset) and not name.startswith(others):
-            value = item[()]
-            found[name] = value if isinstance(value, bytes) else (value.shape, value.tobytes())
-
-    with h5py.File(path, "r") as file:
-        file.visititems(note)
-        found["committed"] = int(file.attrs["n_frames"])
-        found["state"] = read_checkpoint(file).digest
-    return found
-
-
 def assert_same(path, straight):
-    one, other = contents(path), contents(straight)
-    assert sorted(one) == sorted(other)
-    assert [name for name in one if one[name] != other[name]] == []
+    assert differences(path, straight) == []
 
 
 @pytest.fixture(autouse=True)
@@ -163,3 +155,286 @@ def test_a_run_goes_on_bit_for_bit(make, tmp_path, monkeypatch, name):
     with particlerb.resume(short, LONG) as t:
         assert t.time.tolist() == [k / 10 for k in range(12)] + [LONG]
     assert_same(short, straight)
+
+
+@pytest.mark.compiled
+def test_contacts_are_what_the_checkpoint_keeps(make, tmp_path):
+    """Some hold a tangential spring, and lists were made on the way."""
+    particlerb.run(touching(make, t_end=0.7), tmp_path / "a.h5").close()
+    with h5py.File(tmp_path / "a.h5") as file:
+        arrays = read_checkpoint(file).arrays
+    kept = arrays["group.0.motion.lists.walls.kept"]
+    assert np.abs(kept).max() > 0.0
+    assert arrays["group.0.motion.way"][1] > 0.0  # when lists were made
+
+
+def test_fields_precision_and_values_that_were_checked_go_on(make, tmp_path, monkeypatch, capsys):
+    case = driven(make, "strang", output={"fields": ["position", "velocity"], "dtype": "float32"})
+    straight = tmp_path / "straight.h5"
+    left = run_with_copies(case, straight, monkeypatch, checkpoints=(0, 1))
+    assert main(["resume", str(left[3])]) == 0
+    assert_same(left[3], straight)
+    out = capsys.readouterr().out
+    assert "position of lop at 0.37 s" in out  # seen before the checkpoint
+    assert f"position of lop at {LONG} s" in out
+    assert "has 10 of 13 frames, the last 6 of them to be computed again" in out
+
+
+def test_what_was_chosen_for_an_accuracy_stays(make, tmp_path, capsys):
+    """The search would find another step for another end."""
+    path = tmp_path / "a.h5"
+    body = make.body("lop", **SPIN)
+    pushed = make.case(body, force=[make.push([0, 0, 3.0], [0.3, 0, 0], "lop")], accuracy=1e-5)
+    particlerb.run(pushed, path).close()
+    with h5py.File(path) as file:
+        chosen = bytes(file["parameters/stepping"][()])
+    assert main(["resume", str(path), "--t-end", "1.5", "-q"]) == 0
+    assert "run.accuracy was verified until the earlier t_end only" in capsys.readouterr().err
+    with particlerb.open(path) as t:
+        assert bytes(t.file["parameters/stepping"][()]) == chosen
+        assert t.parameter("case_resolved")["run"]["t_end"] == 1.5
+        assert t.n_frames == 16
+
+
+# What cannot go on
+
+
+@pytest.fixture
+def finished(make, tmp_path):
+    """File of a short run."""
+    path = tmp_path / "a.h5"
+    particlerb.run(SCENES["free"](make, t_end=0.5), path).close()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("t_end", "words"),
+    [(None, "nothing left to do"), (0.5, "nothing left to do"), (0.3, "cannot end before them")],
+)
+def test_nothing_is_left_to_do(finished, t_end, words):
+    before = finished.read_bytes()
+    with pytest.raises(ResumeError, match=words):
+        particlerb.resume(finished, t_end)
+    assert finished.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["particlerb", "sources", "numpy"])
+def test_another_version_is_refused(finished, monkeypatch, name, capsys):
+    now = writer.versions()
+    monkeypatch.setattr("particlerb.resuming.versions", lambda: now | {name: "other"})
+    assert main(["resume", str(finished), "--t-end", "1"]) == 2
+    assert "was made with" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", ["2.0", "-0.2"])  # a mass, a velocity
+def test_an_altered_case_is_refused(finished, number):
+    with h5py.File(finished, "r+") as file:
+        text = file["parameters/case_resolved"][()].decode()
+        assert number in text
+        writer.write_text(file, "case_resolved", text.replace(number, "2.5"))
+    with pytest.raises(ResumeError, match="other bodies or another plan"):
+        look_at(finished, 1.0)
+
+
+def test_an_altered_table_of_particles_is_refused(tmp_path, make, capsys):
+    """The file that the case names is read again; an edit of the case itself is told."""
+    (tmp_path / "p.csv").write_text("x,y,z,m\n0,0,0,1\n1,0,0,1\n0,2,0,1\n")
+    text = """run = { t_end = 1.0, every = 0.5 }
+[[body]]
+name = "a"
+shape = { type = "points", file = "p.csv" }
+"""
+    (tmp_path / "a.toml").write_text(text)
+    path = tmp_path / "a.h5"
+    particlerb.run(tmp_path / "a.toml", path).close()
+    (tmp_path / "a.toml").write_text(text.replace("1.0", "9.0"))
+    assert main(["resume", str(path), "--t-end", "2"]) == 0
+    assert "a.toml has been changed since" in capsys.readouterr().err
+    (tmp_path / "p.csv").write_text("x,y,z,m\n0,0,0,1\n1,0,0,1\n0,3,0,1\n")
+    assert main(["resume", str(path), "--t-end", "3"]) == 2
+    assert "a file that it names, was changed" in capsys.readouterr().err
+
+
+def test_a_frame_that_comes_out_differently_ends_the_run(make, tmp_path, monkeypatch, capsys):
+    left = run_with_copies(driven(make, "strang"), tmp_path / "a.h5", monkeypatch, (0,))
+    with h5py.File(left[3], "r+") as file:
+        file["integrity/checksum"][5] += 1
+    assert main(["resume", str(left[3]), "-q"]) == 1
+    assert "frame 5 comes out differently" in capsys.readouterr().err
+    with particlerb.open(left[3]) as t:
+        assert t.n_frames == 10
+
+
+def test_a_file_has_one_writer(finished, capsys):
+    held = claim.Claim(finished)
+    try:
+        with particlerb.open(finished) as t:  # readers do not mind
+            assert t.n_frames == 6
+        assert main(["resume", str(finished), "--t-end", "1"]) == 2
+        assert "is being written by another run" in capsys.readouterr().err
+        with pytest.raises(claim.InUseError):
+            particlerb.run(finished_case(finished), finished, overwrite=True)
+    finally:
+        held.release()
+    particlerb.resume(finished, 1.0).close()
+
+
+def finished_case(path):
+    with particlerb.open(path) as t:
+        return t.parameter("case_resolved")
+
+
+def test_a_damaged_checkpoint_leaves_the_one_before(finished):
+    with h5py.File(finished, "r+") as file:
+        group = file["checkpoint"]
+        current = int(group.attrs["current"])
+        one = read_checkpoint(file)
+        group["ab"[current]][100] ^= 1
+        assert read_checkpoint(file).n_frames < one.n_frames
+        group["ab"[1 - current]][100] ^= 1
+        with pytest.raises(CheckpointError, match="damaged"):
+            read_checkpoint(file)
+    with pytest.raises(ResumeError, match=r"damaged.*run the case anew"):
+        look_at(finished, 1.0)
+
+
+# Interrupts, and disks that are full
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_an_interrupted_run_goes_on(make, tmp_path, count):
+    """The first signal waits for the frame, the second for a kernel."""
+    from particlerb.cli.run import ask_to_stop, stoppable
+
+    case = driven(make, "strang")
+    straight, path = tmp_path / "straight.h5", tmp_path / "a.h5"
+    particlerb.run(case, straight).close()
+    done = []
+
+    def signalled(frames):
+        done.append(frames)
+        if len(done) == 2:
+            for _ in range(count):
+                ask_to_stop(2, None)
+
+    with pytest.raises(KeyboardInterrupt), stoppable():
+        simulate.run_prepared(simulate.prepare(load(case)), path, progress=signalled)
+    assert not THREADS.is_ending
+    assert not THREADS.is_stopping
+    pending = look_at(path)
+    assert (pending.start, pending.known) == (4, 4)
+    particlerb.resume(path).close()
+    assert_same(path, straight)
+
+
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
+from particlerb import cli, simulate
+from particlerb.record import claim, writer
+writer.SECONDS_BETWEEN_COMMITS = -1.0
+simulate.BATCH_SECONDS = 0.0
+if sys.argv[3] == "unforeseen":
+    claim.Claim.reserve = lambda self, size: None
+sys.argv[1:] = ["run", "a.toml", "-o", sys.argv[1], "-q"]
+cli.entry()
+"""
+WIDE = """run = { t_end = 30.0, every = 1.0 }
+[[body]]
+name = "b"
+count = 3000
+place = { type = "grid", spacing = 1.0 }
+shape = { type = "moments", inertia = [1.0, 2.0, 2.5] }
+mass = 2.0
+velocity = [0.5, 0.0, -1.0]
+angular_velocity = [1.0, 0.4, -0.7]
+"""
+
+
+@pytest.mark.compiled
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
+@pytest.mark.parametrize(("how", "limit"), [("foreseen", 12_000_000), ("unforeseen", 6_000_000)])
+def test_a_limit_of_the_file_leaves_what_was_committed(tmp_path, how, limit):
+    """A quota or a limit that no look at the disk shows, seen before the write or not."""
+    (tmp_path / "a.toml").write_text(WIDE)
+    particlerb.run(tmp_path / "a.toml", tmp_path / "straight.h5").close()
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, "a.h5", str(limit), how],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    words = "the disk is full" if how == "foreseen" else "cannot write a.h5: File too large"
+    assert f"the run failed: {words}" in done.stderr
+    assert "go on with: python -m particlerb resume a.h5" in done.stderr
+    path = tmp_path / "a.h5"
+    with particlerb.open(path) as t, particlerb.open(tmp_path / "straight.h5") as right:
+        assert 0 < t.n_frames < right.n_frames
+        for name in ("position", "orientation", "angular_momentum"):
+            assert (getattr(t, name) == getattr(right, name)[: t.n_frames]).all()
+    particlerb.resume(path).close()
+    assert_same(path, tmp_path / "straight.h5")
+
+
+def test_room_that_was_taken_is_given_back(finished):
+    with h5py.File(finished) as file:
+        assert finished.stat().st_size == file.id.get_filesize()
+    assert finished.stat().st_size < 1_000_000
+
+
+def test_no_room_is_an_error_with_its_number(tmp_path, monkeypatch, make):
+    def refuse(descriptor, first, size):
+        raise OSError(errno.EDQUOT, "Disk quota exceeded")
+
+    monkeypatch.setattr("os.posix_fallocate", refuse)
+    with pytest.raises(writer.FullDiskError, match="Disk quota exceeded"):
+        particlerb.run(make.case(make.body()), tmp_path / "a.h5")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_end_of_a_file_is_put_behind_its_bytes(finished):
+    """What a kill leaves behind the noted end may belong to something."""
+    before = finished.stat().st_size
+    with finished.open("ab") as file:
+        file.write(bytes(5000))
+    held = claim.Claim(finished)
+    assert writer.end_of(held.descriptor) == before
+    writer.mend(held.descriptor)
+    assert writer.end_of(held.descriptor) == before + 5000
+    held.release()
+    with particlerb.resume(finished, 1.0) as t:
+        assert t.n_frames == 11
+
+
+def test_tuples_of_arrays_come_back_as_they_were():
+    from typing import Any, NamedTuple
+
+    class Inner(NamedTuple):
+        a: Any
+        count: int
+
+    class Outer(NamedTuple):
+        inner: Inner
+        b: Any
+        none: Any
+
+    value = Outer(Inner(np.arange(3), 4), np.eye(2), None)
+    again = filled(value, {k: np.array(v) for k, v in flat(value).items()})
+    assert isinstance(again.inner.count, int)
+    assert (again.inner.a == value.inner.a).all()
+    assert (again.b == value.b).all()
+    assert again.none is None
+
+
+# Kills
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="forks")
+@pytest.mark.parametrize("name", KILLED)
+def test_kills_at_random_moments(tmp_path, monkeypatch, name):
+    """A few; `python tests/record/kills.py 200` makes more."""
+    monkeypatch.undo()
+    found = kill_runs(KILLED[name](), tmp_path, 5, seed=3)
+    assert found.wrong == []
+    assert len(set(found.committed)) > 1
