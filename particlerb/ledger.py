@@ -191,7 +191,7 @@ class Ledger:
     def restore(self, saved: Mapping[str, Floats]) -> None:
         """Go on from what was saved."""
         initial = saved["initial"]
-        self.energy, self.linear, self.angular = float(initial[0]), initial[1:4], initial[4:7]
+        self.energy, self.linear, self.angular = float(initial[0]), *np.split(initial[1:7], 2)
         self.errors, self.scales = saved["errors"], saved["scales"]
 
     def widen(self, now: Totals, work: Floats) -> None:

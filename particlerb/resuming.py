@@ -127,6 +127,8 @@ def resume_pending(pending: Pending, progress: Progress = lambda n: None) -> Out
         recorder = Recorder.again(path, prepared.case, prepared.scene, pending.start, pending.known)
     except InUseError:
         raise ResumeError(f"{path} is being written by another run") from None
+    except KeyError as error:
+        raise ResumeError(f"{path} is damaged: {error}") from None
     if pending.is_prolonged:
         with recorder.watched():
             replace_case(recorder.file, prepared.case)

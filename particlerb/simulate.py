@@ -456,7 +456,10 @@ def advance(
         if checkpoint is None:
             recorder.keep(run.checkpoint)
         else:
-            run.restore(checkpoint.n_frames, dict(checkpoint.arrays))
+            try:
+                run.restore(checkpoint.n_frames, dict(checkpoint.arrays))
+            except (LookupError, TypeError, ValueError) as reason:
+                raise RunError(f"the checkpoint does not fit: {reason}") from None
         for batch in batches(case, run.n_frames):
             rows, error = one_batch(run, recorder, batch)
             progress(rows)

@@ -17,6 +17,10 @@ try:
 except ImportError:  # not a POSIX system
     fcntl = None  # type: ignore[assignment]
 
+VERSION_0 = b"\x89HDF\r\n\x1a\n\0"  # how a superblock of version 0 begins, which h5py writes here,
+SUPERBLOCK = 96  # bytes of it,
+END = 40  # and where in it the end of the file stands, as a plain number
+PIECE = 2**20  # bytes that are looked at together
 FAR = 2**62  # byte that is locked
 BUSY = (errno.EACCES, errno.EAGAIN)
 FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
@@ -86,10 +90,54 @@ class Claim:
             return  # a file system that cannot
         self.size = size
 
-    def trim(self, size: int) -> None:
-        """Give back what lies beyond a size [bytes]."""
-        if size < os.fstat(self.descriptor).st_size:
-            os.ftruncate(self.descriptor, size)
+    def end(self) -> int:
+        """End of the file as HDF5 has noted it [bytes]."""
+        start = os.pread(self.descriptor, SUPERBLOCK, 0)
+        if len(start) < SUPERBLOCK or not start.startswith(VERSION_0):
+            return os.fstat(self.descriptor).st_size
+        return int(struct.unpack_from("<Q", start, END)[0])
+
+    def trim(self) -> None:
+        """Give back what lies beyond the noted end."""
+        end = self.end()
+        if end < os.fstat(self.descriptor).st_size:
+            os.ftruncate(self.descriptor, end)
+
+    def lengthen(self) -> None:
+        """Let a file whose last bytes could not be written reach to its noted end, or end before.
+
+        HDF5 opens none that is shorter than noted.
+        """
+        size, end = os.fstat(self.descriptor).st_size, self.end()
+        if size < end:
+            try:
+                os.ftruncate(self.descriptor, end)
+            except OSError:
+                with contextlib.suppress(OSError):
+                    os.pwrite(self.descriptor, struct.pack("<Q", size), END)
+
+    def mend(self, margin: int) -> None:
+        """Let the noted end of a file that a kill has left lie behind what was written after it.
+
+        A commit writes the end last. What lies beyond may belong to something, and HDF5 would give
+        it away a second time; only room that was taken ahead is zero.
+
+        Parameters
+        ----------
+        margin : int
+            More than what is written and may be zero [bytes].
+        """
+        size, end = os.fstat(self.descriptor).st_size, self.end()
+        used = size
+        while used > end:
+            start = max(used - PIECE, end)
+            piece = os.pread(self.descriptor, used - start, start).rstrip(b"\0")
+            used = start + len(piece)
+            if piece:
+                break
+        if end < size:
+            noted = struct.pack("<Q", min(used + PIECE + margin, size))
+            os.pwrite(self.descriptor, noted, END)
 
     def release(self) -> None:
         """Give it back; may be repeated."""

@@ -11,7 +11,6 @@ import os
 import platform
 import re
 import shutil
-import struct
 import subprocess
 import sys
 import time
@@ -79,8 +78,6 @@ SHOWN = {  # what VTK shows of each body beside the recorded fields
     "extent": f"{TRAJECTORY}/extent",
     "kind": f"{BODIES}/kind",
 }
-SUPERBLOCK = 96  # bytes of it, in version 0,
-END_OF_FILE = 40  # and where in it the end of the file stands
 THINNEST = 0.02  # edge of a glyph, of the longest one: rods and points are to be seen
 NUMBERS = itertools.count()  # of the files in memory
 
@@ -143,7 +140,12 @@ class Recorder:
         new = path if os.name == "nt" else path.with_name(f"{path.name}.new")
         claim = Claim(new)
         try:
-            self.take(h5py.File(new, "w", locking=False), claim, path, case, scene)
+            file = h5py.File(new, "w", locking=False)
+        except OSError:
+            claim.release()
+            raise
+        self.take(file, claim, path, case, scene)
+        try:
             self.refuse_full_disk(0)
             with self.watched():
                 self.lay_out(parameters)
@@ -199,31 +201,44 @@ class Recorder:
             Frames that lie behind the state that is carried on.
         known : int
             Frames that the file keeps, of those that it has: not fewer.
+
+        Raises
+        ------
+        InUseError
+            If another process writes the file.
+        KeyError
+            If it lacks something.
+        OSError
+            If it cannot be opened or written.
         """
         self = cls.__new__(cls)
-        claim = Claim(path)
+        claim, file = Claim(path), None
         try:
-            mend(claim.descriptor)
-            self.take(h5py.File(path, "r+", locking=False), claim, path, case, scene)
+            claim.mend(2 * bytes_of_run(case, 1))
+            file = h5py.File(path, "r+", locking=False)
+            self.take(file, claim, path, case, scene)
+            self.find()
         except BaseException:
+            if file is not None:
+                file.close()
             claim.release()
             raise
         self.ready, self.known, self.has_slots = (n_frames, []), known, n_frames > 0
-        group = self.file[TRAJECTORY]
-        self.step, self.time = group["step"], group["time"]
-        self.values = {
-            name: group[f"{name}/value"]
-            for name in FIELDS | CONTACT_FIELDS
-            if name in case.output.fields
-        }
-        observables = self.file[OBSERVABLES]
-        self.walls = {name: observables[f"{name}/value"] for name in walls_wanted(case)}
-        self.contacts = ContactList(self.file) if CONTACTS in case.output.fields else None
-        self.ledger = {name: self.file[f"{OBSERVABLES}/{name}/value"] for name in LEDGER}
-        self.checksums = self.file[INTEGRITY][CHECKSUM]
         with self.watched():
             self.cut(known)
         return self
+
+    def find(self) -> None:
+        """Find what `lay_out` has made."""
+        group, observables = self.file[TRAJECTORY], self.file[OBSERVABLES]
+        fields = self.case.output.fields
+        self.step, self.time = group["step"], group["time"]
+        named = [name for name in FIELDS | CONTACT_FIELDS if name in fields]
+        self.values = {name: group[f"{name}/value"] for name in named}
+        self.walls = {name: observables[f"{name}/value"] for name in walls_wanted(self.case)}
+        self.contacts = ContactList(self.file) if CONTACTS in fields else None
+        self.ledger = {name: observables[f"{name}/value"] for name in LEDGER}
+        self.checksums = self.file[INTEGRITY][CHECKSUM]
 
     def take(
         self, file: h5py.File, claim: Claim | None, path: Path | None, case: Case, scene: Scene
@@ -415,8 +430,9 @@ class Recorder:
         with suppress(OSError, RuntimeError, ValueError):
             self.file.close()
         if self.claim is not None:
-            lengthen(self.claim.descriptor)
+            self.claim.lengthen()
             self.claim.release()
+            self.claim = None
 
     def refuse_full_disk(self, n_frames: int, more: int = 0) -> None:
         """Raise FullDiskError while the file is whole: HDF5 does not survive a failed write."""
@@ -478,7 +494,7 @@ class Recorder:
             if self.path is not None:
                 self.file.close()
         if self.claim is not None:
-            self.claim.trim(end_of(self.claim.descriptor))
+            self.claim.trim()
             self.claim.release()
 
 
@@ -501,39 +517,6 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
     if not overwrite:
         raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
     Claim(path).release()  # nobody writes it
-
-
-def end_of(descriptor: int) -> int:
-    """End of a file as HDF5 has noted it [bytes]; in superblocks of version 0 a plain number."""
-    start = os.pread(descriptor, SUPERBLOCK, 0)
-    if len(start) < SUPERBLOCK or not start.startswith(b"\x89HDF\r\n\x1a\n\0"):
-        return os.fstat(descriptor).st_size
-    return int(struct.unpack_from("<Q", start, END_OF_FILE)[0])
-
-
-def lengthen(descriptor: int) -> None:
-    """Let a file whose last bytes could not be written reach to its noted end, or end before.
-
-    HDF5 opens none that is shorter than noted.
-    """
-    size, end = os.fstat(descriptor).st_size, end_of(descriptor)
-    if size < end:
-        try:
-            os.ftruncate(descriptor, end)
-        except OSError:
-            with suppress(OSError):
-                os.pwrite(descriptor, struct.pack("<Q", size), END_OF_FILE)
-
-
-def mend(descriptor: int) -> None:
-    """Let the noted end of a file that a kill has left lie behind all of its bytes.
-
-    A commit writes it last. What lies beyond it belongs to something, and HDF5 would give it away
-    a second time.
-    """
-    size = os.fstat(descriptor).st_size
-    if end_of(descriptor) < size:
-        os.pwrite(descriptor, struct.pack("<Q", size), END_OF_FILE)
 
 
 def write_h5md(file: h5py.File) -> None:

@@ -20,7 +20,7 @@ from particlerb.cli import main
 from particlerb.methods import dilute
 from particlerb.methods.saving import filled, flat
 from particlerb.record import claim, writer
-from particlerb.record.checkpoint import CheckpointError, read_checkpoint
+from particlerb.record.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
 from particlerb.resuming import ResumeError, look_at
 from particlerb.studies.accuracy import prepare_accurately
 from particlerb.threads import THREADS
@@ -197,6 +197,28 @@ def test_what_was_chosen_for_an_accuracy_stays(make, tmp_path, capsys):
 
 
 # What cannot go on
+
+
+def test_a_file_that_lacks_something_is_refused(finished, capsys):
+    with h5py.File(finished, "r+") as file:
+        del file["observables/work/value"]
+    assert main(["resume", str(finished), "--t-end", "1"]) == 2
+    assert "a.h5 is damaged" in capsys.readouterr().err
+    claim.Claim(finished).release()
+
+
+@pytest.mark.parametrize("change", ["leave out", "cut"])
+def test_a_checkpoint_that_does_not_fit_ends_the_run(finished, capsys, change):
+    with h5py.File(finished, "r+") as file:
+        one = read_checkpoint(file)
+        arrays = dict(one.arrays)
+        arrays["ledger.initial"] = arrays["ledger.initial"][:2]
+        if change == "leave out":
+            del arrays["ledger.initial"]
+        number = write_checkpoint(file, one.n_frames, arrays)
+        file["checkpoint"].attrs.modify("current", np.int64(number))
+    assert main(["resume", str(finished), "--t-end", "1"]) == 1
+    assert "the checkpoint does not fit" in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -395,14 +417,15 @@ def test_the_end_of_a_file_is_put_behind_its_bytes(finished):
     """What a kill leaves behind the noted end may belong to something."""
     before = finished.stat().st_size
     with finished.open("ab") as file:
-        file.write(bytes(5000))
+        file.write(b"x" * 5000 + bytes(4_000_000))
     held = claim.Claim(finished)
-    assert writer.end_of(held.descriptor) == before
-    writer.mend(held.descriptor)
-    assert writer.end_of(held.descriptor) == before + 5000
+    assert held.end() == before
+    held.mend(100)
+    assert held.end() == before + 5100 + claim.PIECE
     held.release()
     with particlerb.resume(finished, 1.0) as t:
         assert t.n_frames == 11
+    assert finished.stat().st_size < before + 3 * claim.PIECE
 
 
 def test_tuples_of_arrays_come_back_as_they_were():
