@@ -59,7 +59,13 @@ def without_contact() -> dict[str, Any]:
     place = {"type": "grid", "spacing": 2.0}
     bodies = {"name": "b", "shape": shape, "mass": 2.0, "count": 30, "place": place} | SPIN
     spring = {"type": "spring", "body": "b", "anchor": [1, 1, 1], "stiffness": 5.0}
-    push = {"type": "push", "body": "b", "force": [0, 1, 0], "at": [0.3, 0, 0], "during": [0.5, 1.2]}
+    push = {
+        "type": "push",
+        "body": "b",
+        "force": [0, 1, 0],
+        "at": [0.3, 0, 0],
+        "during": [0.5, 1.2],
+    }
     run = {"t_end": 2.05, "every": 0.01, "dt": 1e-3, "method": "strang", "threads": 1}
     return {"run": run, "body": [bodies], "force": [spring, push]}
 
