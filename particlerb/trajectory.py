@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 import h5py
 import numpy as np
+from h5py import h5d, h5p
 
 from particlerb.bodies.bodies import Bodies, made_of, taken
 from particlerb.bodies.particles import Particles
@@ -171,6 +172,8 @@ class Trajectory:
             with blaming(self.file):
                 if len(values) < self.n_frames:
                     raise ValueError(f"{path} ends before frame {self.n_frames - 1}")
+                if bodies is not None and bodies != slice(None):
+                    values = without_cache(values)
                 found: Floats = values[pick]
                 if not np.isfinite(found).all():
                     raise ValueError(f"{path} has entries that are no numbers")
@@ -505,6 +508,17 @@ class Trajectory:
             return words
         with blaming(self.file):
             return json.loads(words)
+
+
+def without_cache(values: h5py.Dataset) -> h5py.Dataset:
+    """The same dataset; where a chunk is one frame, a few of its numbers are read, and not all."""
+    if values.chunks is None or values.chunks[0] > 1:
+        return values
+    access = h5p.create(h5p.DATASET_ACCESS)
+    access.set_chunk_cache(0, 0, 1.0)
+    file, name = values.file.id, values.name.encode()
+    values.id.close()
+    return h5py.Dataset(h5d.open(file, name, access))
 
 
 def open_trajectory(path: str | Path) -> Trajectory:

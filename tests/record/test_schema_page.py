@@ -60,9 +60,9 @@ def held(path: Path) -> tuple[dict[str, Row], dict[str, tuple[str, str]]]:
 
         def walk(group: h5py.Group, prefix: str) -> None:
             for name, entry in {f"{prefix}{name}": group[name] for name in group}.items():
-                if isinstance(entry, h5py.Dataset) and entry in clock:
-                    if name not in (f"{TRAJECTORY}/step", f"{TRAJECTORY}/time"):
-                        continue
+                is_link = name not in (f"{TRAJECTORY}/step", f"{TRAJECTORY}/time")
+                if isinstance(entry, h5py.Dataset) and entry in clock and is_link:
+                    continue
                 for key, value in entry.attrs.items():
                     if key not in OF_OTHERS:
                         attributes[f"{name} {key}"] = shown(entry, key, value)
