@@ -151,7 +151,7 @@ def check(data: bytes) -> str:
     from particlerb.case.reader import parse
 
     warnings.simplefilter("error")  # a warning of NumPy is an escape too
-    start = time.monotonic()
+    start = time.process_time()
     try:
         case = parse(data.decode(errors="replace"), Path("case.toml"))
         case.model_dump_json()
@@ -166,8 +166,8 @@ def check(data: bytes) -> str:
         if not error.problems or not words.strip() or "case.toml" not in words:
             raise AssertionError(f"a poor message: {words!r}") from None
         outcome = "error"
-    if time.monotonic() - start > SECONDS_FOR_ONE:
-        raise AssertionError(f"took {time.monotonic() - start:.1f} s")
+    if time.process_time() - start > SECONDS_FOR_ONE:
+        raise AssertionError(f"took {time.process_time() - start:.1f} s")
     return outcome
 
 

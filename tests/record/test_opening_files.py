@@ -82,8 +82,9 @@ def test_what_ovito_would_open(folder):
     """The export of the page; read by OVITO where it is installed, and by gsd anyway."""
     import gsd.hoomd
 
-    words = [sys.executable, *"-m particlerb export run.vtkhdf --to gsd --overwrite".split()]
-    assert " ".join(words[1:6]) in PAGE.read_text(encoding="utf-8")
+    line = "python -m particlerb export run.vtkhdf --to gsd"
+    assert line in PAGE.read_text(encoding="utf-8")
+    words = [sys.executable, *line.split()[1:], "--overwrite"]
     subprocess.run(words, cwd=folder, check=True, capture_output=True, timeout=120)
     frames = gsd.hoomd.open(folder / "run.gsd")
     with particlerb.open(folder / "run.vtkhdf") as t:
