@@ -42,7 +42,7 @@ from particlerb.case.shapes import AnyShape, Cloud, Mesh, Points, Spheres
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import POINT, ROD
 
-SMALLEST = 1e-300  # mass [kg] or moment of inertia [kg m²]
+SMALLEST = 1e-307  # mass [kg] or moment of inertia [kg m²]
 SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its rounding
 
 
