@@ -51,10 +51,10 @@ CONTACT_FIELDS: Final[dict[str, Element]] = {  # per body too, where there is co
     "contact_overlap": Element("", "m", "largest overlap with another body or a wall"),
 }
 WALLS: Final[dict[str, Element]] = {
-    "wall_force": Element("xyz", "N", "of all bodies on each wall, world frame"),
-    "wall_torque": Element("xyz", "N m", "of all bodies on each wall, about its centre"),
-    "wall_position": Element("xyz", "m", "centre of each wall, about which it turns"),
-    "wall_velocity": Element("xyz", "m s-1", "of the centre of each wall"),
+    "wall_force": Element("xyz", "N", "of all bodies on each wall", "world"),
+    "wall_torque": Element("xyz", "N m", "of all bodies on each wall, about its centre", "world"),
+    "wall_position": Element("xyz", "m", "centre of each wall, about which it turns", "world"),
+    "wall_velocity": Element("xyz", "m s-1", "of the centre of each wall", "world"),
 }
 LEDGER: Final[dict[str, Element]] = {
     "kinetic_energy": Element("", "J", "of all bodies"),

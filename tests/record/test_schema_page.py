@@ -11,14 +11,35 @@ import h5py
 import pytest
 
 import particlerb
-from particlerb.record.schema import BODIES, FIELDS, LEDGER, OBSERVABLES, STATIC, TRAJECTORY
+from particlerb.case.wanted import FIELDS_OF_CONTACT
+from particlerb.record.schema import (
+    BODIES,
+    CONTACT_FIELDS,
+    FIELDS,
+    LEDGER,
+    OBSERVABLES,
+    OFFSET,
+    STATIC,
+    TRAJECTORY,
+    WALLS,
+)
 
 PAGE = Path(__file__).parents[2] / "docs" / "schema.md"
 HEAD = "| path | type | shape | unit | frame | meaning |"
 ATTRIBUTE_HEAD = "| attribute | type | shape | meaning |"
 # Numbers of frames, bodies, kinds, particles that occur nowhere else, so that a shape tells them.
-T, N, K, P = 11, 8, 5, 27
-SIZES = {T: "T", N: "N", K: "K", K + 1: "K + 1", P: "P", T * N: "T N", N + 1: "N + 1"}
+T, N, K, P, W = 11, 8, 5, 27, 13
+SIZES = {
+    W: "W",
+    T + 1: "T + 1",
+    T: "T",
+    N: "N",
+    K: "K",
+    K + 1: "K + 1",
+    P: "P",
+    T * N: "T N",
+    N + 1: "N + 1",
+}
 OF_OTHERS = {"DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME", "units", "meaning"}
 
 
@@ -34,8 +55,14 @@ class Row(NamedTuple):
 
 def scene(make, **keys):
     """N bodies of K kinds with P particles."""
-    points = {"type": "points", "position": [[0, 0, 0], [0, 0, 1], [1, 0, 0]], "mass": [1, 1, 1]}
-    bodies = [make.body(name) for name in "abcd"]  # six particles each
+    points = {
+        "type": "points",
+        "position": [[0, 0, 0], [0, 0, 1], [1, 0, 0]],
+        "mass": [1, 1, 1],
+        "radius": [0.1, 0.1, 0.1],
+    }
+    through = {"contact": False} if "contact" in keys else {}
+    bodies = [make.body(name, **through) for name in "abcd"]  # six particles each
     bodies.append(make.body("e", shape=points, count=4, place={"type": "grid", "spacing": 2.0}))
     return make.case(*bodies, **keys)
 
@@ -49,6 +76,8 @@ def type_words(dtype) -> str:
 def shape_words(path: str, shape: tuple[int, ...]) -> str:
     if path.startswith("checkpoint/"):
         return "any"
+    if path.startswith("contacts/") and path != OFFSET:
+        return ", ".join(["C", *map(str, shape[1:])])
     return ", ".join(SIZES.get(n, str(n)) for n in shape) or "-"
 
 
@@ -88,7 +117,8 @@ def shown(place, key, value) -> tuple[str, str]:
 def frame_of(path: str) -> str:
     name = path.removesuffix("/value").rpartition("/")[2]
     if path.endswith("/value"):
-        return (FIELDS if path.startswith(TRAJECTORY) else LEDGER)[name].frame
+        of_bodies = path.startswith(TRAJECTORY)
+        return ({**FIELDS, **CONTACT_FIELDS} if of_bodies else {**LEDGER, **WALLS})[name].frame
     return STATIC[path].frame if path in STATIC else ""
 
 
@@ -112,6 +142,15 @@ FILES = {
     "default": {},
     "float32": {"output": {"dtype": "float32"}},
     "no positions": {"output": {"fields": ["orientation"]}},
+    "contact": {
+        "output": {"fields": [*FIELDS, *FIELDS_OF_CONTACT]},
+        "contact": {"stiffness": 1.0, "restitution": 0.5, "friction": 0.1},
+        "wall": [
+            {"type": "plane", "name": f"w{k}", "normal": [0, 0, 1], "point": [0, 0, -50.0 - k]}
+            for k in range(W)
+        ],
+        "dt": 0.05,
+    },
 }
 
 
@@ -147,8 +186,8 @@ def test_what_a_file_holds_is_on_the_page(files, name):
 
 def test_what_is_on_the_page_is_in_a_file(files):
     listed, described = page()
-    rows, attributes = files["all"]
-    assert set(listed) == set(rows)
+    (rows, attributes), (more, _) = files["all"], files["contact"]
+    assert set(listed) == set(rows) | set(more)
     assert set(described) == set(attributes)
 
 
@@ -189,8 +228,10 @@ if __name__ == "__main__":
     makers = types.SimpleNamespace(body=conftest.body, case=conftest.case)
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "all.h5"
-        particlerb.run(scene(makers, **FILES["all"]), output).close()
-        found, named = held(output)
+        found, named = {}, {}
+        for sort in ("all", "contact"):
+            particlerb.run(scene(makers, **FILES[sort]), output, overwrite=True).close()
+            found, named = [a | b for a, b in zip((found, named), held(output), strict=True)]
     known, _ = page() if PAGE.exists() else ({}, {})
     for where, one in found.items():
         if where in known and one.unit == "-":
