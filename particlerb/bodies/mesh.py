@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from particlerb.bodies.cells import cut_mesh, grid_over
 from particlerb.bodies.crossings import crossings
 from particlerb.bodies.solid import Solid
 from particlerb.bodies.winding import oriented, windings
@@ -26,6 +27,8 @@ SUFFIXES: Final = (".stl", ".obj", ".ply")
 FLAT: Final = 1e-12  # height over longest side of a face whose corners lie on one line
 TOUCHING: Final = 1e-12  # of the size: as near as this, faces touch and do not cross
 ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)
+COARSE: Final = 8  # cells along the largest extent, to find matter that counts twice
+MISCOUNTED: Final = 1e-6  # of a cell
 MOST_NAMED: Final = 3  # places in a message
 PIP: Final = 'pip install "particlerb[mesh]"'
 
@@ -127,6 +130,7 @@ def checked(vertices: ArrayLike, faces: ArrayLike) -> Mesh:
     refuse_open(corner, triangle, number)
     refuse_crossings(corner, triangle, number)
     triangle, turned = outward(corner, triangle, number)
+    refuse_miscounted(corner, triangle)
     return Mesh(corner, triangle, (*notes, *turned))
 
 
@@ -217,6 +221,25 @@ def outward(vertices: Floats, faces: Ints, number: Ints) -> tuple[Ints, Sequence
     all_of_them = "all faces: the mesh was inside out"
     note = f"turned round {all_of_them if turned.all() else faces_text(number[turned])}"
     return np.ascontiguousarray(faces), (note,)
+
+
+def refuse_miscounted(vertices: Floats, faces: Ints) -> None:
+    """Refuse surfaces that wind round matter more than once, or the wrong way.
+
+    Parts that touch along edges are one here, so that `outward` cannot tell them apart: a few cells
+    must be empty, full, or between.
+    """
+    grid = grid_over(vertices.min(axis=0), vertices.max(axis=0), COARSE)
+    for i, sums in cut_mesh(vertices, faces, grid):
+        share = sums[:, :, 0]
+        off = np.maximum(share - 1.0, -share)
+        j, k = np.unravel_index(int(np.argmax(off)), off.shape)
+        if off[j, k] > MISCOUNTED:
+            centre = grid.lower + (np.array([i, j, k]) + 0.5) * grid.spacing
+            raise ValueError(
+                f"matter near {point_text(centre)} counts {share[j, k]:.3g} times: parts that touch"
+                " are oriented against each other, or lie in each other"
+            )
 
 
 def sign(vertices: Floats, faces: Ints) -> int:

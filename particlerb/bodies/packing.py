@@ -17,15 +17,16 @@ import numpy as np
 
 from particlerb._jit import inline, kernel
 from particlerb.bodies.cells import EMPTY, cut_mesh, grid_over
-from particlerb.bodies.mesh import Mesh
+from particlerb.bodies.mesh import Mesh, mesh_solid
 from particlerb.bodies.winding import solid_angle
 from particlerb.maths.vec3 import Floats, Ints, Vec3, dot, subtract
 
-FINE: Final = 48  # cells along the largest extent: how finely centres are tried
+HOLDING: Final = 40_000  # cells that hold matter, about: how finely centres are tried
+CELLS: Final = 4_000_000  # of the whole grid at most: a thin body that lies askew has many empty
 SMALLEST: Final = 0.25  # radius in units of a cell, below which spheres are of no use
 SWEEPS: Final = 2  # in each of the eight directions
 GROWTH: Final = 5  # halvings of the step by which a sphere is moved to grow
-HOLDS: Final = 0.9  # of a step that a radius must grow by: the old sphere is in the new, nearly
+GAIN: Final = 0.55  # of a step that a radius must grow by; towards the ridge of a corner, 1/√3
 
 Triangle = tuple[Vec3, Vec3, Vec3]
 
@@ -54,7 +55,9 @@ def packing(mesh: Mesh, most: int) -> Packing:
         If not one sphere finds room.
     """
     lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    grid = grid_over(lower, upper, FINE)
+    extent = upper - lower
+    finest = max(mesh_solid(mesh).volume / HOLDING, math.prod(extent) / CELLS)
+    grid = grid_over(lower, upper, math.ceil(extent.max() / math.cbrt(finest)))
     share, centroid = np.zeros(grid.counts), np.zeros((*grid.counts, 3))
     for i, sums in cut_mesh(mesh.vertices, mesh.faces, grid):
         share[i] = np.where(sums[:, :, 0] > EMPTY, sums[:, :, 0], 0.0)
@@ -229,17 +232,16 @@ def room(p: Vec3, corner: Floats, near: Ints, n_near: int) -> float:
 
 @kernel
 def grown(p: Vec3, r: float, step: float, corner: Floats, near: Ints) -> tuple[Vec3, float]:
-    """Move a sphere, by up to a few steps, to where it is larger by what it moves: it holds itself.
+    """Move a sphere within its cell, of size `step`, to the ridge of the distance: it grows.
 
-    On the way to a ridge of the distance the radius grows by the length of the way.
+    A ridge that the grid misses would otherwise cost every sphere there a part of its radius.
     """
-    n_near = 0
-    reach = r + 8.0 * step
+    n_near, size, start = 0, 0.5 * step, p
+    reach = r + 2.0 * step
     for f in range(len(corner)):
         if off_triangle(p, corner, f) <= reach * reach:
             near[n_near] = f
             n_near += 1
-    size = step
     for _ in range(GROWTH):
         for a in range(-1, 2):
             for b in range(-1, 2):
@@ -249,8 +251,11 @@ def grown(p: Vec3, r: float, step: float, corner: Floats, near: Ints) -> tuple[V
                         continue
                     by = size / length
                     q = p[0] + by * a, p[1] + by * b, p[2] + by * c
+                    d = subtract(q, start)
+                    if dot(d, d) > 0.75 * step * step:
+                        continue
                     wider = room(q, corner, near, n_near)
-                    if wider >= r + HOLDS * size:
+                    if wider >= r + GAIN * size:
                         p, r = q, wider
         size *= 0.5
     return p, r
@@ -307,7 +312,7 @@ def cover(
             continue
         if not solid_angle(corner, point[:3, index].copy()) > 2.0 * math.pi:
             continue
-        p, r = grown(p, r, 0.5 * step, corner, near)
+        p, r = grown(p, r, step, corner, near)
         n_free = without(p, r, free, n_free)
         centre[found, 0], centre[found, 1], centre[found, 2] = p
         radius[found] = r

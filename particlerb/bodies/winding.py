@@ -16,8 +16,8 @@ ON_FACE = 1e-9  # height of a point over a face, relative: it has no winding num
 def oriented(faces: Ints) -> tuple[Ints, Bools, int]:
     """Connected parts, which faces must be turned round in each, and where that is impossible.
 
-    Faces are neighbours at an edge that no third face has. In each part the larger number of faces
-    stays as it is.
+    Faces are neighbours at a common edge; where more than two meet, as where parts touch, those
+    that look the opposite way along it. In each part the larger number of faces stays as it is.
 
     Parameters
     ----------
@@ -40,16 +40,32 @@ def oriented(faces: Ints) -> tuple[Ints, Bools, int]:
     is_first = np.ones(3 * m, dtype=np.bool_)
     is_first[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
     begin = np.flatnonzero(is_first)
-    pair = begin[np.diff(np.append(begin, 3 * m)) == 2]
-    one, other, same = face[pair], face[pair + 1], forward[pair] == forward[pair + 1]
+    count = np.diff(np.append(begin, 3 * m))
+    pair = np.stack([begin, begin + 1])[:, count == 2]
+    many = [meetings(np.arange(b, b + n), forward[b : b + n])
+            for b, n in zip(begin[count > 2], count[count > 2], strict=True)]  # fmt: skip
+    pair = np.concatenate([pair, *many], axis=1)
+    one, other, same = face[pair[0]], face[pair[1]], forward[pair[0]] == forward[pair[1]]
     source = np.concatenate([one, other])
     by_source = np.argsort(source, kind="stable")
     offset = np.searchsorted(source[by_source], np.arange(m + 1))
     neighbour = np.concatenate([other, one])[by_source]
     part, flipped = np.full(m, -1), np.zeros(m, dtype=np.bool_)
     torn = int(spread_sides(offset, neighbour, np.tile(same, 2)[by_source], part, flipped))
+    if torn >= 0:
+        return part, flipped, torn
     more = 2 * np.bincount(part, weights=flipped) > np.bincount(part)
     return part, flipped ^ more[part], torn
+
+
+def meetings(index: Ints, forward: Bools) -> Ints:
+    """Pairs, (2, k), of the faces at an edge: of opposite directions as far as there are such."""
+    ahead, back = index[forward], index[~forward]
+    n = min(len(ahead), len(back))
+    rest = np.concatenate([ahead[n:], back[n:]])
+    return np.stack(
+        [np.concatenate([ahead[:n], rest[0::2]]), np.concatenate([back[:n], rest[1::2]])]
+    )
 
 
 @kernel

@@ -22,18 +22,19 @@ import numpy as np
 from particlerb.bodies import fill
 from particlerb.bodies import shapes as particle_shapes
 from particlerb.bodies.analytic import ANALYTIC, Analytic
-from particlerb.bodies.mass_properties import ROUNDING
 from particlerb.bodies.particles import Particles
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 MOST: Final = 1_000_000  # particles of the finest lattice
 FEWEST: Final = 1000  # with fewer, some curves have too few n to say anything
 WANTED: Final = (1e-2, 1e-3, 1e-4)  # errors that the table asks for
+FINEST_CELLS: Final = 64  # as every n is exact
 NEAR: Final = 1.25  # n and m are neighbours if neither exceeds the other by this factor
 CLEAN: Final = 1.02  # largest factor between the errors and a power of n that is called an order
+ROUNDING: Final = 1e-13  # of sums and of integrals over cells
 ENOUGH: Final = 8  # errors, over a factor of 4 in n, before anything is called an order
 EXPLANATION: Final = """\
-tried: every n whose lattice has at most {most} particles
+tried: every n whose set has at most {most} particles, of cells up to n = {cells}
 error: of the tensor, spectral norm, relative; of the com in radii of gyration if larger
 no order: lowest, median and highest error of these n
 0.01 and so on: smallest n from which on no n tried exceeds this error, and its particles;
@@ -51,8 +52,8 @@ class Solid(NamedTuple):
     size: dict[str, Any]
     """Its arguments [m]; the same ones give the analytic tensor."""
     analytic: Callable[..., Analytic]
-    has_exact: bool = False
-    """Whether the shape also has an exact set of a few particles."""
+    others: tuple[str, ...] = ()
+    """Arrangements beside the lattice."""
     coarsest: int = 2
     """Smallest n for which a lattice has particles."""
     finest: float = math.inf
@@ -66,26 +67,31 @@ class Solid(NamedTuple):
 
 CORNERS: Final = ((0.0, 0.0, 0.0), (1.0, 0.1, 0.0), (0.2, 0.8, 0.1), (0.3, 0.2, 0.9))
 SOLIDS: Final[dict[str, Solid]] = {
-    "box": Solid("box", {"size": (1.0, 0.8, 0.5)}, ANALYTIC["box"], has_exact=True),
-    "rod": Solid("rod", {"length": 1.0}, ANALYTIC["rod"], has_exact=True),
+    "box": Solid("box", {"size": (1.0, 0.8, 0.5)}, ANALYTIC["box"], ("exact",)),
+    "rod": Solid("rod", {"length": 1.0}, ANALYTIC["rod"], ("exact",)),
     "tetrahedron": Solid(
-        "tetrahedron", {"vertices": CORNERS}, ANALYTIC["tetrahedron"], has_exact=True, finest=100
+        "tetrahedron", {"vertices": CORNERS}, ANALYTIC["tetrahedron"], ("exact",), finest=100
     ),
     "thin_shell": Solid("shell", {"radius": 0.5}, ANALYTIC["shell"], coarsest=1, finest=100),
-    "ball": Solid("ball", {"radius": 0.5}, ANALYTIC["ball"], has_exact=True),
+    "ball": Solid("ball", {"radius": 0.5}, ANALYTIC["ball"], ("cells", "exact")),
     "ellipsoid": Solid(
-        "ellipsoid", {"semi_axes": (0.5, 0.35, 0.25)}, ANALYTIC["ellipsoid"], has_exact=True
+        "ellipsoid", {"semi_axes": (0.5, 0.35, 0.25)}, ANALYTIC["ellipsoid"], ("cells", "exact")
     ),
-    "shell": Solid("shell", {"radius": 0.5, "inner_radius": 0.3}, ANALYTIC["shell"]),
-    "cylinder": Solid("cylinder", {"radius": 0.25, "height": 0.75}, ANALYTIC["cylinder"]),
+    "shell": Solid("shell", {"radius": 0.5, "inner_radius": 0.3}, ANALYTIC["shell"], ("cells",)),
+    "cylinder": Solid(
+        "cylinder", {"radius": 0.25, "height": 0.75}, ANALYTIC["cylinder"], ("cells",)
+    ),
     "tube": Solid(
         "cylinder",
         {"radius": 0.25, "height": 0.75, "inner_radius": 0.15},
         ANALYTIC["cylinder"],
+        ("cells",),
         coarsest=3,
     ),
-    "cone": Solid("cone", {"radius": 0.25, "height": 0.75}, ANALYTIC["cone"]),
-    "torus": Solid("torus", {"major_radius": 0.5, "minor_radius": 0.2}, ANALYTIC["torus"]),
+    "cone": Solid("cone", {"radius": 0.25, "height": 0.75}, ANALYTIC["cone"], ("cells",)),
+    "torus": Solid(
+        "torus", {"major_radius": 0.5, "minor_radius": 0.2}, ANALYTIC["torus"], ("cells",)
+    ),
 }
 
 
@@ -98,7 +104,7 @@ class Curve(NamedTuple):
     shape: str
     """Key of SOLIDS."""
     arrangement: str
-    """Lattice or exact, as in a case."""
+    """Lattice, cells or exact, as in a case."""
     n: Ints
     """Particles per edge, ascending, shape (k,); one 0 for an exact set, which has no n."""
     particles: Ints
@@ -162,10 +168,7 @@ def arrangements(shapes: Sequence[str] = ()) -> list[tuple[str, str]]:
         )
     chosen = dict.fromkeys(shapes or SOLIDS)
     return [
-        (name, arrangement)
-        for name in chosen
-        for arrangement in ("lattice", "exact")
-        if arrangement == "lattice" or SOLIDS[name].has_exact
+        (name, arrangement) for name in chosen for arrangement in ("lattice", *SOLIDS[name].others)
     ]
 
 
@@ -186,9 +189,10 @@ def sets(solid: Solid, arrangement: str, most: int) -> Iterator[tuple[int, Parti
     if arrangement == "exact":
         yield 0, solid.filled(arrangement="exact")
         return
-    finest = int(min(solid.finest, 2.0 * math.cbrt(most)))
+    limit = FINEST_CELLS if arrangement == "cells" else solid.finest
+    finest = int(min(limit, 2.0 * math.cbrt(most)))
     for n in range(solid.coarsest, finest + 1):
-        particles = solid.filled(n=n)
+        particles = solid.filled(n=n, arrangement=arrangement)
         if len(particles.mass) > most:
             return
         yield n, particles
@@ -291,7 +295,7 @@ def table(convergence: Convergence) -> str:
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
-    return "\n".join([*lines, "", EXPLANATION.format(most=convergence.most)])
+    return "\n".join([*lines, "", EXPLANATION.format(most=convergence.most, cells=FINEST_CELLS)])
 
 
 def law_text(curve: Curve) -> str:

@@ -222,6 +222,15 @@ def test_exact_sets_are_exact(study, name, number):
     assert math.isnan(order(curve))
 
 
+@pytest.mark.parametrize("name", CURVED)
+def test_cells_are_exact_for_every_n(study, name):
+    curve = of(study, name, "cells")
+    assert len(curve.n) >= 6
+    assert curve.n[0] <= 3
+    assert curve.error.max() <= 1e-14
+    assert is_exact(curve)
+
+
 @pytest.mark.parametrize("name", EVERY_N)
 def test_some_lattices_are_exact_for_every_n(study, name):
     curve = of(study, name)
@@ -339,10 +348,10 @@ def test_unknown_shapes_are_refused_with_the_known_ones():
 def test_chosen_shapes_come_in_order_and_once_with_progress():
     told = []
     study = converge(["rod", "cone", "rod"], 1000, told.append)
-    expected = [("rod", "lattice"), ("rod", "exact"), ("cone", "lattice")]
+    expected = [("rod", "lattice"), ("rod", "exact"), ("cone", "lattice"), ("cone", "cells")]
     assert [(c.shape, c.arrangement) for c in study.curves] == expected
     assert arrangements(["rod", "cone", "rod"]) == expected
-    assert told == [1, 1, 1]
+    assert told == [1, 1, 1, 1]
 
 
 def test_every_n_is_tried_up_to_the_limit(study):

@@ -143,19 +143,26 @@ def draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
         number, error = int(curve.particles[0]), max(float(curve.error[0]), FLOOR)
         axes.plot(number, error, "o", color=EXACT, ms=5)
         axes.annotate(
-            f"{title(curve)} {number}", (number, error), (0.02 + 0.16 * k, 0.8), color=EXACT,
+            f"{title(curve)} {number}", (number, error), (0.02 + 0.13 * k, 0.84), color=EXACT,
             textcoords="axes fraction", arrowprops={"arrowstyle": "-", "color": EXACT, "lw": 0.6},
         )  # fmt: skip
     ends = []
-    for curve in (c for c in curves if len(c.n) > 1):
-        worst = max(float(curve.error.max()), FLOOR)
-        axes.plot(curve.particles, np.full(len(curve.n), worst), color=EXACT, lw=1.8)
-        ends.append((float(curve.particles[-1]), worst, f"{title(curve)}, any n", EXACT))
+    cells = [c for c in curves if c.arrangement == "cells"]
+    lines = [([c], f"{title(c)}, any n") for c in curves if len(c.n) > 1 and c not in cells]
+    if cells:
+        names = title(cells[0]) if len(cells) == 1 else "all curved shapes"
+        lines.append((cells, f"cells of {names}, any n"))
+    for together, name in lines:
+        worst = max(FLOOR, *(float(curve.error.max()) for curve in together))
+        first = min(int(curve.particles[0]) for curve in together)
+        last = max(int(curve.particles[-1]) for curve in together)
+        axes.plot([first, last], [worst, worst], color=EXACT, lw=1.8)
+        ends.append((float(last), worst, name, EXACT))
     finish(axes)
     axes.set_xlim(1.0, WIDEST * most)
     name_ends(axes, ends, most, gap=0.8)
-    axes.set_ylim(FLOOR / 2, 3e-14)
-    axes.set_yticks([FLOOR, 1e-16, 1e-15, 1e-14], ["0", "$10^{-16}$", "$10^{-15}$", "$10^{-14}$"])
+    axes.set_ylim(FLOOR / 2, 1e-12)
+    axes.set_yticks([FLOOR, 1e-16, 1e-14, 1e-12], ["0", "$10^{-16}$", "$10^{-14}$", "$10^{-12}$"])
     axes.tick_params(axis="y", which="minor", left=False)
     axes.set_title("exact sets: only rounding is left", fontsize=10, loc="left", color=EXACT)
 
