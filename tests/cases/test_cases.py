@@ -34,6 +34,7 @@ MANY_STEPS = (
     "heavy_top",
     "incline",
     "kepler",
+    "mesh_body",
     "mixer",
     "newtons_cradle",
     "press",

@@ -143,7 +143,7 @@ def draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
         number, error = int(curve.particles[0]), max(float(curve.error[0]), FLOOR)
         axes.plot(number, error, "o", color=EXACT, ms=5)
         axes.annotate(
-            f"{title(curve)} {number}", (number, error), (0.02 + 0.13 * k, 0.84), color=EXACT,
+            f"{title(curve)} {number}", (number, error), (0.02 + 0.19 * k, 0.84), color=EXACT,
             textcoords="axes fraction", arrowprops={"arrowstyle": "-", "color": EXACT, "lw": 0.6},
         )  # fmt: skip
     ends = []
