@@ -35,6 +35,8 @@ class Matter(NamedTuple):
     """For density 1, the union of these spheres."""
     solid: Analytic | None = None
     """What particles that fill a shape stand for."""
+    notes: tuple[str, ...] = ()
+    """How its shape became particles: what was tried, or changed in its mesh."""
 
 
 def matter_of(case: Case, body: Body) -> Matter:

@@ -82,6 +82,7 @@ def record_of(
         "plain_sum": None if matter.plain is None else plain_record(matter, float(mass)),
         "spin": spin,
         "advised_step": radians_per_step / spin if spin > 0.0 else None,
+        "notes": list(matter.notes),
     }
 
 
@@ -137,6 +138,10 @@ def text_of(record: dict[str, Any]) -> str:
         *solid_lines(record["solid"]),
         *plain_lines(record["plain_sum"]),
         f"  step                 {step_text(record)}",
+        *(
+            f"  {'particles' if k == 0 else '':<19}  {note}"
+            for k, note in enumerate(record["notes"])
+        ),
     ]
     return "\n".join(lines)
 

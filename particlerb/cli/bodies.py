@@ -95,7 +95,9 @@ def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
         position, mass, radius = (array[own] for array in scene.particles[:3])
         particles = one_kind(position + scene.properties.com[k], mass, radius)
         spin = float(speed[bodies][scene.kind[bodies] == k].max())
-        matter = matter_of(case, case.body[block[b]])
+        body = case.body[block[b]]
+        notes = [line for name, line in scene.notes if name.partition(", part ")[0] == body.name]
+        matter = matter_of(case, body)._replace(notes=tuple(notes))
         found.append(Named(scene.names[b], particles, of_kind(scene.properties, k), matter, spin))
     return found
 
@@ -154,7 +156,7 @@ def mesh_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Matt
 
     scale = options.scale or 1.0
     filled = mesh_particles(read_mesh(path, scale), *amount(options))
-    return filled.particles, matter_of_mesh(path, scale)
+    return filled.particles, matter_of_mesh(path, scale)._replace(notes=filled.notes)
 
 
 READERS: Final[dict[str, Callable[[Path, argparse.Namespace], "tuple[Particles, Matter]"]]] = {

@@ -1,5 +1,6 @@
 """Bodies from meshes in cases: keys, wrong ones, and what is said of a mesh that is none."""
 
+import json
 import sys
 
 import numpy as np
@@ -81,6 +82,19 @@ def test_the_plan_tells_what_was_tried_and_changed():
     assert float(tried[-1][3]) <= 0.1 < float(tried[-2][3])
     case = load(case_of(type="mesh", file="mixed.ply"))
     assert assemble(case).notes == (("part", "turned round face 0"),)
+
+
+def test_mass_tells_what_was_tried_and_changed(files, capsys):
+    head = '[run]\nt_end = 1\nevery = 1\n[[body]]\nname = "b"\nmass = 1.0\n'
+    shape = 'shape = { type = "mesh", file = "mixed.ply", arrangement = "cells"'
+    (files / "a.toml").write_text(f"{head}{shape}, inertia_error = 0.01 }}\n")
+    assert main(["mass", "a.toml"]) == 0
+    text = capsys.readouterr().out
+    assert "  particles            turned round face 0\n" in text
+    assert " with n = 2, as wanted; tried:" in text
+    assert text.splitlines()[-1].split()[:2] == ["2", "8"]
+    assert main(["mass", "mixed.ply", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["notes"] == ["turned round face 0"]
 
 
 WRONG = {
