@@ -99,6 +99,8 @@ def contact_line(case: Case, scene: Scene, plan: Plan) -> str:
     if case.contact is not None and found:
         spheres, walls = found[0].scene.spheres.radius.size, len(found[0].motions)
         what = f"{spheres} spheres and {walls} walls, {case.contact.law}"
+        if found[0].left_out:
+            what += f", {found[0].left_out} spheres inside that nothing can reach left out"
         return f"on: {what}, pairs kept within {found[0].skin:.3g} m{flying(plan)}"
     if not scene.particles.radius.any():
         return "off: no particle has a radius"

@@ -21,7 +21,8 @@ from particlerb.contact.drives import Drives
 from particlerb.contact.laws import SHEAR_DAMPING, Law
 from particlerb.contact.loads import Contact, Spheres
 from particlerb.contact.loads import Scene as Touchable
-from particlerb.contact.walls import numbers_of
+from particlerb.contact.search import outer_spheres
+from particlerb.contact.walls import has_edges, numbers_of
 from particlerb.forces import N_NUMBERS, Forces, Load, acting_terms
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.pairs import Link, attracted, components, particles_of, tree_accuracy
@@ -33,6 +34,7 @@ from particlerb.terms.tree import BREAK_EVEN, angle_for
 from particlerb.touching import Contact as Touching
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
+DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet
 FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
 
 
@@ -242,7 +244,8 @@ def contact_among(
     index, _ = particles_of(scene, members)
     counts = np.diff(scene.particles.offset)[scene.kind[members]]
     owner = np.repeat(np.arange(members.size), counts)
-    takes_part = (scene.particles.radius[index] > 0.0) & (touching.material[members][owner] >= 0)
+    may_touch = (scene.particles.radius[index] > 0.0) & (touching.material[members][owner] >= 0)
+    takes_part = may_touch & reachable(scene, members, touching)[index]
     index, owner = index[takes_part], owner[takes_part]
     place = np.ascontiguousarray(scene.particles.position[index].T)
     radius = scene.particles.radius[index]
@@ -267,7 +270,8 @@ def contact_among(
     motions = numbers_of(touching.motions)
     is_shown = any(name in FIELDS_OF_CONTACT for name in case.output.fields)
     is_fixed, pistons = touching.skin is not None, touching.pistons
-    return Contact(touchable, motions, reach, skin, is_fixed, is_shown, pistons)
+    left_out = int(may_touch.sum()) - owner.size
+    return Contact(touchable, motions, reach, skin, is_fixed, is_shown, left_out, pistons)
 
 
 def drives_among(scene: Scene, members: Ints, touching: Touching) -> Drives | None:
@@ -288,6 +292,27 @@ def drives_among(scene: Scene, members: Ints, touching: Touching) -> Drives | No
         bodies.mass[own],
         np.ascontiguousarray(bodies.inertia[:, own]),
     )
+
+
+def reachable(scene: Scene, members: Ints, touching: Touching) -> Bools:
+    """Whether something can touch each particle of the kinds of these bodies, (n_particles,).
+
+    What starts overlapping, to be pushed apart, may be anywhere: then all can be reached.
+    """
+    radius, offset = scene.particles.radius, scene.particles.offset
+    found = radius > 0.0
+    if touching.relax:
+        return found
+    comes = np.unique(scene.kind[touching.body])
+    own = np.concatenate([radius[offset[kind] : offset[kind + 1]] for kind in comes])
+    smallest = 0.0 if has_edges(touching.walls) else float(own[own > 0.0].min())
+    for kind in np.unique(scene.kind[members]).tolist():
+        solid = offset[kind] + np.flatnonzero(found[offset[kind] : offset[kind + 1]])
+        if solid.size > 1:
+            place = np.ascontiguousarray(scene.particles.position[solid].T)
+            depth = DEEPEST * float(radius[solid].min())
+            found[solid] = outer_spheres(place, radius[solid], smallest, depth)
+    return found
 
 
 def law_of(touching: Touching) -> Law:

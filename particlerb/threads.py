@@ -37,6 +37,13 @@ class Threads:
             self.pool = None
         self.count = wanted
 
+    @property
+    def workers(self) -> ThreadPoolExecutor:
+        """Threads that wait for work."""
+        if self.pool is None:
+            self.pool = ThreadPoolExecutor(self.count, "particlerb")
+        return self.pool
+
     def spread(self, kernel: Callable[[int, int], object], bodies: int, work: int) -> None:
         """Call kernel(first, last) for ranges of blocks that cover all bodies; see `share`."""
         self.share(kernel, -(-bodies // BLOCK), work)
@@ -89,12 +96,10 @@ class Threads:
         if self.count == 1 or units == 1 or work < LEAST_WORK:
             kernel(0, units)
             return
-        if self.pool is None:
-            self.pool = ThreadPoolExecutor(self.count, "particlerb")
         pieces = min(SHARES * self.count, max(self.count, work // SHARE_WORK))
         size = -(-units // pieces)
         ranges = [(lo, min(lo + size, units)) for lo in range(0, units, size)]
-        futures = [self.pool.submit(kernel, *own) for own in ranges]
+        futures = [self.workers.submit(kernel, *own) for own in ranges]
         try:
             for future in futures:
                 future.result()

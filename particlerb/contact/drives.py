@@ -39,17 +39,3 @@ def momenta(drives: Drives, k: int, q: Quat, v: Vec3, omega: Vec3) -> tuple[Vec3
     inertia, mass = drives.inertia, drives.mass[k]
     own = multiplied3((inertia[0, k], inertia[1, k], inertia[2, k]), to_body(q, omega))
     return (mass * v[0], mass * v[1], mass * v[2]), to_world(q, own)
-
-
-@inline
-def drive(drives: Drives | None, t: float, y: Floats) -> None:
-    """Write places, orientations and velocities of driven bodies into states (13, n)."""
-    if drives is None:
-        return
-    for k in range(drives.which.size):
-        b = drives.which[k]
-        x, q, v, omega = driven_pose(drives, k, t)
-        y[0, b], y[1, b], y[2, b] = x
-        y[3, b], y[4, b], y[5, b], y[6, b] = q
-        y[7, b], y[8, b], y[9, b] = v
-        y[10, b], y[11, b], y[12, b] = omega

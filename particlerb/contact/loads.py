@@ -1,9 +1,9 @@
 """Loads of all contacts at one instant: spheres of bodies with each other and with walls.
 
-Three passes, each over ranges that a host can spread over threads: bodies place their spheres,
-contacts find their forces, bodies collect them in the order of the contacts. So the sums do not
-depend on the threads. The elastic part of the normal force has a potential and is kept apart from
-the rest, which the ledger books.
+Three passes, each over ranges that threads can share: bodies place their spheres, contacts find
+their forces, bodies collect them in the order of the contacts. So the sums do not depend on the
+threads. Between two passes the threads have to meet. The elastic part of the normal force has a
+potential and is kept apart from the rest, which the ledger books.
 """
 
 import math
@@ -11,7 +11,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
+from particlerb._jit import lean, lean_kernel
+from particlerb.bodies.block import COM, P, Q, get, get3, get4, put, put3
+from particlerb.bodies.block import L as SPIN_MOMENTUM
 from particlerb.bodies.load import FORCE, OTHER, OUTSIDE, POWER, TORQUE
 from particlerb.contact.drives import Drives
 from particlerb.contact.laws import (
@@ -24,12 +26,14 @@ from particlerb.contact.laws import (
 )
 from particlerb.contact.pistons import MOST, PUSH, STIFFNESS, Pistons
 from particlerb.contact.pistons import REST as BESIDE
+from particlerb.contact.search import Incidence, Kept
 from particlerb.contact.walls import Walls, motion_in, pose_at
 from particlerb.contact.walls import touch as touch_wall
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     Bools,
     Floats,
+    Indices,
     Ints,
     Vec3,
     add_scaled,
@@ -40,7 +44,7 @@ from particlerb.maths.vec3 import (
     subtract,
 )
 
-COM: Final = 0  # columns of a body at the instant of a kick: centre of mass [m],
+AT: Final = 0  # columns of a body at the instant of a kick: centre of mass [m],
 VELOCITY: Final = 3  # velocity [m/s],
 SPIN: Final = 6  # angular velocity [rad/s], world axes,
 INV_MASS: Final = 9  # 1/M [1/kg],
@@ -49,18 +53,19 @@ TURNING: Final = 11  # and |angular velocity| [rad/s]
 BODY_COLUMNS: Final = 12
 SPRING: Final = 0  # columns of what a contact keeps: tangential spring [m],
 BEFORE: Final = 3  # and overlap at the instant before [m]
-ROLLED: Final = 4  # rolling spring [m], with resistance to rolling
-KEPT: Final = 7
+ROLLED: Final = 4  # rolling spring [m], where the law resists rolling
+KEPT: Final = 4
+KEPT_ROLLING: Final = 7
 ELASTIC: Final = 0  # columns of what a contact does: elastic force on the first [N],
 REST: Final = 3  # the rest of its force on the first [N],
 POINT: Final = 6  # where it acts [m], world frame,
 STORED: Final = 9  # elastic energy of the normal spring [J],
 DRIVEN: Final = 10  # power of the elastic force on a wall that moves [W]
-TWIST: Final = 11  # and torque against rolling on the first [N m]
-DONE: Final = 14
+TWIST: Final = 11  # and torque against rolling on the first [N m], where the law resists it
+DONE: Final = 11
+DONE_ROLLING: Final = 14
 MOTION: Final = 14
 POSE: Final = 16
-UNIT: Final = 256  # contacts, or bodies, a kernel takes at a time
 
 
 class Spheres(NamedTuple):
@@ -76,11 +81,21 @@ class Spheres(NamedTuple):
 class Contacts(NamedTuple):
     """Pairs that touch or soon may, what they keep from step to step, and what they do."""
 
-    first: Ints  # (m,) sphere
-    second: Ints  # (m,) sphere, or primitive of a wall
-    kept: Floats  # (m, KEPT)
-    done: Floats  # (m, DONE)
+    first: Indices  # (m,) sphere
+    second: Indices  # (m,) sphere, or primitive of a wall
+    kept: Floats  # (m, KEPT or KEPT_ROLLING)
+    done: Floats  # (m, DONE or DONE_ROLLING) of those that act
     acts: Bools  # (m,) whether it does anything: far fewer do, and these rows alone are read
+    near: int  # as many from the first on are near to touching, and stand together
+
+
+class Lists(NamedTuple):
+    """Pairs that may touch, and the contacts of each body among them."""
+
+    spheres: Contacts
+    walls: Contacts
+    of_spheres: Incidence
+    of_walls: Incidence
 
 
 class Scene(NamedTuple):
@@ -105,6 +120,7 @@ class Contact(NamedTuple):
     skin: float  # [m] pairs nearer than this are kept, at first
     is_fixed: bool  # whether the skin stays so
     is_shown: bool  # whether frames show who touches whom
+    left_out: int  # spheres so deep inside their bodies that nothing can reach them
     pistons: Pistons | None = None  # walls that slide under a load
 
 
@@ -116,45 +132,44 @@ class Room(NamedTuple):
     bodies: Floats  # (n_bodies, BODY_COLUMNS)
 
 
-@inline
+@lean
 def column(rows: Floats, i: int, at: int) -> Vec3:
     """Vector of row i from column `at` on."""
     return rows[i, at], rows[i, at + 1], rows[i, at + 2]
 
 
-@inline
+@lean
 def put_column(rows: Floats, i: int, at: int, v: Vec3) -> None:
     """Write a vector."""
     rows[i, at], rows[i, at + 1], rows[i, at + 2] = v
 
 
-@kernel
+@lean_kernel
 def place_bodies(
-    scene: Scene, room: Room, y: Floats, last: Floats, ahead: float, first: int, end: int
+    scene: Scene, room: Room, rows: Floats, last: Floats, ahead: float, lo: int, n: int
 ) -> None:
-    """Place spheres of bodies, and find velocities at the instant of the kick.
+    """Place the spheres of a block of bodies, and find velocities at the instant of the kick.
 
     Parameters
     ----------
     scene, room : Scene, Room
-    y : ndarray, shape (13, n_bodies)
-        States, the momenta those of the drift before.
+    rows : ndarray
+        The block, the momenta those of the drift before.
     last : ndarray, shape (6, n_bodies)
         Momenta of the drift before that one.
     ahead : float
         By how much of their change the momenta are to be carried on.
-    first, end : int
-        Bodies, `end` excluded.
+    lo, n : int
+        First body of the block, and how many there are.
     """
     spheres, inv_mass, inertia = scene.spheres, scene.inv_mass, scene.inv_inertia
     arm, radius, offset = spheres.arm, spheres.radius, spheres.offset
     place, bodies = room.place, room.bodies
-    for b in range(first, end):
-        x = (y[0, b], y[1, b], y[2, b])
-        R = matrix((y[3, b], y[4, b], y[5, b], y[6, b]))
-        p = (y[7, b], y[8, b], y[9, b])
-        L = (y[10, b], y[11, b], y[12, b])
-        put_column(bodies, b, COM, x)
+    for k in range(n):
+        b = lo + k
+        x, R = get3(rows, COM, k), matrix(get4(rows, Q, k))
+        p, L = get3(rows, P, k), get3(rows, SPIN_MOMENTUM, k)
+        put_column(bodies, b, AT, x)
         v, omega = p, L  # of bodies that are held: see `drives`
         if inv_mass[b] > 0.0:
             p = add_scaled(ahead, subtract(p, (last[0, b], last[1, b], last[2, b])), p)
@@ -171,7 +186,7 @@ def place_bodies(
             place[i, 3] = radius[i]
 
 
-@inline
+@lean
 def put_poses(motions: Floats, t: float, poses: Floats) -> None:
     """Write the poses of all walls at a time, (n_walls, POSE): see `walls.touch`."""
     for w in range(motions.shape[0]):
@@ -182,14 +197,14 @@ def put_poses(motions: Floats, t: float, poses: Floats) -> None:
         put_column(poses, w, 10, omega)
 
 
-@inline
+@lean
 def velocity(bodies: Floats, b: int, point: Vec3) -> Vec3:
     """Velocity of a point of body b [m/s]."""
-    arm = subtract(point, column(bodies, b, COM))
+    arm = subtract(point, column(bodies, b, AT))
     return add_scaled(1.0, cross(column(bodies, b, SPIN), arm), column(bodies, b, VELOCITY))
 
 
-@inline
+@lean
 def act(
     law: Law,
     pair: int,
@@ -233,7 +248,7 @@ def act(
     contacts.acts[c] = True
 
 
-@inline
+@lean
 def resist(
     rolling: Floats | None,
     law: Law,
@@ -259,29 +274,35 @@ def resist(
     put_column(contacts.done, c, TWIST, found.torque)
 
 
-@inline
+@lean
 def forget(contacts: Contacts, c: int) -> None:
     """Contact c does nothing, and keeps nothing."""
-    kept, done = contacts.kept, contacts.done
-    for k in range(KEPT):
+    kept = contacts.kept
+    for k in range(kept.shape[1]):
         kept[c, k] = 0.0
-    for k in range(DONE):
-        done[c, k] = 0.0
     contacts.acts[c] = False
 
 
-@inline
-def fastest(bodies: Floats) -> tuple[float, float]:
-    """Largest speed [m/s] and angular velocity [rad/s]."""
+@lean
+def fastest(bodies: Floats, first: int, end: int) -> tuple[float, float]:
+    """Largest speed [m/s] and angular velocity [rad/s] of bodies first to end."""
     v, w = 0.0, 0.0
-    for b in range(bodies.shape[0]):
+    for b in range(first, end):
         v, w = max(v, bodies[b, SPEED]), max(w, bodies[b, TURNING])
     return v, w
 
 
-@kernel
+@lean_kernel
 def touch_spheres(
-    scene: Scene, room: Room, contacts: Contacts, before: float, after: float, first: int, end: int
+    scene: Scene,
+    room: Room,
+    contacts: Contacts,
+    before: float,
+    after: float,
+    v: float,
+    w: float,
+    first: int,
+    end: int,
 ) -> None:
     """Forces of contacts between spheres, in units first to end.
 
@@ -290,8 +311,10 @@ def touch_spheres(
     scene, room, contacts : Scene, Room, Contacts
     before, after : float [s]
         Lengths of the drifts before and after this instant; 0 where there is none.
+    v, w : float [m/s, rad/s]
+        Largest of all bodies, see `fastest`.
     first, end : int
-        Units of contacts, `end` excluded.
+        Contacts, `end` excluded.
     """
     spheres, law, pair_of = scene.spheres, scene.law, scene.pair_of
     firsts, seconds, body, material = (
@@ -301,9 +324,8 @@ def touch_spheres(
         spheres.material,
     )
     place, bodies, acts = room.place, room.bodies, contacts.acts
-    v, w = fastest(bodies)
     margin, stretch = 0.5 * (before + after) * v, 1.0 + 2.0 * (before + after) * w
-    for c in range(first * UNIT, min(end * UNIT, firsts.size)):
+    for c in range(first, end):
         i, j = firsts[c], seconds[c]
         x, d = column(place, i, 0), subtract(column(place, j, 0), column(place, i, 0))
         square, reach = dot(d, d), place[i, 3] + place[j, 3]
@@ -333,7 +355,7 @@ def touch_spheres(
         )  # fmt: skip
 
 
-@inline
+@lean
 def drift_of(drives: Drives | None, bodies: Floats, a: int, b: int, v_a: Vec3, v_b: Vec3) -> Vec3:
     """Velocity of the point of a held body: of b, or the opposite of that of a; else zero."""
     if drives is None:
@@ -343,7 +365,7 @@ def drift_of(drives: Drives | None, bodies: Floats, a: int, b: int, v_a: Vec3, v
     return scale(-1.0, v_a) if bodies[a, INV_MASS] == 0.0 else (0.0, 0.0, 0.0)
 
 
-@inline
+@lean
 def is_near(bodies: Floats, a: int, b: int, square: float, reach: float, around: float) -> bool:
     """Whether two spheres that do not touch may do so within the step around this instant."""
     v = subtract(column(bodies, a, VELOCITY), column(bodies, b, VELOCITY))
@@ -353,7 +375,7 @@ def is_near(bodies: Floats, a: int, b: int, square: float, reach: float, around:
     return near
 
 
-@kernel
+@lean_kernel
 def touch_walls(
     scene: Scene,
     room: Room,
@@ -372,7 +394,7 @@ def touch_walls(
         spheres.material,
     )
     place, bodies, poses = room.place, room.bodies, room.poses
-    for c in range(first * UNIT, min(end * UNIT, firsts.size)):
+    for c in range(first, end):
         i, primitive = firsts[c], seconds[c]
         a, x, radius = body[i], column(place, i, 0), place[i, 3]
         gap, moving = touch_wall(walls, poses, primitive, x)
@@ -398,88 +420,97 @@ def touch_walls(
         )  # fmt: skip
 
 
-@kernel
-def collect(
-    contacts: Contacts,
-    offset: Ints,
-    entry: Ints,
-    body: Ints,
-    room: Room,
-    load: Floats,
-    are_walls: bool,
-    first: int,
-    end: int,
-) -> None:
-    """Add what contacts do to the loads of bodies, in units first to end.
+class Sum(NamedTuple):
+    """What the contacts of a body do to it."""
+
+    force: Vec3  # [N] elastic,
+    torque: Vec3  # [N m] about the centre of mass
+    rest: Vec3  # [N] of the rest,
+    turning: Vec3  # [N m]
+    world: Vec3  # [N] of both, from walls and fixed bodies,
+    about: Vec3  # [N m] about the origin of the world
+    power: float  # [W] of walls that move
+
+
+@lean
+def add_contact(
+    rolling: Floats | None,
+    done: Floats,
+    c: int,
+    sign: float,
+    x: Vec3,
+    is_outside: bool,
+    total: Sum,
+) -> Sum:
+    """Add what contact c does to a body at x; of the opposite sign where it is the second."""
+    F, tau, rest, turning, world, about, power = total
+    elastic, other, point = column(done, c, ELASTIC), column(done, c, REST), column(done, c, POINT)
+    arm, twist = subtract(point, x), twist_of(rolling, done, c)
+    F, rest = add_scaled(sign, elastic, F), add_scaled(sign, other, rest)
+    tau = add_scaled(sign, cross(arm, elastic), tau)
+    turning = add_scaled(sign, add_scaled(1.0, cross(arm, other), twist), turning)
+    if is_outside:
+        both = add_scaled(1.0, elastic, other)
+        world = add_scaled(sign, both, world)
+        about = add_scaled(sign, add_scaled(1.0, twist, cross(point, both)), about)
+        power += done[c, DRIVEN]
+    return Sum(F, tau, rest, turning, world, about, power)
+
+
+@lean
+def twist_of(rolling: Floats | None, done: Floats, c: int) -> Vec3:
+    """Torque of contact c against rolling, if anything resists."""
+    if rolling is None:
+        return 0.0, 0.0, 0.0
+    return column(done, c, TWIST)
+
+
+@lean_kernel
+def collect(scene: Scene, room: Room, lists: Lists, rows: Floats, at: int, lo: int, n: int) -> None:
+    """Add what contacts do to the loads of a block of bodies.
 
     Parameters
     ----------
-    contacts : Contacts
-    offset, entry : ndarray
-        Contacts of each body: see `search.Incidence`.
-    body : ndarray, shape (n_spheres,)
-        Whose spheres these are.
-    room : Room
-    load : ndarray, shape (rows, n_bodies)
-        See bodies/load.py.
-    are_walls : bool
-        Whether these are contacts with walls. What a wall or a fixed body does, the world does.
-    first, end : int
-        Units of bodies, `end` excluded.
+    scene, room, lists : Scene, Room, Lists
+    rows : ndarray
+        The block, with a load (bodies/load.py) in CONTACT_ROWS from `at` on. What a wall or a fixed
+        body does, the world does.
+    at, lo, n : int
+        Row; first body of the block, and how many there are.
     """
-    firsts, seconds, _, done, acts = contacts
-    bodies = room.bodies
-    for b in range(first * UNIT, min(end * UNIT, offset.size - 1)):
-        if bodies[b, INV_MASS] == 0.0:  # fixed
-            continue
-        x = column(bodies, b, COM)
-        F, tau, rest, turning = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        world, about, power = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
-        is_touched, is_held = False, False  # most rows of loads are left alone
-        for k in range(offset[b], offset[b + 1]):
-            c, sign = entry[k], 1.0
-            if c < 0:
-                c, sign = ~c, -1.0
-            if not acts[c]:
-                continue
-            is_touched = True
-            elastic, other = column(done, c, ELASTIC), column(done, c, REST)
-            point = column(done, c, POINT)
-            arm = subtract(point, x)
-            F, rest = add_scaled(sign, elastic, F), add_scaled(sign, other, rest)
-            tau = add_scaled(sign, cross(arm, elastic), tau)
-            turning = add_scaled(sign, cross(arm, other), turning)
-            twist = column(done, c, TWIST)
-            turning = add_scaled(sign, twist, turning)
-            outside = are_walls
-            if not are_walls:
-                partner = body[seconds[c]] if sign > 0.0 else body[firsts[c]]
-                outside = bodies[partner, INV_MASS] == 0.0
-            if outside:
-                is_held = True
-                both = add_scaled(1.0, elastic, other)
-                world = add_scaled(sign, both, world)
-                about = add_scaled(sign, add_scaled(1.0, twist, cross(point, both)), about)
-                power += done[c, DRIVEN]
-        if not is_touched:
-            continue
-        for k in range(3):
-            load[FORCE + k, b] += F[k]
-            load[TORQUE + k, b] += tau[k]
-            load[OTHER + k, b] += rest[k]
-            load[OTHER + 3 + k, b] += turning[k]
-        if not is_held:
-            continue
-        for k in range(3):
-            load[OUTSIDE + k, b] += world[k]
-            load[OUTSIDE + 3 + k, b] += about[k]
-        load[POWER, b] += power
+    spheres, walls, of_spheres, of_walls = lists
+    (offset, entry), (wall_offset, wall_entry) = of_spheres, of_walls
+    body, bodies, rolling = scene.spheres.body, room.bodies, scene.law.rolling
+    firsts, seconds, done, acts = spheres.first, spheres.second, spheres.done, spheres.acts
+    wall_done, wall_acts, zero = walls.done, walls.acts, (0.0, 0.0, 0.0)
+    for k in range(n):
+        b = lo + k
+        x, total = column(bodies, b, AT), Sum(zero, zero, zero, zero, zero, zero, 0.0)
+        if bodies[b, INV_MASS] > 0.0:  # not fixed
+            for at_entry in range(offset[b], offset[b + 1]):
+                c, sign = entry[at_entry], 1.0
+                if c < 0:
+                    c, sign = ~c, -1.0
+                if acts[c]:
+                    partner = body[seconds[c]] if sign > 0.0 else body[firsts[c]]
+                    is_outside = bodies[partner, INV_MASS] == 0.0
+                    total = add_contact(rolling, done, c, sign, x, is_outside, total)
+            for at_entry in range(wall_offset[b], wall_offset[b + 1]):
+                c = wall_entry[at_entry]
+                if wall_acts[c]:
+                    total = add_contact(rolling, wall_done, c, 1.0, x, True, total)
+        F, tau, rest, turning, world, about, power = total
+        add_to(rows, at + FORCE, k, F)
+        add_to(rows, at + TORQUE, k, tau)
+        add_to(rows, at + OTHER, k, rest)
+        add_to(rows, at + OTHER + 3, k, turning)
+        add_to(rows, at + OUTSIDE, k, world)
+        add_to(rows, at + OUTSIDE + 3, k, about)
+        put(rows, at + POWER, k, get(rows, at + POWER, k) + power)
 
 
-@inline
-def press(
-    pistons: Pistons | None, slides: Floats, contacts: Contacts, scene: Scene, room: Room
-) -> None:
+@lean
+def press(pistons: Pistons | None, slides: Floats, contacts: Contacts, scene: Scene) -> None:
     """Sum what contacts do to walls that slide, along their axes, and how stiff they are."""
     if pistons is None:
         return
@@ -491,29 +522,35 @@ def press(
             a = pistons.axis[k, 0], pistons.axis[k, 1], pistons.axis[k, 2]
             slides[k, PUSH] -= dot(a, column(contacts.done, c, ELASTIC))
             slides[k, BESIDE] -= dot(a, column(contacts.done, c, REST))
-            delta, radius = contacts.kept[c, BEFORE], room.place[contacts.first[c], 3]
+            delta, radius = contacts.kept[c, BEFORE], scene.spheres.radius[contacts.first[c]]
             share = math.sqrt(4.0 * radius * delta) if scene.law.hertz is not None else 1.0
             slides[k, STIFFNESS] += share if delta > 0.0 else 0.0
     for k in range(slides.shape[0]):
         slides[k, MOST] = max(slides[k, MOST], slides[k, STIFFNESS])
 
 
-@kernel
+@lean
+def add_to(rows: Floats, at: int, b: int, v: Vec3) -> None:
+    """Add to the vector of body b from row `at` on."""
+    put3(rows, at, b, add_scaled(1.0, v, get3(rows, at, b)))
+
+
+@lean_kernel
 def stored_energy(contacts: Contacts) -> float:
     """Energy of all normal springs [J]."""
     total = 0.0
     for c in range(contacts.first.size):
-        total += contacts.done[c, STORED]
+        if contacts.acts[c]:
+            total += contacts.done[c, STORED]
     return total
 
 
-def units_of(n: int) -> int:
-    """Units that cover so many contacts or bodies."""
-    return -(-n // UNIT)
+def done_columns(law: Law) -> int:
+    """Columns of what contacts do."""
+    return DONE if law.rolling is None else DONE_ROLLING
 
 
-def no_contacts() -> Contacts:
-    """An empty list."""
+def nothing_kept(law: Law) -> Kept:
+    """What no contacts keep."""
     none = np.zeros(0, dtype=np.int64)
-    done, acts = np.zeros((0, DONE)), np.zeros(0, dtype=np.bool_)
-    return Contacts(none, none, np.zeros((0, KEPT)), done, acts)
+    return Kept(none, none, np.zeros((0, KEPT if law.rolling is None else KEPT_ROLLING)))

@@ -21,8 +21,18 @@ import numpy as np
 
 from particlerb._jit import inline, kernel
 from particlerb.bodies.block import unsigned
-from particlerb.maths.quaternion import conjugate, load4, multiply, rows4
-from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, add_scaled, load3, rows3, subtract
+from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, rows4
+from particlerb.maths.vec3 import (
+    Bools,
+    Floats,
+    Indices,
+    Ints,
+    Vec3,
+    add_scaled,
+    load3,
+    rows3,
+    subtract,
+)
 from particlerb.threads import THREADS
 
 UNIT: Final = 1024  # spheres a kernel takes at a time
@@ -425,11 +435,11 @@ class Incidence(NamedTuple):
     """Contacts of each body."""
 
     offset: Ints  # (n_bodies + 1,) those of body b are entries offset[b] to offset[b + 1]
-    entry: Ints  # (2 n_contacts,) k where the body is the first of contact k, ~k where the second
+    entry: Indices  # (n_entries,) k where the body is the first of contact k, ~k where the second
 
 
 @kernel
-def sort_contacts(first_body: Ints, second_body: Ints, offset: Ints, entry: Ints) -> None:
+def sort_contacts(first_body: Ints, second_body: Ints, offset: Ints, entry: Indices) -> None:
     """Sort contacts by body, ascending within: a counting sort of both sides."""
     offset[:] = 0
     for k in range(first_body.size):
@@ -458,7 +468,7 @@ def incidence(first_body: Ints, second_body: Ints, n_bodies: int) -> Incidence:
     n_bodies : int
     """
     offset = np.empty(n_bodies + 2, dtype=np.int64)
-    entry = np.empty(first_body.size + int((second_body >= 0).sum()), dtype=np.int64)
+    entry = np.empty(first_body.size + int((second_body >= 0).sum()), dtype=np.int32)
     THREADS.alone(sort_contacts, first_body, second_body, offset, entry)
     return Incidence(offset[:-1], entry)
 
@@ -466,52 +476,98 @@ def incidence(first_body: Ints, second_body: Ints, n_bodies: int) -> Incidence:
 # What contacts keep from list to list
 
 
+class Kept(NamedTuple):
+    """What contacts keep, found by the numbers of the two."""
+
+    keys: Ints  # (m,) ascending, see `key_of`
+    rows: Ints  # (m,) row of `values` that belongs to a key
+    values: Floats  # (m, ..)
+
+
+@inline
+def key_of(i: int, j: int) -> int:
+    """Number of a pair, ascending if the pairs are."""
+    return (i << HALF) | j
+
+
 @kernel
-def key_pairs(firsts: Ints, seconds: Ints, n: int, keys: Ints) -> None:
-    """Write i n + j of each pair."""
-    for k in range(keys.size):
-        keys[k] = firsts[k] * n + seconds[k]
+def order_contacts(
+    pairs: tuple[Ints, Ints],
+    numbers: tuple[Ints, Ints],
+    place: Floats,
+    skin: float,
+    old: Kept,
+    new: Kept,
+    first: Indices,
+    second: Indices,
+) -> int:
+    """Write a new list of contacts, and what they keep, zeros for those not in the old one.
 
-
-def keys_of(first: Ints, second: Ints, n: int) -> Ints:
-    """Key i n + j of each pair, with n more than any j; ascending if the pairs are."""
-    keys = np.empty(first.size, dtype=np.int64)
-    THREADS.alone(key_pairs, first, second, n, keys)
-    return keys
-
-
-@kernel
-def carry(
-    old_keys: Ints, old_values: Floats, new_keys: Ints, values: Floats, first: int, last: int
-) -> None:
-    """Write the values of new contacts in units first to last: see `carry_over`."""
-    lo, hi = first * UNIT, min(last * UNIT, new_keys.size)
-    k = np.searchsorted(old_keys, new_keys[lo])
-    for new in range(lo, hi):
-        key = new_keys[new]
-        while k < old_keys.size and old_keys[k] < key:
-            k += 1
-        is_old = k < old_keys.size and old_keys[k] == key
-        for c in range(values.shape[1]):
-            values[new, c] = old_values[k, c] if is_old else 0.0
-
-
-def carry_over(old_keys: Ints, old_values: Floats, new_keys: Ints) -> Floats:
-    """Values of contacts that were in the list before, zeros for others, (n_new, c).
+    Pairs that are nearer than the skin come first: few others act before the next list.
 
     Parameters
     ----------
-    old_keys, new_keys : ndarray, shapes (n_old,) and (n_new,)
-        Of contacts, as `keys_of` gives them: ascending, none twice.
-    old_values : ndarray, shape (n_old, c)
+    pairs : tuple of 2 ndarray, shape (m,)
+        Sphere, and sphere or primitive of a wall; sorted.
+    numbers : tuple of 2 ndarray
+        Of the spheres, and of what is second, below 2^31 and ascending with them: the old list is
+        found by these.
+    place : ndarray, shape (n_spheres, 4) [m]
+        Centre and radius.
+    skin : float [m]
+        Negative where the second are no spheres: then all stay in their order.
+    old, new : Kept
+        Before; and what is written.
+    first, second : ndarray, shape (m,)
+        The list.
+
+    Returns
+    -------
+    int
+        How many are near.
     """
-    values = np.empty((new_keys.size, old_values.shape[1]))
-    if new_keys.size:
-        spread(lambda lo, hi: carry(old_keys, old_values, new_keys, values, lo, hi), new_keys.size)
-    return values
+    firsts, seconds = pairs
+    number, other = numbers
+    near, far, before = 0, 0, 0
+    if skin >= 0.0:
+        for k in range(firsts.size):
+            far += int(is_within(place, firsts[k], seconds[k], skin))
+    n_near = far
+    for k in range(firsts.size):
+        i, j = firsts[k], seconds[k]
+        if skin >= 0.0 and is_within(place, i, j, skin):
+            row, near = near, near + 1
+        else:
+            row, far = far, far + 1
+        key = key_of(number[i], other[j])
+        while before < old.keys.size and old.keys[before] < key:
+            before += 1
+        is_old = before < old.keys.size and old.keys[before] == key
+        new.keys[k], new.rows[k], first[row], second[row] = key, row, i, j
+        for c in range(new.values.shape[1]):
+            new.values[row, c] = old.values[old.rows[before], c] if is_old else 0.0
+    return n_near
+
+
+@inline
+def is_within(place: Floats, i: int, j: int, skin: float) -> bool:
+    """Whether the gap between two spheres is smaller than the skin."""
+    dx, dy = place[j, 0] - place[i, 0], place[j, 1] - place[i, 1]
+    dz, reach = place[j, 2] - place[i, 2], place[i, 3] + place[j, 3] + skin
+    found: bool = dx * dx + dy * dy + dz * dz < reach * reach
+    return found
 
 
 # When a list has to be made anew
+
+
+@inline
+def way_of(x0: Vec3, q0: Quat, x1: Vec3, q1: Quat, reach: float) -> float:
+    """How far a point of a body has moved [m], at most; see `has_moved`."""
+    d = subtract(x1, x0)
+    _, u, v, w = multiply(q1, conjugate(q0))
+    moved = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    return moved + 2.0 * math.sqrt(u * u + v * v + w * w) * reach
 
 
 @kernel
@@ -535,10 +591,7 @@ def has_moved(then: Floats, now: Floats, reach: Floats, allowance: float) -> boo
     x1, q1 = rows3(now, 0, n), rows4(now[3:7], 0, n)
     far = 0
     for b in range(n):
-        d = subtract(load3(x1, b), load3(x0, b))
-        _, u, v, w = multiply(load4(q1, b), conjugate(load4(q0, b)))
-        moved = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-        moved += 2.0 * math.sqrt(u * u + v * v + w * w) * reach[b]
+        moved = way_of(load3(x0, b), load4(q0, b), load3(x1, b), load4(q1, b), reach[b])
         far += 0 if moved <= allowance else 1  # what is not a number has moved too
     return far > 0
 

@@ -83,14 +83,14 @@ def rows_of(
     what : ndarray, shape (m, 10)
         Point [m], force [N] and torque [N m] on the first, overlap [m].
     """
-    acting = np.flatnonzero(contacts.done[:, ELASTIC : ELASTIC + 3].any(axis=1))
+    acting = np.flatnonzero(contacts.acts)
     i, j, done = contacts.first[acting], contacts.second[acting], contacts.done[acting]
     point = done[:, POINT : POINT + 3]
     place = room.place[i]
     overlap = 2.0 * (place[:, 3] - np.sqrt(((point - place[:, :3]) ** 2).sum(axis=1)))
     first, nobody = members[scene.spheres.body[i]], np.full(i.size, NOBODY)
     force = done[:, ELASTIC : ELASTIC + 3] + done[:, REST : REST + 3]
-    twist = done[:, TWIST : TWIST + 3]
+    twist = np.zeros((i.size, 3)) if scene.law.rolling is None else done[:, TWIST : TWIST + 3]
     if are_walls:
         who = np.stack([first, nobody, scene.walls.wall[j], numbers[i], j], axis=1)
     else:

@@ -14,6 +14,7 @@ from particlerb._jit import inline
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
+Indices: TypeAlias = NDArray[np.int32]  # where there are many
 Bools: TypeAlias = NDArray[np.bool_]
 Vec3: TypeAlias = tuple[float, float, float]
 Rows3: TypeAlias = tuple[Floats, Floats, Floats]

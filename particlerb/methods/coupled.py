@@ -73,25 +73,35 @@ def layout_of(rotor_class: Ints) -> Layout:
 
 
 @inline
+def gather_block(rows: Floats, y: Floats, lo: int, n: int) -> None:
+    """States of a block whose first body is lo, into y (13, n_bodies)."""
+    for c in range(STATE_ROWS):
+        out = y[c, lo : lo + n]
+        for b in range(out.size):
+            out[b] = get(rows, c, b)
+
+
+@inline
 def gather(blocks: Floats, layout: Layout, y: Floats) -> None:
     """States of all blocks, into y (13, n)."""
     for k in range(layout.first.size):
-        rows, lo = blocks[k], layout.first[k]
-        for c in range(STATE_ROWS):
-            out = y[c, lo : lo + layout.size[k]]
-            for b in range(out.size):
-                out[b] = get(rows, c, b)
+        gather_block(blocks[k], y, layout.first[k], layout.size[k])
+
+
+@inline
+def scatter_block(values: Floats, rows: Floats, at: int, first: int, lo: int, n: int) -> None:
+    """Rows of values (rows, n_bodies) from `first` on, into the rows of a block from `at` on."""
+    for c in range(first, values.shape[0]):
+        own = values[c, lo : lo + n]
+        for b in range(own.size):
+            put(rows, at + c - first, b, own[b])
 
 
 @inline
 def scatter(values: Floats, blocks: Floats, layout: Layout, at: int, first: int) -> None:
     """Rows of values (rows, n) from `first` on, into the rows of all blocks from `at` on."""
     for k in range(layout.first.size):
-        rows, lo = blocks[k], layout.first[k]
-        for c in range(first, values.shape[0]):
-            own = values[c, lo : lo + layout.size[k]]
-            for b in range(own.size):
-                put(rows, at + c - first, b, own[b])
+        scatter_block(values, blocks[k], at, first, layout.first[k], layout.size[k])
 
 
 @kernel
@@ -134,9 +144,11 @@ def store_blocks(
     frames: Frames,
     sums: Floats,
     f: int,
+    first: int,
+    last: int,
 ) -> None:
-    """Write all bodies into frame f."""
-    for k in range(layout.first.size):
+    """Write the bodies of some blocks into frame f."""
+    for k in range(first, last):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         local = rows.reshape(rows.size // STRIDE, STRIDE)
         com, q = rows3(local[COM : COM + 3], 0, n), rows4(local[Q : Q + 4], 0, n)
@@ -260,7 +272,9 @@ def advance_together(
             scatter(load, blocks, layout, PAIR, 0)
             close_blocks(blocks, layout, acting, books, is_open, 0, len(blocks))
         if frame[s] >= 0:
-            store_blocks(blocks, layout, books, rotor_frame, members, frames, sums, frame[s])
+            store_blocks(
+                blocks, layout, books, rotor_frame, members, frames, sums, frame[s], 0, len(blocks)
+            )
             copy_blocks(saved, blocks, layout)
             is_open = was_open
 
@@ -273,8 +287,7 @@ class Stages(NamedTuple):
     number: int
     edge: float
     has_flows: bool  # whether dashpots act as flows, and not as loads
-    move_here: Callable[..., None]  # a stage of all blocks, on this thread
-    move_over_threads: Callable[..., None]
+    move_blocks: Callable[..., None]  # a stage of some blocks
 
 
 def stages_of(
@@ -297,7 +310,7 @@ def stages_of(
     own |= {"move": move_all, "pair_loads": loads_over_threads}
     names = advance_together.__globals__ | own
     spread: Any = FunctionType(advance_together.__code__, names, f"{name}_spread")
-    return Stages(compiled, spread, count, edge, flows, here, move_all)
+    return Stages(compiled, spread, count, edge, flows, move_some)
 
 
 @inline

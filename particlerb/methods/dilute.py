@@ -11,14 +11,14 @@ with half the steps. Only then are frames recorded, from a second run of the sam
 what is recorded never changes the motion.
 """
 
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
 from particlerb.bodies.bodies import taken
 from particlerb.bodies.state import Frames, State
 from particlerb.contact.loads import Contact
-from particlerb.contact.search import Search, has_moved
+from particlerb.contact.search import Kept, Search, has_moved
 from particlerb.contact.touches import Touches, nothing_touches
 from particlerb.contact.walls import WallSearch, farthest_way, motion_in, poses_at
 from particlerb.maths.vec3 import Bools, Floats, Ints
@@ -26,7 +26,7 @@ from particlerb.methods.coupled import Stages
 from particlerb.methods.exact import FreeMotion
 from particlerb.methods.motion import Group, Motion, Together
 from particlerb.methods.saving import Saved, filled, flat, under, within
-from particlerb.methods.touching import Kept, Kernels, TouchingMotion
+from particlerb.methods.touching import Kernels, TouchingMotion
 from particlerb.terms import Terms, terms_on
 
 LEAST_BODIES: Final = 300  # below, to begin an interval costs more than to step all
@@ -36,6 +36,8 @@ GROW: Final = 1.3  # of the skin, or its shrinking
 PRUDENCE: Final = 0.5  # of half the skin that bodies may use up if nothing accelerates them
 DENSE: Final = 0.6  # share of active bodies from which on all are stepped,
 DENSE_STEPS: Final = 512  # for so many steps
+
+Keeps: TypeAlias = tuple[Kept, Kept] | None  # contacts between spheres, and with walls
 
 
 def can_fly(terms: Terms, n: int) -> bool:
@@ -53,7 +55,7 @@ class Interval:
     """Bodies of a group during some steps: those that are stepped, and those that fly."""
 
     def __init__(
-        self, parent: "DiluteMotion", state: State, start: float, active: Bools, kept: Kept
+        self, parent: "DiluteMotion", state: State, start: float, active: Bools, kept: Keeps
     ) -> None:
         stepped, flying = np.flatnonzero(active), np.flatnonzero(~active)
         self.motions: list[tuple[Ints, Motion]] = []
@@ -72,9 +74,9 @@ class Interval:
             self.motions.append((flying, FreeMotion(free, taken(state, flying), start)))
         self.together = Together(tuple(self.motions))
 
-    def kept(self) -> Kept:
+    def kept(self) -> Keeps:
         """What contacts keep at the end."""
-        return [] if self.touching is None else self.touching.what_is_kept()
+        return None if self.touching is None else self.touching.kept
 
     def farthest(self) -> float:
         """Longest way of a stepped body from where it began, whenever lists were made [m]."""
@@ -125,10 +127,10 @@ class DiluteMotion:
         self.at_rest, self.kinetic = 0.0, np.zeros(0)  # [J] of pistons, of which there are none
         self.touches: dict[int, Touches] = {}
         self.state = state
-        self.next: tuple[State, Floats, Kept] | None = None  # at the end of the interval
+        self.next: tuple[State, Floats, Keeps] | None = None  # at the end of the interval
         self.done, self.steps = 0, 0
         self.booked = np.zeros(7)
-        self.kept: Kept = []
+        self.kept: Keeps = None
         self.active = np.ones(group.members.size, dtype=np.bool_)
         self.shown: Interval | None = None
         self.saved, self.all_steps = 0, 0  # body-steps that were saved, and all
@@ -275,8 +277,8 @@ class DiluteMotion:
     def checkpoint(self) -> Saved:
         """The state at the start of the interval, and who is stepped in it: it is taken again."""
         saved = under("state", flat(self.state))
-        for k, (keys, values) in enumerate(self.kept):
-            saved |= {f"kept.{k}.keys": keys.copy(), f"kept.{k}.values": values.copy()}
+        for k, one in enumerate(self.kept or ()):
+            saved |= under(f"kept.{k}", flat(one))
         saved |= {"active": self.active.copy(), "booked": self.booked.copy()}
         counts = np.array([self.done, self.steps, self.saved, self.all_steps])
         return saved | {"counts": counts, "skin": np.array(self.skin)}
@@ -285,7 +287,7 @@ class DiluteMotion:
         """Go on from what was saved."""
         self.state = filled(self.state, within("state", saved))
         kept = [within(f"kept.{k}", saved) for k in range(2)]
-        self.kept = [(one["keys"], one["values"]) for one in kept if one]
+        self.kept = (Kept(**kept[0]), Kept(**kept[1])) if kept[0] else None
         self.active, self.booked = saved["active"], saved["booked"]
         self.done, self.steps, self.saved, self.all_steps = saved["counts"].tolist()
         self.skin = float(saved["skin"])

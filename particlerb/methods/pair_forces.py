@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 
 from particlerb._jit import inline
-from particlerb.bodies.load import CONTACT_ROWS, LOAD_ROWS, STATE_ROWS
+from particlerb.bodies.load import LOAD_ROWS, STATE_ROWS
 from particlerb.maths.vec3 import Floats
 from particlerb.terms import Terms
 from particlerb.terms.attraction import (
@@ -120,7 +120,7 @@ class PairForces:
             None if direct is None else work_of(direct),
             with_dashpots,
             np.zeros((STATE_ROWS, n)),
-            np.zeros((LOAD_ROWS if terms.contact is None else CONTACT_ROWS, n)),
+            np.zeros((LOAD_ROWS, n)),
             np.zeros((LOAD_ROWS, n)),
         )
 

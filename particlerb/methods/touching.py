@@ -7,34 +7,36 @@ so the order stays two with one evaluation a step. What contacts keep (tangentia
 belongs to the grid: partial steps to frames work on a copy.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from types import FunctionType
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from particlerb._jit import inline, kernel, kernel_from
-from particlerb.bodies.block import COM, L, P, Q, put3, put4
+from particlerb.bodies.block import COM, L, P, Q, copy_changing, get, get3, get4, put, put3, put4
+from particlerb.bodies.load import CONTACT_ROWS
 from particlerb.bodies.state import Frames, State
-from particlerb.contact.drives import Drives, drive, driven_pose, momenta
+from particlerb.contact.drives import Drives, driven_pose, momenta
 from particlerb.contact.loads import (
     BEFORE,
     BODY_COLUMNS,
-    DONE,
     POSE,
     Contact,
     Contacts,
+    Lists,
     Room,
     collect,
-    no_contacts,
+    done_columns,
+    fastest,
+    nothing_kept,
     place_bodies,
     press,
     put_poses,
     stored_energy,
     touch_spheres,
     touch_walls,
-    units_of,
 )
 from particlerb.contact.loads import Scene as Touchable
 from particlerb.contact.pistons import (
@@ -53,32 +55,30 @@ from particlerb.contact.pistons import (
     slide_pistons,
     slides_of,
 )
-from particlerb.contact.search import Search, carry_over, has_moved, incidence, keys_of
+from particlerb.contact.search import Kept, Search, incidence, order_contacts, way_of
 from particlerb.contact.touches import Touches, moved, rows_of, touches_of
 from particlerb.contact.walls import WallSearch, farthest_way, motion_in
-from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.methods.coupled import (
     CoupledMotion,
     Layout,
     Stages,
     close_blocks,
-    copy_blocks,
-    gather,
-    move,
-    scatter,
+    gather_block,
+    scatter_block,
     store_blocks,
 )
 from particlerb.methods.motion import Group, MotionError
-from particlerb.methods.pair_forces import Pairs, loads_over_threads, pair_loads
+from particlerb.methods.pair_forces import PairForces, Pairs, loads_over_threads, pair_loads
 from particlerb.methods.saving import Saved, filled, flat, under, within
 from particlerb.methods.stepped import PAUSE, Schedule
+from particlerb.team import ALONE, Team, largest, meet, share_of, together
 from particlerb.terms import PAIR, Acting, acting_of
-from particlerb.threads import THREADS
+from particlerb.terms.attraction import Attraction, Work
+from particlerb.terms.links import Links
 
-CONTACT_WORK: Final = 4  # body-steps that a contact takes as long as
 NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
-WORTH_THREADS: Final = 1e7  # ns of an evaluation from which on threads pay for their start
-MOST_NUMBERS: Final = 2**31  # of spheres, or primitives of walls, in a key
+WORTH_THREADS: Final = 6e4  # ns of a step from which on a second thread pays for its start
 NEAR: Final = 0.1  # of the skin: pairs nearer than this stand together, first in the list
 MOST_STEPS_AHEAD: Final = 64  # for which lists are made where walls move
 TO_MAKE: Final = 4e5  # ns of new lists, roughly,
@@ -89,137 +89,233 @@ WIDEN: Final = 1.25  # of the skin, or its narrowing
 SLACK: Final = 0.8  # of half the skin, with which lists are made anew: a frame may lie ahead
 
 
-class Lists(NamedTuple):
-    """Pairs that may touch, and the contacts of each body among them."""
-
-    spheres: Contacts
-    walls: Contacts
-    sphere_offset: Ints
-    sphere_entry: Ints
-    wall_offset: Ints
-    wall_entry: Ints
-
-
 class Memory(NamedTuple):
     """What an evaluation knows of those before."""
 
     last: Floats  # (6, n) momenta of the drift before the last kick
-    times: Floats  # (4,) [s] last kick; time on the grid; start; time until which lists hold
-    then: Floats  # (13, n) states when the lists were made
-    slides: Floats  # (k, SLIDE) of pistons
+    then: Floats  # (7, n) centres of mass and quaternions when the lists were made
+    start: float  # [s] of the segment
+    until: float  # [s] on the grid: so long lists hold, as walls move
+    slides: Floats  # (k, SLIDE) of pistons: the first thread's
 
 
 class Place(NamedTuple):
-    """Where in a schedule the loop is."""
+    """Where the loop is."""
 
-    stop: int
-    step: int
-    is_open: float
-
-
-@inline
-def contact_loads(
-    scene: Touchable,
-    room: Room,
-    lists: Lists,
-    y: Floats,
-    last: Floats,
-    ahead: float,
-    before: float,
-    after: float,
-    load: Floats,
-) -> None:
-    """Add the loads of all contacts, on this thread."""
-    spheres, walls, offset, entry, wall_offset, wall_entry = lists
-    n = y.shape[1]
-    units = (n + 255) // 256
-    place_bodies(scene, room, y, last, ahead, 0, n)
-    if spheres.first.size > 0:
-        touch_spheres(scene, room, spheres, before, after, 0, (spheres.first.size + 255) // 256)
-        collect(spheres, offset, entry, scene.spheres.body, room, load, False, 0, units)
-    if walls.first.size > 0:
-        touch_walls(scene, room, walls, before, after, 0, (walls.first.size + 255) // 256)
-        collect(walls, wall_offset, wall_entry, scene.spheres.body, room, load, True, 0, units)
+    stop: int  # of the schedule
+    step: int  # before that stop
+    time: float  # [s] on the grid
+    is_open: float  # [s] of the kick with which the last step ends
+    kick: float  # [s] length of the last kick; 0 before the first
 
 
-def contact_loads_over_threads(
-    scene: Touchable,
-    room: Room,
-    lists: Lists,
-    y: Floats,
-    last: Floats,
-    ahead: float,
-    before: float,
-    after: float,
-    load: Floats,
-) -> None:
-    """The same over all threads."""
-    spheres, walls, offset, entry, wall_offset, wall_entry = lists
-    n = y.shape[1]
-    THREADS.share(partial(place_all, scene, room, y, last, ahead), units_of(n), n)
-    for contacts, own, kernel_ in (
-        (spheres, (offset, entry), partial(touch_spheres, scene, room, spheres, before, after)),
-        (
-            walls,
-            (wall_offset, wall_entry),
-            partial(touch_walls, scene, room, walls, before, after),
-        ),
-    ):
-        m = contacts.first.size
-        if m:
-            THREADS.share(kernel_, units_of(m), CONTACT_WORK * m)
-            body = scene.spheres.body
-            gathered = partial(collect, contacts, *own, body, room, load, contacts is walls)
-            THREADS.share(gathered, units_of(n), 2 * n)
+class Copies(NamedTuple):
+    """What is kept while a partial step goes to a frame."""
+
+    blocks: Floats
+    last: Floats
+    spheres: Floats  # (m, ..) what contacts keep
+    walls: Floats
+    slides: Floats
+
+
+# Parts of an evaluation; each thread has blocks of its own and takes its share of the contacts
 
 
 @kernel
-def place_all(
-    scene: Touchable, room: Room, y: Floats, last: Floats, ahead: float, first: int, end: int
+def place_blocks(
+    blocks: Floats,
+    layout: Layout,
+    others: int | None,
+    y: Floats,
+    contact: Contact,
+    room: Room,
+    memory: Memory,
+    time: float,
+    ahead: float,
+    team: Team,
+) -> tuple[bool, float, float]:
+    """Place bodies, and walls; whether the lists are used up, and the largest speeds of bodies."""
+    allowance, far, v, w = 0.5 * SLACK * contact.skin, 0, 0.0, 0.0
+    first, end = share_of(team, 0, len(blocks))
+    for k in range(first, end):
+        rows, lo, n = blocks[k], layout.first[k], layout.size[k]
+        put_driven(contact.scene.drives, memory.start + time, False, rows, lo, n)
+        far += count_far(memory.then, rows, contact.reach, allowance, lo, n)
+        place_bodies(contact.scene, room, rows, memory.last, ahead, lo, n)
+        speeds = fastest(room.bodies, lo, lo + n)
+        v, w = max(v, speeds[0]), max(w, speeds[1])
+        if others is not None:
+            gather_block(rows, y, lo, n)
+    if team.rank == 0:
+        put_poses(contact.motions, memory.start + time, room.poses)
+        put_pistons(contact.pistons, memory.slides, ahead, room.poses)
+        far += have_slid(contact.pistons, memory.slides, allowance)
+    most, v, w = largest(team, float(far), v, w)
+    return most > 0.0 or time >= memory.until, v, w
+
+
+@inline
+def put_driven(
+    drives: Drives | None, t: float, with_momenta: bool, rows: Floats, lo: int, n: int
 ) -> None:
-    """Place bodies of units first to end."""
-    place_bodies(scene, room, y, last, ahead, first * 256, min(end * 256, y.shape[1]))
+    """Write driven bodies into their block, with velocities or, as others are there, momenta."""
+    if drives is None:
+        return
+    for k in range(drives.which.size):
+        slot = drives.which[k] - lo
+        if 0 <= slot < n:
+            x, q, v, omega = driven_pose(drives, k, t)
+            if with_momenta:
+                v, omega = momenta(drives, k, q, v, omega)
+            put3(rows, COM, slot, x)
+            put4(rows, Q, slot, q)
+            put3(rows, P, slot, v)
+            put3(rows, L, slot, omega)
 
 
 @inline
-def remember(y: Floats, last: Floats) -> None:
+def count_far(then: Floats, rows: Floats, reach: Floats, allowance: float, lo: int, n: int) -> int:
+    """How many bodies of a block have moved by more than the allowance: see `has_moved`."""
+    far = 0
+    for k in range(n):
+        b = lo + k
+        x, q = (
+            (then[0, b], then[1, b], then[2, b]),
+            (then[3, b], then[4, b], then[5, b], then[6, b]),
+        )
+        moved = way_of(x, q, get3(rows, COM, k), get4(rows, Q, k), reach[b])
+        far += 0 if moved <= allowance else 1  # what is not a number has moved too
+    return far
+
+
+@kernel
+def touch(
+    contact: Contact,
+    room: Room,
+    lists: Lists,
+    before: float,
+    after: float,
+    v: float,
+    w: float,
+    team: Team,
+) -> None:
+    """Find the forces of contacts: of near ones and others apart, so that shares are equal."""
+    scene, spheres, walls = contact.scene, lists.spheres, lists.walls
+    first, end = share_of(team, 0, spheres.near)
+    touch_spheres(scene, room, spheres, before, after, v, w, first, end)
+    first, end = share_of(team, spheres.near, spheres.first.size)
+    touch_spheres(scene, room, spheres, before, after, v, w, first, end)
+    first, end = share_of(team, 0, walls.first.size)
+    touch_walls(scene, room, walls, before, after, first, end)
+
+
+@kernel
+def load_blocks(
+    blocks: Floats,
+    layout: Layout,
+    others: int | None,
+    load: Floats,
+    scene: Touchable,
+    room: Room,
+    lists: Lists,
+    team: Team,
+) -> None:
+    """Write the loads of bodies."""
+    first, end = share_of(team, 0, len(blocks))
+    for k in range(first, end):
+        rows, lo, n = blocks[k], layout.first[k], layout.size[k]
+        for c in range(CONTACT_ROWS):
+            for b in range(n):
+                put(rows, PAIR + c, b, 0.0)
+        if others is not None:
+            scatter_block(load, rows, PAIR, 0, lo, n)
+        collect(scene, room, lists, rows, PAIR, lo, n)
+
+
+@kernel
+def remember(blocks: Floats, layout: Layout, last: Floats, team: Team) -> None:
     """Keep the momenta of the drift before this kick."""
-    for c in range(6):
-        for b in range(y.shape[1]):
-            last[c, b] = y[7 + c, b]
+    first, end = share_of(team, 0, len(blocks))
+    for k in range(first, end):
+        rows, lo = blocks[k], layout.first[k]
+        for c in range(6):
+            for b in range(layout.size[k]):
+                last[c, lo + b] = get(rows, P + c, b)
+
+
+# Partial steps
+
+
+@kernel
+def save(
+    blocks: Floats, layout: Layout, memory: Memory, lists: Lists, saved: Copies, team: Team
+) -> None:
+    """Copy what a partial step changes."""
+    first, end = share_of(team, 0, len(blocks))
+    for k in range(first, end):
+        copy_changing(blocks[k], saved.blocks[k], layout.size[k])
+    copy_rows(memory.last, saved.last, team)
+    copy_rows(lists.spheres.kept, saved.spheres, team)
+    copy_rows(lists.walls.kept, saved.walls, team)
+    if team.rank == 0:
+        saved.slides[:] = memory.slides
+    meet(team)
+
+
+@kernel
+def restore(
+    blocks: Floats, layout: Layout, memory: Memory, lists: Lists, saved: Copies, team: Team
+) -> None:
+    """Go back to what was saved; contacts that keep something act, so that they may forget it."""
+    meet(team)
+    first, end = share_of(team, 0, len(blocks))
+    for k in range(first, end):
+        copy_changing(saved.blocks[k], blocks[k], layout.size[k])
+    copy_rows(saved.last, memory.last, team)
+    copy_rows(saved.spheres, lists.spheres.kept, team)
+    copy_rows(saved.walls, lists.walls.kept, team)
+    if team.rank == 0:
+        memory.slides[:] = saved.slides
+    recall(lists.spheres, team)
+    recall(lists.walls, team)
+    meet(team)
 
 
 @inline
-def copied(source: Floats, target: Floats) -> None:
-    """Copy an array."""
-    for i in range(source.shape[0]):
+def copy_rows(source: Floats, target: Floats, team: Team) -> None:
+    """Copy rows of an array."""
+    first, end = share_of(team, 0, source.shape[0])
+    for i in range(first, end):
         for k in range(source.shape[1]):
             target[i, k] = source[i, k]
 
 
 @inline
-def recall(contacts: Contacts) -> None:
+def recall(contacts: Contacts, team: Team) -> None:
     """Let contacts that keep something act, so that they forget it where they have ended."""
-    for c in range(contacts.acts.size):
+    first, end = share_of(team, 0, contacts.acts.size)
+    for c in range(first, end):
         contacts.acts[c] = contacts.acts[c] or contacts.kept[c, BEFORE] > 0.0
 
 
+# The loop
+
+
 @inline
-def put_driven(drives: Drives | None, t: float, blocks: Floats, layout: Layout) -> None:
-    """Write driven bodies into their blocks, as others are there: with momenta."""
-    if drives is None:
-        return
-    for k in range(drives.which.size):
-        b, block = drives.which[k], 0
-        while b >= layout.first[block] + layout.size[block]:
-            block += 1
-        rows, slot = blocks[block], b - layout.first[block]
-        x, q, v, omega = driven_pose(drives, k, t)
-        p, spin = momenta(drives, k, q, v, omega)
-        put3(rows, COM, slot, x)
-        put4(rows, Q, slot, q)
-        put3(rows, P, slot, p)
-        put3(rows, L, slot, spin)
+def move_blocks(
+    blocks: Floats,
+    layout: Layout,
+    acting: Acting,
+    books: int | None,
+    k: int,
+    opening: float,
+    dt: float,
+    first: int,
+    last: int,
+) -> None:
+    """Stage k of some blocks; stands for that of a method."""
+    raise NotImplementedError
 
 
 EDGE: Final = 0.5
@@ -230,6 +326,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
     layout: Layout,
     acting: Acting,
     books: int | None,
+    others: int | None,
     pairs: Pairs,
     contact: Contact,
     room: Room,
@@ -243,109 +340,126 @@ def advance_touching(  # noqa: PLR0912, PLR0915
     sums: Floats,
     elastic: Floats,
     pressed: Floats,
-    saved: tuple[Floats, Floats, Floats, Floats, Floats],
-) -> tuple[int, int, float]:
+    saved: Copies,
+    team: Team,
+) -> Place:
     """Take a group through a schedule until its lists have to be made anew; where it is then."""
     dt, _, steps, rest, frame = schedule
     links, attraction, work, with_dashpots, y, load, _ = pairs
-    scene, motions, reach, skin, _, _, pistons = contact
-    last, times, then, slides = memory
-    allowance = 0.5 * SLACK * skin
-    first_stop, first_step, is_open = place
-    for s in range(first_stop, steps.size):
-        was_open = is_open
-        begin = first_step if s == first_stop else 0
+    stop, begin, time, is_open, kick = place
+    pistons, slides = contact.pistons, memory.slides
+    first, end = share_of(team, 0, len(blocks))
+    for s in range(stop, steps.size):
+        was_open, was_kick = 0.0, 0.0
         for i in range(begin, steps[s] + 1):  # the last is the partial step to a frame
             h = dt
             if i == steps[s]:
                 if frame[s] < 0:
                     break
                 h = rest[s]
+            before, ahead = is_open / EDGE, is_open / kick if kick > 0.0 else 0.0
+            v, w = 0.0, 0.0
             if h > 0.0:
-                gather(blocks, layout, y)
-                drive(scene.drives, times[2] + times[1], y)
-                if has_moved(then, y, reach, allowance) or times[1] >= times[3]:
-                    return s, i, is_open
-                if have_slid(pistons, slides, allowance):
-                    return s, i, is_open
+                is_over, v, w = place_blocks(
+                    blocks, layout, others, y, contact, room, memory, time, ahead, team
+                )
+                if is_over:
+                    return Place(s, i, time, is_open, kick)
             if i == steps[s]:
-                copy_blocks(blocks, saved[0], layout)
-                copied(last, saved[1])
-                copied(lists.spheres.kept, saved[2])
-                copied(lists.walls.kept, saved[3])
-                copied(slides, saved[4])
-                kicked, was_open = times[0], is_open
+                save(blocks, layout, memory, lists, saved, team)
+                was_open, was_kick = is_open, kick
             if h > 0.0:
-                pair_loads(links, attraction, work, with_dashpots, y, load)
-                put_poses(motions, times[2] + times[1], room.poses)
-                before, kick = is_open / EDGE, is_open + EDGE * h
-                ahead = is_open / times[0] if times[0] > 0.0 else 0.0
-                put_pistons(pistons, slides, ahead, room.poses)
-                contact_loads(scene, room, lists, y, last, ahead, before, h, load)
-                remember(y, last)
-                press(pistons, slides, lists.walls, scene, room)
-                kick_pistons(pistons, slides, is_open, EDGE * h, True)
-                slide_pistons(pistons, slides, h)
-                times[0] = kick
-                scatter(load, blocks, layout, PAIR, 0)
-                move(blocks, layout, acting, books, 0, kick, h)
+                remember(blocks, layout, memory.last, team)
+                if team.rank == 0:
+                    other_loads(others, links, attraction, work, with_dashpots, y, load)
+                touch(contact, room, lists, before, h, v, w, team)
+                meet(team)
+                load_blocks(blocks, layout, others, load, contact.scene, room, lists, team)
+                if team.rank == 0:
+                    press(pistons, slides, lists.walls, contact.scene)
+                    kick_pistons(pistons, slides, is_open, EDGE * h, True)
+                    slide_pistons(pistons, slides, h)
+                kick = is_open + EDGE * h
+                move_blocks(blocks, layout, acting, books, 0, kick, h, first, end)
                 is_open = EDGE * h
-                if i < steps[s]:
-                    times[1] += dt
+                time += dt if i < steps[s] else 0.0
+        now = time + (rest[s] if frame[s] >= 0 else 0.0)
         if frame[s] != PAUSE and is_open > 0.0:
-            partial_step = rest[s] if frame[s] >= 0 else 0.0
-            gather(blocks, layout, y)
-            drive(scene.drives, times[2] + times[1] + partial_step, y)
-            pair_loads(links, attraction, work, with_dashpots, y, load)
-            put_poses(motions, times[2] + times[1] + partial_step, room.poses)
-            before = is_open / EDGE
-            ahead = is_open / times[0] if times[0] > 0.0 else 0.0
-            put_pistons(pistons, slides, ahead, room.poses)
-            contact_loads(scene, room, lists, y, last, ahead, before, 0.0, load)
-            scatter(load, blocks, layout, PAIR, 0)
-            close_blocks(blocks, layout, acting, books, is_open, 0, len(blocks))
-            press(pistons, slides, lists.walls, scene, room)
-            kick_pistons(pistons, slides, is_open, 0.0, False)
+            before, ahead = is_open / EDGE, is_open / kick if kick > 0.0 else 0.0
+            _, v, w = place_blocks(
+                blocks, layout, others, y, contact, room, memory, now, ahead, team
+            )
+            if team.rank == 0:
+                other_loads(others, links, attraction, work, with_dashpots, y, load)
+            touch(contact, room, lists, before, 0.0, v, w, team)
+            meet(team)
+            load_blocks(blocks, layout, others, load, contact.scene, room, lists, team)
+            close_blocks(blocks, layout, acting, books, is_open, first, end)
+            if team.rank == 0:
+                press(pistons, slides, lists.walls, contact.scene)
+                kick_pistons(pistons, slides, is_open, 0.0, False)
         if frame[s] != PAUSE:
-            partial_step = rest[s] if frame[s] >= 0 else 0.0
-            put_driven(scene.drives, times[2] + times[1] + partial_step, blocks, layout)
+            for k in range(first, end):
+                t = memory.start + now
+                lo, n = layout.first[k], layout.size[k]
+                put_driven(contact.scene.drives, t, True, blocks[k], lo, n)
         if frame[s] >= 0:
-            copied(slides, pressed[frame[s]])
-            elastic[frame[s]] = stored_energy(lists.spheres) + stored_energy(lists.walls)
-            store_blocks(blocks, layout, books, rotor_frame, members, frames, sums, frame[s])
-            copy_blocks(saved[0], blocks, layout)
-            copied(saved[1], last)
-            copied(saved[2], lists.spheres.kept)
-            copied(saved[3], lists.walls.kept)
-            copied(saved[4], slides)
-            recall(lists.spheres)
-            recall(lists.walls)
-            times[0], is_open = kicked, was_open
-    return steps.size, 0, is_open
+            if team.rank == 0:
+                elastic[frame[s]] = stored_energy(lists.spheres) + stored_energy(lists.walls)
+                pressed[frame[s], :, :] = slides
+            store_blocks(
+                blocks, layout, books, rotor_frame, members, frames, sums, frame[s], first, end
+            )
+            restore(blocks, layout, memory, lists, saved, team)
+            is_open, kick = was_open, was_kick
+        begin = 0
+    return Place(steps.size, 0, time, is_open, kick)
+
+
+@inline
+def other_loads(
+    others: int | None,
+    links: Links | None,
+    attraction: Attraction | None,
+    work: Work | None,
+    with_dashpots: bool,
+    y: Floats,
+    load: Floats,
+) -> None:
+    """Loads of bodies on each other without touching, if there are any."""
+    if others is None:
+        return
+    pair_loads(links, attraction, work, with_dashpots, y, load)
+
+
+def other_loads_over_threads(
+    others: int | None,
+    links: Links | None,
+    attraction: Attraction | None,
+    forces: PairForces,
+    with_dashpots: bool,
+    y: Floats,
+    load: Floats,
+) -> None:
+    """Stands for `other_loads` where the loop around it runs as Python."""
+    loads_over_threads(links, attraction, forces, with_dashpots, y, load)
 
 
 class Kernels(NamedTuple):
-    """The loop of a method, compiled, and as Python that spreads its parts over threads."""
+    """The loop of a method, compiled, and as Python that spreads other forces over threads."""
 
-    compiled: Callable[..., tuple[int, int, float]]
-    spread: Callable[..., tuple[int, int, float]]
+    compiled: Callable[..., Place]
+    spread: Callable[..., Place]
 
 
 def kernels_of(name: str, stages: Stages) -> Kernels:
     """Kernels of a method with one stage."""
-    own: dict[str, Any] = {"EDGE": stages.edge}
-    compiled = kernel_from(advance_touching, f"{name}_touching", move=stages.move_here, **own)
-    own |= {
-        "move": stages.move_over_threads,
-        "pair_loads": loads_over_threads,
-        "contact_loads": contact_loads_over_threads,
-    }
+    own: dict[str, Any] = {"EDGE": stages.edge, "move_blocks": stages.move_blocks}
+    compiled = kernel_from(advance_touching, f"{name}_touching", **own)
+    own["other_loads"] = other_loads_over_threads
     names = advance_touching.__globals__ | own
     spread: Any = FunctionType(advance_touching.__code__, names, f"{name}_touching_spread")
     return Kernels(compiled, spread)
-
-
-Kept: TypeAlias = Sequence[tuple[Ints, Floats]]  # keys of contacts, and what these keep
 
 
 def one_by_one(schedule: Schedule) -> Iterator[Schedule]:
@@ -369,7 +483,7 @@ class TouchingMotion(CoupledMotion):
         As for `CoupledMotion`.
     numbers : ndarray, shape (n_spheres,), optional
         Of the spheres, ascending, where they are some of more.
-    kept : sequence of (keys, values), optional
+    kept : tuple of 2 Kept, optional
         What contacts of spheres with these numbers, and with walls, keep from earlier steps.
     """
 
@@ -383,7 +497,7 @@ class TouchingMotion(CoupledMotion):
         start: float,
         dt: float,
         numbers: Ints | None = None,
-        kept: Kept = (),
+        kept: tuple[Kept, Kept] | None = None,
     ) -> None:
         contact = group.terms.contact
         assert contact is not None
@@ -400,19 +514,20 @@ class TouchingMotion(CoupledMotion):
         room = np.zeros((len(self.motions), POSE))
         self.room = Room(np.zeros((n_spheres, 4)), room, np.zeros((n, BODY_COLUMNS)))
         y = np.vstack(state)
-        drive(contact.scene.drives, start, y)
         slides = slides_of(contact.pistons)
-        self.memory = Memory(y[7:].copy(), np.array([0.0, 0.0, start, np.inf]), y.copy(), slides)
+        self.memory = Memory(y[7:].copy(), y[:7].copy(), start, np.inf, slides)
+        self.place = Place(0, 0, 0.0, 0.0, 0.0)
         self.origin, self.farthest = y[:3].copy(), 0.0  # [m] way of a body so far, at new lists
         self.least_skin, self.made = contact.skin, 0.0
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
-        self.keys = [keys for keys, _ in kept] or [np.zeros(0, dtype=np.int64)] * 2
-        self.rows = [np.arange(keys.size) for keys in self.keys]  # of the contacts with these keys
-        old = [no_contacts()._replace(kept=values) for _, values in kept] or [no_contacts()] * 2
-        self.lists = Lists(old[0], old[1], *(np.zeros(n + 1, np.int64),) * 4)
-        self.make_lists(y)
-        self.is_dense = NANOSECONDS_PER_SPHERE * n_spheres > WORTH_THREADS
-        self.elastic = self.evaluate(y)
+        self.primitives = np.arange(contact.scene.walls.kind.size)
+        self.kept = kept or (nothing_kept(contact.scene.law),) * 2
+        terms = group.terms
+        self.others = None if terms.links is None and terms.attraction is None else 1
+        is_worth_it = NANOSECONDS_PER_SPHERE * n_spheres > WORTH_THREADS
+        self.threads = len(self.blocks) if is_worth_it else 1
+        self.make_lists()
+        self.elastic = self.energy()
         self.energies = np.zeros(0)  # [J] elastic energy in the frames of the last `record`
         self.touches: dict[int, Touches] = {}  # in its frames, where they are asked for
         self.slides = np.zeros((0, len(slides), SLIDE))  # of pistons in its frames
@@ -420,47 +535,36 @@ class TouchingMotion(CoupledMotion):
         self.at_rest = energies_of(contact.pistons, slides)[0]  # [J] the same at the start
         self.elastic += energies_of(contact.pistons, slides)[1]
 
-    def make_lists(self, y: Floats) -> None:
+    def make_lists(self) -> None:
         """Pairs that may touch until a body has moved by half the skin."""
         self.fit_skin()
-        contact, n = self.contact, y.shape[1]
-        scene = contact.scene
-        self.memory.then[:] = y
+        self.put_places(0.0)
+        contact, y = self.contact, self.values(0, 13)
+        scene, n = contact.scene, y.shape[1]
+        self.memory.then[:] = y[:7]
+        self.memory.slides[:, THEN] = self.memory.slides[:, PLACE]
         way = np.sqrt(((y[:3] - self.origin) ** 2).sum(axis=0)).max()
         self.farthest = max(self.farthest, float(way))
         self.refuse_tunnelling(y)
-        THREADS.share(
-            partial(place_all, scene, self.room, y, self.memory.last, 0.0), units_of(n), n
-        )
         points = np.ascontiguousarray(self.room.place[:, :3].T)
         first, second, _ = self.search.pairs(points, contact.skin)
-        first, second = first.copy(), second.copy()
-        _, time, start, _ = self.memory.times
-        self.put_walls(start + time)
-        self.memory.slides[:, THEN] = self.memory.slides[:, PLACE]
         ahead, way = self.walls_ahead(points)
-        self.memory.times[3] = time + ahead
+        self.memory = self.memory._replace(until=self.place.time + ahead)
         sphere, primitive, _ = self.walls.pairs(points, self.room.poses, contact.skin + way)
-        before = self.lists
-        number, radius = self.numbers, scene.spheres.radius
-        away = points[:, second] - points[:, first]
-        reach = radius[first] + radius[second] + NEAR * contact.skin
-        near = np.einsum("ij,ij->j", away, away) < reach * reach
-        spheres = self.carried(0, before.spheres, first, second, number[second], near)
-        near = np.ones(sphere.size, dtype=np.bool_)
-        walls = self.carried(1, before.walls, sphere, primitive, primitive, near)
-        body = scene.spheres.body
-        first, second = spheres.first, spheres.second
-        own = incidence(body[first], body[second], n)
+        near, body = NEAR * contact.skin, scene.spheres.body
+        spheres = self.contacts(0, (first, second), (self.numbers, self.numbers), near)
+        walls = self.contacts(1, (sphere, primitive), (self.numbers, self.primitives), -1.0)
+        own = incidence(body[spheres.first], body[spheres.second], n)
         outside = incidence(body[sphere], np.full(sphere.size, -1), n)
-        self.lists = Lists(spheres, walls, *own, *outside)
+        self.lists = Lists(spheres, walls, own, outside)
 
     def fit_skin(self) -> None:
         """Widen the skin where making lists costs more than going through them, and the reverse."""
-        time, lists = float(self.memory.times[1]), self.lists
+        time = self.place.time
         steps, self.made = (time - self.made) / self.dt, time
         if self.contact.is_fixed or steps <= 0.0:
             return
+        lists = self.lists
         to_make = TO_MAKE + TO_MAKE_SPHERE * self.numbers.size
         to_use = TO_USE * (lists.spheres.first.size + lists.walls.first.size) * steps
         factor = WIDEN if to_make > to_use else 1.0 / WIDEN
@@ -475,7 +579,7 @@ class TouchingMotion(CoupledMotion):
             b = int(fast[np.argmax(speed[fast])])
             way, radius = speed[b] * self.dt, self.radius[b]
             raise MotionError(
-                f"at t = {self.memory.times[2] + self.memory.times[1]:.6g} s"
+                f"at t = {self.memory.start + self.place.time:.6g} s"
                 f" body {int(self.group.members[b])} moves by {way:.3g} m in a step of"
                 f" {self.dt:.3g} s, more than its smallest radius, {radius:.3g} m: it could pass"
                 f" through another; dt = {0.5 * radius / speed[b]:.2g} s or less is right"
@@ -491,7 +595,7 @@ class TouchingMotion(CoupledMotion):
         k = int(np.argmax(rate))
         if self.dt * rate[k] > STABLE:
             raise MotionError(
-                f"by t = {self.memory.times[2] + self.memory.times[1]:.6g} s wall"
+                f"by t = {self.memory.start + self.place.time:.6g} s wall"
                 f" {int(pistons.wall[k])} has pressed so many particles, {stiffness[k]:.3g} N/m"
                 f" together, that its {pistons.mass[k]:.3g} kg swing too fast for a step of"
                 f" {self.dt:.3g} s: dt = {0.5 * STABLE / rate[k]:.2g} s or less is right, or a"
@@ -510,31 +614,25 @@ class TouchingMotion(CoupledMotion):
         way = farthest_way(self.motions, (steps + 1) * self.dt, 2.0 * extent)
         return steps * self.dt, way + sliding
 
-    def carried(
-        self, which: int, old: Contacts, first: Ints, second: Ints, other: Ints, near: Bools
+    def contacts(
+        self, which: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], near: float
     ) -> Contacts:
-        """New contacts, with what those of the old list keep; `other` numbers the second."""
-        keys = keys_of(self.numbers[first], other, MOST_NUMBERS)
-        kept = carry_over(self.keys[which], old.kept[self.rows[which]], keys)
-        order = np.concatenate([np.flatnonzero(near), np.flatnonzero(~near)])
-        self.keys[which] = keys
-        self.rows[which] = np.empty_like(order)
-        self.rows[which][order] = np.arange(order.size)
-        first, second, kept = first[order], second[order], kept[order]
-        done, acts = np.zeros((first.size, DONE)), kept[:, BEFORE] > 0.0
-        return Contacts(first, second, kept, done, acts)
-
-    def what_is_kept(self) -> Kept:
-        """What contacts keep, with their keys."""
-        contacts = self.lists.spheres, self.lists.walls
-        found = zip(self.keys, contacts, self.rows, strict=True)
-        return [(keys, c.kept[rows]) for keys, c, rows in found]
+        """New contacts of spheres, or of walls, with what those of the old list keep."""
+        m, old, law = pairs[0].size, self.kept[which], self.contact.scene.law
+        keys, rows = np.empty((2, m), dtype=np.int64)
+        new = Kept(keys, rows, np.empty((m, old.values.shape[1])))
+        first, second = np.empty((2, m), dtype=np.int32)
+        n_near = order_contacts(pairs, numbers, self.room.place, near, old, new, first, second)
+        self.kept = (new, self.kept[1]) if which == 0 else (self.kept[0], new)
+        done, acts = np.zeros((m, done_columns(law))), new.values[:, BEFORE] > 0.0
+        return Contacts(first, second, new.values, done, acts, n_near)
 
     def checkpoint(self) -> Saved:
         """Lists with what contacts keep, the poses that they were made at, and their skin."""
         saved = super().checkpoint()
-        saved |= under("memory", flat(self.memory)) | under("lists", flat(self.lists))
-        for k, (keys, rows) in enumerate(zip(self.keys, self.rows, strict=True)):
+        for name, value in (("memory", self.memory), ("place", self.place), ("lists", self.lists)):
+            saved |= under(name, flat(value))
+        for k, (keys, rows, _) in enumerate(self.kept):
             saved |= {f"keys.{k}": keys.copy(), f"rows.{k}": rows.copy()}
         way = np.array([self.farthest, self.made, self.contact.skin])
         return saved | {"origin": self.origin.copy(), "way": way}
@@ -543,29 +641,32 @@ class TouchingMotion(CoupledMotion):
         """Go on from what was saved."""
         super().restore(saved)
         self.memory = filled(self.memory, within("memory", saved))
+        self.place = filled(self.place, within("place", saved))
         self.lists = filled(self.lists, within("lists", saved))
-        self.keys = [saved[f"keys.{k}"] for k in range(len(self.keys))]
-        self.rows = [saved[f"rows.{k}"] for k in range(len(self.rows))]
+        spheres, walls = self.lists.spheres.kept, self.lists.walls.kept
+        self.kept = (
+            Kept(saved["keys.0"], saved["rows.0"], spheres),
+            Kept(saved["keys.1"], saved["rows.1"], walls),
+        )
         self.origin = saved["origin"]
         self.farthest, self.made, skin = saved["way"].tolist()
         self.contact = self.contact._replace(skin=skin)
 
-    def evaluate(self, y: Floats) -> float:
-        """Elastic energy in a state at the start [J]."""
-        contact, lists = self.contact, self.lists
+    def energy(self) -> float:
+        """Elastic energy at the start [J]."""
+        lists = self.lists
         kept = lists.spheres.kept.copy(), lists.walls.kept.copy()
-        self.put_walls(self.memory.times[2])
-        load = np.zeros_like(self.forces.pairs.load)
-        contact_loads_over_threads(
-            contact.scene, self.room, lists, y, self.memory.last, 0.0, 0.0, 0.0, load
-        )
+        _, v, w = self.put_places(0.0)
+        touch(self.contact, self.room, lists, 0.0, 0.0, v, w, ALONE)
         lists.spheres.kept[:], lists.walls.kept[:] = kept
         return float(stored_energy(lists.spheres) + stored_energy(lists.walls))
 
-    def put_walls(self, t: float) -> None:
-        """Poses of all walls at a time, those of pistons as they are now."""
-        put_poses(self.contact.motions, t, self.room.poses)
-        put_pistons(self.contact.pistons, self.memory.slides, 0.0, self.room.poses)
+    def put_places(self, ahead: float) -> tuple[bool, float, float]:
+        """Place bodies and walls at the time of now; see `place_blocks`."""
+        y, contact, time = self.forces.pairs.y, self.contact, self.place.time
+        return place_blocks(
+            self.blocks, self.layout, None, y, contact, self.room, self.memory, time, ahead, ALONE
+        )
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
@@ -621,25 +722,21 @@ class TouchingMotion(CoupledMotion):
 
     def run_through(self, schedule: Schedule, frames: Frames, sums: Floats) -> None:
         """Go through a schedule, with new lists where they are used up."""
-        group, edge = self.group, self.stages.edge
-        large = (THREADS.count > 1 and self.is_dense) or self.forces.is_large
-        advance: Callable[..., Any] = self.kernels.spread if large else self.kernels.compiled
-        pairs = self.forces.for_python if large else self.forces.pairs
-        place = Place(0, 0, edge * schedule.dt if schedule.done > 0 else 0.0)
-        elastic = self.energies
-        while place.stop < schedule.steps.size:
+        group, is_large = self.group, self.forces.is_large
+        advance: Callable[..., Place] = self.kernels.spread if is_large else self.kernels.compiled
+        pairs = self.forces.for_python if is_large else self.forces.pairs
+        self.place = self.place._replace(stop=0, step=0)
+        while True:
             kept = self.lists.spheres.kept, self.lists.walls.kept, self.memory.slides
-            saved = self.saved, np.empty_like(self.memory.last), *(np.empty_like(k) for k in kept)
-            arguments = (
-                self.blocks, self.layout, acting_of(group.terms), self.account.books, pairs,
-                self.contact, self.room, self.lists, self.memory, schedule, place,
-                group.bodies.rotor_frame, group.members, frames, sums, elastic,
+            saved = Copies(self.saved, np.empty_like(self.memory.last), *map(np.empty_like, kept))
+            through = partial(
+                advance, self.blocks, self.layout, acting_of(group.terms), self.account.books,
+                self.others, pairs, self.contact, self.room, self.lists, self.memory, schedule,
+                self.place, group.bodies.rotor_frame, group.members, frames, sums, self.energies,
                 self.slides, saved,
             )  # fmt: skip
-            reached = advance(*arguments) if large else THREADS.timed(advance, *arguments)
+            self.place = through(ALONE) if is_large else together(through, self.threads)
             self.refuse_light_pistons()
-            place = Place(*reached)
-            if place.stop < schedule.steps.size:
-                y = self.values(0, 13)
-                drive(self.contact.scene.drives, self.memory.times[2] + self.memory.times[1], y)
-                self.make_lists(y)
+            if self.place.stop == schedule.steps.size:
+                break
+            self.make_lists()

@@ -8,6 +8,7 @@ import pytest
 
 import particlerb
 from particlerb.methods import touching
+from particlerb.methods.pair_forces import PairForces
 
 G = 9.81
 NOTHING = {"gravity": {"acceleration": [0.0, 0.0, 0.0]}}  # the compiled code is that of a weight
@@ -546,16 +547,37 @@ def test_frames_do_not_change_the_motion_and_a_prolonged_run_is_a_longer_one(mak
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", [1, 2, 3])
 @pytest.mark.parametrize("loop", ["compiled", "python"])
-def test_threads_and_the_loop_that_spreads_over_them_give_the_same_bits(
+def test_threads_and_the_loop_in_python_give_the_same_bits(
     make, shaken, monkeypatch, threads, loop
 ):
+    monkeypatch.setattr(touching, "WORTH_THREADS", 0.0)
     if loop == "python":
-        monkeypatch.setattr(touching, "WORTH_THREADS", 0.0)
+        monkeypatch.setattr(PairForces, "is_large", True)
     case = crowd(make, every=0.0313, wall=[shaking(make)])
     case["run"]["threads"] = threads
     same(shaken, ran(case))
+
+
+@pytest.mark.compiled
+def test_three_threads_with_blocks_of_their_own_give_the_bits_of_one(make):
+    """700 balls of unequal size fall into a heap; there are three blocks, lists are made often."""
+    cells = np.stack(np.meshgrid(*[np.arange(k) for k in (7, 10, 10)]), axis=-1).reshape(-1, 3)
+    rng = np.random.default_rng(1)
+    place = 0.22 * cells + rng.uniform(-0.005, 0.005, cells.shape) + [0, 0, 0.15]
+    shape = {"type": "points", "mass": 1.0, "radius": 0.1, "position": [[0, 0, 0]]}
+    balls = {"name": "ball", "shape": shape, "count": 700, "position": place}
+    walls = [{"name": "bin", "type": "box", "lower": [-0.2, -0.2, 0], "upper": [1.6, 2.2, 4]}]
+    fall = balls | {"velocity": rng.normal(size=place.shape) - [0, 0, 3.0]}
+    run = {"t_end": 0.1, "every": 0.0173, "dt": 2e-4, "method": "strang"}
+    case = make.case(fall, contact=make.hooke(1e5, 0.5, 0.5), wall=walls, **WEIGHT)
+    case["run"] |= run
+    ends = [ran(case | {"run": case["run"] | {"threads": k}}) for k in (1, 2, 3)]
+    assert np.abs(ends[0].v[-1]).max() < 20.0
+    for other in ends[1:]:
+        same(ends[0], other)
+        assert (other.ledger.work == ends[0].ledger.work).all()
 
 
 def test_a_short_crowd_keeps_its_momenta_in_plain_python_too(make):

@@ -1,4 +1,4 @@
-"""Steps of contact scenes: chosen, refused, warned of; bodies that are too fast; relaxation."""
+"""Contact scenes: steps, bodies that are too fast, spheres that nothing reaches, relaxation."""
 
 import math
 
@@ -106,3 +106,64 @@ def test_bodies_without_room_cannot_be_relaxed(monkeypatch):
     case["body"] = [{"name": "s", "shape": shape, "mass": 1.0, "count": 30, "place": place}]
     with pytest.raises(CaseError, match="after 30 rounds of pushing them apart"):
         prepare(load(case))
+
+
+def block(edge=4, **contact) -> dict:
+    """A cube of touching balls over a plane, and one ball as large as they are."""
+    places = 0.2 * np.stack(np.meshgrid(*[np.arange(edge)] * 3), axis=-1).reshape(-1, 3)
+    cube = {"type": "points", "mass": 1.0, "radius": 0.1, "position": places.tolist()}
+    ball = {"type": "sphere", "radius": 0.1}
+    return {
+        "run": {"t_end": 0.06, "every": 0.02, "dt": 2e-3, "method": "strang"},
+        "gravity": {"acceleration": [0, 0, -9.81]},
+        "contact": {"stiffness": 1e4, "restitution": 0.5, "friction": 0.5} | contact,
+        "body": [
+            {"name": "cube", "shape": cube, "position": [0, 0, 0.41], "velocity": [0, 0, -1]},
+            {"name": "ball", "shape": ball, "mass": 0.1, "position": [0.05, 0, 1.0]},
+        ],
+        "wall": [{"type": "plane", "name": "floor", "normal": [0, 0, 1]}],
+    }
+
+
+def contact_in(case: dict):
+    """Contact of the first segment, and the line of the plan about it."""
+    prepared = prepare(load(case))
+    (group,) = prepared.plan.groups
+    return group.segments[0].terms.contact, prepared.text
+
+
+def test_spheres_that_nothing_can_reach_take_no_part():
+    contact, text = contact_in(block())
+    assert contact.left_out == 8
+    assert contact.scene.spheres.radius.size == 64 - 8 + 1
+    assert "57 spheres and 1 walls" in text
+    assert "8 spheres inside that nothing can reach left out" in text
+    inside = np.abs(contact.scene.spheres.arm[:, :-1]).max(axis=0) < 0.2
+    assert not inside.any()
+
+
+@pytest.mark.parametrize("what", ["small ball", "edge", "relax"])
+def test_what_comes_through_the_gaps_keeps_the_spheres_inside(what):
+    case = block(relax=what == "relax")
+    if what == "small ball":
+        case["body"][1]["shape"]["radius"] = 0.02
+    if what == "edge":
+        case["wall"] = [
+            {"type": "box", "name": "box", "lower": [-2, -2, 0], "upper": [2, 2, 4], "open": ["+z"]}
+        ]
+    contact, text = contact_in(case)
+    assert contact.left_out == 0
+    assert contact.scene.spheres.radius.size == 65
+    assert "left out" not in text
+
+
+def test_leaving_spheres_out_changes_no_bit(monkeypatch):
+    with particlerb.run(block()) as t:
+        without = t.position, t.orientation, t.linear_momentum
+    everyone = "particlerb.groups.outer_spheres"
+    monkeypatch.setattr(everyone, lambda place, radius, *_: np.ones(radius.size, dtype=np.bool_))
+    with particlerb.run(block()) as t:
+        whole = t.position, t.orientation, t.linear_momentum
+    assert abs(whole[2][-1, 0, 2] + 1.0) > 0.1  # it has hit the floor
+    for one, other in zip(without, whole, strict=True):
+        assert (one == other).all()

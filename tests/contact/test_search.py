@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 from particlerb._jit import config
 from particlerb.contact import search as module
 from particlerb.contact.search import (
+    Kept,
     Search,
-    carry_over,
     has_moved,
     incidence,
-    keys_of,
     levels_of,
     modular_strides,
     neighbours,
+    order_contacts,
     outer_spheres,
 )
 from particlerb.threads import THREADS
@@ -147,7 +147,7 @@ def test_pairs_are_sorted_and_the_finer_one_is_the_first():
     n = 400
     x, r, body = random_place(rng, n), unequal_radius(rng, n), bodies(rng, n)
     first, second, start = neighbours(x, r, body, 0.5)
-    assert (np.diff(keys_of(first, second, n)) > 0).all()
+    assert (np.diff(n * first + second) > 0).all()
     assert (start == np.searchsorted(first, np.arange(n + 1))).all()
     level = levels_of(r)
     finer = (level[first] < level[second]) | ((level[first] == level[second]) & (first < second))
@@ -311,26 +311,43 @@ def test_incidence_gives_each_body_its_contacts_with_their_side(seed):
         assert contact[own < 0].tolist() == np.flatnonzero(second == b).tolist()
 
 
-@given(seeds)
+def kept_of(pairs, values, rng):
+    """What pairs of the numbers keep, in rows of any order."""
+    keys = np.array([(i << 32) | j for i, j in sorted(pairs)], dtype=np.int64)
+    rows = rng.permutation(len(pairs))
+    table = np.empty((len(pairs), 3))
+    for row, pair in zip(rows, sorted(pairs), strict=True):
+        table[row] = values[pair]
+    return Kept(keys, rows, table)
+
+
+@given(seeds, st.booleans())
 @settings(max_examples=50)
-def test_values_are_carried_over_by_key(seed):
+def test_a_new_list_has_near_pairs_first_and_what_the_same_pairs_kept(seed, are_walls):
     rng = np.random.default_rng(seed)
-    n, m = int(rng.integers(0, 80)), int(rng.integers(0, 80))
-    old, new = (np.sort(rng.choice(100, k, replace=False)).astype(np.int64) for k in (n, m))
-    values = rng.standard_normal((n, 3))
-    kept = dict(zip(old.tolist(), values.tolist(), strict=True))
-    expected = np.array([kept.get(k, [0.0] * 3) for k in new.tolist()]).reshape(m, 3)
-    assert (carry_over(old, values, new) == expected).all()
-
-
-def test_values_of_many_contacts_are_carried_over_across_units(threads):
-    threads(2)
-    n = 20 * module.UNIT
-    old, new = np.arange(0, 3 * n, 3), np.arange(0, 2 * n, 2)
-    values = np.stack([old, -old], axis=1).astype(float)
-    found = carry_over(old, values, new)
-    expected = np.where(new % 3 == 0, new, 0)
-    assert (found == np.stack([expected, -expected], axis=1)).all()
+    n = 12
+    number = np.sort(rng.choice(1000, n, replace=False))
+    other = np.arange(n) if are_walls else number
+    place = np.column_stack([rng.uniform(0, 2, (n, 3)), rng.uniform(0.1, 0.5, n)])
+    every = [(i, j) for i in range(n) for j in range(i + 1, n)]
+    old, new = ([p for p in every if rng.random() < 0.5] for _ in range(2))
+    values = {(int(number[i]), int(other[j])): rng.standard_normal(3) for i, j in old}
+    before = kept_of(list(values), values, rng)
+    first, second = np.array(new, dtype=np.int64).reshape(-1, 2).T.copy()
+    m, skin = len(new), -1.0 if are_walls else 0.2
+    after = Kept(*np.empty((2, m), dtype=np.int64), np.empty((m, 3)))
+    listed = np.empty((2, m), dtype=np.int32)
+    near = order_contacts((first, second), (number, other), place, skin, before, after, *listed)
+    gap = np.linalg.norm(place[first, :3] - place[second, :3], axis=1)
+    is_near = (gap < place[first, 3] + place[second, 3] + skin) & (skin >= 0.0)
+    order = np.argsort(~is_near, kind="stable")
+    assert near == is_near.sum()
+    assert (listed == np.array([first, second])[:, order]).all()
+    assert (np.diff(after.keys) > 0).all()
+    for row, (i, j) in enumerate(listed.T.tolist()):
+        expected = values.get((int(number[i]), int(other[j])), np.zeros(3))
+        assert (after.values[row] == expected).all()
+    assert (after.values[after.rows] == after.values[np.argsort(order)]).all()
 
 
 # Spheres that nothing can reach

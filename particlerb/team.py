@@ -1,0 +1,176 @@
+"""Threads that run one compiled loop together, each on its share of it, and meet in between.
+
+`Threads.share` hands work over from Python, which takes some 50 µs: too long for a loop whose steps
+take not much longer. So every thread enters such a loop once, and they wait for each other inside
+it; a meeting of two takes 0.3 µs. Who waits asks again and again, and soon lets others run in
+between, so that with more threads than free cores the one that is waited for gets on.
+
+A kernel that shares its work in this way must come to the same meetings on every thread: it
+branches by what all know, or by what `largest` told all of them. Without the compiler, and while
+another call has the threads, it runs on this thread alone.
+"""
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import wait
+from typing import Any, Final, NamedTuple, TypeVar
+
+import numpy as np
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from particlerb._jit import config, inline, kernel
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.threads import THREADS
+
+LINE: Final = 16  # numbers of two lines of the cache: nobody writes beside what others look at
+ARRIVED: Final = 0  # how often somebody has come to a meeting
+OVER: Final = LINE  # whether nobody waits any more
+PATIENCE: Final = 1000  # times to ask before others are let run
+Result = TypeVar("Result")
+
+
+class Team(NamedTuple):
+    """Threads that run a kernel together, as one of them sees it."""
+
+    size: int
+    rank: int  # of this thread
+    arrivals: Ints  # (2 LINE,) see ARRIVED and OVER
+    wishes: Floats  # (size, LINE) what each brings to a meeting
+
+
+# What Numba lacks
+
+lowered: Callable[[Any], Any] = intrinsic  # its stub counts the first parameter among the arguments
+
+
+@lowered
+def add_atomically(context: Any, array: Any, at: Any, value: Any) -> Any:
+    """array[at] += value in one go, in an order that is the same for all; the value before."""
+
+    def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = pointer_to(target, builder, signature, arguments)
+        return builder.atomic_rmw("add", pointer, arguments[2], "seq_cst")
+
+    return types.int64(array, types.int64, types.int64), generate
+
+
+@lowered
+def read_atomically(context: Any, array: Any, at: Any) -> Any:
+    """array[at], with all that was written before it was."""
+
+    def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = pointer_to(target, builder, signature, arguments)
+        return builder.load_atomic(pointer, "seq_cst", 8)
+
+    return types.int64(array, types.int64), generate
+
+
+def pointer_to(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Pointer to an element of an array, the first two arguments."""
+    proxy: Any = cgutils.create_struct_proxy
+    array = proxy(signature.args[0])(target, builder, arguments[0])
+    return builder.gep(array.data, [arguments[1]])
+
+
+give_way: Any = types.ExternalFunction(
+    "SwitchToThread" if os.name == "nt" else "sched_yield", types.int32()
+)
+
+
+# Meetings
+
+
+@kernel
+def meet(team: Team) -> None:
+    """Wait until all have come here; what they wrote before is then seen by all."""
+    size, _, arrivals, _ = team
+    if size == 1:
+        return
+    due, asked = (add_atomically(arrivals, ARRIVED, 1) // size + 1) * size, 0
+    while read_atomically(arrivals, ARRIVED) < due and read_atomically(arrivals, OVER) == 0:
+        asked += 1
+        if asked > PATIENCE:
+            give_way()
+
+
+@kernel
+def largest(team: Team, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Meet, and tell all the largest x, y and z that anybody has brought; inf once all is over.
+
+    Another meeting has to come before the next call: others may still look at what was brought.
+    """
+    wishes, rank = team.wishes, team.rank
+    if team.size == 1:
+        return x, y, z
+    wishes[rank, 0], wishes[rank, 1], wishes[rank, 2] = x, y, z
+    meet(team)
+    if read_atomically(team.arrivals, OVER) != 0:
+        return np.inf, np.inf, np.inf
+    for k in range(team.size):
+        x, y, z = max(x, wishes[k, 0]), max(y, wishes[k, 1]), max(z, wishes[k, 2])
+    return x, y, z
+
+
+@inline
+def share_of(team: Team, first: int, end: int) -> tuple[int, int]:
+    """What this thread does of the units first to end, end excluded."""
+    n = end - first
+    return first + n * team.rank // team.size, first + n * (team.rank + 1) // team.size
+
+
+# Who runs
+
+
+ALONE: Final = Team(1, 0, np.zeros(2 * LINE, dtype=np.int64), np.zeros((1, LINE)))
+TOGETHER: Final = threading.Lock()
+
+
+def together(kernel: Callable[[Team], Result], most: int) -> Result:
+    """Enter a kernel with all threads, at most so many; what it returned on this one.
+
+    Only one team runs at a time: parts of several could wait for the rest of theirs without end.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        See `Threads.share`.
+    """
+    THREADS.heed()
+    size = 1 if config.DISABLE_JIT else min(THREADS.count, most)
+    has_lock = size > 1 and TOGETHER.acquire(blocking=False)
+    start = time.perf_counter()
+    try:
+        return enter_all(kernel, size) if has_lock else kernel(ALONE)
+    finally:
+        THREADS.busy += time.perf_counter() - start
+        if has_lock:
+            TOGETHER.release()
+
+
+def enter_all(kernel: Callable[[Team], Result], size: int) -> Result:
+    """Do the work of `together`."""
+    arrivals, wishes = np.zeros(2 * LINE, dtype=np.int64), np.zeros((size, LINE))
+
+    def enter(rank: int) -> Result:
+        try:
+            return kernel(Team(size, rank, arrivals, wishes))
+        except BaseException:
+            arrivals[OVER] = 1
+            raise
+
+    others = []
+    try:
+        others += [THREADS.workers.submit(enter, rank) for rank in range(1, size)]
+        result = enter(0)
+    except BaseException:  # perhaps an interrupt before this thread has entered
+        arrivals[OVER] = 1
+        raise
+    finally:
+        wait(others)
+    for other in others:
+        other.result()
+    return result
