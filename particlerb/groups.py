@@ -17,12 +17,13 @@ from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import turned_back
 from particlerb.case.schema import Case, Central
 from particlerb.case.wanted import FIELDS_OF_CONTACT
+from particlerb.contact.buried import outer_spheres
 from particlerb.contact.drives import Drives
 from particlerb.contact.laws import SHEAR_DAMPING, Law
 from particlerb.contact.loads import Contact, Spheres
 from particlerb.contact.loads import Scene as Touchable
-from particlerb.contact.search import outer_spheres
-from particlerb.contact.walls import has_edges, numbers_of
+from particlerb.contact.surfaces import has_edges
+from particlerb.contact.wall_motion import numbers_of
 from particlerb.forces import N_NUMBERS, Forces, Load, acting_terms
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.pairs import Link, attracted, components, particles_of, tree_accuracy

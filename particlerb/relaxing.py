@@ -15,7 +15,9 @@ from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case
 from particlerb.contact.search import Search
-from particlerb.contact.walls import Walls, WallSearch, poses_at, touch
+from particlerb.contact.wall_motion import poses_at
+from particlerb.contact.wall_search import WallSearch
+from particlerb.contact.walls import Walls, touch
 from particlerb.maths.vec3 import Floats, Ints, load3
 from particlerb.pairs import lengths
 from particlerb.touching import Contact, contact_of, shift_of, spheres_of

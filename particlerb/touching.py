@@ -37,19 +37,10 @@ from particlerb.contact.restitution import (
     effective_shear_modulus,
 )
 from particlerb.contact.search import neighbours
-from particlerb.contact.walls import (
-    Motion,
-    Walls,
-    WallSearch,
-    box,
-    cylinder,
-    joined,
-    plane,
-    poses_at,
-    surface,
-    touch,
-    unit,
-)
+from particlerb.contact.surfaces import box, cylinder, joined, plane, surface, unit
+from particlerb.contact.wall_motion import Motion, poses_at
+from particlerb.contact.wall_search import WallSearch
+from particlerb.contact.walls import Walls, touch
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, dot, load3, rows3
 from particlerb.pairs import and_more, is_among, lengths, particles_of, places
 

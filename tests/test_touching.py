@@ -11,7 +11,8 @@ import pytest
 from particlerb.bodies.scene import assemble
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load, parse
-from particlerb.contact.walls import DISC, FACE, PLANE, RIM, SIDE, Motion
+from particlerb.contact.wall_motion import Motion
+from particlerb.contact.walls import DISC, FACE, PLANE, RIM, SIDE
 from particlerb.touching import (
     NOTHING,
     contact_of,

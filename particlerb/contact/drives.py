@@ -7,7 +7,7 @@ those of driven bodies have velocities while contacts are evaluated.
 from typing import NamedTuple
 
 from particlerb._jit import inline
-from particlerb.contact.walls import motion_in, pose_at
+from particlerb.contact.wall_motion import motion_in, pose_at
 from particlerb.maths.quaternion import Quat, multiply, to_body, to_world
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, multiplied3
 
@@ -16,7 +16,7 @@ class Drives(NamedTuple):
     """Driven bodies of a group."""
 
     which: Ints  # (m,) bodies of the group
-    motions: Floats  # (m, MOTION) numbers of `walls.Motion`
+    motions: Floats  # (m, MOTION) numbers of `wall_motion.Motion`
     com: Floats  # (3, m) [m] centre of mass before it is displaced,
     q: Floats  # (4, m) and orientation of the rotor frame
     mass: Floats  # (m,) [kg]

@@ -24,10 +24,11 @@ from particlerb.contact.laws import (
     rolling_torque,
     turned_spring,
 )
+from particlerb.contact.lists import Incidence, Kept
 from particlerb.contact.pistons import MOST, PUSH, STIFFNESS, Pistons
 from particlerb.contact.pistons import REST as BESIDE
-from particlerb.contact.search import Incidence, Kept
-from particlerb.contact.walls import Walls, motion_in, pose_at
+from particlerb.contact.wall_motion import motion_in, pose_at
+from particlerb.contact.walls import Walls
 from particlerb.contact.walls import touch as touch_wall
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import (
@@ -115,7 +116,7 @@ class Contact(NamedTuple):
     """Contact of a group of bodies."""
 
     scene: Scene
-    motions: Floats  # (n_walls, MOTION) numbers of `walls.Motion`
+    motions: Floats  # (n_walls, MOTION) numbers of `wall_motion.Motion`
     reach: Floats  # (n_bodies,) [m] from the centre of mass to the farthest centre of a sphere
     skin: float  # [m] pairs nearer than this are kept, at first
     is_fixed: bool  # whether the skin stays so
@@ -128,7 +129,7 @@ class Room(NamedTuple):
     """What an evaluation writes."""
 
     place: Floats  # (n_spheres, 4) [m] centre and radius
-    poses: Floats  # (n_walls, POSE) as `walls.poses_at`; and of pistons the axis over √M
+    poses: Floats  # (n_walls, POSE) as `wall_motion.poses_at`; and of pistons the axis over √M
     bodies: Floats  # (n_bodies, BODY_COLUMNS)
 
 

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.contact.loads import ELASTIC, POINT, REST, TWIST, Contacts, Room, Scene
-from particlerb.contact.walls import Motion, poses_at
+from particlerb.contact.wall_motion import Motion, poses_at
 from particlerb.maths.vec3 import Floats, Ints
 
 NOBODY: Final = -1

@@ -17,10 +17,12 @@ import numpy as np
 
 from particlerb.bodies.bodies import taken
 from particlerb.bodies.state import Frames, State
+from particlerb.contact.lists import Kept, has_moved
 from particlerb.contact.loads import Contact
-from particlerb.contact.search import Kept, Search, has_moved
+from particlerb.contact.search import Search
 from particlerb.contact.touches import Touches, nothing_touches
-from particlerb.contact.walls import WallSearch, farthest_way, motion_in, poses_at
+from particlerb.contact.wall_motion import farthest_way, motion_in, poses_at
+from particlerb.contact.wall_search import WallSearch
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods.coupled import Stages
 from particlerb.methods.exact import FreeMotion

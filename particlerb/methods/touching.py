@@ -19,6 +19,7 @@ from particlerb.bodies.block import COM, L, P, Q, copy_changing, get, get3, get4
 from particlerb.bodies.load import CONTACT_ROWS
 from particlerb.bodies.state import Frames, State
 from particlerb.contact.drives import Drives, driven_pose, momenta
+from particlerb.contact.lists import Kept, incidence, order_contacts, way_of
 from particlerb.contact.loads import (
     BEFORE,
     BODY_COLUMNS,
@@ -55,9 +56,10 @@ from particlerb.contact.pistons import (
     slide_pistons,
     slides_of,
 )
-from particlerb.contact.search import Kept, Search, incidence, order_contacts, way_of
+from particlerb.contact.search import Search
 from particlerb.contact.touches import Touches, moved, rows_of, touches_of
-from particlerb.contact.walls import WallSearch, farthest_way, motion_in
+from particlerb.contact.wall_motion import farthest_way, motion_in
+from particlerb.contact.wall_search import WallSearch
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.methods.coupled import (
     CoupledMotion,

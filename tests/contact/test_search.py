@@ -11,17 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from particlerb._jit import config
 from particlerb.contact import search as module
-from particlerb.contact.search import (
-    Kept,
-    Search,
-    has_moved,
-    incidence,
-    levels_of,
-    modular_strides,
-    neighbours,
-    order_contacts,
-    outer_spheres,
-)
+from particlerb.contact.buried import outer_spheres
+from particlerb.contact.lists import Kept, has_moved, incidence, order_contacts
+from particlerb.contact.search import Search, levels_of, modular_strides, neighbours
 from particlerb.threads import THREADS
 
 PLAIN = bool(config.DISABLE_JIT)

@@ -11,26 +11,18 @@ from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 from particlerb._jit import config, kernel
-from particlerb.contact import walls as module
+from particlerb.contact import wall_search as module
+from particlerb.contact.surfaces import box, cylinder, joined, plane, surface
+from particlerb.contact.wall_motion import Motion, farthest_way, poses_at
+from particlerb.contact.wall_search import WallSearch, bounds_of, primitive
 from particlerb.contact.walls import (
     EDGE,
     FACE,
     FAR,
     NEAR,
     VERTEX,
-    Motion,
-    WallSearch,
-    bounds_of,
-    box,
-    cylinder,
-    farthest_way,
-    joined,
     nearest,
     nearest_on_triangle,
-    plane,
-    poses_at,
-    primitive,
-    surface,
     touch,
 )
 

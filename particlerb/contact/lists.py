@@ -1,0 +1,181 @@
+"""Lists of contacts: those of each body, what they keep from list to list, how long lists hold."""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb._jit import inline, kernel
+from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, rows4
+from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3, load3, rows3, subtract
+from particlerb.threads import THREADS
+
+HALF: Final = 32  # bits: numbers of spheres are below 2^31
+
+
+# Contacts of each body
+
+
+class Incidence(NamedTuple):
+    """Contacts of each body."""
+
+    offset: Ints  # (n_bodies + 1,) those of body b are entries offset[b] to offset[b + 1]
+    entry: Indices  # (n_entries,) k where the body is the first of contact k, ~k where the second
+
+
+@kernel
+def sort_contacts(first_body: Ints, second_body: Ints, offset: Ints, entry: Indices) -> None:
+    """Sort contacts by body, ascending within: a counting sort of both sides."""
+    offset[:] = 0
+    for k in range(first_body.size):
+        offset[first_body[k] + 2] += 1
+        if second_body[k] >= 0:
+            offset[second_body[k] + 2] += 1
+    for b in range(2, offset.size):
+        offset[b] += offset[b - 1]
+    for k in range(first_body.size):
+        b = first_body[k] + 1
+        entry[offset[b]] = k
+        offset[b] += 1
+        b = second_body[k] + 1
+        if b > 0:
+            entry[offset[b]] = ~k
+            offset[b] += 1
+
+
+def incidence(first_body: Ints, second_body: Ints, n_bodies: int) -> Incidence:
+    """Contacts of each body.
+
+    Parameters
+    ----------
+    first_body, second_body : ndarray, shape (n_contacts,)
+        Bodies of each contact; -1 as the second for something that is no body, as a wall.
+    n_bodies : int
+    """
+    offset = np.empty(n_bodies + 2, dtype=np.int64)
+    entry = np.empty(first_body.size + int((second_body >= 0).sum()), dtype=np.int32)
+    THREADS.alone(sort_contacts, first_body, second_body, offset, entry)
+    return Incidence(offset[:-1], entry)
+
+
+# What contacts keep from list to list
+
+
+class Kept(NamedTuple):
+    """What contacts keep, found by the numbers of the two."""
+
+    keys: Ints  # (m,) ascending, see `key_of`
+    rows: Ints  # (m,) row of `values` that belongs to a key
+    values: Floats  # (m, ..)
+
+
+@inline
+def key_of(i: int, j: int) -> int:
+    """Number of a pair, ascending if the pairs are."""
+    return (i << HALF) | j
+
+
+@kernel
+def order_contacts(
+    pairs: tuple[Ints, Ints],
+    numbers: tuple[Ints, Ints],
+    place: Floats,
+    skin: float,
+    old: Kept,
+    new: Kept,
+    first: Indices,
+    second: Indices,
+) -> int:
+    """Write a new list of contacts, and what they keep, zeros for those not in the old one.
+
+    Pairs that are nearer than the skin come first: few others act before the next list.
+
+    Parameters
+    ----------
+    pairs : tuple of 2 ndarray, shape (m,)
+        Sphere, and sphere or primitive of a wall; sorted.
+    numbers : tuple of 2 ndarray
+        Of the spheres, and of what is second, below 2^31 and ascending with them: the old list is
+        found by these.
+    place : ndarray, shape (n_spheres, 4) [m]
+        Centre and radius.
+    skin : float [m]
+        Negative where the second are no spheres: then all stay in their order.
+    old, new : Kept
+        Before; and what is written.
+    first, second : ndarray, shape (m,)
+        The list.
+
+    Returns
+    -------
+    int
+        How many are near.
+    """
+    firsts, seconds = pairs
+    number, other = numbers
+    near, far, before = 0, 0, 0
+    if skin >= 0.0:
+        for k in range(firsts.size):
+            far += int(is_within(place, firsts[k], seconds[k], skin))
+    n_near = far
+    for k in range(firsts.size):
+        i, j = firsts[k], seconds[k]
+        if skin >= 0.0 and is_within(place, i, j, skin):
+            row, near = near, near + 1
+        else:
+            row, far = far, far + 1
+        key = key_of(number[i], other[j])
+        while before < old.keys.size and old.keys[before] < key:
+            before += 1
+        is_old = before < old.keys.size and old.keys[before] == key
+        new.keys[k], new.rows[k], first[row], second[row] = key, row, i, j
+        for c in range(new.values.shape[1]):
+            new.values[row, c] = old.values[old.rows[before], c] if is_old else 0.0
+    return n_near
+
+
+@inline
+def is_within(place: Floats, i: int, j: int, skin: float) -> bool:
+    """Whether the gap between two spheres is smaller than the skin."""
+    dx, dy = place[j, 0] - place[i, 0], place[j, 1] - place[i, 1]
+    dz, reach = place[j, 2] - place[i, 2], place[i, 3] + place[j, 3] + skin
+    found: bool = dx * dx + dy * dy + dz * dz < reach * reach
+    return found
+
+
+# When a list has to be made anew
+
+
+@inline
+def way_of(x0: Vec3, q0: Quat, x1: Vec3, q1: Quat, reach: float) -> float:
+    """How far a point of a body has moved [m], at most; see `has_moved`."""
+    d = subtract(x1, x0)
+    _, u, v, w = multiply(q1, conjugate(q0))
+    moved = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    return moved + 2.0 * math.sqrt(u * u + v * v + w * w) * reach
+
+
+@kernel
+def has_moved(then: Floats, now: Floats, reach: Floats, allowance: float) -> bool:
+    """Whether a point of a body may have moved by more than the allowance.
+
+    A point within `reach` of the centre of mass has moved by |Δx| + 2 sin(φ/2) reach at most, φ
+    the angle of the turn. Of two bodies both may move: a list with a skin lasts for skin/2.
+
+    Parameters
+    ----------
+    then, now : ndarray, shape (7 or more, n_bodies)
+        Centre of mass [m] and unit quaternion of each body, in the same frame both times.
+    reach : ndarray, shape (n_bodies,) [m]
+        Distance from the centre of mass to the farthest centre of the body's spheres.
+    allowance : float
+        [m]
+    """
+    n = reach.size
+    x0, q0 = rows3(then, 0, n), rows4(then[3:7], 0, n)
+    x1, q1 = rows3(now, 0, n), rows4(now[3:7], 0, n)
+    far = 0
+    for b in range(n):
+        moved = way_of(load3(x0, b), load4(q0, b), load3(x1, b), load4(q1, b), reach[b])
+        far += 0 if moved <= allowance else 1  # what is not a number has moved too
+    return far > 0

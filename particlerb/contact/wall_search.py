@@ -1,0 +1,271 @@
+"""Primitives of walls near spheres: lists of them by cells in each wall's frame."""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb._jit import inline, kernel, lean
+from particlerb.contact.search import Pairs, sort_by_second, spread
+from particlerb.contact.walls import (
+    DISC,
+    EDGE,
+    FACE,
+    PLANE,
+    RIM,
+    SIDE,
+    Primitive,
+    Walls,
+    nearest,
+    row3,
+)
+from particlerb.maths.quaternion import to_body
+from particlerb.maths.vec3 import (
+    Floats,
+    Ints,
+    Vec3,
+    add_scaled,
+    dot,
+    load3,
+    rows3,
+    subtract,
+)
+
+UNIT: Final = 1024  # as in `search`
+WORK: Final = 4  # body-steps that finding what is near a sphere takes
+CELLS: Final = 8  # per primitive, at most
+FEWEST_CELLS: Final = 512
+
+
+class Lists(NamedTuple):
+    """Primitives of each wall that a sphere may touch, by the cell of its centre.
+
+    The first list of a wall is for all centres, the others are those of its cells.
+    """
+
+    origin: Floats  # (n_walls, 3) [m], wall's frame
+    per_metre: Floats  # (n_walls,) [1/m] one over the width of a cell
+    shape: Ints  # (n_walls, 3)
+    first: Ints  # (n_walls + 1,) lists of wall w are first[w] to first[w + 1]
+    begin: Ints  # (n_lists + 1,) entries of list k are begin[k] to begin[k + 1]
+    entry: Ints  # (n_entries,) primitive
+
+
+@lean
+def primitive(kind: Ints, rows: Floats, p: int) -> Primitive:
+    """Primitive p."""
+    a, b, c, n = row3(rows, p, 0), row3(rows, p, 3), row3(rows, p, 6), row3(rows, p, 9)
+    return Primitive(kind[p], a, b, c, n)
+
+
+@inline
+def squared_distance(one: Primitive, x: Vec3) -> float:
+    """Square of the distance from a primitive [m²], behind a plane 0."""
+    if one.kind == PLANE and dot(subtract(x, one.a), one.b) < 0.0:
+        return 0.0
+    d = subtract(x, nearest(one, x))
+    return dot(d, d)
+
+
+@kernel
+def list_primitives(
+    walls: Walls, lists: Lists, corners: Ints, reach: float, is_counting: bool
+) -> None:
+    """Count, or write, the primitives within reach of each cell.
+
+    Parameters
+    ----------
+    walls, lists : Walls, Lists
+        Counting, `begin` gets the number for list k at k + 2; writing, it is a sum of these, and
+        is left as it is meant.
+    corners : ndarray, shape (n_primitives, 6)
+        First and last cell in each direction that a primitive is near to.
+    reach : float
+        [m]
+    is_counting : bool
+    """
+    kind, rows, wall, _ = walls
+    origin, per_metre, shape, first, begin, entry = lists
+    for p in range(kind.size):
+        w, one = wall[p], primitive(kind, rows, p)
+        zero, step = row3(origin, w, 0), 1.0 / per_metre[w]
+        far = reach + 0.5 * math.sqrt(3.0) * step * (1.0 + 1e-9)
+        for i in range(corners[p, 0], corners[p, 3] + 1):
+            for j in range(corners[p, 1], corners[p, 4] + 1):
+                for k in range(corners[p, 2], corners[p, 5] + 1):
+                    middle = add_scaled(step, (i + 0.5, j + 0.5, k + 0.5), zero)
+                    cell = first[w] + 1 + (i * shape[w, 1] + j) * shape[w, 2] + k
+                    cell = first[w] if kind[p] == PLANE else cell
+                    if kind[p] != PLANE and squared_distance(one, middle) > far * far:
+                        continue
+                    if not is_counting:
+                        entry[begin[cell + 1]] = p
+                    begin[cell + (2 if is_counting else 1)] += 1
+
+
+@inline
+def list_of(x: Vec3, zero: Vec3, per_metre: float, shape: tuple[int, int, int], first: int) -> int:
+    """List of the cell of a centre; -1 outside of all cells."""
+    i, j, k = subtract(x, zero)
+    i, j, k = math.floor(i * per_metre), math.floor(j * per_metre), math.floor(k * per_metre)
+    if min(i, j, k) < 0 or i >= shape[0] or j >= shape[1] or k >= shape[2]:
+        return -1
+    return first + 1 + int((i * shape[1] + j) * shape[2] + k)
+
+
+@kernel
+def find_candidates(
+    walls: Walls,
+    lists: Lists,
+    poses: Floats,
+    points: Floats,
+    reach: Floats,
+    which: Ints,
+    pairs: Pairs,
+    is_counting: bool,
+    first_unit: int,
+    last_unit: int,
+) -> None:
+    """Count, or write, the primitives within reach of the spheres of units first to last.
+
+    Counting, the number of sphere i is written to start[i + 1].
+    """
+    kind, rows, _, _ = walls
+    origin, per_metre, shape, first, begin, entry = lists
+    _, second, start = pairs
+    place = rows3(points, 0, points.shape[1])
+    for at in range(first_unit * UNIT, min(last_unit * UNIT, which.size)):
+        i = which[at]
+        count, square = 0, reach[i] * reach[i]
+        for w in range(per_metre.size):
+            q = (poses[w, 3], poses[w, 4], poses[w, 5], poses[w, 6])
+            x = to_body(q, subtract(load3(place, i), row3(poses, w, 0)))
+            shape_w = (shape[w, 0], shape[w, 1], shape[w, 2])
+            cell = list_of(x, row3(origin, w, 0), per_metre[w], shape_w, first[w])
+            for own in (first[w], cell):
+                for k in range(begin[max(own, 0)], begin[own + 1]):
+                    p = entry[k]
+                    if squared_distance(primitive(kind, rows, p), x) < square:
+                        if not is_counting:
+                            second[start[i] + count] = p
+                        count += 1
+        if is_counting:
+            start[i + 1] = count
+
+
+class WallSearch:
+    """Finds the primitives of walls near spheres, again and again.
+
+    Parameters
+    ----------
+    walls : Walls
+    radius : ndarray, shape (n,) [m]
+        Of the spheres.
+    """
+
+    def __init__(self, walls: Walls, radius: Floats) -> None:
+        self.walls, self.radius = walls, radius
+        self.everyone = np.arange(radius.size)
+        self.reach = -1.0
+
+    def pairs(self, points: Floats, poses: Floats, skin: float, which: Ints | None = None) -> Pairs:
+        """Pairs of a sphere and a primitive that is nearer to its centre than r + skin.
+
+        Parameters
+        ----------
+        points : ndarray, shape (3, n) [m]
+            Centres.
+        poses : ndarray, shape (n_walls, 13)
+            Of the walls at the same time.
+        skin : float
+            Not negative [m].
+        which : ndarray, shape (k,), optional
+            Spheres that take part, ascending; left out: all.
+
+        Returns
+        -------
+        Pairs
+            The sphere is the first, the primitive the second; sorted by both.
+        """
+        which = self.everyone if which is None else which
+        n, walls = self.everyone.size, self.walls
+        start = np.zeros(n + 1, dtype=np.int64)
+        reach = self.radius + skin
+        if not which.size or not walls.kind.size:
+            return Pairs(self.everyone[:0], self.everyone[:0], start)
+        if reach.max() > self.reach:
+            self.reach = float(reach.max())
+            self.lists = lists_of(walls, self.reach)
+        pairs = Pairs(self.everyone[:0], self.everyone[:0], start)
+        self.visit(points, poses, reach, which, pairs, True)
+        np.cumsum(start, out=start)
+        first, second = np.empty((2, int(start[-1])), dtype=np.int64)
+        pairs = Pairs(first, second, start)
+        self.visit(points, poses, reach, which, pairs, False)
+        spread(lambda lo, hi: sort_by_second(pairs, lo, hi), n)
+        return pairs
+
+    def visit(
+        self,
+        points: Floats,
+        poses: Floats,
+        reach: Floats,
+        which: Ints,
+        pairs: Pairs,
+        is_counting: bool,
+    ) -> None:
+        """Count, or write, what is near the spheres."""
+        walls, lists = self.walls, self.lists
+        spread(
+            lambda lo, hi: find_candidates(
+                walls, lists, poses, points, reach, which, pairs, is_counting, lo, hi
+            ),
+            which.size,
+            WORK,
+        )
+
+
+def lists_of(walls: Walls, reach: float) -> Lists:
+    """Lists for centres that may touch what is within reach [m]."""
+    lower, upper = bounds_of(walls)
+    n_walls = int(walls.wall.max(initial=-1)) + 1
+    shape, origin = np.zeros((n_walls, 3), dtype=np.int64), np.zeros((n_walls, 3))
+    width = np.ones(n_walls)
+    corners = np.zeros((walls.kind.size, 6), dtype=np.int64)
+    for w in range(n_walls):
+        own = np.flatnonzero((walls.wall == w) & (walls.kind != PLANE))
+        if not own.size:
+            continue
+        low, high = lower[own] - reach, upper[own] + reach
+        origin[w] = low.min(axis=0)
+        extent = high.max(axis=0) - origin[w]
+        width[w] = max(np.cbrt(extent.prod() / (CELLS * own.size + FEWEST_CELLS)), 2.0 * reach)
+        shape[w] = np.floor(extent / width[w]) + 1
+        corners[own, :3] = (low - origin[w]) / width[w]
+        corners[own, 3:] = (high - origin[w]) / width[w]
+        corners[own, 3:] = np.minimum(corners[own, 3:], shape[w] - 1)
+    first = np.concatenate([[0], np.cumsum(shape.prod(axis=1) + 1)])
+    begin = np.zeros(first[-1] + 2, dtype=np.int64)
+    lists = Lists(origin, 1.0 / width, shape, first, begin, np.zeros(0, dtype=np.int64))
+    list_primitives(walls, lists, corners, reach, True)
+    np.cumsum(begin, out=begin)
+    lists = lists._replace(entry=np.empty(begin[-1], dtype=np.int64))
+    list_primitives(walls, lists, corners, reach, False)
+    return lists
+
+
+def bounds_of(walls: Walls) -> tuple[Floats, Floats]:
+    """Opposite corners of the box around each primitive, (n_primitives, 3) [m]; not of planes."""
+    kind, parameter, _, _ = walls
+    a, b, c = parameter[:, :3], parameter[:, 3:6], parameter[:, 6:9]
+    lower, upper = a.copy(), a.copy()
+    for kinds, others in (((FACE, EDGE), b), ((FACE,), c)):
+        own = np.isin(kind, kinds)
+        lower[own] = np.minimum(lower[own], others[own])
+        upper[own] = np.maximum(upper[own], others[own])
+    own = np.isin(kind, (SIDE, DISC, RIM))
+    half = np.where(kind == SIDE, c[:, 1], 0.0)[:, None] * np.abs(b)
+    half += c[:, :1] * np.sqrt(np.maximum(1.0 - b * b, 0.0))
+    lower[own] -= half[own]
+    upper[own] += half[own]
+    return lower, upper
