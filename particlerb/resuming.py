@@ -19,7 +19,7 @@ from particlerb.case.source import Source
 from particlerb.maths.vec3 import Floats
 from particlerb.record.checked import refuse_elsewhere
 from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint
-from particlerb.record.claim import InUseError
+from particlerb.record.claim import InUseError, is_closed
 from particlerb.record.schema import PARAMETERS
 from particlerb.record.writer import Recorder, replace_case, versions
 from particlerb.simulate import (
@@ -92,7 +92,7 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
             )
         known = frames_that_stay(path, trajectory.time, case)
         total, stored = frame_count(case), Case.model_validate_json(texts["case_resolved"])
-        if known == total:
+        if known == total and is_closed(path):
             raise ResumeError(
                 f"{path} has nothing left to do: all {n} frames until"
                 f" t = {case.run.t_end!r} s are there; --t-end prolongs the run"

@@ -30,6 +30,20 @@ class InUseError(OSError):
     """Another process writes the file."""
 
 
+def noted_end(start: bytes, size: int) -> int:
+    """End of a file as HDF5 has noted it in its first bytes; its size where it has not."""
+    if len(start) < SUPERBLOCK or not start.startswith(VERSION_0):
+        return size
+    return int(struct.unpack_from("<Q", start, END)[0])
+
+
+def is_closed(path: Path) -> bool:
+    """Whether a file ends where it has noted: no writer was killed before it gave room back."""
+    with path.open("rb") as file:
+        size = path.stat().st_size
+        return noted_end(file.read(SUPERBLOCK), size) == size
+
+
 class Claim:
     """Right to write a file, until it is released or the process ends.
 
@@ -93,9 +107,7 @@ class Claim:
     def end(self) -> int:
         """End of the file as HDF5 has noted it [bytes]."""
         start = os.pread(self.descriptor, SUPERBLOCK, 0)
-        if len(start) < SUPERBLOCK or not start.startswith(VERSION_0):
-            return os.fstat(self.descriptor).st_size
-        return int(struct.unpack_from("<Q", start, END)[0])
+        return noted_end(start, os.fstat(self.descriptor).st_size)
 
     def trim(self) -> None:
         """Give back what lies beyond the noted end."""

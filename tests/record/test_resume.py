@@ -147,7 +147,7 @@ def test_a_run_goes_on_bit_for_bit(make, tmp_path, monkeypatch, name):
     straight = tmp_path / "straight.h5"
     left = run_with_copies(case, straight, monkeypatch, checkpoints=(0, 2, 3))
     assert len(left) == 6  # behind 1, 4, 7, 10, 12 frames, and behind that at t_end
-    for k in (0, 2, 4):
+    for k in (0, 2, 4, 5):  # the last one lacks nothing but its closing
         particlerb.resume(left[k]).close()
         assert_same(left[k], straight)
     short = tmp_path / "short.h5"
