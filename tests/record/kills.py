@@ -24,6 +24,7 @@ from particlerb import simulate
 from particlerb.case.reader import load
 from particlerb.record import writer
 from particlerb.record.checkpoint import read_checkpoint
+from particlerb.record.claim import is_closed
 from particlerb.resuming import ResumeError, look_at, resume_pending
 from particlerb.trajectory import Trajectory, TrajectoryError
 
@@ -158,6 +159,8 @@ def kill_runs(
                     try:
                         committed.append(check(path, right))
                         tick()
+                        if committed[-1] == right.n_frames and is_closed(path):
+                            break  # killed behind the end
                         work = partial(resume_pending, look_at(path))
                     except (AssertionError, OSError, ResumeError, TrajectoryError) as error:
                         wrong.append(f"kill {len(committed)}: {error}")
