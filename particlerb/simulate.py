@@ -79,6 +79,7 @@ class Outcome(NamedTuple):
     probes: tuple[Probe, ...]
     file: h5py.File  # closed, or open if it is in memory
     flown: float | None = None  # share of body-steps that closed forms saved; None: not known
+    swing: float = 0.0  # [rad] per step, the fastest of bodies on all contacts that was seen
 
 
 class Prepared(NamedTuple):
@@ -305,6 +306,11 @@ class Run:
         steps = sum(motion.all_steps for motion in motions)
         return sum(motion.saved for motion in motions) / steps if steps else None
 
+    def swing(self) -> float:
+        """Fastest swing of bodies on their contacts that was seen, ω dt [rad]."""
+        motions = [t.motion for t in self.travellers if isinstance(t.motion, TOUCHING)]
+        return max((motion.swing * motion.dt for motion in motions), default=0.0)
+
     def frames_at(self, times: Floats, is_frame: Bools) -> tuple[Frames, Entries, RunError | None]:
         """States at ascending times, not before those asked for earlier, and their ledger.
 
@@ -477,7 +483,7 @@ def advance(
         raise RunError(str(problem)) from None
     finally:
         recorder.finish()
-    return Outcome(run.ledger.drift(), tuple(run.probes), recorder.file, run.flown())
+    return Outcome(run.ledger.drift(), tuple(run.probes), recorder.file, run.flown(), run.swing())
 
 
 def one_batch(run: "Run", recorder: Recorder, batch: "Batch") -> tuple[int, RunError | None]:

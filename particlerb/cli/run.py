@@ -229,10 +229,22 @@ def drift_text(outcome: "Outcome") -> str:
         f"drift (total less booked, relative): energy {energy:.2g}, momentum {linear:.2g},"
         f" angular momentum {angular:.2g}"
     )
+    if outcome.swing > 0.0:
+        text = f"{swing_text(outcome.swing)}\n{text}"
     if outcome.flown is None:
         return text
     share = f"{100.0 * outcome.flown:.3g} % of the body-steps"
     return f"{share} were saved: nothing was in reach, closed form\n{text}"
+
+
+def swing_text(swing: float) -> str:
+    """How many steps a swing of bodies on their contacts takes."""
+    from particlerb.plan import STEPS_PER_CONTACT
+
+    steps = math.pi / swing
+    text = f"bodies on all their contacts swing with up to {swing:.2g} rad a step:"
+    text += f" {steps:.3g} steps in a contact"
+    return text if steps >= STEPS_PER_CONTACT else f"{text}, {STEPS_PER_CONTACT} make it accurate"
 
 
 def summary(path: Path, outcome: "Outcome", checks: "list[Result]") -> dict[str, Any]:

@@ -13,12 +13,15 @@ energy is only ever taken. (To set k_t ξ + χ c v to the limit, as Luding and L
 spring from nothing at the first touch, with up to (χ c v)²/2k_t.) With hertz k_t changes with the
 overlap; as it grows the force stays, and as it falls ξ stays: neither gains energy.
 
-**Steps.** A force at an instant stands for the step dt around it, and a dashpot acts at once with
-its full force: the instant of the touch within a step would make any method first order. So c is
-the mean over the step along δ + δ̇ t, |t| < dt/2. For hooke that is c times the part of the step
-that lies in the contact, clamp(1/2 + δ/(|δ̇| dt), 0, 1): a contact acts from half a step before the
-touch, with δ > -δ̇ dt/2. In the same way the spring of a new contact starts with v δ/δ̇, what it
-has slid since the touch. With dt = 0 all is taken at the instant itself.
+**Steps.** A kick stands for half of the drift before it and half of the one after it, and gives
+the mean of the normal force over that time, along δ + δ̇ t. The instant of the touch within a step,
+where a dashpot acts at once with its full force, would make any method first order; the mean takes
+the force by the share of the time that lies in the contact. It ends likewise, where the clamped
+force vanishes. Inside a contact the mean is that of the spring's curve, and where the two drifts
+are of different lengths - a frame ends with half a kick - it is the force at the middle of that
+time: so the energy in a frame is right to order four. A contact acts from half a step before the
+touch, with δ > -δ̇ dt/2. The spring of a new contact starts with v δ/δ̇, what it has slid since the
+touch. With both drifts 0 all is taken at the instant itself.
 
 Sources: Cundall and Strack, Géotechnique 29, 47 (1979), spring and slider; Schäfer, Dippel and
 Wolf, Journal de Physique I 6, 5 (1996), k_t = 2/7 k of hooke, with which both directions of a pair
@@ -63,17 +66,28 @@ class Touch(NamedTuple):
     before: float  # [m] overlap at the instant before, 0 where they did not touch
     rate: float  # [m/s] of the overlap
     slide: Vec3  # [m/s] tangential velocity of the first relative to the second
-    m_eff: float  # [kg] of both bodies, along the normal
+    softness: float  # [1/kg] 1/m_eff, of both bodies along the normal
+    dashpot: float  # c of hooke [N s/m], or c/δ^{1/4} of hertz: see `dashpot`
     r_eff: float  # [m] R*
+
+
+class Normal(NamedTuple):
+    """The normal part of what a contact does."""
+
+    force: float  # [N], pushes the two apart
+    elastic: float  # [N] the part of the spring
+    stored: float  # [J] in the spring
+    damping: float  # [N s/m] of the dashpot
+    stiffness: float  # [N/m] of the spring
 
 
 class Load(NamedTuple):
     """What a contact does at an instant."""
 
-    normal: float  # [N], pushes the two apart
+    normal: Normal
     tangential: Vec3  # [N], on the first; the second feels its opposite
     spring: Vec3  # [m], to be kept
-    elastic: float  # [J] stored
+    elastic: float  # [J] stored in the tangential spring
     power: float  # [W] taken by dashpots
     lost: float  # [J] taken by sliding since the instant before
 
@@ -137,18 +151,6 @@ def fourth_root(x: float) -> float:
 
 
 @inline
-def mean_fourth_root(delta: float, half: float) -> float:
-    """Mean of x^{1/4} over δ ± half: (4/5) (δ₊^{5/4} - δ₋^{5/4})/(δ₊ - δ₋); its series far away."""
-    if delta <= -half:
-        return 0.0
-    if delta >= FAR * half:
-        r = half / delta
-        return fourth_root(delta) * (1.0 - r * r * (0.03125 + 0.0075195 * r * r))
-    above, below = max(delta + half, 0.0), max(delta - half, 0.0)
-    return 0.4 * (above * fourth_root(above) - below * fourth_root(below)) / half
-
-
-@inline
 def mean_root(before: float, now: float) -> float:
     """Mean of √x between two values."""
     if now <= 0.0:
@@ -183,34 +185,127 @@ def normal_spring(law: Law, pair: int, delta: float, r_eff: float) -> tuple[floa
 
 
 @inline
-def mean_spring(law: Law, pair: int, touch: Touch, dt: float) -> tuple[float, float]:
-    """Mean of the elastic force [N] over the step along δ + δ̇ t, and energy [J] at its middle.
+def normal_force(law: Law, pair: int, touch: Touch, before: float, after: float) -> Normal:
+    """Mean of the normal force over the time that a kick stands for, along δ + δ̇ t.
 
-    Inside a contact the mean is as good as the force at the middle. In the step of the touch, and
-    in that of the release, the kink of the force would make an error of order two in the energy
-    of every collision, which depends on where in the step it lies; the mean leaves order three.
+    That is half of the drift before it and half of the one after it: see the top of the module.
     """
-    force, stored = normal_spring(law, pair, touch.delta, touch.r_eff)
-    half = 0.5 * abs(touch.rate) * dt
-    if touch.delta >= half or touch.delta <= -half:
-        return force, stored
-    above = touch.delta + half
+    half = 0.25 * (before + after) * abs(touch.rate)
+    middle = touch.delta + 0.25 * (after - before) * touch.rate
     if law.hertz is None:
-        return law.stiffness[pair] * above * above / (4.0 * half), stored
-    K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(touch.r_eff)
-    return 0.2 * K * above * above * math.sqrt(above) / half, stored
+        return hooke_force(law, pair, touch, middle, half)
+    return hertz_force(law, pair, touch, middle, half)
 
 
 @inline
-def damping(law: Law, pair: int, touch: Touch, dt: float) -> float:
-    """Mean of c over the step [N s/m]."""
-    half = 0.5 * abs(touch.rate) * dt
+def dashpot(law: Law, pair: int, softness: float, r_eff: float) -> float:
+    """What does not change of c during a contact: 2ζ √(m_eff k), or √5 ζ √(m_eff K)."""
+    ratio: float = law.damping_ratio[pair]
+    stiffness: float = law.stiffness[pair]
     if law.hertz is None:
-        c: float = 2.0 * law.damping_ratio[pair] * math.sqrt(touch.m_eff * law.stiffness[pair])
-        return c * share_of_step(touch.delta, half)
+        return 2.0 * ratio * math.sqrt(stiffness / softness)
+    K = (4.0 / 3.0) * stiffness * math.sqrt(r_eff)
+    return ROOT5 * ratio * math.sqrt(K / softness)
+
+
+@inline
+def hooke_force(law: Law, pair: int, touch: Touch, middle: float, half: float) -> Normal:
+    """Mean over the overlaps middle ± half."""
+    k, c = law.stiffness[pair], touch.dashpot
+    stored = 0.5 * k * touch.delta * touch.delta if touch.delta > 0.0 else 0.0
+    damped = c * touch.rate
+    low = k * (middle - half) + damped
+    clamps = law.attract is None and damped < 0.0
+    if middle > 0.0 and middle >= half and (low >= 0.0 or not clamps):  # nothing begins or ends
+        elastic = k * middle
+        return Normal(elastic + damped, elastic, stored, c, k)
+    share = share_of_step(middle, half)
+    elastic = k * share * (middle if middle >= half else half * share)
+    force, slope = elastic + share * damped, c * share
+    if clamps and low < 0.0:  # released within the step
+        high = low + 2.0 * k * half
+        part = high / (2.0 * k * half) if high > 0.0 else 0.0
+        force, slope = 0.5 * part * high, c * part
+    return Normal(force, elastic, stored, slope, k * share)
+
+
+@inline
+def hertz_force(law: Law, pair: int, touch: Touch, middle: float, half: float) -> Normal:
+    """Mean over the overlaps middle ± half."""
+    if middle <= -half:
+        return Normal(0.0, 0.0, 0.0, 0.0, 0.0)
     K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(touch.r_eff)
-    c = ROOT5 * law.damping_ratio[pair] * math.sqrt(touch.m_eff * K)
-    return c * mean_fourth_root(touch.delta, half)
+    c = touch.dashpot
+    above, below = middle + half, max(middle - half, 0.0)
+    if middle >= FAR * half:
+        root = math.sqrt(middle)
+        square = half / middle * (half / middle)
+        elastic = K * middle * root * (1.0 + square * (0.125 + 0.0046875 * square))
+        stiffness = 1.5 * K * root
+        mean = math.sqrt(root) * (1.0 - square * (0.03125 + 0.0075195 * square))
+    else:
+        high, low = above * math.sqrt(above), below * math.sqrt(below)
+        elastic = 0.2 * K * (above * high - below * low) / half
+        stiffness = 0.5 * K * (high - low) / half
+        mean = 0.4 * (above * fourth_root(above) - below * fourth_root(below)) / half
+    force, slope = elastic + c * mean * touch.rate, c * mean
+    if law.attract is None and touch.rate < 0.0 and force < stiffness * half:
+        least = max(math.pow(-c * touch.rate / K, 0.8), below)  # released there
+        force = slope = 0.0
+        if least < above:
+            spring = above * above * math.sqrt(above) - least * least * math.sqrt(least)
+            slope = 0.4 * c * (above * fourth_root(above) - least * fourth_root(least)) / half
+            force = 0.2 * K * spring / half + slope * touch.rate
+    _, stored = normal_spring(law, pair, touch.delta, touch.r_eff)
+    return Normal(force, elastic, stored, slope, stiffness)
+
+
+@inline
+def with_motion(touch: Touch, rate: float, slide: Vec3) -> Touch:
+    """The same place with another motion."""
+    delta, before, _, _, softness, c, r_eff = touch
+    return Touch(delta, before, rate, slide, softness, c, r_eff)
+
+
+@inline
+def settled_rate(law: Law, pair: int, touch: Touch, pressure: float, before: float) -> float:
+    """Rate of the overlap [m/s] at an instant that agrees with the force that it gives there.
+
+    A rate predicted with the forces of the instant before is off by half a drift times their
+    change; with the change of this contact's own force put in, v + w F(v) = v' + w F' with
+    w = before/(2 m_eff), of which this is Newton's first step from where F is 0. It makes the
+    restitution up to ten times as exact, and a strong dashpot does not throw back in one step;
+    what other contacts of the two bodies change stays predicted.
+
+    Parameters
+    ----------
+    law, pair, before
+        As for `contact_force`.
+    touch : Touch
+        With the predicted rate v'.
+    pressure : float [N]
+        F', normal force of the instant before; 0 for a new contact.
+    """
+    w = 0.5 * before * touch.softness
+    free = touch.rate + w * pressure
+    now = normal_force(law, pair, with_motion(touch, free, touch.slide), before, before)
+    return free - w * now.force / (1.0 + w * now.damping)
+
+
+@inline
+def power_beside(normal: Normal, touch: Touch, before: float, after: float) -> float:
+    """Power [W] that a dashpot gives beside force times mean velocity of the kick.
+
+    The mean of the velocities of two drifts is not that between them: it lacks h²/8 of their
+    second derivative, of which the spring makes -k v/m. A kick F h of the dashpot so changes the
+    energy by F h v (1 + k h²/(4 m)), exactly for hooke and to order four for hertz. The second
+    term here; the first is of kicks whose halves differ, which the dashpot does not share alike
+    with the spring.
+    """
+    taken = (normal.elastic - normal.force) * touch.softness
+    square = before * before - before * after + after * after
+    of_halves = (after - before) * normal.elastic
+    return 0.25 * taken * (of_halves + square * normal.stiffness * touch.rate)
 
 
 @inline
@@ -276,33 +371,10 @@ def held(
 
 
 @inline
-def settled_rate(law: Law, pair: int, touch: Touch, normal: float, dt: float) -> float:
-    """Rate of the overlap [m/s] at an instant that agrees with the force that it gives there.
-
-    A rate predicted with the forces of the instant before is off by dt/2 times their change; with
-    the change of this contact's own force put in, v + dt F(v)/(2 m_eff) = v' + dt F'/(2 m_eff). Its
-    solution, for F linear in v, makes the restitution ten times as exact, and a strong dashpot does
-    not throw back in one step; what other contacts of the two bodies change stays predicted.
-
-    Parameters
-    ----------
-    law, pair, dt
-        As for `contact_force`.
-    touch : Touch
-        With the predicted rate v'.
-    normal : float [N]
-        F', normal force of the instant before; 0 for a new contact.
-    """
-    elastic, _ = normal_spring(law, pair, touch.delta, touch.r_eff)
-    c, w = damping(law, pair, touch, dt), 0.5 * dt / touch.m_eff
-    free = touch.rate + w * normal
-    settled = (free - w * elastic) / (1.0 + w * c)
-    return free if law.attract is None and elastic + c * settled < 0.0 else settled
-
-
-@inline
-def contact_force(law: Law, pair: int, touch: Touch, spring: Vec3, dt: float) -> Load:
-    """Force of a contact at an instant, for a step dt around it.
+def contact_force(
+    law: Law, pair: int, touch: Touch, spring: Vec3, before: float, after: float
+) -> Load:
+    """Force of a contact at an instant, for a kick there.
 
     Parameters
     ----------
@@ -312,26 +384,26 @@ def contact_force(law: Law, pair: int, touch: Touch, spring: Vec3, dt: float) ->
         Where and how fast the two are.
     spring : Vec3 [m]
         The spring of the instant before, turned with the normal (`turned_spring`), plus what the
-        two have slid since, dt times the slide half-way. Of no account where `before` is 0.
-    dt : float [s]
-        0: at the instant itself.
+        two have slid since, `before` times the slide half-way. Of no account where
+        `touch.before` is 0.
+    before, after : float [s]
+        Lengths of the drifts before and after the instant, 0 where there is none; both 0: at the
+        instant itself.
 
     Returns
     -------
     Load
-        The sum of kinetic energy, `elastic`, ∫ `power` dt and Σ `lost` stays, to second order.
+        The sum of kinetic energy, both energies stored, ∫ `power` dt and Σ `lost` stays, to
+        second order.
     """
-    elastic, stored = mean_spring(law, pair, touch, dt)
-    c = damping(law, pair, touch, dt)
-    normal = elastic + c * touch.rate
-    if law.attract is None:
-        normal = 0.0 if normal < 0.0 else normal
-    limit = law.friction[pair] * max(normal, 0.0)
+    normal = normal_force(law, pair, touch, before, after)
+    limit = law.friction[pair] * max(normal.force, 0.0)
+    c = law.shear_damping[pair] * normal.damping
+    step = before if before > 0.0 else after  # a kick at rest stands for half of the same step
     stiffness = shear_stiffness(law, pair, touch)
-    chi = law.shear_damping[pair]
-    force, kept, bent, power, lost = held(touch, stiffness, chi * c, limit, spring, dt)
-    power += (normal - elastic) * touch.rate
-    return Load(normal, scale(-1.0, force), kept, stored + bent, power, lost)
+    force, kept, bent, power, lost = held(touch, stiffness, c, limit, spring, step)
+    power += (normal.force - normal.elastic) * touch.rate
+    return Load(normal, scale(-1.0, force), kept, bent, power, lost)
 
 
 @inline
@@ -341,9 +413,9 @@ def rolling_torque(
     pair: int,
     touch: Touch,
     turning: Vec3,
-    normal: float,
+    normal: Normal,
     spring: Vec3,
-    dt: float,
+    before: float,
 ) -> Resistance:
     """Torque against rolling: the law of sliding with R* times angles, cut at μ_r R* F_n.
 
@@ -353,22 +425,22 @@ def rolling_torque(
     ----------
     rolling : ndarray or None, shape (n_pairs,)
         `law.rolling`: an argument of its own, so that the compiler leaves out what is None.
-    law, pair, touch, dt
+    law, pair, touch, before
         As for `contact_force`; the slide is not used.
     turning : Vec3 [rad/s]
         Angular velocity of the first relative to the second, without its part along the normal.
-    normal : float [N]
+    normal : Normal
         Normal force of the contact.
     spring : Vec3 [m]
-        R* times the angle of the instant before, turned, plus R* dt times `turning` half-way.
+        R* times the angle of the instant before, turned, plus R* `before` times `turning` half-way.
     """
     zero = (0.0, 0.0, 0.0)
     if rolling is None:
         return Resistance(zero, zero, 0.0, 0.0, 0.0)
     R = touch.r_eff
-    moved = Touch(touch.delta, touch.before, touch.rate, scale(R, turning), touch.m_eff, R)
+    moved = with_motion(touch, touch.rate, scale(R, turning))
     stiffness = shear_stiffness(law, pair, touch)
-    c = law.shear_damping[pair] * damping(law, pair, touch, dt)
-    limit = rolling[pair] * max(normal, 0.0)
-    force, kept, stored, power, lost = held(moved, stiffness, c, limit, spring, dt)
+    c = law.shear_damping[pair] * normal.damping
+    limit = rolling[pair] * max(normal.force, 0.0)
+    force, kept, stored, power, lost = held(moved, stiffness, c, limit, spring, before)
     return Resistance(scale(-R, force), kept, stored, power, lost)

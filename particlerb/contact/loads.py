@@ -18,17 +18,21 @@ from particlerb.bodies.load import FORCE, OTHER, OUTSIDE, POWER, TORQUE
 from particlerb.contact.drives import Drives
 from particlerb.contact.laws import (
     Law,
+    Normal,
     Touch,
     contact_force,
-    mean_spring,
+    dashpot,
+    power_beside,
     rolling_torque,
+    settled_rate,
     turned_spring,
+    with_motion,
 )
 from particlerb.contact.lists import Incidence, Kept
 from particlerb.contact.pistons import MOST, PUSH, STIFFNESS, Pistons
 from particlerb.contact.pistons import REST as BESIDE
 from particlerb.contact.wall_motion import motion_in, pose_at
-from particlerb.contact.walls import Walls
+from particlerb.contact.walls import PLANE, Walls
 from particlerb.contact.walls import touch as touch_wall
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import (
@@ -51,22 +55,29 @@ SPIN: Final = 6  # angular velocity [rad/s], world axes,
 INV_MASS: Final = 9  # 1/M [1/kg],
 SPEED: Final = 10  # |velocity| [m/s]
 TURNING: Final = 11  # and |angular velocity| [rad/s]
-BODY_COLUMNS: Final = 12
+TURN: Final = 12  # orientation
+BODY_COLUMNS: Final = 16
 SPRING: Final = 0  # columns of what a contact keeps: tangential spring [m],
-BEFORE: Final = 3  # and overlap at the instant before [m]
-ROLLED: Final = 4  # rolling spring [m], where the law resists rolling
-KEPT: Final = 4
-KEPT_ROLLING: Final = 7
+BEFORE: Final = 3  # overlap [m] and normal force [N] at the instant before,
+PRESSURE: Final = 4
+SOFTNESS: Final = 5  # 1/m_eff where it began [1/kg], 0 where it does not act,
+DASHPOT: Final = 6  # and its damping: see `laws.dashpot`
+KEPT: Final = 7
+ROLLED: Final = 7  # and rolling spring [m], where something resists rolling
+KEPT_ROLLING: Final = 10
 ELASTIC: Final = 0  # columns of what a contact does: elastic force on the first [N],
 REST: Final = 3  # the rest of its force on the first [N],
 POINT: Final = 6  # where it acts [m], world frame,
 STORED: Final = 9  # elastic energy of the normal spring [J],
 DRIVEN: Final = 10  # power of the elastic force on a wall that moves [W]
-TWIST: Final = 11  # and torque against rolling on the first [N m], where the law resists it
-DONE: Final = 11
-DONE_ROLLING: Final = 14
+UNSEEN: Final = 11  # what its dashpot gives beside force times mean velocity of a kick [W]
+DONE: Final = 12
+TWIST: Final = 12  # and torque against rolling on the first [N m], where the law resists it
+DONE_ROLLING: Final = 15
 MOTION: Final = 14
 POSE: Final = 16
+DEEPEST: Final = 1.0  # overlap of two spheres, in the smaller radius, that no contact may have,
+DEEPEST_WALL: Final = 0.8  # and with a thin wall, which beyond 1 pushes to its other side
 
 
 class Spheres(NamedTuple):
@@ -131,6 +142,7 @@ class Room(NamedTuple):
     place: Floats  # (n_spheres, 4) [m] centre and radius
     poses: Floats  # (n_walls, POSE) as `wall_motion.poses_at`; and of pistons the axis over √M
     bodies: Floats  # (n_bodies, BODY_COLUMNS)
+    deep: Floats  # (3,) a contact that is too deep: overlap and radius [m], body; 0: none is
 
 
 @lean
@@ -168,7 +180,8 @@ def place_bodies(
     place, bodies = room.place, room.bodies
     for k in range(n):
         b = lo + k
-        x, R = get3(rows, COM, k), matrix(get4(rows, Q, k))
+        x, q = get3(rows, COM, k), get4(rows, Q, k)
+        R = matrix(q)
         p, L = get3(rows, P, k), get3(rows, SPIN_MOMENTUM, k)
         put_column(bodies, b, AT, x)
         v, omega = p, L  # of bodies that are held: see `drives`
@@ -180,6 +193,7 @@ def place_bodies(
         put_column(bodies, b, VELOCITY, v)
         put_column(bodies, b, SPIN, omega)
         bodies[b, INV_MASS] = inv_mass[b]
+        bodies[b, TURN], bodies[b, TURN + 1], bodies[b, TURN + 2], bodies[b, TURN + 3] = q
         bodies[b, SPEED], bodies[b, TURNING] = math.sqrt(dot(v, v)), math.sqrt(dot(omega, omega))
         for i in range(offset[b], offset[b + 1]):
             r = turn(R, (arm[0, i], arm[1, i], arm[2, i]))
@@ -206,6 +220,30 @@ def velocity(bodies: Floats, b: int, point: Vec3) -> Vec3:
 
 
 @lean
+def softness(scene: Scene, bodies: Floats, b: int, point: Vec3, normal: Vec3) -> float:
+    """What a push along the normal at a point gives the point: 1/M + (r×n)·I⁻¹(r×n) [1/kg]."""
+    inertia, at = scene.inv_inertia, TURN
+    R = matrix((bodies[b, at], bodies[b, at + 1], bodies[b, at + 2], bodies[b, at + 3]))
+    lever = turn_back(R, cross(subtract(point, column(bodies, b, AT)), normal))
+    inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
+    soft: float = bodies[b, INV_MASS] + dot(lever, multiplied3(inverse, lever))
+    return soft
+
+
+@lean
+def note_deep(room: Room, delta: float, radius: float, b: int) -> None:
+    """Keep that a body lies too deep in another or in a wall, for the host to say."""
+    room.deep[0], room.deep[1], room.deep[2] = delta, radius, b
+
+
+@lean
+def begin(law: Law, pair: int, contacts: Contacts, c: int, softness: float, r_eff: float) -> None:
+    """Keep what contact c has as long as it lasts."""
+    contacts.kept[c, SOFTNESS] = softness
+    contacts.kept[c, DASHPOT] = dashpot(law, pair, softness, r_eff)
+
+
+@lean
 def act(
     law: Law,
     pair: int,
@@ -217,7 +255,6 @@ def act(
     relative: Vec3,
     turning: Vec3,
     drift: Vec3,
-    m_eff: float,
     r_eff: float,
     before: float,
     after: float,
@@ -234,17 +271,20 @@ def act(
     slide = add_scaled(-rate, normal, relative)
     spring = turned_spring(column(kept, c, SPRING), normal)
     spring = add_scaled(0.5 * before, slide, spring)
-    touch = Touch(delta, kept[c, BEFORE], rate, slide, m_eff, r_eff)
-    step = before if before > 0.0 else after  # a kick at rest stands for half of the same step
-    load = contact_force(law, pair, touch, spring, step)
-    elastic, stored = mean_spring(law, pair, touch, step)
+    soft, damping = kept[c, SOFTNESS], kept[c, DASHPOT]
+    touch = Touch(delta, kept[c, BEFORE], rate, slide, soft, damping, r_eff)
+    rate = settled_rate(law, pair, touch, kept[c, PRESSURE], before)
+    touch = with_motion(touch, rate, slide)
+    load = contact_force(law, pair, touch, spring, before, after)
+    elastic, force = load.normal.elastic, load.normal.force
     put_column(kept, c, SPRING, add_scaled(0.5 * after, slide, load.spring))
-    kept[c, BEFORE] = max(delta, 0.0)
+    kept[c, BEFORE], kept[c, PRESSURE] = max(delta, 0.0), force
     put_column(done, c, ELASTIC, scale(-elastic, normal))
-    put_column(done, c, REST, add_scaled(elastic - load.normal, normal, load.tangential))
+    put_column(done, c, REST, add_scaled(elastic - force, normal, load.tangential))
     put_column(done, c, POINT, point)
     resist(law.rolling, law, pair, contacts, c, touch, turning, normal, load.normal, before, after)
-    done[c, STORED] = stored
+    done[c, STORED] = load.normal.stored
+    done[c, UNSEEN] = power_beside(load.normal, touch, before, after)
     done[c, DRIVEN] = -elastic * dot(normal, drift)
     contacts.acts[c] = True
 
@@ -259,7 +299,7 @@ def resist(
     touch: Touch,
     turning: Vec3,
     normal: Vec3,
-    pressure: float,
+    pushed: Normal,
     before: float,
     after: float,
 ) -> None:
@@ -270,7 +310,7 @@ def resist(
     turning = add_scaled(-dot(turning, normal), normal, turning)
     spring = turned_spring(column(kept, c, ROLLED), normal)
     spring = add_scaled(0.5 * before * touch.r_eff, turning, spring)
-    found = rolling_torque(rolling, law, pair, touch, turning, pressure, spring, before)
+    found = rolling_torque(rolling, law, pair, touch, turning, pushed, spring, before)
     put_column(kept, c, ROLLED, add_scaled(0.5 * after * touch.r_eff, turning, found.spring))
     put_column(contacts.done, c, TWIST, found.torque)
 
@@ -325,7 +365,8 @@ def touch_spheres(
         spheres.material,
     )
     place, bodies, acts = room.place, room.bodies, contacts.acts
-    margin, stretch = 0.5 * (before + after) * v, 1.0 + 2.0 * (before + after) * w
+    longer = max(before, after)
+    margin, stretch = longer * v, 1.0 + 4.0 * longer * w
     for c in range(first, end):
         i, j = firsts[c], seconds[c]
         x, d = column(place, i, 0), subtract(column(place, j, 0), column(place, i, 0))
@@ -333,9 +374,7 @@ def touch_spheres(
         far = stretch * reach + margin  # for all bodies, without reading these
         a, b = body[i], body[j]
         apart = square >= reach * reach
-        if square >= far * far or (
-            apart and not is_near(bodies, a, b, square, reach, before + after)
-        ):
+        if square >= far * far or (apart and not is_near(bodies, a, b, square, reach, longer)):
             if acts[c]:
                 forget(contacts, c)
             continue
@@ -346,12 +385,16 @@ def touch_spheres(
         v_a, v_b = velocity(bodies, a, point), velocity(bodies, b, point)
         relative, drift = subtract(v_a, v_b), drift_of(scene.drives, bodies, a, b, v_a, v_b)
         turning = subtract(column(bodies, a, SPIN), column(bodies, b, SPIN))
-        total = bodies[a, INV_MASS] + bodies[b, INV_MASS]
-        m_eff = 1.0 / total if total > 0.0 else 0.0
         r_eff = place[i, 3] * place[j, 3] / reach
         pair = pair_of[material[i], material[j]]
+        if contacts.kept[c, SOFTNESS] == 0.0:
+            soft = softness(scene, bodies, a, point, normal)
+            soft += softness(scene, bodies, b, point, normal)
+            begin(law, pair, contacts, c, soft, r_eff)
+        if delta > DEEPEST * min(place[i, 3], place[j, 3]):
+            note_deep(room, delta, min(place[i, 3], place[j, 3]), a)
         act(
-            law, pair, contacts, c, delta, normal, point, relative, turning, drift, m_eff, r_eff,
+            law, pair, contacts, c, delta, normal, point, relative, turning, drift, r_eff,
             before, after,
         )  # fmt: skip
 
@@ -367,11 +410,11 @@ def drift_of(drives: Drives | None, bodies: Floats, a: int, b: int, v_a: Vec3, v
 
 
 @lean
-def is_near(bodies: Floats, a: int, b: int, square: float, reach: float, around: float) -> bool:
-    """Whether two spheres that do not touch may do so within the step around this instant."""
+def is_near(bodies: Floats, a: int, b: int, square: float, reach: float, longer: float) -> bool:
+    """Whether two spheres that do not touch do so within half of the longer drift around now."""
     v = subtract(column(bodies, a, VELOCITY), column(bodies, b, VELOCITY))
     w = bodies[a, TURNING] + bodies[b, TURNING]
-    far = reach + 0.25 * around * (math.sqrt(dot(v, v)) + 4.0 * w * reach)
+    far = reach + 0.5 * longer * (math.sqrt(dot(v, v)) + 4.0 * w * reach)
     near: bool = square < far * far
     return near
 
@@ -408,16 +451,20 @@ def touch_walls(
         moving = add_scaled(1.0, cross(omega, add_scaled(1.0, gap, subtract(point, x))), moving)
         relative = subtract(velocity(bodies, a, point), moving)
         turning = subtract(column(bodies, a, SPIN), omega)
-        if delta <= -0.25 * (before + after) * abs(dot(relative, normal)):
+        if delta <= -0.5 * max(before, after) * abs(dot(relative, normal)):
             if contacts.acts[c]:
                 forget(contacts, c)
             continue
-        inverse = bodies[a, INV_MASS] + dot(normal, column(poses, w, 13)) ** 2
-        m_eff = 1.0 / inverse if inverse > 0.0 else 0.0
         pair = pair_of[material[i], scene.wall_material[primitive]]
+        if contacts.kept[c, SOFTNESS] == 0.0:
+            soft = softness(scene, bodies, a, point, normal)
+            soft += dot(normal, column(poses, w, 13)) ** 2  # of a piston
+            begin(law, pair, contacts, c, soft, radius)
+        if delta > DEEPEST_WALL * radius and walls.kind[primitive] != PLANE:
+            note_deep(room, delta, radius, a)
         act(
-            law, pair, contacts, c, delta, normal, point, relative, turning, moving, m_eff, radius,
-            before, after,
+            law, pair, contacts, c, delta, normal, point, relative, turning, moving, radius, before,
+            after,
         )  # fmt: skip
 
 
@@ -487,6 +534,7 @@ def collect(scene: Scene, room: Room, lists: Lists, rows: Floats, at: int, lo: i
     for k in range(n):
         b = lo + k
         x, total = column(bodies, b, AT), Sum(zero, zero, zero, zero, zero, zero, 0.0)
+        unseen, count = 0.0, 0
         if bodies[b, INV_MASS] > 0.0:  # not fixed
             for at_entry in range(offset[b], offset[b + 1]):
                 c, sign = entry[at_entry], 1.0
@@ -494,13 +542,19 @@ def collect(scene: Scene, room: Room, lists: Lists, rows: Floats, at: int, lo: i
                     c, sign = ~c, -1.0
                 if acts[c]:
                     partner = body[seconds[c]] if sign > 0.0 else body[firsts[c]]
-                    is_outside = bodies[partner, INV_MASS] == 0.0
+                    inverse = bodies[partner, INV_MASS]
+                    is_outside = inverse == 0.0
+                    share = bodies[b, INV_MASS] / (bodies[b, INV_MASS] + inverse)
+                    unseen, count = unseen + share * done[c, UNSEEN], count + 1
                     total = add_contact(rolling, done, c, sign, x, is_outside, total)
             for at_entry in range(wall_offset[b], wall_offset[b + 1]):
                 c = wall_entry[at_entry]
                 if wall_acts[c]:
+                    unseen, count = unseen + wall_done[c, UNSEEN], count + 1
                     total = add_contact(rolling, wall_done, c, 1.0, x, True, total)
         F, tau, rest, turning, world, about, power = total
+        if count == 1:  # several springs would have to be known together
+            power += unseen
         add_to(rows, at + FORCE, k, F)
         add_to(rows, at + TORQUE, k, tau)
         add_to(rows, at + OTHER, k, rest)

@@ -28,7 +28,7 @@ from particlerb.methods.coupled import Stages
 from particlerb.methods.exact import FreeMotion
 from particlerb.methods.motion import Group, Motion, Together
 from particlerb.methods.saving import Saved, filled, flat, under, within
-from particlerb.methods.touching import Kernels, TouchingMotion
+from particlerb.methods.touching import Kernels, TouchingMotion, is_due
 from particlerb.terms import Terms, terms_on
 
 LEAST_BODIES: Final = 300  # below, to begin an interval costs more than to step all
@@ -75,6 +75,13 @@ class Interval:
             free = Group(group.members[flying], taken(group.bodies, flying), terms)
             self.motions.append((flying, FreeMotion(free, taken(state, flying), start)))
         self.together = Together(tuple(self.motions))
+
+    def swing(self) -> float:
+        """How fast the bodies swing on the contacts of the last step [rad/s]."""
+        if self.touching is None:
+            return 0.0
+        self.touching.look(self.touching.values(0, 13))
+        return self.touching.swing
 
     def kept(self) -> Keeps:
         """What contacts keep at the end."""
@@ -135,6 +142,7 @@ class DiluteMotion:
         self.kept: Keeps = None
         self.active = np.ones(group.members.size, dtype=np.bool_)
         self.shown: Interval | None = None
+        self.swing, self.count = 0.0, 0  # [rad/s] as of `TouchingMotion`; intervals
         self.saved, self.all_steps = 0, 0  # body-steps that were saved, and all
         self.plan()
 
@@ -228,8 +236,11 @@ class DiluteMotion:
 
     def cross(self) -> None:
         """Go to the end of the interval."""
+        self.count += 1
         if self.next is None:
             assert self.shown is not None
+            if is_due(self.count):
+                self.swing = max(self.swing, self.shown.swing())
             state, booked = self.shown.together.finish(self.time(self.done + self.steps))
             self.next = state, booked, self.shown.kept()
         self.state, booked, self.kept = self.next

@@ -21,9 +21,9 @@ from particlerb.bodies.state import Frames, State
 from particlerb.contact.drives import Drives, driven_pose, momenta
 from particlerb.contact.lists import Kept, incidence, order_contacts, way_of
 from particlerb.contact.loads import (
-    BEFORE,
     BODY_COLUMNS,
     POSE,
+    SOFTNESS,
     Contact,
     Contacts,
     Lists,
@@ -57,6 +57,7 @@ from particlerb.contact.pistons import (
     slides_of,
 )
 from particlerb.contact.search import Search
+from particlerb.contact.swing import fastest_swing
 from particlerb.contact.touches import Touches, moved, rows_of, touches_of
 from particlerb.contact.wall_motion import farthest_way, motion_in
 from particlerb.contact.wall_search import WallSearch
@@ -88,6 +89,7 @@ TO_MAKE_SPHERE: Final = 150.0  # and for each sphere;
 TO_USE: Final = 6.0  # of a pair in a step
 STABLE: Final = 2.0  # largest ω dt of a piston
 WIDEN: Final = 1.25  # of the skin, or its narrowing
+LOOKS: Final = 256  # lists from look to look at how fast the bodies swing
 SLACK: Final = 0.8  # of half the skin, with which lists are made anew: a frame may lie ahead
 
 
@@ -298,7 +300,7 @@ def recall(contacts: Contacts, team: Team) -> None:
     """Let contacts that keep something act, so that they forget it where they have ended."""
     first, end = share_of(team, 0, contacts.acts.size)
     for c in range(first, end):
-        contacts.acts[c] = contacts.acts[c] or contacts.kept[c, BEFORE] > 0.0
+        contacts.acts[c] = contacts.acts[c] or contacts.kept[c, SOFTNESS] > 0.0
 
 
 # The loop
@@ -464,6 +466,11 @@ def kernels_of(name: str, stages: Stages) -> Kernels:
     return Kernels(compiled, spread)
 
 
+def is_due(count: int) -> bool:
+    """Whether to look at how fast the bodies swing: often at first, then now and then."""
+    return count % LOOKS == 0 or count & (count - 1) == 0
+
+
 def one_by_one(schedule: Schedule) -> Iterator[Schedule]:
     """The stops of a schedule, each as a schedule."""
     done = schedule.done
@@ -514,13 +521,15 @@ class TouchingMotion(CoupledMotion):
         self.walls = WallSearch(contact.scene.walls, spheres.radius)
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         room = np.zeros((len(self.motions), POSE))
-        self.room = Room(np.zeros((n_spheres, 4)), room, np.zeros((n, BODY_COLUMNS)))
+        self.room = Room(np.zeros((n_spheres, 4)), room, np.zeros((n, BODY_COLUMNS)), np.zeros(3))
         y = np.vstack(state)
         slides = slides_of(contact.pistons)
         self.memory = Memory(y[7:].copy(), y[:7].copy(), start, np.inf, slides)
         self.place = Place(0, 0, 0.0, 0.0, 0.0)
         self.origin, self.farthest = y[:3].copy(), 0.0  # [m] way of a body so far, at new lists
         self.least_skin, self.made = contact.skin, 0.0
+        self.swing, self.count = 0.0, 0  # [rad/s] fastest on all contacts that was seen; lists
+        self.looks = numbers is None  # who steps some of more bodies looks at these itself
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
         self.primitives = np.arange(contact.scene.walls.kind.size)
         self.kept = kept or (nothing_kept(contact.scene.law),) * 2
@@ -542,6 +551,9 @@ class TouchingMotion(CoupledMotion):
         self.fit_skin()
         self.put_places(0.0)
         contact, y = self.contact, self.values(0, 13)
+        if self.looks and self.count > 0 and is_due(self.count):
+            self.look(y)
+        self.count += 1
         scene, n = contact.scene, y.shape[1]
         self.memory.then[:] = y[:7]
         self.memory.slides[:, THEN] = self.memory.slides[:, PLACE]
@@ -559,6 +571,12 @@ class TouchingMotion(CoupledMotion):
         own = incidence(body[spheres.first], body[spheres.second], n)
         outside = incidence(body[sphere], np.full(sphere.size, -1), n)
         self.lists = Lists(spheres, walls, own, outside)
+
+    def look(self, y: Floats) -> None:
+        """See how fast the bodies swing on all their contacts."""
+        lists = self.lists.spheres, self.lists.walls
+        found = fastest_swing(self.contact.scene, y[:3], y[3:7], *lists)
+        self.swing = max(self.swing, found)
 
     def fit_skin(self) -> None:
         """Widen the skin where making lists costs more than going through them, and the reverse."""
@@ -604,6 +622,17 @@ class TouchingMotion(CoupledMotion):
                 " larger mass"
             )
 
+    def refuse_deep(self) -> None:
+        """Raise MotionError where a body lies so deep that it may come out on the other side."""
+        depth, radius, body = self.room.deep.tolist()
+        if depth > 0.0:
+            raise MotionError(
+                f"at t = {self.memory.start + self.place.time:.6g} s or before, body"
+                f" {int(self.group.members[int(body)])} overlaps what it touches by {depth:.3g} m,"
+                f" {depth / radius:.2g} of the smaller radius: the contact is too soft for its"
+                " speed or load, and lets it through; take a greater contact.stiffness or young"
+            )
+
     def walls_ahead(self, points: Floats) -> tuple[float, float]:
         """How long lists hold as walls move [s], and how far these may move until then [m]."""
         steps, skin = MOST_STEPS_AHEAD, self.contact.skin
@@ -626,7 +655,7 @@ class TouchingMotion(CoupledMotion):
         first, second = np.empty((2, m), dtype=np.int32)
         n_near = order_contacts(pairs, numbers, self.room.place, near, old, new, first, second)
         self.kept = (new, self.kept[1]) if which == 0 else (self.kept[0], new)
-        done, acts = np.zeros((m, done_columns(law))), new.values[:, BEFORE] > 0.0
+        done, acts = np.zeros((m, done_columns(law))), new.values[:, SOFTNESS] > 0.0
         return Contacts(first, second, new.values, done, acts, n_near)
 
     def checkpoint(self) -> Saved:
@@ -739,6 +768,7 @@ class TouchingMotion(CoupledMotion):
             )  # fmt: skip
             self.place = through(ALONE) if is_large else together(through, self.threads)
             self.refuse_light_pistons()
+            self.refuse_deep()
             if self.place.stop == schedule.steps.size:
                 break
             self.make_lists()

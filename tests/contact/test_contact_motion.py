@@ -177,7 +177,7 @@ def test_chung_and_ooi_4_an_oxide_ball_that_slides_through_the_impact(make, angl
 @pytest.mark.parametrize("law", ["hooke", "hooke that attracts", "hertz"])
 @pytest.mark.parametrize("e", [0.9, 0.5, 0.2])
 def test_a_ball_bounces_with_the_restitution_asked_for(make, law, e):
-    """To 1e-4, with 250 steps in a contact; a wrong e by half the steps falls by four."""
+    """To 1e-4, with 100 steps in a contact."""
     if law == "hertz":
         contact, keys = hertz(e), {"material": [{"name": "rubber", "young": 2e6, "poisson": 0.3}]}
         K = 4.0 / 3.0 * 2e6 / (2 * (1 - 0.09)) * math.sqrt(0.1)
@@ -185,11 +185,48 @@ def test_a_ball_bounces_with_the_restitution_asked_for(make, law, e):
     else:
         contact, keys = make.hooke(1e4, e, 0.3, attract="attracts" in law), {}
         duration = math.pi * 1e-2
-    off = [
-        ran(ball_on(make, contact, 1.0, 250.3, duration, phase=phase, **keys)).v[-1, 0, 2] - e
+    runs = [
+        ran(ball_on(make, contact, 1.0, 100.3, duration, phase=phase, **keys))
         for phase in (0.1, 0.5, 0.9)
     ]
-    assert np.abs(off).max() < 1e-4
+    assert np.abs([run.v[-1, 0, 2] - e for run in runs]).max() < 1e-4
+    assert np.abs([run.ledger.energy_error[-1] for run in runs]).max() < 1e-7 * 0.5
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(("e", "within"), [(1.0, 1e-7), (0.5, 3e-6), (0.2, 6e-6)])
+@pytest.mark.parametrize("law", ["hooke", "hertz"])
+def test_energy_closes_in_every_frame_of_a_contact_of_100_steps(make, law, e, within):
+    """Frames between the steps, in units of the energy that the ball brings."""
+    contact, keys, duration = make.hooke(1e4, e, 0.3), {}, math.pi * 1e-2
+    if law == "hertz":
+        contact, keys = hertz(e), {"material": [{"name": "rubber", "young": 2e6, "poisson": 0.3}]}
+        duration = 2.94 * (1.25 / (4.0 / 3.0 * 2e6 / (2 * (1 - 0.09)) * math.sqrt(0.1))) ** 0.4
+    case = ball_on(make, contact, 1.0, 100.3, duration, **keys)
+    case["run"]["every"] = 0.37 * duration / 100.3
+    off = np.abs(ran(case).ledger.energy_error) / 0.5
+    assert off.max() < within
+    assert off[-1] < 1e-7
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("e", [0.9, 0.2])
+def test_a_rod_hit_at_its_tip_gives_the_restitution_asked_for(make, e):
+    """Of the points that touch: the damping is that of 1/m_eff with the rotation of the rod."""
+    k, side = 1e6, math.sqrt(0.5)
+    dt = math.pi * math.sqrt(0.2 / k) / 100
+    tip = {"shape": {"type": "sphere", "radius": 0.01}, "mass": 0, "position": [0, 0, 0.5]}
+    matter = {"shape": {"type": "rod", "length": 1.0, "arrangement": "exact"}, "mass": 2.0}
+    rod = {"name": "rod", "orientation": [side, 0, side, 0], "part": [matter, tip]}
+    ball = make.sphere("ball", 0.01, position=[0.5, 0, 0.02 + 2.3 * dt], velocity=[0, 0, -1])
+    contact = make.hooke(k, e, 0.0)
+    case = make.case(
+        rod, ball | {"mass": 1.0}, contact=contact, t_end=200 * dt, every=200 * dt, dt=dt, **NOTHING
+    )
+    run = ran(case)
+    apart = run.v[-1, 1, 2] - (run.v[-1, 0, 2] - 0.5 * run.w[-1, 0, 1])
+    assert apart == pytest.approx(e, abs=5e-5)
+    assert abs(run.ledger.energy_error[-1]) < 1e-8
 
 
 @pytest.mark.compiled
@@ -199,7 +236,7 @@ def test_a_rod_hit_at_its_tip_turns_as_a_rigid_one_as_the_stiffness_grows(make):
     The softer the contact, the further the rod turns in it.
     """
     off, side = [], math.sqrt(0.5)
-    for k in (300.0, 1e3, 1e4):
+    for k in (5e3, 2e4, 1e5):
         dt = math.pi * math.sqrt(0.4 / k) / 100
         tip = {"shape": {"type": "sphere", "radius": 0.01}, "mass": 0, "position": [0, 0, 0.5]}
         matter = {"shape": {"type": "rod", "length": 1.0, "arrangement": "exact"}, "mass": 2.0}
@@ -301,7 +338,7 @@ def test_a_ball_rolls_in_circles_on_a_turntable(make):
     assert np.hypot(*from_centre.T[:2]) == pytest.approx(radius, rel=2e-4)
     assert run.x[-1, 0] == pytest.approx(run.x[0, 0], abs=2e-4)
     assert np.ptp(run.ledger.work) > 0.08  # the table gives and takes
-    assert np.abs(run.ledger.energy_error).max() < 1e-13
+    assert np.abs(run.ledger.energy_error).max() < 1e-10
     assert np.abs(run.ledger.linear_momentum_error).max() < 1e-14
     assert np.abs(run.ledger.angular_momentum_error).max() < 1e-14
 
@@ -320,7 +357,7 @@ def test_a_belt_drags_a_raft_along_and_its_work_is_booked(make):
         )
     )  # fmt: skip
     assert run.v[3, 0, 0] == pytest.approx(0.2 * G * 0.3, rel=1e-12)
-    assert run.v[-1, 0] == pytest.approx([speed, 0, 0], abs=1e-12)
+    assert run.v[-1, 0] == pytest.approx([speed, 0, 0], abs=1e-10)
     assert run.ledger.work[-1] == pytest.approx(0.5 * 2.0 * speed**2, rel=1e-6)
     assert np.abs(run.ledger.energy_error).max() < 1e-8
     assert np.abs(run.ledger.linear_momentum_error).max() < 1e-14
@@ -514,10 +551,10 @@ def test_what_a_floor_that_shakes_gives_a_crowd_is_booked(shaken):
 
 @pytest.mark.compiled
 def test_the_ledger_closes_at_order_two_with_damping_and_friction(make):
-    """28.5 J are lost; what the ledger misses of them falls by four."""
+    """27.4 J are lost; what the ledger misses of them falls by four."""
     found = [ran(crowd(make, dt, t_end=1.0)).ledger for dt in (2e-4, 1e-4, 5e-5)]
     error = [np.abs(ledger.energy_error[-1]) for ledger in found]
-    assert found[-1].work[-1] == pytest.approx(-28.5, abs=0.1)
+    assert found[-1].work[-1] == pytest.approx(-27.4, abs=0.1)
     assert error[0] / error[1] == pytest.approx(4.0, rel=0.3)
     assert error[1] / error[2] == pytest.approx(4.0, rel=0.3)
     assert error[2] < 3e-5 * abs(found[-1].work[-1])

@@ -78,16 +78,17 @@ def thrown(law, ball, start, gravity, dt, onset, settled, rows):
             fall = fall0 + half * acceleration[0]
             v = v0 + half * acceleration[1]
             w = w0 + half * acceleration[2]
-        touch = Touch(-gap, before, fall, (v - R * w, 0.0, 0.0), m, r_eff)
+        c = laws.dashpot(law, 0, 1.0 / m, r_eff)
+        touch = Touch(-gap, before, fall, (v - R * w, 0.0, 0.0), 1.0 / m, c, r_eff)
         if settled:
             rate = settled_rate(law, 0, touch, normal, onset)
-            touch = Touch(-gap, before, rate, touch.slide, m, r_eff)
-        load = contact_force(law, 0, touch, spring, onset)
-        normal = load.normal
+            touch = laws.with_motion(touch, rate, touch.slide)
+        load = contact_force(law, 0, touch, spring, onset, onset)
+        normal = load.normal.force
         turning = (0.0, w, 0.0)
         torque = rolling_torque(law.rolling, law, 0, touch, turning, load.normal, rolled, onset)
         along, turn = load.tangential[0], torque.torque[1] - R * load.tangential[0]
-        acceleration = (gravity - load.normal / m, along / m, turn / inertia)
+        acceleration = (gravity - normal / m, along / m, turn / inertia)
         if n > 0:
             fall = fall0 + half * acceleration[0]
             v = v0 + half * acceleration[1]
@@ -97,9 +98,9 @@ def thrown(law, ball, start, gravity, dt, onset, settled, rows):
         booked += 0.5 * dt * (power + last) + load.lost + torque.lost
         last = power
         energy = 0.5 * m * (fall * fall + v * v) + 0.5 * inertia * w * w + m * gravity * gap
-        energy += load.elastic + torque.elastic
+        energy += load.normal.stored + load.elastic + torque.elastic
         rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3] = -gap, fall, v - R * w, w
-        rows[n, 4], rows[n, 5], rows[n, 6], rows[n, 7] = load.normal, along, energy, booked
+        rows[n, 4], rows[n, 5], rows[n, 6], rows[n, 7] = normal, along, energy, booked
         rows[n, 8] = torque.torque[1]
 
 
@@ -131,8 +132,9 @@ def test_spring_and_dashpot_of_the_textbook(e):
     assert closed.damping_ratio(e, attract=True) == pytest.approx(ratio, rel=1e-14)
     assert 2.0 * ratio * math.sqrt(K * MASS) == pytest.approx(c, rel=1e-14)
     assert closed.hooke_duration(K, MASS, ratio, attract=True) == pytest.approx(duration, rel=1e-14)
-    touch = Touch(0.01, 0.01, 0.3, ZERO, MASS, RADIUS)
-    force = contact_force(hooke_law(e, attract=True), 0, touch, ZERO, 0.0).normal
+    law = hooke_law(e, attract=True)
+    touch = Touch(0.01, 0.01, 0.3, ZERO, 1.0 / MASS, laws.dashpot(law, 0, 1.0 / MASS, 0.0), RADIUS)
+    force = contact_force(law, 0, touch, ZERO, 0.0, 0.0).normal.force
     assert force == pytest.approx(0.01 * K + 0.3 * c, rel=1e-13)
 
 
@@ -276,7 +278,8 @@ def test_effective_radius_and_moduli():
 @pytest.mark.parametrize("e", [0.9, 0.5, 0.2])
 @pytest.mark.parametrize("kind", LAWS)
 def test_restitution(kind, e):
-    rebound = [-hit(LAWS[kind](e), 300, phase).rate[-1] for phase in (0.05, 0.3, 0.7, 0.95)]
+    phases = (0.05, 0.3, 0.7, 0.95)
+    rebound = [-hit(LAWS[kind](e), 100, phase, settled=True).rate[-1] for phase in phases]
     assert rebound == pytest.approx([e * SPEED] * 4, abs=1e-4)
 
 
@@ -306,7 +309,7 @@ def test_without_the_mean_over_a_step_it_is_not(kind, order):
 def test_settled_rate_is_of_order_two_with_a_smaller_error(kind):
     counts = (50, 100, 200)
     error = errors(LAWS[kind](), -0.5, counts, "rate", settled=True)
-    assert np.log2(error[:-1] / error[1:]) == pytest.approx([2.0, 2.0], abs=0.25)
+    assert np.log2(error[:-1] / error[1:]).min() > 1.75
     assert error[0] < 0.25 * errors(LAWS[kind](), -0.5, counts[:1], "rate")[0]
 
 
@@ -352,7 +355,8 @@ touches = st.builds(
     before=st.floats(0.0, 0.05),
     rate=st.floats(-2.0, 2.0),
     slide=vectors,
-    m_eff=st.floats(0.01, 10.0),
+    softness=st.floats(0.1, 100.0),
+    dashpot=st.floats(0.0, 100.0),
     r_eff=st.floats(0.01, 1.0),
 )
 steps = st.sampled_from([0.0, 1e-6, 1e-3, 0.1])
@@ -363,51 +367,71 @@ kinds = st.sampled_from(
 
 @given(kinds, touches, vectors, steps)
 def test_force_neither_attracts_nor_exceeds_the_limit_of_friction(law, touch, spring, dt):
-    load = contact_force(law, 0, touch, spring, dt)
-    limit = 0.4 * max(load.normal, 0.0) * (1.0 + 1e-12)
+    load = contact_force(law, 0, touch, spring, dt, dt)
+    limit = 0.4 * max(load.normal.force, 0.0) * (1.0 + 1e-12)
     assert np.linalg.norm(load.tangential) <= limit
-    assert load.normal >= 0.0 or law.attract is not None
+    assert load.normal.force >= 0.0 or law.attract is not None
     k = laws.shear_stiffness(law, 0, touch)[2]
     assert k * np.linalg.norm(load.spring) <= limit
-    assert load.power >= -1e-12 * abs(load.normal)
+    assert load.power >= -1e-12 * abs(load.normal.force)
     assert load.elastic >= 0.0
 
 
 @given(kinds, touches, vectors, steps)
 def test_second_body_feels_the_opposite(law, touch, spring, dt):
-    load = contact_force(law, 0, touch, spring, dt)
+    load = contact_force(law, 0, touch, spring, dt, dt)
     swapped = touch._replace(slide=tuple(-v for v in touch.slide))
-    other = contact_force(law, 0, swapped, tuple(-x for x in spring), dt)
+    other = contact_force(law, 0, swapped, tuple(-x for x in spring), dt, dt)
     assert np.all(np.negative(other.tangential) == load.tangential)
     assert np.all(np.negative(other.spring) == load.spring)
     assert (other.normal, *other[3:]) == (load.normal, *load[3:])
 
 
-@given(touches, st.floats(0.0, 500.0))
-def test_settled_rate_agrees_with_the_force_that_it_gives(touch, normal):
-    law, dt, touch = hooke_law(0.3), 1e-4, touch._replace(delta=abs(touch.delta) + 0.1)
-    rate, w = settled_rate(law, 0, touch, normal, dt), 0.5 * dt / touch.m_eff
-    force = contact_force(law, 0, touch._replace(rate=rate), ZERO, dt).normal
-    assert rate + w * force == pytest.approx(touch.rate + w * normal, abs=1e-9)
-    leaving = touch._replace(rate=-1e3)
-    assert settled_rate(law, 0, leaving, normal, dt) == pytest.approx(w * normal - 1e3)
+@given(kinds, touches, st.floats(0.0, 500.0))
+def test_settled_rate_agrees_with_the_force_that_it_gives(law, touch, pressure):
+    """v + w F(v) = v' + w F': Newton's first step leaves what is quadratic in the change."""
+    dt = 1e-5
+    touch = touch._replace(delta=abs(touch.delta) + 1e-3)
+    rate, w = settled_rate(law, 0, touch, pressure, dt), 0.5 * dt * touch.softness
+    force = laws.normal_force(law, 0, touch._replace(rate=rate), dt, dt).force
+    assert rate + w * force == pytest.approx(touch.rate + w * pressure, abs=0.05 * w * force + 1e-9)
+    assert settled_rate(law, 0, touch, pressure, 0.0) == touch.rate  # at rest it is known
 
 
 @given(kinds, touches, vectors)
 def test_bodies_apart_feel_nothing(law, touch, spring):
-    load = contact_force(law, 0, touch._replace(delta=-0.01, rate=1.0), spring, 0.019)
-    assert load.normal == load.elastic == load.power == 0.0
-    assert load.tangential == load.spring == ZERO
-    assert laws.share_of_step(0.0, 0.0) == laws.mean_fourth_root(0.0, 0.0) == 0.0
+    load = contact_force(law, 0, touch._replace(delta=-0.01, rate=1.0), spring, 0.019, 0.019)
+    assert load.normal.force == load.normal.elastic == load.elastic == load.power == 0.0
+    assert (*load.tangential, *load.spring) == pytest.approx((0.0,) * 6, abs=1e-150)
+    assert laws.share_of_step(0.0, 0.0) == 0.0
 
 
-@given(st.floats(-3.0, 3.0), st.floats(1e-3, 3.0))
-def test_dashpot_is_the_mean_over_the_step(delta, half):
-    around, kink = (delta - half, delta + half), [0.0] if abs(delta) < half else None
-    touching = quad(lambda x: float(x > 0.0), *around, points=kink)[0] / (2.0 * half)
-    root = quad(lambda x: max(x, 0.0) ** 0.25, *around, points=kink, epsabs=1e-12)[0]
-    assert laws.share_of_step(delta, half) == pytest.approx(touching, abs=1e-9)
-    assert laws.mean_fourth_root(delta, half) == pytest.approx(root / (2.0 * half), abs=2e-8)
+@given(
+    kinds,
+    touches,
+    st.floats(0.0, 0.05),
+    st.floats(0.0, 0.05),
+)
+def test_normal_force_is_the_mean_over_half_of_both_drifts(law, touch, before, after):
+    """Against quadrature of max(F(δ + δ̇ t, δ̇), 0) over -before/2 .. after/2."""
+    touch = touch._replace(rate=math.copysign(max(abs(touch.rate), 1e-2), touch.rate))
+    after = max(after, 1e-3)
+    pair = laws.normal_force(law, 0, touch, before, after)
+
+    def at(t):
+        now = touch._replace(delta=touch.delta + touch.rate * t)
+        return laws.normal_force(law, 0, now, 0.0, 0.0)
+
+    start, end = -0.5 * before, 0.5 * after
+    t = start + (end - start) * (np.arange(500) + 0.5) / 500
+    means = np.mean([(at(x).force, at(x).elastic, at(x).stiffness) for x in t], axis=0)
+    largest = at(start if touch.rate < 0.0 else end)
+    jump = touch.dashpot * abs(touch.rate)
+    off = jump + largest.elastic
+    assert pair.force == pytest.approx(means[0], abs=3e-3 * off + 1e-12)
+    assert pair.elastic == pytest.approx(means[1], abs=2e-4 * largest.elastic + 1e-12)
+    assert pair.stiffness == pytest.approx(means[2], abs=3e-3 * largest.stiffness + 1e-12)
+    assert pair.stored == laws.normal_spring(law, 0, touch.delta, touch.r_eff)[1]
 
 
 @given(st.floats(0.0, 3.0), st.floats(1e-3, 3.0))
@@ -434,7 +458,6 @@ def test_spring_along_the_normal_is_dropped():
 
 def test_tangential_force_of_hooke_and_hertz():
     """k_t ξ + c_t v with k_t = 2/7 k and 8 G* √(R* δ), c_t = c/2."""
-    touch = Touch(0.01, 0.01, 0.0, (0.2, 0.0, 0.0), MASS, RADIUS)
     for law, k, c in (
         (hooke_law(0.2, 1e3), 2.0 / 7.0 * K, 0.5 * 2.0 * closed.damping_ratio(0.2) * 100.0),
         (
@@ -447,7 +470,9 @@ def test_tangential_force_of_hooke_and_hertz():
             * 0.01**0.25,
         ),
     ):
-        force = contact_force(law, 0, touch, (0.003, 0.001, 0.0), 0.0).tangential
+        damper = laws.dashpot(law, 0, 1.0 / MASS, RADIUS)
+        touch = Touch(0.01, 0.01, 0.0, (0.2, 0.0, 0.0), 1.0 / MASS, damper, RADIUS)
+        force = contact_force(law, 0, touch, (0.003, 0.001, 0.0), 0.0, 0.0).tangential
         assert force == pytest.approx((-0.003 * k - 0.2 * c, -0.001 * k, 0.0), rel=1e-12)
 
 
@@ -457,10 +482,10 @@ def cycle(law, size, lag, steps=2001, dt=1e-3):
     way, overlap = size * np.sin(t + lag), 0.01 + 4e-3 * np.sin(t)
     spring, before, force, found = ZERO, 0.01, 0.0, []
     for step, delta in zip(np.diff(way), overlap[1:], strict=True):
-        touch = Touch(delta, before, 0.0, (step / dt, 0.0, 0.0), MASS, RADIUS)
-        load = contact_force(law, 0, touch, (spring[0] + step, 0.0, 0.0), dt)
-        stored = load.elastic - laws.normal_spring(law, 0, delta, RADIUS)[1]
-        found.append((load.lost, 0.5 * (force - load.tangential[0]) * step, stored))
+        touch = Touch(delta, before, 0.0, (step / dt, 0.0, 0.0), 1.0 / MASS, 0.0, RADIUS)
+        load = contact_force(law, 0, touch, (spring[0] + step, 0.0, 0.0), dt, dt)
+        work = 0.5 * (force - load.tangential[0]) * step
+        found.append((load.lost, work, load.elastic))
         spring, before, force = load.spring, delta, -load.tangential[0]
     return np.array(found).T
 
@@ -503,24 +528,9 @@ def test_resistance_to_rolling_slows_a_ball_down_and_stops_it():
 
 
 def test_nothing_resists_rolling_unless_asked():
-    touch = Touch(0.01, 0.01, 0.0, ZERO, MASS, RADIUS)
-    found = rolling_torque(None, hooke_law(), 0, touch, (1.0, 0.0, 0.0), 10.0, ZERO, 1e-3)
+    touch, push = (
+        Touch(0.01, 0.01, 0.0, ZERO, 1.0, 0.0, RADIUS),
+        laws.Normal(10.0, 10.0, 1.0, 0.0, K),
+    )
+    found = rolling_torque(None, hooke_law(), 0, touch, (1.0, 0.0, 0.0), push, ZERO, 1e-3)
     assert found == laws.Resistance(ZERO, ZERO, 0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize(("law", "power"), [("hooke", 1.0), ("hertz", 1.5)])
-def test_spring_of_the_step_of_the_touch_is_the_mean_over_it(law, power):
-    """Against quadrature of K max(δ, 0)^p over δ ± half; inside a contact the middle serves."""
-    one = np.ones(1)
-    made = laws.hooke(one, one, one) if law == "hooke" else laws.hertz(0.75 * one, one, one, one)
-    rate, dt = 0.3, 0.02
-    half = 0.5 * rate * dt
-    for share in (-1.5, -0.7, 0.0, 0.2, 0.9):
-        touch = laws.Touch(share * half, 0.0, -rate, (0.0, 0.0, 0.0), 1.0, 1.0)
-        way = share * half + half * np.linspace(-1.0, 1.0, 400_001)
-        mean = np.trapezoid(np.maximum(way, 0.0) ** power, way) / (2.0 * half)
-        force, stored = laws.mean_spring(made, 0, touch, dt)
-        assert force == pytest.approx(mean, rel=1e-7, abs=1e-15)
-        assert stored == laws.normal_spring(made, 0, share * half, 1.0)[1]
-    inside = laws.Touch(1.01 * half, 0.0, -rate, (0.0, 0.0, 0.0), 1.0, 1.0)
-    assert laws.mean_spring(made, 0, inside, dt) == laws.normal_spring(made, 0, 1.01 * half, 1.0)

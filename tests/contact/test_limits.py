@@ -9,6 +9,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.contact.restitution import damping_ratio
+from particlerb.methods import strang
 from particlerb.plan import STEPS_PER_CONTACT
 from particlerb.simulate import RunError, prepare
 
@@ -167,3 +168,39 @@ def test_leaving_spheres_out_changes_no_bit(monkeypatch):
     assert abs(whole[2][-1, 0, 2] + 1.0) > 0.1  # it has hit the floor
     for one, other in zip(without, whole, strict=True):
         assert (one == other).all()
+
+
+@pytest.mark.parametrize("shear", [1e-3, 2e5])
+def test_swing_of_a_cube_on_four_balls_has_the_stiffness_of_all(shear):
+    """√(4 k/M), or, where the tangential springs are stiff, faster: they turn the cube too."""
+    k, corners = (
+        1e5,
+        [[0.1 * a, 0.1 * b, 0.1 * c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)],
+    )
+    case = drop(1e-4, tangential_stiffness=shear, overlap=1e-3)
+    shape = {"type": "points", "mass": 0.125, "radius": 0.1, "position": corners}
+    case["body"] = [{"name": "cube", "shape": shape, "position": [0.0, 0.0, 0.2 - 1e-5]}]
+    prepared = prepare(load(case))
+    (group,), state = prepared.plan.groups, prepared.scene.state
+    motion = strang.begin(group.group(group.segments[0]), state, 0.0, 1e-4, 0.0)
+    motion.look(motion.values(0, 13))
+    inertia = 8 * 0.125 * (0.02 + 0.4 * 0.01)
+    along = 4.0 * shear * (1.0 + 0.2**2 / inertia)  # to and fro with a turn: at least this
+    assert motion.swing == pytest.approx(math.sqrt(max(4.0 * k, along)), rel=0.05)
+
+
+@pytest.mark.parametrize(("share", "passes"), [(0.7, False), (1.05, True)])
+def test_body_that_its_contact_cannot_hold_ends_the_run(share, passes):
+    """½ m v² against ½ k r²: a ball is let through a thin wall beyond v = r √(k/m)."""
+    k, dt = 1e4, 1e-4
+    case = drop(dt, stiffness=k, restitution=1.0)
+    v = share * 0.1 * math.sqrt(k)
+    case["gravity"]["acceleration"] = [0.0, 0.0, 0.0]
+    case["wall"] = [{"name": "b", "type": "box", "lower": [-1] * 3, "upper": [1] * 3}]
+    case["body"][0] |= {"position": [0.85, 0.0, 0.0], "velocity": [v, 0.0, 0.0]}
+    case["run"] |= {"t_end": 0.06, "every": 0.06, "method": "strang"}
+    if passes:
+        with pytest.raises(RunError, match=r"body 0 overlaps what it touches by 0\.08.* too soft"):
+            particlerb.run(case)
+    else:
+        assert particlerb.run(case).velocity[-1, 0, 0] == pytest.approx(-v, rel=1e-4)

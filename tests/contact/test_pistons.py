@@ -63,7 +63,7 @@ def test_a_lid_rests_on_a_column_that_bears_its_load_and_weight(make):
 @pytest.mark.compiled
 @pytest.mark.parametrize("n", [1, 3])
 def test_a_lid_swings_on_elastic_balls_as_a_chain_does_to_order_two(make, n):
-    """From normal modes of n balls and the lid; the energy stays within the same order."""
+    """From normal modes of n balls and the lid; the energy stays to order four."""
     off, energy = [], []
     for dt in (4e-4, 2e-4, 1e-4):
         case = column(make, n, velocity=0.5)
@@ -78,7 +78,7 @@ def test_a_lid_swings_on_elastic_balls_as_a_chain_does_to_order_two(make, n):
             assert np.abs(t.ledger.linear_momentum_error).max() < 1e-12
     assert off[0] < 2e-4
     assert np.log2(np.array(off[:-1]) / off[1:]) == pytest.approx(2.0, abs=0.1)
-    assert np.log2(np.array(energy[:-1]) / energy[1:]) == pytest.approx(2.0, abs=0.2)
+    assert np.log2(np.array(energy[:-1]) / energy[1:]).min() > 3.5
 
 
 @pytest.mark.compiled
@@ -126,7 +126,7 @@ def test_a_lid_that_settles_loses_what_dashpots_take_and_the_books_close(make):
             assert t.wall_position[-1, 1] == pytest.approx(t.wall_position[0, 1], abs=1e-5)
             errors.append(np.abs(t.ledger.energy_error).max() / lost[-1])
     assert errors[1] == pytest.approx(0.25 * errors[0], rel=0.1)
-    assert errors[1] < 1e-5
+    assert errors[1] < 2e-4  # several springs to a ball: see docs/contact.md, what is booked
 
 
 def test_a_lid_falls_freely_and_stops_at_its_limit_and_the_loss_is_booked(make):
