@@ -75,7 +75,7 @@ def with_h5py(path: Path, scene: Scene, frames: int, batch: int, **keys: Any) ->
         sets = {}
         for name in FIELDS:
             n, c = getattr(given, name).shape[1:]
-            chunks = (frames_per_chunk(n, c, 8), n, c)
+            chunks = (frames_per_chunk(n, c, 8, frames), n, c)
             sets[name] = file.create_dataset(
                 name, (0, n, c), "f8", maxshape=(None, n, c), chunks=chunks, **keys
             )

@@ -31,7 +31,7 @@ def with_h5py(path: Path, arrays: dict[str, np.ndarray], batch: int) -> float:
         sets = {}
         for name, values in arrays.items():
             n, c = values.shape[1:]
-            shape = (frames_per_chunk(n, c, 8), n, c)
+            shape = (frames_per_chunk(n, c, 8, len(values)), n, c)
             sets[name] = file.create_dataset(
                 name, (0, n, c), "f8", maxshape=(None, n, c), chunks=shape
             )

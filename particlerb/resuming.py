@@ -20,8 +20,9 @@ from particlerb.maths.vec3 import Floats
 from particlerb.record.checked import refuse_elsewhere
 from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint
 from particlerb.record.claim import InUseError, is_closed
+from particlerb.record.provenance import replace_case, versions
 from particlerb.record.schema import PARAMETERS
-from particlerb.record.writer import Recorder, replace_case, versions
+from particlerb.record.writer import Recorder
 from particlerb.simulate import (
     Outcome,
     Prepared,

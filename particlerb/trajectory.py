@@ -60,6 +60,7 @@ class Contacts(NamedTuple):
     overlap: Floats  # (m,) [m]
 
 
+PER_BODY = FIELDS | CONTACT_FIELDS
 PORTION = 100_000  # states that are read at a time where all are gone through
 JSON_TEXTS = ("case_resolved", "versions")
 
@@ -208,7 +209,7 @@ class Trajectory:
 
         Returns
         -------
-        ndarray, shape (T, N, 3) or (T, N, 4)
+        ndarray, shape (T, N, 3), (T, N, 4), or (T, N) for fields of contacts
             Without the axis of bodies where `bodies` is a number.
 
         Raises
@@ -218,7 +219,7 @@ class Trajectory:
         IndexError
             If there is no such body.
         """
-        if name not in self.fields:
+        if name not in self.fields + self.contact_fields or name not in PER_BODY:
             raise KeyError(f"{name} was not recorded: see [output] fields")
         if isinstance(bodies, (int, np.integer)):
             pick: int | slice | Ints = range(self.n_bodies)[int(bodies)]
@@ -228,11 +229,11 @@ class Trajectory:
             pick = np.asarray(bodies, dtype=np.int64)
             if pick.size and not 0 <= pick.min() <= pick.max() < self.n_bodies:
                 raise IndexError(f"bodies are numbered 0 to {self.n_bodies - 1}")
-        width = len(FIELDS[name].components)
+        width, kinds = len(PER_BODY[name].components), "i" if PER_BODY[name].is_count else "f"
         path = f"{TRAJECTORY}/{name}/value"
         if isinstance(pick, np.ndarray):  # HDF5 is slow in picking one by one
-            return self.rows(path, width, frames, slice(None))[:, pick]
-        return self.rows(path, width, frames, pick)
+            return self.rows(path, width, frames, slice(None), kinds)[:, pick]
+        return self.rows(path, width, frames, pick, kinds)
 
     def portions(self, frames: slice = slice(None), n_bodies: int = 0) -> Iterator[slice]:
         """Parts of some frames that are small enough to hold in memory, in their order."""
@@ -364,15 +365,12 @@ class Trajectory:
     @property
     def contact_number(self) -> Ints:
         """Contacts of each body with other bodies and walls, shape (T, N)."""
-        self.require("contact_number")
-        found = self.rows(f"{TRAJECTORY}/contact_number/value", 0, slice(None), slice(None), "i")
-        return found.astype(np.int64)
+        return self.read("contact_number").astype(np.int64)
 
     @property
     def contact_overlap(self) -> Floats:
         """Largest overlap of each body [m], shape (T, N); 0 where it touches nothing."""
-        self.require("contact_overlap")
-        return self.rows(f"{TRAJECTORY}/contact_overlap/value", 0, slice(None), slice(None))
+        return self.read("contact_overlap")
 
     @cached_property
     def wall_names(self) -> Sequence[str]:
@@ -402,15 +400,17 @@ class Trajectory:
         """Velocity of the centre of each wall [m/s], shape (T, n_walls, 3)."""
         return self.of_walls("wall_velocity")
 
-    def of_walls(self, name: str) -> Floats:
-        """One field of walls, (T, n_walls, 3)."""
+    def of_walls(self, name: str, frames: slice = slice(None)) -> Floats:
+        """One field of walls for some frames, (T, n_walls, 3)."""
         self.require(name)
         path, n = f"{OBSERVABLES}/{name}/value", len(self.wall_names)
+        lo, hi, stride = frames.indices(self.n_frames)
 
         def read() -> Floats:
             with blaming(self.file):
-                found: Floats = checked(self.file, path, "f", (None, n, 3))[: self.n_frames]
-                if len(found) < self.n_frames or not np.isfinite(found).all():
+                values = checked(self.file, path, "f", (None, n, 3))
+                found: Floats = values[lo:hi:stride]
+                if len(values) < self.n_frames or not np.isfinite(found).all():
                     raise ValueError(f"{path} is not whole")
             return found
 
@@ -431,21 +431,27 @@ class Trajectory:
         IndexError
             If there is no such frame.
         """
-        self.require(CONTACTS)
         k = range(self.n_frames)[frame]
+        return self.contact_rows(k, k + 1)[0]
 
-        def read() -> Contacts:
+    def contact_rows(self, first: int, stop: int) -> tuple[Contacts, Ints]:
+        """Contacts in frames first .. stop - 1, one after the other, and the row behind each."""
+        self.require(CONTACTS)
+
+        def read() -> tuple[Contacts, Ints]:
             with blaming(self.file):
-                lo, hi = checked(self.file, OFFSET, "i", (None,))[k : k + 2].tolist()
+                offset: Ints = checked(self.file, OFFSET, "i", (None,))[first : stop + 1]
+                if len(offset) <= stop - first or (np.diff(offset) < 0).any() or offset[0] < 0:
+                    raise ValueError(f"{OFFSET} does not ascend, or ends before frame {stop - 1}")
                 found = []
                 for name, column in COLUMNS.items():
                     shape = (None, column.width) if column.width else (None,)
                     kinds = "i" if column.is_count else "f"
                     values = checked(self.file, f"{CONTACTS}/{name}", kinds, shape)
-                    if not 0 <= lo <= hi <= len(values):
-                        raise ValueError(f"{CONTACTS}/{name} has no rows {lo} to {hi}")
-                    found.append(values[lo:hi])
-            return Contacts(*found)
+                    if len(values) < offset[-1]:
+                        raise ValueError(f"{CONTACTS}/{name} has no row {offset[-1] - 1}")
+                    found.append(values[offset[0] : offset[-1]])
+            return Contacts(*found), offset[1:] - offset[0]
 
         return self.patiently(read)
 

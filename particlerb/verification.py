@@ -21,9 +21,11 @@ from particlerb.record.checked import (
     number,
 )
 from particlerb.record.checkpoint import digest_of
-from particlerb.record.integrity import digest, frame_checksums
+from particlerb.record.integrity import digest, frame_checksums, list_checksums
 from particlerb.record.schema import (
     CHECKPOINT,
+    CONTACT_FIELDS,
+    CONTACTS,
     CURRENT,
     INTEGRITY,
     LEDGER,
@@ -32,6 +34,7 @@ from particlerb.record.schema import (
     SLOTS,
     TRAJECTORY,
     VTKHDF,
+    WALLS,
 )
 from particlerb.trajectory import Trajectory
 
@@ -113,11 +116,16 @@ def verify_checksums(trajectory: Trajectory) -> str:
     n = trajectory.n_frames
     stored = checked(trajectory.file, f"{INTEGRITY}/checksum", "u", (None,))
     wrong: list[int] = []
+    more = trajectory.contact_fields
     for part in trajectory.portions():
         size = len(range(n)[part])
-        values = [trajectory.read(name, part) for name in trajectory.fields]
+        per_body = [*trajectory.fields, *filter(more.__contains__, CONTACT_FIELDS)]
+        values: list[Any] = [trajectory.read(name, part) for name in per_body]
         values.append(trajectory.rows(f"{TRAJECTORY}/time", 0, part))
         values += [trajectory.observable(name, part) for name in LEDGER]
+        values += [trajectory.of_walls(name, part) for name in WALLS if name in more]
+        if CONTACTS in more:
+            values.append(list_checksums(*trajectory.contact_rows(part.start, part.stop)))
         with blaming(trajectory.file):
             written = stored[part]
         if len(written) != size:
@@ -125,8 +133,8 @@ def verify_checksums(trajectory: Trajectory) -> str:
         differ = np.flatnonzero(written != frame_checksums(size, values))
         wrong += (part.start + differ).tolist()
     if wrong:
-        more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
-        raise Flaw(f"frame {', '.join(map(str, wrong[:3]))}{more} differ from what was written")
+        rest = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
+        raise Flaw(f"frame {', '.join(map(str, wrong[:3]))}{rest} differ from what was written")
     return f"of {n} frames are those written"
 
 
@@ -203,6 +211,9 @@ def verify_steps(trajectory: Trajectory) -> str:
         counted = number(followed(trajectory.file, f"{VTKHDF}/Steps"), "NSteps")
         values: Any = checked(trajectory.file, f"{VTKHDF}/Steps/Values", "f", (None,))
         same = np.array_equal(values[: trajectory.n_frames], trajectory.time)
+        first: Any = checked(trajectory.file, f"{VTKHDF}/Steps/PointOffsets", "i", (None,))
+        starts = np.arange(trajectory.n_frames) * trajectory.n_bodies
+        same = same and np.array_equal(first[: trajectory.n_frames], starts)
     if counted < trajectory.n_frames or not same:
         raise Flaw(f"{counted} steps differ from {trajectory.n_frames} frames")
     return f"{counted}"
@@ -215,11 +226,15 @@ def verify_checkpoint(trajectory: Trajectory) -> str:
             return "none: the run cannot go on"
         group = followed(trajectory.file, CHECKPOINT)
         current = number(group, CURRENT)
-        slot = checked(trajectory.file, f"{CHECKPOINT}/{SLOTS[current]}", "u", (None,))
-        behind, stored = number(slot, SLOT_FRAMES), attribute(slot, SLOT_DIGEST, "S")
-        now = digest_of(slot[:].tobytes())
-    if now.encode() != bytes(stored):
-        raise Flaw(f"has the hash {now[:12]}…, written was {bytes(stored)[:12].decode()}…")
+        hashes = []
+        for which in (SLOTS[1 - current], SLOTS[current]):
+            slot = checked(trajectory.file, f"{CHECKPOINT}/{which}", "u", (None,))
+            behind, stored = number(slot, SLOT_FRAMES), bytes(attribute(slot, SLOT_DIGEST, "S"))
+            hashes.append((which, digest_of(slot[:].tobytes()), stored.decode(errors="replace")))
+        now = hashes[1][1]
+    for own, computed, written in hashes:
+        if computed != written:
+            raise Flaw(f"in slot {own} has the hash {computed[:12]}…, written was {written[:12]}…")
     if behind > trajectory.n_frames:
         raise Flaw(f"lies behind frame {behind - 1}, of {trajectory.n_frames}")
     return f"behind {behind} frames, hash {now[:12]}… is that written"

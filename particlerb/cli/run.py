@@ -104,7 +104,7 @@ def output_path(options: argparse.Namespace, case: "Case") -> Path:
 
 def disk_warnings(case: "Case", path: Path, done: int = 0) -> list[str]:
     """Warning where what is left to write, behind some frames, would not fit on the disk."""
-    from particlerb.record.writer import bytes_of_run, spare_bytes
+    from particlerb.record.room import bytes_of_run, spare_bytes
     from particlerb.simulate import frame_count
 
     size = bytes_of_run(case, frame_count(case) - done) + spare_bytes(case)
@@ -127,7 +127,7 @@ def free_bytes(path: Path) -> int:
 
 def size_text(case: "Case", path: Path) -> str:
     """File, frames and size of a run, and the room that there is."""
-    from particlerb.record.writer import SMALLEST_FILE, bytes_of_run
+    from particlerb.record.room import SMALLEST_FILE, bytes_of_run
     from particlerb.simulate import frame_count
 
     n = frame_count(case)
@@ -152,7 +152,7 @@ def execute(
     from tqdm import tqdm
 
     from particlerb.record.claim import InUseError
-    from particlerb.record.writer import FullDiskError
+    from particlerb.record.room import FullDiskError
     from particlerb.simulate import RunError
 
     silent = True if options.quiet else None

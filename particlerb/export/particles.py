@@ -14,9 +14,9 @@ import numpy as np
 from particlerb.bodies.state import turned
 from particlerb.export import Selection, is_known
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record.layout import describe, make_clock, make_group, write_h5md
 from particlerb.record.schema import TRAJECTORY, frames_per_chunk
 from particlerb.record.vtkhdf import append_steps, count_steps, create_vtkhdf
-from particlerb.record.writer import describe, make_clock, make_group, write_h5md
 
 NEEDS: Final = ("position", "orientation")
 UNITS: Final = {"position": "m", "velocity": "m s-1"}
@@ -42,7 +42,7 @@ def write(selection: Selection, path: Path) -> None:
         for name, (values, units, meaning) in static.items():
             group[name] = values
             describe(group[name], units, meaning)
-        step, clock = make_clock(file)
+        step, clock = make_clock(file, n_frames)
         for clockwork in (step, clock):
             clockwork.resize(n_frames, axis=0)
         step[:], clock[:] = selection.frames, trajectory.time[selection.frames]
@@ -92,7 +92,7 @@ def element(
     own = group.create_group(name)
     own["step"], own["time"] = step, clock
     shape = (len(step), n, 3)
-    chunks = (min(frames_per_chunk(n, 3, 8), len(step)), n, 3)
+    chunks = (frames_per_chunk(n, 3, 8, len(step)), n, 3)
     value = own.create_dataset("value", shape, "f8", chunks=chunks, fillvalue=np.nan)
     describe(value, UNITS[name], "of each particle, world frame")
     return value

@@ -14,6 +14,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.schema import (
     COLUMNS,
     CONTACTS,
+    MOST_IN_CHUNK,
     OFFSET,
     WALL_NAMES,
     WALL_NUMBERS,
@@ -21,7 +22,7 @@ from particlerb.record.schema import (
     Element,
 )
 
-CONTACTS_PER_CHUNK = 8192
+CONTACTS_PER_CHUNK = 64, 8192  # at least, at most
 BYTES_PER_CONTACT = 3 * 4 + 7 * 8
 Make = Callable[[str, Element], h5py.Dataset]
 
@@ -59,19 +60,27 @@ def walls_wanted(case: Case) -> list[str]:
 
 
 def make_contacts(
-    file: h5py.File, step: h5py.Dataset, time: h5py.Dataset, dtype: np.dtype[np.floating]
+    file: h5py.File,
+    step: h5py.Dataset,
+    time: h5py.Dataset,
+    dtype: np.dtype[np.floating],
+    n_expected: int,
 ) -> None:
-    """Make room for the contacts of all frames; what is no integer has the given type."""
+    """Make room for the contacts of all frames, of which about so many are expected.
+
+    What is no integer has the given type.
+    """
+    rows = int(np.clip(n_expected, *CONTACTS_PER_CHUNK))
     group = file.create_group(CONTACTS)
     group["step"], group["time"] = step, time
     for name, column in COLUMNS.items():
         shape = (column.width,) if column.width else ()
         made = group.create_dataset(
             name, (0, *shape), np.dtype("i4") if column.is_count else dtype,
-            maxshape=(None, *shape), chunks=(CONTACTS_PER_CHUNK, *shape),
+            maxshape=(None, *shape), chunks=(rows, *shape),
         )  # fmt: skip
         made.attrs["units"], made.attrs["meaning"] = column.units, column.meaning
-    offset = file.create_dataset(OFFSET, (1,), "i8", maxshape=(None,), chunks=(1024,))
+    offset = file.create_dataset(OFFSET, (1,), "i8", maxshape=(None,), chunks=(MOST_IN_CHUNK,))
     offset.attrs["units"] = "1"
     offset.attrs["meaning"] = "contacts of frame f are offset[f] to offset[f + 1]"
 
@@ -83,15 +92,23 @@ class ContactList:
         self.columns = {name: file[CONTACTS][name] for name in COLUMNS}
         self.offset = file[OFFSET]
 
+    def rows(self, touches: Sequence[Touches]) -> tuple[list[Floats | Ints], Ints]:
+        """Contacts of some frames as the file holds them, and the row behind each frame."""
+        ends = np.cumsum([one.wall.size for one in touches], dtype=np.int64)
+        columns = [
+            np.concatenate([getattr(one, name) for one in touches]).astype(dataset.dtype)
+            for name, dataset in self.columns.items()
+        ]
+        return columns, ends
+
     def write(self, first: int, touches: Sequence[Touches]) -> Ints:
         """Write contacts of some frames from row `first` on; return where each frame ends."""
-        ends: Ints = first + np.cumsum([one.wall.size for one in touches])
-        for name, dataset in self.columns.items():
-            dataset.resize(int(ends[-1]), axis=0)
-            values = np.concatenate([getattr(one, name) for one in touches])
+        columns, ends = self.rows(touches)
+        for dataset, values in zip(self.columns.values(), columns, strict=True):
+            dataset.resize(first + len(values), axis=0)
             if len(values):
                 dataset[first:] = values
-        return ends
+        return first + ends
 
     def cut(self, n_frames: int) -> None:
         """Cut off what belongs to no frame."""

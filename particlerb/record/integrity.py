@@ -4,6 +4,7 @@ They find what a disk, a copy or an editor has changed. They protect from chance
 """
 
 import hashlib
+import math
 from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any, Final
@@ -13,7 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from particlerb.record.checked import followed, refuse_foreign_storage
-from particlerb.record.schema import INTEGRITY, PARAMETERS, STATIC
+from particlerb.record.schema import (
+    AXES,
+    INTEGRITY,
+    PARAMETERS,
+    STATIC,
+    TRAJECTORY,
+    VTKHDF,
+    WALL_NAMES,
+    WALL_NUMBERS,
+)
+from particlerb.record.vtkhdf import TOPOLOGY
 
 Words = NDArray[np.uint64]
 
@@ -48,10 +59,42 @@ def frame_checksums(n_frames: int, elements: Iterable[NDArray[np.generic]]) -> W
     return total
 
 
+def list_checksums(columns: Iterable[NDArray[np.generic]], ends: NDArray[np.int64]) -> Words:
+    """Checksum of each frame's part of a list: of all numbers in its rows, and of how many.
+
+    Parameters
+    ----------
+    columns : iterable of ndarray, shapes (m, ...)
+        Rows of all frames, one frame after the other; 32 or 64 bits, as the file holds them.
+    ends : ndarray, shape (T,)
+        The row behind each frame; the first begins at 0.
+    """
+    counts = np.diff(ends, prepend=0)
+    row = (np.arange(counts.sum()) - np.repeat(ends - counts, counts)).astype(np.uint64)
+    total = counts.astype(np.uint64)
+    for values in columns:
+        word = np.uint32 if values.itemsize == 4 else np.uint64
+        width = math.prod(values.shape[1:])
+        words: Any = np.ascontiguousarray(values).reshape(len(row), width).view(word)
+        k = row[:, None] * np.uint64(width) + np.arange(width, dtype=np.uint64)
+        weight = (np.uint64(2) * k + np.uint64(1)) * np.uint64(ODD)
+        sums = np.concatenate([np.zeros(1, np.uint64), np.cumsum((words * weight).sum(axis=1))])
+        total = total * np.uint64(ODD) + sums[ends] - sums[ends - counts]
+    return total
+
+
+def unchanging(file: h5py.File) -> list[str]:
+    """Paths of all datasets of a file that do not change in time."""
+    paths = [*STATIC, *AXES, f"{TRAJECTORY}/body"]
+    paths += [path for path in (WALL_NAMES, WALL_NUMBERS) if path in file]
+    paths += TOPOLOGY if VTKHDF in file else ()
+    return [*paths, *(f"{PARAMETERS}/{name}" for name in sorted(file[PARAMETERS]))]
+
+
 def digest(file: h5py.File) -> str:
-    """SHA-256 of the tables that do not change and of /parameters."""
+    """SHA-256 of all that does not change in time: tables and texts."""
     found = hashlib.sha256()
-    for path in [*STATIC, *(f"{PARAMETERS}/{name}" for name in sorted(file[PARAMETERS]))]:
+    for path in unchanging(file):
         dataset = followed(file, path)
         refuse_foreign_storage(file, dataset, path)
         value = dataset[()]

@@ -16,6 +16,7 @@ PARAMETERS: Final = "parameters"
 BODIES: Final = "bodies"
 VTKHDF: Final = "VTKHDF"
 INTEGRITY: Final = "integrity"
+CHECKSUM: Final = "checksum"  # of each frame, in it
 AXES: Final = ("xyz", "wxyz", "123")  # dimension scales: the world, quaternions, principal axes
 CHECKPOINT: Final = "checkpoint"
 SLOTS: Final = ("a", "b")  # of the checkpoint: archives of arrays, written in turn
@@ -23,7 +24,9 @@ CURRENT: Final = "current"  # attribute of the checkpoint: number of the slot th
 SLOT_FRAMES: Final = "frames"  # attributes of a slot: frames that lay behind,
 SLOT_DIGEST: Final = "sha256"  # and the hash of its bytes
 COMMITTED: Final = "n_frames"  # root attribute: frames that are wholly on disk
-CHUNK_OF_NUMBERS: Final = 1024  # entries per chunk of a number per frame
+FEWEST_IN_CHUNK: Final = 64  # frames, where a run has fewer: it may be prolonged
+MOST_IN_CHUNK: Final = 1024
+BYTES_OF_CHUNK: Final = 262144  # that are aimed at
 
 
 class Element(NamedTuple):
@@ -129,6 +132,12 @@ STATIC: Final[dict[str, Table]] = {
 }
 
 
-def frames_per_chunk(n_bodies: int, components: int, item: int) -> int:
-    """Frames in one chunk: about 256 KiB, at least one frame, at most 1024."""
-    return int(min(max(262144 // (n_bodies * max(components, 1) * item), 1), 1024))
+def rows_per_chunk(n_frames: int) -> int:
+    """Entries in one chunk of a number per frame: room for all frames of a short run."""
+    return min(max(n_frames, FEWEST_IN_CHUNK), MOST_IN_CHUNK)
+
+
+def frames_per_chunk(n_bodies: int, components: int, item: int, n_frames: int) -> int:
+    """Frames in one chunk of a field of bodies: about 256 KiB, at least one frame."""
+    fitting = BYTES_OF_CHUNK // (n_bodies * max(components, 1) * item)
+    return min(max(fitting, 1), rows_per_chunk(n_frames))

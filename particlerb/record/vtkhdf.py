@@ -16,9 +16,17 @@ import numpy as np
 from h5py import h5d, h5p, h5s
 
 from particlerb.maths.vec3 import Floats
-from particlerb.record.schema import CHUNK_OF_NUMBERS, VTKHDF
+from particlerb.record.schema import VTKHDF, rows_per_chunk
 
 CELLS: Final = ("Vertices", "Lines", "Polygons", "Strips")
+TOPOLOGY: Final = (
+    f"{VTKHDF}/NumberOfPoints",
+    *(
+        f"{VTKHDF}/{cells}/{name}"
+        for cells in CELLS
+        for name in ("NumberOfCells", "NumberOfConnectivityIds", "Offsets", "Connectivity")
+    ),
+)  # what is written once
 POINTS: Final = "position"  # the field that says where the points are
 
 
@@ -56,7 +64,7 @@ def create_vtkhdf(
         view(data, name, file[path])
     steps = root.create_group("Steps")
     steps.attrs["NSteps"] = np.int64(0)
-    growing = {"maxshape": (None,), "chunks": (CHUNK_OF_NUMBERS,)}
+    growing = {"maxshape": (None,), "chunks": (rows_per_chunk(n_frames),)}
     steps.create_dataset("Values", (0,), "f8", **growing)
     steps.create_dataset("PointOffsets", (0,), "i8", **growing)
     constant(steps, "PartOffsets", 0)

@@ -6,13 +6,9 @@ no file lock, so that the file opens after a crash and can be read while it grow
 
 import errno
 import itertools
-import json
 import os
-import platform
 import re
 import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -21,9 +17,8 @@ from typing import Any, Self
 
 import h5py
 import numpy as np
+from h5py import h5s
 
-import particlerb
-from particlerb._jit import source_hash
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import Frames, derived
 from particlerb.case.schema import Case
@@ -40,12 +35,20 @@ from particlerb.record.contacts import (
     wall_values,
     walls_wanted,
 )
-from particlerb.record.integrity import Words, frame_checksums, seal
+from particlerb.record.integrity import Words, frame_checksums, list_checksums, seal
+from particlerb.record.layout import (
+    make_checksums,
+    make_clock,
+    make_element,
+    write_bodies,
+    write_h5md,
+)
+from particlerb.record.provenance import write_parameters
+from particlerb.record.room import FullDiskError, bytes_of_run, most_frames, spare_bytes
 from particlerb.record.schema import (
-    AXES,
     BODIES,
     CHECKPOINT,
-    CHUNK_OF_NUMBERS,
+    CHECKSUM,
     COMMITTED,
     CONTACT_FIELDS,
     CONTACTS,
@@ -55,35 +58,22 @@ from particlerb.record.schema import (
     LEDGER,
     OBSERVABLES,
     OFFSET,
-    PARAMETERS,
     SCHEMA_VERSION,
-    STATIC,
     TRAJECTORY,
-    WALL_NUMBERS,
     WALLS,
-    Element,
-    frames_per_chunk,
 )
 from particlerb.record.vtkhdf import append_steps, count_steps, create_vtkhdf, resize_vtkhdf
 
 SECONDS_BETWEEN_COMMITS = 1.0
 SHARE_OF_CHECKPOINTS = 0.02  # of the time of a run that may go into them
-LARGEST_SPARE = 8_000_000  # bytes that HDF5 may hold back in its caches, 1 MiB a dataset
-SMALLEST_FILE = 600_000  # bytes of a file of few bodies and frames
 CLOCK = "time"
-CHECKSUM = "checksum"
 SHOWN = {  # what VTK shows of each body beside the recorded fields
     "id": f"{TRAJECTORY}/id",
     "mass": f"{TRAJECTORY}/mass",
     "extent": f"{TRAJECTORY}/extent",
     "kind": f"{BODIES}/kind",
 }
-THINNEST = 0.02  # edge of a glyph, of the longest one: rods and points are to be seen
 NUMBERS = itertools.count()  # of the files in memory
-
-
-class FullDiskError(OSError):
-    """The disk has no room for what comes next; what was written is whole."""
 
 
 class WriteError(OSError):
@@ -159,33 +149,32 @@ class Recorder:
 
     def lay_out(self, parameters: Mapping[str, str]) -> None:
         """Write all that a file without frames has."""
-        self.file.attrs["schema"] = np.array(SCHEMA_VERSION, dtype=np.int32)
-        write_h5md(self.file)
-        write_bodies(self.file, self.scene)
-        write_parameters(self.file, self.case, parameters)
-        self.step, self.time = make_clock(self.file)
-        self.values: dict[str, h5py.Dataset] = {
-            name: self.make_element(f"{TRAJECTORY}/{name}", element, "body")
+        file, case, n = self.file, self.case, most_frames(self.case)
+        file.attrs["schema"] = np.array(SCHEMA_VERSION, dtype=np.int32)
+        write_h5md(file)
+        write_bodies(file, self.scene)
+        write_parameters(file, case, parameters)
+        step, clock = make_clock(file, n)
+        wanted: Sequence[str] = case.output.fields
+        fields = {
+            name: make_element(file, f"{TRAJECTORY}/{name}", element, self.dtype, n, "body")
             for name, element in (FIELDS | CONTACT_FIELDS).items()
-            if name in self.case.output.fields
+            if name in wanted
         }
-        if walls := walls_wanted(self.case):
-            make_walls(self.file, self.case)
-        self.walls: dict[str, h5py.Dataset] = {
-            name: self.make_element(f"{OBSERVABLES}/{name}", WALLS[name], "wall") for name in walls
-        }
-        self.contacts: ContactList | None = None
-        if CONTACTS in self.case.output.fields:
-            make_contacts(self.file, self.step, self.time, self.dtype)
-            self.contacts = ContactList(self.file)
-        self.ledger = {
-            name: self.make_element(f"{OBSERVABLES}/{name}", element)
-            for name, element in LEDGER.items()
-        }
-        self.checksums = make_checksums(self.file)
+        if walls := walls_wanted(case):
+            make_walls(file, case)
+        for name in walls:
+            make_element(file, f"{OBSERVABLES}/{name}", WALLS[name], np.float64, n, "wall")
+        if CONTACTS in wanted:
+            make_contacts(file, step, clock, self.dtype, n * case.n_bodies)
+        for name, element in LEDGER.items():
+            make_element(file, f"{OBSERVABLES}/{name}", element, np.float64, n)
+        make_checksums(file, n)
         if self.path is not None:  # nobody else can open a file in memory
-            create_vtkhdf(self.file, self.values, SHOWN, most_frames(self.case))
-        self.file.attrs[COMMITTED] = np.int64(0)
+            create_vtkhdf(file, fields, SHOWN, n)
+        file.attrs[COMMITTED] = np.int64(0)
+        seal(file)
+        self.find()
 
     @classmethod
     def again(cls, path: Path, case: Case, scene: Scene, n_frames: int, known: int) -> Self:
@@ -234,8 +223,9 @@ class Recorder:
         fields = self.case.output.fields
         self.step, self.time = group["step"], group["time"]
         named = [name for name in FIELDS | CONTACT_FIELDS if name in fields]
-        self.values = {name: group[f"{name}/value"] for name in named}
-        self.walls = {name: observables[f"{name}/value"] for name in walls_wanted(self.case)}
+        self.values: dict[str, h5py.Dataset] = {name: group[f"{name}/value"] for name in named}
+        walls = walls_wanted(self.case)
+        self.walls: dict[str, h5py.Dataset] = {name: observables[f"{name}/value"] for name in walls}
         self.contacts = ContactList(self.file) if CONTACTS in fields else None
         self.ledger = {name: observables[f"{name}/value"] for name in LEDGER}
         self.checksums = self.file[INTEGRITY][CHECKSUM]
@@ -267,34 +257,6 @@ class Recorder:
             self.contacts.cut(n)
         resize_vtkhdf(self.file, self.values, most_frames(self.case))
         self.file.flush()
-
-    def make_element(self, path: str, element: Element, per: str = "") -> h5py.Dataset:
-        """One H5MD element: step, time, and an empty value that can grow, per body or wall."""
-        group = self.file.require_group(path)
-        group["step"], group["time"] = self.step, self.time
-        scale_of = {"body": f"{TRAJECTORY}/body", "wall": WALL_NUMBERS}
-        numbers, width = [self.file[scale_of[per]]] if per else [], len(element.components)
-        n = len(numbers[0]) if per else 0
-        shape = ((n,) if per else ()) + ((width,) if width else ())
-        dtype: np.dtype[Any] = self.dtype if per == "body" else np.dtype(np.float64)
-        if element.is_count:
-            dtype = np.dtype(np.int32)
-        is_body = per == "body"
-        frames = frames_per_chunk(n, width, dtype.itemsize) if is_body else CHUNK_OF_NUMBERS
-        value = group.create_dataset(
-            "value",
-            (0, *shape),
-            dtype,
-            maxshape=(None, *shape),
-            chunks=(frames, *shape),
-            fillvalue=None if element.is_count else np.nan,  # what was never written is no number
-        )
-        describe(value, element.units, element.meaning)
-        scales = [self.time, *numbers]
-        scales += [self.file[element.components]] if width else []
-        for dimension, scale in zip(value.dims, scales, strict=True):
-            dimension.attach_scale(scale)
-        return value
 
     @property
     def n_frames(self) -> int:
@@ -328,14 +290,16 @@ class Recorder:
             for name, dataset in self.values.items()
         }
         entries = {CLOCK: times} | {name: getattr(ledger, name)[rows] for name in self.ledger}
-        rows_of_fields = [arrays[name] for name in FIELDS if name in arrays]
-        sums = frame_checksums(len(times), [*rows_of_fields, *entries.values()])
+        walls = wall_values(self.walls, touches) if self.walls else {}
+        lists = [] if self.contacts is None else [list_checksums(*self.contacts.rows(touches))]
+        parts = [*arrays.values(), *entries.values(), *walls.values(), *lists]
+        sums = frame_checksums(len(times), parts)
         new = slice(self.recognise(n, sums), None)
         if not len(sums[new]):
             return
         for name, dataset in self.values.items():
             append_rows(dataset, self.n_frames, arrays[name][new])
-        small = {**entries, **self.of_walls(touches), CHECKSUM: sums}
+        small = {**entries, **walls, CHECKSUM: sums}
         part: dict[str, Floats | Ints | Words]
         part = {name: values[new] for name, values in small.items()}
         if self.contacts is not None:
@@ -396,10 +360,6 @@ class Recorder:
         return {
             name: body_values(name, touches, n) for name in self.values if name in CONTACT_FIELDS
         }
-
-    def of_walls(self, touches: Sequence[Touches]) -> dict[str, Floats]:
-        """Fields of walls, for some frames."""
-        return wall_values(self.walls, touches) if self.walls else {}
 
     @property
     def n_contacts(self) -> int:
@@ -499,14 +459,19 @@ class Recorder:
 
 
 def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints | Words) -> None:
-    """Append values from row `first` on; a row that is a chunk goes straight to the file."""
-    dataset.resize(first + len(values), axis=0)
-    if dataset.chunks[0] > 1:
-        dataset[first:] = values
+    """Append values from row `first` on; a row that is a chunk goes straight to the file.
+
+    By HDF5's own calls: h5py takes longer to find out what a slice means than HDF5 to write it.
+    """
+    shape, origin = values.shape, (0,) * (values.ndim - 1)
+    dataset.id.set_extent((first + shape[0], *shape[1:]))
+    if dataset.chunks[0] == 1:
+        for k in range(len(values)):
+            dataset.id.write_direct_chunk((first + k, *origin), values[k])
         return
-    origin = (0,) * (values.ndim - 1)
-    for k in range(len(values)):
-        dataset.id.write_direct_chunk((first + k, *origin), values[k])
+    place = dataset.id.get_space()
+    place.select_hyperslab((first, *origin), shape)
+    dataset.id.write(h5s.create_simple(shape), place, np.ascontiguousarray(values))
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:
@@ -517,162 +482,6 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
     if not overwrite:
         raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
     Claim(path).release()  # nobody writes it
-
-
-def write_h5md(file: h5py.File) -> None:
-    """The group that H5MD asks for."""
-    h5md = file.create_group("h5md")
-    h5md.attrs["version"] = np.array([1, 1], dtype=np.int32)
-    h5md.create_group("author").attrs["name"] = np.bytes_("unknown")
-    creator = h5md.create_group("creator")
-    creator.attrs["name"] = np.bytes_("particlerb")
-    creator.attrs["version"] = np.bytes_(particlerb.__version__)
-
-
-def make_group(file: h5py.File) -> h5py.Group:
-    """The group of the particles, in an endless box."""
-    group = file.create_group(TRAJECTORY)
-    box = group.create_group("box")
-    box.attrs["dimension"] = np.int32(3)
-    box.attrs["boundary"] = np.array(["none"] * 3, dtype="S8")
-    return group
-
-
-def write_bodies(file: h5py.File, scene: Scene) -> None:
-    """What does not change: box, dimension scales, masses, particles."""
-    trajectory = make_group(file)
-    n = len(scene.kind)
-    trajectory["body"] = np.arange(n)
-    trajectory["body"].make_scale("body")
-    for axis in AXES:
-        file[axis] = np.array([letter.encode() for letter in axis])
-        file[axis].make_scale(axis)
-    bodies, particles = scene.bodies, scene.particles
-    arrays = {
-        f"{TRAJECTORY}/id": np.arange(n),
-        f"{TRAJECTORY}/mass": bodies.mass,
-        f"{TRAJECTORY}/moment_inertia": bodies.inertia.T,
-        f"{TRAJECTORY}/extent": extents(scene),
-        f"{BODIES}/names": np.array([name.encode() for name in scene.names]),
-        f"{BODIES}/kind": scene.kind,
-        f"{BODIES}/rotor_class": bodies.rotor_class,
-        f"{BODIES}/rotor_frame": bodies.rotor_frame.T,
-        f"{BODIES}/particles/position": particles.position,
-        f"{BODIES}/particles/mass": particles.mass,
-        f"{BODIES}/particles/radius": particles.radius,
-        f"{BODIES}/particles/offset": particles.offset,
-    }
-    for path, table in STATIC.items():
-        file[path] = arrays[path]
-        describe(file[path], table.units, table.meaning)
-    for name in ("id", "mass", "moment_inertia", "extent"):
-        trajectory[name].dims[0].attach_scale(trajectory["body"])
-    trajectory["extent"].dims[1].attach_scale(file["xyz"])
-    trajectory["moment_inertia"].dims[1].attach_scale(file["123"])
-
-
-def extents(scene: Scene) -> Floats:
-    """Edges of a box about the centre of mass of each body that holds its particles, (N, 3) [m].
-
-    Axes of the body frame. No edge is thinner than a share of the longest one: of the body, or of
-    all bodies where the body is a point.
-    """
-    particles = scene.particles
-    reach = np.abs(particles.position) + particles.radius[:, None]
-    edges = 2.0 * np.maximum.reduceat(reach, particles.offset[:-1], axis=0)
-    longest = edges.max(axis=1, keepdims=True)
-    longest[longest == 0.0] = longest.max() or 1.0
-    thick: Floats = np.maximum(edges, THINNEST * longest)[scene.kind]
-    return thick
-
-
-def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> None:
-    """Where the file comes from: enough to run it again."""
-    parameters = {
-        "case": case.text,
-        "case_resolved": case.model_dump_json(),
-        **more,
-        "versions": json.dumps(versions()),
-        "case_path": str(case.path.absolute()) if case.path else "",
-        "machine": f"{platform.machine()} {platform.system()} {platform.release()}",
-        "git_revision": git_revision(),
-    }
-    for name, text in parameters.items():
-        write_text(file, name, text)
-    file[f"{PARAMETERS}/seed"] = case.run.seed
-    file.create_group(INTEGRITY)
-    seal(file)
-
-
-def replace_case(file: h5py.File, case: Case) -> None:
-    """Let the file say that its case is this one: the same with another end."""
-    write_text(file, "case_resolved", case.model_dump_json())
-    seal(file)
-    file.flush()
-
-
-def describe(dataset: h5py.Dataset, units: str, meaning: str) -> None:
-    """Say what the numbers are; `units` is CF's name, H5MD's `unit` stops MDAnalysis."""
-    dataset.attrs["units"] = units
-    dataset.attrs["meaning"] = meaning
-
-
-def write_text(file: h5py.File, name: str, text: str) -> None:
-    """Write a text of /parameters, UTF-8, in place of what is there.
-
-    Of fixed length: its bytes lie in one place, and a reader can tell beforehand how many they are.
-    """
-    group = file.require_group(PARAMETERS)
-    if name in group:
-        del group[name]
-    data = text.encode()
-    group.create_dataset(name, data=data, dtype=h5py.string_dtype("utf-8", max(len(data), 1)))
-
-
-def versions() -> dict[str, str]:
-    """Versions of what made the file."""
-    names = ("numpy", "numba", "h5py")
-    found = {name: str(sys.modules[name].__version__) for name in names if name in sys.modules}
-    own = {"particlerb": particlerb.__version__, "sources": source_hash()}
-    return {**own, "python": platform.python_version(), **found}
-
-
-def git_revision() -> str:
-    """Revision of the sources, where they are a git checkout; else empty."""
-    root = Path(particlerb.__file__).parent.parent
-    if not (root / ".git").exists():
-        return ""
-    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return done.stdout.strip()
-
-
-def make_clock(file: h5py.File) -> tuple[h5py.Dataset, h5py.Dataset]:
-    """Step and time, which every element shares by hard links."""
-    group = file[TRAJECTORY]
-    step = group.create_dataset("step", (0,), "i8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,))
-    clock = group.create_dataset(
-        "time", (0,), "f8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,), fillvalue=np.nan
-    )
-    describe(clock, "s", "of each frame; linked into every element")
-    describe(step, "1", "number of the frame; linked into every element")
-    clock.make_scale("time")
-    step.dims[0].attach_scale(clock)
-    return step, clock
-
-
-def make_checksums(file: h5py.File) -> h5py.Dataset:
-    """Checksums of the frames."""
-    checksums = file[INTEGRITY].create_dataset(
-        CHECKSUM, (0,), "u8", maxshape=(None,), chunks=(CHUNK_OF_NUMBERS,)
-    )
-    describe(checksums, "1", "of each frame, see particlerb.record.integrity")
-    file[INTEGRITY]["time"] = file[f"{TRAJECTORY}/time"]  # netCDF looks for scales in this group
-    checksums.dims[0].attach_scale(file[f"{TRAJECTORY}/time"])
-    return checksums
 
 
 def fields_of(
@@ -692,24 +501,3 @@ def fields_of(
         )
         arrays |= {"velocity": velocity, "angular_velocity": omega}
     return arrays
-
-
-def most_frames(case: Case) -> int:
-    """Frames of a run, or a few more."""
-    return int(case.run.t_end / case.run.every) + 2
-
-
-def spare_bytes(case: Case) -> int:
-    """Room on the disk for what HDF5 has still to write when a run must end."""
-    whole = bytes_of_run(case, most_frames(case))
-    return min(LARGEST_SPARE, SMALLEST_FILE + 2 * whole)
-
-
-def bytes_of_run(case: Case, n_frames: int) -> int:
-    """Size of the fields of a run on disk [bytes], without the small rest."""
-    item = np.dtype(case.output.dtype).itemsize
-    per_body = FIELDS | CONTACT_FIELDS
-    own = [per_body[name] for name in case.output.fields if name in per_body]
-    width = sum(max(len(element.components), 1) for element in own)
-    walls = 3 * len(walls_wanted(case)) * len(case.wall)
-    return n_frames * (case.n_bodies * width * item + 8 * (21 + walls))

@@ -180,17 +180,24 @@ def test_fields_and_precision_are_those_asked_for(written):
 
 
 def test_chunks_are_about_a_quarter_of_a_megabyte():
-    assert frames_per_chunk(1, 3, 8) == 1024
-    assert frames_per_chunk(1000, 3, 8) == 10
-    assert frames_per_chunk(1000, 3, 4) == 21
-    assert frames_per_chunk(10**6, 3, 8) == 1
+    assert frames_per_chunk(1, 3, 8, 10**6) == 1024
+    assert frames_per_chunk(1000, 3, 8, 10**6) == 10
+    assert frames_per_chunk(1000, 3, 4, 10**6) == 21
+    assert frames_per_chunk(10**6, 3, 8, 10**6) == 1
+
+
+def test_chunks_of_a_short_run_are_short():
+    """Else a file of ten frames had the size of one of a thousand."""
+    assert frames_per_chunk(1, 3, 8, 700) == 700
+    assert frames_per_chunk(1, 3, 8, 10) == 64  # the run may be prolonged
+    assert frames_per_chunk(1000, 3, 8, 64) == 10
 
 
 def test_chunks_in_the_file(written):
     file = written()
-    assert file["particles/trajectory/position/value"].chunks == (1024, 3, 3)
-    assert file["observables/energy/value"].chunks == (1024,)
-    assert file["observables/linear_momentum/value"].chunks == (1024, 3)
+    assert file["particles/trajectory/position/value"].chunks == (64, 3, 3)
+    assert file["observables/energy/value"].chunks == (64,)
+    assert file["observables/linear_momentum/value"].chunks == (64, 3)
     assert file["particles/trajectory/position/value"].compression is None
 
 

@@ -19,7 +19,7 @@ from particlerb.case.reader import load
 from particlerb.cli import main
 from particlerb.methods import dilute
 from particlerb.methods.saving import filled, flat
-from particlerb.record import claim, writer
+from particlerb.record import claim, provenance, room, writer
 from particlerb.record.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
 from particlerb.resuming import ResumeError, look_at
 from particlerb.studies.accuracy import prepare_accurately
@@ -242,7 +242,7 @@ def test_nothing_is_left_to_do(finished, t_end, words):
 
 @pytest.mark.parametrize("name", ["particlerb", "sources", "numpy"])
 def test_another_version_is_refused(finished, monkeypatch, name, capsys):
-    now = writer.versions()
+    now = provenance.versions()
     monkeypatch.setattr("particlerb.resuming.versions", lambda: now | {name: "other"})
     assert main(["resume", str(finished), "--t-end", "1"]) == 2
     assert "was made with" in capsys.readouterr().err
@@ -253,7 +253,7 @@ def test_an_altered_case_is_refused(finished, number):
     with h5py.File(finished, "r+") as file:
         text = file["parameters/case_resolved"][()].decode()
         assert number in text
-        writer.write_text(file, "case_resolved", text.replace(number, "2.5"))
+        provenance.write_text(file, "case_resolved", text.replace(number, "2.5"))
     with pytest.raises(ResumeError, match="other bodies or another plan"):
         look_at(finished, 1.0)
 
@@ -408,7 +408,7 @@ def test_no_room_is_an_error_with_its_number(tmp_path, monkeypatch, make):
         raise OSError(errno.EDQUOT, "Disk quota exceeded")
 
     monkeypatch.setattr("os.posix_fallocate", refuse)
-    with pytest.raises(writer.FullDiskError, match="Disk quota exceeded"):
+    with pytest.raises(room.FullDiskError, match="Disk quota exceeded"):
         particlerb.run(make.case(make.body()), tmp_path / "a.h5")
     assert not list(tmp_path.iterdir())
 
