@@ -237,8 +237,9 @@ class Recorder:
         self.file, self.claim, self.path = file, claim, path
         self.case, self.scene = case, scene
         self.dtype = np.dtype(case.output.dtype)
-        # Frames committed, and the small arrays of those that are not: replaced as one.
-        self.ready: tuple[int, list[dict[str, Floats | Ints | Words]]] = (0, [])
+        # Frames committed, and of those that are not how many lie before and their small arrays:
+        # replaced as one.
+        self.ready: tuple[int, list[tuple[int, dict[str, Floats | Ints | Words]]]] = (0, [])
         self.known = 0  # frames that were there before
         self.is_broken = self.has_slots = False
         self.last_commit = self.last_kept = time.monotonic()
@@ -262,7 +263,7 @@ class Recorder:
     def n_frames(self) -> int:
         """Frames that were appended."""
         committed, pending = self.ready
-        return committed + sum(len(part[CLOCK]) for part in pending)
+        return pending[-1][0] if pending else committed
 
     def append(
         self,
@@ -304,7 +305,7 @@ class Recorder:
         part = {name: values[new] for name, values in small.items()}
         if self.contacts is not None:
             part[OFFSET] = self.contacts.write(self.n_contacts, touches[new])
-        self.ready[1].append(part)
+        self.ready[1].append((n + len(times), part))
 
     def recognise(self, first: int, sums: Words) -> int:
         """Number of frames, from `first` on, that were in the file before: they must be the same.
@@ -366,7 +367,7 @@ class Recorder:
         """Contacts that were appended."""
         committed, pending = self.ready
         assert self.contacts is not None
-        return int(pending[-1][OFFSET][-1] if pending else self.contacts.offset[committed])
+        return int(pending[-1][1][OFFSET][-1] if pending else self.contacts.offset[committed])
 
     @contextmanager
     def watched(self) -> Iterator[None]:
@@ -420,8 +421,8 @@ class Recorder:
         first, pending = self.ready
         n = self.n_frames
         small = {CLOCK: self.time, CHECKSUM: self.checksums, **self.ledger, **self.walls}
-        for name in pending[0] if pending else ():
-            values = np.concatenate([part[name] for part in pending])
+        for name in pending[0][1] if pending else ():
+            values = np.concatenate([part[name] for _, part in pending])
             if name == OFFSET and self.contacts is not None:  # it has one entry more than frames
                 append_rows(self.contacts.offset, first + 1, values)
             else:
