@@ -259,7 +259,7 @@ import sys, particlerb
 from particlerb.record import writer
 from particlerb import simulate
 writer.SECONDS_BETWEEN_COMMITS = 0.0
-simulate.BATCH_FRAMES = 40
+simulate.FIRST_BATCH = simulate.BATCH_FRAMES = 40
 simulate.BATCH_SECONDS = 1e9
 shape = {"type": "moments", "inertia": [1.0, 2.0, 2.5]}
 body = {"name": "b", "shape": shape, "mass": 2.0, "count": 50, "velocity": [0.5, 0.0, -1.0],

@@ -160,7 +160,7 @@ def test_a_run_goes_on_bit_for_bit(make, tmp_path, monkeypatch, name):
 @pytest.mark.compiled
 def test_contacts_are_what_the_checkpoint_keeps(make, tmp_path):
     """Some hold a tangential spring, and lists were made on the way."""
-    particlerb.run(touching(make, t_end=0.7), tmp_path / "a.h5").close()
+    particlerb.run(touching(make, t_end=0.3), tmp_path / "a.h5").close()
     with h5py.File(tmp_path / "a.h5") as file:
         arrays = read_checkpoint(file).arrays
     kept = arrays["group.0.motion.lists.walls.kept"]
