@@ -6,7 +6,7 @@ written. The formats know of no command line.
 """
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -16,8 +16,8 @@ import numpy as np
 from particlerb.bodies.bodies import taken
 from particlerb.bodies.state import derived
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.record.schema import FIELDS
-from particlerb.trajectory import Trajectory
+from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, WALLS
+from particlerb.trajectory import Contacts, Trajectory
 
 FORMATS: Final = {  # name: suffix of its files, and what it is, in words
     "gsd": (".gsd", "HOOMD's schema: one oriented particle per body; OVITO, freud"),
@@ -42,7 +42,9 @@ class Selection(NamedTuple):
     trajectory: Trajectory
     frames: range
     bodies: Ints
-    fields: tuple[str, ...]
+    fields: tuple[str, ...]  # of bodies
+    walls: tuple[str, ...] = ()  # fields of walls
+    has_contacts: bool = False  # whether the contacts of each frame are asked for
 
     def portions(self, rows: int = 0) -> Iterator[slice]:
         """Slices of the chosen frames that fit into memory; `rows` of a frame are held at a time.
@@ -57,12 +59,12 @@ class Selection(NamedTuple):
         return self.trajectory.time[part]
 
     def values(self, name: str, part: slice) -> Floats:
-        """A field of the chosen bodies in some frames, shape (T, n, C); derived where need be."""
+        """A field of the chosen bodies in some frames, (T, n, C) or (T, n); derived if need be."""
         trajectory = self.trajectory
         bodies: slice | Ints = self.bodies
         if len(self.bodies) == trajectory.n_bodies:
             bodies = slice(None)
-        if name in trajectory.fields:
+        if name in trajectory.fields or name in CONTACT_FIELDS:
             return trajectory.read(name, part, bodies)
         if name == "velocity":
             momentum = trajectory.read("linear_momentum", part, bodies)
@@ -70,6 +72,12 @@ class Selection(NamedTuple):
         q = trajectory.read("orientation", part, bodies)
         L = trajectory.read("angular_momentum", part, bodies)
         return derived(taken(trajectory.bodies, self.bodies), q, L, L)[1]
+
+    def contacts(self, frame: int) -> Contacts:
+        """Contacts of the chosen bodies in a frame, with each other and with all else."""
+        found = self.trajectory.contacts(frame)
+        chosen = np.isin(found.body, self.bodies).any(axis=1)
+        return Contacts._make(column[chosen] for column in found)
 
 
 def export(
@@ -95,7 +103,8 @@ def export(
     frames : slice
         With a positive stride.
     fields : sequence of str
-        Of those recorded, or velocity and angular_velocity; left out: all recorded.
+        Of those recorded, or velocity and angular_velocity; left out: all recorded that the format
+        can hold, in csv those of bodies.
 
     Returns
     -------
@@ -113,13 +122,26 @@ def export(
     """
     if to not in FORMATS:
         raise ExportError(f"{to}: no such format; there are {', '.join(FORMATS)}")
+    writer = import_module(f"particlerb.export.{to}")
+    known = known_fields(trajectory, writer.HOLDS)
+    unknown = [name for name in fields if name not in known]
+    if unknown:
+        name, there = unknown[0], ", ".join(known)
+        if name in trajectory.contact_fields:
+            raise ExportError(f"{name}: {to} has no place for it; there are {there}")
+        raise ExportError(f"{name}: no such field here; there are {there}")
+    recorded = trajectory.fields + trajectory.contact_fields
+    wanted = [name for name in known if name in (fields or recorded)]
     selection = Selection(
         trajectory,
         chosen_frames(trajectory, frames),
         chosen_bodies(trajectory, bodies),
-        chosen_fields(trajectory, fields),
+        tuple(name for name in wanted if name in FIELDS or name in CONTACT_FIELDS),
+        tuple(name for name in wanted if name in WALLS),
+        CONTACTS in wanted,
     )
-    writer = import_module(f"particlerb.export.{to}")
+    if to == "csv" and not fields and selection.fields:
+        selection = selection._replace(walls=(), has_contacts=False)
     lacking = [name for name in writer.NEEDS if not is_known(trajectory, name)]
     if lacking:
         raise ExportError(f"{to} needs {', '.join(lacking)}, not recorded: see [output] fields")
@@ -166,10 +188,7 @@ def chosen_bodies(trajectory: Trajectory, wanted: Sequence[str]) -> Ints:
     return np.unique(np.concatenate([numbers[name] for name in wanted]))
 
 
-def chosen_fields(trajectory: Trajectory, wanted: Sequence[str]) -> tuple[str, ...]:
-    """Names of fields, in the order of the schema."""
+def known_fields(trajectory: Trajectory, held: Collection[str]) -> list[str]:
+    """Names of the fields that a trajectory can give and a format holds, in a fixed order."""
     known = [name for name in FIELDS if is_known(trajectory, name)]
-    unknown = [name for name in wanted if name not in known]
-    if unknown:
-        raise ExportError(f"{unknown[0]}: no such field here; there are {', '.join(known)}")
-    return tuple(name for name in known if name in (wanted or trajectory.fields))
+    return [name for name in known + trajectory.contact_fields if name in held]

@@ -18,9 +18,11 @@ from particlerb.bodies.bodies import Bodies, taken
 from particlerb.bodies.state import multiplied, turned_back
 from particlerb.export import ExportError, Selection, is_known
 from particlerb.maths.vec3 import Floats
+from particlerb.record.schema import FIELDS
 from particlerb.trajectory import Trajectory
 
 NEEDS: Final = ("position", "orientation")
+HOLDS: Final = tuple(FIELDS)
 MOST_SPHERES: Final = 1000  # of one shape
 THINNEST: Final = 0.02  # axis of an ellipsoid, of its longest: rods and points are to be seen
 ROOM: Final = 1.01  # of the box, times the positions

@@ -12,8 +12,10 @@ import numpy as np
 
 from particlerb.export import Selection
 from particlerb.maths.vec3 import Floats
+from particlerb.record.schema import FIELDS
 
 NEEDS: Final = ("position",)
+HOLDS: Final = tuple(FIELDS)
 COLUMNS: Final = {
     "position": ("x", "y", "z"),
     "orientation": ("quatw", "quati", "quatj", "quatk"),

@@ -9,13 +9,23 @@ import numpy as np
 from numpy.lib import format as npy
 
 from particlerb.export import Selection
-from particlerb.record.schema import FIELDS
+from particlerb.record.schema import (
+    COLUMNS,
+    CONTACT_FIELDS,
+    CONTACTS,
+    FIELDS,
+    WALLS,
+)
 
 NEEDS: Final = ()
+HOLDS: Final = (*FIELDS, *CONTACT_FIELDS, *WALLS, CONTACTS)
 
 
 def write(selection: Selection, path: Path) -> None:
-    """Write time, the bodies' constants, and each field as (T, n, C)."""
+    """Write time, the bodies' constants, each field as (T, n, C), and contacts as in a trajectory.
+
+    Contacts of frame f are the rows contacts_offset[f] to contacts_offset[f + 1] of their arrays.
+    """
     trajectory, bodies = selection.trajectory, selection.bodies
     constants = {
         "frame": np.array(selection.frames),
@@ -28,10 +38,30 @@ def write(selection: Selection, path: Path) -> None:
         for name, array in constants.items():
             add(archive, name, array.shape, array.dtype, [array])
         for name in selection.fields:
-            shape = (len(selection.frames), len(bodies), len(FIELDS[name].components))
+            first = selection.values(name, slice(0, 1))
+            shape = (len(selection.frames), *first.shape[1:])
             pieces = (selection.values(name, part) for part in selection.portions())
-            dtype = selection.values(name, slice(0, 1)).dtype
-            add(archive, name, shape, dtype, pieces)
+            add(archive, name, shape, first.dtype, pieces)
+        if selection.walls:
+            walls = np.array(trajectory.wall_names)
+            add(archive, "wall_name", walls.shape, walls.dtype, [walls])
+        for name in selection.walls:
+            values = trajectory.of_walls(name)[selection.frames]
+            add(archive, name, values.shape, values.dtype, [values])
+        if selection.has_contacts:
+            add_contacts(archive, selection)
+
+
+def add_contacts(archive: zipfile.ZipFile, selection: Selection) -> None:
+    """Add the contacts of all frames, column by column."""
+    counts = [len(selection.contacts(frame).wall) for frame in selection.frames]
+    offset = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+    add(archive, "contacts_offset", offset.shape, offset.dtype, [offset])
+    for name in COLUMNS:
+        first = getattr(selection.contacts(selection.frames[0]), name)
+        pieces = (getattr(selection.contacts(frame), name) for frame in selection.frames)
+        shape = (int(offset[-1]), *first.shape[1:])
+        add(archive, f"contacts_{name}", shape, first.dtype, pieces)
 
 
 def add(

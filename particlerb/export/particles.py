@@ -15,10 +15,11 @@ from particlerb.bodies.state import turned
 from particlerb.export import Selection, is_known
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.layout import describe, make_clock, make_group, write_h5md
-from particlerb.record.schema import TRAJECTORY, frames_per_chunk
+from particlerb.record.schema import FIELDS, TRAJECTORY, frames_per_chunk
 from particlerb.record.vtkhdf import append_steps, count_steps, create_vtkhdf
 
 NEEDS: Final = ("position", "orientation")
+HOLDS: Final = tuple(FIELDS)
 UNITS: Final = {"position": "m", "velocity": "m s-1"}
 
 
@@ -92,7 +93,7 @@ def element(
     own = group.create_group(name)
     own["step"], own["time"] = step, clock
     shape = (len(step), n, 3)
-    chunks = (frames_per_chunk(n, 3, 8, len(step)), n, 3)
+    chunks = (min(frames_per_chunk(n, 3, 8, len(step)), len(step)), n, 3)
     value = own.create_dataset("value", shape, "f8", chunks=chunks, fillvalue=np.nan)
     describe(value, UNITS[name], "of each particle, world frame")
     return value

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import particlerb
+from particlerb.case.wanted import FIELDS_OF_CONTACT
 from particlerb.cli import main
 from particlerb.export import ExportError, export
 from particlerb.export.gsd import ellipsoid
@@ -167,6 +168,68 @@ def test_npz_holds_the_arrays(trajectory, tmp_path, monkeypatch):
     assert (found["angular_velocity"] == trajectory.angular_velocity[:, [0, 2]]).all()
 
 
+@pytest.fixture(scope="module")
+def pile(make, tmp_path_factory):
+    """A file of three balls that touch the floor and each other, with all fields of contact."""
+    path = tmp_path_factory.mktemp("pile") / "pile.h5"
+    place = {"type": "grid", "spacing": 0.19, "n": [3, 1, 1], "origin": [0, 0, 0.09]}
+    fields = ["position", *FIELDS_OF_CONTACT]
+    keys = {"contact": make.hooke(1e3, overlap=0.5), "wall": [make.plane()], "dt": 0.01}
+    balls = make.sphere("ball", count=3, place=place, velocity=[0, 0, -1])
+    particlerb.run(make.case(balls, t_end=0.3, output={"fields": fields}, **keys), path).close()
+    with particlerb.open(path) as opened:
+        assert all(len(opened.contacts(k).wall) > 0 for k in range(2))
+        yield opened
+
+
+def rows_of(t, path, *fields, **keys):
+    export(t, path, "csv", fields=fields, **keys)
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def test_csv_of_contacts_has_a_row_each(pile, tmp_path):
+    rows = rows_of(pile, tmp_path / "a.csv", "contacts", frames=slice(1, 3))
+    expected = [(k, pile.contacts(k)) for k in (1, 2)]
+    assert len(rows) == sum(len(one.wall) for _, one in expected) > 2
+    places = [(k, one, j) for k, one in expected for j in range(len(one.wall))]
+    for row, (k, one, j) in zip(rows, places, strict=True):
+        assert (int(row["frame"]), float(row["time"])) == (k, pile.time[k])
+        assert [int(row["body"]), int(row["other"])] == one.body[j].tolist()
+        assert int(row["wall"]) == one.wall[j]
+        assert [float(row[f"force_{c}"]) for c in "xyz"] == one.force[j].tolist()
+        assert [float(row[f"point_{c}"]) for c in "xyz"] == one.point[j].tolist()
+        assert float(row["overlap"]) == one.overlap[j]
+    own = rows_of(pile, tmp_path / "b.csv", "contacts", bodies=["ball[0]"])
+    assert own
+    assert all("0" in (row["body"], row["other"]) for row in own)
+
+
+def test_csv_of_walls_and_of_bodies_that_touch(pile, tmp_path):
+    rows = rows_of(pile, tmp_path / "a.csv", "wall_force", "wall_position")
+    assert [row["name"] for row in rows] == ["floor"] * pile.n_frames
+    found = [[float(row[f"wall_force_{c}"]) for c in "xyz"] for row in rows]
+    assert found == pile.wall_force[:, 0].tolist()
+    rows = rows_of(pile, tmp_path / "b.csv")  # of bodies, where nothing is said
+    assert [int(row["contact_number"]) for row in rows] == pile.contact_number.ravel().tolist()
+    assert [float(row["contact_overlap"]) for row in rows] == pile.contact_overlap.ravel().tolist()
+    with pytest.raises(ExportError, match="ask for one sort"):
+        export(pile, tmp_path / "c.csv", "csv", fields=["position", "contacts"])
+    with pytest.raises(ExportError, match="lammps has no place for it"):
+        export(pile, tmp_path / "c", "lammps", fields=["contact_number"])
+
+
+def test_npz_holds_contacts_and_walls(pile, tmp_path):
+    export(pile, tmp_path / "a.npz", "npz", frames=slice(0, None, 2))
+    found = np.load(tmp_path / "a.npz")
+    assert (found["contact_number"] == pile.contact_number[::2]).all()
+    assert found["wall_name"].tolist() == ["floor"]
+    assert (found["wall_torque"] == pile.wall_torque[::2]).all()
+    offset = found["contacts_offset"]
+    for row, k in enumerate(range(0, pile.n_frames, 2)):
+        for name, values in pile.contacts(k)._asdict().items():
+            assert (found[f"contacts_{name}"][offset[row] : offset[row + 1]] == values).all()
+
+
 def test_lammps_dump_is_read_by_mdanalysis(trajectory, tmp_path):
     import MDAnalysis
 
@@ -192,8 +255,8 @@ def test_a_long_trajectory_is_not_loaded_whole(path, tmp_path, monkeypatch):
     largest = []
     read = Trajectory.rows
 
-    def spy(self, path, width, frames, bodies=None):
-        found = read(self, path, width, frames, bodies)
+    def spy(self, path, width, frames, bodies=None, kinds="f"):
+        found = read(self, path, width, frames, bodies, kinds)
         if bodies is not None:
             largest.append(found.shape[0] * found.shape[1])
         return found

@@ -23,6 +23,7 @@ from pathlib import Path
 os.environ["NUMBA_DISABLE_JIT"] = "1"  # nothing here is worth compiling
 
 SECONDS_FOR_ONE = 30.0
+SECONDS_TO_START = 600.0  # of a worker, on a machine that has other work
 MEMORY = 4 * 2**30
 BODY = {"shape": {"type": "moments", "inertia": [1.0, 2.0, 2.5]}, "mass": 2.0}
 CASE = {
@@ -131,12 +132,14 @@ def run(first: int, stop: int, folder: Path) -> list[tuple[int, str]]:
             assert worker.stdout is not None
             watch = selectors.DefaultSelector()
             watch.register(worker.stdout, selectors.EVENT_READ)
+            patience = SECONDS_TO_START
             while True:
-                if not watch.select(SECONDS_FOR_ONE):
+                if not watch.select(patience):
                     worker.kill()
                     escapes.append((first - 1, "hang"))
                     print(first - 1, "hang", flush=True)
                     break
+                patience = SECONDS_FOR_ONE
                 line = worker.stdout.readline()
                 if not line:
                     break
