@@ -1,7 +1,7 @@
 """The ledger: energy and momenta of every frame, and what is left when the booked is taken away.
 
 total - initial - booked is the error of integration alone. It is judged against the largest
-kinetic energy or energy turned over, Σ|p| and Σ|L|, never against a value that may be zero.
+kinetic energy, work or gross work of contacts, Σ|p| and Σ|L|, never against a value that may be zero.
 Sums run over fixed blocks of bodies in a fixed order: the same bits for any number of threads.
 """
 
@@ -181,7 +181,7 @@ class Ledger:
         self.angular = initial.angular_momentum[0].copy()
         self.errors = np.zeros(3)
         self.scales = np.zeros(3)
-        self.widen(initial, np.zeros(1))
+        self.widen(initial, np.zeros(1), 0.0)
 
     def checkpoint(self) -> dict[str, Floats]:
         """Initial totals, largest errors and scales so far."""
@@ -194,14 +194,23 @@ class Ledger:
         self.energy, self.linear, self.angular = float(initial[0]), *np.split(initial[1:7], 2)
         self.errors, self.scales = saved["errors"], saved["scales"]
 
-    def widen(self, now: Totals, work: Floats) -> None:
+    def widen(self, now: Totals, work: Floats, gross: float) -> None:
         """Let the scales grow with what is turned over."""
-        turned_over = np.maximum(now.kinetic_energy, np.abs(work))
-        sizes = (turned_over, now.momentum_size, now.spin_size)
+        energies = np.r_[np.maximum(now.kinetic_energy, np.abs(work)), gross]
+        sizes = (energies, now.momentum_size, now.spin_size)
         self.scales = np.maximum(self.scales, [size.max(initial=0.0) for size in sizes])
 
-    def enter(self, now: Totals, booked: Floats) -> Entries:
-        """Entries of some frames, given their totals and what was booked, (T, 7)."""
+    def enter(self, now: Totals, booked: Floats, gross: float = 0.0) -> Entries:
+        """Entries of some frames.
+
+        Parameters
+        ----------
+        now : Totals
+        booked : ndarray, shape (T, 7)
+        gross : float [J]
+            Sum of the sizes of all that contacts have taken or given until the last of them: what
+            goes in by one wall and out by friction cancels in `booked`.
+        """
         work = booked[:, 0]
         energy = now.kinetic_energy + now.potential_energy
         entries = Entries(
@@ -215,7 +224,7 @@ class Ledger:
             now.angular_momentum,
             now.angular_momentum - self.angular - booked[:, 4:7],
         )
-        self.widen(now, work)
+        self.widen(now, work, gross)
         errors = (
             np.abs(entries.energy_error),
             np.linalg.norm(entries.linear_momentum_error, axis=1),

@@ -142,6 +142,7 @@ class Traveller:
     def __init__(self, plan: GroupPlan, state: State) -> None:
         self.plan = plan
         self.before = np.zeros(7)  # booked in earlier segments
+        self.turnover = 0.0  # [J] gross work of contacts in them
         self.number = 0
         self.first = state  # of this segment
         self.pairs = self.pair_forces()
@@ -153,13 +154,14 @@ class Traveller:
         saved = under("motion", self.motion.checkpoint())
         if self.number:
             saved |= {"first": np.vstack(self.first), "before": self.before.copy()}
+            saved |= {"turnover": np.array(self.turnover)}
         return saved | {"number": np.array(self.number)}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         self.number = int(saved["number"])
         if self.number:
-            self.before = saved["before"]
+            self.before, self.turnover = saved["before"], float(saved["turnover"])
             self.first = State(*np.split(saved["first"], STATE_SPLITS))
             self.pairs = self.pair_forces()
             self.motion = self.set_off()
@@ -210,12 +212,18 @@ class Traveller:
         Who connects a link that is stretched gives its energy, and gets it who disconnects it.
         """
         state, booked = self.motion.finish(self.segment.stop)
+        self.turnover = self.turned_over()
         self.before += booked
         self.before[0] -= self.potential(state.com, state.q)
         self.number += 1
         self.pairs = self.pair_forces()
         self.before[0] += self.potential(state.com, state.q)
         self.motion = self.begin(self.segment, state)
+
+    def turned_over(self) -> float:
+        """Gross work of contacts until the last frame [J]."""
+        own = self.motion.turned_over() if isinstance(self.motion, TOUCHING) else 0.0
+        return self.turnover + own
 
     def record(self, times: Floats, frames: Frames) -> tuple[Floats, Energies]:
         """Write rows 0.. of the frames at ascending times.
@@ -328,7 +336,8 @@ class Run:
         if sound < times.size:
             frames = first_rows(frames, sound)
             now = totals(frames, self.counted, self.gravity, *(e[:sound] for e in energies))
-        return frames, self.ledger.enter(now, booked[:sound]), error
+        turned_over = sum(t.turned_over() for t in self.travellers)
+        return frames, self.ledger.enter(now, booked[:sound], turned_over), error
 
     def touches(self, rows: Ints) -> list[Touches]:
         """Contacts in rows of the last frames; empty where nobody asks."""

@@ -293,19 +293,21 @@ def settled_rate(law: Law, pair: int, touch: Touch, pressure: float, before: flo
 
 
 @inline
-def power_beside(normal: Normal, touch: Touch, before: float, after: float) -> float:
-    """Power [W] that a dashpot gives beside force times mean velocity of the kick.
+def lag(normal: Normal, touch: Touch, before: float, after: float) -> float:
+    """Time [s] by which the elastic force F counts in what other forces give in a kick.
 
-    The mean of the velocities of two drifts is not that between them: it lacks h²/8 of their
-    second derivative, of which the spring makes -k v/m. A kick F h of the dashpot so changes the
-    energy by F h v (1 + k h²/(4 m)), exactly for hooke and to order four for hertz. The second
-    term here; the first is of kicks whose halves differ, which the dashpot does not share alike
-    with the spring.
+    A frame shows p with F at the middle of the half kick that ends it, so its energy is that which
+    the splitting keeps, and (h²/8)(v·K v + F·M⁻¹F) more (h the step, K the stiffness of all springs
+    together). An impulse J of a force without potential at the instant of the kick changes the
+    first by J·v and the second by -(h²/4) J·M⁻¹Ḟ: -¼ J·M⁻¹(F lag), summed over the springs of a
+    body. Exact for springs that are linear, to order four for hertz. Where the halves of the kick
+    differ, J·v has to take back what F makes of the mean velocity: the first term here.
     """
-    taken = (normal.elastic - normal.force) * touch.softness
+    later = after - before
+    if normal.elastic <= 0.0:
+        return later
     square = before * before - before * after + after * after
-    of_halves = (after - before) * normal.elastic
-    return 0.25 * taken * (of_halves + square * normal.stiffness * touch.rate)
+    return later + square * normal.stiffness * touch.rate / normal.elastic
 
 
 @inline

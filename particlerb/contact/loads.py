@@ -22,15 +22,15 @@ from particlerb.contact.laws import (
     Touch,
     contact_force,
     dashpot,
-    power_beside,
+    lag,
     rolling_torque,
     settled_rate,
     turned_spring,
     with_motion,
 )
 from particlerb.contact.lists import Incidence, Kept
-from particlerb.contact.pistons import MOST, PUSH, STIFFNESS, Pistons
-from particlerb.contact.pistons import REST as BESIDE
+from particlerb.contact.pistons import BESIDE, MOST, PUSH, STIFFNESS, Pistons
+from particlerb.contact.pistons import REST as REST_OF_PISTON
 from particlerb.contact.wall_motion import motion_in, pose_at
 from particlerb.contact.walls import PLANE, Walls
 from particlerb.contact.walls import touch as touch_wall
@@ -70,10 +70,11 @@ REST: Final = 3  # the rest of its force on the first [N],
 POINT: Final = 6  # where it acts [m], world frame,
 STORED: Final = 9  # elastic energy of the normal spring [J],
 DRIVEN: Final = 10  # power of the elastic force on a wall that moves [W]
-UNSEEN: Final = 11  # what its dashpot gives beside force times mean velocity of a kick [W]
-DONE: Final = 12
-TWIST: Final = 12  # and torque against rolling on the first [N m], where the law resists it
-DONE_ROLLING: Final = 15
+LAG: Final = 11  # of its elastic force in a kick [s]: see `laws.lag`
+TURNOVER: Final = 12  # power that its other forces take or give, and walls that move, gross [W]
+DONE: Final = 13
+TWIST: Final = 13  # and torque against rolling on the first [N m], where the law resists it
+DONE_ROLLING: Final = 16
 MOTION: Final = 14
 POSE: Final = 16
 DEEPEST: Final = 1.0  # overlap of two spheres, in the smaller radius, that no contact may have,
@@ -142,7 +143,8 @@ class Room(NamedTuple):
     place: Floats  # (n_spheres, 4) [m] centre and radius
     poses: Floats  # (n_walls, POSE) as `wall_motion.poses_at`; and of pistons the axis over √M
     bodies: Floats  # (n_bodies, BODY_COLUMNS)
-    deep: Floats  # (3,) a contact that is too deep: overlap and radius [m], body; 0: none is
+    deep: Floats  # (threads, 3) deepest of contacts too deep: overlap and radius [m], body; or 0
+    turnover: Floats  # (n_bodies,) [J] gross work of contacts so far: see `collect`
 
 
 @lean
@@ -231,9 +233,11 @@ def softness(scene: Scene, bodies: Floats, b: int, point: Vec3, normal: Vec3) ->
 
 
 @lean
-def note_deep(room: Room, delta: float, radius: float, b: int) -> None:
+def note_deep(room: Room, rank: int, delta: float, radius: float, b: int) -> None:
     """Keep that a body lies too deep in another or in a wall, for the host to say."""
-    room.deep[0], room.deep[1], room.deep[2] = delta, radius, b
+    deep = room.deep
+    if delta > deep[rank, 0] or (delta == deep[rank, 0] and b < deep[rank, 2]):
+        deep[rank, 0], deep[rank, 1], deep[rank, 2] = delta, radius, b
 
 
 @lean
@@ -284,8 +288,10 @@ def act(
     put_column(done, c, POINT, point)
     resist(law.rolling, law, pair, contacts, c, touch, turning, normal, load.normal, before, after)
     done[c, STORED] = load.normal.stored
-    done[c, UNSEEN] = power_beside(load.normal, touch, before, after)
+    done[c, LAG] = lag(load.normal, touch, before, after)
     done[c, DRIVEN] = -elastic * dot(normal, drift)
+    other = column(done, c, REST)
+    done[c, TURNOVER] = abs(dot(other, relative)) + abs(done[c, DRIVEN] + dot(other, drift))
     contacts.acts[c] = True
 
 
@@ -344,6 +350,7 @@ def touch_spheres(
     w: float,
     first: int,
     end: int,
+    rank: int,
 ) -> None:
     """Forces of contacts between spheres, in units first to end.
 
@@ -354,8 +361,8 @@ def touch_spheres(
         Lengths of the drifts before and after this instant; 0 where there is none.
     v, w : float [m/s, rad/s]
         Largest of all bodies, see `fastest`.
-    first, end : int
-        Contacts, `end` excluded.
+    first, end, rank : int
+        Contacts, `end` excluded, and the thread that is at them.
     """
     spheres, law, pair_of = scene.spheres, scene.law, scene.pair_of
     firsts, seconds, body, material = (
@@ -392,7 +399,7 @@ def touch_spheres(
             soft += softness(scene, bodies, b, point, normal)
             begin(law, pair, contacts, c, soft, r_eff)
         if delta > DEEPEST * min(place[i, 3], place[j, 3]):
-            note_deep(room, delta, min(place[i, 3], place[j, 3]), a)
+            note_deep(room, rank, delta, min(place[i, 3], place[j, 3]), a)
         act(
             law, pair, contacts, c, delta, normal, point, relative, turning, drift, r_eff,
             before, after,
@@ -428,6 +435,7 @@ def touch_walls(
     after: float,
     first: int,
     end: int,
+    rank: int,
 ) -> None:
     """Forces of contacts of spheres with walls, whose poses in `room` are those of this instant."""
     spheres, law, pair_of, walls = scene.spheres, scene.law, scene.pair_of, scene.walls
@@ -461,11 +469,20 @@ def touch_walls(
             soft += dot(normal, column(poses, w, 13)) ** 2  # of a piston
             begin(law, pair, contacts, c, soft, radius)
         if delta > DEEPEST_WALL * radius and walls.kind[primitive] != PLANE:
-            note_deep(room, delta, radius, a)
+            note_deep(room, rank, delta, radius, a)
         act(
             law, pair, contacts, c, delta, normal, point, relative, turning, moving, radius, before,
             after,
         )  # fmt: skip
+
+
+@lean
+def moved_by(scene: Scene, bodies: Floats, b: int, torque: Vec3) -> Vec3:
+    """I⁻¹ τ of body b, world axes."""
+    inertia, at = scene.inv_inertia, TURN
+    R = matrix((bodies[b, at], bodies[b, at + 1], bodies[b, at + 2], bodies[b, at + 3]))
+    inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
+    return turn(R, multiplied3(inverse, turn_back(R, torque)))
 
 
 class Sum(NamedTuple):
@@ -478,6 +495,9 @@ class Sum(NamedTuple):
     world: Vec3  # [N] of both, from walls and fixed bodies,
     about: Vec3  # [N m] about the origin of the world
     power: float  # [W] of walls that move
+    lagging: Vec3  # [N s] elastic forces times their lags,
+    twisting: Vec3  # [N m s] and their torques
+    turnover: float  # [W] gross
 
 
 @lean
@@ -491,18 +511,22 @@ def add_contact(
     total: Sum,
 ) -> Sum:
     """Add what contact c does to a body at x; of the opposite sign where it is the second."""
-    F, tau, rest, turning, world, about, power = total
+    F, tau, rest, turning, world, about, power, lagging, twisting, turnover = total
     elastic, other, point = column(done, c, ELASTIC), column(done, c, REST), column(done, c, POINT)
     arm, twist = subtract(point, x), twist_of(rolling, done, c)
     F, rest = add_scaled(sign, elastic, F), add_scaled(sign, other, rest)
-    tau = add_scaled(sign, cross(arm, elastic), tau)
+    torque, late = cross(arm, elastic), sign * done[c, LAG]
+    tau = add_scaled(sign, torque, tau)
+    lagging, twisting = add_scaled(late, elastic, lagging), add_scaled(late, torque, twisting)
     turning = add_scaled(sign, add_scaled(1.0, cross(arm, other), twist), turning)
     if is_outside:
         both = add_scaled(1.0, elastic, other)
         world = add_scaled(sign, both, world)
         about = add_scaled(sign, add_scaled(1.0, twist, cross(point, both)), about)
         power += done[c, DRIVEN]
-    return Sum(F, tau, rest, turning, world, about, power)
+    if sign > 0.0:
+        turnover += done[c, TURNOVER]
+    return Sum(F, tau, rest, turning, world, about, power, lagging, twisting, turnover)
 
 
 @lean
@@ -514,8 +538,22 @@ def twist_of(rolling: Floats | None, done: Floats, c: int) -> Vec3:
 
 
 @lean_kernel
-def collect(scene: Scene, room: Room, lists: Lists, rows: Floats, at: int, lo: int, n: int) -> None:
+def collect(
+    scene: Scene,
+    room: Room,
+    lists: Lists,
+    rows: Floats,
+    at: int,
+    steady: int,
+    lo: int,
+    n: int,
+    later: float,
+    span: float,
+) -> None:
     """Add what contacts do to the loads of a block of bodies.
+
+    Force times the mean velocity of a kick is not all that a force without potential gives: see
+    `laws.lag`.
 
     Parameters
     ----------
@@ -523,8 +561,12 @@ def collect(scene: Scene, room: Room, lists: Lists, rows: Floats, at: int, lo: i
     rows : ndarray
         The block, with a load (bodies/load.py) in CONTACT_ROWS from `at` on. What a wall or a fixed
         body does, the world does.
-    at, lo, n : int
-        Row; first body of the block, and how many there are.
+    at, steady, lo, n : int
+        Rows of the load and of the constant force; first body of the block, and how many there are.
+    later : float [s]
+        By how much the drift after the kick is longer than the one before.
+    span : float [s]
+        For which the loads count in the turnover; 0 for a partial step.
     """
     spheres, walls, of_spheres, of_walls = lists
     (offset, entry), (wall_offset, wall_entry) = of_spheres, of_walls
@@ -533,8 +575,9 @@ def collect(scene: Scene, room: Room, lists: Lists, rows: Floats, at: int, lo: i
     wall_done, wall_acts, zero = walls.done, walls.acts, (0.0, 0.0, 0.0)
     for k in range(n):
         b = lo + k
-        x, total = column(bodies, b, AT), Sum(zero, zero, zero, zero, zero, zero, 0.0)
-        unseen, count = 0.0, 0
+        x = column(bodies, b, AT)
+        total = Sum(zero, zero, zero, zero, zero, zero, 0.0, zero, zero, 0.0)
+        touches = False
         if bodies[b, INV_MASS] > 0.0:  # not fixed
             for at_entry in range(offset[b], offset[b + 1]):
                 c, sign = entry[at_entry], 1.0
@@ -543,18 +586,20 @@ def collect(scene: Scene, room: Room, lists: Lists, rows: Floats, at: int, lo: i
                 if acts[c]:
                     partner = body[seconds[c]] if sign > 0.0 else body[firsts[c]]
                     inverse = bodies[partner, INV_MASS]
-                    is_outside = inverse == 0.0
-                    share = bodies[b, INV_MASS] / (bodies[b, INV_MASS] + inverse)
-                    unseen, count = unseen + share * done[c, UNSEEN], count + 1
-                    total = add_contact(rolling, done, c, sign, x, is_outside, total)
+                    touches = True
+                    total = add_contact(rolling, done, c, sign, x, inverse == 0.0, total)
             for at_entry in range(wall_offset[b], wall_offset[b + 1]):
                 c = wall_entry[at_entry]
                 if wall_acts[c]:
-                    unseen, count = unseen + wall_done[c, UNSEEN], count + 1
+                    touches = True
                     total = add_contact(rolling, wall_done, c, 1.0, x, True, total)
-        F, tau, rest, turning, world, about, power = total
-        if count == 1:  # several springs would have to be known together
-            power += unseen
+        F, tau, rest, turning, world, about, power, lagging, twisting, turnover = total
+        if touches:
+            spun = moved_by(scene, bodies, b, turning)
+            lagging = add_scaled(later, get3(rows, steady, k), lagging)
+            power -= 0.25 * (bodies[b, INV_MASS] * dot(rest, lagging) + dot(spun, twisting))
+        if span > 0.0:
+            room.turnover[b] += span * turnover
         add_to(rows, at + FORCE, k, F)
         add_to(rows, at + TORQUE, k, tau)
         add_to(rows, at + OTHER, k, rest)
@@ -565,23 +610,32 @@ def collect(scene: Scene, room: Room, lists: Lists, rows: Floats, at: int, lo: i
 
 
 @lean
-def press(pistons: Pistons | None, slides: Floats, contacts: Contacts, scene: Scene) -> None:
-    """Sum what contacts do to walls that slide, along their axes, and how stiff they are."""
+def press(
+    pistons: Pistons | None, slides: Floats, contacts: Contacts, scene: Scene, later: float
+) -> None:
+    """Sum what contacts do to walls that slide, along their axes, and how stiff they are.
+
+    `later` as for `collect`.
+    """
     if pistons is None:
         return
     for k in range(slides.shape[0]):
-        slides[k, PUSH], slides[k, BESIDE], slides[k, STIFFNESS] = 0.0, 0.0, 0.0
+        slides[k, PUSH], slides[k, REST_OF_PISTON], slides[k, STIFFNESS] = 0.0, 0.0, 0.0
+        slides[k, BESIDE] = later * pistons.force[k]
     for c in range(contacts.second.size):
         k = pistons.of_wall[scene.walls.wall[contacts.second[c]]]
         if k >= 0 and contacts.acts[c]:
             a = pistons.axis[k, 0], pistons.axis[k, 1], pistons.axis[k, 2]
-            slides[k, PUSH] -= dot(a, column(contacts.done, c, ELASTIC))
-            slides[k, BESIDE] -= dot(a, column(contacts.done, c, REST))
+            push = dot(a, column(contacts.done, c, ELASTIC))
+            slides[k, PUSH] -= push
+            slides[k, BESIDE] -= push * contacts.done[c, LAG]
+            slides[k, REST_OF_PISTON] -= dot(a, column(contacts.done, c, REST))
             delta, radius = contacts.kept[c, BEFORE], scene.spheres.radius[contacts.first[c]]
             share = math.sqrt(4.0 * radius * delta) if scene.law.hertz is not None else 1.0
             slides[k, STIFFNESS] += share if delta > 0.0 else 0.0
     for k in range(slides.shape[0]):
         slides[k, MOST] = max(slides[k, MOST], slides[k, STIFFNESS])
+        slides[k, BESIDE] *= -0.25 * slides[k, REST_OF_PISTON] / pistons.mass[k]
 
 
 @lean

@@ -24,7 +24,8 @@ PUSH: Final = 6  # elastic force of contacts along the axis [N],
 REST: Final = 7  # and the rest of it
 MOST: Final = 8  # largest stiffness so far of all contacts together, over that of the law,
 STIFFNESS: Final = 9  # and that of now
-SLIDE: Final = 10
+BESIDE: Final = 10  # power [W] that the rest gives beside force times mean velocity of a kick
+SLIDE: Final = 11
 
 
 class Pistons(NamedTuple):
@@ -95,7 +96,8 @@ def kick_pistons(
         low, high = pistons.limit[k, 0], pistons.limit[k, 1]
         middle, place = u + closing * force / M, min(max(s, low), high)
         is_low, is_high = s <= low, s >= high
-        given = (closing + opening) * push * slides[k, SEEN] + closing * rest * 0.5 * (u + middle)
+        given = (closing + opening) * (push * slides[k, SEEN] + slides[k, BESIDE])
+        given += closing * rest * 0.5 * (u + middle)
         if (is_high and u > 0.0) or (is_low and u < 0.0):
             given -= 0.5 * M * middle * middle + (F + push) * (place - s)
             slides[k, PLACE], middle = place, 0.0

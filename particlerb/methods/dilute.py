@@ -83,6 +83,10 @@ class Interval:
         self.touching.look(self.touching.values(0, 13))
         return self.touching.swing
 
+    def turned_over(self) -> float:
+        """Gross work of contacts since the start [J]."""
+        return 0.0 if self.touching is None else self.touching.turned_over()
+
     def kept(self) -> Keeps:
         """What contacts keep at the end."""
         return None if self.touching is None else self.touching.kept
@@ -136,7 +140,8 @@ class DiluteMotion:
         self.at_rest, self.kinetic = 0.0, np.zeros(0)  # [J] of pistons, of which there are none
         self.touches: dict[int, Touches] = {}
         self.state = state
-        self.next: tuple[State, Floats, Keeps] | None = None  # at the end of the interval
+        self.next: tuple[State, Floats, Keeps, float] | None = None  # at the end of the interval
+        self.turnover = 0.0  # [J] gross work of contacts until the interval
         self.done, self.steps = 0, 0
         self.booked = np.zeros(7)
         self.kept: Keeps = None
@@ -200,7 +205,7 @@ class DiluteMotion:
             after, booked = interval.together.finish(self.time(self.done + steps))
             is_far = interval.farthest() + 0.5 * self.contact.skin > 0.5 * self.skin
             if not is_far and not has_moved(y, np.vstack(after), self.no_reach, 0.5 * self.skin):
-                self.next = after, booked, interval.kept()
+                self.next = after, booked, interval.kept(), interval.turned_over()
                 break
             steps //= 2
         self.steps = steps
@@ -242,9 +247,10 @@ class DiluteMotion:
             if is_due(self.count):
                 self.swing = max(self.swing, self.shown.swing())
             state, booked = self.shown.together.finish(self.time(self.done + self.steps))
-            self.next = state, booked, self.shown.kept()
-        self.state, booked, self.kept = self.next
+            self.next = state, booked, self.shown.kept(), self.shown.turned_over()
+        self.state, booked, self.kept, turnover = self.next
         self.booked += booked
+        self.turnover += turnover
         self.done += self.steps
         self.plan()
 
@@ -270,6 +276,10 @@ class DiluteMotion:
                 self.cross()
         return booked
 
+    def turned_over(self) -> float:
+        """As of `TouchingMotion`."""
+        return self.turnover + (0.0 if self.shown is None else self.shown.turned_over())
+
     def touches_in(self, times: Floats, rows: Ints) -> dict[int, Touches]:
         """Contacts in frames of the interval that is shown, where they are asked for."""
         if not self.contact.is_shown or self.shown is None:
@@ -294,7 +304,8 @@ class DiluteMotion:
             saved |= under(f"kept.{k}", flat(one))
         saved |= {"active": self.active.copy(), "booked": self.booked.copy()}
         counts = np.array([self.done, self.steps, self.saved, self.all_steps])
-        return saved | {"counts": counts, "skin": np.array(self.skin)}
+        extremes = np.array([self.skin, self.turnover, self.swing])
+        return saved | {"counts": counts, "extremes": extremes}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
@@ -303,5 +314,5 @@ class DiluteMotion:
         self.kept = (Kept(**kept[0]), Kept(**kept[1])) if kept[0] else None
         self.active, self.booked = saved["active"], saved["booked"]
         self.done, self.steps, self.saved, self.all_steps = saved["counts"].tolist()
-        self.skin = float(saved["skin"])
+        self.skin, self.turnover, self.swing = saved["extremes"].tolist()
         self.next, self.shown = None, self.interval()

@@ -76,6 +76,7 @@ from particlerb.methods.pair_forces import PairForces, Pairs, loads_over_threads
 from particlerb.methods.saving import Saved, filled, flat, under, within
 from particlerb.methods.stepped import PAUSE, Schedule
 from particlerb.team import ALONE, Team, largest, meet, share_of, together
+from particlerb.terms import FORCE as STEADY
 from particlerb.terms import PAIR, Acting, acting_of
 from particlerb.terms.attraction import Attraction, Work
 from particlerb.terms.links import Links
@@ -207,11 +208,11 @@ def touch(
     """Find the forces of contacts: of near ones and others apart, so that shares are equal."""
     scene, spheres, walls = contact.scene, lists.spheres, lists.walls
     first, end = share_of(team, 0, spheres.near)
-    touch_spheres(scene, room, spheres, before, after, v, w, first, end)
+    touch_spheres(scene, room, spheres, before, after, v, w, first, end, team.rank)
     first, end = share_of(team, spheres.near, spheres.first.size)
-    touch_spheres(scene, room, spheres, before, after, v, w, first, end)
+    touch_spheres(scene, room, spheres, before, after, v, w, first, end, team.rank)
     first, end = share_of(team, 0, walls.first.size)
-    touch_walls(scene, room, walls, before, after, first, end)
+    touch_walls(scene, room, walls, before, after, first, end, team.rank)
 
 
 @kernel
@@ -223,9 +224,11 @@ def load_blocks(
     scene: Touchable,
     room: Room,
     lists: Lists,
+    later: float,
+    span: float,
     team: Team,
 ) -> None:
-    """Write the loads of bodies."""
+    """Write the loads of bodies: see `loads.collect`."""
     first, end = share_of(team, 0, len(blocks))
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
@@ -234,7 +237,7 @@ def load_blocks(
                 put(rows, PAIR + c, b, 0.0)
         if others is not None:
             scatter_block(load, rows, PAIR, 0, lo, n)
-        collect(scene, room, lists, rows, PAIR, lo, n)
+        collect(scene, room, lists, rows, PAIR, STEADY, lo, n, later, span)
 
 
 @kernel
@@ -378,12 +381,15 @@ def advance_touching(  # noqa: PLR0912, PLR0915
                     other_loads(others, links, attraction, work, with_dashpots, y, load)
                 touch(contact, room, lists, before, h, v, w, team)
                 meet(team)
-                load_blocks(blocks, layout, others, load, contact.scene, room, lists, team)
+                kick, later = is_open + EDGE * h, h - before
+                span = kick if i < steps[s] else 0.0
+                load_blocks(
+                    blocks, layout, others, load, contact.scene, room, lists, later, span, team
+                )
                 if team.rank == 0:
-                    press(pistons, slides, lists.walls, contact.scene)
+                    press(pistons, slides, lists.walls, contact.scene, later)
                     kick_pistons(pistons, slides, is_open, EDGE * h, True)
                     slide_pistons(pistons, slides, h)
-                kick = is_open + EDGE * h
                 move_blocks(blocks, layout, acting, books, 0, kick, h, first, end)
                 is_open = EDGE * h
                 time += dt if i < steps[s] else 0.0
@@ -397,10 +403,12 @@ def advance_touching(  # noqa: PLR0912, PLR0915
                 other_loads(others, links, attraction, work, with_dashpots, y, load)
             touch(contact, room, lists, before, 0.0, v, w, team)
             meet(team)
-            load_blocks(blocks, layout, others, load, contact.scene, room, lists, team)
+            load_blocks(
+                blocks, layout, others, load, contact.scene, room, lists, -before, 0.0, team
+            )
             close_blocks(blocks, layout, acting, books, is_open, first, end)
             if team.rank == 0:
-                press(pistons, slides, lists.walls, contact.scene)
+                press(pistons, slides, lists.walls, contact.scene, -before)
                 kick_pistons(pistons, slides, is_open, 0.0, False)
         if frame[s] != PAUSE:
             for k in range(first, end):
@@ -521,7 +529,8 @@ class TouchingMotion(CoupledMotion):
         self.walls = WallSearch(contact.scene.walls, spheres.radius)
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         room = np.zeros((len(self.motions), POSE))
-        self.room = Room(np.zeros((n_spheres, 4)), room, np.zeros((n, BODY_COLUMNS)), np.zeros(3))
+        place, bodies = np.zeros((n_spheres, 4)), np.zeros((n, BODY_COLUMNS))
+        self.room = Room(place, room, bodies, np.zeros((len(self.blocks), 3)), np.zeros(n))
         y = np.vstack(state)
         slides = slides_of(contact.pistons)
         self.memory = Memory(y[7:].copy(), y[:7].copy(), start, np.inf, slides)
@@ -624,7 +633,8 @@ class TouchingMotion(CoupledMotion):
 
     def refuse_deep(self) -> None:
         """Raise MotionError where a body lies so deep that it may come out on the other side."""
-        depth, radius, body = self.room.deep.tolist()
+        deepest = max(self.room.deep.tolist(), key=lambda row: (row[0], -row[2]))
+        depth, radius, body = deepest  # the same for any number of threads
         if depth > 0.0:
             raise MotionError(
                 f"at t = {self.memory.start + self.place.time:.6g} s or before, body"
@@ -667,6 +677,7 @@ class TouchingMotion(CoupledMotion):
         for k, (keys, rows, _) in enumerate(self.kept):
             saved |= {f"keys.{k}": keys.copy(), f"rows.{k}": rows.copy()}
         way = np.array([self.farthest, self.made, self.contact.skin])
+        saved |= {"turnover": self.room.turnover.copy(), "swing": np.array(self.swing)}
         return saved | {"origin": self.origin.copy(), "way": way}
 
     def restore(self, saved: Saved) -> None:
@@ -681,8 +692,13 @@ class TouchingMotion(CoupledMotion):
             Kept(saved["keys.1"], saved["rows.1"], walls),
         )
         self.origin = saved["origin"]
+        self.room.turnover[:], self.swing = saved["turnover"], float(saved["swing"])
         self.farthest, self.made, skin = saved["way"].tolist()
         self.contact = self.contact._replace(skin=skin)
+
+    def turned_over(self) -> float:
+        """Gross work of contacts without potential, and of walls, since the start [J]."""
+        return float(self.room.turnover.sum())
 
     def energy(self) -> float:
         """Elastic energy at the start [J]."""
@@ -757,7 +773,6 @@ class TouchingMotion(CoupledMotion):
         group, is_large = self.group, self.forces.is_large
         advance: Callable[..., Place] = self.kernels.spread if is_large else self.kernels.compiled
         pairs = self.forces.for_python if is_large else self.forces.pairs
-        self.place = self.place._replace(stop=0, step=0)
         while True:
             kept = self.lists.spheres.kept, self.lists.walls.kept, self.memory.slides
             saved = Copies(self.saved, np.empty_like(self.memory.last), *map(np.empty_like, kept))
@@ -771,5 +786,6 @@ class TouchingMotion(CoupledMotion):
             self.refuse_light_pistons()
             self.refuse_deep()
             if self.place.stop == schedule.steps.size:
+                self.place = self.place._replace(stop=0, step=0)
                 break
             self.make_lists()

@@ -41,6 +41,7 @@ class Books(NamedTuple):
     given: Floats  # (T, 7) work, impulse, angular impulse
     initial: Energies  # beside those of the bodies, at t = 0
     later: Energies  # the same later
+    gross: float  # [J] work of contacts until the last frame, without signs
 
 
 class Error(NamedTuple):
@@ -107,7 +108,8 @@ def states_at(part: Part, times: Floats) -> tuple[Frames, Books]:
     travellers = [Traveller(group, taken(part.state, group.members)) for group in part.groups]
     first = initial_energies(travellers, initial)
     given, later = record_all(travellers, times, frames)
-    return frames, Books(given, first, later)
+    gross = sum(traveller.turned_over() for traveller in travellers)
+    return frames, Books(given, first, later, gross)
 
 
 def seconds(part: Part, t_end: float) -> float:
@@ -123,7 +125,8 @@ def drifts(part: Part, frames: Frames, books: Books) -> tuple[float, float]:
     initial = as_frame(part.bodies, part.state)
     bodies = counted(part.groups, part.bodies)
     ledger = Ledger(totals(initial, bodies, part.gravity, *books.initial))
-    ledger.enter(totals(frames, bodies, part.gravity, *books.later), books.given)
+    now = totals(frames, bodies, part.gravity, *books.later)
+    ledger.enter(now, books.given, books.gross)
     drift = ledger.drift()
     return drift.energy, drift.angular_momentum
 
