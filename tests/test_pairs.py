@@ -348,7 +348,7 @@ def test_particles_of_two_bodies_at_one_place_need_a_softening(make):
 
 
 def test_particles_of_one_body_and_those_without_mass_may_be_at_one_place(make):
-    shape = {"type": "points", "position": [[0, 0, 0]] * 2, "mass": [1, 1]}
+    shape = {"type": "points", "position": [[0, 0, 0]] * 2, "mass": [1, 0], "radius": [0, 1]}
     shell = {"type": "points", "position": [[0, 0, 0], [1, 0, 0]], "mass": [0, 1], "radius": [1, 0]}
     bodies = [
         {"name": "a", "shape": shape},
