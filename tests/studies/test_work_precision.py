@@ -217,7 +217,7 @@ def test_peer_on_the_chart_has_the_errors_of_its_own_order(make):
         t_end=3.0,
         every=3.0,
     )
-    found = chart(load(case), ("dop853",), ("scipy",), budget=4.0)
+    found = chart(load(case), ("dop853",), ("scipy",), budget=40.0)
     theirs = [p for p in found.points if p.label == "SciPy DOP853"]
     assert min(p.error.worst for p in theirs) < 1e-10
     assert min(p.error.position for p in theirs) < 1e-12
