@@ -6,6 +6,7 @@ import json
 import h5py
 import numpy as np
 import pytest
+from numba import config
 
 import particlerb
 from particlerb.case.wanted import FIELDS_OF_CONTACT
@@ -171,6 +172,8 @@ def test_npz_holds_the_arrays(trajectory, tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def pile(make, tmp_path_factory):
     """A file of three balls that touch the floor and each other, with all fields of contact."""
+    if not config.DISABLE_JIT:
+        pytest.skip("takes long to compile, and shows no more")
     path = tmp_path_factory.mktemp("pile") / "pile.h5"
     place = {"type": "grid", "spacing": 0.19, "n": [3, 1, 1], "origin": [0, 0, 0.09]}
     fields = ["position", *FIELDS_OF_CONTACT]

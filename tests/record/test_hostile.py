@@ -14,6 +14,7 @@ import pytest
 from h5py import h5d, h5p, h5s
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numba import config
 
 import particlerb
 from particlerb.case.wanted import FIELDS_OF_CONTACT
@@ -131,6 +132,7 @@ def stored(dataset):
     return dataset.id.get_chunk_info(0).byte_offset, row * min(len(dataset), dataset.chunks[0])
 
 
+@pytest.mark.skipif(not config.DISABLE_JIT, reason="takes long to compile, and shows no more")
 def test_a_changed_byte_of_any_dataset_is_found(make, tmp_path):
     """In a file that has everything: contacts, walls, both slots of the checkpoint."""
     path, places = tmp_path / "run.h5", {}

@@ -132,7 +132,7 @@ SCENES = {
     "gas": gas,
 }
 HEAVY = ("touching", "gas")  # without the compiler; the others take long to compile
-BOTH = ("free", "driven strang", "linked dop853")
+BOTH = ("free", "driven strang")
 
 
 def in_this_tier(name):
