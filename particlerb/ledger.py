@@ -1,7 +1,8 @@
 """The ledger: energy and momenta of every frame, and what is left when the booked is taken away.
 
 total - initial - booked is the error of integration alone. It is judged against the largest
-kinetic energy, work or gross work of contacts, Σ|p| and Σ|L|, never against a value that may be zero.
+kinetic energy, work or gross work of contacts, Σ|p| and Σ|L|, never against a value that may be
+zero.
 Sums run over fixed blocks of bodies in a fixed order: the same bits for any number of threads.
 """
 
