@@ -20,9 +20,10 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.methods.dop853 import PACK
 from particlerb.methods.motion import part_of
 from particlerb.plan import GroupPlan, Plan, rates
-from particlerb.simulate import Energies, Traveller, counted, initial_energies, record_all
+from particlerb.simulate import counted
 from particlerb.terms.impulse import Impulse
 from particlerb.threads import THREADS
+from particlerb.traveller import Energies, Traveller, initial_energies, record_all
 
 
 class Part(NamedTuple):

@@ -29,13 +29,12 @@ from particlerb.simulate import (
     Prepared,
     Run,
     RunError,
-    Traveller,
     first_rows,
     multiples,
-    record_all,
 )
 from particlerb.studies.accuracy import prepare_accurately
 from particlerb.threads import THREADS
+from particlerb.traveller import Traveller, record_all
 
 STEPS_PER_FRAME: Final = 5000  # of a push on bodies that are free otherwise, per run.every
 LEAST_STEPS_PER_FRAME: Final = 32  # of bodies that are stepped all the time

@@ -1,0 +1,179 @@
+"""One group of bodies on its way through its segments, and the sums over all groups."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.bodies.state import Frames, State, multiplied
+from particlerb.contact.touches import Touches
+from particlerb.maths.vec3 import Floats
+from particlerb.methods import METHODS
+from particlerb.methods.dilute import DiluteMotion
+from particlerb.methods.motion import Group, Motion
+from particlerb.methods.pair_forces import PairForces
+from particlerb.methods.saving import Saved, under, within
+from particlerb.methods.touching import TouchingMotion
+from particlerb.plan import GroupPlan, Segment
+from particlerb.terms.impulse import apply_impulse
+
+STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
+TOUCHING = (TouchingMotion, DiluteMotion)  # motions that know the elastic energy of contacts
+
+
+class Energies(NamedTuple):
+    """Energies beside those of the bodies themselves."""
+
+    potential: Floats  # (T,) [J] between bodies, of contacts, of loads on pistons
+    kinetic: Floats  # (T,) [J] of pistons
+
+
+class Traveller:
+    """One group on its way through its segments."""
+
+    def __init__(self, plan: GroupPlan, state: State) -> None:
+        self.plan = plan
+        self.before = np.zeros(7)  # booked in earlier segments
+        self.turnover = 0.0  # [J] gross work of contacts in them
+        self.number = 0
+        self.first = state  # of this segment
+        self.pairs = self.pair_forces()
+        self.motion = self.begin(plan.segments[0], state)
+        self.touches: dict[int, Touches] = {}  # in rows of the last `record`, where asked for
+
+    def checkpoint(self) -> Saved:
+        """The segment, how it began, and its motion."""
+        saved = under("motion", self.motion.checkpoint())
+        if self.number:
+            saved |= {"first": np.vstack(self.first), "before": self.before.copy()}
+            saved |= {"turnover": np.array(self.turnover)}
+        return saved | {"number": np.array(self.number)}
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        self.number = int(saved["number"])
+        if self.number:
+            self.before, self.turnover = saved["before"], float(saved["turnover"])
+            self.first = State(*np.split(saved["first"], STATE_SPLITS))
+            self.pairs = self.pair_forces()
+            self.motion = self.set_off()
+        self.motion.restore(within("motion", saved))
+
+    @property
+    def segment(self) -> Segment:
+        """The segment that it is in."""
+        return self.plan.segments[self.number]
+
+    def pair_forces(self) -> PairForces | None:
+        """What the bodies of the segment do to each other; None where it is nothing."""
+        terms = self.segment.terms
+        return PairForces(terms, self.plan.members.size, True) if terms.is_coupled else None
+
+    def potential(self, com: Floats, q: Floats) -> float:
+        """Potential energy of the bodies with each other, and of links to the world [J]."""
+        return 0.0 if self.pairs is None else self.pairs.potential_energy(com, q)
+
+    def begin(self, segment: Segment, state: State) -> Motion:
+        """Apply the impulses at the start of a segment and set off."""
+        for jump in segment.jumps:
+            state, booked = apply_impulse(jump, self.plan.bodies, state)
+            self.before += booked
+        self.first = state
+        return self.set_off()
+
+    def set_off(self) -> Motion:
+        """Motion of this segment from its first state."""
+        segment = self.segment
+        motion: Motion = METHODS[segment.method].begin(
+            self.group(), self.first, segment.start, segment.dt, segment.tolerance
+        )
+        return motion
+
+    def group(self) -> Group:
+        """What the method needs for this segment; pistons go on from where they are."""
+        group = self.plan.group(self.segment)
+        before, contact = getattr(self, "motion", None), group.terms.contact
+        if not isinstance(before, TouchingMotion) or contact is None:
+            return group
+        contact = contact._replace(pistons=before.onwards())
+        return group._replace(terms=group.terms._replace(contact=contact))
+
+    def cross(self) -> None:
+        """Go from this segment into the next.
+
+        Who connects a link that is stretched gives its energy, and gets it who disconnects it.
+        """
+        state, booked = self.motion.finish(self.segment.stop)
+        self.turnover = self.turned_over()
+        self.before += booked
+        self.before[0] -= self.potential(state.com, state.q)
+        self.number += 1
+        self.pairs = self.pair_forces()
+        self.before[0] += self.potential(state.com, state.q)
+        self.motion = self.begin(self.segment, state)
+
+    def turned_over(self) -> float:
+        """Gross work of contacts until the last frame [J]."""
+        own = self.motion.turned_over() if isinstance(self.motion, TOUCHING) else 0.0
+        return self.turnover + own
+
+    def record(self, times: Floats, frames: Frames) -> tuple[Floats, Energies]:
+        """Write rows 0.. of the frames at ascending times.
+
+        A frame at the instant of an edge shows the state after it.
+
+        Returns
+        -------
+        booked : ndarray, shape (T, 7)
+            What was booked since t = 0.
+        energies : Energies
+            Beside those of the bodies themselves.
+        """
+        booked = np.empty((times.size, 7))
+        potential, kinetic = np.zeros(times.size), np.zeros(times.size)
+        self.touches = {}
+        done = 0
+        while done < times.size:
+            until = int(np.searchsorted(times, self.segment.stop, side="left"))
+            if until > done:
+                rows = np.arange(done, until)
+                booked[rows] = self.before + self.motion.record(times[rows], rows, frames)
+                if self.pairs is not None:
+                    potential[rows] = [
+                        self.potential(*self.pose(frames, row)) for row in rows.tolist()
+                    ]
+                if isinstance(self.motion, TOUCHING):
+                    potential[rows] += self.motion.energies[rows]
+                    kinetic[rows] += self.motion.kinetic[rows]
+                    self.touches |= self.motion.touches
+                done = until
+            if done < times.size:
+                self.cross()
+        return booked, Energies(potential, kinetic)
+
+    def pose(self, frames: Frames, row: int) -> tuple[Floats, Floats]:
+        """Centres of mass (3, n) and orientations of the rotor frames (4, n) in a frame."""
+        own = self.plan.members
+        q = multiplied(frames.orientation[row, own].T, self.plan.bodies.rotor_frame)
+        return frames.position[row, own].T, q
+
+
+def record_all(
+    travellers: Sequence[Traveller], times: Floats, frames: Frames
+) -> tuple[Floats, Energies]:
+    """Sums over the groups of what `Traveller.record` returns."""
+    booked, energies = np.zeros((times.size, 7)), np.zeros((2, times.size))
+    for traveller in travellers:
+        given, own = traveller.record(times, frames)
+        booked += given
+        energies += own
+    return booked, Energies(*energies)
+
+
+def initial_energies(travellers: Sequence[Traveller], initial: Frames) -> Energies:
+    """Energies at t = 0 beside those of the bodies themselves, (1,)."""
+    potential = [t.potential(*t.pose(initial, 0)) for t in travellers if t.pairs is not None]
+    touching = [t.motion for t in travellers if isinstance(t.motion, TOUCHING)]
+    potential += [motion.elastic for motion in touching]
+    kinetic = sum(motion.at_rest for motion in touching)
+    return Energies(np.array([sum(potential)]), np.array([kinetic]))
