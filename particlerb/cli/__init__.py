@@ -124,7 +124,11 @@ def add_export(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="from A before B, every C-th; a number alone is one frame; default: all",
     )  # fmt: skip
     export.add_argument(
-        "--fields", type=names, default=[], metavar="A,B", help="default: all recorded"
+        "--fields",
+        type=names,
+        default=[],
+        metavar="A,B",
+        help="default: all recorded, in csv of bodies",
     )
 
 

@@ -20,6 +20,7 @@ import particlerb
 from particlerb.case.wanted import FIELDS_OF_CONTACT
 from particlerb.cli import main
 from particlerb.record import checked
+from particlerb.record.integrity import list_checksums
 from particlerb.record.schema import FIELDS
 from particlerb.trajectory import TrajectoryError
 from particlerb.verification import verify
@@ -162,6 +163,21 @@ def test_a_changed_byte_of_any_dataset_is_found(make, tmp_path):
             assert damaged(path), name
         except TrajectoryError:
             continue
+
+
+def test_checksums_of_lists_do_not_depend_on_what_is_read_together():
+    """Nor on other frames; rows of zeros count too."""
+    r = np.random.default_rng(4)
+    columns = [r.integers(0, 9, (7, 2)).astype(np.int32), r.standard_normal((7, 3))]
+    ends = np.array([0, 2, 2, 7])
+    together = list_checksums(columns, ends)
+    for k, (lo, hi) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
+        alone = list_checksums([c[lo:hi] for c in columns], np.array([hi - lo]))
+        assert alone[0] == together[k]
+    zeros = [np.zeros((3, 2))]
+    assert (
+        list_checksums(zeros, np.array([1, 3])) != list_checksums(zeros, np.array([2, 3]))
+    ).all()
 
 
 def test_a_changed_text_is_found(copy):
