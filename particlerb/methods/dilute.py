@@ -303,7 +303,7 @@ class DiluteMotion:
         for k, one in enumerate(self.kept or ()):
             saved |= under(f"kept.{k}", flat(one))
         saved |= {"active": self.active.copy(), "booked": self.booked.copy()}
-        counts = np.array([self.done, self.steps, self.saved, self.all_steps])
+        counts = np.array([self.done, self.steps, self.saved, self.all_steps, self.count])
         extremes = np.array([self.skin, self.turnover, self.swing])
         return saved | {"counts": counts, "extremes": extremes}
 
@@ -313,6 +313,6 @@ class DiluteMotion:
         kept = [within(f"kept.{k}", saved) for k in range(2)]
         self.kept = (Kept(**kept[0]), Kept(**kept[1])) if kept[0] else None
         self.active, self.booked = saved["active"], saved["booked"]
-        self.done, self.steps, self.saved, self.all_steps = saved["counts"].tolist()
+        self.done, self.steps, self.saved, self.all_steps, self.count = saved["counts"].tolist()
         self.skin, self.turnover, self.swing = saved["extremes"].tolist()
         self.next, self.shown = None, self.interval()

@@ -677,7 +677,10 @@ class TouchingMotion(CoupledMotion):
         for k, (keys, rows, _) in enumerate(self.kept):
             saved |= {f"keys.{k}": keys.copy(), f"rows.{k}": rows.copy()}
         way = np.array([self.farthest, self.made, self.contact.skin])
-        saved |= {"turnover": self.room.turnover.copy(), "swing": np.array(self.swing)}
+        saved |= {
+            "turnover": self.room.turnover.copy(),
+            "looks": np.array([self.swing, self.count]),
+        }
         return saved | {"origin": self.origin.copy(), "way": way}
 
     def restore(self, saved: Saved) -> None:
@@ -692,7 +695,8 @@ class TouchingMotion(CoupledMotion):
             Kept(saved["keys.1"], saved["rows.1"], walls),
         )
         self.origin = saved["origin"]
-        self.room.turnover[:], self.swing = saved["turnover"], float(saved["swing"])
+        self.room.turnover[:] = saved["turnover"]
+        self.swing, self.count = float(saved["looks"][0]), int(saved["looks"][1])
         self.farthest, self.made, skin = saved["way"].tolist()
         self.contact = self.contact._replace(skin=skin)
 
