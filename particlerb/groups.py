@@ -272,7 +272,10 @@ def contact_among(
     is_shown = any(name in FIELDS_OF_CONTACT for name in case.output.fields)
     is_fixed, pistons = touching.skin is not None, touching.pistons
     left_out = int(may_touch.sum()) - owner.size
-    return Contact(touchable, motions, reach, skin, is_fixed, is_shown, left_out, pistons)
+    is_forced = touching.allow_unstable
+    return Contact(
+        touchable, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced
+    )
 
 
 def drives_among(scene: Scene, members: Ints, touching: Touching) -> Drives | None:

@@ -18,6 +18,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case, Impulse
 from particlerb.contact.loads import Contact
+from particlerb.contact.swing import swing_at_start
 from particlerb.forces import (
     acts,
     bodies_at_centres,
@@ -286,7 +287,11 @@ def refuse_endless(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> N
 
 
 def refuse_unstable(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> None:
-    """Raise CaseError where a step is above the limit of a single contact, unless it is allowed."""
+    """Raise CaseError where a step is above the limit of contact, unless it is allowed.
+
+    That is the limit of a single contact of the outermost spheres, and of all contacts together
+    with which the case begins.
+    """
     if case.contact is None or case.contact.allow_unstable:
         return
     for group in groups:
@@ -296,6 +301,8 @@ def refuse_unstable(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> 
             rate = fastest_contact(scene, group, segment)
             reach = METHODS[segment.method].REACH * damped_share(segment.terms.contact)
             limit = reach / rate if rate > 0.0 else np.inf
+            if segment is group.segments[0]:
+                refuse_crowded(case, scene, group, reach)
             if segment.dt > limit:
                 reason = (
                     f"the step of {segment.dt:.3g} s is above {limit:.3g} s, where a contact of"
@@ -307,6 +314,57 @@ def refuse_unstable(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> 
                 )
                 key = "run" if case.run.dt is None else "run.dt"
                 raise CaseError([problem_at(case, key, reason, hint)])
+
+
+def stable_turn(plan: Plan) -> float:
+    """Largest ω dt [rad] at which bodies stay at rest on several damped contacts."""
+    limits = [
+        METHODS[segment.method].REACH * damped_share(segment.terms.contact)
+        for group in plan.groups
+        for segment in group.segments
+        if segment.terms.contact is not None
+    ]
+    return min(limits, default=math.inf)
+
+
+def refuse_crowded(case: Case, scene: Scene, group: GroupPlan, reach: float) -> None:
+    """Raise CaseError where a step is too long for all contacts with which a case begins."""
+    segment = group.segments[0]
+    contact, state = segment.terms.contact, taken(scene.state, group.members)
+    assert contact is not None
+    depth = deepest_impact(contact, group.bodies, state, falling_speed(scene, segment.terms))
+    rate = swing_at_start(contact, state.com, state.q, depth)
+    if segment.dt * rate > reach:
+        reason = (
+            f"the step of {segment.dt:.3g} s is above {reach / rate:.3g} s, where bodies like"
+            f" {scene.names[int(group.members[0])]} that touch at t = 0 grow without bound on all"
+            " their contacts together"
+        )
+        hint = (
+            f"dt = {math.pi / rate / STEPS_PER_CONTACT:.2g} s or less is accurate;"
+            " contact.allow_unstable = true takes it all the same"
+        )
+        raise CaseError(
+            [problem_at(case, "run" if case.run.dt is None else "run.dt", reason, hint)]
+        )
+
+
+def deepest_impact(contact: Contact, bodies: Bodies, state: State, fall: float) -> float:
+    """Deepest overlap [m] of an impact of the heaviest bodies of `hertz`; 0 for hooke."""
+    if contact.scene.law.hertz is None:
+        return 0.0
+    K = (4.0 / 3.0) * float(contact.scene.law.stiffness.max())
+    K *= math.sqrt(float(contact.scene.spheres.radius.max()))
+    moving = bodies.inv_mass[bodies.inv_mass > 0.0]
+    speed = impact_speed(contact, bodies, state, fall)
+    return float((1.25 * speed**2 / (K * 2.0 * moving.min(initial=np.inf))) ** 0.4)
+
+
+def impact_speed(contact: Contact, bodies: Bodies, state: State, fall: float) -> float:
+    """Speed [m/s] with which two may meet, by those at t = 0 and by falling."""
+    speed = np.linalg.norm(state.p * bodies.inv_mass, axis=0)
+    spin = np.linalg.norm(omega_world(bodies, state), axis=0)
+    return 2.0 * float((speed + spin * contact.reach).max()) + fall
 
 
 def damped_share(contact: Contact) -> float:
@@ -398,9 +456,7 @@ def contact_rates(contact: Contact, bodies: Bodies, state: State, fall: float) -
     if law.hertz is None:
         k = float((law.stiffness + law.shear).max())
         return np.asarray(np.sqrt(k * softness))
-    speed = np.linalg.norm(state.p * bodies.inv_mass, axis=0)
-    spin = np.linalg.norm(omega_world(bodies, state), axis=0)
-    speed = 2.0 * float((speed + spin * contact.reach).max()) + fall
+    speed = impact_speed(contact, bodies, state, fall)
     K = (4.0 / 3.0) * float(law.stiffness.max()) * np.sqrt(float(radius.max()))
     share = 1.0 + 6.0 * float((law.shear / np.maximum(law.stiffness, 1e-300)).max())
     depth = (1.25 * speed**2 / (K * np.maximum(softness, 1e-300))) ** 0.4

@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 
-from particlerb._jit import kernel
 from particlerb.bodies.scene import Scene, assemble
 from particlerb.case.placement import first_bodies
 from particlerb.case.problems import CaseError
@@ -17,8 +16,8 @@ from particlerb.case.schema import Case
 from particlerb.contact.search import Search
 from particlerb.contact.wall_motion import poses_at
 from particlerb.contact.wall_search import WallSearch
-from particlerb.contact.walls import Walls, touch
-from particlerb.maths.vec3 import Floats, Ints, load3
+from particlerb.contact.walls import gaps
+from particlerb.maths.vec3 import Floats
 from particlerb.pairs import lengths
 from particlerb.touching import Contact, contact_of, shift_of, spheres_of
 
@@ -80,8 +79,7 @@ def pushed_apart(case: Case, scene: Scene, contact: Contact) -> Floats:
         depth *= share > 0.0
         push = d / distance * depth / np.maximum(share, 1.0)
         i, p, _ = walls.pairs(points, poses, 0.0)
-        gap = np.empty((3, i.size))
-        find_gaps(contact.walls, poses, points, i, p, gap)
+        gap = gaps(contact.walls, poses, points, i, p)
         size = np.maximum(lengths(gap), 1e-300)
         into = np.maximum(radius[i] - size, 0.0) * moves[body[i]]
         deepest = max(float(depth.max(initial=0.0)), float(into.max(initial=0.0)))
@@ -95,14 +93,3 @@ def pushed_apart(case: Case, scene: Scene, contact: Contact) -> Floats:
             com[c] += LENGTHENED * total / counts * moves
     reason = f"bodies still overlap by {deepest:.3g} m after {ROUNDS} rounds of pushing them apart"
     raise CaseError([problem_at(case, "contact.relax", reason, "give them more room")])
-
-
-@kernel
-def find_gaps(
-    walls: Walls, poses: Floats, points: Floats, first: Ints, second: Ints, gap: Floats
-) -> None:
-    """Write the vector from each wall's primitive to the centre of a sphere, (3, n) [m]."""
-    place = points[0], points[1], points[2]
-    for k in range(first.size):
-        away, _ = touch(walls, poses, second[k], load3(place, first[k]))
-        gap[0, k], gap[1, k], gap[2, k] = away

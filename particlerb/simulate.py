@@ -229,8 +229,17 @@ class Run:
         name = self.scene.names[int(self.spinning(rods, frames, f)[0])]
         return f, RunError(
             f"{name} is a rod, and by t = {float(times[f])!r} s a torque has turned it about its"
-            " own axis, about which it has no inertia: apply forces at points of the rod instead"
+            f" own axis, about which it has no inertia: {self.advice_for_rods()}"
         )
+
+    def advice_for_rods(self) -> str:
+        """What to do where something turns rods about their own axes."""
+        if any(t.segment.terms.contact is not None for t in self.travellers):
+            return (
+                "friction acts on the surface of its spheres, beside the axis; take a shape with"
+                " matter around it, as a box, or friction = 0"
+            )
+        return "apply forces at points of the rod instead"
 
     def spinning(self, rods: Ints, frames: Frames, f: int) -> Ints:
         """Those of the rods that have an angular momentum along their axis in frame f."""

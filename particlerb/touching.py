@@ -13,7 +13,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import kernel
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import turned
 from particlerb.case.contact import (
@@ -40,8 +39,8 @@ from particlerb.contact.search import neighbours
 from particlerb.contact.surfaces import box, cylinder, joined, plane, surface, unit
 from particlerb.contact.wall_motion import Motion, poses_at
 from particlerb.contact.wall_search import WallSearch
-from particlerb.contact.walls import Walls, touch
-from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, dot, load3, rows3
+from particlerb.contact.walls import Walls, gaps
+from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3
 from particlerb.pairs import and_more, is_among, lengths, particles_of, places
 
 NOTHING: Final = -1  # material of a body that touches nothing
@@ -484,8 +483,7 @@ def beyond_walls(case: Case, scene: Scene, contact: Contact, spheres: Spheres) -
     if not contact.relax:
         poses = poses_at(contact.motions, 0.0)
         i, p, _ = WallSearch(contact.walls, spheres.radius).pairs(spheres.place, poses, 0.0, moving)
-        gap = np.empty(i.size)
-        find_gaps(contact.walls, poses, spheres.place, i, p, gap)
+        gap = lengths(gaps(contact.walls, poses, spheres.place, i, p))
         owner = (contact.walls.wall[p], spheres.body[i])
         np.maximum.at(depth, owner, spheres.radius[i] - gap)
     for number, table in enumerate(case.wall):
@@ -505,17 +503,6 @@ def beyond_walls(case: Case, scene: Scene, contact: Contact, spheres: Spheres) -
             more = and_more(wrong.size - named.size)
             reason = f"overlaps bodies at t = 0: {which}{more}"
             yield problem_at(case, f"wall[{number}]", reason, APART)
-
-
-@kernel
-def find_gaps(
-    walls: Walls, poses: Floats, points: Floats, first: Ints, second: Ints, gap: Floats
-) -> None:
-    """Write the distance of each sphere's centre from a primitive [m], FAR where it has none."""
-    place = rows3(points, 0, points.shape[1])
-    for k in range(first.size):
-        away, _ = touch(walls, poses, second[k], load3(place, first[k]))
-        gap[k] = math.sqrt(dot(away, away))
 
 
 def room_in(table: AnyWall, motion: Motion, points: Floats) -> Floats:

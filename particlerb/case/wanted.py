@@ -111,7 +111,9 @@ class Check(Table):
     """Limits: a run that misses one ends with exit code 3."""
 
     energy_drift: Positive | None = Field(
-        None, description="Largest error of energy, over the largest kinetic energy or work. [-]"
+        None,
+        description="Largest error of energy, over the largest kinetic energy, work or gross work"
+        " of contacts. [-]",
     )
     linear_momentum_drift: Positive | None = Field(
         None, description="Largest error of momentum, over the sum of the bodies' momenta. [-]"

@@ -85,6 +85,7 @@ def conclude(
         if not options.quiet:
             print(drift_text(outcome))
             print(f"written: {path}")
+    warn(options, swing_warnings(prepared, outcome))
     return DONE if all(check.holds for check in checks) else MISSED
 
 
@@ -237,6 +238,20 @@ def drift_text(outcome: "Outcome") -> str:
     return f"{share} were saved: nothing was in reach, closed form\n{text}"
 
 
+def swing_warnings(prepared: "Prepared", outcome: "Outcome") -> list[str]:
+    """Warning where bodies swung faster on several contacts than damped ones are stable."""
+    from particlerb.plan import stable_turn
+
+    limit = stable_turn(prepared.plan)
+    if outcome.swing <= limit:
+        return []
+    return [
+        f"particlerb: warning: bodies swung with {outcome.swing:.3g} rad a step on all their"
+        f" contacts together: above {limit:.3g} rad contacts so damped do not come to rest;"
+        f" a step shorter by {outcome.swing / limit:.2g} is right"
+    ]
+
+
 def swing_text(swing: float) -> str:
     """How many steps a swing of bodies on their contacts takes."""
     from particlerb.plan import STEPS_PER_CONTACT
@@ -252,6 +267,7 @@ def summary(path: Path, outcome: "Outcome", checks: "list[Result]") -> dict[str,
     return {
         "file": str(path),
         "drift": outcome.drift._asdict(),
+        "swing": outcome.swing,
         "checks": [{**check._asdict(), "holds": check.holds} for check in checks],
     }
 

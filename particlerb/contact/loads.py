@@ -135,6 +135,7 @@ class Contact(NamedTuple):
     is_shown: bool  # whether frames show who touches whom
     left_out: int  # spheres so deep inside their bodies that nothing can reach them
     pistons: Pistons | None = None  # walls that slide under a load
+    is_forced: bool = False  # whether steps above the limit of stability are taken
 
 
 class Room(NamedTuple):

@@ -1,8 +1,8 @@
 """How fast bodies swing on all their contacts together: what limits the step.
 
 A body on several contacts is held by the sum of their stiffnesses, tangential ones included. What
-is known before a run is one contact of two bodies; this looks at the contacts that there are. It
-knows no steps and no methods.
+is known before a run is one contact of two bodies, and who touches at the start; later this looks
+at the contacts that there are. It knows no steps and no methods.
 """
 
 import math
@@ -11,10 +11,15 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.bodies.state import turned, turned_back
-from particlerb.contact.loads import BEFORE, ELASTIC, POINT, Contacts, Scene
+from particlerb.contact.loads import BEFORE, ELASTIC, POINT, Contact, Contacts, Scene
+from particlerb.contact.search import neighbours
+from particlerb.contact.wall_motion import motion_in, poses_at
+from particlerb.contact.wall_search import WallSearch
+from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats, Ints
 
 ITERATIONS: Final = 20  # of the power method: within a few per cent
+TOUCHING: Final = 1e-6  # share of the smallest radius by which two that touch may be apart
 
 
 class Springs(NamedTuple):
@@ -33,19 +38,67 @@ def springs_of(scene: Scene, contacts: Contacts, are_walls: bool) -> Springs:
     elastic = contacts.done[:, ELASTIC : ELASTIC + 3].T
     size = np.linalg.norm(elastic, axis=0)
     own = np.flatnonzero(contacts.acts & (size > 0.0))
-    spheres, law = scene.spheres, scene.law
-    i, j = contacts.first[own], contacts.second[own]
-    second = np.full(own.size, scene.inv_mass.size) if are_walls else spheres.body[j]
+    pairs = contacts.first[own].astype(np.int64), contacts.second[own].astype(np.int64)
+    point = contacts.done[own, POINT : POINT + 3].T
+    normal = elastic[:, own] / size[own]
+    return springs(scene, pairs, are_walls, point, normal, contacts.kept[own, BEFORE])
+
+
+def springs(
+    scene: Scene, pairs: tuple[Ints, Ints], are_walls: bool, point: Floats, normal: Floats,
+    depth: Floats,
+) -> Springs:  # fmt: skip
+    """Springs of pairs of spheres, or of spheres with primitives of walls, at their overlaps."""
+    (i, j), spheres, law = pairs, scene.spheres, scene.law
+    second = np.full(i.size, scene.inv_mass.size) if are_walls else spheres.body[j]
     material = scene.wall_material[j] if are_walls else spheres.material[j]
     pair = scene.pair_of[spheres.material[i], material]
-    k, shear = law.stiffness[pair], law.shear[pair]
+    k, shear = law.stiffness[pair], np.where(law.friction[pair] > 0.0, law.shear[pair], 0.0)
     if law.hertz is not None:
         R = spheres.radius[i]
         R = R if are_walls else R * spheres.radius[j] / (R + spheres.radius[j])
-        root = np.sqrt(R * contacts.kept[own, BEFORE])
+        root = np.sqrt(R * depth)
         k, shear = 2.0 * k * root, 8.0 * shear * root
-    point = contacts.done[own, POINT : POINT + 3].T
-    return Springs(spheres.body[i], second, point, elastic[:, own] / size[own], k, shear)
+    return Springs(spheres.body[i], second, point, normal, k, shear)
+
+
+def swing_at_start(contact: Contact, com: Floats, q: Floats, depth: float) -> float:
+    """Fastest frequency of bodies on the contacts that they begin with [rad/s].
+
+    Parameters
+    ----------
+    contact : Contact
+    com, q : ndarray, shapes (3, n) [m] and (4, n)
+        As for `fastest_swing`.
+    depth : float [m]
+        Overlap that decides how stiff `hertz` is, if two do not overlap by more.
+    """
+    scene = contact.scene
+    spheres, near = scene.spheres, TOUCHING * float(scene.spheres.radius.min(initial=np.inf))
+    x = np.ascontiguousarray(com[:, spheres.body] + turned(q[:, spheres.body], spheres.arm))
+    first, second, _ = neighbours(x, spheres.radius, spheres.body, near)
+    away = x[:, second] - x[:, first]
+    between = beginning(scene, (first, second), False, x, away, depth)
+    motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
+    poses = poses_at(motions, 0.0)
+    first, second, _ = WallSearch(scene.walls, spheres.radius).pairs(x, poses, near)
+    away = -gaps(scene.walls, poses, x, first, second)
+    outside = beginning(scene, (first, second), True, x, away, depth)
+    return swing_on(scene, com, q, (between, outside))
+
+
+def beginning(
+    scene: Scene, pairs: tuple[Ints, Ints], are_walls: bool, x: Floats, away: Floats, depth: float
+) -> Springs:
+    """Springs between spheres at x and what lies `away` from their centres."""
+    radius, distance = scene.spheres.radius, np.sqrt((away**2).sum(axis=0))
+    reach = radius[pairs[0]] + (0.0 if are_walls else radius[pairs[1]])
+    touches = distance <= (1.0 + TOUCHING) * reach  # of an edge nothing may face the sphere
+    pairs = pairs[0][touches], pairs[1][touches]
+    away, distance, reach = away[:, touches], distance[touches], reach[touches]
+    normal = away / np.where(distance > 0.0, distance, 1.0)
+    point = x[:, pairs[0]] + radius[pairs[0]] * normal
+    return springs(scene, pairs, are_walls, point, normal, np.maximum(reach - distance, depth))
 
 
 def fastest_swing(
@@ -67,6 +120,11 @@ def fastest_swing(
         Rayleigh's quotient: at most the true one. 0 where nothing presses.
     """
     parts = springs_of(scene, spheres, False), springs_of(scene, walls, True)
+    return swing_on(scene, com, q, parts)
+
+
+def swing_on(scene: Scene, com: Floats, q: Floats, parts: tuple[Springs, Springs]) -> float:
+    """Fastest frequency of bodies on springs between each other, and to walls [rad/s]."""
     first, second, point, normal, k, shear = (
         np.concatenate(pair, axis=-1) for pair in zip(*parts, strict=True)
     )

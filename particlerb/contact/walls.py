@@ -19,7 +19,9 @@ Ericson, Real-Time Collision Detection (2005), 5.1.5: nearest point of a triangl
 import math
 from typing import Final, NamedTuple
 
-from particlerb._jit import inline, lean
+import numpy as np
+
+from particlerb._jit import inline, kernel, lean
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import (
     Floats,
@@ -28,6 +30,7 @@ from particlerb.maths.vec3 import (
     add_scaled,
     cross,
     dot,
+    load3,
     scale,
     subtract,
 )
@@ -270,3 +273,21 @@ def touch(walls: Walls, poses: Floats, p: int, x: Vec3) -> tuple[Vec3, Vec3]:
     gap = to_world(q, gap_of(Primitive(kind[p], a, b, c, n), around, to_body(q, d)))
     velocity = add_scaled(1.0, cross(row3(poses, w, 10), subtract(d, gap)), row3(poses, w, 7))
     return gap, velocity
+
+
+def gaps(walls: Walls, poses: Floats, points: Floats, which: Ints, primitive: Ints) -> Floats:
+    """Vectors from primitives of walls to some of the points (3, n), (3, m) [m]; FAR: has none."""
+    found = np.empty((3, which.size))
+    find_gaps(walls, poses, points, which, primitive, found)
+    return found
+
+
+@kernel
+def find_gaps(
+    walls: Walls, poses: Floats, points: Floats, which: Ints, primitive: Ints, gap: Floats
+) -> None:
+    """Write what `gaps` returns."""
+    place = points[0], points[1], points[2]
+    for k in range(which.size):
+        away, _ = touch(walls, poses, primitive[k], load3(place, which[k]))
+        gap[0, k], gap[1, k], gap[2, k] = away

@@ -84,11 +84,12 @@ from particlerb.terms.links import Links
 NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
 WORTH_THREADS: Final = 6e4  # ns of a step from which on a second thread pays for its start
 NEAR: Final = 0.1  # of the skin: pairs nearer than this stand together, first in the list
-MOST_STEPS_AHEAD: Final = 64  # for which lists are made where walls move
+MOST_STEPS_AHEAD: Final = 64  # for which lists are made where walls move,
+LONGEST: Final = 4096  # and where they do not: new lists are when swings are looked at
 TO_MAKE: Final = 4e5  # ns of new lists, roughly,
 TO_MAKE_SPHERE: Final = 150.0  # and for each sphere;
 TO_USE: Final = 6.0  # of a pair in a step
-STABLE: Final = 2.0  # largest ω dt of a piston
+STABLE: Final = 2.0  # largest ω dt of a piston, and of bodies on undamped contacts
 WIDEN: Final = 1.25  # of the skin, or its narrowing
 LOOKS: Final = 256  # lists from look to look at how fast the bodies swing
 SLACK: Final = 0.8  # of half the skin, with which lists are made anew: a frame may lie ahead
@@ -586,6 +587,14 @@ class TouchingMotion(CoupledMotion):
         lists = self.lists.spheres, self.lists.walls
         found = fastest_swing(self.contact.scene, y[:3], y[3:7], *lists)
         self.swing = max(self.swing, found)
+        if found * self.dt > STABLE and not self.contact.is_forced:
+            raise MotionError(
+                f"at t = {self.memory.start + self.place.time:.6g} s bodies swing on all their"
+                f" contacts together with {found:.3g} rad/s: a step of {self.dt:.3g} s is above"
+                f" {STABLE / found:.3g} s, where that grows without bound;"
+                f" dt = {0.1 * STABLE / found:.2g} s or less is right, and"
+                " contact.allow_unstable = true takes it all the same"
+            )
 
     def fit_skin(self) -> None:
         """Widen the skin where making lists costs more than going through them, and the reverse."""
@@ -648,7 +657,7 @@ class TouchingMotion(CoupledMotion):
         steps, skin = MOST_STEPS_AHEAD, self.contact.skin
         sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
         if not any(any(row[3:]) for row in self.contact.motions.tolist()):
-            return np.inf, sliding
+            return LONGEST * self.dt, sliding
         extent = float(np.abs(points - self.room.poses[:, :3].mean(axis=0)[:, None]).max())
         while steps > 1 and farthest_way(self.motions, steps * self.dt, 2.0 * extent) > skin:
             steps //= 2

@@ -9,7 +9,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.contact.restitution import damping_ratio
-from particlerb.methods import strang
+from particlerb.methods import strang, touching
 from particlerb.plan import STEPS_PER_CONTACT
 from particlerb.simulate import RunError, prepare
 
@@ -43,6 +43,39 @@ def test_unstable_step_is_refused_unless_allowed():
         prepare(load(drop(1.001 * damped)))
     prepare(load(drop(0.999 * damped)))
     assert prepare(load(drop(0.1, allow_unstable=True))).plan.warnings
+
+
+def cage(dt, height, gap=0.0, **contact) -> dict:
+    """A ball in a box of its own size, or above it; closed: ω² = (2 + 4 · 2/7) k/m."""
+    case = drop(dt, restitution=1.0, friction=0.5, overlap=1e-3, **contact)
+    half = 0.1 + gap
+    box = {"name": "cage", "type": "box", "lower": [-half, -half, 0], "upper": [half, half, 0.2]}
+    case["wall"] = [box | ({"open": ["+z"]} if height > 0.1 else {})]
+    case["body"][0]["position"] = [0.0, 0.0, height]
+    return case
+
+
+def test_all_contacts_of_a_body_at_the_start_limit_the_step():
+    limit = 2.0 / math.sqrt(1e5 * (2.0 + 8.0 / 7.0))
+    assert limit < 0.99 * 2.0 / RATE  # that of a single contact
+    with pytest.raises(CaseError, match=r"ball that touch at t = 0 grow without bound on all"):
+        prepare(load(cage(1.01 * limit, 0.1)))
+    prepare(load(cage(0.99 * limit, 0.1)))
+    prepare(load(cage(1.01 * limit, 0.1, gap=1e-3)))  # only the floor and the lid touch
+    prepare(load(cage(1.01 * limit, 0.1, allow_unstable=True)))
+
+
+@pytest.mark.compiled
+def test_a_body_that_gets_too_many_contacts_on_the_way_ends_the_run(monkeypatch):
+    """Between four sides ω² is at least (2 + 2 · 2/7) k/m, as if less than that were the limit."""
+    dt = 1e-3
+    monkeypatch.setattr(touching, "STABLE", 0.99 * dt * math.sqrt(1e5 * (2.0 + 4.0 / 7.0)))
+    case = cage(dt, 0.3, gap=-1e-4)
+    case["run"] |= {"t_end": 3.0, "every": 0.1}
+    with pytest.raises(RunError, match=r"bodies swing on all their contacts together with"):
+        particlerb.run(case)
+    case["contact"]["allow_unstable"] = True
+    particlerb.run(case).close()
 
 
 def test_few_steps_in_a_contact_are_worth_a_warning():
@@ -177,7 +210,7 @@ def test_swing_of_a_cube_on_four_balls_has_the_stiffness_of_all(shear):
         1e5,
         [[0.1 * a, 0.1 * b, 0.1 * c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)],
     )
-    case = drop(1e-4, tangential_stiffness=shear, overlap=1e-3)
+    case = drop(1e-4, tangential_stiffness=shear, overlap=1e-3, friction=0.5)
     shape = {"type": "points", "mass": 0.125, "radius": 0.1, "position": corners}
     case["body"] = [{"name": "cube", "shape": shape, "position": [0.0, 0.0, 0.2 - 1e-5]}]
     prepared = prepare(load(case))
