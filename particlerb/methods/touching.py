@@ -680,8 +680,7 @@ class TouchingMotion(CoupledMotion):
     def checkpoint(self) -> Saved:
         """Lists with what contacts keep, the poses that they were made at, and their skin."""
         saved = super().checkpoint()
-        place = self.place._replace(stop=0, step=0)  # a schedule begins with them
-        for name, value in (("memory", self.memory), ("place", place), ("lists", self.lists)):
+        for name, value in (("memory", self.memory), ("place", self.place), ("lists", self.lists)):
             saved |= under(name, flat(value))
         for k, (keys, rows, _) in enumerate(self.kept):
             saved |= {f"keys.{k}": keys.copy(), f"rows.{k}": rows.copy()}
