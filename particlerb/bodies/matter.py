@@ -6,7 +6,6 @@ spheres, what a sum over them would have given instead.
 """
 
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,11 +13,12 @@ import numpy as np
 from particlerb.bodies import shapes
 from particlerb.bodies.analytic import ANALYTIC, Analytic
 from particlerb.bodies.files import read_spheres
-from particlerb.bodies.mesh import mesh_solid, read_mesh
+from particlerb.bodies.mesh import Mesh, mesh_solid, read_mesh
 from particlerb.bodies.solid import Solid
 from particlerb.bodies.spheres import overlaps, plain_solid, union_solid
 from particlerb.case.schema import Body, Case, Part
-from particlerb.case.shapes import Cloud, Mesh, Moments, Points, Spheres
+from particlerb.case.shapes import Cloud, Moments, Points, Spheres
+from particlerb.case.shapes import Mesh as MeshShape
 from particlerb.maths.vec3 import Floats
 
 
@@ -53,8 +53,8 @@ def matter_of_shape(case: Case, table: Body | Part) -> Matter:
     if isinstance(shape, Spheres):
         centre, radius = case_spheres(case, shape)
         return matter_of_spheres(centre, radius, shape.overlap == "sum")
-    if isinstance(shape, Mesh):
-        return matter_of_mesh(case.file(shape.file), shape.scale)
+    if isinstance(shape, MeshShape):
+        return matter_of_mesh(read_mesh(case.file(shape.file), shape.scale))
     if shape is None or isinstance(shape, (Points, Cloud, Moments)):
         return Matter()
     size = shape.model_dump(exclude={"type", "n", "arrangement", "inertia_error"})
@@ -65,11 +65,11 @@ def matter_of_shape(case: Case, table: Body | Part) -> Matter:
         return Matter(solid=solid)
 
 
-def matter_of_mesh(path: str | Path, scale: float) -> Matter:
-    """Matter of a closed mesh in a file."""
-    solid = mesh_solid(read_mesh(path, scale))
+def matter_of_mesh(mesh: Mesh) -> Matter:
+    """Matter of a closed mesh."""
+    solid = mesh_solid(mesh)
     per_mass = Analytic(solid.com, solid.inertia / solid.volume)
-    return Matter(solid.volume, solid.error, solid=per_mass)
+    return Matter(solid.volume, solid.error, solid=per_mass, notes=mesh.notes)
 
 
 def case_spheres(case: Case, shape: Spheres) -> tuple[Floats, Floats]:

@@ -30,6 +30,8 @@ ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)
 COARSE: Final = 8  # cells along the largest extent, to find matter that counts twice
 MISCOUNTED: Final = 1e-6  # of a cell
 MOST_NAMED: Final = 3  # places in a message
+MOST_COMPARED: Final = 500  # vertices of open edges, to find two that were meant to be one
+NEARLY_ONE: Final = 1e-3  # of the size
 PIP: Final = 'pip install "particlerb[mesh]"'
 
 
@@ -173,7 +175,25 @@ def refuse_open(vertices: Floats, faces: Ints, number: Ints) -> None:
         for e in odd[:MOST_NAMED]
     ]
     rest = f"; ... {len(odd)} edges in all" if len(odd) > MOST_NAMED else ""
-    raise ValueError(f"it is open: {'; '.join(places)}{rest}; two faces are needed at each")
+    raise ValueError(
+        f"it is open: {'; '.join(places)}{rest}; two faces are needed at each: "
+        + remedy(vertices, np.unique(unique[odd]))
+    )
+
+
+def remedy(vertices: Floats, rim: Ints) -> str:
+    """What closes a mesh whose open edges end at these vertices: joining them, or more faces."""
+    some = vertices[rim[:MOST_COMPARED]]
+    apart = np.linalg.norm(some[:, None] - some, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
+    if apart[i, j] > NEARLY_ONE * np.ptp(vertices, axis=0).max():
+        return "close the hole where the mesh was made, or try trimesh.repair.fill_holes"
+    return (
+        f"vertices {point_text(some[i])} and {point_text(some[j])} are {apart[i, j]:.3g} m apart,"
+        " and only equal ones are one: join such vertices where the mesh was made, or with"
+        " merge_vertices of trimesh"
+    )
 
 
 def refuse_crossings(vertices: Floats, faces: Ints, number: Ints) -> None:

@@ -154,9 +154,8 @@ def mesh_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Matt
     from particlerb.bodies.matter import matter_of_mesh
     from particlerb.bodies.mesh import read_mesh
 
-    scale = options.scale or 1.0
-    filled = mesh_particles(read_mesh(path, scale), *amount(options))
-    return filled.particles, matter_of_mesh(path, scale)._replace(notes=filled.notes)
+    mesh = read_mesh(path, options.scale or 1.0)
+    return mesh_particles(mesh, *amount(options)).particles, matter_of_mesh(mesh)
 
 
 READERS: Final[dict[str, Callable[[Path, argparse.Namespace], "tuple[Particles, Matter]"]]] = {

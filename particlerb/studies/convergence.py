@@ -28,7 +28,7 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 MOST: Final = 1_000_000  # particles of the finest lattice
 FEWEST: Final = 1000  # with fewer, some curves have too few n to say anything
 WANTED: Final = (1e-2, 1e-3, 1e-4)  # errors that the table asks for
-FINEST_CELLS: Final = 64  # as every n is exact
+FINEST_CELLS: Final = 32  # as every n is exact
 NEAR: Final = 1.25  # n and m are neighbours if neither exceeds the other by this factor
 CLEAN: Final = 1.02  # largest factor between the errors and a power of n that is called an order
 ROUNDING: Final = 1e-13  # of sums and of integrals over cells
