@@ -20,6 +20,7 @@ from particlerb.maths.vec3 import Floats, Ints
 Overlap: TypeAlias = Literal["exact", "sum", "error"]
 TOUCHING: Final = 1e-12  # overlap, of the sum of the radii, that is rounding of a touch
 EPSILON: Final = float(np.finfo(np.float64).eps)
+HUGE: Final = 1e50  # [m] the largest radius lies between this and its inverse
 
 
 class Overlaps(NamedTuple):
@@ -88,6 +89,12 @@ def checked(position: ArrayLike, radius: ArrayLike) -> tuple[Floats, Floats]:
     if not (given.radius > 0.0).all():
         i = int(np.argmin(given.radius > 0.0))
         raise ValueError(f"radius of sphere {i} is {given.radius[i]}: positive is needed")
+    largest = float(given.radius.max())
+    if not 1.0 / HUGE < largest < HUGE:
+        raise ValueError(
+            f"the largest radius is {largest} m: {1.0 / HUGE:.0e} to {HUGE:.0e} is needed, as its"
+            " fifth power must be a number"
+        )
     return given.position, given.radius
 
 

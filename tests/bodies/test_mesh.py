@@ -206,8 +206,15 @@ def test_open_mesh_says_where():
     text = refusal(v, faces[1:])
     assert text.startswith("it is open: edge (-0.5, -0.5, -0.5) m to")
     assert "has 1 face;" in text
-    assert text.endswith("two faces are needed at each")
+    assert text.endswith(
+        "two faces are needed at each: close the hole where the mesh was made, or"
+        " try trimesh.repair.fill_holes"
+    )
     assert "... 4 edges in all" in refusal(v, faces[2:])
+    corner = v[faces]
+    corner[3, 1] += 1e-6
+    text = refusal(corner.reshape(-1, 3), np.arange(36).reshape(-1, 3))
+    assert "are 1.73e-06 m apart, and only equal ones are one: join such vertices" in text
     fin = np.concatenate([faces, [[0, 7, 1]]])
     assert "has 3 faces" in refusal(v, fin)
 

@@ -176,6 +176,22 @@ def test_threads_do_not_change_a_bit():
     assert found[0] == found[1] == found[2]
 
 
+@pytest.mark.parametrize("lost", [[0], [10, 11, 12], [14]])
+def test_a_surface_that_does_not_close_is_part_of_the_error(monkeypatch, lost):
+    """The vector area, and gaps in edges, tell of a wrong patch; its volume alone cannot."""
+    patches = union_module.patches
+
+    def spoilt(*arguments):
+        patches(*arguments)
+        rows = arguments[7]
+        rows[0, lost] += 1e-3
+
+    centre, radius = np.array([[0.0, 0, 0], [0.7, 0.1, 0.2]]), np.array([1.0, 0.6])
+    monkeypatch.setattr(union_module, "patches", spoilt)
+    error = union_solid(centre, radius).error
+    assert (error > 1e-5) == (lost != [0])
+
+
 # Particles
 
 
@@ -225,9 +241,10 @@ def test_overlap_can_be_an_error(centre, radius, message):
 
 
 def test_touching_spheres_do_not_overlap():
-    centre = np.outer(np.arange(4), AXIS) * 0.3
-    assert overlaps(centre, np.full(4, 0.15)).pairs == 0
-    spheres(centre, 0.15, mass=1.0, overlap="error")
+    for radius in np.linspace(0.1, 1.0, 40):  # some overlap by rounding
+        centre = np.outer(np.arange(4), AXIS) * 2.0 * radius
+        assert overlaps(centre, np.full(4, radius)).pairs == 0
+        spheres(centre, radius, mass=1.0, overlap="error")
 
 
 @pytest.mark.parametrize(
@@ -238,6 +255,8 @@ def test_touching_spheres_do_not_overlap():
         ({"mass": -1.0}, "positive"),
         ({"mass": 1.0, "radius": [1.0, 0.0]}, "radius of sphere 1 is 0.0"),
         ({"mass": 1.0, "radius": [1.0, -1.0]}, "radius of particle 1 is -1.0"),
+        ({"mass": 1.0, "radius": 1e-200}, "largest radius is 1e-200 m: 1e-50 to 1e.50 is needed"),
+        ({"mass": 1.0, "radius": 1e200}, "largest radius is 1e.200 m"),
         ({"mass": 1.0, "position": np.empty((0, 3))}, "n of 1 or more"),
         ({"mass": 1.0, "position": [[0, 0, 0], [0, math.nan, 0]]}, "particle 1 not finite"),
     ],
