@@ -244,7 +244,10 @@ def spheres_in(
     found = packing(mesh, n if inertia_error is None else 16)
     if inertia_error is None:
         if len(found.radius) < n:
-            raise ValueError(f"only {len(found.radius)} of {n} spheres find room: lower n")
+            raise ValueError(
+                f"only {len(found.radius)} of {n} spheres find room, as their centres are tried in"
+                " some 40 000 cells: lower n"
+            )
         return filled(n, ())
     trials: list[Trial] = []
     count = 1

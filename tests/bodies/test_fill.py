@@ -14,7 +14,7 @@ from particlerb.bodies.cells import FULL, Grid, cut_mesh, grid_over, pieces
 from particlerb.bodies.fill import enough, errors, mesh_particles, table
 from particlerb.bodies.mass_properties import mass_properties
 from particlerb.bodies.mesh import checked, mesh_solid
-from particlerb.bodies.packing import packing
+from particlerb.bodies.packing import cover, packing
 from particlerb.bodies.sections import BALL, cut_sections, part_of_disc
 from particlerb.bodies.spheres import union_solid
 
@@ -210,6 +210,17 @@ def test_first_spheres_of_a_packing_are_the_packing_of_fewer():
     assert (many.radius[:5] == few.radius).all()
     off_axis = np.hypot(few.centre[:, 0], few.centre[:, 1])
     assert off_axis == pytest.approx(np.full(5, 3.0), abs=0.15)  # inside the ring
+
+
+def test_a_centre_outside_or_a_distance_too_long_is_not_believed():
+    """Cells with a gap have their centroid in it; distances are upper bounds before they count."""
+    vertices, faces = box((1.0, 1.0, 1.0))
+    point = np.array([[0.0, 0.7, 0.4], [0, 0, 0.4], [0, 0, 0], [1, 1, 1]])
+    centre, radius = np.empty((3, 3)), np.empty(3)
+    squared = np.array([0.25, 0.04, 1.0])
+    assert cover(vertices[faces], point, squared, 0.01, centre, radius) == 2
+    assert np.abs(centre[:2, 0] - [0.0, 0.4]).max() < 0.02
+    assert radius[:2] == pytest.approx([0.5, 0.1], abs=0.02)
 
 
 @pytest.mark.compiled
