@@ -68,6 +68,7 @@ def cut_mesh(vertices: Floats, faces: Ints, grid: Grid) -> Iterator[Layer]:
         Holds the whole mesh.
     """
     corner = (vertices - grid.lower)[faces] / grid.spacing
+    corner = np.clip(corner, 0.0, grid.counts)  # a face that rounding lifts over the top is lost
     nx, ny, nz = grid.counts
     first = np.clip(np.floor(corner[:, :, 0].min(axis=1)), 0, nx - 1).astype(np.int64)
     last = np.clip(np.ceil(corner[:, :, 0].max(axis=1)) - 1, first, nx - 1).astype(np.int64)

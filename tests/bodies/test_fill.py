@@ -91,6 +91,16 @@ def test_cells_of_a_box_on_its_grid_are_full():
         assert sums == pytest.approx(np.broadcast_to(FULL, sums.shape), abs=1e-14)
 
 
+def test_faces_that_rounding_lifts_over_the_grid_count():
+    """0.5 / (0.5 / 49) is above 49."""
+    vertices, faces = box((1 / 49, 1 / 49, 0.5))
+    lower, upper = vertices.min(axis=0), vertices.max(axis=0)
+    grid = Grid(lower, (upper - lower) / [2, 2, 49], (2, 2, 49))
+    assert ((upper - lower) / grid.spacing)[2] > 49.0
+    layers = cut_mesh(vertices, faces, grid)
+    assert sum(sums[:, :, 0].sum() for _, sums in layers) == pytest.approx(2 * 2 * 49, rel=1e-12)
+
+
 def test_cells_in_a_cavity_are_empty():
     mesh = checked(*joined(box((6.0, 6.0, 6.0)), inside_out(box((2.0, 2.0, 2.0)))))
     share = np.stack([s[:, :, 0] for _, s in cut_mesh(mesh.vertices, mesh.faces, grid_of(mesh, 6))])
