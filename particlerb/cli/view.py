@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -81,7 +82,7 @@ def push(options: argparse.Namespace, server: "object") -> int:
     except CaseError as error:
         raise Ending(str(error)) from None
     serve(live, server)
-    if len(live.session.applied) > live.saved:
+    if not live.is_saved:
         with contextlib.suppress(ValueError):
             live.save()
             print(live.message)
@@ -102,10 +103,15 @@ def play(options: argparse.Namespace, server: "object") -> int:
 
 
 def serve(page: "Turning", server: object) -> None:
-    """Say where the page is, and keep it up to date until Ctrl-C."""
+    """Say where the page is, and keep it up to date until Ctrl-C or SIGTERM."""
     from particlerb.view.server import address
 
     print(f"open {address(server)} in a browser; Ctrl-C ends", flush=True)  # type: ignore[arg-type]
-    with contextlib.suppress(KeyboardInterrupt):
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
         page.go()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        signal.signal(signal.SIGTERM, before)
     page.stop()

@@ -144,7 +144,8 @@ class Live(Turning):
 
     def begin(self) -> None:
         """Forget what belongs to a motion that was reset."""
-        self.clock, self.saved = self.session.time, 0
+        self.clock = self.session.time
+        self.saved = self.session.raw["force"]  # what need not be saved
         self.arm = np.array(self.corner())
         self.trail: deque[Floats] = deque(maxlen=KEPT)
         self.history: deque[tuple[float, ...]] = deque(maxlen=KEPT)
@@ -312,6 +313,11 @@ class Live(Turning):
         del event
         self.save()
 
+    @property
+    def is_saved(self) -> bool:
+        """Whether nothing was pushed, nor gravity switched, since the start or the last saving."""
+        return bool(self.session.raw["force"] == self.saved)
+
     def save(self) -> Path:
         """Write the session as a case."""
         text = recorded(self.session)
@@ -325,7 +331,7 @@ class Live(Turning):
             except FileExistsError:
                 number += 1
                 path = self.path.with_stem(f"{self.path.stem}_{number}")
-        self.saved = len(self.session.applied)
+        self.saved = self.session.raw["force"]
         self.is_refusal = False
         self.message = f"saved: {path}; `python -m particlerb {path}` repeats it bit for bit"
         return path

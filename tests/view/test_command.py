@@ -1,6 +1,9 @@
 """The command `view`: what it takes, where it listens, what it leaves behind."""
 
+import os
+import signal
 import sys
+import time
 
 import pytest
 
@@ -9,6 +12,7 @@ pytest.importorskip("viser")
 import particlerb.cli.view as command
 from particlerb.case.reader import load
 from particlerb.cli import main
+from particlerb.view.live import Live
 from particlerb.view.session import Blow
 
 
@@ -51,6 +55,31 @@ def test_a_session_is_saved_at_the_end(monkeypatch, tmp_path, capsys):
         case = load(tmp_path / "output" / f"{name}.toml")
         assert case.force[0].time == 0.25
         assert f"{name}.toml" in capsys.readouterr().out
+
+
+def test_gravity_that_was_switched_is_saved_and_sigterm_ends(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+
+    def switched(page):
+        page.session.advance(0.25)
+        page.session.switch_gravity(True)
+        page.session.advance(0.5)
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5.0)
+        raise AssertionError("SIGTERM did not end the page")
+
+    monkeypatch.setattr(Live, "go", switched)
+    assert main(["view", "--port", "8430"]) == 0
+    (weight,) = load(tmp_path / "output" / "cube_at_rest_session.toml").force
+    assert weight.during[0] == 0.25
+    assert "cube_at_rest_session.toml" in capsys.readouterr().out
+
+
+def test_a_session_without_changes_is_not_saved(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "serve", lambda page, server: page.session.advance(0.25))
+    assert main(["view", "--port", "8440"]) == 0
+    assert not (tmp_path / "output").exists()
 
 
 @pytest.mark.parametrize(
