@@ -11,6 +11,8 @@ from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3, load3, rows3, sub
 from particlerb.threads import THREADS
 
 HALF: Final = 32  # bits: numbers of spheres are below 2^31
+EDGES: Final = (0.0, 0.1, 0.3, 0.5, 0.7)  # of the skin: gaps from which on shells of a list begin
+SHELLS: Final = len(EDGES)
 
 
 # Contacts of each body
@@ -79,16 +81,17 @@ def key_of(i: int, j: int) -> int:
 def order_contacts(
     pairs: tuple[Ints, Ints],
     numbers: tuple[Ints, Ints],
-    place: Floats,
-    skin: float,
+    shell: Ints,
     old: Kept,
     new: Kept,
     first: Indices,
     second: Indices,
-) -> int:
+    ends: Ints,
+) -> None:
     """Write a new list of contacts, and what they keep, zeros for those not in the old one.
 
-    Pairs that are nearer than the skin come first: few others act before the next list.
+    They stand in shells, by the gap: so what cannot touch yet is passed over as a whole. A contact
+    that keeps something is in the first shell, whatever its gap.
 
     Parameters
     ----------
@@ -97,50 +100,61 @@ def order_contacts(
     numbers : tuple of 2 ndarray
         Of the spheres, and of what is second, below 2^31 and ascending with them: the old list is
         found by these.
-    place : ndarray, shape (n_spheres, 4) [m]
-        Centre and radius.
-    skin : float [m]
-        Negative where the second are no spheres: then all stay in their order.
+    shell : ndarray, shape (m,)
+        Of each pair, from 0; written here where a contact keeps something.
     old, new : Kept
         Before; and what is written.
     first, second : ndarray, shape (m,)
         The list.
-
-    Returns
-    -------
-    int
-        How many are near.
+    ends : ndarray, shape (SHELLS,)
+        Written: where each shell ends in it.
     """
     firsts, seconds = pairs
     number, other = numbers
-    near, far, before = 0, 0, 0
-    if skin >= 0.0:
-        for k in range(firsts.size):
-            far += int(is_within(place, firsts[k], seconds[k], skin))
-    n_near = far
+    before, columns = 0, new.values.shape[1]
+    ends[:] = 0
     for k in range(firsts.size):
-        i, j = firsts[k], seconds[k]
-        if skin >= 0.0 and is_within(place, i, j, skin):
-            row, near = near, near + 1
-        else:
-            row, far = far, far + 1
-        key = key_of(number[i], other[j])
+        key = key_of(number[firsts[k]], other[seconds[k]])
         while before < old.keys.size and old.keys[before] < key:
             before += 1
-        is_old = before < old.keys.size and old.keys[before] == key
-        new.keys[k], new.rows[k], first[row], second[row] = key, row, i, j
-        for c in range(new.values.shape[1]):
-            new.values[row, c] = old.values[old.rows[before], c] if is_old else 0.0
-    return n_near
+        row = -1
+        if before < old.keys.size and old.keys[before] == key:
+            row = old.rows[before]
+            for c in range(columns):
+                if old.values[row, c] != 0.0:
+                    shell[k] = 0
+        new.keys[k], new.rows[k] = key, row
+        ends[shell[k]] += 1
+    at = 0
+    for s in range(SHELLS):
+        ends[s], at = at, at + ends[s]
+    for k in range(firsts.size):
+        was, row = new.rows[k], ends[shell[k]]
+        ends[shell[k]] = row + 1
+        new.rows[k], first[row], second[row] = row, firsts[k], seconds[k]
+        for c in range(columns):
+            new.values[row, c] = old.values[was, c] if was >= 0 else 0.0
 
 
 @inline
-def is_within(place: Floats, i: int, j: int, skin: float) -> bool:
-    """Whether the gap between two spheres is smaller than the skin."""
-    dx, dy = place[j, 0] - place[i, 0], place[j, 1] - place[i, 1]
-    dz, reach = place[j, 2] - place[i, 2], place[i, 3] + place[j, 3] + skin
-    found: bool = dx * dx + dy * dy + dz * dz < reach * reach
-    return found
+def shell_of(square: float, reach: float, skin: float) -> int:
+    """Shell of a pair by the square of a distance that is `reach` at the touch."""
+    shell = 0
+    for edge in EDGES[1:]:
+        least = reach + edge * skin
+        shell += int(square >= least * least)
+    return shell
+
+
+@kernel
+def find_shells(pairs: tuple[Ints, Ints], place: Floats, skin: float, shell: Ints) -> None:
+    """Write the shell of each pair of spheres; `place` has centres and radii, (n, 4) [m]."""
+    firsts, seconds = pairs
+    for k in range(firsts.size):
+        i, j = firsts[k], seconds[k]
+        dx, dy = place[j, 0] - place[i, 0], place[j, 1] - place[i, 1]
+        dz, reach = place[j, 2] - place[i, 2], place[i, 3] + place[j, 3]
+        shell[k] = shell_of(dx * dx + dy * dy + dz * dz, reach, skin)
 
 
 # When a list has to be made anew

@@ -99,7 +99,7 @@ class Contacts(NamedTuple):
     kept: Floats  # (m, KEPT or KEPT_ROLLING)
     done: Floats  # (m, DONE or DONE_ROLLING) of those that act
     acts: Bools  # (m,) whether it does anything: far fewer do, and these rows alone are read
-    near: int  # as many from the first on are near to touching, and stand together
+    ends: Ints  # (SHELLS,) where each shell ends: see `lists.order_contacts`
 
 
 class Lists(NamedTuple):
@@ -109,6 +109,7 @@ class Lists(NamedTuple):
     walls: Contacts
     of_spheres: Incidence
     of_walls: Incidence
+    lever: float  # [m] no point that touches something is farther from its centre of mass
 
 
 class Scene(NamedTuple):
@@ -569,7 +570,7 @@ def collect(
     span : float [s]
         For which the loads count in the turnover; 0 for a partial step.
     """
-    spheres, walls, of_spheres, of_walls = lists
+    spheres, walls, of_spheres, of_walls, _ = lists
     (offset, entry), (wall_offset, wall_entry) = of_spheres, of_walls
     body, bodies, rolling = scene.spheres.body, room.bodies, scene.law.rolling
     firsts, seconds, done, acts = spheres.first, spheres.second, spheres.done, spheres.acts

@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb._jit import inline, kernel, lean
+from particlerb.contact.lists import shell_of
 from particlerb.contact.search import Pairs, sort_by_second, spread
 from particlerb.contact.walls import (
     DISC,
@@ -33,7 +34,8 @@ from particlerb.maths.vec3 import (
 
 UNIT: Final = 1024  # as in `search`
 WORK: Final = 4  # body-steps that finding what is near a sphere takes
-CELLS: Final = 8  # per primitive, at most
+CELLS: Final = 8  # per primitive, at most,
+CELLS_PER_SPHERE: Final = 0.25  # and per sphere: most of a wide heap is far from all walls
 FEWEST_CELLS: Final = 512
 
 
@@ -137,6 +139,8 @@ def find_candidates(
     for at in range(first_unit * UNIT, min(last_unit * UNIT, which.size)):
         i = which[at]
         count, square = 0, reach[i] * reach[i]
+        if not is_counting and start[i + 1] == start[i]:
+            continue
         for w in range(per_metre.size):
             q = (poses[w, 3], poses[w, 4], poses[w, 5], poses[w, 6])
             x = to_body(q, subtract(load3(place, i), row3(poses, w, 0)))
@@ -151,6 +155,28 @@ def find_candidates(
                         count += 1
         if is_counting:
             start[i + 1] = count
+
+
+@kernel
+def find_wall_shells(
+    walls: Walls,
+    poses: Floats,
+    points: Floats,
+    radius: Floats,
+    skin: float,
+    pairs: Pairs,
+    shell: Ints,
+) -> None:
+    """Write the shell of each pair of a sphere and a primitive: see `lists.order_contacts`."""
+    kind, rows, wall, _ = walls
+    firsts, seconds, _ = pairs
+    place = rows3(points, 0, points.shape[1])
+    for k in range(firsts.size):
+        i, p = firsts[k], seconds[k]
+        w = wall[p]
+        q = (poses[w, 3], poses[w, 4], poses[w, 5], poses[w, 6])
+        x = to_body(q, subtract(load3(place, i), row3(poses, w, 0)))
+        shell[k] = shell_of(squared_distance(primitive(kind, rows, p), x), radius[i], skin)
 
 
 class WallSearch:
@@ -195,7 +221,7 @@ class WallSearch:
             return Pairs(self.everyone[:0], self.everyone[:0], start)
         if reach.max() > self.reach:
             self.reach = float(reach.max())
-            self.lists = lists_of(walls, self.reach)
+            self.lists = lists_of(walls, self.reach, int(CELLS_PER_SPHERE * n))
         pairs = Pairs(self.everyone[:0], self.everyone[:0], start)
         self.visit(points, poses, reach, which, pairs, True)
         np.cumsum(start, out=start)
@@ -225,8 +251,8 @@ class WallSearch:
         )
 
 
-def lists_of(walls: Walls, reach: float) -> Lists:
-    """Lists for centres that may touch what is within reach [m]."""
+def lists_of(walls: Walls, reach: float, more: int = 0) -> Lists:
+    """Lists for centres that may touch what is within reach [m]; more cells for many spheres."""
     lower, upper = bounds_of(walls)
     n_walls = int(walls.wall.max(initial=-1)) + 1
     shape, origin = np.zeros((n_walls, 3), dtype=np.int64), np.zeros((n_walls, 3))
@@ -239,7 +265,8 @@ def lists_of(walls: Walls, reach: float) -> Lists:
         low, high = lower[own] - reach, upper[own] + reach
         origin[w] = low.min(axis=0)
         extent = high.max(axis=0) - origin[w]
-        width[w] = max(np.cbrt(extent.prod() / (CELLS * own.size + FEWEST_CELLS)), 2.0 * reach)
+        cells = CELLS * own.size + FEWEST_CELLS + more
+        width[w] = max(np.cbrt(extent.prod() / cells), 2.0 * reach)
         shape[w] = np.floor(extent / width[w]) + 1
         corners[own, :3] = (low - origin[w]) / width[w]
         corners[own, 3:] = (high - origin[w]) / width[w]

@@ -19,7 +19,15 @@ from particlerb.bodies.block import COM, L, P, Q, copy_changing, get, get3, get4
 from particlerb.bodies.load import CONTACT_ROWS
 from particlerb.bodies.state import Frames, State
 from particlerb.contact.drives import Drives, driven_pose, momenta
-from particlerb.contact.lists import Kept, incidence, order_contacts, way_of
+from particlerb.contact.lists import (
+    EDGES,
+    SHELLS,
+    Kept,
+    find_shells,
+    incidence,
+    order_contacts,
+    way_of,
+)
 from particlerb.contact.loads import (
     BODY_COLUMNS,
     POSE,
@@ -60,7 +68,7 @@ from particlerb.contact.search import Search
 from particlerb.contact.swing import fastest_swing
 from particlerb.contact.touches import Touches, moved, rows_of, touches_of
 from particlerb.contact.wall_motion import farthest_way, motion_in
-from particlerb.contact.wall_search import WallSearch
+from particlerb.contact.wall_search import WallSearch, find_wall_shells
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.methods.coupled import (
     CoupledMotion,
@@ -83,7 +91,6 @@ from particlerb.terms.links import Links
 
 NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
 WORTH_THREADS: Final = 6e4  # ns of a step from which on a second thread pays for its start
-NEAR: Final = 0.1  # of the skin: pairs nearer than this stand together, first in the list
 MOST_STEPS_AHEAD: Final = 64  # for which lists are made where walls move,
 LONGEST: Final = 4096  # and where they do not: new lists are when swings are looked at
 TO_MAKE: Final = 4e5  # ns of new lists, roughly,
@@ -113,6 +120,7 @@ class Place(NamedTuple):
     time: float  # [s] on the grid
     is_open: float  # [s] of the kick with which the last step ends
     kick: float  # [s] length of the last kick; 0 before the first
+    reached: float = 0.0  # [m] how far spheres have come, at most, since the lists were made
 
 
 class Copies(NamedTuple):
@@ -140,14 +148,17 @@ def place_blocks(
     time: float,
     ahead: float,
     team: Team,
-) -> tuple[bool, float, float]:
-    """Place bodies, and walls; whether the lists are used up, and the largest speeds of bodies."""
-    allowance, far, v, w = 0.5 * SLACK * contact.skin, 0, 0.0, 0.0
+) -> tuple[float, float, float]:
+    """Place bodies, and walls; how far bodies have moved, and their largest speeds.
+
+    It is further than half the skin where lists are used up because something else has moved.
+    """
+    allowance, way, v, w = 0.5 * SLACK * contact.skin, 0.0, 0.0, 0.0
     first, end = share_of(team, 0, len(blocks))
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         put_driven(contact.scene.drives, memory.start + time, False, rows, lo, n)
-        far += count_far(memory.then, rows, contact.reach, allowance, lo, n)
+        way = max(way, farthest(memory.then, rows, contact.reach, lo, n))
         place_bodies(contact.scene, room, rows, memory.last, ahead, lo, n)
         speeds = fastest(room.bodies, lo, lo + n)
         v, w = max(v, speeds[0]), max(w, speeds[1])
@@ -156,9 +167,21 @@ def place_blocks(
     if team.rank == 0:
         put_poses(contact.motions, memory.start + time, room.poses)
         put_pistons(contact.pistons, memory.slides, ahead, room.poses)
-        far += have_slid(contact.pistons, memory.slides, allowance)
-    most, v, w = largest(team, float(far), v, w)
-    return most > 0.0 or time >= memory.until, v, w
+        if have_slid(contact.pistons, memory.slides, allowance):
+            way = np.inf
+    return largest(team, way, v, w)
+
+
+@inline
+def are_used_up(contact: Contact, memory: Memory, time: float, way: float) -> bool:
+    """Whether lists have to be made anew."""
+    return way > 0.5 * SLACK * contact.skin or time >= memory.until
+
+
+@inline
+def reach_of(lists: Lists, way: float, v: float, w: float, before: float, after: float) -> float:
+    """How far a point of a body has come since the lists were made, or comes about now [m]."""
+    return way + max(before, after) * (v + 4.0 * w * lists.lever)
 
 
 @inline
@@ -181,9 +204,9 @@ def put_driven(
 
 
 @inline
-def count_far(then: Floats, rows: Floats, reach: Floats, allowance: float, lo: int, n: int) -> int:
-    """How many bodies of a block have moved by more than the allowance: see `has_moved`."""
-    far = 0
+def farthest(then: Floats, rows: Floats, reach: Floats, lo: int, n: int) -> float:
+    """How far a body of a block has moved since the lists were made [m]: see `has_moved`."""
+    way = 0.0
     for k in range(n):
         b = lo + k
         x, q = (
@@ -191,8 +214,8 @@ def count_far(then: Floats, rows: Floats, reach: Floats, allowance: float, lo: i
             (then[3, b], then[4, b], then[5, b], then[6, b]),
         )
         moved = way_of(x, q, get3(rows, COM, k), get4(rows, Q, k), reach[b])
-        far += 0 if moved <= allowance else 1  # what is not a number has moved too
-    return far
+        way = max(way, moved if moved < np.inf else np.inf)  # what is not a number has moved too
+    return way
 
 
 @kernel
@@ -204,16 +227,20 @@ def touch(
     after: float,
     v: float,
     w: float,
+    reached: float,
     team: Team,
 ) -> None:
-    """Find the forces of contacts: of near ones and others apart, so that shares are equal."""
-    scene, spheres, walls = contact.scene, lists.spheres, lists.walls
-    first, end = share_of(team, 0, spheres.near)
-    touch_spheres(scene, room, spheres, before, after, v, w, first, end, team.rank)
-    first, end = share_of(team, spheres.near, spheres.first.size)
-    touch_spheres(scene, room, spheres, before, after, v, w, first, end, team.rank)
-    first, end = share_of(team, 0, walls.first.size)
-    touch_walls(scene, room, walls, before, after, first, end, team.rank)
+    """Find the forces of contacts in shells that have come into reach, each shared out equally."""
+    scene, spheres, walls, skin = contact.scene, lists.spheres, lists.walls, contact.skin
+    end_spheres, end_walls = 0, 0
+    for s in range(SHELLS):
+        if EDGES[s] * skin <= 2.0 * reached:  # both may come
+            first, end = share_of(team, end_spheres, spheres.ends[s])
+            touch_spheres(scene, room, spheres, before, after, v, w, first, end, team.rank)
+        if EDGES[s] * skin <= reached:
+            first, end = share_of(team, end_walls, walls.ends[s])
+            touch_walls(scene, room, walls, before, after, first, end, team.rank)
+        end_spheres, end_walls = spheres.ends[s], walls.ends[s]
 
 
 @kernel
@@ -354,7 +381,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
     """Take a group through a schedule until its lists have to be made anew; where it is then."""
     dt, _, steps, rest, frame = schedule
     links, attraction, work, with_dashpots, y, load, _ = pairs
-    stop, begin, time, is_open, kick = place
+    stop, begin, time, is_open, kick, reached = place
     pistons, slides = contact.pistons, memory.slides
     first, end = share_of(team, 0, len(blocks))
     for s in range(stop, steps.size):
@@ -368,11 +395,12 @@ def advance_touching(  # noqa: PLR0912, PLR0915
             before, ahead = is_open / EDGE, is_open / kick if kick > 0.0 else 0.0
             v, w = 0.0, 0.0
             if h > 0.0:
-                is_over, v, w = place_blocks(
+                way, v, w = place_blocks(
                     blocks, layout, others, y, contact, room, memory, time, ahead, team
                 )
-                if is_over:
-                    return Place(s, i, time, is_open, kick)
+                if are_used_up(contact, memory, time, way):
+                    return Place(s, i, time, is_open, kick, reached)
+                reached = max(reached, reach_of(lists, way, v, w, before, h))
             if i == steps[s]:
                 save(blocks, layout, memory, lists, saved, team)
                 was_open, was_kick = is_open, kick
@@ -380,7 +408,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
                 remember(blocks, layout, memory.last, team)
                 if team.rank == 0:
                     other_loads(others, links, attraction, work, with_dashpots, y, load)
-                touch(contact, room, lists, before, h, v, w, team)
+                touch(contact, room, lists, before, h, v, w, reached, team)
                 meet(team)
                 kick, later = is_open + EDGE * h, h - before
                 span = kick if i < steps[s] else 0.0
@@ -397,12 +425,13 @@ def advance_touching(  # noqa: PLR0912, PLR0915
         now = time + (rest[s] if frame[s] >= 0 else 0.0)
         if frame[s] != PAUSE and is_open > 0.0:
             before, ahead = is_open / EDGE, is_open / kick if kick > 0.0 else 0.0
-            _, v, w = place_blocks(
+            way, v, w = place_blocks(
                 blocks, layout, others, y, contact, room, memory, now, ahead, team
             )
+            reached = max(reached, reach_of(lists, way, v, w, before, 0.0))
             if team.rank == 0:
                 other_loads(others, links, attraction, work, with_dashpots, y, load)
-            touch(contact, room, lists, before, 0.0, v, w, team)
+            touch(contact, room, lists, before, 0.0, v, w, reached, team)
             meet(team)
             load_blocks(
                 blocks, layout, others, load, contact.scene, room, lists, -before, 0.0, team
@@ -426,7 +455,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
             restore(blocks, layout, memory, lists, saved, team)
             is_open, kick = was_open, was_kick
         begin = 0
-    return Place(steps.size, 0, time, is_open, kick)
+    return Place(steps.size, 0, time, is_open, kick, reached)
 
 
 @inline
@@ -536,6 +565,8 @@ class TouchingMotion(CoupledMotion):
         slides = slides_of(contact.pistons)
         self.memory = Memory(y[7:].copy(), y[:7].copy(), start, np.inf, slides)
         self.place = Place(0, 0, 0.0, 0.0, 0.0)
+        self.lever = float((contact.reach + 2.0 * spheres.radius.max()).max())
+        self.rooms: dict[str, Floats] = {}
         self.origin, self.farthest = y[:3].copy(), 0.0  # [m] way of a body so far, at new lists
         self.least_skin, self.made = contact.skin, 0.0
         self.swing, self.count = 0.0, 0  # [rad/s] fastest on all contacts that was seen; lists
@@ -574,13 +605,22 @@ class TouchingMotion(CoupledMotion):
         first, second, _ = self.search.pairs(points, contact.skin)
         ahead, way = self.walls_ahead(points)
         self.memory = self.memory._replace(until=self.place.time + ahead)
-        sphere, primitive, _ = self.walls.pairs(points, self.room.poses, contact.skin + way)
-        near, body = NEAR * contact.skin, scene.spheres.body
-        spheres = self.contacts(0, (first, second), (self.numbers, self.numbers), near)
-        walls = self.contacts(1, (sphere, primitive), (self.numbers, self.primitives), -1.0)
+        near = self.walls.pairs(points, self.room.poses, contact.skin + way)
+        body, pairs = scene.spheres.body, (first, second)
+        shell = np.empty(first.size, dtype=np.int64)
+        find_shells(pairs, self.room.place, contact.skin, shell)
+        spheres = self.contacts(0, pairs, (self.numbers, self.numbers), shell)
+        shell = np.zeros(near.first.size, dtype=np.int64)
+        if ahead == np.inf and way == 0.0:  # walls that move may come at once
+            find_wall_shells(
+                scene.walls, self.room.poses, points, scene.spheres.radius, contact.skin, near,
+                shell,
+            )  # fmt: skip
+        walls = self.contacts(1, near[:2], (self.numbers, self.primitives), shell)
         own = incidence(body[spheres.first], body[spheres.second], n)
-        outside = incidence(body[sphere], np.full(sphere.size, -1), n)
-        self.lists = Lists(spheres, walls, own, outside)
+        outside = incidence(body[walls.first], np.full(walls.first.size, -1), n)
+        self.lists = Lists(spheres, walls, own, outside, self.lever)
+        self.place = self.place._replace(reached=0.0)
 
     def look(self, y: Floats) -> None:
         """See how fast the bodies swing on all their contacts."""
@@ -665,17 +705,24 @@ class TouchingMotion(CoupledMotion):
         return steps * self.dt, way + sliding
 
     def contacts(
-        self, which: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], near: float
+        self, which: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], shell: Ints
     ) -> Contacts:
         """New contacts of spheres, or of walls, with what those of the old list keep."""
         m, old, law = pairs[0].size, self.kept[which], self.contact.scene.law
         keys, rows = np.empty((2, m), dtype=np.int64)
-        new = Kept(keys, rows, np.empty((m, old.values.shape[1])))
+        values = self.floats(f"kept {which}, {self.count % 2}", m, old.values.shape[1])
+        new, ends = Kept(keys, rows, values), np.empty(SHELLS, dtype=np.int64)
         first, second = np.empty((2, m), dtype=np.int32)
-        n_near = order_contacts(pairs, numbers, self.room.place, near, old, new, first, second)
+        order_contacts(pairs, numbers, shell, old, new, first, second, ends)
         self.kept = (new, self.kept[1]) if which == 0 else (self.kept[0], new)
-        done, acts = np.zeros((m, done_columns(law))), new.values[:, SOFTNESS] > 0.0
-        return Contacts(first, second, new.values, done, acts, n_near)
+        done, acts = self.floats(f"done {which}", m, done_columns(law)), values[:, SOFTNESS] > 0.0
+        return Contacts(first, second, values, done, acts, ends)
+
+    def floats(self, name: str, m: int, columns: int) -> Floats:
+        """Room for rows, which grows: to ask for new pages takes as long as to fill them."""
+        if name not in self.rooms or len(self.rooms[name]) < m:
+            self.rooms[name] = np.zeros((m + m // 4, columns))
+        return self.rooms[name][:m]
 
     def checkpoint(self) -> Saved:
         """Lists with what contacts keep, the poses that they were made at, and their skin."""
@@ -717,11 +764,11 @@ class TouchingMotion(CoupledMotion):
         lists = self.lists
         kept = lists.spheres.kept.copy(), lists.walls.kept.copy()
         _, v, w = self.put_places(0.0)
-        touch(self.contact, self.room, lists, 0.0, 0.0, v, w, ALONE)
+        touch(self.contact, self.room, lists, 0.0, 0.0, v, w, np.inf, ALONE)
         lists.spheres.kept[:], lists.walls.kept[:] = kept
         return float(stored_energy(lists.spheres) + stored_energy(lists.walls))
 
-    def put_places(self, ahead: float) -> tuple[bool, float, float]:
+    def put_places(self, ahead: float) -> tuple[float, float, float]:
         """Place bodies and walls at the time of now; see `place_blocks`."""
         y, contact, time = self.forces.pairs.y, self.contact, self.place.time
         return place_blocks(

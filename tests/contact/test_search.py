@@ -12,7 +12,15 @@ from scipy.spatial.transform import Rotation
 from particlerb._jit import config
 from particlerb.contact import search as module
 from particlerb.contact.buried import outer_spheres
-from particlerb.contact.lists import Kept, has_moved, incidence, order_contacts
+from particlerb.contact.lists import (
+    EDGES,
+    SHELLS,
+    Kept,
+    find_shells,
+    has_moved,
+    incidence,
+    order_contacts,
+)
 from particlerb.contact.search import Search, levels_of, modular_strides, neighbours
 from particlerb.threads import THREADS
 
@@ -313,27 +321,42 @@ def kept_of(pairs, values, rng):
     return Kept(keys, rows, table)
 
 
+@given(seeds)
+@settings(max_examples=20)
+def test_shells_are_those_of_the_gaps(seed):
+    rng = np.random.default_rng(seed)
+    n, skin = 12, 0.8
+    place = np.column_stack([rng.uniform(0, 2, (n, 3)), rng.uniform(0.1, 0.3, n)])
+    first, second = np.triu_indices(n, 1)
+    shell = np.empty(first.size, dtype=np.int64)
+    find_shells((first, second), place, skin, shell)
+    gap = np.linalg.norm(place[first, :3] - place[second, :3], axis=1)
+    gap -= place[first, 3] + place[second, 3]
+    expected = np.searchsorted(np.array(EDGES) * skin, gap, side="right") - 1
+    assert (shell == np.maximum(expected, 0)).all()
+
+
 @given(seeds, st.booleans())
 @settings(max_examples=50)
-def test_a_new_list_has_near_pairs_first_and_what_the_same_pairs_kept(seed, are_walls):
+def test_a_new_list_stands_in_shells_and_has_what_the_same_pairs_kept(seed, are_walls):
     rng = np.random.default_rng(seed)
     n = 12
     number = np.sort(rng.choice(1000, n, replace=False))
     other = np.arange(n) if are_walls else number
-    place = np.column_stack([rng.uniform(0, 2, (n, 3)), rng.uniform(0.1, 0.5, n)])
     every = [(i, j) for i in range(n) for j in range(i + 1, n)]
     old, new = ([p for p in every if rng.random() < 0.5] for _ in range(2))
     values = {(int(number[i]), int(other[j])): rng.standard_normal(3) for i, j in old}
     before = kept_of(list(values), values, rng)
     first, second = np.array(new, dtype=np.int64).reshape(-1, 2).T.copy()
-    m, skin = len(new), -1.0 if are_walls else 0.2
+    m = len(new)
+    shell = rng.integers(0, SHELLS, m)
     after = Kept(*np.empty((2, m), dtype=np.int64), np.empty((m, 3)))
     listed = np.empty((2, m), dtype=np.int32)
-    near = order_contacts((first, second), (number, other), place, skin, before, after, *listed)
-    gap = np.linalg.norm(place[first, :3] - place[second, :3], axis=1)
-    is_near = (gap < place[first, 3] + place[second, 3] + skin) & (skin >= 0.0)
-    order = np.argsort(~is_near, kind="stable")
-    assert near == is_near.sum()
+    ends, keeps = np.empty(SHELLS, dtype=np.int64), [pair in old for pair in new]
+    expected = np.where(keeps, 0, shell)
+    order_contacts((first, second), (number, other), shell, before, after, *listed, ends)
+    order = np.argsort(expected, kind="stable")
+    assert (ends == np.searchsorted(expected[order], np.arange(SHELLS), side="right")).all()
     assert (listed == np.array([first, second])[:, order]).all()
     assert (np.diff(after.keys) > 0).all()
     for row, (i, j) in enumerate(listed.T.tolist()):
