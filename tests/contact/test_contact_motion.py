@@ -622,3 +622,23 @@ def test_a_short_crowd_keeps_its_momenta_in_plain_python_too(make):
     assert np.abs(run.ledger.linear_momentum_error).max() < 1e-13
     assert np.abs(run.ledger.angular_momentum_error).max() < 1e-13
     assert np.isfinite(run.x).all()
+
+
+def test_no_contact_is_passed_over_as_too_far(make):
+    """Lists of other skins put the pairs into other shells, and sums into another order."""
+    corners = 0.1 * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
+    shape = {"type": "points", "mass": 1.0, "radius": 0.1, "position": corners.tolist()}
+    place = 0.56 * np.array(list(np.ndindex(2, 2, 1))) + [0.3, 0.3, 0.28]
+    fall = {"name": "clump", "shape": shape, "count": 4, "position": place.tolist()}
+    fall |= {"orientation": "random", "velocity": [1.0, 0.5, -3.0]}
+    wall = {"name": "bin", "type": "box", "lower": [0.0, 0.0, 0.0], "upper": [1.16, 1.16, 2.0]}
+    run = {"t_end": 0.06, "every": 0.02, "dt": 1e-3, "method": "strang"}
+    ends = []
+    for skin in (0.004, 0.03, 0.25):
+        case = make.case(fall, contact=make.hooke(1e4, 0.5, 0.5, skin=skin), wall=[wall], **WEIGHT)
+        case["run"] |= run
+        ends.append(ran(case))
+    assert np.abs(np.diff(ends[0].v, axis=0)).max() > 1.0
+    for other in ends[1:]:
+        assert np.abs(ends[0].x - other.x).max() < 1e-12
+        assert np.abs(ends[0].v - other.v).max() < 1e-10
