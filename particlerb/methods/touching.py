@@ -715,8 +715,9 @@ class TouchingMotion(CoupledMotion):
         first, second = np.empty((2, m), dtype=np.int32)
         order_contacts(pairs, numbers, shell, old, new, first, second, ends)
         self.kept = (new, self.kept[1]) if which == 0 else (self.kept[0], new)
-        done, acts = self.floats(f"done {which}", m, done_columns(law)), values[:, SOFTNESS] > 0.0
-        return Contacts(first, second, values, done, acts, ends)
+        done = self.floats(f"done {which}", m, done_columns(law))
+        done[:] = 0.0  # a checkpoint has it, and none of the leftovers of other lists
+        return Contacts(first, second, values, done, values[:, SOFTNESS] > 0.0, ends)
 
     def floats(self, name: str, m: int, columns: int) -> Floats:
         """Room for rows, which grows: to ask for new pages takes as long as to fill them."""
