@@ -59,6 +59,14 @@ def test_a_large_free_body_keeps_six_points_and_its_motion():
     assert "of 15625 are kept 6 points a set: nothing touches or attracts them" in text
 
 
+def test_each_large_kind_has_points_of_its_own():
+    flat = {"name": "flat", "shape": {"type": "box", "size": [5, 4, 1], "n": SIDE}, "mass": 7.0}
+    _, scene = scene_of([SMALL, BOX | {"position": [9, 0, 0]}, flat | {"position": [20, 0, 0]}])
+    assert kept(scene) == [1, 6, 6]
+    agrees(scene, 1)
+    agrees(scene, 2)
+
+
 def test_contact_keeps_the_surface():
     bodies = [TOUCHED, SMALL]
     case, scene = scene_of(bodies, contact=CONTACT)
