@@ -76,7 +76,7 @@ def push(options: argparse.Namespace, server: "object") -> int:
     stem = case.path.stem if case.path else "case"
     path = Path(options.output) if options.output else Path("output") / f"{stem}_session.toml"
     try:
-        print("making ready (the first time compiles, up to a minute) ...", file=sys.stderr)
+        print("making ready (the first time compiles, some 15 s or longer) ...", file=sys.stderr)
         rehearse(case)
         live = Live(case, server, path)  # type: ignore[arg-type]
     except CaseError as error:
