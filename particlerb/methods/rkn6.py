@@ -5,8 +5,8 @@ symplectic for all bodies but asymmetric ones, whose rotor is so to order 8: in 
 energy creeps, by 2e-8 in a million turns at h |ω| = 0.5 (docs/stability.md). It asks that the
 forces know nothing of the velocities, so there is no drag. Asymmetric bodies drift by the
 preprocessed Moser-Veselov map of order 8, all others in closed form; on free bodies the order is
-therefore 8, or the drift exact. Where a sub-step turns a body too far for that map to be solved,
-the drift is cut into pieces (rotors/moser_veselov.py).
+therefore 8, or the drift exact. Drifts that turn a body too far for that map, and the longest ones
+of a step, are cut into pieces (rotors/moser_veselov.py).
 
 Source: Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002), coefficients SRKN₁₁ᵇ.
 """
@@ -167,7 +167,7 @@ def asymmetric_stage(
     kick_dt = KICKS[k] * dt if k > 0 else opening
     drift_dt = DRIFTS[k] * dt
     turn = abs(drift_dt) * rate
-    pieces = pieces_of(turn)
+    pieces = pieces_of(turn, abs(DRIFTS[k]))
     iterations = iterations_of(turn / pieces)
     for b in range(n):
         _, L_b, R = kick(acting, books, rows, b, kick_dt)

@@ -11,7 +11,8 @@ normalised, where
 
 with the modified inertia 1/b. Newton's method solves it in two to four steps while a map turns by
 less than 0.8 rad; a fixed point, as is usual, takes up to forty and stops converging soon after.
-Longer turns are cut into pieces.
+Longer turns are cut into pieces, and so are the longest drifts of a step: their error, of the
+eighth power of the turn, would be that of the step (docs/decisions/0014).
 
 Source: Moser and Veselov, Commun. Math. Phys. 139, 217 (1991); Hairer and Vilmart, J. Phys. A 39,
 13225 (2006), for the modified inertia up to order 8.
@@ -26,6 +27,7 @@ from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multipli
 
 Cubic: TypeAlias = tuple[Vec3, Vec3, Vec3]  # coefficients of N, H, N², NH, H², N³, N²H, NH², H³
 LONGEST_PIECE: Final = 0.8  # rad that one map may turn
+LARGEST_SHARE: Final = 0.3  # of the turn of a whole step that one map may turn
 MOST_PIECES: Final = 64  # a drift that turns further says nothing any more
 
 
@@ -89,9 +91,9 @@ def polynomial(c: Cubic, N: float, H: float) -> float:
 
 
 @inline
-def pieces_of(turn: float) -> int:
-    """Number of maps for a turn of so many radians."""
-    return min(int(turn / LONGEST_PIECE) + 1, MOST_PIECES)
+def pieces_of(turn: float, share: float) -> int:
+    """Number of maps for a drift that turns by so many radians, and takes this share of a step."""
+    return min(max(int(turn / LONGEST_PIECE), int(share / LARGEST_SHARE)) + 1, MOST_PIECES)
 
 
 @inline

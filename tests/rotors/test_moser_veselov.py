@@ -120,12 +120,21 @@ def test_iterations_are_enough_for_any_shape_of_body(seed, thin):
     assert angle(some, more) < 8 * EPS
 
 
+def test_pieces_are_a_small_share_of_a_step():
+    """However short it is: with a bound in radians alone the error grows where a cut falls away."""
+    for share in (0.1, 0.2, 0.29):
+        assert pieces_of(0.01, share) == pieces_of(0.0, share) == 1
+    for share in (0.31, 0.36, 0.59):
+        assert pieces_of(0.01, share) == pieces_of(0.0, share) == 2
+    assert pieces_of(1.7, 0.36) == 3
+
+
 def test_pieces_are_short_enough_and_not_more_than_needed():
     for turn in (0.0, 0.1, 0.499, 0.8, 3.0, 17.3, 51.0):
-        pieces = pieces_of(turn)
+        pieces = pieces_of(turn, 0.1)
         assert turn / pieces <= LONGEST_PIECE
         assert (pieces - 1) * LONGEST_PIECE <= turn
-    assert pieces_of(1e9) == MOST_PIECES
+    assert pieces_of(1e9, 0.1) == MOST_PIECES
     counts = [iterations_of(turn) for turn in (0.0, 0.01, 0.1, 0.3, LONGEST_PIECE)]
     assert counts == sorted(counts)
     assert counts[0] >= 1
