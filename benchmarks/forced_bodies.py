@@ -36,6 +36,7 @@ ORDERS = {
     "rk4": (4, 2.0**-4),
     "semi_implicit_euler": (1, 2.0**-9),
     "explicit_euler": (1, 2.0**-9),
+    "momentum_euler": (1, 2.0**-9),
 }
 
 

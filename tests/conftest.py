@@ -155,7 +155,9 @@ def pulled(x, R, tensor, mass, v, w, force: dict) -> tuple[np.ndarray, np.ndarra
     if kind == "spring":
         way = np.array(force["anchor"]) - x - arm
         length = np.linalg.norm(way)
-        F = force["stiffness"] * (length - force["rest_length"]) * way / length
+        rate = -way @ (v + np.cross(w, arm)) / length
+        size = force["stiffness"] * (length - force["rest_length"])
+        F = (size + force.get("damping", 0.0) * rate) * way / length
     else:
         F = np.array(force["force"], dtype=float)
         F = R @ F if force.get("frame") == "body" else F
@@ -229,6 +231,12 @@ def integrate(
     )
 
 
+def done(ledger) -> np.ndarray:
+    """Work of all forces since t = 0 [J]: that booked, and the loss of potential energy."""
+    potential = ledger.potential_energy
+    return np.asarray(ledger.work - (potential - potential[0]))
+
+
 def arrays(case: dict | str, *overrides: str) -> SimpleNamespace:
     """Run in memory; all arrays of the trajectory, and the ledger."""
     import particlerb
@@ -276,6 +284,7 @@ def make() -> SimpleNamespace:
         rotation=rotation,
         angle=angle,
         integrate=integrate,
+        done=done,
         arrays=arrays,
         python=python,
     )

@@ -86,6 +86,7 @@ METHODS = (
     "rk4",
     "semi_implicit_euler",
     "explicit_euler",
+    "momentum_euler",
 )
 KIND = "Kind of force or placement. [-]"
 FRAME = "Axes of the vector: world or body. [-]"

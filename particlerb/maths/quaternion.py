@@ -44,6 +44,12 @@ def add_scaled4(a: float, x: Quat, y: Quat) -> Quat:
 
 
 @inline
+def length(q: Quat) -> float:
+    """|q|."""
+    return math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+
+
+@inline
 def normalised(q: Quat) -> Quat:
     """q/|q|."""
     f = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
@@ -74,8 +80,20 @@ def to_body(q: Quat, v: Vec3) -> Vec3:
 @inline
 def matrix(q: Quat) -> Rows:
     """Rows of the rotation matrix R of a unit quaternion; cheaper than `to_world` from three on."""
+    return scaled_matrix(q, 2.0)
+
+
+@inline
+def matrix_along(q: Quat) -> Rows:
+    """Rows of the rotation matrix of q/|q|, for any q but 0."""
+    return scaled_matrix(q, 2.0 / (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]))
+
+
+@inline
+def scaled_matrix(q: Quat, double: float) -> Rows:
+    """Rows of the rotation matrix of q/|q|, with double = 2/|q|²."""
     w, x, y, z = q
-    x2, y2, z2 = x + x, y + y, z + z
+    x2, y2, z2 = double * x, double * y, double * z
     xx, yy, zz = x * x2, y * y2, z * z2
     xy, xz, yz = x * y2, x * z2, y * z2
     wx, wy, wz = w * x2, w * y2, w * z2

@@ -16,6 +16,7 @@ from particlerb.methods import (
     dop853,
     exact,
     explicit_euler,
+    momentum_euler,
     rk4,
     rkn6,
     semi_implicit_euler,
@@ -30,4 +31,5 @@ METHODS: Final[dict[str, ModuleType]] = {
     "rk4": rk4,
     "semi_implicit_euler": semi_implicit_euler,
     "explicit_euler": explicit_euler,
+    "momentum_euler": momentum_euler,
 }

@@ -39,6 +39,7 @@ from particlerb.methods import dop853_joint as joint
 from particlerb.methods.dop853_step import ALONE, find_step, interpolate, take_stages
 from particlerb.methods.dop853_table import STAGES
 from particlerb.methods.motion import Account, Group, Motion
+from particlerb.methods.rates import ACCEPTED
 from particlerb.methods.saving import Saved
 from particlerb.terms import STAGE as WORK
 from particlerb.terms import Acting, acting_of, row_count, rows_of_terms
@@ -48,10 +49,7 @@ ORDER: Final = 8
 FREE_ORDER: Final = 8
 IS_ADAPTIVE: Final = True
 KEEPS_RODS: Final = False
-ACCEPTS: Final = frozenset(
-    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
-    | {"links", "dashpots", "attraction"}
-)
+ACCEPTS: Final = ACCEPTED
 SUMMARY: Final = "order 8, adaptive by run.tolerance, dense output; the oracle; any force"
 COST: Final = joint.COST
 EVALUATIONS: Final = joint.EVALUATIONS

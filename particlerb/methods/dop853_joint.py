@@ -27,7 +27,7 @@ from particlerb.bodies.block import (
     state_rows,
 )
 from particlerb.bodies.state import Frames, State, room_for, store_frame
-from particlerb.maths.quaternion import rows4
+from particlerb.maths.quaternion import load4, normalised, rows4, store4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.methods.coupled import Layout, scatter
 from particlerb.methods.dop853_step import (
@@ -68,12 +68,15 @@ class Room(NamedTuple):
 
 @kernel
 def spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
-    """Vectors into states (13, n)."""
+    """Vectors into states (13, n), with |q| = 1."""
     for k in range(layout.first.size):
         lo = layout.first[k]
         for c in range(ALONE):
             for b in range(layout.size[k]):
                 states[c, lo + b] = y[k, c * w + b]
+        own = rows4(states[Q : Q + 4], lo, lo + layout.size[k])
+        for b in range(layout.size[k]):
+            store4(own, b, normalised(load4(own, b)))
 
 
 @kernel

@@ -15,7 +15,7 @@ from particlerb.maths.vec3 import Floats, add_scaled, cross, multiplied3
 from particlerb.methods.booking import book
 from particlerb.methods.coupled import CoupledMotion, one_stage
 from particlerb.methods.motion import Group
-from particlerb.methods.rates import Pose, add_pose, on_sphere, pose, put_pose, slopes
+from particlerb.methods.rates import ACCEPTED, Pose, add_pose, on_sphere, pose, put_pose, slopes
 from particlerb.methods.stepped import SteppedMotion, advance_blocks
 from particlerb.terms import Acting
 
@@ -23,10 +23,7 @@ ORDER: Final = 1
 FREE_ORDER: Final = 1
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = False
-ACCEPTS: Final = frozenset(
-    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
-    | {"links", "dashpots", "attraction"}
-)
+ACCEPTS: Final = ACCEPTED
 SUMMARY: Final = "order 1, baseline; explicit Euler on rates in the body; energy grows; any force"
 COST: Final = 3.0  # ns per body-step, roughly
 EVALUATIONS: Final = 1  # of the forces in a step

@@ -10,14 +10,15 @@ the form; Kutta 1901 for the method.
 from typing import Final
 
 from particlerb._jit import inline, kernel_from
-from particlerb.bodies.block import get3, get4, put3, put4
+from particlerb.bodies.block import SCRATCH, get, get3, get4, put, put3, put4
 from particlerb.bodies.load import STATE_ROWS
 from particlerb.bodies.state import State
+from particlerb.maths.quaternion import add_scaled4, length
 from particlerb.maths.vec3 import Floats
 from particlerb.methods.booking import book
 from particlerb.methods.coupled import CoupledMotion, stages_of
 from particlerb.methods.motion import Group
-from particlerb.methods.rates import Pose, add_pose, on_sphere, pose, put_pose, slopes
+from particlerb.methods.rates import ACCEPTED, Pose, add_pose, on_sphere, pose, put_pose, slopes
 from particlerb.methods.stepped import SteppedMotion, advance_blocks
 from particlerb.terms import STAGE, Acting
 
@@ -25,10 +26,7 @@ ORDER: Final = 4
 FREE_ORDER: Final = 4
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = False
-ACCEPTS: Final = frozenset(
-    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
-    | {"links", "dashpots", "attraction"}
-)
+ACCEPTS: Final = ACCEPTED
 SUMMARY: Final = "order 4, baseline; Runge-Kutta on (x, Q, P, L); energy drifts; any force"
 COST: Final = 6.0  # ns per body-step, roughly
 EVALUATIONS: Final = 4  # of the forces in a step
@@ -36,6 +34,7 @@ REACH: Final = 2.82  # largest hω of an oscillator that stays bounded
 LONGEST: Final = 0.5  # rad in one step above which it is worth a warning
 WEIGHTS: Final = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)  # of the slopes
 NEXT: Final = (0.5, 0.5, 1.0, 0.0)  # where the next slope is taken, in steps
+LENGTH: Final = SCRATCH  # row of |q| there
 
 
 @inline
@@ -89,10 +88,13 @@ def stage(
     """One slope, where bodies act on each other: the next needs those of all before it.
 
     The state at the beginning, and the sum so far, are in the rows STAGE; those of the state have
-    where the next slope is taken.
+    where the next slope is taken, with q/|q|, as forces between bodies want it, and |q| in LENGTH.
     """
     for b in range(n):
         y = pose(rows, b)
+        if k > 0:
+            stretch = get(rows, LENGTH, b) - 1.0
+            y = Pose(y.x, add_scaled4(stretch, y.q, y.q), y.p, y.L)
         slope, entry = slopes(acting, rows, b, y)
         if k == 0:
             put_pose_at(rows, STAGE, b, y)
@@ -100,7 +102,9 @@ def stage(
         first, total = pose_at(rows, STAGE, b), pose_at(rows, STAGE + STATE_ROWS, b)
         total = add_pose(WEIGHTS[k] * dt, slope, total)
         put_pose_at(rows, STAGE + STATE_ROWS, b, total)
-        put_pose(rows, b, on_sphere(total) if k == 3 else add_pose(NEXT[k] * dt, slope, first))
+        after = total if k == 3 else add_pose(NEXT[k] * dt, slope, first)
+        put(rows, LENGTH, b, length(after.q))
+        put_pose(rows, b, on_sphere(after))
         book(books, rows, b, WEIGHTS[k] * dt, entry)
 
 

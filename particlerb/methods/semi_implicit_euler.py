@@ -33,7 +33,7 @@ from particlerb.maths.vec3 import (
 from particlerb.methods.booking import book, kick_entry
 from particlerb.methods.coupled import CoupledMotion, one_stage
 from particlerb.methods.motion import Group
-from particlerb.methods.rates import Pose, pose, put_pose
+from particlerb.methods.rates import ACCEPTED, Pose, pose, put_pose
 from particlerb.methods.stepped import SteppedMotion, advance_blocks
 from particlerb.terms import DRAG, Acting, kick_others, kick_potential, less_internal
 from particlerb.terms.drag import drag_load
@@ -42,10 +42,7 @@ ORDER: Final = 1
 FREE_ORDER: Final = 1
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = False
-ACCEPTS: Final = frozenset(
-    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
-    | {"links", "dashpots", "attraction"}
-)
+ACCEPTS: Final = ACCEPTED
 SUMMARY: Final = "order 1, baseline; the game standard, implicit gyroscopic term; damps; any force"
 COST: Final = 4.0  # ns per body-step, roughly
 EVALUATIONS: Final = 1  # of the forces in a step

@@ -144,8 +144,8 @@ def gain(method: str, z: float, steps: int = 20) -> float:
 
 
 def top_gain(method: str, z: float, steps: int = 20) -> float:
-    """Factor of |ω⊥|² of a symmetric top, I = (1, 1, 1.5), with hω₃ = z, per step, less 1."""
-    moved = scene(np.array([[1.0, 1.0, 1.5]]), np.array([[0.1 * z, 0.0, z]]))
+    """Factor of a small |ω⊥|² of a symmetric top, I = (1, 1, 1.5), hω₃ = z, per step, less 1."""
+    moved = scene(np.array([[1.0, 1.0, 1.5]]), np.array([[1e-4 * z, 0.0, z]]))
     frames = history(moved, method, 1.0, np.array([steps, 2.0 * steps]))
     across = [(turned_back(s.q, s.L)[:2] ** 2).sum() for s in states(moved, frames)]
     return float((across[1] / across[0]) ** (1.0 / steps) - 1.0)
@@ -328,18 +328,32 @@ def limits_of_semi_implicit_euler() -> Iterator[Limit]:
     yield quaternion_turn(name)
 
 
-def limits_of_explicit_euler() -> Iterator[Limit]:
-    """Everything at the old state."""
-    name, top = "explicit_euler", 0.2
+def limits_at_the_old_state(name: str) -> Iterator[Limit]:
+    """What the explicit Euler methods have in common."""
     for z in (0.1, 1.0):
         yield Limit(name, f"energy per step - 1 at hω = {z}", z**2, gain(name, z))
     for zeta in (0.2, 0.5):
         measured = limit(name, damped(zeta), steps=LINGERING)
         yield Limit(name, f"damped, ζ = {zeta}: largest hω", 2.0 * zeta, measured)
     yield Limit(name, "drag alone: largest hγ", 2.0, limit(name, drag_alone, steps=LINGERING))
+    yield quaternion_turn(name)
+
+
+def limits_of_explicit_euler() -> Iterator[Limit]:
+    """Rates in the body."""
+    name, top = "explicit_euler", 0.2
+    yield from limits_at_the_old_state(name)
     measured = top_gain(name, top)
     yield Limit(name, "symmetric top: |ω⊥|² per step - 1, hλ = 0.1", (0.5 * top) ** 2, measured)
-    yield quaternion_turn(name)
+
+
+def limits_of_momentum_euler() -> Iterator[Limit]:
+    """L as a variable: a step turns L in the body by 2 atan(½h|ω|) about ω, and |L| stays."""
+    name, top = "momentum_euler", 0.2
+    yield from limits_at_the_old_state(name)
+    theory = 1.5 * (1.5 - 1.0) * top**2 / (1.0 + 0.25 * top**2)
+    measured = top_gain(name, top)
+    yield Limit(name, "symmetric top: |ω⊥|² per step - 1, hλ = 0.1", theory, measured)
 
 
 def quaternion_turn(method: str) -> Limit:
@@ -354,6 +368,7 @@ LIMITS: Final[dict[str, Callable[[], Iterator[Limit]]]] = {
     "rk4": limits_of_rk4,
     "semi_implicit_euler": limits_of_semi_implicit_euler,
     "explicit_euler": limits_of_explicit_euler,
+    "momentum_euler": limits_of_momentum_euler,
 }
 
 

@@ -20,7 +20,7 @@ from particlerb.studies.work_precision import chart
 
 T_END = 1.6
 SMOOTH_METHODS = ("strang", "rkn6")
-DAMPED_METHODS = ("strang", "rk4", "semi_implicit_euler", "explicit_euler")
+DAMPED_METHODS = ("strang", "rk4", "semi_implicit_euler", "explicit_euler", "momentum_euler")
 NOTHING = 1e-300
 SOFT = 0.5  # m: particles may come near each other
 UP = np.array([0.0, 0.0, 1.0])
@@ -272,6 +272,7 @@ STEPS = {
     "rk4": 0.08 / 2.0 ** np.arange(4),
     "semi_implicit_euler": 2e-3 / 2.0 ** np.arange(3),
     "explicit_euler": 1e-3 / 2.0 ** np.arange(3),
+    "momentum_euler": 1e-3 / 2.0 ** np.arange(3),
 }
 SCENES = [("smooth", one) for one in SMOOTH_METHODS] + [("damped", one) for one in DAMPED_METHODS]
 

@@ -82,6 +82,7 @@ FIRST_STEP = {
     "rk4": 0.05,
     "semi_implicit_euler": 2e-3,
     "explicit_euler": 2e-3,
+    "momentum_euler": 2e-3,
 }
 
 

@@ -27,7 +27,15 @@ from particlerb.threads import THREADS
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
 DOWN = {"acceleration": [0.0, 0.0, -9.81]}
-METHODS = ("strang", "rkn6", "rk4", "semi_implicit_euler", "explicit_euler", "dop853")
+METHODS = (
+    "strang",
+    "rkn6",
+    "rk4",
+    "semi_implicit_euler",
+    "explicit_euler",
+    "momentum_euler",
+    "dop853",
+)
 SHORT = 0.85  # s at which runs are stopped that have an end of their own
 LONG = 1.13
 

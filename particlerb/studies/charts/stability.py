@@ -63,6 +63,7 @@ COLOURS: Final = {
     "rk4": "#b8860b",
     "semi_implicit_euler": "#d55e00",
     "explicit_euler": "#b2182b",
+    "momentum_euler": "#cc79a7",
 }
 STEPS: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
 STARTS: Final = (
@@ -105,6 +106,8 @@ def draw_maps(figure: SubFigure, study: Stability, methods: Sequence[str]) -> No
         draw_map(axes, one)
         if one.method == methods[0] and not is_tolerance(one):
             axes.set_ylabel("h |ω|  [rad per step]", fontsize=11)
+        if one.method == methods[-1] and not is_tolerance(one):
+            mark_steps_per_turn(axes)
     for axes, method in zip(panels[0], methods, strict=True):
         axes.set_title(spoken(method), color=COLOURS[method], fontsize=13, pad=20)
         axes.text(0.5, 1.03, headline(study, method), ha="center", va="bottom", fontsize=9,
@@ -243,16 +246,19 @@ def mark_pace(axes: Axes, one: Map) -> None:
     axes.set_ylim(STEPS[0], STEPS[-1])
     axes.yaxis.set_major_locator(FixedLocator(STEPS))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    if one.method == "explicit_euler":
-        right = axes.secondary_yaxis("right")
-        right.set_yticks(STEPS, [f"{round(2.0 * math.pi / step, 1):.3g}" for step in STEPS])
-        right.yaxis.set_minor_locator(NullLocator())
-        right.set_ylabel("steps per turn")
     missing = one.pace[0] / STEPS[0] if one.pace.any() else 1.0
     if missing > 2.0:
         height = 0.5 * math.log(missing) / math.log(STEPS[-1] / STEPS[0])
         axes.text(0.5, height, "not run: small steps\nof this method are dear", ha="center",
                   va="center", fontsize=8, color=INK, transform=axes.transAxes)  # fmt: skip
+
+
+def mark_steps_per_turn(axes: Axes) -> None:
+    """Steps per turn, at the right."""
+    right = axes.secondary_yaxis("right")
+    right.set_yticks(STEPS, [f"{round(2.0 * math.pi / step, 1):.3g}" for step in STEPS])
+    right.yaxis.set_minor_locator(NullLocator())
+    right.set_ylabel("steps per turn")
 
 
 # Limits

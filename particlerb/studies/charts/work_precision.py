@@ -20,6 +20,7 @@ OWN: Final = {
     "rk4": "#cc79a7",
     "semi_implicit_euler": "#8c6d31",
     "explicit_euler": "#7f7f7f",
+    "momentum_euler": "#b2182b",
 }
 PEER: Final = "#9aa5b1"
 LOST: Final = 2.0 * math.pi  # rad: where runs that failed are put
