@@ -38,7 +38,7 @@ class Totals(NamedTuple):
     """Sums over all bodies, per frame."""
 
     kinetic_energy: Floats  # (T,) [J]
-    potential_energy: Floats  # (T,) [J] of uniform gravity, zero at the origin, and between bodies
+    potential_energy: Floats  # (T,) [J] of gravity, attraction, springs, contacts, piston loads
     linear_momentum: Floats  # (T, 3) [kg m/s]
     angular_momentum: Floats  # (T, 3) [kg m²/s], about the origin of the world
     momentum_size: Floats  # (T,) Σ|p| [kg m/s]
@@ -133,7 +133,7 @@ def totals(
     gravity : ndarray, shape (3,)
         Its acceleration [m/s²].
     potential : ndarray, shape (T,)
-        Potential energy of forces between bodies, and of loads on pistons [J].
+        Potential energy of springs, of forces between bodies, and of loads on pistons [J].
     kinetic : ndarray, shape (T,)
         Kinetic energy of pistons [J].
     """
@@ -157,7 +157,7 @@ class Entries(NamedTuple):
     kinetic_energy: Floats  # (T,) [J]
     potential_energy: Floats  # (T,) [J]
     energy: Floats  # (T,) [J] kinetic and potential
-    work: Floats  # (T,) [J] booked by impulses and forces without a place in potential_energy
+    work: Floats  # (T,) [J] of all that has no place in potential_energy
     energy_error: Floats  # (T,) [J] energy - initial energy - work
     linear_momentum: Floats  # (T, 3) [kg m/s]
     linear_momentum_error: Floats  # (T, 3) [kg m/s] total - initial - booked

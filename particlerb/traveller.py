@@ -15,6 +15,7 @@ from particlerb.methods.pair_forces import PairForces
 from particlerb.methods.saving import Saved, under, within
 from particlerb.methods.touching import TouchingMotion
 from particlerb.plan import GroupPlan, Segment
+from particlerb.terms import energy_of_springs
 from particlerb.terms.impulse import apply_impulse
 
 STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
@@ -24,7 +25,7 @@ TOUCHING = (TouchingMotion, DiluteMotion)  # motions that know the elastic energ
 class Energies(NamedTuple):
     """Energies beside those of the bodies themselves."""
 
-    potential: Floats  # (T,) [J] between bodies, of contacts, of loads on pistons
+    potential: Floats  # (T,) [J] between bodies, of springs, contacts, and loads on pistons
     kinetic: Floats  # (T,) [J] of pistons
 
 
@@ -69,9 +70,15 @@ class Traveller:
         terms = self.segment.terms
         return PairForces(terms, self.plan.members.size, True) if terms.is_coupled else None
 
+    @property
+    def is_bound(self) -> bool:
+        """Whether the bodies have a potential energy beside that of uniform gravity."""
+        return self.pairs is not None or self.segment.terms.spring is not None
+
     def potential(self, com: Floats, q: Floats) -> float:
-        """Potential energy of the bodies with each other, and of links to the world [J]."""
-        return 0.0 if self.pairs is None else self.pairs.potential_energy(com, q)
+        """Potential energy of all springs, and of the bodies with each other [J]."""
+        energy = 0.0 if self.pairs is None else self.pairs.potential_energy(com, q)
+        return energy + energy_of_springs(self.segment.terms, com, q)
 
     def begin(self, segment: Segment, state: State) -> Motion:
         """Apply the impulses at the start of a segment and set off."""
@@ -101,7 +108,7 @@ class Traveller:
     def cross(self) -> None:
         """Go from this segment into the next.
 
-        Who connects a link that is stretched gives its energy, and gets it who disconnects it.
+        Who connects a spring that is stretched gives its energy, and gets it who disconnects it.
         """
         state, booked = self.motion.finish(self.segment.stop)
         self.turnover = self.turned_over()
@@ -138,7 +145,7 @@ class Traveller:
             if until > done:
                 rows = np.arange(done, until)
                 booked[rows] = self.before + self.motion.record(times[rows], rows, frames)
-                if self.pairs is not None:
+                if self.is_bound:
                     potential[rows] = [
                         self.potential(*self.pose(frames, row)) for row in rows.tolist()
                     ]
@@ -172,7 +179,7 @@ def record_all(
 
 def initial_energies(travellers: Sequence[Traveller], initial: Frames) -> Energies:
     """Energies at t = 0 beside those of the bodies themselves, (1,)."""
-    potential = [t.potential(*t.pose(initial, 0)) for t in travellers if t.pairs is not None]
+    potential = [t.potential(*t.pose(initial, 0)) for t in travellers if t.is_bound]
     touching = [t.motion for t in travellers if isinstance(t.motion, TOUCHING)]
     potential += [motion.elastic for motion in touching]
     kinetic = sum(motion.at_rest for motion in touching)

@@ -62,10 +62,15 @@ WALLS: Final[dict[str, Element]] = {
 LEDGER: Final[dict[str, Element]] = {
     "kinetic_energy": Element("", "J", "of all bodies"),
     "potential_energy": Element(
-        "", "J", "of uniform gravity, zero at the origin, and between bodies"
+        "",
+        "J",
+        "of uniform gravity (zero at the origin), attraction, every spring, elastic contacts, and"
+        " loads on pistons",
     ),
     "energy": Element("", "J", "kinetic and potential"),
-    "work": Element("", "J", "booked by impulses and forces without a potential energy here"),
+    "work": Element(
+        "", "J", "of all other forces: pushes, fields, torques, drag, dashpots, friction, impulses"
+    ),
     "energy_error": Element("", "J", "energy - initial energy - work"),
     "linear_momentum": Element("xyz", "kg m s-1", "of all bodies", "world"),
     "linear_momentum_error": Element(

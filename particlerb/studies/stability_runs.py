@@ -25,7 +25,7 @@ from particlerb.methods import METHODS
 from particlerb.methods.motion import Group
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, SYMMETRIC
 from particlerb.terms import Terms
-from particlerb.terms.spring import spring_work
+from particlerb.terms.spring import spring_energy
 
 TURNS: Final = 1e4  # of each body of a map
 EVERY: Final = 0.25  # [s] grid of the times of methods without a step of their own
@@ -140,7 +140,7 @@ def energy(moved: Scene, state: State) -> Floats:
     """Kinetic energy and that of the springs, (n,) [J]."""
     value = kinetic_energy(moved.bodies, state)
     for spring in moved.terms.spring or ():
-        value = value - spring_work(spring, state.com, state.q)
+        value = value + spring_energy(spring, state.com, state.q)
     return value
 
 

@@ -24,7 +24,7 @@ from particlerb.terms.follower import FOLLOWER_ROWS, Follower, kick_follower
 from particlerb.terms.gravity import UniformGravity
 from particlerb.terms.links import WORLD, Links
 from particlerb.terms.push import LEVER_ROWS, Push, kick_force, kick_lever, lever_work
-from particlerb.terms.spring import SPRING_ROWS, Spring, kick_springs, spring_work
+from particlerb.terms.spring import SPRING_ROWS, Spring, kick_springs, spring_energy
 from particlerb.terms.torque import TORQUE_ROWS, Torque, kick_torque
 
 FORCE: Final = LOADS
@@ -158,17 +158,20 @@ def is_constant(terms: Terms) -> bool:
 
 
 def work_of_potentials(terms: Terms, com: Floats, q: Floats) -> float:
-    """Work [J] of forces from outside with a potential, but gravity, up to a constant."""
+    """Work [J] of pushes, uniform and central fields, up to a constant."""
     work = 0.0
     if terms.push is not None:
         work += float(
             (lever_work(terms.push.lever, q) + (terms.push.force * com).sum(axis=0)).sum()
         )
-    for spring in terms.spring or ():
-        work += float(spring_work(spring, com, q).sum())
     for central in terms.central or ():
         work += float(central_work(central, com, q).sum())
     return work
+
+
+def energy_of_springs(terms: Terms, com: Floats, q: Floats) -> float:
+    """Potential energy [J] of springs to anchors that are not among the links."""
+    return sum(float(spring_energy(one, com, q).sum()) for one in terms.spring or ())
 
 
 @inline

@@ -52,9 +52,9 @@ def kick_springs(
     return p, L
 
 
-def spring_work(spring: Spring, com: Floats, q: Floats) -> Floats:
-    """-k (l - l₀)²/2, (n,) [J]: what the spring has done, up to a constant."""
+def spring_energy(spring: Spring, com: Floats, q: Floats) -> Floats:
+    """k (l - l₀)²/2, (n,) [J]."""
     d = spring.anchor - com - turned(q, spring.at)
     stretch = np.linalg.norm(d, axis=0) - spring.rest_length
-    work: Floats = -0.5 * spring.stiffness * stretch * stretch
-    return work
+    energy: Floats = 0.5 * spring.stiffness * stretch * stretch
+    return energy
