@@ -12,7 +12,7 @@ normalised, where
 with the modified inertia 1/b. Newton's method solves it in two to four steps while a map turns by
 less than 0.8 rad; a fixed point, as is usual, takes up to forty and stops converging soon after.
 Longer turns are cut into pieces, and so are the longest drifts of a step: their error, of the
-eighth power of the turn, would be that of the step (docs/decisions/0014).
+eighth power of the turn, would be that of the step (docs/decisions/0016).
 
 Source: Moser and Veselov, Commun. Math. Phys. 139, 217 (1991); Hairer and Vilmart, J. Phys. A 39,
 13225 (2006), for the modified inertia up to order 8.
