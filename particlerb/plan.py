@@ -17,7 +17,7 @@ from particlerb.bodies.state import State, omega_world
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case, Impulse
-from particlerb.contact.loads import Contact
+from particlerb.contact.loads import Contact, Spheres
 from particlerb.contact.swing import swing_at_start
 from particlerb.forces import (
     acts,
@@ -440,27 +440,66 @@ def falling_speed(scene: Scene, terms: Terms) -> float:
     return math.sqrt(2.0 * max(float(np.abs(g) @ np.maximum(extent, lowest)), 0.0)) if size else 0.0
 
 
+@np.errstate(invalid="ignore", divide="ignore")
 def contact_rates(contact: Contact, bodies: Bodies, state: State, fall: float) -> Floats:
-    """Rate of the fastest contact of each body with its own kind or a wall, (n,) [rad/s].
+    """Rate of the fastest contact of each body with another one or a wall, (n,) [rad/s].
 
-    ω² = k (1/m_eff) with 1/m_eff = Σ 1/M + r²/I of both bodies, at the sphere farthest out, and k
-    with the tangential stiffness; for hertz k is that at the deepest overlap of an impact with the
-    speed that is there at t = 0 or reached by falling.
+    ω² = k (1/m_eff) with 1/m_eff = Σ 1/M + (r×n)·I⁻¹(r×n) of both bodies, at the sphere and for
+    the normal where that is largest, and k with the tangential stiffness where there is friction;
+    for hertz k is that at the deepest overlap of an impact with the speed that is there at t = 0
+    or reached by falling. Of a wall 1/M is 0, or that of its piston; the other body is the softest
+    one of each material.
     """
-    softness = bodies.inv_mass + contact.reach**2 * bodies.inv_inertia.max(axis=0)
-    partner = float(softness.max())
-    if contact.pistons is not None:
-        partner = max(partner, 1.0 / float(contact.pistons.mass.min()))
-    softness = softness + partner
-    law, radius = contact.scene.law, contact.scene.spheres.radius
+    scene, law = contact.scene, contact.scene.law
+    softness = bodies.inv_mass + softest_turning(scene.spheres, bodies.inv_inertia)
+    own = np.full(softness.size, -1)
+    own[scene.spheres.body] = scene.spheres.material
+    partner = softest_partners(contact, softness, own)
+    pair = scene.pair_of[own]  # of bodies that touch nothing any one: they have no partners
+    both = np.where(own[:, None] >= 0, softness[:, None] + partner, 0.0)
+    shear = np.where(law.friction > 0.0, law.shear, 0.0)
     if law.hertz is None:
-        k = float((law.stiffness + law.shear).max())
-        return np.asarray(np.sqrt(k * softness))
+        k = (law.stiffness + shear)[pair]
+        return np.asarray(np.sqrt(np.maximum(k * both, 0.0).max(axis=1)))
     speed = impact_speed(contact, bodies, state, fall)
-    K = (4.0 / 3.0) * float(law.stiffness.max()) * np.sqrt(float(radius.max()))
-    share = 1.0 + 6.0 * float((law.shear / np.maximum(law.stiffness, 1e-300)).max())
-    depth = (1.25 * speed**2 / (K * np.maximum(softness, 1e-300))) ** 0.4
-    return np.asarray(np.sqrt(1.5 * K * np.sqrt(depth) * share * softness))
+    K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(float(scene.spheres.radius.max()))
+    share = 1.0 + 6.0 * (shear / np.maximum(law.stiffness, 1e-300))[pair]
+    depth = (1.25 * speed**2 / np.maximum(K * both, 1e-300)) ** 0.4
+    squared = np.where(K * both > 0.0, 1.5 * K * np.sqrt(depth) * share * both, 0.0)
+    return np.asarray(np.sqrt(squared.max(axis=1)))
+
+
+def softest_turning(spheres: Spheres, inv_inertia: Floats) -> Floats:
+    """Largest (r×n)·I⁻¹(r×n) [1/kg] over the spheres of each body and unit vectors n, (n,).
+
+    The larger eigenvalue of a matrix with two, as n along r gives 0: from its trace and the sum of
+    its principal minors.
+    """
+    (x, y, z), (a, b, c) = spheres.arm**2, inv_inertia[:, spheres.body]
+    trace = a * (y + z) + b * (x + z) + c * (x + y)
+    minors = (x + y + z) * (b * c * x + a * c * y + a * b * z)
+    largest = np.zeros(inv_inertia.shape[1])
+    root = np.sqrt(np.maximum(0.25 * trace**2 - minors, 0.0))
+    np.maximum.at(largest, spheres.body, 0.5 * trace + root)
+    return largest
+
+
+def softest_partners(contact: Contact, softness: Floats, material: Ints) -> Floats:
+    """Largest 1/m_eff [1/kg] of what each body may meet of each material; -inf: nothing, (n, k)."""
+    scene, walls = contact.scene, contact.scene.walls
+    partner = np.full((softness.size, len(scene.pair_of)), -np.inf)
+    for code in np.unique(material[material >= 0]).tolist():
+        those = np.flatnonzero(material == code)
+        softest = those[np.argmax(softness[those])]
+        partner[:, code] = softness[softest]
+        partner[softest, code] = softness[those[those != softest]].max(initial=-np.inf)
+    inverse = np.zeros(int(walls.wall.max(initial=-1)) + 1)
+    if contact.pistons is not None:
+        inverse[contact.pistons.wall] = 1.0 / contact.pistons.mass
+    for code in np.unique(scene.wall_material).tolist():
+        own = walls.wall[scene.wall_material == code]
+        partner[:, code] = np.maximum(partner[:, code], inverse[own].max())
+    return partner
 
 
 def attraction_rates(attraction: Attraction, com: Floats) -> Floats:

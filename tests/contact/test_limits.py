@@ -1,6 +1,7 @@
 """Contact scenes: steps, bodies that are too fast, spheres that nothing reaches, relaxation."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,12 +11,12 @@ from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.contact.restitution import damping_ratio
 from particlerb.methods import strang, touching
-from particlerb.plan import STEPS_PER_CONTACT
+from particlerb.plan import STEPS_PER_CONTACT, softest_turning
 from particlerb.simulate import RunError, prepare
 
 
 def drop(dt: float | None = None, **contact) -> dict:
-    """A ball of 1 kg above a floor; ω² = 2 k (1 + 2/7) (1/m + 0) for two such balls."""
+    """A ball of 1 kg above a floor without friction; ω² = k/m."""
     run = {"t_end": 0.5, "every": 0.1} | ({} if dt is None else {"dt": dt})
     numbers = {"stiffness": 1e5, "restitution": 0.5, "friction": 0.0} | contact
     ball = {"name": "ball", "shape": {"type": "sphere", "radius": 0.1}, "mass": 1.0}
@@ -25,7 +26,7 @@ def drop(dt: float | None = None, **contact) -> dict:
     return {"run": run, "contact": numbers, "wall": [floor], "body": bodies, "gravity": gravity}
 
 
-RATE = math.sqrt(2.0 * 1e5 * (9.0 / 7.0))
+RATE = math.sqrt(1e5)
 
 
 def test_step_is_chosen_by_the_contact():
@@ -34,7 +35,7 @@ def test_step_is_chosen_by_the_contact():
 
 
 def test_unstable_step_is_refused_unless_allowed():
-    with pytest.raises(CaseError, match=r"above 0\.00394 s, where a contact of bodies like ball"):
+    with pytest.raises(CaseError, match=r"above 0\.00632 s, where a contact of bodies like ball"):
         prepare(load(drop(1.001 * 2.0 / RATE, restitution=1.0)))
     prepare(load(drop(0.999 * 2.0 / RATE, restitution=1.0)))
     ratio = damping_ratio(0.5, attract=False)
@@ -57,12 +58,49 @@ def cage(dt, height, gap=0.0, **contact) -> dict:
 
 def test_all_contacts_of_a_body_at_the_start_limit_the_step():
     limit = 2.0 / math.sqrt(1e5 * (2.0 + 8.0 / 7.0))
-    assert limit < 0.99 * 2.0 / RATE  # that of a single contact
+    assert limit < 0.99 * 2.0 / (RATE * math.sqrt(9.0 / 7.0))  # that of a single contact
     with pytest.raises(CaseError, match=r"ball that touch at t = 0 grow without bound on all"):
         prepare(load(cage(1.01 * limit, 0.1)))
     prepare(load(cage(0.99 * limit, 0.1)))
     prepare(load(cage(1.01 * limit, 0.1, gap=1e-3)))  # only the floor and the lid touch
     prepare(load(cage(1.01 * limit, 0.1, allow_unstable=True)))
+
+
+def rod(dt, height=0.5, count=1, **contact) -> dict:
+    """Two balls of 0.5 kg 1 m apart, along the floor."""
+    ends = {"type": "points", "position": [[-0.5, 0, 0], [0.5, 0, 0]], "mass": 0.5, "radius": 0.1}
+    case = drop(dt, **{"restitution": 1.0, "overlap": 1e-3} | contact)
+    places = [[0.0, float(k), height] for k in range(count)]
+    case["body"] = [{"name": "rod", "shape": ends, "count": count, "position": places}]
+    return case
+
+
+def test_a_lone_body_is_limited_by_its_contact_with_walls():
+    """1/m_eff = 1/M + a²/I: no push turns a rod about its own axis, where it is lightest."""
+    limit = 2.0 / math.sqrt((1.0 + 0.5**2 / (0.25 + 0.4 * 0.1**2)) * 1e5)
+    with pytest.raises(CaseError, match=r"above 0\.00449 s, where a contact of bodies like rod"):
+        prepare(load(rod(1.001 * limit)))
+    prepare(load(rod(0.999 * limit)))
+    with pytest.raises(CaseError, match=r"above 0\.00317 s"):  # of rods on each other
+        prepare(load(rod(0.999 * limit, count=2)))
+    prepare(load(rod(0.999 * limit / math.sqrt(2.0), count=2)))
+    with pytest.raises(CaseError, match=r"above 0\.00396 s"):  # √(7/9): friction has a spring too
+        prepare(load(rod(0.999 * limit, friction=0.5)))
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(("share", "is_stable"), [(0.98, True), (1.02, False)])
+def test_the_limit_of_a_lone_body_is_where_it_begins_to_grow(share, is_stable):
+    """On both ends a rod swings up and down, and to and fro, with this very rate."""
+    limit = 2.0 / math.sqrt(2.0 * 1e5)
+    deep = 0.5 * 9.81 / 1e5
+    case = rod(share * limit, 0.1 - deep, allow_unstable=True)
+    case["body"][0]["velocity"] = [0, 0, 1e-4]
+    steps = np.arange(1, 200) * share * limit
+    case["run"] |= {"t_end": steps[-1], "every": share * limit}
+    with particlerb.run(case) as t:
+        largest = np.abs(t.position[:, 0, 2] - (0.1 - deep)).max()
+    assert (largest < 3e-6) == is_stable
 
 
 @pytest.mark.compiled
@@ -237,3 +275,15 @@ def test_body_that_its_contact_cannot_hold_ends_the_run(share, passes):
             particlerb.run(case)
     else:
         assert particlerb.run(case).velocity[-1, 0, 0] == pytest.approx(-v, rel=1e-4)
+
+
+def test_softest_turning_is_the_largest_eigenvalue():
+    rng = np.random.default_rng(0)
+    arm, inverse = rng.normal(size=(3, 60)), rng.random((3, 20))
+    inverse[0, 3] = 0.0
+    spheres = SimpleNamespace(arm=arm, body=np.repeat(np.arange(20), 3))
+    found = softest_turning(spheres, inverse)
+    for b in range(20):
+        turns = [np.cross(arm[:, 3 * b + k], np.eye(3)) for k in range(3)]
+        largest = max(np.linalg.eigvalsh(T @ np.diag(inverse[:, b]) @ T.T)[-1] for T in turns)
+        assert found[b] == pytest.approx(largest, rel=1e-12)
