@@ -90,10 +90,21 @@ def poses_at(motions: Sequence[Motion], t: float) -> Floats:
     return poses
 
 
-def farthest_way(motions: Sequence[Motion], duration: float, reach: float) -> float:
-    """How far a point of a wall may move in a time [m], within `reach` of the walls' centres."""
+def farthest_way(motions: Sequence[Motion], duration: float, reach: Sequence[float]) -> float:
+    """How far a point of a wall may move in a time [m], within a `reach` of each wall's centre."""
     ways = [0.0]
-    for _, velocity, omega, amplitude, frequency, _ in motions:
+    for (_, velocity, omega, amplitude, frequency, _), far in zip(motions, reach, strict=True):
         swing = min(2.0, 2.0 * math.pi * frequency * duration) * math.hypot(*amplitude)
-        ways.append(duration * (math.hypot(*velocity) + reach * math.hypot(*omega)) + swing)
+        ways.append(duration * (math.hypot(*velocity) + far * math.hypot(*omega)) + swing)
     return max(ways)
+
+
+def distances(motions: Sequence[Motion], t: float, points: Floats) -> list[float]:
+    """From the centre of each wall to the farthest of the points (3, n), at most [m]."""
+    lower, upper = points.min(axis=1), points.max(axis=1)
+    found = []
+    for motion in motions:
+        x, q, _, _ = pose_at(motion, t)
+        centre = np.array(add_scaled(1.0, to_world(q, motion.centre), x))
+        found.append(float(np.linalg.norm(np.maximum(upper - centre, centre - lower))))
+    return found

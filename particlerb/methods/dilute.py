@@ -16,19 +16,20 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from particlerb.bodies.bodies import taken
-from particlerb.bodies.state import Frames, State
+from particlerb.bodies.state import Frames, State, turned
 from particlerb.contact.lists import Kept, has_moved
 from particlerb.contact.loads import Contact
 from particlerb.contact.search import Search
 from particlerb.contact.touches import Touches, nothing_touches
-from particlerb.contact.wall_motion import farthest_way, motion_in, poses_at
+from particlerb.contact.wall_motion import distances, farthest_way, motion_in, poses_at
 from particlerb.contact.wall_search import WallSearch
+from particlerb.contact.watch import Bodies, Watch, acting_nowhere, bounds_of, swing_of
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.methods.coupled import Stages
 from particlerb.methods.exact import FreeMotion
-from particlerb.methods.motion import Group, Motion, Together
+from particlerb.methods.motion import Group, Motion, MotionError, Together
 from particlerb.methods.saving import Saved, filled, flat, under, within
-from particlerb.methods.touching import Kernels, TouchingMotion, is_due
+from particlerb.methods.touching import Kernels, TouchingMotion, is_due, lost_pair
 from particlerb.terms import Terms, terms_on
 
 LEAST_BODIES: Final = 300  # below, to begin an interval costs more than to step all
@@ -67,7 +68,7 @@ class Interval:
             own, spheres = parent.part(stepped)
             self.touching = TouchingMotion(
                 parent.kernels, parent.stages, parent.cost, own, taken(state, stepped), start,
-                parent.dt, spheres, kept,
+                parent.dt, spheres, kept, parent.watch,
             )  # fmt: skip
             self.motions.append((stepped, self.touching))
         if flying.size:
@@ -128,14 +129,14 @@ class DiluteMotion:
         self.group, self.contact, self.start, self.dt = group, contact, start, dt
         self.skin = 2.0 * contact.skin
         spheres, n = contact.scene.spheres, group.members.size
-        self.bound = np.zeros(n)
-        far = np.sqrt((spheres.arm**2).sum(axis=0)) + spheres.radius
-        np.maximum.at(self.bound, spheres.body, far)
+        self.bound = bounds_of(spheres, n)
+        self.watch, self.watch_of_flights = Watch(), Watch()
         self.bodies = Search(self.bound, np.arange(n))
         self.walls = WallSearch(contact.scene.walls, self.bound)
         self.no_reach = np.zeros(n)  # a sphere around a body does not move when it turns
         self.wall_motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         whole = TouchingMotion(kernels, stages, cost, group, state, start, dt)
+        self.nothing = acting_nowhere(whole.lists)
         self.elastic, self.energies = whole.elastic, np.zeros(0)
         self.at_rest, self.kinetic = 0.0, np.zeros(0)  # [J] of pistons, of which there are none
         self.touches: dict[int, Touches] = {}
@@ -215,7 +216,8 @@ class DiluteMotion:
         """Skin of the next interval, by what this one costs."""
         n, active = self.active.size, int(self.active.sum())
         if active < n:
-            self.skin *= GROW if TO_BEGIN * n > self.steps * active else 1.0 / GROW
+            is_short = self.steps < MOST_STEPS and TO_BEGIN * n > self.steps * active
+            self.skin *= GROW if is_short else 1.0 / GROW
         else:
             self.skin /= GROW
         self.skin = max(self.skin, 2.0 * self.contact.skin)
@@ -226,9 +228,10 @@ class DiluteMotion:
         """Whether each body has another one, or a wall, within the skin for so many steps."""
         com = np.ascontiguousarray(y[:3])
         first, second, _ = self.bodies.pairs(com, self.skin)
-        poses = poses_at(self.wall_motions, self.time(self.done))
-        extent = float(np.abs(com).max())
-        way = farthest_way(self.wall_motions, (steps + 1) * self.dt, 2.0 * extent)
+        now = self.time(self.done)
+        poses = poses_at(self.wall_motions, now)
+        reach = [far + self.skin for far in distances(self.wall_motions, now, com)]
+        way = farthest_way(self.wall_motions, (steps + 1) * self.dt, reach)
         touched, _, _ = self.walls.pairs(com, poses, self.skin + way)
         found = np.zeros(self.bound.size, dtype=np.bool_)
         for own in (first, second, touched):
@@ -252,7 +255,32 @@ class DiluteMotion:
         self.booked += booked
         self.turnover += turnover
         self.done += self.steps
+        self.keep_watch()
         self.plan()
+
+    def keep_watch(self) -> None:
+        """Raise MotionError where one that has flown overlaps something; now and then."""
+        scene, n, now = self.contact.scene, self.active.size, self.time(self.done)
+        work = self.cost * (TO_BEGIN * n + self.steps * float(self.active.sum()))
+        if not self.watch_of_flights.is_due(n, scene.walls.kind.size, work):
+            return
+        (com, q, p, L), spheres = self.state, scene.spheres
+        x = com[:, spheres.body] + turned(q[:, spheres.body], spheres.arm)
+        turning = np.sqrt((L**2).sum(axis=0)) * scene.inv_inertia.max(axis=0)
+        bodies = Bodies(
+            np.ascontiguousarray(np.vstack([x, spheres.radius]).T),
+            np.ascontiguousarray(com),
+            p * scene.inv_mass,
+            turning,
+            self.bound,
+            np.zeros(n),
+            self.active,
+        )
+        poses = poses_at(self.wall_motions, now)
+        swings = np.array([swing_of(motion, self.dt) for motion in self.wall_motions])
+        found = self.watch_of_flights.look(scene, self.nothing, bodies, poses, swings, self.dt)
+        if found.depth > 0.0:
+            raise MotionError(lost_pair(found, self.group.members, now, self.skin))
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
@@ -305,7 +333,8 @@ class DiluteMotion:
         saved |= {"active": self.active.copy(), "booked": self.booked.copy()}
         counts = np.array([self.done, self.steps, self.saved, self.all_steps, self.count])
         extremes = np.array([self.skin, self.turnover, self.swing])
-        return saved | {"counts": counts, "extremes": extremes}
+        watches = np.array([self.watch.saved(), self.watch_of_flights.saved()])
+        return saved | {"counts": counts, "extremes": extremes, "watches": watches}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
@@ -315,4 +344,6 @@ class DiluteMotion:
         self.active, self.booked = saved["active"], saved["booked"]
         self.done, self.steps, self.saved, self.all_steps, self.count = saved["counts"].tolist()
         self.skin, self.turnover, self.swing = saved["extremes"].tolist()
+        self.watch.restore(saved["watches"][0])
+        self.watch_of_flights.restore(saved["watches"][1])
         self.next, self.shown = None, self.interval()

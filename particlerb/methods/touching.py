@@ -7,7 +7,8 @@ so the order stays two with one evaluation a step. What contacts keep (tangentia
 belongs to the grid: partial steps to frames work on a copy.
 """
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from types import FunctionType
 from typing import Any, Final, NamedTuple
@@ -29,9 +30,12 @@ from particlerb.contact.lists import (
     way_of,
 )
 from particlerb.contact.loads import (
+    AT,
     BODY_COLUMNS,
     POSE,
     SOFTNESS,
+    TURNING,
+    VELOCITY,
     Contact,
     Contacts,
     Lists,
@@ -67,8 +71,9 @@ from particlerb.contact.pistons import (
 from particlerb.contact.search import Search
 from particlerb.contact.swing import fastest_swing
 from particlerb.contact.touches import Touches, moved, rows_of, touches_of
-from particlerb.contact.wall_motion import farthest_way, motion_in
+from particlerb.contact.wall_motion import distances, farthest_way, motion_in
 from particlerb.contact.wall_search import WallSearch, find_wall_shells
+from particlerb.contact.watch import Bodies, Missed, Watch, bounds_of, swing_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.methods.coupled import (
     CoupledMotion,
@@ -91,13 +96,15 @@ from particlerb.terms.links import Links
 
 NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
 WORTH_THREADS: Final = 6e4  # ns of a step from which on a second thread pays for its start
-MOST_STEPS_AHEAD: Final = 64  # for which lists are made where walls move,
-LONGEST: Final = 4096  # and where they do not: new lists are when swings are looked at
+FEW_STEPS: Final = 64  # for which lists are made at least where walls move slowly,
+LONGEST: Final = 4096  # and at most: new lists are when swings are looked at
 TO_MAKE: Final = 4e5  # ns of new lists, roughly,
 TO_MAKE_SPHERE: Final = 150.0  # and for each sphere;
 TO_USE: Final = 6.0  # of a pair in a step
 STABLE: Final = 2.0  # largest ω dt of a piston, and of bodies on undamped contacts
 WIDEN: Final = 1.25  # of the skin, or its narrowing
+WORTH: Final = 0.02  # share of the steps' time below which new lists need not be fewer
+WIDEST: Final = 4.0  # skin, in sizes of the scene: all pairs are in the lists long before
 LOOKS: Final = 256  # lists from look to look at how fast the bodies swing
 SLACK: Final = 0.8  # of half the skin, with which lists are made anew: a frame may lie ahead
 
@@ -509,6 +516,17 @@ def is_due(count: int) -> bool:
     return count % LOOKS == 0 or count & (count - 1) == 0
 
 
+def lost_pair(found: Missed, members: Ints, time: float, skin: float) -> str:
+    """What to say where two overlap and no contact acts."""
+    other = f"wall {~found.other}" if found.other < 0 else f"body {int(members[found.other])}"
+    return (
+        f"at t = {time:.6g} s body {int(members[found.body])} and {other} overlap by"
+        f" {found.depth:.3g} m and no contact acts between them: the lists of what may touch, made"
+        f" with a skin of {skin:.3g} m, have lost this pair, and the motion before may be wrong."
+        " That is a fault of this program: please report it with the case"
+    )
+
+
 def one_by_one(schedule: Schedule) -> Iterator[Schedule]:
     """The stops of a schedule, each as a schedule."""
     done = schedule.done
@@ -532,6 +550,8 @@ class TouchingMotion(CoupledMotion):
         Of the spheres, ascending, where they are some of more.
     kept : tuple of 2 Kept, optional
         What contacts of spheres with these numbers, and with walls, keep from earlier steps.
+    watch : Watch, optional
+        That goes on from motions before this one.
     """
 
     def __init__(
@@ -545,12 +565,14 @@ class TouchingMotion(CoupledMotion):
         dt: float,
         numbers: Ints | None = None,
         kept: tuple[Kept, Kept] | None = None,
+        watch: Watch | None = None,
     ) -> None:
         contact = group.terms.contact
         assert contact is not None
         spheres = contact.scene.spheres
         n, n_spheres = group.members.size, spheres.radius.size
         cost += NANOSECONDS_PER_SPHERE * n_spheres / n
+        self.to_make, self.to_step = TO_MAKE + TO_MAKE_SPHERE * n_spheres, cost * n  # [ns]
         super().__init__(stages, cost, group, state, start, dt)
         self.kernels, self.contact = kernels, contact
         self.search = Search(spheres.radius, spheres.body)
@@ -565,6 +587,10 @@ class TouchingMotion(CoupledMotion):
         slides = slides_of(contact.pistons)
         self.memory = Memory(y[7:].copy(), y[:7].copy(), start, np.inf, slides)
         self.place = Place(0, 0, 0.0, 0.0, 0.0)
+        self.bound = bounds_of(spheres, n)
+        corners = np.abs(contact.scene.walls.parameter[:, :3]).max(initial=0.0)
+        self.extent = math.sqrt(3.0) * float(corners) + float(spheres.radius.max())
+        self.watch = watch or Watch()
         self.lever = float((contact.reach + 2.0 * spheres.radius.max()).max())
         self.rooms: dict[str, Floats] = {}
         self.origin, self.farthest = y[:3].copy(), 0.0  # [m] way of a body so far, at new lists
@@ -589,8 +615,13 @@ class TouchingMotion(CoupledMotion):
 
     def make_lists(self) -> None:
         """Pairs that may touch until a body has moved by half the skin."""
-        self.fit_skin()
+        steps = round((self.place.time - self.made) / self.dt)  # for which the last ones were good
+        self.made = self.place.time
         self.put_places(0.0)
+        self.keep_watch(steps)
+        points = np.ascontiguousarray(self.room.place[:, :3].T)
+        reach = distances(self.motions, self.memory.start + self.place.time, points)
+        self.fit_skin(steps, reach)
         contact, y = self.contact, self.values(0, 13)
         if self.looks and self.count > 0 and is_due(self.count):
             self.look(y)
@@ -601,9 +632,8 @@ class TouchingMotion(CoupledMotion):
         way = np.sqrt(((y[:3] - self.origin) ** 2).sum(axis=0)).max()
         self.farthest = max(self.farthest, float(way))
         self.refuse_tunnelling(y)
-        points = np.ascontiguousarray(self.room.place[:, :3].T)
         first, second, _ = self.search.pairs(points, contact.skin)
-        ahead, way = self.walls_ahead(points)
+        ahead, way = self.walls_ahead(steps, reach)
         self.memory = self.memory._replace(until=self.place.time + ahead)
         near = self.walls.pairs(points, self.room.poses, contact.skin + way)
         body, pairs = scene.spheres.body, (first, second)
@@ -611,7 +641,7 @@ class TouchingMotion(CoupledMotion):
         find_shells(pairs, self.room.place, contact.skin, shell)
         spheres = self.contacts(0, pairs, (self.numbers, self.numbers), shell)
         shell = np.zeros(near.first.size, dtype=np.int64)
-        if ahead == np.inf and way == 0.0:  # walls that move may come at once
+        if way == 0.0:  # walls that move may come at once
             find_wall_shells(
                 scene.walls, self.room.poses, points, scene.spheres.radius, contact.skin, near,
                 shell,
@@ -636,17 +666,54 @@ class TouchingMotion(CoupledMotion):
                 " contact.allow_unstable = true takes it all the same"
             )
 
-    def fit_skin(self) -> None:
-        """Widen the skin where making lists costs more than going through them, and the reverse."""
-        time = self.place.time
-        steps, self.made = (time - self.made) / self.dt, time
-        if self.contact.is_fixed or steps <= 0.0:
+    def keep_watch(self, steps: int) -> None:
+        """Raise MotionError where something overlaps and no contact has acted; now and then."""
+        contact, n, time = self.contact, self.bound.size, self.memory.start + self.place.time
+        n_primitives = contact.scene.walls.kind.size
+        work = self.to_make + steps * self.to_step
+        if steps <= 0 or not self.watch.is_due(n, n_primitives, work):
             return
-        lists = self.lists
-        to_make = TO_MAKE + TO_MAKE_SPHERE * self.numbers.size
-        to_use = TO_USE * (lists.spheres.first.size + lists.walls.first.size) * steps
-        factor = WIDEN if to_make > to_use else 1.0 / WIDEN
-        self.contact = self.contact._replace(skin=max(self.contact.skin * factor, self.least_skin))
+        rows, drives, still = self.room.bodies, contact.scene.drives, np.zeros(n)
+        if drives is not None:
+            ways = [
+                swing_of(motion_in(drives.motions, k), self.dt) for k in range(drives.which.size)
+            ]
+            still[drives.which] = ways
+        bodies = Bodies(
+            self.room.place,
+            np.ascontiguousarray(rows[:, AT : AT + 3].T),
+            np.ascontiguousarray(rows[:, VELOCITY : VELOCITY + 3].T),
+            np.ascontiguousarray(rows[:, TURNING]),
+            self.bound,
+            still,
+            np.zeros(n, dtype=np.bool_),
+        )
+        swings = np.array([swing_of(motion, self.dt) for motion in self.motions])
+        found = self.watch.look(contact.scene, self.lists, bodies, self.room.poses, swings, self.dt)
+        if found.depth > 0.0:
+            raise MotionError(lost_pair(found, self.group.members, time, contact.skin))
+
+    def fit_skin(self, steps: int, reach: Sequence[float]) -> None:
+        """Widen the skin where making lists costs more than going through them, and the reverse.
+
+        It is widened only where lists last longer by it and new ones take time that counts, and
+        never beyond what holds all pairs of the scene. All of it follows from counts.
+        """
+        skin = self.contact.skin
+        if steps > 0 and not self.contact.is_fixed:
+            n_pairs = self.lists.spheres.first.size + self.lists.walls.first.size
+            to_use = TO_USE * n_pairs * steps
+            has_moved = self.place.time < self.memory.until
+            has_moved = has_moved or farthest_way(self.motions, 2 * steps * self.dt, reach) > skin
+            is_worth_it = self.to_make > WORTH * steps * self.to_step
+            if self.to_make <= to_use:
+                skin = max(skin / WIDEN, self.least_skin)
+            elif has_moved and is_worth_it and steps < LONGEST:
+                skin *= WIDEN
+        places = self.room.place[:, :3], self.room.poses[:, :3]
+        farthest = sum(float(np.abs(x).max(initial=0.0)) for x in places)
+        widest = WIDEST * 2.0 * (math.sqrt(3.0) * farthest + self.extent)
+        self.contact = self.contact._replace(skin=min(skin, widest))
 
     def refuse_tunnelling(self, y: Floats) -> None:
         """Raise MotionError where a body moves by more than its own radius in a step."""
@@ -692,17 +759,19 @@ class TouchingMotion(CoupledMotion):
                 " speed or load, and lets it through; take a greater contact.stiffness or young"
             )
 
-    def walls_ahead(self, points: Floats) -> tuple[float, float]:
-        """How long lists hold as walls move [s], and how far these may move until then [m]."""
-        steps, skin = MOST_STEPS_AHEAD, self.contact.skin
+    def walls_ahead(self, lasted: int, reach: Sequence[float]) -> tuple[float, float]:
+        """How long lists hold as walls move [s], and how far these may move until then [m].
+
+        Up to twice the steps that the last ones have lasted, and no farther than the skin.
+        """
+        steps, skin = min(max(FEW_STEPS, 2 * lasted), LONGEST), self.contact.skin
         sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
         if not any(any(row[3:]) for row in self.contact.motions.tolist()):
             return LONGEST * self.dt, sliding
-        extent = float(np.abs(points - self.room.poses[:, :3].mean(axis=0)[:, None]).max())
-        while steps > 1 and farthest_way(self.motions, steps * self.dt, 2.0 * extent) > skin:
+        reach = [far + skin for far in reach]  # as bodies move
+        while steps > 1 and farthest_way(self.motions, steps * self.dt, reach) > skin:
             steps //= 2
-        way = farthest_way(self.motions, (steps + 1) * self.dt, 2.0 * extent)
-        return steps * self.dt, way + sliding
+        return steps * self.dt, farthest_way(self.motions, (steps + 1) * self.dt, reach) + sliding
 
     def contacts(
         self, which: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], shell: Ints
@@ -736,6 +805,7 @@ class TouchingMotion(CoupledMotion):
         saved |= {
             "turnover": self.room.turnover.copy(),
             "looks": np.array([self.swing, self.count]),
+            "watch": self.watch.saved(),
         }
         return saved | {"origin": self.origin.copy(), "way": way}
 
@@ -753,6 +823,7 @@ class TouchingMotion(CoupledMotion):
         self.origin = saved["origin"]
         self.room.turnover[:] = saved["turnover"]
         self.swing, self.count = float(saved["looks"][0]), int(saved["looks"][1])
+        self.watch.restore(saved["watch"])
         self.farthest, self.made, skin = saved["way"].tolist()
         self.contact = self.contact._replace(skin=skin)
 

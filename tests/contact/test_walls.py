@@ -334,7 +334,7 @@ def test_gap_moves_with_the_wall_and_the_bound_holds(seed):
     R1 = Rotation.from_quat(later[3:7], scalar_first=True)
     way = np.linalg.norm(later[:3] + R1.apply(x) - pose[:3] - R.apply(x))
     reach = np.linalg.norm(x - motion.centre)
-    assert way <= farthest_way([motion], dt, reach) * (1 + 1e-12)
+    assert way <= farthest_way([motion], dt, [reach]) * (1 + 1e-12)
 
 
 # Candidates
