@@ -1,12 +1,11 @@
 """Goes on with the run of a file, bit for bit as if it had never stopped.
 
-The file has the case, what was chosen for it, and a checkpoint. Bodies and plan are made anew and
-must come out as they were; frames behind the checkpoint are computed again and must be those that
-the file has. Nothing is written before all of that is known to fit.
+The file has the case, all that it reads, what was chosen for it, and a checkpoint. Bodies and plan
+are made anew and must come out as they were; frames behind the checkpoint are computed again and
+must be those that the file has. Nothing is written before all of that is known to fit.
 """
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +19,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.record.checked import refuse_elsewhere
 from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint
 from particlerb.record.claim import InUseError, is_closed
-from particlerb.record.provenance import replace_case, versions
+from particlerb.record.provenance import kept_case, replace_case, versions
 from particlerb.record.schema import PARAMETERS
 from particlerb.record.writer import Recorder
 from particlerb.simulate import (
@@ -36,6 +35,10 @@ from particlerb.studies.accuracy import prepare_again
 from particlerb.threads import THREADS
 from particlerb.trajectory import open_trajectory
 
+UNVERIFIED = (
+    "particlerb: warning: run.accuracy was verified until the earlier t_end only; method and step"
+    " stay as they were chosen"
+)
 DECIDES = ("particlerb", "sources", "python", "numpy", "numba")  # what may change the bits
 
 
@@ -80,19 +83,19 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
     with open_trajectory(path) as trajectory:
         file, n = trajectory.file, trajectory.n_frames
         refuse_elsewhere(file)
-        texts = {name: text_in(file, name) for name in ("case_resolved", "case_path", "case")}
         refuse_other_version(path, text_in(file, "versions"), text_in(file, "git_revision"))
-        if texts["case_resolved"] is None or text_in(file, "identity") is None:
+        if text_in(file, "case_resolved") is None or text_in(file, "identity") is None:
             raise ResumeError(f"{path} does not say how it was made, so it cannot go on")
-        case = case_of(path, texts, t_end, threads)
+        source = kept_case(file)
+        case = case_of(source, t_end, threads)
         prepared = prepare_again(case, text_in(file, "stepping"))
         if identity(prepared) != text_in(file, "identity"):
             raise ResumeError(
-                f"{path}: its case gives other bodies or another plan than the run had: the case"
-                " in the file, or a file that it names, was changed; run it anew"
+                f"{path}: its case gives other bodies or another plan than the run had: it was"
+                " changed in the file; run it anew"
             )
         known = frames_that_stay(path, trajectory.time, case)
-        total, stored = frame_count(case), Case.model_validate_json(texts["case_resolved"])
+        total = frame_count(case)
         if known == total and is_closed(path):
             raise ResumeError(
                 f"{path} has nothing left to do: all {n} frames until"
@@ -105,8 +108,10 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
         start = checkpoint.n_frames if checkpoint else 0
         if start > known:
             raise ResumeError(f"{path}: the checkpoint lies behind the frames; run the case anew")
-    is_prolonged = stored.run.t_end != case.run.t_end
-    warnings = (*prepared.plan.warnings, *remarks(texts, case, is_prolonged))
+    is_prolonged = source.raw["run"]["t_end"] != case.run.t_end
+    warnings = prepared.plan.warnings
+    if is_prolonged and case.run.accuracy is not None:
+        warnings = (*warnings, UNVERIFIED)
     return Pending(path, prepared, checkpoint, start, known, total, is_prolonged, warnings)
 
 
@@ -168,18 +173,13 @@ def refuse_other_version(path: Path, stored: str | None, revision: str | None) -
         )
 
 
-def case_of(
-    path: Path, texts: Mapping[str, str | None], t_end: float | None, threads: int | None
-) -> Case:
+def case_of(source: Source, t_end: float | None, threads: int | None) -> Case:
     """Case of a file, with another end or other threads if they are given."""
-    try:
-        raw = json.loads(texts["case_resolved"] or "")
-        raw["run"] |= {} if t_end is None else {"t_end": t_end}
-        raw["run"] |= {} if threads is None else {"threads": threads}
-    except (ValueError, TypeError, KeyError):
-        raise ResumeError(f"{path}: its case cannot be read") from None
-    origin = Path(texts["case_path"]) if texts["case_path"] else None
-    return build(Source(texts["case"] or "", origin, raw), ())
+    given = {"t_end": t_end, "threads": threads}
+    changes = {key: value for key, value in given.items() if value is not None}
+    run = source.raw.get("run")
+    raw = {**source.raw, "run": {**run, **changes}} if isinstance(run, dict) else source.raw
+    return build(source._replace(raw=raw), ())
 
 
 def frames_that_stay(path: Path, times: Floats, case: Case) -> int:
@@ -198,25 +198,3 @@ def frames_that_stay(path: Path, times: Floats, case: Case) -> int:
         )
     is_same = times == frame_times(case, 0, total)[: len(times)]
     return len(times) if is_same.all() else int(np.argmin(is_same))
-
-
-def remarks(texts: Mapping[str, str | None], case: Case, is_prolonged: bool) -> list[str]:
-    """What a user should know, and need not do anything about."""
-    found = []
-    origin = case.path
-    if origin is not None and texts["case"]:
-        try:
-            is_same = origin.read_text(encoding="utf-8-sig") == texts["case"]
-        except (OSError, UnicodeDecodeError):
-            is_same = True  # it is not there any more, which is nobody's mistake
-        if not is_same:
-            found.append(
-                f"particlerb: warning: {origin} has been changed since; the run goes on with the"
-                " case that is in its own file"
-            )
-    if is_prolonged and case.run.accuracy is not None:
-        found.append(
-            "particlerb: warning: run.accuracy was verified until the earlier t_end only; method"
-            " and step stay as they were chosen"
-        )
-    return found

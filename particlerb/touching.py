@@ -8,11 +8,11 @@ contacts themselves, so that no step is quadratic.
 
 import math
 from collections.abc import Iterator, Sequence
-from importlib import import_module
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from particlerb.bodies.mesh import triangles_of
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import turned
 from particlerb.case.contact import (
@@ -395,16 +395,10 @@ def mesh_of(case: Case, number: int, table: MeshWall) -> Walls:
     """
     key = f"wall[{number}].file"
     try:
-        trimesh = import_module("trimesh")
-    except ImportError:
-        hint = 'install it: pip install "particlerb[mesh]"'
-        raise CaseError([problem_at(case, key, "reading it needs trimesh", hint)]) from None
-    try:
-        loaded = trimesh.load_mesh(case.file(table.file), process=False)
-        corners = np.array(loaded.triangles, dtype=np.float64)
-    except Exception as error:  # whatever a broken file makes of trimesh
-        reason = f"trimesh cannot read it: {error}"
-        raise CaseError([problem_at(case, key, reason, "give an STL file")]) from None
+        places, faces = triangles_of(case.file(table.file))
+        corners = places[faces]
+    except (ValueError, IndexError) as error:
+        raise CaseError([problem_at(case, key, str(error), "give an STL file")]) from None
     if not corners.size:
         reason = "has no triangle: it is empty, cut off, or no STL file"
         raise CaseError([problem_at(case, key, reason, "write it again, as binary or ASCII STL")])

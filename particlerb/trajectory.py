@@ -17,6 +17,9 @@ from h5py import h5d, h5p
 from particlerb.bodies.bodies import Bodies, made_of, taken
 from particlerb.bodies.particles import Particles
 from particlerb.bodies.state import derived, turned, turned_back
+from particlerb.case.problems import CaseError
+from particlerb.case.reader import build
+from particlerb.case.schema import Case
 from particlerb.ledger import Entries
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.checked import (
@@ -30,6 +33,7 @@ from particlerb.record.checked import (
     open_file,
     text,
 )
+from particlerb.record.provenance import kept_case
 from particlerb.record.schema import (
     BODIES,
     COLUMNS,
@@ -514,6 +518,14 @@ class Trajectory:
             return words
         with blaming(self.file):
             return json.loads(words)
+
+    @property
+    def case(self) -> Case:
+        """Case of the run, with the files that it reads: as it is in this file, not on disk."""
+        try:
+            return build(self.patiently(lambda: kept_case(self.file)), ())
+        except CaseError as error:
+            raise TrajectoryError(f"{self.file.filename}: its case is wrong: {error}") from None
 
 
 def without_cache(values: h5py.Dataset) -> h5py.Dataset:

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.bodies.particles import Particles, one_kind
+from particlerb.case.files import File, content
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 COMMENT: Final = re.compile(r"[#%].*")
@@ -51,12 +52,12 @@ class Lines(NamedTuple):
         return np.stack([self.column[name] for name in "xyz"], axis=1)
 
 
-def read_points(path: str | Path) -> Particles:
+def read_points(file: str | Path | File) -> Particles:
     """Point masses, or balls, of one kind from a file with columns x, y, z, m and optionally r.
 
     Parameters
     ----------
-    path : path of the file
+    file : path of the file, or its content
         x, y, z, r in metres, m in kilograms.
 
     Returns
@@ -73,16 +74,16 @@ def read_points(path: str | Path) -> Particles:
         values, no number, a number not finite, a negative mass or radius, no rows, no mass, two
         masses or two balls at one place.
     """
-    table = read_table(path, POINTS)
+    table = read_table(content(file), POINTS)
     mass, radius = table.column["m"], table.column.get("r", np.zeros(len(table.line)))
     for is_matter in (mass > 0.0, radius > 0.0):
         refuse_twins(table.position, np.asarray(is_matter), table)
     if not mass.any():
-        raise ValueError(f"{path}: no mass: all values of m are 0")
+        raise ValueError(f"{table.path}: no mass: all values of m are 0")
     return one_kind(table.position, mass, radius)
 
 
-def read_spheres(path: str | Path) -> tuple[Floats, Floats]:
+def read_spheres(file: str | Path | File) -> tuple[Floats, Floats]:
     """Centres (n, 3) and radii (n,) [m] from a file with columns x, y, z, r.
 
     Raises
@@ -92,15 +93,16 @@ def read_spheres(path: str | Path) -> tuple[Floats, Floats]:
     ValueError
         As `read_points`; a radius has to be positive.
     """
-    table = read_table(path, SPHERES)
+    table = read_table(content(file), SPHERES)
     radius = table.column["r"]
     if not (radius > 0.0).all():
         i = int(np.argmin(radius > 0.0))
-        raise ValueError(f"{path}:{table.line[i]}: r = {radius[i]}: a sphere has a positive radius")
+        where = f"{table.path}:{table.line[i]}"
+        raise ValueError(f"{where}: r = {radius[i]}: a sphere has a positive radius")
     return table.position, radius
 
 
-def columns_of(path: str | Path) -> Columns:
+def columns_of(file: str | Path | File) -> Columns:
     """Kind of a file by its header, or by its number of columns: four are x y z r.
 
     Raises
@@ -108,24 +110,24 @@ def columns_of(path: str | Path) -> Columns:
     FileNotFoundError, ValueError
         As `read_points`.
     """
-    cells = lines_of(path)[0][1]
+    cells = lines_of(content(file))[0][1]
     if is_header(cells):
         return POINTS if {"m", "mass"} & {cell.lower() for cell in cells} else SPHERES
     return POINTS if len(cells) == len(POINTS.required) + 1 else SPHERES
 
 
-def lines_of(path: str | Path) -> list[tuple[int, list[str]]]:
+def lines_of(file: File) -> list[tuple[int, list[str]]]:
     """Cells of the lines that are neither blank nor comments, with their numbers."""
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = file.data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise ValueError(f"{path}: not a text file: a table of numbers is needed") from None
+        raise ValueError(f"{file.name}: not a text file: a table of numbers is needed") from None
     lines = []
     for number, line in enumerate(text.splitlines(), 1):
         if content := COMMENT.sub("", line).strip():
             lines.append((number, split(content)))
     if not lines:
-        raise ValueError(f"{path}: empty; expected rows with {POINTS.text} or {SPHERES.text}")
+        raise ValueError(f"{file.name}: empty; expected rows with {POINTS.text} or {SPHERES.text}")
     return lines
 
 
@@ -144,9 +146,9 @@ def is_header(cells: Sequence[str]) -> bool:
     )
 
 
-def read_table(path: str | Path, columns: Columns) -> Lines:
+def read_table(file: File, columns: Columns) -> Lines:
     """Table of a file; see `read_points`."""
-    lines = lines_of(path)
+    lines, path = lines_of(file), file.name
     first, cells = lines[0]
     if is_header(cells):
         names = header(cells, columns, f"{path}:{first}")
@@ -155,9 +157,9 @@ def read_table(path: str | Path, columns: Columns) -> Lines:
             raise ValueError(f"{path}:{first}: no particles below the header")
     else:
         names = [*columns.required, *columns.optional][: max(len(cells), len(columns.required))]
-    table = numbers(lines, names, str(path))
+    table = numbers(lines, names, path)
     column = {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(names)}
-    return Lines(column, np.array([number for number, _ in lines]), str(path))
+    return Lines(column, np.array([number for number, _ in lines]), path)
 
 
 def header(cells: Sequence[str], columns: Columns, where: str) -> list[str]:

@@ -11,7 +11,8 @@ Faces and edges are numbered as in the file, from 0.
 import math
 from collections.abc import Sequence
 from importlib import import_module
-from pathlib import Path
+from io import BytesIO
+from pathlib import Path, PurePath
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from particlerb.bodies.cells import cut_mesh, grid_over
 from particlerb.bodies.crossings import crossings
 from particlerb.bodies.solid import Solid
 from particlerb.bodies.winding import oriented, windings
+from particlerb.case.files import File, content
 from particlerb.maths.vec3 import Floats, Ints
 
 SUFFIXES: Final = (".stl", ".obj", ".ply")
@@ -49,40 +51,54 @@ class Mesh(NamedTuple):
 # Reading
 
 
-def read_mesh(path: str | Path, scale: float = 1.0) -> Mesh:
+def read_mesh(file: str | Path | File, scale: float = 1.0) -> Mesh:
     """Checked mesh of a file, which trimesh reads.
 
     Parameters
     ----------
-    path : path of an STL (ascii or binary), OBJ or PLY file
+    file : path of an STL (ascii or binary), OBJ or PLY file, or its content
     scale : float [m]
         Length of one unit of the file.
 
     Raises
     ------
-    FileNotFoundError
-        If there is no such file.
+    OSError
+        If the file is not there, or cannot be read.
     ValueError
-        If trimesh is not there or cannot read the file, or as in `checked`.
+        As `triangles_of`, `checked`.
     """
-    path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise ValueError(f"{path} is no mesh: its name must end with {', '.join(SUFFIXES)}")
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}")
+    name = file.name if isinstance(file, File) else str(file)
+    if PurePath(name).suffix.lower() not in SUFFIXES:
+        raise ValueError(f"{name} is no mesh: its name must end with {', '.join(SUFFIXES)}")
+    try:
+        vertices, faces = triangles_of(content(file))
+        return checked(scale * vertices, faces)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def triangles_of(file: File) -> tuple[Floats, Ints]:
+    """Vertices (n, 3) and faces (m, 3) of a file, as they are in it.
+
+    Textures and materials that it names are not looked for.
+
+    Raises
+    ------
+    ValueError
+        If trimesh is not there, or cannot read the file.
+    """
     try:
         trimesh: Any = import_module("trimesh")
     except ImportError:
-        raise ValueError(f"{path}: reading it needs trimesh: {PIP}") from None
+        raise ValueError(f"reading it needs trimesh: {PIP}") from None
+    kind = PurePath(file.name).suffix.lower().removeprefix(".")
     try:
-        loaded = trimesh.load_mesh(path, process=False)
-        vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.faces)
+        loaded = trimesh.load_mesh(
+            BytesIO(file.data), file_type=kind, process=False, skip_materials=True
+        )
+        return np.array(loaded.vertices, dtype=np.float64), np.array(loaded.faces, dtype=np.int64)
     except Exception as error:  # whatever a broken file makes of trimesh
-        raise ValueError(f"{path}: trimesh cannot read it: {error}") from None
-    try:
-        return checked(scale * np.asarray(vertices, dtype=np.float64), faces)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"trimesh cannot read it: {error}") from None
 
 
 # Checking

@@ -120,7 +120,7 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
             properties.append(mass_properties(sets[-1]))
             refuse_underflow(properties[-1])
             first.append(first[-1] + len(properties[-1].mass))
-        except (ValueError, OSError) as error:
+        except ValueError as error:
             key = f"body[{i}].shape" if body.shape is not None else f"body[{i}].part"
             problems.append(problem_at(case, key, f"{body.name}: {error}"))
     if problems:

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from particlerb.case.complaints import Complaint, complaints, without_typos
+from particlerb.case.files import Files
 from particlerb.case.overrides import overridden
 from particlerb.case.problems import CaseError, Problem, key_of, nearest, path_of
 from particlerb.case.rules import findings
@@ -71,7 +72,7 @@ def load(source: str | FilePath | Mapping[str, Any] | Case, overrides: Sequence[
             raw = plain(source)
         except RecursionError:
             raise CaseError([file_problem(None, "is nested too deeply")]) from None
-        return build(Source(raw=raw), overrides)
+        return build(Source(raw=raw, files=Files(FilePath())), overrides)
     path = FilePath(source)
     return parse(read_text(path), path, overrides)
 
@@ -94,7 +95,8 @@ def parse(text: str, path: FilePath | None = None, overrides: Sequence[str] = ()
         raise CaseError([file_problem(path, f"has a value out of range: {error}")]) from None
     if not text.strip():
         raise CaseError([file_problem(path, "is empty", "a case needs [run] and [[body]]")])
-    return build(Source(text, path, raw), overrides)
+    files = Files(path.parent if path else FilePath())
+    return build(Source(text, path, raw, files=files), overrides)
 
 
 def problem_at(case: Case, key: str, reason: str, hint: str = "") -> Problem:
@@ -161,7 +163,7 @@ def build(source: Source, overrides: Sequence[str]) -> Case:
     source = overridden(source, overrides)
     raw = dict(source.raw)
     try:
-        found = [Complaint(*finding) for finding in findings(raw, source.folder)]
+        found = [Complaint(*finding) for finding in findings(raw, source.files)]
         try:
             case = Case.model_validate(raw)
         except ValidationError as error:

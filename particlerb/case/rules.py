@@ -6,9 +6,9 @@ the right kind: that is reported by the schema. So one reading finds all mistake
 
 import math
 from collections.abc import Iterator
-from pathlib import Path as FilePath
 from typing import Any, TypeAlias
 
+from particlerb.case.files import Files
 from particlerb.case.problems import Path, nearest
 from particlerb.case.schema import Spring
 from particlerb.case.shapes import SHAPES
@@ -44,7 +44,7 @@ def given(table: dict[str, Any], key: str) -> bool:
     return table.get(key) is not None and table[key] != []
 
 
-def findings(raw: dict[str, Any], folder: FilePath) -> Iterator[Finding]:
+def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
     """All broken rules of a case."""
     yield from times(raw)
     yield from names(raw)
@@ -60,9 +60,9 @@ def findings(raw: dict[str, Any], folder: FilePath) -> Iterator[Finding]:
         yield from body_rules(("body", i), body)
         yield from held_rules(("body", i), body, raw)
         yield from many_bodies(("body", i), body)
-        yield from shapes(("body", i), body, folder)
+        yield from shapes(("body", i), body, files)
     for i, wall in tables(raw, "wall"):
-        yield from file_rules(("wall", i, "file"), wall.get("file"), folder)
+        yield from file_rules(("wall", i, "file"), wall.get("file"), files)
 
 
 def times(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -389,24 +389,20 @@ def grid_rules(path: Path, place: Any, count: int) -> Iterator[Finding]:
         yield (*path, "n"), f"has room for {math.prod(n)} of {count} bodies", ""
 
 
-def shapes(path: Path, body: dict[str, Any], folder: FilePath) -> Iterator[Finding]:
-    """Files that a shape names are there."""
+def shapes(path: Path, body: dict[str, Any], files: Files) -> Iterator[Finding]:
+    """Files that a shape names can be read."""
     places = [(path, body), *(((*path, "part", j), part) for j, part in tables(body, "part"))]
     for where, table in places:
         shape = table.get("shape")
         name = shape.get("file") if isinstance(shape, dict) else None
-        yield from file_rules((*where, "shape", "file"), name, folder)
+        yield from file_rules((*where, "shape", "file"), name, files)
 
 
-def file_rules(path: Path, name: Any, folder: FilePath) -> Iterator[Finding]:
-    """A file that is named is there."""
-    if isinstance(name, str) and name and not is_file(folder / name):
-        yield path, f'there is no file "{name}" in {folder.as_posix()}', ""
-
-
-def is_file(path: FilePath) -> bool:
-    """Whether a path is a regular file that can be looked at."""
+def file_rules(path: Path, name: Any, files: Files) -> Iterator[Finding]:
+    """A file that is named can be read; from here on its content is that of the case."""
+    if not isinstance(name, str) or not name:
+        return
     try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
+        files.read(name)
+    except ValueError as error:
+        yield path, str(error), ""

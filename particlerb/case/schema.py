@@ -21,6 +21,7 @@ from pydantic import (
 )
 
 from particlerb.case.contact import Contact, Material, Prescribed, Wall, Yes
+from particlerb.case.files import File
 from particlerb.case.shapes import Shape, Sphere, as_points
 from particlerb.case.source import Source
 from particlerb.case.values import (
@@ -475,9 +476,9 @@ class Case(Table):
         """File of the case; None for a case from Python."""
         return self._source.path
 
-    def file(self, name: str) -> Path:
-        """Path of a file that the case names, relative to the folder of the case."""
-        return self._source.folder / name
+    def file(self, name: str) -> File:
+        """Content of a file that the case names, relative to the folder of the case."""
+        return self._source.files.read(name)
 
     @property
     def n_bodies(self) -> int:

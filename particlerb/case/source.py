@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
+from particlerb.case.files import Files
 from particlerb.case.positions import Extent, extents
 from particlerb.case.problems import Path, Problem, key_of, shown
 
@@ -17,11 +18,8 @@ class Source(NamedTuple):
     path: FilePath | None = None
     raw: Mapping[str, Any] = {}
     overridden: tuple[Path, ...] = ()
-
-    @property
-    def folder(self) -> FilePath:
-        """Folder that files named in the case are relative to."""
-        return self.path.parent if self.path else FilePath()
+    files: Files = Files()
+    """That the case names."""
 
 
 class Locator:

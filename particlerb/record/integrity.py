@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from particlerb.record.checked import followed, refuse_foreign_storage
 from particlerb.record.schema import (
     AXES,
+    FILES,
     INTEGRITY,
     PARAMETERS,
     STATIC,
@@ -88,7 +89,10 @@ def unchanging(file: h5py.File) -> list[str]:
     paths = [*STATIC, *AXES, f"{TRAJECTORY}/body"]
     paths += [path for path in (WALL_NAMES, WALL_NUMBERS) if path in file]
     paths += TOPOLOGY if VTKHDF in file else ()
-    return [*paths, *(f"{PARAMETERS}/{name}" for name in sorted(file[PARAMETERS]))]
+    texts = (f"{PARAMETERS}/{name}" for name in sorted(file[PARAMETERS]))
+    paths += [path for path in texts if path != FILES]
+    kept = file.get(FILES, ())
+    return [*paths, *(f"{FILES}/{name}" for name in sorted(kept))]
 
 
 def digest(file: h5py.File) -> str:

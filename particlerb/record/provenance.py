@@ -1,5 +1,9 @@
-"""Where a trajectory file comes from: enough to run it again, in /parameters."""
+"""Where a trajectory file comes from: enough to run it again, in /parameters.
 
+That is the case, the files that it reads, and the versions of what made it.
+"""
+
+import hashlib
 import json
 import platform
 import subprocess
@@ -8,12 +12,16 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import h5py
+import numpy as np
 
 import particlerb
 from particlerb._jit import source_hash
+from particlerb.case.files import Files
 from particlerb.case.schema import Case
+from particlerb.case.source import Source
+from particlerb.record.checked import blaming, checked, followed, text
 from particlerb.record.integrity import seal
-from particlerb.record.schema import PARAMETERS
+from particlerb.record.schema import FILE_NAMES, FILES, PARAMETERS
 
 
 def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> None:
@@ -27,9 +35,10 @@ def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> No
         "machine": f"{platform.machine()} {platform.system()} {platform.release()}",
         "git_revision": git_revision(),
     }
-    for name, text in parameters.items():
-        write_text(file, name, text)
+    for name, words in parameters.items():
+        write_text(file, name, words)
     file[f"{PARAMETERS}/seed"] = case.run.seed
+    write_files(file, case.source.files.contents)
 
 
 def replace_case(file: h5py.File, case: Case) -> None:
@@ -39,7 +48,58 @@ def replace_case(file: h5py.File, case: Case) -> None:
     file.flush()
 
 
-def write_text(file: h5py.File, name: str, text: str) -> None:
+def write_files(file: h5py.File, contents: Mapping[str, bytes]) -> None:
+    """Keep what the case reads: each content once, under its SHA-256, and a table of the names."""
+    hashes = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
+    if hashes:
+        write_text(file, FILE_NAMES, json.dumps(hashes))
+    for name, key in hashes.items():
+        if f"{FILES}/{key}" not in file:
+            file[f"{FILES}/{key}"] = np.frombuffer(contents[name], dtype=np.uint8)
+
+
+def kept_files(file: h5py.File) -> dict[str, bytes]:
+    """Contents of the files that the case reads, by their names in it.
+
+    Raises
+    ------
+    TrajectoryError
+        If one is missing or damaged.
+    """
+    found: dict[str, bytes] = {}
+    with blaming(file):
+        if FILE_NAMES not in followed(file, PARAMETERS):
+            return found
+        hashes = json.loads(text(file, f"{PARAMETERS}/{FILE_NAMES}"))
+        if not isinstance(hashes, dict):
+            raise ValueError(f"{PARAMETERS}/{FILE_NAMES} is no table")
+        for name, key in hashes.items():
+            data = checked(file, f"{FILES}/{key}", "u", (None,))[:].tobytes()
+            if hashlib.sha256(data).hexdigest() != key:
+                raise ValueError(f"{FILES}/{key} is damaged")
+            found[name] = data
+    return found
+
+
+def kept_case(file: h5py.File) -> Source:
+    """What a case is made of again; nothing of it is looked up on disk.
+
+    Raises
+    ------
+    TrajectoryError
+        If it is missing or damaged.
+    """
+    with blaming(file):
+        raw = json.loads(text(file, f"{PARAMETERS}/case_resolved"))
+        if not isinstance(raw, dict):
+            raise ValueError("its case is no table")
+    place = text(file, f"{PARAMETERS}/case_path")
+    files = Files(contents=kept_files(file))
+    toml = text(file, f"{PARAMETERS}/case")
+    return Source(toml, Path(place) if place else None, raw, files=files)
+
+
+def write_text(file: h5py.File, name: str, words: str) -> None:
     """Write a text of /parameters, UTF-8, in place of what is there.
 
     Of fixed length: its bytes lie in one place, and a reader can tell beforehand how many they are.
@@ -47,7 +107,7 @@ def write_text(file: h5py.File, name: str, text: str) -> None:
     group = file.require_group(PARAMETERS)
     if name in group:
         del group[name]
-    data = text.encode()
+    data = words.encode()
     group.create_dataset(name, data=data, dtype=h5py.string_dtype("utf-8", max(len(data), 1)))
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.mesh import read_mesh
+from particlerb.bodies.mesh import read_mesh, triangles_of
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import turned, turned_back
 from particlerb.case.placement import normalised, quaternion_of_euler
@@ -352,8 +352,8 @@ def walls_of(case: Case, size: float) -> list[Mesh]:
             made = trimesh.creation.cylinder(wall.radius, wall.length, sections=ROUND)
             mesh = as_mesh(made).moved(R, np.array(wall.centre))
         else:
-            loaded = trimesh.load_mesh(case.file(wall.file), process=False)
-            mesh = as_mesh(loaded)._replace(vertices=wall.scale * np.array(loaded.vertices))
+            vertices, faces = triangles_of(case.file(wall.file))
+            mesh = Mesh(wall.scale * vertices, faces)
             mesh = mesh.moved(rotation(wall.orientation), np.array(wall.position))
         found.append(mesh)
     return found

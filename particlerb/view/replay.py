@@ -16,11 +16,10 @@ import viser
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import derived
 from particlerb.case.problems import CaseError
-from particlerb.case.reader import load
 from particlerb.case.schema import Case
 from particlerb.maths.vec3 import Floats
 from particlerb.relaxing import assembled
-from particlerb.trajectory import Trajectory
+from particlerb.trajectory import Trajectory, TrajectoryError
 from particlerb.view.controls import MOST_LISTED
 from particlerb.view.figures import motion_of, state_parts, table
 from particlerb.view.live import FIGURES, Turning, clock, note
@@ -58,9 +57,9 @@ def scene_of(trajectory: Trajectory) -> tuple[Case, Scene]:
     if not trajectory.n_frames:
         raise ReplayError("the file has no frames")
     try:
-        case = load(trajectory.parameter("case_resolved"))
+        case = trajectory.case
         scene = assembled(case)
-    except CaseError as error:
+    except (CaseError, TrajectoryError) as error:
         raise ReplayError(f"its bodies cannot be made again: {error}") from None
     if len(scene.kind) != trajectory.n_bodies:
         raise ReplayError(f"its case has {len(scene.kind)} bodies, it {trajectory.n_bodies}")

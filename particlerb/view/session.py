@@ -12,6 +12,7 @@ grid before the push stays as it was. Must not know the browser.
 import copy
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -329,7 +330,7 @@ def with_absolute_files(raw: Any, case: Case) -> Any:
     """Data in which every file is named by its full path, so that the case can lie anywhere."""
     if isinstance(raw, Mapping):
         return {
-            key: str(case.file(value).absolute())
+            key: str(((case.source.files.folder or Path()) / value).absolute())
             if key == "file" and isinstance(value, str)
             else with_absolute_files(value, case)
             for key, value in raw.items()

@@ -101,9 +101,11 @@ def test_case_keeps_its_text_path_and_folder(tmp_path):
     path.write_text(TEXT)
     case = load(str(path))
     assert (case.text, case.path) == (TEXT, path)
-    assert case.file("a.csv") == tmp_path / "a.csv"
-    assert case.file(str(path)) == path
-    assert parse(TEXT).file("a.csv") == Path("a.csv")
+    (tmp_path / "a.csv").write_text("1")
+    assert case.file("a.csv") == (str(tmp_path / "a.csv"), b"1")
+    assert case.file(str(path)) == (str(path), TEXT.encode())
+    with pytest.raises(ValueError, match=r'there is no file "a\.csv" in \.$'):
+        parse(TEXT).file("a.csv")
     assert case.n_bodies == 2
 
 

@@ -16,11 +16,13 @@ from particlerb.record.schema import (
     BODIES,
     CONTACT_FIELDS,
     FIELDS,
+    FILES,
     LEDGER,
     OBSERVABLES,
     OFFSET,
     STATIC,
     TRAJECTORY,
+    WALL_NUMBERS,
     WALLS,
 )
 
@@ -40,6 +42,7 @@ SIZES = {
     T * N: "T N",
     N + 1: "N + 1",
 }
+LINKED = (f"{TRAJECTORY}/step", f"{TRAJECTORY}/time", WALL_NUMBERS)
 OF_OTHERS = {"DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME", "units", "meaning"}
 
 
@@ -53,14 +56,13 @@ class Row(NamedTuple):
     meaning: str
 
 
-def scene(make, **keys):
-    """N bodies of K kinds with P particles."""
-    points = {
-        "type": "points",
-        "position": [[0, 0, 0], [0, 0, 1], [1, 0, 0]],
-        "mass": [1, 1, 1],
-        "radius": [0.1, 0.1, 0.1],
-    }
+TABLE = "0 0 0 1 0.1\n0 0 1 1 0.1\n1 0 0 1 0.1\n"
+
+
+def scene(make, folder, **keys):
+    """N bodies of K kinds with P particles, some from a table in the folder."""
+    (folder / "points.csv").write_text(TABLE)
+    points = {"type": "points", "file": str(folder / "points.csv")}
     through = {"contact": False} if "contact" in keys else {}
     bodies = [make.body(name, **through) for name in "abcd"]  # six particles each
     bodies.append(make.body("e", shape=points, count=4, place={"type": "grid", "spacing": 2.0}))
@@ -74,7 +76,7 @@ def type_words(dtype) -> str:
 
 
 def shape_words(path: str, shape: tuple[int, ...]) -> str:
-    if path.startswith("checkpoint/"):
+    if path.startswith(("checkpoint/", FILES)):
         return "any"
     if path.startswith("contacts/") and path != OFFSET:
         return ", ".join(["C", *map(str, shape[1:])])
@@ -82,15 +84,15 @@ def shape_words(path: str, shape: tuple[int, ...]) -> str:
 
 
 def held(path: Path) -> tuple[dict[str, Row], dict[str, tuple[str, str]]]:
-    """Datasets and attributes of a file; links to the clock count once."""
+    """Datasets and attributes of a file; scales that are linked into many groups count once."""
     rows, attributes = {}, {}
     with h5py.File(path) as file:
-        clock = [file[f"{TRAJECTORY}/{name}"] for name in ("step", "time")]
+        linked = [name for name in LINKED if name in file]
+        scales = [file[name] for name in linked]
 
         def walk(group: h5py.Group, prefix: str) -> None:
             for name, entry in {f"{prefix}{name}": group[name] for name in group}.items():
-                is_link = name not in (f"{TRAJECTORY}/step", f"{TRAJECTORY}/time")
-                if isinstance(entry, h5py.Dataset) and entry in clock and is_link:
+                if isinstance(entry, h5py.Dataset) and entry in scales and name not in linked:
                     continue
                 for key, value in entry.attrs.items():
                     if key not in OF_OTHERS:
@@ -101,6 +103,8 @@ def held(path: Path) -> tuple[dict[str, Row], dict[str, tuple[str, str]]]:
                 unit = entry.attrs.get("units", "-")
                 meaning = entry.attrs.get("meaning", "")
                 shape = shape_words(name, entry.shape)
+                if name.startswith(FILES):
+                    name = f"{FILES}/<sha256>"  # noqa: PLW2901
                 rows[name] = Row(type_words(entry.dtype), shape, unit, frame_of(name), meaning)
 
         walk(file, "")
@@ -137,7 +141,7 @@ def page() -> tuple[dict[str, Row], dict[str, tuple[str, str]]]:
     return rows, attributes
 
 
-FILES = {
+SORTS = {
     "all": {"output": {"fields": list(FIELDS)}, "accuracy": 1e-3},
     "default": {},
     "float32": {"output": {"dtype": "float32"}},
@@ -159,13 +163,13 @@ def files(make, tmp_path_factory):
     """Datasets and attributes of a file of each sort."""
     folder = tmp_path_factory.mktemp("schema")
     found = {}
-    for name, keys in FILES.items():
-        particlerb.run(scene(make, **keys), folder / f"{name}.h5").close()
+    for name, keys in SORTS.items():
+        particlerb.run(scene(make, folder, **keys), folder / f"{name}.h5").close()
         found[name] = held(folder / f"{name}.h5")
     return found
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", SORTS)
 def test_what_a_file_holds_is_on_the_page(files, name):
     listed, described = page()
     rows, attributes = files[name]
@@ -230,7 +234,9 @@ if __name__ == "__main__":
         output = Path(folder) / "all.h5"
         found, named = {}, {}
         for sort in ("all", "contact"):
-            particlerb.run(scene(makers, **FILES[sort]), output, overwrite=True).close()
+            particlerb.run(
+                scene(makers, output.parent, **SORTS[sort]), output, overwrite=True
+            ).close()
             found, named = [a | b for a, b in zip((found, named), held(output), strict=True)]
     known, _ = page() if PAGE.exists() else ({}, {})
     for where, one in found.items():

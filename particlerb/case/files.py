@@ -1,0 +1,80 @@
+"""Files that a case names, by content: each is read once, and goes along with what is made of it.
+
+A case from a trajectory has the contents that lie in it. Its names are then names and no paths:
+nothing is looked up on disk.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path as FilePath
+from typing import NamedTuple
+
+
+class File(NamedTuple):
+    """Content of a file."""
+
+    name: str
+    """As messages say it; its ending tells the format."""
+    data: bytes
+
+
+class Files:
+    """Files of one case.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        That names are relative to; None where nothing may be looked up on disk.
+    contents : mapping of str to bytes, optional
+        What is known already, by the names in the case.
+    """
+
+    def __init__(
+        self, folder: FilePath | None = None, contents: Mapping[str, bytes] | None = None
+    ) -> None:
+        self.folder = folder
+        self.contents = dict(contents or {})
+
+    def read(self, name: str) -> File:
+        """A file by its name in the case; from disk the first time only.
+
+        Raises
+        ------
+        ValueError
+            If it is not there, or cannot be read.
+        """
+        if self.folder is None:
+            if name not in self.contents:
+                raise ValueError(f'there is no file "{name}" with the case')
+            return File(name, self.contents[name])
+        path = self.folder / name
+        if name not in self.contents:
+            if not is_file(path):
+                raise ValueError(f'there is no file "{name}" in {self.folder.as_posix()}')
+            try:
+                self.contents[name] = path.read_bytes()
+            except OSError as error:
+                raise ValueError(f'"{name}" cannot be read: {error.strerror or error}') from None
+        return File(str(path), self.contents[name])
+
+
+def content(file: str | FilePath | File) -> File:
+    """A file that is named by its path, read; one that is read already as it is.
+
+    Raises
+    ------
+    OSError
+        If it is not there, or cannot be read.
+    """
+    if isinstance(file, File):
+        return file
+    if not is_file(FilePath(file)):
+        raise FileNotFoundError(f"there is no file {file}")
+    return File(str(file), FilePath(file).read_bytes())
+
+
+def is_file(path: FilePath) -> bool:
+    """Whether a path is a regular file that can be looked at."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
