@@ -52,6 +52,7 @@ def make_walls(file: h5py.File, case: Case) -> None:
     file[WALL_NAMES].attrs["meaning"] = "of each wall"
     file[WALL_NUMBERS] = np.arange(len(names))
     file[WALL_NUMBERS].make_scale("wall")
+    file[WALL_NAMES].dims[0].attach_scale(file[WALL_NUMBERS])
 
 
 def walls_wanted(case: Case) -> list[str]:

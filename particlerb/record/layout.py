@@ -129,6 +129,8 @@ def make_element(
     group, clock = file.require_group(path), file[f"{TRAJECTORY}/time"]
     group["step"], group["time"] = file[f"{TRAJECTORY}/step"], clock
     numbers, width = [file[SCALE_OF[per]]] if per else [], len(element.components)
+    if per == "wall":
+        group[per] = numbers[0]  # netCDF looks for scales in this group and those above
     n = len(numbers[0]) if per else 1
     shape = ((n,) if per else ()) + ((width,) if width else ())
     dtype = np.dtype(np.int32 if element.is_count else dtype)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import particlerb
+from particlerb.case.wanted import FIELDS_OF_CONTACT
 from particlerb.record.schema import FIELDS
 
 ALL = list(FIELDS)
@@ -168,6 +169,97 @@ def test_xarray_opens_the_tree(written):
         assert (tree["observables/energy/value"].values == observables["energy"]).all()
     with xarray.open_datatree(path, engine="h5netcdf", phony_dims="sort") as tree:
         assert (tree["particles/trajectory/position/value"].values == file.position).all()
+
+
+OPTIONAL = {name: [name] for name in FIELDS_OF_CONTACT} | {
+    "velocities": ["velocity", "angular_velocity"],
+    "all": [*ALL[4:], *FIELDS_OF_CONTACT],
+}
+
+
+@pytest.fixture(scope="module", params=[*OPTIONAL, "all, float32"])
+def optional(make, tmp_path_factory, request):
+    """A file with an optional output, or all, with two walls and a table of particles."""
+    folder = tmp_path_factory.mktemp("optional")
+    (folder / "points.csv").write_text("x y z m\n0 0 0 1\n1 0 0 1\n0 1 0 1\n")
+    points = {"type": "points", "file": str(folder / "points.csv")}
+    bodies = [
+        make.sphere(
+            count=2,
+            place={"type": "grid", "spacing": 1.0, "origin": [0, 0, 0.1005]},
+            velocity=[0, 0, -1],
+        ),
+        {"name": "points", "shape": points, "contact": False, "position": [0, 0, 9]},
+    ]
+    name, _, dtype = request.param.partition(", ")
+    output = {"fields": [*CORE, *OPTIONAL[name]], "dtype": dtype or "float64"}
+    walls = [make.plane(), make.plane(name="side", normal=[0, 1, 0], point=[0, -1, 0])]
+    numbers = {"contact": make.hooke(), "wall": walls, "output": output, "dt": 1e-3}
+    path = folder / "run.h5"
+    particlerb.run(make.case(*bodies, t_end=0.004, every=1e-3, **numbers), path).close()
+    return path
+
+
+def datasets(path):
+    """All numbers of a file that are no views, as plain h5py reads them."""
+    found = {}
+
+    def look_at(name, entry):
+        if isinstance(entry, h5py.Dataset) and entry.dtype.kind in "iuf" and not entry.is_virtual:
+            found[name] = entry[()]
+
+    with h5py.File(path, locking=False) as file:
+        file.visititems(look_at)
+    return found
+
+
+def test_every_optional_output_is_read_by_netcdf(optional):
+    """Each variable of the file, by both libraries."""
+    import h5netcdf
+    import netCDF4
+
+    expected = datasets(optional)
+    assert len(expected.get("contacts/body", [0])) > 0
+    with netCDF4.Dataset(optional) as whole, h5netcdf.File(optional, phony_dims="sort") as other:
+        whole.set_auto_mask(False)
+        for name, values in expected.items():
+            for tree in (whole, other):
+                assert np.array_equal(tree[name][...], values, equal_nan=True), name
+        for name in (name for name in expected if name.startswith("observables/wall_")):
+            assert whole[name].dimensions[:2] == ("time", "wall") or name.endswith("/wall")
+
+
+@pytest.mark.parametrize("engine", [{"engine": "netcdf4"}, {"engine": "h5netcdf"}])
+def test_xarray_opens_the_tree_with_every_optional_output(optional, engine):
+    import xarray
+
+    names = {"phony_dims": "sort"} if engine["engine"] == "h5netcdf" else {}
+    expected = datasets(optional)
+    with xarray.open_datatree(optional, **engine, **names) as tree:
+        for name, values in expected.items():
+            assert np.array_equal(tree[name].values, values, equal_nan=True), name
+
+
+def test_vtk_and_mdanalysis_read_every_optional_output(optional):
+    import MDAnalysis
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    expected = datasets(optional)
+    universe = MDAnalysis.Universe.empty(3, trajectory=False)
+    universe.load_new(str(optional), format="H5MD", convert_units=False)
+    walls = [name for name in expected if name.startswith("observables/wall_")]
+    for frame, (_, output) in zip(universe.trajectory, vtk_frames(optional), strict=True):
+        place = expected["particles/trajectory/position/value"][frame.frame]
+        assert (frame.positions == place.astype(np.float32)).all()
+        assert (vtk_to_numpy(output.GetPoints().GetData()) == place).all()
+        for name in (name for name in walls if name.endswith("value")):
+            own = frame.data[name.split("/")[1]]
+            assert (own == expected[name][frame.frame]).all()
+        data = output.GetPointData()
+        shown = {data.GetArrayName(k) for k in range(data.GetNumberOfArrays())}
+        for name in shown - {"id", "mass", "extent", "kind"}:
+            values = expected[f"particles/trajectory/{name}/value"][frame.frame]
+            assert (vtk_to_numpy(data.GetArray(name)) == values).all()
 
 
 def test_pyh5md(written):
