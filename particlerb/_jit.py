@@ -5,21 +5,26 @@ the interpreter's lock, so that `threads` can spread them. `lean` and `lean_kern
 uses an array, which costs 5 ns for each that a loop takes out of a tuple or hands to a helper: they
 can make none. Numba's cache does not notice an edit in
 another file, nor a changed NUMBA_* flag; so the cache folder has a hash of all of it in its name.
+Nor does it notice that a file was cut or changed, or give up where none can be written: each file
+has a hash of its content, what is damaged is compiled anew, and one warning says what is not kept.
 """
 
 import contextlib
 import functools
 import hashlib
 import os
+import pickle
 import shutil
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import caching
 
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -30,6 +35,10 @@ FLAGS: dict[str, Any] = {
     "error_model": "numpy",  # 1 / 0 is inf: a branch for ZeroDivisionError would stop vectorising
     "fastmath": {"contract"},  # a b + c in one rounding; nothing that changes what NaN means
 }
+
+
+class CacheWarning(RuntimeWarning):
+    """Compiled code cannot be kept: the next start compiles again."""
 
 
 @functools.cache
@@ -75,19 +84,19 @@ def private_temporary_root() -> Path:
         status = root.lstat()
         if not root.is_symlink() and status.st_uid == user and not status.st_mode & 0o022:
             return root
+        return Path(tempfile.mkdtemp(prefix="particlerb-"))
     except OSError:
-        pass
-    return Path(tempfile.mkdtemp(prefix="particlerb-"))
+        return root / "nowhere"  # nothing will be kept in it
 
 
 def cache_folder() -> Path:
     """Folder of this version's compiled code; making it prunes those of old versions."""
     root = cache_root()
     folder = root / source_hash()
-    if not folder.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        prune(root, folder)
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):  # said where the first kernel is to be kept
+        if not folder.exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            prune(root, folder)
         os.utime(folder)  # now in use: the oldest are pruned first
     return folder
 
@@ -106,18 +115,107 @@ def prune(root: Path, folder: Path) -> None:
 CACHE_FOLDER = None if config.DISABLE_JIT else str(cache_folder())
 
 
-def compile_with(**options: Any) -> Callable[[Function], Function]:
+@functools.cache
+def warn_once(folder: str) -> None:
+    """Say that compiled code is not kept in a folder."""
+    error = sys.exc_info()[1]
+    reason = getattr(error, "strerror", None) or error or "it cannot be written"
+    text = f"compiled code cannot be kept in {folder} ({reason}): every start compiles again"
+    warnings.warn(CacheWarning(f"{text}; NUMBA_CACHE_DIR names another folder"), stacklevel=2)
+
+
+class CheckedFiles(caching.IndexDataCacheFile):
+    """Numba's files of a kernel, an index and its data, each with the SHA-256 of its content.
+
+    Data also name what they are for: two processes may have chosen the same name at once.
+    """
+
+    def load(self, key: Any) -> Any:
+        """What is kept for a key; None where there is nothing, or nothing whole."""
+        found = super().load(key)
+        return found[1] if found is not None and found[0] == key else None
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep something for a key."""
+        super().save(key, (key, data))
+
+    def _load_index(self) -> Any:
+        head = pickle.dumps(self._version, protocol=-1)
+        stamp, overloads = self.whole(self._index_path, head) or (None, {})
+        return overloads if stamp == self._source_stamp else {}
+
+    def _load_data(self, name: str) -> Any:
+        return self.whole(self._data_path(name))
+
+    def _dump(self, found: Any) -> bytes:
+        data: bytes = super()._dump(found)
+        return hashlib.sha256(data).digest() + data
+
+    def whole(self, path: str, head: bytes = b"") -> Any:
+        """Content of a file that begins so; None where it is not whole, and then it is deleted."""
+        try:
+            data = Path(path).read_bytes()
+        except OSError:
+            return None
+        digest, content = data[len(head) : len(head) + 32], data[len(head) + 32 :]
+        if data.startswith(head) and hashlib.sha256(content).digest() == digest:
+            return pickle.loads(content)
+        with contextlib.suppress(OSError):
+            Path(path).unlink()
+        return None
+
+
+class KernelCache(caching.FunctionCache):
+    """Numba's cache of a kernel, that never ends a run."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Compiled code of a signature; None where there is none that can be used."""
+        try:
+            return super().load_overload(signature, context)
+        except Exception:  # whatever unpickling and linking may raise: it is compiled anew
+            return None
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Keep the compiled code of a signature, if that can be."""
+        try:
+            super().save_overload(signature, compiled)
+        except OSError:
+            warn_once(str(CACHE_FOLDER))
+
+
+def keep(dispatcher: Any) -> None:
+    """Let the compiled code of a kernel be kept in our folder, and in no other that Numba knows."""
+    assert CACHE_FOLDER is not None
+    before = config.CACHE_DIR
+    config.CACHE_DIR = CACHE_FOLDER  # read while a cache is made, and for our code only
+    try:
+        cache = KernelCache(dispatcher.py_func)
+    except (OSError, RuntimeError):  # RuntimeError: there is no place for it
+        warn_once(CACHE_FOLDER)
+        return
+    finally:
+        config.CACHE_DIR = before
+    if Path(cache.cache_path).is_relative_to(CACHE_FOLDER):
+        dispatcher._cache = cache
+    else:
+        warn_once(CACHE_FOLDER)
+
+
+def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Function]:
     """Return Numba's decorator with these options; the function's own type stays visible."""
 
     def decorate(function: Function) -> Function:
         if CACHE_FOLDER is None:
             return function
-        before = config.CACHE_DIR
-        config.CACHE_DIR = CACHE_FOLDER  # read while decorating, and for our code only
-        try:
-            return cast(Function, numba.njit(**FLAGS, **options)(function))
-        finally:
-            config.CACHE_DIR = before
+        dispatcher = numba.njit(**FLAGS, **options)(function)
+        if cache:
+            keep(dispatcher)
+        return cast(Function, dispatcher)
 
     return decorate
 

@@ -1,9 +1,12 @@
 """Compiled code follows the sources: an edit anywhere in the package, or a flag, recompiles."""
 
+import errno
+import importlib.util
 import os
 import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
@@ -105,3 +108,193 @@ def test_a_cache_that_is_a_file_falls_back_to_a_private_folder(tmp_path, monkeyp
     assert root.is_dir()
     if os.name != "nt":
         assert not root.stat().st_mode & 0o022
+
+
+# A cache that is full, or damaged
+
+MODULE = """
+from particlerb._jit import kernel
+
+@kernel
+def double(x):
+    return 2 * x
+
+@kernel
+def treble(x):
+    return 3 * x
+"""
+
+
+@pytest.fixture
+def fresh(tmp_path, monkeypatch):
+    """Kernels as a new process has them, and the folder of their compiled code."""
+    (tmp_path / "kernels.py").write_text(MODULE)
+    (tmp_path / "cache").mkdir()
+    monkeypatch.setattr(_jit, "CACHE_FOLDER", str(tmp_path / "cache"))
+    _jit.warn_once.cache_clear()
+
+    def load():
+        spec = importlib.util.spec_from_file_location("kernels", tmp_path / "kernels.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    yield load, tmp_path / "cache"
+    _jit.warn_once.cache_clear()
+
+
+def works(load, is_kept):
+    """A kernel computes, and was kept or not."""
+    kernel = load().double
+    assert kernel(2.5) == 5.0
+    assert sum(kernel.stats.cache_hits.values()) == int(is_kept)
+
+
+def the_warning(load):
+    """The only one of two kernels, which compute all the same."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        works(load, False)
+        assert load().treble(1) == 3
+    (one,) = told
+    assert one.category is _jit.CacheWarning
+    return str(one.message)
+
+
+def files(folder):
+    """Index and data of the kernel."""
+    (index,) = folder.rglob("*double*.nbi")
+    (data,) = folder.rglob("*double*.nbc")
+    return index, data
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("which", [0, 1])
+def test_what_is_damaged_is_thrown_away(fresh, which):
+    """Emptied, cut and changed anywhere; the next start but one finds whole files again."""
+    load, folder = fresh
+    works(load, False)
+    path = files(folder)[which]
+    whole = path.read_bytes()
+    places = sorted({0, 1, 20, 40, len(whole) // 2, len(whole) - 1})
+    cut = [whole[:k] for k in places]
+    changed = [whole[:k] + bytes([whole[k] ^ 4]) + whole[k + 1 :] for k in places]
+    for content in (*cut, *changed, b"garbage" * 99, whole + b"x"):
+        path.write_bytes(content)
+        works(load, False)
+        works(load, True)
+
+
+@pytest.mark.compiled
+def test_data_of_another_signature_are_not_taken(fresh):
+    """As two processes leave them that have chosen the same name at once."""
+    load, folder = fresh
+    kernel = load().double
+    assert (kernel(2), kernel(2.5)) == (4, 5.0)
+    one, two = sorted(folder.rglob("*.nbc"))
+    shutil.copy(one, two)
+    kernel = load().double
+    assert (kernel(2), kernel(2.5)) == (4, 5.0)
+    assert sum(kernel.stats.cache_hits.values()) == 1
+
+
+def spoil(folder, how):
+    """Make the folder of the compiled code useless."""
+    if how == "file":
+        folder.rmdir()
+        folder.write_text("")
+    elif how == "file within":
+        for path in folder.iterdir():
+            shutil.rmtree(path)
+            path.write_text("")
+    elif how == "folders":  # in place of files
+        for path in files(folder):
+            path.unlink()
+            path.mkdir()
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("how", ["file", "file within", "folders"])
+def test_a_folder_that_cannot_be_used_is_one_warning(fresh, how):
+    load, folder = fresh
+    if how != "file":
+        works(load, False)
+    spoil(folder, how)
+    assert "cannot be kept in" in the_warning(load)
+    assert not list((Path(load().__file__).parent / "__pycache__").glob("*.nb?"))
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO])
+def test_a_disk_that_is_full_is_one_warning(fresh, monkeypatch, code):
+    """The write fails: nothing is left behind, and once there is room all is kept."""
+    load, folder = fresh
+
+    def fail(*names):
+        raise OSError(code, os.strerror(code))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.replace", fail)
+        assert os.strerror(code) in the_warning(load)
+    assert not [path for path in folder.rglob("*") if path.is_file()]
+    works(load, False)
+    works(load, True)
+
+
+@pytest.mark.compiled
+def test_a_folder_that_is_removed_on_the_way_is_made_again(fresh):
+    load, folder = fresh
+    kernel = load().double
+    shutil.rmtree(folder)
+    assert kernel(2.5) == 5.0
+    works(load, True)
+    _, data = files(folder)
+    data.unlink()
+    works(load, False)
+    works(load, True)
+
+
+@pytest.mark.compiled
+@pytest.mark.skipif(os.name == "nt", reason="no limits of files")
+def test_a_process_that_may_write_no_file_says_so_in_one_line(fresh):
+    """As the command line shows it."""
+    from resource import RLIMIT_FSIZE, setrlimit
+
+    load, folder = fresh
+    code = f"""
+import sys, warnings
+from particlerb import _jit
+from particlerb.cli import show_warning
+_jit.CACHE_FOLDER, warnings.showwarning = {str(folder)!r}, show_warning
+sys.path.insert(0, {str(folder.parent)!r})
+import kernels
+print(kernels.double(2.5), kernels.treble(1))
+"""
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: setrlimit(RLIMIT_FSIZE, (100, 100)),
+    )
+    assert (done.returncode, done.stdout) == (0, "5.0 3\n")
+    assert done.stderr == (
+        f"particlerb: warning: compiled code cannot be kept in {folder} (File too large): every"
+        " start compiles again; NUMBA_CACHE_DIR names another folder\n"
+    )
+    assert not [path for path in folder.rglob("*") if path.is_file()]
+    works(load, False)
+    works(load, True)
+
+
+def test_a_full_disk_is_not_blamed_on_the_case(make, monkeypatch):
+    """Errors of files that the case does not name pass through as they are."""
+    from particlerb.bodies import scene
+    from particlerb.case.reader import load
+
+    def fail(*arguments):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(scene, "mass_properties", fail)
+    with pytest.raises(OSError, match="No space left"):
+        scene.assemble(load(make.case(make.body())))

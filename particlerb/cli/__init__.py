@@ -11,8 +11,9 @@ import argparse
 import io
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
-from typing import Final, NoReturn
+from typing import Final, NoReturn, TextIO
 
 import particlerb
 from particlerb.cli.common import DONE, FAILED, INTERRUPTED, Ending
@@ -247,9 +248,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def entry() -> NoReturn:
     """Run the command of this process and end it."""
+    warnings.showwarning = show_warning
     if wants_guard(sys.argv[1:]):
         sys.exit(guarded(sys.argv[1:]))
     sys.exit(main())
+
+
+def show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Print a warning as all other messages are, without its place in the sources."""
+    del category, filename, lineno, file, line
+    print(f"particlerb: warning: {message}", file=sys.stderr)
 
 
 def complain(message: str, code: int) -> int:
