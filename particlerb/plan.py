@@ -12,9 +12,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.bodies.bodies import Bodies, taken
+from particlerb.bodies.coarse import coarse
 from particlerb.bodies.scene import Scene
 from particlerb.bodies.state import State, omega_world
-from particlerb.case.problems import CaseError
+from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case, Impulse
 from particlerb.contact.loads import Contact, Spheres
@@ -127,7 +128,10 @@ def make_plan(case: Case, scene: Scene, choice: Sequence[Stepping | None] = ()) 
     groups = tuple(with_steps(group, dt) for group, dt in zip(cut, steps, strict=True))
     refuse_endless(case, scene, groups)
     refuse_unstable(case, scene, groups)
-    warnings = tuple(step_warnings(case, scene, groups))
+    warnings = (
+        *(as_warning(problem) for problem in coarse(case, scene)),
+        *step_warnings(case, scene, groups),
+    )
     return Plan(groups, step_reason(case, scene, groups, choice), warnings)
 
 
@@ -569,7 +573,12 @@ def step_warnings(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> li
         problem_at(case, key, reason, f"advised: dt = {RADIANS_PER_STEP / rate:.3g} s or less")
         for _, reason, rate in found.values()
     ]
-    return [str(problem).replace(": error: ", ": warning: ", 1) for problem in problems]
+    return [as_warning(problem) for problem in problems]
+
+
+def as_warning(problem: Problem) -> str:
+    """Text of what is no mistake, but hardly meant."""
+    return str(problem).replace(": error: ", ": warning: ", 1)
 
 
 def stable_step(scene: Scene, group: GroupPlan, segment: Segment) -> float:

@@ -169,13 +169,15 @@ def part_particles(case: Case, i: int, part: Part) -> Filled:
         filled = Filled(shapes.cloud(part.shape.n, part.shape.radius, mass, stream))
     else:
         filled = shape_particles(case, part.shape, part.mass, part.density)
-    if isinstance(part.orientation, Euler):
-        q = quaternion_of_euler(part.orientation.euler_deg)
-    else:
-        q = np.array(part.orientation)
-    columns = np.tile(normalised(q)[:, None], 3)
-    turn = turned(columns, np.eye(3))
-    return filled._replace(particles=transformed(filled.particles, turn, part.position))
+    placed = transformed(filled.particles, turn_of(part), part.position)
+    return filled._replace(particles=placed)
+
+
+def turn_of(part: Part) -> Floats:
+    """Rotation matrix (3, 3) from the axes of the shape of a part to those of its body."""
+    given = part.orientation
+    q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
+    return turned(np.tile(normalised(q)[:, None], 3), np.eye(3))
 
 
 def shape_particles(
