@@ -33,7 +33,7 @@ from particlerb.record.checked import (
     open_file,
     text,
 )
-from particlerb.record.provenance import kept_case
+from particlerb.record.provenance import kept_case, kept_names
 from particlerb.record.schema import (
     BODIES,
     COLUMNS,
@@ -420,6 +420,14 @@ class Trajectory:
 
         return self.patiently(read)
 
+    @property
+    def n_contacts(self) -> int:
+        """Contacts of all frames together."""
+        self.require(CONTACTS)
+        ends = self.table(OFFSET, "i", (None,))
+        with blaming(self.file):
+            return int(ends[self.n_frames])
+
     def contacts(self, frame: int) -> Contacts:
         """All contacts in one frame: who touches whom, where, how hard, how deep.
 
@@ -518,6 +526,11 @@ class Trajectory:
             return words
         with blaming(self.file):
             return json.loads(words)
+
+    @property
+    def file_names(self) -> list[str]:
+        """Names of the files that the case reads, whose contents lie in this file."""
+        return self.patiently(lambda: sorted(kept_names(self.file)))
 
     @property
     def case(self) -> Case:

@@ -65,11 +65,7 @@ def content(file: str | FilePath | File) -> File:
     OSError
         If it is not there, or cannot be read.
     """
-    if isinstance(file, File):
-        return file
-    if not is_file(FilePath(file)):
-        raise FileNotFoundError(f"there is no file {file}")
-    return File(str(file), FilePath(file).read_bytes())
+    return file if isinstance(file, File) else File(str(file), FilePath(file).read_bytes())
 
 
 def is_file(path: FilePath) -> bool:

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import difflib
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -128,3 +129,9 @@ def readable() -> Iterator[None]:
         yield
     except TrajectoryError as error:
         raise Ending(str(error), FAILED) from None
+
+
+def amount(size: float) -> str:
+    """Number of bytes in words."""
+    power = int(min(max(math.log10(max(size, 1.0)) // 3, 1), 4))
+    return f"{size / 1000.0**power:.3g} {('', 'kB', 'MB', 'GB', 'TB')[power]}"

@@ -12,7 +12,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from particlerb.cli.common import DONE, FAILED, INTERRUPTED, MISSED, Ending, prepared_case, warn
+from particlerb.cli.common import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    MISSED,
+    Ending,
+    amount,
+    prepared_case,
+    warn,
+)
 
 if TYPE_CHECKING:
     from particlerb.case.schema import Case
@@ -128,18 +137,22 @@ def free_bytes(path: Path) -> int:
 
 def size_text(case: "Case", path: Path) -> str:
     """File, frames and size of a run, and the room that there is."""
+    import numpy as np
+
     from particlerb.record.room import SMALLEST_FILE, bytes_of_run
+    from particlerb.record.schema import COLUMNS, CONTACTS
     from particlerb.simulate import frame_count
 
     n = frame_count(case)
-    size = bytes_of_run(case, n) + SMALLEST_FILE
-    return f"{path}, {n} frames, about {amount(size)}; {amount(free_bytes(path))} are free"
-
-
-def amount(size: float) -> str:
-    """Number of bytes in words."""
-    power = int(min(max(math.log10(max(size, 1.0)) // 3, 1), 4))
-    return f"{size / 1000.0**power:.3g} {('', 'kB', 'MB', 'GB', 'TB')[power]}"
+    size = (
+        bytes_of_run(case, n) + SMALLEST_FILE + sum(map(len, case.source.files.contents.values()))
+    )
+    text = f"{path}, {n} frames, about {amount(size)}"
+    if CONTACTS in case.output.fields:
+        item = np.dtype(case.output.dtype).itemsize
+        each = sum(max(c.width, 1) * (4 if c.is_count else item) for c in COLUMNS.values())
+        text += f" and {each} bytes for each contact in a frame, whose number nobody knows yet"
+    return f"{text}; {amount(free_bytes(path))} are free"
 
 
 def execute(

@@ -11,6 +11,7 @@ from particlerb.cli.common import (
     FAILED,
     PICTURES,
     Ending,
+    amount,
     example_folders,
     opened,
     readable,
@@ -40,7 +41,7 @@ def info_command(options: argparse.Namespace) -> int:
         print(json.dumps({**facts, **texts, **verified}))
         return DONE if is_whole else FAILED
     for name, value in facts.items():
-        print(f"{name:<13} {text_of(value)}")
+        print(f"{name:<13} {text_of(name, value)}")
     for name, value in texts.items():
         words = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         print(f"\n{name}\n{shortened(words.rstrip()) or '(none)'}")
@@ -52,14 +53,20 @@ def info_command(options: argparse.Namespace) -> int:
 
 def facts_of(trajectory: "Trajectory") -> dict[str, Any]:
     """What can be said in a line."""
+    from particlerb.record.schema import CONTACTS
+
     case = trajectory.parameter("case_resolved")
+    has_contacts = CONTACTS in trajectory.contact_fields
     return {
         "title": case.get("title", "") if isinstance(case, dict) else "",
         "schema": ".".join(map(str, trajectory.schema)),
         "bodies": trajectory.n_bodies,
         "frames": trajectory.n_frames,
         "time": [float(t) for t in trajectory.time[[0, -1]]] if trajectory.n_frames else [],
-        "fields": trajectory.fields,
+        "fields": trajectory.fields + trajectory.contact_fields,
+        **({"contacts": trajectory.n_contacts} if has_contacts else {}),
+        "files": trajectory.file_names,
+        "size": Path(trajectory.file.filename).stat().st_size,
         "seed": trajectory.parameter("seed"),
         **{name: trajectory.parameter(name) for name in ("versions", "machine", "git_revision")},
     }
@@ -85,8 +92,10 @@ def findings_text(findings: "list[Finding]") -> str:
     )
 
 
-def text_of(value: Any) -> str:
+def text_of(name: str, value: Any) -> str:
     """A fact in words."""
+    if name == "size":
+        return amount(value)
     if isinstance(value, dict):
         return ", ".join(f"{name} {entry}" for name, entry in value.items())
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)

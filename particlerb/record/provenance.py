@@ -58,8 +58,25 @@ def write_files(file: h5py.File, contents: Mapping[str, bytes]) -> None:
             file[f"{FILES}/{key}"] = np.frombuffer(contents[name], dtype=np.uint8)
 
 
+def kept_names(file: h5py.File) -> dict[str, str]:
+    """SHA-256 of the files that the case reads, by their names in it.
+
+    Raises
+    ------
+    TrajectoryError
+        If the table is damaged.
+    """
+    with blaming(file):
+        if FILE_NAMES not in followed(file, PARAMETERS):
+            return {}
+        hashes = json.loads(text(file, f"{PARAMETERS}/{FILE_NAMES}"))
+        if not isinstance(hashes, dict):
+            raise ValueError(f"{PARAMETERS}/{FILE_NAMES} is no table")
+        return hashes
+
+
 def kept_files(file: h5py.File) -> dict[str, bytes]:
-    """Contents of the files that the case reads, by their names in it.
+    """Contents of these files, by their names in the case.
 
     Raises
     ------
@@ -68,12 +85,7 @@ def kept_files(file: h5py.File) -> dict[str, bytes]:
     """
     found: dict[str, bytes] = {}
     with blaming(file):
-        if FILE_NAMES not in followed(file, PARAMETERS):
-            return found
-        hashes = json.loads(text(file, f"{PARAMETERS}/{FILE_NAMES}"))
-        if not isinstance(hashes, dict):
-            raise ValueError(f"{PARAMETERS}/{FILE_NAMES} is no table")
-        for name, key in hashes.items():
+        for name, key in kept_names(file).items():
             data = checked(file, f"{FILES}/{key}", "u", (None,))[:].tobytes()
             if hashlib.sha256(data).hexdigest() != key:
                 raise ValueError(f"{FILES}/{key} is damaged")

@@ -388,7 +388,7 @@ def test_files_that_are_none(tmp_path, monkeypatch):
         ValueError, match=r"a\.step is no mesh: its name must end with \.stl, \.obj"
     ):
         read_mesh(tmp_path / "a.step")
-    with pytest.raises(FileNotFoundError, match=r"there is no file .*a\.stl"):
+    with pytest.raises(FileNotFoundError, match=r"No such file .*a\.stl"):
         read_mesh(tmp_path / "a.stl")
     (tmp_path / "a.obj").write_text("not a mesh\n")
     with pytest.raises(ValueError, match=r"a\.obj: "):

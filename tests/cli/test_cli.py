@@ -490,3 +490,43 @@ def test_a_child_process_makes_its_own_threads():
         check=True,
     )
     assert done.stdout.strip() == "7"
+
+
+@pytest.mark.parametrize(("dtype", "each"), [("float64", 68), ("float32", 40)])
+def test_the_size_that_is_told_and_what_info_tells(make, tmp_path, capsys, dtype, each):
+    """Contacts, walls and kept files are listed; the file is as large as was said, or smaller."""
+    from particlerb.case.reader import load
+    from particlerb.case.wanted import FIELDS_OF_CONTACT
+    from particlerb.cli.run import size_text
+
+    (tmp_path / "points.csv").write_text("0 0 0 1\n1 0 0 1\n0 1 0 1\n" + 200_000 * "#")
+    points = {"type": "points", "file": str(tmp_path / "points.csv")}
+    place = {"type": "grid", "spacing": 1.0, "origin": [0, 0, 0.1]}
+    fields = ["position", "orientation", *FIELDS_OF_CONTACT]
+    case = make.case(
+        make.sphere(count=4, place=place),
+        {"name": "points", "shape": points, "contact": False, "position": [0, 0, 9]},
+        t_end=0.1,
+        every=1e-3,
+        dt=1e-3,
+        gravity={"acceleration": [0, 0, -9.81]},
+        contact=make.hooke(),
+        wall=[make.plane()],
+        output={"fields": fields, "dtype": dtype},
+    )
+    told = size_text(load(case), tmp_path / "run.h5")
+    number, unit = re.search(r"about ([\d.]+) ([kM])B", told).groups()
+    most = float(number) * {"k": 1e3, "M": 1e6}[unit]
+    assert f" and {each} bytes for each contact in a frame, whose number nobody knows yet" in told
+    with particlerb.run(case, tmp_path / "run.h5") as t:
+        n = sum(len(t.contacts(k).wall) for k in range(t.n_frames))
+    capsys.readouterr()
+    assert main(["info", str(tmp_path / "run.h5"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert set(facts["fields"]) == set(fields)
+    assert facts["contacts"] == n > 300
+    assert facts["files"] == [points["file"]]
+    assert facts["size"] == (tmp_path / "run.h5").stat().st_size
+    assert 0.3 < facts["size"] / (most + each * n) < 1.0
+    assert main(["info", str(tmp_path / "run.h5")]) == 0
+    assert re.search(r"^size +[\d.]+ [kM]B$", capsys.readouterr().out, re.MULTILINE)
