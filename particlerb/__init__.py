@@ -10,17 +10,33 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from particlerb.case.problems import CaseError
     from particlerb.case.schema import Case
+    from particlerb.resuming import ResumeError
     from particlerb.running import resume, run
-    from particlerb.trajectory import Trajectory
+    from particlerb.simulate import RunError
+    from particlerb.trajectory import Trajectory, TrajectoryError
     from particlerb.trajectory import open_trajectory as open
 
 __version__ = "0.1.0"
-__all__ = ["Case", "CaseError", "Trajectory", "__version__", "open", "resume", "run"]
+__all__ = [
+    "Case",
+    "CaseError",
+    "ResumeError",
+    "RunError",
+    "Trajectory",
+    "TrajectoryError",
+    "__version__",
+    "open",
+    "resume",
+    "run",
+]
 
 HOMES = {
     "Case": ("particlerb.case.schema", "Case"),
     "CaseError": ("particlerb.case.problems", "CaseError"),
+    "ResumeError": ("particlerb.resuming", "ResumeError"),
+    "RunError": ("particlerb.simulate", "RunError"),
     "Trajectory": ("particlerb.trajectory", "Trajectory"),
+    "TrajectoryError": ("particlerb.trajectory", "TrajectoryError"),
     "open": ("particlerb.trajectory", "open_trajectory"),
     "resume": ("particlerb.running", "resume"),
     "run": ("particlerb.running", "run"),

@@ -1,9 +1,11 @@
 """The Python entry: run a case or go on with it, get its trajectory."""
 
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
+from particlerb.case.files import path_of
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
 from particlerb.resuming import look_at, resume_pending
@@ -23,8 +25,9 @@ def run(
 
     Parameters
     ----------
-    case : path, mapping or Case
-        A mapping has the keys of a case file; initial values may be arrays, a row per body.
+    case : path, str, mapping or Case
+        A text may be the name of an example too. A mapping has the keys of a case file; initial
+        values may be arrays, a row per body.
     output : path, optional
         File to write; left out, the trajectory is kept in memory.
     overwrite : bool
@@ -41,13 +44,15 @@ def run(
     ------
     CaseError
         With all problems of the case.
+    TypeError
+        If an argument is none of these.
     FileExistsError, OSError
         Of the file.
-    particlerb.simulate.RunError
+    RunError
         If the run fails; the frames until then are in the file.
     """
+    path = None if output is None else path_of(output, "output")
     prepared = prepare_accurately(load(case, overrides))
-    path = None if output is None else Path(output)
     outcome = run_prepared(prepared, path, overwrite)
     return open_trajectory(path) if path else Trajectory(outcome.file)
 
@@ -69,14 +74,19 @@ def resume(path: str | Path, t_end: float | None = None) -> Trajectory:
 
     Raises
     ------
-    particlerb.resuming.ResumeError
+    ResumeError
         If it cannot go on: why.
     CaseError
         If the case is wrong with this end.
+    TypeError
+        If an argument is none of these.
     FileNotFoundError, TrajectoryError, OSError
         Of the file.
-    particlerb.simulate.RunError
+    RunError
         If the run fails; the frames until then are in the file.
     """
-    resume_pending(look_at(Path(path), t_end))
-    return open_trajectory(path)
+    file = path_of(path, "what is resumed")
+    if t_end is not None and (isinstance(t_end, bool) or not isinstance(t_end, Real)):
+        raise TypeError(f"t_end must be a number, got {type(t_end).__name__}")
+    resume_pending(look_at(file, None if t_end is None else float(t_end)))
+    return open_trajectory(file)

@@ -17,6 +17,7 @@ from h5py import h5d, h5p
 from particlerb.bodies.bodies import Bodies, made_of, taken
 from particlerb.bodies.particles import Particles
 from particlerb.bodies.state import derived, turned, turned_back
+from particlerb.case.files import path_of
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import build
 from particlerb.case.schema import Case
@@ -561,8 +562,10 @@ def open_trajectory(path: str | Path) -> Trajectory:
         If there is no such file.
     TrajectoryError
         If it is not a readable trajectory.
+    TypeError
+        If it is no path.
     """
-    if not Path(path).exists():
+    if not path_of(path, "what is opened").exists():
         raise FileNotFoundError(f"{path}: no such file")
     for is_last in attempts(path):
         file = None

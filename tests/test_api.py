@@ -140,3 +140,82 @@ def test_an_interrupted_run_keeps_its_frames(make, tmp_path):
     with particlerb.open(tmp_path / "a.h5") as t:
         assert t.n_frames == simulate.FIRST_BATCH
         assert t.time[-1] == (simulate.FIRST_BATCH - 1) / 10
+
+
+# What is given wrongly
+
+ANY = [3, 3.5, None, [1], b"cube.toml", object()]
+
+
+@pytest.mark.parametrize("given", ANY)
+def test_what_is_no_case_and_no_path_is_a_type_error(given, case_file):
+    kind = type(given).__name__
+    with pytest.raises(TypeError, match=f"^a case must be a path, the name .* got {kind}$"):
+        particlerb.run(given)
+    with pytest.raises(TypeError, match=f"^what is opened must be a path, got {kind}$"):
+        particlerb.open(given)
+    with pytest.raises(TypeError, match=f"^what is resumed must be a path, got {kind}$"):
+        particlerb.resume(given)
+    if given is not None:
+        with pytest.raises(TypeError, match=f"^output must be a path, got {kind}$"):
+            particlerb.run(case_file, given)
+
+
+@pytest.mark.parametrize("overrides", ["run.dt=1", [3], [b"run.dt=1"], {"run.dt": 1}.items()])
+def test_overrides_are_texts(case_file, overrides):
+    with pytest.raises(TypeError, match="overrides must be a list of texts"):
+        particlerb.run(case_file, overrides=overrides)
+
+
+@pytest.mark.parametrize("t_end", ["2", True, [2.0]])
+def test_an_end_is_a_number(case_file, tmp_path, t_end):
+    particlerb.run(case_file, tmp_path / "a.h5").close()
+    with pytest.raises(TypeError, match="t_end must be a number"):
+        particlerb.resume(tmp_path / "a.h5", t_end)
+
+
+def test_examples_are_found_by_the_names_of_the_command_line(tmp_path, monkeypatch, capsys):
+    from particlerb.case.named import case_folders
+    from particlerb.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    assert main(["cases"]) == 0
+    names = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert "tumbling_brick" in names
+    for name in names:
+        assert load(name).path.stem == name
+    (tmp_path / "cases").mkdir()
+    (tmp_path / "cases" / "tumbling_brick.toml").write_text(TOML)
+    assert load("tumbling_brick").path == case_folders()[0] / "tumbling_brick.toml"
+    with particlerb.run("tumbling_brick") as t:
+        assert list(t.names) == ["cube"]
+    with pytest.raises(CaseError) as caught:
+        particlerb.run("tumbling_brik")
+    assert str(caught.value) == (
+        "tumbling_brik: error: there is no such file or case\n"
+        "      hint: did you mean tumbling_brick?"
+    )
+
+
+def test_files_that_are_none(tmp_path):
+    for name, reason in [("none.toml", "there is no such file"), ("", "is a folder")]:
+        with pytest.raises(CaseError, match=reason):
+            particlerb.run(tmp_path / name)
+    with pytest.raises(FileNotFoundError, match=r"none\.h5: no such file"):
+        particlerb.open(tmp_path / "none.h5")
+    with pytest.raises(FileNotFoundError, match=r"none\.h5: no such file"):
+        particlerb.resume(tmp_path / "none.h5")
+    (tmp_path / "text.h5").write_text("text")
+    for path in (tmp_path, tmp_path / "text.h5"):
+        with pytest.raises(particlerb.TrajectoryError, match="is not a readable HDF5 file"):
+            particlerb.open(path)
+        with pytest.raises(particlerb.TrajectoryError, match="is not a readable HDF5 file"):
+            particlerb.resume(path)
+
+
+@pytest.mark.parametrize(
+    "case", [{}, {"run": 3}, {"bodies": []}, {3: 4}, {"run": {3: 4}}, {"body": [{None: 1}]}]
+)
+def test_dicts_with_wrong_keys_are_case_errors(case):
+    with pytest.raises(CaseError):
+        particlerb.run(case)

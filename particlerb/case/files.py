@@ -5,6 +5,7 @@ nothing is looked up on disk.
 """
 
 from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path as FilePath
 from typing import NamedTuple
 
@@ -66,6 +67,19 @@ def content(file: str | FilePath | File) -> File:
         If it is not there, or cannot be read.
     """
     return file if isinstance(file, File) else File(str(file), FilePath(file).read_bytes())
+
+
+def path_of(given: object, what: str) -> FilePath:
+    """Path that a user gives.
+
+    Raises
+    ------
+    TypeError
+        If it is none; says what it should have been.
+    """
+    if not isinstance(given, (str, PathLike)):
+        raise TypeError(f"{what} must be a path, got {type(given).__name__}")
+    return FilePath(given)
 
 
 def is_file(path: FilePath) -> bool:

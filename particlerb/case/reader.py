@@ -7,6 +7,7 @@ the outcome is a `Case` or a `CaseError`.
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -14,6 +15,7 @@ from pydantic import ValidationError
 
 from particlerb.case.complaints import Complaint, complaints, without_typos
 from particlerb.case.files import Files
+from particlerb.case.named import case_path, nearest_names
 from particlerb.case.overrides import overridden
 from particlerb.case.problems import CaseError, Problem, key_of, nearest, path_of
 from particlerb.case.rules import findings
@@ -43,13 +45,16 @@ PLAIN_WORDS = {
 }
 
 
-def load(source: str | FilePath | Mapping[str, Any] | Case, overrides: Sequence[str] = ()) -> Case:
+def load(
+    source: str | PathLike[str] | Mapping[str, Any] | Case, overrides: Sequence[str] = ()
+) -> Case:
     """Case from a file, from a dict with the same keys, or from another case.
 
     Parameters
     ----------
-    source : str, Path, Mapping or Case
-        A path of a TOML file; a dict may hold arrays, one row per body, for initial values.
+    source : str, path, Mapping or Case
+        A path of a TOML file, or as text the name of a case in ./cases or among the examples; a
+        dict may hold arrays, one row per body, for initial values.
     overrides : sequence of str
         `"run.dt=1e-4"`, `"body.0.mass=2"`: set before the case is checked. The value is read as
         TOML, else taken as text.
@@ -63,7 +68,11 @@ def load(source: str | FilePath | Mapping[str, Any] | Case, overrides: Sequence[
     ------
     CaseError
         With all problems of the case, each with file, line, key and value where there are any.
+    TypeError
+        If the source, or an override, is none of these.
     """
+    if isinstance(overrides, str) or not all(isinstance(one, str) for one in overrides):
+        raise TypeError(f'overrides must be a list of texts like "run.dt=1e-4", got {overrides!r}')
     if isinstance(source, Case):
         origin = source.source
         return build(origin, overrides) if overrides else source
@@ -73,7 +82,13 @@ def load(source: str | FilePath | Mapping[str, Any] | Case, overrides: Sequence[
         except RecursionError:
             raise CaseError([file_problem(None, "is nested too deeply")]) from None
         return build(Source(raw=raw, files=Files(FilePath())), overrides)
-    path = FilePath(source)
+    if not isinstance(source, (str, PathLike)):
+        kinds = "a path, the name of an example, a mapping or a Case"
+        raise TypeError(f"a case must be {kinds}, got {type(source).__name__}")
+    path = case_path(source) if isinstance(source, str) else FilePath(source)
+    if path is None:
+        wrong = file_problem(FilePath(source), "there is no such file or case")
+        raise CaseError([wrong._replace(hint=nearest_names(str(source)))])
     return parse(read_text(path), path, overrides)
 
 

@@ -2,15 +2,11 @@
 
 import argparse
 import contextlib
-import difflib
 import math
-import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
-
-import particlerb
 
 if TYPE_CHECKING:
     from particlerb.case.schema import Case
@@ -48,12 +44,6 @@ class Ending(Exception):  # noqa: N818
         self.code = code
 
 
-def example_folders() -> list[Path]:
-    """Where cases are looked for by name: here, then the repository's, then the installed ones."""
-    package = Path(particlerb.__file__).parent
-    return [Path("cases"), package.parent / "cases", package / "_cases"]
-
-
 def find_case(name: str) -> Path:
     """Path of a case given by path or by name.
 
@@ -62,15 +52,13 @@ def find_case(name: str) -> Path:
     Ending
         If there is none; with the nearest names.
     """
-    if Path(name).suffix or os.sep in name or Path(name).exists():
-        return Path(name)
-    for folder in example_folders():
-        if (folder / f"{name}.toml").is_file():
-            return folder / f"{name}.toml"
-    known = sorted({path.stem for folder in example_folders() for path in folder.glob("*.toml")})
-    near = difflib.get_close_matches(name, [*known, *NAMES], 3)
-    hint = f"did you mean {' or '.join(near)}?" if near else "`cases` lists the examples"
-    raise Ending(f"{name}: no such command, file or case; {hint}")
+    from particlerb.case.named import case_path, nearest_names
+
+    path = case_path(name)
+    if path is None:
+        hint = nearest_names(name, NAMES)
+        raise Ending(f"{name}: no such command, file or case; {hint}")
+    return path
 
 
 def read_case(options: argparse.Namespace) -> "Case":

@@ -12,7 +12,6 @@ from particlerb.cli.common import (
     PICTURES,
     Ending,
     amount,
-    example_folders,
     opened,
     readable,
 )
@@ -138,8 +137,10 @@ def cases_command(options: argparse.Namespace) -> int:
     del options
     import tomllib
 
+    from particlerb.case.named import case_folders
+
     shown: dict[str, str] = {}
-    for folder in example_folders():
+    for folder in case_folders():
         for path in sorted(folder.glob("*.toml")):
             try:
                 title = str(tomllib.loads(path.read_text(encoding="utf-8")).get("title", ""))

@@ -25,7 +25,7 @@ every = 0.25
 [[body]]
 name = "cube"
 mass = 2.0
-shape = { type = "box", size = [1.0, 1.0, 1.0], n = 2 }
+shape = { type = "box", size = [1.0, 1.0, 1.0], arrangement = "exact" }
 angular_velocity = [0.0, 0.0, 1.0]
 """
 PUSH = """
@@ -124,11 +124,11 @@ def test_all_problems_of_a_case_are_told_at_once(here, capsys):
 @pytest.mark.parametrize(
     ("change", "key", "reason"),
     [
-        (('{ type = "box", size = [1.0, 1.0, 1.0], n = 2 }',
+        (('{ type = "box", size = [1.0, 1.0, 1.0], arrangement = "exact" }',
           '{ type = "moments", inertia = [1.0, 1.0, 3.0] }'), "body[0].shape", "exceeds the sum"),
-        (('{ type = "box", size = [1.0, 1.0, 1.0], n = 2 }',
+        (('{ type = "box", size = [1.0, 1.0, 1.0], arrangement = "exact" }',
           '{ type = "rod", length = 1.0 }'), "body[0].angular_velocity", "about its own axis"),
-        (('{ type = "box", size = [1.0, 1.0, 1.0], n = 2 }',
+        (('{ type = "box", size = [1.0, 1.0, 1.0], arrangement = "exact" }',
           '{ type = "points", position = [[0, 0, 0]], mass = [1] }'),
          "body[0].angular_velocity", "it cannot spin"),
         (('every = 0.25', 'every = 0.25\nmethod = "exact"'), "run.method", "exact does not accept"),
@@ -146,7 +146,7 @@ def test_what_only_the_bodies_show_is_told_with_its_line(here, capsys, change, k
 def test_a_malformed_csv_names_the_file_and_the_line(here, capsys):
     Path("p.csv").write_text("x,y,z,m\n0,0,0,1\n1,0,zero,1\n")
     shape = '{ type = "points", file = "p.csv" }'
-    text = CUBE.replace('{ type = "box", size = [1.0, 1.0, 1.0], n = 2 }', shape)
+    text = CUBE.replace('{ type = "box", size = [1.0, 1.0, 1.0], arrangement = "exact" }', shape)
     Path("cube.toml").write_text(text.replace("mass = 2.0\n", ""))
     assert main(["check", "cube.toml"]) == 2
     err = capsys.readouterr().err
