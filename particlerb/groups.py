@@ -234,7 +234,7 @@ def attraction_among(case: Case, scene: Scene, members: Ints, bodies: Bodies) ->
         mass,
         case.attraction.G * mass,
         np.searchsorted(owner, np.arange(members.size + 1)),
-        case.attraction.softening**2,
+        case.attraction.softening * case.attraction.softening,  # inf is no force, and no error
     )
 
 

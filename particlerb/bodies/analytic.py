@@ -46,8 +46,11 @@ def analytic_ball(radius: float) -> Analytic:
 
 def analytic_shell(radius: float, inner_radius: float | None = None) -> Analytic:
     """Thick: (2/5) M (R⁵ − r⁵)/(R³ − r³) (9); thin: (2/3) M R² (8)."""
-    R, r = radius, inner_radius
-    moment = 2.0 / 3.0 * R**2 if r is None else 0.4 * (R**5 - r**5) / (R**3 - r**3)
+    if inner_radius is None:
+        moment = 2.0 / 3.0 * radius**2
+    else:
+        q = inner_radius / radius  # R⁵ alone may overflow
+        moment = 0.4 * radius**2 * (1.0 - q**5) / (1.0 - q**3)
     return centred(moment, moment, moment)
 
 

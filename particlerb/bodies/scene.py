@@ -43,6 +43,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import POINT, ROD
 
 SMALLEST = 1e-307  # mass [kg] or moment of inertia [kg m²]
+OUT_OF_RANGE = "its volume or moment of inertia is out of the range of float64"
 SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its rounding
 
 
@@ -120,9 +121,10 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
             properties.append(mass_properties(sets[-1]))
             refuse_underflow(properties[-1])
             first.append(first[-1] + len(properties[-1].mass))
-        except ValueError as error:
+        except (ValueError, ArithmeticError) as error:
             key = f"body[{i}].shape" if body.shape is not None else f"body[{i}].part"
-            problems.append(problem_at(case, key, f"{body.name}: {error}"))
+            why = OUT_OF_RANGE if isinstance(error, ArithmeticError) else error
+            problems.append(problem_at(case, key, f"{body.name}: {why}"))
     if problems:
         raise CaseError(problems)
     arrays = zip(*properties, strict=True)

@@ -12,7 +12,7 @@ from particlerb.case.files import Files
 from particlerb.case.problems import Path, nearest
 from particlerb.case.schema import Spring
 from particlerb.case.shapes import SHAPES
-from particlerb.case.values import REFERENCE, is_rows
+from particlerb.case.values import LARGEST_COUNT, REFERENCE, is_rows
 from particlerb.case.wanted import FIELDS_OF_CONTACT, FIELDS_OF_WALLS
 
 MOST_FRAMES = 10**9
@@ -144,7 +144,8 @@ def members(raw: dict[str, Any]) -> dict[str, range]:
     first = 0
     for _, body in tables(raw, "body"):
         name, count = body.get("name"), body.get("count", 1)
-        if not isinstance(name, str) or not isinstance(count, int) or count < 1:
+        is_count = isinstance(count, int) and 1 <= count <= LARGEST_COUNT
+        if not isinstance(name, str) or not is_count:
             return {}
         found[name] = range(first, first + count)
         first += count

@@ -370,7 +370,10 @@ class Cloud(Table):
 def as_points(sphere: Sphere, mass: float | None, density: float | None) -> Points:
     """The one particle of a sphere, of a mass or of a density [kg, kg/m³]."""
     if mass is None:
-        mass = (density or 0.0) * 4.0 / 3.0 * math.pi * sphere.radius**3
+        cube = sphere.radius * sphere.radius * sphere.radius
+        mass = (density or 0.0) * 4.0 / 3.0 * math.pi * cube
+        if not math.isfinite(mass):
+            raise broken(f"is too large: a sphere of this density has mass {mass}", "shape.radius")
     return Points.model_construct(
         type="points", position=((0.0, 0.0, 0.0),), mass=(mass,), radius=(sphere.radius,)
     )

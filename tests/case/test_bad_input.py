@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from particlerb.case.reader import CaseError, Problem, load, parse
+from particlerb.simulate import prepare
 
 GOOD = """\
 title = "a cube and a clump"
@@ -1184,6 +1185,59 @@ def test_numbers_and_nesting_out_of_range():
     assert problems("a = " + "[" * 5000)[0].reason == "is nested too deeply"
     deep = "[" * 300 + "]" * 300
     assert problems(edited("value = [0, 0, 0]", f"value = {deep}"))
+
+
+@pytest.mark.parametrize("size", ["1e110", "1e160", "1e300", "1e-110", "1e-300"])
+@pytest.mark.parametrize("weight", ["mass = 1.0", "density = 1.0"])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        'type = "sphere", radius = S',
+        'type = "ball", radius = S, n = 3',
+        'type = "shell", radius = S, n = 4',
+        'type = "shell", radius = S, inner_radius = 1e-301, n = 4',
+        'type = "shell", radius = S, inner_radius = 1e-301, inertia_error = 0.1',
+        'type = "cylinder", radius = S, height = S, n = 3',
+        'type = "cone", radius = S, height = S, n = 3',
+        'type = "torus", major_radius = S, minor_radius = 1e-301, n = 4',
+        'type = "ellipsoid", semi_axes = [S, S, S], n = 3',
+        'type = "box", size = [S, S, S], n = 2',
+        'type = "rod", length = S, n = 3',
+    ],
+)
+def test_sizes_out_of_range_are_refused_or_run(shape, weight, size):
+    """Volumes and tensors overflow long before a length does: a case or one message, always."""
+    table = f"{{ {shape.replace('S', size)} }}"
+    text = f'run = {{t_end = 1, every = 1}}\n[[body]]\nname = "a"\nshape = {table}\n{weight}\n'
+    found: list[str] = []
+    try:
+        prepare(parse(text))
+    except CaseError as error:
+        found = [problem.reason for problem in error.problems]
+    assert not [why for why in found if "Numerical result" in why or "division" in why]
+
+
+@pytest.mark.parametrize(
+    "more",
+    ["[attraction]", '[[force]]\ntype = "push"\nbody = "a[9999999999]"\nforce = [1, 0, 0]'],
+)
+def test_a_count_beyond_all_machines(more):
+    text = f"""run = {{t_end = 1, every = 1}}
+[[body]]
+name = "a"
+shape = {{ type = "moments", inertia = [1, 2, 2] }}
+mass = 1
+count = 1{"0" * 60}
+{more}
+"""
+    assert any("count" in problem.key for problem in problems(text))
+
+
+def test_a_softening_whose_square_overflows_is_no_attraction():
+    body = '[[body]]\nshape = { type = "moments", inertia = [1, 2, 2] }\nmass = 1.0\n'
+    a, b = f'{body}name = "a"\n', f'{body}name = "b"\nposition = [3, 0, 0]\n'
+    text = f"run = {{t_end = 1, every = 1}}\nattraction = {{ softening = 1e200 }}\n{a}{b}"
+    prepare(parse(text))
 
 
 def message_of_file(path: Path) -> str:
