@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, NoReturn, TextIO
 
 import particlerb
-from particlerb.cli.common import DONE, FAILED, INTERRUPTED, Ending
+from particlerb.cli.common import DONE, FAILED, INTERRUPTED, Ending, tamed
 from particlerb.cli.export import export_command, frame_slice
 from particlerb.cli.guard import guarded, wants_guard
 from particlerb.cli.mass import mass_command
@@ -270,7 +270,7 @@ def show_warning(
 def complain(message: str, code: int) -> int:
     """Print a message to stderr."""
     text = message if ": error:" in message else f"particlerb: {message}"
-    print(text, file=sys.stderr)
+    print(tamed(text), file=sys.stderr)
     return code
 
 

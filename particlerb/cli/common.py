@@ -34,6 +34,7 @@ NAMES: Final = (
     "schema",
 )
 PICTURES: Final = (".png", ".svg", ".pdf")
+CONTROLS: Final = dict.fromkeys((*range(32), *range(127, 160)), "�")
 
 
 class Ending(Exception):  # noqa: N818
@@ -42,6 +43,11 @@ class Ending(Exception):  # noqa: N818
     def __init__(self, message: str, code: int = WRONG) -> None:
         super().__init__(message)
         self.code = code
+
+
+def tamed(text: str) -> str:
+    """Text of a file that no terminal takes for an order: lines and tabs stay."""
+    return text.translate(CONTROLS | {ord(c): c for c in "\n\t"})
 
 
 def find_case(name: str) -> Path:

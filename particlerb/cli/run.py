@@ -20,6 +20,7 @@ from particlerb.cli.common import (
     Ending,
     amount,
     prepared_case,
+    tamed,
     warn,
 )
 
@@ -36,7 +37,7 @@ def run_command(options: argparse.Namespace) -> int:
     warn(options, disk_warnings(prepared.case, path))
     if not (options.quiet or options.json):
         title = prepared.case.title or path.stem
-        print(f"{title}\n\nplan\n{prepared.text}", flush=True)
+        print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
         print(f"  file: {size_text(prepared.case, path)}\n", flush=True)
     from particlerb.simulate import frame_count, run_prepared
 
@@ -291,5 +292,5 @@ def check_command(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps({"plan": prepared.text, "warnings": prepared.plan.warnings}))
     else:
-        print(f"{options.case} is a case that can be run\n\nplan\n{prepared.text}")
+        print(tamed(f"{options.case} is a case that can be run\n\nplan\n{prepared.text}"))
     return DONE

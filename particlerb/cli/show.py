@@ -14,6 +14,7 @@ from particlerb.cli.common import (
     amount,
     opened,
     readable,
+    tamed,
 )
 
 if TYPE_CHECKING:
@@ -40,12 +41,12 @@ def info_command(options: argparse.Namespace) -> int:
         print(json.dumps({**facts, **texts, **verified}))
         return DONE if is_whole else FAILED
     for name, value in facts.items():
-        print(f"{name:<13} {text_of(name, value)}")
+        print(f"{name:<13} {tamed(text_of(name, value))}")
     for name, value in texts.items():
         words = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-        print(f"\n{name}\n{shortened(words.rstrip()) or '(none)'}")
+        print(f"\n{name}\n{tamed(shortened(words.rstrip())) or '(none)'}")
     if options.verify:
-        print(f"\nverified\n{findings_text(findings)}")
+        print(f"\nverified\n{tamed(findings_text(findings))}")
         print(f"{options.file} is {'whole' if is_whole else 'DAMAGED'}")
     return DONE if is_whole else FAILED
 

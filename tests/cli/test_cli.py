@@ -291,6 +291,22 @@ def test_mass_says_which_body_cannot_exist(here, capsys):
     assert "change it with --set" in capsys.readouterr().err
 
 
+def test_no_text_of_a_file_gives_orders_to_the_terminal(here, capsys):
+    """ESC ] 0 ; sets the title of a window; other sequences type into it."""
+    order = "\x1b]0;hacked\x07\x9b31m"
+    body = {"name": "a", "shape": {"type": "moments", "inertia": [1, 2, 2]}, "mass": 1.0}
+    case = {"title": order, "run": {"t_end": 1.0, "every": 0.5}, "body": [body]}
+    particlerb.run(case, here / "a.h5").close()
+    with h5py.File(here / "a.h5", "r+") as file:
+        del file["parameters/plan"]
+        file["parameters/plan"] = order
+    (here / "a.toml").write_text(f"run = {json.dumps(order)}\ntitle = {json.dumps(order)}\n")
+    for words in (["info", "a.h5"], ["check", "a.toml"], ["info", "a.h5", "--json"], [order]):
+        main(words)
+        said = capsys.readouterr()
+        assert not {"\x1b", "\x07", "\x9b"} & set(said.out + said.err), words
+
+
 def test_info_and_plot_of_a_file(here, capsys):
     main(["cube.toml"])
     capsys.readouterr()
