@@ -13,6 +13,7 @@ from pathlib import Path
 import particlerb
 from particlerb.case.reader import load
 from particlerb.trajectory import open_trajectory
+from particlerb.view.access import Access
 from particlerb.view.live import Live, rehearse
 from particlerb.view.replay import Replay
 from particlerb.view.server import listening
@@ -50,14 +51,14 @@ def main() -> None:
     for n in (1, 500, 10_000):
         case = load(cubes(n))
         rehearse(case)
-        with listening("127.0.0.1", PORT) as server:
+        with listening(Access(), PORT) as server:
             live = Live(case, server, Path("session.toml"))
             print(f"live, {n} bodies{'':<{28 - len(str(n))}}{updates(live):>10.0f}", flush=True)
     for n in (500, 10_000):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "run.h5"
             particlerb.run(cubes(n), path).close()
-            with open_trajectory(path) as trajectory, listening("127.0.0.1", PORT) as server:
+            with open_trajectory(path) as trajectory, listening(Access(), PORT) as server:
                 replay = Replay(trajectory, server, path)
                 rate = updates(replay)
                 print(f"replay, {n} bodies{'':<{26 - len(str(n))}}{rate:>10.0f}", flush=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 from particlerb.cli.common import DONE, FAILED, Ending, opened, read_case
 
 if TYPE_CHECKING:
+    from particlerb.view.access import Access
     from particlerb.view.live import Turning
 
 AT_FIRST: Final = "cube_at_rest"
@@ -34,6 +35,14 @@ def add_view(command: argparse.ArgumentParser) -> None:
         help="address to listen on; default: %(default)s, this machine only",
     )  # fmt: skip
     command.add_argument(
+        "--allow-host", dest="hosts", action="append", default=[], metavar="NAME",
+        help="a name by which the page may be called too, as behind a tunnel or proxy; repeatable",
+    )  # fmt: skip
+    command.add_argument(
+        "--no-token", action="store_true",
+        help="let in every program of those who reach the port, without the token of the address",
+    )  # fmt: skip
+    command.add_argument(
         "-o", "--output", metavar="FILE", help="of a saved session; output/<case>_session.toml"
     )
 
@@ -51,23 +60,35 @@ def view_command(options: argparse.Namespace) -> int:
     try:
         import viser  # noqa: F401
 
-        from particlerb.view.server import LOCAL, listening
+        from particlerb.view.access import Access, AccessError
+        from particlerb.view.server import listening
     except ImportError:
         raise Ending(MISSING, FAILED) from None
-    if options.host not in LOCAL:
+    try:
+        access = Access(options.host, options.hosts, not options.no_token)
+    except ValueError as error:
+        raise Ending(f"--allow-host: {error}") from None
+    if options.no_token:
+        who = "every user of this machine" if access.is_local else "everyone who reaches it"
         print(
-            f"particlerb: warning: {options.host} lets everyone who reaches this machine push the"
-            " bodies and save sessions; there is no password",
+            f"particlerb: warning: --no-token lets {who} push the bodies and save sessions",
+            file=sys.stderr,
+        )
+    elif not access.is_local:
+        print(
+            f"particlerb: warning: {options.host} is open to the network, unencrypted: who sees the"
+            " traffic sees the token, and can push the bodies and save sessions",
             file=sys.stderr,
         )
     is_file = Path(options.case).suffix.lower() in FILES
-    with listening(options.host, options.port) as server:
-        if is_file:
-            return play(options, server)
-        return push(options, server)
+    try:
+        with listening(access, options.port) as server:
+            return play(options, server, access) if is_file else push(options, server, access)
+    except AccessError as error:
+        raise Ending(str(error), FAILED) from None
 
 
-def push(options: argparse.Namespace, server: "object") -> int:
+def push(options: argparse.Namespace, server: object, access: "Access") -> int:
     """Serve a case."""
     from particlerb.case.problems import CaseError
     from particlerb.view.live import Live, rehearse
@@ -81,7 +102,7 @@ def push(options: argparse.Namespace, server: "object") -> int:
         live = Live(case, server, path)  # type: ignore[arg-type]
     except CaseError as error:
         raise Ending(str(error)) from None
-    serve(live, server)
+    serve(live, access)
     if not live.is_saved:
         with contextlib.suppress(ValueError):
             live.save()
@@ -89,7 +110,7 @@ def push(options: argparse.Namespace, server: "object") -> int:
     return DONE
 
 
-def play(options: argparse.Namespace, server: "object") -> int:
+def play(options: argparse.Namespace, server: object, access: "Access") -> int:
     """Serve a file."""
     from particlerb.view.replay import Replay, ReplayError
 
@@ -98,15 +119,13 @@ def play(options: argparse.Namespace, server: "object") -> int:
             replay = Replay(trajectory, server, Path(options.case))  # type: ignore[arg-type]
         except ReplayError as error:
             raise Ending(f"{options.case}: {error}") from None
-        serve(replay, server)
+        serve(replay, access)
     return DONE
 
 
-def serve(page: "Turning", server: object) -> None:
+def serve(page: "Turning", access: "Access") -> None:
     """Say where the page is, and keep it up to date until Ctrl-C or SIGTERM."""
-    from particlerb.view.server import address
-
-    print(f"open {address(server)} in a browser; Ctrl-C ends", flush=True)  # type: ignore[arg-type]
+    print("open this address in a browser; Ctrl-C ends", *access.addresses(), sep="\n", flush=True)
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         page.go()

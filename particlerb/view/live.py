@@ -36,6 +36,8 @@ KEPT: Final = 600  # points of a trail or a chart
 COMFORTABLE: Final = (1.0, 60.0)  # [s] that a case lasts whose clock runs as ours does
 WATCHED: Final = 20.0  # [s] in which any other case is over
 DIGITS: Final = 6
+MOST_WAITING: Final = 1000  # clicks and changes that wait to be dealt with
+MOST_SAVED: Final = 100  # sessions that are written before a new start
 
 Action = Callable[[Any], None]
 
@@ -53,7 +55,8 @@ class Turning:
         """A callback that leaves an action to the thread that computes."""
 
         async def put(event: Any) -> None:
-            self.commands.put((action, event))
+            if self.commands.qsize() < MOST_WAITING:
+                self.commands.put((action, event))
 
         return put
 
@@ -125,7 +128,7 @@ class Live(Turning):
 
     def __init__(self, case: Case, server: viser.ViserServer, path: Path) -> None:
         super().__init__()
-        self.server, self.path = server, path
+        self.server, self.path, self.written = server, path, 0
         self.session = Session(case)
         self.stage = Stage(server, case, self.session.scene)
         names = [str(name) for name in self.session.scene.names]
@@ -320,6 +323,8 @@ class Live(Turning):
 
     def save(self) -> Path:
         """Write the session as a case."""
+        if self.written == MOST_SAVED:
+            raise ValueError(f"{MOST_SAVED} sessions were saved: start again to save more")
         text = recorded(self.session)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         path, number = self.path, 1
@@ -331,7 +336,7 @@ class Live(Turning):
             except FileExistsError:
                 number += 1
                 path = self.path.with_stem(f"{self.path.stem}_{number}")
-        self.saved = self.session.raw["force"]
+        self.saved, self.written = self.session.raw["force"], self.written + 1
         self.is_refusal = False
         self.message = f"saved: {path}; `python -m particlerb {path}` repeats it bit for bit"
         return path

@@ -1,4 +1,4 @@
-"""A viser server for one page: where it listens, what it says, how it takes what is no message."""
+"""A viser server for one page: how it starts, and how it reads what fields say."""
 
 import asyncio
 import contextlib
@@ -6,32 +6,40 @@ import io
 import logging
 import socket
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any
 
 import viser
 
-LOCAL: Final = ("127.0.0.1", "localhost", "::1")
-EVERYWHERE: Final = ("0.0.0.0", "::")
+from particlerb.view.access import Access
+from particlerb.view.messages import Sieve
 
 
 @contextlib.contextmanager
-def listening(host: str, port: int) -> Iterator[viser.ViserServer]:
+def listening(access: Access, port: int) -> Iterator[viser.ViserServer]:
     """A server of a page, stopped at the end; takes the next free port where one is taken.
 
     Raises
     ------
     OSError
         If it cannot listen there.
+    AccessError
+        If it lets in whom `access` does not.
     """
-    refuse_foreign(host)
+    refuse_foreign(access.host)
+    sieve = Sieve()
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a broken message ends its sender
-    with contextlib.redirect_stdout(io.StringIO()):  # viser announces itself in a box
-        server = viser.ViserServer(host=host, port=port, label="particlerb", verbose=False)
+    with (
+        contextlib.redirect_stdout(io.StringIO()),  # viser announces itself in a box
+        access.guarding(sieve),
+    ):
+        server = viser.ViserServer(host=access.host, port=port, label="particlerb", verbose=False)
+    access.port, sieve.server = server.get_port(), server
     server.get_event_loop().set_exception_handler(ignore)
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(214, 106, 14))
     server.scene.set_up_direction("+z")
     server.gui.main_panel.dock_right()
     try:
+        access.prove()
         yield server
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
@@ -46,12 +54,6 @@ def refuse_foreign(host: str) -> None:
             probe.bind(place)
     except OSError as error:
         raise OSError(f"cannot listen on {host}: {error.strerror}") from None
-
-
-def address(server: viser.ViserServer) -> str:
-    """Where a browser on this machine finds the page."""
-    host = server.get_host()
-    return f"http://{'127.0.0.1' if host in EVERYWHERE else host}:{server.get_port()}"
 
 
 def ignore(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:

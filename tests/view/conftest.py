@@ -24,7 +24,10 @@ QUIET = (
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 )  # fmt: skip
 SIZE = {"width": 1600, "height": 1000}
-PATIENCE = 20.0  # [s] on a slow machine
+PATIENCE = 120.0  # [s] on a machine that has other work
+VIOLATIONS = """window.violations = [];
+document.addEventListener("securitypolicyviolation",
+  e => violations.push([e.effectiveDirective, e.blockedURI, e.sample]));"""
 
 
 @pytest.fixture(scope="session")
@@ -47,6 +50,7 @@ def browser(tmp_path_factory):
             viewport=SIZE,
             accept_downloads=True,
         )
+        context.set_default_timeout(1000.0 * PATIENCE)
         yield context
         context.close()
 
@@ -54,8 +58,9 @@ def browser(tmp_path_factory):
 class Served:
     """A page in the browser, and the thread that serves it."""
 
-    def __init__(self, page, serving) -> None:
-        self.page, self.serving = page, serving
+    def __init__(self, page, serving, access, seen) -> None:
+        self.page, self.serving, self.access = page, serving, access
+        self.seen = seen  # console messages, of which an empty page has none
 
     def until(self, holds: Callable[[], bool], what: str) -> None:
         """Wait until something holds."""
@@ -118,19 +123,24 @@ def serve(browser):
 @contextlib.contextmanager
 def served(browser, make) -> Iterator[Served]:
     """Serve what `make(server)` returns, until the end of the test."""
-    from particlerb.view.server import address, listening
+    from particlerb.view.access import Access
+    from particlerb.view.server import listening
 
-    with listening("127.0.0.1", 8200) as server:
+    access = Access()
+    with listening(access, 8200) as server:
         serving = make(server)
         thread = threading.Thread(target=serving.go, daemon=True)
         thread.start()
-        page = browser.new_page()
+        page, seen = browser.new_page(), []
+        page.on("console", lambda message: seen.append((message.type, message.text)))
+        page.on("pageerror", lambda error: seen.append(("error", str(error))))
+        page.add_init_script(VIOLATIONS)
         try:
-            page.goto(address(server))
-            page.locator(".pb").first.wait_for(timeout=60_000)
+            page.goto(access.addresses()[0])
+            page.locator(".pb").first.wait_for()
             page.add_style_tag(content=".mantine-Notification-root{display:none}")  # of SwiftShader
             page.wait_for_timeout(1500)
-            yield Served(page, serving)
+            yield Served(page, serving, access, seen)
         finally:
             serving.stop()
             thread.join(PATIENCE)

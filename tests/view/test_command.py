@@ -1,6 +1,7 @@
 """The command `view`: what it takes, where it listens, what it leaves behind."""
 
 import os
+import re
 import signal
 import sys
 import time
@@ -21,14 +22,15 @@ def served(monkeypatch, tmp_path):
     """Pages that would be served, each ended at once; in an empty folder."""
     monkeypatch.chdir(tmp_path)
     pages = []
-    monkeypatch.setattr(command, "serve", lambda page, server: pages.append((page, server)))
+    monkeypatch.setattr(command, "serve", lambda page, access: pages.append((page, access)))
     return pages
 
 
 def test_without_arguments_it_shows_the_cube_of_the_paper(served, capsys):
     assert main(["view", "--port", "8400"]) == 0
-    ((page, server),) = served
-    assert server.get_host() == "127.0.0.1"
+    ((page, access),) = served
+    assert page.server.get_host() == access.host == "127.0.0.1"
+    assert access.token
     (cube,) = page.session.case.body
     assert (cube.mass, cube.shape.size) == (2.0, (1.0, 1.0, 1.0))
     assert not page.session.has_gravity
@@ -38,14 +40,26 @@ def test_without_arguments_it_shows_the_cube_of_the_paper(served, capsys):
 
 def test_another_address_is_warned_of(served, capsys):
     assert main(["view", "--host", "0.0.0.0", "--port", "8410"]) == 0
-    assert "there is no password" in capsys.readouterr().err
-    assert served[0][1].get_host() == "0.0.0.0"
+    assert "open to the network" in capsys.readouterr().err
+    assert served[0][0].server.get_host() == "0.0.0.0"
+    assert main(["view", "--no-token", "--port", "8410"]) == 0
+    assert "--no-token lets every user of this machine push" in capsys.readouterr().err
+    assert not served[1][1].token
+
+
+def test_the_address_stands_alone_on_its_line(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Live, "go", lambda page: None)
+    assert main(["view", "--port", "8415", "--host", "::1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (address,) = [line for line in lines if "http" in line]
+    assert re.fullmatch(r"http://\[::1\]:\d+/\?token=[0-9a-f]{48}", address)
 
 
 def test_a_session_is_saved_at_the_end(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
 
-    def pushed(page, server):
+    def pushed(page, access):
         page.session.advance(0.25)
         page.session.apply(Blow(0, (0.2, 0.2, -0.5), (0.0, 0.0, 1.0), 0.0))
 
@@ -57,16 +71,17 @@ def test_a_session_is_saved_at_the_end(monkeypatch, tmp_path, capsys):
         assert f"{name}.toml" in capsys.readouterr().out
 
 
-def test_gravity_that_was_switched_is_saved_and_sigterm_ends(monkeypatch, tmp_path, capsys):
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_gravity_that_was_switched_is_saved_at_a_signal(monkeypatch, tmp_path, capsys, number):
     monkeypatch.chdir(tmp_path)
 
     def switched(page):
         page.session.advance(0.25)
         page.session.switch_gravity(True)
         page.session.advance(0.5)
-        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), number)
         time.sleep(5.0)
-        raise AssertionError("SIGTERM did not end the page")
+        raise AssertionError("the signal did not end the page")
 
     monkeypatch.setattr(Live, "go", switched)
     assert main(["view", "--port", "8430"]) == 0
@@ -77,7 +92,7 @@ def test_gravity_that_was_switched_is_saved_and_sigterm_ends(monkeypatch, tmp_pa
 
 def test_a_session_without_changes_is_not_saved(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "serve", lambda page, server: page.session.advance(0.25))
+    monkeypatch.setattr(command, "serve", lambda page, access: page.session.advance(0.25))
     assert main(["view", "--port", "8440"]) == 0
     assert not (tmp_path / "output").exists()
 

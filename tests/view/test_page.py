@@ -164,7 +164,7 @@ def test_a_file_is_replayed(serve, tmp_path):
         assert "frame 30 of 40" in served.page.locator("#clock").inner_text()
         served.fill("digits", "6")
         picture(served, "view_replay")
-        with served.page.expect_download(timeout=60_000) as download:
+        with served.page.expect_download() as download:
             served.press("PNG of this frame")
         assert Path(download.value.path()).read_bytes()[:4] == b"\x89PNG"
         served.press("play / pause")
