@@ -90,7 +90,7 @@ class Replay(Turning):
         case, self.scene = scene_of(trajectory)
         self.times = trajectory.time
         self.stage = Stage(server, case, self.scene)
-        self.names = [str(name) for name in trajectory.names]
+        self.names = [str(name) for name in self.scene.names]  # checked, as those of a case are
         self.index = {name: b for b, name in enumerate(self.names)}
         self.body, self.frame, self.place = 0, -1, 0.0
         self.is_running, self.next_figures = False, 0.0

@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("viser")
 
+import h5py
 import msgspec
 import viser
 import websockets.asyncio.server
@@ -22,8 +23,11 @@ from websockets.exceptions import InvalidStatus
 from websockets.http11 import Request
 from websockets.sync.client import connect
 
+import particlerb
 from particlerb.cli import main
+from particlerb.trajectory import open_trajectory
 from particlerb.view.access import Access, AccessError, authority
+from particlerb.view.replay import Replay
 from particlerb.view.server import listening
 
 ROOT = Path(__file__).parents[2]
@@ -301,3 +305,17 @@ def test_without_a_token_origins_are_still_asked(capsys):
         assert status(access, host, "Origin: http://evil.example", path="/")[0] == 403
         assert status(access, "Host: evil.example", path="/")[0] == 403
         assert "set-cookie" not in status(access, host, path="/")[1].lower()
+
+
+def test_names_that_no_case_could_have_do_not_reach_the_page(tmp_path):
+    """Twice the same name, and a list of them is an error of the whole page in the browser."""
+    body = {"shape": {"type": "moments", "inertia": [1, 2, 2]}, "mass": 1.0}
+    bodies = [{"name": "a", **body}, {"name": "b", "position": [3, 0, 0], **body}]
+    path = tmp_path / "run.h5"
+    particlerb.run({"run": {"t_end": 1.0, "every": 0.5}, "body": bodies}, path).close()
+    with h5py.File(path, "r+") as file:
+        file["bodies/names"][:] = [b"x", b"x"]
+    access = Access()
+    with open_trajectory(path) as trajectory, listening(access, 8570) as server:
+        replay = Replay(trajectory, server, path)
+        assert replay.names == ["a", "b"] == list(replay.chosen.options)
