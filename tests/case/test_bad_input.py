@@ -1,6 +1,8 @@
 """Every mistake has one message: where, which key, why, what to do; never a traceback."""
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -1303,3 +1305,14 @@ def test_rows_of_orientations_are_not_zero(everything):
     case["body"][3]["orientation"] = np.array([[1.0, 0, 0, 0], [0, 0, 0, 0]])
     with pytest.raises(CaseError, match="row 1 is no orientation"):
         load(case)
+
+
+@pytest.mark.slow
+def test_mutated_cases_end_in_a_plan_or_one_message():
+    """A few of the texts of which `tests/fuzz/results.md` counts a million."""
+    script = Path(__file__).parents[1] / "fuzz" / "fuzz_cases.py"
+    words = [sys.executable, script, "--runs", "500"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 escapes" in done.stdout
+    assert "planned" in done.stdout
