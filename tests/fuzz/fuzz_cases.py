@@ -524,10 +524,11 @@ def is_small(case: "Case") -> bool:
     for body in case.body:
         each = 0.0
         for shape in (body.shape, *(part.shape for part in body.part)):
-            counts = getattr(shape, "n", None) or 1
-            each += math.prod(counts) if isinstance(counts, tuple) else float(counts) ** 3
-            grows = getattr(shape, "inertia_error", None) or getattr(shape, "arrangement", "")
-            each += MOST * (grows == "spheres" or (isinstance(grows, float) and grows < 0.3))
+            counts, wanted = getattr(shape, "n", None) or 1, getattr(shape, "inertia_error", None)
+            if wanted is None:
+                each += math.prod(counts) if isinstance(counts, tuple) else float(counts) ** 3
+            is_slow = getattr(shape, "arrangement", "") == "spheres" or (wanted or 1.0) < 0.3
+            each += MOST + 1 if is_slow else 50 * (wanted is not None)
         particles += each * body.count
     return case.n_bodies <= MOST_BODIES and particles <= MOST
 
