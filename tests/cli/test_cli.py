@@ -219,6 +219,7 @@ def test_check_prints_the_plan_and_writes_nothing(here, capsys):
 
 
 def test_mass_reports_tensor_class_and_digits(here, capsys):
+    Path("cube.toml").write_text(CUBE.replace('arrangement = "exact"', "n = 2"))
     assert main(["mass", "cube.toml"]) == 0
     out = capsys.readouterr().out
     assert "cube: sphere, 8 particles" in out
