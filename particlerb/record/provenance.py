@@ -83,14 +83,13 @@ def kept_files(file: h5py.File) -> dict[str, bytes]:
     TrajectoryError
         If one is missing or damaged.
     """
-    found: dict[str, bytes] = {}
+    names, contents = kept_names(file), {}
     with blaming(file):
-        for name, key in kept_names(file).items():
-            data = checked(file, f"{FILES}/{key}", "u", (None,))[:].tobytes()
-            if hashlib.sha256(data).hexdigest() != key:
+        for key in set(names.values()):
+            contents[key] = checked(file, f"{FILES}/{key}", "u", (None,))[:].tobytes()
+            if hashlib.sha256(contents[key]).hexdigest() != key:
                 raise ValueError(f"{FILES}/{key} is damaged")
-            found[name] = data
-    return found
+    return {name: contents[key] for name, key in names.items()}
 
 
 def kept_case(file: h5py.File) -> Source:
