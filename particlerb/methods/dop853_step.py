@@ -25,6 +25,7 @@ from particlerb.bodies.block import (
     put3,
     put4,
 )
+from particlerb.maths.quaternion import matrix_along
 from particlerb.maths.vec3 import Floats
 from particlerb.methods.dop853_table import STAGES, A, D, E
 from particlerb.methods.rates import Pose, slopes
@@ -60,7 +61,7 @@ def take_slopes(
             get3(rows, WORK + 7, b),
             get3(rows, WORK + 10, b),
         )
-        rate, (power, force, turning) = slopes(acting, rows, b, now)
+        rate, (power, force, turning) = slopes(acting, rows, b, now, matrix_along(now.q))
         put3(rows, WORK + CHANGING, b, rate.x)
         put4(rows, WORK + CHANGING + 3, b, rate.q)
         put3(rows, WORK + CHANGING + 7, b, rate.p)

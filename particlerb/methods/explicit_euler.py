@@ -38,8 +38,8 @@ def step(
     """All slopes at the beginning; the rotor's momentum in its own axes."""
     for b in range(n):
         y = pose(rows, b)
-        slope, entry = slopes(acting, rows, b, y)
         R = matrix(y.q)
+        slope, entry = slopes(acting, rows, b, y, R)
         m = turn_back(R, y.L)
         w = multiplied3(get3(rows, INV_INERTIA, b), m)
         m = add_scaled(dt, add_scaled(1.0, turn_back(R, slope.L), cross(m, w)), m)

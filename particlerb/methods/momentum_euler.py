@@ -11,6 +11,7 @@ from typing import Final
 
 from particlerb._jit import inline, kernel_from
 from particlerb.bodies.state import State
+from particlerb.maths.quaternion import matrix
 from particlerb.maths.vec3 import Floats
 from particlerb.methods.booking import book
 from particlerb.methods.coupled import CoupledMotion, one_stage
@@ -38,7 +39,7 @@ def step(
     """One slope, at the beginning."""
     for b in range(n):
         y = pose(rows, b)
-        slope, entry = slopes(acting, rows, b, y)
+        slope, entry = slopes(acting, rows, b, y, matrix(y.q))
         put_pose(rows, b, on_sphere(add_pose(dt, slope, y)))
         book(books, rows, b, dt, entry)
 

@@ -1,7 +1,7 @@
 """The equations of motion as slopes of (x, Q, P, L), Baraff's form, for methods that need them.
 
 ẋ = P/M, Q̇ = ½ Q (0, Ω), Ṗ = F, L̇ = τ with Ω = I⁻¹ Rᵀ L; docs/theory.md, (1.1). Between the steps
-Q leaves the unit sphere: R is that of Q/|Q|, and Q̇ takes Q as it is.
+Q leaves the unit sphere: R is that of Q/|Q| (`matrix_along`), and Q̇ takes Q as it is.
 """
 
 from typing import Final, NamedTuple
@@ -10,8 +10,8 @@ from particlerb._jit import inline
 from particlerb.bodies.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
 from particlerb.maths.quaternion import (
     Quat,
+    Rows,
     add_scaled4,
-    matrix_along,
     normalised,
     times_vector,
     turn_back,
@@ -76,9 +76,8 @@ def on_sphere(y: Pose) -> Pose:
 
 
 @inline
-def slopes(acting: Acting, rows: Floats, b: int, y: Pose) -> tuple[Pose, Entry]:
-    """Slopes of body b in a state, and the rates of what it books."""
-    R = matrix_along(y.q)
+def slopes(acting: Acting, rows: Floats, b: int, y: Pose, R: Rows) -> tuple[Pose, Entry]:
+    """Slopes of body b in a state with the attitude R, and the rates of what it books."""
     m = turn_back(R, y.L)
     w = multiplied3(get3(rows, INV_INERTIA, b), m)
     v = scale(get(rows, INV_MASS, b), y.p)

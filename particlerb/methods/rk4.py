@@ -13,7 +13,7 @@ from particlerb._jit import inline, kernel_from
 from particlerb.bodies.block import SCRATCH, get, get3, get4, put, put3, put4
 from particlerb.bodies.load import STATE_ROWS
 from particlerb.bodies.state import State
-from particlerb.maths.quaternion import add_scaled4, length
+from particlerb.maths.quaternion import add_scaled4, length, matrix, matrix_along
 from particlerb.maths.vec3 import Floats
 from particlerb.methods.booking import book
 from particlerb.methods.coupled import CoupledMotion, stages_of
@@ -45,10 +45,13 @@ def step(
     third, sixth = dt * (1.0 / 3.0), dt * (1.0 / 6.0)
     for b in range(n):
         y = pose(rows, b)
-        k1, e1 = slopes(acting, rows, b, y)
-        k2, e2 = slopes(acting, rows, b, add_pose(0.5 * dt, k1, y))
-        k3, e3 = slopes(acting, rows, b, add_pose(0.5 * dt, k2, y))
-        k4, e4 = slopes(acting, rows, b, add_pose(dt, k3, y))
+        k1, e1 = slopes(acting, rows, b, y, matrix(y.q))
+        y2 = add_pose(0.5 * dt, k1, y)
+        k2, e2 = slopes(acting, rows, b, y2, matrix_along(y2.q))
+        y3 = add_pose(0.5 * dt, k2, y)
+        k3, e3 = slopes(acting, rows, b, y3, matrix_along(y3.q))
+        y4 = add_pose(dt, k3, y)
+        k4, e4 = slopes(acting, rows, b, y4, matrix_along(y4.q))
         y = add_pose(sixth, k1, add_pose(third, k2, add_pose(third, k3, add_pose(sixth, k4, y))))
         put_pose(rows, b, on_sphere(y))
         book(books, rows, b, sixth, e1)
@@ -92,10 +95,11 @@ def stage(
     """
     for b in range(n):
         y = pose(rows, b)
+        R = matrix(y.q)
         if k > 0:
             stretch = get(rows, LENGTH, b) - 1.0
             y = Pose(y.x, add_scaled4(stretch, y.q, y.q), y.p, y.L)
-        slope, entry = slopes(acting, rows, b, y)
+        slope, entry = slopes(acting, rows, b, y, R)
         if k == 0:
             put_pose_at(rows, STAGE, b, y)
             put_pose_at(rows, STAGE + STATE_ROWS, b, y)
