@@ -6,6 +6,8 @@ v_world = q v_body q⁻¹; a product a b turns by b first, then by a. q and -q a
 import math
 from typing import TypeAlias
 
+import numpy as np
+
 from particlerb._jit import inline
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot
 
@@ -52,7 +54,7 @@ def length(q: Quat) -> float:
 @inline
 def normalised(q: Quat) -> Quat:
     """q/|q|."""
-    f = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    f: float = 1.0 / np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return f * q[0], f * q[1], f * q[2], f * q[3]
 
 
