@@ -35,9 +35,10 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
-OPEN, WRITE, TRUNCATE, ALLOCATE, RENAME, UNLINK, SYNC, LINK = range(1, 9)
+OPEN, WRITE, TRUNCATE, ALLOCATE, RENAME, UNLINK, SYNC, LINK, MARK = range(1, 10)
 NAMES = ("", "open", "write", "truncate", "allocate", "rename", "unlink", "sync", "link")
 HOWS = ("once", "always", "short", "full")
 HEAD = struct.Struct("<IIqqiIII")
@@ -86,6 +87,7 @@ class Done(NamedTuple):
     out: str
     err: str
     operations: list[Operation]
+    promised: list[int]  # frames, when so many operations were done as is the index
 
 
 def build(folder: Path) -> Path:
@@ -97,9 +99,9 @@ def build(folder: Path) -> Path:
     return target
 
 
-def read_log(log: Path, folder: Path) -> list[Operation]:
-    """Operations of a log, with names from the watched folder."""
-    data, at, found = log.read_bytes(), 0, []
+def read_log(log: Path, folder: Path) -> tuple[list[Operation], list[int]]:
+    """Operations of a log, with names from the watched folder; and frames promised at each."""
+    data, at, found, promised = log.read_bytes(), 0, [], [0]
     top = os.path.realpath(folder)
     while at < len(data):
         kind, flags, offset, size, error, *lengths = HEAD.unpack_from(data, at)
@@ -108,9 +110,13 @@ def read_log(log: Path, folder: Path) -> list[Operation]:
         for n in lengths:
             parts.append(data[at : at + n])
             at += n
+        if kind == MARK:
+            promised[-1] = size
+            continue
         path, other = (os.path.relpath(os.fsdecode(p), top) if p else "" for p in parts[:2])
         found.append(Operation(kind, path, other, flags, offset, size, error, parts[2]))
-    return found
+        promised.append(promised[-1])
+    return found, promised
 
 
 # States
@@ -119,9 +125,9 @@ def read_log(log: Path, folder: Path) -> list[Operation]:
 class File:
     """Bytes of a file, those that are on the disk for certain, and what was done since."""
 
-    def __init__(self) -> None:
-        self.now = bytearray()
-        self.safe = b""
+    def __init__(self, data: bytes = b"") -> None:
+        self.now = bytearray(data)
+        self.safe = data
         self.since: list[tuple[int, bytes, int]] = []  # offset, bytes, size behind it
 
     def change(self, offset: int, data: bytes, size: int) -> None:
@@ -168,11 +174,17 @@ def resized(data: bytes | bytearray, size: int) -> bytes | bytearray:
 
 
 class Disk:
-    """Files under one folder, as operations change them."""
+    """Files under one folder, as operations change them.
 
-    def __init__(self) -> None:
-        self.files: dict[str, File] = {}
-        self.safe: dict[str, File] = {}  # names that are on the disk for certain
+    Parameters
+    ----------
+    state : mapping
+        Files that are on the disk before, and their bytes.
+    """
+
+    def __init__(self, state: Mapping[str, bytes] = MappingProxyType({})) -> None:
+        self.files = {name: File(data) for name, data in state.items()}
+        self.safe = dict(self.files)  # names that are on the disk for certain
         self.since: list[dict[str, File | None]] = []  # changes of names, each of them one thing
 
     def apply(self, one: Operation) -> None:
@@ -351,7 +363,7 @@ class Session:
             settings=dict(settings or {}),
         )
         texts = [(Path(self.scratch.name) / name).read_text() for name in ("out", "err")]
-        return Done(answer["code"], *texts, read_log(log, watched))
+        return Done(answer["code"], *texts, *read_log(log, watched))
 
     def __enter__(self) -> Self:
         return self
@@ -396,9 +408,17 @@ def printing_to(folder: str) -> Iterator[None]:
 def serve(shim: str, settings: str) -> None:
     """Do jobs until there are no more; a fork returns, and ends as a process does."""
     from particlerb import cli
+    from particlerb.record.writer import Recorder
 
     change(json.loads(settings))
     library = ctypes.CDLL(shim)
+    commit = Recorder.commit
+
+    def marked(recorder: Recorder) -> None:
+        commit(recorder)
+        library.mark(ctypes.c_long(recorder.n_frames))
+
+    Recorder.commit = marked
     answers = os.fdopen(os.dup(1), "w")
     for line in iter(sys.stdin.readline, ""):
         job = json.loads(line)

@@ -24,7 +24,7 @@
 #include <sys/uio.h>
 #include <unistd.h>
 
-enum kind { OPEN = 1, WRITE, TRUNCATE, ALLOCATE, RENAME, UNLINK, SYNC, LINK };
+enum kind { OPEN = 1, WRITE, TRUNCATE, ALLOCATE, RENAME, UNLINK, SYNC, LINK, MARK };
 enum how { ONCE, ALWAYS, SHORT, FULL }; /* FULL: half of one write, then nothing more */
 
 struct head {
@@ -127,6 +127,14 @@ static void note(int kind, int flags, int64_t offset, int64_t size, int error, c
     if (other) put(other, head.other);
     put(data, n);
     errno = before;
+}
+
+/* Note that so many frames are promised to be kept. */
+void mark(long frames)
+{
+    pthread_mutex_lock(&lock);
+    if (folder_length) note(MARK, 0, 0, frames, 0, folder, NULL, NULL, 0);
+    pthread_mutex_unlock(&lock);
 }
 
 /* Count an operation; whether it shall fail now: 1, or write only half: 2. */
