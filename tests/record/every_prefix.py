@@ -148,6 +148,15 @@ class Recorded:
             disk.apply(operation)
         assert disk.killed() == in_folder(self.watched), "a change of a file was not noted"
         assert self.differences(self.watched) == ""
+        self.warm()
+
+    def warm(self) -> None:
+        """Import here what forks need: each of them would do it again."""
+        wholly(self.straight, self.straight)
+        place({}, self.folder / "state")
+        said = self.go_on(self.folder / "state", has_file=False, is_here=True)
+        said = said or self.go_on(self.folder / "state", is_here=True)
+        assert not said, said
 
     def write(self, case: Mapping[str, Any], name: str) -> None:
         """Write a case file."""
@@ -175,26 +184,35 @@ class Recorded:
         """How a file in a folder is not as it should be."""
         return " ".join(differences(folder / "a.h5", self.straight))
 
-    def look(self, folder: Path, least: int, is_plain: bool = False) -> tuple[int, str]:
+    def look(self, folder: Path, least: int) -> tuple[int, bool, str]:
         """Frames of a file, which must be those that it should have; and what is wrong.
 
-        In plain h5py, or as particlerb opens it, which may mend it.
+        Second is whether plain h5py finds them: where it does not, particlerb has to mend the file.
         """
+        n, said = self.read(folder, least, (plainly, wholly))
+        if not said:
+            return n, True, ""
+        n, said = self.read(folder, least, (wholly,))
+        return n, said != "" and not self.read(folder, least, (plainly,))[1], said
+
+    def read(
+        self, folder: Path, least: int, readers: Iterable[Callable[[Path, Path], int]]
+    ) -> tuple[int, str]:
+        """Frames that readers find in a file, and what they say against it."""
         note = self.folder / "frames"
-        note.unlink(missing_ok=True)
+        note.write_text(str(least))
 
         def work() -> None:
-            path = folder / "a.h5"
-            n = plainly(path, self.straight) if is_plain else wholly(path, self.straight)
-            assert n >= least, f"{n} frames, {least} were promised"
-            note.write_text(str(n))
+            for reader in readers:
+                n = reader(folder / "a.h5", self.straight)
+                assert n >= least, f"{n} frames, {least} were promised"
+                note.write_text(str(n))
 
         said = in_child(work)
-        return (int(note.read_text()) if not said else -1), said
+        return int(note.read_text()), said
 
-    def go_on(self, folder: Path, has_file: bool = True) -> str:
+    def go_on(self, folder: Path, has_file: bool = True, is_here: bool = False) -> str:
         """Go on with the file in a folder, or begin anew without one; what is wrong."""
-        argv = self.argv[:3] + self.argv[4:] if self.argv[0] == "run" else self.argv
         path = str(folder / "a.h5")
         if has_file:
             argv = ["resume", path, "-q", *self.argv[3:]] if self.argv[0] == "resume" else []
@@ -214,7 +232,7 @@ class Recorded:
             others = sorted(path.name for path in folder.iterdir())
             assert others == sorted(self.names), f"left behind: {others}"
 
-        return in_child(work)
+        return str(work() or "") if is_here else in_child(work)
 
     @property
     def names(self) -> list[str]:
@@ -266,23 +284,13 @@ def kills(one: Recorded, every: int = 1, tick: Callable[[], object] = object) ->
         state = disk.killed()
         found.states += 1
         place(state, folder)
-        least = max(one.done.promised[k], most)
+        least, n = max(one.done.promised[k], most), 0
         has_file = "a.h5" in state
-        n = 0
         if has_file:
-            n, said = one.look(folder, least, is_plain=True)
+            n, is_plain, said = one.look(folder, least)
+            found.only_mended += not (is_plain or said)
             if said:
-                again, worse = one.look(folder, least)
-                if worse:
-                    found.wrong.append(f"{k}: {worse}")
-                    n = least
-                else:
-                    found.only_mended += 1
-                    n = again
-            else:
-                _, said = one.look(folder, least)
-                if said:
-                    found.wrong.append(f"{k}: {said}")
+                found.wrong.append(f"{k}: {said}")
             most = max(n, most)
         else:
             found.nameless += 1
@@ -317,7 +325,7 @@ def power_cuts(
             least = one.done.promised[k]
             place(state, folder)
             if has_file:
-                _, said = one.look(folder, least)
+                _, said = one.read(folder, least, (wholly,))
                 if said:
                     found.wrong.append(f"{k} seed {seed} {k} {j}: {said}")
                     continue
@@ -349,7 +357,7 @@ def faults(
             has_file = "a.h5" in state
             place(state, folder)
             if has_file:
-                _, said = one.look(folder, done.promised[-1])
+                _, said = one.read(folder, done.promised[-1], (wholly,))
                 if said:
                     found.wrong.append(f"{what}: {said}")
             else:
