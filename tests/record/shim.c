@@ -263,17 +263,19 @@ ssize_t writev(int fd, const struct iovec *parts, int n)
     return write_all(fd, parts, n, -1, name);
 }
 
-#define PWRITEVS(call, offset_t) \
-    ssize_t call(int fd, const struct iovec *parts, int n, offset_t offset) \
+#define PWRITEVS(call, parameters, arguments) \
+    ssize_t call parameters \
     { \
         NEXT(call); \
         char name[PATH_MAX]; \
-        if (!name_of(fd, name)) return next(fd, parts, n, offset); \
+        if (!name_of(fd, name)) return next arguments; \
         return write_all(fd, parts, n, offset, name); \
     }
 
-PWRITEVS(pwritev, off_t)
-PWRITEVS(pwritev64, off64_t)
+PWRITEVS(pwritev, (int fd, const struct iovec *parts, int n, off_t offset), (fd, parts, n, offset))
+PWRITEVS(pwritev64, (int fd, const struct iovec *parts, int n, off64_t offset), (fd, parts, n, offset))
+PWRITEVS(pwritev2, (int fd, const struct iovec *parts, int n, off_t offset, int flags), (fd, parts, n, offset, flags))
+PWRITEVS(pwritev64v2, (int fd, const struct iovec *parts, int n, off64_t offset, int flags), (fd, parts, n, offset, flags))
 
 /* Sizes */
 
