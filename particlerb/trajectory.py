@@ -567,6 +567,8 @@ def open_trajectory(path: str | Path) -> Trajectory:
     """
     if not path_of(path, "what is opened").exists():
         raise FileNotFoundError(f"{path}: no such file")
+    if not Path(path).is_file():
+        raise TrajectoryError(f"{path} is no regular file")  # a pipe would wait for ever
     for is_last in attempts(path):
         file = None
         try:

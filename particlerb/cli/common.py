@@ -104,6 +104,21 @@ def warn(options: argparse.Namespace, warnings: list[str]) -> None:
         raise Ending("--strict: a warning is an error")
 
 
+def to_write(path: Path, overwrite: bool, source: Path | None = None) -> Path:
+    """Place of a file to write, behind links; wrong usage where it may not be written."""
+    from particlerb.record.target import target
+
+    try:
+        found = target(path, overwrite)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise Ending(str(error)) from None
+    except OSError as error:
+        raise Ending(f"{path} cannot be made: {error.strerror}") from None
+    if source is not None and found.exists() and source.exists() and found.samefile(source):
+        raise Ending(f"{path} is the input: give another name with -o")
+    return found
+
+
 def opened(path: str) -> Any:
     """Trajectory in a file; wrong usage where it is none."""
     from particlerb.trajectory import TrajectoryError, open_trajectory

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from particlerb.cli.bodies import holds_bodies, named_bodies
-from particlerb.cli.common import DONE, FAILED, Ending, opened, readable
+from particlerb.cli.common import DONE, FAILED, Ending, opened, readable, to_write
 
 
 def export_command(options: argparse.Namespace) -> int:
@@ -40,8 +40,8 @@ def export_of_bodies(options: argparse.Namespace) -> int:
     ]
     stem = file_name(found[0].name if len(found) == 1 else Path(options.file).stem)
     path = export_path(options, Path(stem + BODY_FORMATS[options.to].suffix))
-    if options.to == "lammps" and path.with_suffix(".rigid").exists() and not options.overwrite:
-        raise Ending(f"{path.with_suffix('.rigid')} exists: -o, or --overwrite")
+    if options.to == "lammps":
+        to_write(path.with_suffix(".rigid"), options.overwrite, Path(options.file))
     try:
         written = export_bodies(found, path, options.to)
     except ExportError as error:
@@ -74,14 +74,8 @@ def export_trajectory(options: argparse.Namespace) -> int:
 
 def export_path(options: argparse.Namespace, default: Path) -> Path:
     """File to write, which is neither the input nor, unless told, an existing one."""
-    source = Path(options.file)
     path = Path(options.output or default)
-    if path.is_dir():
-        raise Ending(f"{path} is a folder: name a file with -o")
-    if path.exists() and source.exists() and path.samefile(source):
-        raise Ending(f"{path} is the input: give another name with -o")
-    if (path.exists() or path.is_symlink()) and not options.overwrite:
-        raise Ending(f"{path} exists: give another name with -o, or --overwrite")
+    to_write(path, options.overwrite, Path(options.file))
     return path
 
 

@@ -21,6 +21,7 @@ from particlerb.cli.common import (
     amount,
     prepared_case,
     tamed,
+    to_write,
     warn,
 )
 
@@ -100,16 +101,10 @@ def conclude(
 
 
 def output_path(options: argparse.Namespace, case: "Case") -> Path:
-    """File of a run, which may not exist unless it may be replaced."""
+    """File of a run, which may be written."""
     stem = case.path.stem if case.path else "run"
     path = Path(options.output) if options.output else Path("output") / f"{stem}.h5"
-    if path.is_dir():
-        raise Ending(f"{path} is a folder: name a file with -o")
-    if path.exists() and not options.overwrite:
-        raise Ending(f"{path} exists: give another name with -o, or --overwrite")
-    wrong = [parent for parent in path.parents if parent.exists() and not parent.is_dir()]
-    if wrong:
-        raise Ending(f"{path} cannot be made: {wrong[0]} is no folder")
+    to_write(path, options.overwrite, case.path)
     return path
 
 

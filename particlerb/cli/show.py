@@ -15,6 +15,7 @@ from particlerb.cli.common import (
     opened,
     readable,
     tamed,
+    to_write,
 )
 
 if TYPE_CHECKING:
@@ -105,8 +106,7 @@ def plot_command(options: argparse.Namespace) -> int:
     """`plot`: a picture of a trajectory."""
     with opened(options.file) as trajectory, readable():
         path = Path(options.output or Path(options.file).with_suffix(".png"))
-        if path.exists() and not options.overwrite:
-            raise Ending(f"{path} exists: give another name with -o, or --overwrite")
+        to_write(path, options.overwrite, Path(options.file))
         names = list(trajectory.names)
         recorded = [*trajectory.fields, *trajectory.contact_fields]
         wanted = CHAINS if options.contacts else PLOTTED

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from particlerb.cli.common import DONE, Ending, read_case
+from particlerb.cli.common import DONE, Ending, read_case, to_write
 
 
 def chart_command(options: argparse.Namespace) -> int:
@@ -97,12 +97,8 @@ def outputs(options: argparse.Namespace, stem: str) -> list[Path]:
         if base.suffix in (".csv", ".png", ".svg"):
             base = base.with_suffix("")
         paths = [base.with_name(base.name + suffix) for suffix in (".csv", ".png", ".svg")]
-        existing = [path for path in paths if path.exists()]
-        if existing and not options.overwrite:
-            raise Ending(f"{existing[0]} exists: give another name with -o, or --overwrite")
-        wrong = [parent for parent in base.parents if parent.exists() and not parent.is_dir()]
-        if wrong:
-            raise Ending(f"{base} cannot be made: {wrong[0]} is no folder")
+        for path in paths:
+            to_write(path, options.overwrite)
         base.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise Ending(f"{base} cannot be made: {error.strerror}") from None

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from particlerb.cli.common import DONE, FAILED, Ending, opened, read_case
+from particlerb.cli.common import DONE, FAILED, Ending, opened, read_case, to_write
 
 if TYPE_CHECKING:
     from particlerb.view.access import Access
@@ -96,6 +96,7 @@ def push(options: argparse.Namespace, server: object, access: "Access") -> int:
     case = read_case(options)
     stem = case.path.stem if case.path else "case"
     path = Path(options.output) if options.output else Path("output") / f"{stem}_session.toml"
+    to_write(path, overwrite=True)  # where it exists, a number is added
     try:
         print("making ready (the first time compiles, some 15 s or longer) ...", file=sys.stderr)
         rehearse(case)

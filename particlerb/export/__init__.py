@@ -17,6 +17,7 @@ from particlerb.bodies.bodies import taken
 from particlerb.bodies.state import derived
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, WALLS
+from particlerb.record.target import target
 from particlerb.trajectory import Contacts, Trajectory
 
 FORMATS: Final = {  # name: suffix of its files, and what it is, in words
@@ -145,6 +146,7 @@ def export(
     lacking = [name for name in writer.NEEDS if not is_known(trajectory, name)]
     if lacking:
         raise ExportError(f"{to} needs {', '.join(lacking)}, not recorded: see [output] fields")
+    path = target(path, overwrite=True)
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:

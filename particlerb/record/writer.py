@@ -62,6 +62,7 @@ from particlerb.record.schema import (
     TRAJECTORY,
     WALLS,
 )
+from particlerb.record.target import target
 from particlerb.record.vtkhdf import append_steps, count_steps, create_vtkhdf, resize_vtkhdf
 
 SECONDS_BETWEEN_COMMITS = 1.0
@@ -126,7 +127,7 @@ class Recorder:
             self.take(file, None, None, case, scene)
             self.lay_out(parameters)
             return
-        refuse_existing(path, overwrite)
+        path = place_for(path, overwrite)
         new = path if os.name == "nt" else path.with_name(f"{path.name}.new")
         claim = Claim(new)
         try:
@@ -475,14 +476,13 @@ def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints | Words
     dataset.id.write(h5s.create_simple(shape), place, np.ascontiguousarray(values))
 
 
-def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Raise where there is a file that may not be replaced; make the folder of a new one."""
+def place_for(path: Path, overwrite: bool) -> Path:
+    """Place of a file, which nobody writes; its folder is made."""
+    path = target(path, overwrite)
     path.parent.mkdir(parents=True, exist_ok=True)
-    if not path.exists():
-        return
-    if not overwrite:
-        raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
-    Claim(path).release()  # nobody writes it
+    if path.exists():
+        Claim(path).release()
+    return path
 
 
 def fields_of(

@@ -351,17 +351,6 @@ def test_wrong_frames(path, frames, capsys):
     assert "must" in capsys.readouterr().err
 
 
-def test_an_export_never_follows_a_link(path, tmp_path):
-    """A dangling link in the place of the output is refused, or replaced; its target stays away."""
-    link, elsewhere = tmp_path / "out.csv", tmp_path / "elsewhere"
-    link.symlink_to(elsewhere)
-    words = ["export", str(path), "--to", "csv", "-o", str(link)]
-    assert main(words) == 2
-    assert main([*words, "--overwrite"]) == 0
-    assert not elsewhere.exists()
-    assert not link.is_symlink()
-
-
 def test_info_and_export_agree_on_what_is_there(path, tmp_path, capsys):
     assert main(["info", str(path), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)

@@ -180,7 +180,7 @@ static int opened(int fd, int flags, const char *given)
         struct stat is_there; \
         int makes = fstatat(AT_FDCWD, full, &is_there, 0) != 0; \
         if (makes && !(flags & O_CREAT)) fd = next arguments; /* fails by itself */ \
-        else if (chosen(makes)) errno = fail_error, opened(-1, flags, full); \
+        else if (chosen(makes) == 1) errno = fail_error, opened(-1, flags, full); \
         else { \
             fd = next arguments; \
             if (fd < 0) count--; \
@@ -282,7 +282,7 @@ PWRITEVS(pwritev64v2, (int fd, const struct iovec *parts, int n, off64_t offset,
 #define CHANGES(kind, needs_room, offset, size, name, other, act, failure) \
     pthread_mutex_lock(&lock); \
     __typeof__(act) result = failure; \
-    if (chosen(needs_room)) errno = fail_error; \
+    if (chosen(needs_room) == 1) errno = fail_error; \
     else result = act; \
     int error = result ? (result > 0 ? (int)result : errno) : 0; \
     note(kind, 0, offset, size, error, name, other, NULL, 0); \

@@ -1,0 +1,51 @@
+"""Where a file is written: behind all links, and never in the place of what is no regular file."""
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+
+def target(path: Path, overwrite: bool) -> Path:
+    """Place of a file that is to be written; what is made on the way to it lies in its folder.
+
+    Parameters
+    ----------
+    path : Path
+        As it was named: a file, or a link that leads to one.
+    overwrite : bool
+        Whether it may be there, or a link to it.
+
+    Raises
+    ------
+    FileExistsError
+        If there is a file that may not be replaced, a folder, a device, a pipe, a socket, or a link
+        that leads nowhere.
+    NotADirectoryError
+        If it would lie in something that is no folder.
+    OSError
+        If it cannot be found out.
+    """
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        if path.is_symlink() and not overwrite:
+            raise FileExistsError(
+                f"{path} is a link to {path.readlink()}, which is not there: give another name"
+                " with -o, or --overwrite to make it"
+            ) from None
+    except NotADirectoryError:
+        wrong = next(parent for parent in path.parents if parent.exists())
+        raise NotADirectoryError(f"{path} cannot be made: {wrong} is no folder") from None
+    except OSError as error:
+        if error.errno != errno.ELOOP:
+            raise
+        raise FileExistsError(f"{path} is a link that leads in a circle") from None
+    else:
+        if stat.S_ISDIR(mode):
+            raise FileExistsError(f"{path} is a folder: name a file with -o")
+        if not stat.S_ISREG(mode):
+            raise FileExistsError(f"{path} is no regular file, and stays: name a file with -o")
+        if not overwrite:
+            raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
+    return Path(os.path.realpath(path))

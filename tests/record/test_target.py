@@ -1,0 +1,132 @@
+"""Where files are written: behind links, and never in the place of what is no regular file."""
+
+import os
+import shutil
+import socket
+import stat
+from pathlib import Path
+
+import pytest
+
+import particlerb
+from particlerb.cli import main
+from particlerb.record.target import target
+from particlerb.trajectory import TrajectoryError
+
+CASE = """run = { t_end = 0.2, every = 0.1 }
+[[body]]
+name = "b"
+shape = { type = "moments", inertia = [1.0, 2.0, 2.5] }
+mass = 2.0
+"""
+COMMANDS = {
+    "run": (["run", "a.toml", "-q"], ".h5"),
+    "export": (["export", "sound.h5", "--to", "csv"], ".csv"),
+    "export of bodies": (["export", "a.toml", "--to", "mjcf"], ".xml"),
+    "plot": (["plot", "sound.h5"], ".png"),
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Folder with a case and its file."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "a.toml").write_text(CASE)
+    particlerb.run(folder / "a.toml", folder / "sound.h5").close()
+    return folder
+
+
+@pytest.fixture
+def place(made, tmp_path, monkeypatch):
+    """Folder to write in, with one of each of what may stand in the way."""
+    for name in ("a.toml", "sound.h5"):
+        shutil.copy(made / name, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    Path("folder").mkdir()
+    Path("folder/target").write_text("precious")
+    Path("circle").symlink_to("circle")
+    Path("dangling").symlink_to("folder/new")
+    Path("link").symlink_to("folder/target")
+    Path("to_device").symlink_to("/dev/null")
+    Path("to_pipe").symlink_to("pipe")
+    return tmp_path
+
+
+STAYS = {
+    "/dev/null": "is no regular file",
+    "to_device": "is no regular file",
+    "pipe": "is no regular file",
+    "to_pipe": "is no regular file",
+    "circle": "leads in a circle",
+    "folder": "is a folder",
+    "folder/target/new": "folder/target is no folder",
+}
+
+
+@pytest.mark.parametrize("name", STAYS)
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_what_is_no_regular_file_stays(place, name, overwrite):
+    with pytest.raises((FileExistsError, NotADirectoryError), match=STAYS[name]):
+        target(Path(name), overwrite)
+
+
+def test_links_are_followed(place):
+    behind = (place / "folder").resolve()
+    assert target(Path("link"), True) == behind / "target"
+    assert target(Path("dangling"), True) == behind / "new"
+    assert target(Path("folder/../new/er"), False) == place.resolve() / "new" / "er"
+    with pytest.raises(FileExistsError, match="link exists"):
+        target(Path("link"), False)
+    with pytest.raises(FileExistsError, match="a link to folder/new, which is not there"):
+        target(Path("dangling"), False)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_asks(place, name, capsys):
+    """A pipe, a circle and a dangling link are refused, and a target is written in its folder."""
+    words, suffix = COMMANDS[name]
+    for which in ("pipe", "dangling", "link"):
+        Path(which).rename(which + suffix)
+    Path(f"circle{suffix}").symlink_to(f"circle{suffix}")
+    words = [*words, "-o"]
+    assert main([*words, f"pipe{suffix}", "--overwrite"]) == 2
+    assert main([*words, f"circle{suffix}", "--overwrite"]) == 2
+    assert main([*words, f"circle{suffix}"]) == 2
+    assert main([*words, f"dangling{suffix}"]) == 2
+    err = capsys.readouterr().err
+    assert err.count("particlerb: ") == len(err.splitlines()) == 4
+    assert stat.S_ISFIFO(os.lstat(f"pipe{suffix}").st_mode)
+    assert main([*words, f"link{suffix}", "--overwrite"]) == 0
+    assert main([*words, f"dangling{suffix}", "--overwrite"]) == 0
+    assert Path(f"link{suffix}").is_symlink()
+    assert sorted(os.listdir("folder")) == ["new", "target"]
+    for written in ("new", "target"):
+        assert b"precious" not in Path("folder", written).read_bytes()
+
+
+def test_studies_and_sessions_ask(place, capsys):
+    Path("pipe").rename("a.svg")
+    words = ["chart", "tumbling_brick", "-o", "a", "--overwrite"]
+    assert main(words) == 2
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = str(free.getsockname()[1])
+    assert main(["view", "a.toml", "-o", "a.svg", "--port", port]) == 2
+    assert capsys.readouterr().err.count("a.svg is no regular file") == 2
+
+
+def test_a_run_does_not_replace_its_case(place, capsys):
+    assert main(["run", "a.toml", "-o", "a.toml", "--overwrite"]) == 2
+    assert "a.toml is the input" in capsys.readouterr().err
+    assert Path("a.toml").read_text() == CASE
+
+
+@pytest.mark.parametrize("command", ["info", "resume", "plot", "export", "view"])
+def test_a_pipe_is_no_file_to_read(place, command, capsys):
+    """To open one would wait for ever."""
+    os.mkfifo("pipe.h5")
+    more = ["--to", "csv"] if command == "export" else []
+    assert main([command, "pipe.h5", *more]) == 2
+    assert "pipe.h5 is no regular file" in capsys.readouterr().err
+    with pytest.raises(TrajectoryError, match="no regular file"):
+        particlerb.open("pipe.h5")
