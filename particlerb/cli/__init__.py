@@ -4,12 +4,13 @@ Results go to stdout, progress and messages to stderr. Heavy libraries are impor
 commands that use them, so that `--help` answers at once.
 
 Exit codes: 0 done; 1 the run failed; 2 wrong usage or case; 3 a [check] was missed;
-130 interrupted, with the frames so far kept.
+130 interrupted, by Ctrl-C or SIGTERM, with the frames so far kept.
 """
 
 import argparse
 import io
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -247,8 +248,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def entry() -> NoReturn:
-    """Run the command of this process and end it."""
+    """Run the command of this process and end it; SIGTERM ends it as Ctrl-C does."""
     warnings.showwarning = show_warning
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     if wants_guard(sys.argv[1:]):
         sys.exit(guarded(sys.argv[1:]))
     sys.exit(main())

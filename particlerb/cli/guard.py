@@ -28,8 +28,9 @@ def guarded(words: Sequence[str]) -> int:
     with subprocess.Popen(command, env=os.environ | {MARK: "1"}) as process:
         try:
             code = process.wait()
-        except KeyboardInterrupt:  # it was sent to the other process too
+        except KeyboardInterrupt:
             try:
+                process.terminate()  # Ctrl-C was sent to the other process too, SIGTERM was not
                 process.wait(SECONDS_TO_END)
             except subprocess.TimeoutExpired:
                 process.kill()

@@ -14,7 +14,9 @@ import h5py
 import pytest
 
 import particlerb
+from particlerb import cli
 from particlerb.cli import main
+from particlerb.cli.guard import guarded
 
 CASES = Path(__file__).parents[2] / "cases"
 CUBE = """
@@ -432,6 +434,40 @@ def test_an_interrupt_keeps_the_frames_and_is_exit_code_130(here, number):
         n = int(file.attrs["n_frames"])
         assert n > 0
         assert len(file["particles/trajectory/time"]) == n
+
+
+def test_sigterm_ends_every_command_with_130(monkeypatch, capsys):
+    """Where a run is not yet, or nothing runs."""
+
+    def wait(options):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(60)
+
+    monkeypatch.setitem(cli.COMMANDS, "cases", wait)
+    monkeypatch.setattr("sys.argv", ["particlerb", "cases"])
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            cli.entry()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "particlerb: interrupted\n"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_guard_takes_its_process_along(tmp_path, monkeypatch):
+    other, note = tmp_path / "python", tmp_path / "pid"
+    other.write_text(f"#!/bin/sh\necho $$ > {note}\nkill -TERM $PPID\nexec sleep 60\n")
+    other.chmod(0o700)
+    monkeypatch.setattr("sys.executable", str(other))
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        assert guarded(["info", "a.h5"]) == 130
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(note.read_text()), 0)
 
 
 @pytest.mark.parametrize(
