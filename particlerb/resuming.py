@@ -18,9 +18,10 @@ from particlerb.case.source import Source
 from particlerb.maths.vec3 import Floats
 from particlerb.record.checked import refuse_elsewhere
 from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint
-from particlerb.record.claim import InUseError, is_closed
+from particlerb.record.claim import InUseError
 from particlerb.record.provenance import kept_case, replace_case, versions
 from particlerb.record.schema import PARAMETERS
+from particlerb.record.vtkhdf import is_finished
 from particlerb.record.writer import Recorder
 from particlerb.simulate import (
     Outcome,
@@ -96,7 +97,7 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
             )
         known = frames_that_stay(path, trajectory.time, case)
         total = frame_count(case)
-        if known == total and is_closed(path):
+        if known == total and is_finished(file, n):
             raise ResumeError(
                 f"{path} has nothing left to do: all {n} frames until"
                 f" t = {case.run.t_end!r} s are there; --t-end prolongs the run"
@@ -122,10 +123,8 @@ def resume_pending(pending: Pending, progress: Progress = lambda n: None) -> Out
     ------
     ResumeError
         If another process writes the file.
-    KeyboardInterrupt, FullDiskError, WriteError, RunError
+    KeyboardInterrupt, OSError, RunError
         As in `simulate.advance`.
-    OSError
-        If the file cannot be opened for writing.
     """
     path, prepared, checkpoint = pending.path, pending.prepared, pending.checkpoint
     THREADS.use(prepared.case.run.threads)
@@ -136,7 +135,7 @@ def resume_pending(pending: Pending, progress: Progress = lambda n: None) -> Out
     except KeyError as error:
         raise ResumeError(f"{path} is damaged: {error}") from None
     if pending.is_prolonged:
-        with recorder.watched():
+        with recorder.writing():
             replace_case(recorder.file, prepared.case)
     return advance(prepared, recorder, checkpoint, progress)
 

@@ -282,10 +282,10 @@ def run_prepared(
 
     Raises
     ------
-    FileExistsError, OSError
-        If the file cannot be made.
-    FullDiskError, WriteError
-        If it cannot be written; after the first all frames until then are whole.
+    FileExistsError
+        If there is a file that may not be replaced.
+    OSError
+        If the file cannot be made, or written: what was committed stays.
     RunError
         If the run fails; the frames until then are committed.
     """
@@ -308,7 +308,7 @@ def advance(
     ------
     KeyboardInterrupt
         If a signal has asked for the end; behind a whole frame, the first time.
-    FullDiskError, WriteError, RunError
+    OSError, RunError
         As in `run_prepared`.
     """
     case = prepared.case

@@ -51,6 +51,9 @@ class Output(Table):
     dtype: Literal["float64", "float32"] = Field(
         "float64", description="Precision of the file. [-]"
     )
+    durable: bool = Field(
+        True, description="Whether committed frames outlive a power cut, not kills only. [-]"
+    )
 
 
 Quantity = Literal[

@@ -45,7 +45,7 @@ def run_command(options: argparse.Namespace) -> int:
     def run(progress: "Progress") -> "Outcome":
         return run_prepared(prepared, path, options.overwrite, progress)
 
-    outcome = execute(run, path, options, frame_count(prepared.case))
+    outcome = execute(run, path, options, frame_count(prepared.case), before=number_of(path))
     return conclude(prepared, outcome, path, options)
 
 
@@ -110,10 +110,10 @@ def output_path(options: argparse.Namespace, case: "Case") -> Path:
 
 def disk_warnings(case: "Case", path: Path, done: int = 0) -> list[str]:
     """Warning where what is left to write, behind some frames, would not fit on the disk."""
-    from particlerb.record.room import bytes_of_run, spare_bytes
+    from particlerb.record.room import SMALLEST_FILE, bytes_of_run
     from particlerb.simulate import frame_count
 
-    size = bytes_of_run(case, frame_count(case) - done) + spare_bytes(case)
+    size = bytes_of_run(case, frame_count(case) - done) + SMALLEST_FILE
     free = free_bytes(path)
     if size <= free:
         return []
@@ -157,12 +157,15 @@ def execute(
     options: argparse.Namespace,
     total: int,
     done: int = 0,
+    before: int | None = None,
 ) -> "Outcome":
-    """Run with a progress bar; an interrupt or a failure says what was kept, and how to go on."""
+    """Run with a progress bar; an interrupt or a failure says what was kept, and how to go on.
+
+    `before` is the number of a file that is there and is to be replaced.
+    """
     from tqdm import tqdm
 
     from particlerb.record.claim import InUseError
-    from particlerb.record.room import FullDiskError
     from particlerb.simulate import RunError
 
     silent = True if options.quiet else None
@@ -171,17 +174,16 @@ def execute(
         with bar, stoppable():
             return run(bar.update)
     except RunError as error:
-        raise Ending(f"the run failed: {error}; {kept(path, False)}", FAILED) from None
+        raise Ending(f"the run failed: {error}; {kept(path, before, False)}", FAILED) from None
     except KeyboardInterrupt:
-        raise Ending(f"interrupted; {kept(path)}", INTERRUPTED) from None
+        raise Ending(f"interrupted; {kept(path, before)}", INTERRUPTED) from None
     except InUseError:
         raise Ending(f"{path} is being written by another run: give another name with -o") from None
     except FileExistsError as error:
         raise Ending(str(error)) from None
-    except FullDiskError:
-        raise Ending(f"the run failed: the disk is full; {kept(path)}", FAILED) from None
     except OSError as error:
-        raise Ending(f"the run failed: cannot write {error}; {kept(path)}", FAILED) from None
+        why = f"cannot write {error.filename}: {error.strerror}" if error.strerror else str(error)
+        raise Ending(f"the run failed: {why}; {kept(path, before)}", FAILED) from None
 
 
 @contextlib.contextmanager
@@ -216,20 +218,27 @@ def ask_to_stop(number: int, frame: object) -> None:
     signal.signal(number, signal.default_int_handler)
 
 
-def kept(path: Path, can_go_on: bool = True) -> str:
+def number_of(path: Path) -> int | None:
+    """Number of a file on its disk; None where there is none."""
+    return path.stat().st_ino if path.exists() else None
+
+
+def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
     """What is left in a file after a run that did not end, and how to go on with it."""
     from particlerb.record.schema import CHECKPOINT
     from particlerb.trajectory import TrajectoryError, open_trajectory
 
+    if number_of(path) in (None, before):
+        return "no file was written"
     try:
         with open_trajectory(path) as trajectory:
             n = trajectory.n_frames
             text = f"{n} {'frame is' if n == 1 else 'frames are'} kept in {path}"
-            if can_go_on and CHECKPOINT in trajectory.file:
+            if can_go_on and (CHECKPOINT in trajectory.file or not n):
                 text += f"\ngo on with: python -m particlerb resume {shlex.quote(str(path))}"
             return text
-    except (OSError, TrajectoryError):
-        return "no file was written"
+    except (OSError, TrajectoryError) as error:
+        return f"what is in {path} cannot be read now: {error}"
 
 
 def drift_text(outcome: "Outcome") -> str:

@@ -15,6 +15,8 @@ import h5py
 import numpy as np
 from h5py import h5a, h5d, h5l, h5z
 
+from particlerb.record.atomic import to_read
+
 FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
 LAYOUTS: Final = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
 LARGEST_ATTRIBUTE: Final = 65536  # bytes
@@ -52,7 +54,7 @@ def blaming(file: h5py.File | str | Path) -> Iterator[None]:
 
 
 def open_file(path: str | Path) -> h5py.File:
-    """File open for reading; also while another process writes it.
+    """File open for reading; also while another process writes it, or behind a kill.
 
     Raises
     ------
@@ -60,7 +62,7 @@ def open_file(path: str | Path) -> h5py.File:
         If HDF5 cannot read it.
     """
     try:
-        return h5py.File(path, "r", locking=False)
+        return h5py.File(to_read(Path(path)), "r", locking=False)
     except FAULTS as error:
         reason = " ".join(str(error).split())
         raise TrajectoryError(f"{path} is not a readable HDF5 file: {reason}") from None

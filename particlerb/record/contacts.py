@@ -23,7 +23,6 @@ from particlerb.record.schema import (
 )
 
 CONTACTS_PER_CHUNK = 64, 8192  # at least, at most
-BYTES_PER_CONTACT = 3 * 4 + 7 * 8
 Make = Callable[[str, Element], h5py.Dataset]
 
 

@@ -1,4 +1,4 @@
-"""Room that a run takes on the disk, told before it starts and kept ahead while it writes."""
+"""Room that a run takes on the disk."""
 
 from typing import Final
 
@@ -8,23 +8,12 @@ from particlerb.case.schema import Case
 from particlerb.record.contacts import walls_wanted
 from particlerb.record.schema import CONTACT_FIELDS, FIELDS
 
-LARGEST_SPARE: Final = 8_000_000  # bytes that HDF5 may hold back in its caches, 1 MiB a dataset
 SMALLEST_FILE: Final = 600_000  # bytes of a file of few bodies and frames
-
-
-class FullDiskError(OSError):
-    """The disk has no room for what comes next; what was written is whole."""
 
 
 def most_frames(case: Case) -> int:
     """Frames of a run, or a few more."""
     return int(case.run.t_end / case.run.every) + 2
-
-
-def spare_bytes(case: Case) -> int:
-    """Room on the disk for what HDF5 has still to write when a run must end."""
-    whole = bytes_of_run(case, most_frames(case))
-    return min(LARGEST_SPARE, SMALLEST_FILE + 2 * whole)
 
 
 def bytes_of_run(case: Case, n_frames: int) -> int:

@@ -103,6 +103,11 @@ def resize_vtkhdf(file: h5py.File, fields: Mapping[str, h5py.Dataset], n_frames:
         view(group, own, values, n_frames)
 
 
+def is_finished(file: h5py.File, n_frames: int) -> bool:
+    """Whether /VTKHDF, where there is one, has room for these frames and no more."""
+    return VTKHDF not in file or len(file[VTKHDF]["Steps"]["PartOffsets"]) == n_frames
+
+
 def view(group: h5py.Group, name: str, values: h5py.Dataset, n_frames: int | None = None) -> None:
     """Virtual dataset over the values: (n_frames * N, C) over (T, N, C), or the same shape.
 

@@ -1,14 +1,11 @@
-"""Writes a run into one HDF5 file, chunk by chunk, so that a kill leaves every committed frame.
+"""Writes a run into one HDF5 file, chunk by chunk, so that nothing takes a committed frame away.
 
-Commit is two-phase: data, flush, counter, flush. The default format version of HDF5 is used and
-no file lock, so that the file opens after a crash and can be read while it grows.
+A commit changes the file as a whole: see `record.atomic`. The default format version of HDF5 is
+used and no file lock, so that the file opens after a crash and can be read while it grows.
 """
 
-import errno
 import itertools
 import os
-import re
-import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -24,10 +21,10 @@ from particlerb.bodies.state import Frames, derived
 from particlerb.case.schema import Case
 from particlerb.contact.touches import Touches
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record.atomic import AtomicFile
 from particlerb.record.checkpoint import make_slots, write_checkpoint
-from particlerb.record.claim import FULL, Claim
+from particlerb.record.claim import Claim
 from particlerb.record.contacts import (
-    BYTES_PER_CONTACT,
     ContactList,
     body_values,
     make_contacts,
@@ -44,7 +41,7 @@ from particlerb.record.layout import (
     write_h5md,
 )
 from particlerb.record.provenance import write_parameters
-from particlerb.record.room import FullDiskError, bytes_of_run, most_frames, spare_bytes
+from particlerb.record.room import most_frames
 from particlerb.record.schema import (
     BODIES,
     CHECKPOINT,
@@ -77,10 +74,6 @@ SHOWN = {  # what VTK shows of each body beside the recorded fields
 NUMBERS = itertools.count()  # of the files in memory
 
 
-class WriteError(OSError):
-    """HDF5 could not write; what was committed is whole."""
-
-
 class OtherFrameError(Exception):
     """A frame that was computed again is not the one in the file: which."""
 
@@ -105,12 +98,9 @@ class Recorder:
         If the file exists and may not be replaced.
     InUseError
         If another process writes the file.
-    FullDiskError
-        If the disk has no room for the next frames; those before are whole.
-    WriteError
-        If HDF5 fails to write.
     OSError
-        If the file cannot be made.
+        If the file cannot be made. From any method if it cannot be written: what was committed is
+        whole, and nothing more is written.
     """
 
     def __init__(
@@ -127,25 +117,31 @@ class Recorder:
             self.take(file, None, None, case, scene)
             self.lay_out(parameters)
             return
-        path = place_for(path, overwrite)
-        new = path if os.name == "nt" else path.with_name(f"{path.name}.new")
+        place = place_for(path, overwrite)
+        new = place.with_name(f"{place.name}.new")
         claim = Claim(new)
+        os.ftruncate(claim.fileno(), 0)
+        self.take(*self.opened(claim, path, "w", case), path, case, scene)
         try:
-            file = h5py.File(new, "w", locking=False)
-        except OSError:
-            claim.release()
-            raise
-        self.take(file, claim, path, case, scene)
-        try:
-            self.refuse_full_disk(0)
-            with self.watched():
+            with self.writing():
                 self.lay_out(parameters)
                 self.commit()
-            new.replace(path)  # from here on a kill leaves a file that opens
+                new.replace(place)  # from here on there is a file
+                if case.output.durable:
+                    sync_folder(place.parent)
         except BaseException:
-            self.is_broken = True
-            self.abandon()
             new.unlink(missing_ok=True)
+            raise
+
+    @staticmethod
+    def opened(claim: Claim, path: Path, mode: str, case: Case) -> tuple[h5py.File, AtomicFile]:
+        """HDF5 file in a claimed one."""
+        try:
+            disk = AtomicFile(claim, path, case.output.durable)
+            disk.settle()
+            return h5py.File(disk, mode), disk
+        except BaseException:
+            claim.close()
             raise
 
     def lay_out(self, parameters: Mapping[str, str]) -> None:
@@ -202,19 +198,10 @@ class Recorder:
             If it cannot be opened or written.
         """
         self = cls.__new__(cls)
-        claim, file = Claim(path), None
-        try:
-            claim.mend(2 * bytes_of_run(case, 1))
-            file = h5py.File(path, "r+", locking=False)
-            self.take(file, claim, path, case, scene)
-            self.find()
-        except BaseException:
-            if file is not None:
-                file.close()
-            claim.release()
-            raise
+        self.take(*self.opened(Claim(path), path, "r+", case), path, case, scene)
         self.ready, self.known, self.has_slots = (n_frames, []), known, n_frames > 0
-        with self.watched():
+        with self.writing():
+            self.find()
             self.cut(known)
         return self
 
@@ -232,10 +219,10 @@ class Recorder:
         self.checksums = self.file[INTEGRITY][CHECKSUM]
 
     def take(
-        self, file: h5py.File, claim: Claim | None, path: Path | None, case: Case, scene: Scene
+        self, file: h5py.File, disk: AtomicFile | None, path: Path | None, case: Case, scene: Scene
     ) -> None:
         """Begin with an open file."""
-        self.file, self.claim, self.path = file, claim, path
+        self.file, self.disk, self.path = file, disk, path
         self.case, self.scene = case, scene
         self.dtype = np.dtype(case.output.dtype)
         # Frames committed, and of those that are not how many lie before and their small arrays:
@@ -245,20 +232,18 @@ class Recorder:
         self.is_broken = self.has_slots = False
         self.last_commit = self.last_kept = time.monotonic()
         self.slot: int | None = None  # of the checkpoint, that counts from the next commit on
-        self.seconds_to_keep, self.bytes_kept = 0.0, 0
+        self.seconds_to_keep = 0.0
 
     def cut(self, n: int) -> None:
-        """Forget frames from n on, and what a kill has left half written behind them."""
+        """Forget frames from n on."""
         self.file.attrs.modify(COMMITTED, np.int64(n))
         count_steps(self.file, n)
-        self.file.flush()
         small = (self.step, self.time, self.checksums, *self.ledger.values())
         for dataset in (*small, *self.values.values(), *self.walls.values()):
             dataset.resize(n, axis=0)
         if self.contacts is not None:
             self.contacts.cut(n)
         resize_vtkhdf(self.file, self.values, most_frames(self.case))
-        self.file.flush()
 
     @property
     def n_frames(self) -> int:
@@ -275,9 +260,7 @@ class Recorder:
         touches: Sequence[Touches] = (),
     ) -> None:
         """Append rows of the frames with their times, ledger entries, and contacts if wanted."""
-        n_contacts = sum(one.wall.size for one in touches)
-        self.refuse_full_disk(len(rows), BYTES_PER_CONTACT * n_contacts)
-        with self.watched():
+        with self.writing():
             self.write(times, frames, rows, ledger, touches)
 
     def write(
@@ -332,29 +315,32 @@ class Recorder:
         """Write a checkpoint of the state behind all frames; it counts from the next commit on."""
         if self.path is None:
             return
-        start = time.monotonic()
         arrays = checkpoint()
-        self.bytes_kept = sum(array.nbytes for array in arrays.values())
-        self.refuse_full_disk(0)
-        with self.watched():
+        with self.writing():
             if self.has_slots:
                 self.slot = write_checkpoint(self.file, self.n_frames, arrays)
             else:
                 make_slots(self.file, self.n_frames, arrays)
                 self.has_slots = True
         self.last_kept = time.monotonic()
-        self.seconds_to_keep = self.last_kept - start
 
     def commit_if_due(self, checkpoint: Callable[[], Mapping[str, Any]] | None) -> None:
         """Commit what has waited for a second; with a checkpoint, where that costs little."""
-        now = time.monotonic()
-        if now - self.last_commit <= SECONDS_BETWEEN_COMMITS or self.n_frames < self.known:
+        start, waited_before = time.monotonic(), self.seconds_for_disk
+        if start - self.last_commit <= SECONDS_BETWEEN_COMMITS or self.n_frames < self.known:
             return
-        waited = now - self.last_kept
-        if checkpoint is not None and SHARE_OF_CHECKPOINTS * waited >= self.seconds_to_keep:
+        is_cheap = SHARE_OF_CHECKPOINTS * (start - self.last_kept) >= self.seconds_to_keep
+        if checkpoint is not None and is_cheap:
             self.keep(checkpoint)
-        with self.watched():
-            self.commit()
+        self.commit()
+        if self.last_kept >= start:
+            waited = self.seconds_for_disk - waited_before
+            self.seconds_to_keep = self.last_commit - start - waited
+
+    @property
+    def seconds_for_disk(self) -> float:
+        """Seconds that the disk was waited for until now."""
+        return 0.0 if self.disk is None else self.disk.seconds
 
     def of_contacts(self, touches: Sequence[Touches]) -> dict[str, Floats | Ints]:
         """Fields per body that contacts decide, for some frames."""
@@ -371,54 +357,40 @@ class Recorder:
         return int(pending[-1][1][OFFSET][-1] if pending else self.contacts.offset[committed])
 
     @contextmanager
-    def watched(self) -> Iterator[None]:
-        """Turn a failure of HDF5 into WriteError, and write no more."""
+    def writing(self) -> Iterator[None]:
+        """Leave the file as it was committed last where the disk fails, or HDF5 is interrupted."""
         try:
             yield
-        except (OSError, RuntimeError) as error:
-            self.is_broken = True
+        except BaseException:
             self.abandon()
-            found = re.search(r"error message = '([^']*)'", str(error))
-            reason = found[1] if found else " ".join(str(error).split())
-            raise WriteError(f"{self.path}: {reason}") from None
+            raise
+        if self.disk is not None and self.disk.failure is not None:
+            self.abandon()
 
     def abandon(self) -> None:
-        """Let HDF5 write no more into the file: what it still holds back would spoil it."""
-        if self.path is None or not self.file:
+        """Write no more; raise OSError where the disk has failed."""
+        self.is_broken = True
+        if self.disk is None:
             return
-        null = os.open(os.devnull, os.O_RDWR)
-        os.dup2(null, self.file.id.get_vfd_handle())
-        os.close(null)
+        failure, self.disk.failure = self.disk.failure, self.disk.failure or (None, None, "")
         with suppress(OSError, RuntimeError, ValueError):
             self.file.close()
-        if self.claim is not None:
-            self.claim.lengthen()
-            self.claim.release()
-            self.claim = None
-
-    def refuse_full_disk(self, n_frames: int, more: int = 0) -> None:
-        """Raise FullDiskError while the file is whole: HDF5 does not survive a failed write."""
-        if self.path is None or self.claim is None:
-            return
-        needed = 2 * (bytes_of_run(self.case, n_frames) + more) + spare_bytes(self.case)
-        needed += self.bytes_kept
-        wanted = self.file.id.get_filesize() + needed
-        if wanted <= self.claim.size:
-            return
-        if shutil.disk_usage(self.path.parent).free < needed:
-            raise FullDiskError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
-        try:
-            try:
-                self.claim.reserve(wanted + needed)  # not to ask every time
-            except OSError:
-                self.claim.reserve(wanted)
-        except OSError as error:
-            if error.errno in FULL:
-                raise FullDiskError(error.errno, error.strerror, str(self.path)) from None
-            raise
+        self.disk.source.close()
+        if failure is not None:
+            raise OSError(*failure) from None
 
     def commit(self) -> None:
-        """Put what is written on disk, then say so; may be repeated after an interrupt."""
+        """Let the file have all frames that were appended."""
+        with self.writing():
+            self.count()
+            self.file.flush()
+            if self.disk is not None:
+                self.disk.commit()
+        self.ready, self.slot = (self.n_frames, []), None
+        self.last_commit = time.monotonic()
+
+    def count(self) -> None:
+        """Write the small arrays, and count what is there."""
         first, pending = self.ready
         n = self.n_frames
         small = {CLOCK: self.time, CHECKSUM: self.checksums, **self.ledger, **self.walls}
@@ -430,34 +402,25 @@ class Recorder:
                 append_rows(small[name], first, values)
         append_rows(self.step, first, np.arange(first, n))
         append_steps(self.file, self.time[first:n])
-        self.file.flush()
         self.file.attrs.modify(COMMITTED, np.int64(n))
         count_steps(self.file, n)
         if self.slot is not None:
             self.file[CHECKPOINT].attrs.modify(CURRENT, np.int64(self.slot))
-        self.file.flush()
-        self.ready, self.slot = (n, []), None
-        self.last_commit = time.monotonic()
 
     def finish(self) -> None:
-        """Commit, cut off what an interrupt has left half written, and close; once is enough."""
+        """Commit and close; after an error there is nothing to do."""
         if self.is_broken:
             return
-        with self.watched():
+        with self.writing():
             if self.n_frames >= self.known:
-                self.commit()
-            n = max(self.n_frames, self.known)
-            for dataset in self.values.values():
-                dataset.resize(n, axis=0)
-            resize_vtkhdf(self.file, self.values, n)
-            if self.contacts is not None:
-                self.contacts.cut(n)
-            self.file.flush()
-            if self.path is not None:
-                self.file.close()
-        if self.claim is not None:
-            self.claim.trim()
-            self.claim.release()
+                self.count()
+            resize_vtkhdf(self.file, self.values, max(self.n_frames, self.known))
+            if self.disk is None:
+                self.file.flush()
+                return
+            self.file.close()
+            self.disk.commit()
+            self.disk.source.close()
 
 
 def append_rows(dataset: h5py.Dataset, first: int, values: Floats | Ints | Words) -> None:
@@ -481,8 +444,17 @@ def place_for(path: Path, overwrite: bool) -> Path:
     path = target(path, overwrite)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists():
-        Claim(path).release()
+        Claim(path).close()
     return path
+
+
+def sync_folder(path: Path) -> None:
+    """Wait until the disk has the names in a folder."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def fields_of(

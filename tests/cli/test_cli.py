@@ -1,5 +1,6 @@
 """The command line: exit codes, messages, what goes to which stream, what is left on disk."""
 
+import errno
 import json
 import os
 import re
@@ -181,25 +182,54 @@ def test_a_disk_that_is_too_small_is_warned_of_with_the_size(here, capsys, monke
     monkeypatch.setattr("shutil.disk_usage", lambda folder: usage)
     main(["cube.toml"])
     err = capsys.readouterr().err
-    assert "cube.h5 would take 605 kB, the disk has 0.001 kB free" in err
+    assert "cube.h5 would take 601 kB, the disk has 0.001 kB free" in err
     assert main(["cube.toml", "--overwrite", "--strict"]) == 2
 
 
+def filling(monkeypatch, room):
+    """Let no file grow beyond so many bytes."""
+    write = os.pwrite
+
+    def limited(descriptor, data, place):
+        if place + len(data) > room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, data, place)
+
+    monkeypatch.setattr("os.pwrite", limited)
+
+
 def test_a_disk_that_fills_up_ends_the_run_and_keeps_the_frames(here, capsys, monkeypatch):
-    """The run stops before a write fails, because HDF5 crashes on one."""
     Path("cube.toml").write_text(CUBE.replace("every = 0.25", "every = 1e-4"))
-    usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr("particlerb.record.writer.spare_bytes", lambda case: 50_000)
-    free = iter([10**12] * 5)
-    monkeypatch.setattr("shutil.disk_usage", lambda folder: usage(1, 1, next(free, 1000)))
+    monkeypatch.setattr("particlerb.record.writer.SECONDS_BETWEEN_COMMITS", -1.0)
+    filling(monkeypatch, 2_000_000)
     assert main(["cube.toml"]) == 1
     err = capsys.readouterr().err
-    assert "the disk is full" in err
     with h5py.File("output/cube.h5") as file:
         n = int(file.attrs["n_frames"])
         assert 0 < n < 10_001
-        assert f"{n} frames are kept in output/cube.h5" in err
         assert len(file["particles/trajectory/position/value"]) == n
+    assert err.splitlines() == [
+        "particlerb: the run failed: cannot write output/cube.h5: No space left on device;"
+        f" {n} frames are kept in output/cube.h5",
+        "go on with: python -m particlerb resume output/cube.h5",
+    ]
+
+
+def test_a_disk_without_any_room_leaves_no_file_and_keeps_the_one_before(here, capsys, monkeypatch):
+    filling(monkeypatch, 20_000)
+    assert main(["cube.toml"]) == 1
+    assert "No space left on device; no file was written" in capsys.readouterr().err
+    assert not list(Path("output").iterdir())
+    monkeypatch.undo()
+    monkeypatch.chdir(here)
+    assert main(["cube.toml"]) == 0
+    before = Path("output/cube.h5").read_bytes()
+    filling(monkeypatch, 20_000)
+    assert main(["cube.toml", "--overwrite"]) == 1
+    err = capsys.readouterr().err
+    assert "No space left on device; no file was written" in err
+    assert "resume" not in err
+    assert Path("output/cube.h5").read_bytes() == before
 
 
 def test_set_and_threads_change_the_case(here, capsys):

@@ -24,7 +24,7 @@ from particlerb import simulate
 from particlerb.case.reader import load
 from particlerb.record import writer
 from particlerb.record.checkpoint import read_checkpoint
-from particlerb.record.claim import is_closed
+from particlerb.record.vtkhdf import is_finished
 from particlerb.resuming import ResumeError, look_at, resume_pending
 from particlerb.trajectory import Trajectory, TrajectoryError
 
@@ -159,7 +159,9 @@ def kill_runs(
                     try:
                         committed.append(check(path, right))
                         tick()
-                        if committed[-1] == right.n_frames and is_closed(path):
+                        with particlerb.open(path) as left:
+                            is_done = is_finished(left.file, right.n_frames)
+                        if committed[-1] == right.n_frames and is_done:
                             break  # killed behind the end
                         work = partial(resume_pending, look_at(path))
                     except (AssertionError, OSError, ResumeError, TrajectoryError) as error:

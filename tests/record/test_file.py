@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb import simulate
-from particlerb.record import writer
 from particlerb.record.schema import FIELDS, LEDGER, STATIC, frames_per_chunk
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
@@ -233,25 +231,6 @@ def test_an_existing_file_is_not_overwritten(make, tmp_path):
 def test_folders_of_the_output_are_made(make, tmp_path):
     with particlerb.run(scene(make), tmp_path / "a" / "b" / "run.vtkhdf") as t:
         assert t.n_frames == 24
-
-
-def test_the_counter_is_written_after_the_data(make, tmp_path, monkeypatch):
-    """Two phases: a flush with the old counter, then one with the new."""
-    seen = []
-    flush = h5py.File.flush
-
-    def spy(file):
-        flush(file)
-        if "n_frames" in file.attrs:
-            lengths = len(file["particles/trajectory/position/value"])
-            seen.append((int(file.attrs["n_frames"]), lengths))
-
-    monkeypatch.setattr(h5py.File, "flush", spy)
-    monkeypatch.setattr(writer, "SECONDS_BETWEEN_COMMITS", 0.0)
-    monkeypatch.setattr(simulate, "FIRST_BATCH", 100)
-    particlerb.run(scene(make), tmp_path / "run.h5").close()
-    for before, after in ((0, 23), (23, 24)):  # the frame at t_end stands alone
-        assert seen.index((before, after)) < seen.index((after, after))
 
 
 WRITE = """
