@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import tomlkit
 from crashes import (
     Disk,
     Done,
@@ -33,7 +34,7 @@ from crashes import (
     in_folder,
     place,
 )
-from kills import differences
+from kills import contents
 from tqdm import tqdm
 
 import particlerb
@@ -124,22 +125,24 @@ class Recorded:
         self.watched, self.straight = folder / "watched", folder / "straight" / "a.h5"
         how, _, name = kind.rpartition(" ")
         case = KINDS[name]()
-        self.write(case, "a.toml")
-        self.argv = ["run", "a.toml", "-o", "watched/a.h5", "-q"]
-        session.warm(["run", "a.toml", "-o", "straight/a.h5", "-q"], folder)
         self.before: dict[str, bytes] = {}
+        self.begin, self.argv = ["run", str(folder / "a.toml"), "-q"], []
         if how == "prolonged":
-            run = case["run"]
-            short = round(0.6 * run["t_end"], 3)
-            self.write(case | {"run": run | {"t_end": short}}, "short.toml")
-            session.warm(["run", "short.toml", "-o", "short/a.h5", "-q"], folder)
+            t_end = case["run"]["t_end"]
+            case["run"] = case["run"] | {"t_end": round(0.6 * t_end, 1)}
+            self.argv = ["resume", "watched/a.h5", "-q", "--t-end", repr(t_end)]
+        (folder / "a.toml").write_text(tomlkit.dumps(case))
+        if how == "prolonged":
+            session.warm([*self.begin, "-o", "short/a.h5"], folder)
             self.before = in_folder(folder / "short")
-            self.argv = ["resume", "watched/a.h5", "-q", "--t-end", repr(run["t_end"])]
+            self.begin += ["--set", f"run.t_end={t_end}"]
+        self.argv = self.argv or [*self.begin, "-o", "watched/a.h5"]
+        session.warm([*self.begin, "-o", str(self.straight)], folder)
+        self.right = contents(self.straight)
         self.done = self.run()
         assert self.done.code == 0, self.done.err
         if how == "resumed":
-            half = 6 * len(self.done.operations) // 10
-            self.before = self.state_behind(half)
+            self.before = self.state_behind(self.cut_off_commit())
             self.argv = ["resume", "watched/a.h5", "-q"]
             self.done = self.run()
             assert self.done.code == 0, self.done.err
@@ -158,12 +161,6 @@ class Recorded:
         said = said or self.go_on(self.folder / "state", is_here=True)
         assert not said, said
 
-    def write(self, case: Mapping[str, Any], name: str) -> None:
-        """Write a case file."""
-        import tomlkit
-
-        (self.folder / name).write_text(tomlkit.dumps(case))
-
     def disk(self) -> Disk:
         """Files before the run."""
         return Disk(self.before)
@@ -175,6 +172,15 @@ class Recorded:
             disk.apply(operation)
         return disk.killed()
 
+    def cut_off_commit(self) -> int:
+        """Operations until a kill in a commit, of which h5py cannot open what is left."""
+        last = 6 * len(self.done.operations) // 10
+        for k in range(last, 0, -1):
+            place(self.state_behind(k), self.folder / "state")
+            if self.read(self.folder / "state", 0, (plainly,))[1]:
+                return k
+        return last
+
     def run(self, fault: Fault | None = None) -> Done:
         """Run it again from its beginning."""
         place(self.before, self.watched)
@@ -182,7 +188,9 @@ class Recorded:
 
     def differences(self, folder: Path) -> str:
         """How a file in a folder is not as it should be."""
-        return " ".join(differences(folder / "a.h5", self.straight))
+        found = contents(folder / "a.h5")
+        names = sorted(found.keys() | self.right.keys())
+        return " ".join(name for name in names if found.get(name) != self.right.get(name))
 
     def look(self, folder: Path, least: int) -> tuple[int, bool, str]:
         """Frames of a file, which must be those that it should have; and what is wrong.
@@ -218,7 +226,7 @@ class Recorded:
             argv = ["resume", path, "-q", *self.argv[3:]] if self.argv[0] == "resume" else []
             argv = argv or ["resume", path, "-q"]
         else:
-            argv = ["run", str(self.folder / "a.toml"), "-o", path, "-q"]
+            argv = [*self.begin, "-o", path]
 
         def work() -> None:
             words = io.StringIO()
@@ -267,9 +275,9 @@ def wholly(path: Path, straight: Path) -> int:
     return n
 
 
-def signature(state: Mapping[str, bytes], n: int) -> object:
-    """What decides on which way a recovery goes: files that are there, empty or not; frames."""
-    return n, tuple(sorted((name, not data) for name, data in state.items()))
+def signature(state: Mapping[str, bytes], n: int, is_plain: bool) -> object:
+    """What decides on which way a recovery goes: frames, files, whether one has to be mended."""
+    return n, is_plain, tuple(sorted((name, not data) for name, data in state.items()))
 
 
 def kills(one: Recorded, every: int = 1, tick: Callable[[], object] = object) -> Found:
@@ -284,7 +292,7 @@ def kills(one: Recorded, every: int = 1, tick: Callable[[], object] = object) ->
         state = disk.killed()
         found.states += 1
         place(state, folder)
-        least, n = max(one.done.promised[k], most), 0
+        least, n, is_plain = max(one.done.promised[k], most), 0, True
         has_file = "a.h5" in state
         if has_file:
             n, is_plain, said = one.look(folder, least)
@@ -296,7 +304,7 @@ def kills(one: Recorded, every: int = 1, tick: Callable[[], object] = object) ->
             found.nameless += 1
             if least:
                 found.wrong.append(f"{k}: no file, and {least} frames were promised")
-        way = signature(state, n)
+        way = signature(state, n, is_plain)
         if (every and k % every == 0) or way not in seen:
             seen.add(way)
             place(state, folder)
@@ -340,7 +348,10 @@ def power_cuts(
 
 
 def faults(
-    one: Recorded, at: Iterable[int], ways: Iterable[tuple[int, str]], tick: Callable[[], object]
+    one: Recorded,
+    at: Iterable[int],
+    ways: Iterable[tuple[int, str]],
+    tick: Callable[[], object] = object,
 ) -> Found:
     """Let operations fail; the run must say so once and keep what it has promised."""
     found = Found(one.kind, "fault", len(one.done.operations))
