@@ -97,9 +97,10 @@ class Trajectory:
             major, minor = (int(k) for k in attribute(file, "schema", "iu"))
             self.schema = (major, minor)
         if major != SCHEMA_VERSION[0]:
+            age = "a newer" if major > SCHEMA_VERSION[0] else "an older"
             raise TrajectoryError(
-                f"{file.filename} has schema {major}.{minor}, this version reads"
-                f" {SCHEMA_VERSION[0]}.x"
+                f"{file.filename} has schema {major}.{minor}: {age} particlerb has written it, and"
+                f" this one reads {SCHEMA_VERSION[0]}.x; read it with a version of its time"
             )
         self.mass: Floats = checked(file, f"{TRAJECTORY}/mass", "f", (None,))[:]
         self.n_bodies = len(self.mass)

@@ -230,10 +230,10 @@ def test_an_hdf5_file_with_something_else_for_the_masses(tmp_path, mass):
 def test_another_schema_is_refused(written, tmp_path):
     copy = tmp_path / "copy.h5"
     copy.write_bytes(written.read_bytes())
-    for version in ([3, 3], [1, 0]):
+    for version, age in (([3, 3], "a newer"), ([1, 0], "an older")):
         with h5py.File(copy, "a") as file:
             file.attrs["schema"] = version
-        words = rf"has schema {version[0]}\.{version[1]}, this version reads 2\.x"
+        words = rf"has schema {version[0]}\.{version[1]}: {age} particlerb .* reads 2\.x"
         with pytest.raises(TrajectoryError, match=words):
             particlerb.open(copy)
     with h5py.File(copy, "a") as file:
