@@ -89,15 +89,13 @@ class Plan(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def make_plan(case: Case, scene: Scene, choice: Sequence[Stepping | None] = ()) -> Plan:
+def make_plan(case: Case, scene: Scene) -> Plan:
     """Plan of a case.
 
     Parameters
     ----------
     case, scene : Case, Scene
         What the user says, and the bodies made of it.
-    choice : sequence of Stepping or None
-        For each group, in place of what the case says; empty: as the case says.
 
     Raises
     ------
@@ -115,17 +113,40 @@ def make_plan(case: Case, scene: Scene, choice: Sequence[Stepping | None] = ()) 
         raise CaseError(problems)
     touching = contact_of(case, scene)
     grouped = groups_of(case, scene, loads, links, touching)
-    choice = choice or [None] * len(grouped)
-    cut = [
-        cut_into_segments(case, scene, group, chosen, touching)
-        for group, chosen in zip(grouped, choice, strict=True)
-    ]
+    cut = [cut_into_segments(case, scene, group, touching) for group in grouped]
     refuse_method(case, cut)
-    steps = [
-        step(case, scene, group) if chosen is None else chosen.dt
-        for group, chosen in zip(cut, choice, strict=True)
-    ]
-    groups = tuple(with_steps(group, dt) for group, dt in zip(cut, steps, strict=True))
+    groups = tuple(with_steps(group, step(case, scene, group)) for group in cut)
+    return checked(case, scene, groups, [None] * len(groups))
+
+
+def with_choice(case: Case, scene: Scene, plan: Plan, choice: Sequence[Stepping | None]) -> Plan:
+    """Plan whose groups are stepped as chosen, where something is.
+
+    Raises
+    ------
+    CaseError
+        If a step is too short or too long.
+    """
+    groups = tuple(
+        group if chosen is None else stepped_by(group, chosen)
+        for group, chosen in zip(plan.groups, choice, strict=True)
+    )
+    return checked(case, scene, groups, choice)
+
+
+def stepped_by(group: GroupPlan, chosen: Stepping) -> GroupPlan:
+    """Group whose stepped segments are stepped so."""
+    segments = tuple(
+        s._replace(method=chosen.method, tolerance=chosen.tolerance) if has_step(s.method) else s
+        for s in group.segments
+    )
+    return with_steps(group._replace(segments=segments), chosen.dt)
+
+
+def checked(
+    case: Case, scene: Scene, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
+) -> Plan:
+    """Plan of groups with steps, if these can be taken."""
     refuse_endless(case, scene, groups)
     refuse_unstable(case, scene, groups)
     warnings = (
@@ -136,11 +157,7 @@ def make_plan(case: Case, scene: Scene, choice: Sequence[Stepping | None] = ()) 
 
 
 def cut_into_segments(
-    case: Case,
-    scene: Scene,
-    group: Together,
-    choice: Stepping | None,
-    touching: Touching | None,
+    case: Case, scene: Scene, group: Together, touching: Touching | None
 ) -> GroupPlan:
     """Segments of a group between the edges of its forces; steps are set later."""
     edges = {0.0}
@@ -164,10 +181,8 @@ def cut_into_segments(
             for force in forces
             if isinstance(force.form, Impulse) and force.form.time == start
         )
-        named = case.run.method if choice is None else choice.method
-        method = chosen_method(named, bodies, terms, choice is not None)
-        tolerance = case.run.tolerance if choice is None else choice.tolerance
-        segments.append(Segment(start, stop, jumps, terms, method, 0.0, tolerance))
+        method = chosen_method(case.run.method, bodies, terms)
+        segments.append(Segment(start, stop, jumps, terms, method, 0.0, case.run.tolerance))
     return GroupPlan(members, bodies, tuple(segments))
 
 
@@ -207,13 +222,11 @@ def is_adaptive(method: str) -> bool:
     return bool(METHODS[method].IS_ADAPTIVE)
 
 
-def chosen_method(named: str, bodies: Bodies, terms: Terms, prefer_exact: bool) -> str:
+def chosen_method(named: str, bodies: Bodies, terms: Terms) -> str:
     """Name of the method of a segment: a named one steps whatever rotates, `auto` does not."""
     is_free = accepts("exact", terms)
-    if is_free and (prefer_exact or named == "auto"):
-        return "exact"
     if named == "auto":
-        return "strang"
+        return "exact" if is_free else "strang"
     rotates = bool((bodies.rotor_class != POINT).any())
     return named if rotates or not is_free else "exact"
 

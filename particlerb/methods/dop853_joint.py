@@ -49,7 +49,7 @@ from particlerb.terms import PAIR, STAGE, Acting, acting_of, row_count, rows_of_
 from particlerb.threads import BLOCK, THREADS
 
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
-COST: Final = 400.0  # ns per body-step, roughly
+COST: Final = 270.0  # ns per body-step, roughly
 EVALUATIONS: Final = 12  # of the forces in a step
 
 

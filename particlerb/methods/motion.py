@@ -6,6 +6,7 @@ numbers, the work [J], the impulse [N s] and the angular impulse about the world
 the last two with gravity's. The error of integration is the total less the initial less these.
 """
 
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -95,17 +96,28 @@ class Account:
     mass is on its parabola and the rest is closed form, but for the angular impulse about the
     centre of mass: only torques change L, so it is the change of L; what bodies give each other is
     not booked. Elsewhere, and where a method lets L change by itself, the kernels book step by
-    step.
+    step. Who looks at poses alone clears `is_kept`: then all that was given is 0.
     """
 
     def __init__(self, group: Group, state: State, keeps_spin: bool = True) -> None:
         self.group, self.first = group, state
-        self.constant = constant_force(group, state)
-        self.work_before = work_of_potentials(group.terms, state.com, state.q)
         self.books = None if is_constant(group.terms) and keeps_spin else 1
+        self.is_kept = True
+
+    @cached_property
+    def constant(self) -> ConstantForce:
+        """What a constant force gives."""
+        return constant_force(self.group, self.first)
+
+    @cached_property
+    def work_before(self) -> float:
+        """Work of potentials at the start, up to a constant [J]."""
+        return work_of_potentials(self.group.terms, self.first.com, self.first.q)
 
     def of_state(self, elapsed: float, com: Floats, q: Floats, L: Floats, sums: Floats) -> Floats:
         """Work, impulse and angular impulse (7,) until a state; `sums` were booked by kernels."""
+        if not self.is_kept:
+            return np.zeros(7)
         potential = work_of_potentials(self.group.terms, com, q) - self.work_before
         if self.books is None:
             given: Floats = self.constant.booked(np.array([elapsed]))[0]
@@ -119,6 +131,8 @@ class Account:
 
     def of_frames(self, elapsed: Floats, rows: Ints, frames: Frames, sums: Floats) -> Floats:
         """The same (T, 7) until rows of the frames."""
+        if not self.is_kept:
+            return np.zeros((elapsed.size, 7))
         own, frame = self.group.members, self.group.bodies.rotor_frame
         given = np.empty((elapsed.size, 7))
         for k, row in enumerate(rows):

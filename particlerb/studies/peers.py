@@ -138,7 +138,7 @@ def to_rotor(frame: Floats, vector: Sequence[float]) -> Floats:
 
 
 def peer_errors(
-    result: Any, scene: Scene, which: Ints, part: Part, reference: Frames
+    result: Any, scene: Scene, which: Ints, part: Part, times: Floats, reference: Frames
 ) -> tuple[Error, float, float]:
     """Errors of a peer's end state, and its relative drifts of energy and angular momentum.
 
@@ -147,15 +147,14 @@ def peer_errors(
     bodies = taken(scene.bodies, which)
     inverse = bodies.rotor_frame * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
     orientation = multiplied(np.ascontiguousarray(result.orientation[which].T), inverse).T
-    times = len(reference.position)
 
     def repeated(values: Floats) -> Floats:
-        return np.repeat(values[None], times, axis=0)
+        return np.repeat(values[None], times.size, axis=0)
 
     found = reference._replace(
         position=repeated(result.position[which]), orientation=repeated(orientation)
     )
-    error = errors(part, found, reference)[-1]
+    error = errors(part, times, found, reference)[-1]
     is_free = not any(s.terms != type(s.terms)() for g in part.groups for s in g.segments)
     if not is_free:
         return error, np.nan, np.nan

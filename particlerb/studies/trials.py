@@ -6,7 +6,7 @@ those share the steps of adaptive methods; the pack of the fastest body is alway
 that act on each other are one pack.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,11 +17,12 @@ from particlerb.bodies.state import Frames, State, as_frame, room_for
 from particlerb.case.schema import Case
 from particlerb.ledger import Ledger, totals
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.methods import METHODS
 from particlerb.methods.dop853 import PACK
-from particlerb.methods.motion import part_of
-from particlerb.plan import GroupPlan, Plan, rates
+from particlerb.methods.motion import Together, part_of
+from particlerb.plan import GroupPlan, Plan, has_step, is_adaptive, rates
 from particlerb.simulate import counted
-from particlerb.terms.impulse import Impulse
+from particlerb.terms.impulse import Impulse, apply_impulse
 from particlerb.threads import THREADS
 from particlerb.traveller import Energies, Traveller, initial_energies, record_all
 
@@ -132,19 +133,88 @@ def drifts(part: Part, frames: Frames, books: Books) -> tuple[float, float]:
     return drift.energy, drift.angular_momentum
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def poses(group: GroupPlan, state: State, times: Floats) -> tuple[Frames, float]:
+    """Frames of the bodies of a group alone at ascending times, numbered from 0.
+
+    Nothing is booked, and no body touches another.
+
+    Returns
+    -------
+    frames : Frames
+    steps : float
+        Taken until the last time; about, where the method is adaptive.
+    """
+    n = state.com.shape[1]
+    frames = room_for(times.size, n, np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
+    done, steps = 0, 0.0
+    for segment in group.segments:
+        for jump in segment.jumps:
+            state, _ = apply_impulse(jump, group.bodies, state)
+        motion = METHODS[segment.method].begin(
+            group.group(segment), state, segment.start, segment.dt, segment.tolerance
+        )
+        forget_accounts(motion)
+        rows = np.arange(done, np.searchsorted(times, segment.stop, side="left"))
+        adapts, before = is_adaptive(segment.method), segment.start
+        for own in np.split(rows, rows.size) if adapts and rows.size else [rows]:
+            if own.size:
+                motion.record(times[own], own, frames)
+            if own.size and adapts:
+                steps += (times[own[-1]] - before) * float(np.mean(1.0 / motion.clock[1]))
+                before = times[own[-1]]
+        done += rows.size
+        end = min(segment.stop, times[-1])
+        if done < times.size:
+            state, _ = motion.finish(segment.stop)
+        if adapts:
+            steps += (end - before) * float(np.mean(1.0 / motion.clock[1]))
+        elif has_step(segment.method):
+            steps += np.ceil((end - segment.start) / segment.dt)
+        if done == times.size:
+            break
+    return frames, float(steps)
+
+
+def forget_accounts(motion: Any) -> None:
+    """Let a motion, and its parts, not sum up what forces give."""
+    for one in [own for _, own in motion.parts] if isinstance(motion, Together) else [motion]:
+        if hasattr(one, "account"):
+            one.account.is_kept = False
+
+
 @np.errstate(over="ignore", invalid="ignore")
-def errors(part: Part, found: Frames, expected: Frames) -> list[Error]:
+def errors(part: Part, times: Floats, found: Frames, expected: Frames) -> list[Error]:
     """Errors at each time; the way of a body is summed over the times before."""
-    way = np.zeros(part.bodies.mass.size)
-    before = part.state.com.T
+    way = ways(part.bodies, times, expected, part.state.p.T)
     result = []
-    for k in range(len(found.position)):
-        way += np.linalg.norm(expected.position[k] - before, axis=1)
-        before = expected.position[k]
-        off = np.linalg.norm(found.position[k] - expected.position[k], axis=1)
-        scale = np.maximum(part.size, way)
-        relative = np.divide(off, scale, out=off.copy(), where=scale > 0.0)
-        turn = angles(part.bodies, expected.orientation[k], found.orientation[k])
+    for k in range(times.size):
+        turn, relative = misfits(part.bodies, np.maximum(part.size, way[k]), found, expected, k)
         rms = float(np.sqrt(np.mean(turn * turn)))
         result.append(Error(float(turn.max()), rms, float(relative.max())))
     return result
+
+
+def ways(bodies: Bodies, times: Floats, frames: Frames, first: Floats) -> Floats:
+    """How far each body went until each time, (T, n) [m], by the speeds at these times.
+
+    From place to place would be too little on a curve, and nothing on an orbit of one period.
+
+    Parameters
+    ----------
+    first : ndarray, shape (n, 3)
+        Linear momenta at t = 0 [kg m/s].
+    """
+    momenta = np.concatenate([first[None], frames.linear_momentum])
+    speed = np.linalg.norm(momenta, axis=2) * bodies.inv_mass
+    lasting = np.diff(times, prepend=0.0)[:, None]
+    return np.asarray(np.cumsum(0.5 * lasting * (speed[1:] + speed[:-1]), axis=0))
+
+
+def misfits(
+    bodies: Bodies, scale: Floats, found: Frames, expected: Frames, row: int
+) -> tuple[Floats, Floats]:
+    """Errors of each body in a row: orientation [rad], and position in units of `scale`, (n,)."""
+    off = np.linalg.norm(found.position[row] - expected.position[row], axis=1)
+    relative = np.divide(off, scale, out=off.copy(), where=scale > 0.0)
+    return angles(bodies, expected.orientation[row], found.orientation[row]), relative

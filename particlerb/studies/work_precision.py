@@ -242,7 +242,7 @@ class Study:
     def difference(self, a: Frames, b: Frames) -> float:
         """Largest angle, or relative distance, between two runs at t_end."""
         own = part(self.case, self.scene, self.plan("auto", None), self.which)
-        last = errors(own, a, b)[-1]
+        last = errors(own, self.times, a, b)[-1]
         return max(last.worst, last.position)
 
     def find_reference(self, budget: float) -> Reference:
@@ -330,7 +330,7 @@ class Study:
         if self.by_energy:
             error = Error(energy, energy, 0.0)
         else:
-            error = errors(own, frames, self.reference.frames)[-1]
+            error = errors(own, self.times, frames, self.reference.frames)[-1]
         if spent < LONG or self.which.size < len(self.scene.kind):
             times = [seconds(whole, self.case.run.t_end) for _ in range(repeats)]
             while repeats > 1 and sum(times) < FILLED and len(times) < MOST_REPEATS:
@@ -363,7 +363,7 @@ class Study:
                 results.append(engine.run(self.peer_scene, variant, step))
             spent = float(np.median([one.seconds for one in results]))
             error, energy, spin = peer_errors(
-                results[0], self.scene, self.which, last, self.reference.frames
+                results[0], self.scene, self.which, last, self.times, self.reference.frames
             )
             yield Point(
                 variant, engine.name, step, engine.is_adaptive, spent, error, energy, spin,

@@ -1,6 +1,8 @@
 """`run.accuracy`: the number that was asked for is met, against rows that know nothing of us."""
 
+import itertools
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,10 @@ import pytest
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.studies.accuracy import prepare_accurately
+from particlerb.relaxing import assembled
+from particlerb.simulate import prepare
+from particlerb.studies.accuracy import prepare_accurately, search
+from particlerb.studies.ladder import LEAST, Pilot
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 CASES = Path(__file__).parents[2] / "cases"
@@ -51,6 +56,8 @@ ROWS = {  # orientation at t_end of the cases, from the rows of tests/reference
 def test_accuracy_is_met_against_reference_rows(case, body, wanted):
     error, said = final_error(case, body, ROWS[case, body], f"run.accuracy={wanted}")
     assert error <= wanted
+    # `fast`, beside `cusps`, is the harder body of the case, and has no row
+    assert error > wanted / 50 or body == "cusps"
     assert said["is_met"]
     assert said["error"] <= wanted
     # an estimate that is wrong by more than an order of magnitude is none
@@ -96,7 +103,7 @@ def test_less_accuracy_takes_fewer_steps(make):
         ][0]["dt"]
         for a in (1e-9, 1e-3)
     ]
-    assert steps[0] < 0.1 * steps[1]
+    assert steps[0] < 0.3 * steps[1]  # order six: as 1 to 10, if the same method serves both
 
 
 def test_free_bodies_need_no_choice(make):
@@ -172,6 +179,84 @@ def test_drag_is_not_given_to_rkn6(make):
         said = json.loads(t.parameter("accuracy"))
     assert said["is_met"]
     assert said["groups"][0]["method"] in ("strang", "dop853")
+
+
+def tops(make, n, **keys):
+    """Tops on held tips that differ in tilt and spin."""
+    random = np.random.default_rng(2)
+    tilt, spin = random.uniform(0.1, 2.0, n), random.uniform(1.0, 10.0, n)
+    zero = np.zeros(n)
+    turn = np.stack([np.cos(tilt / 2), np.sin(tilt / 2), zero, zero], axis=1)
+    axis = np.stack([zero, -np.sin(tilt), np.cos(tilt)], axis=1)
+    body = make.body(
+        "top",
+        (1.0, 1.2, 0.6),
+        count=n,
+        position=[[3.0 * k, 0.0, 0.0] for k in range(n)],
+        orientation=turn.tolist(),
+        angular_velocity=(spin[:, None] * axis).tolist(),
+    )
+    held = [make.push([0, 0, 1.0], body="top"), make.push([0, 0, -1.0], [0, 0, 1], "top")]
+    return make.case(body, force=held, t_end=10.0, every=10.0, **keys)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])
+def test_many_bodies_meet_the_accuracy_and_not_much_more(make, wanted):
+    """All of 300 tops, of which 32 are looked at, against another method at 1e-14."""
+    true = make.arrays(tops(make, 300), "run.method=dop853", "run.tolerance=1e-14")
+    found = make.arrays(tops(make, 300), f"run.accuracy={wanted}")
+    pairs = zip(found.orientation[-1], true.orientation[-1], strict=True)
+    error = max(turn_between(a, b) for a, b in pairs)
+    assert wanted / 50 < error < wanted
+
+
+@pytest.mark.compiled
+def test_the_choice_knows_no_clock(make, monkeypatch):
+    """With clocks that run backwards, or ahead by days, the choice is the same."""
+    case = load(tops(make, 40, accuracy=1e-6))
+    ticks = itertools.count()
+    expected = prepare_accurately(case).parameters
+    for name in ("perf_counter", "monotonic", "process_time", "time"):
+        monkeypatch.setattr(time, name, lambda: (-1.0) ** next(ticks) * 1e5 * next(ticks))
+    assert prepare_accurately(case).parameters == expected
+
+
+@pytest.mark.compiled
+def test_a_body_that_becomes_the_hardest_later_is_looked_at(make):
+    """One of 60 planets starts slower: it will pass the sun closely, and turns none faster yet."""
+    n, odd = 60, 41
+    angle = 2.0 * np.pi * np.arange(n) / n
+    speed = np.where(np.arange(n) == odd, 0.5, 1.0)[:, None]
+    point = {"type": "points", "position": [[0, 0, 0]], "mass": [1.0]}
+    zero = np.zeros(n)
+    body = {
+        "name": "planet",
+        "shape": point,
+        "count": n,
+        "position": np.stack([np.cos(angle), np.sin(angle), zero], axis=1).tolist(),
+        "velocity": (speed * np.stack([-np.sin(angle), np.cos(angle), zero], axis=1)).tolist(),
+    }
+    sun = {"type": "central", "body": "planet", "mu": 1.0}
+    scene = make.case(body, force=[sun], t_end=6.0, every=6.0)
+    case = load(scene, ["run.accuracy=1e-6"])
+    plan = prepare(load(scene)).plan
+    assert odd in Pilot(case, assembled(case), plan.groups[0]).which
+    true = make.arrays(scene, "run.method=dop853", "run.tolerance=1e-14")
+    found = make.arrays(scene, "run.accuracy=1e-6")
+    off = np.linalg.norm(found.position[-1] - true.position[-1], axis=1)
+    assert off.argmax() == odd
+    assert off[odd] < 1e-6 * 6.0  # the way of the others, longer than its own
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])
+def test_a_search_costs_no_more_than_the_run(make, wanted):
+    """In body-steps, weighed by the table of costs."""
+    case = load(tops(make, 2000, accuracy=wanted))
+    found = search(case, assembled(case), prepare(load(tops(make, 2000))).plan.groups[0])
+    assert found.error <= wanted
+    assert found.spent <= max(found.cost, LEAST)
 
 
 @pytest.mark.parametrize("wrong", ["0", "-1e-3", "2.0", '"high"'])

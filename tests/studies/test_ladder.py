@@ -1,0 +1,112 @@
+"""The search for method and step, on methods whose errors are known formulas."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from particlerb.methods import METHODS
+from particlerb.studies import ladder
+from particlerb.studies.accuracy import cheapest
+from particlerb.studies.ladder import LEAST, Ladder
+
+T_END = 10.0
+COSTS = {"second": 1.0, "sixth": 11.0}  # ns per body-step
+ORDERS = {"second": 2, "sixth": 6}
+
+
+class FakePilot:
+    """A pilot whose runs end where a formula says, at 0 without error."""
+
+    def __init__(self, wanted, laws, bodies=1000, seen=32):
+        self.wanted, self.laws, self.spent, self.steps = wanted, laws, 0.0, []
+        self.rate, self.lengths, self.calm = 1.0, [T_END], 1.0
+        self.which, self.group = np.arange(seen), SimpleNamespace(members=np.arange(bodies))
+        self.case = SimpleNamespace(run=SimpleNamespace(t_end=T_END, dt=None))
+
+    def longest(self, turn):
+        return min(turn, T_END)
+
+    def poses(self, stepping, times):
+        steps = np.ceil(T_END / stepping.dt)
+        self.steps.append(stepping)
+        self.spent += self.cost(stepping, steps, self.which.size)
+        return self.laws[stepping.method](stepping.dt), float(steps)
+
+    def errors(self, times, found, expected, row):
+        return np.atleast_1d(abs(found - expected))
+
+    def cost(self, stepping, steps, n):
+        return steps * n * COSTS[stepping.method]
+
+
+@pytest.fixture(autouse=True)
+def methods(monkeypatch):
+    for name, order in ORDERS.items():
+        method = SimpleNamespace(ORDER=order, IS_ADAPTIVE=False)
+        monkeypatch.setitem(METHODS, name, method)
+        monkeypatch.setitem(ladder.RATIO, name, 2.0)
+        monkeypatch.setitem(ladder.FIRST_TURN, name, 1.0)
+
+
+def choice(pilot, *names):
+    """What is chosen among the methods of these names."""
+    return cheapest(pilot, [Ladder(pilot, name) for name in names or ORDERS])
+
+
+def law(constant, order, next_order=0.0):
+    """Error of a method with two terms."""
+    return lambda h: constant * h**order + next_order * h ** (order + 2)
+
+
+@pytest.mark.parametrize("wanted", [1e-2, 1e-4, 1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("constant", [1e-6, 1e-3, 1.0])
+def test_the_error_of_each_method_lies_just_below_what_is_wanted(wanted, constant):
+    for name, order in ORDERS.items():
+        found = choice(FakePilot(wanted, {name: law(constant, order, 0.3 * constant)}), name)
+        error = law(constant, order, 0.3 * constant)(found.stepping.dt)
+        is_longest = found.stepping.dt == T_END
+        assert error <= wanted
+        assert error > wanted / 10 or is_longest
+
+
+@pytest.mark.parametrize("wanted", [1e-2, 1e-3, 1e-5, 1e-7])
+def test_the_cheaper_of_two_methods_is_chosen(wanted):
+    laws = {"second": law(1e-3, 2), "sixth": law(1e-3, 6)}
+    found = choice(FakePilot(wanted, laws))
+    exact = {
+        name: COSTS[name] * 1000 * T_END / min((wanted / 1e-3) ** (1 / ORDERS[name]), T_END)
+        for name in ORDERS
+    }
+    assert found.cost < 1.5 * min(exact.values())
+
+
+def test_a_method_that_is_not_of_its_order_is_not_believed():
+    """It says six and has two: the step that six would promise is far too long."""
+    found = choice(FakePilot(1e-6, {"sixth": law(1e-2, 2)}), "sixth")
+    assert law(1e-2, 2)(found.stepping.dt) < 1e-6
+
+
+def test_errors_that_do_not_fall_below_noise_are_told():
+    random = np.random.default_rng(1)
+    noisy = {name: lambda h: h**2 + 1e-5 * random.uniform(0.5, 1.0) for name in ORDERS}
+    found = choice(FakePilot(1e-9, noisy))
+    assert 1e-9 < found.error < 1e-4
+    assert found.until == 0.0
+
+
+@pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("bodies", [1, 32, 1000, 100_000])
+def test_the_search_takes_no_longer_than_the_run(wanted, bodies):
+    """By the table of costs; LEAST is what any search may take."""
+    laws = {"second": law(1e-3, 2), "sixth": law(1e-6, 6)}
+    found = choice(FakePilot(wanted, laws, bodies, min(bodies, 32)))
+    assert found.spent <= max(found.cost, LEAST)
+
+
+def test_a_long_run_of_few_bodies_is_not_made_again_and_again(monkeypatch):
+    """Where a finer run would be dearer than the run, the order must do."""
+    monkeypatch.setattr(ladder, "LEAST", 0.0)
+    found = choice(FakePilot(1e-9, {"sixth": law(1e-3, 6)}, 1, 1), "sixth")
+    assert law(1e-3, 6)(found.stepping.dt) < 1e-9
+    assert found.spent < 2.0 * found.cost
