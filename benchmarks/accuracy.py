@@ -1,0 +1,317 @@
+"""Does `run.accuracy` choose well? Its choice beside the full chart, over scenes and accuracies.
+
+    python benchmarks/accuracy.py [--scenes kepler,drag] [--accuracies 1e-3,1e-6]
+                                  [--no-peers] [--record NAME]
+
+For each scene the errors of all methods are found over the whole ladder of steps that `chart` has.
+Then for each accuracy the choice is run on all bodies: its error at t_end against dop853 at 1e-14
+is set beside what was asked and what was estimated; its time beside that of the cheapest point of
+the ladder, the least of many runs on one thread, taken in turn; and the time of the search, without
+making the plan and without compiling. SciPy's joint DOP853 is shown for the tops. `--record` writes
+results/NAME.csv.
+
+Goals: the choice takes at most 1.5 times the cheapest point; the error lies between a fiftieth of
+what was asked and what was asked, where the ladder has such a point; the search takes at most as
+long as the run, or 1 ms, the larger of the two.
+"""
+
+import argparse
+import csv
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from against_peers import heavy_tops
+from results import FOLDER, commit
+
+from particlerb.case.reader import load
+from particlerb.case.schema import Case
+from particlerb.maths.vec3 import Ints
+from particlerb.plan import is_adaptive
+from particlerb.simulate import Prepared
+from particlerb.studies.accuracy import prepare_accurately
+from particlerb.studies.peers import engines, peer_errors, peer_scene
+from particlerb.studies.trials import Part, errors, part, seconds, states_at
+from particlerb.studies.work_precision import Study
+from particlerb.threads import THREADS
+
+CASES = Path(__file__).parents[1] / "cases"
+METHODS = ("strang", "rkn6", "dop853", "rk4")
+ACCURACIES = "1e-3,1e-6,1e-9"
+FILLED = 0.1  # s of repeated runs
+LONGEST = 5.0  # s that the ladder of a method may take
+HEADER = (
+    "scene", "wanted", "choice", "estimate", "error", "of wanted", "motion [ms]", "search [ms]",
+    "cheapest", "its error", "its time [ms]", "ratio", "SciPy DOP853 [ms]", "holds",
+)  # fmt: skip
+
+
+class Rung(NamedTuple):
+    """One run of the ladder."""
+
+    method: str
+    step: float  # or the tolerance
+    error: float
+
+
+def tops(inertia: list[float], n: int = 1000) -> dict:
+    """Heavy tops of these moments."""
+    scene = heavy_tops(n)
+    scene["body"][0]["shape"]["inertia"] = inertia
+    return scene
+
+
+def dragged(n: int = 100) -> dict:
+    """Asymmetric bodies that fall, tumble and are slowed down by a drag."""
+    random = np.random.default_rng(3)
+    body = {
+        "name": "stone",
+        "shape": {"type": "moments", "inertia": [1.0, 1.4, 0.6]},
+        "mass": 1.0,
+        "count": n,
+        "place": {"type": "grid", "spacing": 3.0},
+        "orientation": "random",
+        "angular_velocity": random.normal(0.0, 2.0, (n, 3)).tolist(),
+    }
+    drag = {"type": "drag", "body": "stone", "translation": 0.2, "rotation": 0.1}
+    push = {"type": "push", "body": "stone", "at": [0.3, 0.1, 0.2], "force": [0.0, 0.5, 0.0]}
+    return {
+        "run": {"t_end": 10.0, "every": 10.0},
+        "gravity": {"acceleration": [0.0, 0.0, -9.81]},
+        "body": [body],
+        "force": [drag, push],
+    }
+
+
+def mixed(n: int = 20) -> dict:
+    """Rods, spheres, symmetric and asymmetric bodies on springs."""
+    random = np.random.default_rng(4)
+    shapes = {
+        "rod": [1.0, 1.0, 0.0],
+        "ball": [1.0, 1.0, 1.0],
+        "disc": [1.0, 1.0, 2.0],
+        "stone": [0.8, 1.0, 1.3],
+    }
+    bodies, forces = [], []
+    for k, (name, inertia) in enumerate(shapes.items()):
+        omega = random.normal(0.0, 2.0, (n, 3))
+        omega[:, 2] *= inertia[2] > 0.0
+        place = [[3.0 * i, 3.0 * k, 0.0] for i in range(n)]
+        shape = {"type": "moments", "inertia": inertia}
+        body = {"name": name, "shape": shape, "mass": 1.0, "count": n, "position": place}
+        bodies.append(body | {"angular_velocity": omega.tolist()})
+        spring = {"type": "spring", "body": name, "at": [0.2, 0.1, 0.3], "stiffness": 4.0}
+        forces.append(spring | {"anchor": [30.0, 0.0, 5.0]})
+    return {"run": {"t_end": 20.0, "every": 20.0}, "body": bodies, "force": forces}
+
+
+def late(n: int = 200) -> dict:
+    """Points on orbits; one of them passes its centre closely, late and alone."""
+    angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    place = np.stack([np.cos(angle), np.sin(angle), np.zeros(n)], axis=1)
+    speed = np.ones(n)
+    speed[n // 3] = 0.5
+    velocity = speed[:, None] * np.stack([-np.sin(angle), np.cos(angle), np.zeros(n)], axis=1)
+    points = {"type": "points", "position": [[0, 0, 0]], "mass": [1.0]}
+    body = {"name": "point", "shape": points, "count": n, "position": place.tolist()}
+    return {
+        "run": {"t_end": 12.0, "every": 12.0},
+        "body": [body | {"velocity": velocity.tolist()}],
+        "force": [{"type": "central", "body": "point", "mu": 1.0}],
+    }
+
+
+SCENES = {
+    "symmetric tops": lambda: tops([1.0, 1.0, 0.6]),
+    "asymmetric tops": heavy_tops,
+    "one top": lambda: tops([1.0, 1.2, 0.6], 1),
+    "30 tops": lambda: tops([1.0, 1.2, 0.6], 30),
+    "10000 tops": lambda: tops([1.0, 1.2, 0.6], 10_000),
+    "heavy_top": "heavy_top",
+    "spinning_tops": "spinning_tops",
+    "paper_cube": "paper_cube",
+    "spring_pendulum": "spring_pendulum",
+    "libration": "libration",
+    "kepler": "kepler",
+    "dumbbell_pair": "dumbbell_pair",
+    "gravity_gradient": "gravity_gradient",
+    "drag": dragged,
+    "mixed classes": mixed,
+    "late": late,
+}
+
+
+def case_of(scene: str, *overrides: str) -> Case:
+    """The case of a scene; a file, or made here."""
+    made = SCENES[scene]
+    return load(CASES / f"{made}.toml" if isinstance(made, str) else made(), list(overrides))
+
+
+def whole(prepared: Prepared) -> Part:
+    """All bodies of a prepared case."""
+    scene = prepared.scene
+    return part(prepared.case, scene, prepared.plan, np.arange(len(scene.kind)))
+
+
+def every(study: Study) -> Ints:
+    """All bodies of a scene."""
+    return np.arange(len(study.scene.kind))
+
+
+def truth(study: Study, found: Part) -> float:
+    """Error at t_end of a run of all bodies against dop853 at 1e-14."""
+    reference = part(study.case, study.scene, study.plan("dop853", 1e-14), every(study))
+    times = study.times
+    last = errors(found, times, states_at(found, times)[0], states_at(reference, times)[0])[-1]
+    return max(last.worst, last.position)
+
+
+def least_times(parts: list[Part], t_end: float) -> list[float]:
+    """Least times of the motions, taken in turn [s].
+
+    Of long runs it is that of the processor, which other programs disturb less.
+    """
+    least = np.full(len(parts), np.inf)
+    spent = np.zeros(len(parts))
+    while (spent < FILLED).any():
+        for k, one in enumerate(parts):
+            if spent[k] > 0.0 and least[k] > 3.0 * least.min():  # no rival
+                spent[k] = FILLED
+                continue
+            start = time.process_time()
+            in_kernels = seconds(one, t_end)
+            spent[k] += max(time.process_time() - start, 1e-6)
+            least[k] = min(least[k], in_kernels, time.process_time() - start)
+    return least.tolist()
+
+
+def search_time(case: Case) -> float:
+    """Processor time of the choice beyond that of a plan, all compiled before [s]."""
+    plain = case.model_copy(update={"run": case.run.model_copy(update={"accuracy": None})})
+    least, spent = [np.inf, np.inf], 0.0
+    while spent < FILLED:
+        for k, one in enumerate((plain, case)):
+            start = time.process_time()
+            prepare_accurately(one)
+            taken = time.process_time() - start
+            least[k], spent = min(least[k], taken), spent + taken
+    return max(least[1] - least[0], 0.0)
+
+
+def ladder(study: Study, wanted: float) -> list[Rung]:
+    """Errors of all methods over their ladders, until they are below what is wanted."""
+    rungs: list[Rung] = []
+    for method in METHODS:
+        if study.refusal(method):
+            continue
+        best, stays, start = np.inf, 0, time.monotonic()
+        for step in study.ladder(method):
+            states = study.states(method, step)
+            own = part(study.case, study.scene, study.plan(method, step), study.which)
+            last = errors(own, study.times, states, study.reference.frames)[-1]
+            error = max(last.worst, last.position)
+            rungs.append(Rung(method, step, error))
+            stays = stays + 1 if error > 0.7 * best and error < 1e-6 else 0
+            best = min(best, error)
+            if error < wanted or stays > 1 or time.monotonic() - start > LONGEST:
+                break
+    return rungs
+
+
+def scipy_times(case: Case, study: Study, wanted: list[float]) -> dict[float, float]:
+    """Least times of SciPy's joint DOP853 with an error that is small enough [s]."""
+    (engine,) = engines(("scipy",))
+    scene = peer_scene(case, study.scene)
+    last = part(case, study.scene, study.plan("auto", None), study.which)
+    found = dict.fromkeys(wanted, np.nan)
+    for tolerance in engine.variants["DOP853"]:
+        result = engine.run(scene, "DOP853", tolerance)
+        error = peer_errors(
+            result, study.scene, study.which, last, study.times, study.reference.frames
+        )[0]
+        spent = min(engine.run(scene, "DOP853", tolerance).seconds for _ in range(5))
+        for one in wanted:
+            if error.worst <= one:
+                found[one] = np.nanmin([found[one], spent])
+    return found
+
+
+def rows(scene: str, wanted: list[float], peers: bool) -> Iterator[tuple]:
+    """The table of one scene."""
+    base = case_of(scene)
+    study = Study(base, LONGEST)
+    rungs = ladder(study, min(wanted))
+    theirs = {}
+    if peers and scene in ("symmetric tops", "asymmetric tops"):
+        theirs = scipy_times(base, study, wanted)
+    for one in wanted:
+        yield row(scene, one, study, rungs, theirs.get(one, np.nan))
+
+
+def row(scene: str, wanted: float, study: Study, rungs: list[Rung], peer: float) -> tuple:
+    """One line of the table."""
+    case = case_of(scene, f"run.accuracy={wanted}")
+    prepared = prepare_accurately(case)
+    said = json.loads(prepared.parameters["accuracy"])
+    own = whole(prepared)
+    error = truth(study, own)
+    good = [r for r in rungs if r.error <= wanted]
+    best = list({r.method: r for r in reversed(good)}.values())  # the longest step of each
+    rivals = [part(study.case, study.scene, study.plan(*r[:2]), every(study)) for r in best]
+    spent, *theirs = least_times([own, *rivals], case.run.t_end)
+    search = search_time(case)
+    k = int(np.argmin(theirs)) if theirs else -1
+    ratio = spent / theirs[k] if theirs else np.nan
+    faults = [] if said["is_met"] else ["not met"]
+    faults += ["wrong"] if said["is_met"] and error > wanted else []
+    faults += ["too good"] if error < wanted / 50 and wanted > 1e-11 else []
+    faults += ["slow"] if ratio > 1.5 else []
+    faults += ["long search"] if search > max(spent, 1e-3) else []
+    choices = {
+        (g["method"], f"{g['tolerance' if is_adaptive(g['method']) else 'dt']:.3g}")
+        for g in said["groups"]
+    }
+    choice = "; ".join(" ".join(one) for one in sorted(choices))
+    cheapest = (f"{best[k].method} {best[k].step:.3g}", best[k].error) if best else ("none", np.nan)
+    return (
+        scene, wanted, choice, said["error"], error, error / wanted, 1e3 * spent, 1e3 * search,
+        *cheapest, 1e3 * theirs[k] if theirs else np.nan, ratio, 1e3 * peer,
+        ", ".join(faults) or "yes",
+    )  # fmt: skip
+
+
+def shown(value: object) -> str:
+    """A figure as text."""
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--scenes", default=",".join(SCENES))
+    parser.add_argument("--accuracies", default=ACCURACIES)
+    parser.add_argument("--no-peers", action="store_true", help="leave SciPy out")
+    parser.add_argument("--record", metavar="NAME", help="write results/NAME.csv")
+    options = parser.parse_args()
+    THREADS.use(1)
+    wanted = [float(one) for one in options.accuracies.split(",")]
+    lines: list[tuple] = []
+    print("\t".join(HEADER))
+    for scene in options.scenes.split(","):
+        for line in rows(scene, wanted, not options.no_peers):
+            print("\t".join(shown(value) for value in line), flush=True)
+            lines.append(line)
+    if options.record:
+        path = FOLDER / f"{options.record}.csv"
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(("commit", *HEADER))
+            writer.writerows((commit(), *map(shown, line)) for line in lines)
+        print(f"written: {path}")
+
+
+if __name__ == "__main__":
+    main()
