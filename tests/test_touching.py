@@ -366,8 +366,10 @@ def test_a_wall_has_the_code_of_its_material(make):
 
 def reading(monkeypatch, triangles):
     """A trimesh that reads these triangles."""
-    loaded = SimpleNamespace(triangles=np.array(triangles, dtype=float))
-    reader = SimpleNamespace(load_mesh=lambda path, process: loaded)
+    corners = np.array(triangles, dtype=float).reshape(-1, 3)
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    loaded = SimpleNamespace(vertices=corners, faces=faces)
+    reader = SimpleNamespace(load_mesh=lambda content, **how: loaded)
     monkeypatch.setitem(sys.modules, "trimesh", reader)
 
 
@@ -404,10 +406,11 @@ def test_a_mesh_that_cannot_be_read_is_an_error_at_its_file(make, mesh, monkeypa
     case = make.case(make.sphere(), wall=[mesh], contact=make.hooke())
     monkeypatch.setitem(sys.modules, "trimesh", None)  # as if it were not installed
     key, reason, hint = only(case)
-    assert (key, reason) == ("wall[0].file", "reading it needs trimesh")
-    assert hint == 'install it: pip install "particlerb[mesh]"'
+    assert key == "wall[0].file"
+    assert reason == 'reading it needs trimesh: pip install "particlerb[mesh]"'
+    assert hint == "give an STL file"
 
-    def broken(path, process):
+    def broken(content, **how):
         raise RuntimeError("no such facet")
 
     monkeypatch.setitem(sys.modules, "trimesh", SimpleNamespace(load_mesh=broken))
