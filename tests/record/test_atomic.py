@@ -2,14 +2,25 @@
 
 import errno
 import os
+import random
+import struct
 from contextlib import closing
 
 import h5py
 import numpy as np
 import pytest
+from crashes import SYNC, TRUNCATE, WRITE, Disk, Operation
 
 from particlerb.record import atomic
-from particlerb.record.atomic import PAGE, AtomicFile, left_over, to_read
+from particlerb.record.atomic import (
+    END,
+    PAGE,
+    SUPERBLOCK,
+    VERSION_0,
+    AtomicFile,
+    left_over,
+    to_read,
+)
 from particlerb.record.claim import Claim
 
 
@@ -164,3 +175,74 @@ def test_any_sequence_of_writes_reads_as_in_memory(tmp_path):
             disk.commit()
             assert (tmp_path / "a").read_bytes()[: len(right)] == right
     disk.source.close()
+
+
+def written(path, monkeypatch, is_durable):
+    """Operations of some commits, what each commit holds, and how many were done at each operation.
+
+    Writes of all sizes, the more the nearer to the end, which moves to and fro.
+    """
+    rng, operations, commits, done = np.random.default_rng(7), [], [b""], [0]
+
+    def noted(name, kind):
+        work = getattr(os, name)
+
+        def noting(descriptor, *arguments):
+            data = bytes(arguments[0]) if kind == WRITE else b""
+            place = arguments[-1] if kind == WRITE else 0
+            size = len(data) if kind == WRITE else arguments[0] if arguments else 0
+            operations.append(Operation(kind, "a", "", 0, place, size, 0, data))
+            done.append(done[-1])
+            return work(descriptor, *arguments)
+
+        monkeypatch.setattr(os, name, noting)
+
+    for name, kind in (("pwrite", WRITE), ("ftruncate", TRUNCATE), ("fsync", SYNC)):
+        noted(name, kind)
+    disk, now = AtomicFile(Claim(path), path, is_durable), bytearray(SUPERBLOCK)
+    for _ in range(12):
+        for _ in range(int(rng.integers(1, 12))):
+            place = SUPERBLOCK + int(len(now) * rng.beta(3, 1))
+            data = rng.bytes(int(rng.choice([1, 50, PAGE, 3 * PAGE + 7, 20 * PAGE])))
+            now.extend(bytes(max(0, place + len(data) - len(now))))
+            now[place : place + len(data)] = data
+            disk.seek(place)
+            disk.write(data)
+        if rng.random() < 0.3:
+            del now[max(SUPERBLOCK, len(now) - int(rng.integers(0, 8 * PAGE))) :]
+        now[:SUPERBLOCK] = VERSION_0.ljust(END, b"x") + struct.pack("<Q", len(now)).ljust(56, b"x")
+        disk.seek(0)
+        disk.write(now[:SUPERBLOCK])
+        disk.truncate(len(now))
+        commits.append(bytes(now))
+        disk.commit()
+        done[-1] = len(commits) - 1
+    disk.source.close()
+    monkeypatch.undo()
+    return operations, commits, done
+
+
+@pytest.mark.parametrize("how", ["kill", "power cut"])
+def test_a_commit_is_whole_or_not_there(tmp_path, monkeypatch, how):
+    """Behind any operation, with any pages missing; read as it is, and finished once and twice."""
+    operations, commits, done = written(tmp_path / "a", monkeypatch, how == "power cut")
+    disk, path, dice = Disk({"a": b""}), tmp_path / "left", random.Random(3)
+    found, numbers_of = set(), {content: n for n, content in enumerate(commits)}
+    for operation, least in zip(operations, done[1:], strict=True):
+        disk.apply(operation)
+        for _ in range((1 if how == "kill" else 4) if least else 0):  # before, it has no name
+            state = disk.killed() if how == "kill" else disk.power_cut(dice)
+            path.write_bytes(state["a"])
+            for _ in range(2):
+                with path.open("rb") as source:
+                    file = AtomicFile(source, path)
+                    end = file.end()
+                    file.seek(0)
+                    n = numbers_of.get(file.read(end), -1)
+                is_whole = n >= least
+                assert is_whole
+                found.add(n)
+                atomic.finish(path)
+            is_settled = path.read_bytes()[:end] == commits[n]
+            assert is_settled
+    assert found == set(range(1, len(commits)))
