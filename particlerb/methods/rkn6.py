@@ -2,7 +2,7 @@
 
 A symmetric splitting of Runge-Kutta-Nyström type. Where the forces have a potential it is
 symplectic for all bodies but asymmetric ones, whose rotor is so to order 8: in chaotic motion their
-energy creeps, by 2e-8 in a million turns at h |ω| = 0.5 (docs/stability.md). It asks that the
+energy creeps, by 3e-9 in a million turns at h |ω| = 0.5 (docs/stability.md). It asks that the
 forces know nothing of the velocities, so there is no drag. Asymmetric bodies drift by the
 preprocessed Moser-Veselov map of order 8, all others in closed form; on free bodies the order is
 therefore 8, or the drift exact. Drifts that turn a body too far for that map, and the longest ones
