@@ -185,6 +185,15 @@ def normal_spring(law: Law, pair: int, delta: float, r_eff: float) -> tuple[floa
 
 
 @inline
+def overlap_of(law: Law, pair: int, force: float, r_eff: float) -> float:
+    """Overlap at which the spring presses so hard [m]."""
+    k: float = law.stiffness[pair]
+    if law.hertz is None:
+        return force / k
+    return math.pow(0.75 * force / (k * math.sqrt(r_eff)), 2.0 / 3.0)
+
+
+@inline
 def normal_force(law: Law, pair: int, touch: Touch, before: float, after: float) -> Normal:
     """Mean of the normal force over the time that a kick stands for, along δ + δ̇ t.
 

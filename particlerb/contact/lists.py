@@ -81,6 +81,7 @@ def key_of(i: int, j: int) -> int:
 def order_contacts(
     pairs: tuple[Ints, Ints],
     numbers: tuple[Ints, Ints],
+    wall: Ints,
     shell: Ints,
     old: Kept,
     new: Kept,
@@ -91,7 +92,8 @@ def order_contacts(
     """Write a new list of contacts, and what they keep, zeros for those not in the old one.
 
     They stand in shells, by the gap: so what cannot touch yet is passed over as a whole. A contact
-    that keeps something is in the first shell, whatever its gap.
+    that keeps something is in the first shell, whatever its gap. Those of a sphere with the
+    primitives of one wall stand together, in the shell of the nearest.
 
     Parameters
     ----------
@@ -100,6 +102,8 @@ def order_contacts(
     numbers : tuple of 2 ndarray
         Of the spheres, and of what is second, below 2^31 and ascending with them: the old list is
         found by these.
+    wall : ndarray
+        Wall of each primitive; empty for pairs of spheres.
     shell : ndarray, shape (m,)
         Of each pair, from 0; written here where a contact keeps something.
     old, new : Kept
@@ -124,6 +128,9 @@ def order_contacts(
                 if old.values[row, c] != 0.0:
                     shell[k] = 0
         new.keys[k], new.rows[k] = key, row
+    if wall.size > 0:
+        keep_together(firsts, seconds, wall, shell)
+    for k in range(firsts.size):
         ends[shell[k]] += 1
     at = 0
     for s in range(SHELLS):
@@ -134,6 +141,19 @@ def order_contacts(
         new.rows[k], first[row], second[row] = row, firsts[k], seconds[k]
         for c in range(columns):
             new.values[row, c] = old.values[was, c] if was >= 0 else 0.0
+
+
+@inline
+def keep_together(firsts: Ints, seconds: Ints, wall: Ints, shell: Ints) -> None:
+    """Put what is of one sphere and one wall into the same shell."""
+    begin = 0
+    for k in range(1, firsts.size + 1):
+        same = k < firsts.size and firsts[k] == firsts[begin]
+        if same and wall[seconds[k]] == wall[seconds[begin]]:
+            shell[begin] = min(shell[begin], shell[k])
+        else:
+            shell[begin:k] = shell[begin]
+            begin = k
 
 
 @inline

@@ -32,8 +32,7 @@ from particlerb.contact.lists import Incidence, Kept
 from particlerb.contact.pistons import BESIDE, MOST, PUSH, STIFFNESS, Pistons
 from particlerb.contact.pistons import REST as REST_OF_PISTON
 from particlerb.contact.wall_motion import motion_in, pose_at
-from particlerb.contact.walls import PLANE, Walls
-from particlerb.contact.walls import touch as touch_wall
+from particlerb.contact.walls import Walls
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     Bools,
@@ -75,10 +74,11 @@ TURNOVER: Final = 12  # power that its other forces take or give, and walls that
 DONE: Final = 13
 TWIST: Final = 13  # and torque against rolling on the first [N m], where the law resists it
 DONE_ROLLING: Final = 16
+LATE: Final = -3  # with walls the last: elastic forces times lags where LAG does not say all [N s]
+NOWHERE: Final = 1e100  # [m] where contacts act that have ended
 MOTION: Final = 14
 POSE: Final = 16
-DEEPEST: Final = 1.0  # overlap of two spheres, in the smaller radius, that no contact may have,
-DEEPEST_WALL: Final = 0.8  # and with a thin wall, which beyond 1 pushes to its other side
+DEEPEST: Final = 1.0  # overlap of two spheres, in the smaller radius, that no contact may have
 
 
 class Spheres(NamedTuple):
@@ -325,10 +325,12 @@ def resist(
 
 @lean
 def forget(contacts: Contacts, c: int) -> None:
-    """Contact c does nothing, and keeps nothing."""
-    kept = contacts.kept
+    """Contact c does nothing, and keeps nothing; it stays so for who looks at a frame."""
+    kept, done = contacts.kept, contacts.done
     for k in range(kept.shape[1]):
         kept[c, k] = 0.0
+    put_column(done, c, ELASTIC, (0.0, 0.0, 0.0))
+    put_column(done, c, POINT, (NOWHERE, 0.0, 0.0))
     contacts.acts[c] = False
 
 
@@ -428,56 +430,6 @@ def is_near(bodies: Floats, a: int, b: int, square: float, reach: float, longer:
     return near
 
 
-@lean_kernel
-def touch_walls(
-    scene: Scene,
-    room: Room,
-    contacts: Contacts,
-    before: float,
-    after: float,
-    first: int,
-    end: int,
-    rank: int,
-) -> None:
-    """Forces of contacts of spheres with walls, whose poses in `room` are those of this instant."""
-    spheres, law, pair_of, walls = scene.spheres, scene.law, scene.pair_of, scene.walls
-    firsts, seconds, body, material = (
-        contacts.first,
-        contacts.second,
-        spheres.body,
-        spheres.material,
-    )
-    place, bodies, poses = room.place, room.bodies, room.poses
-    for c in range(first, end):
-        i, primitive = firsts[c], seconds[c]
-        a, x, radius = body[i], column(place, i, 0), place[i, 3]
-        gap, moving = touch_wall(walls, poses, primitive, x)
-        distance = math.sqrt(dot(gap, gap))
-        delta = radius - distance
-        normal = scale(-1.0 / distance, gap) if distance > 0.0 else (0.0, 0.0, 1.0)
-        point = add_scaled(radius - 0.5 * delta, normal, x)
-        w = walls.wall[primitive]
-        omega = column(poses, w, 10)
-        moving = add_scaled(1.0, cross(omega, add_scaled(1.0, gap, subtract(point, x))), moving)
-        relative = subtract(velocity(bodies, a, point), moving)
-        turning = subtract(column(bodies, a, SPIN), omega)
-        if delta <= -0.5 * max(before, after) * abs(dot(relative, normal)):
-            if contacts.acts[c]:
-                forget(contacts, c)
-            continue
-        pair = pair_of[material[i], scene.wall_material[primitive]]
-        if contacts.kept[c, SOFTNESS] == 0.0:
-            soft = softness(scene, bodies, a, point, normal)
-            soft += dot(normal, column(poses, w, 13)) ** 2  # of a piston
-            begin(law, pair, contacts, c, soft, radius)
-        if delta > DEEPEST_WALL * radius and walls.kind[primitive] != PLANE:
-            note_deep(room, rank, delta, radius, a)
-        act(
-            law, pair, contacts, c, delta, normal, point, relative, turning, moving, radius, before,
-            after,
-        )  # fmt: skip
-
-
 @lean
 def moved_by(scene: Scene, bodies: Floats, b: int, torque: Vec3) -> Vec3:
     """I⁻¹ τ of body b, world axes."""
@@ -532,6 +484,16 @@ def add_contact(
 
 
 @lean
+def add_late(done: Floats, c: int, arm: Vec3, total: Sum) -> Sum:
+    """Add what a contact with a wall has beside its LAG; `arm` to the centre of the sphere [m]."""
+    F, tau, rest, turning, world, about, power, lagging, twisting, turnover = total
+    late = column(done, c, done.shape[1] + LATE)
+    lagging = add_scaled(1.0, late, lagging)
+    twisting = add_scaled(1.0, cross(arm, late), twisting)
+    return Sum(F, tau, rest, turning, world, about, power, lagging, twisting, turnover)
+
+
+@lean
 def twist_of(rolling: Floats | None, done: Floats, c: int) -> Vec3:
     """Torque of contact c against rolling, if anything resists."""
     if rolling is None:
@@ -574,7 +536,7 @@ def collect(
     (offset, entry), (wall_offset, wall_entry) = of_spheres, of_walls
     body, bodies, rolling = scene.spheres.body, room.bodies, scene.law.rolling
     firsts, seconds, done, acts = spheres.first, spheres.second, spheres.done, spheres.acts
-    wall_done, wall_acts, zero = walls.done, walls.acts, (0.0, 0.0, 0.0)
+    wall_done, wall_acts, zero, place = walls.done, walls.acts, (0.0, 0.0, 0.0), room.place
     for k in range(n):
         b = lo + k
         x = column(bodies, b, AT)
@@ -595,6 +557,8 @@ def collect(
                 if wall_acts[c]:
                     touches = True
                     total = add_contact(rolling, wall_done, c, 1.0, x, True, total)
+                    arm = subtract(column(place, walls.first[c], 0), x)
+                    total = add_late(wall_done, c, arm, total)
         F, tau, rest, turning, world, about, power, lagging, twisting, turnover = total
         if touches:
             spun = moved_by(scene, bodies, b, turning)
@@ -630,7 +594,8 @@ def press(
             a = pistons.axis[k, 0], pistons.axis[k, 1], pistons.axis[k, 2]
             push = dot(a, column(contacts.done, c, ELASTIC))
             slides[k, PUSH] -= push
-            slides[k, BESIDE] -= push * contacts.done[c, LAG]
+            late = column(contacts.done, c, contacts.done.shape[1] + LATE)
+            slides[k, BESIDE] -= push * contacts.done[c, LAG] + dot(a, late)
             slides[k, REST_OF_PISTON] -= dot(a, column(contacts.done, c, REST))
             delta, radius = contacts.kept[c, BEFORE], scene.spheres.radius[contacts.first[c]]
             share = math.sqrt(4.0 * radius * delta) if scene.law.hertz is not None else 1.0

@@ -20,8 +20,8 @@ def joined(walls: Sequence[Walls]) -> Walls:
     kinds, parameters, owners, around, before = [], [], [], [np.zeros((0, 3))], 0
     for number, part in enumerate(walls):
         parameter = part.parameter.copy()
-        has_neighbours = (part.kind == EDGE) | (part.kind == VERTEX)
-        parameter[has_neighbours, 6:8] += before
+        parameter[(part.kind == EDGE) | (part.kind == VERTEX), 6:8] += before
+        parameter[part.kind == VERTEX, 8] += before
         before += len(part.around)
         kinds.append(part.kind)
         parameters.append(parameter)
@@ -148,7 +148,9 @@ def surface(vertices: Floats, triangles: Ints) -> Walls:
     edge = edge.reshape(-1, 3)
     is_smooth = smoothed(normal, area, edge, ends, faces, places)
     edges = edge_primitives(places, faces, normal, edge, ends, is_smooth)
-    corners = vertex_primitives(places, ends, is_smooth)
+    corners = vertex_primitives(places, faces, ends, is_smooth)
+    a, b, c = (places[faces[:, k]] for k in range(3))
+    normal *= np.sign(np.einsum("ij,ij->i", np.cross(b - a, c - a), normal))[:, None]
     parameter = np.concatenate([places[faces].reshape(-1, 9), normal], axis=1)
     kind = np.full(len(faces), FACE)
     return joined_in_one([Walls(kind, parameter, kind * 0, np.zeros((0, 3))), edges, corners])
@@ -223,16 +225,23 @@ def edge_primitives(
     return Walls(kind, parameter, kind * 0, np.sign(turn)[:, None] * normal[face])
 
 
-def vertex_primitives(places: Floats, ends: Ints, is_smooth: Bools) -> Walls:
-    """Vertices that do not lie within a plane, each with the other ends of its edges."""
+def vertex_primitives(places: Floats, faces: Ints, ends: Ints, is_smooth: Bools) -> Walls:
+    """Vertices that do not lie within a plane, each with the other ends of its edges, and faces.
+
+    A face is a row of two numbers: which of these ends are its other two vertices.
+    """
     which = np.unique(ends[~is_smooth])
-    here = np.concatenate([ends[:, 0], ends[:, 1]])
-    there = np.concatenate([ends[:, 1], ends[:, 0]])
-    order = np.argsort(here, kind="stable")
-    order = order[np.isin(here[order], which)]
-    parameter = np.zeros((which.size, 12))
-    parameter[:, :3] = places[which]
-    parameter[:, 6] = np.searchsorted(here[order], which, side="left")
-    parameter[:, 7] = np.searchsorted(here[order], which, side="right")
+    here, there = np.concatenate([ends, ends[:, ::-1]]).T
+    corner, others = faces.reshape(-1), faces[:, [[1, 2], [0, 2], [0, 1]]].reshape(-1, 2)
+    edges, corners = np.lexsort((there, here)), np.argsort(corner, kind="stable")
+    begins = np.searchsorted(here[edges], np.arange(len(places) + 1))
+    turns = np.searchsorted(corner[corners], np.arange(len(places) + 1))
+    parameter, rows, before = np.zeros((which.size, 12)), [np.zeros((0, 3))], 0
+    for row, v in zip(parameter, which.tolist(), strict=True):
+        own = there[edges[begins[v] : begins[v + 1]]]
+        two = np.searchsorted(own, others[corners[turns[v] : turns[v + 1]]])
+        rows += [places[own], np.column_stack([two, np.zeros(len(two))])]
+        row[:3], row[6:9] = places[v], np.cumsum([before, len(own), len(two)])
+        before += len(own) + len(two)
     kind = np.full(which.size, VERTEX)
-    return Walls(kind, parameter, kind * 0, places[there[order]])
+    return Walls(kind, parameter, kind * 0, np.concatenate(rows))

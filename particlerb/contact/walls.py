@@ -36,9 +36,9 @@ from particlerb.maths.vec3 import (
 )
 
 PLANE: Final = 0  # point, normal
-FACE: Final = 1  # three vertices in the order of their numbers, normal
+FACE: Final = 1  # three vertices in the order of their numbers, normal from where that is left
 EDGE: Final = 2  # two vertices in the order of their numbers, range in `around`: signed normals
-VERTEX: Final = 3  # point, three unused, range in `around`: the other ends of its edges
+VERTEX: Final = 3  # point, three unused, ranges in `around`: other ends of its edges, its faces
 SIDE: Final = 4  # centre, axis, radius, half of the length
 DISC: Final = 5  # centre, axis, radius
 RIM: Final = 6  # centre of the circle, axis outwards, radius, whether a disc closes it
@@ -181,46 +181,56 @@ def side(a: Vec3, b: Vec3, n: Vec3, x: Vec3) -> float:
 
 @inline
 def is_over_face(a: Vec3, b: Vec3, c: Vec3, n: Vec3, x: Vec3) -> bool:
-    """Whether x is above or below a triangle."""
-    turn = 1.0 if side(a, b, n, c) > 0.0 else -1.0
-    return (
-        turn * side(a, b, n, x) > 0.0
-        and turn * side(b, c, n, x) > 0.0
-        and turn * side(a, c, n, x) < 0.0
-    )
+    """Whether x is above or below a triangle, which is to the left of a to b seen against n."""
+    return side(a, b, n, x) > 0.0 and side(b, c, n, x) > 0.0 and side(a, c, n, x) < 0.0
 
 
 @lean
-def is_over_edge(a: Vec3, b: Vec3, around: Floats, lo: int, hi: int, x: Vec3) -> bool:
-    """Whether x is between the ends of an edge and beyond it for each face that meets there."""
+def count_at_edge(a: Vec3, b: Vec3, around: Floats, lo: int, hi: int, x: Vec3) -> tuple[int, bool]:
+    """`count_of` an edge: the faces that x is beyond, but for all but one that meet there."""
     ab = subtract(b, a)
-    found = dot(subtract(x, a), ab) > 0.0 and dot(subtract(x, b), ab) < 0.0
+    if dot(subtract(x, a), ab) <= 0.0 or dot(subtract(x, b), ab) >= 0.0:
+        return 0, False
+    beyond = 0
     for k in range(lo, hi):
-        found = found and side(a, b, row3(around, k, 0), x) < 0.0
-    return found
+        beyond += 1 if side(a, b, row3(around, k, 0), x) < 0.0 else 0
+    return beyond - (hi - lo) + 1, beyond == hi - lo
 
 
 @lean
-def is_over_vertex(a: Vec3, around: Floats, lo: int, hi: int, x: Vec3) -> bool:
-    """Whether x is beyond a vertex for each edge that ends there."""
-    ax, found = subtract(x, a), True
-    for k in range(lo, hi):
-        found = found and dot(ax, subtract(row3(around, k, 0), a)) <= 0.0
-    return found
+def count_at_vertex(
+    a: Vec3, around: Floats, lo: int, middle: int, hi: int, x: Vec3
+) -> tuple[int, bool]:
+    """`count_of` a vertex: 1, less edges that come nearer, and the faces between two of these."""
+    ax, nearer = subtract(x, a), 0
+    for k in range(lo, middle):
+        nearer += 1 if dot(ax, subtract(row3(around, k, 0), a)) > 0.0 else 0
+    count = 1 - nearer
+    if nearer > 1:
+        for k in range(middle, hi):
+            one, other = lo + int(around[k, 0]), lo + int(around[k, 1])
+            both = dot(ax, subtract(row3(around, one, 0), a)) > 0.0
+            both = both and dot(ax, subtract(row3(around, other, 0), a)) > 0.0
+            count += 1 if both else 0
+    return count, nearer == 0
 
 
 @lean
-def has_nearest(one: Primitive, around: Floats, x: Vec3) -> bool:
-    """Whether a point of a primitive is nearer to x than all points of the wall around it."""
+def count_of(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
+    """How often a point of a primitive counts, and whether it is nearer to x than all around it.
+
+    1 where a sphere around x that grows meets a new piece of the wall there, -1 where two of its
+    pieces join or one closes to a ring, 1 where a ring is filled, 0 where nothing of that happens.
+    """
     kind, a, b, c, n = one
-    found = True
     if kind == FACE:
-        found = is_over_face(a, b, c, n, x)
-    elif kind == EDGE:
-        found = is_over_edge(a, b, around, int(c[0]), int(c[1]), x)
-    elif kind == VERTEX:
-        found = is_over_vertex(a, around, int(c[0]), int(c[1]), x)
-    elif kind != PLANE:
+        return (1, True) if is_over_face(a, b, c, n, x) else (0, False)
+    if kind == EDGE:
+        return count_at_edge(a, b, around, int(c[0]), int(c[1]), x)
+    if kind == VERTEX:
+        return count_at_vertex(a, around, int(c[0]), int(c[1]), int(c[2]), x)
+    found = True
+    if kind != PLANE:
         z, rho, _ = radial(a, b, x)
         if kind == SIDE:
             found = abs(z) <= c[1]
@@ -228,19 +238,24 @@ def has_nearest(one: Primitive, around: Floats, x: Vec3) -> bool:
             found = rho < c[0]
         else:
             found = z > 0.0 and (c[1] == 0.0 or rho >= c[0])
-    return found
+    return (1, True) if found else (0, False)
 
 
 @lean
-def gap_of(one: Primitive, around: Floats, x: Vec3) -> Vec3:
-    """Vector to x from the point of a primitive that it touches; wall's frame."""
-    if not has_nearest(one, around, x):
-        return FAR, 0.0, 0.0
+def away_from(one: Primitive, x: Vec3) -> Vec3:
+    """Vector to x from the nearest point of a primitive, of a face from that of its plane."""
     if one.kind == PLANE:
         return scale(max(dot(subtract(x, one.a), one.b), NEAR), one.b)
     if one.kind == FACE:
         return scale(dot(subtract(x, one.a), one.n), one.n)
     return subtract(x, nearest(one, x))
+
+
+@lean
+def gap_of(one: Primitive, around: Floats, x: Vec3) -> Vec3:
+    """Vector to x from the point of a primitive that it touches; wall's frame."""
+    _, is_lowest = count_of(one, around, x)
+    return away_from(one, x) if is_lowest else (FAR, 0.0, 0.0)
 
 
 @lean

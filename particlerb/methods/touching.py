@@ -49,9 +49,9 @@ from particlerb.contact.loads import (
     put_poses,
     stored_energy,
     touch_spheres,
-    touch_walls,
 )
 from particlerb.contact.loads import Scene as Touchable
+from particlerb.contact.pieces import SPOT, touch_walls
 from particlerb.contact.pistons import (
     BOOKED,
     MOST,
@@ -246,7 +246,8 @@ def touch(
             touch_spheres(scene, room, spheres, before, after, v, w, first, end, team.rank)
         if EDGES[s] * skin <= reached:
             first, end = share_of(team, end_walls, walls.ends[s])
-            touch_walls(scene, room, walls, before, after, first, end, team.rank)
+            bounds = end_walls, first, end, walls.ends[s]
+            touch_walls(scene, room, walls, before, after, bounds, team.rank)
         end_spheres, end_walls = spheres.ends[s], walls.ends[s]
 
 
@@ -782,9 +783,11 @@ class TouchingMotion(CoupledMotion):
         values = self.floats(f"kept {which}, {self.count % 2}", m, old.values.shape[1])
         new, ends = Kept(keys, rows, values), np.empty(SHELLS, dtype=np.int64)
         first, second = np.empty((2, m), dtype=np.int32)
-        order_contacts(pairs, numbers, shell, old, new, first, second, ends)
+        wall = self.contact.scene.walls.wall if which == 1 else self.numbers[:0]
+        order_contacts(pairs, numbers, wall, shell, old, new, first, second, ends)
         self.kept = (new, self.kept[1]) if which == 0 else (self.kept[0], new)
-        done = self.floats(f"done {which}", m, done_columns(law))
+        columns = done_columns(law) + (SPOT if which == 1 else 0)
+        done = self.floats(f"done {which}", m, columns)
         done[:] = 0.0  # a checkpoint has it, and none of the leftovers of other lists
         return Contacts(first, second, values, done, values[:, SOFTNESS] > 0.0, ends)
 

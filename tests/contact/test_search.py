@@ -354,7 +354,8 @@ def test_a_new_list_stands_in_shells_and_has_what_the_same_pairs_kept(seed, are_
     listed = np.empty((2, m), dtype=np.int32)
     ends, keeps = np.empty(SHELLS, dtype=np.int64), [pair in old for pair in new]
     expected = np.where(keeps, 0, shell)
-    order_contacts((first, second), (number, other), shell, before, after, *listed, ends)
+    none = np.zeros(0, dtype=np.int64)
+    order_contacts((first, second), (number, other), none, shell, before, after, *listed, ends)
     order = np.argsort(expected, kind="stable")
     assert (ends == np.searchsorted(expected[order], np.arange(SHELLS), side="right")).all()
     assert (listed == np.array([first, second])[:, order]).all()
@@ -363,6 +364,19 @@ def test_a_new_list_stands_in_shells_and_has_what_the_same_pairs_kept(seed, are_
         expected = values.get((int(number[i]), int(other[j])), np.zeros(3))
         assert (after.values[row] == expected).all()
     assert (after.values[after.rows] == after.values[np.argsort(order)]).all()
+
+
+def test_contacts_of_a_sphere_and_a_wall_stand_together_in_the_nearest_shell():
+    first, second = np.array([[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 3, 0]])
+    shell, wall = np.array([3, 1, 2, 4, 2, 3]), np.array([0, 0, 1, 1])
+    none = np.zeros(0, dtype=np.int64)
+    before = Kept(none, none, np.zeros((0, 3)))
+    after = Kept(*np.empty((2, 6), dtype=np.int64), np.empty((6, 3)))
+    listed, ends = np.empty((2, 6), dtype=np.int32), np.empty(SHELLS, dtype=np.int64)
+    number = np.arange(4)
+    order_contacts((first, second), (number, number), wall, shell, before, after, *listed, ends)
+    assert listed.T.tolist() == [[0, 0], [0, 1], [0, 2], [1, 3], [2, 0], [1, 1]]
+    assert ends.tolist() == [0, 2, 4, 5, 6]
 
 
 # Spheres that nothing can reach
