@@ -145,21 +145,19 @@ def tube(low, high, bottom, top, sides):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("stiffness", [2e3, 1e4])
 @pytest.mark.parametrize("friction", [0.0, 0.5])
-def test_energy_in_a_cylinder_of_triangles_is_kept_to_order_two(
-    make, tmp_path, friction, stiffness
-):
+def test_energy_in_a_cylinder_of_triangles_is_kept_to_order_two(make, tmp_path, friction):
     """A quarter of the step, 16 times less; the worst of three starts, which meet other edges."""
     wall = written(tmp_path / "tube.obj", *tube(1.0, 1.0, -1.0, 1.0, 48))
-    law, off = make.hooke(stiffness, 1.0, friction, allow_unstable=True), []
+    law, off = make.hooke(1e4, 1.0, friction, allow_unstable=True), []
     for dt in (4e-4, 1e-4):
         worst = 0.0
-        for k in range(3):
-            ball = make.sphere(radius=0.2, mass=1.0, position=[0.05 + 0.03 * k, -0.5, 0.1])
-            ball["velocity"] = [1.5, 0.2, 0.1]
-            with particlerb.run(scene(make, wall, ball, [0, -9.81, 0], law, 1.5, dt, 0.05)) as t:
-                worst = max(worst, float(np.abs(t.ledger.energy_error).max()))
+        for k in (0.0, 0.03, 0.07):
+            ball = make.sphere(radius=0.2, mass=1.0, position=[0.05 + k, -0.5, 0.1])
+            ball["velocity"] = [1.5, 0.2, 0.1 + k]
+            with particlerb.run(scene(make, wall, ball, [0, -9.81, 0], law, 1.5, dt, 0.03)) as t:
+                error = np.abs(t.ledger.energy_error).max() / t.ledger.kinetic_energy.max()
+            worst = max(worst, float(error))
         off.append(worst)
     assert np.log2(off[0] / off[1]) > 2 * 1.8
     assert off[1] < 1e-6
@@ -175,12 +173,12 @@ def test_energy_of_clumps_in_a_hopper_of_triangles_is_kept_to_order_two(make, tm
     }
     clumps |= {"count": 12, "orientation": "random", "velocity": {"random": 0.5}}
     clumps["place"] = {"type": "grid", "spacing": 0.14, "n": [3, 2, 2], "origin": [0, 0, 0.6]}
-    law, off = make.hooke(1e5, 0.6, 0.4), []
+    law, off = make.hooke(2e4, 0.6, 0.4), []
     for dt in (8e-5, 2e-5):
         with particlerb.run(scene(make, wall, clumps, [0, 0, -9.81], law, 0.4, dt, 0.02)) as t:
             off.append(np.abs(t.ledger.energy_error).max() / np.abs(t.ledger.work).max())
-    assert np.log2(off[0] / off[1]) > 2 * 1.8
-    assert off[1] < 1e-5
+    assert np.log2(off[0] / off[1]) > 2 * 1.75
+    assert off[1] < 1e-6
 
 
 @pytest.mark.compiled
