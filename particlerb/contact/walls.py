@@ -3,11 +3,11 @@
 A wall consists of primitives: a plane; the side, the discs and the rims of a cylinder; the faces,
 edges and vertices of a surface. All but planes are thin shells, to be touched from both sides.
 
-A wall is nearest to a centre at each point that is nearer than all points of it around. A face has
-such a point if the centre is above or below the face; an edge, if the centre is beyond that edge for
-each face that meets there; a vertex, if it is beyond for each edge. So there is one on a plane of
-triangles, one over a ridge, two in a valley; there and in the bottom of a bowl edges and vertices
-count as well (`count_of`), which `pieces` makes contacts of.
+A wall has points that are nearer to a centre than all of it around them. A face has one if the
+centre is above or below the face; an edge, if the centre is beyond that edge for each face that
+meets there; a vertex, if it is beyond for each edge. So there is one on a plane of triangles, one
+over a ridge, two in a valley; there and in the bottom of a bowl edges and vertices count as well
+(`count_of`). What counts is made contacts of by `pieces`.
 Faces of one plane have the very same normal, and all primitives ask on which side of an edge a
 centre is by the same formula, so that they divide space among themselves up to rounding.
 
