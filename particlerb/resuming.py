@@ -22,7 +22,7 @@ from particlerb.record.claim import InUseError
 from particlerb.record.provenance import kept_case, replace_case, versions
 from particlerb.record.schema import PARAMETERS
 from particlerb.record.vtkhdf import is_finished
-from particlerb.record.writer import Recorder
+from particlerb.record.writer import DamagedError, Recorder
 from particlerb.simulate import (
     Outcome,
     Prepared,
@@ -132,8 +132,8 @@ def resume_pending(pending: Pending, progress: Progress = lambda n: None) -> Out
         recorder = Recorder.again(path, prepared.case, prepared.scene, pending.start, pending.known)
     except InUseError:
         raise ResumeError(f"{path} is being written by another run") from None
-    except KeyError as error:
-        raise ResumeError(f"{path} is damaged: {error}") from None
+    except DamagedError as error:
+        raise ResumeError(str(error)) from None
     if pending.is_prolonged:
         with recorder.writing():
             replace_case(recorder.file, prepared.case)

@@ -4,17 +4,21 @@ HDF5 checks much of what it reads, not all: a damaged file can crash it, or send
 where Python's Ctrl-C does not reach. Then a message is left, and the right exit code.
 """
 
+import contextlib
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
-from particlerb.cli.common import FAILED, INTERRUPTED
+from particlerb.cli.common import FAILED, INTERRUPTED, Ending
 
 GUARDED: Final = ("info", "plot", "export")
 MARK: Final = "PARTICLERB_IS_GUARDED"
 SECONDS_TO_END: Final = 2.0
+SECONDS_TO_LOOK: Final = 10  # of the processor: a file has some hundred objects
 
 
 def wants_guard(words: Sequence[str]) -> bool:
@@ -41,3 +45,43 @@ def guarded(words: Sequence[str]) -> int:
     file = next((word for word in words[1:] if not word.startswith("-")), "the file")
     print(f"particlerb: {file} is damaged: {reason}", file=sys.stderr)
     return FAILED
+
+
+def probe(path: Path) -> None:
+    """Visit all objects of a file in a fork: a command that goes on for long would die of them.
+
+    Raises
+    ------
+    Ending
+        If HDF5 crashes on the file, or goes round in circles.
+    """
+    from particlerb.record.checked import TrajectoryError, refuse_elsewhere
+    from particlerb.trajectory import open_trajectory
+
+    if not hasattr(os, "fork"):
+        return
+    child = os.fork()
+    if not child:
+        try:
+            import resource
+
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            resource.setrlimit(resource.RLIMIT_CPU, (SECONDS_TO_LOOK, SECONDS_TO_LOOK + 1))
+            with (
+                contextlib.suppress(FileNotFoundError, TrajectoryError),
+                open_trajectory(path) as t,
+            ):
+                refuse_elsewhere(t.file)
+        finally:
+            os._exit(0)
+    try:
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    except KeyboardInterrupt:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        raise
+    if code < 0:
+        name = signal.Signals(-code).name
+        raise Ending(f"{path} is damaged: HDF5 crashed reading it, or did not end ({name})", FAILED)

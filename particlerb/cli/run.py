@@ -24,6 +24,7 @@ from particlerb.cli.common import (
     to_write,
     warn,
 )
+from particlerb.cli.guard import probe
 
 if TYPE_CHECKING:
     from particlerb.case.schema import Case
@@ -56,6 +57,7 @@ def resume_command(options: argparse.Namespace) -> int:
     from particlerb.trajectory import TrajectoryError
 
     path = Path(options.file)
+    probe(path)
     try:
         pending = look_at(path, options.t_end, options.threads)
     except (CaseError, ResumeError, TrajectoryError, FileNotFoundError) as error:
@@ -166,6 +168,7 @@ def execute(
     from tqdm import tqdm
 
     from particlerb.record.claim import InUseError
+    from particlerb.record.writer import DamagedError
     from particlerb.simulate import RunError
 
     silent = True if options.quiet else None
@@ -173,7 +176,7 @@ def execute(
     try:
         with bar, stoppable():
             return run(bar.update)
-    except RunError as error:
+    except (RunError, DamagedError) as error:
         raise Ending(f"the run failed: {error}; {kept(path, before, False)}", FAILED) from None
     except KeyboardInterrupt:
         raise Ending(f"interrupted; {kept(path, before)}", INTERRUPTED) from None

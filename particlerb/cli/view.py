@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from particlerb.cli.common import DONE, FAILED, Ending, opened, read_case, to_write
+from particlerb.cli.guard import probe
 
 if TYPE_CHECKING:
     from particlerb.view.access import Access
@@ -115,6 +116,7 @@ def play(options: argparse.Namespace, server: object, access: "Access") -> int:
     """Serve a file."""
     from particlerb.view.replay import Replay, ReplayError
 
+    probe(Path(options.case))
     with opened(options.case) as trajectory:
         try:
             replay = Replay(trajectory, server, Path(options.case))  # type: ignore[arg-type]

@@ -34,6 +34,7 @@ FAULTS: Final = (
     OverflowError,
     MemoryError,
     IndexError,
+    SystemError,  # of an error within a visit
 )  # what h5py raises on files that it cannot make sense of
 
 

@@ -22,6 +22,7 @@ from particlerb.case.schema import Case
 from particlerb.contact.touches import Touches
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.atomic import AtomicFile
+from particlerb.record.checked import FAULTS
 from particlerb.record.checkpoint import make_slots, write_checkpoint
 from particlerb.record.claim import Claim
 from particlerb.record.contacts import (
@@ -72,6 +73,10 @@ SHOWN = {  # what VTK shows of each body beside the recorded fields
     "kind": f"{BODIES}/kind",
 }
 NUMBERS = itertools.count()  # of the files in memory
+
+
+class DamagedError(OSError):
+    """A file from before that cannot be written on: why."""
 
 
 class OtherFrameError(Exception):
@@ -192,14 +197,15 @@ class Recorder:
         ------
         InUseError
             If another process writes the file.
-        KeyError
-            If it lacks something.
+        DamagedError
+            If it lacks something, or HDF5 finds no sense in it; also later.
         OSError
             If it cannot be opened or written.
         """
         self = cls.__new__(cls)
         self.take(*self.opened(Claim(path), path, "r+", case), path, case, scene)
         self.ready, self.known, self.has_slots = (n_frames, []), known, n_frames > 0
+        self.was_there = True
         with self.writing():
             self.find()
             self.cut(known)
@@ -229,7 +235,7 @@ class Recorder:
         # replaced as one.
         self.ready: tuple[int, list[tuple[int, dict[str, Floats | Ints | Words]]]] = (0, [])
         self.known = 0  # frames that were there before
-        self.is_broken = self.has_slots = False
+        self.is_broken = self.has_slots = self.was_there = False
         self.last_commit = self.last_kept = time.monotonic()
         self.slot: int | None = None  # of the checkpoint, that counts from the next commit on
         self.seconds_to_keep = 0.0
@@ -361,8 +367,11 @@ class Recorder:
         """Leave the file as it was committed last where the disk fails, or HDF5 is interrupted."""
         try:
             yield
-        except BaseException:
+        except BaseException as error:
             self.abandon()
+            if self.was_there and isinstance(error, FAULTS):
+                reason = " ".join(str(error).split())
+                raise DamagedError(f"{self.path} is damaged: {reason}") from None
             raise
         if self.disk is not None and self.disk.failure is not None:
             self.abandon()

@@ -1,49 +1,63 @@
 """Break trajectory files at random and read them: a value or one clear error, every time.
 
-    python tests/fuzz/fuzz_files.py --runs 100000 --first 0
+    python tests/fuzz/fuzz_files.py --runs 20000 --jobs 2
 
-Number k always gives the same broken file: `--only K -o FILE` writes it. A worker process does the
-reading, so that a crash or a hang of HDF5 is seen too; each escape is printed with its number.
-Files lie in memory (/dev/shm) where there is one.
+Number k always gives the same broken file: `--only K -o FILE` writes it. Forks with limits of
+memory and time do what the commands do, so that a crash or a hang of HDF5 is seen too: exit codes
+are 0, 1, 2, 3 or 130, and no exception gets out. What escapes is printed with its number. Files
+lie in memory (/dev/shm) where there is one.
 """
 
 import argparse
 import contextlib
+import io
 import os
 import random
 import resource
-import selectors
-import subprocess
-import sys
+import select
+import signal
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
 os.environ["NUMBA_DISABLE_JIT"] = "1"  # nothing here is worth compiling
 
-SECONDS_FOR_ONE = 30.0
-SECONDS_TO_START = 600.0  # of a worker, on a machine that has other work
+SECONDS_FOR_ONE = 300.0  # of a busy machine, for one command
 MEMORY = 4 * 2**30
 BODY = {"shape": {"type": "moments", "inertia": [1.0, 2.0, 2.5]}, "mass": 2.0}
-CASE = {
+FREE = {
     "run": {"t_end": 0.3, "every": 0.1},
     "body": [
         {"name": "a", "angular_velocity": [1.0, 0.4, -0.7], **BODY},
         {"name": "b", "position": [1, 0, 0], **BODY},
     ],
 }
+BALL = {"name": "a", "shape": {"type": "sphere", "radius": 0.1}, "mass": 2.0, "count": 2}
+TOUCHING = {
+    "run": {"t_end": 0.3, "every": 0.1, "dt": 0.02},
+    "body": [BALL | {"place": {"type": "grid", "spacing": 0.19, "origin": [0, 0, 0.09]}}],
+    "contact": {"stiffness": 1e3, "restitution": 0.5, "friction": 0.5, "overlap": 0.5},
+    "wall": [{"type": "plane", "name": "floor", "normal": [0, 0, 1]}],
+    "output": {"fields": ["position", "orientation", "contacts", "contact_number", "wall_force"]},
+}
+CASES = (FREE, TOUCHING)
+LATER = "0.4"  # end of the runs that go on
+CODES = (0, 1, 2, 3, 130)
+WAYS = 4  # of `exercises`, of which each file sees one
 
 
-def seed_file(path: Path) -> bytes:
-    """Bytes of a sound file."""
+def seed_files(folder: Path) -> list[bytes]:
+    """Bytes of sound files."""
     import particlerb
     from particlerb.record import provenance, schema
 
     schema.FEWEST_IN_CHUNK = 4  # small chunks: few bytes that mean nothing
     provenance.git_revision = lambda: ""  # the same bytes in every checkout
-    particlerb.run(CASE, path, overwrite=True).close()
-    return path.read_bytes()
+    for k, case in enumerate(CASES):
+        particlerb.run(case, folder / f"seed{k}.h5").close()
+    return [(folder / f"seed{k}.h5").read_bytes() for k in range(len(CASES))]
 
 
 @cache
@@ -82,79 +96,156 @@ def broken(seed: bytes, k: int) -> bytes:
     return bytes(data)
 
 
-def exercise(path: Path) -> None:
-    """Read everything that the commands read; errors of the right kind are what is wanted."""
-    from particlerb.cli.show import facts_of, findings_text, texts_of
-    from particlerb.trajectory import TrajectoryError, open_trajectory
-    from particlerb.verification import verify
+def looked_at(path: Path) -> int:
+    """Read what Python programs and the page of `view` read."""
+    import particlerb
+    from particlerb.trajectory import TrajectoryError
+    from particlerb.view.replay import ReplayError, scene_of
 
-    with contextlib.suppress(TrajectoryError), open_trajectory(path) as trajectory:
+    with contextlib.suppress(TrajectoryError), particlerb.open(path) as trajectory:
         reads = [
-            lambda: facts_of(trajectory),
-            lambda: texts_of(trajectory),
-            lambda: findings_text(verify(trajectory)),
             lambda: trajectory.particle_positions(-1) if trajectory.n_frames else None,
             lambda: trajectory.angular_velocity,
             lambda: trajectory.ledger,
-            lambda: trajectory.omega_body(0),
+            lambda: trajectory.contacts(0) if trajectory.n_frames else None,
+            lambda: trajectory.wall_force,
+            lambda: scene_of(trajectory),
         ]
         for read in reads:
-            with contextlib.suppress(TrajectoryError, KeyError):
+            with contextlib.suppress(TrajectoryError, ReplayError, KeyError, IndexError):
                 read()
+    return 0
 
 
-def work(first: int, stop: int, folder: Path) -> None:
-    """Worker: say each number, then try it."""
+def exercises(path: Path) -> dict[str, Callable[[], int]]:
+    """What can be done with a file; each returns an exit code."""
+    from particlerb.cli import main as command
+
+    name, other = str(path), str(path.with_name("out.csv"))
+    return {
+        "info": lambda: command(["info", name, "--verify"]),
+        "export": lambda: command(["export", name, "--to", "csv", "-o", other, "--overwrite"]),
+        "open": lambda: looked_at(path),
+        "resume": lambda: command(["resume", name, "-q", "--t-end", LATER]),
+    }
+
+
+def work(numbers: Sequence[int], seeds: Sequence[bytes], folder: Path, pipe: int) -> None:
+    """Try some broken files; say which, and what comes of it."""
+    silent = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(silent, stream)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    path = folder / f"broken{os.getpid()}.h5"
+    for k in numbers:
+        path.write_bytes(broken(seeds[k % len(seeds)], k))
+        name, exercise = list(exercises(path).items())[k // len(seeds) % WAYS]
+        os.write(pipe, f"{k} {name}\n".encode())
+        try:
+            code = exercise()
+            said = "" if code in CODES else f"exit code {code}"
+        except BaseException as error:
+            said = f"{type(error).__name__} {' '.join(str(error).split())[:150]}"
+        if said:
+            os.write(pipe, f"{k} {name} escape {said}\n".encode())
+    os.write(pipe, b"done\n")
+
+
+class Worker:
+    """A fork that tries files, and another one where it has crashed or hangs."""
+
+    def __init__(self, numbers: Sequence[int], seeds: Sequence[bytes], folder: Path) -> None:
+        self.numbers, self.seeds, self.folder = numbers, seeds, folder
+        self.found: list[str] = []  # escapes
+        self.crashes = 0  # of HDF5, in commands that have a process of their own
+        self.is_done = False
+        self.fork()
+
+    def fork(self) -> None:
+        """Begin with the numbers that are left."""
+        self.pipe, theirs = os.pipe()
+        self.child = os.fork()
+        if not self.child:
+            with contextlib.suppress(BaseException):
+                work(self.numbers, self.seeds, self.folder, theirs)
+            os._exit(0)
+        os.close(theirs)
+        self.rest, self.at = b"", (self.numbers[0], "start")
+        self.heard = time.monotonic()
+
+    def fileno(self) -> int:
+        """Where it says what it does."""
+        return self.pipe
+
+    def listen(self) -> None:
+        """Take what the child says, or take leave of it."""
+        said = os.read(self.pipe, 65536)
+        self.heard = time.monotonic()
+        *lines, self.rest = (self.rest + said).split(b"\n")
+        for line in lines:
+            words = line.decode().split(" ", 3)
+            if words == ["done"]:
+                self.numbers = ()
+                continue
+            self.at = int(words[0]), words[1]
+            if words[2:]:
+                self.note(words[3])
+        if not said:
+            self.bury("")
+
+    def note(self, what: str) -> None:
+        """Note and print an escape."""
+        self.found.append(f"{self.at[0]} {self.at[1]}: {what}")
+        print(self.found[-1], flush=True)
+
+    def bury(self, what: str) -> None:
+        """Go on behind a file that has ended the child."""
+        from particlerb.cli.guard import GUARDED
+
+        os.close(self.pipe)
+        code = os.waitstatus_to_exitcode(os.waitpid(self.child, 0)[1])
+        if self.numbers:
+            if what == "" and self.at[1] in GUARDED and code < 0:
+                self.crashes += 1  # the guard makes it exit code 1
+            else:
+                self.note(what or f"crash {code}")
+            self.numbers = [k for k in self.numbers if k > self.at[0]]
+        if self.numbers:
+            self.fork()
+        else:
+            self.is_done = True
+
+    def end_hang(self) -> None:
+        """Kill a child that takes too long."""
+        if time.monotonic() - self.heard > SECONDS_FOR_ONE:
+            os.kill(self.child, signal.SIGKILL)
+            self.bury("hang")
+
+
+def run(numbers: range, jobs: int, folder: Path) -> tuple[list[str], int]:
+    """All escapes of some numbers, and how often HDF5 has crashed in a guarded command."""
     import warnings
 
     from particlerb.record import checked
 
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     checked.SECONDS_OF_PATIENCE = 0.0
     warnings.simplefilter("ignore")
-    seed, path = seed_file(folder / "seed.h5"), folder / "broken.h5"
-    for k in range(first, stop):
-        path.write_bytes(broken(seed, k))
-        print(k, flush=True)
-        try:
-            exercise(path)
-        except Exception as error:
-            print("escape", type(error).__name__, " ".join(str(error).split())[:150], flush=True)
-
-
-def run(first: int, stop: int, folder: Path) -> list[tuple[int, str]]:
-    """All escapes of some numbers."""
-    escapes: list[tuple[int, str]] = []
-    while first < stop:
-        words = [sys.executable, __file__, "--worker", str(first), str(stop), str(folder)]
-        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as worker:
-            assert worker.stdout is not None
-            watch = selectors.DefaultSelector()
-            watch.register(worker.stdout, selectors.EVENT_READ)
-            patience = SECONDS_TO_START
-            while True:
-                if not watch.select(patience):
-                    worker.kill()
-                    escapes.append((first - 1, "hang"))
-                    print(first - 1, "hang", flush=True)
-                    break
-                patience = SECONDS_FOR_ONE
-                line = worker.stdout.readline()
-                if not line:
-                    break
-                if line.startswith("escape"):
-                    escapes.append((first - 1, line.strip()))
-                    print(first - 1, line.strip(), flush=True)
-                else:
-                    first = int(line) + 1
-            code = worker.wait()
-        if code and not (escapes and escapes[-1] == (first - 1, "hang")):
-            escapes.append((first - 1, f"crash {code}"))
-            print(first - 1, f"crash {code}", flush=True)
-            if code > 0 and first == 0:
-                raise SystemExit("the worker does not start")
-    return escapes
+    seeds = seed_files(folder)
+    sound = folder / "sound.h5"
+    for seed in seeds:  # loads what forks would load again
+        sound.write_bytes(seed)
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert all(exercise() == 0 for exercise in exercises(sound).values())
+    workers = [Worker(numbers[k::jobs], seeds, folder) for k in range(jobs)]
+    everyone = list(workers)
+    while workers:
+        for worker in select.select(workers, [], [], 1.0)[0]:
+            worker.listen()
+        workers = [worker for worker in workers if not worker.is_done]
+        for worker in workers:
+            worker.end_hang()
+    return [one for w in everyone for one in w.found], sum(w.crashes for w in everyone)
 
 
 def main() -> None:
@@ -162,24 +253,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=10_000)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--only", type=int, help="write this broken file, and read it here")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--only", type=int, help="write this broken file, and no more")
     parser.add_argument("-o", "--output", type=Path, default=Path("broken.h5"))
-    parser.add_argument("--worker", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.worker:
-        work(int(options.worker[0]), int(options.worker[1]), Path(options.worker[2]))
-        return
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as name:
-        folder = Path(name)
         if options.only is not None:
-            options.output.write_bytes(broken(seed_file(folder / "seed.h5"), options.only))
-            exercise(options.output)
+            seeds = seed_files(Path(name))
+            options.output.write_bytes(broken(seeds[options.only % len(seeds)], options.only))
             return
         start = time.monotonic()
-        escapes = run(options.first, options.first + options.runs, folder)
+        numbers = range(options.first, options.first + options.runs)
+        escapes, crashes = run(numbers, options.jobs, Path(name))
         rate = options.runs / (time.monotonic() - start)
-        print(f"{options.runs} files, {rate:.0f} a second, {len(escapes)} escapes")
+        print(
+            f"{options.runs} files, {rate:.1f} a second, {len(escapes)} escapes;"
+            f" {crashes} crashes of HDF5 that become exit code 1"
+        )
 
 
 if __name__ == "__main__":

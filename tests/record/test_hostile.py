@@ -338,6 +338,31 @@ def test_what_was_found_by_fuzzing(path, tmp_path):
     assert str(copy) in done.stdout + done.stderr
 
 
+@pytest.mark.parametrize("command", ["resume", "view"])
+def test_a_visit_without_end_is_ended(tmp_path, monkeypatch, capsys, command):
+    """These commands read in their own process, where nothing could end it."""
+    from particlerb.cli import guard
+
+    monkeypatch.setattr(guard, "SECONDS_TO_LOOK", 1)
+    path = tmp_path / "found.h5"
+    path.write_bytes(lzma.decompress((FUZZ / "found_by_resume/endless_visit.h5.xz").read_bytes()))
+    os.utime(path, (0, 0))
+    assert main([command, str(path)]) == 1
+    assert "found.h5 is damaged: HDF5 crashed reading it, or did not end" in capsys.readouterr().err
+
+
+def test_what_resume_misses_while_it_writes_is_told(copy, capsys):
+    """No visit finds what is not there, and steps for VTK are counted in the end."""
+    with h5py.File(copy, "r+") as file:
+        del file["VTKHDF/Steps/PointOffsets"]
+    assert main(["resume", str(copy), "-q", "--t-end", "0.6"]) == 1
+    err = capsys.readouterr().err
+    assert "the run failed" in err
+    assert "harmed.h5 is damaged" in err
+    assert "5 frames are kept" in err
+    assert "go on with" not in err
+
+
 def test_a_crash_of_hdf5_is_a_message(tmp_path, monkeypatch, capfd):
     """The guard tells a death by a signal from an exit code."""
     from particlerb.cli import guard
