@@ -29,9 +29,9 @@ from particlerb.maths.vec3 import (
 
 BODIES: Final = 256  # that are looked at in one go
 SHARE: Final = 0.01  # of the time that looking may take
-TO_LOOK: Final = 1e5  # ns of a look, roughly,
-TO_COMPARE: Final = 2.0  # of two bodies, or two spheres,
-TO_COMPARE_WALL: Final = 20.0  # and of a body with a primitive of a wall
+TO_LOOK: Final = 2e5  # ns of a look, roughly,
+TO_COMPARE: Final = 3.5  # of two bodies, or two spheres,
+TO_COMPARE_WALL: Final = 30.0  # and of a body with a primitive of a wall
 STEPS: Final = 2.0  # in which two may have come to overlap since the last evaluation
 SLIGHT: Final = 1e-3  # overlap, in the smaller radius, that is none yet
 
