@@ -516,6 +516,13 @@ def planned(case: "Case") -> None:
         prepare(case)
 
 
+def is_slender(shape: Any) -> bool:
+    """Whether sizes differ so much that a lattice which shows the least of them is large."""
+    sizes = np.hstack([value for value in vars(shape).values() if isinstance(value, float | tuple)])
+    sizes = np.abs(sizes[sizes != 0.0])
+    return bool(sizes.size and sizes.max() > 100.0 * sizes.min())
+
+
 def is_small(case: "Case") -> bool:
     """Whether a case makes few bodies of few particles."""
     if any(wall.type == "cylinder" and wall.radius > 30.0 * wall.length for wall in case.wall):
@@ -527,7 +534,9 @@ def is_small(case: "Case") -> bool:
             counts, wanted = getattr(shape, "n", None) or 1, getattr(shape, "inertia_error", None)
             if wanted is None:
                 each += math.prod(counts) if isinstance(counts, tuple) else float(counts) ** 3
-            is_slow = getattr(shape, "arrangement", "") == "spheres" or (wanted or 1.0) < 0.3
+            is_slow = getattr(shape, "arrangement", "") == "spheres" or (
+                wanted is not None and (wanted < 0.3 or is_slender(shape))
+            )
             each += MOST + 1 if is_slow else 50 * (wanted is not None)
         particles += each * body.count
     return case.n_bodies <= MOST_BODIES and particles <= MOST
