@@ -206,10 +206,14 @@ def test_files_that_are_none(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.h5: no such file"):
         particlerb.resume(tmp_path / "none.h5")
     (tmp_path / "text.h5").write_text("text")
-    for path in (tmp_path, tmp_path / "text.h5"):
-        with pytest.raises(particlerb.TrajectoryError, match="is not a readable HDF5 file"):
+    folder, text = (
+        (tmp_path, "is no regular file"),
+        (tmp_path / "text.h5", "is not a readable HDF5"),
+    )
+    for path, reason in (folder, text):
+        with pytest.raises(particlerb.TrajectoryError, match=reason):
             particlerb.open(path)
-        with pytest.raises(particlerb.TrajectoryError, match="is not a readable HDF5 file"):
+        with pytest.raises(particlerb.TrajectoryError, match=reason):
             particlerb.resume(path)
 
 

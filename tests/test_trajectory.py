@@ -188,7 +188,7 @@ def test_a_file_that_is_no_hdf5(tmp_path, content):
 
 
 def test_a_folder(tmp_path):
-    with pytest.raises(TrajectoryError, match="is not a readable HDF5 file"):
+    with pytest.raises(TrajectoryError, match="is no regular file"):
         particlerb.open(tmp_path)
 
 

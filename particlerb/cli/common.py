@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import math
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -108,15 +109,14 @@ def to_write(path: Path, overwrite: bool, source: Path | None = None) -> Path:
     """Place of a file to write, behind links; wrong usage where it may not be written."""
     from particlerb.record.target import target
 
+    if source is not None and os.path.realpath(path) == os.path.realpath(source):
+        raise Ending(f"{path} is the input: give another name with -o")
     try:
-        found = target(path, overwrite)
+        return target(path, overwrite)
     except (FileExistsError, NotADirectoryError) as error:
         raise Ending(str(error)) from None
     except OSError as error:
         raise Ending(f"{path} cannot be made: {error.strerror}") from None
-    if source is not None and found.exists() and source.exists() and found.samefile(source):
-        raise Ending(f"{path} is the input: give another name with -o")
-    return found
 
 
 def opened(path: str) -> Any:

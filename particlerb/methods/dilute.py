@@ -11,6 +11,7 @@ with half the steps. Only then are frames recorded, from a second run of the sam
 what is recorded never changes the motion.
 """
 
+from copy import copy
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -63,12 +64,13 @@ class Interval:
         stepped, flying = np.flatnonzero(active), np.flatnonzero(~active)
         self.motions: list[tuple[Ints, Motion]] = []
         self.touching: TouchingMotion | None = None
+        self.watch = copy(parent.watch)  # it is taken on where the interval is the one that counts
         group = parent.group
         if stepped.size:
             own, spheres = parent.part(stepped)
             self.touching = TouchingMotion(
                 parent.kernels, parent.stages, parent.cost, own, taken(state, stepped), start,
-                parent.dt, spheres, kept, parent.watch,
+                parent.dt, spheres, kept, self.watch,
             )  # fmt: skip
             self.motions.append((stepped, self.touching))
         if flying.size:
@@ -141,7 +143,8 @@ class DiluteMotion:
         self.at_rest, self.kinetic = 0.0, np.zeros(0)  # [J] of pistons, of which there are none
         self.touches: dict[int, Touches] = {}
         self.state = state
-        self.next: tuple[State, Floats, Keeps, float] | None = None  # at the end of the interval
+        # at the end of the interval
+        self.next: tuple[State, Floats, Keeps, float, Watch] | None = None
         self.turnover = 0.0  # [J] gross work of contacts until the interval
         self.done, self.steps = 0, 0
         self.booked = np.zeros(7)
@@ -206,7 +209,8 @@ class DiluteMotion:
             after, booked = interval.together.finish(self.time(self.done + steps))
             is_far = interval.farthest() + 0.5 * self.contact.skin > 0.5 * self.skin
             if not is_far and not has_moved(y, np.vstack(after), self.no_reach, 0.5 * self.skin):
-                self.next = after, booked, interval.kept(), interval.turned_over()
+                kept = interval.kept()
+                self.next = after, booked, kept, interval.turned_over(), interval.watch
                 break
             steps //= 2
         self.steps = steps
@@ -246,12 +250,13 @@ class DiluteMotion:
         """Go to the end of the interval."""
         self.count += 1
         if self.next is None:
-            assert self.shown is not None
+            shown = self.shown
+            assert shown is not None
             if is_due(self.count):
-                self.swing = max(self.swing, self.shown.swing())
-            state, booked = self.shown.together.finish(self.time(self.done + self.steps))
-            self.next = state, booked, self.shown.kept(), self.shown.turned_over()
-        self.state, booked, self.kept, turnover = self.next
+                self.swing = max(self.swing, shown.swing())
+            state, booked = shown.together.finish(self.time(self.done + self.steps))
+            self.next = state, booked, shown.kept(), shown.turned_over(), shown.watch
+        self.state, booked, self.kept, turnover, self.watch = self.next
         self.booked += booked
         self.turnover += turnover
         self.done += self.steps

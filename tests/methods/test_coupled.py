@@ -269,7 +269,7 @@ def truth(make):
 STEPS = {
     "strang": 0.04 / 2.0 ** np.arange(4),
     "rkn6": T_END / np.array([56, 64, 72, 80, 96]),
-    "rk4": 0.08 / 2.0 ** np.arange(4),
+    "rk4": 0.04 / 2.0 ** np.arange(4),
     "semi_implicit_euler": 2e-3 / 2.0 ** np.arange(3),
     "explicit_euler": 1e-3 / 2.0 ** np.arange(3),
     "momentum_euler": 1e-3 / 2.0 ** np.arange(3),
