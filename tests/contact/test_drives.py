@@ -10,6 +10,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.methods import touching
+from particlerb.verification import verify
 
 K = 1e4
 NOTHING = {"acceleration": [0.0, 0.0, 0.0]}
@@ -165,6 +166,21 @@ def test_bodies_of_a_block_go_round_one_centre_together(make):
         turn = Rotation.from_rotvec([0, 0, 0.4])
         arms = t.position[0, :4] - [1.0, 0, 0]
         assert t.position[-1, :4] - [1.0, 0, 0] == pytest.approx(turn.apply(arms), abs=1e-14)
+
+
+def test_a_file_with_a_driven_body_is_whole(make, tmp_path):
+    """Summed again, the ledger counts no bodies that are held either, and lids beside bodies."""
+    bodies = [
+        make.sphere("wheel", position=[0, 0, 0], motion={"angular_velocity": [0, 0, 3.0]}),
+        make.sphere("post", position=[0, 1, 0], fixed=True),
+        make.sphere("ball", position=[0.3, 0, 0], velocity=[0.0, 1.0, 0.0]),
+    ]
+    bodies[0]["motion"]["velocity"] = [0.1, 0, 0]
+    lid = make.plane([0, 0, -1], "lid", point=[0, 0, 5.0])
+    lid["piston"] = {"mass": 1.0, "axis": [0, 0, 1], "load": 3.0}
+    with particlerb.run(scene(make, *bodies, wall=[lid]), tmp_path / "driven.h5") as t:
+        assert np.ptp(t.ledger.kinetic_energy) > 0.1  # of the lid
+        assert [found.words for found in verify(t) if not found.is_whole] == []
 
 
 def test_the_displaced_place_counts_at_the_start(make):
