@@ -120,3 +120,17 @@ def test_strict_makes_it_an_error(tmp_path, capsys):
     assert message.startswith(f"{tmp_path}/a.toml:5:9: warning: body[0].shape: a: as 4 particles")
     assert 'hint: n = 10 is within 1 %; arrangement = "cells" has exactly' in message
     assert main(["check", "--strict", str(tmp_path / "a.toml")]) == 2
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        {"type": "cylinder", "radius": 2.0, "height": 2.5e187, "n": 1},
+        {"type": "ellipsoid", "semi_axes": [1e5, 1.1e186, 1e-3], "n": 1},
+        {"type": "ball", "radius": 6.6e-246, "n": 1},
+    ],
+)
+def test_sizes_whose_powers_are_no_numbers_are_passed_over(make, shape):
+    """Found by the fuzz of case texts: they ended in a traceback."""
+    body = {"name": "b", "shape": shape, "mass": 2.0}
+    told(make.case(body))
