@@ -29,14 +29,14 @@ from results import FOLDER, commit
 
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
+from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Ints
-from particlerb.plan import is_adaptive
-from particlerb.simulate import Prepared
-from particlerb.studies.accuracy import prepare_accurately
+from particlerb.plan.segments import is_adaptive
+from particlerb.simulation.accuracy import prepare_accurately
+from particlerb.simulation.run import Prepared
+from particlerb.simulation.trials import BodySubset, errors, part, seconds, states_at
 from particlerb.studies.peers import engines, peer_errors, peer_scene
-from particlerb.studies.trials import Part, errors, part, seconds, states_at
 from particlerb.studies.work_precision import Study
-from particlerb.threads import THREADS
 
 CASES = Path(__file__).parents[1] / "cases"
 METHODS = ("strang", "rkn6", "dop853", "rk4")
@@ -150,7 +150,7 @@ def case_of(scene: str, *overrides: str) -> Case:
     return load(CASES / f"{made}.toml" if isinstance(made, str) else made(), list(overrides))
 
 
-def whole(prepared: Prepared) -> Part:
+def whole(prepared: Prepared) -> BodySubset:
     """All bodies of a prepared case."""
     scene = prepared.scene
     return part(prepared.case, scene, prepared.plan, np.arange(len(scene.kind)))
@@ -161,7 +161,7 @@ def every(study: Study) -> Ints:
     return np.arange(len(study.scene.kind))
 
 
-def truth(study: Study, found: Part) -> float:
+def truth(study: Study, found: BodySubset) -> float:
     """Error at t_end of a run of all bodies against dop853 at 1e-14."""
     reference = part(study.case, study.scene, study.plan("dop853", 1e-14), every(study))
     times = study.times
@@ -169,7 +169,7 @@ def truth(study: Study, found: Part) -> float:
     return max(last.worst, last.position)
 
 
-def least_times(parts: list[Part], t_end: float) -> list[float]:
+def least_times(parts: list[BodySubset], t_end: float) -> list[float]:
     """Least times of the motions, taken in turn [s].
 
     Of long runs it is that of the processor, which other programs disturb less.

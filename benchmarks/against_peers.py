@@ -21,9 +21,9 @@ import numpy as np
 from results import record
 
 from particlerb.case.reader import load
-from particlerb.studies.trials import seconds
-from particlerb.studies.work_precision import Chart, Point, Study, chart
-from particlerb.threads import THREADS
+from particlerb.compiled.threads import THREADS
+from particlerb.simulation.trials import seconds
+from particlerb.studies.work_precision import Point, Study, WorkPrecision, chart
 
 ENGINES = ("mujoco", "lammps", "pybullet", "scipy", "rebound")
 
@@ -101,7 +101,7 @@ def best(points: list[Point], wanted: float) -> Point | None:
     return min(good, key=lambda p: p.seconds, default=None)
 
 
-def compared(found: Chart, wanted: float) -> list[tuple[str, float]]:
+def compared(found: WorkPrecision, wanted: float) -> list[tuple[str, float]]:
     """Print our best and each engine's, and how many times faster ours is."""
     ours = best([p for p in found.points if not p.engine], wanted)
     assert ours is not None
@@ -124,7 +124,7 @@ def in_a_batch(n: int = 100_000) -> float:
     case = load(one_body(n))
     study = Study(case, 1e-6, 10.0)
     THREADS.use(1)
-    from particlerb.studies.trials import part
+    from particlerb.simulation.trials import part
 
     whole = part(case, study.scene, study.plan("auto", None), np.arange(n))
     return float(np.median([seconds(whole, 100.0) for _ in range(9)])) / n

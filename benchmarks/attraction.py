@@ -24,11 +24,11 @@ from typing import TypeAlias
 import numpy as np
 from results import record
 
-from particlerb._jit import inline, kernel
+from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.threads import THREADS
+from particlerb.forces.attraction import Attraction, Work, attraction_loads, spread_loads, work_of
+from particlerb.forces.gravity_tree.tree import Tree, angle_for
 from particlerb.maths.vec3 import Floats
-from particlerb.terms.attraction import Attraction, Work, attraction_loads, spread_loads, work_of
-from particlerb.terms.tree import Tree, angle_for
-from particlerb.threads import THREADS
 
 Figures: TypeAlias = list[tuple[str, float]]
 Ten: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]

@@ -29,10 +29,10 @@ from peers import with_lammps
 from results import record
 
 from particlerb.case.reader import load
+from particlerb.compiled.threads import THREADS
+from particlerb.contact.cell_grid import neighbours
 from particlerb.contact.restitution import damping_ratio
-from particlerb.contact.search import neighbours
-from particlerb.simulate import Run, prepare
-from particlerb.threads import THREADS
+from particlerb.simulation.run import Run, prepare
 
 RADIUS = 0.1  # m
 CORNERS = 0.1 * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)

@@ -23,13 +23,13 @@ import numpy as np
 from results import record
 
 import particlerb
-from particlerb.bodies.scene import Scene, assemble
-from particlerb.bodies.state import Frames, as_frame
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
-from particlerb.ledger import Entries
+from particlerb.case.to_system import System, assemble
+from particlerb.model.balance import Entries
+from particlerb.model.state import Frames, as_frame
 from particlerb.record.atomic import AtomicFile
-from particlerb.record.integrity import frame_checksums
+from particlerb.record.checksums import frame_checksums
 from particlerb.record.schema import frames_per_chunk, rows_per_chunk
 from particlerb.record.writer import Recorder
 
@@ -47,7 +47,7 @@ def case_of(n: int, frames: int) -> Case:
     return load({"run": {"t_end": float(frames - 1), "every": 1.0}, "body": [body]})
 
 
-def batch_of(scene: Scene, size: int) -> tuple[Frames, Entries]:
+def batch_of(scene: System, size: int) -> tuple[Frames, Entries]:
     """Frames and ledger entries that any batch of the run may have."""
     one = as_frame(scene.bodies, scene.state)
     arrays = [np.repeat(a, size, axis=0) for a in one[:4]]
@@ -62,7 +62,7 @@ def batch_of(scene: Scene, size: int) -> tuple[Frames, Entries]:
 def with_recorder(
     path: Path,
     case: Case,
-    scene: Scene,
+    scene: System,
     frames: int,
     batch: int,
     checkpoint: Callable[[], dict[str, Any]] | None = None,
@@ -80,7 +80,7 @@ def with_recorder(
 
 
 def with_h5py(
-    path: Path, scene: Scene, frames: int, batch: int, numbers: bool = False, **keys: Any
+    path: Path, scene: System, frames: int, batch: int, numbers: bool = False, **keys: Any
 ) -> float:
     """Seconds for h5py alone; with the numbers of a frame too, which are written in the end."""
     given, _ = batch_of(scene, batch)

@@ -16,16 +16,16 @@ import time
 import numpy as np
 from results import record
 
-from particlerb.bodies.bodies import Bodies, taken
-from particlerb.bodies.state import State, room_for
-from particlerb.methods import METHODS
-from particlerb.methods.motion import Group
-from particlerb.methods.stepped import SteppedMotion
-from particlerb.terms import Terms, terms_on
-from particlerb.terms.follower import Follower
-from particlerb.terms.gravity import UniformGravity
-from particlerb.terms.push import Push
-from particlerb.threads import THREADS
+from particlerb.compiled.threads import THREADS
+from particlerb.forces import Terms, terms_on
+from particlerb.forces.follower import Follower
+from particlerb.forces.gravity import UniformGravity
+from particlerb.forces.push import Push
+from particlerb.integrators import METHODS
+from particlerb.model.bodies import Bodies, taken
+from particlerb.model.state import State, room_for
+from particlerb.stepping.loop import SteppedMotion
+from particlerb.stepping.motion import Group
 
 N, ROUNDS, DT = 100_000, 15, 0.01
 STEPS = {"rkn6": 4}  # in a burst; others

@@ -21,7 +21,7 @@ import trajectory_output
 from results import record
 
 import particlerb
-from particlerb._jit import compile_with, kernel
+from particlerb.compiled.jit import compile_with, kernel
 from particlerb.maths.quaternion import rows4
 from particlerb.rotors.exact import (
     SteadyTurn,

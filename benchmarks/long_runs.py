@@ -31,8 +31,8 @@ import numpy as np
 from results import FOLDER, commit
 
 from particlerb.case.reader import load
-from particlerb.methods.touching import TouchingMotion
-from particlerb.simulate import RunError, prepare, run_prepared
+from particlerb.simulation.run import RunError, prepare, run_prepared
+from particlerb.stepping.contact_run import TouchingMotion
 
 HERE = Path(__file__).resolve()
 CASES = HERE.parents[1] / "cases"

@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from particlerb.bodies import shapes
-from particlerb.bodies.analytic import ANALYTIC
-from particlerb.bodies.cells import Pieces, grid_over, pieces
-from particlerb.bodies.fill import errors, mesh_particles
-from particlerb.bodies.mesh import Mesh, checked, mesh_solid
-from particlerb.bodies.packing import packing
-from particlerb.bodies.particles import one_kind
-from particlerb.bodies.sections import BALL, CONE, Profile, cut_sections, ring
-from particlerb.bodies.spheres import union_solid
+from particlerb.geometry import shapes
+from particlerb.geometry.analytic import ANALYTIC
+from particlerb.geometry.cells import Pieces, grid_over, pieces
+from particlerb.geometry.fill import errors, mesh_particles
+from particlerb.geometry.mesh import TriangleMesh, checked, mesh_solid
+from particlerb.geometry.overlapping_spheres import union_solid
+from particlerb.geometry.packing import packing
+from particlerb.geometry.particles import one_kind
+from particlerb.geometry.sections import BALL, CONE, Profile, cut_sections, ring
 from particlerb.studies.charts.style import COLOURS, GRID, INK, bare
 
 SOLIDS: dict[str, tuple[dict[str, float], Profile, tuple[float, float, float]]] = {
@@ -37,7 +37,7 @@ T_FACES = ((0, 1, 2), (0, 2, 7), (2, 3, 4), (2, 4, 5), (2, 5, 7), (5, 6, 7))
 THICK = 2.0  # mm
 
 
-def t_mesh() -> Mesh:
+def t_mesh() -> TriangleMesh:
     """A T: its outline, lifted."""
     n = len(T_OUTLINE)
     floor = np.column_stack([T_OUTLINE, np.full(n, -0.5 * THICK)])
@@ -49,7 +49,7 @@ def t_mesh() -> Mesh:
     return checked(np.concatenate([floor, top]), [*down, *up, *sides])
 
 
-def write_stl(mesh: Mesh, path: Path) -> None:
+def write_stl(mesh: TriangleMesh, path: Path) -> None:
     """Ascii STL, every face with its normal."""
     lines = ["solid part"]
     for corner in mesh.vertices[mesh.faces]:

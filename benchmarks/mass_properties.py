@@ -13,11 +13,11 @@ import time
 
 import numpy as np
 
-from particlerb.bodies.mass_properties import mass_properties
-from particlerb.bodies.particles import Particles
-from particlerb.bodies.spheres import overlaps, union_solid
-from particlerb.bodies.sums import sums_of
-from particlerb.threads import THREADS
+from particlerb.compiled.threads import THREADS
+from particlerb.geometry.mass_properties import mass_properties
+from particlerb.geometry.overlapping_spheres import overlaps, union_solid
+from particlerb.geometry.particles import Particles
+from particlerb.geometry.sums import sums_of
 
 TOTAL = (1_000_000, 1_000_000, 1_000_000, 10_000_000)
 PER_KIND = (20, 1_000, 1_000_000, 10_000_000)

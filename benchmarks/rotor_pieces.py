@@ -77,9 +77,9 @@ def measured(rule: tuple[float, float]) -> dict[str, list[tuple[float, float, fl
 
     moser_veselov.LONGEST_PIECE, moser_veselov.LARGEST_SHARE = rule  # before anything is compiled
     from particlerb.case.reader import load
-    from particlerb.studies.trials import errors, part, seconds, states_at
+    from particlerb.compiled.threads import THREADS
+    from particlerb.simulation.trials import errors, part, seconds, states_at
     from particlerb.studies.work_precision import Study
-    from particlerb.threads import THREADS
 
     THREADS.use(1)
     found: dict[str, list[tuple[float, float, float]]] = {}

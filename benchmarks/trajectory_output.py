@@ -17,7 +17,7 @@ import numpy as np
 
 from particlerb.case.reader import load
 from particlerb.record.schema import frames_per_chunk
-from particlerb.simulate import prepare, run_prepared
+from particlerb.simulation.run import prepare, run_prepared
 
 CASE = Path(__file__).parents[1] / "cases" / "ten_thousand_clumps.toml"
 FIELDS = {"position": 3, "orientation": 4, "linear_momentum": 3, "angular_momentum": 3}

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from particlerb.case.reader import load
-from particlerb.simulate import prepare, run_prepared
+from particlerb.simulation.run import prepare, run_prepared
 from particlerb.studies.charts.style import COLOURS, GRID, INK, bare
 
 ANGLES = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.95)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import particlerb
 from particlerb.case.reader import load
-from particlerb.trajectory import open_trajectory
+from particlerb.record.trajectory import open_trajectory
 from particlerb.view.access import Access
 from particlerb.view.live import Live, rehearse
 from particlerb.view.replay import Replay

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from particlerb.case.problems import CaseError
     from particlerb.case.schema import Case
-    from particlerb.resuming import ResumeError
-    from particlerb.running import resume, run
-    from particlerb.simulate import RunError
-    from particlerb.trajectory import Trajectory, TrajectoryError
-    from particlerb.trajectory import open_trajectory as open
+    from particlerb.record.trajectory import Trajectory, TrajectoryError
+    from particlerb.record.trajectory import open_trajectory as open
+    from particlerb.simulation.entry import resume, run
+    from particlerb.simulation.resume import ResumeError
+    from particlerb.simulation.run import RunError
 
 __version__ = "0.1.0"
 __all__ = [
@@ -33,13 +33,13 @@ __all__ = [
 HOMES = {
     "Case": ("particlerb.case.schema", "Case"),
     "CaseError": ("particlerb.case.problems", "CaseError"),
-    "ResumeError": ("particlerb.resuming", "ResumeError"),
-    "RunError": ("particlerb.simulate", "RunError"),
-    "Trajectory": ("particlerb.trajectory", "Trajectory"),
-    "TrajectoryError": ("particlerb.trajectory", "TrajectoryError"),
-    "open": ("particlerb.trajectory", "open_trajectory"),
-    "resume": ("particlerb.running", "resume"),
-    "run": ("particlerb.running", "run"),
+    "ResumeError": ("particlerb.simulation.resume", "ResumeError"),
+    "RunError": ("particlerb.simulation.run", "RunError"),
+    "Trajectory": ("particlerb.record.trajectory", "Trajectory"),
+    "TrajectoryError": ("particlerb.record.trajectory", "TrajectoryError"),
+    "open": ("particlerb.record.trajectory", "open_trajectory"),
+    "resume": ("particlerb.simulation.entry", "resume"),
+    "run": ("particlerb.simulation.entry", "run"),
 }
 
 

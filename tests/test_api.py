@@ -128,7 +128,7 @@ def test_a_wrong_case_makes_no_file(make, tmp_path):
 
 def test_an_interrupted_run_keeps_its_frames(make, tmp_path):
     """Ctrl-C between two batches: the file holds what was appended."""
-    from particlerb import simulate
+    from particlerb.simulation import run as simulate
 
     prepared = simulate.prepare(load(make.case(make.body(), t_end=200.0)))
 

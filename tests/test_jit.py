@@ -12,15 +12,15 @@ from pathlib import Path
 import pytest
 
 import particlerb
-from particlerb import _jit
+from particlerb.compiled import jit as _jit
 
 PACKAGE = Path(particlerb.__file__).parent
 SCRIPT = """
 import numpy as np
-from particlerb._jit import CACHE_FOLDER
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.state import room_for
-from particlerb.ledger import totals
+from particlerb.compiled.jit import CACHE_FOLDER
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import room_for
+from particlerb.model.balance import totals
 one, three = np.ones(1), np.ones((3, 1))
 bodies = Bodies(one, one, three, three, np.array([[1.0], [0], [0], [0]]), np.full(1, 4))
 frames = room_for(1, 1, np.zeros((1, 4)))
@@ -113,7 +113,7 @@ def test_a_cache_that_is_a_file_falls_back_to_a_private_folder(tmp_path, monkeyp
 # A cache that is full, or damaged
 
 MODULE = """
-from particlerb._jit import kernel
+from particlerb.compiled.jit import kernel
 
 @kernel
 def double(x):
@@ -263,7 +263,7 @@ def test_a_process_that_may_write_no_file_says_so_in_one_line(fresh):
     load, folder = fresh
     code = f"""
 import sys, warnings
-from particlerb import _jit
+from particlerb.compiled import jit as _jit
 from particlerb.cli import show_warning
 _jit.CACHE_FOLDER, warnings.showwarning = {str(folder)!r}, show_warning
 sys.path.insert(0, {str(folder.parent)!r})
@@ -289,7 +289,7 @@ print(kernels.double(2.5), kernels.treble(1))
 
 def test_a_full_disk_is_not_blamed_on_the_case(make, monkeypatch):
     """Errors of files that the case does not name pass through as they are."""
-    from particlerb.bodies import scene
+    from particlerb.case import to_system as scene
     from particlerb.case.reader import load
 
     def fail(*arguments):

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.state import Frames, State, as_frame, kinetic_energy, omega_world
 from particlerb.case.reader import load
-from particlerb.checks import results
-from particlerb.ledger import Drift, Entries, Ledger, totals
-from particlerb.simulate import prepare, run_prepared
+from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import Frames, State, as_frame, kinetic_energy, omega_world
+from particlerb.simulation.checks import results
+from particlerb.simulation.run import prepare, run_prepared
 
 START = {
     "position": [0.1, -0.2, 0.3],
@@ -201,7 +201,7 @@ def test_drift_of_a_scene_at_rest_is_zero(make):
     case = make.case(make.body(), make.body("point", [0, 0, 0]))
     outcome = run_prepared(prepare(load(case)), None)
     outcome.file.close()
-    assert outcome.drift == Drift(0.0, 0.0, 0.0)
+    assert outcome.drift == ConservationError(0.0, 0.0, 0.0)
 
 
 def test_drift_is_relative_to_the_largest_energy_and_momenta(make):
@@ -222,7 +222,7 @@ def test_drift_is_relative_to_the_largest_energy_and_momenta(make):
         )
         return totals(as_frame(bodies, state), bodies, np.zeros(3))
 
-    ledger = Ledger(now(2.0, 3.0))
+    ledger = EnergyBalance(now(2.0, 3.0))
     entries = ledger.enter(now(0.0, 0.0), np.zeros((1, 7)))
     assert entries.energy_error == pytest.approx([-(3 + 4.5)])  # p²/2M = 3, L²/2 = 4.5
     drift = ledger.drift()
@@ -251,7 +251,7 @@ def test_booked_momenta_are_taken_away(make):
             (second.angular_momentum - first.angular_momentum)[0],
         ]
     )[None]
-    entries = Ledger(first).enter(second, booked)
+    entries = EnergyBalance(first).enter(second, booked)
     for name in ("energy_error", "linear_momentum_error", "angular_momentum_error"):
         assert np.abs(getattr(entries, name)).max() < 1e-14
     assert entries.work[0] == booked[0, 0]

@@ -7,12 +7,13 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from particlerb import pairs
-from particlerb.bodies.scene import assemble
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.forces import loads_of
-from particlerb.pairs import (
+from particlerb.case.to_system import assemble
+from particlerb.forces.links import WORLD
+from particlerb.plan import links as pairs
+from particlerb.plan.case_forces import loads_of
+from particlerb.plan.links import (
     Link,
     attracted,
     coincident,
@@ -24,7 +25,6 @@ from particlerb.pairs import (
     places,
     tree_accuracy,
 )
-from particlerb.terms.links import WORLD
 
 ROD, POINT = [1.3, 1.3, 0.0], [0.0, 0.0, 0.0]
 NOBODY = np.zeros(0, dtype=np.int64)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.methods.strang import LONGEST
-from particlerb.plan import RADIANS_PER_STEP
-from particlerb.simulate import prepare
+from particlerb.integrators.strang import LONGEST
+from particlerb.plan.segments import RADIANS_PER_STEP
+from particlerb.simulation.run import prepare
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7]}
 AT, FORCE = [0.4, -0.3, 0.2], [1.0, 2.0, -1.5]

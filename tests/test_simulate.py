@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import particlerb
 from particlerb.case.reader import load
-from particlerb.simulate import FRAME_ROUNDING, RunError, frame_times
+from particlerb.simulation.run import FRAME_ROUNDING, RunError, frame_times
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
 AT, FORCE = [0.4, -0.3, 0.2], [1.0, 2.0, -1.5]
@@ -199,7 +199,7 @@ def test_a_force_on_one_body_of_a_block_hits_that_one(make):
 
 MANY = """
 import hashlib, numpy as np, particlerb
-from particlerb import threads
+from particlerb.compiled import threads
 threads.LEAST_WORK = 0  # so that the free bodies are spread as well
 n = 1003
 rng = np.random.default_rng(5)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from particlerb.methods import METHODS
+from particlerb.integrators import METHODS
 
 START = {"position": [1.0, 0.2, 0.3], "velocity": [0.3, 0.1, -0.2], "orientation": [0.8, 0, 0.6, 0]}
 AWAY = {"position": [2.5, 0.1, 0.4], "orientation": [0.6, 0, 0, 0.8]}

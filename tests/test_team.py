@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from particlerb import team as module
-from particlerb._jit import kernel
-from particlerb.team import ALONE, Team, largest, meet, share_of, together
-from particlerb.threads import THREADS
+from particlerb.compiled import barrier as module
+from particlerb.compiled.barrier import ALONE, Team, largest, meet, share_of, together
+from particlerb.compiled.jit import kernel
+from particlerb.compiled.threads import THREADS
 
 
 @kernel

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from particlerb.bodies.scene import assemble
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load, parse
-from particlerb.contact.wall_motion import Motion
+from particlerb.case.to_system import assemble
+from particlerb.contact.wall_motion import PrescribedMotion
 from particlerb.contact.walls import DISC, FACE, PLANE, RIM, SIDE
-from particlerb.touching import (
+from particlerb.plan.contact_setup import (
     NOTHING,
     contact_of,
 )
@@ -335,7 +335,11 @@ def test_walls_are_their_primitives_one_after_another(make):
     assert found.walls.parameter[0, :6] == pytest.approx([1, -2, 0, 0, 0.6, 0.8], abs=1e-15)
     disc = found.walls.parameter[(found.walls.kind == DISC)][0]
     assert disc[1] == pytest.approx(9.0)  # the closed end is the one along the axis
-    assert found.motions == (Motion((1, -2, 0)), Motion((0, 0, 1)), Motion())
+    assert found.motions == (
+        PrescribedMotion((1, -2, 0)),
+        PrescribedMotion((0, 0, 1)),
+        PrescribedMotion(),
+    )
 
 
 def test_a_wall_turns_about_its_own_centre_unless_told_otherwise(make):
@@ -352,7 +356,7 @@ def test_a_wall_turns_about_its_own_centre_unless_told_otherwise(make):
     motions = contact(case).motions
     assert [m.centre for m in motions] == [(0, 0, 0.1), (0, 0, 1), (0, 0, 3), (9, 8, 7)]
     assert motions[0].angular_velocity == (0, 0, 0.5)
-    assert motions[0][3:] == Motion()[3:]
+    assert motions[0][3:] == PrescribedMotion()[3:]
     assert motions[3][1:] == ((1, 2, 3), (0, 0, 0), (0, 0, 0.01), 10.0, 0.3)
 
 
@@ -508,7 +512,7 @@ def test_overlaps_are_those_of_every_pair_at_once(make):
 
 def orientations(scene):
     """Body to world quaternions (4, n)."""
-    from particlerb.bodies.state import multiplied
+    from particlerb.model.state import multiplied
 
     return multiplied(scene.state.q, scene.bodies.rotor_frame * np.array([[1.0], [-1], [-1], [-1]]))
 

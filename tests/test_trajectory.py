@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.bodies.scene import assemble
-from particlerb.bodies.state import as_frame, initial_state, omega_world
 from particlerb.case.reader import load
-from particlerb.trajectory import Trajectory, TrajectoryError
+from particlerb.case.to_system import assemble
+from particlerb.model.state import as_frame, initial_state, omega_world
+from particlerb.record.trajectory import Trajectory, TrajectoryError
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
 R3 = np.random.default_rng(3)

@@ -10,16 +10,16 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies import shapes
-from particlerb.bodies.analytic import ANALYTIC, Analytic
-from particlerb.bodies.mass_properties import mass_properties
-from particlerb.bodies.particles import Particles
-from particlerb.bodies.scene import Scene, part_particles, turn_of
 from particlerb.case.placement import first_bodies
 from particlerb.case.problems import Problem
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Body, Case
 from particlerb.case.shapes import AnyShape
+from particlerb.case.to_system import System, part_particles, turn_of
+from particlerb.geometry import shapes
+from particlerb.geometry.analytic import ANALYTIC, Analytic
+from particlerb.geometry.mass_properties import mass_properties
+from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
@@ -42,7 +42,7 @@ class Ideal(NamedTuple):
     tensor: Floats  # (3, 3) [kg m²], about com
 
 
-def coarse(case: Case, scene: Scene) -> Iterator[Problem]:
+def coarse(case: Case, scene: System) -> Iterator[Problem]:
     """Bodies of a case with other moments than they should have.
 
     Where the case says `inertia_error` only a change of the rotor class is told.

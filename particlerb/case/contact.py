@@ -2,7 +2,7 @@
 
 Bodies touch with their particles of positive radius. A number that is given in [contact] holds for
 every pair of materials that does not give its own in [[contact.pair]]. Which pairs can meet, and
-so which numbers must be there, is the business of `particlerb.touching`.
+so which numbers must be there, is the business of `particlerb.plan.contact_setup`.
 """
 
 from typing import Annotated, Literal, Self
@@ -62,7 +62,7 @@ class Pair(Table):
     rolling_friction: NonNegative | None = Field(None, description=ROLLING)
 
 
-class Contact(Table):
+class ContactTable(Table):
     """Contact between bodies and with walls; without this table nothing touches."""
 
     law: Literal["hooke", "hertz"] = Field("hooke", description="Force by overlap. [-]")

@@ -10,15 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.bodies import shapes
-from particlerb.bodies.analytic import ANALYTIC, Analytic
-from particlerb.bodies.files import read_spheres
-from particlerb.bodies.mesh import Mesh, mesh_solid, read_mesh
-from particlerb.bodies.solid import Solid
-from particlerb.bodies.spheres import overlaps, plain_solid, union_solid
-from particlerb.case.schema import Body, Case, Part
-from particlerb.case.shapes import Cloud, Moments, Points, Spheres
-from particlerb.case.shapes import Mesh as MeshShape
+from particlerb.case.schema import Body, Case, ShapePart
+from particlerb.case.shapes import Cloud, MeshShape, Moments, PointsShape, SpheresShape
+from particlerb.geometry import shapes
+from particlerb.geometry.analytic import ANALYTIC, Analytic
+from particlerb.geometry.mesh import TriangleMesh, mesh_solid, read_mesh
+from particlerb.geometry.overlapping_spheres import overlaps, plain_solid, union_solid
+from particlerb.geometry.particle_files import read_spheres
+from particlerb.geometry.solid import UniformSolid
 from particlerb.maths.vec3 import Floats
 
 
@@ -29,9 +28,9 @@ class Matter(NamedTuple):
     """[m³]; None where particles have none."""
     error: float = 0.0
     """Estimated relative error of the integrals from which the particles come."""
-    plain: Solid | None = None
+    plain: UniformSolid | None = None
     """For density 1, the sum over spheres that counts overlaps twice; None where none overlap."""
-    exact: Solid | None = None
+    exact: UniformSolid | None = None
     """For density 1, the union of these spheres."""
     solid: Analytic | None = None
     """What particles that fill a shape stand for."""
@@ -47,15 +46,15 @@ def matter_of(case: Case, body: Body) -> Matter:
     return matter_of_shape(case, body)
 
 
-def matter_of_shape(case: Case, table: Body | Part) -> Matter:
+def matter_of_shape(case: Case, table: Body | ShapePart) -> Matter:
     """Matter of a shape on its own."""
     shape = table.shape
-    if isinstance(shape, Spheres):
+    if isinstance(shape, SpheresShape):
         centre, radius = case_spheres(case, shape)
         return matter_of_spheres(centre, radius, shape.overlap == "sum")
     if isinstance(shape, MeshShape):
         return matter_of_mesh(read_mesh(case.file(shape.file), shape.scale))
-    if shape is None or isinstance(shape, (Points, Cloud, Moments)):
+    if shape is None or isinstance(shape, (PointsShape, Cloud, Moments)):
         return Matter()
     size = shape.model_dump(exclude={"type", "n", "arrangement", "inertia_error"})
     solid = ANALYTIC[shape.type](**size) if shape.type in ANALYTIC else None
@@ -65,14 +64,14 @@ def matter_of_shape(case: Case, table: Body | Part) -> Matter:
         return Matter(solid=solid)
 
 
-def matter_of_mesh(mesh: Mesh) -> Matter:
+def matter_of_mesh(mesh: TriangleMesh) -> Matter:
     """Matter of a closed mesh."""
     solid = mesh_solid(mesh)
     per_mass = Analytic(solid.com, solid.inertia / solid.volume)
     return Matter(solid.volume, solid.error, solid=per_mass, notes=mesh.notes)
 
 
-def case_spheres(case: Case, shape: Spheres) -> tuple[Floats, Floats]:
+def case_spheres(case: Case, shape: SpheresShape) -> tuple[Floats, Floats]:
     """Centres (n, 3) and radii (n,) [m] of a shape."""
     if shape.file is None:
         return np.array(shape.position), np.array(shape.radius)

@@ -6,12 +6,20 @@ from typing import Any, NamedTuple
 
 from pydantic_core import ErrorDetails
 
-from particlerb.case.contact import WALLS, Contact, Material, Oscillation, Pair, Piston, Prescribed
+from particlerb.case.contact import (
+    WALLS,
+    ContactTable,
+    Material,
+    Oscillation,
+    Pair,
+    Piston,
+    Prescribed,
+)
 from particlerb.case.problems import Path, nearest, shown
 from particlerb.case.schema import (
     FORCES,
     PLACES,
-    Attraction,
+    AttractionTable,
     Body,
     Case,
     Check,
@@ -19,8 +27,8 @@ from particlerb.case.schema import (
     Euler,
     Gravity,
     Output,
-    Part,
-    Run,
+    RunTable,
+    ShapePart,
 )
 from particlerb.case.shapes import SHAPES
 from particlerb.case.values import Table
@@ -179,9 +187,11 @@ def type_of(raw: Any, path: Path) -> Any:
 
 FAMILIES = {"shape": SHAPES, "place": PLACES, "force": FORCES, "wall": WALLS}
 TABLES: dict[str, type[Table]] = {
-    "": Case, "run": Run, "gravity": Gravity, "attraction": Attraction, "body": Body, "part": Part,
+    "": Case, "run": RunTable, "gravity": Gravity, "attraction": AttractionTable, "body": Body,
+    "part": ShapePart,
     "output": Output, "check": Check, "value": CheckValue, "orientation": Euler,
-    "contact": Contact, "pair": Pair, "material": Material, "motion": Prescribed, "piston": Piston,
+    "contact": ContactTable, "pair": Pair, "material": Material, "motion": Prescribed,
+    "piston": Piston,
     "oscillation": Oscillation,
 }  # fmt: skip
 

@@ -136,7 +136,7 @@ class Published(Table):
     error: Positive = Field(description="Error of the orientation at t_end. [rad]")
 
 
-class Chart(Table):
+class ChartTable(Table):
     """What `chart` draws beside what it measures."""
 
     published: tuple[Published, ...] = Field(

@@ -9,7 +9,15 @@ from typing import NamedTuple, overload
 
 import numpy as np
 
-from particlerb.case.schema import Case, Euler, Grid, InBody, Motion, RandomBox, Spread
+from particlerb.case.schema import (
+    Case,
+    Euler,
+    GridPlacement,
+    InBody,
+    Motion,
+    NormalDistribution,
+    RandomBox,
+)
 from particlerb.case.values import REFERENCE, FloatArray, IntArray
 
 PURPOSES = {"place": 0, "orientation": 1, "velocity": 2, "angular_velocity": 3, "shape": 4}
@@ -113,7 +121,7 @@ def random_stream(case: Case, block: int, purpose: str) -> np.random.Generator:
 def positions(case: Case, block: int) -> FloatArray:
     """Centres of mass of a block, world frame [m], shape (count, 3) or (3,)."""
     body = case.body[block]
-    if isinstance(body.place, Grid):
+    if isinstance(body.place, GridPlacement):
         return grid(body.place, body.count)
     if isinstance(body.place, RandomBox):
         lower, upper = np.array(body.place.lower), np.array(body.place.upper)
@@ -123,7 +131,7 @@ def positions(case: Case, block: int) -> FloatArray:
     return np.asarray(body.position, dtype=np.float64)
 
 
-def grid(place: Grid, count: int) -> FloatArray:
+def grid(place: GridPlacement, count: int) -> FloatArray:
     """The first `count` points of a grid, x fastest, shape (count, 3) [m].
 
     The grid as a whole is centred at `origin`, also where the last layer is not full.
@@ -194,7 +202,7 @@ def random_quaternions(stream: np.random.Generator, count: int) -> FloatArray:
 
 def vectors(case: Case, block: int, key: str, motion: Motion, q: FloatArray) -> FloatArray:
     """Velocities or angular velocities of a block, world frame, shape (count, 3) or (3,)."""
-    if isinstance(motion, Spread):
+    if isinstance(motion, NormalDistribution):
         drawn = random_stream(case, block, key).standard_normal((case.body[block].count, 3))
         return motion.random * drawn
     if isinstance(motion, InBody):

@@ -13,8 +13,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from particlerb.case.complaints import Complaint, complaints, without_typos
-from particlerb.case.files import Files
+from particlerb.case.messages import Complaint, complaints, without_typos
 from particlerb.case.named import case_path, nearest_names
 from particlerb.case.overrides import overridden
 from particlerb.case.problems import CaseError, Problem, key_of, nearest, path_of
@@ -22,6 +21,7 @@ from particlerb.case.rules import findings
 from particlerb.case.schema import Case
 from particlerb.case.source import Locator, Source, file_problem
 from particlerb.case.values import plain
+from particlerb.files import Files
 
 __all__ = ["CaseError", "Problem", "load", "parse", "problem_at"]
 

@@ -10,11 +10,11 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.bodies.mass_properties import MassProperties
-from particlerb.bodies.particles import Particles, concatenate, one_kind, united
-from particlerb.bodies.solid import ROUNDING, Solid, stand_in
 from particlerb.case.placement import resolve_bodies
 from particlerb.case.schema import Case, UniformField
+from particlerb.geometry.mass_properties import MassProperties
+from particlerb.geometry.particles import Particles, concatenate, one_kind, united
+from particlerb.geometry.solid import ROUNDING, UniformSolid, stand_in
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 MANY: Final = 10_000
@@ -61,7 +61,9 @@ def points_for(properties: MassProperties, k: int) -> Particles:
     mass = float(properties.mass[k])
     per_mass: Floats = properties.inertia_tensor[k] / mass
     offset = np.linalg.norm(properties.com[k]) / np.sqrt(np.trace(per_mass) or 1.0)
-    return stand_in(Solid(1.0, np.zeros(3), per_mass, ROUNDING * (1.0 + float(offset))), mass)
+    return stand_in(
+        UniformSolid(1.0, np.zeros(3), per_mass, ROUNDING * (1.0 + float(offset))), mass
+    )
 
 
 def needs(case: Case, block: Ints, kind: Ints, n_kinds: int) -> tuple[Bools, Bools]:

@@ -8,12 +8,12 @@ import math
 from collections.abc import Iterator
 from typing import Any, TypeAlias
 
-from particlerb.case.files import Files
+from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_WALLS
 from particlerb.case.problems import Path, nearest
-from particlerb.case.schema import Spring
+from particlerb.case.schema import SpringTable
 from particlerb.case.shapes import SHAPES
 from particlerb.case.values import LARGEST_COUNT, REFERENCE, is_rows
-from particlerb.case.wanted import FIELDS_OF_CONTACT, FIELDS_OF_WALLS
+from particlerb.files import Files
 
 MOST_FRAMES = 10**9
 
@@ -172,7 +172,7 @@ def named(value: Any, known: dict[str, range]) -> list[range] | None:
 def spring_rules(path: Path, force: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
     """A spring has one other end, and as many bodies there as it needs."""
     has_end = any(given(force, key) for key in ("anchor", "to", "reach"))
-    has_typo = not Spring.model_fields.keys() >= force.keys()
+    has_typo = not SpringTable.model_fields.keys() >= force.keys()
     if not has_end and not has_typo:
         hint = "give `anchor` for the world, `to` or `reach` for other bodies"
         yield (*path, "anchor"), "missing", hint

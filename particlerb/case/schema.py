@@ -20,8 +20,8 @@ from pydantic import (
     model_validator,
 )
 
-from particlerb.case.contact import Contact, Material, Prescribed, Wall, Yes
-from particlerb.case.files import File
+from particlerb.case.contact import ContactTable, Material, Prescribed, Wall, Yes
+from particlerb.case.output import ChartTable, Check, CheckValue, Output
 from particlerb.case.shapes import Shape, Sphere, as_points
 from particlerb.case.source import Source
 from particlerb.case.values import (
@@ -46,34 +46,34 @@ from particlerb.case.values import (
     is_rows,
     one_of,
 )
-from particlerb.case.wanted import Chart, Check, CheckValue, Output
+from particlerb.files import File
 
 __all__ = [
     "FORCES",
     "METHODS",
     "PLACES",
     "AnyForce",
-    "Attraction",
+    "AttractionTable",
     "Body",
     "Case",
-    "Central",
+    "CentralTable",
     "Check",
     "CheckValue",
-    "Drag",
+    "DragTable",
     "Euler",
     "Gravity",
-    "Grid",
-    "Impulse",
+    "GridPlacement",
+    "ImpulseTable",
     "InBody",
     "Motion",
+    "NormalDistribution",
     "Output",
-    "Part",
-    "Push",
+    "PushTable",
     "RandomBox",
-    "Run",
-    "Spread",
-    "Spring",
-    "Torque",
+    "RunTable",
+    "ShapePart",
+    "SpringTable",
+    "TorqueTable",
     "UniformField",
     "case_json_schema",
 ]
@@ -95,7 +95,7 @@ BODIES = "Name of a [[body]] block, of one body as name[3], or a list of such na
 NEWTON = 6.67430e-11  # G [m³/(kg s²)], CODATA 2018
 
 
-class Run(Table):
+class RunTable(Table):
     """How long, how often, and how."""
 
     t_end: Positive = Field(description="Time at the end. [s]")
@@ -126,7 +126,7 @@ class Gravity(Table):
     acceleration: Vector = Field(description="Acceleration, world frame. [m/s²]")
 
 
-class Attraction(Table):
+class AttractionTable(Table):
     """Newton's attraction between the particles of different bodies."""
 
     G: Positive = Field(NEWTON, description="Constant of gravitation; CODATA 2018. [m³/(kg s²)]")
@@ -155,13 +155,13 @@ class InBody(Table):
     body: Vector = Field(description="Components in the body frame. [m/s or rad/s]")
 
 
-class Spread(Table):
+class NormalDistribution(Table):
     """Normally distributed components, drawn for every body."""
 
     random: NonNegative = Field(description="Standard deviation per component. [m/s or rad/s]")
 
 
-class Grid(Table):
+class GridPlacement(Table):
     """Bodies on a grid, x fastest, centred at `origin`."""
 
     type: Literal["grid"] = Field(description=KIND)
@@ -202,7 +202,9 @@ def orientation_form(value: Any) -> str:
 def motion_form(value: Any) -> str:
     """Tag of a velocity or angular velocity."""
     if isinstance(value, (Mapping, BaseModel)):
-        is_spread = isinstance(value, Spread) or (isinstance(value, Mapping) and "random" in value)
+        is_spread = isinstance(value, NormalDistribution) or (
+            isinstance(value, Mapping) and "random" in value
+        )
         return "random" if is_spread else "body"
     return "rows" if is_rows(value) else "vector"
 
@@ -221,17 +223,17 @@ Orientation = Annotated[
 Motion = Annotated[
     Annotated[Vector, Tag("vector")]
     | Annotated[InBody, Tag("body")]
-    | Annotated[Spread, Tag("random")]
+    | Annotated[NormalDistribution, Tag("random")]
     | Annotated[Rows3, Tag("rows")],
     Discriminator(motion_form),
 ]
-Place = Annotated[Grid | RandomBox, Field(discriminator="type")]
-PLACES: dict[str, type[Table]] = {"grid": Grid, "random": RandomBox}
+Place = Annotated[GridPlacement | RandomBox, Field(discriminator="type")]
+PLACES: dict[str, type[Table]] = {"grid": GridPlacement, "random": RandomBox}
 ORIGIN = (0.0, 0.0, 0.0)
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
-class Part(Table):
+class ShapePart(Table):
     """One shape of a body that is put together from several."""
 
     shape: Shape = Field(description="Table with `type` and the shape's keys. [-]")
@@ -250,7 +252,7 @@ class Part(Table):
         return self.model_copy(update=particles_of(self))
 
 
-def particles_of(table: "Part | Body") -> dict[str, Any]:
+def particles_of(table: "ShapePart | Body") -> dict[str, Any]:
     """Keys of a part or body in which a sphere has become one point with mass and radius."""
     if not isinstance(table.shape, Sphere):
         return {}
@@ -270,7 +272,7 @@ class Body(Table):
 
     name: Annotated[Name, AfterValidator(plain_name)] = Field(description="Unique name. [-]")
     shape: Shape | None = Field(None, description="Table with `type`; this or [[body.part]]. [-]")
-    part: tuple[Part, ...] = Field((), description="Parts of the body; these or shape. [-]")
+    part: tuple[ShapePart, ...] = Field((), description="Parts of the body; these or shape. [-]")
     mass: Positive | None = Field(None, description="Mass of each body; this or density. [kg]")
     density: Positive | None = Field(None, description="Density; this or mass. [kg/m³]")
     count: Count = Field(1, description="Number of bodies. [-]")
@@ -319,7 +321,7 @@ def is_interval(value: tuple[float, float]) -> tuple[float, float]:
 During = Annotated[tuple[NonNegative, NonNegative], entries(2), AfterValidator(is_interval)]
 
 
-class Push(Table):
+class PushTable(Table):
     """A constant force at a point of the body that stays on that point while the body turns."""
 
     type: Literal["push"] = Field(description=KIND)
@@ -330,7 +332,7 @@ class Push(Table):
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
-class Torque(Table):
+class TorqueTable(Table):
     """A constant torque."""
 
     type: Literal["torque"] = Field(description=KIND)
@@ -340,7 +342,7 @@ class Torque(Table):
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
-class Impulse(Table):
+class ImpulseTable(Table):
     """A jump of the momenta at one instant: P += J, L += r × J."""
 
     type: Literal["impulse"] = Field(description=KIND)
@@ -351,7 +353,7 @@ class Impulse(Table):
     time: NonNegative = Field(description="When, at most t_end. [s]")
 
 
-class Drag(Table):
+class DragTable(Table):
     """Linear drag: F = -c v and τ = -c_r ω."""
 
     type: Literal["drag"] = Field(description=KIND)
@@ -381,7 +383,7 @@ Charge = Annotated[
 ]
 
 
-class Spring(Table):
+class SpringTable(Table):
     """A spring from a point of the body to the world or another body: F = k (l - l₀) + c dl/dt."""
 
     type: Literal["spring"] = Field(description=KIND)
@@ -419,7 +421,7 @@ class UniformField(Table):
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
-class Central(Table):
+class CentralTable(Table):
     """Attraction by a fixed centre, inverse-square, with its gravity-gradient torque."""
 
     type: Literal["central"] = Field(description=KIND)
@@ -429,16 +431,18 @@ class Central(Table):
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
-AnyForce = Push | Torque | Impulse | Drag | Spring | UniformField | Central
+AnyForce = (
+    PushTable | TorqueTable | ImpulseTable | DragTable | SpringTable | UniformField | CentralTable
+)
 Force = Annotated[AnyForce, Field(discriminator="type")]
 FORCES: dict[str, type[Table]] = {
-    "push": Push,
-    "torque": Torque,
-    "impulse": Impulse,
-    "drag": Drag,
-    "spring": Spring,
+    "push": PushTable,
+    "torque": TorqueTable,
+    "impulse": ImpulseTable,
+    "drag": DragTable,
+    "spring": SpringTable,
     "field": UniformField,
-    "central": Central,
+    "central": CentralTable,
 }
 
 
@@ -446,19 +450,21 @@ class Case(Table):
     """A whole scene; made by `particlerb.case.reader.load`."""
 
     title: Annotated[str, Strict()] = Field("", description="What the case shows. [-]")
-    run: Run = Field(description="How long, how often, and how. [-]")
+    run: RunTable = Field(description="How long, how often, and how. [-]")
     gravity: Gravity | None = Field(None, description="Uniform gravity; default: none. [-]")
-    attraction: Attraction | None = Field(
+    attraction: AttractionTable | None = Field(
         None, description="Attraction between bodies; default: none. [-]"
     )
     body: Annotated[tuple[Body, ...], Field(min_length=1)] = Field(description="The bodies. [-]")
     force: tuple[Force, ...] = Field((), description="What acts on them. [-]")
-    contact: Contact | None = Field(None, description="How bodies touch; default: not. [-]")
+    contact: ContactTable | None = Field(None, description="How bodies touch; default: not. [-]")
     material: tuple[Material, ...] = Field((), description="Of bodies and walls. [-]")
     wall: tuple[Wall, ...] = Field((), description="Walls that bodies touch. [-]")
     output: Output = Field(default_factory=Output, description="What is recorded. [-]")
     check: Check = Field(default_factory=Check, description="What must hold. [-]")
-    chart: Chart = Field(default_factory=Chart, description="Beside the methods on a chart. [-]")
+    chart: ChartTable = Field(
+        default_factory=ChartTable, description="Beside the methods on a chart. [-]"
+    )
     _source: Source = PrivateAttr(default_factory=Source)
 
     @property

@@ -38,7 +38,7 @@ Share = Annotated[Positive, Field(lt=1.0)]
 Vertices = Annotated[tuple[Vector, Vector, Vector, Vector], entries(4, "corners")]
 
 
-class Filled(Table):
+class FilledTable(Table):
     """A shape that cells fill: how finely is said once."""
 
     @model_validator(mode="after")
@@ -53,7 +53,7 @@ class Filled(Table):
         return self
 
 
-class Box(Filled):
+class Box(FilledTable):
     """Solid box."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -64,7 +64,7 @@ class Box(Filled):
     inertia_error: Share | None = Field(None, description=ENOUGH)
 
 
-class Ball(Filled):
+class Ball(FilledTable):
     """Solid ball."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -75,7 +75,7 @@ class Ball(Filled):
     inertia_error: Share | None = Field(None, description=ENOUGH)
 
 
-class Shell(Filled):
+class Shell(FilledTable):
     """Hollow ball; without `inner_radius` an infinitely thin one, which has no density."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -98,7 +98,7 @@ class Shell(Filled):
         return self
 
 
-class Cylinder(Filled):
+class Cylinder(FilledTable):
     """Solid or hollow cylinder about z."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -117,7 +117,7 @@ class Cylinder(Filled):
         return self
 
 
-class Cone(Filled):
+class Cone(FilledTable):
     """Solid cone about z, base at z = 0, apex at z = height."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -129,7 +129,7 @@ class Cone(Filled):
     inertia_error: Share | None = Field(None, description=ENOUGH)
 
 
-class Torus(Filled):
+class Torus(FilledTable):
     """Solid torus about z."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -151,7 +151,7 @@ class Torus(Filled):
         return self
 
 
-class Ellipsoid(Filled):
+class Ellipsoid(FilledTable):
     """Solid ellipsoid."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -172,7 +172,7 @@ class Tetrahedron(Table):
     arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
 
 
-class Rod(Filled):
+class Rod(FilledTable):
     """Thin straight rod along z: it has no volume, hence no density."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
@@ -192,7 +192,7 @@ class Sphere(Table):
 
 
 def for_each(value: Any) -> Any:
-    """One number, or a number for each particle; `Points` makes a list of both."""
+    """One number, or a number for each particle; `PointsShape` makes a list of both."""
     return value
 
 
@@ -221,7 +221,7 @@ def repeated_for_each(raw: Any, keys: tuple[str, ...]) -> Any:
     return {**raw, **single}
 
 
-def is_in_file(shape: "Points | Spheres", lists: tuple[str, ...]) -> bool:
+def is_in_file(shape: "PointsShape | SpheresShape", lists: tuple[str, ...]) -> bool:
     """Whether particles come from a file; then no list is given beside it."""
     if shape.file is None:
         return False
@@ -231,14 +231,14 @@ def is_in_file(shape: "Points | Spheres", lists: tuple[str, ...]) -> bool:
     return True
 
 
-def require_length(shape: "Points | Spheres", key: str, length: int) -> None:
+def require_length(shape: "PointsShape | SpheresShape", key: str, length: int) -> None:
     """Require as many entries as there are positions."""
     entries = getattr(shape, key)
     if entries is not None and len(entries) != length:
         raise broken(f"must have {length} entries like position, has {len(entries)}", key)
 
 
-class Points(Table):
+class PointsShape(Table):
     """Particles given one by one, here or in a CSV file; their masses are the body's."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ()
@@ -298,7 +298,7 @@ class Points(Table):
                 raise broken(f"particle {i} has neither mass nor radius", "mass")
 
 
-class Spheres(Table):
+class SpheresShape(Table):
     """Union of overlapping spheres of uniform matter, given here or in a file."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -334,7 +334,7 @@ class Spheres(Table):
         return self
 
 
-class Mesh(Filled):
+class MeshShape(FilledTable):
     """Uniform matter inside a closed surface of triangles from a file, which trimesh reads."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
@@ -367,14 +367,14 @@ class Cloud(Table):
     radius: Positive = Field(description="Radius of the ball. [m]")
 
 
-def as_points(sphere: Sphere, mass: float | None, density: float | None) -> Points:
+def as_points(sphere: Sphere, mass: float | None, density: float | None) -> PointsShape:
     """The one particle of a sphere, of a mass or of a density [kg, kg/m³]."""
     if mass is None:
         cube = sphere.radius * sphere.radius * sphere.radius
         mass = (density or 0.0) * 4.0 / 3.0 * math.pi * cube
         if not math.isfinite(mass):
             raise broken(f"is too large: a sphere of this density has mass {mass}", "shape.radius")
-    return Points.model_construct(
+    return PointsShape.model_construct(
         type="points", position=((0.0, 0.0, 0.0),), mass=(mass,), radius=(sphere.radius,)
     )
 
@@ -387,7 +387,7 @@ def require_smaller(inner_radius: float, radius: float) -> None:
 
 AnyShape = (
     Box | Ball | Shell | Cylinder | Cone | Torus | Ellipsoid | Tetrahedron | Rod | Sphere
-    | Points | Spheres | Mesh | Moments | Cloud
+    | PointsShape | SpheresShape | MeshShape | Moments | Cloud
 )  # fmt: skip
 Shape = Annotated[AnyShape, Field(discriminator="type")]
 SHAPES: dict[str, type[Table]] = {
@@ -401,9 +401,9 @@ SHAPES: dict[str, type[Table]] = {
     "tetrahedron": Tetrahedron,
     "rod": Rod,
     "sphere": Sphere,
-    "points": Points,
-    "spheres": Spheres,
-    "mesh": Mesh,
+    "points": PointsShape,
+    "spheres": SpheresShape,
+    "mesh": MeshShape,
     "moments": Moments,
     "cloud": Cloud,
 }

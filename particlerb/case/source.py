@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
-from particlerb.case.files import Files
 from particlerb.case.positions import Extent, extents
 from particlerb.case.problems import Path, Problem, key_of, shown
+from particlerb.files import Files
 
 LONGEST_SCANNED = 8 * 2**20  # characters; messages of longer files have no lines
 

@@ -11,23 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.bodies import shapes
-from particlerb.bodies.bodies import Bodies, bodies_of_kind
-from particlerb.bodies.files import read_points
-from particlerb.bodies.fill import Filled, enough, mesh_particles
-from particlerb.bodies.mass_properties import MassProperties, mass_properties
-from particlerb.bodies.matter import case_spheres
-from particlerb.bodies.mesh import read_mesh
-from particlerb.bodies.particles import (
-    Particles,
-    concatenate,
-    scaled_to_mass,
-    transformed,
-    united,
-)
-from particlerb.bodies.reduction import reduced
-from particlerb.bodies.spheres import spheres
-from particlerb.bodies.state import State, initial_state, turned
+from particlerb.case.matter import case_spheres
 from particlerb.case.placement import (
     Placement,
     normalised,
@@ -37,9 +21,25 @@ from particlerb.case.placement import (
 )
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
-from particlerb.case.schema import Body, Case, Euler, Part, Spread
-from particlerb.case.shapes import AnyShape, Cloud, Mesh, Points, Spheres
+from particlerb.case.reduction import reduced
+from particlerb.case.schema import Body, Case, Euler, NormalDistribution, ShapePart
+from particlerb.case.shapes import AnyShape, Cloud, MeshShape, PointsShape, SpheresShape
+from particlerb.geometry import shapes
+from particlerb.geometry.fill import FilledShape, enough, mesh_particles
+from particlerb.geometry.mass_properties import MassProperties, mass_properties
+from particlerb.geometry.mesh import read_mesh
+from particlerb.geometry.overlapping_spheres import spheres
+from particlerb.geometry.particle_files import read_points
+from particlerb.geometry.particles import (
+    Particles,
+    concatenate,
+    scaled_to_mass,
+    transformed,
+    united,
+)
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import Bodies, bodies_of_kind
+from particlerb.model.state import State, initial_state, turned
 from particlerb.rotors.rotor_class import POINT, ROD
 
 SMALLEST = 1e-307  # mass [kg] or moment of inertia [kg m²]
@@ -47,7 +47,7 @@ OUT_OF_RANGE = "its volume or moment of inertia is out of the range of float64"
 SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its rounding
 
 
-class Scene(NamedTuple):
+class System(NamedTuple):
     """Bodies ready to move."""
 
     names: Sequence[str]
@@ -70,7 +70,7 @@ class Scene(NamedTuple):
     """Name of a block and a line on how its shape became particles: what was tried, or changed."""
 
 
-def assemble(case: Case, keeps_all: bool = False) -> Scene:
+def assemble(case: Case, keeps_all: bool = False) -> System:
     """Scene of a case.
 
     Parameters
@@ -103,7 +103,7 @@ def assemble(case: Case, keeps_all: bool = False) -> Scene:
     if not keeps_all:
         kept = reduced(case, placement.block, kind, centred, properties)
     summed = counts, reach
-    return Scene(placement.names, kept, properties, kind, bodies, state, *summed, tuple(notes))
+    return System(placement.names, kept, properties, kind, bodies, state, *summed, tuple(notes))
 
 
 def farthest(particles: Particles) -> Floats:
@@ -163,19 +163,19 @@ def particle_sets(
         yield united(concatenate([filled.particles for filled in parts]))
 
 
-def part_particles(case: Case, i: int, part: Part) -> Filled:
+def part_particles(case: Case, i: int, part: ShapePart) -> FilledShape:
     """Particles of one part, where it stands in its body."""
     if isinstance(part.shape, Cloud):
         stream = random_stream(case, i, "shape")
         mass = part.mass or 0.0
-        filled = Filled(shapes.cloud(part.shape.n, part.shape.radius, mass, stream))
+        filled = FilledShape(shapes.cloud(part.shape.n, part.shape.radius, mass, stream))
     else:
         filled = shape_particles(case, part.shape, part.mass, part.density)
     placed = transformed(filled.particles, turn_of(part), part.position)
     return filled._replace(particles=placed)
 
 
-def turn_of(part: Part) -> Floats:
+def turn_of(part: ShapePart) -> Floats:
     """Rotation matrix (3, 3) from the axes of the shape of a part to those of its body."""
     given = part.orientation
     q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
@@ -184,17 +184,17 @@ def turn_of(part: Part) -> Floats:
 
 def shape_particles(
     case: Case, shape: AnyShape, mass: float | None, density: float | None
-) -> Filled:
+) -> FilledShape:
     """Particles of a shape in its own axes, and what is to be said of them."""
-    if isinstance(shape, Points):
+    if isinstance(shape, PointsShape):
         if shape.file is not None:
             particles = read_points(case.file(shape.file))
         else:
             particles = shapes.points(shape.position or (), shape.mass or (), shape.radius)
-        return Filled(particles if mass is None else scaled_to_mass(particles, mass))
-    if isinstance(shape, Spheres):
-        return Filled(spheres(*case_spheres(case, shape), mass, density, shape.overlap))
-    if isinstance(shape, Mesh):
+        return FilledShape(particles if mass is None else scaled_to_mass(particles, mass))
+    if isinstance(shape, SpheresShape):
+        return FilledShape(spheres(*case_spheres(case, shape), mass, density, shape.overlap))
+    if isinstance(shape, MeshShape):
         mesh = read_mesh(case.file(shape.file), shape.scale)
         how = shape.arrangement, shape.n, shape.inertia_error
         return mesh_particles(mesh, mass, density, *how)
@@ -204,7 +204,7 @@ def shape_particles(
     particles_of = partial(getattr(shapes, shape.type), **parameters, mass=mass)
     wanted = getattr(shape, "inertia_error", None)
     if wanted is None:
-        return Filled(particles_of())
+        return FilledShape(particles_of())
     size = {key: parameters[key] for key in parameters.keys() - {"n", "arrangement"}}
     return enough(shape.type, size, wanted, lambda n: particles_of(n=n))
 
@@ -240,7 +240,7 @@ def possible_spin(case: Case, placement: Placement, bodies: Bodies) -> Floats:
     problems: list[Problem] = []
     for i, body in enumerate(case.body):
         own = placement.block == i
-        if isinstance(body.angular_velocity, Spread):
+        if isinstance(body.angular_velocity, NormalDistribution):
             continue
         wrong = np.flatnonzero(own & (size > SPIN_ROUNDING * total))
         if len(wrong):

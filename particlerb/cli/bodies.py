@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from particlerb.cli.common import Ending, find_case, read_case
 
 if TYPE_CHECKING:
-    from particlerb.bodies.mass_properties import MassProperties
-    from particlerb.bodies.matter import Matter
-    from particlerb.bodies.particles import Particles
+    from particlerb.case.matter import Matter
     from particlerb.case.schema import Case
+    from particlerb.geometry.mass_properties import MassProperties
+    from particlerb.geometry.particles import Particles
 
 TABLES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
 MESHES: Final = (".stl", ".obj", ".ply")
@@ -69,13 +69,13 @@ def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
     """Distinct kinds among the bodies of a case."""
     import numpy as np
 
-    from particlerb.bodies.mass_properties import of_kind
-    from particlerb.bodies.matter import matter_of
-    from particlerb.bodies.particles import one_kind
-    from particlerb.bodies.scene import assemble
-    from particlerb.bodies.state import omega_world
+    from particlerb.case.matter import matter_of
     from particlerb.case.placement import place, resolve_bodies
     from particlerb.case.problems import CaseError
+    from particlerb.case.to_system import assemble
+    from particlerb.geometry.mass_properties import of_kind
+    from particlerb.geometry.particles import one_kind
+    from particlerb.model.state import omega_world
 
     try:
         scene = assemble(case, keeps_all=True)
@@ -104,7 +104,7 @@ def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
 
 def body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) -> Named:
     """The one body of a file."""
-    from particlerb.bodies.mass_properties import mass_properties
+    from particlerb.geometry.mass_properties import mass_properties
 
     if wanted is not None:
         raise Ending(f"{wanted}: {path} is one body; only a case has names")
@@ -123,10 +123,10 @@ def body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) ->
 
 def table_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Matter]":
     """Points or spheres of a table."""
-    from particlerb.bodies.files import POINTS, columns_of, read_points, read_spheres
-    from particlerb.bodies.matter import Matter, matter_of_spheres
-    from particlerb.bodies.particles import scaled_to_mass
-    from particlerb.bodies.spheres import spheres
+    from particlerb.case.matter import Matter, matter_of_spheres
+    from particlerb.geometry.overlapping_spheres import spheres
+    from particlerb.geometry.particle_files import POINTS, columns_of, read_points, read_spheres
+    from particlerb.geometry.particles import scaled_to_mass
 
     scale = options.scale or 1.0
     if columns_of(path) is POINTS:
@@ -150,9 +150,9 @@ def amount(options: argparse.Namespace) -> tuple[float | None, float | None]:
 
 def mesh_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Matter]":
     """A closed mesh, as six points with its exact mass properties."""
-    from particlerb.bodies.fill import mesh_particles
-    from particlerb.bodies.matter import matter_of_mesh
-    from particlerb.bodies.mesh import read_mesh
+    from particlerb.case.matter import matter_of_mesh
+    from particlerb.geometry.fill import mesh_particles
+    from particlerb.geometry.mesh import read_mesh
 
     mesh = read_mesh(path, options.scale or 1.0)
     return mesh_particles(mesh, *amount(options)).particles, matter_of_mesh(mesh)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from particlerb.case.schema import Case
-    from particlerb.simulate import Prepared
+    from particlerb.simulation.run import Prepared
 
 DONE: Final = 0
 FAILED: Final = 1
@@ -88,7 +88,7 @@ def prepared_case(options: argparse.Namespace) -> "Prepared":
 
     case = read_case(options)
     try:
-        from particlerb.studies.accuracy import prepare_accurately
+        from particlerb.simulation.accuracy import prepare_accurately
 
         prepared = prepare_accurately(case)
     except CaseError as error:
@@ -121,7 +121,7 @@ def to_write(path: Path, overwrite: bool, source: Path | None = None) -> Path:
 
 def opened(path: str) -> Any:
     """Trajectory in a file; wrong usage where it is none."""
-    from particlerb.trajectory import TrajectoryError, open_trajectory
+    from particlerb.record.trajectory import TrajectoryError, open_trajectory
 
     try:
         return open_trajectory(path)
@@ -132,7 +132,7 @@ def opened(path: str) -> Any:
 @contextlib.contextmanager
 def readable() -> Iterator[None]:
     """End the command with one message where a trajectory turns out to be damaged."""
-    from particlerb.record.checked import TrajectoryError
+    from particlerb.record.checked_reading import TrajectoryError
 
     try:
         yield

@@ -55,8 +55,8 @@ def probe(path: Path) -> None:
     Ending
         If HDF5 crashes on the file, or goes round in circles.
     """
-    from particlerb.record.checked import TrajectoryError, refuse_elsewhere
-    from particlerb.trajectory import open_trajectory
+    from particlerb.record.checked_reading import TrajectoryError, refuse_elsewhere
+    from particlerb.record.trajectory import open_trajectory
 
     if not hasattr(os, "fork"):
         return

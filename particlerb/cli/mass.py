@@ -9,8 +9,8 @@ from particlerb.cli.common import DONE, Ending
 
 def mass_command(options: argparse.Namespace) -> int:
     """Print the mass properties of distinct bodies."""
-    from particlerb.bodies.report import record_of, text_of
-    from particlerb.plan import RADIANS_PER_STEP
+    from particlerb.plan.segments import RADIANS_PER_STEP
+    from particlerb.studies.mass_report import record_of, text_of
 
     records = []
     for body in named_bodies(options, options.body):

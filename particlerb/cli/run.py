@@ -28,8 +28,8 @@ from particlerb.cli.guard import probe
 
 if TYPE_CHECKING:
     from particlerb.case.schema import Case
-    from particlerb.checks import Result
-    from particlerb.simulate import Outcome, Prepared, Progress
+    from particlerb.simulation.checks import Result
+    from particlerb.simulation.run import Outcome, Prepared, Progress
 
 
 def run_command(options: argparse.Namespace) -> int:
@@ -41,7 +41,7 @@ def run_command(options: argparse.Namespace) -> int:
         title = prepared.case.title or path.stem
         print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
         print(f"  file: {size_text(prepared.case, path)}\n", flush=True)
-    from particlerb.simulate import frame_count, run_prepared
+    from particlerb.simulation.run import frame_count, run_prepared
 
     def run(progress: "Progress") -> "Outcome":
         return run_prepared(prepared, path, options.overwrite, progress)
@@ -53,8 +53,8 @@ def run_command(options: argparse.Namespace) -> int:
 def resume_command(options: argparse.Namespace) -> int:
     """`resume`: go on with the run of a file."""
     from particlerb.case.problems import CaseError
-    from particlerb.resuming import ResumeError, look_at, resume_pending
-    from particlerb.trajectory import TrajectoryError
+    from particlerb.record.trajectory import TrajectoryError
+    from particlerb.simulation.resume import ResumeError, look_at, resume_pending
 
     path = Path(options.file)
     probe(path)
@@ -87,7 +87,7 @@ def conclude(
     prepared: "Prepared", outcome: "Outcome", path: Path, options: argparse.Namespace
 ) -> int:
     """Print what came out; the exit code."""
-    from particlerb.checks import results, table
+    from particlerb.simulation.checks import results, table
 
     checks = results(prepared.case, prepared.scene, outcome)
     if options.json:
@@ -112,8 +112,8 @@ def output_path(options: argparse.Namespace, case: "Case") -> Path:
 
 def disk_warnings(case: "Case", path: Path, done: int = 0) -> list[str]:
     """Warning where what is left to write, behind some frames, would not fit on the disk."""
-    from particlerb.record.room import SMALLEST_FILE, bytes_of_run
-    from particlerb.simulate import frame_count
+    from particlerb.record.disk_space import SMALLEST_FILE, bytes_of_run
+    from particlerb.simulation.run import frame_count
 
     size = bytes_of_run(case, frame_count(case) - done) + SMALLEST_FILE
     free = free_bytes(path)
@@ -137,9 +137,9 @@ def size_text(case: "Case", path: Path) -> str:
     """File, frames and size of a run, and the room that there is."""
     import numpy as np
 
-    from particlerb.record.room import SMALLEST_FILE, bytes_of_run
+    from particlerb.record.disk_space import SMALLEST_FILE, bytes_of_run
     from particlerb.record.schema import COLUMNS, CONTACTS
-    from particlerb.simulate import frame_count
+    from particlerb.simulation.run import frame_count
 
     n = frame_count(case)
     size = (
@@ -169,7 +169,7 @@ def execute(
 
     from particlerb.record.claim import InUseError
     from particlerb.record.writer import DamagedError
-    from particlerb.simulate import RunError
+    from particlerb.simulation.run import RunError
 
     silent = True if options.quiet else None
     bar = tqdm(total=total, initial=done, unit="frame", disable=silent, delay=0.5)
@@ -192,7 +192,7 @@ def execute(
 @contextlib.contextmanager
 def stoppable() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM end a run; what ignored them goes on doing so."""
-    from particlerb.threads import THREADS
+    from particlerb.compiled.threads import THREADS
 
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {n: signal.getsignal(n) for n in numbers if signal.getsignal(n) != signal.SIG_IGN}
@@ -211,7 +211,7 @@ def stoppable() -> Iterator[None]:
 def ask_to_stop(number: int, frame: object) -> None:
     """End the run behind the frame that is computed; the second time, behind the kernel."""
     del frame
-    from particlerb.threads import THREADS
+    from particlerb.compiled.threads import THREADS
 
     if not THREADS.is_ending:
         THREADS.is_ending = True
@@ -229,7 +229,7 @@ def number_of(path: Path) -> int | None:
 def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
     """What is left in a file after a run that did not end, and how to go on with it."""
     from particlerb.record.schema import CHECKPOINT
-    from particlerb.trajectory import TrajectoryError, open_trajectory
+    from particlerb.record.trajectory import TrajectoryError, open_trajectory
 
     if number_of(path) in (None, before):
         return "no file was written"
@@ -261,7 +261,7 @@ def drift_text(outcome: "Outcome") -> str:
 
 def swing_warnings(prepared: "Prepared", outcome: "Outcome") -> list[str]:
     """Warning where bodies swung faster on several contacts than damped ones are stable."""
-    from particlerb.plan import stable_turn
+    from particlerb.plan.segments import stable_turn
 
     limit = stable_turn(prepared.plan)
     if outcome.swing <= limit:
@@ -275,7 +275,7 @@ def swing_warnings(prepared: "Prepared", outcome: "Outcome") -> list[str]:
 
 def swing_text(swing: float) -> str:
     """How many steps a swing of bodies on their contacts takes."""
-    from particlerb.plan import STEPS_PER_CONTACT
+    from particlerb.plan.segments import STEPS_PER_CONTACT
 
     steps = math.pi / swing
     text = f"bodies on all their contacts swing with up to {swing:.2g} rad a step:"

@@ -19,8 +19,8 @@ from particlerb.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from particlerb.trajectory import Trajectory
-    from particlerb.verification import Finding
+    from particlerb.record.trajectory import Trajectory
+    from particlerb.record.verify import Finding
 
 LONGEST_TEXT: Final = 10_000
 PLOTTED: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
@@ -33,7 +33,7 @@ def info_command(options: argparse.Namespace) -> int:
         facts, texts = facts_of(trajectory), texts_of(trajectory)
         findings = []
         if options.verify:
-            from particlerb.verification import verify
+            from particlerb.record.verify import verify
 
             findings = verify(trajectory)
     is_whole = all(finding.is_whole for finding in findings)
@@ -157,7 +157,7 @@ def cases_command(options: argparse.Namespace) -> int:
 def methods_command(options: argparse.Namespace) -> int:
     """`methods`: the integrators."""
     del options
-    from particlerb.methods import METHODS
+    from particlerb.integrators import METHODS
 
     width = max(map(len, METHODS))
     default = "closed form where a body is free, strang where a force drives it (default)"

@@ -22,9 +22,9 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from particlerb._jit import config, inline, kernel
+from particlerb.compiled.jit import config, inline, kernel
+from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.threads import THREADS
 
 LINE: Final = 16  # numbers of two lines of the cache: nobody writes beside what others look at
 ARRIVED: Final = 0  # how often somebody has come to a meeting

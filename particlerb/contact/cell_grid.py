@@ -19,8 +19,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.bodies.block import unsigned
+from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import (
     Bools,
     Floats,
@@ -30,7 +30,7 @@ from particlerb.maths.vec3 import (
     rows3,
     subtract,
 )
-from particlerb.threads import THREADS
+from particlerb.model.block import unsigned
 
 UNIT: Final = 1024  # spheres a kernel takes at a time
 WORK: Final = 15  # body-steps that finding the neighbours of a sphere takes
@@ -44,7 +44,7 @@ LOWER: Final = (1 << HALF) - 1
 ROUNDING: Final = 2.0**-50  # of the number of a cell, relative
 
 
-class Pairs(NamedTuple):
+class SpherePairs(NamedTuple):
     """Pairs of spheres, sorted by the first and then by the second.
 
     The first is the one on the finer level; on the same level, the one with the lower number.
@@ -55,7 +55,7 @@ class Pairs(NamedTuple):
     start: Ints  # (n + 1,) pairs with i as the first are start[i] to start[i + 1]
 
 
-class Grid(NamedTuple):
+class CellGrid(NamedTuple):
     """Cells of each level, the finest level first."""
 
     origin: Floats  # (3,) [m]
@@ -82,7 +82,7 @@ class Owners(NamedTuple):
     after: Ints  # (n,) first sphere after those of the same body
 
 
-class Found(NamedTuple):
+class FoundPairs(NamedTuple):
     """Neighbours as they are found, those of a unit together."""
 
     pair: Ints  # (n_units * room,) the first sphere in the upper half of the bits
@@ -125,7 +125,7 @@ def find_bounds(points: Floats, which: Ints, bounds: Floats, first: int, last: i
 
 @kernel
 def number_cells(
-    points: Floats, which: Ints, level: Ints, grid: Grid, cell: Ints, first: int, last: int
+    points: Floats, which: Ints, level: Ints, grid: CellGrid, cell: Ints, first: int, last: int
 ) -> None:
     """Write the number of the cell of each sphere of units first to last."""
     origin, per_metre, strides, cells, is_dense = grid
@@ -168,7 +168,13 @@ def place_sorted(points: Floats, radius: Floats, spheres: Sorted, first: int, la
 
 @kernel
 def find_neighbours(
-    grid: Grid, spheres: Sorted, owners: Owners, skin: float, found: Found, first: int, last: int
+    grid: CellGrid,
+    spheres: Sorted,
+    owners: Owners,
+    skin: float,
+    found: FoundPairs,
+    first: int,
+    last: int,
 ) -> None:
     """Find the neighbours of the sorted spheres of units first to last.
 
@@ -229,7 +235,7 @@ def find_neighbours(
 
 
 @kernel
-def sort_by_first(found: Found, start: Ints, second: Ints) -> None:
+def sort_by_first(found: FoundPairs, start: Ints, second: Ints) -> None:
     """Sort pairs by the first sphere: a counting sort."""
     pair, count, missing = found
     room = pair.size // missing.size
@@ -247,7 +253,7 @@ def sort_by_first(found: Found, start: Ints, second: Ints) -> None:
 
 
 @kernel
-def sort_by_second(pairs: Pairs, first: int, last: int) -> None:
+def sort_by_second(pairs: SpherePairs, first: int, last: int) -> None:
     """Sort the pairs of each sphere of units first to last by the second: there are few."""
     firsts, seconds, start = pairs
     for i in range(first * UNIT, min(last * UNIT, start.size - 1)):
@@ -287,7 +293,7 @@ class Search:
         self.place = np.zeros((n, 4))
         self.is_odd = False
 
-    def pairs(self, points: Floats, skin: float, which: Ints | None = None) -> Pairs:
+    def pairs(self, points: Floats, skin: float, which: Ints | None = None) -> SpherePairs:
         """Pairs of spheres of different bodies with |x_i - x_j| < r_i + r_j + skin, each once.
 
         Parameters
@@ -313,7 +319,7 @@ class Search:
         which = self.everyone if which is None else which
         n, owners = which.size, self.owners
         if not n:
-            return Pairs(which, which, np.zeros(self.everyone.size + 1, dtype=np.int64))
+            return SpherePairs(which, which, np.zeros(self.everyone.size + 1, dtype=np.int64))
         grid = self.grid(self.bounds(points, which), skin)
         cell = self.ints("cell", n)
         spread(lambda lo, hi: number_cells(points, which, owners.level, grid, cell, lo, hi), n)
@@ -327,22 +333,22 @@ class Search:
             found = self.found(grid, spheres, skin)
         return self.listed(found)
 
-    def found(self, grid: Grid, spheres: Sorted, skin: float) -> Found:
+    def found(self, grid: CellGrid, spheres: Sorted, skin: float) -> FoundPairs:
         """Pairs as they are found, as far as there is room."""
         n, owners = spheres.number.size, self.owners
         units = -(-n // UNIT)
         pair = self.ints("pair", units * self.room)
-        found = Found(pair, self.ints("found", units), self.ints("missing", units))
+        found = FoundPairs(pair, self.ints("found", units), self.ints("missing", units))
         spread(lambda lo, hi: find_neighbours(grid, spheres, owners, skin, found, lo, hi), n, WORK)
         return found
 
-    def listed(self, found: Found) -> Pairs:
+    def listed(self, found: FoundPairs) -> SpherePairs:
         """Sort what was found."""
         self.is_odd = not self.is_odd
         n, m = self.everyone.size, int(found.found.sum())
         start = self.ints("start", n + 2, turns=True)
         first, second = (self.ints(name, m, turns=True) for name in ("first", "second"))
-        pairs = Pairs(first, second, start[:-1])
+        pairs = SpherePairs(first, second, start[:-1])
         THREADS.alone(sort_by_first, found, start, second)
         spread(lambda lo, hi: sort_by_second(pairs, lo, hi), n)
         return pairs
@@ -357,7 +363,7 @@ class Search:
             raise FloatingPointError("the place of a sphere is not finite")
         return corners
 
-    def grid(self, corners: Floats, skin: float) -> Grid:
+    def grid(self, corners: Floats, skin: float) -> CellGrid:
         """Cells that are wide enough for each level's spheres."""
         extent = corners[1] - corners[0]
         width = self.widest + skin
@@ -375,7 +381,7 @@ class Search:
             else:
                 *strides[level], number = modular_strides(most)
                 cells.append(cells[-1] + number)
-        return Grid(corners[0], 1.0 / width, strides, np.array(cells), is_dense)
+        return CellGrid(corners[0], 1.0 / width, strides, np.array(cells), is_dense)
 
     def ints(self, name: str, size: int, turns: bool = False) -> Ints:
         """Room for integers, which grows; of what `turns` there are two, used in turn."""
@@ -390,7 +396,7 @@ def spread(kernel_of: Callable[[int, int], object], n: int, work: int = 1) -> No
     THREADS.share(kernel_of, -(-n // UNIT), work * n)
 
 
-def neighbours(points: Floats, radius: Floats, body: Ints, skin: float) -> Pairs:
+def neighbours(points: Floats, radius: Floats, body: Ints, skin: float) -> SpherePairs:
     """Pairs of spheres of different bodies that are nearer than `skin`: see `Search.pairs`."""
     return Search(radius, body).pairs(points, skin)
 

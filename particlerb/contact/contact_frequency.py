@@ -10,13 +10,20 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.state import turned, turned_back
-from particlerb.contact.loads import BEFORE, ELASTIC, POINT, Contact, Contacts, Scene
-from particlerb.contact.search import neighbours
+from particlerb.contact.cell_grid import neighbours
+from particlerb.contact.pair_force import (
+    BEFORE,
+    ELASTIC,
+    POINT,
+    ContactList,
+    ContactModel,
+    GroupContact,
+)
 from particlerb.contact.wall_motion import motion_in, poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.state import turned, turned_back
 
 ITERATIONS: Final = 20  # of the power method: within a few per cent
 TOUCHING: Final = 1e-6  # share of the smallest radius by which two that touch may be apart
@@ -33,7 +40,7 @@ class Springs(NamedTuple):
     shear: Floats  # (m,) [N/m] across it
 
 
-def springs_of(scene: Scene, contacts: Contacts, are_walls: bool) -> Springs:
+def springs_of(scene: ContactModel, contacts: ContactList, are_walls: bool) -> Springs:
     """Contacts that press."""
     elastic = contacts.done[:, ELASTIC : ELASTIC + 3].T
     size = np.linalg.norm(elastic, axis=0)
@@ -45,7 +52,7 @@ def springs_of(scene: Scene, contacts: Contacts, are_walls: bool) -> Springs:
 
 
 def springs(
-    scene: Scene, pairs: tuple[Ints, Ints], are_walls: bool, point: Floats, normal: Floats,
+    scene: ContactModel, pairs: tuple[Ints, Ints], are_walls: bool, point: Floats, normal: Floats,
     depth: Floats,
 ) -> Springs:  # fmt: skip
     """Springs of pairs of spheres, or of spheres with primitives of walls, at their overlaps."""
@@ -62,12 +69,12 @@ def springs(
     return Springs(spheres.body[i], second, point, normal, k, shear)
 
 
-def swing_at_start(contact: Contact, com: Floats, q: Floats, depth: float) -> float:
+def swing_at_start(contact: GroupContact, com: Floats, q: Floats, depth: float) -> float:
     """Fastest frequency of bodies on the contacts that they begin with [rad/s].
 
     Parameters
     ----------
-    contact : Contact
+    contact : GroupContact
     com, q : ndarray, shapes (3, n) [m] and (4, n)
         As for `fastest_swing`.
     depth : float [m]
@@ -88,7 +95,12 @@ def swing_at_start(contact: Contact, com: Floats, q: Floats, depth: float) -> fl
 
 
 def beginning(
-    scene: Scene, pairs: tuple[Ints, Ints], are_walls: bool, x: Floats, away: Floats, depth: float
+    scene: ContactModel,
+    pairs: tuple[Ints, Ints],
+    are_walls: bool,
+    x: Floats,
+    away: Floats,
+    depth: float,
 ) -> Springs:
     """Springs between spheres at x and what lies `away` from their centres."""
     radius, distance = scene.spheres.radius, np.sqrt((away**2).sum(axis=0))
@@ -102,16 +114,16 @@ def beginning(
 
 
 def fastest_swing(
-    scene: Scene, com: Floats, q: Floats, spheres: Contacts, walls: Contacts
+    scene: ContactModel, com: Floats, q: Floats, spheres: ContactList, walls: ContactList
 ) -> float:
     """Fastest frequency of bodies on their contacts [rad/s], by power iteration.
 
     Parameters
     ----------
-    scene : Scene
+    scene : ContactModel
     com, q : ndarray, shapes (3, n) [m] and (4, n)
         Where the bodies are; the orientations are those of the rotor frames.
-    spheres, walls : Contacts
+    spheres, walls : ContactList
         As the last evaluation of the forces left them.
 
     Returns
@@ -123,7 +135,7 @@ def fastest_swing(
     return swing_on(scene, com, q, parts)
 
 
-def swing_on(scene: Scene, com: Floats, q: Floats, parts: tuple[Springs, Springs]) -> float:
+def swing_on(scene: ContactModel, com: Floats, q: Floats, parts: tuple[Springs, Springs]) -> float:
     """Fastest frequency of bodies on springs between each other, and to walls [rad/s]."""
     first, second, point, normal, k, shear = (
         np.concatenate(pair, axis=-1) for pair in zip(*parts, strict=True)

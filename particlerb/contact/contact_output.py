@@ -9,14 +9,22 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.contact.loads import ELASTIC, POINT, REST, TWIST, Contacts, Room, Scene
-from particlerb.contact.wall_motion import Motion, poses_at
+from particlerb.contact.pair_force import (
+    ELASTIC,
+    POINT,
+    REST,
+    TWIST,
+    ContactList,
+    ContactModel,
+    Workspace,
+)
+from particlerb.contact.wall_motion import PrescribedMotion, poses_at
 from particlerb.maths.vec3 import Floats, Ints
 
 NOBODY: Final = -1
 
 
-class Touches(NamedTuple):
+class ContactOutput(NamedTuple):
     """All contacts at one instant, by bodies, and how the walls move then.
 
     The second feels the opposite force at the same point. Of two bodies the first has the lower
@@ -33,7 +41,7 @@ class Touches(NamedTuple):
     velocity: Floats  # (n_walls, 3) [m/s] of the centre
 
 
-def walls_at(motions: Sequence[Motion], t: float) -> tuple[Floats, Floats]:
+def walls_at(motions: Sequence[PrescribedMotion], t: float) -> tuple[Floats, Floats]:
     """Centres of walls (n_walls, 3) [m] and their velocities [m/s] at a time."""
     centre = np.array([motion.centre for motion in motions]).reshape(-1, 3)
     return moved(centre, poses_at(motions, t))
@@ -47,29 +55,38 @@ def moved(centre: Floats, poses: Floats) -> tuple[Floats, Floats]:
     return poses[:, :3] + arm, poses[:, 7:10] + np.cross(poses[:, 10:13], arm)
 
 
-def nothing_touches(motions: Sequence[Motion], t: float) -> Touches:
+def nothing_touches(motions: Sequence[PrescribedMotion], t: float) -> ContactOutput:
     """No contacts, and walls as they move."""
     return touches_of((), *walls_at(motions, t))
 
 
-def touches_of(parts: Sequence[tuple[Ints, Floats]], centre: Floats, velocity: Floats) -> Touches:
+def touches_of(
+    parts: Sequence[tuple[Ints, Floats]], centre: Floats, velocity: Floats
+) -> ContactOutput:
     """Contacts in their order, from rows that `rows_of` makes."""
     who = np.concatenate([np.zeros((0, 5), dtype=np.int64), *(part[0] for part in parts)])
     what = np.concatenate([np.zeros((0, 10)), *(part[1] for part in parts)])
     order = np.lexsort(who.T[::-1])
     who, what = who[order], what[order]
     point, force, twist, overlap = np.split(what, (3, 6, 9), axis=1)
-    return Touches(who[:, :2], who[:, 2], point, force, twist, overlap[:, 0], centre, velocity)
+    return ContactOutput(
+        who[:, :2], who[:, 2], point, force, twist, overlap[:, 0], centre, velocity
+    )
 
 
 def rows_of(
-    contacts: Contacts, scene: Scene, room: Room, members: Ints, numbers: Ints, are_walls: bool
+    contacts: ContactList,
+    scene: ContactModel,
+    room: Workspace,
+    members: Ints,
+    numbers: Ints,
+    are_walls: bool,
 ) -> tuple[Ints, Floats]:
     """Contacts that were found acting by the last evaluation.
 
     Parameters
     ----------
-    contacts, scene, room : Contacts, Scene, Room
+    contacts, scene, room : ContactList, ContactModel, Workspace
         After an evaluation.
     members, numbers : ndarray
         Bodies of the scene, and numbers of the spheres that say where a contact comes in the list.
@@ -105,13 +122,13 @@ def rows_of(
     return who[is_deep], what[is_deep]
 
 
-def contact_numbers(touches: Touches, n_bodies: int) -> Ints:
+def contact_numbers(touches: ContactOutput, n_bodies: int) -> Ints:
     """Contacts of each body, (n_bodies,), those with walls among them."""
     both = touches.body.reshape(-1)
     return np.bincount(both[both != NOBODY], minlength=n_bodies)
 
 
-def largest_overlaps(touches: Touches, n_bodies: int) -> Floats:
+def largest_overlaps(touches: ContactOutput, n_bodies: int) -> Floats:
     """Largest overlap of each body, (n_bodies,) [m]; 0 where it touches nothing."""
     found = np.zeros(n_bodies)
     for side in touches.body.T:
@@ -120,7 +137,7 @@ def largest_overlaps(touches: Touches, n_bodies: int) -> Floats:
     return found
 
 
-def wall_loads(touches: Touches) -> tuple[Floats, Floats]:
+def wall_loads(touches: ContactOutput) -> tuple[Floats, Floats]:
     """Force [N] on each wall, and torque [N m] about its centre, (n_walls, 3); world axes."""
     force, torque = np.zeros((2, *touches.centre.shape))
     own = touches.wall != NOBODY

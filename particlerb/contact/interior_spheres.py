@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.contact.lists import incidence
-from particlerb.contact.search import Search
+from particlerb.compiled.jit import inline, kernel
+from particlerb.contact.cell_grid import Search
+from particlerb.contact.neighbour_list import incidence
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, add_scaled, subtract
 
 SMALLEST_PATCH: Final = 1.0 / 64  # half of the side, on a cube of side 2

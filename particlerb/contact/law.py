@@ -36,7 +36,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline
+from particlerb.compiled.jit import inline
 from particlerb.contact.restitution import damping_ratio
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale, subtract
 
@@ -81,7 +81,7 @@ class Normal(NamedTuple):
     stiffness: float  # [N/m] of the spring
 
 
-class Load(NamedTuple):
+class ContactLoad(NamedTuple):
     """What a contact does at an instant."""
 
     normal: Normal
@@ -384,7 +384,7 @@ def held(
 @inline
 def contact_force(
     law: Law, pair: int, touch: Touch, spring: Vec3, before: float, after: float
-) -> Load:
+) -> ContactLoad:
     """Force of a contact at an instant, for a kick there.
 
     Parameters
@@ -414,7 +414,7 @@ def contact_force(
     stiffness = shear_stiffness(law, pair, touch)
     force, kept, bent, power, lost = held(touch, stiffness, c, limit, spring, step)
     power += (normal.force - normal.elastic) * touch.rate
-    return Load(normal, scale(-1.0, force), kept, bent, power, lost)
+    return ContactLoad(normal, scale(-1.0, force), kept, bent, power, lost)
 
 
 @inline

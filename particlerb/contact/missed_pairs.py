@@ -10,9 +10,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.contact.loads import Contacts, Lists, Scene, Spheres
-from particlerb.contact.wall_motion import Motion, farthest_way
+from particlerb.compiled.jit import inline, kernel
+from particlerb.contact.pair_force import ContactList, ContactModel, ContactSpheres, NeighbourLists
+from particlerb.contact.wall_motion import PrescribedMotion, farthest_way
 from particlerb.contact.wall_search import primitive, squared_distance
 from particlerb.contact.walls import touch
 from particlerb.maths.quaternion import to_body
@@ -36,7 +36,7 @@ STEPS: Final = 2.0  # in which two may have come to overlap since the last evalu
 SLIGHT: Final = 1e-3  # overlap, in the smaller radius, that is none yet
 
 
-class Bodies(NamedTuple):
+class WatchedBodies(NamedTuple):
     """Where bodies are, and how fast they may come."""
 
     place: Floats  # (n_spheres, 4) [m] centre and radius
@@ -58,7 +58,7 @@ class Missed(NamedTuple):
 
 
 @inline
-def is_acting(spheres: Spheres, lists: Lists, i: int, j: int) -> bool:
+def is_acting(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) -> bool:
     """Whether a contact acts between two spheres."""
     a, contacts, (offset, entry) = spheres.body[i], lists.spheres, lists.of_spheres
     found = False
@@ -72,9 +72,9 @@ def is_acting(spheres: Spheres, lists: Lists, i: int, j: int) -> bool:
 
 
 @inline
-def is_held_off(scene: Scene, lists: Lists, i: int, p: int) -> bool:
+def is_held_off(scene: ContactModel, lists: NeighbourLists, i: int, p: int) -> bool:
     """Whether primitive p is in the list of sphere i, and one of its wall acts."""
-    contacts: Contacts = lists.walls
+    contacts: ContactList = lists.walls
     a, wall, (offset, entry) = scene.spheres.body[i], scene.walls.wall, lists.of_walls
     is_listed, is_acting = False, False
     for k in range(offset[a], offset[a + 1]):
@@ -93,7 +93,12 @@ def length(v: Vec3) -> float:
 
 @kernel
 def missed_pairs(
-    scene: Scene, lists: Lists, bodies: Bodies, dt: float, which: Ints, worst: Missed
+    scene: ContactModel,
+    lists: NeighbourLists,
+    bodies: WatchedBodies,
+    dt: float,
+    which: Ints,
+    worst: Missed,
 ) -> Missed:
     """Compare the spheres of some bodies with those of all others."""
     spheres, (place, com, velocity, turning, bound, swing, is_left_out) = scene.spheres, bodies
@@ -126,9 +131,9 @@ def missed_pairs(
 
 @kernel
 def missed_walls(
-    scene: Scene,
-    lists: Lists,
-    bodies: Bodies,
+    scene: ContactModel,
+    lists: NeighbourLists,
+    bodies: WatchedBodies,
     poses: Floats,
     swings: Floats,
     dt: float,
@@ -187,7 +192,13 @@ class Watch:
         return self.credit >= max(self.price, price_of(n, n_primitives, 0))
 
     def look(
-        self, scene: Scene, lists: Lists, bodies: Bodies, poses: Floats, swings: Floats, dt: float
+        self,
+        scene: ContactModel,
+        lists: NeighbourLists,
+        bodies: WatchedBodies,
+        poses: Floats,
+        swings: Floats,
+        dt: float,
     ) -> Missed:
         """The deepest overlap of the bodies whose turn it is at which nothing acts."""
         n, n_primitives = bodies.bound.size, scene.walls.kind.size
@@ -206,7 +217,7 @@ def price_of(n: int, n_primitives: int, compared: int) -> float:
     return TO_LOOK + min(n, BODIES) * each + TO_COMPARE * compared
 
 
-def bounds_of(spheres: Spheres, n: int) -> Floats:
+def bounds_of(spheres: ContactSpheres, n: int) -> Floats:
     """From the centre of mass of each body to the surface of its farthest sphere, (n,) [m]."""
     bound = np.zeros(n)
     far = np.sqrt((spheres.arm**2).sum(axis=0)) + spheres.radius
@@ -214,12 +225,12 @@ def bounds_of(spheres: Spheres, n: int) -> Floats:
     return bound
 
 
-def swing_of(motion: Motion, dt: float) -> float:
+def swing_of(motion: PrescribedMotion, dt: float) -> float:
     """Speed [m/s] that what moves as prescribed may have had in a step without turning."""
     return farthest_way([motion], dt, [0.0]) / dt
 
 
-def acting_nowhere(lists: Lists) -> Lists:
+def acting_nowhere(lists: NeighbourLists) -> NeighbourLists:
     """The same lists, with no contact that acts."""
     spheres, walls = (
         contacts._replace(acts=np.zeros_like(contacts.acts))

@@ -5,10 +5,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
+from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, rows4
 from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3, load3, rows3, subtract
-from particlerb.threads import THREADS
 
 HALF: Final = 32  # bits: numbers of spheres are below 2^31
 EDGES: Final = (0.0, 0.1, 0.3, 0.5, 0.7)  # of the skin: gaps from which on shells of a list begin
@@ -63,7 +63,7 @@ def incidence(first_body: Ints, second_body: Ints, n_bodies: int) -> Incidence:
 # What contacts keep from list to list
 
 
-class Kept(NamedTuple):
+class ContactHistory(NamedTuple):
     """What contacts keep, found by the numbers of the two."""
 
     keys: Ints  # (m,) ascending, see `key_of`
@@ -83,8 +83,8 @@ def order_contacts(
     numbers: tuple[Ints, Ints],
     wall: Ints,
     shell: Ints,
-    old: Kept,
-    new: Kept,
+    old: ContactHistory,
+    new: ContactHistory,
     first: Indices,
     second: Indices,
     ends: Ints,
@@ -106,7 +106,7 @@ def order_contacts(
         Wall of each primitive; empty for pairs of spheres.
     shell : ndarray, shape (m,)
         Of each pair, from 0; written here where a contact keeps something.
-    old, new : Kept
+    old, new : ContactHistory
         Before; and what is written.
     first, second : ndarray, shape (m,)
         The list.

@@ -11,12 +11,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import lean, lean_kernel
-from particlerb.bodies.block import COM, P, Q, get, get3, get4, put, put3
-from particlerb.bodies.block import L as SPIN_MOMENTUM
-from particlerb.bodies.load import FORCE, OTHER, OUTSIDE, POWER, TORQUE
-from particlerb.contact.drives import Drives
-from particlerb.contact.laws import (
+from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.contact.law import (
     Law,
     Normal,
     Touch,
@@ -28,9 +24,10 @@ from particlerb.contact.laws import (
     turned_spring,
     with_motion,
 )
-from particlerb.contact.lists import Incidence, Kept
-from particlerb.contact.pistons import BESIDE, MOST, PUSH, STIFFNESS, Pistons
-from particlerb.contact.pistons import REST as REST_OF_PISTON
+from particlerb.contact.neighbour_list import ContactHistory, Incidence
+from particlerb.contact.piston import BESIDE, MOST, PUSH, STIFFNESS, Pistons
+from particlerb.contact.piston import REST as REST_OF_PISTON
+from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.wall_motion import motion_in, pose_at
 from particlerb.contact.walls import Walls
 from particlerb.maths.quaternion import matrix, turn, turn_back
@@ -47,6 +44,9 @@ from particlerb.maths.vec3 import (
     scale,
     subtract,
 )
+from particlerb.model.block import COM, P, Q, get, get3, get4, put, put3
+from particlerb.model.block import L as SPIN_MOMENTUM
+from particlerb.model.load import FORCE, OTHER, OUTSIDE, POWER, TORQUE
 
 AT: Final = 0  # columns of a body at the instant of a kick: centre of mass [m],
 VELOCITY: Final = 3  # velocity [m/s],
@@ -81,7 +81,7 @@ POSE: Final = 16
 DEEPEST: Final = 1.0  # overlap of two spheres, in the smaller radius, that no contact may have
 
 
-class Spheres(NamedTuple):
+class ContactSpheres(NamedTuple):
     """Spheres of a group of bodies that can touch others."""
 
     arm: Floats  # (3, n) [m], rotor frame of the body, from its centre of mass
@@ -91,7 +91,7 @@ class Spheres(NamedTuple):
     offset: Ints  # (n_bodies + 1,) those of body b are offset[b] to offset[b + 1]
 
 
-class Contacts(NamedTuple):
+class ContactList(NamedTuple):
     """Pairs that touch or soon may, what they keep from step to step, and what they do."""
 
     first: Indices  # (m,) sphere
@@ -102,33 +102,33 @@ class Contacts(NamedTuple):
     ends: Ints  # (SHELLS,) where each shell ends: see `lists.order_contacts`
 
 
-class Lists(NamedTuple):
+class NeighbourLists(NamedTuple):
     """Pairs that may touch, and the contacts of each body among them."""
 
-    spheres: Contacts
-    walls: Contacts
+    spheres: ContactList
+    walls: ContactList
     of_spheres: Incidence
     of_walls: Incidence
     lever: float  # [m] no point that touches something is farther from its centre of mass
 
 
-class Scene(NamedTuple):
+class ContactModel(NamedTuple):
     """What does not change with the steps."""
 
-    spheres: Spheres
+    spheres: ContactSpheres
     law: Law
     pair_of: Ints  # (n_materials, n_materials) pair of two materials
     wall_material: Ints  # (n_primitives,)
     walls: Walls
     inv_mass: Floats  # (n_bodies,) [1/kg]
     inv_inertia: Floats  # (3, n_bodies) [1/(kg m²)], rotor frame
-    drives: Drives | None = None  # bodies that move as prescribed
+    drives: PrescribedBodies | None = None  # bodies that move as prescribed
 
 
-class Contact(NamedTuple):
+class GroupContact(NamedTuple):
     """Contact of a group of bodies."""
 
-    scene: Scene
+    scene: ContactModel
     motions: Floats  # (n_walls, MOTION) numbers of `wall_motion.Motion`
     reach: Floats  # (n_bodies,) [m] from the centre of mass to the farthest centre of a sphere
     skin: float  # [m] pairs nearer than this are kept, at first
@@ -139,7 +139,7 @@ class Contact(NamedTuple):
     is_forced: bool = False  # whether steps above the limit of stability are taken
 
 
-class Room(NamedTuple):
+class Workspace(NamedTuple):
     """What an evaluation writes."""
 
     place: Floats  # (n_spheres, 4) [m] centre and radius
@@ -163,13 +163,13 @@ def put_column(rows: Floats, i: int, at: int, v: Vec3) -> None:
 
 @lean_kernel
 def place_bodies(
-    scene: Scene, room: Room, rows: Floats, last: Floats, ahead: float, lo: int, n: int
+    scene: ContactModel, room: Workspace, rows: Floats, last: Floats, ahead: float, lo: int, n: int
 ) -> None:
     """Place the spheres of a block of bodies, and find velocities at the instant of the kick.
 
     Parameters
     ----------
-    scene, room : Scene, Room
+    scene, room : ContactModel, Workspace
     rows : ndarray
         The block, the momenta those of the drift before.
     last : ndarray, shape (6, n_bodies)
@@ -224,7 +224,7 @@ def velocity(bodies: Floats, b: int, point: Vec3) -> Vec3:
 
 
 @lean
-def softness(scene: Scene, bodies: Floats, b: int, point: Vec3, normal: Vec3) -> float:
+def softness(scene: ContactModel, bodies: Floats, b: int, point: Vec3, normal: Vec3) -> float:
     """What a push along the normal at a point gives the point: 1/M + (r×n)·I⁻¹(r×n) [1/kg]."""
     inertia, at = scene.inv_inertia, TURN
     R = matrix((bodies[b, at], bodies[b, at + 1], bodies[b, at + 2], bodies[b, at + 3]))
@@ -235,7 +235,7 @@ def softness(scene: Scene, bodies: Floats, b: int, point: Vec3, normal: Vec3) ->
 
 
 @lean
-def note_deep(room: Room, rank: int, delta: float, radius: float, b: int) -> None:
+def note_deep(room: Workspace, rank: int, delta: float, radius: float, b: int) -> None:
     """Keep that a body lies too deep in another or in a wall, for the host to say."""
     deep = room.deep
     if delta > deep[rank, 0] or (delta == deep[rank, 0] and b < deep[rank, 2]):
@@ -243,7 +243,9 @@ def note_deep(room: Room, rank: int, delta: float, radius: float, b: int) -> Non
 
 
 @lean
-def begin(law: Law, pair: int, contacts: Contacts, c: int, softness: float, r_eff: float) -> None:
+def begin(
+    law: Law, pair: int, contacts: ContactList, c: int, softness: float, r_eff: float
+) -> None:
     """Keep what contact c has as long as it lasts."""
     contacts.kept[c, SOFTNESS] = softness
     contacts.kept[c, DASHPOT] = dashpot(law, pair, softness, r_eff)
@@ -253,7 +255,7 @@ def begin(law: Law, pair: int, contacts: Contacts, c: int, softness: float, r_ef
 def act(
     law: Law,
     pair: int,
-    contacts: Contacts,
+    contacts: ContactList,
     c: int,
     delta: float,
     normal: Vec3,
@@ -302,7 +304,7 @@ def resist(
     rolling: Floats | None,
     law: Law,
     pair: int,
-    contacts: Contacts,
+    contacts: ContactList,
     c: int,
     touch: Touch,
     turning: Vec3,
@@ -324,7 +326,7 @@ def resist(
 
 
 @lean
-def forget(contacts: Contacts, c: int) -> None:
+def forget(contacts: ContactList, c: int) -> None:
     """Contact c does nothing, and keeps nothing; it stays so for who looks at a frame."""
     kept, done = contacts.kept, contacts.done
     for k in range(kept.shape[1]):
@@ -345,9 +347,9 @@ def fastest(bodies: Floats, first: int, end: int) -> tuple[float, float]:
 
 @lean_kernel
 def touch_spheres(
-    scene: Scene,
-    room: Room,
-    contacts: Contacts,
+    scene: ContactModel,
+    room: Workspace,
+    contacts: ContactList,
     before: float,
     after: float,
     v: float,
@@ -360,7 +362,7 @@ def touch_spheres(
 
     Parameters
     ----------
-    scene, room, contacts : Scene, Room, Contacts
+    scene, room, contacts : ContactModel, Workspace, ContactList
     before, after : float [s]
         Lengths of the drifts before and after this instant; 0 where there is none.
     v, w : float [m/s, rad/s]
@@ -411,7 +413,9 @@ def touch_spheres(
 
 
 @lean
-def drift_of(drives: Drives | None, bodies: Floats, a: int, b: int, v_a: Vec3, v_b: Vec3) -> Vec3:
+def drift_of(
+    drives: PrescribedBodies | None, bodies: Floats, a: int, b: int, v_a: Vec3, v_b: Vec3
+) -> Vec3:
     """Velocity of the point of a held body: of b, or the opposite of that of a; else zero."""
     if drives is None:
         return 0.0, 0.0, 0.0
@@ -431,7 +435,7 @@ def is_near(bodies: Floats, a: int, b: int, square: float, reach: float, longer:
 
 
 @lean
-def moved_by(scene: Scene, bodies: Floats, b: int, torque: Vec3) -> Vec3:
+def moved_by(scene: ContactModel, bodies: Floats, b: int, torque: Vec3) -> Vec3:
     """I⁻¹ τ of body b, world axes."""
     inertia, at = scene.inv_inertia, TURN
     R = matrix((bodies[b, at], bodies[b, at + 1], bodies[b, at + 2], bodies[b, at + 3]))
@@ -503,9 +507,9 @@ def twist_of(rolling: Floats | None, done: Floats, c: int) -> Vec3:
 
 @lean_kernel
 def collect(
-    scene: Scene,
-    room: Room,
-    lists: Lists,
+    scene: ContactModel,
+    room: Workspace,
+    lists: NeighbourLists,
     rows: Floats,
     at: int,
     steady: int,
@@ -521,9 +525,9 @@ def collect(
 
     Parameters
     ----------
-    scene, room, lists : Scene, Room, Lists
+    scene, room, lists : ContactModel, Workspace, NeighbourLists
     rows : ndarray
-        The block, with a load (bodies/load.py) in CONTACT_ROWS from `at` on. What a wall or a fixed
+        The block, with a load (model/load.py) in CONTACT_ROWS from `at` on. What a wall or a fixed
         body does, the world does.
     at, steady, lo, n : int
         Rows of the load and of the constant force; first body of the block, and how many there are.
@@ -577,7 +581,11 @@ def collect(
 
 @lean
 def press(
-    pistons: Pistons | None, slides: Floats, contacts: Contacts, scene: Scene, later: float
+    pistons: Pistons | None,
+    slides: Floats,
+    contacts: ContactList,
+    scene: ContactModel,
+    later: float,
 ) -> None:
     """Sum what contacts do to walls that slide, along their axes, and how stiff they are.
 
@@ -612,7 +620,7 @@ def add_to(rows: Floats, at: int, b: int, v: Vec3) -> None:
 
 
 @lean_kernel
-def stored_energy(contacts: Contacts) -> float:
+def stored_energy(contacts: ContactList) -> float:
     """Energy of all normal springs [J]."""
     total = 0.0
     for c in range(contacts.first.size):
@@ -626,7 +634,7 @@ def done_columns(law: Law) -> int:
     return DONE if law.rolling is None else DONE_ROLLING
 
 
-def nothing_kept(law: Law) -> Kept:
+def nothing_kept(law: Law) -> ContactHistory:
     """What no contacts keep."""
     none = np.zeros(0, dtype=np.int64)
-    return Kept(none, none, np.zeros((0, KEPT if law.rolling is None else KEPT_ROLLING)))
+    return ContactHistory(none, none, np.zeros((0, KEPT if law.rolling is None else KEPT_ROLLING)))

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline
+from particlerb.compiled.jit import inline
 from particlerb.maths.vec3 import Floats, Ints
 
 PLACE: Final = 0  # columns of what changes: displacement [m],

@@ -6,13 +6,13 @@ those of driven bodies have velocities while contacts are evaluated.
 
 from typing import NamedTuple
 
-from particlerb._jit import inline
+from particlerb.compiled.jit import inline
 from particlerb.contact.wall_motion import motion_in, pose_at
 from particlerb.maths.quaternion import Quat, multiply, to_body, to_world
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, multiplied3
 
 
-class Drives(NamedTuple):
+class PrescribedBodies(NamedTuple):
     """Driven bodies of a group."""
 
     which: Ints  # (m,) bodies of the group
@@ -24,7 +24,7 @@ class Drives(NamedTuple):
 
 
 @inline
-def driven_pose(drives: Drives, k: int, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]:
+def driven_pose(drives: PrescribedBodies, k: int, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]:
     """Place, orientation, velocity and angular velocity of driven body k at a time."""
     x, turn, v, omega = pose_at(motion_in(drives.motions, k), t)
     com, q = drives.com, drives.q
@@ -34,7 +34,7 @@ def driven_pose(drives: Drives, k: int, t: float) -> tuple[Vec3, Quat, Vec3, Vec
 
 
 @inline
-def momenta(drives: Drives, k: int, q: Quat, v: Vec3, omega: Vec3) -> tuple[Vec3, Vec3]:
+def momenta(drives: PrescribedBodies, k: int, q: Quat, v: Vec3, omega: Vec3) -> tuple[Vec3, Vec3]:
     """M v and I ω of driven body k."""
     inertia, mass = drives.inertia, drives.mass[k]
     own = multiplied3((inertia[0, k], inertia[1, k], inertia[2, k]), to_body(q, omega))

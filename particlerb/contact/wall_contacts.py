@@ -29,9 +29,9 @@ how it changes at the vertices of a polyhedron.
 import math
 from typing import Final, NamedTuple
 
-from particlerb._jit import lean, lean_kernel
-from particlerb.contact.laws import Touch, lag, normal_force, normal_spring, overlap_of
-from particlerb.contact.loads import (
+from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.contact.law import Touch, lag, normal_force, normal_spring, overlap_of
+from particlerb.contact.pair_force import (
     AT,
     DRIVEN,
     ELASTIC,
@@ -42,9 +42,9 @@ from particlerb.contact.loads import (
     SPIN,
     STORED,
     TURNING,
-    Contacts,
-    Room,
-    Scene,
+    ContactList,
+    ContactModel,
+    Workspace,
     act,
     begin,
     column,
@@ -118,7 +118,7 @@ def one_norm(v: Vec3) -> float:
 
 
 @lean
-def primitive_of(scene: Scene, contacts: Contacts, c: int) -> Primitive:
+def primitive_of(scene: ContactModel, contacts: ContactList, c: int) -> Primitive:
     """Primitive of a contact."""
     kind, rows, _, _ = scene.walls
     p = contacts.second[c]
@@ -127,7 +127,7 @@ def primitive_of(scene: Scene, contacts: Contacts, c: int) -> Primitive:
 
 
 @lean
-def end_of(scene: Scene, contacts: Contacts, first: int, most: int) -> int:
+def end_of(scene: ContactModel, contacts: ContactList, first: int, most: int) -> int:
     """Where contacts end that are of the same sphere and the same wall as the first."""
     wall, c = scene.walls.wall, first + 1
     own, w = contacts.first[first], wall[contacts.second[first]]
@@ -138,7 +138,7 @@ def end_of(scene: Scene, contacts: Contacts, first: int, most: int) -> int:
 
 @lean
 def meeting_at(
-    scene: Scene, room: Room, contacts: Contacts, c: int, end: int, longer: float
+    scene: ContactModel, room: Workspace, contacts: ContactList, c: int, end: int, longer: float
 ) -> Meeting:
     """The sphere and the wall of contacts c to end; `longer` is the longer drift around now [s]."""
     place, bodies, poses = room.place, room.bodies, room.poses
@@ -163,9 +163,9 @@ def spot_of(one: Primitive, around: Floats, meeting: Meeting) -> tuple[int, bool
 
 @lean_kernel
 def touch_walls(
-    scene: Scene,
-    room: Room,
-    contacts: Contacts,
+    scene: ContactModel,
+    room: Workspace,
+    contacts: ContactList,
     before: float,
     after: float,
     bounds: tuple[int, int, int, int],
@@ -205,7 +205,7 @@ def touch_walls(
 
 
 @lean
-def look_around(scene: Scene, contacts: Contacts, meeting: Meeting) -> Seen:
+def look_around(scene: ContactModel, contacts: ContactList, meeting: Meeting) -> Seen:
     """What there is around a sphere."""
     lowest, others, held, lone, gap = 0, 0, 0, -1, meeting.y
     for c in range(meeting.first, meeting.end):
@@ -221,9 +221,9 @@ def look_around(scene: Scene, contacts: Contacts, meeting: Meeting) -> Seen:
 
 @lean
 def press(
-    scene: Scene,
-    room: Room,
-    contacts: Contacts,
+    scene: ContactModel,
+    room: Workspace,
+    contacts: ContactList,
     meeting: Meeting,
     piece: Pressed,
     before: float,
@@ -274,14 +274,14 @@ def press(
 
 
 @lean
-def spots_at(contacts: Contacts) -> int:
+def spots_at(contacts: ContactList) -> int:
     """Where the columns of points begin."""
     at: int = contacts.done.shape[1] - SPOT
     return at
 
 
 @lean
-def spread_out(scene: Scene, contacts: Contacts, meeting: Meeting) -> None:
+def spread_out(scene: ContactModel, contacts: ContactList, meeting: Meeting) -> None:
     """Write the points that count."""
     done, at = contacts.done, spots_at(contacts)
     for c in range(meeting.first, meeting.end):
@@ -293,7 +293,7 @@ def spread_out(scene: Scene, contacts: Contacts, meeting: Meeting) -> None:
 
 
 @lean
-def is_below(contacts: Contacts, meeting: Meeting, c: int, away: Vec3, slack: float) -> float:
+def is_below(contacts: ContactList, meeting: Meeting, c: int, away: Vec3, slack: float) -> float:
     """How far a point of the wall is outside of the cap around the nearest point of contact c [m].
 
     The cap is what the sphere cuts out of the plane there; negative inside.
@@ -305,7 +305,7 @@ def is_below(contacts: Contacts, meeting: Meeting, c: int, away: Vec3, slack: fl
 
 
 @lean
-def join(contacts: Contacts, meeting: Meeting) -> None:
+def join(contacts: ContactList, meeting: Meeting) -> None:
     """Write of which piece each point is: what counts beside the nearest joins those around it."""
     done, at = contacts.done, spots_at(contacts)
     first, end, changes = meeting.first, meeting.end, 1
@@ -329,7 +329,7 @@ def join(contacts: Contacts, meeting: Meeting) -> None:
 
 
 @lean
-def next_piece(contacts: Contacts, meeting: Meeting) -> int:
+def next_piece(contacts: ContactList, meeting: Meeting) -> int:
     """First contact of a piece that is not dealt with; -1: there is none."""
     done, at = contacts.done, spots_at(contacts)
     for c in range(meeting.first, meeting.end):
@@ -339,7 +339,7 @@ def next_piece(contacts: Contacts, meeting: Meeting) -> int:
 
 
 @lean
-def nearing(room: Room, meeting: Meeting) -> Vec3:
+def nearing(room: Workspace, meeting: Meeting) -> Vec3:
     """Velocity of the centre of a sphere relative to the wall there [m/s]."""
     poses, w = room.poses, meeting.wall
     d = subtract(meeting.x, column(poses, w, 0))
@@ -349,9 +349,9 @@ def nearing(room: Room, meeting: Meeting) -> Vec3:
 
 @lean
 def piece_at(
-    scene: Scene,
-    room: Room,
-    contacts: Contacts,
+    scene: ContactModel,
+    room: Workspace,
+    contacts: ContactList,
     meeting: Meeting,
     root: int,
     before: float,
@@ -393,7 +393,9 @@ def piece_at(
 
 
 @lean
-def inherit(scene: Scene, contacts: Contacts, meeting: Meeting, root: int, lead: int) -> None:
+def inherit(
+    scene: ContactModel, contacts: ContactList, meeting: Meeting, root: int, lead: int
+) -> None:
     """Hand what a piece has kept, of its points or of what was one of them, to a contact of it.
 
     The piece counts as dealt with then.
@@ -417,7 +419,7 @@ def inherit(scene: Scene, contacts: Contacts, meeting: Meeting, root: int, lead:
 
 
 @lean
-def is_of(scene: Scene, contacts: Contacts, meeting: Meeting, c: int, root: int) -> bool:
+def is_of(scene: ContactModel, contacts: ContactList, meeting: Meeting, c: int, root: int) -> bool:
     """Whether contact c is of a piece, or has been where the piece is now."""
     done, at = contacts.done, spots_at(contacts)
     if done[c, at + COUNT] != 0.0:
@@ -431,7 +433,7 @@ def is_of(scene: Scene, contacts: Contacts, meeting: Meeting, c: int, root: int)
 
 
 @lean
-def forget_rest(contacts: Contacts, meeting: Meeting) -> None:
+def forget_rest(contacts: ContactList, meeting: Meeting) -> None:
     """Forget contacts whose points have ended, and have handed on nothing."""
     done, at = contacts.done, spots_at(contacts)
     for c in range(meeting.first, meeting.end):

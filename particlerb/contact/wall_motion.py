@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline
+from particlerb.compiled.jit import inline
 from particlerb.maths.quaternion import Quat, to_world
 from particlerb.maths.vec3 import (
     Floats,
@@ -22,7 +22,7 @@ from particlerb.maths.vec3 import (
 )
 
 
-class Motion(NamedTuple):
+class PrescribedMotion(NamedTuple):
     """How a wall moves; all zero for one at rest."""
 
     centre: Vec3 = (0.0, 0.0, 0.0)  # [m] at t = 0
@@ -34,9 +34,9 @@ class Motion(NamedTuple):
 
 
 @inline
-def motion_in(rows: Floats, k: int) -> Motion:
+def motion_in(rows: Floats, k: int) -> PrescribedMotion:
     """Motion from the numbers of a row."""
-    return Motion(
+    return PrescribedMotion(
         (rows[k, 0], rows[k, 1], rows[k, 2]),
         (rows[k, 3], rows[k, 4], rows[k, 5]),
         (rows[k, 6], rows[k, 7], rows[k, 8]),
@@ -46,14 +46,14 @@ def motion_in(rows: Floats, k: int) -> Motion:
     )
 
 
-def numbers_of(motions: Sequence[Motion]) -> Floats:
+def numbers_of(motions: Sequence[PrescribedMotion]) -> Floats:
     """Numbers of motions, (n, 14), for `motion_in`."""
     rows = [[*m.centre, *m.velocity, *m.angular_velocity, *m.amplitude, *m[4:]] for m in motions]
     return np.array(rows, dtype=np.float64).reshape(len(rows), 14)
 
 
 @inline
-def pose_at(motion: Motion, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]:
+def pose_at(motion: PrescribedMotion, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]:
     """Pose of a wall's frame at a time, in closed form.
 
     Returns
@@ -77,20 +77,22 @@ def pose_at(motion: Motion, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]:
     return x, q, subtract(v, cross(omega, arm)), omega
 
 
-def write_poses(motions: Sequence[Motion], t: float, poses: Floats) -> None:
+def write_poses(motions: Sequence[PrescribedMotion], t: float, poses: Floats) -> None:
     """Write position, orientation, velocity and angular velocity of each wall, (n_walls, 13)."""
     for wall, motion in enumerate(motions):
         poses[wall] = [number for part in pose_at(motion, t) for number in part]
 
 
-def poses_at(motions: Sequence[Motion], t: float) -> Floats:
+def poses_at(motions: Sequence[PrescribedMotion], t: float) -> Floats:
     """Poses of all walls, (n_walls, 13): see `write_poses`."""
     poses = np.empty((len(motions), 13))
     write_poses(motions, t, poses)
     return poses
 
 
-def farthest_way(motions: Sequence[Motion], duration: float, reach: Sequence[float]) -> float:
+def farthest_way(
+    motions: Sequence[PrescribedMotion], duration: float, reach: Sequence[float]
+) -> float:
     """How far a point of a wall may move in a time [m], within a `reach` of each wall's centre."""
     ways = [0.0]
     for (_, velocity, omega, amplitude, frequency, _), far in zip(motions, reach, strict=True):
@@ -99,7 +101,7 @@ def farthest_way(motions: Sequence[Motion], duration: float, reach: Sequence[flo
     return max(ways)
 
 
-def distances(motions: Sequence[Motion], t: float, points: Floats) -> list[float]:
+def distances(motions: Sequence[PrescribedMotion], t: float, points: Floats) -> list[float]:
     """From the centre of each wall to the farthest of the points (3, n), at most [m]."""
     lower, upper = points.min(axis=1), points.max(axis=1)
     found = []

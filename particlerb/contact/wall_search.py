@@ -5,9 +5,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel, lean
-from particlerb.contact.lists import shell_of
-from particlerb.contact.search import Pairs, sort_by_second, spread
+from particlerb.compiled.jit import inline, kernel, lean
+from particlerb.contact.cell_grid import SpherePairs, sort_by_second, spread
+from particlerb.contact.neighbour_list import shell_of
 from particlerb.contact.walls import (
     DISC,
     EDGE,
@@ -39,7 +39,7 @@ CELLS_PER_SPHERE: Final = 0.25  # and per sphere: most of a wide heap is far fro
 FEWEST_CELLS: Final = 512
 
 
-class Lists(NamedTuple):
+class WallLists(NamedTuple):
     """Primitives of each wall that a sphere may touch, by the cell of its centre.
 
     The first list of a wall is for all centres, the others are those of its cells.
@@ -71,13 +71,13 @@ def squared_distance(one: Primitive, x: Vec3) -> float:
 
 @kernel
 def list_primitives(
-    walls: Walls, lists: Lists, corners: Ints, reach: float, is_counting: bool
+    walls: Walls, lists: WallLists, corners: Ints, reach: float, is_counting: bool
 ) -> None:
     """Count, or write, the primitives within reach of each cell.
 
     Parameters
     ----------
-    walls, lists : Walls, Lists
+    walls, lists : Walls, WallLists
         Counting, `begin` gets the number for list k at k + 2; writing, it is a sum of these, and
         is left as it is meant.
     corners : ndarray, shape (n_primitives, 6)
@@ -118,12 +118,12 @@ def list_of(x: Vec3, zero: Vec3, per_metre: float, shape: tuple[int, int, int], 
 @kernel
 def find_candidates(
     walls: Walls,
-    lists: Lists,
+    lists: WallLists,
     poses: Floats,
     points: Floats,
     reach: Floats,
     which: Ints,
-    pairs: Pairs,
+    pairs: SpherePairs,
     is_counting: bool,
     first_unit: int,
     last_unit: int,
@@ -164,7 +164,7 @@ def find_wall_shells(
     points: Floats,
     radius: Floats,
     skin: float,
-    pairs: Pairs,
+    pairs: SpherePairs,
     shell: Ints,
 ) -> None:
     """Write the shell of each pair of a sphere and a primitive: see `lists.order_contacts`."""
@@ -194,7 +194,9 @@ class WallSearch:
         self.everyone = np.arange(radius.size)
         self.reach = -1.0
 
-    def pairs(self, points: Floats, poses: Floats, skin: float, which: Ints | None = None) -> Pairs:
+    def pairs(
+        self, points: Floats, poses: Floats, skin: float, which: Ints | None = None
+    ) -> SpherePairs:
         """Pairs of a sphere and a primitive that is nearer to its centre than r + skin.
 
         Parameters
@@ -218,15 +220,15 @@ class WallSearch:
         start = np.zeros(n + 1, dtype=np.int64)
         reach = self.radius + skin
         if not which.size or not walls.kind.size:
-            return Pairs(self.everyone[:0], self.everyone[:0], start)
+            return SpherePairs(self.everyone[:0], self.everyone[:0], start)
         if reach.max() > self.reach:
             self.reach = float(reach.max())
             self.lists = lists_of(walls, self.reach, int(CELLS_PER_SPHERE * n))
-        pairs = Pairs(self.everyone[:0], self.everyone[:0], start)
+        pairs = SpherePairs(self.everyone[:0], self.everyone[:0], start)
         self.visit(points, poses, reach, which, pairs, True)
         np.cumsum(start, out=start)
         first, second = np.empty((2, int(start[-1])), dtype=np.int64)
-        pairs = Pairs(first, second, start)
+        pairs = SpherePairs(first, second, start)
         self.visit(points, poses, reach, which, pairs, False)
         spread(lambda lo, hi: sort_by_second(pairs, lo, hi), n)
         return pairs
@@ -237,7 +239,7 @@ class WallSearch:
         poses: Floats,
         reach: Floats,
         which: Ints,
-        pairs: Pairs,
+        pairs: SpherePairs,
         is_counting: bool,
     ) -> None:
         """Count, or write, what is near the spheres."""
@@ -251,7 +253,7 @@ class WallSearch:
         )
 
 
-def lists_of(walls: Walls, reach: float, more: int = 0) -> Lists:
+def lists_of(walls: Walls, reach: float, more: int = 0) -> WallLists:
     """Lists for centres that may touch what is within reach [m]; more cells for many spheres."""
     lower, upper = bounds_of(walls)
     n_walls = int(walls.wall.max(initial=-1)) + 1
@@ -273,7 +275,7 @@ def lists_of(walls: Walls, reach: float, more: int = 0) -> Lists:
         corners[own, 3:] = np.minimum(corners[own, 3:], shape[w] - 1)
     first = np.concatenate([[0], np.cumsum(shape.prod(axis=1) + 1)])
     begin = np.zeros(first[-1] + 2, dtype=np.int64)
-    lists = Lists(origin, 1.0 / width, shape, first, begin, np.zeros(0, dtype=np.int64))
+    lists = WallLists(origin, 1.0 / width, shape, first, begin, np.zeros(0, dtype=np.int64))
     list_primitives(walls, lists, corners, reach, True)
     np.cumsum(begin, out=begin)
     lists = lists._replace(entry=np.empty(begin[-1], dtype=np.int64))

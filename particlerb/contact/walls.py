@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel, lean
+from particlerb.compiled.jit import inline, kernel, lean
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import (
     Floats,

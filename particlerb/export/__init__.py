@@ -13,12 +13,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.bodies import taken
-from particlerb.bodies.state import derived
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import taken
+from particlerb.model.state import derived
 from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, WALLS
 from particlerb.record.target import target
-from particlerb.trajectory import Contacts, Trajectory
+from particlerb.record.trajectory import Contacts, Trajectory
 
 FORMATS: Final = {  # name: suffix of its files, and what it is, in words
     "gsd": (".gsd", "HOOMD's schema: one oriented particle per body; OVITO, freud"),

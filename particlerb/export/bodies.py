@@ -17,9 +17,9 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from particlerb.bodies.mass_properties import MassProperties
-from particlerb.bodies.particles import Particles
 from particlerb.export import ExportError
+from particlerb.geometry.mass_properties import MassProperties
+from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
@@ -225,7 +225,7 @@ def write_gsd(bodies: Sequence[Exported], path: Path) -> None:
         import gsd.hoomd
     except ImportError:
         raise ExportError("gsd files need the package gsd: pip install gsd") from None
-    from particlerb.bodies.bodies import quaternions
+    from particlerb.model.bodies import quaternions
 
     frame = gsd.hoomd.Frame()
     own = frame.particles

@@ -14,12 +14,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies, taken
-from particlerb.bodies.state import multiplied, turned_back
 from particlerb.export import ExportError, Selection, is_known
 from particlerb.maths.vec3 import Floats
+from particlerb.model.bodies import Bodies, taken
+from particlerb.model.state import multiplied, turned_back
 from particlerb.record.schema import FIELDS
-from particlerb.trajectory import Trajectory
+from particlerb.record.trajectory import Trajectory
 
 NEEDS: Final = ("position", "orientation")
 HOLDS: Final = tuple(FIELDS)

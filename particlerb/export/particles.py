@@ -11,9 +11,9 @@ from typing import Final
 import h5py
 import numpy as np
 
-from particlerb.bodies.state import turned
 from particlerb.export import Selection, is_known
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.state import turned
 from particlerb.record.layout import describe, make_clock, make_group, write_h5md
 from particlerb.record.schema import FIELDS, TRAJECTORY, frames_per_chunk
 from particlerb.record.vtkhdf import append_steps, count_steps, create_vtkhdf

@@ -9,34 +9,36 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb._jit import inline
-from particlerb.bodies.block import LOADS, get, get3
-from particlerb.bodies.bodies import taken
-from particlerb.bodies.load import CONTACT_ROWS, OTHER, OUTSIDE, POWER
-from particlerb.bodies.load import TORQUE as PAIR_TORQUE
-from particlerb.contact.loads import Contact
+from particlerb.compiled.jit import inline
+from particlerb.contact.pair_force import GroupContact
+from particlerb.forces.attraction import Attraction
+from particlerb.forces.central import CENTRAL_ROWS, Central, central_work, kick_centres
+from particlerb.forces.drag import DECAY_ROWS, DRAG_ROWS, Drag, drag_load
+from particlerb.forces.follower import FOLLOWER_ROWS, Follower, kick_follower
+from particlerb.forces.gravity import UniformGravity
+from particlerb.forces.links import WORLD, Links
+from particlerb.forces.push import LEVER_ROWS, Push, kick_force, kick_lever, lever_work
+from particlerb.forces.spring import SPRING_ROWS, Spring, kick_springs, spring_energy
+from particlerb.forces.torque import TORQUE_ROWS, Torque, kick_torque
 from particlerb.maths.quaternion import Rows
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, subtract
-from particlerb.terms.attraction import Attraction
-from particlerb.terms.central import CENTRAL_ROWS, Central, central_work, kick_centres
-from particlerb.terms.drag import DECAY_ROWS, DRAG_ROWS, Drag, drag_load
-from particlerb.terms.follower import FOLLOWER_ROWS, Follower, kick_follower
-from particlerb.terms.gravity import UniformGravity
-from particlerb.terms.links import WORLD, Links
-from particlerb.terms.push import LEVER_ROWS, Push, kick_force, kick_lever, lever_work
-from particlerb.terms.spring import SPRING_ROWS, Spring, kick_springs, spring_energy
-from particlerb.terms.torque import TORQUE_ROWS, Torque, kick_torque
+from particlerb.model.block import LOADS, get, get3
+from particlerb.model.bodies import taken
+from particlerb.model.load import CONTACT_ROWS, OTHER, OUTSIDE, POWER
+from particlerb.model.load import TORQUE as PAIR_TORQUE
 
 FORCE: Final = LOADS
 LEVER: Final = FORCE + 3
 FOLLOWER: Final = LEVER + LEVER_ROWS
 TORQUE: Final = FOLLOWER + FOLLOWER_ROWS
 DRAG: Final = TORQUE + TORQUE_ROWS
-PAIR: Final = DRAG + DRAG_ROWS + DECAY_ROWS  # rows of terms/links.py: what other bodies do
+PAIR: Final = DRAG + DRAG_ROWS + DECAY_ROWS  # rows of forces/links.py: what other bodies do
 MANY: Final = PAIR + CONTACT_ROWS  # springs, then centres
 STAGE: Final = 1024  # rows from here on, after all loads, are room for a method's stages
 ZERO: Final = (0.0, 0.0, 0.0)
-Entry: TypeAlias = tuple[float, Vec3, Vec3]  # work, impulse, angular impulse: methods/booking.py
+Entry: TypeAlias = tuple[
+    float, Vec3, Vec3
+]  # work, impulse, angular impulse: stepping/external_work.py
 
 
 class Terms(NamedTuple):
@@ -52,7 +54,7 @@ class Terms(NamedTuple):
     links: Links | None = None
     attraction: Attraction | None = None
     opening_angle: float = 0.0  # of the tree that sums the attraction; 0: a direct sum
-    contact: Contact | None = None
+    contact: GroupContact | None = None
 
     @property
     def is_coupled(self) -> bool:

@@ -21,8 +21,8 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from particlerb._jit import config, inline, kernel
-from particlerb.bodies.block import LINE, aligned_zeros
+from particlerb.compiled.jit import config, inline, kernel
+from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import load4, matrix, rows4, turn
 from particlerb.maths.vec3 import (
     Floats,
@@ -37,7 +37,7 @@ from particlerb.maths.vec3 import (
     store3,
     subtract,
 )
-from particlerb.threads import THREADS
+from particlerb.model.block import LINE, aligned_zeros
 
 TILE: Final = 256  # targets at a time: their places and fields stay in the first level of cache
 PAIRS: Final = 64  # take as long as a step of a body, the unit of work in `threads`

@@ -14,11 +14,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline
-from particlerb.bodies.block import get, get3
-from particlerb.bodies.state import turned_back
+from particlerb.compiled.jit import inline
 from particlerb.maths.quaternion import Rows, turn, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
+from particlerb.model.block import get, get3
+from particlerb.model.state import turned_back
 
 CENTRAL_ROWS: Final = 8
 

@@ -10,10 +10,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline
-from particlerb.bodies.block import INV_INERTIA, get, get3, put
+from particlerb.compiled.jit import inline
 from particlerb.maths.quaternion import Rows, turn, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, multiplied3, subtract
+from particlerb.model.block import INV_INERTIA, get, get3, put
 
 DRAG_ROWS: Final = 2
 DECAY_ROWS: Final = 9  # of the exact flow: four factors for p and L, four for what is added; h

@@ -6,10 +6,10 @@ add up to one of each. They have no potential, so their work is booked kick by k
 
 from typing import Final, NamedTuple
 
-from particlerb._jit import inline
-from particlerb.bodies.block import get3
+from particlerb.compiled.jit import inline
 from particlerb.maths.quaternion import Rows, turn
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled
+from particlerb.model.block import get3
 
 FOLLOWER_ROWS: Final = 6
 

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.state import State, omega_world, turned
 from particlerb.maths.vec3 import Floats
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, omega_world, turned
 
 
 class Impulse(NamedTuple):

@@ -12,10 +12,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.load import FORCE, OUTSIDE, POWER, TORQUE
-from particlerb.bodies.state import turned, turned_back
+from particlerb.compiled.jit import inline, kernel
+from particlerb.forces.spring import Spring
 from particlerb.maths.quaternion import Quat, Rows, matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     Floats,
@@ -28,7 +26,9 @@ from particlerb.maths.vec3 import (
     scale,
     subtract,
 )
-from particlerb.terms.spring import Spring
+from particlerb.model.bodies import Bodies
+from particlerb.model.load import FORCE, OUTSIDE, POWER, TORQUE
+from particlerb.model.state import turned, turned_back
 
 ITERATIONS: Final = 60  # of the power method
 TINY: Final = 1e-300  # keeps 1/l finite where a link has no length

@@ -9,10 +9,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline
-from particlerb.bodies.block import get3
+from particlerb.compiled.jit import inline
 from particlerb.maths.quaternion import Rows
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
+from particlerb.model.block import get3
 
 LEVER_ROWS: Final = 9
 

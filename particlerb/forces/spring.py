@@ -8,11 +8,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline
-from particlerb.bodies.block import get, get3
-from particlerb.bodies.state import turned
+from particlerb.compiled.jit import inline
 from particlerb.maths.quaternion import Rows, turn
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
+from particlerb.model.block import get, get3
+from particlerb.model.state import turned
 
 SPRING_ROWS: Final = 8
 TINY: Final = 1e-300  # keeps 1/l finite where the spring has no length

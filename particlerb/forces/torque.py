@@ -2,9 +2,9 @@
 
 from typing import Final, NamedTuple
 
-from particlerb._jit import inline
-from particlerb.bodies.block import get3
+from particlerb.compiled.jit import inline
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled
+from particlerb.model.block import get3
 
 TORQUE_ROWS: Final = 3
 

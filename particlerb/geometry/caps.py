@@ -11,7 +11,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.maths.vec3 import Floats, Ints, Vec3, cross, dot
 
 SAME: Final = 1e-14  # caps this close are one; circles that overlap by so little only touch

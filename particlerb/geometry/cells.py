@@ -1,7 +1,7 @@
 """Solids cut into cells: what each cell holds, exactly, and one particle for it.
 
 The bounding box is cut into equal cells. A cell on the boundary counts by the share of it that is
-inside; its particle sits at the centroid of that share. Read in this order: `Grid`; `cut_mesh`,
+inside; its particle sits at the centroid of that share. Read in this order: `Lattice`; `cut_mesh`,
 shares of a mesh by clipping its faces; `cell_particles`, which makes the particles and moves them
 outward by the little that one particle in place of a cell lacks in the tensor. Formulas are in
 docs/mass_properties.md; solids with round sections are in `bodies.sections`.
@@ -15,8 +15,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.bodies.particles import Particles, one_kind
+from particlerb.compiled.jit import inline, kernel
+from particlerb.geometry.particles import Particles, one_kind
 from particlerb.maths.vec3 import Floats, Ints
 
 FULL: Final = np.array([1, 1 / 2, 1 / 2, 1 / 2, 1 / 3, 1 / 3, 1 / 3, 1 / 4, 1 / 4, 1 / 4])
@@ -27,7 +27,7 @@ THIN: Final = 1e-9  # variance of particles over that of the matter, below which
 Layer = tuple[int, Floats]
 
 
-class Grid(NamedTuple):
+class Lattice(NamedTuple):
     """Equal cells of a box."""
 
     lower: Floats
@@ -38,7 +38,7 @@ class Grid(NamedTuple):
     """Cells along x, y, z."""
 
 
-def grid_over(lower: Floats, upper: Floats, n: int, least: int = 2) -> Grid:
+def grid_over(lower: Floats, upper: Floats, n: int, least: int = 2) -> Lattice:
     """Cells of a box: n along its largest extent, as near to cubes as whole numbers allow.
 
     ValueError unless n >= `least`, the fewest along any extent: particles in one plane have no
@@ -48,13 +48,13 @@ def grid_over(lower: Floats, upper: Floats, n: int, least: int = 2) -> Grid:
         raise ValueError(f"n is {n}: {least} or more are needed")
     extent = upper - lower
     counts = np.maximum(least, np.rint(n * extent / extent.max())).astype(np.int64)
-    return Grid(lower, extent / counts, (int(counts[0]), int(counts[1]), int(counts[2])))
+    return Lattice(lower, extent / counts, (int(counts[0]), int(counts[1]), int(counts[2])))
 
 
 # Meshes
 
 
-def cut_mesh(vertices: Floats, faces: Ints, grid: Grid) -> Iterator[Layer]:
+def cut_mesh(vertices: Floats, faces: Ints, grid: Lattice) -> Iterator[Layer]:
     """Cell sums of the matter inside a closed mesh, layer by layer along x: (i, (n_y, n_z, 10)).
 
     Every face is cut at the planes between cells. A piece adds, with the sign of its side, the
@@ -64,7 +64,7 @@ def cut_mesh(vertices: Floats, faces: Ints, grid: Grid) -> Iterator[Layer]:
     Parameters
     ----------
     vertices, faces : ndarray, shapes (n, 3) [m], (m, 3)
-    grid : Grid
+    grid : Lattice
         Holds the whole mesh.
     """
     corner = (vertices - grid.lower)[faces] / grid.spacing
@@ -256,7 +256,7 @@ class Pieces(NamedTuple):
     """Second moments of all pieces about their own centroids, per mass [m²], shape (3, 3)."""
 
 
-def pieces(layers: Iterable[Layer], grid: Grid) -> Pieces:
+def pieces(layers: Iterable[Layer], grid: Lattice) -> Pieces:
     """Shares and centroids of the cells that are not empty."""
     shares, centroids, spread = [], [], np.zeros(6)
     for i, sums in layers:
@@ -276,7 +276,7 @@ def pieces(layers: Iterable[Layer], grid: Grid) -> Pieces:
     return Pieces(share, np.concatenate(centroids), own * np.outer(grid.spacing, grid.spacing))
 
 
-def cell_particles(layers: Iterable[Layer], grid: Grid, mass: float) -> Particles:
+def cell_particles(layers: Iterable[Layer], grid: Lattice, mass: float) -> Particles:
     """One particle for each cell that holds matter, with the com and tensor of all of it.
 
     A particle in place of a piece lacks the piece's moments about its own centroid. All particles
@@ -288,7 +288,7 @@ def cell_particles(layers: Iterable[Layer], grid: Grid, mass: float) -> Particle
     ----------
     layers : iterable of (i, ndarray of shape (n_y, n_z, 10))
         Cell sums.
-    grid : Grid
+    grid : Lattice
     mass : float [kg]
 
     Raises

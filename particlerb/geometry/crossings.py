@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.maths.vec3 import Floats, Ints, Vec3, cross, dot, subtract
 
 MOST = 1000  # pairs that are told

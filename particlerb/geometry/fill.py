@@ -14,14 +14,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.analytic import ANALYTIC, Analytic
-from particlerb.bodies.cells import cell_particles, cut_mesh, grid_over
-from particlerb.bodies.mass_properties import mass_properties
-from particlerb.bodies.mesh import Mesh, mesh_solid
-from particlerb.bodies.packing import packing
-from particlerb.bodies.particles import Particles, concatenate, one_kind, united
-from particlerb.bodies.solid import Solid, stand_in
-from particlerb.bodies.spheres import union_solid
+from particlerb.geometry.analytic import ANALYTIC, Analytic
+from particlerb.geometry.cells import cell_particles, cut_mesh, grid_over
+from particlerb.geometry.mass_properties import mass_properties
+from particlerb.geometry.mesh import TriangleMesh, mesh_solid
+from particlerb.geometry.overlapping_spheres import union_solid
+from particlerb.geometry.packing import packing
+from particlerb.geometry.particles import Particles, concatenate, one_kind, united
+from particlerb.geometry.solid import UniformSolid, stand_in
 from particlerb.maths.vec3 import Floats
 
 MOST_PARTICLES: Final = 1_000_000
@@ -47,7 +47,7 @@ class Trial(NamedTuple):
         return max(self.inertia_error, self.com_error)
 
 
-class Filled(NamedTuple):
+class FilledShape(NamedTuple):
     """Particles, and what was tried on the way to them."""
 
     particles: Particles
@@ -104,7 +104,7 @@ def differences(com: Floats, tensor: Floats, analytic: Analytic) -> tuple[float,
 
 def enough(
     shape: str, size: dict[str, object], wanted: float, make: Callable[[int], Particles]
-) -> Filled:
+) -> FilledShape:
     """Coarsest set that was tried of an analytic shape with at most the wanted error.
 
     Parameters
@@ -129,7 +129,7 @@ def enough(
     return first_below(wanted, trial)
 
 
-def first_below(wanted: float, trial: Callable[[int], tuple[Trial, Particles]]) -> Filled:
+def first_below(wanted: float, trial: Callable[[int], tuple[Trial, Particles]]) -> FilledShape:
     """Try n = 1, 2, ... and, from 5 on, a fifth more each time."""
     trials: list[Trial] = []
     n, refusal = 1, None
@@ -145,7 +145,7 @@ def first_below(wanted: float, trial: Callable[[int], tuple[Trial, Particles]]) 
         else:
             trials.append(made)
             if made.error <= wanted:
-                return Filled(particles, tuple(trials))
+                return FilledShape(particles, tuple(trials))
             if made.particles * FINER**3 > MOST_PARTICLES:
                 raise ValueError(missed(wanted, trials))
         n = max(n + 1, round(FINER * n))
@@ -166,18 +166,18 @@ def missed(wanted: float, trials: Sequence[Trial]) -> str:
 
 
 def mesh_particles(
-    mesh: Mesh,
+    mesh: TriangleMesh,
     mass: float | None = None,
     density: float | None = None,
     arrangement: str = "exact",
     n: int = 10,
     inertia_error: float | None = None,
-) -> Filled:
+) -> FilledShape:
     """Particles of the matter inside a mesh.
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : TriangleMesh
         As `bodies.mesh.checked` leaves it.
     mass, density : float [kg, kg/m³]
         One of them.
@@ -204,14 +204,16 @@ def mesh_particles(
         raise ValueError(f"mass is {total} kg: positive and finite is needed")
     analytic = Analytic(solid.com, solid.inertia / solid.volume)
     if arrangement == "exact":
-        return Filled(stand_in(solid, total), (), mesh.notes)
+        return FilledShape(stand_in(solid, total), (), mesh.notes)
     if arrangement == "cells":
 
         def cells(n: int) -> tuple[Trial, Particles]:
             particles = mesh_cells(mesh, total, n)
             return Trial(n, len(particles.mass), *errors(particles, analytic)), particles
 
-        filled = Filled(cells(n)[1]) if inertia_error is None else first_below(inertia_error, cells)
+        filled = (
+            FilledShape(cells(n)[1]) if inertia_error is None else first_below(inertia_error, cells)
+        )
         return filled._replace(notes=mesh.notes)
     if arrangement != "spheres":
         raise ValueError(f"arrangement is {arrangement!r}: exact, cells or spheres is needed")
@@ -219,15 +221,15 @@ def mesh_particles(
     return filled._replace(notes=mesh.notes)
 
 
-def mesh_cells(mesh: Mesh, mass: float, n: int) -> Particles:
+def mesh_cells(mesh: TriangleMesh, mass: float, n: int) -> Particles:
     """Particles of cells of a mesh, n along its largest extent."""
     grid = grid_over(mesh.vertices.min(axis=0), mesh.vertices.max(axis=0), n)
     return cell_particles(cut_mesh(mesh.vertices, mesh.faces, grid), grid, mass)
 
 
 def spheres_in(
-    mesh: Mesh, solid: Solid, mass: float, n: int, inertia_error: float | None
-) -> Filled:
+    mesh: TriangleMesh, solid: UniformSolid, mass: float, n: int, inertia_error: float | None
+) -> FilledShape:
     """Inscribed spheres without mass, and six particles with all of it."""
     analytic = Analytic(solid.com, solid.inertia / solid.volume)
 
@@ -236,10 +238,10 @@ def spheres_in(
         off = differences(union.com, union.inertia / union.volume, analytic)
         return Trial(count, count + 6, *off, union.volume / solid.volume - 1.0)
 
-    def filled(count: int, trials: Sequence[Trial]) -> Filled:
+    def filled(count: int, trials: Sequence[Trial]) -> FilledShape:
         surface = one_kind(found.centre[:count], 0.0, found.radius[:count])
         made = united(concatenate([surface, stand_in(solid, mass)]))
-        return Filled(made, tuple(trials))
+        return FilledShape(made, tuple(trials))
 
     found = packing(mesh, n if inertia_error is None else 16)
     if inertia_error is None:

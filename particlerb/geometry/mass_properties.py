@@ -1,6 +1,6 @@
 """Mass, centre of mass, inertia tensor, principal frame and rotor class of particle sets.
 
-Read in this order: `MassProperties`; `mass_properties`, which calls bodies/sums.py;
+Read in this order: `MassProperties`; `mass_properties`, which calls geometry/sums.py;
 `principal_frames`, which decides the rotor class and builds the axes with NumPy over all kinds at
 once. Formulas are numbered in docs/bodies.md.
 
@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.particles import Particles, refuse
-from particlerb.bodies.sums import sums_of
+from particlerb.geometry.particles import Particles, refuse
+from particlerb.geometry.sums import sums_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
 

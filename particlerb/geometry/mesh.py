@@ -1,7 +1,7 @@
 """Closed meshes of triangles: read from a file, checked, and integrated exactly.
 
-Read in this order: `Mesh`; `read_mesh`, the way in from STL, OBJ and PLY files; `checked`, which
-merges equal vertices, orients the faces and refuses what bounds no matter, saying where;
+Read in this order: `TriangleMesh`; `read_mesh`, the way in from STL, OBJ and PLY files; `checked`,
+which merges equal vertices, orients the faces and refuses what bounds no matter, saying where;
 `mesh_solid`, volume, com and second moments from signed tetrahedra. Formulas are in
 docs/mass_properties.md. Nothing here knows of particles.
 
@@ -18,11 +18,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from particlerb.bodies.cells import cut_mesh, grid_over
-from particlerb.bodies.crossings import crossings
-from particlerb.bodies.solid import Solid
-from particlerb.bodies.winding import oriented, windings
-from particlerb.case.files import File, content
+from particlerb.files import File, content
+from particlerb.geometry.cells import cut_mesh, grid_over
+from particlerb.geometry.crossings import crossings
+from particlerb.geometry.solid import UniformSolid
+from particlerb.geometry.winding import oriented, windings
 from particlerb.maths.vec3 import Floats, Ints
 
 SUFFIXES: Final = (".stl", ".obj", ".ply")
@@ -37,7 +37,7 @@ NEARLY_ONE: Final = 1e-3  # of the size
 PIP: Final = 'pip install "particlerb[mesh]"'
 
 
-class Mesh(NamedTuple):
+class TriangleMesh(NamedTuple):
     """A surface of triangles."""
 
     vertices: Floats
@@ -51,7 +51,7 @@ class Mesh(NamedTuple):
 # Reading
 
 
-def read_mesh(file: str | Path | File, scale: float = 1.0) -> Mesh:
+def read_mesh(file: str | Path | File, scale: float = 1.0) -> TriangleMesh:
     """Checked mesh of a file, which trimesh reads.
 
     Parameters
@@ -104,7 +104,7 @@ def triangles_of(file: File) -> tuple[Floats, Ints]:
 # Checking
 
 
-def checked(vertices: ArrayLike, faces: ArrayLike) -> Mesh:
+def checked(vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
     """Mesh that bounds matter: closed, oriented, without crossings.
 
     Equal vertices become one, faces with two equal corners go, unused vertices go. Faces whose
@@ -149,7 +149,7 @@ def checked(vertices: ArrayLike, faces: ArrayLike) -> Mesh:
     refuse_crossings(corner, triangle, number)
     triangle, turned = outward(corner, triangle, number)
     refuse_miscounted(corner, triangle)
-    return Mesh(corner, triangle, (*notes, *turned))
+    return TriangleMesh(corner, triangle, (*notes, *turned))
 
 
 def faces_text(numbers: Ints) -> str:
@@ -296,7 +296,7 @@ def tetrahedra(corner: Floats) -> Floats:
     return volume
 
 
-def mesh_solid(mesh: Mesh) -> Solid:
+def mesh_solid(mesh: TriangleMesh) -> UniformSolid:
     """Volume, com and second moments of the matter inside a mesh, to rounding.
 
     Each face makes a tetrahedron with a point amid the mesh; of volume V and corners 0, a, b, c it
@@ -321,4 +321,4 @@ def mesh_solid(mesh: Mesh) -> Solid:
             second[i, j] = second[j, i] = mean - com[i] * com[j]
     inertia = (np.trace(second) * np.eye(3) - second) * volume
     lost = ROUNDING * math.fsum(np.abs(weight)) / volume
-    return Solid(volume * unit**3, origin + com * unit, inertia * unit**5, lost)
+    return UniformSolid(volume * unit**3, origin + com * unit, inertia * unit**5, lost)

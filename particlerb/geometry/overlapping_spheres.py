@@ -3,7 +3,7 @@
 `union_solid` is the exact union, `plain_solid` what adding up the spheres would give; `spheres`
 makes the particles of a body. The spheres keep their radii, with which they touch. Where they do
 not overlap they carry the matter as well; where they do, they have no mass, and six points beside
-them (see bodies/solid.py) give the body the exact mass, com and tensor of the union.
+them (see geometry/solid.py) give the body the exact mass, com and tensor of the union.
 """
 
 import math
@@ -12,9 +12,9 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from particlerb.bodies.particles import Particles, concatenate, one_kind, united
-from particlerb.bodies.solid import Solid, stand_in
-from particlerb.bodies.union import neighbours, union
+from particlerb.geometry.particles import Particles, concatenate, one_kind, united
+from particlerb.geometry.solid import UniformSolid, stand_in
+from particlerb.geometry.union import neighbours, union
 from particlerb.maths.vec3 import Floats, Ints
 
 Overlap: TypeAlias = Literal["exact", "sum", "error"]
@@ -98,7 +98,7 @@ def checked(position: ArrayLike, radius: ArrayLike) -> tuple[Floats, Floats]:
     return given.position, given.radius
 
 
-def union_solid(position: ArrayLike, radius: ArrayLike) -> Solid:
+def union_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
     """Volume, com and tensor of the union of spheres, in closed form.
 
     Parameters
@@ -126,10 +126,10 @@ def union_solid(position: ArrayLike, radius: ArrayLike) -> Solid:
     inertia = np.trace(second) * np.eye(3) - second
     extent = float((np.linalg.norm(c, axis=1) + R / unit).max())
     error = (found.gap + EPSILON * found.area) * extent / (3.0 * found.volume)
-    return Solid(found.volume * unit**3, origin + com * unit, inertia * unit**5, error)
+    return UniformSolid(found.volume * unit**3, origin + com * unit, inertia * unit**5, error)
 
 
-def plain_solid(position: ArrayLike, radius: ArrayLike) -> Solid:
+def plain_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
     """The sum over all spheres, as if no two of them overlapped."""
     centre, R = checked(position, radius)
     volume = 4.0 / 3.0 * math.pi * R**3
@@ -137,7 +137,7 @@ def plain_solid(position: ArrayLike, radius: ArrayLike) -> Solid:
     com = volume @ centre / total
     r = centre - com
     second = (r.T * volume) @ r + 0.2 * (volume @ R**2) * np.eye(3)
-    return Solid(total, com, np.trace(second) * np.eye(3) - second, len(R) * EPSILON)
+    return UniformSolid(total, com, np.trace(second) * np.eye(3) - second, len(R) * EPSILON)
 
 
 def full(second: Floats) -> Floats:

@@ -15,10 +15,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.bodies.cells import EMPTY, cut_mesh, grid_over
-from particlerb.bodies.mesh import Mesh, mesh_solid
-from particlerb.bodies.winding import solid_angle
+from particlerb.compiled.jit import inline, kernel
+from particlerb.geometry.cells import EMPTY, cut_mesh, grid_over
+from particlerb.geometry.mesh import TriangleMesh, mesh_solid
+from particlerb.geometry.winding import solid_angle
 from particlerb.maths.vec3 import Floats, Ints, Vec3, dot, subtract
 
 HOLDING: Final = 40_000  # cells that hold matter, about: how finely centres are tried
@@ -40,12 +40,12 @@ class Packing(NamedTuple):
     """[m], shape (k,)."""
 
 
-def packing(mesh: Mesh, most: int) -> Packing:
+def packing(mesh: TriangleMesh, most: int) -> Packing:
     """Spheres in a mesh, `most` of them, or fewer where no more find room in the grid.
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : TriangleMesh
         As `bodies.mesh.checked` leaves it.
     most : int
 

@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.particles import Particles, one_kind
-from particlerb.case.files import File, content
+from particlerb.files import File, content
+from particlerb.geometry.particles import Particles, one_kind
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 COMMENT: Final = re.compile(r"[#%].*")

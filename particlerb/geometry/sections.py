@@ -12,9 +12,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.bodies.cells import Layer, cell_particles, grid_over
-from particlerb.bodies.particles import Particles
+from particlerb.compiled.jit import inline, kernel
+from particlerb.geometry.cells import Layer, cell_particles, grid_over
+from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from particlerb.bodies.particles import Particles, one_kind
-from particlerb.bodies.sections import BALL, CONE, Profile, hollow, ring, section_particles, tube
+from particlerb.geometry.particles import Particles, one_kind
+from particlerb.geometry.sections import BALL, CONE, Profile, hollow, ring, section_particles, tube
 from particlerb.maths.vec3 import Floats
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])  # six unit vectors: +x +y +z -x -y -z

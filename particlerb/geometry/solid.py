@@ -1,6 +1,6 @@
 """A uniform solid in a few numbers, and the few particles that move like it.
 
-What is known exactly of a body as a whole (a union of spheres, a mesh) is a `Solid`: volume,
+What is known exactly of a body as a whole (a union of spheres, a mesh) is a `UniformSolid`: volume,
 centre of mass and tensor for density 1. `stand_in` turns it into six point masses, so that the
 sums over the particles of any body, these among them, are its mass properties.
 """
@@ -10,13 +10,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.particles import Particles, one_kind
+from particlerb.geometry.particles import Particles, one_kind
 from particlerb.maths.vec3 import Floats
 
 ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)
 
 
-class Solid(NamedTuple):
+class UniformSolid(NamedTuple):
     """Uniform matter of density 1 kg/m³."""
 
     volume: float
@@ -29,7 +29,7 @@ class Solid(NamedTuple):
     """Estimated relative error of the volume, and of the inertia relative to its trace."""
 
 
-def stand_in(solid: Solid, mass: float) -> Particles:
+def stand_in(solid: UniformSolid, mass: float) -> Particles:
     """Six equal point masses with the com of a solid and, for this mass, its tensor.
 
     At com ± p_k along principal axis k, with p_1² = 3 (λ_2 + λ_3 − λ_1) / (2 V) and cyclic: six
@@ -37,7 +37,7 @@ def stand_in(solid: Solid, mass: float) -> Particles:
 
     Parameters
     ----------
-    solid : Solid
+    solid : UniformSolid
     mass : float [kg]
 
     Raises

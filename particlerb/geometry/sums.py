@@ -13,10 +13,10 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb._jit import config, inline, kernel
-from particlerb.bodies.particles import Particles, check, refuse
+from particlerb.compiled.jit import config, inline, kernel
+from particlerb.compiled.threads import THREADS
+from particlerb.geometry.particles import Particles, check, refuse
 from particlerb.maths.vec3 import Bools, Floats, Ints, add_scaled, dot
-from particlerb.threads import THREADS
 
 Sum: TypeAlias = tuple[float, float]
 

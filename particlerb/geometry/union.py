@@ -7,8 +7,8 @@ consists of arcs of circles; that of degree 0, the solid angle, is a sum of tria
 apex and of segments, modulo 4π. No piece of space is ever cut, so that touching, identical,
 concentric, collinear or cocircular spheres are no special cases. Formulas: docs/mass_properties.md.
 
-Read in this order: `union`, `neighbours`, bodies/caps.py, `patches` with what it calls. Everything
-is scaled by the caller so that no number over- or underflows.
+Read in this order: `union`, `neighbours`, geometry/caps.py, `patches` with what it calls.
+Everything is scaled by the caller so that no number over- or underflows.
 """
 
 import math
@@ -16,8 +16,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.bodies.caps import (
+from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.threads import THREADS
+from particlerb.geometry.caps import (
     SAME,
     Caps,
     between,
@@ -30,7 +31,6 @@ from particlerb.bodies.caps import (
     row3,
 )
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, cross, dot
-from particlerb.threads import THREADS
 
 PIECE: Final = 0.5 * math.pi  # [rad] an arc is integrated in pieces of at most this
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)  # of cubic trigonometric terms: 3e-17

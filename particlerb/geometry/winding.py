@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from particlerb._jit import kernel
+from particlerb.compiled.jit import kernel
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 ON_FACE = 1e-9  # height of a point over a face, relative: it has no winding number there

@@ -12,7 +12,7 @@ warning.
 from types import ModuleType
 from typing import Final
 
-from particlerb.methods import (
+from particlerb.integrators import (
     dop853,
     exact,
     explicit_euler,

@@ -15,8 +15,17 @@ from typing import Final
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.bodies.block import (
+from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.threads import BLOCK, THREADS
+from particlerb.forces import STAGE as WORK
+from particlerb.forces import Acting, acting_of, row_count, rows_of_terms
+from particlerb.integrators import dop853_joint as joint
+from particlerb.integrators.dop853_step import ALONE, find_step, interpolate, take_stages
+from particlerb.integrators.dop853_table import STAGES
+from particlerb.integrators.slopes import ACCEPTED
+from particlerb.maths.quaternion import rows4
+from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.model.block import (
     BOOKED,
     CHANGING,
     COM,
@@ -32,18 +41,9 @@ from particlerb.bodies.block import (
     state_of,
     state_rows,
 )
-from particlerb.bodies.state import Frames, State, room_for, store_frame
-from particlerb.maths.quaternion import rows4
-from particlerb.maths.vec3 import Floats, Ints, rows3
-from particlerb.methods import dop853_joint as joint
-from particlerb.methods.dop853_step import ALONE, find_step, interpolate, take_stages
-from particlerb.methods.dop853_table import STAGES
-from particlerb.methods.motion import Account, Group, Motion
-from particlerb.methods.rates import ACCEPTED
-from particlerb.methods.saving import Saved
-from particlerb.terms import STAGE as WORK
-from particlerb.terms import Acting, acting_of, row_count, rows_of_terms
-from particlerb.threads import BLOCK, THREADS
+from particlerb.model.state import Frames, State, room_for, store_frame
+from particlerb.stepping.motion import Group, Motion, WorkAccount
+from particlerb.stepping.saved_arrays import Saved
 
 ORDER: Final = 8
 FREE_ORDER: Final = 8
@@ -168,7 +168,7 @@ class AdaptiveMotion:
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
         assert row_count(terms) <= WORK
         self.blocks = in_blocks(n, row_count(terms), parts)
-        self.account = Account(group, state)
+        self.account = WorkAccount(group, state)
         self.clock = np.zeros((2, -(-n // PACK)))
         self.clock[1] = first_step
 

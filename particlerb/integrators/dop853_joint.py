@@ -11,8 +11,24 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import kernel, kernel_from
-from particlerb.bodies.block import (
+from particlerb.compiled.jit import kernel, kernel_from
+from particlerb.compiled.threads import BLOCK, THREADS
+from particlerb.forces import PAIR, STAGE, Acting, acting_of, row_count, rows_of_terms
+from particlerb.integrators.dop853_step import (
+    ALONE,
+    LEAST_STEP,
+    add_rows,
+    differences,
+    errors_of,
+    factor_of,
+    interpolate,
+    normalise,
+    take_slopes,
+)
+from particlerb.integrators.dop853_table import STAGES, A
+from particlerb.maths.quaternion import load4, normalised, rows4, store4
+from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.model.block import (
     BOOKED,
     CHANGING,
     COM,
@@ -26,34 +42,18 @@ from particlerb.bodies.block import (
     state_of,
     state_rows,
 )
-from particlerb.bodies.state import Frames, State, room_for, store_frame
-from particlerb.maths.quaternion import load4, normalised, rows4, store4
-from particlerb.maths.vec3 import Floats, Ints, rows3
-from particlerb.methods.coupled import Layout, scatter
-from particlerb.methods.dop853_step import (
-    ALONE,
-    LEAST_STEP,
-    add_rows,
-    differences,
-    errors_of,
-    factor_of,
-    interpolate,
-    normalise,
-    take_slopes,
-)
-from particlerb.methods.dop853_table import STAGES, A
-from particlerb.methods.motion import Account, Group
-from particlerb.methods.pair_forces import PairForces, Pairs, loads_over_threads, pair_loads
-from particlerb.methods.saving import Saved
-from particlerb.terms import PAIR, STAGE, Acting, acting_of, row_count, rows_of_terms
-from particlerb.threads import BLOCK, THREADS
+from particlerb.model.state import Frames, State, room_for, store_frame
+from particlerb.stepping.coupled import Layout, scatter
+from particlerb.stepping.motion import Group, WorkAccount
+from particlerb.stepping.pair_forces import PairForces, PairTerms, loads_over_threads, pair_loads
+from particlerb.stepping.saved_arrays import Saved
 
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
 COST: Final = 270.0  # ns per body-step, roughly
 EVALUATIONS: Final = 12  # of the forces in a step
 
 
-class Room(NamedTuple):
+class JointWorkspace(NamedTuple):
     """Vectors of all bodies, (blocks, size * w) each."""
 
     y: Floats
@@ -100,7 +100,7 @@ def joint_slopes(
     books: int | None,
     blocks: Floats,
     layout: Layout,
-    pairs: Pairs,
+    pairs: PairTerms,
     w: int,
     y: Floats,
     slope: Floats,
@@ -121,7 +121,8 @@ def add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
 
 
 def joint_stages(
-    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: Pairs, room: Room,
+    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: PairTerms,
+    room: JointWorkspace,
     new: Floats, h: float, i: int, j: int,
 ) -> None:  # fmt: skip
     """Slopes of the stages i .. j - 1 of a step h; `new` is the state of the last one."""
@@ -131,7 +132,9 @@ def joint_stages(
 
 
 @kernel
-def joint_error(blocks: Floats, layout: Layout, room: Room, h: float, tolerance: float) -> float:
+def joint_error(
+    blocks: Floats, layout: Layout, room: JointWorkspace, h: float, tolerance: float
+) -> float:
     """Largest error of a step over the tolerance, of the bodies that are numbers."""
     y, new, _, five, three, K, errors, w = room
     differences(K, five.reshape(five.size), three.reshape(three.size))
@@ -152,7 +155,7 @@ def normalise_blocks(values: Floats, layout: Layout, w: int) -> None:
 
 
 @kernel
-def give_up(layout: Layout, room: Room) -> None:
+def give_up(layout: Layout, room: JointWorkspace) -> None:
     """Make bodies NaN whose error no step is short enough for."""
     for k in range(layout.first.size):
         for b in range(layout.size[k]):
@@ -162,7 +165,8 @@ def give_up(layout: Layout, room: Room) -> None:
 
 
 def find_joint_step(
-    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: Pairs, room: Room,
+    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: PairTerms,
+    room: JointWorkspace,
     t: float, h: float, tolerance: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Longest step up to h that is accurate, and the one to try after it; see `find_step`."""
@@ -181,7 +185,7 @@ def find_joint_step(
 
 
 @kernel
-def interpolate_blocks(layout: Layout, room: Room, h: float, share: float) -> None:
+def interpolate_blocks(layout: Layout, room: JointWorkspace, h: float, share: float) -> None:
     """State at a share of a step, into `out`."""
     y, new, out, _, _, K, _, w = room
     own = K.reshape((K.shape[0], y.shape[0], y.shape[1]))
@@ -192,8 +196,8 @@ def interpolate_blocks(layout: Layout, room: Room, h: float, share: float) -> No
 
 @kernel
 def store_blocks(
-    layout: Layout, room: Room, rotor_frame: Floats, members: Ints, frames: Frames, sums: Floats,
-    f: int,
+    layout: Layout, room: JointWorkspace, rotor_frame: Floats, members: Ints, frames: Frames,
+    sums: Floats, f: int,
 ) -> None:  # fmt: skip
     """Write `out` into frame f."""
     w = room.width
@@ -211,7 +215,8 @@ def store_blocks(
 
 
 def advance_joint(
-    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: Pairs, room: Room,
+    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: PairTerms,
+    room: JointWorkspace,
     clock: Floats, tolerance: float, times: Floats, index: Ints, until: float, stop: float,
     rotor_frame: Floats, members: Ints, frames: Frames, sums: Floats,
 ) -> None:  # fmt: skip
@@ -286,19 +291,21 @@ class JointMotion:
         self.blocks = in_blocks(n, STAGE + 2 * CHANGING, parts)
         first = np.arange(0, n, BLOCK)
         self.layout = Layout(first, np.minimum(BLOCK, n - first), 0)
-        self.account = Account(group, state)
+        self.account = WorkAccount(group, state)
         self.room = self.make_room(ALONE if self.account.books is None else CHANGING)
         self.clock = np.array([0.0, first_step])
         self.cost = COST * n + EVALUATIONS * self.forces.cost
         take_blocks(self.blocks, self.layout, self.room)
 
-    def make_room(self, size: int) -> Room:
+    def make_room(self, size: int) -> JointWorkspace:
         """Vectors of `size` numbers for each body."""
         width = int(self.layout.size[0])
         shape = (len(self.blocks), size * width)
         y, new, out, five, three = (np.zeros(shape) for _ in range(5))
         K = np.zeros((STAGES, shape[0] * shape[1]))
-        return Room(y, new, out, five, three, K, np.zeros((len(self.blocks), width)), width)
+        return JointWorkspace(
+            y, new, out, five, three, K, np.zeros((len(self.blocks), width)), width
+        )
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
@@ -363,7 +370,7 @@ class JointMotion:
 
 
 @kernel
-def take_blocks(blocks: Floats, layout: Layout, room: Room) -> None:
+def take_blocks(blocks: Floats, layout: Layout, room: JointWorkspace) -> None:
     """Bring the states of all blocks into vectors."""
     w = room.width
     for k in range(layout.first.size):
@@ -373,7 +380,7 @@ def take_blocks(blocks: Floats, layout: Layout, room: Room) -> None:
 
 
 @kernel
-def give_blocks(blocks: Floats, layout: Layout, room: Room) -> None:
+def give_blocks(blocks: Floats, layout: Layout, room: JointWorkspace) -> None:
     """Write the vectors back."""
     w = room.width
     for k in range(layout.first.size):

@@ -12,8 +12,14 @@ from typing import Final
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.bodies.block import (
+from particlerb.compiled.jit import inline, kernel
+from particlerb.forces import STAGE as WORK
+from particlerb.forces import Acting
+from particlerb.integrators.dop853_table import STAGES, A, D, E
+from particlerb.integrators.slopes import Pose, slopes
+from particlerb.maths.quaternion import matrix_along
+from particlerb.maths.vec3 import Floats
+from particlerb.model.block import (
     CHANGING,
     INV_INERTIA,
     INV_MASS,
@@ -25,12 +31,6 @@ from particlerb.bodies.block import (
     put3,
     put4,
 )
-from particlerb.maths.quaternion import matrix_along
-from particlerb.maths.vec3 import Floats
-from particlerb.methods.dop853_table import STAGES, A, D, E
-from particlerb.methods.rates import Pose, slopes
-from particlerb.terms import STAGE as WORK
-from particlerb.terms import Acting
 
 SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
 GROW: Final = 5.0

@@ -9,13 +9,12 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.bodies.bodies import taken
-from particlerb.bodies.state import Frames, State, store_frame
+from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, Rows3, add_scaled, load3, rows3, store3
-from particlerb.methods.motion import Group, constant_force, force_of
-from particlerb.methods.saving import Saved
+from particlerb.model.bodies import taken
+from particlerb.model.state import Frames, State, store_frame
 from particlerb.rotors.exact import (
     HyperbolicTurn,
     SteadyTurn,
@@ -25,7 +24,8 @@ from particlerb.rotors.exact import (
     prepare,
     turn_block,
 )
-from particlerb.threads import BLOCK, THREADS
+from particlerb.stepping.motion import Group, constant_force, force_of
+from particlerb.stepping.saved_arrays import Saved
 
 ORDER: Final = None
 FREE_ORDER: Final = None

@@ -9,16 +9,16 @@ Source: Baraff, Physically Based Modeling: Rigid Body Simulation (SIGGRAPH cours
 
 from typing import Final
 
-from particlerb._jit import inline, kernel_from
-from particlerb.bodies.state import State
+from particlerb.compiled.jit import inline, kernel_from
+from particlerb.forces import Acting
+from particlerb.integrators.slopes import ACCEPTED, add_pose, on_sphere, pose, put_pose, slopes
 from particlerb.maths.quaternion import matrix
 from particlerb.maths.vec3 import Floats
-from particlerb.methods.booking import book
-from particlerb.methods.coupled import CoupledMotion, one_stage
-from particlerb.methods.motion import Group
-from particlerb.methods.rates import ACCEPTED, add_pose, on_sphere, pose, put_pose, slopes
-from particlerb.methods.stepped import SteppedMotion, advance_blocks
-from particlerb.terms import Acting
+from particlerb.model.state import State
+from particlerb.stepping.coupled import CoupledMotion, one_stage
+from particlerb.stepping.external_work import book
+from particlerb.stepping.loop import SteppedMotion, advance_blocks
+from particlerb.stepping.motion import Group
 
 ORDER: Final = 1
 FREE_ORDER: Final = 1

@@ -9,18 +9,26 @@ the form; Kutta 1901 for the method.
 
 from typing import Final
 
-from particlerb._jit import inline, kernel_from
-from particlerb.bodies.block import SCRATCH, get, get3, get4, put, put3, put4
-from particlerb.bodies.load import STATE_ROWS
-from particlerb.bodies.state import State
+from particlerb.compiled.jit import inline, kernel_from
+from particlerb.forces import STAGE, Acting
+from particlerb.integrators.slopes import (
+    ACCEPTED,
+    Pose,
+    add_pose,
+    on_sphere,
+    pose,
+    put_pose,
+    slopes,
+)
 from particlerb.maths.quaternion import add_scaled4, length, matrix, matrix_along
 from particlerb.maths.vec3 import Floats
-from particlerb.methods.booking import book
-from particlerb.methods.coupled import CoupledMotion, stages_of
-from particlerb.methods.motion import Group
-from particlerb.methods.rates import ACCEPTED, Pose, add_pose, on_sphere, pose, put_pose, slopes
-from particlerb.methods.stepped import SteppedMotion, advance_blocks
-from particlerb.terms import STAGE, Acting
+from particlerb.model.block import SCRATCH, get, get3, get4, put, put3, put4
+from particlerb.model.load import STATE_ROWS
+from particlerb.model.state import State
+from particlerb.stepping.coupled import CoupledMotion, stages_of
+from particlerb.stepping.external_work import book
+from particlerb.stepping.loop import SteppedMotion, advance_blocks
+from particlerb.stepping.motion import Group
 
 ORDER: Final = 4
 FREE_ORDER: Final = 4

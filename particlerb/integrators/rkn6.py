@@ -16,8 +16,11 @@ from typing import Final
 
 import numpy as np
 
-from particlerb._jit import inline, kernel_from
-from particlerb.bodies.block import (
+from particlerb.compiled.jit import inline, kernel_from
+from particlerb.forces import Acting
+from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, dot, multiplied3, scale
+from particlerb.model.block import (
     COM,
     INV_INERTIA,
     INV_MASS,
@@ -33,14 +36,8 @@ from particlerb.bodies.block import (
     put3,
     put4,
 )
-from particlerb.bodies.bodies import taken
-from particlerb.bodies.state import State
-from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, dot, multiplied3, scale
-from particlerb.methods.coupled import CoupledMotion, stages_of
-from particlerb.methods.motion import Group, Motion, Together, part_of
-from particlerb.methods.splitting import kick
-from particlerb.methods.stepped import SteppedMotion, advance_blocks
+from particlerb.model.bodies import taken
+from particlerb.model.state import State
 from particlerb.rotors.moser_veselov import (
     LARGEST_SHARE,
     LONGEST_PIECE,
@@ -53,7 +50,10 @@ from particlerb.rotors.moser_veselov import (
 )
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.rotors.symmetric_split import symmetric_split
-from particlerb.terms import Acting
+from particlerb.stepping.coupled import CoupledMotion, stages_of
+from particlerb.stepping.kicks import kick
+from particlerb.stepping.loop import SteppedMotion, advance_blocks
+from particlerb.stepping.motion import CompositeMotion, Group, Motion, part_of
 
 ORDER: Final = 6
 FREE_ORDER: Final = 8
@@ -265,4 +265,4 @@ def begin(group: Group, state: State, start: float, dt: float, tolerance: float)
             rotor = modified_inertia(part.bodies.inv_inertia) if chosen is is_asymmetric else None
             motion = SteppedMotion(advance, COST, part, taken(state, which), start, dt, own=rotor)
             parts.append((which, motion))
-    return parts[0][1] if len(parts) == 1 else Together(tuple(parts))
+    return parts[0][1] if len(parts) == 1 else CompositeMotion(tuple(parts))

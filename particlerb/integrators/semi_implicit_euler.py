@@ -10,9 +10,10 @@ others use.
 
 from typing import Final
 
-from particlerb._jit import inline, kernel_from
-from particlerb.bodies.block import INV_INERTIA, INV_MASS, get, get3
-from particlerb.bodies.state import State
+from particlerb.compiled.jit import inline, kernel_from
+from particlerb.forces import DRAG, Acting, kick_others, kick_potential, less_internal
+from particlerb.forces.drag import drag_load
+from particlerb.integrators.slopes import ACCEPTED, Pose, pose, put_pose
 from particlerb.maths.quaternion import (
     add_scaled4,
     matrix,
@@ -30,13 +31,12 @@ from particlerb.maths.vec3 import (
     multiplied3,
     scale,
 )
-from particlerb.methods.booking import book, kick_entry
-from particlerb.methods.coupled import CoupledMotion, one_stage
-from particlerb.methods.motion import Group
-from particlerb.methods.rates import ACCEPTED, Pose, pose, put_pose
-from particlerb.methods.stepped import SteppedMotion, advance_blocks
-from particlerb.terms import DRAG, Acting, kick_others, kick_potential, less_internal
-from particlerb.terms.drag import drag_load
+from particlerb.model.block import INV_INERTIA, INV_MASS, get, get3
+from particlerb.model.state import State
+from particlerb.stepping.coupled import CoupledMotion, one_stage
+from particlerb.stepping.external_work import book, kick_entry
+from particlerb.stepping.loop import SteppedMotion, advance_blocks
+from particlerb.stepping.motion import Group
 
 ORDER: Final = 1
 FREE_ORDER: Final = 1

@@ -6,8 +6,8 @@ Q leaves the unit sphere: R is that of Q/|Q| (`matrix_along`), and Q̇ takes Q a
 
 from typing import Final, NamedTuple
 
-from particlerb._jit import inline
-from particlerb.bodies.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
+from particlerb.compiled.jit import inline
+from particlerb.forces import Acting, Entry, less_internal, load_at
 from particlerb.maths.quaternion import (
     Quat,
     Rows,
@@ -26,7 +26,7 @@ from particlerb.maths.vec3 import (
     scale,
     subtract,
 )
-from particlerb.terms import Acting, Entry, less_internal, load_at
+from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
 
 ACCEPTED: Final = frozenset(
     {"gravity", "push", "follower", "torque", "drag", "spring", "central"}

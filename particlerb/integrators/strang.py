@@ -9,20 +9,20 @@ Source: Strang, SIAM J. Numer. Anal. 5, 506 (1968); the rotor: rotors/symmetric_
 
 from typing import Final
 
-from particlerb._jit import inline, kernel_from
-from particlerb.bodies.block import COM, INV_INERTIA, INV_MASS, Q, get, get3, get4, put3, put4
-from particlerb.bodies.state import State
+from particlerb.compiled.jit import inline, kernel_from
+from particlerb.forces import DRAG, Acting
+from particlerb.forces.drag import prepare_decay
 from particlerb.maths.quaternion import turn_back
 from particlerb.maths.vec3 import Floats, add_scaled
-from particlerb.methods.coupled import CoupledMotion, one_stage
-from particlerb.methods.dilute import DiluteMotion, can_fly
-from particlerb.methods.motion import Group, Motion
-from particlerb.methods.splitting import kick
-from particlerb.methods.stepped import SteppedMotion, advance_blocks
-from particlerb.methods.touching import TouchingMotion, kernels_of
+from particlerb.model.block import COM, INV_INERTIA, INV_MASS, Q, get, get3, get4, put3, put4
+from particlerb.model.state import State
 from particlerb.rotors.symmetric_split import symmetric_split
-from particlerb.terms import DRAG, Acting
-from particlerb.terms.drag import prepare_decay
+from particlerb.stepping.contact_run import TouchingMotion, kernels_of
+from particlerb.stepping.coupled import CoupledMotion, one_stage
+from particlerb.stepping.kicks import kick
+from particlerb.stepping.loop import SteppedMotion, advance_blocks
+from particlerb.stepping.motion import Group, Motion
+from particlerb.stepping.sparse_contact import DiluteMotion, can_fly
 
 ORDER: Final = 2
 FREE_ORDER: Final = 2

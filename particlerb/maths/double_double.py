@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, cast
 from numba import types
 from numba.extending import intrinsic
 
-from particlerb._jit import config, inline
+from particlerb.compiled.jit import config, inline
 from particlerb.maths.vec3 import Vec3
 
 DoubleDouble: TypeAlias = tuple[float, float]

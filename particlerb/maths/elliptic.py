@@ -11,7 +11,7 @@ Sources: DLMF 19.8(ii), 22.7(i); the nome series DLMF 19.5.5, its coefficients O
 import math
 from typing import NamedTuple
 
-from particlerb._jit import inline
+from particlerb.compiled.jit import inline
 
 
 class Landen(NamedTuple):

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from particlerb._jit import inline
+from particlerb.compiled.jit import inline
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot
 
 Quat: TypeAlias = tuple[float, float, float, float]

@@ -11,7 +11,7 @@ from typing import Any, cast
 from numba import types
 from numba.extending import intrinsic
 
-from particlerb._jit import config, inline
+from particlerb.compiled.jit import config, inline
 
 INV_PI = 0.3183098861837907
 PI_HIGH = 3.141592651605606  # the first 29 bits of π: a product with an integer below 2²⁴ is exact

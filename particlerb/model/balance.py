@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.state import Frames
+from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.maths.quaternion import Rows4, load4, rows4, to_body
 from particlerb.maths.vec3 import (
     Floats,
@@ -28,7 +27,8 @@ from particlerb.maths.vec3 import (
     scale,
     store3,
 )
-from particlerb.threads import BLOCK, THREADS
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import Frames
 
 N_TOTALS = 10
 NEAR = 1e-6  # share of |x| |p| that an angular momentum is never judged below: x × p rounds
@@ -165,7 +165,7 @@ class Entries(NamedTuple):
     angular_momentum_error: Floats  # (T, 3) [kg m²/s] total - initial - booked
 
 
-class Drift(NamedTuple):
+class ConservationError(NamedTuple):
     """Largest errors of integration so far, each relative to its scale."""
 
     energy: float
@@ -173,7 +173,7 @@ class Drift(NamedTuple):
     angular_momentum: float
 
 
-class Ledger:
+class EnergyBalance:
     """Books a run from its initial totals on."""
 
     def __init__(self, initial: Totals) -> None:
@@ -234,7 +234,7 @@ class Ledger:
         self.errors = np.maximum(self.errors, [error.max(initial=0.0) for error in errors])
         return entries
 
-    def drift(self) -> Drift:
+    def drift(self) -> ConservationError:
         """Largest errors until now over the largest scales."""
         safe = np.where(self.scales > 0.0, self.scales, 1.0)
-        return Drift(*(self.errors / safe).tolist())
+        return ConservationError(*(self.errors / safe).tolist())

@@ -10,12 +10,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from particlerb._jit import config, inline
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.state import State
+from particlerb.compiled.jit import config, inline
+from particlerb.compiled.threads import BLOCK
 from particlerb.maths.quaternion import Quat
 from particlerb.maths.vec3 import Floats, Vec3
-from particlerb.threads import BLOCK
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State
 
 STRIDE: Final = BLOCK + 8  # from row to row: a power of two would meet the same lines of the cache
 LINE: Final = 8  # numbers of a line of the cache, and of the widest SIMD register
@@ -23,7 +23,7 @@ COM: Final = 0
 Q: Final = 3
 P: Final = 7
 L: Final = 10
-BOOKED: Final = 13  # work, impulse, angular impulse: see methods/booking.py
+BOOKED: Final = 13  # work, impulse, angular impulse: see stepping/external_work.py
 CHANGING: Final = 20  # rows before this one change with time
 INV_MASS: Final = 20
 INV_INERTIA: Final = 21

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from particlerb.bodies.mass_properties import MassProperties
+from particlerb.geometry.mass_properties import MassProperties
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import POINT, ROD
 

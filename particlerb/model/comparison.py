@@ -6,9 +6,9 @@ accurate for tiny angles. Rods compare their axes, points nothing.
 
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.state import multiplied, turned
 from particlerb.maths.vec3 import Floats
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import multiplied, turned
 from particlerb.rotors.rotor_class import POINT, ROD
 
 CONJUGATE = np.array([[1.0], [-1.0], [-1.0], [-1.0]])

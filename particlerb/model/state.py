@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline
-from particlerb.bodies.bodies import Bodies
+from particlerb.compiled.jit import inline
 from particlerb.maths.quaternion import Rows4, conjugate, load4, multiply
 from particlerb.maths.vec3 import Bools, Floats, Ints, Rows3, load3
+from particlerb.model.bodies import Bodies
 
 
 class State(NamedTuple):

@@ -8,42 +8,42 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies, taken
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import turned_back
 from particlerb.case.placement import resolve_bodies
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import (
     AnyForce,
     Case,
-    Central,
-    Drag,
-    Impulse,
-    Push,
-    Spring,
-    Torque,
+    CentralTable,
+    DragTable,
+    ImpulseTable,
+    PushTable,
+    SpringTable,
+    TorqueTable,
     UniformField,
 )
+from particlerb.case.to_system import System
+from particlerb.forces import Terms
+from particlerb.forces.central import Central
+from particlerb.forces.drag import Drag
+from particlerb.forces.follower import Follower
+from particlerb.forces.gravity import UniformGravity
+from particlerb.forces.impulse import Impulse
+from particlerb.forces.push import Push
+from particlerb.forces.spring import Spring
+from particlerb.forces.torque import Torque
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.pairs import AXIAL_ROUNDING, is_link, places
+from particlerb.model.bodies import Bodies, taken
+from particlerb.model.state import turned_back
+from particlerb.plan.links import AXIAL_ROUNDING, is_link, places
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
-from particlerb.terms import Terms
-from particlerb.terms.central import Central as Centre
-from particlerb.terms.drag import Drag as WorldDrag
-from particlerb.terms.follower import Follower
-from particlerb.terms.gravity import UniformGravity
-from particlerb.terms.impulse import Impulse as Jump
-from particlerb.terms.push import Push as WorldPush
-from particlerb.terms.spring import Spring as WorldSpring
-from particlerb.terms.torque import Torque as WorldTorque
 
 N_NUMBERS: Final = 8
 LARGEST_TORQUE: Final = float(np.finfo(np.float64).max)
 MOMENT_ROUNDING: Final = 1e-14  # share of a moment of charges that is its rounding
 
 
-class Load(NamedTuple):
+class ResolvedForce(NamedTuple):
     """One force or impulse of the case, resolved."""
 
     number: int  # index of [[force]]
@@ -57,7 +57,11 @@ class Load(NamedTuple):
         force = self.force
         if isinstance(force, UniformField):
             return self.own[0], self.own[1], self.own[2]
-        return force.at if isinstance(force, (Push, Impulse, Spring)) else (0.0, 0.0, 0.0)
+        return (
+            force.at
+            if isinstance(force, (PushTable, ImpulseTable, SpringTable))
+            else (0.0, 0.0, 0.0)
+        )
 
     @property
     def vector(self) -> tuple[float, float, float]:
@@ -65,21 +69,21 @@ class Load(NamedTuple):
         force = self.force
         if isinstance(force, UniformField):
             return force.field
-        if isinstance(force, Push):
+        if isinstance(force, PushTable):
             return force.force
-        if isinstance(force, Torque):
+        if isinstance(force, TorqueTable):
             return force.torque
-        return force.impulse if isinstance(force, Impulse) else (0.0, 0.0, 0.0)
+        return force.impulse if isinstance(force, ImpulseTable) else (0.0, 0.0, 0.0)
 
     @property
     def numbers(self) -> tuple[float, ...]:
         """What a kernel needs of it, N_NUMBERS at most; `acting_terms` knows the order."""
         force = self.force
-        if isinstance(force, Drag):
+        if isinstance(force, DragTable):
             return (force.translation, force.rotation)
-        if isinstance(force, Spring):
+        if isinstance(force, SpringTable):
             return (*force.at, *(force.anchor or ()), force.stiffness, *self.own)
-        if isinstance(force, Central):
+        if isinstance(force, CentralTable):
             return (*force.centre, force.mu)
         return (*self.at, *self.vector, *self.own[3:])
 
@@ -87,7 +91,7 @@ class Load(NamedTuple):
     def form(self) -> tuple[object, ...]:
         """What it has in common with others of a group: all but its size, direction and point."""
         force = self.force
-        when = force.time if isinstance(force, Impulse) else force.during
+        when = force.time if isinstance(force, ImpulseTable) else force.during
         return force.type, getattr(force, "frame", None), when, any(self.at)
 
 
@@ -108,7 +112,7 @@ class Forces(NamedTuple):
         return self.numbers[3:6]
 
 
-def loads_of(case: Case, scene: Scene) -> list[Load]:
+def loads_of(case: Case, scene: System) -> list[ResolvedForce]:
     """All forces and impulses of a case that act on one body each; `pairs` has the others.
 
     Raises
@@ -116,13 +120,13 @@ def loads_of(case: Case, scene: Scene) -> list[Load]:
     CaseError
         If a field has not as many charges as a body has particles.
     """
-    loads: list[Load] = []
+    loads: list[ResolvedForce] = []
     problems: list[Problem] = []
     for number, force in enumerate(case.force):
         if is_link(force):
             continue
-        load = Load(number, force, resolve_bodies(case, force.body))
-        if isinstance(force, Spring):
+        load = ResolvedForce(number, force, resolve_bodies(case, force.body))
+        if isinstance(force, SpringTable):
             loads += with_lengths(scene, load, force)
         elif isinstance(force, UniformField):
             wrong = wrong_charges(case, scene, load, force)
@@ -135,7 +139,7 @@ def loads_of(case: Case, scene: Scene) -> list[Load]:
     return loads
 
 
-def with_lengths(scene: Scene, load: Load, force: Spring) -> list[Load]:
+def with_lengths(scene: System, load: ResolvedForce, force: SpringTable) -> list[ResolvedForce]:
     """A spring with its rest length; one for each body where it is that of t = 0."""
     if force.rest_length != "initial":
         return [load._replace(own=(force.rest_length,))]
@@ -146,7 +150,9 @@ def with_lengths(scene: Scene, load: Load, force: Spring) -> list[Load]:
     ]
 
 
-def wrong_charges(case: Case, scene: Scene, load: Load, force: UniformField) -> list[Problem]:
+def wrong_charges(
+    case: Case, scene: System, load: ResolvedForce, force: UniformField
+) -> list[Problem]:
     """What is wrong with a list of charges that is no list of one per particle."""
     count = np.diff(scene.particles.offset)[scene.kind[load.members]]
     if not isinstance(force.charge, tuple) or (count == len(force.charge)).all():
@@ -159,7 +165,7 @@ def wrong_charges(case: Case, scene: Scene, load: Load, force: UniformField) -> 
 
 
 @np.errstate(over="ignore")  # `too_large` finds what is
-def with_charges(scene: Scene, load: Load, force: UniformField) -> list[Load]:
+def with_charges(scene: System, load: ResolvedForce, force: UniformField) -> list[ResolvedForce]:
     """A field with the total charge of its bodies and the moment of charges; one for each kind.
 
     The charges q_i at r_i and a dipole d turn the body like Σ q_i r_i + d, by whatever it is more
@@ -186,7 +192,7 @@ def with_charges(scene: Scene, load: Load, force: UniformField) -> list[Load]:
 
 def acts(form: AnyForce, start: float) -> bool:
     """Whether a lasting force acts in the segment that begins at `start`."""
-    if isinstance(form, Impulse):
+    if isinstance(form, ImpulseTable):
         return False
     return form.during is None or form.during[0] <= start < form.during[1]
 
@@ -197,50 +203,50 @@ def acting_terms(case: Case, bodies: Bodies, forces: list[Forces]) -> Terms:
     force, lever = np.zeros((3, n)), np.zeros((3, 3, n))
     body_force, body_torque, torque = np.zeros((3, 3, n))
     drag = np.zeros((2, n))
-    springs: list[WorldSpring] = []
-    centres: list[Centre] = []
+    springs: list[Spring] = []
+    centres: list[Central] = []
     for one in forces:
         form, numbers = one.form, one.numbers
-        if isinstance(form, Drag):
+        if isinstance(form, DragTable):
             drag += numbers[:2]
-        elif isinstance(form, Spring):
+        elif isinstance(form, SpringTable):
             arm = turned_back(bodies.rotor_frame, one.at)
-            springs.append(WorldSpring(arm, numbers[3:6], numbers[6], numbers[7]))
-        elif isinstance(form, Central):
-            centres.append(Centre(numbers[:3], numbers[3], bodies.mass, bodies.inertia))
+            springs.append(Spring(arm, numbers[3:6], numbers[6], numbers[7]))
+        elif isinstance(form, CentralTable):
+            centres.append(Central(numbers[:3], numbers[3], bodies.mass, bodies.inertia))
         elif isinstance(form, UniformField):
             moment = turned_back(bodies.rotor_frame, one.at)
             force += numbers[6] * one.vector
             lever += one.vector[:, None] * moment  # a moment m turns by m × E, as an arm r by r × F
-        elif isinstance(form, Push) and form.frame == "world":
+        elif isinstance(form, PushTable) and form.frame == "world":
             arm = turned_back(bodies.rotor_frame, one.at)
             force += one.vector
             lever += one.vector[:, None] * arm  # [j, l] = F_j r_l
-        elif isinstance(form, Push):
+        elif isinstance(form, PushTable):
             own = turned_back(bodies.rotor_frame, one.vector)
             body_force += own
             body_torque += np.cross(turned_back(bodies.rotor_frame, one.at), own, axis=0)
-        elif isinstance(form, Torque) and form.frame == "world":
+        elif isinstance(form, TorqueTable) and form.frame == "world":
             torque += one.vector
         else:
             body_torque += turned_back(bodies.rotor_frame, one.vector)
     gravity = np.array(case.gravity.acceleration) if case.gravity else np.zeros(3)
     return Terms(
         UniformGravity(bodies.mass, gravity) if gravity.any() else None,
-        WorldPush(force, lever.reshape(9, n)) if force.any() or lever.any() else None,
+        Push(force, lever.reshape(9, n)) if force.any() or lever.any() else None,
         Follower(body_force, body_torque) if body_force.any() or body_torque.any() else None,
-        WorldTorque(torque) if torque.any() else None,
-        WorldDrag(drag[0] * bodies.inv_mass, drag[1]) if drag.any() else None,
+        Torque(torque) if torque.any() else None,
+        Drag(drag[0] * bodies.inv_mass, drag[1]) if drag.any() else None,
         tuple(springs) or None,
         tuple(centres) or None,
     )
 
 
-def jump(force: Forces, bodies: Bodies) -> Jump:
+def jump(force: Forces, bodies: Bodies) -> Impulse:
     """An impulse as the term takes it."""
-    follows = isinstance(force.form, Impulse) and force.form.frame == "body"
+    follows = isinstance(force.form, ImpulseTable) and force.form.frame == "body"
     J = turned_back(bodies.rotor_frame, force.vector) if follows else force.vector
-    return Jump(turned_back(bodies.rotor_frame, force.at), np.ascontiguousarray(J), follows)
+    return Impulse(turned_back(bodies.rotor_frame, force.at), np.ascontiguousarray(J), follows)
 
 
 def sizes(vectors: Floats) -> Floats:
@@ -248,10 +254,10 @@ def sizes(vectors: Floats) -> Floats:
     return np.asarray(np.linalg.norm(vectors, axis=0))
 
 
-def too_large(case: Case, load: Load) -> list[Problem]:
+def too_large(case: Case, load: ResolvedForce) -> list[Problem]:
     """What is wrong with a force whose torque exceeds the range of float64."""
     force = load.force
-    if not isinstance(force, (Push, Impulse, UniformField)):
+    if not isinstance(force, (PushTable, ImpulseTable, UniformField)):
         return []
     arm, size = max(map(abs, load.at)), max(map(abs, load.vector))
     is_field = isinstance(force, UniformField)
@@ -264,7 +270,7 @@ def too_large(case: Case, load: Load) -> list[Problem]:
     return [problem_at(case, f"force[{load.number}].{'field' if is_field else 'at'}", reason)]
 
 
-def impossible_torques(case: Case, scene: Scene, load: Load) -> list[Problem]:
+def impossible_torques(case: Case, scene: System, load: ResolvedForce) -> list[Problem]:
     """What is wrong with a force that turns a point, or a rod about its own axis."""
     cannot = np.isin(scene.bodies.rotor_class[load.members], (POINT, ROD))
     index = load.members[cannot]
@@ -288,7 +294,7 @@ def impossible_torques(case: Case, scene: Scene, load: Load) -> list[Problem]:
 
 def what_turns(force: AnyForce, code: int) -> tuple[str, str]:
     """Key of a force by which it turns a point or a rod, and what it should say instead."""
-    if isinstance(force, Torque):
+    if isinstance(force, TorqueTable):
         return "torque", "leave it out" if code == POINT else "give a torque across the rod"
     if isinstance(force, UniformField) and any(force.dipole):
         return "dipole", "leave it out" if code == POINT else "give a dipole along the rod's axis"
@@ -298,10 +304,10 @@ def what_turns(force: AnyForce, code: int) -> tuple[str, str]:
     return "at", f"act at {where}"
 
 
-def bodies_at_centres(case: Case, scene: Scene, load: Load) -> list[Problem]:
+def bodies_at_centres(case: Case, scene: System, load: ResolvedForce) -> list[Problem]:
     """What is wrong with a centre in which a body starts."""
     force = load.force
-    if not isinstance(force, Central):
+    if not isinstance(force, CentralTable):
         return []
     away = scene.state.com[:, load.members] - np.array(force.centre)[:, None]
     there = np.flatnonzero(~away.any(axis=0))
@@ -312,16 +318,16 @@ def bodies_at_centres(case: Case, scene: Scene, load: Load) -> list[Problem]:
     return [problem_at(case, f"force[{load.number}].centre", reason, "move one of the two")]
 
 
-def turning_part(load: Load, bodies: Bodies, q: Floats) -> tuple[Floats, Floats]:
+def turning_part(load: ResolvedForce, bodies: Bodies, q: Floats) -> tuple[Floats, Floats]:
     """Size of what turns these points and rods, and its part that they cannot follow, (n,) each.
 
     For a force at a point it is the lever arm and not the torque: an arm along a rod never turns
     it about its axis, any other arm does so but by chance. Points can follow nothing.
     """
     force = load.force
-    is_torque = isinstance(force, Torque)
+    is_torque = isinstance(force, TorqueTable)
     given = np.array(load.vector if is_torque else load.at)[:, None]
-    in_world = isinstance(force, Torque) and force.frame == "world"
+    in_world = isinstance(force, TorqueTable) and force.frame == "world"
     turn = turned_back(q if in_world else bodies.rotor_frame, np.tile(given, bodies.mass.size))
     axial = np.abs(turn[2]) if is_torque else np.hypot(turn[0], turn[1])
     size = sizes(turn)

@@ -12,36 +12,36 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.mesh import triangles_of
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import turned
 from particlerb.case.contact import (
     AnyWall,
     BoxWall,
+    ContactTable,
     CylinderWall,
     MeshWall,
     Pair,
     PlaneWall,
     Prescribed,
 )
-from particlerb.case.contact import Contact as ContactTable
 from particlerb.case.placement import first_bodies, normalised, quaternion_of_euler
 from particlerb.case.problems import CaseError, Problem, nearest
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Body, Case, Euler
-from particlerb.contact.pistons import Pistons
+from particlerb.case.to_system import System
+from particlerb.contact.cell_grid import neighbours
+from particlerb.contact.piston import Pistons
 from particlerb.contact.restitution import (
     damping_ratio,
     effective_modulus,
     effective_shear_modulus,
 )
-from particlerb.contact.search import neighbours
-from particlerb.contact.surfaces import box, cylinder, joined, plane, surface, unit
-from particlerb.contact.wall_motion import Motion, poses_at
+from particlerb.contact.wall_motion import PrescribedMotion, poses_at
 from particlerb.contact.wall_search import WallSearch
+from particlerb.contact.wall_shapes import box, cylinder, joined, plane, surface, unit
 from particlerb.contact.walls import Walls, gaps
+from particlerb.geometry.mesh import triangles_of
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3
-from particlerb.pairs import and_more, is_among, lengths, particles_of, places
+from particlerb.model.state import turned
+from particlerb.plan.links import and_more, is_among, lengths, particles_of, places
 
 NOTHING: Final = -1  # material of a body that touches nothing
 TANGENTIAL: Final = 2.0 / 7.0  # default tangential over normal stiffness
@@ -50,7 +50,7 @@ MOST_NAMED: Final = 3  # overlaps that a message names
 APART: Final = "move them apart, say contact.relax = true, or allow it by contact.overlap"
 
 
-class Pairs(NamedTuple):
+class MaterialPairs(NamedTuple):
     """Numbers of every pair of k materials; symmetric, and zero where a pair cannot meet."""
 
     stiffness: Floats  # (k, k) [N/m] hooke, normal
@@ -64,7 +64,7 @@ class Pairs(NamedTuple):
     can_meet: Bools  # (k, k)
 
 
-class Contact(NamedTuple):
+class ContactSetup(NamedTuple):
     """All that a case says about contact."""
 
     law: str  # hooke or hertz
@@ -73,20 +73,20 @@ class Contact(NamedTuple):
     relax: bool  # whether what overlaps at the start is pushed apart
     allow_unstable: bool  # whether a step above the limit is taken
     materials: Sequence[str]  # (k,) names; a single "" where the case has none
-    pairs: Pairs
+    pairs: MaterialPairs
     body: Ints  # (m,) bodies of the scene that may touch, ascending
     material: Ints  # (n_bodies,) code; NOTHING for the others
     fixed: Bools  # (n_bodies,) whether a body is held: it stays, or moves as prescribed
     driven: Ints  # (n_driven,) bodies of the scene that move as prescribed, ascending,
-    drives: tuple[Motion, ...]  # (n_driven,) and how
+    drives: tuple[PrescribedMotion, ...]  # (n_driven,) and how
     walls: Walls  # primitives of all walls
-    motions: tuple[Motion, ...]  # (n_walls,)
+    motions: tuple[PrescribedMotion, ...]  # (n_walls,)
     pistons: Pistons | None  # walls that slide
     wall_names: tuple[str, ...]  # (n_walls,)
     wall_material: Ints  # (n_walls,) code
 
 
-def contact_of(case: Case, scene: Scene) -> Contact | None:
+def contact_of(case: Case, scene: System) -> ContactSetup | None:
     """Contact of a case; None without [contact].
 
     Raises
@@ -122,7 +122,7 @@ def contact_of(case: Case, scene: Scene) -> Contact | None:
     pairs, missing = pairs_of(case, case.contact, names, can_meet)
     if problems or missing:
         raise CaseError([*problems, *missing])
-    contact = Contact(
+    contact = ContactSetup(
         law=case.contact.law,
         attract=case.contact.attract,
         skin=case.contact.skin,
@@ -154,7 +154,7 @@ def contact_of(case: Case, scene: Scene) -> Contact | None:
 # Who may touch whom
 
 
-def without_radius(case: Case, scene: Scene) -> list[Problem]:
+def without_radius(case: Case, scene: System) -> list[Problem]:
     """What is wrong with bodies of which no particle has a radius."""
     largest = np.maximum.reduceat(scene.particles.radius, scene.particles.offset[:-1])
     bare = [
@@ -188,7 +188,7 @@ def meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints) -> Boo
     n_materials : int
         k.
     material, fixed : ndarray, shape (n_bodies,)
-        As in `Contact`.
+        As in `ContactSetup`.
     walls : ndarray, shape (n_walls,)
         Code of each wall.
     """
@@ -213,9 +213,11 @@ def nothing_meets(case: Case) -> Problem:
 
 def pairs_of(
     case: Case, table: ContactTable, names: Sequence[str], can_meet: Bools
-) -> tuple[Pairs, list[Problem]]:
+) -> tuple[MaterialPairs, list[Problem]]:
     """Numbers of all pairs that can meet, and what is wrong where some are missing."""
-    pairs = Pairs._make([*np.zeros((len(Pairs._fields) - 1, *can_meet.shape)), can_meet])
+    pairs = MaterialPairs._make(
+        [*np.zeros((len(MaterialPairs._fields) - 1, *can_meet.shape)), can_meet]
+    )
     own = {frozenset(pair.materials): (i, pair) for i, pair in enumerate(table.pair)}
     problems: list[Problem] = []
     is_hertz = table.law == "hertz"
@@ -286,7 +288,7 @@ def without_moduli(case: Case, can_meet: Bools) -> list[Problem]:
     ]
 
 
-def add_moduli(case: Case, pairs: Pairs) -> None:
+def add_moduli(case: Case, pairs: MaterialPairs) -> None:
     """Write E* and G* of all pairs that can meet."""
     for a, b in np.argwhere(pairs.can_meet).tolist():
         one, other = case.material[a], case.material[b]
@@ -317,15 +319,15 @@ def wall_of(case: Case, number: int, table: AnyWall) -> Walls:
     return mesh_of(case, number, table)
 
 
-def motion_of(motion: Prescribed | None, own: Vec3) -> Motion:
+def motion_of(motion: Prescribed | None, own: Vec3) -> PrescribedMotion:
     """Motion about a centre, one's own where none is given."""
     if motion is None:
-        return Motion(own)
+        return PrescribedMotion(own)
     centre = own if motion.centre is None else motion.centre
     swing = motion.oscillation
     if swing is None:
-        return Motion(centre, motion.velocity, motion.angular_velocity)
-    return Motion(
+        return PrescribedMotion(centre, motion.velocity, motion.angular_velocity)
+    return PrescribedMotion(
         centre,
         motion.velocity,
         motion.angular_velocity,
@@ -335,7 +337,7 @@ def motion_of(motion: Prescribed | None, own: Vec3) -> Motion:
     )
 
 
-def drive_of(body: Body, com: Floats) -> Motion:
+def drive_of(body: Body, com: Floats) -> PrescribedMotion:
     """Motion of a driven body whose centre of mass is at `com` at t = 0, where it may be displaced.
 
     Its centre is where it is not.
@@ -419,7 +421,7 @@ def mesh_of(case: Case, number: int, table: MeshWall) -> Walls:
 # What starts wrong
 
 
-class Spheres(NamedTuple):
+class SetupSpheres(NamedTuple):
     """Particles with a radius of the bodies that may touch, at t = 0."""
 
     place: Floats  # (3, n) [m], world frame
@@ -427,23 +429,25 @@ class Spheres(NamedTuple):
     body: Ints  # (n,) body of the scene
 
 
-def spheres_of(scene: Scene, contact: Contact) -> Spheres:
+def spheres_of(scene: System, contact: ContactSetup) -> SetupSpheres:
     """Where the spheres of a scene are at t = 0."""
     index, owner = particles_of(scene, contact.body)
     solid = scene.particles.radius[index] > 0.0
     index, owner = index[solid], owner[solid]
     place = places(scene, owner, scene.particles.position[index].T)
-    return Spheres(np.ascontiguousarray(place), scene.particles.radius[index], owner)
+    return SetupSpheres(np.ascontiguousarray(place), scene.particles.radius[index], owner)
 
 
-def allowed(case: Case, spheres: Spheres) -> float:
+def allowed(case: Case, spheres: SetupSpheres) -> float:
     """Overlap that is no mistake [m]: what the case says, or rounding."""
     size = max(float(spheres.radius.max()), float(np.abs(spheres.place).max()))
     given = case.contact.overlap if case.contact is not None else 0.0
     return max(given, ROUNDING * size)
 
 
-def overlapping(case: Case, scene: Scene, contact: Contact, spheres: Spheres) -> Iterator[Problem]:
+def overlapping(
+    case: Case, scene: System, contact: ContactSetup, spheres: SetupSpheres
+) -> Iterator[Problem]:
     """What is wrong with bodies that overlap: which, how deep, and how many."""
     if contact.relax:
         return
@@ -469,7 +473,9 @@ def overlapping(case: Case, scene: Scene, contact: Contact, spheres: Spheres) ->
     yield problem_at(case, f"body[{block}]", reason, APART)
 
 
-def beyond_walls(case: Case, scene: Scene, contact: Contact, spheres: Spheres) -> Iterator[Problem]:
+def beyond_walls(
+    case: Case, scene: System, contact: ContactSetup, spheres: SetupSpheres
+) -> Iterator[Problem]:
     """What is wrong with bodies that overlap a wall, or lie on its other side."""
     moving = np.flatnonzero(~contact.fixed[spheres.body])
     is_moving = is_among(spheres.body[moving], scene)
@@ -499,7 +505,7 @@ def beyond_walls(case: Case, scene: Scene, contact: Contact, spheres: Spheres) -
             yield problem_at(case, f"wall[{number}]", reason, APART)
 
 
-def room_in(table: AnyWall, motion: Motion, points: Floats) -> Floats:
+def room_in(table: AnyWall, motion: PrescribedMotion, points: Floats) -> Floats:
     """Distance of points (3, n) from the nearest face around them [m], negative beyond it.
 
     Closed faces count as endless and open ones not at all. It is inf where points may be anywhere.
@@ -524,7 +530,7 @@ def room_in(table: AnyWall, motion: Motion, points: Floats) -> Floats:
     return np.full(points.shape[1], np.inf)
 
 
-def outside_problem(case: Case, scene: Scene, number: int, bodies: Ints) -> Problem:
+def outside_problem(case: Case, scene: System, number: int, bodies: Ints) -> Problem:
     """Bodies on the wrong side of a wall."""
     listed = ", ".join(scene.names[int(b)] for b in bodies[:MOST_NAMED])
     more = and_more(max(bodies.size - MOST_NAMED, 0))

@@ -4,20 +4,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from particlerb.bodies.scene import Scene
 from particlerb.case.schema import FORCES, Case
+from particlerb.case.to_system import System
+from particlerb.forces import Terms, has_potential, is_constant
 from particlerb.maths.vec3 import Ints
-from particlerb.methods.dilute import can_fly
-from particlerb.plan import GroupPlan, Plan, Segment, has_step, is_adaptive
+from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.rotors.rotor_class import NAMES
-from particlerb.terms import Terms, has_potential, is_constant
+from particlerb.stepping.sparse_contact import can_fly
 
 GROUPS_SHOWN = 20
 SEGMENTS_SHOWN = 12
 RUNS_SHOWN = 4
 
 
-def describe(case: Case, scene: Scene, plan: Plan, accuracy: str = "") -> str:
+def describe(case: Case, scene: System, plan: Plan, accuracy: str = "") -> str:
     """Text of a plan, with what is known of its accuracy."""
     lines = [
         ("bodies", bodies_line(scene)),
@@ -39,14 +39,14 @@ def describe(case: Case, scene: Scene, plan: Plan, accuracy: str = "") -> str:
     return "\n".join(f"  {name:<{width}}  {text}" for name, text in lines)
 
 
-def bodies_line(scene: Scene) -> str:
+def bodies_line(scene: System) -> str:
     """How many bodies of which rotor class."""
     counts = np.bincount(scene.bodies.rotor_class, minlength=len(NAMES))
     classes = ", ".join(f"{n} {name}" for n, name in zip(counts, NAMES, strict=True) if n)
     return f"{len(scene.kind)}: {classes}"
 
 
-def particles_line(scene: Scene) -> str:
+def particles_line(scene: System) -> str:
     """How many particles were summed, how many are kept, and why."""
     kinds = len(scene.particles.offset) - 1
     sets = "one set" if kinds == 1 else f"{kinds} sets"
@@ -93,7 +93,7 @@ def force_line(case: Case, kind: str) -> str:
     return f"on: {count} of them" if count else f"off: no [[force]] of type {kind}"
 
 
-def contact_line(case: Case, scene: Scene, plan: Plan) -> str:
+def contact_line(case: Case, scene: System, plan: Plan) -> str:
     """What may touch, by which law, or why nothing touches."""
     found = [s.terms.contact for g in plan.groups for s in g.segments if s.terms.contact]
     if case.contact is not None and found:
@@ -131,7 +131,7 @@ def ledger_line(plan: Plan) -> str:
     return "booked in closed form: every force has a potential, kicks pay nothing for it"
 
 
-def group_name(scene: Scene, index: Ints) -> str:
+def group_name(scene: System, index: Ints) -> str:
     """Which bodies these are: names of a few, ranges of many."""
     if index.size <= 2:
         return ", ".join(scene.names[int(b)] for b in index)

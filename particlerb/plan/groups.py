@@ -12,34 +12,33 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import turned_back
-from particlerb.case.schema import Case, Central
-from particlerb.case.wanted import FIELDS_OF_CONTACT
-from particlerb.contact.buried import outer_spheres
-from particlerb.contact.drives import Drives
-from particlerb.contact.laws import SHEAR_DAMPING, Law
-from particlerb.contact.loads import Contact, Spheres
-from particlerb.contact.loads import Scene as Touchable
-from particlerb.contact.surfaces import has_edges
+from particlerb.case.output import FIELDS_OF_CONTACT
+from particlerb.case.schema import Case, CentralTable
+from particlerb.case.to_system import System
+from particlerb.contact.interior_spheres import outer_spheres
+from particlerb.contact.law import SHEAR_DAMPING, Law
+from particlerb.contact.pair_force import ContactModel, ContactSpheres, GroupContact
+from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.wall_motion import numbers_of
-from particlerb.forces import N_NUMBERS, Forces, Load, acting_terms
+from particlerb.contact.wall_shapes import has_edges
+from particlerb.forces import Terms
+from particlerb.forces.attraction import Attraction
+from particlerb.forces.gravity_tree.tree import BREAK_EVEN, angle_for
+from particlerb.forces.links import WORLD, Links
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.pairs import Link, attracted, components, particles_of, tree_accuracy
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import turned_back
+from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce, acting_terms
+from particlerb.plan.contact_setup import ContactSetup
+from particlerb.plan.links import Link, attracted, components, particles_of, tree_accuracy
 from particlerb.rotors.rotor_class import ASYMMETRIC
-from particlerb.terms import Terms
-from particlerb.terms.attraction import Attraction
-from particlerb.terms.links import WORLD, Links
-from particlerb.terms.tree import BREAK_EVEN, angle_for
-from particlerb.touching import Contact as Touching
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
 DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet
 FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
 
 
-class Together(NamedTuple):
+class BodyGroup(NamedTuple):
     """Bodies that share a group, and all that ever acts on them."""
 
     members: Ints  # (n,) bodies of the scene
@@ -51,18 +50,18 @@ class Together(NamedTuple):
 
 def groups_of(
     case: Case,
-    scene: Scene,
-    loads: Sequence[Load],
+    scene: System,
+    loads: Sequence[ResolvedForce],
     links: Sequence[Link],
-    touching: Touching | None,
-) -> list[Together]:
+    touching: ContactSetup | None,
+) -> list[BodyGroup]:
     """Groups of a scene, in the order of their first bodies."""
     heavy = attracted(case, scene)
     solid = np.zeros(0, dtype=np.int64) if touching is None else touching.body
     ends = [end[end != WORLD] for link in links for end in (link.first, link.second)]
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
     groups = [
-        Together(members, forces, [], False, False)
+        BodyGroup(members, forces, [], False, False)
         for members, forces in groups_alone(scene, loads, bound)
     ]
     label = components(len(scene.kind), list(links), heavy, solid)
@@ -72,12 +71,12 @@ def groups_of(
         inside = [within(link, own) for link in links if own[link.first].any()]
         attracts = bool(heavy.size) and bool(own[heavy[0]])
         touches = bool(solid.size) and bool(own[solid[0]])
-        groups.append(Together(members, aligned(loads, members), inside, attracts, touches))
+        groups.append(BodyGroup(members, aligned(loads, members), inside, attracts, touches))
     return sorted(groups, key=lambda group: int(group.members.min()))
 
 
 def groups_alone(
-    scene: Scene, loads: Sequence[Load], bound: Ints
+    scene: System, loads: Sequence[ResolvedForce], bound: Ints
 ) -> list[tuple[Ints, list[Forces]]]:
     """Bodies that no other body acts on, with forces of the same forms, and these forces."""
     alone = np.ones(len(scene.kind), dtype=bool)
@@ -105,7 +104,7 @@ def groups_alone(
 
 
 def clusters(
-    scene: Scene, loads: Sequence[Load], links: Sequence[Link], label: Ints, bound: Ints
+    scene: System, loads: Sequence[ResolvedForce], links: Sequence[Link], label: Ints, bound: Ints
 ) -> list[Ints]:
     """Bodies of each group of clusters that are copies of each other; asymmetric ones first."""
     if not bound.size:
@@ -144,7 +143,7 @@ def within(link: Link, own: Bools) -> Link:
     )
 
 
-def aligned(loads: Sequence[Load], members: Ints) -> list[Forces]:
+def aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
     """Forces on the bodies of a cluster; those that act on some only are zero on the others."""
     place = {b: i for i, b in enumerate(members.tolist())}
     found: dict[tuple[object, ...], list[tuple[Forces, Bools]]] = {}
@@ -159,7 +158,7 @@ def aligned(loads: Sequence[Load], members: Ints) -> list[Forces]:
                 Forces(load.force, np.zeros((N_NUMBERS, members.size))),
                 np.zeros(members.size, dtype=bool),
             )
-            if isinstance(load.force, Central):
+            if isinstance(load.force, CentralTable):
                 free[0].numbers[:3] = FAR
             rooms.append(free)
         numbers, taken_ = free[0].numbers, free[1]
@@ -170,12 +169,12 @@ def aligned(loads: Sequence[Load], members: Ints) -> list[Forces]:
 
 def terms_of(
     case: Case,
-    scene: Scene,
-    group: Together,
+    scene: System,
+    group: BodyGroup,
     bodies: Bodies,
     forces: list[Forces],
     links: list[Link],
-    touching: Touching | None,
+    touching: ContactSetup | None,
 ) -> Terms:
     """Terms of a group while these of its forces and links act."""
     terms = acting_terms(case, bodies, forces)
@@ -218,7 +217,7 @@ def links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
     )
 
 
-def attraction_among(case: Case, scene: Scene, members: Ints, bodies: Bodies) -> Attraction:
+def attraction_among(case: Case, scene: System, members: Ints, bodies: Bodies) -> Attraction:
     """Particles with mass of all that attracts in a group, in rotor frames."""
     assert case.attraction is not None
     index, _ = particles_of(scene, members)
@@ -239,8 +238,8 @@ def attraction_among(case: Case, scene: Scene, members: Ints, bodies: Bodies) ->
 
 
 def contact_among(
-    case: Case, scene: Scene, members: Ints, bodies: Bodies, touching: Touching
-) -> Contact:
+    case: Case, scene: System, members: Ints, bodies: Bodies, touching: ContactSetup
+) -> GroupContact:
     """Spheres, law and walls of a group."""
     index, _ = particles_of(scene, members)
     counts = np.diff(scene.particles.offset)[scene.kind[members]]
@@ -253,7 +252,7 @@ def contact_among(
     reach = np.zeros(members.size)
     np.maximum.at(reach, owner, np.sqrt((place * place).sum(axis=0)))
     k = len(touching.materials)
-    spheres = Spheres(
+    spheres = ContactSpheres(
         np.ascontiguousarray(turned_back(bodies.rotor_frame[:, owner], place)),
         radius,
         owner,
@@ -264,7 +263,7 @@ def contact_among(
     law = law_of(touching)
     pair_of = np.arange(k * k).reshape(k, k)
     skin = touching.skin or SKIN * float(radius.min())
-    touchable = Touchable(
+    touchable = ContactModel(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
         drives_among(scene, members, touching),
     )  # fmt: skip
@@ -273,12 +272,12 @@ def contact_among(
     is_fixed, pistons = touching.skin is not None, touching.pistons
     left_out = int(may_touch.sum()) - owner.size
     is_forced = touching.allow_unstable
-    return Contact(
+    return GroupContact(
         touchable, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced
     )
 
 
-def drives_among(scene: Scene, members: Ints, touching: Touching) -> Drives | None:
+def drives_among(scene: System, members: Ints, touching: ContactSetup) -> PrescribedBodies | None:
     """Bodies of a group that move as prescribed, if there are any."""
     which = np.flatnonzero(np.isin(members, touching.driven))
     if not which.size:
@@ -288,7 +287,7 @@ def drives_among(scene: Scene, members: Ints, touching: Touching) -> Drives | No
     motions = [touching.drives[k] for k in numbers]
     at_start = np.array([math.sin(motion.phase) * np.array(motion.amplitude) for motion in motions])
     bodies, state = scene.bodies, scene.state
-    return Drives(
+    return PrescribedBodies(
         which,
         numbers_of(motions),
         np.ascontiguousarray(state.com[:, own] - at_start.T),
@@ -298,7 +297,7 @@ def drives_among(scene: Scene, members: Ints, touching: Touching) -> Drives | No
     )
 
 
-def reachable(scene: Scene, members: Ints, touching: Touching) -> Bools:
+def reachable(scene: System, members: Ints, touching: ContactSetup) -> Bools:
     """Whether something can touch each particle of the kinds of these bodies, (n_particles,).
 
     What starts overlapping, to be pushed apart, may be anywhere: then all can be reached.
@@ -319,7 +318,7 @@ def reachable(scene: Scene, members: Ints, touching: Touching) -> Bools:
     return found
 
 
-def law_of(touching: Touching) -> Law:
+def law_of(touching: ContactSetup) -> Law:
     """Law with the numbers of all pairs of materials."""
     pairs = touching.pairs
     is_hertz = touching.law == "hertz"

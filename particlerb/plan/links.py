@@ -10,15 +10,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import multiplied, turned, turned_back
 from particlerb.case.placement import bodies_in_order, resolve_bodies
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
-from particlerb.case.schema import AnyForce, Case, Spring
+from particlerb.case.schema import AnyForce, Case, SpringTable
+from particlerb.case.to_system import System
+from particlerb.forces.links import WORLD
 from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.model.state import multiplied, turned, turned_back
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
-from particlerb.terms.links import WORLD
 
 REACH_ROUNDING: Final = 1e-9  # share by which a pair may be further apart than reach
 AXIAL_ROUNDING: Final = 1e-12  # share of an arm across a rod that is its rounding
@@ -36,7 +36,7 @@ class Link(NamedTuple):
     """Springs of one [[force]] between points of two bodies, or damped ones to the world."""
 
     number: int  # index of [[force]]
-    force: Spring
+    force: SpringTable
     first: Ints  # (s,) bodies of the scene
     second: Ints  # (s,) bodies of the scene; WORLD: an anchor
     first_at: Floats  # (3, s) [m], body frame of first, from its centre of mass
@@ -49,12 +49,12 @@ class Link(NamedTuple):
 
 def is_link(force: AnyForce) -> bool:
     """Whether a spring ties two bodies or is damped; others act on one body each."""
-    if not isinstance(force, Spring):
+    if not isinstance(force, SpringTable):
         return False
     return force.anchor is None or force.damping > 0.0
 
 
-def links_of(case: Case, scene: Scene) -> list[Link]:
+def links_of(case: Case, scene: System) -> list[Link]:
     """All links of a case.
 
     Raises
@@ -67,7 +67,7 @@ def links_of(case: Case, scene: Scene) -> list[Link]:
     links: list[Link] = []
     problems: list[Problem] = []
     for number, force in enumerate(case.force):
-        if not is_link(force) or not isinstance(force, Spring):
+        if not is_link(force) or not isinstance(force, SpringTable):
             continue
         try:
             link = link_of(case, scene, number, force)
@@ -81,7 +81,7 @@ def links_of(case: Case, scene: Scene) -> list[Link]:
     return links
 
 
-def link_of(case: Case, scene: Scene, number: int, force: Spring) -> Link:
+def link_of(case: Case, scene: System, number: int, force: SpringTable) -> Link:
     """Springs of one [[force]].
 
     Raises
@@ -108,7 +108,7 @@ def link_of(case: Case, scene: Scene, number: int, force: Spring) -> Link:
     return Link(number, force, first, second, first_at, second_at, rest_length)
 
 
-def pairs_as_named(case: Case, scene: Scene, number: int, force: Spring) -> tuple[Ints, Ints]:
+def pairs_as_named(case: Case, scene: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
     """Body after body of `body` and `to`, or one with each of the others.
 
     Raises
@@ -143,7 +143,7 @@ def and_more(count: int) -> str:
     return f", and {count} more" if count else ""
 
 
-def pairs_in_reach(case: Case, scene: Scene, number: int, force: Spring) -> tuple[Ints, Ints]:
+def pairs_in_reach(case: Case, scene: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
     """Every pair of different bodies whose points are near each other at t = 0, sorted.
 
     Where both points are the same one of the body frame, a pair is taken once.
@@ -182,14 +182,14 @@ def pairs_in_reach(case: Case, scene: Scene, number: int, force: Spring) -> tupl
     return a[order], b[order]
 
 
-def is_among(bodies: Ints, scene: Scene) -> Bools:
+def is_among(bodies: Ints, scene: System) -> Bools:
     """Whether each body of the scene is one of these, (n_bodies,)."""
     mask = np.zeros(len(scene.kind), dtype=np.bool_)
     mask[bodies] = True
     return mask
 
 
-def misplaced_ends(case: Case, scene: Scene, link: Link) -> list[Problem]:
+def misplaced_ends(case: Case, scene: System, link: Link) -> list[Problem]:
     """What is wrong with ends that would turn a point, or a rod about its own axis."""
     problems = []
     for key, ends, at in (
@@ -226,7 +226,7 @@ def misplaced_ends(case: Case, scene: Scene, link: Link) -> list[Problem]:
 # Attraction
 
 
-def attracted(case: Case, scene: Scene) -> Ints:
+def attracted(case: Case, scene: System) -> Ints:
     """Bodies of [attraction], ascending; none without it."""
     if case.attraction is None:
         return np.zeros(0, dtype=np.int64)
@@ -242,7 +242,7 @@ def tree_accuracy(case: Case) -> float:
     return TREE_ACCURACY if case.run.accuracy is None else SHARE_OF_RUN * case.run.accuracy
 
 
-def coincident(case: Case, scene: Scene) -> list[Problem]:
+def coincident(case: Case, scene: System) -> list[Problem]:
     """What is wrong with particles of two bodies at one place, where attraction has no bound."""
     bodies = attracted(case, scene)
     if case.attraction is None or case.attraction.softening > 0.0 or not bodies.size:
@@ -267,7 +267,7 @@ def coincident(case: Case, scene: Scene) -> list[Problem]:
     return [problem_at(case, "attraction", reason, "give `softening`, or move one of the two")]
 
 
-def particles_of(scene: Scene, bodies: Ints) -> tuple[Ints, Ints]:
+def particles_of(scene: System, bodies: Ints) -> tuple[Ints, Ints]:
     """Particles of these bodies, body after body.
 
     Returns
@@ -320,12 +320,12 @@ def components(n_bodies: int, links: list[Link], attracted: Ints, touching: Ints
 # Places and distances
 
 
-def places(scene: Scene, bodies: Ints, at: Floats | tuple[float, float, float]) -> Floats:
+def places(scene: System, bodies: Ints, at: Floats | tuple[float, float, float]) -> Floats:
     """Places of points of bodies at t = 0, (3, n) [m], world frame.
 
     Parameters
     ----------
-    scene : Scene
+    scene : System
         Gives the state at t = 0.
     bodies : ndarray, shape (n,)
         Of the scene.

@@ -8,25 +8,25 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.bodies.scene import Scene, assemble
 from particlerb.case.placement import first_bodies
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case
-from particlerb.contact.search import Search
+from particlerb.case.to_system import System, assemble
+from particlerb.contact.cell_grid import Search
 from particlerb.contact.wall_motion import poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats
-from particlerb.pairs import lengths
-from particlerb.touching import Contact, contact_of, shift_of, spheres_of
+from particlerb.plan.contact_setup import ContactSetup, contact_of, shift_of, spheres_of
+from particlerb.plan.links import lengths
 
 ROUNDS: Final = 2000  # at most
 LENGTHENED: Final = 1.5  # times the mean of all pushes on a body
 LEFT: Final = 1e-3  # overlap that may be left, in units of the smallest radius
 
 
-def assembled(case: Case) -> Scene:
+def assembled(case: Case) -> System:
     """Scene of a case, pushed apart where `contact.relax` asks for it.
 
     Raises
@@ -43,7 +43,7 @@ def assembled(case: Case) -> Scene:
     return scene._replace(state=scene.state._replace(com=com))
 
 
-def displaced(case: Case, scene: Scene) -> Scene:
+def displaced(case: Case, scene: System) -> System:
     """Scene with driven bodies where their motion has them at t = 0."""
     if all(body.motion is None for body in case.body):
         return scene
@@ -53,7 +53,7 @@ def displaced(case: Case, scene: Scene) -> Scene:
     return scene._replace(state=scene.state._replace(com=com))
 
 
-def pushed_apart(case: Case, scene: Scene, contact: Contact) -> Floats:
+def pushed_apart(case: Case, scene: System, contact: ContactSetup) -> Floats:
     """Centres of mass (3, n_bodies) [m] with which hardly anything overlaps.
 
     Raises

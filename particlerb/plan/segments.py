@@ -11,16 +11,22 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies, taken
-from particlerb.bodies.coarse import coarse
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import State, omega_world
+from particlerb.case.coarse_lattice import coarse
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
-from particlerb.case.schema import Case, Impulse
-from particlerb.contact.loads import Contact, Spheres
-from particlerb.contact.swing import swing_at_start
-from particlerb.forces import (
+from particlerb.case.schema import Case, ImpulseTable
+from particlerb.case.to_system import System
+from particlerb.contact.contact_frequency import swing_at_start
+from particlerb.contact.pair_force import ContactSpheres, GroupContact
+from particlerb.forces import Terms
+from particlerb.forces.attraction import Attraction, fastest_rates
+from particlerb.forces.impulse import Impulse
+from particlerb.forces.links import fastest_oscillation, link_rates, with_springs
+from particlerb.integrators import METHODS
+from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.model.bodies import Bodies, taken
+from particlerb.model.state import State, omega_world
+from particlerb.plan.case_forces import (
     acts,
     bodies_at_centres,
     impossible_torques,
@@ -29,18 +35,11 @@ from particlerb.forces import (
     sizes,
     too_large,
 )
-from particlerb.groups import Together, groups_of, terms_of
-from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.methods import METHODS
-from particlerb.methods.motion import Group
-from particlerb.pairs import coincident, links_of
+from particlerb.plan.contact_setup import ContactSetup, contact_of
+from particlerb.plan.groups import BodyGroup, groups_of, terms_of
+from particlerb.plan.links import coincident, links_of
 from particlerb.rotors.rotor_class import POINT
-from particlerb.terms import Terms
-from particlerb.terms.attraction import Attraction, fastest_rates
-from particlerb.terms.impulse import Impulse as Jump
-from particlerb.terms.links import fastest_oscillation, link_rates, with_springs
-from particlerb.touching import Contact as Touching
-from particlerb.touching import contact_of
+from particlerb.stepping.motion import Group
 
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
 STEPS_PER_CONTACT: Final = 20  # below which a contact is not accurate
@@ -53,7 +52,7 @@ class Segment(NamedTuple):
 
     start: float  # [s]
     stop: float  # [s], inf for the last
-    jumps: tuple[Jump, ...]  # impulses at the start
+    jumps: tuple[Impulse, ...]  # impulses at the start
     terms: Terms
     method: str
     dt: float  # [s]; 0 where the method has no step, the first one where it is adaptive
@@ -89,12 +88,12 @@ class Plan(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def make_plan(case: Case, scene: Scene) -> Plan:
+def make_plan(case: Case, scene: System) -> Plan:
     """Plan of a case.
 
     Parameters
     ----------
-    case, scene : Case, Scene
+    case, scene : Case, System
         What the user says, and the bodies made of it.
 
     Raises
@@ -119,7 +118,7 @@ def make_plan(case: Case, scene: Scene) -> Plan:
     return checked(case, scene, groups, [None] * len(groups))
 
 
-def with_choice(case: Case, scene: Scene, plan: Plan, choice: Sequence[Stepping | None]) -> Plan:
+def with_choice(case: Case, scene: System, plan: Plan, choice: Sequence[Stepping | None]) -> Plan:
     """Plan whose groups are stepped as chosen, where something is.
 
     Raises
@@ -144,7 +143,7 @@ def stepped_by(group: GroupPlan, chosen: Stepping) -> GroupPlan:
 
 
 def checked(
-    case: Case, scene: Scene, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
+    case: Case, scene: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
 ) -> Plan:
     """Plan of groups with steps, if these can be taken."""
     refuse_endless(case, scene, groups)
@@ -157,12 +156,12 @@ def checked(
 
 
 def cut_into_segments(
-    case: Case, scene: Scene, group: Together, touching: Touching | None
+    case: Case, scene: System, group: BodyGroup, touching: ContactSetup | None
 ) -> GroupPlan:
     """Segments of a group between the edges of its forces; steps are set later."""
     edges = {0.0}
     for form in (*(force.form for force in group.forces), *(link.force for link in group.links)):
-        if isinstance(form, Impulse):
+        if isinstance(form, ImpulseTable):
             edges.add(form.time)
         elif form.during is not None:
             edges.update(form.during)
@@ -179,7 +178,7 @@ def cut_into_segments(
         jumps = tuple(
             jump(force, bodies)
             for force in forces
-            if isinstance(force.form, Impulse) and force.form.time == start
+            if isinstance(force.form, ImpulseTable) and force.form.time == start
         )
         method = chosen_method(case.run.method, bodies, terms)
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, case.run.tolerance))
@@ -244,7 +243,7 @@ def refuse_method(case: Case, groups: list[GroupPlan]) -> None:
             raise CaseError([problem_at(case, "run.method", reason, f"methods that do: {able}")])
 
 
-def step(case: Case, scene: Scene, group: GroupPlan) -> float:
+def step(case: Case, scene: System, group: GroupPlan) -> float:
     """Step of the stepped segments of a group [s]; 0 where it has none."""
     if not any(has_step(segment.method) for segment in group.segments):
         return 0.0
@@ -258,7 +257,7 @@ def step(case: Case, scene: Scene, group: GroupPlan) -> float:
 
 
 def step_reason(
-    case: Case, scene: Scene, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
+    case: Case, scene: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
 ) -> str:
     """The steps in words, and why these."""
     stepped = [
@@ -286,7 +285,7 @@ def step_reason(
     return f"{dt:.6g} s = {why}, {rule}"
 
 
-def refuse_endless(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> None:
+def refuse_endless(case: Case, scene: System, groups: tuple[GroupPlan, ...]) -> None:
     """Raise CaseError where steps until t_end are more than can be counted."""
     for group in groups:
         for segment in group.segments:
@@ -303,7 +302,7 @@ def refuse_endless(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> N
                 raise CaseError([problem_at(case, key, f"{reason} times until t_end", hint)])
 
 
-def refuse_unstable(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> None:
+def refuse_unstable(case: Case, scene: System, groups: tuple[GroupPlan, ...]) -> None:
     """Raise CaseError where a step is above the limit of contact, unless it is allowed.
 
     That is the limit of a single contact of the outermost spheres, and of all contacts together
@@ -344,7 +343,7 @@ def stable_turn(plan: Plan) -> float:
     return min(limits, default=math.inf)
 
 
-def refuse_crowded(case: Case, scene: Scene, group: GroupPlan, reach: float) -> None:
+def refuse_crowded(case: Case, scene: System, group: GroupPlan, reach: float) -> None:
     """Raise CaseError where a step is too long for all contacts with which a case begins."""
     segment = group.segments[0]
     contact, state = segment.terms.contact, taken(scene.state, group.members)
@@ -366,7 +365,7 @@ def refuse_crowded(case: Case, scene: Scene, group: GroupPlan, reach: float) -> 
         )
 
 
-def deepest_impact(contact: Contact, bodies: Bodies, state: State, fall: float) -> float:
+def deepest_impact(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> float:
     """Deepest overlap [m] of an impact of the heaviest bodies of `hertz`; 0 for hooke."""
     if contact.scene.law.hertz is None:
         return 0.0
@@ -377,14 +376,14 @@ def deepest_impact(contact: Contact, bodies: Bodies, state: State, fall: float) 
     return float((1.25 * speed**2 / (K * 2.0 * moving.min(initial=np.inf))) ** 0.4)
 
 
-def impact_speed(contact: Contact, bodies: Bodies, state: State, fall: float) -> float:
+def impact_speed(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> float:
     """Speed [m/s] with which two may meet, by those at t = 0 and by falling."""
     speed = np.linalg.norm(state.p * bodies.inv_mass, axis=0)
     spin = np.linalg.norm(omega_world(bodies, state), axis=0)
     return 2.0 * float((speed + spin * contact.reach).max()) + fall
 
 
-def damped_share(contact: Contact) -> float:
+def damped_share(contact: GroupContact) -> float:
     """Share of the limit of an undamped contact at which the most damped one stays at rest.
 
     A dashpot that acts on the velocity carried on to the kick: ω h < √(16 ζ² + 4) - 4 ζ.
@@ -393,7 +392,7 @@ def damped_share(contact: Contact) -> float:
     return 0.5 * (math.sqrt(16.0 * ratio**2 + 4.0) - 4.0 * ratio)
 
 
-def fastest_contact(scene: Scene, group: GroupPlan, segment: Segment) -> float:
+def fastest_contact(scene: System, group: GroupPlan, segment: Segment) -> float:
     """Largest rate of a contact in a segment [rad/s]."""
     contact, state = segment.terms.contact, taken(scene.state, group.members)
     assert contact is not None
@@ -402,7 +401,7 @@ def fastest_contact(scene: Scene, group: GroupPlan, segment: Segment) -> float:
 
 
 @np.errstate(over="ignore", divide="ignore")
-def rates(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> Floats:
+def rates(scene: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
     """Estimate of the fastest rate of each body of a group, (n,) [rad/s]: spin, forces, impulses.
 
     A torque without potential spins a body up while it lasts, by |τ| Δt / I; one without end counts
@@ -445,7 +444,7 @@ def rates(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> Floats:
     return np.asarray(np.maximum(spin, swing))
 
 
-def falling_speed(scene: Scene, terms: Terms) -> float:
+def falling_speed(scene: System, terms: Terms) -> float:
     """Speed [m/s] that bodies of a scene reach by falling through all of it."""
     if terms.gravity is None:
         return 0.0
@@ -458,7 +457,7 @@ def falling_speed(scene: Scene, terms: Terms) -> float:
 
 
 @np.errstate(invalid="ignore", divide="ignore")
-def contact_rates(contact: Contact, bodies: Bodies, state: State, fall: float) -> Floats:
+def contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> Floats:
     """Rate of the fastest contact of each body with another one or a wall, (n,) [rad/s].
 
     ω² = k (1/m_eff) with 1/m_eff = Σ 1/M + (r×n)·I⁻¹(r×n) of both bodies, at the sphere and for
@@ -486,7 +485,7 @@ def contact_rates(contact: Contact, bodies: Bodies, state: State, fall: float) -
     return np.asarray(np.sqrt(squared.max(axis=1)))
 
 
-def softest_turning(spheres: Spheres, inv_inertia: Floats) -> Floats:
+def softest_turning(spheres: ContactSpheres, inv_inertia: Floats) -> Floats:
     """Largest (r×n)·I⁻¹(r×n) [1/kg] over the spheres of each body and unit vectors n, (n,).
 
     The larger eigenvalue of a matrix with two, as n along r gives 0: from its trace and the sum of
@@ -501,7 +500,7 @@ def softest_turning(spheres: Spheres, inv_inertia: Floats) -> Floats:
     return largest
 
 
-def softest_partners(contact: Contact, softness: Floats, material: Ints) -> Floats:
+def softest_partners(contact: GroupContact, softness: Floats, material: Ints) -> Floats:
     """Largest 1/m_eff [1/kg] of what each body may meet of each material; -inf: nothing, (n, k)."""
     scene, walls = contact.scene, contact.scene.walls
     partner = np.full((softness.size, len(scene.pair_of)), -np.inf)
@@ -532,7 +531,7 @@ def attraction_rates(attraction: Attraction, com: Floats) -> Floats:
     return found if which.size == n else np.full(n, found.max())
 
 
-def fastest_rate(scene: Scene, group: GroupPlan, t_end: float = 0.0) -> float:
+def fastest_rate(scene: System, group: GroupPlan, t_end: float = 0.0) -> float:
     """Largest of the rates of a group [rad/s]."""
     return float(rates(scene, group, t_end).max())
 
@@ -551,7 +550,7 @@ def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
     return group._replace(segments=tuple(segments))
 
 
-def step_warnings(case: Case, scene: Scene, groups: tuple[GroupPlan, ...]) -> list[str]:
+def step_warnings(case: Case, scene: System, groups: tuple[GroupPlan, ...]) -> list[str]:
     """Warnings about steps that turn a body too far, now or by t_end, or let springs explode."""
     found: dict[str, tuple[float, str, float]] = {}
     for group in groups:
@@ -594,7 +593,7 @@ def as_warning(problem: Problem) -> str:
     return str(problem).replace(": error: ", ": warning: ", 1)
 
 
-def stable_step(scene: Scene, group: GroupPlan, segment: Segment) -> float:
+def stable_step(scene: System, group: GroupPlan, segment: Segment) -> float:
     """Longest step [s] with which the springs of a segment stay bounded at t = 0; inf: any."""
     links, springs = segment.terms.links, segment.terms.spring or ()
     if links is None and not springs:

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from particlerb.record.checked import followed, refuse_foreign_storage
+from particlerb.record.checked_reading import followed, refuse_foreign_storage
 from particlerb.record.schema import (
     AXES,
     FILES,

@@ -9,7 +9,12 @@ import h5py
 import numpy as np
 
 from particlerb.case.schema import Case
-from particlerb.contact.touches import Touches, contact_numbers, largest_overlaps, wall_loads
+from particlerb.contact.contact_output import (
+    ContactOutput,
+    contact_numbers,
+    largest_overlaps,
+    wall_loads,
+)
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.schema import (
     COLUMNS,
@@ -26,13 +31,15 @@ CONTACTS_PER_CHUNK = 64, 8192  # at least, at most
 Make = Callable[[str, Element], h5py.Dataset]
 
 
-def body_values(name: str, touches: Sequence[Touches], n_bodies: int) -> Floats | Ints:
+def body_values(name: str, touches: Sequence[ContactOutput], n_bodies: int) -> Floats | Ints:
     """A field of contact per body for some frames, (T, n_bodies)."""
     of_frame = {"contact_number": contact_numbers, "contact_overlap": largest_overlaps}[name]
     return np.stack([of_frame(one, n_bodies) for one in touches])
 
 
-def wall_values(wanted: Mapping[str, object], touches: Sequence[Touches]) -> dict[str, Floats]:
+def wall_values(
+    wanted: Mapping[str, object], touches: Sequence[ContactOutput]
+) -> dict[str, Floats]:
     """Fields of walls for some frames, (T, n_walls, 3)."""
     loads = [wall_loads(one) for one in touches]
     values = {
@@ -92,7 +99,7 @@ class ContactList:
         self.columns = {name: file[CONTACTS][name] for name in COLUMNS}
         self.offset = file[OFFSET]
 
-    def rows(self, touches: Sequence[Touches]) -> tuple[list[Floats | Ints], Ints]:
+    def rows(self, touches: Sequence[ContactOutput]) -> tuple[list[Floats | Ints], Ints]:
         """Contacts of some frames as the file holds them, and the row behind each frame."""
         ends = np.cumsum([one.wall.size for one in touches], dtype=np.int64)
         columns = [
@@ -101,7 +108,7 @@ class ContactList:
         ]
         return columns, ends
 
-    def write(self, first: int, touches: Sequence[Touches]) -> Ints:
+    def write(self, first: int, touches: Sequence[ContactOutput]) -> Ints:
         """Write contacts of some frames from row `first` on; return where each frame ends."""
         columns, ends = self.rows(touches)
         for dataset, values in zip(self.columns.values(), columns, strict=True):

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from particlerb.case.schema import Case
-from particlerb.record.contacts import walls_wanted
+from particlerb.record.contact_writer import walls_wanted
 from particlerb.record.schema import CONTACT_FIELDS, FIELDS
 
 SMALLEST_FILE: Final = 600_000  # bytes of a file of few bodies and frames

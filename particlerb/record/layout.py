@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 
 import particlerb
-from particlerb.bodies.scene import Scene
+from particlerb.case.to_system import System
 from particlerb.maths.vec3 import Floats
 from particlerb.record.schema import (
     AXES,
@@ -44,7 +44,7 @@ def make_group(file: h5py.File) -> h5py.Group:
     return group
 
 
-def write_bodies(file: h5py.File, scene: Scene) -> None:
+def write_bodies(file: h5py.File, scene: System) -> None:
     """What does not change: box, dimension scales, masses, particles."""
     trajectory = make_group(file)
     n = len(scene.kind)
@@ -77,7 +77,7 @@ def write_bodies(file: h5py.File, scene: Scene) -> None:
     trajectory["moment_inertia"].dims[1].attach_scale(file["123"])
 
 
-def extents(scene: Scene) -> Floats:
+def extents(scene: System) -> Floats:
     """Edges of a box about the centre of mass of each body that holds its particles, (N, 3) [m].
 
     Axes of the body frame. No edge is thinner than a share of the longest one: of the body, or of
@@ -116,7 +116,7 @@ def make_checksums(file: h5py.File, n_frames: int) -> h5py.Dataset:
     group, clock = file.create_group(INTEGRITY), file[f"{TRAJECTORY}/time"]
     chunks = (rows_per_chunk(n_frames),)
     checksums = group.create_dataset(CHECKSUM, (0,), "u8", maxshape=(None,), chunks=chunks)
-    describe(checksums, "1", "of each frame, see particlerb.record.integrity")
+    describe(checksums, "1", "of each frame, see particlerb.record.checksums")
     group["time"] = clock  # netCDF looks for scales in this group
     checksums.dims[0].attach_scale(clock)
     return checksums

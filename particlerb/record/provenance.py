@@ -15,12 +15,12 @@ import h5py
 import numpy as np
 
 import particlerb
-from particlerb._jit import source_hash
-from particlerb.case.files import Files
 from particlerb.case.schema import Case
 from particlerb.case.source import Source
-from particlerb.record.checked import blaming, checked, followed, text
-from particlerb.record.integrity import seal
+from particlerb.compiled.jit import source_hash
+from particlerb.files import Files
+from particlerb.record.checked_reading import blaming, checked, followed, text
+from particlerb.record.checksums import seal
 from particlerb.record.schema import FILE_NAMES, FILES, PARAMETERS
 
 

@@ -87,7 +87,7 @@ LEDGER: Final[dict[str, Element]] = {
 }
 
 
-class Table(NamedTuple):
+class FixedDataset(NamedTuple):
     """One dataset that does not change in time."""
 
     units: str
@@ -117,25 +117,29 @@ WALL_NAMES: Final = "walls/names"
 WALL_NUMBERS: Final = "walls/wall"
 
 
-STATIC: Final[dict[str, Table]] = {
-    f"{TRAJECTORY}/id": Table("1", "number of the body"),
-    f"{TRAJECTORY}/mass": Table("kg", "of each body"),
-    f"{TRAJECTORY}/moment_inertia": Table(
+STATIC: Final[dict[str, FixedDataset]] = {
+    f"{TRAJECTORY}/id": FixedDataset("1", "number of the body"),
+    f"{TRAJECTORY}/mass": FixedDataset("kg", "of each body"),
+    f"{TRAJECTORY}/moment_inertia": FixedDataset(
         "kg m2", "principal moments, in the order of the rotor frame", "rotor"
     ),
-    f"{TRAJECTORY}/extent": Table(
+    f"{TRAJECTORY}/extent": FixedDataset(
         "m", "edges of a box about the centre of mass that holds all particles, for glyphs", "body"
     ),
-    f"{BODIES}/names": Table("1", "of each body"),
-    f"{BODIES}/kind": Table("1", "kind of each body: which set of particles it is made of"),
-    f"{BODIES}/rotor_class": Table("1", "0 point, 1 rod, 2 sphere, 3 symmetric, 4 asymmetric"),
-    f"{BODIES}/rotor_frame": Table(
+    f"{BODIES}/names": FixedDataset("1", "of each body"),
+    f"{BODIES}/kind": FixedDataset("1", "kind of each body: which set of particles it is made of"),
+    f"{BODIES}/rotor_class": FixedDataset(
+        "1", "0 point, 1 rod, 2 sphere, 3 symmetric, 4 asymmetric"
+    ),
+    f"{BODIES}/rotor_frame": FixedDataset(
         "1", "unit quaternion, scalar first, rotor frame to body frame", "rotor to body"
     ),
-    f"{BODIES}/particles/position": Table("m", "from the centre of mass", "body"),
-    f"{BODIES}/particles/mass": Table("kg", "of each particle"),
-    f"{BODIES}/particles/radius": Table("m", "0 is a point mass"),
-    f"{BODIES}/particles/offset": Table("1", "kind k owns particles offset[k] to offset[k + 1]"),
+    f"{BODIES}/particles/position": FixedDataset("m", "from the centre of mass", "body"),
+    f"{BODIES}/particles/mass": FixedDataset("kg", "of each particle"),
+    f"{BODIES}/particles/radius": FixedDataset("m", "0 is a point mass"),
+    f"{BODIES}/particles/offset": FixedDataset(
+        "1", "kind k owns particles offset[k] to offset[k + 1]"
+    ),
 }
 
 

@@ -14,16 +14,16 @@ import h5py
 import numpy as np
 from h5py import h5d, h5p
 
-from particlerb.bodies.bodies import Bodies, made_of, taken
-from particlerb.bodies.particles import Particles
-from particlerb.bodies.state import derived, turned, turned_back
-from particlerb.case.files import path_of
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import build
 from particlerb.case.schema import Case
-from particlerb.ledger import Entries
+from particlerb.files import path_of
+from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.record.checked import (
+from particlerb.model.balance import Entries
+from particlerb.model.bodies import Bodies, made_of, taken
+from particlerb.model.state import derived, turned, turned_back
+from particlerb.record.checked_reading import (
     TrajectoryError,
     attempts,
     attribute,

@@ -9,11 +9,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.state import Frames
-from particlerb.ledger import totals
 from particlerb.maths.vec3 import Floats
-from particlerb.record.checked import (
+from particlerb.model.balance import totals
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import Frames
+from particlerb.record.checked_reading import (
     TrajectoryError,
     attribute,
     blaming,
@@ -22,7 +22,7 @@ from particlerb.record.checked import (
     number,
 )
 from particlerb.record.checkpoint import digest_of
-from particlerb.record.integrity import digest, frame_checksums, list_checksums
+from particlerb.record.checksums import digest, frame_checksums, list_checksums
 from particlerb.record.schema import (
     CHECKPOINT,
     CONTACT_FIELDS,
@@ -37,7 +37,7 @@ from particlerb.record.schema import (
     VTKHDF,
     WALLS,
 )
-from particlerb.trajectory import Trajectory
+from particlerb.record.trajectory import Trajectory
 
 STATE: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
 SUMMED: Final = ("kinetic_energy", "linear_momentum", "angular_momentum")

@@ -16,16 +16,17 @@ import h5py
 import numpy as np
 from h5py import h5s
 
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import Frames, derived
 from particlerb.case.schema import Case
-from particlerb.contact.touches import Touches
+from particlerb.case.to_system import System
+from particlerb.contact.contact_output import ContactOutput
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.state import Frames, derived
 from particlerb.record.atomic import AtomicFile
-from particlerb.record.checked import FAULTS
+from particlerb.record.checked_reading import FAULTS
 from particlerb.record.checkpoint import make_slots, write_checkpoint
+from particlerb.record.checksums import Words, frame_checksums, list_checksums, seal
 from particlerb.record.claim import Claim
-from particlerb.record.contacts import (
+from particlerb.record.contact_writer import (
     ContactList,
     body_values,
     make_contacts,
@@ -33,7 +34,7 @@ from particlerb.record.contacts import (
     wall_values,
     walls_wanted,
 )
-from particlerb.record.integrity import Words, frame_checksums, list_checksums, seal
+from particlerb.record.disk_space import most_frames
 from particlerb.record.layout import (
     make_checksums,
     make_clock,
@@ -42,7 +43,6 @@ from particlerb.record.layout import (
     write_h5md,
 )
 from particlerb.record.provenance import write_parameters
-from particlerb.record.room import most_frames
 from particlerb.record.schema import (
     BODIES,
     CHECKPOINT,
@@ -90,7 +90,7 @@ class Recorder:
     ----------
     path : Path or None
         Where; None keeps the file in memory.
-    case, scene : Case, Scene
+    case, scene : Case, System
         What is run, and the bodies.
     parameters : mapping of str to str
         More texts for /parameters: the plan in words, what is known of the accuracy.
@@ -112,7 +112,7 @@ class Recorder:
         self,
         path: Path | None,
         case: Case,
-        scene: Scene,
+        scene: System,
         parameters: Mapping[str, str],
         overwrite: bool = False,
     ) -> None:
@@ -179,14 +179,14 @@ class Recorder:
         self.find()
 
     @classmethod
-    def again(cls, path: Path, case: Case, scene: Scene, n_frames: int, known: int) -> Self:
+    def again(cls, path: Path, case: Case, scene: System, n_frames: int, known: int) -> Self:
         """Recorder of a file that has frames: what is appended again must be the same.
 
         Parameters
         ----------
         path : Path
             A file that no other process writes.
-        case, scene : Case, Scene
+        case, scene : Case, System
             As for a new file.
         n_frames : int
             Frames that lie behind the state that is carried on.
@@ -225,7 +225,7 @@ class Recorder:
         self.checksums = self.file[INTEGRITY][CHECKSUM]
 
     def take(
-        self, file: h5py.File, disk: AtomicFile | None, path: Path | None, case: Case, scene: Scene
+        self, file: h5py.File, disk: AtomicFile | None, path: Path | None, case: Case, scene: System
     ) -> None:
         """Begin with an open file."""
         self.file, self.disk, self.path = file, disk, path
@@ -263,14 +263,19 @@ class Recorder:
         frames: Frames,
         rows: Ints,
         ledger: Any,
-        touches: Sequence[Touches] = (),
+        touches: Sequence[ContactOutput] = (),
     ) -> None:
         """Append rows of the frames with their times, ledger entries, and contacts if wanted."""
         with self.writing():
             self.write(times, frames, rows, ledger, touches)
 
     def write(
-        self, times: Floats, frames: Frames, rows: Ints, ledger: Any, touches: Sequence[Touches]
+        self,
+        times: Floats,
+        frames: Frames,
+        rows: Ints,
+        ledger: Any,
+        touches: Sequence[ContactOutput],
     ) -> None:
         """Write the large arrays now and keep the small ones until the next commit."""
         n = self.n_frames
@@ -348,7 +353,7 @@ class Recorder:
         """Seconds that the disk was waited for until now."""
         return 0.0 if self.disk is None else self.disk.seconds
 
-    def of_contacts(self, touches: Sequence[Touches]) -> dict[str, Floats | Ints]:
+    def of_contacts(self, touches: Sequence[ContactOutput]) -> dict[str, Floats | Ints]:
         """Fields per body that contacts decide, for some frames."""
         n = len(self.scene.kind)
         return {
@@ -467,7 +472,7 @@ def sync_folder(path: Path) -> None:
 
 
 def fields_of(
-    frames: Frames, rows: Ints, scene: Scene, wanted: Mapping[str, Any]
+    frames: Frames, rows: Ints, scene: System, wanted: Mapping[str, Any]
 ) -> dict[str, Floats]:
     """Arrays of the wanted fields, for some rows of the frames."""
     contiguous = len(rows) == rows[-1] - rows[0] + 1

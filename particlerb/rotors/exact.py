@@ -11,7 +11,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from particlerb._jit import compile_with, inline, kernel
+from particlerb.compiled.jit import compile_with, inline, kernel
+from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, Rows4, load4, multiply, rows4, store4
 from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Floats, Ints, load3, rows3
@@ -33,7 +34,6 @@ from particlerb.rotors.theta import (
     oriented,
     theta_local,
 )
-from particlerb.threads import THREADS
 
 BLOCK = 256
 CROSSOVER = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2

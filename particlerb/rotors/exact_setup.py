@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from particlerb._jit import compile_with, config, inline, kernel
+from particlerb.compiled.jit import compile_with, config, inline, kernel
 from particlerb.maths import double_double as dd
 from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, store4
 from particlerb.maths.vec3 import Floats, Ints, Vec3, load3, store3

@@ -22,7 +22,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from particlerb._jit import inline
+from particlerb.compiled.jit import inline
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, scale
 
 Cubic: TypeAlias = tuple[Vec3, Vec3, Vec3]  # coefficients of N, H, N², NH, H², N³, N²H, NH², H³

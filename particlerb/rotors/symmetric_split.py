@@ -9,7 +9,7 @@ Source: Touma and Wisdom, Astron. J. 107, 1189 (1994); Dullweber, Leimkuhler and
 J. Chem. Phys. 107, 5840 (1997). See docs/theory.md, section 5.
 """
 
-from particlerb._jit import inline
+from particlerb.compiled.jit import inline
 from particlerb.maths.quaternion import Quat, multiply
 from particlerb.maths.trig import cos_sinc, reduce_modulo_pi
 from particlerb.maths.vec3 import Vec3, dot, scale

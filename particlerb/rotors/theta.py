@@ -8,7 +8,7 @@ solution, `theta_constants` and `near_constants` prepare them. (n) are formulas 
 import math
 from typing import NamedTuple, TypeAlias
 
-from particlerb._jit import inline
+from particlerb.compiled.jit import inline
 from particlerb.maths import double_double as dd
 from particlerb.maths.elliptic import imaginary_phase, landen, nome, phase
 from particlerb.maths.quaternion import Quat, multiply

@@ -19,11 +19,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.scene import Scene
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case
-from particlerb.describe import describe, group_name
-from particlerb.plan import (
+from particlerb.case.to_system import System
+from particlerb.plan.describe import describe, group_name
+from particlerb.plan.remove_overlaps import assembled
+from particlerb.plan.segments import (
     GroupPlan,
     Plan,
     Stepping,
@@ -33,10 +34,17 @@ from particlerb.plan import (
     stepped_by,
     with_choice,
 )
-from particlerb.relaxing import assembled
-from particlerb.simulate import Prepared, prepare
-from particlerb.studies.ladder import DEAREST, ENOUGH, MORE_TIMES, RATIO, Found, Ladder, Pilot
-from particlerb.studies.trials import drifts, part, states_at
+from particlerb.simulation.run import Prepared, prepare
+from particlerb.simulation.step_ladder import (
+    DEAREST,
+    ENOUGH,
+    MORE_TIMES,
+    RATIO,
+    ChosenStep,
+    Ladder,
+    Pilot,
+)
+from particlerb.simulation.trials import drifts, part, states_at
 
 SHARE: Final = 0.3  # of the wanted error of the energy that a step is chosen for
 
@@ -126,7 +134,7 @@ def prepare_again(case: Case, stepping: str | None) -> Prepared:
     return Prepared(case, scene, plan, describe(case, scene, plan))
 
 
-def estimate_of(case: Case, scene: Scene, plan: Plan, found: list[Found | None]) -> Estimate:
+def estimate_of(case: Case, scene: System, plan: Plan, found: list[ChosenStep | None]) -> Estimate:
     """Summary over all groups."""
     known = [(g, one) for g, one in zip(plan.groups, found, strict=True) if one is not None]
     return Estimate(
@@ -139,7 +147,7 @@ def estimate_of(case: Case, scene: Scene, plan: Plan, found: list[Found | None])
     )
 
 
-def search(case: Case, scene: Scene, group: GroupPlan) -> Found | None:
+def search(case: Case, scene: System, group: GroupPlan) -> ChosenStep | None:
     """Cheapest way to step a group; None where nothing of it is stepped before t_end."""
     stepped = [s for s in group.segments if has_step(s.method) and s.start < case.run.t_end]
     if not stepped:
@@ -151,7 +159,7 @@ def search(case: Case, scene: Scene, group: GroupPlan) -> Found | None:
     return cheapest(pilot, [Ladder(pilot, name) for name in able])
 
 
-def cheapest(pilot: Pilot, ladders: list[Ladder]) -> Found:
+def cheapest(pilot: Pilot, ladders: list[Ladder]) -> ChosenStep:
     """Setting of the method that meets the accuracy at the least cost, or that comes closest."""
     while True:
         best = min(ladders, key=lambda ladder: ladder.cost)
@@ -166,7 +174,7 @@ def cheapest(pilot: Pilot, ladders: list[Ladder]) -> Found:
         best.climb()
 
 
-def by_energy(pilot: Pilot, method: str) -> Found:
+def by_energy(pilot: Pilot, method: str) -> ChosenStep:
     """Longest step with which the energy is right, for contact: what touches is chaotic.
 
     A pilot run, shorter than the run where that is dear, is repeated with half the step until the
@@ -189,6 +197,6 @@ def by_energy(pilot: Pilot, method: str) -> Found:
         met = error <= ENOUGH * pilot.wanted
         if met or cost * share > DEAREST:
             until = case.run.t_end if met else 0.0
-            return Found(stepping, float(error), until, n, cost, pilot.spent)
+            return ChosenStep(stepping, float(error), until, n, cost, pilot.spent)
         promised = (SHARE * pilot.wanted / error) ** 0.5 if np.isfinite(error) else 0.1
         stepping = stepping._replace(dt=stepping.dt * min(max(promised, 0.1), 0.5))

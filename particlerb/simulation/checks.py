@@ -4,14 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.bodies import taken
-from particlerb.bodies.comparison import CONJUGATE, angles
-from particlerb.bodies.scene import Scene, inertia_in_body
-from particlerb.bodies.state import Frames, State, kinetic_energy, multiplied, omega_world, turned
 from particlerb.case.placement import normalised, resolve_bodies
 from particlerb.case.schema import Case, CheckValue
+from particlerb.case.to_system import System, inertia_in_body
 from particlerb.maths.vec3 import Floats
-from particlerb.simulate import Outcome
+from particlerb.model.bodies import taken
+from particlerb.model.comparison import CONJUGATE, angles
+from particlerb.model.state import Frames, State, kinetic_energy, multiplied, omega_world, turned
+from particlerb.simulation.run import Outcome
 
 
 class Result(NamedTuple):
@@ -29,7 +29,7 @@ class Result(NamedTuple):
         return self.error <= self.tolerance
 
 
-def results(case: Case, scene: Scene, outcome: Outcome) -> list[Result]:
+def results(case: Case, scene: System, outcome: Outcome) -> list[Result]:
     """All checks of a case, limits of drift first."""
     limits = [
         Result(name, "0", f"{value:.3g}", value, limit)
@@ -59,7 +59,7 @@ def results(case: Case, scene: Scene, outcome: Outcome) -> list[Result]:
     return limits + values
 
 
-def value_result(check: CheckValue, time: float, scene: Scene, b: int, frames: Frames) -> Result:
+def value_result(check: CheckValue, time: float, scene: System, b: int, frames: Frames) -> Result:
     """One expected value of one body."""
     expected = np.array(check.value, dtype=np.float64)
     found = quantity(check, scene, b, frames)
@@ -76,7 +76,7 @@ def value_result(check: CheckValue, time: float, scene: Scene, b: int, frames: F
     return Result(name, numbers(expected), numbers(found), error, check.tolerance)
 
 
-def quantity(check: CheckValue, scene: Scene, b: int, frames: Frames) -> Floats:
+def quantity(check: CheckValue, scene: System, b: int, frames: Frames) -> Floats:
     """Value of a quantity of body b."""
     index = np.array([b])
     bodies = taken(scene.bodies, index)

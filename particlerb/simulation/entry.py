@@ -5,13 +5,13 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from particlerb.case.files import path_of
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
-from particlerb.resuming import look_at, resume_pending
-from particlerb.simulate import run_prepared
-from particlerb.studies.accuracy import prepare_accurately
-from particlerb.trajectory import Trajectory, open_trajectory
+from particlerb.files import path_of
+from particlerb.record.trajectory import Trajectory, open_trajectory
+from particlerb.simulation.accuracy import prepare_accurately
+from particlerb.simulation.resume import look_at, resume_pending
+from particlerb.simulation.run import run_prepared
 
 
 def run(

@@ -5,18 +5,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.state import Frames, State, multiplied
-from particlerb.contact.touches import Touches
+from particlerb.contact.contact_output import ContactOutput
+from particlerb.forces import energy_of_springs
+from particlerb.forces.impulse import apply_impulse
+from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
-from particlerb.methods import METHODS
-from particlerb.methods.dilute import DiluteMotion
-from particlerb.methods.motion import Group, Motion
-from particlerb.methods.pair_forces import PairForces
-from particlerb.methods.saving import Saved, under, within
-from particlerb.methods.touching import TouchingMotion
-from particlerb.plan import GroupPlan, Segment
-from particlerb.terms import energy_of_springs
-from particlerb.terms.impulse import apply_impulse
+from particlerb.model.state import Frames, State, multiplied
+from particlerb.plan.segments import GroupPlan, Segment
+from particlerb.stepping.contact_run import TouchingMotion
+from particlerb.stepping.motion import Group, Motion
+from particlerb.stepping.pair_forces import PairForces
+from particlerb.stepping.saved_arrays import Saved, under, within
+from particlerb.stepping.sparse_contact import DiluteMotion
 
 STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
 TOUCHING = (TouchingMotion, DiluteMotion)  # motions that know the elastic energy of contacts
@@ -29,7 +29,7 @@ class Energies(NamedTuple):
     kinetic: Floats  # (T,) [J] of pistons
 
 
-class Traveller:
+class GroupRun:
     """One group on its way through its segments."""
 
     def __init__(self, plan: GroupPlan, state: State) -> None:
@@ -40,7 +40,7 @@ class Traveller:
         self.first = state  # of this segment
         self.pairs = self.pair_forces()
         self.motion = self.begin(plan.segments[0], state)
-        self.touches: dict[int, Touches] = {}  # in rows of the last `record`, where asked for
+        self.touches: dict[int, ContactOutput] = {}  # in rows of the last `record`, where asked for
 
     def checkpoint(self) -> Saved:
         """The segment, how it began, and its motion."""
@@ -166,7 +166,7 @@ class Traveller:
 
 
 def record_all(
-    travellers: Sequence[Traveller], times: Floats, frames: Frames
+    travellers: Sequence[GroupRun], times: Floats, frames: Frames
 ) -> tuple[Floats, Energies]:
     """Sums over the groups of what `Traveller.record` returns."""
     booked, energies = np.zeros((times.size, 7)), np.zeros((2, times.size))
@@ -177,7 +177,7 @@ def record_all(
     return booked, Energies(*energies)
 
 
-def initial_energies(travellers: Sequence[Traveller], initial: Frames) -> Energies:
+def initial_energies(travellers: Sequence[GroupRun], initial: Frames) -> Energies:
     """Energies at t = 0 beside those of the bodies themselves, (1,)."""
     potential = [t.potential(*t.pose(initial, 0)) for t in travellers if t.is_bound]
     touching = [t.motion for t in travellers if isinstance(t.motion, TOUCHING)]

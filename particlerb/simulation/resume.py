@@ -15,15 +15,18 @@ import numpy as np
 from particlerb.case.reader import build
 from particlerb.case.schema import Case
 from particlerb.case.source import Source
+from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
-from particlerb.record.checked import refuse_elsewhere
+from particlerb.record.checked_reading import refuse_elsewhere
 from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint
 from particlerb.record.claim import InUseError
 from particlerb.record.provenance import kept_case, replace_case, versions
 from particlerb.record.schema import PARAMETERS
+from particlerb.record.trajectory import open_trajectory
 from particlerb.record.vtkhdf import is_finished
 from particlerb.record.writer import DamagedError, Recorder
-from particlerb.simulate import (
+from particlerb.simulation.accuracy import prepare_again
+from particlerb.simulation.run import (
     Outcome,
     Prepared,
     Progress,
@@ -32,9 +35,6 @@ from particlerb.simulate import (
     frame_times,
     identity,
 )
-from particlerb.studies.accuracy import prepare_again
-from particlerb.threads import THREADS
-from particlerb.trajectory import open_trajectory
 
 UNVERIFIED = (
     "particlerb: warning: run.accuracy was verified until the earlier t_end only; method and step"

@@ -16,25 +16,25 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import Frames, State, as_frame, multiplied, room_for, turned_back
 from particlerb.case.schema import Case
-from particlerb.contact.touches import Touches
-from particlerb.describe import describe
-from particlerb.ledger import Drift, Entries, Ledger, totals
+from particlerb.case.to_system import System
+from particlerb.compiled.threads import THREADS
+from particlerb.contact.contact_output import ContactOutput
+from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.methods import METHODS
-from particlerb.methods.dilute import DiluteMotion
-from particlerb.methods.motion import MotionError
-from particlerb.methods.saving import Saved, under, within
-from particlerb.plan import GroupPlan, Plan, make_plan
+from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import Frames, State, as_frame, multiplied, room_for, turned_back
+from particlerb.plan.describe import describe
+from particlerb.plan.remove_overlaps import assembled
+from particlerb.plan.segments import GroupPlan, Plan, make_plan
 from particlerb.record.checkpoint import Checkpoint
 from particlerb.record.writer import OtherFrameError, Recorder
-from particlerb.relaxing import assembled
 from particlerb.rotors.rotor_class import ROD
-from particlerb.threads import THREADS
-from particlerb.traveller import TOUCHING, Traveller, initial_energies, record_all
+from particlerb.simulation.group_run import TOUCHING, GroupRun, initial_energies, record_all
+from particlerb.stepping.motion import MotionError
+from particlerb.stepping.saved_arrays import Saved, under, within
+from particlerb.stepping.sparse_contact import DiluteMotion
 
 FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
 BATCH_BYTES = 32_000_000  # of frames that are held before they are written
@@ -63,7 +63,7 @@ class Probe(NamedTuple):
 class Outcome(NamedTuple):
     """What a run leaves beside its file."""
 
-    drift: Drift
+    drift: ConservationError
     probes: tuple[Probe, ...]
     file: h5py.File  # closed, or open if it is in memory
     flown: float | None = None  # share of body-steps that closed forms saved; None: not known
@@ -74,7 +74,7 @@ class Prepared(NamedTuple):
     """A case made ready to run."""
 
     case: Case
-    scene: Scene
+    scene: System
     plan: Plan
     text: str  # the plan in words
     parameters: Mapping[str, str] = MappingProxyType({})  # more for /parameters of the file
@@ -135,12 +135,12 @@ class Run:
         self.room = initial  # used again and again: fresh memory costs more than what fills it
         self.rod_limit = rod_limits(plan, len(self.scene.kind))
         self.travellers = [
-            Traveller(group, State(*(a[:, group.members] for a in self.scene.state)))
+            GroupRun(group, State(*(a[:, group.members] for a in self.scene.state)))
             for group in plan.groups
         ]
         self.counted = counted(plan.groups, self.scene.bodies)
         energies = initial_energies(self.travellers, initial)
-        self.ledger = Ledger(totals(initial, self.counted, self.gravity, *energies))
+        self.ledger = EnergyBalance(totals(initial, self.counted, self.gravity, *energies))
 
         self.n_frames = 0  # that lie behind
         self.probes: list[Probe] = []
@@ -197,7 +197,7 @@ class Run:
         turned_over = sum(t.turned_over() for t in self.travellers)
         return frames, self.ledger.enter(now, booked[:sound], turned_over), error
 
-    def touches(self, rows: Ints) -> list[Touches]:
+    def touches(self, rows: Ints) -> list[ContactOutput]:
         """Contacts in rows of the last frames; empty where nobody asks."""
         found = [t.touches for t in self.travellers if t.touches]
         return [found[0][row] for row in rows.tolist()] if found else []

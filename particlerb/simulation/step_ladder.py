@@ -12,20 +12,20 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.bodies import taken
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import Frames
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case
-from particlerb.describe import group_name
+from particlerb.case.to_system import System
+from particlerb.integrators import METHODS
+from particlerb.integrators.dop853 import PACK
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.methods import METHODS
-from particlerb.methods.dop853 import PACK
-from particlerb.methods.pair_forces import cost_of
-from particlerb.plan import GroupPlan, Stepping, has_step, is_adaptive, rates, stepped_by
+from particlerb.model.bodies import taken
+from particlerb.model.state import Frames
+from particlerb.plan.describe import group_name
+from particlerb.plan.segments import GroupPlan, Stepping, has_step, is_adaptive, rates, stepped_by
 from particlerb.rotors.rotor_class import ASYMMETRIC
-from particlerb.studies.trials import chosen, misfits, poses, ways
+from particlerb.simulation.trials import chosen, misfits, poses, ways
+from particlerb.stepping.pair_forces import cost_of
 
 FIRST_TURN: Final = {"strang": 0.5, "rkn6": 4.0}  # rad of the first step that is tried
 FIRST_TOLERANCE, COARSEST, FINEST = 1e-4, 1e-3, 1e-14  # that is tried, and the limits
@@ -55,7 +55,7 @@ FEW: Final = 12  # bodies that cost as much as one, in the lanes of a register
 SAY_SO: Final = 2.0  # s after which a search says what it does
 
 
-class Found(NamedTuple):
+class ChosenStep(NamedTuple):
     """What serves one group."""
 
     stepping: Stepping
@@ -69,7 +69,7 @@ class Found(NamedTuple):
 class Pilot:
     """Some bodies of a group, to be moved with different methods and steps."""
 
-    def __init__(self, case: Case, scene: Scene, group: GroupPlan) -> None:
+    def __init__(self, case: Case, scene: System, group: GroupPlan) -> None:
         self.case, self.scene, self.group = case, scene, group
         self.wanted, t_end = case.run.accuracy or 0.0, case.run.t_end
         self.spent = 0.0  # ns, by the table
@@ -332,7 +332,7 @@ class Ladder:
             steps *= self.pilot.calm if n > self.pilot.which.size else 1.0
         return self.pilot.cost(self.stepping(setting), steps, n)
 
-    def closest(self) -> Found:
+    def closest(self) -> ChosenStep:
         """The coarsest setting that meets the accuracy all the same, or that with least error."""
         if not self.errors:
             return self.found(self.tried[-1].setting, math.inf)
@@ -341,13 +341,13 @@ class Ladder:
         k = met[0] if met else int(np.argmin(bounds))
         return self.found(self.tried[k].setting, bounds[k])
 
-    def found(self, setting: float, error: float) -> Found:
+    def found(self, setting: float, error: float) -> ChosenStep:
         """What is known of a setting."""
         pilot, stepping = self.pilot, self.stepping(setting)
         cost, until = self.cost_of(setting, pilot.group.members.size), pilot.case.run.t_end
         if not error <= pilot.wanted:
             until = self.until(stepping)
-        return Found(stepping, error, until, pilot.which.size, cost, pilot.spent)
+        return ChosenStep(stepping, error, until, pilot.which.size, cost, pilot.spent)
 
     def until(self, stepping: Stepping) -> float:
         """Time until when what is wanted holds, where it does not to the end [s]."""

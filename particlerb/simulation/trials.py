@@ -10,24 +10,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies, taken
-from particlerb.bodies.comparison import angles
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import Frames, State, as_frame, room_for
 from particlerb.case.schema import Case
-from particlerb.ledger import Ledger, totals
+from particlerb.case.to_system import System
+from particlerb.compiled.threads import THREADS
+from particlerb.forces.impulse import Impulse, apply_impulse
+from particlerb.integrators import METHODS
+from particlerb.integrators.dop853 import PACK
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.methods import METHODS
-from particlerb.methods.dop853 import PACK
-from particlerb.methods.motion import Together, part_of
-from particlerb.plan import GroupPlan, Plan, has_step, is_adaptive, rates
-from particlerb.simulate import counted
-from particlerb.terms.impulse import Impulse, apply_impulse
-from particlerb.threads import THREADS
-from particlerb.traveller import Energies, Traveller, initial_energies, record_all
+from particlerb.model.balance import EnergyBalance, totals
+from particlerb.model.bodies import Bodies, taken
+from particlerb.model.comparison import angles
+from particlerb.model.state import Frames, State, as_frame, room_for
+from particlerb.plan.segments import GroupPlan, Plan, has_step, is_adaptive, rates
+from particlerb.simulation.group_run import Energies, GroupRun, initial_energies, record_all
+from particlerb.simulation.run import counted
+from particlerb.stepping.motion import CompositeMotion, part_of
 
 
-class Part(NamedTuple):
+class BodySubset(NamedTuple):
     """Some bodies of a scene, and how they will move."""
 
     bodies: Bodies
@@ -54,7 +54,7 @@ class Error(NamedTuple):
     position: float  # worst, relative to the larger of size and way of the body
 
 
-def sample(scene: Scene, plan: Plan, t_end: float, packs: int) -> Ints:
+def sample(scene: System, plan: Plan, t_end: float, packs: int) -> Ints:
     """Bodies of so many packs at most, ascending: those of the fastest bodies, and others."""
     found: list[tuple[float, Ints]] = []
     for group in plan.groups:
@@ -71,7 +71,7 @@ def sample(scene: Scene, plan: Plan, t_end: float, packs: int) -> Ints:
     return np.sort(np.concatenate(chosen_packs))
 
 
-def part(case: Case, scene: Scene, plan: Plan, which: Ints) -> Part:
+def part(case: Case, scene: System, plan: Plan, which: Ints) -> BodySubset:
     """Chosen bodies of a plan, ascending."""
     gravity = np.array(case.gravity.acceleration if case.gravity else (0.0, 0.0, 0.0))
     size = scene.reach[scene.kind[which]]
@@ -80,7 +80,9 @@ def part(case: Case, scene: Scene, plan: Plan, which: Ints) -> Part:
         own = np.flatnonzero(np.isin(group.members, which))
         if own.size:
             groups.append(chosen(group, own, np.searchsorted(which, group.members[own])))
-    return Part(taken(scene.bodies, which), taken(scene.state, which), tuple(groups), size, gravity)
+    return BodySubset(
+        taken(scene.bodies, which), taken(scene.state, which), tuple(groups), size, gravity
+    )
 
 
 def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
@@ -103,18 +105,18 @@ def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def states_at(part: Part, times: Floats) -> tuple[Frames, Books]:
+def states_at(part: BodySubset, times: Floats) -> tuple[Frames, Books]:
     """Frames at ascending times, and what was booked until then."""
     initial = as_frame(part.bodies, part.state)
     frames = room_for(times.size, part.bodies.mass.size, initial.last)
-    travellers = [Traveller(group, taken(part.state, group.members)) for group in part.groups]
+    travellers = [GroupRun(group, taken(part.state, group.members)) for group in part.groups]
     first = initial_energies(travellers, initial)
     given, later = record_all(travellers, times, frames)
     gross = sum(traveller.turned_over() for traveller in travellers)
     return frames, Books(given, first, later, gross)
 
 
-def seconds(part: Part, t_end: float) -> float:
+def seconds(part: BodySubset, t_end: float) -> float:
     """Time in kernels of a run to t_end with one frame, the set-up of the motion included [s]."""
     before = THREADS.busy
     states_at(part, np.array([t_end]))
@@ -122,11 +124,11 @@ def seconds(part: Part, t_end: float) -> float:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def drifts(part: Part, frames: Frames, books: Books) -> tuple[float, float]:
+def drifts(part: BodySubset, frames: Frames, books: Books) -> tuple[float, float]:
     """Largest errors of energy and of angular momentum, relative as in the ledger of a run."""
     initial = as_frame(part.bodies, part.state)
     bodies = counted(part.groups, part.bodies)
-    ledger = Ledger(totals(initial, bodies, part.gravity, *books.initial))
+    ledger = EnergyBalance(totals(initial, bodies, part.gravity, *books.initial))
     now = totals(frames, bodies, part.gravity, *books.later)
     ledger.enter(now, books.given, books.gross)
     drift = ledger.drift()
@@ -178,13 +180,15 @@ def poses(group: GroupPlan, state: State, times: Floats) -> tuple[Frames, float]
 
 def forget_accounts(motion: Any) -> None:
     """Let a motion, and its parts, not sum up what forces give."""
-    for one in [own for _, own in motion.parts] if isinstance(motion, Together) else [motion]:
+    for one in (
+        [own for _, own in motion.parts] if isinstance(motion, CompositeMotion) else [motion]
+    ):
         if hasattr(one, "account"):
             one.account.is_kept = False
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def errors(part: Part, times: Floats, found: Frames, expected: Frames) -> list[Error]:
+def errors(part: BodySubset, times: Floats, found: Frames, expected: Frames) -> list[Error]:
     """Errors at each time; the way of a body is summed over the times before."""
     way = ways(part.bodies, times, expected, part.state.p.T)
     result = []

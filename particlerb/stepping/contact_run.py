@@ -15,31 +15,33 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel, kernel_from
-from particlerb.bodies.block import COM, L, P, Q, copy_changing, get, get3, get4, put, put3, put4
-from particlerb.bodies.load import CONTACT_ROWS
-from particlerb.bodies.state import Frames, State
-from particlerb.contact.drives import Drives, driven_pose, momenta
-from particlerb.contact.lists import (
+from particlerb.compiled.barrier import ALONE, Team, largest, meet, share_of, together
+from particlerb.compiled.jit import inline, kernel, kernel_from
+from particlerb.contact.cell_grid import Search
+from particlerb.contact.contact_frequency import fastest_swing
+from particlerb.contact.contact_output import ContactOutput, moved, rows_of, touches_of
+from particlerb.contact.missed_pairs import Missed, Watch, WatchedBodies, bounds_of, swing_of
+from particlerb.contact.neighbour_list import (
     EDGES,
     SHELLS,
-    Kept,
+    ContactHistory,
     find_shells,
     incidence,
     order_contacts,
     way_of,
 )
-from particlerb.contact.loads import (
+from particlerb.contact.pair_force import (
     AT,
     BODY_COLUMNS,
     POSE,
     SOFTNESS,
     TURNING,
     VELOCITY,
-    Contact,
-    Contacts,
-    Lists,
-    Room,
+    ContactList,
+    ContactModel,
+    GroupContact,
+    NeighbourLists,
+    Workspace,
     collect,
     done_columns,
     fastest,
@@ -50,9 +52,7 @@ from particlerb.contact.loads import (
     stored_energy,
     touch_spheres,
 )
-from particlerb.contact.loads import Scene as Touchable
-from particlerb.contact.pieces import SPOT, touch_walls
-from particlerb.contact.pistons import (
+from particlerb.contact.piston import (
     BOOKED,
     MOST,
     PLACE,
@@ -68,14 +68,19 @@ from particlerb.contact.pistons import (
     slide_pistons,
     slides_of,
 )
-from particlerb.contact.search import Search
-from particlerb.contact.swing import fastest_swing
-from particlerb.contact.touches import Touches, moved, rows_of, touches_of
+from particlerb.contact.prescribed_motion import PrescribedBodies, driven_pose, momenta
+from particlerb.contact.wall_contacts import SPOT, touch_walls
 from particlerb.contact.wall_motion import distances, farthest_way, motion_in
 from particlerb.contact.wall_search import WallSearch, find_wall_shells
-from particlerb.contact.watch import Bodies, Missed, Watch, bounds_of, swing_of
+from particlerb.forces import FORCE as STEADY
+from particlerb.forces import PAIR, Acting, acting_of
+from particlerb.forces.attraction import Attraction, Work
+from particlerb.forces.links import Links
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.methods.coupled import (
+from particlerb.model.block import COM, L, P, Q, copy_changing, get, get3, get4, put, put3, put4
+from particlerb.model.load import CONTACT_ROWS
+from particlerb.model.state import Frames, State
+from particlerb.stepping.coupled import (
     CoupledMotion,
     Layout,
     Stages,
@@ -84,15 +89,10 @@ from particlerb.methods.coupled import (
     scatter_block,
     store_blocks,
 )
-from particlerb.methods.motion import Group, MotionError
-from particlerb.methods.pair_forces import PairForces, Pairs, loads_over_threads, pair_loads
-from particlerb.methods.saving import Saved, filled, flat, under, within
-from particlerb.methods.stepped import PAUSE, Schedule
-from particlerb.team import ALONE, Team, largest, meet, share_of, together
-from particlerb.terms import FORCE as STEADY
-from particlerb.terms import PAIR, Acting, acting_of
-from particlerb.terms.attraction import Attraction, Work
-from particlerb.terms.links import Links
+from particlerb.stepping.loop import PAUSE, Schedule
+from particlerb.stepping.motion import Group, MotionError
+from particlerb.stepping.pair_forces import PairForces, PairTerms, loads_over_threads, pair_loads
+from particlerb.stepping.saved_arrays import Saved, filled, flat, under, within
 
 NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
 WORTH_THREADS: Final = 6e4  # ns of a step from which on a second thread pays for its start
@@ -109,7 +109,7 @@ LOOKS: Final = 256  # lists from look to look at how fast the bodies swing
 SLACK: Final = 0.8  # of half the skin, with which lists are made anew: a frame may lie ahead
 
 
-class Memory(NamedTuple):
+class StepMemory(NamedTuple):
     """What an evaluation knows of those before."""
 
     last: Floats  # (6, n) momenta of the drift before the last kick
@@ -119,7 +119,7 @@ class Memory(NamedTuple):
     slides: Floats  # (k, SLIDE) of pistons: the first thread's
 
 
-class Place(NamedTuple):
+class LoopPosition(NamedTuple):
     """Where the loop is."""
 
     stop: int  # of the schedule
@@ -149,9 +149,9 @@ def place_blocks(
     layout: Layout,
     others: int | None,
     y: Floats,
-    contact: Contact,
-    room: Room,
-    memory: Memory,
+    contact: GroupContact,
+    room: Workspace,
+    memory: StepMemory,
     time: float,
     ahead: float,
     team: Team,
@@ -180,20 +180,22 @@ def place_blocks(
 
 
 @inline
-def are_used_up(contact: Contact, memory: Memory, time: float, way: float) -> bool:
+def are_used_up(contact: GroupContact, memory: StepMemory, time: float, way: float) -> bool:
     """Whether lists have to be made anew."""
     return way > 0.5 * SLACK * contact.skin or time >= memory.until
 
 
 @inline
-def reach_of(lists: Lists, way: float, v: float, w: float, before: float, after: float) -> float:
+def reach_of(
+    lists: NeighbourLists, way: float, v: float, w: float, before: float, after: float
+) -> float:
     """How far a point of a body has come since the lists were made, or comes about now [m]."""
     return way + max(before, after) * (v + 4.0 * w * lists.lever)
 
 
 @inline
 def put_driven(
-    drives: Drives | None, t: float, with_momenta: bool, rows: Floats, lo: int, n: int
+    drives: PrescribedBodies | None, t: float, with_momenta: bool, rows: Floats, lo: int, n: int
 ) -> None:
     """Write driven bodies into their block, with velocities or, as others are there, momenta."""
     if drives is None:
@@ -227,9 +229,9 @@ def farthest(then: Floats, rows: Floats, reach: Floats, lo: int, n: int) -> floa
 
 @kernel
 def touch(
-    contact: Contact,
-    room: Room,
-    lists: Lists,
+    contact: GroupContact,
+    room: Workspace,
+    lists: NeighbourLists,
     before: float,
     after: float,
     v: float,
@@ -257,9 +259,9 @@ def load_blocks(
     layout: Layout,
     others: int | None,
     load: Floats,
-    scene: Touchable,
-    room: Room,
-    lists: Lists,
+    scene: ContactModel,
+    room: Workspace,
+    lists: NeighbourLists,
     later: float,
     span: float,
     team: Team,
@@ -292,7 +294,12 @@ def remember(blocks: Floats, layout: Layout, last: Floats, team: Team) -> None:
 
 @kernel
 def save(
-    blocks: Floats, layout: Layout, memory: Memory, lists: Lists, saved: Copies, team: Team
+    blocks: Floats,
+    layout: Layout,
+    memory: StepMemory,
+    lists: NeighbourLists,
+    saved: Copies,
+    team: Team,
 ) -> None:
     """Copy what a partial step changes."""
     first, end = share_of(team, 0, len(blocks))
@@ -308,7 +315,12 @@ def save(
 
 @kernel
 def restore(
-    blocks: Floats, layout: Layout, memory: Memory, lists: Lists, saved: Copies, team: Team
+    blocks: Floats,
+    layout: Layout,
+    memory: StepMemory,
+    lists: NeighbourLists,
+    saved: Copies,
+    team: Team,
 ) -> None:
     """Go back to what was saved; contacts that keep something act, so that they may forget it."""
     meet(team)
@@ -335,7 +347,7 @@ def copy_rows(source: Floats, target: Floats, team: Team) -> None:
 
 
 @inline
-def recall(contacts: Contacts, team: Team) -> None:
+def recall(contacts: ContactList, team: Team) -> None:
     """Let contacts that keep something act, so that they forget it where they have ended."""
     first, end = share_of(team, 0, contacts.acts.size)
     for c in range(first, end):
@@ -370,13 +382,13 @@ def advance_touching(  # noqa: PLR0912, PLR0915
     acting: Acting,
     books: int | None,
     others: int | None,
-    pairs: Pairs,
-    contact: Contact,
-    room: Room,
-    lists: Lists,
-    memory: Memory,
+    pairs: PairTerms,
+    contact: GroupContact,
+    room: Workspace,
+    lists: NeighbourLists,
+    memory: StepMemory,
     schedule: Schedule,
-    place: Place,
+    place: LoopPosition,
     rotor_frame: Floats,
     members: Ints,
     frames: Frames,
@@ -385,7 +397,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
     pressed: Floats,
     saved: Copies,
     team: Team,
-) -> Place:
+) -> LoopPosition:
     """Take a group through a schedule until its lists have to be made anew; where it is then."""
     dt, _, steps, rest, frame = schedule
     links, attraction, work, with_dashpots, y, load, _ = pairs
@@ -407,7 +419,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
                     blocks, layout, others, y, contact, room, memory, time, ahead, team
                 )
                 if are_used_up(contact, memory, time, way):
-                    return Place(s, i, time, is_open, kick, reached)
+                    return LoopPosition(s, i, time, is_open, kick, reached)
                 reached = max(reached, reach_of(lists, way, v, w, before, h))
             if i == steps[s]:
                 save(blocks, layout, memory, lists, saved, team)
@@ -463,7 +475,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
             restore(blocks, layout, memory, lists, saved, team)
             is_open, kick = was_open, was_kick
         begin = 0
-    return Place(steps.size, 0, time, is_open, kick, reached)
+    return LoopPosition(steps.size, 0, time, is_open, kick, reached)
 
 
 @inline
@@ -498,8 +510,8 @@ def other_loads_over_threads(
 class Kernels(NamedTuple):
     """The loop of a method, compiled, and as Python that spreads other forces over threads."""
 
-    compiled: Callable[..., Place]
-    spread: Callable[..., Place]
+    compiled: Callable[..., LoopPosition]
+    spread: Callable[..., LoopPosition]
 
 
 def kernels_of(name: str, stages: Stages) -> Kernels:
@@ -549,7 +561,7 @@ class TouchingMotion(CoupledMotion):
         As for `CoupledMotion`.
     numbers : ndarray, shape (n_spheres,), optional
         Of the spheres, ascending, where they are some of more.
-    kept : tuple of 2 Kept, optional
+    kept : tuple of 2 ContactHistory, optional
         What contacts of spheres with these numbers, and with walls, keep from earlier steps.
     watch : Watch, optional
         That goes on from motions before this one.
@@ -565,7 +577,7 @@ class TouchingMotion(CoupledMotion):
         start: float,
         dt: float,
         numbers: Ints | None = None,
-        kept: tuple[Kept, Kept] | None = None,
+        kept: tuple[ContactHistory, ContactHistory] | None = None,
         watch: Watch | None = None,
     ) -> None:
         contact = group.terms.contact
@@ -583,11 +595,11 @@ class TouchingMotion(CoupledMotion):
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         room = np.zeros((len(self.motions), POSE))
         place, bodies = np.zeros((n_spheres, 4)), np.zeros((n, BODY_COLUMNS))
-        self.room = Room(place, room, bodies, np.zeros((len(self.blocks), 3)), np.zeros(n))
+        self.room = Workspace(place, room, bodies, np.zeros((len(self.blocks), 3)), np.zeros(n))
         y = np.vstack(state)
         slides = slides_of(contact.pistons)
-        self.memory = Memory(y[7:].copy(), y[:7].copy(), start, np.inf, slides)
-        self.place = Place(0, 0, 0.0, 0.0, 0.0)
+        self.memory = StepMemory(y[7:].copy(), y[:7].copy(), start, np.inf, slides)
+        self.place = LoopPosition(0, 0, 0.0, 0.0, 0.0)
         self.bound = bounds_of(spheres, n)
         corners = np.abs(contact.scene.walls.parameter[:, :3]).max(initial=0.0)
         self.extent = math.sqrt(3.0) * float(corners) + float(spheres.radius.max())
@@ -608,7 +620,7 @@ class TouchingMotion(CoupledMotion):
         self.make_lists()
         self.elastic = self.energy()
         self.energies = np.zeros(0)  # [J] elastic energy in the frames of the last `record`
-        self.touches: dict[int, Touches] = {}  # in its frames, where they are asked for
+        self.touches: dict[int, ContactOutput] = {}  # in its frames, where they are asked for
         self.slides = np.zeros((0, len(slides), SLIDE))  # of pistons in its frames
         self.kinetic = np.zeros(0)  # [J] energy of pistons in its frames
         self.at_rest = energies_of(contact.pistons, slides)[0]  # [J] the same at the start
@@ -650,7 +662,7 @@ class TouchingMotion(CoupledMotion):
         walls = self.contacts(1, near[:2], (self.numbers, self.primitives), shell)
         own = incidence(body[spheres.first], body[spheres.second], n)
         outside = incidence(body[walls.first], np.full(walls.first.size, -1), n)
-        self.lists = Lists(spheres, walls, own, outside, self.lever)
+        self.lists = NeighbourLists(spheres, walls, own, outside, self.lever)
         self.place = self.place._replace(reached=0.0)
 
     def look(self, y: Floats) -> None:
@@ -680,7 +692,7 @@ class TouchingMotion(CoupledMotion):
                 swing_of(motion_in(drives.motions, k), self.dt) for k in range(drives.which.size)
             ]
             still[drives.which] = ways
-        bodies = Bodies(
+        bodies = WatchedBodies(
             self.room.place,
             np.ascontiguousarray(rows[:, AT : AT + 3].T),
             np.ascontiguousarray(rows[:, VELOCITY : VELOCITY + 3].T),
@@ -776,12 +788,12 @@ class TouchingMotion(CoupledMotion):
 
     def contacts(
         self, which: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], shell: Ints
-    ) -> Contacts:
+    ) -> ContactList:
         """New contacts of spheres, or of walls, with what those of the old list keep."""
         m, old, law = pairs[0].size, self.kept[which], self.contact.scene.law
         keys, rows = np.empty((2, m), dtype=np.int64)
         values = self.floats(f"kept {which}, {self.count % 2}", m, old.values.shape[1])
-        new, ends = Kept(keys, rows, values), np.empty(SHELLS, dtype=np.int64)
+        new, ends = ContactHistory(keys, rows, values), np.empty(SHELLS, dtype=np.int64)
         first, second = np.empty((2, m), dtype=np.int32)
         wall = self.contact.scene.walls.wall if which == 1 else self.numbers[:0]
         order_contacts(pairs, numbers, wall, shell, old, new, first, second, ends)
@@ -789,7 +801,7 @@ class TouchingMotion(CoupledMotion):
         columns = done_columns(law) + (SPOT if which == 1 else 0)
         done = self.floats(f"done {which}", m, columns)
         done[:] = 0.0  # a checkpoint has it, and none of the leftovers of other lists
-        return Contacts(first, second, values, done, values[:, SOFTNESS] > 0.0, ends)
+        return ContactList(first, second, values, done, values[:, SOFTNESS] > 0.0, ends)
 
     def floats(self, name: str, m: int, columns: int) -> Floats:
         """Room for rows, which grows: to ask for new pages takes as long as to fill them."""
@@ -820,8 +832,8 @@ class TouchingMotion(CoupledMotion):
         self.lists = filled(self.lists, within("lists", saved))
         spheres, walls = self.lists.spheres.kept, self.lists.walls.kept
         self.kept = (
-            Kept(saved["keys.0"], saved["rows.0"], spheres),
-            Kept(saved["keys.1"], saved["rows.1"], walls),
+            ContactHistory(saved["keys.0"], saved["rows.0"], spheres),
+            ContactHistory(saved["keys.1"], saved["rows.1"], walls),
         )
         self.origin = saved["origin"]
         self.room.turnover[:] = saved["turnover"]
@@ -888,7 +900,7 @@ class TouchingMotion(CoupledMotion):
             if row >= 0:
                 self.touches[row] = self.seen(self.slides[row])
 
-    def seen(self, slides: Floats) -> Touches:
+    def seen(self, slides: Floats) -> ContactOutput:
         """Contacts of the frame that was written last: its closing evaluation is still there."""
         lists, scene, room = self.lists, self.contact.scene, self.room
         found = [
@@ -905,7 +917,9 @@ class TouchingMotion(CoupledMotion):
     def run_through(self, schedule: Schedule, frames: Frames, sums: Floats) -> None:
         """Go through a schedule, with new lists where they are used up."""
         group, is_large = self.group, self.forces.is_large
-        advance: Callable[..., Place] = self.kernels.spread if is_large else self.kernels.compiled
+        advance: Callable[..., LoopPosition] = (
+            self.kernels.spread if is_large else self.kernels.compiled
+        )
         pairs = self.forces.for_python if is_large else self.forces.pairs
         while True:
             kept = self.lists.spheres.kept, self.lists.walls.kept, self.memory.slides

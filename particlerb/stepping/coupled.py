@@ -16,8 +16,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel, kernel_from
-from particlerb.bodies.block import (
+from particlerb.compiled.jit import inline, kernel, kernel_from
+from particlerb.compiled.threads import BLOCK, THREADS
+from particlerb.forces import PAIR, STAGE, Acting, acting_of
+from particlerb.forces.links import Links, damp_links
+from particlerb.maths.quaternion import rows4
+from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.model.block import (
     BOOKED,
     CHANGING,
     COM,
@@ -32,24 +37,19 @@ from particlerb.bodies.block import (
     out_of_blocks,
     put,
 )
-from particlerb.bodies.load import LOAD_ROWS, POWER, STATE_ROWS
-from particlerb.bodies.state import Frames, State, store_frame
-from particlerb.maths.quaternion import rows4
-from particlerb.maths.vec3 import Floats, Ints, rows3
-from particlerb.methods.booking import store_sums
-from particlerb.methods.motion import Group
-from particlerb.methods.pair_forces import (
+from particlerb.model.load import LOAD_ROWS, POWER, STATE_ROWS
+from particlerb.model.state import Frames, State, store_frame
+from particlerb.rotors.rotor_class import ASYMMETRIC
+from particlerb.stepping.external_work import store_sums
+from particlerb.stepping.loop import PAUSE, Schedule, SteppedMotion, close
+from particlerb.stepping.motion import Group
+from particlerb.stepping.pair_forces import (
     PairForces,
-    Pairs,
+    PairTerms,
     clear,
     loads_over_threads,
     pair_loads,
 )
-from particlerb.methods.stepped import PAUSE, Schedule, SteppedMotion, close
-from particlerb.rotors.rotor_class import ASYMMETRIC
-from particlerb.terms import PAIR, STAGE, Acting, acting_of
-from particlerb.terms.links import Links, damp_links
-from particlerb.threads import BLOCK, THREADS
 
 MOMENTA: Final = 7  # row of a state from which on p and L are
 STAGE_ROWS: Final = 2 * STATE_ROWS  # for methods that keep a state and a sum of slopes
@@ -228,7 +228,7 @@ def advance_together(
     layout: Layout,
     acting: Acting,
     books: int | None,
-    pairs: Pairs,
+    pairs: PairTerms,
     flows: int | None,
     schedule: Schedule,
     rotor_frame: Floats,

@@ -5,11 +5,11 @@ impulse [N m s] about the origin of the world. Total less initial less booked is
 integration alone. Where nobody asks (`books` is None), the compiler leaves all of it out.
 """
 
-from particlerb._jit import inline
-from particlerb.bodies.block import BOOKED, INV_INERTIA, INV_MASS, get, get3, put
+from particlerb.compiled.jit import inline
+from particlerb.forces import Entry
 from particlerb.maths.quaternion import Rows, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, subtract
-from particlerb.terms import Entry
+from particlerb.model.block import BOOKED, INV_INERTIA, INV_MASS, get, get3, put
 
 
 @inline

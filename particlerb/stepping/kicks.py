@@ -4,13 +4,13 @@ A kick is the exact flow of the forces while nothing moves, drag included. Two k
 each other are one of the summed length, so a step leaves its last kick open for the next one.
 """
 
-from particlerb._jit import inline
-from particlerb.bodies.block import COM, L, P, Q, get3, get4, put3
+from particlerb.compiled.jit import inline
+from particlerb.forces import DRAG, Acting, kick_others, kick_potential, less_internal
+from particlerb.forces.drag import damp
 from particlerb.maths.quaternion import Rows, matrix
 from particlerb.maths.vec3 import Floats, Vec3
-from particlerb.methods.booking import book, kick_entry
-from particlerb.terms import DRAG, Acting, kick_others, kick_potential, less_internal
-from particlerb.terms.drag import damp
+from particlerb.model.block import COM, L, P, Q, get3, get4, put3
+from particlerb.stepping.external_work import book, kick_entry
 
 
 @inline

@@ -13,8 +13,19 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline
-from particlerb.bodies.block import (
+from particlerb.compiled.jit import inline
+from particlerb.compiled.threads import BLOCK, THREADS
+from particlerb.forces import (
+    DRAG,
+    Acting,
+    acting_of,
+    row_count,
+    rows_of_terms,
+)
+from particlerb.forces.drag import prepare_decay
+from particlerb.maths.quaternion import rows4
+from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.model.block import (
     BOOKED,
     CHANGING,
     COM,
@@ -29,22 +40,11 @@ from particlerb.bodies.block import (
     out_of_blocks,
     state_rows,
 )
-from particlerb.bodies.state import Frames, State, room_for, store_frame
-from particlerb.maths.quaternion import rows4
-from particlerb.maths.vec3 import Floats, Ints, rows3
-from particlerb.methods.booking import store_sums
-from particlerb.methods.motion import Account, Group
-from particlerb.methods.saving import Saved
-from particlerb.methods.splitting import kick
-from particlerb.terms import (
-    DRAG,
-    Acting,
-    acting_of,
-    row_count,
-    rows_of_terms,
-)
-from particlerb.terms.drag import prepare_decay
-from particlerb.threads import BLOCK, THREADS
+from particlerb.model.state import Frames, State, room_for, store_frame
+from particlerb.stepping.external_work import store_sums
+from particlerb.stepping.kicks import kick
+from particlerb.stepping.motion import Group, WorkAccount
+from particlerb.stepping.saved_arrays import Saved
 
 PAUSE: Final = -1  # a stop without a frame: the host asks for progress and interrupts
 CLOSE: Final = -2  # the end of the segment: make the open kick
@@ -170,7 +170,7 @@ class SteppedMotion:
         parts += [] if own is None else [(OWN, own)]
         self.blocks = self.make_blocks(parts, row_count(terms))
         self.done = 0
-        self.account = Account(group, state, keeps_spin)
+        self.account = WorkAccount(group, state, keeps_spin)
         self.most = max(1, int(NANOSECONDS_PER_CALL / (cost * n)))
 
     def make_blocks(self, parts: list[tuple[int, Floats]], n_rows: int) -> Floats:

@@ -11,11 +11,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies, taken
-from particlerb.bodies.state import Frames, State, multiplied
+from particlerb.forces import Terms, is_constant, terms_on, work_of_potentials
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.methods.saving import Saved, under, within
-from particlerb.terms import Terms, is_constant, terms_on, work_of_potentials
+from particlerb.model.bodies import Bodies, taken
+from particlerb.model.state import Frames, State, multiplied
+from particlerb.stepping.saved_arrays import Saved, under, within
 
 
 class MotionError(Exception):
@@ -89,7 +89,7 @@ def constant_force(group: Group, state: State) -> ConstantForce:
     )
 
 
-class Account:
+class WorkAccount:
     """What the forces have given a group since its segment began.
 
     The work of a potential is its loss. Where every force is constant in the world, the centre of
@@ -142,7 +142,7 @@ class Account:
         return given
 
 
-class Together(NamedTuple):
+class CompositeMotion(NamedTuple):
     """Parts of a group that move by different kernels, as one motion."""
 
     parts: tuple[tuple[Ints, Motion], ...]  # which bodies of the group, and how they move

@@ -9,11 +9,10 @@ from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
-from particlerb._jit import inline
-from particlerb.bodies.load import LOAD_ROWS, STATE_ROWS
-from particlerb.maths.vec3 import Floats
-from particlerb.terms import Terms
-from particlerb.terms.attraction import (
+from particlerb.compiled.jit import inline
+from particlerb.compiled.threads import THREADS
+from particlerb.forces import Terms
+from particlerb.forces.attraction import (
     Attraction,
     Work,
     attraction_loads,
@@ -21,9 +20,10 @@ from particlerb.terms.attraction import (
     spread_loads,
     work_of,
 )
-from particlerb.terms.links import Links, link_energy, link_loads
-from particlerb.terms.tree import Tree
-from particlerb.threads import THREADS
+from particlerb.forces.gravity_tree.tree import Tree
+from particlerb.forces.links import Links, link_energy, link_loads
+from particlerb.maths.vec3 import Floats
+from particlerb.model.load import LOAD_ROWS, STATE_ROWS
 
 NANOSECONDS_PER_PAIR: Final = 0.4  # of the direct sum, roughly, for one of the two
 NANOSECONDS_PER_LINK: Final = 15.0
@@ -32,7 +32,7 @@ NANOSECONDS_IN_TREE: Final = 5000.0  # per particle
 WORTH_THREADS: Final = 1e6  # ns of an evaluation from which on threads pay for their start
 
 
-class Pairs(NamedTuple):
+class PairTerms(NamedTuple):
     """What kernels need to evaluate a group."""
 
     links: Links | None
@@ -40,7 +40,7 @@ class Pairs(NamedTuple):
     work: Work | None
     with_dashpots: bool  # whether they are among the loads: splittings have a flow for them
     y: Floats  # (13, n) states
-    load: Floats  # (13, n), rows of bodies/load.py
+    load: Floats  # (13, n), rows of model/load.py
     booked: Floats  # (13, n) the same rows, of flows
 
 
@@ -73,7 +73,7 @@ def pair_loads(
 ) -> None:
     """Loads in the state y, on this thread.
 
-    Takes what `Pairs` has one by one: to take it apart for every call costs more than two points.
+    Takes what `PairTerms` has one by one: unpacking it in each call costs more than two points.
     """
     clear(load)
     link_loads(links, y, load, with_dashpots)
@@ -114,7 +114,7 @@ class PairForces:
         if attraction is not None and terms.opening_angle > 0.0:
             self.tree = Tree(attraction, terms.opening_angle)
         direct = attraction if self.tree is None else None
-        self.pairs = Pairs(
+        self.pairs = PairTerms(
             terms.links,
             direct,
             None if direct is None else work_of(direct),

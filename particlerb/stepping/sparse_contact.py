@@ -16,22 +16,28 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from particlerb.bodies.bodies import taken
-from particlerb.bodies.state import Frames, State, turned
-from particlerb.contact.lists import Kept, has_moved
-from particlerb.contact.loads import Contact
-from particlerb.contact.search import Search
-from particlerb.contact.touches import Touches, nothing_touches
+from particlerb.contact.cell_grid import Search
+from particlerb.contact.contact_output import ContactOutput, nothing_touches
+from particlerb.contact.missed_pairs import (
+    Watch,
+    WatchedBodies,
+    acting_nowhere,
+    bounds_of,
+    swing_of,
+)
+from particlerb.contact.neighbour_list import ContactHistory, has_moved
+from particlerb.contact.pair_force import GroupContact
 from particlerb.contact.wall_motion import distances, farthest_way, motion_in, poses_at
 from particlerb.contact.wall_search import WallSearch
-from particlerb.contact.watch import Bodies, Watch, acting_nowhere, bounds_of, swing_of
+from particlerb.forces import Terms, terms_on
+from particlerb.integrators.exact import FreeMotion
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.methods.coupled import Stages
-from particlerb.methods.exact import FreeMotion
-from particlerb.methods.motion import Group, Motion, MotionError, Together
-from particlerb.methods.saving import Saved, filled, flat, under, within
-from particlerb.methods.touching import Kernels, TouchingMotion, is_due, lost_pair
-from particlerb.terms import Terms, terms_on
+from particlerb.model.bodies import taken
+from particlerb.model.state import Frames, State, turned
+from particlerb.stepping.contact_run import Kernels, TouchingMotion, is_due, lost_pair
+from particlerb.stepping.coupled import Stages
+from particlerb.stepping.motion import CompositeMotion, Group, Motion, MotionError
+from particlerb.stepping.saved_arrays import Saved, filled, flat, under, within
 
 LEAST_BODIES: Final = 300  # below, to begin an interval costs more than to step all
 MOST_STEPS: Final = 2048  # of an interval
@@ -41,7 +47,9 @@ PRUDENCE: Final = 0.5  # of half the skin that bodies may use up if nothing acce
 DENSE: Final = 0.6  # share of active bodies from which on all are stepped,
 DENSE_STEPS: Final = 512  # for so many steps
 
-Keeps: TypeAlias = tuple[Kept, Kept] | None  # contacts between spheres, and with walls
+Keeps: TypeAlias = (
+    tuple[ContactHistory, ContactHistory] | None
+)  # contacts between spheres, and with walls
 
 
 def can_fly(terms: Terms, n: int) -> bool:
@@ -77,7 +85,7 @@ class Interval:
             terms = terms_on(group.terms._replace(contact=None), flying)
             free = Group(group.members[flying], taken(group.bodies, flying), terms)
             self.motions.append((flying, FreeMotion(free, taken(state, flying), start)))
-        self.together = Together(tuple(self.motions))
+        self.together = CompositeMotion(tuple(self.motions))
 
     def swing(self) -> float:
         """How fast the bodies swing on the contacts of the last step [rad/s]."""
@@ -141,7 +149,7 @@ class DiluteMotion:
         self.nothing = acting_nowhere(whole.lists)
         self.elastic, self.energies = whole.elastic, np.zeros(0)
         self.at_rest, self.kinetic = 0.0, np.zeros(0)  # [J] of pistons, of which there are none
-        self.touches: dict[int, Touches] = {}
+        self.touches: dict[int, ContactOutput] = {}
         self.state = state
         # at the end of the interval
         self.next: tuple[State, Floats, Keeps, float, Watch] | None = None
@@ -174,7 +182,7 @@ class DiluteMotion:
         touchable = scene._replace(
             spheres=spheres, inv_mass=scene.inv_mass[which], inv_inertia=inertia
         )
-        part = Contact(touchable, contact.motions, contact.reach[which], *contact[3:])
+        part = GroupContact(touchable, contact.motions, contact.reach[which], *contact[3:])
         terms = terms_on(group.terms._replace(contact=None), which)._replace(contact=part)
         return Group(group.members[which], taken(group.bodies, which), terms), own
 
@@ -272,7 +280,7 @@ class DiluteMotion:
         (com, q, p, L), spheres = self.state, scene.spheres
         x = com[:, spheres.body] + turned(q[:, spheres.body], spheres.arm)
         turning = np.sqrt((L**2).sum(axis=0)) * scene.inv_inertia.max(axis=0)
-        bodies = Bodies(
+        bodies = WatchedBodies(
             np.ascontiguousarray(np.vstack([x, spheres.radius]).T),
             np.ascontiguousarray(com),
             p * scene.inv_mass,
@@ -313,7 +321,7 @@ class DiluteMotion:
         """As of `TouchingMotion`."""
         return self.turnover + (0.0 if self.shown is None else self.shown.turned_over())
 
-    def touches_in(self, times: Floats, rows: Ints) -> dict[int, Touches]:
+    def touches_in(self, times: Floats, rows: Ints) -> dict[int, ContactOutput]:
         """Contacts in frames of the interval that is shown, where they are asked for."""
         if not self.contact.is_shown or self.shown is None:
             return {}
@@ -345,7 +353,7 @@ class DiluteMotion:
         """Go on from what was saved."""
         self.state = filled(self.state, within("state", saved))
         kept = [within(f"kept.{k}", saved) for k in range(2)]
-        self.kept = (Kept(**kept[0]), Kept(**kept[1])) if kept[0] else None
+        self.kept = (ContactHistory(**kept[0]), ContactHistory(**kept[1])) if kept[0] else None
         self.active, self.booked = saved["active"], saved["booked"]
         self.done, self.steps, self.saved, self.all_steps, self.count = saved["counts"].tolist()
         self.skin, self.turnover, self.swing = saved["extremes"].tolist()

@@ -19,10 +19,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies import fill
-from particlerb.bodies import shapes as particle_shapes
-from particlerb.bodies.analytic import ANALYTIC, Analytic
-from particlerb.bodies.particles import Particles
+from particlerb.geometry import fill
+from particlerb.geometry import shapes as particle_shapes
+from particlerb.geometry.analytic import ANALYTIC, Analytic
+from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 MOST: Final = 1_000_000  # particles of the finest lattice
@@ -44,11 +44,11 @@ no order: lowest, median and highest error of these n
 # Examples
 
 
-class Solid(NamedTuple):
+class ReferenceSolid(NamedTuple):
     """A solid of the study: how to fill it, and what it should then be."""
 
     shape: str
-    """Function of particlerb.bodies.shapes."""
+    """Function of particlerb.geometry.shapes."""
     size: dict[str, Any]
     """Its arguments [m]; the same ones give the analytic tensor."""
     analytic: Callable[..., Analytic]
@@ -66,30 +66,34 @@ class Solid(NamedTuple):
 
 
 CORNERS: Final = ((0.0, 0.0, 0.0), (1.0, 0.1, 0.0), (0.2, 0.8, 0.1), (0.3, 0.2, 0.9))
-SOLIDS: Final[dict[str, Solid]] = {
-    "box": Solid("box", {"size": (1.0, 0.8, 0.5)}, ANALYTIC["box"], ("exact",)),
-    "rod": Solid("rod", {"length": 1.0}, ANALYTIC["rod"], ("exact",)),
-    "tetrahedron": Solid(
+SOLIDS: Final[dict[str, ReferenceSolid]] = {
+    "box": ReferenceSolid("box", {"size": (1.0, 0.8, 0.5)}, ANALYTIC["box"], ("exact",)),
+    "rod": ReferenceSolid("rod", {"length": 1.0}, ANALYTIC["rod"], ("exact",)),
+    "tetrahedron": ReferenceSolid(
         "tetrahedron", {"vertices": CORNERS}, ANALYTIC["tetrahedron"], ("exact",), finest=100
     ),
-    "thin_shell": Solid("shell", {"radius": 0.5}, ANALYTIC["shell"], coarsest=1, finest=100),
-    "ball": Solid("ball", {"radius": 0.5}, ANALYTIC["ball"], ("cells", "exact")),
-    "ellipsoid": Solid(
+    "thin_shell": ReferenceSolid(
+        "shell", {"radius": 0.5}, ANALYTIC["shell"], coarsest=1, finest=100
+    ),
+    "ball": ReferenceSolid("ball", {"radius": 0.5}, ANALYTIC["ball"], ("cells", "exact")),
+    "ellipsoid": ReferenceSolid(
         "ellipsoid", {"semi_axes": (0.5, 0.35, 0.25)}, ANALYTIC["ellipsoid"], ("cells", "exact")
     ),
-    "shell": Solid("shell", {"radius": 0.5, "inner_radius": 0.3}, ANALYTIC["shell"], ("cells",)),
-    "cylinder": Solid(
+    "shell": ReferenceSolid(
+        "shell", {"radius": 0.5, "inner_radius": 0.3}, ANALYTIC["shell"], ("cells",)
+    ),
+    "cylinder": ReferenceSolid(
         "cylinder", {"radius": 0.25, "height": 0.75}, ANALYTIC["cylinder"], ("cells",)
     ),
-    "tube": Solid(
+    "tube": ReferenceSolid(
         "cylinder",
         {"radius": 0.25, "height": 0.75, "inner_radius": 0.15},
         ANALYTIC["cylinder"],
         ("cells",),
         coarsest=3,
     ),
-    "cone": Solid("cone", {"radius": 0.25, "height": 0.75}, ANALYTIC["cone"], ("cells",)),
-    "torus": Solid(
+    "cone": ReferenceSolid("cone", {"radius": 0.25, "height": 0.75}, ANALYTIC["cone"], ("cells",)),
+    "torus": ReferenceSolid(
         "torus", {"major_radius": 0.5, "minor_radius": 0.2}, ANALYTIC["torus"], ("cells",)
     ),
 }
@@ -184,7 +188,7 @@ def curve_of(name: str, arrangement: str, most: int) -> Curve:
     return Curve(name, arrangement, *counts, np.array(tensor), np.array(com))
 
 
-def sets(solid: Solid, arrangement: str, most: int) -> Iterator[tuple[int, Particles]]:
+def sets(solid: ReferenceSolid, arrangement: str, most: int) -> Iterator[tuple[int, Particles]]:
     """n and the particles of every set of a curve, one after the other: they are large."""
     if arrangement == "exact":
         yield 0, solid.filled(arrangement="exact")
@@ -198,7 +202,7 @@ def sets(solid: Solid, arrangement: str, most: int) -> Iterator[tuple[int, Parti
         yield n, particles
 
 
-def errors(solid: Solid, particles: Particles) -> tuple[float, float]:
+def errors(solid: ReferenceSolid, particles: Particles) -> tuple[float, float]:
     """Error of the tensor and of the com of particles."""
     return fill.errors(particles, solid.analytic(**solid.size))
 
@@ -206,7 +210,7 @@ def errors(solid: Solid, particles: Particles) -> tuple[float, float]:
 # What a curve says
 
 
-class Spread(NamedTuple):
+class ErrorSpread(NamedTuple):
     """Errors among neighbouring n, arrays over n of a curve, shape (k,)."""
 
     lowest: Floats
@@ -243,7 +247,7 @@ def order(curve: Curve) -> float:
     return -float(slope) if distance <= math.log(CLEAN) else math.nan
 
 
-def spread(curve: Curve) -> Spread:
+def spread(curve: Curve) -> ErrorSpread:
     """Lowest, median and highest error among the n' with n/1.25 <= n' <= 1.25 n that were tried.
 
     Neighbours hold both even n, with the com in a corner of four cells, and odd n, with the com in
@@ -251,7 +255,7 @@ def spread(curve: Curve) -> Spread:
     """
     n, error = curve.n, curve.error
     near = [error[(n >= m / NEAR) & (n <= NEAR * m)] for m in n]
-    return Spread(*(np.array([f(e) for e in near]) for f in (np.min, np.median, np.max)))
+    return ErrorSpread(*(np.array([f(e) for e in near]) for f in (np.min, np.median, np.max)))
 
 
 def settled(curve: Curve) -> Floats:

@@ -9,11 +9,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from particlerb.bodies.analytic import Analytic
-from particlerb.bodies.fill import differences
-from particlerb.bodies.mass_properties import MassProperties, Ratios, eigen_systems, of_kind, ratios
-from particlerb.bodies.matter import Matter
-from particlerb.bodies.solid import impossible
+from particlerb.case.matter import Matter
+from particlerb.geometry.analytic import Analytic
+from particlerb.geometry.fill import differences
+from particlerb.geometry.mass_properties import (
+    MassProperties,
+    Ratios,
+    eigen_systems,
+    of_kind,
+    ratios,
+)
+from particlerb.geometry.solid import impossible
 from particlerb.maths.vec3 import Floats
 from particlerb.rotors.rotor_class import NAMES, POINT
 

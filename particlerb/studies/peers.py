@@ -14,13 +14,13 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb.bodies.bodies import taken
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import Frames, kinetic_energy, multiplied, omega_world, turned_back
 from particlerb.case.placement import resolve_bodies
-from particlerb.case.schema import Case, Push
+from particlerb.case.schema import Case, PushTable
+from particlerb.case.to_system import System
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.studies.trials import Error, Part, errors
+from particlerb.model.bodies import taken
+from particlerb.model.state import Frames, kinetic_energy, multiplied, omega_world, turned_back
+from particlerb.simulation.trials import BodySubset, Error, errors
 
 PeerScene: TypeAlias = Any  # the adapters' own type: bodies, pushes, gravity, t_end
 
@@ -99,7 +99,7 @@ def engines(names: Sequence[str]) -> list[Engine]:
 GIVEN: Final = "peers are given gravity and constant world pushes"
 
 
-def peer_scene(case: Case, scene: Scene) -> PeerScene:
+def peer_scene(case: Case, scene: System) -> PeerScene:
     """The scene in plain arrays.
 
     Raises
@@ -113,7 +113,7 @@ def peer_scene(case: Case, scene: Scene) -> PeerScene:
         raise ValueError(f"{GIVEN} alone")
     pushes = []
     for force in case.force:
-        if not isinstance(force, Push) or force.frame != "world" or force.during is not None:
+        if not isinstance(force, PushTable) or force.frame != "world" or force.during is not None:
             raise ValueError(f"{GIVEN} alone")
         for b in resolve_bodies(case, force.body).tolist():
             at = to_rotor(bodies.rotor_frame[:, b], force.at)
@@ -138,7 +138,7 @@ def to_rotor(frame: Floats, vector: Sequence[float]) -> Floats:
 
 
 def peer_errors(
-    result: Any, scene: Scene, which: Ints, part: Part, times: Floats, reference: Frames
+    result: Any, scene: System, which: Ints, part: BodySubset, times: Floats, reference: Frames
 ) -> tuple[Error, float, float]:
     """Errors of a peer's end state, and its relative drifts of energy and angular momentum.
 

@@ -15,8 +15,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from particlerb.compiled.threads import THREADS
+from particlerb.forces import Terms
+from particlerb.forces.spring import Spring
+from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.methods import METHODS
 from particlerb.studies.stability_limits import LIMITS, Limit, limits_of, tops
 from particlerb.studies.stability_runs import (
     ACCURATE,
@@ -25,17 +28,14 @@ from particlerb.studies.stability_runs import (
     SMALL,
     TURNS,
     VERDICTS,
-    Outcome,
-    Scene,
+    StabilityOutcome,
+    StabilityScene,
     energy_errors,
     history,
     row_of,
     sampling,
     scene,
 )
-from particlerb.terms import Terms
-from particlerb.terms.spring import Spring
-from particlerb.threads import THREADS
 
 BUDGET: Final = 240.0  # [s] of two cores for all methods, without compilation
 LONGER: Final = 100  # a drift has so many times the turns of a map
@@ -86,7 +86,7 @@ def columns_of(method: str, budget: float) -> int:
     return min(max(int(most * budget / BUDGET) // 2 * 2 + 1, 5), MOST_COLUMNS)
 
 
-def maps_of(method: str, columns: int, rows: Sequence[Outcome]) -> list[Map]:
+def maps_of(method: str, columns: int, rows: Sequence[StabilityOutcome]) -> list[Map]:
     """Maps of a method from its rows."""
     maps = []
     for k, (family, make) in enumerate(FAMILIES.items()):
@@ -99,7 +99,7 @@ def maps_of(method: str, columns: int, rows: Sequence[Outcome]) -> list[Map]:
 # Drift
 
 
-class Drift(NamedTuple):
+class EnergyDrift(NamedTuple):
     """Errors of eight bodies against time."""
 
     method: str
@@ -128,17 +128,17 @@ def eight_spins() -> Floats:
     return spins
 
 
-def free_bodies() -> Scene:
+def free_bodies() -> StabilityScene:
     """Eight bodies, I = (1, 2, 3)."""
     return scene(np.tile([1.0, 2.0, 3.0], (8, 1)), eight_spins())
 
 
-def heavy_tops() -> Scene:
+def heavy_tops() -> StabilityScene:
     """The same in a field that would let them librate with Ω = 0.3 rad/s about axis 1."""
     return tops(eight_spins(), np.full(8, 0.1))
 
 
-def sprung_bodies() -> Scene:
+def sprung_bodies() -> StabilityScene:
     """The same, each hung up at one of its points by a spring, 1 m off the other end: chaotic."""
     at = np.tile([[0.3], [0.2], [0.4]], (1, 8))
     spring = Spring(at, np.zeros((3, 8)), np.full(8, 0.25), np.zeros(8))
@@ -153,7 +153,7 @@ MOTIONS: Final = {
 }
 
 
-def drift_of(method: str, motion: str, turns: float) -> Drift:
+def drift_of(method: str, motion: str, turns: float) -> EnergyDrift:
     """Errors of one method and motion over many turns."""
     moved = MOTIONS[motion]()
     pace = DRIFT_PACES.get(method, DRIFT_PACE)
@@ -164,10 +164,10 @@ def drift_of(method: str, motion: str, turns: float) -> Drift:
         size = np.linalg.norm(frames.angular_momentum, axis=2)
         spin = np.abs(size / np.linalg.norm(moved.state.L, axis=0) - 1.0)
     error = np.where(np.isfinite(error), error, np.inf)
-    return Drift(method, pace, motion, times / (2.0 * math.pi), error, spin)
+    return EnergyDrift(method, pace, motion, times / (2.0 * math.pi), error, spin)
 
 
-def growth_exponent(drift: Drift) -> tuple[float, float]:
+def growth_exponent(drift: EnergyDrift) -> tuple[float, float]:
     """Exponent p of (largest error until t) ∝ t^p over the last decade: mean, spread of 8 bodies.
 
     0: bounded; ½: a sum of random errors; 1: drift. NaN if a body is not finite to the end.
@@ -190,7 +190,7 @@ class Stability(NamedTuple):
     """Of each body of a map."""
     maps: tuple[Map, ...]
     limits: tuple[Limit, ...]
-    drifts: tuple[Drift, ...]
+    drifts: tuple[EnergyDrift, ...]
 
 
 Key = tuple[str, ...]
@@ -341,7 +341,7 @@ def percent(value: float) -> str:
     return "-" if math.isnan(value) else f"{100.0 * value:.3f} %"
 
 
-def drift_row(drift: Drift) -> tuple[str, ...]:
+def drift_row(drift: EnergyDrift) -> tuple[str, ...]:
     """Texts of a drift."""
     p, spread = growth_exponent(drift)
     last = drift.largest[-1]

@@ -12,14 +12,18 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.state import turned_back
+from particlerb.forces import Terms
+from particlerb.forces.drag import Drag
+from particlerb.forces.links import Links
+from particlerb.forces.spring import Spring
+from particlerb.integrators.rkn6 import DRIFTS, KICKS
 from particlerb.maths.vec3 import Bools, Floats
-from particlerb.methods.rkn6 import DRIFTS, KICKS
+from particlerb.model.state import turned_back
 from particlerb.rotors.moser_veselov import modified_inertia
 from particlerb.studies.stability_runs import (
     ACCURATE,
     TURNS,
-    Scene,
+    StabilityScene,
     bodies_of,
     energy,
     history,
@@ -27,10 +31,6 @@ from particlerb.studies.stability_runs import (
     scene,
     states,
 )
-from particlerb.terms import Terms
-from particlerb.terms.drag import Drag
-from particlerb.terms.links import Links
-from particlerb.terms.spring import Spring
 
 PAIR: Final = "two bodies on a spring: largest hω"
 LINGERING: Final = 100_000  # steps where growth sets in slowly beyond the limit
@@ -56,7 +56,7 @@ class Limit(NamedTuple):
         return abs(self.measured / self.theory - 1.0) if math.isfinite(self.theory) else math.nan
 
 
-def points(stiffness: Floats, rate: Floats | None = None) -> Scene:
+def points(stiffness: Floats, rate: Floats | None = None) -> StabilityScene:
     """Points of 1 kg at (1, 0, 0) with p = (1, 0, 0), on springs to the origin, with drag."""
     n = stiffness.size
     zero = np.zeros((3, n))
@@ -68,12 +68,12 @@ def points(stiffness: Floats, rate: Floats | None = None) -> Scene:
     return moved
 
 
-def oscillators(z: Floats, zeta: float = 0.0) -> Scene:
+def oscillators(z: Floats, zeta: float = 0.0) -> StabilityScene:
     """Points with hω = z for h = 1 s, and with drag 2ζω."""
     return points(z * z, 2.0 * zeta * z if zeta else None)
 
 
-def pairs(z: Floats) -> Scene:
+def pairs(z: Floats) -> StabilityScene:
     """Pairs of points of 1 kg on springs of no length, with hω = z for h = 1 s: ω² = k (1/m + 1/m).
 
     The first of each pair come first; all have p = (1, 0, 0) or its reverse.
@@ -91,7 +91,7 @@ def pairs(z: Floats) -> Scene:
     return moved
 
 
-def tops(omega: Floats, stiffness: Floats) -> Scene:
+def tops(omega: Floats, stiffness: Floats) -> StabilityScene:
     """Tops, I = (1, 2, 3), in a uniform field: a torque k r × A, r = -A the body's axis 3 at first.
 
     A spring from (0, 0, -1) in the body to A = (0, 0, -1) in the world; the mass is so large that
@@ -105,12 +105,12 @@ def tops(omega: Floats, stiffness: Floats) -> Scene:
     return scene(inertia, omega, Terms(spring=(spring,)), mass=1e20)
 
 
-def pendulums(z: Floats) -> Scene:
+def pendulums(z: Floats) -> StabilityScene:
     """Tops that librate about axis 1 with hΩ = z for h = 1 s, by 1e-6 rad/s: Ω² = k/I₁."""
     return tops(np.tile([1e-6, 0.0, 0.0], (z.size, 1)), z * z)
 
 
-def is_bounded(method: str, moved: Scene, steps: int) -> Bools:
+def is_bounded(method: str, moved: StabilityScene, steps: int) -> Bools:
     """Whether so many steps of 1 s leave momenta below 1e6 and tilts below 1e-3."""
     frames = history(moved, method, 1.0, np.rint(steps * np.linspace(0.125, 1.0, 8)))
     p, tilt = np.abs(frames.linear_momentum[..., 0]), np.abs(frames.orientation[..., 1])
@@ -119,7 +119,7 @@ def is_bounded(method: str, moved: Scene, steps: int) -> Bools:
 
 def limit(
     method: str,
-    make: Callable[[Floats], Scene],
+    make: Callable[[Floats], StabilityScene],
     low: float = 0.0,
     high: float = 10.0,
     steps: int = 20_000,
@@ -262,12 +262,12 @@ def cut_limit(pace: float = 64.0) -> float:
 # All of them
 
 
-def damped(zeta: float) -> Callable[[Floats], Scene]:
+def damped(zeta: float) -> Callable[[Floats], StabilityScene]:
     """Oscillators with this drag, for `limit`."""
     return partial(oscillators, zeta=zeta)
 
 
-def drag_alone(z: Floats) -> Scene:
+def drag_alone(z: Floats) -> StabilityScene:
     """Points without a spring, with hγ = z for h = 1 s."""
     return points(np.zeros_like(z), z)
 

@@ -11,8 +11,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.bodies import Bodies, made_of, quaternions, rotor_order
-from particlerb.bodies.state import (
+from particlerb.forces import Terms
+from particlerb.forces.spring import spring_energy
+from particlerb.integrators import METHODS
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import Bodies, made_of, quaternions, rotor_order
+from particlerb.model.state import (
     Frames,
     State,
     initial_state,
@@ -20,12 +24,8 @@ from particlerb.bodies.state import (
     multiplied,
     room_for,
 )
-from particlerb.maths.vec3 import Floats, Ints
-from particlerb.methods import METHODS
-from particlerb.methods.motion import Group
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, SYMMETRIC
-from particlerb.terms import Terms
-from particlerb.terms.spring import spring_energy
+from particlerb.stepping.motion import Group
 
 TURNS: Final = 1e4  # of each body of a map
 EVERY: Final = 0.25  # [s] grid of the times of methods without a step of their own
@@ -48,7 +48,7 @@ ACCURATE, SO_FAR, WRONG, GROWING, UNSOLVABLE = range(5)
 # What is moved, and how
 
 
-class Scene(NamedTuple):
+class StabilityScene(NamedTuple):
     """Bodies with what acts on them, and where they start; |ω| = 1 rad/s."""
 
     bodies: Bodies
@@ -73,7 +73,7 @@ def scene(
     terms: Terms | None = None,
     position: Sequence[float] = (0.0, 0.0, 0.0),
     mass: float = 1.0,
-) -> Scene:
+) -> StabilityScene:
     """Bodies whose principal axes are those of the world, all at one position, with no velocity.
 
     Parameters
@@ -89,17 +89,22 @@ def scene(
     place = np.tile(np.array(position), (n, 1))
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     state = initial_state(bodies, place, upright, np.zeros((n, 3)), omega)
-    return Scene(bodies, terms or Terms(), state)
+    return StabilityScene(bodies, terms or Terms(), state)
 
 
 def history(
-    moved: Scene, method: str, dt: float, times: Floats, tolerance: float = 0.0, chunks: int = 1
+    moved: StabilityScene,
+    method: str,
+    dt: float,
+    times: Floats,
+    tolerance: float = 0.0,
+    chunks: int = 1,
 ) -> Frames:
     """States at ascending times, multiples of dt; NaN once no body is finite any more.
 
     Parameters
     ----------
-    moved : Scene
+    moved : StabilityScene
     method : str
     dt, tolerance : float [s, 1]
         For adaptive methods the first step, and the tolerance.
@@ -121,7 +126,7 @@ def history(
     return frames
 
 
-def energy_errors(moved: Scene, frames: Frames) -> Floats:
+def energy_errors(moved: StabilityScene, frames: Frames) -> Floats:
     """|E/E₀ - 1| of each body at each time, (T, n); not finite where the state is not."""
     start = energy(moved, moved.state)
     with np.errstate(all="ignore"):
@@ -129,14 +134,14 @@ def energy_errors(moved: Scene, frames: Frames) -> Floats:
     return np.array(errors)
 
 
-def states(moved: Scene, frames: Frames) -> Iterator[State]:
+def states(moved: StabilityScene, frames: Frames) -> Iterator[State]:
     """The states of frames, one after the other."""
     x, q, p, L = frames[:4]
     for f in range(len(x)):
         yield State(x[f].T, multiplied(q[f].T, moved.bodies.rotor_frame), p[f].T, L[f].T)
 
 
-def energy(moved: Scene, state: State) -> Floats:
+def energy(moved: StabilityScene, state: State) -> Floats:
     """Kinetic energy and that of the springs, (n,) [J]."""
     value = kinetic_energy(moved.bodies, state)
     for spring in moved.terms.spring or ():
@@ -155,7 +160,7 @@ def sampling(dt: float, turns: float) -> Floats:
 # What becomes of a body
 
 
-class Outcome(NamedTuple):
+class StabilityOutcome(NamedTuple):
     """What became of n bodies."""
 
     error: Floats
@@ -166,7 +171,7 @@ class Outcome(NamedTuple):
     """Turns until the error first was above 10 %, shape (n,); inf where it never was."""
 
 
-def outcome(times: Floats, errors: Floats) -> Outcome:
+def outcome(times: Floats, errors: Floats) -> StabilityOutcome:
     """Judge errors (T, n) at ascending times [s], by these rules in this order.
 
     - not solvable: an error is not a number, or infinite;
@@ -186,7 +191,7 @@ def outcome(times: Floats, errors: Floats) -> Outcome:
     )
     lost = errors > LARGE
     turns = np.where(lost.any(axis=0), times[lost.argmax(axis=0)] / (2.0 * math.pi), np.inf)
-    return Outcome(worst, verdict, turns)
+    return StabilityOutcome(worst, verdict, turns)
 
 
 # Bodies of the maps
@@ -224,7 +229,7 @@ Family = Callable[[int], tuple[Floats, Floats, Floats]]
 FAMILIES: Final[dict[str, Family]] = {"shape": plates, "start": starts}
 
 
-def row_of(method: str, pace: float, columns: int, turns: float) -> Outcome:
+def row_of(method: str, pace: float, columns: int, turns: float) -> StabilityOutcome:
     """Outcome of all families at one step, one after the other."""
     _, inertia, omega = map(
         np.concatenate, zip(*(f(columns) for f in FAMILIES.values()), strict=True)

@@ -17,18 +17,25 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import Frames, as_frame, omega_world
 from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
+from particlerb.case.to_system import System
+from particlerb.compiled.threads import THREADS
+from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.methods import METHODS
-from particlerb.plan import Plan, damped_share, fastest_rate, has_step, is_adaptive, make_plan
-from particlerb.relaxing import assembled
-from particlerb.simulate import frame_count, frame_times
+from particlerb.model.state import Frames, as_frame, omega_world
+from particlerb.plan.remove_overlaps import assembled
+from particlerb.plan.segments import (
+    Plan,
+    damped_share,
+    fastest_rate,
+    has_step,
+    is_adaptive,
+    make_plan,
+)
+from particlerb.simulation.run import frame_count, frame_times
+from particlerb.simulation.trials import Error, drifts, errors, part, sample, seconds, states_at
 from particlerb.studies.peers import Engine, PeerScene, engines, peer_errors, peer_scene
-from particlerb.studies.trials import Error, drifts, errors, part, sample, seconds, states_at
-from particlerb.threads import THREADS
 
 REPEATS: Final = 5  # at least,
 LEAST_POINTS: Final = 3  # of a curve, unless the next takes twice the time that there is
@@ -79,7 +86,7 @@ POSE: Final = "error at t_end: orientation [rad], or position, relative"
 ENERGY: Final = "error of the energy, over the energy turned over"
 
 
-class Chart(NamedTuple):
+class WorkPrecision(NamedTuple):
     """What accuracy costs for a case."""
 
     title: str
@@ -110,7 +117,7 @@ def chart(
     wanted: float | None = None,
     budget: float = 30.0,
     progress: Progress = lambda n: None,
-) -> Chart:
+) -> WorkPrecision:
     """Measure the methods, and peers, on a case.
 
     Parameters
@@ -163,7 +170,7 @@ def chart(
     finally:
         THREADS.use(before)
     scene = study.scene
-    return Chart(
+    return WorkPrecision(
         case.title or (case.path.stem if case.path else "scene"),
         len(scene.kind),
         study.which.size,
@@ -196,7 +203,7 @@ class Study:
 
     def __init__(self, case: Case, budget: float) -> None:
         self.case = case
-        self.scene: Scene = assembled(case)
+        self.scene: System = assembled(case)
         auto = self.plan("auto", None)
         self.which: Ints = sample(self.scene, auto, case.run.t_end, SAMPLED)
         self.rate = max(fastest_rate(self.scene, g, case.run.t_end) for g in auto.groups)
@@ -412,7 +419,7 @@ def cheapest(points: Sequence[Point], wanted: float) -> Point | None:
     return min(good, key=fast_first, default=None)
 
 
-def advice(found: Chart) -> str:
+def advice(found: WorkPrecision) -> str:
     """The sentence that a user wants."""
     if found.wanted < found.floor:
         return (
@@ -447,7 +454,7 @@ def duration(seconds: float) -> str:
     return f"{seconds * 1e9:.3g} ns"
 
 
-def table(found: Chart) -> str:
+def table(found: WorkPrecision) -> str:
     """Text of a chart: one line per point, then what was left out, then the advice."""
     bodies = f"{found.n_bodies} bodies" if found.n_bodies > 1 else "1 body"
     names = ("worst rad", "rms rad", "position", "energy", "|L|")
@@ -474,13 +481,13 @@ def table(found: Chart) -> str:
     )
 
 
-def columns(found: Chart, values: Sequence[str]) -> str:
+def columns(found: WorkPrecision, values: Sequence[str]) -> str:
     """Columns of a table: errors of orientation and position, which say nothing of contact."""
     shown = values if found.measure == POSE else values[3:]
     return " ".join(f"{value:>9}" for value in shown)
 
 
-def csv_rows(found: Chart) -> Iterator[Sequence[object]]:
+def csv_rows(found: WorkPrecision) -> Iterator[Sequence[object]]:
     """All points; the first row is the header."""
     yield (
         "engine", "method", "step [s] or tolerance", "is_tolerance", "seconds", "worst [rad]",

@@ -11,11 +11,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.bodies import taken
-from particlerb.bodies.scene import Scene, inertia_in_body
-from particlerb.bodies.state import derived, turned, turned_back
 from particlerb.case.schema import Case
+from particlerb.case.to_system import System, inertia_in_body
 from particlerb.maths.vec3 import Floats
+from particlerb.model.bodies import taken
+from particlerb.model.state import derived, turned, turned_back
 from particlerb.view.session import Applied
 
 MOST_DIGITS: Final = 17  # that a float64 needs to be told from all others
@@ -41,14 +41,14 @@ class Row(NamedTuple):
     values: tuple[float, ...]
 
 
-class Part(NamedTuple):
+class FigurePart(NamedTuple):
     """Quantities under a heading."""
 
     title: str
     rows: tuple[Row, ...]
 
 
-class Motion(NamedTuple):
+class BodyMotion(NamedTuple):
     """State of one body, outside view."""
 
     position: Floats  # (3,) [m]
@@ -65,12 +65,12 @@ class Motion(NamedTuple):
         return 0.5 * (linear + float(self.angular_momentum @ self.angular_velocity))
 
 
-def motion_of(scene: Scene, b: int, *state: Floats) -> Motion:
+def motion_of(scene: System, b: int, *state: Floats) -> BodyMotion:
     """Motion of body b from position, orientation and momenta of all bodies, (N, 3) and (N, 4)."""
     x, q, p, L = (np.array(values[b], dtype=np.float64) for values in state)
     one = taken(scene.bodies, np.array([b]))
     v, omega = derived(one, q[None, None], p[None, None], L[None, None])
-    return Motion(x, q, p, L, v[0, 0], omega[0, 0])
+    return BodyMotion(x, q, p, L, v[0, 0], omega[0, 0])
 
 
 def shown(value: float, digits: int) -> str:
@@ -90,7 +90,7 @@ def euler_deg(q: Floats) -> Floats:
     return np.degrees([roll, pitch, yaw])
 
 
-def state_parts(scene: Scene, b: int, motion: Motion) -> list[Part]:
+def state_parts(scene: System, b: int, motion: BodyMotion) -> list[FigurePart]:
     """Everything that is known of a body now."""
     q = motion.orientation
     body = inertia_in_body(scene.bodies, b)
@@ -117,14 +117,14 @@ def state_parts(scene: Scene, b: int, motion: Motion) -> list[Part]:
     mass = (row("mass", "mass  kg", [scene.bodies.mass[b]]),)
     principal = (row("moments", "principal", np.sort(scene.bodies.inertia[:, b])),)
     return [
-        Part("where", where),
-        Part("how it moves", moves),
-        Part("inertia, body axes  kg m²", mass + tensor("inertia", body) + principal),
-        Part("inertia, world axes  kg m²", tensor("inertia_world", world)),
+        FigurePart("where", where),
+        FigurePart("how it moves", moves),
+        FigurePart("inertia, body axes  kg m²", mass + tensor("inertia", body) + principal),
+        FigurePart("inertia, world axes  kg m²", tensor("inertia_world", world)),
     ]
 
 
-def push_part(applied: Applied, drift: tuple[float, float] | None) -> Part:
+def push_part(applied: Applied, drift: tuple[float, float] | None) -> FigurePart:
     """What was done to the body last, and the drifts of energy and |L| since it ended."""
     blow = applied.blow
     is_push = blow.duration > 0.0
@@ -137,7 +137,7 @@ def push_part(applied: Applied, drift: tuple[float, float] | None) -> Part:
     ]
     if drift is not None:
         rows.append(row("drift", "drifts: E, |L|", drift))
-    return Part("last push", tuple(rows))
+    return FigurePart("last push", tuple(rows))
 
 
 def times_of(applied: Applied) -> list[float]:
@@ -145,7 +145,9 @@ def times_of(applied: Applied) -> list[float]:
     return [applied.start, applied.stop] if applied.blow.duration > 0.0 else [applied.start]
 
 
-def hand_part(case: Case, scene: Scene, block: int, applied: Applied, motion: Motion) -> Part:
+def hand_part(
+    case: Case, scene: System, block: int, applied: Applied, motion: BodyMotion
+) -> FigurePart:
     """The hand calculation of the paper beside the solver: I, ΔL = r × F Δt, ΔP = F Δt, ω = L/I.
 
     The lever arm is taken as it is at the start. A push turns the body away under it, so that the
@@ -164,7 +166,7 @@ def hand_part(case: Case, scene: Scene, block: int, applied: Applied, motion: Mo
     if moments is not None and np.ptp(moments) == 0.0:
         rows += beside("omega", "ω = L/I", hand_L / moments[0], motion.angular_velocity)
     rows += beside("v", "v = P/M  m/s", hand_P / mass, motion.velocity)
-    return Part("by hand, and by the solver", tuple(rows))
+    return FigurePart("by hand, and by the solver", tuple(rows))
 
 
 def hand_moments(case: Case, block: int, mass: float) -> Floats | None:
@@ -193,7 +195,7 @@ def row(key: str, label: str, values: Iterable[float]) -> Row:
     return Row(key, label, tuple(float(value) for value in values))
 
 
-def table(title: str, parts: Iterable[Part], digits: int) -> str:
+def table(title: str, parts: Iterable[FigurePart], digits: int) -> str:
     """HTML of quantities; the numbers of each lie in elements that carry its key."""
     lines = [STYLE, f'<div class="pb" style="display:block"><b>{html.escape(title)}</b>']
     for part in parts:

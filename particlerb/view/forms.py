@@ -12,12 +12,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.mesh import read_mesh, triangles_of
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import turned, turned_back
 from particlerb.case.placement import normalised, quaternion_of_euler
 from particlerb.case.schema import Body, Case, Euler
+from particlerb.case.to_system import System
+from particlerb.geometry.mesh import read_mesh, triangles_of
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.state import turned, turned_back
 
 trimesh: Any = import_module("trimesh")  # untyped in parts
 
@@ -29,14 +29,14 @@ ROUND: Final = 48  # facets around a cylinder
 PARALLEL: Final = 1e-14  # |det| of a ray beside a triangle, relative
 
 
-class Mesh(NamedTuple):
+class SurfaceMesh(NamedTuple):
     """Triangles."""
 
     vertices: Floats  # (v, 3) [m]
     faces: Ints  # (f, 3)
     is_smooth: bool = False
 
-    def moved(self, R: Floats, shift: Floats) -> "Mesh":
+    def moved(self, R: Floats, shift: Floats) -> "SurfaceMesh":
         """Turned by a rotation matrix and then shifted."""
         return self._replace(vertices=self.vertices @ R.T + shift)
 
@@ -44,7 +44,7 @@ class Mesh(NamedTuple):
 class Form(NamedTuple):
     """Surface of one kind of body."""
 
-    mesh: Mesh  # what is shown
+    mesh: SurfaceMesh  # what is shown
     corners: Floats  # (t, 3, 3) triangles that a ray can meet
     centre: Floats  # (e, 3) ellipsoids that a ray can meet
     semi_axes: Floats  # (e, 3) along the axes of the body
@@ -60,7 +60,7 @@ class Form(NamedTuple):
 class Layer(NamedTuple):
     """Copies of one mesh, one on each of some bodies: drawn together."""
 
-    mesh: Mesh
+    mesh: SurfaceMesh
     body: Ints  # (n,) body of each copy
     turn: Floats | None  # (4, n) unit quaternions, axes of the mesh to those of the body
     size: Floats | None  # (n, 3) by which it is scaled along its axes
@@ -78,7 +78,7 @@ class Hit(NamedTuple):
 class Surfaces:
     """Surfaces of all bodies of a scene."""
 
-    def __init__(self, case: Case, scene: Scene) -> None:
+    def __init__(self, case: Case, scene: System) -> None:
         self.case, self.scene = case, scene
         self.known: dict[int, Form] = {}
         self.block = np.repeat(np.arange(len(case.body)), [body.count for body in case.body])
@@ -193,7 +193,7 @@ def meet_ellipsoids(
     return [(float(t[k]), normal / np.linalg.norm(normal))]
 
 
-def form_of(case: Case, scene: Scene, body: Body, kind: int, copies: int) -> Form:
+def form_of(case: Case, scene: System, body: Body, kind: int, copies: int) -> Form:
     """Surface of the bodies of a [[body]] table."""
     com = scene.properties.com[kind]
     shapes = [(body.shape, np.eye(3), np.zeros(3))] if body.shape is not None else []
@@ -231,7 +231,7 @@ def solid(case: Case, shape: Any, R: Floats, shift: Floats, copies: int) -> Form
         return triangles(mesh)
     if kind == "mesh":
         surface = read_mesh(case.file(own.file), own.scale)
-        return triangles(Mesh(surface.vertices, surface.faces).moved(R, shift))
+        return triangles(SurfaceMesh(surface.vertices, surface.faces).moved(R, shift))
     if kind == "points" and own.radius is not None and all(own.radius):
         return balls_of(np.array(own.position) @ R.T + shift, np.array(own.radius), copies)
     made: dict[str, Callable[[], Any]] = {
@@ -254,24 +254,24 @@ def hollow(radius: float, inner: float, height: float) -> Any:
     return trimesh.creation.cylinder(radius, height, sections=ROUND)
 
 
-def as_mesh(made: Any, is_smooth: bool = False) -> Mesh:
+def as_mesh(made: Any, is_smooth: bool = False) -> SurfaceMesh:
     """Triangles of trimesh."""
-    return Mesh(np.array(made.vertices, dtype=np.float64), np.array(made.faces), is_smooth)
+    return SurfaceMesh(np.array(made.vertices, dtype=np.float64), np.array(made.faces), is_smooth)
 
 
-def triangles(mesh: Mesh) -> Form:
+def triangles(mesh: SurfaceMesh) -> Form:
     """Form that a ray meets where its triangles are."""
     none = np.zeros((0, 3))
     return Form(mesh, mesh.vertices[mesh.faces], none, none)
 
 
-def ball(radius: float, copies: int) -> Mesh:
+def ball(radius: float, copies: int) -> SurfaceMesh:
     """Ball of as many triangles as the number of copies allows."""
     fineness = 4 if copies <= 10 else 3 if copies <= 200 else 2 if copies <= 2000 else 1
     return as_mesh(trimesh.creation.icosphere(subdivisions=fineness, radius=radius), True)
 
 
-def particles_form(scene: Scene, body: Body, kind: int, copies: int) -> Form:
+def particles_form(scene: System, body: Body, kind: int, copies: int) -> Form:
     """A body of loose particles: their balls; six particles with given moments as an octahedron."""
     own = slice(scene.particles.offset[kind], scene.particles.offset[kind + 1])
     place, radius = scene.particles.position[own], scene.particles.radius[own].copy()
@@ -285,11 +285,11 @@ def particles_form(scene: Scene, body: Body, kind: int, copies: int) -> Form:
         corners = np.concatenate([np.diag(axes), -np.diag(axes)])
         faces = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2],
                           [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])  # fmt: skip
-        return together([triangles(Mesh(corners, faces)), form])
+        return together([triangles(SurfaceMesh(corners, faces)), form])
     return form
 
 
-def equal_ellipsoid(scene: Scene, b: int) -> Floats:
+def equal_ellipsoid(scene: System, b: int) -> Floats:
     """Semi-axes (3,) [m] of the solid ellipsoid with mass and moments of a body, rotor frame."""
     inertia = scene.bodies.inertia[:, b]
     squares = 2.5 * (inertia.sum() - 2.0 * inertia) / scene.bodies.mass[b]
@@ -297,7 +297,7 @@ def equal_ellipsoid(scene: Scene, b: int) -> Floats:
     return np.asarray(np.sqrt(np.maximum(squares, 1e-4 * largest)))
 
 
-def ellipsoid_form(scene: Scene, b: int) -> Form:
+def ellipsoid_form(scene: System, b: int) -> Form:
     """A body that shares its shape with no other, as the ellipsoid with its mass and moments."""
     unit = ball(1.0, MANY)
     R = turned(np.tile(scene.bodies.rotor_frame[:, b : b + 1], 3), np.eye(3))
@@ -315,12 +315,12 @@ def balls_of(place: Floats, radius: Floats, copies: int) -> Form:
     return Form(mesh, np.zeros((0, 3, 3)), place, np.tile(radius[:, None], 3))
 
 
-def joined(meshes: Sequence[Mesh]) -> Mesh:
+def joined(meshes: Sequence[SurfaceMesh]) -> SurfaceMesh:
     """Several meshes as one."""
     shift = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
     faces = [mesh.faces + n for mesh, n in zip(meshes, shift[:-1], strict=True)]
     vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    return Mesh(vertices, np.concatenate(faces), all(mesh.is_smooth for mesh in meshes))
+    return SurfaceMesh(vertices, np.concatenate(faces), all(mesh.is_smooth for mesh in meshes))
 
 
 def together(forms: Sequence[Form]) -> Form:
@@ -331,9 +331,9 @@ def together(forms: Sequence[Form]) -> Form:
     return Form(mesh, *(np.concatenate([form[k] for form in forms]) for k in (1, 2, 3)))
 
 
-def walls_of(case: Case, size: float) -> list[Mesh]:
+def walls_of(case: Case, size: float) -> list[SurfaceMesh]:
     """Surfaces of the walls of a case, planes cut to a size [m]; world frame."""
-    found: list[Mesh] = []
+    found: list[SurfaceMesh] = []
     for wall in case.wall:
         if wall.type == "plane":
             z = np.array(wall.normal) / np.linalg.norm(wall.normal)
@@ -341,7 +341,7 @@ def walls_of(case: Case, size: float) -> list[Mesh]:
             x = x / np.linalg.norm(x)
             y, half = np.cross(z, x), 0.5 * PLANE * size
             corners = [a * half * x + b * half * y for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-            mesh = Mesh(np.array(corners) + wall.point, np.array([[0, 1, 2], [0, 2, 3]]))
+            mesh = SurfaceMesh(np.array(corners) + wall.point, np.array([[0, 1, 2], [0, 2, 3]]))
         elif wall.type == "box":
             lower, upper = np.array(wall.lower), np.array(wall.upper)
             mesh = as_mesh(trimesh.creation.box(extents=upper - lower))
@@ -353,7 +353,7 @@ def walls_of(case: Case, size: float) -> list[Mesh]:
             mesh = as_mesh(made).moved(R, np.array(wall.centre))
         else:
             vertices, faces = triangles_of(case.file(wall.file))
-            mesh = Mesh(wall.scale * vertices, faces)
+            mesh = SurfaceMesh(wall.scale * vertices, faces)
             mesh = mesh.moved(rotation(wall.orientation), np.array(wall.position))
         found.append(mesh)
     return found

@@ -16,11 +16,11 @@ from typing import Any, Final
 import numpy as np
 import viser
 
-from particlerb.bodies.state import turned
 from particlerb.case.schema import Case
 from particlerb.maths.vec3 import Floats
+from particlerb.model.state import turned
 from particlerb.view.controls import ALONG_VIEW, AXES, INTO_SURFACE, Controls
-from particlerb.view.figures import Motion, hand_part, motion_of, push_part, state_parts, table
+from particlerb.view.figures import BodyMotion, hand_part, motion_of, push_part, state_parts, table
 from particlerb.view.forms import meet
 from particlerb.view.recording import recorded
 from particlerb.view.server import finite, vector
@@ -389,7 +389,7 @@ class Live(Turning):
             self.controls.rates.data = tuple(columns[:4])
             self.controls.energy.data = (columns[0], columns[4], columns[5])
 
-    def point(self, motion: Motion) -> None:
+    def point(self, motion: BodyMotion) -> None:
         """Arrows and trail."""
         shown, stage, session = self.controls.shown, self.stage, self.session
         none = np.zeros((0, 3))
@@ -421,7 +421,7 @@ class Live(Turning):
             self.trail.append(place)
         stage.draw_trail(np.array(self.trail) if shown["trail"].value else none)
 
-    def write(self, motion: Motion) -> None:
+    def write(self, motion: BodyMotion) -> None:
         """The table of numbers and the line of the clock."""
         session, b, c = self.session, self.body, self.controls
         parts = state_parts(session.scene, b, motion)
@@ -445,7 +445,7 @@ class Live(Turning):
         if c.status.content != status:
             c.status.content = status
 
-    def drift(self, applied: Applied, motion: Motion) -> tuple[float, float] | None:
+    def drift(self, applied: Applied, motion: BodyMotion) -> tuple[float, float] | None:
         """Errors of energy and |L| since a push has ended, relative; None while it lasts."""
         if self.session.time < applied.stop:
             return None

@@ -13,13 +13,13 @@ from typing import Any, Final
 import numpy as np
 import viser
 
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import derived
 from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
+from particlerb.case.to_system import System
 from particlerb.maths.vec3 import Floats
-from particlerb.relaxing import assembled
-from particlerb.trajectory import Trajectory, TrajectoryError
+from particlerb.model.state import derived
+from particlerb.plan.remove_overlaps import assembled
+from particlerb.record.trajectory import Trajectory, TrajectoryError
 from particlerb.view.controls import MOST_LISTED
 from particlerb.view.figures import motion_of, state_parts, table
 from particlerb.view.live import FIGURES, Turning, clock, note
@@ -43,7 +43,7 @@ class ReplayError(Exception):
     """A file that cannot be shown: why."""
 
 
-def scene_of(trajectory: Trajectory) -> tuple[Case, Scene]:
+def scene_of(trajectory: Trajectory) -> tuple[Case, System]:
     """Case and bodies of a file.
 
     Raises

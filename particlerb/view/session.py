@@ -17,25 +17,25 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import Frames, room_for, turned, turned_back
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
-from particlerb.ledger import Entries
+from particlerb.case.to_system import System
+from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
-from particlerb.methods.motion import MotionError
-from particlerb.plan import GroupPlan, Plan, Segment, has_step, is_adaptive, make_plan
-from particlerb.simulate import (
+from particlerb.model.balance import Entries
+from particlerb.model.state import Frames, room_for, turned, turned_back
+from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive, make_plan
+from particlerb.simulation.accuracy import prepare_accurately
+from particlerb.simulation.group_run import GroupRun, record_all
+from particlerb.simulation.run import (
     Prepared,
     Run,
     RunError,
     first_rows,
     multiples,
 )
-from particlerb.studies.accuracy import prepare_accurately
-from particlerb.threads import THREADS
-from particlerb.traveller import Traveller, record_all
+from particlerb.stepping.motion import MotionError
 
 STEPS_PER_FRAME: Final = 5000  # of a push on bodies that are free otherwise, per run.every
 LEAST_STEPS_PER_FRAME: Final = 32  # of bodies that are stepped all the time
@@ -92,7 +92,7 @@ class Session:
     def __init__(self, case: Case) -> None:
         prepared = prepare_accurately(case)
         THREADS.use(case.run.threads)
-        self.scene: Scene = prepared.scene
+        self.scene: System = prepared.scene
         self.longest = 2.0 ** math.ceil(math.log2(LONGEST * case.run.t_end))
         self.every = case.run.every
         self.start = opening(case, prepared.plan, self.longest)
@@ -365,7 +365,7 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def continues(traveller: Traveller, plan: GroupPlan, time: float) -> bool:
+def continues(traveller: GroupRun, plan: GroupPlan, time: float) -> bool:
     """Whether a group that went on by its old plan until a time has gone on by the new one."""
     n = traveller.number + 1
     was, now = traveller.plan.segments[:n], plan.segments[:n]

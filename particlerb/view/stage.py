@@ -11,10 +11,10 @@ from typing import Any, Final
 import numpy as np
 import viser
 
-from particlerb.bodies.scene import Scene
-from particlerb.bodies.state import multiplied
 from particlerb.case.schema import Case
+from particlerb.case.to_system import System
 from particlerb.maths.vec3 import Floats
+from particlerb.model.state import multiplied
 from particlerb.view.forms import Surfaces, extent_of, walls_of
 
 Colour = tuple[int, int, int]
@@ -39,11 +39,11 @@ class Stage:
     ----------
     server : ViserServer
         What shows it.
-    case, scene : Case, Scene
+    case, scene : Case, System
         Shapes and constants of the bodies.
     """
 
-    def __init__(self, server: viser.ViserServer, case: Case, scene: Scene) -> None:
+    def __init__(self, server: viser.ViserServer, case: Case, scene: System) -> None:
         self.server, self.scene = server, scene
         self.surfaces = Surfaces(case, scene)
         position = scene.state.com.T

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from particlerb.case.reader import CaseError, Problem, load, parse
-from particlerb.simulate import prepare
+from particlerb.simulation.run import prepare
 
 GOOD = """\
 title = "a cube and a clump"

@@ -18,18 +18,18 @@ PAGE = Path(__file__).parents[2] / "docs" / "case.md"
 SCHEMA = case_json_schema()
 HEADINGS = {
     "Top level": "Case",
-    "[run]": "Run",
+    "[run]": "RunTable",
     "[gravity]": "Gravity",
-    "[attraction]": "Attraction",
+    "[attraction]": "AttractionTable",
     "[[body]]": "Body",
-    "[[body.part]]": "Part",
+    "[[body.part]]": "ShapePart",
     "orientation = { euler_deg = [..] }": "Euler",
     "velocity, angular_velocity = { body = [..] }": "InBody",
-    "velocity, angular_velocity = { random = v }": "Spread",
+    "velocity, angular_velocity = { random = v }": "NormalDistribution",
     **{f"place: {name}": model.__name__ for name, model in PLACES.items()},
     **{f"shape: {name}": model.__name__ for name, model in SHAPES.items()},
     **{f"force: {name}": model.__name__ for name, model in FORCES.items()},
-    "[contact]": "Contact",
+    "[contact]": "ContactTable",
     "[[contact.pair]]": "Pair",
     "[[material]]": "Material",
     **{f"wall: {name}": model.__name__ for name, model in WALLS.items()},
@@ -39,7 +39,7 @@ HEADINGS = {
     "[output]": "Output",
     "[check]": "Check",
     "[[check.value]]": "CheckValue",
-    "[chart]": "Chart",
+    "[chart]": "ChartTable",
     "[[chart.published]]": "Published",
 }
 HEAD = "| key | type | unit | default | meaning |"
@@ -127,7 +127,7 @@ def test_json_schema_is_closed_and_describes_everything():
         assert table["additionalProperties"] is False
         assert table["description"]
         assert all("description" in schema for schema in table["properties"].values())
-    assert SCHEMA["$defs"]["Run"]["properties"]["method"]["enum"] == list(METHODS)
+    assert SCHEMA["$defs"]["RunTable"]["properties"]["method"]["enum"] == list(METHODS)
     json.dumps(SCHEMA)
 
 

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.record.room import bytes_of_run
+from particlerb.record.disk_space import bytes_of_run
 from particlerb.rotors.rotor_class import NAMES
 
 TESTS = Path(__file__).parents[1]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.contact.search import neighbours
+from particlerb.contact.cell_grid import neighbours
 
 pytestmark = [pytest.mark.compiled, pytest.mark.slow]
 

@@ -578,8 +578,8 @@ def test_a_child_process_makes_its_own_threads():
 @pytest.mark.parametrize(("dtype", "each"), [("float64", 68), ("float32", 40)])
 def test_the_size_that_is_told_and_what_info_tells(make, tmp_path, capsys, dtype, each):
     """Contacts, walls and kept files are listed; the file is as large as was said, or smaller."""
+    from particlerb.case.output import FIELDS_OF_CONTACT
     from particlerb.case.reader import load
-    from particlerb.case.wanted import FIELDS_OF_CONTACT
     from particlerb.cli.run import size_text
 
     (tmp_path / "points.csv").write_text("0 0 0 1\n1 0 0 1\n0 1 0 1\n" + 200_000 * "#")

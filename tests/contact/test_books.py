@@ -7,8 +7,8 @@ import pytest
 
 import particlerb
 from particlerb.case.reader import load
-from particlerb.methods import strang
-from particlerb.simulate import prepare
+from particlerb.integrators import strang
+from particlerb.simulation.run import prepare
 
 K = 1e5
 DOWN = {"acceleration": [0.0, 0.0, -9.81]}

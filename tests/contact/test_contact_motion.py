@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.methods import touching
-from particlerb.methods.pair_forces import PairForces
+from particlerb.stepping import contact_run as touching
+from particlerb.stepping.pair_forces import PairForces
 
 G = 9.81
 NOTHING = {"gravity": {"acceleration": [0.0, 0.0, 0.0]}}  # the compiled code is that of a weight

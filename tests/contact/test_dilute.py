@@ -5,8 +5,8 @@ import pytest
 
 import particlerb
 from particlerb.case.reader import load
-from particlerb.methods import dilute
-from particlerb.simulate import prepare, run_prepared
+from particlerb.simulation.run import prepare, run_prepared
+from particlerb.stepping import sparse_contact as dilute
 
 DUMBBELL = {"type": "points", "position": [[-0.08, 0, 0], [0.08, 0, 0]], "mass": 0.5, "radius": 0.1}
 

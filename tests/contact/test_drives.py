@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.methods import touching
-from particlerb.verification import verify
+from particlerb.record.verify import verify
+from particlerb.stepping import contact_run as touching
 
 K = 1e4
 NOTHING = {"acceleration": [0.0, 0.0, 0.0]}

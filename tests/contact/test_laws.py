@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
-from particlerb._jit import kernel
-from particlerb.contact import laws
+from particlerb.compiled.jit import kernel
+from particlerb.contact import law as laws
 from particlerb.contact import restitution as closed
-from particlerb.contact.laws import (
+from particlerb.contact.law import (
     Touch,
     contact_force,
     hertz,

@@ -10,9 +10,10 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.contact.restitution import damping_ratio
-from particlerb.methods import strang, touching
-from particlerb.plan import STEPS_PER_CONTACT, softest_turning
-from particlerb.simulate import RunError, prepare
+from particlerb.integrators import strang
+from particlerb.plan.segments import STEPS_PER_CONTACT, softest_turning
+from particlerb.simulation.run import RunError, prepare
+from particlerb.stepping import contact_run as touching
 
 
 def drop(dt: float | None = None, **contact) -> dict:
@@ -128,10 +129,10 @@ def test_rate_of_hertz_is_that_of_the_deepest_overlap():
     del case["contact"]["stiffness"]
     case["material"] = [{"name": "rubber", "young": 1e7, "poisson": 0.4}]
     (group,) = prepare(load(case)).plan.groups
-    slow = particlerb.plan.rates(prepare(load(case)).scene, group)[0]
+    slow = particlerb.plan.segments.rates(prepare(load(case)).scene, group)[0]
     case["body"][0]["velocity"] = [0.0, 0.0, -20.0]
     (group,) = prepare(load(case)).plan.groups
-    fast = particlerb.plan.rates(prepare(load(case)).scene, group)[0]
+    fast = particlerb.plan.segments.rates(prepare(load(case)).scene, group)[0]
     fall = math.sqrt(2.0 * 9.81 * 0.2)  # the ground may be as far away as the origin
     assert fast / slow == pytest.approx(((40.0 + fall) / fall) ** 0.2, rel=1e-12)
 
@@ -170,7 +171,7 @@ def test_relaxed_bodies_hardly_overlap():
 
 
 def test_bodies_without_room_cannot_be_relaxed(monkeypatch):
-    monkeypatch.setattr("particlerb.relaxing.ROUNDS", 30)
+    monkeypatch.setattr("particlerb.plan.remove_overlaps.ROUNDS", 30)
     shape = {"type": "sphere", "radius": 0.1}
     place = {"type": "random", "lower": [-0.1] * 3, "upper": [0.1] * 3}
     case = drop(1e-4, relax=True)
@@ -232,7 +233,7 @@ def test_what_comes_through_the_gaps_keeps_the_spheres_inside(what):
 def test_leaving_spheres_out_changes_no_bit(monkeypatch):
     with particlerb.run(block()) as t:
         without = t.position, t.orientation, t.linear_momentum
-    everyone = "particlerb.groups.outer_spheres"
+    everyone = "particlerb.plan.groups.outer_spheres"
     monkeypatch.setattr(everyone, lambda place, radius, *_: np.ones(radius.size, dtype=np.bool_))
     with particlerb.run(block()) as t:
         whole = t.position, t.orientation, t.linear_momentum

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb import groups
-from particlerb.contact import watch
-from particlerb.contact.search import Pairs, Search
-from particlerb.contact.wall_motion import Motion, distances
+from particlerb.contact import missed_pairs as watch
+from particlerb.contact.cell_grid import Search, SpherePairs
+from particlerb.contact.missed_pairs import Watch
+from particlerb.contact.wall_motion import PrescribedMotion, distances
 from particlerb.contact.wall_search import WallSearch
-from particlerb.contact.watch import Watch
-from particlerb.methods import dilute
-from particlerb.methods.touching import TouchingMotion
-from particlerb.simulate import RunError
+from particlerb.plan import groups
+from particlerb.simulation.run import RunError
+from particlerb.stepping import sparse_contact as dilute
+from particlerb.stepping.contact_run import TouchingMotion
 
 WEIGHT = {"gravity": {"acceleration": [0.0, 0.0, -9.81]}}
 NOTHING = {"gravity": {"acceleration": [0.0, 0.0, 0.0]}}
@@ -106,7 +106,7 @@ def test_a_wall_that_turns_about_a_far_centre_is_not_missed(make):
 
 
 def test_distance_is_that_of_the_centre_at_the_time():
-    motion = Motion((3.0, 0, 0), (1.0, 0, 0), (0, 0, 2.0))
+    motion = PrescribedMotion((3.0, 0, 0), (1.0, 0, 0), (0, 0, 2.0))
     points = np.array([[5.0, 5.5], [0.0, 0.5], [0.0, 0.0]])
     (far,) = distances([motion], 2.0, points)
     assert far == pytest.approx(np.hypot(0.5, 0.5))  # the centre is at 5
@@ -120,7 +120,7 @@ def lose_all(monkeypatch, cls):
     none = np.zeros(0, dtype=np.int64)
 
     def pairs(search, points, *_):
-        return Pairs(none, none, np.zeros(points.shape[1] + 1, dtype=np.int64))
+        return SpherePairs(none, none, np.zeros(points.shape[1] + 1, dtype=np.int64))
 
     monkeypatch.setattr(cls, "pairs", pairs)
 

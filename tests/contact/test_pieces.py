@@ -7,11 +7,11 @@ from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 import particlerb
-from particlerb._jit import kernel
-from particlerb.contact.surfaces import surface
+from particlerb.compiled.jit import kernel
 from particlerb.contact.wall_search import primitive
+from particlerb.contact.wall_shapes import surface
 from particlerb.contact.walls import away_from, count_of
-from particlerb.simulate import RunError
+from particlerb.simulation.run import RunError
 
 TURN = Rotation.from_rotvec([0.3, -0.8, 0.5])
 

@@ -8,8 +8,8 @@ import pytest
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.methods import touching
-from particlerb.simulate import RunError
+from particlerb.simulation.run import RunError
+from particlerb.stepping import contact_run as touching
 
 G = 9.81
 K = 1e5

@@ -9,20 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from particlerb._jit import config
-from particlerb.contact import search as module
-from particlerb.contact.buried import outer_spheres
-from particlerb.contact.lists import (
+from particlerb.compiled.jit import config
+from particlerb.compiled.threads import THREADS
+from particlerb.contact import cell_grid as module
+from particlerb.contact.cell_grid import Search, levels_of, modular_strides, neighbours
+from particlerb.contact.interior_spheres import outer_spheres
+from particlerb.contact.neighbour_list import (
     EDGES,
     SHELLS,
-    Kept,
+    ContactHistory,
     find_shells,
     has_moved,
     incidence,
     order_contacts,
 )
-from particlerb.contact.search import Search, levels_of, modular_strides, neighbours
-from particlerb.threads import THREADS
 
 PLAIN = bool(config.DISABLE_JIT)
 N = 60 if PLAIN else 4000
@@ -43,7 +43,7 @@ def threads():
     """Threads that also take little work, as many as asked for; as before afterwards."""
     before = THREADS.count
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("particlerb.threads.LEAST_WORK", 0)
+        patch.setattr("particlerb.compiled.threads.LEAST_WORK", 0)
         yield THREADS.use
     THREADS.use(before)
 
@@ -318,7 +318,7 @@ def kept_of(pairs, values, rng):
     table = np.empty((len(pairs), 3))
     for row, pair in zip(rows, sorted(pairs), strict=True):
         table[row] = values[pair]
-    return Kept(keys, rows, table)
+    return ContactHistory(keys, rows, table)
 
 
 @given(seeds)
@@ -350,7 +350,7 @@ def test_a_new_list_stands_in_shells_and_has_what_the_same_pairs_kept(seed, are_
     first, second = np.array(new, dtype=np.int64).reshape(-1, 2).T.copy()
     m = len(new)
     shell = rng.integers(0, SHELLS, m)
-    after = Kept(*np.empty((2, m), dtype=np.int64), np.empty((m, 3)))
+    after = ContactHistory(*np.empty((2, m), dtype=np.int64), np.empty((m, 3)))
     listed = np.empty((2, m), dtype=np.int32)
     ends, keeps = np.empty(SHELLS, dtype=np.int64), [pair in old for pair in new]
     expected = np.where(keeps, 0, shell)
@@ -370,8 +370,8 @@ def test_contacts_of_a_sphere_and_a_wall_stand_together_in_the_nearest_shell():
     first, second = np.array([[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 3, 0]])
     shell, wall = np.array([3, 1, 2, 4, 2, 3]), np.array([0, 0, 1, 1])
     none = np.zeros(0, dtype=np.int64)
-    before = Kept(none, none, np.zeros((0, 3)))
-    after = Kept(*np.empty((2, 6), dtype=np.int64), np.empty((6, 3)))
+    before = ContactHistory(none, none, np.zeros((0, 3)))
+    after = ContactHistory(*np.empty((2, 6), dtype=np.int64), np.empty((6, 3)))
     listed, ends = np.empty((2, 6), dtype=np.int32), np.empty(SHELLS, dtype=np.int64)
     number = np.arange(4)
     order_contacts((first, second), (number, number), wall, shell, before, after, *listed, ends)

@@ -115,7 +115,7 @@ def crowd(make, n=60, threads=1, every=0.02):
 
 @pytest.mark.compiled
 def test_contacts_do_not_depend_on_threads_nor_on_other_frames(make, monkeypatch):
-    import particlerb.methods.touching as touching
+    import particlerb.stepping.contact_run as touching
 
     _, one, force = listed(crowd(make))
     _, every_other, _ = listed(crowd(make, every=0.04))
@@ -152,7 +152,7 @@ def test_forces_of_contacts_and_weight_are_the_change_of_momentum(make):
 
 @pytest.mark.compiled
 def test_a_gas_in_closed_form_shows_the_same_contacts(make, monkeypatch):
-    import particlerb.methods.dilute as dilute
+    import particlerb.stepping.sparse_contact as dilute
 
     body = make.sphere("ball", 0.02, count=300, velocity={"random": 1.0})
     body["place"] = {"type": "grid", "spacing": 0.1}

@@ -10,11 +10,11 @@ from scipy.optimize import minimize
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from particlerb._jit import config, kernel
+from particlerb.compiled.jit import config, kernel
 from particlerb.contact import wall_search as module
-from particlerb.contact.surfaces import box, cylinder, joined, plane, surface
-from particlerb.contact.wall_motion import Motion, farthest_way, poses_at
+from particlerb.contact.wall_motion import PrescribedMotion, farthest_way, poses_at
 from particlerb.contact.wall_search import WallSearch, bounds_of, primitive
+from particlerb.contact.wall_shapes import box, cylinder, joined, plane, surface
 from particlerb.contact.walls import (
     EDGE,
     FACE,
@@ -28,7 +28,7 @@ from particlerb.contact.walls import (
 
 PLAIN = bool(config.DISABLE_JIT)
 seeds = st.integers(0, 2**32 - 1)
-REST = Motion()
+REST = PrescribedMotion()
 
 
 @kernel
@@ -296,7 +296,9 @@ def test_triangles_without_area_and_doubled_vertices_are_harmless():
 
 
 def test_motion_is_a_closed_form_and_velocity_its_derivative():
-    motion = Motion((1.0, 2.0, 3.0), (0.1, 0, 0.2), (0.3, -0.5, 0.7), (0, 0.4, 0.1), 1.7, 0.3)
+    motion = PrescribedMotion(
+        (1.0, 2.0, 3.0), (0.1, 0, 0.2), (0.3, -0.5, 0.7), (0, 0.4, 0.1), 1.7, 0.3
+    )
     wall, p = plane([1.0, 2.0, 3.0], [0.2, 0.3, 1.0]), np.array([[0.5, 0.6, 0.7]])
 
     def place(t):
@@ -321,7 +323,7 @@ def test_gap_moves_with_the_wall_and_the_bound_holds(seed):
     rng = np.random.default_rng(seed)
     wall = box([-1, -1, -1], [1, 1, 1], ["+z"])
     v, w, a = 0.3 * rng.standard_normal((3, 3))
-    motion = Motion((0.1, 0.2, 0.0), tuple(v), tuple(w), tuple(a), 2.0, 0.4)
+    motion = PrescribedMotion((0.1, 0.2, 0.0), tuple(v), tuple(w), tuple(a), 2.0, 0.4)
     x, t = rng.uniform(-1.5, 1.5, 3), 3.0 * rng.random()
     pose = poses_at([motion], t)[0]
     R = Rotation.from_quat(pose[3:7], scalar_first=True)
@@ -357,7 +359,12 @@ def test_candidates_are_all_that_are_near(skin):
     rng = np.random.default_rng(7)
     walls, n = all_walls(rng), 40 if PLAIN else 1500
     x, r = rng.uniform(-2, 2, (n, 3)), rng.uniform(0.0, 0.2, n)
-    motions = [REST, Motion((0, 0, 0), (0.1, 0, 0), (1, 2, 3), (0, 0.1, 0), 1.0, 0.0), REST, REST]
+    motions = [
+        REST,
+        PrescribedMotion((0, 0, 0), (0.1, 0, 0), (1, 2, 3), (0, 0.1, 0), 1.0, 0.0),
+        REST,
+        REST,
+    ]
     poses = poses_at(motions, 0.7)
     first, second, start = WallSearch(walls, r).pairs(np.ascontiguousarray(x.T), poses, skin)
     m = walls.kind.size

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from particlerb.bodies.bodies import quaternions
-from particlerb.bodies.mass_properties import mass_properties
-from particlerb.bodies.particles import one_kind
-from particlerb.bodies.spheres import spheres
 from particlerb.cli import main
 from particlerb.export import ExportError
 from particlerb.export.bodies import BODY_FORMATS, Exported, carriers, export_bodies
+from particlerb.geometry.mass_properties import mass_properties
+from particlerb.geometry.overlapping_spheres import spheres
+from particlerb.geometry.particles import one_kind
+from particlerb.model.bodies import quaternions
 
 CENTRE = np.array([[0.1, 0.2, 0.3], [0.6, 0.3, 0.1], [0.2, 0.7, 0.4], [0.4, 0.1, 0.9]])
 RADIUS = np.array([0.4, 0.35, 0.3, 0.25])

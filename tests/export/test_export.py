@@ -9,11 +9,11 @@ import pytest
 from numba import config
 
 import particlerb
-from particlerb.case.wanted import FIELDS_OF_CONTACT
+from particlerb.case.output import FIELDS_OF_CONTACT
 from particlerb.cli import main
 from particlerb.export import ExportError, export
 from particlerb.export.gsd import ellipsoid
-from particlerb.trajectory import Trajectory
+from particlerb.record.trajectory import Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +157,7 @@ def test_csv_has_all_digits(trajectory, tmp_path):
 
 def test_npz_holds_the_arrays(trajectory, tmp_path, monkeypatch):
     """Also where the frames come in many portions."""
-    monkeypatch.setattr("particlerb.trajectory.PORTION", 8)
+    monkeypatch.setattr("particlerb.record.trajectory.PORTION", 8)
     fields = ["orientation", "angular_velocity"]
     export(trajectory, tmp_path / "a.npz", "npz", ["odd", "brick[1]"], fields=fields)
     found = np.load(tmp_path / "a.npz")
@@ -265,7 +265,7 @@ def test_a_long_trajectory_is_not_loaded_whole(path, tmp_path, monkeypatch):
         return found
 
     monkeypatch.setattr(Trajectory, "rows", spy)
-    monkeypatch.setattr("particlerb.trajectory.PORTION", 8)
+    monkeypatch.setattr("particlerb.record.trajectory.PORTION", 8)
     with particlerb.open(path) as t:
         for to in ("gsd", "csv", "npz", "lammps", "particles"):
             export(t, tmp_path / f"out_{to}", to)

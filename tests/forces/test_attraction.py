@@ -16,9 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from particlerb._jit import config, kernel
-from particlerb.terms import attraction as module
-from particlerb.terms.attraction import (
+from particlerb.compiled.jit import config, kernel
+from particlerb.compiled.threads import THREADS
+from particlerb.forces import attraction as module
+from particlerb.forces.attraction import (
     Attraction,
     add_attraction,
     attract,
@@ -33,8 +34,7 @@ from particlerb.terms.attraction import (
     tiles_of,
     work_of,
 )
-from particlerb.terms.central import Central, central_work
-from particlerb.threads import THREADS
+from particlerb.forces.central import Central, central_work
 
 T = 8 if config.DISABLE_JIT else module.TILE
 G = 0.7
@@ -423,7 +423,7 @@ def test_threads_change_no_bit(threads):
 SCRIPT = """
 import json
 import numpy as np
-from particlerb.terms.attraction import Attraction, attract, work_of
+from particlerb.forces.attraction import Attraction, attract, work_of
 one = np.ones(2)
 attraction = Attraction(np.zeros((3, 2)), one, one, np.array([0, 1, 2]), 1.0)
 attract(attraction, work_of(attraction), 0, 1)

@@ -10,13 +10,9 @@ from hypothesis import strategies as st
 from scipy.special import ellipk
 
 import particlerb
-from particlerb._jit import kernel
-from particlerb.bodies.block import in_blocks, state_rows
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.state import State
 from particlerb.case.problems import CaseError
-from particlerb.maths.quaternion import matrix
-from particlerb.terms import (
+from particlerb.compiled.jit import kernel
+from particlerb.forces import (
     Terms,
     acting_of,
     energy_of_springs,
@@ -25,12 +21,16 @@ from particlerb.terms import (
     rows_of_terms,
     work_of_potentials,
 )
-from particlerb.terms.central import Central
-from particlerb.terms.drag import Drag
-from particlerb.terms.follower import Follower
-from particlerb.terms.push import Push
-from particlerb.terms.spring import Spring
-from particlerb.terms.torque import Torque
+from particlerb.forces.central import Central
+from particlerb.forces.drag import Drag
+from particlerb.forces.follower import Follower
+from particlerb.forces.push import Push
+from particlerb.forces.spring import Spring
+from particlerb.forces.torque import Torque
+from particlerb.maths.quaternion import matrix
+from particlerb.model.block import in_blocks, state_rows
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State
 
 INERTIA = np.array([1.0, 2.0, 2.5])
 MASS = 2.0

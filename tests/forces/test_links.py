@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import particlerb
-from particlerb.bodies.load import FORCE, LOAD_ROWS, OUTSIDE, POWER, TORQUE
 from particlerb.case.problems import CaseError
 from particlerb.cli import main
-from particlerb.terms.links import (
+from particlerb.forces.links import (
     WORLD,
     Links,
     damp_links,
@@ -18,6 +17,7 @@ from particlerb.terms.links import (
     link_loads,
     link_rates,
 )
+from particlerb.model.load import FORCE, LOAD_ROWS, OUTSIDE, POWER, TORQUE
 
 N = 4
 FIRST, SECOND = np.array([0, 1, 2, 3, 0, 2]), np.array([1, 2, 3, WORLD, 2, WORLD])

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import particlerb
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.state import State, kinetic_energy, turned
 from particlerb.case.problems import CaseError
-from particlerb.terms.impulse import Impulse, apply_impulse
-from particlerb.terms.push import lever_work
+from particlerb.forces.impulse import Impulse, apply_impulse
+from particlerb.forces.push import lever_work
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, kinetic_energy, turned
 
 START = {"orientation": [0.8, 0.0, 0.6, 0.0], "angular_velocity": [1.0, 0.4, -0.7]}
 TENSOR = np.diag([1.0, 2.0, 2.5])

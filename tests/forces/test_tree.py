@@ -5,13 +5,13 @@ import itertools
 import numpy as np
 import pytest
 
+from particlerb.compiled.threads import THREADS
+from particlerb.forces.attraction import Attraction
+from particlerb.forces.gravity_tree.cells import grow, room_for_nodes
+from particlerb.forces.gravity_tree.lanes import LANES
+from particlerb.forces.gravity_tree.multipole import ORDER, indices
+from particlerb.forces.gravity_tree.tree import Tree, angle_for
 from particlerb.maths.vec3 import Floats
-from particlerb.terms.attraction import Attraction
-from particlerb.terms.cells import grow, room_for_nodes
-from particlerb.terms.lanes import LANES
-from particlerb.terms.multipole import ORDER, indices
-from particlerb.terms.tree import Tree, angle_for
-from particlerb.threads import THREADS
 
 G = 0.7
 SHAPES = ("ball", "plummer", "disk", "clusters")

@@ -510,7 +510,7 @@ def check(data: bytes) -> str:
 
 def planned(case: "Case") -> None:
     """Place the bodies, make the plan and put it into words, as before the first step of a run."""
-    from particlerb.simulate import prepare
+    from particlerb.simulation.run import prepare
 
     with np.errstate(all="ignore"):  # kernels in plain Python warn where compiled ones do not
         prepare(case)

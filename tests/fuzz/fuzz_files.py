@@ -99,7 +99,7 @@ def broken(seed: bytes, k: int) -> bytes:
 def looked_at(path: Path) -> int:
     """Read what Python programs and the page of `view` read."""
     import particlerb
-    from particlerb.trajectory import TrajectoryError
+    from particlerb.record.trajectory import TrajectoryError
     from particlerb.view.replay import ReplayError, scene_of
 
     with contextlib.suppress(TrajectoryError), particlerb.open(path) as trajectory:
@@ -227,7 +227,7 @@ def run(numbers: range, jobs: int, folder: Path) -> tuple[list[str], int]:
     """All escapes of some numbers, and how often HDF5 has crashed in a guarded command."""
     import warnings
 
-    from particlerb.record import checked
+    from particlerb.record import checked_reading as checked
 
     checked.SECONDS_OF_PATIENCE = 0.0
     warnings.simplefilter("ignore")

@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from particlerb.bodies.particles import Particles
+from particlerb.geometry.particles import Particles
 
 Vector = list[Fraction]
 Matrix = list[list[Fraction]]

@@ -1,4 +1,4 @@
-"""Moments of a union of balls by slices: nothing in common with particlerb.bodies.union.
+"""Moments of a union of balls by slices: nothing in common with particlerb.geometry.union.
 
 Each slice is a union of discs, integrated along the exposed arcs of its circles by Green's theorem.
 Between critical heights (poles, highest and lowest points of circles of intersection, points where

@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from particlerb.bodies.coarse import coarse
-from particlerb.bodies.scene import assemble
+from particlerb.case.coarse_lattice import coarse
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
+from particlerb.case.to_system import assemble
 from particlerb.cli import main
 
 LONG = {"type": "cylinder", "radius": 0.1, "height": 0.8}

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from particlerb.bodies.files import POINTS, SPHERES, columns_of, read_points, read_spheres
+from particlerb.geometry.particle_files import (
+    POINTS,
+    SPHERES,
+    columns_of,
+    read_points,
+    read_spheres,
+)
 
 
 @pytest.mark.parametrize(

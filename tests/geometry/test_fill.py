@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mesh_examples import box, icosahedron, inside_out, joined, octahedron, sphere, torus
 
-from particlerb.bodies import shapes
-from particlerb.bodies.analytic import ANALYTIC
-from particlerb.bodies.cells import FULL, Grid, cut_mesh, grid_over, pieces
-from particlerb.bodies.fill import enough, errors, mesh_particles, table
-from particlerb.bodies.mass_properties import mass_properties
-from particlerb.bodies.mesh import checked, mesh_solid
-from particlerb.bodies.packing import cover, packing
-from particlerb.bodies.sections import BALL, cut_sections, part_of_disc
-from particlerb.bodies.spheres import union_solid
+from particlerb.geometry import shapes
+from particlerb.geometry.analytic import ANALYTIC
+from particlerb.geometry.cells import FULL, Lattice, cut_mesh, grid_over, pieces
+from particlerb.geometry.fill import enough, errors, mesh_particles, table
+from particlerb.geometry.mass_properties import mass_properties
+from particlerb.geometry.mesh import checked, mesh_solid
+from particlerb.geometry.overlapping_spheres import union_solid
+from particlerb.geometry.packing import cover, packing
+from particlerb.geometry.sections import BALL, cut_sections, part_of_disc
 
 ROUND = {
     "ball": {"radius": 0.5},
@@ -87,7 +87,7 @@ def test_share_of_a_cell_against_points_inside():
 def test_cells_of_a_box_on_its_grid_are_full():
     """Faces on the planes between cells: no cell is lost, none counts twice."""
     v, faces = box((4.0, 3.0, 2.0))
-    for _, sums in cut_mesh(v, faces, Grid(v.min(axis=0), np.ones(3), (4, 3, 2))):
+    for _, sums in cut_mesh(v, faces, Lattice(v.min(axis=0), np.ones(3), (4, 3, 2))):
         assert sums == pytest.approx(np.broadcast_to(FULL, sums.shape), abs=1e-14)
 
 
@@ -95,7 +95,7 @@ def test_faces_that_rounding_lifts_over_the_grid_count():
     """0.5 / (0.5 / 49) is above 49."""
     vertices, faces = box((1 / 49, 1 / 49, 0.5))
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
-    grid = Grid(lower, (upper - lower) / [2, 2, 49], (2, 2, 49))
+    grid = Lattice(lower, (upper - lower) / [2, 2, 49], (2, 2, 49))
     assert ((upper - lower) / grid.spacing)[2] > 49.0
     layers = cut_mesh(vertices, faces, grid)
     assert sum(sums[:, :, 0].sum() for _, sums in layers) == pytest.approx(2 * 2 * 49, rel=1e-12)
@@ -280,7 +280,7 @@ def test_stop_rule_takes_the_first_that_is_good_enough():
 
 
 def test_stop_rule_that_is_not_met_shows_what_was_tried(monkeypatch):
-    monkeypatch.setattr("particlerb.bodies.fill.MOST_PARTICLES", 500)
+    monkeypatch.setattr("particlerb.geometry.fill.MOST_PARTICLES", 500)
     with pytest.raises(
         ValueError, match=r"inertia_error = 1e-09 is not met; the best .*\n +n"
     ) as e:

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from particlerb.bodies import shapes, sums
-from particlerb.bodies.mass_properties import mass_properties
-from particlerb.bodies.particles import (
+from particlerb.geometry import shapes, sums
+from particlerb.geometry.mass_properties import mass_properties
+from particlerb.geometry.particles import (
     concatenate,
     one_kind,
     transformed,

@@ -21,9 +21,9 @@ from mesh_examples import (
     torus,
 )  # fmt: skip
 
-from particlerb.bodies.mass_properties import mass_properties
-from particlerb.bodies.mesh import checked, mesh_solid, read_mesh, refuse_miscounted
-from particlerb.bodies.solid import stand_in
+from particlerb.geometry.mass_properties import mass_properties
+from particlerb.geometry.mesh import checked, mesh_solid, read_mesh, refuse_miscounted
+from particlerb.geometry.solid import stand_in
 from particlerb.rotors.rotor_class import ASYMMETRIC, SPHERE, SYMMETRIC
 
 REFERENCE = json.loads(
@@ -331,7 +331,7 @@ def test_a_surface_with_one_side():
         (0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5), (0, 5, 1),
         (1, 2, 4), (2, 3, 5), (3, 4, 1), (4, 5, 2), (5, 1, 3),
     ]  # fmt: skip
-    from particlerb.bodies.winding import oriented
+    from particlerb.geometry.winding import oriented
 
     assert oriented(np.array(faces))[2] >= 0
     assert oriented(icosahedron()[1])[2] == -1

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from mesh_examples import box, icosahedron, joined
 
-from particlerb.bodies.mesh import checked, mesh_solid
-from particlerb.bodies.scene import assemble
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
+from particlerb.case.to_system import assemble
 from particlerb.cli import main
-from particlerb.describe import describe
-from particlerb.plan import make_plan
+from particlerb.geometry.mesh import checked, mesh_solid
+from particlerb.plan.describe import describe
+from particlerb.plan.segments import make_plan
 
 trimesh = pytest.importorskip("trimesh")
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.bodies.mass_properties import mass_properties
-from particlerb.bodies.reduction import MANY
-from particlerb.bodies.scene import assemble
 from particlerb.case.reader import load
-from particlerb.describe import describe
-from particlerb.plan import make_plan
+from particlerb.case.reduction import MANY
+from particlerb.case.to_system import assemble
+from particlerb.geometry.mass_properties import mass_properties
+from particlerb.plan.describe import describe
+from particlerb.plan.segments import make_plan
 
 SIDE = 25  # 15 625 particles
 BOX = {"name": "box", "shape": {"type": "box", "size": [1, 2, 3], "n": SIDE}, "mass": 2.0}

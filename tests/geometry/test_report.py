@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from particlerb.bodies import shapes
-from particlerb.bodies.mass_properties import mass_properties
-from particlerb.bodies.matter import Matter, matter_of_spheres
-from particlerb.bodies.particles import one_kind
-from particlerb.bodies.report import record_of, text_of
-from particlerb.bodies.spheres import spheres
+from particlerb.case.matter import Matter, matter_of_spheres
+from particlerb.geometry import shapes
+from particlerb.geometry.mass_properties import mass_properties
+from particlerb.geometry.overlapping_spheres import spheres
+from particlerb.geometry.particles import one_kind
+from particlerb.studies.mass_report import record_of, text_of
 
 CENTRE, RADIUS = np.array([[0.0, 0, 0], [0.5, 0, 0]]), np.array([1.0, 1.0])
 

@@ -11,11 +11,11 @@ import naive
 import numpy as np
 import pytest
 
-from particlerb._jit import CACHE_FOLDER
-from particlerb.bodies import shapes
-from particlerb.bodies.files import read_points
-from particlerb.bodies.mass_properties import mass_properties
-from particlerb.bodies.particles import (
+from particlerb.compiled.jit import CACHE_FOLDER
+from particlerb.geometry import shapes
+from particlerb.geometry.mass_properties import mass_properties
+from particlerb.geometry.particle_files import read_points
+from particlerb.geometry.particles import (
     concatenate,
     one_kind,
     scaled_to_mass,

@@ -13,9 +13,10 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from particlerb.case.reader import load
-from particlerb.methods import METHODS, pair_forces
-from particlerb.methods.pair_forces import PairForces
-from particlerb.simulate import prepare
+from particlerb.integrators import METHODS
+from particlerb.simulation.run import prepare
+from particlerb.stepping import pair_forces
+from particlerb.stepping.pair_forces import PairForces
 from particlerb.studies.work_precision import chart
 
 T_END = 1.6

@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from particlerb.bodies.bodies import taken
-from particlerb.bodies.scene import assemble
-from particlerb.bodies.state import room_for
 from particlerb.case.reader import load
-from particlerb.methods import exact
-from particlerb.methods.motion import Group
-from particlerb.terms import Terms
-from particlerb.terms.gravity import UniformGravity
-from particlerb.terms.push import Push
+from particlerb.case.to_system import assemble
+from particlerb.forces import Terms
+from particlerb.forces.gravity import UniformGravity
+from particlerb.forces.push import Push
+from particlerb.integrators import exact
+from particlerb.model.bodies import taken
+from particlerb.model.state import room_for
+from particlerb.stepping.motion import Group
 
 START = {
     "position": [0.1, -0.2, 0.3],

@@ -15,17 +15,17 @@ import pytest
 SCRIPT = r"""
 import json, re
 import numpy as np
-from particlerb.bodies.bodies import Bodies
-from particlerb.bodies.state import State, room_for
-from particlerb.methods import METHODS
-from particlerb.methods.motion import Group
-from particlerb.terms import Terms
-from particlerb.terms.central import Central
-from particlerb.terms.drag import Drag
-from particlerb.terms.follower import Follower
-from particlerb.terms.push import Push
-from particlerb.terms.spring import Spring
-from particlerb.terms.torque import Torque
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, room_for
+from particlerb.integrators import METHODS
+from particlerb.stepping.motion import Group
+from particlerb.forces import Terms
+from particlerb.forces.central import Central
+from particlerb.forces.drag import Drag
+from particlerb.forces.follower import Follower
+from particlerb.forces.push import Push
+from particlerb.forces.spring import Spring
+from particlerb.forces.torque import Torque
 
 one = np.ones
 bodies = Bodies(one(1), one(1), np.array([[1.0], [2], [2.5]]), 1 / np.array([[1.0], [2], [2.5]]),

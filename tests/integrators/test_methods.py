@@ -7,10 +7,11 @@ import pytest
 
 import particlerb
 from particlerb.case.problems import CaseError
-from particlerb.methods import METHODS, stepped
-from particlerb.methods.stepped import grid_position
-from particlerb.simulate import RunError
-from particlerb.threads import BLOCK
+from particlerb.compiled.threads import BLOCK
+from particlerb.integrators import METHODS
+from particlerb.simulation.run import RunError
+from particlerb.stepping import loop as stepped
+from particlerb.stepping.loop import grid_position
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 STATE = ("position", "orientation", "linear_momentum", "angular_momentum")

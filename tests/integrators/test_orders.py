@@ -9,7 +9,7 @@ import pytest
 
 import particlerb
 from particlerb.case.problems import CaseError
-from particlerb.methods import METHODS, rkn6
+from particlerb.integrators import METHODS, rkn6
 
 T_END = 6.4
 N = 6

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from particlerb.methods import stepped, strang
+from particlerb.integrators import strang
+from particlerb.stepping import loop as stepped
 
 INERTIA = (1.0, 2.0, 2.5)
 TENSOR = np.diag(INERTIA)

@@ -13,8 +13,8 @@ from scipy.integrate._ivp import dop853_coefficients as hairer
 from scipy.spatial.transform import Rotation
 
 from particlerb.case.reader import load
-from particlerb.methods import METHODS
-from particlerb.simulate import prepare
+from particlerb.integrators import METHODS
+from particlerb.simulation.run import prepare
 
 MASS, H, STEPS = 2.0, 0.04, 100
 START = {

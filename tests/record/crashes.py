@@ -45,11 +45,11 @@ HEAD = struct.Struct("<IIqqiIII")
 PAGE = 4096
 SECONDS = 120.0  # for one run, or one look at a state
 OFTEN = {  # a commit with a checkpoint behind every three frames
-    "particlerb.simulate.BATCH_FRAMES": 3,
-    "particlerb.simulate.BATCH_SECONDS": 1e9,
+    "particlerb.simulation.run.BATCH_FRAMES": 3,
+    "particlerb.simulation.run.BATCH_SECONDS": 1e9,
     "particlerb.record.writer.SECONDS_BETWEEN_COMMITS": -1.0,
     "particlerb.record.writer.SHARE_OF_CHECKPOINTS": 1e9,
-    "particlerb.methods.dilute.LEAST_BODIES": 10,
+    "particlerb.stepping.sparse_contact.LEAST_BODIES": 10,
 }
 
 

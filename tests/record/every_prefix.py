@@ -40,7 +40,7 @@ from tqdm import tqdm
 import particlerb
 from particlerb.cli import main as command
 from particlerb.record.schema import COMMITTED
-from particlerb.verification import verify
+from particlerb.record.verify import verify
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
 BODY = {"shape": {"type": "moments", "inertia": [1.0, 2.0, 2.5]}, "mass": 2.0} | SPIN

@@ -20,13 +20,13 @@ import h5py
 from tqdm import tqdm
 
 import particlerb
-from particlerb import simulate
 from particlerb.case.reader import load
 from particlerb.record import writer
 from particlerb.record.checkpoint import read_checkpoint
+from particlerb.record.trajectory import Trajectory, TrajectoryError
 from particlerb.record.vtkhdf import is_finished
-from particlerb.resuming import ResumeError, look_at, resume_pending
-from particlerb.trajectory import Trajectory, TrajectoryError
+from particlerb.simulation import run as simulate
+from particlerb.simulation.resume import ResumeError, look_at, resume_pending
 
 OTHERS = ("parameters/case_path", "parameters/plan", "parameters/accuracy", "checkpoint/")
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}

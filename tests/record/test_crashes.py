@@ -8,7 +8,7 @@ import pytest
 from crashes import Session, build
 from every_prefix import Recorded, faults, kills, power_cuts
 
-from particlerb._jit import config
+from particlerb.compiled.jit import config
 
 pytestmark = [
     pytest.mark.skipif(not config.DISABLE_JIT, reason="takes long to compile, and shows no more"),

@@ -236,7 +236,7 @@ def test_folders_of_the_output_are_made(make, tmp_path):
 WRITE = """
 import sys, particlerb
 from particlerb.record import writer
-from particlerb import simulate
+from particlerb.simulation import run as simulate
 writer.SECONDS_BETWEEN_COMMITS = 0.0
 simulate.FIRST_BATCH = simulate.BATCH_FRAMES = 40
 simulate.BATCH_SECONDS = 1e9

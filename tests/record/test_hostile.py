@@ -17,13 +17,13 @@ from hypothesis import strategies as st
 from numba import config
 
 import particlerb
-from particlerb.case.wanted import FIELDS_OF_CONTACT
+from particlerb.case.output import FIELDS_OF_CONTACT
 from particlerb.cli import main
-from particlerb.record import checked
-from particlerb.record.integrity import list_checksums
+from particlerb.record import checked_reading as checked
+from particlerb.record.checksums import list_checksums
 from particlerb.record.schema import FIELDS
-from particlerb.trajectory import TrajectoryError
-from particlerb.verification import verify
+from particlerb.record.trajectory import TrajectoryError
+from particlerb.record.verify import verify
 
 FUZZ = Path(__file__).parents[1] / "fuzz"
 FOUND = sorted((FUZZ / "found").glob("*.xz"))
@@ -420,7 +420,7 @@ def test_numbers_that_were_never_written_are_refused(copy):
 LIVE = """
 import sys, particlerb
 from particlerb.record import writer
-from particlerb import simulate
+from particlerb.simulation import run as simulate
 writer.SECONDS_BETWEEN_COMMITS = 0.0
 simulate.BATCH_FRAMES, simulate.BATCH_SECONDS = 20, 1e9
 shape = {"type": "moments", "inertia": [1.0, 2.0, 2.5]}

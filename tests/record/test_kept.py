@@ -10,8 +10,8 @@ import pytest
 import particlerb
 from particlerb.cli import main
 from particlerb.record.schema import SCHEMA_VERSION
-from particlerb.trajectory import TrajectoryError
-from particlerb.verification import verify
+from particlerb.record.trajectory import TrajectoryError
+from particlerb.record.verify import verify
 from particlerb.view.replay import scene_of
 
 KEPT = sorted(Path(__file__).with_name("kept").glob("*.h5.xz"))

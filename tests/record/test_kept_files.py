@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.case.files import File, Files
 from particlerb.case.reader import load
 from particlerb.cli import main
+from particlerb.files import File, Files
 from particlerb.record import provenance
-from particlerb.record.integrity import seal
+from particlerb.record.checksums import seal
 from particlerb.record.schema import FILE_NAMES, FILES, PARAMETERS
-from particlerb.trajectory import TrajectoryError
+from particlerb.record.trajectory import TrajectoryError
 
 CASE = """
 run = { t_end = 0.02, every = 0.005, dt = 1e-3 }
@@ -188,7 +188,7 @@ def test_nothing_but_the_file_is_opened(moved, make):
     code = f"""
 import sys
 import particlerb
-from particlerb.resuming import ResumeError
+from particlerb.simulation.resume import ResumeError
 from particlerb.view.replay import scene_of
 opened = []
 sys.addaudithook(lambda event, data: opened.append(str(data[0])) if event == "open" else None)

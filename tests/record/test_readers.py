@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.case.wanted import FIELDS_OF_CONTACT
+from particlerb.case.output import FIELDS_OF_CONTACT
 from particlerb.record.schema import FIELDS
 
 ALL = list(FIELDS)
@@ -282,8 +282,8 @@ def test_every_reader_reads_a_file_that_has_not_ended(make, tmp_path, monkeypatc
     import MDAnalysis
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
-    from particlerb import simulate
     from particlerb.record import writer
+    from particlerb.simulation import run as simulate
 
     path, copy = tmp_path / "run.vtkhdf", tmp_path / "copy.vtkhdf"
     commit = writer.Recorder.commit

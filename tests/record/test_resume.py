@@ -12,17 +12,17 @@ from kills import SCENES as KILLED
 from kills import differences, kill_runs
 
 import particlerb
-from particlerb import simulate
-from particlerb._jit import config
 from particlerb.case.reader import load
 from particlerb.cli import main
-from particlerb.methods import dilute
-from particlerb.methods.saving import filled, flat
+from particlerb.compiled.jit import config
+from particlerb.compiled.threads import THREADS
 from particlerb.record import claim, provenance, writer
 from particlerb.record.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
-from particlerb.resuming import ResumeError, look_at
-from particlerb.studies.accuracy import prepare_accurately
-from particlerb.threads import THREADS
+from particlerb.simulation import run as simulate
+from particlerb.simulation.accuracy import prepare_accurately
+from particlerb.simulation.resume import ResumeError, look_at
+from particlerb.stepping import sparse_contact as dilute
+from particlerb.stepping.saved_arrays import filled, flat
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
 DOWN = {"acceleration": [0.0, 0.0, -9.81]}
@@ -251,7 +251,7 @@ def test_nothing_is_left_to_do(finished, t_end, words):
 @pytest.mark.parametrize("name", ["particlerb", "sources", "numpy"])
 def test_another_version_is_refused(finished, monkeypatch, name, capsys):
     now = provenance.versions()
-    monkeypatch.setattr("particlerb.resuming.versions", lambda: now | {name: "other"})
+    monkeypatch.setattr("particlerb.simulation.resume.versions", lambda: now | {name: "other"})
     assert main(["resume", str(finished), "--t-end", "1"]) == 2
     assert "was made with" in capsys.readouterr().err
 
@@ -361,7 +361,8 @@ def test_an_interrupted_run_goes_on(make, tmp_path, count):
 LIMITED = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
-from particlerb import cli, simulate
+from particlerb import cli
+from particlerb.simulation import run as simulate
 from particlerb.record import writer
 writer.SECONDS_BETWEEN_COMMITS = -1.0
 simulate.BATCH_SECONDS = 0.0

@@ -11,7 +11,7 @@ import h5py
 import pytest
 
 import particlerb
-from particlerb.case.wanted import FIELDS_OF_CONTACT
+from particlerb.case.output import FIELDS_OF_CONTACT
 from particlerb.record.schema import (
     BODIES,
     CONTACT_FIELDS,

@@ -11,7 +11,7 @@ import pytest
 import particlerb
 from particlerb.cli import main
 from particlerb.record.target import target
-from particlerb.trajectory import TrajectoryError
+from particlerb.record.trajectory import TrajectoryError
 
 CASE = """run = { t_end = 0.2, every = 0.1 }
 [[body]]

@@ -16,7 +16,7 @@ from pathlib import Path
 import mpmath
 import numpy as np
 
-from particlerb._jit import kernel
+from particlerb.compiled.jit import kernel
 from particlerb.maths import double_double as dd
 
 FILE = Path(__file__).with_name("free_rotation.npz")

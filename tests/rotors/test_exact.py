@@ -16,7 +16,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from particlerb._jit import config
+from particlerb.compiled.jit import config
 from particlerb.maths.quaternion import multiply, rows4, to_body, to_world
 from particlerb.rotors import exact
 from particlerb.rotors.exact import HyperbolicTurn, SteadyTurn, ThetaTurn, orientation, prepare

@@ -11,10 +11,10 @@ import pytest
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.relaxing import assembled
-from particlerb.simulate import prepare
-from particlerb.studies.accuracy import prepare_accurately, search
-from particlerb.studies.ladder import LEAST, Pilot
+from particlerb.plan.remove_overlaps import assembled
+from particlerb.simulation.accuracy import prepare_accurately, search
+from particlerb.simulation.run import prepare
+from particlerb.simulation.step_ladder import LEAST, Pilot
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 CASES = Path(__file__).parents[2] / "cases"

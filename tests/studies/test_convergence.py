@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from particlerb._jit import CACHE_FOLDER
-from particlerb.bodies import shapes
-from particlerb.bodies.mass_properties import mass_properties
+from particlerb.compiled.jit import CACHE_FOLDER
+from particlerb.geometry import shapes
+from particlerb.geometry.mass_properties import mass_properties
 from particlerb.studies.convergence import (
     SOLIDS,
     Convergence,

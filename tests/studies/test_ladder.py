@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from particlerb.methods import METHODS
-from particlerb.studies import ladder
-from particlerb.studies.accuracy import cheapest
-from particlerb.studies.ladder import LEAST, Ladder
+from particlerb.integrators import METHODS
+from particlerb.simulation import step_ladder as ladder
+from particlerb.simulation.accuracy import cheapest
+from particlerb.simulation.step_ladder import LEAST, Ladder
 
 T_END = 10.0
 COSTS = {"second": 1.0, "sixth": 11.0}  # ns per body-step

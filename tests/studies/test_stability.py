@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from particlerb.bodies.state import kinetic_energy
-from particlerb.methods import METHODS
-from particlerb.methods.rkn6 import DRIFTS, KICKS
+from particlerb.integrators import METHODS
+from particlerb.integrators.rkn6 import DRIFTS, KICKS
+from particlerb.model.state import kinetic_energy
 from particlerb.studies import stability as studied
 from particlerb.studies.stability import (
     MOTIONS,
-    Drift,
+    EnergyDrift,
     Map,
     csv_rows,
     drift_of,
@@ -245,12 +245,14 @@ def test_largest_pace_and_onsets():
 def test_growth_exponent_of_a_power(power, bodies):
     t = np.geomspace(1.0, 1e4, 100)
     error = np.outer(t**power, [1.0, bodies])
-    p, spread = growth_exponent(Drift("rk4", 0.1, "free body", t, error, np.zeros(error.shape)))
+    p, spread = growth_exponent(
+        EnergyDrift("rk4", 0.1, "free body", t, error, np.zeros(error.shape))
+    )
     assert p == pytest.approx(power, abs=1e-9)
     assert spread < 1e-9
     error[-1] = np.inf
     assert math.isnan(
-        growth_exponent(Drift("rk4", 0.1, "free body", t, error, np.zeros(error.shape)))[0]
+        growth_exponent(EnergyDrift("rk4", 0.1, "free body", t, error, np.zeros(error.shape)))[0]
     )
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from particlerb.case.reader import load
-from particlerb.studies.trials import Error
+from particlerb.simulation.trials import Error
 from particlerb.studies.work_precision import (
-    Chart,
     Point,
+    WorkPrecision,
     advice,
     chart,
     cheapest,
@@ -29,7 +29,7 @@ def point(seconds, worst, method="strang", engine="", step=0.1, position=0.0, fa
 
 
 def made(*points, wanted=1e-6):
-    return Chart("scene", 1, 1, 1.0, points, "the closed form", 1e-15, (), (), wanted)
+    return WorkPrecision("scene", 1, 1, 1.0, points, "the closed form", 1e-15, (), (), wanted)
 
 
 def test_steps_are_those_that_one_would_write_down():

@@ -25,7 +25,7 @@ from websockets.sync.client import connect
 
 import particlerb
 from particlerb.cli import main
-from particlerb.trajectory import open_trajectory
+from particlerb.record.trajectory import open_trajectory
 from particlerb.view.access import Access, AccessError, authority
 from particlerb.view.replay import Replay
 from particlerb.view.server import listening

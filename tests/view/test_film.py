@@ -16,7 +16,7 @@ HEADS = {"gif": b"GIF8", "mp4": b"ftyp"}
 def test_a_film_has_a_picture_for_every_frame(serve, tmp_path, form):
     imageio = pytest.importorskip("imageio.v3")
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    from particlerb.trajectory import open_trajectory
+    from particlerb.record.trajectory import open_trajectory
     from particlerb.view.replay import Replay, film_forms
 
     assert set(film_forms()) == set(HEADS)

@@ -5,10 +5,10 @@ import pytest
 
 pytest.importorskip("trimesh")
 
-from particlerb.bodies.state import as_frame
 from particlerb.case.reader import load
-from particlerb.relaxing import assembled
-from particlerb.view.figures import Part, Row, euler_deg, shown, table
+from particlerb.model.state import as_frame
+from particlerb.plan.remove_overlaps import assembled
+from particlerb.view.figures import FigurePart, Row, euler_deg, shown, table
 from particlerb.view.forms import Surfaces, equal_ellipsoid, walls_of
 
 BOX = {"name": "box", "shape": {"type": "box", "size": [1.0, 2.0, 3.0]}, "mass": 1.0}
@@ -167,6 +167,6 @@ def test_euler_angles_are_those_of_a_case(make):
 
 
 def test_the_table_escapes_what_a_case_calls_its_bodies():
-    text = table("<script>", [Part("a & b", (Row("k", "<i>", (1.0,)),))], 5)
+    text = table("<script>", [FigurePart("a & b", (Row("k", "<i>", (1.0,)),))], 5)
     assert "<script>" not in text
     assert "&lt;script&gt;" in text

@@ -146,7 +146,7 @@ def test_no_number_in_a_field_breaks_the_scene(cube):
 
 
 def test_a_file_is_replayed(serve, tmp_path):
-    from particlerb.trajectory import open_trajectory
+    from particlerb.record.trajectory import open_trajectory
     from particlerb.view.replay import Replay
 
     path = tmp_path / "run.h5"

@@ -139,7 +139,7 @@ def test_after_hostile_clients_the_page_is_as_it_was(cube, monkeypatch):
 
 def test_names_in_a_file_are_shown_as_they_are(serve, tmp_path):
     """Names, title and file name are text, never a part of the page."""
-    from particlerb.trajectory import open_trajectory
+    from particlerb.record.trajectory import open_trajectory
     from particlerb.view.replay import Replay
 
     body = {"shape": {"type": "box", "size": [1, 1, 1], "n": 2}, "mass": 1.0}

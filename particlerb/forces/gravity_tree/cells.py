@@ -9,17 +9,17 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb._jit import inline, kernel
-from particlerb.maths.quaternion import load4, matrix, rows4, turn
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, load3, rows3, store3
-from particlerb.terms.lanes import LANES, at
-from particlerb.terms.multipole import (
+from particlerb.compiled.jit import inline, kernel
+from particlerb.forces.gravity_tree.lanes import LANES, at
+from particlerb.forces.gravity_tree.multipole import (
     MASS,
     PLACE,
     TERMS,
     add_particle_moments,
     add_shifted_moments,
 )
+from particlerb.maths.quaternion import load4, matrix, rows4, turn
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, load3, rows3, store3
 
 DEEPEST: Final = 128  # levels: two trees of halves
 BALL: Final = 7  # columns of `ball`
@@ -47,7 +47,7 @@ class Cells(NamedTuple):
     energy: Floats  # (n_nodes,) [kg²/m] of what the cell itself meets
 
 
-class Points(NamedTuple):
+class TreePoints(NamedTuple):
     """Particles in the order of the tree."""
 
     place: Floats  # (3, n_points) [m], world frame
@@ -211,7 +211,7 @@ def place_points(
     y: Floats,
     order: Ints,
     begin: Ints,
-    points: Points,
+    points: TreePoints,
     ball: Floats,
     first: int,
     last: int,
@@ -226,7 +226,7 @@ def place_points(
         Centre of mass [m], unit quaternion from rotor frame to world; the rest is not used.
     order, begin : ndarray, shapes (n_bodies,) and (n_bodies + 1,)
         Bodies as they follow in the tree, and their first particles there.
-    points, ball : Points, ndarray of shape (n_points, 7)
+    points, ball : TreePoints, ndarray of shape (n_points, 7)
         What is written: particles, and the same as cells.
     first, last : int
         Positions in `order`, last excluded.
@@ -258,7 +258,7 @@ def centre_of(mass: Floats, place: Floats, lo: int, hi: int) -> Vec3:
 
 
 @inline
-def reach(X: Vec3, points: Points, lo: int, hi: int) -> float:
+def reach(X: Vec3, points: TreePoints, lo: int, hi: int) -> float:
     """Distance ρ of the furthest particle, or what tells more where many are far out.
 
     That is (3 <r⁶>)^{1/6}, with the mean by mass: in a full ball it is the radius too, and the
@@ -276,7 +276,7 @@ def reach(X: Vec3, points: Points, lo: int, hi: int) -> float:
 
 
 @inline
-def load_lanes(rows: Floats, points: Points, X: Vec3, lo: int, hi: int) -> None:
+def load_lanes(rows: Floats, points: TreePoints, X: Vec3, lo: int, hi: int) -> None:
     """Put particles into lanes, from X; the lanes without one have no mass and the first place."""
     for i in range(LANES):
         j = lo + i if lo + i < hi else lo
@@ -300,7 +300,7 @@ def halves_centre(cells: Cells, one: int, other: int) -> Vec3:
 
 @kernel
 def fill_cells(
-    nodes: Nodes, points: Points, cells: Cells, rows: Floats, powers: Floats, count: int
+    nodes: Nodes, points: TreePoints, cells: Cells, rows: Floats, powers: Floats, count: int
 ) -> None:
     """Write centre, radius and moments of cells, the inner ones first."""
     second, _, first, last, _ = nodes
@@ -329,7 +329,7 @@ def add_loads(
     y: Floats,
     order: Ints,
     begin: Ints,
-    points: Points,
+    points: TreePoints,
     gravitation: float,
     load: Floats,
     first: int,

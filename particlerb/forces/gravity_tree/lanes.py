@@ -15,7 +15,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from particlerb._jit import config, inline
+from particlerb.compiled.jit import config, inline
 from particlerb.maths.vec3 import Floats
 
 LANES: Final = 16  # particles of a bucket, and cells that are summed over at a time

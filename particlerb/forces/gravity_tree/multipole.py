@@ -24,10 +24,10 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from particlerb._jit import inline
+from particlerb.compiled.jit import inline
+from particlerb.forces.attraction import inverse_root
+from particlerb.forces.gravity_tree.lanes import LANES, Product, at, lane_sum, sums_of
 from particlerb.maths.vec3 import Floats, Ints, Vec3
-from particlerb.terms.attraction import inverse_root
-from particlerb.terms.lanes import LANES, Product, at, lane_sum, sums_of
 
 ORDER: Final = 5  # p: the fastest for errors of 1e-3 to 1e-4; 7 is, by a fifth, for 1e-5
 

@@ -17,26 +17,26 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.bodies.block import aligned_zeros
-from particlerb.maths.vec3 import Floats, Ints
-from particlerb.terms.attraction import Attraction
-from particlerb.terms.cells import (
+from particlerb.compiled.threads import BLOCK, THREADS
+from particlerb.forces.attraction import Attraction
+from particlerb.forces.gravity_tree.cells import (
     BALL,
     DEEPEST,
     Cells,
     Kinds,
     Nodes,
-    Points,
+    TreePoints,
     add_loads,
     fill_cells,
     grow,
     place_points,
     room_for_nodes,
 )
-from particlerb.terms.lanes import LANES
-from particlerb.terms.multipole import MOMENT, ORDER, ROWS, TERMS
-from particlerb.terms.walk import RANGES, Scratch, walk
-from particlerb.threads import BLOCK, THREADS
+from particlerb.forces.gravity_tree.lanes import LANES
+from particlerb.forces.gravity_tree.multipole import MOMENT, ORDER, ROWS, TERMS
+from particlerb.forces.gravity_tree.walk import RANGES, Scratch, walk
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.block import aligned_zeros
 
 PIECES: Final = 64  # parts of the walk that are shared out
 LEAST_PIECE: Final = 1024  # particles of a part: well above what its way from the root costs
@@ -103,7 +103,7 @@ class Tree:
         self.cells = Cells(
             np.zeros((n_nodes + n_points, BALL)), np.zeros((n_nodes, TERMS)), np.zeros(n_nodes)
         )
-        self.points = Points(
+        self.points = TreePoints(
             np.zeros((3, n_points)), np.zeros(n_points), np.zeros(n_points), np.zeros((3, n_points))
         )
         self.order, self.begin = np.arange(n_bodies), np.zeros(n_bodies + 1, dtype=np.int64)

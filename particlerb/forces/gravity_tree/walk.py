@@ -9,12 +9,11 @@ many, as in a halo, its own size would otherwise make it meet all of them one by
 
 from typing import Final, NamedTuple, TypeAlias
 
-from particlerb._jit import inline, kernel
-from particlerb.maths.vec3 import Floats, Ints, Vec3, subtract
-from particlerb.terms.attraction import inverse_cube
-from particlerb.terms.cells import Cells, Nodes, Points, load_lanes
-from particlerb.terms.lanes import LANES, at, clear, lane_sum
-from particlerb.terms.multipole import (
+from particlerb.compiled.jit import inline, kernel
+from particlerb.forces.attraction import inverse_cube
+from particlerb.forces.gravity_tree.cells import Cells, Nodes, TreePoints, load_lanes
+from particlerb.forces.gravity_tree.lanes import LANES, at, clear, lane_sum
+from particlerb.forces.gravity_tree.multipole import (
     FIELD,
     LOCAL,
     MASS,
@@ -28,6 +27,7 @@ from particlerb.terms.multipole import (
     add_particle_fields,
     add_shifted_field,
 )
+from particlerb.maths.vec3 import Floats, Ints, Vec3, subtract
 
 RANGES: Final = 128  # of particles that are waited for
 MANY: Final = 256  # particles from which on a larger bucket that sees them is split
@@ -141,7 +141,7 @@ def pull_by(
 
 
 @kernel
-def pull_each_other(points: Points, lo: int, hi: int, eps2: float, near: Floats) -> None:
+def pull_each_other(points: TreePoints, lo: int, hi: int, eps2: float, near: Floats) -> None:
     """Add the field of a bucket's own particles, those of the same body left out."""
     for j in range(lo, hi):
         x, y, z, m = points.place[0, j], points.place[1, j], points.place[2, j], points.mass[j]
@@ -161,7 +161,7 @@ def pull_each_other(points: Points, lo: int, hi: int, eps2: float, near: Floats)
 
 @inline
 def meet_itself(
-    nodes: Nodes, points: Points, A: int, tail: int, eps2: float, scratch: Scratch
+    nodes: Nodes, points: TreePoints, A: int, tail: int, eps2: float, scratch: Scratch
 ) -> int:
     """Let the parts of a cell meet each other, unless all are of one body."""
     if nodes.body[A] >= 0:
@@ -175,7 +175,7 @@ def meet_itself(
 
 @inline
 def meet(
-    tree: tuple[Nodes, Points, Cells],
+    tree: tuple[Nodes, TreePoints, Cells],
     scratch: Scratch,
     A: int,
     lists: tuple[int, int],
@@ -259,7 +259,7 @@ def pull_lane(
 
 @kernel
 def meet_point(
-    tree: tuple[Nodes, Points, Cells],
+    tree: tuple[Nodes, TreePoints, Cells],
     scratch: Scratch,
     i: int,
     lane: int,
@@ -306,7 +306,7 @@ def meet_point(
 
 
 @inline
-def load_bucket(points: Points, lo: int, hi: int, near: Floats) -> None:
+def load_bucket(points: TreePoints, lo: int, hi: int, near: Floats) -> None:
     """Put the particles of a bucket into lanes, without a field."""
     load_lanes(near, points, (0.0, 0.0, 0.0), lo, hi)
     for i in range(LANES):
@@ -316,7 +316,7 @@ def load_bucket(points: Points, lo: int, hi: int, near: Floats) -> None:
 
 @inline
 def store_fields(
-    points: Points, X: Vec3, lo: int, hi: int, local: Floats, scratch: Scratch
+    points: TreePoints, X: Vec3, lo: int, hi: int, local: Floats, scratch: Scratch
 ) -> float:
     """Write the fields at the particles of a bucket; return the depth of what it meets nearby."""
     rows, near = scratch.rows, scratch.near
@@ -349,7 +349,7 @@ def sum_local(
 
 @kernel
 def walk(
-    tree: tuple[Nodes, Points, Cells],
+    tree: tuple[Nodes, TreePoints, Cells],
     scratch: Scratch,
     square: float,
     eps2: float,

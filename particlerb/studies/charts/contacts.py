@@ -8,8 +8,8 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 
 from particlerb.maths.vec3 import Floats
+from particlerb.record.trajectory import Contacts, Trajectory
 from particlerb.studies.charts.style import COLOURS, INK, bare
-from particlerb.trajectory import Contacts, Trajectory
 
 WIDTH = 11.0  # inches, of the picture
 WIDEST = 4.0  # points, of the strongest force

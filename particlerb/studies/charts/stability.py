@@ -22,7 +22,7 @@ from particlerb.studies.charts.convergence import spread_apart
 from particlerb.studies.charts.style import GRID, INK, bare
 from particlerb.studies.stability import (
     MOTIONS,
-    Drift,
+    EnergyDrift,
     Map,
     Stability,
     growth_exponent,
@@ -296,7 +296,7 @@ def draw_limits(figure: SubFigure, limits: Sequence[Limit]) -> None:
 # Drift
 
 
-def draw_drifts(figure: SubFigure, drifts: Sequence[Drift]) -> None:
+def draw_drifts(figure: SubFigure, drifts: Sequence[EnergyDrift]) -> None:
     """Energy error against time: one panel per motion."""
     panels = figure.subplots(len(MOTIONS), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, motion in zip(panels, MOTIONS, strict=True):
@@ -311,7 +311,7 @@ def draw_drifts(figure: SubFigure, drifts: Sequence[Drift]) -> None:
     panels[-1].set_xlabel("turns")
 
 
-def draw_drift(axes: Axes, drift: Drift) -> None:
+def draw_drift(axes: Axes, drift: EnergyDrift) -> None:
     """Samples of the worst body, and the running maximum; where it ends if it ends."""
     colour = COLOURS[drift.method]
     is_finite = np.isfinite(drift.largest)
@@ -323,7 +323,7 @@ def draw_drift(axes: Axes, drift: Drift) -> None:
         axes.text(turns[-1], LEFT_FREE, text, color=colour, va="center")
 
 
-def finish_drift(axes: Axes, drifts: Sequence[Drift]) -> None:
+def finish_drift(axes: Axes, drifts: Sequence[EnergyDrift]) -> None:
     """Names at the ends, apart from each other, and the axes."""
     whole = sorted(
         (one for one in drifts if np.isfinite(one.largest).all()), key=lambda one: one.largest[-1]

@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
-from particlerb.bodies.state import derived
 from particlerb.maths.vec3 import Floats
+from particlerb.model.state import derived
+from particlerb.record.trajectory import Trajectory
 from particlerb.studies.charts.style import COLOURS, GRID, INK, bare
-from particlerb.trajectory import Trajectory
 
 WAYS = 12  # bodies whose ways are drawn
 

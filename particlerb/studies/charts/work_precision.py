@@ -10,7 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from particlerb.studies.charts.style import COLOURS, GRID, INK, bare
-from particlerb.studies.work_precision import Chart, Point, advice, cheapest, duration, frontier
+from particlerb.studies.work_precision import (
+    Point,
+    WorkPrecision,
+    advice,
+    cheapest,
+    duration,
+    frontier,
+)
 
 OWN: Final = {
     "exact": "#000000",
@@ -26,7 +33,7 @@ PEER: Final = "#9aa5b1"
 LOST: Final = 2.0 * math.pi  # rad: where runs that failed are put
 
 
-def draw_chart(chart: Chart, path: Path) -> None:
+def draw_chart(chart: WorkPrecision, path: Path) -> None:
     """Draw a chart; the suffix of the path is the format."""
     figure = Figure(figsize=(10.5, 6.8), layout="constrained")
     axes = figure.add_subplot()
@@ -86,7 +93,7 @@ def draw_curve(
     return (x[-1], y[-1], label, colour) if good else None
 
 
-def limits(axes: Axes, chart: Chart) -> None:
+def limits(axes: Axes, chart: WorkPrecision) -> None:
     """Room for all points, the floor, and labels at the right."""
     times = [p.seconds for p in chart.points] or [1e-3, 1.0]
     heights = [height(p, chart.floor) for p in chart.points if not p.failure] or [1e-3]
@@ -126,7 +133,7 @@ def together(published: tuple[tuple[str, float], ...]) -> list[tuple[str, float]
     return lines
 
 
-def draw_marks(axes: Axes, chart: Chart) -> None:
+def draw_marks(axes: Axes, chart: WorkPrecision) -> None:
     """The wanted error, the floor of the reference, published errors, failed runs."""
     along = axes.get_yaxis_transform()
     axes.axhspan(axes.get_ylim()[0], chart.floor, color="#eeeeee", zorder=0)
