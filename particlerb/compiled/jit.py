@@ -29,7 +29,7 @@ from numba.core import caching
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-PACKAGE = Path(__file__).parent
+PACKAGE = Path(__file__).parents[1]
 FOLDERS_KEPT = 6  # compiled code of earlier sources: switching between two versions stays warm
 FLAGS: dict[str, Any] = {
     "error_model": "numpy",  # 1 / 0 is inf: a branch for ZeroDivisionError would stop vectorising
