@@ -107,12 +107,12 @@ def warn(options: argparse.Namespace, warnings: list[str]) -> None:
 
 def to_write(path: Path, overwrite: bool, source: Path | None = None) -> Path:
     """Place of a file to write, behind links; wrong usage where it may not be written."""
-    from particlerb.record.target import target
+    from particlerb.record.output_path import output_path
 
     if source is not None and os.path.realpath(path) == os.path.realpath(source):
         raise Ending(f"{path} is the input: give another name with -o")
     try:
-        return target(path, overwrite)
+        return output_path(path, overwrite)
     except (FileExistsError, NotADirectoryError) as error:
         raise Ending(str(error)) from None
     except OSError as error:

@@ -55,7 +55,7 @@ def probe(path: Path) -> None:
     Ending
         If HDF5 crashes on the file, or goes round in circles.
     """
-    from particlerb.record.checked_reading import TrajectoryError, refuse_elsewhere
+    from particlerb.record.checked_reading import TrajectoryError, require_self_contained
     from particlerb.record.trajectory import open_trajectory
 
     if not hasattr(os, "fork"):
@@ -73,7 +73,7 @@ def probe(path: Path) -> None:
                 contextlib.suppress(FileNotFoundError, TrajectoryError),
                 open_trajectory(path) as t,
             ):
-                refuse_elsewhere(t.file)
+                require_self_contained(t.file)
         finally:
             os._exit(0)
     try:

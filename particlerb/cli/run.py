@@ -112,10 +112,10 @@ def output_path(options: argparse.Namespace, case: "Case") -> Path:
 
 def disk_warnings(case: "Case", path: Path, done: int = 0) -> list[str]:
     """Warning where what is left to write, behind some frames, would not fit on the disk."""
-    from particlerb.record.disk_space import SMALLEST_FILE, bytes_of_run
+    from particlerb.record.file_size import SMALLEST_FILE, estimated_size
     from particlerb.simulation.run import frame_count
 
-    size = bytes_of_run(case, frame_count(case) - done) + SMALLEST_FILE
+    size = estimated_size(case, frame_count(case) - done) + SMALLEST_FILE
     free = free_bytes(path)
     if size <= free:
         return []
@@ -137,13 +137,13 @@ def size_text(case: "Case", path: Path) -> str:
     """File, frames and size of a run, and the room that there is."""
     import numpy as np
 
-    from particlerb.record.disk_space import SMALLEST_FILE, bytes_of_run
+    from particlerb.record.file_size import SMALLEST_FILE, estimated_size
     from particlerb.record.schema import COLUMNS, CONTACTS
     from particlerb.simulation.run import frame_count
 
     n = frame_count(case)
     size = (
-        bytes_of_run(case, n) + SMALLEST_FILE + sum(map(len, case.source.files.contents.values()))
+        estimated_size(case, n) + SMALLEST_FILE + sum(map(len, case.source.files.contents.values()))
     )
     text = f"{path}, {n} frames, about {amount(size)}"
     if CONTACTS in case.output.fields:
@@ -167,8 +167,8 @@ def execute(
     """
     from tqdm import tqdm
 
-    from particlerb.record.claim import InUseError
-    from particlerb.record.writer import DamagedError
+    from particlerb.record.output_file import DamagedError
+    from particlerb.record.writer_lock import InUseError
     from particlerb.simulation.run import RunError
 
     silent = True if options.quiet else None

@@ -16,8 +16,8 @@ import numpy as np
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import derived
+from particlerb.record.output_path import output_path
 from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, WALLS
-from particlerb.record.target import target
 from particlerb.record.trajectory import Contacts, Trajectory
 
 FORMATS: Final = {  # name: suffix of its files, and what it is, in words
@@ -146,7 +146,7 @@ def export(
     lacking = [name for name in writer.NEEDS if not is_known(trajectory, name)]
     if lacking:
         raise ExportError(f"{to} needs {', '.join(lacking)}, not recorded: see [output] fields")
-    path = target(path, overwrite=True)
+    path = output_path(path, overwrite=True)
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:

@@ -26,7 +26,7 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from particlerb.record.claim import Claim, InUseError
+from particlerb.record.writer_lock import InUseError, WriterLock
 
 PAGE: Final = 4096  # bytes that a disk writes as one
 MOST_NEW: Final = 2048  # new pages that wait in memory
@@ -45,8 +45,8 @@ class AtomicFile:
 
     Parameters
     ----------
-    source : file or Claim
-        What is open; claimed to be written.
+    source : file or WriterLock
+        What is open; locked if it is to be written.
     path : Path
         Its name, for errors.
     is_durable : bool
@@ -62,7 +62,7 @@ class AtomicFile:
         That the disk was waited for.
     """
 
-    def __init__(self, source: BinaryIO | Claim, path: Path, is_durable: bool = True) -> None:
+    def __init__(self, source: BinaryIO | WriterLock, path: Path, is_durable: bool = True) -> None:
         self.source, self.path, self.is_durable = source, path, is_durable
         self.descriptor = source.fileno()
         self.size = os.fstat(self.descriptor).st_size  # as HDF5 sees it
@@ -255,10 +255,10 @@ def finish(path: Path) -> None:
     OSError
         If it cannot be written, or others cannot be kept away.
     """
-    with contextlib.closing(Claim(path)) as claim:
-        if not claim.is_alone:
+    with contextlib.closing(WriterLock(path)) as lock:
+        if not lock.is_exclusive:
             raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK), str(path))
-        AtomicFile(claim, path).settle()
+        AtomicFile(lock, path).settle()
 
 
 def pages_in(size: int) -> int:

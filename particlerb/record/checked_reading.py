@@ -5,11 +5,12 @@ numbers lie in this file: no external storage, no views of other files, no filte
 have to load. So a foreign file can neither run code nor have another one read or written.
 """
 
+import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import h5py
 import numpy as np
@@ -37,21 +38,23 @@ FAULTS: Final = (
     SystemError,  # of an error within a visit
 )  # what h5py raises on files that it cannot make sense of
 
+Result = TypeVar("Result")
+
 
 class TrajectoryError(Exception):
     """A file that is no trajectory of particlerb, or that cannot be read."""
 
 
 @contextmanager
-def blaming(file: h5py.File | str | Path) -> Iterator[None]:
+def trajectory_errors(file: h5py.File | str | Path) -> Iterator[None]:
     """Turn what h5py raises on damaged and foreign files into TrajectoryError."""
     name = file.filename if isinstance(file, h5py.File) and file else file
     try:
         yield
     except FAULTS as error:
-        reason = str(error.args[0] if isinstance(error, KeyError) else error)
-        reason = " ".join(reason.split()) or type(error).__name__
-        raise TrajectoryError(f"{name} is not a trajectory of particlerb: {reason}") from None
+        raise TrajectoryError(
+            f"{name} is not a trajectory of particlerb: {reason_of(error)}"
+        ) from None
 
 
 def open_file(path: str | Path) -> h5py.File:
@@ -65,35 +68,43 @@ def open_file(path: str | Path) -> h5py.File:
     try:
         return h5py.File(to_read(Path(path)), "r", locking=False)
     except FAULTS as error:
-        reason = " ".join(str(error).split())
-        raise TrajectoryError(f"{path} is not a readable HDF5 file: {reason}") from None
+        raise TrajectoryError(f"{path} is not a readable HDF5 file: {reason_of(error)}") from None
 
 
-def attempts(path: str | Path | None) -> Iterator[bool]:
-    """Go round as long as another attempt may succeed; True for the last one.
+def reason_of(error: BaseException) -> str:
+    """What an error says, in one line."""
+    words = str(error.args[0] if isinstance(error, KeyError) and error.args else error)
+    return " ".join(words.split()) or type(error).__name__
+
+
+def patiently(path: str | Path | None, read: Callable[[], Result]) -> Result:
+    """What a function reads; where it fails and another attempt may succeed, at the next one.
 
     A file that is being written may be refused for a moment. One at rest is tried once; None is a
     file in memory.
     """
     start = time.monotonic()
     while True:
-        is_last = path is None or time.monotonic() - start > SECONDS_OF_PATIENCE
-        is_last = is_last or not has_just_changed(Path(path or ""))
-        yield is_last
-        if is_last:
-            return
+        is_last = time.monotonic() - start > SECONDS_OF_PATIENCE or not has_just_changed(path)
+        try:
+            return read()
+        except TrajectoryError:
+            if is_last:
+                raise
         time.sleep(PAUSE)
 
 
-def has_just_changed(path: Path) -> bool:
+def has_just_changed(path: str | Path | None) -> bool:
     """Whether a file was written a moment ago."""
     try:
-        return abs(time.time() - path.stat().st_mtime) < SECONDS_AT_REST
+        return path is not None and abs(time.time() - os.stat(path).st_mtime) < SECONDS_AT_REST
     except OSError:
         return False
 
 
-def checked(file: h5py.File, path: str, kinds: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
+def dataset_at(
+    file: h5py.File, path: str, kinds: str, shape: tuple[int | None, ...]
+) -> h5py.Dataset:
     """Dataset of a file whose content is not trusted.
 
     Parameters
@@ -112,8 +123,8 @@ def checked(file: h5py.File, path: str, kinds: str, shape: tuple[int | None, ...
     TrajectoryError
         If it is not there, or not what the schema says.
     """
-    with blaming(file):
-        dataset = followed(file, path)
+    with trajectory_errors(file):
+        dataset = object_at(file, path)
         if not isinstance(dataset, h5py.Dataset):
             raise ValueError(f"{path} is no dataset")
         dtype, found = dataset.dtype, dataset.shape
@@ -123,11 +134,11 @@ def checked(file: h5py.File, path: str, kinds: str, shape: tuple[int | None, ...
         fits = found is not None and len(found) == len(shape)
         if not fits or any(n not in (None, m) for m, n in zip(found, shape, strict=True)):
             raise ValueError(f"{path} has the shape {found}")
-        refuse_foreign_storage(file, dataset, path)
+        require_own_storage(file, dataset, path)
     return dataset
 
 
-def followed(file: h5py.File, path: str) -> Any:
+def object_at(file: h5py.File, path: str) -> Any:
     """What hard links lead to."""
     place: Any = file
     for part in path.split("/"):
@@ -139,7 +150,7 @@ def followed(file: h5py.File, path: str) -> Any:
     return place
 
 
-def refuse_foreign_storage(file: h5py.File, dataset: h5py.Dataset, path: str) -> None:
+def require_own_storage(file: h5py.File, dataset: h5py.Dataset, path: str) -> None:
     """Raise ValueError unless the numbers lie in this file, and there can be as many."""
     properties = dataset.id.get_create_plist()
     if properties.get_layout() not in LAYOUTS or properties.get_external_count():
@@ -152,7 +163,7 @@ def refuse_foreign_storage(file: h5py.File, dataset: h5py.Dataset, path: str) ->
         raise ValueError(f"{path} is larger than the file")
 
 
-def refuse_elsewhere(file: h5py.File) -> None:
+def require_self_contained(file: h5py.File) -> None:
     """Require that all of a file lies in it, before it is written to.
 
     Raises
@@ -170,7 +181,7 @@ def refuse_elsewhere(file: h5py.File) -> None:
         if isinstance(found, h5py.Dataset) and not lies_inside(found):
             wrong.append(f"{name} lies in another file")
 
-    with blaming(file):
+    with trajectory_errors(file):
         file.visititems_links(look_at_link)
         file.visititems(look_at_object)
         if wrong:
@@ -184,7 +195,7 @@ def lies_inside(dataset: h5py.Dataset) -> bool:
     return not dataset.id.get_create_plist().get_external_count()
 
 
-def text(file: h5py.File, path: str) -> str:
+def text_at(file: h5py.File, path: str) -> str:
     """A text of the file.
 
     Raises
@@ -192,11 +203,11 @@ def text(file: h5py.File, path: str) -> str:
     TrajectoryError
         If it is not there, or no text.
     """
-    with blaming(file):
-        dataset = followed(file, path)
+    with trajectory_errors(file):
+        dataset = object_at(file, path)
         if not isinstance(dataset, h5py.Dataset) or dataset.shape != ():
             raise ValueError(f"{path} is no text")
-        refuse_foreign_storage(file, dataset, path)
+        require_own_storage(file, dataset, path)
         value = dataset[()]
         if not isinstance(value, bytes):
             raise ValueError(f"{path} is no text")
@@ -226,7 +237,7 @@ def attribute(place: Any, name: str, kinds: str) -> Any:
     return values[()]
 
 
-def number(place: Any, name: str) -> int:
+def integer_attribute(place: Any, name: str) -> int:
     """A whole number among the attributes of a file or group."""
     value = attribute(place, name, "iu")
     if np.shape(value) != ():

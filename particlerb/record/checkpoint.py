@@ -14,7 +14,15 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from particlerb.record.schema import CHECKPOINT, CURRENT, SLOT_DIGEST, SLOT_FRAMES, SLOTS
+from particlerb.record import schema
+from particlerb.record.checked_reading import (
+    TrajectoryError,
+    attribute,
+    dataset_at,
+    integer_attribute,
+    object_at,
+    trajectory_errors,
+)
 
 LARGEST_CHUNK = 2**20  # bytes of a slot that lie together
 SMALLEST_CHUNK = 2**9
@@ -30,6 +38,16 @@ class Checkpoint(NamedTuple):
     n_frames: int  # frames that lie behind
     arrays: Mapping[str, Any]
     digest: str  # SHA-256 of the bytes in the slot
+
+
+class Slot(NamedTuple):
+    """Content of a slot as it is in a file."""
+
+    name: str
+    n_frames: int  # frames that lie behind
+    content: bytes
+    digest: str  # SHA-256 of the content,
+    stored: str  # and as it was when that was written
 
 
 def packed(arrays: Mapping[str, Any]) -> bytes:
@@ -48,25 +66,25 @@ def unpacked(content: bytes) -> dict[str, Any]:
 def make_slots(file: h5py.File, n_frames: int, arrays: Mapping[str, Any]) -> None:
     """Make both slots, and write the first; it counts at once."""
     content = packed(arrays)
-    if CHECKPOINT in file:  # not wholly made
-        del file[CHECKPOINT]
-    group = file.create_group(CHECKPOINT)
+    if schema.CHECKPOINT in file:  # not wholly made
+        del file[schema.CHECKPOINT]
+    group = file.create_group(schema.CHECKPOINT)
     size = 2 ** (len(content) - 1).bit_length()
     chunks = (min(max(size, SMALLEST_CHUNK), LARGEST_CHUNK),)
-    for name in SLOTS:
+    for name in schema.SLOTS:
         slot = group.create_dataset(name, (0,), "u1", maxshape=(None,), chunks=chunks)
-        slot.attrs[SLOT_FRAMES] = np.int64(0)
-        slot.attrs[SLOT_DIGEST] = np.bytes_(digest_of(b""))
-    group.attrs[CURRENT] = np.int64(0)
-    put(group[SLOTS[0]], n_frames, content)
+        slot.attrs[schema.SLOT_FRAMES] = np.int64(0)
+        slot.attrs[schema.SLOT_DIGEST] = np.bytes_(digest_of(b""))
+    group.attrs[schema.CURRENT] = np.int64(0)
+    put(group[schema.SLOTS[0]], n_frames, content)
 
 
 def put(slot: h5py.Dataset, n_frames: int, content: bytes) -> None:
     """Write a slot."""
     slot.resize((len(content),))
     slot[:] = np.frombuffer(content, dtype=np.uint8)
-    slot.attrs.modify(SLOT_FRAMES, np.int64(n_frames))
-    slot.attrs.modify(SLOT_DIGEST, np.bytes_(digest_of(content)))
+    slot.attrs.modify(schema.SLOT_FRAMES, np.int64(n_frames))
+    slot.attrs.modify(schema.SLOT_DIGEST, np.bytes_(digest_of(content)))
 
 
 def digest_of(content: bytes) -> str:
@@ -76,30 +94,29 @@ def digest_of(content: bytes) -> str:
 
 def write_checkpoint(file: h5py.File, n_frames: int, arrays: Mapping[str, Any]) -> int:
     """Write the slot that does not count; return its number, for `CURRENT` once it is on disk."""
-    group = file[CHECKPOINT]
-    other = 1 - int(group.attrs[CURRENT])
-    put(group[SLOTS[other]], n_frames, packed(arrays))
+    group = file[schema.CHECKPOINT]
+    other = 1 - int(group.attrs[schema.CURRENT])
+    put(group[schema.SLOTS[other]], n_frames, packed(arrays))
     return other
 
 
-def slot_in(file: h5py.File, number: int) -> tuple[int, bytes, str]:
-    """Frames, bytes and hash of a slot.
+def slot_in(file: h5py.File, is_before: bool) -> Slot:
+    """The slot that counts, or the one before, of a file that is not trusted.
 
     Raises
     ------
-    CheckpointError
-        If it is not there, or its bytes do not have its hash.
+    TrajectoryError
+        If it is not there, or of another form.
     """
-    try:
-        slot = file[CHECKPOINT][SLOTS[number]]
-        n_frames, digest = int(slot.attrs[SLOT_FRAMES]), bytes(slot.attrs[SLOT_DIGEST]).decode()
+    with trajectory_errors(file):
+        current = integer_attribute(object_at(file, schema.CHECKPOINT), schema.CURRENT)
+        name = schema.SLOTS[1 - current if is_before else current]
+        slot = dataset_at(file, f"{schema.CHECKPOINT}/{name}", "u", (None,))
         content = slot[:].tobytes()
-    except (KeyError, IndexError, OSError, RuntimeError, TypeError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise CheckpointError(f"{file.filename} has no checkpoint: {reason}") from None
-    if digest_of(content) != digest:
-        raise CheckpointError(f"{file.filename}: the checkpoint is damaged: its hash is another")
-    return n_frames, content, digest
+        stored = bytes(attribute(slot, schema.SLOT_DIGEST, "S")).decode(errors="replace")
+        return Slot(
+            name, integer_attribute(slot, schema.SLOT_FRAMES), content, digest_of(content), stored
+        )
 
 
 def read_checkpoint(file: h5py.File) -> Checkpoint:
@@ -110,18 +127,21 @@ def read_checkpoint(file: h5py.File) -> Checkpoint:
     CheckpointError
         If there is none that is whole.
     """
-    group = file.get(CHECKPOINT)
-    if not isinstance(group, h5py.Group) or CURRENT not in group.attrs:
+    if schema.CHECKPOINT not in file:
         raise CheckpointError(f"{file.filename} has no checkpoint")
-    current = int(group.attrs[CURRENT])
-    try:
-        n_frames, content, digest = slot_in(file, current)
-    except CheckpointError as error:
+    reason = ""
+    for is_before in (False, True):
         try:
-            n_frames, content, digest = slot_in(file, 1 - current)
-        except CheckpointError:
-            raise error from None
+            slot = slot_in(file, is_before)
+        except TrajectoryError as error:
+            reason = reason or str(error)
+            continue
+        if slot.digest == slot.stored:
+            break
+        reason = reason or f"{file.filename}: the checkpoint is damaged: its hash is another"
+    else:
+        raise CheckpointError(reason)
     try:
-        return Checkpoint(n_frames, unpacked(content), digest)
+        return Checkpoint(slot.n_frames, unpacked(slot.content), slot.digest)
     except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{file.filename}: the checkpoint cannot be read: {error}") from None

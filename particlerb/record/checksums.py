@@ -13,18 +13,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from particlerb.record.checked_reading import followed, refuse_foreign_storage
-from particlerb.record.schema import (
-    AXES,
-    FILES,
-    INTEGRITY,
-    PARAMETERS,
-    STATIC,
-    TRAJECTORY,
-    VTKHDF,
-    WALL_NAMES,
-    WALL_NUMBERS,
-)
+from particlerb.record import schema
+from particlerb.record.checked_reading import object_at, require_own_storage
 from particlerb.record.vtkhdf import TOPOLOGY
 
 Words = NDArray[np.uint64]
@@ -86,21 +76,21 @@ def list_checksums(columns: Iterable[NDArray[np.generic]], ends: NDArray[np.int6
 
 def unchanging(file: h5py.File) -> list[str]:
     """Paths of all datasets of a file that do not change in time."""
-    paths = [*STATIC, *AXES, f"{TRAJECTORY}/body"]
-    paths += [path for path in (WALL_NAMES, WALL_NUMBERS) if path in file]
-    paths += TOPOLOGY if VTKHDF in file else ()
-    texts = (f"{PARAMETERS}/{name}" for name in sorted(file[PARAMETERS]))
-    paths += [path for path in texts if path != FILES]
-    kept = file.get(FILES, ())
-    return [*paths, *(f"{FILES}/{name}" for name in sorted(kept))]
+    paths = [*schema.STATIC, *schema.AXES, f"{schema.TRAJECTORY}/body"]
+    paths += [path for path in (schema.WALL_NAMES, schema.WALL_NUMBERS) if path in file]
+    paths += TOPOLOGY if schema.VTKHDF in file else ()
+    texts = (f"{schema.PARAMETERS}/{name}" for name in sorted(file[schema.PARAMETERS]))
+    paths += [path for path in texts if path != schema.FILES]
+    kept = file.get(schema.FILES, ())
+    return [*paths, *(f"{schema.FILES}/{name}" for name in sorted(kept))]
 
 
 def digest(file: h5py.File) -> str:
     """SHA-256 of all that does not change in time: tables and texts."""
     found = hashlib.sha256()
     for path in unchanging(file):
-        dataset = followed(file, path)
-        refuse_foreign_storage(file, dataset, path)
+        dataset = object_at(file, path)
+        require_own_storage(file, dataset, path)
         value = dataset[()]
         data = value if isinstance(value, bytes) else np.ascontiguousarray(value).tobytes()
         found.update(f"{path} {len(data)} ".encode())
@@ -110,4 +100,4 @@ def digest(file: h5py.File) -> str:
 
 def seal(file: h5py.File) -> None:
     """Write the digest; to be repeated whenever /parameters has changed."""
-    file[INTEGRITY].attrs["digest"] = np.bytes_(digest(file))
+    file[schema.INTEGRITY].attrs["digest"] = np.bytes_(digest(file))

@@ -19,7 +19,7 @@ from particlerb.case.schema import Case
 from particlerb.case.source import Source
 from particlerb.compiled.jit import source_hash
 from particlerb.files import Files
-from particlerb.record.checked_reading import blaming, checked, followed, text
+from particlerb.record.checked_reading import dataset_at, object_at, text_at, trajectory_errors
 from particlerb.record.checksums import seal
 from particlerb.record.schema import FILE_NAMES, FILES, PARAMETERS
 
@@ -58,7 +58,7 @@ def write_files(file: h5py.File, contents: Mapping[str, bytes]) -> None:
             file[f"{FILES}/{key}"] = np.frombuffer(contents[name], dtype=np.uint8)
 
 
-def kept_names(file: h5py.File) -> dict[str, str]:
+def stored_names(file: h5py.File) -> dict[str, str]:
     """SHA-256 of the files that the case reads, by their names in it.
 
     Raises
@@ -66,16 +66,16 @@ def kept_names(file: h5py.File) -> dict[str, str]:
     TrajectoryError
         If the table is damaged.
     """
-    with blaming(file):
-        if FILE_NAMES not in followed(file, PARAMETERS):
+    with trajectory_errors(file):
+        if FILE_NAMES not in object_at(file, PARAMETERS):
             return {}
-        hashes = json.loads(text(file, f"{PARAMETERS}/{FILE_NAMES}"))
+        hashes = json.loads(text_at(file, f"{PARAMETERS}/{FILE_NAMES}"))
         if not isinstance(hashes, dict):
             raise ValueError(f"{PARAMETERS}/{FILE_NAMES} is no table")
         return hashes
 
 
-def kept_files(file: h5py.File) -> dict[str, bytes]:
+def stored_files(file: h5py.File) -> dict[str, bytes]:
     """Contents of these files, by their names in the case.
 
     Raises
@@ -83,16 +83,16 @@ def kept_files(file: h5py.File) -> dict[str, bytes]:
     TrajectoryError
         If one is missing or damaged.
     """
-    names, contents = kept_names(file), {}
-    with blaming(file):
+    names, contents = stored_names(file), {}
+    with trajectory_errors(file):
         for key in set(names.values()):
-            contents[key] = checked(file, f"{FILES}/{key}", "u", (None,))[:].tobytes()
+            contents[key] = dataset_at(file, f"{FILES}/{key}", "u", (None,))[:].tobytes()
             if hashlib.sha256(contents[key]).hexdigest() != key:
                 raise ValueError(f"{FILES}/{key} is damaged")
     return {name: contents[key] for name, key in names.items()}
 
 
-def kept_case(file: h5py.File) -> Source:
+def stored_case(file: h5py.File) -> Source:
     """What a case is made of again; nothing of it is looked up on disk.
 
     Raises
@@ -100,13 +100,13 @@ def kept_case(file: h5py.File) -> Source:
     TrajectoryError
         If it is missing or damaged.
     """
-    with blaming(file):
-        raw = json.loads(text(file, f"{PARAMETERS}/case_resolved"))
+    with trajectory_errors(file):
+        raw = json.loads(text_at(file, f"{PARAMETERS}/case_resolved"))
         if not isinstance(raw, dict):
             raise ValueError("its case is no table")
-    place = text(file, f"{PARAMETERS}/case_path")
-    files = Files(contents=kept_files(file))
-    toml = text(file, f"{PARAMETERS}/case")
+    place = text_at(file, f"{PARAMETERS}/case_path")
+    files = Files(contents=stored_files(file))
+    toml = text_at(file, f"{PARAMETERS}/case")
     return Source(toml, Path(place) if place else None, raw, files=files)
 
 

@@ -1,5 +1,7 @@
 """Names, shapes and units of the trajectory file, each said once.
 
+`SERIES` is the list of what changes in time: whoever writes, reads or checks frames goes by it.
+
 The file is H5MD 1.1: one "particle" is one body. Rules that other readers ask for, found by trial:
 explicit step and time for each element, the group named `trajectory`, the attribute `units` and
 not `unit`, observables one level deep and as long as the trajectory, dimension scales on all
@@ -7,10 +9,12 @@ dimensions of a variable or on none. What the rest of a file holds, for VTK and 
 listed in docs/schema.md, which a test compares with written files.
 """
 
+from collections.abc import Collection
 from typing import Final, NamedTuple
 
 SCHEMA_VERSION: Final = (2, 0)
 TRAJECTORY: Final = "particles/trajectory"
+TIME: Final = f"{TRAJECTORY}/time"
 OBSERVABLES: Final = "observables"
 PARAMETERS: Final = "parameters"
 FILE_NAMES: Final = "file_names"  # in it: JSON, the SHA-256 of each file that the case names
@@ -39,6 +43,7 @@ class Element(NamedTuple):
     meaning: str
     frame: str = "-"
     is_count: bool = False  # an integer
+    per: str = ""  # what a frame has an entry of: `body`, `wall`, or one for all
 
 
 FIELDS: Final[dict[str, Element]] = {
@@ -85,6 +90,28 @@ LEDGER: Final[dict[str, Element]] = {
         "xyz", "kg m2 s-1", "total - initial - booked angular impulses", "world"
     ),
 }
+
+SERIES: Final[dict[str, Element]] = {  # by their datasets, in the order of the checksums
+    **{
+        f"{TRAJECTORY}/{name}/value": element._replace(per="body")
+        for name, element in (FIELDS | CONTACT_FIELDS).items()
+    },
+    TIME: Element("", "s", "of each frame; linked into every element"),
+    **{f"{OBSERVABLES}/{name}/value": element for name, element in LEDGER.items()},
+    **{
+        f"{OBSERVABLES}/{name}/value": element._replace(per="wall")
+        for name, element in WALLS.items()
+    },
+}
+
+
+def series_of(fields: Collection[str]) -> dict[str, Element]:
+    """Those of `SERIES` that a file has which records these fields of bodies and walls."""
+    return {
+        path: element
+        for path, element in SERIES.items()
+        if not element.per or path.split("/")[-2] in fields
+    }
 
 
 class FixedDataset(NamedTuple):

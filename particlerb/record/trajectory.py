@@ -1,18 +1,12 @@
-"""Reads a trajectory file back: arrays, derived quantities, particle positions, provenance.
-
-A file may still be growing in another process, and it may come from anyone: see `record.checked`.
-"""
+"""A trajectory file read back: fields by name, what follows from them, and where they come from."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple
 
-import h5py
 import numpy as np
-from h5py import h5d, h5p
 
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import build
@@ -23,34 +17,17 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.balance import Entries
 from particlerb.model.bodies import Bodies, made_of, taken
 from particlerb.model.state import derived, turned, turned_back
+from particlerb.record import schema
 from particlerb.record.checked_reading import (
     TrajectoryError,
-    attempts,
-    attribute,
-    blaming,
-    checked,
-    followed,
-    number,
+    dataset_at,
     open_file,
-    text,
+    patiently,
+    text_at,
+    trajectory_errors,
 )
-from particlerb.record.provenance import kept_case, kept_names
-from particlerb.record.schema import (
-    BODIES,
-    COLUMNS,
-    COMMITTED,
-    CONTACT_FIELDS,
-    CONTACTS,
-    FIELDS,
-    LEDGER,
-    OBSERVABLES,
-    OFFSET,
-    PARAMETERS,
-    SCHEMA_VERSION,
-    TRAJECTORY,
-    WALL_NAMES,
-    WALLS,
-)
+from particlerb.record.frame_reader import FrameReader
+from particlerb.record.provenance import stored_case, stored_names
 
 __all__ = ["Contacts", "Trajectory", "TrajectoryError", "open_trajectory"]
 
@@ -65,15 +42,11 @@ class Contacts(NamedTuple):
     overlap: Floats  # (m,) [m]
 
 
-PER_BODY = FIELDS | CONTACT_FIELDS
-PORTION = 100_000  # states that are read at a time where all are gone through
 JSON_TEXTS = ("case_resolved", "versions")
 
-Result = TypeVar("Result")
 
-
-class Trajectory:
-    """States of N bodies in T frames, read from a file when asked for.
+class Trajectory(FrameReader):
+    """States of N bodies in T frames, what follows from them, and where they come from.
 
     Frames that were not yet committed when the file was opened do not count; `refresh` counts
     again. Usable as a context manager; closes its file.
@@ -90,169 +63,10 @@ class Trajectory:
         it reads is damaged.
     """
 
-    def __init__(self, file: h5py.File) -> None:
-        self.file = file
-        self.path = None if file.driver == "core" else file.filename
-        with blaming(file):
-            major, minor = (int(k) for k in attribute(file, "schema", "iu"))
-            self.schema = (major, minor)
-        if major != SCHEMA_VERSION[0]:
-            age = "a newer" if major > SCHEMA_VERSION[0] else "an older"
-            raise TrajectoryError(
-                f"{file.filename} has schema {major}.{minor}: {age} particlerb has written it, and"
-                f" this one reads {SCHEMA_VERSION[0]}.x; read it with a version of its time"
-            )
-        self.mass: Floats = checked(file, f"{TRAJECTORY}/mass", "f", (None,))[:]
-        self.n_bodies = len(self.mass)
-        self.n_frames = self.count()
-
-    def count(self) -> int:
-        """Frames that are committed now, all of which the file holds."""
-        with blaming(self.file):
-            n = number(self.file, COMMITTED)
-            held = len(checked(self.file, f"{TRAJECTORY}/time", "f", (None,)))
-            if not 0 <= n <= held:
-                raise ValueError(f"{COMMITTED} is {n}, but there are {held} times")
-        return n
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the file."""
-        self.close()
-
-    def close(self) -> None:
-        """Close the file."""
-        self.file.close()
-
-    def refresh(self) -> int:
-        """Open the file again and count the frames that were committed since.
-
-        Returns
-        -------
-        int
-            The number of frames.
-        """
-        self.n_frames = self.patiently(self.count, again=True)
-        return self.n_frames
-
-    def patiently(self, read: Callable[[], Result], again: bool = False) -> Result:
-        """What a function reads; where the file is just being written, at the next try.
-
-        A reader may hold a part of the file's index that a writer has replaced meanwhile: the file
-        is opened again.
-        """
-        for is_last in attempts(self.path):
-            try:
-                if again and self.path is not None:
-                    self.file.close()
-                    self.file = open_file(self.path)
-                return read()
-            except TrajectoryError:
-                if is_last:
-                    raise
-                again = True
-        raise AssertionError
-
-    def rows(
-        self,
-        path: str,
-        width: int,
-        frames: slice,
-        bodies: int | slice | None = None,
-        kinds: str = "f",
-    ) -> Floats:
-        """Rows of an element, of all its bodies or of some; all of them are numbers."""
-        lo, hi, stride = frames.indices(self.n_frames)
-        shape = (None, *(() if bodies is None else (self.n_bodies,)), *((width,) if width else ()))
-        pick = (slice(lo, hi, stride), *(() if bodies is None else (bodies,)))
-
-        def read() -> Floats:
-            values = checked(self.file, path, kinds, shape)
-            with blaming(self.file):
-                if len(values) < self.n_frames:
-                    raise ValueError(f"{path} ends before frame {self.n_frames - 1}")
-                if bodies is not None and bodies != slice(None):
-                    values = without_cache(values)
-                found: Floats = values[pick]
-                if not np.isfinite(found).all():
-                    raise ValueError(f"{path} has entries that are no numbers")
-            return found
-
-        return self.patiently(read)
-
-    def table(self, path: str, kinds: str, shape: tuple[int | None, ...]) -> Any:
-        """A whole dataset that does not change in time."""
-        with blaming(self.file):
-            found = checked(self.file, path, kinds, shape)[()]
-            if found.dtype.kind == "f" and not np.isfinite(found).all():
-                raise ValueError(f"{path} has entries that are no numbers")
-        return found
-
-    def read(
-        self,
-        name: str,
-        frames: slice = slice(None),
-        bodies: int | slice | Sequence[int] | Ints = slice(None),
-    ) -> Floats:
-        """Values of one recorded field for some frames and bodies.
-
-        Parameters
-        ----------
-        name : str
-            One of `fields`.
-        frames : slice, optional
-            Left out: all. With a positive stride.
-        bodies : int, slice or sequence of int, optional
-            Numbers of bodies, ascending and each once. Left out: all.
-
-        Returns
-        -------
-        ndarray, shape (T, N, 3), (T, N, 4), or (T, N) for fields of contacts
-            Without the axis of bodies where `bodies` is a number.
-
-        Raises
-        ------
-        KeyError
-            If the field was not recorded.
-        IndexError
-            If there is no such body.
-        """
-        if name not in self.fields + self.contact_fields or name not in PER_BODY:
-            raise KeyError(f"{name} was not recorded: see [output] fields")
-        if isinstance(bodies, (int, np.integer)):
-            pick: int | slice | Ints = range(self.n_bodies)[int(bodies)]
-        elif isinstance(bodies, slice):
-            pick = bodies
-        else:
-            pick = np.asarray(bodies, dtype=np.int64)
-            if pick.size and not 0 <= pick.min() <= pick.max() < self.n_bodies:
-                raise IndexError(f"bodies are numbered 0 to {self.n_bodies - 1}")
-        width, kinds = len(PER_BODY[name].components), "i" if PER_BODY[name].is_count else "f"
-        path = f"{TRAJECTORY}/{name}/value"
-        if isinstance(pick, np.ndarray):  # HDF5 is slow in picking one by one
-            return self.rows(path, width, frames, slice(None), kinds)[:, pick]
-        return self.rows(path, width, frames, pick, kinds)
-
-    def portions(self, frames: slice = slice(None), n_bodies: int = 0) -> Iterator[slice]:
-        """Parts of some frames that are small enough to hold in memory, in their order."""
-        chosen = range(self.n_frames)[frames]
-        size = max(1, PORTION // max(n_bodies or self.n_bodies, 1))
-        for first in range(0, len(chosen), size):
-            part = chosen[first : first + size]
-            yield slice(part.start, part.stop, part.step)
-
     @property
     def time(self) -> Floats:
         """Times of the frames [s], shape (T,)."""
-        return self.rows(f"{TRAJECTORY}/time", 0, slice(None))
+        return self.series(schema.TIME)
 
     @property
     def position(self) -> Floats:
@@ -313,60 +127,39 @@ class Trajectory:
     def bodies(self) -> Bodies:
         """Constants of the bodies, with their moments in the rotor frame."""
         n = self.n_bodies
-        moments = self.table(f"{TRAJECTORY}/moment_inertia", "f", (n, 3))
-        frame = self.table(f"{BODIES}/rotor_frame", "f", (n, 4))
-        rotor_class = self.table(f"{BODIES}/rotor_class", "i", (n,))
+        moments = self.table(f"{schema.TRAJECTORY}/moment_inertia", "f", (n, 3))
+        frame = self.table(f"{schema.BODIES}/rotor_frame", "f", (n, 4))
+        rotor_class = self.table(f"{schema.BODIES}/rotor_class", "i", (n,))
         return made_of(self.mass, moments.T.copy(), frame.T.copy(), rotor_class)
-
-    @cached_property
-    def fields(self) -> list[str]:
-        """Names of the recorded fields."""
-        with blaming(self.file):
-            group = followed(self.file, TRAJECTORY)
-            return [name for name in FIELDS if name in group]
 
     @cached_property
     def names(self) -> Sequence[str]:
         """Names of the bodies."""
-        names = self.table(f"{BODIES}/names", "S", (self.n_bodies,))
+        names = self.table(f"{schema.BODIES}/names", "S", (self.n_bodies,))
         return [name.decode(errors="replace") for name in names]
 
     @cached_property
     def kind(self) -> Ints:
         """Kind of each body, shape (N,): which set of particles it is made of."""
-        kind: Ints = self.table(f"{BODIES}/kind", "i", (self.n_bodies,))
+        kind: Ints = self.table(f"{schema.BODIES}/kind", "i", (self.n_bodies,))
         return kind
 
     @cached_property
     def particles(self) -> Particles:
         """Particles of all kinds, body frame, from the centre of mass."""
-        offset = self.table(f"{BODIES}/particles/offset", "i", (None,))
+        offset = self.table(f"{schema.BODIES}/particles/offset", "i", (None,))
         n = int(offset[-1]) if offset.size else 0
-        with blaming(self.file):
+        with trajectory_errors(self.file):
             if offset.size < 2 or offset[0] != 0 or (np.diff(offset) < 0).any():
-                raise ValueError(f"{BODIES}/particles/offset does not ascend from 0")
+                raise ValueError(f"{schema.BODIES}/particles/offset does not ascend from 0")
             if not 0 <= self.kind.min(initial=0) <= self.kind.max(initial=0) < offset.size - 1:
-                raise ValueError(f"{BODIES}/kind names kinds that are not there")
+                raise ValueError(f"{schema.BODIES}/kind names kinds that are not there")
         return Particles(
-            self.table(f"{BODIES}/particles/position", "f", (n, 3)),
-            self.table(f"{BODIES}/particles/mass", "f", (n,)),
-            self.table(f"{BODIES}/particles/radius", "f", (n,)),
+            self.table(f"{schema.BODIES}/particles/position", "f", (n, 3)),
+            self.table(f"{schema.BODIES}/particles/mass", "f", (n,)),
+            self.table(f"{schema.BODIES}/particles/radius", "f", (n,)),
             offset,
         )
-
-    @property
-    def contact_fields(self) -> list[str]:
-        """Names of the recorded fields of contacts and walls."""
-        with blaming(self.file):
-            group = followed(self.file, TRAJECTORY)
-            found = [name for name in CONTACT_FIELDS if name in group]
-            found += [name for name in WALLS if name in self.file[OBSERVABLES]]
-            return found + ([CONTACTS] if CONTACTS in self.file else [])
-
-    def require(self, name: str) -> None:
-        """Raise KeyError if a field of contacts or walls was not recorded."""
-        if name not in self.contact_fields:
-            raise KeyError(f"{name} was not recorded: see [output] fields")
 
     @property
     def contact_number(self) -> Ints:
@@ -377,14 +170,6 @@ class Trajectory:
     def contact_overlap(self) -> Floats:
         """Largest overlap of each body [m], shape (T, N); 0 where it touches nothing."""
         return self.read("contact_overlap")
-
-    @cached_property
-    def wall_names(self) -> Sequence[str]:
-        """Names of the walls, where a field of walls was recorded."""
-        if not any(name in self.contact_fields for name in WALLS):
-            raise KeyError("no field of walls was recorded: see [output] fields")
-        names = self.table(WALL_NAMES, "S", (None,))
-        return [name.decode(errors="replace") for name in names]
 
     @property
     def wall_force(self) -> Floats:
@@ -409,25 +194,14 @@ class Trajectory:
     def of_walls(self, name: str, frames: slice = slice(None)) -> Floats:
         """One field of walls for some frames, (T, n_walls, 3)."""
         self.require(name)
-        path, n = f"{OBSERVABLES}/{name}/value", len(self.wall_names)
-        lo, hi, stride = frames.indices(self.n_frames)
-
-        def read() -> Floats:
-            with blaming(self.file):
-                values = checked(self.file, path, "f", (None, n, 3))
-                found: Floats = values[lo:hi:stride]
-                if len(values) < self.n_frames or not np.isfinite(found).all():
-                    raise ValueError(f"{path} is not whole")
-            return found
-
-        return self.patiently(read)
+        return self.series(f"{schema.OBSERVABLES}/{name}/value", frames)
 
     @property
     def n_contacts(self) -> int:
         """Contacts of all frames together."""
-        self.require(CONTACTS)
-        ends = self.table(OFFSET, "i", (None,))
-        with blaming(self.file):
+        self.require(schema.CONTACTS)
+        ends = self.table(schema.OFFSET, "i", (None,))
+        with trajectory_errors(self.file):
             return int(ends[self.n_frames])
 
     def contacts(self, frame: int) -> Contacts:
@@ -450,20 +224,22 @@ class Trajectory:
 
     def contact_rows(self, first: int, stop: int) -> tuple[Contacts, Ints]:
         """Contacts in frames first .. stop - 1, one after the other, and the row behind each."""
-        self.require(CONTACTS)
+        self.require(schema.CONTACTS)
 
         def read() -> tuple[Contacts, Ints]:
-            with blaming(self.file):
-                offset: Ints = checked(self.file, OFFSET, "i", (None,))[first : stop + 1]
+            with trajectory_errors(self.file):
+                offset: Ints = dataset_at(self.file, schema.OFFSET, "i", (None,))[first : stop + 1]
                 if len(offset) <= stop - first or (np.diff(offset) < 0).any() or offset[0] < 0:
-                    raise ValueError(f"{OFFSET} does not ascend, or ends before frame {stop - 1}")
+                    raise ValueError(
+                        f"{schema.OFFSET} does not ascend, or ends before frame {stop - 1}"
+                    )
                 found = []
-                for name, column in COLUMNS.items():
+                for name, column in schema.COLUMNS.items():
                     shape = (None, column.width) if column.width else (None,)
                     kinds = "i" if column.is_count else "f"
-                    values = checked(self.file, f"{CONTACTS}/{name}", kinds, shape)
+                    values = dataset_at(self.file, f"{schema.CONTACTS}/{name}", kinds, shape)
                     if len(values) < offset[-1]:
-                        raise ValueError(f"{CONTACTS}/{name} has no row {offset[-1] - 1}")
+                        raise ValueError(f"{schema.CONTACTS}/{name} has no row {offset[-1] - 1}")
                     found.append(values[offset[0] : offset[-1]])
             return Contacts(*found), offset[1:] - offset[0]
 
@@ -476,8 +252,7 @@ class Trajectory:
 
     def observable(self, name: str, frames: slice = slice(None)) -> Floats:
         """One of the observables for some frames, shape (T,) or (T, 3)."""
-        width = len(LEDGER[name].components)
-        return self.rows(f"{OBSERVABLES}/{name}/value", width, frames)
+        return self.series(f"{schema.OBSERVABLES}/{name}/value", frames)
 
     @property
     def energy(self) -> Floats:
@@ -522,36 +297,25 @@ class Trajectory:
     def parameter(self, name: str) -> Any:
         """One entry of /parameters: case, case_resolved, plan, versions, machine, seed, ..."""
         if name == "seed":
-            return int(self.table(f"{PARAMETERS}/seed", "iu", ()))
-        words = text(self.file, f"{PARAMETERS}/{name}")
+            return int(self.table(f"{schema.PARAMETERS}/seed", "iu", ()))
+        words = text_at(self.file, f"{schema.PARAMETERS}/{name}")
         if name not in JSON_TEXTS:
             return words
-        with blaming(self.file):
+        with trajectory_errors(self.file):
             return json.loads(words)
 
     @property
     def file_names(self) -> list[str]:
         """Names of the files that the case reads, whose contents lie in this file."""
-        return self.patiently(lambda: sorted(kept_names(self.file)))
+        return self.patiently(lambda: sorted(stored_names(self.file)))
 
     @property
     def case(self) -> Case:
         """Case of the run, with the files that it reads: as it is in this file, not on disk."""
         try:
-            return build(self.patiently(lambda: kept_case(self.file)), ())
+            return build(self.patiently(lambda: stored_case(self.file)), ())
         except CaseError as error:
             raise TrajectoryError(f"{self.file.filename}: its case is wrong: {error}") from None
-
-
-def without_cache(values: h5py.Dataset) -> h5py.Dataset:
-    """The same dataset; where a chunk is one frame, a few of its numbers are read, and not all."""
-    if values.chunks is None or values.chunks[0] > 1:
-        return values
-    access = h5p.create(h5p.DATASET_ACCESS)
-    access.set_chunk_cache(0, 0, 1.0)
-    file, name = values.file.id, values.name.encode()
-    values.id.close()
-    return h5py.Dataset(h5d.open(file, name, access))
 
 
 def open_trajectory(path: str | Path) -> Trajectory:
@@ -570,14 +334,14 @@ def open_trajectory(path: str | Path) -> Trajectory:
         raise FileNotFoundError(f"{path}: no such file")
     if not Path(path).is_file():
         raise TrajectoryError(f"{path} is no regular file")  # a pipe would wait for ever
-    for is_last in attempts(path):
-        file = None
-        try:
-            file = open_file(path)
-            return Trajectory(file)
-        except TrajectoryError:
-            if file is not None:
-                file.close()
-            if is_last:
-                raise
-    raise AssertionError
+    return patiently(path, lambda: trajectory_in(path))
+
+
+def trajectory_in(path: str | Path) -> Trajectory:
+    """Trajectory in a file, which is closed again where there is none."""
+    file = open_file(path)
+    try:
+        return Trajectory(file)
+    except TrajectoryError:
+        file.close()
+        raise

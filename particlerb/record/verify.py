@@ -13,30 +13,17 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import totals
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames
+from particlerb.record import schema
 from particlerb.record.checked_reading import (
     TrajectoryError,
     attribute,
-    blaming,
-    checked,
-    followed,
-    number,
+    dataset_at,
+    integer_attribute,
+    object_at,
+    trajectory_errors,
 )
-from particlerb.record.checkpoint import digest_of
+from particlerb.record.checkpoint import slot_in
 from particlerb.record.checksums import digest, frame_checksums, list_checksums
-from particlerb.record.schema import (
-    CHECKPOINT,
-    CONTACT_FIELDS,
-    CONTACTS,
-    CURRENT,
-    INTEGRITY,
-    LEDGER,
-    SLOT_DIGEST,
-    SLOT_FRAMES,
-    SLOTS,
-    TRAJECTORY,
-    VTKHDF,
-    WALLS,
-)
 from particlerb.record.trajectory import Trajectory
 
 STATE: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
@@ -91,8 +78,8 @@ def verify_tables(trajectory: Trajectory) -> str:
     """Compare the digest of what does not change."""
     for table in ("bodies", "names", "particles"):
         getattr(trajectory, table)  # with its types and shapes
-    with blaming(trajectory.file):
-        place = followed(trajectory.file, INTEGRITY)
+    with trajectory_errors(trajectory.file):
+        place = object_at(trajectory.file, schema.INTEGRITY)
         stored = bytes(attribute(place, "digest", "S")).decode(errors="replace")
         now = digest(trajectory.file)
     if now != stored:
@@ -103,8 +90,8 @@ def verify_tables(trajectory: Trajectory) -> str:
 def verify_times(trajectory: Trajectory) -> str:
     """Require steps 0, 1, 2, … at ascending times."""
     n, time = trajectory.n_frames, trajectory.time
-    step = checked(trajectory.file, f"{TRAJECTORY}/step", "i", (None,))
-    with blaming(trajectory.file):
+    step = dataset_at(trajectory.file, f"{schema.TRAJECTORY}/step", "i", (None,))
+    with trajectory_errors(trajectory.file):
         if not np.array_equal(step[:n], np.arange(n)):
             raise Flaw("steps do not count the frames")
     if (np.diff(time) <= 0.0).any():
@@ -115,19 +102,15 @@ def verify_times(trajectory: Trajectory) -> str:
 def verify_checksums(trajectory: Trajectory) -> str:
     """Compute the checksum of every frame again."""
     n = trajectory.n_frames
-    stored = checked(trajectory.file, f"{INTEGRITY}/checksum", "u", (None,))
+    stored = dataset_at(trajectory.file, f"{schema.INTEGRITY}/checksum", "u", (None,))
     wrong: list[int] = []
-    more = trajectory.contact_fields
+    recorded = {*trajectory.fields, *trajectory.contact_fields}
     for part in trajectory.portions():
         size = len(range(n)[part])
-        per_body = [*trajectory.fields, *filter(more.__contains__, CONTACT_FIELDS)]
-        values: list[Any] = [trajectory.read(name, part) for name in per_body]
-        values.append(trajectory.rows(f"{TRAJECTORY}/time", 0, part))
-        values += [trajectory.observable(name, part) for name in LEDGER]
-        values += [trajectory.of_walls(name, part) for name in WALLS if name in more]
-        if CONTACTS in more:
+        values: list[Any] = [trajectory.series(path, part) for path in schema.series_of(recorded)]
+        if schema.CONTACTS in recorded:
             values.append(list_checksums(*trajectory.contact_rows(part.start, part.stop)))
-        with blaming(trajectory.file):
+        with trajectory_errors(trajectory.file):
             written = stored[part]
         if len(written) != size:
             raise Flaw(f"end before frame {n - 1}")
@@ -225,13 +208,15 @@ def verify_frames(trajectory: Trajectory) -> str:
 
 def verify_steps(trajectory: Trajectory) -> str:
     """Require that VTK counts the same frames at the same times."""
-    with blaming(trajectory.file):
-        if VTKHDF not in trajectory.file:
+    with trajectory_errors(trajectory.file):
+        if schema.VTKHDF not in trajectory.file:
             return "none: positions were not recorded"
-        counted = number(followed(trajectory.file, f"{VTKHDF}/Steps"), "NSteps")
-        values: Any = checked(trajectory.file, f"{VTKHDF}/Steps/Values", "f", (None,))
+        counted = integer_attribute(object_at(trajectory.file, f"{schema.VTKHDF}/Steps"), "NSteps")
+        values: Any = dataset_at(trajectory.file, f"{schema.VTKHDF}/Steps/Values", "f", (None,))
         same = np.array_equal(values[: trajectory.n_frames], trajectory.time)
-        first: Any = checked(trajectory.file, f"{VTKHDF}/Steps/PointOffsets", "i", (None,))
+        first: Any = dataset_at(
+            trajectory.file, f"{schema.VTKHDF}/Steps/PointOffsets", "i", (None,)
+        )
         starts = np.arange(trajectory.n_frames) * trajectory.n_bodies
         same = same and np.array_equal(first[: trajectory.n_frames], starts)
     if counted < trajectory.n_frames or not same:
@@ -241,20 +226,16 @@ def verify_steps(trajectory: Trajectory) -> str:
 
 def verify_checkpoint(trajectory: Trajectory) -> str:
     """Compute the hash of the state from which the run can go on."""
-    with blaming(trajectory.file):
-        if CHECKPOINT not in trajectory.file:
+    with trajectory_errors(trajectory.file):
+        if schema.CHECKPOINT not in trajectory.file:
             return "none: the run cannot go on"
-        group = followed(trajectory.file, CHECKPOINT)
-        current = number(group, CURRENT)
-        hashes = []
-        for which in (SLOTS[1 - current], SLOTS[current]):
-            slot = checked(trajectory.file, f"{CHECKPOINT}/{which}", "u", (None,))
-            behind, stored = number(slot, SLOT_FRAMES), bytes(attribute(slot, SLOT_DIGEST, "S"))
-            hashes.append((which, digest_of(slot[:].tobytes()), stored.decode(errors="replace")))
-        now = hashes[1][1]
-    for own, computed, written in hashes:
-        if computed != written:
-            raise Flaw(f"in slot {own} has the hash {computed[:12]}…, written was {written[:12]}…")
-    if behind > trajectory.n_frames:
-        raise Flaw(f"lies behind frame {behind - 1}, of {trajectory.n_frames}")
-    return f"behind {behind} frames, hash {now[:12]}… is that written"
+    slots = [slot_in(trajectory.file, is_before) for is_before in (True, False)]
+    for slot in slots:
+        if slot.digest != slot.stored:
+            raise Flaw(
+                f"in slot {slot.name} has the hash {slot.digest[:12]}…, written was"
+                f" {slot.stored[:12]}…"
+            )
+    if slots[-1].n_frames > trajectory.n_frames:
+        raise Flaw(f"lies behind frame {slots[-1].n_frames - 1}, of {trajectory.n_frames}")
+    return f"behind {slots[-1].n_frames} frames, hash {slots[-1].digest[:12]}… is that written"

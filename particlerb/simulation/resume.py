@@ -17,14 +17,15 @@ from particlerb.case.schema import Case
 from particlerb.case.source import Source
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
-from particlerb.record.checked_reading import refuse_elsewhere
+from particlerb.record.checked_reading import require_self_contained
 from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint
-from particlerb.record.claim import InUseError
-from particlerb.record.provenance import kept_case, replace_case, versions
+from particlerb.record.output_file import DamagedError
+from particlerb.record.provenance import replace_case, stored_case, versions
 from particlerb.record.schema import PARAMETERS
 from particlerb.record.trajectory import open_trajectory
 from particlerb.record.vtkhdf import is_finished
-from particlerb.record.writer import DamagedError, Recorder
+from particlerb.record.writer import Recorder
+from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_again
 from particlerb.simulation.run import (
     Outcome,
@@ -83,11 +84,11 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
     """
     with open_trajectory(path) as trajectory:
         file, n = trajectory.file, trajectory.n_frames
-        refuse_elsewhere(file)
+        require_self_contained(file)
         refuse_other_version(path, text_in(file, "versions"), text_in(file, "git_revision"))
         if text_in(file, "case_resolved") is None or text_in(file, "identity") is None:
             raise ResumeError(f"{path} does not say how it was made, so it cannot go on")
-        source = kept_case(file)
+        source = stored_case(file)
         case = case_of(source, t_end, threads)
         prepared = prepare_again(case, text_in(file, "stepping"))
         if identity(prepared) != text_in(file, "identity"):
@@ -129,13 +130,15 @@ def resume_pending(pending: Pending, progress: Progress = lambda n: None) -> Out
     path, prepared, checkpoint = pending.path, pending.prepared, pending.checkpoint
     THREADS.use(prepared.case.run.threads)
     try:
-        recorder = Recorder.again(path, prepared.case, prepared.scene, pending.start, pending.known)
+        recorder = Recorder.reopen(
+            path, prepared.case, prepared.scene, pending.start, pending.known
+        )
     except InUseError:
         raise ResumeError(f"{path} is being written by another run") from None
     except DamagedError as error:
         raise ResumeError(str(error)) from None
     if pending.is_prolonged:
-        with recorder.writing():
+        with recorder.output.writing():
             replace_case(recorder.file, prepared.case)
     return advance(prepared, recorder, checkpoint, progress)
 

@@ -315,7 +315,7 @@ def advance(
     try:
         run = Run(prepared)
         if checkpoint is None:
-            recorder.keep(run.checkpoint)
+            recorder.save_checkpoint(run.checkpoint)
         else:
             try:
                 run.restore(checkpoint.n_frames, dict(checkpoint.arrays))
@@ -327,12 +327,12 @@ def advance(
             if error is not None:
                 raise error
             if batch.is_whole_end:
-                recorder.keep(run.checkpoint)
+                recorder.save_checkpoint(run.checkpoint)
             recorder.commit_if_due(None if batch.is_odd else run.checkpoint)
             if THREADS.is_ending:
                 THREADS.is_ending = False
                 if not batch.is_odd:
-                    recorder.keep(run.checkpoint)
+                    recorder.save_checkpoint(run.checkpoint)
                 raise KeyboardInterrupt
     except (MotionError, FloatingPointError, OtherFrameError) as problem:
         raise RunError(str(problem)) from None

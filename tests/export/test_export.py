@@ -13,6 +13,7 @@ from particlerb.case.output import FIELDS_OF_CONTACT
 from particlerb.cli import main
 from particlerb.export import ExportError, export
 from particlerb.export.gsd import ellipsoid
+from particlerb.record.schema import SERIES
 from particlerb.record.trajectory import Trajectory
 
 
@@ -157,7 +158,7 @@ def test_csv_has_all_digits(trajectory, tmp_path):
 
 def test_npz_holds_the_arrays(trajectory, tmp_path, monkeypatch):
     """Also where the frames come in many portions."""
-    monkeypatch.setattr("particlerb.record.trajectory.PORTION", 8)
+    monkeypatch.setattr("particlerb.record.frame_reader.PORTION", 8)
     fields = ["orientation", "angular_velocity"]
     export(trajectory, tmp_path / "a.npz", "npz", ["odd", "brick[1]"], fields=fields)
     found = np.load(tmp_path / "a.npz")
@@ -256,16 +257,16 @@ def test_lammps_dump_is_read_by_mdanalysis(trajectory, tmp_path):
 def test_a_long_trajectory_is_not_loaded_whole(path, tmp_path, monkeypatch):
     """No read of a field spans more states than a portion."""
     largest = []
-    read = Trajectory.rows
+    read = Trajectory.series
 
-    def spy(self, path, width, frames, bodies=None, kinds="f"):
-        found = read(self, path, width, frames, bodies, kinds)
-        if bodies is not None:
+    def spy(self, path, *which):
+        found = read(self, path, *which)
+        if SERIES[path].per == "body":
             largest.append(found.shape[0] * found.shape[1])
         return found
 
-    monkeypatch.setattr(Trajectory, "rows", spy)
-    monkeypatch.setattr("particlerb.record.trajectory.PORTION", 8)
+    monkeypatch.setattr(Trajectory, "series", spy)
+    monkeypatch.setattr("particlerb.record.frame_reader.PORTION", 8)
     with particlerb.open(path) as t:
         for to in ("gsd", "csv", "npz", "lammps", "particles"):
             export(t, tmp_path / f"out_{to}", to)

@@ -21,12 +21,12 @@ from particlerb.record.atomic import (
     left_over,
     to_read,
 )
-from particlerb.record.claim import Claim
+from particlerb.record.writer_lock import WriterLock
 
 
 def claimed(path):
     """A file for HDF5."""
-    return AtomicFile(Claim(path), path)
+    return AtomicFile(WriterLock(path), path)
 
 
 @pytest.fixture
@@ -93,14 +93,14 @@ def test_where_the_file_cannot_be_written_it_is_read_as_it_should_be(path, monke
     monkeypatch.setattr("os.pwrite", refuse)
     assert numbers(path) == 20_000
     monkeypatch.undo()
-    monkeypatch.setattr(Claim, "lock", lambda claim: False)  # no locks: another may write
+    monkeypatch.setattr(WriterLock, "lock", lambda lock: False)  # no locks: another may write
     assert numbers(path) == 20_000
     assert path.read_bytes() == before
 
 
 def test_a_reader_leaves_a_file_alone_that_another_process_writes(path, monkeypatch):
     stopped_in_the_third_step(path, monkeypatch)
-    with closing(Claim(path)):
+    with closing(WriterLock(path)):
         assert to_read(path) == path
 
 
@@ -199,7 +199,7 @@ def written(path, monkeypatch, is_durable):
 
     for name, kind in (("pwrite", WRITE), ("ftruncate", TRUNCATE), ("fsync", SYNC)):
         noted(name, kind)
-    disk, now = AtomicFile(Claim(path), path, is_durable), bytearray(SUPERBLOCK)
+    disk, now = AtomicFile(WriterLock(path), path, is_durable), bytearray(SUPERBLOCK)
     for _ in range(12):
         for _ in range(int(rng.integers(1, 12))):
             place = SUPERBLOCK + int(len(now) * rng.beta(3, 1))

@@ -16,7 +16,7 @@ from particlerb.case.reader import load
 from particlerb.cli import main
 from particlerb.compiled.jit import config
 from particlerb.compiled.threads import THREADS
-from particlerb.record import claim, provenance, writer
+from particlerb.record import provenance, writer, writer_lock
 from particlerb.record.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
 from particlerb.simulation import run as simulate
 from particlerb.simulation.accuracy import prepare_accurately
@@ -212,7 +212,7 @@ def test_a_file_that_lacks_something_is_refused(finished, capsys):
         del file["observables/work/value"]
     assert main(["resume", str(finished), "--t-end", "1"]) == 2
     assert "a.h5 is damaged" in capsys.readouterr().err
-    claim.Claim(finished).close()
+    writer_lock.WriterLock(finished).close()
 
 
 @pytest.mark.parametrize("change", ["leave out", "cut"])
@@ -297,13 +297,13 @@ def test_a_frame_that_comes_out_differently_ends_the_run(make, tmp_path, monkeyp
 
 
 def test_a_file_has_one_writer(finished, capsys):
-    held = claim.Claim(finished)
+    held = writer_lock.WriterLock(finished)
     try:
         with particlerb.open(finished) as t:  # readers do not mind
             assert t.n_frames == 6
         assert main(["resume", str(finished), "--t-end", "1"]) == 2
         assert "is being written by another run" in capsys.readouterr().err
-        with pytest.raises(claim.InUseError):
+        with pytest.raises(writer_lock.InUseError):
             particlerb.run(finished_case(finished), finished, overwrite=True)
     finally:
         held.close()

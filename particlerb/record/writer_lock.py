@@ -24,8 +24,8 @@ class InUseError(OSError):
     """Another process writes the file."""
 
 
-class Claim:
-    """Right to write a file, until it is closed or the process ends.
+class WriterLock:
+    """The right to write a file, until the lock is closed or the process ends.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Claim:
 
     Attributes
     ----------
-    is_alone : bool
+    is_exclusive : bool
         Whether no other can have it; False where there are no locks.
 
     Raises
@@ -48,7 +48,7 @@ class Claim:
     def __init__(self, path: Path) -> None:
         self.descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            self.is_alone = self.lock()
+            self.is_exclusive = self.lock()
         except OSError as error:
             os.close(self.descriptor)
             raise InUseError(error.errno, "is being written by another run", str(path)) from None
@@ -72,7 +72,7 @@ class Claim:
         return self.descriptor
 
     def close(self) -> None:
-        """Give it back; may be repeated."""
+        """Give up the right; may be repeated."""
         if self.descriptor >= 0:
             with contextlib.suppress(OSError):
                 os.close(self.descriptor)

@@ -6,8 +6,8 @@ import stat
 from pathlib import Path
 
 
-def target(path: Path, overwrite: bool) -> Path:
-    """Place of a file that is to be written; what is made on the way to it lies in its folder.
+def output_path(path: Path, overwrite: bool) -> Path:
+    """Where a file is to be written; what is made on the way to it lies in the same folder.
 
     Parameters
     ----------

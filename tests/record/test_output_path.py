@@ -10,7 +10,7 @@ import pytest
 
 import particlerb
 from particlerb.cli import main
-from particlerb.record.target import target
+from particlerb.record.output_path import output_path
 from particlerb.record.trajectory import TrajectoryError
 
 CASE = """run = { t_end = 0.2, every = 0.1 }
@@ -68,18 +68,18 @@ STAYS = {
 @pytest.mark.parametrize("overwrite", [True, False])
 def test_what_is_no_regular_file_stays(place, name, overwrite):
     with pytest.raises((FileExistsError, NotADirectoryError), match=STAYS[name]):
-        target(Path(name), overwrite)
+        output_path(Path(name), overwrite)
 
 
 def test_links_are_followed(place):
     behind = (place / "folder").resolve()
-    assert target(Path("link"), True) == behind / "target"
-    assert target(Path("dangling"), True) == behind / "new"
-    assert target(Path("folder/../new/er"), False) == place.resolve() / "new" / "er"
+    assert output_path(Path("link"), True) == behind / "target"
+    assert output_path(Path("dangling"), True) == behind / "new"
+    assert output_path(Path("folder/../new/er"), False) == place.resolve() / "new" / "er"
     with pytest.raises(FileExistsError, match="link exists"):
-        target(Path("link"), False)
+        output_path(Path("link"), False)
     with pytest.raises(FileExistsError, match="a link to folder/new, which is not there"):
-        target(Path("dangling"), False)
+        output_path(Path("dangling"), False)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -1,0 +1,245 @@
+"""Reads frames of a trajectory file: numbers of any bodies at any times, each checked.
+
+A file may still be growing in another process, and it may come from anyone: see
+`record.checked_reading`.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+from h5py import h5d, h5p
+
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record import schema
+from particlerb.record.checked_reading import (
+    Result,
+    TrajectoryError,
+    attribute,
+    dataset_at,
+    integer_attribute,
+    object_at,
+    open_file,
+    patiently,
+    trajectory_errors,
+)
+
+PORTION = 100_000  # states that are read at a time where all are gone through
+
+
+class FrameReader:
+    """States of N bodies in T frames, read from a file when asked for.
+
+    Frames that were not yet committed when the file was opened do not count; `refresh` counts
+    again. Usable as a context manager; closes its file.
+
+    Parameters
+    ----------
+    file : h5py.File
+        Open for reading.
+
+    Raises
+    ------
+    TrajectoryError
+        If the file lacks what a trajectory has, or is of another schema; from any method if what
+        it reads is damaged.
+    """
+
+    def __init__(self, file: h5py.File) -> None:
+        self.file = file
+        self.path = None if file.driver == "core" else file.filename
+        with trajectory_errors(file):
+            major, minor = (int(k) for k in attribute(file, "schema", "iu"))
+            self.schema = (major, minor)
+        if major != schema.SCHEMA_VERSION[0]:
+            age = "a newer" if major > schema.SCHEMA_VERSION[0] else "an older"
+            raise TrajectoryError(
+                f"{file.filename} has schema {major}.{minor}: {age} particlerb has written it, and"
+                f" this one reads {schema.SCHEMA_VERSION[0]}.x; read it with a version of its time"
+            )
+        self.mass: Floats = dataset_at(file, f"{schema.TRAJECTORY}/mass", "f", (None,))[:]
+        self.n_bodies = len(self.mass)
+        self.n_frames = self.count()
+
+    def count(self) -> int:
+        """Frames that are committed now, all of which the file holds."""
+        with trajectory_errors(self.file):
+            n = integer_attribute(self.file, schema.COMMITTED)
+            held = len(dataset_at(self.file, schema.TIME, "f", (None,)))
+            if not 0 <= n <= held:
+                raise ValueError(f"{schema.COMMITTED} is {n}, but there are {held} times")
+        return n
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self.file.close()
+
+    def refresh(self) -> int:
+        """Open the file again and count the frames that were committed since.
+
+        Returns
+        -------
+        int
+            The number of frames.
+        """
+        self.n_frames = self.patiently(self.count, again=True)
+        return self.n_frames
+
+    def patiently(self, read: Callable[[], Result], again: bool = False) -> Result:
+        """What a function reads; where the file is just being written, at the next try.
+
+        A reader may hold a part of the file's index that a writer has replaced meanwhile: the file
+        is opened again.
+        """
+
+        def attempt() -> Result:
+            nonlocal again
+            if again and self.path is not None:
+                self.file.close()
+                self.file = open_file(self.path)
+            again = True
+            return read()
+
+        return patiently(self.path, attempt)
+
+    def series(
+        self, path: str, frames: slice = slice(None), bodies: int | slice = slice(None)
+    ) -> Floats:
+        """Values of one of `schema.SERIES` in some frames, of all bodies or of some."""
+        element = schema.SERIES[path]
+        n = len(self.wall_names) if element.per == "wall" else self.n_bodies
+        width = len(element.components)
+        shape = (None, *((n,) if element.per else ()), *((width,) if width else ()))
+        lo, hi, stride = frames.indices(self.n_frames)
+
+        def read() -> Floats:
+            values = dataset_at(self.file, path, "i" if element.is_count else "f", shape)
+            with trajectory_errors(self.file):
+                if len(values) < self.n_frames:
+                    raise ValueError(f"{path} ends before frame {self.n_frames - 1}")
+                if bodies == slice(None):
+                    found: Floats = values[lo:hi:stride]
+                else:
+                    found = without_cache(values)[lo:hi:stride, bodies]
+                if not np.isfinite(found).all():
+                    raise ValueError(f"{path} has entries that are no numbers")
+            return found
+
+        return self.patiently(read)
+
+    def table(self, path: str, kinds: str, shape: tuple[int | None, ...]) -> Any:
+        """A whole dataset that does not change in time."""
+        with trajectory_errors(self.file):
+            found = dataset_at(self.file, path, kinds, shape)[()]
+            if found.dtype.kind == "f" and not np.isfinite(found).all():
+                raise ValueError(f"{path} has entries that are no numbers")
+        return found
+
+    def read(
+        self,
+        name: str,
+        frames: slice = slice(None),
+        bodies: int | slice | Sequence[int] | Ints = slice(None),
+    ) -> Floats:
+        """Values of one recorded field for some frames and bodies.
+
+        Parameters
+        ----------
+        name : str
+            One of `fields`.
+        frames : slice, optional
+            Left out: all. With a positive stride.
+        bodies : int, slice or sequence of int, optional
+            Numbers of bodies, ascending and each once. Left out: all.
+
+        Returns
+        -------
+        ndarray, shape (T, N, 3), (T, N, 4), or (T, N) for fields of contacts
+            Without the axis of bodies where `bodies` is a number.
+
+        Raises
+        ------
+        KeyError
+            If the field was not recorded.
+        IndexError
+            If there is no such body.
+        """
+        per_body = schema.FIELDS | schema.CONTACT_FIELDS
+        if name not in per_body or name not in self.fields + self.contact_fields:
+            raise KeyError(f"{name} was not recorded: see [output] fields")
+        if isinstance(bodies, (int, np.integer)):
+            pick: int | slice | Ints = range(self.n_bodies)[int(bodies)]
+        elif isinstance(bodies, slice):
+            pick = bodies
+        else:
+            pick = np.asarray(bodies, dtype=np.int64)
+            if pick.size and not 0 <= pick.min() <= pick.max() < self.n_bodies:
+                raise IndexError(f"bodies are numbered 0 to {self.n_bodies - 1}")
+        path = f"{schema.TRAJECTORY}/{name}/value"
+        if isinstance(pick, np.ndarray):  # HDF5 is slow in picking one by one
+            return self.series(path, frames)[:, pick]
+        return self.series(path, frames, pick)
+
+    def portions(self, frames: slice = slice(None), n_bodies: int = 0) -> Iterator[slice]:
+        """Parts of some frames that are small enough to hold in memory, in their order."""
+        chosen = range(self.n_frames)[frames]
+        size = max(1, PORTION // max(n_bodies or self.n_bodies, 1))
+        for first in range(0, len(chosen), size):
+            part = chosen[first : first + size]
+            yield slice(part.start, part.stop, part.step)
+
+    @cached_property
+    def fields(self) -> list[str]:
+        """Names of the recorded fields."""
+        with trajectory_errors(self.file):
+            group = object_at(self.file, schema.TRAJECTORY)
+            return [name for name in schema.FIELDS if name in group]
+
+    @property
+    def contact_fields(self) -> list[str]:
+        """Names of the recorded fields of contacts and walls."""
+        with trajectory_errors(self.file):
+            group = object_at(self.file, schema.TRAJECTORY)
+            found = [name for name in schema.CONTACT_FIELDS if name in group]
+            found += [name for name in schema.WALLS if name in self.file[schema.OBSERVABLES]]
+            return found + ([schema.CONTACTS] if schema.CONTACTS in self.file else [])
+
+    def require(self, name: str) -> None:
+        """Raise KeyError if a field of contacts or walls was not recorded."""
+        if name not in self.contact_fields:
+            raise KeyError(f"{name} was not recorded: see [output] fields")
+
+    @cached_property
+    def wall_names(self) -> Sequence[str]:
+        """Names of the walls, where a field of walls was recorded."""
+        if not any(name in self.contact_fields for name in schema.WALLS):
+            raise KeyError("no field of walls was recorded: see [output] fields")
+        names = self.table(schema.WALL_NAMES, "S", (None,))
+        return [name.decode(errors="replace") for name in names]
+
+
+def without_cache(values: h5py.Dataset) -> h5py.Dataset:
+    """The same dataset; where a chunk is one frame, a few of its numbers are read, and not all."""
+    if values.chunks is None or values.chunks[0] > 1:
+        return values
+    access = h5p.create(h5p.DATASET_ACCESS)
+    access.set_chunk_cache(0, 0, 1.0)
+    file, name = values.file.id, values.name.encode()
+    values.id.close()
+    return h5py.Dataset(h5d.open(file, name, access))
