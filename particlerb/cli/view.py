@@ -12,7 +12,7 @@ from particlerb.cli.guard import probe
 
 if TYPE_CHECKING:
     from particlerb.view.access import Access
-    from particlerb.view.live import Turning
+    from particlerb.view.page import Page
 
 AT_FIRST: Final = "cube_at_rest"
 FILES: Final = (".h5", ".hdf5", ".vtkhdf")
@@ -126,7 +126,7 @@ def play(options: argparse.Namespace, server: object, access: "Access") -> int:
     return DONE
 
 
-def serve(page: "Turning", access: "Access") -> None:
+def serve(page: "Page", access: "Access") -> None:
     """Say where the page is, and keep it up to date until Ctrl-C or SIGTERM."""
     print("open this address in a browser; Ctrl-C ends", *access.addresses(), sep="\n", flush=True)
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)

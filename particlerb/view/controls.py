@@ -3,7 +3,8 @@
 from typing import Any, Final
 
 import numpy as np
-import viser
+
+from particlerb.view.page import Page
 
 DIRECTIONS: Final = (
     "along the view", "into the surface", "+x", "-x", "+y", "-y", "+z", "-z",
@@ -14,25 +15,31 @@ AXES: Final = {
     for sign in "+-"
     for k, axis in enumerate("xyz")
 }
-MOST_LISTED: Final = 60  # bodies among which one chooses from a list
 COLOURS: Final = ("#d1495b", "#2e8b57", "#1f6fb5")
 SHOWN: Final = {"force": "last force", "omega": "ω", "L": "L", "axes": "principal axes",
                 "trail": "trail of the point"}  # fmt: skip
 
 
 class Controls:
-    """Handles of everything on the live page that is read or written."""
+    """Handles of what is on the live page beside what every page has."""
 
-    def __init__(self, server: viser.ViserServer, names: list[str], digits: int) -> None:
-        gui: Any = server.gui
+    def __init__(self, page: Page) -> None:
+        gui: Any = page.server.gui
         gui.set_panel_label("motion")
-        self.status = gui.add_html("")
+        page.status = gui.add_html("")
         self.run = gui.add_button_group("time", ["run / pause", "step", "reset"])
-        self.speed = gui.add_text("speed", "1", hint="simulated seconds per second")
-        self.shown = self.checkboxes(gui)
+        page.add_speed_field()
+        with gui.add_folder("show", expand_by_default=False):
+            self.shown = {key: gui.add_checkbox(label, True) for key, label in SHOWN.items()}
+            self.shown["follow"] = gui.add_checkbox("camera stays on the body", False)
         self.rates = chart(gui, "ω of the body, world axes  rad/s", ("x", "y", "z"))
         self.energy = chart(gui, "energy of the scene  J", ("kinetic", "total"))
-        self.numbers = self.left(server, names, digits)
+        panel = gui.add_panel()
+        with panel.add_tab("numbers"):
+            page.add_body_field(visible=len(page.names) > 1)
+            page.add_numbers()
+        panel.dock_left()
+        panel.set_width(410)
         panel = gui.add_panel()
         with panel.add_tab("push: click on a body"):
             self.force = gui.add_text("force [N]", "50", hint="an impulse in N s if duration is 0")
@@ -52,28 +59,6 @@ class Controls:
             self.save = gui.add_button("save the session as a case", color="gray")
         gui.main_panel.set_width(340)
         panel.dock_below(gui.main_panel)
-
-    def checkboxes(self, gui: Any) -> dict[str, Any]:
-        """What is drawn beside the bodies."""
-        with gui.add_folder("show", expand_by_default=False):
-            found = {key: gui.add_checkbox(label, True) for key, label in SHOWN.items()}
-            found["follow"] = gui.add_checkbox("camera stays on the body", False)
-        return found
-
-    def left(self, server: viser.ViserServer, names: list[str], digits: int) -> Any:
-        """The numbers at the left edge."""
-        gui: Any = server.gui
-        panel = gui.add_panel()
-        with panel.add_tab("numbers"):
-            if len(names) <= MOST_LISTED:
-                self.body = gui.add_dropdown("body", names, visible=len(names) > 1)
-            else:
-                self.body = gui.add_text("body", names[0], hint="name, as clump[3]")
-            self.digits = gui.add_slider("digits", min=3, max=17, step=1, initial_value=digits)
-            numbers = gui.add_html("")
-        panel.dock_left()
-        panel.set_width(410)
-        return numbers
 
 
 def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:

@@ -15,8 +15,9 @@ from particlerb.case.schema import Case
 from particlerb.case.to_system import System, inertia_in_body
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
-from particlerb.model.state import derived, turned, turned_back
-from particlerb.view.session import Applied
+from particlerb.model.state import derived, turned_back
+from particlerb.view.forms import rotation_matrix
+from particlerb.view.session import AppliedPush
 
 MOST_DIGITS: Final = 17  # that a float64 needs to be told from all others
 NARROW: Final = 6  # digits up to which three numbers stand side by side
@@ -94,7 +95,7 @@ def state_parts(scene: System, b: int, motion: BodyMotion) -> list[FigurePart]:
     """Everything that is known of a body now."""
     q = motion.orientation
     body = inertia_in_body(scene.bodies, b)
-    R = turned(np.tile(q[:, None], 3), np.eye(3))
+    R = rotation_matrix(q)
     world = R @ body @ R.T
     spin = turned_back(q[:, None], motion.angular_velocity[:, None])[:, 0]
 
@@ -124,37 +125,37 @@ def state_parts(scene: System, b: int, motion: BodyMotion) -> list[FigurePart]:
     ]
 
 
-def push_part(applied: Applied, drift: tuple[float, float] | None) -> FigurePart:
+def push_part(applied: AppliedPush, drift: tuple[float, float] | None) -> FigurePart:
     """What was done to the body last, and the drifts of energy and |L| since it ended."""
-    blow = applied.blow
-    is_push = blow.duration > 0.0
+    push = applied.push
+    is_push = push.duration > 0.0
     rows = [
-        row("at", "body point  m", blow.at),
-        row("force", "F  N" if is_push else "J  N s", blow.vector),
+        row("at", "body point  m", push.at),
+        row("force", "F  N" if is_push else "J  N s", push.vector),
         row("lever", "lever arm r  m", applied.lever),
         row("torque", "r × F  N m" if is_push else "r × J  N m s", applied.torque),
         row("time", "from, to  s" if is_push else "at  s", times_of(applied)),
     ]
     if drift is not None:
-        rows.append(row("drift", "drifts: E, |L|", drift))
+        rows.append(row("drift", "errors: E, |L|", drift))
     return FigurePart("last push", tuple(rows))
 
 
-def times_of(applied: Applied) -> list[float]:
+def times_of(applied: AppliedPush) -> list[float]:
     """Start and end of a push [s], or the instant of an impulse."""
-    return [applied.start, applied.stop] if applied.blow.duration > 0.0 else [applied.start]
+    return [applied.start, applied.stop] if applied.push.duration > 0.0 else [applied.start]
 
 
 def hand_part(
-    case: Case, scene: System, block: int, applied: Applied, motion: BodyMotion
+    case: Case, scene: System, block: int, applied: AppliedPush, motion: BodyMotion
 ) -> FigurePart:
     """The hand calculation of the paper beside the solver: I, ΔL = r × F Δt, ΔP = F Δt, ω = L/I.
 
     The lever arm is taken as it is at the start. A push turns the body away under it, so that the
     solver's L differs by what the arm has changed; an impulse leaves no time for that.
     """
-    blow, b = applied.blow, applied.blow.body
-    J = np.array(blow.vector) * (blow.duration or 1.0)
+    push, b = applied.push, applied.push.body
+    J = np.array(push.vector) * (push.duration or 1.0)
     hand_L = applied.angular_momentum + np.cross(applied.lever, J)
     hand_P = applied.linear_momentum + J
     mass = float(scene.bodies.mass[b])

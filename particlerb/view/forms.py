@@ -198,7 +198,7 @@ def form_of(case: Case, scene: System, body: Body, kind: int, copies: int) -> Fo
     com = scene.properties.com[kind]
     shapes = [(body.shape, np.eye(3), np.zeros(3))] if body.shape is not None else []
     for part in body.part:
-        shapes.append((part.shape, rotation(part.orientation), np.array(part.position)))
+        shapes.append((part.shape, rotation_of(part.orientation), np.array(part.position)))
     forms = [solid(case, shape, R, place - com, copies) for shape, R, place in shapes]
     known = [form for form in forms if form is not None]
     if len(known) < len(forms):
@@ -206,11 +206,15 @@ def form_of(case: Case, scene: System, body: Body, kind: int, copies: int) -> Fo
     return together(known)
 
 
-def rotation(given: Euler | tuple[float, ...]) -> Floats:
+def rotation_matrix(q: Floats) -> Floats:
+    """Matrix (3, 3) of a unit quaternion: its columns are the body's axes in the world."""
+    return turned(np.tile(q[:, None], 3), np.eye(3))
+
+
+def rotation_of(given: Euler | tuple[float, ...]) -> Floats:
     """Matrix (3, 3) of an orientation of a case."""
     q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
-    R: Floats = turned(np.tile(normalised(q)[:, None], 3), np.eye(3))
-    return R
+    return rotation_matrix(normalised(q))
 
 
 def solid(case: Case, shape: Any, R: Floats, shift: Floats, copies: int) -> Form | None:
@@ -300,7 +304,7 @@ def equal_ellipsoid(scene: System, b: int) -> Floats:
 def ellipsoid_form(scene: System, b: int) -> Form:
     """A body that shares its shape with no other, as the ellipsoid with its mass and moments."""
     unit = ball(1.0, MANY)
-    R = turned(np.tile(scene.bodies.rotor_frame[:, b : b + 1], 3), np.eye(3))
+    R = rotation_matrix(scene.bodies.rotor_frame[:, b])
     mesh = unit._replace(vertices=unit.vertices * equal_ellipsoid(scene, b))
     return triangles(mesh.moved(R, np.zeros(3)))
 
@@ -354,7 +358,7 @@ def walls_of(case: Case, size: float) -> list[SurfaceMesh]:
         else:
             vertices, faces = triangles_of(case.file(wall.file))
             mesh = SurfaceMesh(wall.scale * vertices, faces)
-            mesh = mesh.moved(rotation(wall.orientation), np.array(wall.position))
+            mesh = mesh.moved(rotation_of(wall.orientation), np.array(wall.position))
         found.append(mesh)
     return found
 

@@ -20,11 +20,9 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.state import derived
 from particlerb.plan.remove_overlaps import assembled
 from particlerb.record.trajectory import Trajectory, TrajectoryError
-from particlerb.view.controls import MOST_LISTED
-from particlerb.view.figures import motion_of, state_parts, table
-from particlerb.view.live import FIGURES, Turning, clock, note
-from particlerb.view.server import finite
-from particlerb.view.stage import COLOURS, Stage
+from particlerb.view.figures import motion_of, state_parts
+from particlerb.view.page import FIGURES, Page, note, write
+from particlerb.view.stage import COLOURS
 
 COLOURED_BY: Final = ("body", "speed", "energy")
 WATCHED: Final = 15.0  # [s] in which a file is played
@@ -37,6 +35,7 @@ VIRIDIS: Final = np.array([
     (53, 183, 121), (109, 205, 89), (180, 222, 44), (253, 231, 37),
 ])  # fmt: skip
 NEEDED: Final = ("position", "orientation")
+MOMENTA: Final = ("linear_momentum", "angular_momentum")
 
 
 class ReplayError(Exception):
@@ -66,7 +65,7 @@ def scene_of(trajectory: Trajectory) -> tuple[Case, System]:
     return case, scene
 
 
-class Replay(Turning):
+class Replay(Page):
     """A trajectory on the page of a server.
 
     Parameters
@@ -85,20 +84,16 @@ class Replay(Turning):
     """
 
     def __init__(self, trajectory: Trajectory, server: viser.ViserServer, path: Path) -> None:
-        super().__init__()
-        self.trajectory, self.server, self.path = trajectory, server, path
-        case, self.scene = scene_of(trajectory)
-        self.times = trajectory.time
-        self.stage = Stage(server, case, self.scene)
-        self.names = [str(name) for name in self.scene.names]  # checked, as those of a case are
-        self.index = {name: b for b, name in enumerate(self.names)}
-        self.body, self.frame, self.place = 0, -1, 0.0
-        self.is_running, self.next_figures = False, 0.0
+        case, scene = scene_of(trajectory)
+        super().__init__(server, case, scene, path)
+        self.trajectory, self.times = trajectory, trajectory.time
+        self.frame, self.clock = -1, 0.0
+        self.is_running = False
         self.is_new = True
         self.followed: int | None = None
         length = float(self.times[-1] - self.times[0])
         self.speed = float(f"{max(length, 1e-300) / WATCHED:.2g}") or 1.0
-        self.has_momenta = {"linear_momentum", "angular_momentum"} <= set(trajectory.fields)
+        self.has_momenta = set(MOMENTA) <= set(trajectory.fields)
         self.range: dict[str, tuple[float, float]] = {}
         self.make_controls()
         self.look_at_frame(0)
@@ -111,29 +106,25 @@ class Replay(Turning):
         last = len(self.times) - 1
         self.run = gui.add_button_group("time", ["play / pause", "back", "next"])
         self.slider = gui.add_slider("frame", 0, max(last, 1), 1, 0, visible=last > 0)
-        self.pace = gui.add_text("speed", repr(self.speed), hint="simulated seconds per second")
+        self.add_speed_field()
         by = COLOURED_BY if self.has_momenta else COLOURED_BY[:1]
         self.coloured = gui.add_dropdown("colour by", by)
-        if len(self.names) <= MOST_LISTED:
-            self.chosen = gui.add_dropdown("body", self.names)
-        else:
-            self.chosen = gui.add_text("body", self.names[0], hint="name, as clump[3]")
+        self.add_body_field()
         self.follow = gui.add_checkbox("camera stays on the body", False)
         self.picture = gui.add_button("PNG of this frame")
         self.film_form = gui.add_dropdown("film", film_forms())
         self.film = gui.add_button("make the film")
         panel = gui.add_panel()
         with panel.add_tab("numbers"):
-            self.digits = gui.add_slider("digits", min=3, max=17, step=1, initial_value=6)
-            self.numbers = gui.add_html("")
+            self.add_numbers()
         panel.dock_left()
         panel.set_width(410)
         gui.main_panel.set_width(340)
         self.run.on_click(self.later(lambda event: self.press(str(event.target.value))))
         self.slider.on_update(self.later(self.slide))
-        self.pace.on_update(self.later(self.change_pace))
+        self.speed_field.on_update(self.later(self.change_speed))
         self.coloured.on_update(self.later(lambda _: self.paint()))
-        self.chosen.on_update(self.later(self.choose))
+        self.body_field.on_update(self.later(self.choose_body))
         self.picture.on_click(self.later(self.send_picture))
         self.film.on_click(self.later(self.send_film))
         self.stage.clickable(self.later(self.click))
@@ -156,30 +147,11 @@ class Replay(Turning):
             self.is_running = False
             self.look_at_frame(k)
 
-    def change_pace(self, event: Any) -> None:
-        """Take the speed of the field, if it is one."""
-        del event
-        speed = finite(self.pace.value, "speed")
-        if not 0.0 < speed < 1e15:
-            raise ValueError(f"speed must be positive, got {speed!r}")
-        self.speed, self.message = speed, ""
-
-    def choose(self, event: Any) -> None:
-        """Look at the body that the field names."""
-        del event
-        name = str(self.chosen.value)
-        if name not in self.index:
-            raise ValueError(f"there is no body {name[:40]!r}")
-        self.body, self.next_figures = self.index[name], 0.0
-
     def click(self, event: Any) -> None:
         """Look at the body that was clicked on."""
-        stage = self.stage
-        origin, way = stage.in_world(event.ray_origin), np.array(event.ray_direction)
-        hit = stage.surfaces.hit(stage.position, stage.q, origin, way)
+        hit = self.hit_by(event)
         if hit is not None:
-            self.body, self.next_figures = hit.body, 0.0
-            self.chosen.value = self.names[hit.body]
+            self.look_at(hit.body)
 
     def send_picture(self, event: Any) -> None:
         """Send the browser a PNG of what it shows."""
@@ -189,7 +161,7 @@ class Replay(Turning):
         data = imageio.imwrite("<bytes>", image, extension=".png")
         name = f"{self.path.stem}_{self.frame}.png"
         event.client.send_file_download(name, data, save_immediately=True)
-        self.message = f"sent: {name}"
+        self.say(f"sent: {name}")
 
     def send_film(self, event: Any) -> None:
         """Send the browser a film of all frames, at most MOST_PICTURES, evenly spread."""
@@ -207,38 +179,42 @@ class Replay(Turning):
         with imageio.get_writer(room, **how) as film:
             for k in frames.tolist():
                 self.look_at_frame(k)
-                self.message = f"film: frame {k} of {len(self.times)}"
+                self.say(f"film: frame {k} of {len(self.times)}")
                 self.show(time.monotonic())
                 film.append_data(rendered(event)[..., :3])
         name = f"{self.path.stem}.{form}"
         event.client.send_file_download(name, room.getvalue(), save_immediately=True)
         self.look_at_frame(was)
-        self.message = f"sent: {name}, {frames.size} frames"
+        self.say(f"sent: {name}, {frames.size} frames")
 
     # What happens all the time
 
     def advance(self, elapsed: float) -> None:
         """Go on by some seconds of the clock on the wall."""
-        self.place += elapsed * self.speed
-        k = int(np.searchsorted(self.times, self.place, side="right")) - 1
+        self.clock += elapsed * self.speed
+        k = int(np.searchsorted(self.times, self.clock, side="right")) - 1
         if k >= len(self.times) - 1:
             self.is_running = False
         if k != self.frame:
-            place = self.place
+            clock = self.clock
             self.look_at_frame(k)
-            self.place = place
+            self.clock = clock
 
     def look_at_frame(self, k: int) -> None:
         """Read a frame."""
         k = min(max(k, 0), len(self.times) - 1)
-        self.frame, self.place = k, float(self.times[k])
-        names = (*NEEDED, "linear_momentum", "angular_momentum") if self.has_momenta else NEEDED
-        rows = [self.trajectory.read(name, slice(k, k + 1))[0] for name in names]
-        self.state = [np.asarray(row, dtype=np.float64) for row in rows]
+        self.frame, self.clock = k, float(self.times[k])
+        self.state = self.state_at(k)
         if self.slider.value != k:
             self.slider.value = k
         self.paint()
         self.is_new = True
+
+    def state_at(self, k: int) -> list[Floats]:
+        """Position and orientation of all bodies in a frame, and both momenta if recorded."""
+        names = (*NEEDED, *MOMENTA) if self.has_momenta else NEEDED
+        rows = [self.trajectory.read(name, slice(k, k + 1))[0] for name in names]
+        return [np.asarray(row, dtype=np.float64) for row in rows]
 
     def paint(self) -> None:
         """Colours of all bodies by what the field says."""
@@ -271,13 +247,8 @@ class Replay(Turning):
     def extremes(self, by: str) -> tuple[float, float]:
         """Smallest and largest value in some frames of the file, so that colours keep meaning."""
         frames = np.unique(np.linspace(0, len(self.times) - 1, 9).astype(int)).tolist()
-        names = (*NEEDED, "linear_momentum", "angular_momentum")
-        found = []
-        for k in frames:
-            rows = [self.trajectory.read(name, slice(k, k + 1))[0] for name in names]
-            values = self.values(by, [np.asarray(row, dtype=np.float64) for row in rows])
-            found.append(values[np.isfinite(values)])
-        everything = np.concatenate(found)
+        everything = np.concatenate([self.values(by, self.state_at(k)) for k in frames])
+        everything = everything[np.isfinite(everything)]
         return (float(everything.min()), float(everything.max())) if everything.size else (0.0, 1.0)
 
     def show(self, now: float) -> None:
@@ -304,18 +275,12 @@ class Replay(Turning):
                 f'<div style="display:flex;justify-content:space-between">'
                 f"<span>{low:.4g}</span><span>{unit}</span><span>{high:.4g}</span></div>"
             )
-        status += note(self.message) if self.message else ""
-        status = clock(status)
-        if self.status.content != status:
-            self.status.content = status
+        self.write_status(status)
         if not self.has_momenta:
-            self.numbers.content = note("momenta were not recorded: see [output] fields")
+            write(self.numbers, note("momenta were not recorded: see [output] fields"))
             return
         motion = motion_of(self.scene, self.body, *self.state)
-        parts = state_parts(self.scene, self.body, motion)
-        text = table(self.names[self.body], parts, int(min(max(self.digits.value, 1), 17)))
-        if self.numbers.content != text:
-            self.numbers.content = text
+        self.write_numbers(state_parts(self.scene, self.body, motion))
 
 
 def film_forms() -> tuple[str, ...]:

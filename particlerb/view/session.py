@@ -24,23 +24,16 @@ from particlerb.case.to_system import System
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
-from particlerb.model.state import Frames, room_for, turned, turned_back
-from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive, make_plan
+from particlerb.model.state import Frames, turned
+from particlerb.plan.segments import Plan, Segment, has_step, is_adaptive, make_plan
 from particlerb.simulation.accuracy import prepare_accurately
-from particlerb.simulation.group_run import GroupRun, record_all
-from particlerb.simulation.run import (
-    Prepared,
-    Run,
-    RunError,
-    first_rows,
-    multiples,
-)
+from particlerb.simulation.run import Prepared, Run, RunError, multiples
 from particlerb.stepping.motion import MotionError
+from particlerb.view.catch_up import CHUNK, catch_up
 
 STEPS_PER_FRAME: Final = 5000  # of a push on bodies that are free otherwise, per run.every
 LEAST_STEPS_PER_FRAME: Final = 32  # of bodies that are stepped all the time
 LONGEST: Final = 1000.0  # length of a session over t_end of its case, at least
-CHUNK: Final = 256  # frames that are computed together when a past is run again
 TRIES: Final = 64  # steps of the grid on which a push might start
 G: Final = (0.0, 0.0, -9.81)  # [m/s²] that is switched on where a case has no gravity
 
@@ -49,7 +42,7 @@ class SessionError(Exception):
     """A push that cannot be, or a motion that cannot go on: why."""
 
 
-class Blow(NamedTuple):
+class UserPush(NamedTuple):
     """What a user does to a body."""
 
     body: int
@@ -58,21 +51,20 @@ class Blow(NamedTuple):
     duration: float  # [s]; 0 is an impulse
 
 
-class Applied(NamedTuple):
-    """A blow that was accepted, and the state in which it met the body."""
+class AppliedPush(NamedTuple):
+    """A push that was accepted, and the state in which it met the body."""
 
-    blow: Blow
+    push: UserPush
     start: float  # [s]
     stop: float  # [s]; the start for an impulse
     lever: Floats  # (3,) [m] from the centre of mass, world frame, at the start
     linear_momentum: Floats  # (3,) [kg m/s] before
     angular_momentum: Floats  # (3,) [kg m²/s] before
-    orientation: Floats  # (4,) at the start
 
     @property
     def torque(self) -> Floats:
         """r × F [N m], or r × J [N m s], at the start; world frame."""
-        return np.cross(self.lever, self.blow.vector)
+        return np.cross(self.lever, self.push.vector)
 
 
 class Session:
@@ -107,10 +99,10 @@ class Session:
         self.raw: dict[str, Any] = copy.deepcopy(self.start)
         self.case, self.warnings, self.run = self.prepared()
         self.time, self.next_frame = 0.0, 0
-        self.applied: list[Applied] = []
+        self.applied: list[AppliedPush] = []
         self.has_gravity = self.own_gravity
-        self.weighing: list[int] = []  # the forces that stand for switched gravity now
-        self.frame, self.entries = self.looked_at(np.zeros(1), np.ones(1, dtype=np.bool_))
+        self.gravity_pushes: list[int] = []  # the forces that stand for switched gravity now
+        self.frame, self.entries = self.computed_at(np.zeros(1), np.ones(1, dtype=np.bool_))
         self.next_frame = 1
 
     def prepared(self) -> tuple[Case, tuple[str, ...], Run]:
@@ -135,7 +127,7 @@ class Session:
             due = self.frames_until(time)[:CHUNK]
             is_whole = due.size < CHUNK
             times = np.union1d(due, [time]) if is_whole else due
-            self.frame, self.entries = self.looked_at(times, np.isin(times, due))
+            self.frame, self.entries = self.computed_at(times, np.isin(times, due))
             self.time = float(times[-1])
             self.next_frame += due.size
 
@@ -146,7 +138,7 @@ class Session:
         return times[times <= time]
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def looked_at(self, times: Floats, is_frame: Any) -> tuple[Frames, Entries]:
+    def computed_at(self, times: Floats, is_frame: Any) -> tuple[Frames, Entries]:
         """State and ledger at the last of some ascending times."""
         try:
             frames, entries, error = self.run.frames_at(times, is_frame)
@@ -158,47 +150,42 @@ class Session:
         row = Frames(x, q, p, L, frames.last, frames.is_frame[-1:])
         return row, Entries(*(values[-1:].copy() for values in entries))
 
-    def apply(self, blow: Blow) -> Applied:
+    def apply(self, push: UserPush) -> AppliedPush:
         """Push a body from now on, or from the next step of its grid on.
 
         Raises
         ------
         SessionError
-            If the blow is no number, or the body cannot take it; nothing has changed then.
+            If a number is not finite, or the body cannot take the push; nothing has changed then.
         """
-        numbers = (*blow.at, *blow.vector, blow.duration)
-        if not all(math.isfinite(value) for value in numbers) or blow.duration < 0.0:
+        numbers = (*push.at, *push.vector, push.duration)
+        if not all(math.isfinite(value) for value in numbers) or push.duration < 0.0:
             raise SessionError("the push has a number that is not finite, or a negative duration")
-        if not any(blow.vector):
+        if not any(push.vector):
             raise SessionError("a push of nothing: the force is zero")
-        self.advance(self.edge([blow.body]))
+        self.advance(self.next_step([push.body]))
         start = self.time
-        stop = start + blow.duration
-        if self.is_stepped([blow.body]):
-            stop = self.on_lattice(stop)
-        if stop > self.longest or (stop == start and blow.duration > 0.0):
-            raise SessionError(f"a push of {blow.duration!r} s from {start!r} s on is out of range")
+        stop = start + push.duration
+        if self.grids([push.body]):
+            stop = self.as_session_time(stop)
+        if stop > self.longest or (stop == start and push.duration > 0.0):
+            raise SessionError(f"a push of {push.duration!r} s from {start!r} s on is out of range")
         entry: dict[str, Any] = {
-            "body": self.scene.names[blow.body],
-            "at": [float(x) for x in blow.at],
+            "body": self.scene.names[push.body],
+            "at": [float(x) for x in push.at],
         }
-        vector = [float(x) for x in blow.vector]
-        if blow.duration == 0.0:
+        vector = [float(x) for x in push.vector]
+        if push.duration == 0.0:
             entry = {"type": "impulse", **entry, "impulse": vector, "time": start}
         else:
             entry = {"type": "push", **entry, "force": vector, "during": [start, stop]}
-        applied = self.met(blow, start, stop)
-        self.go_on_with([*self.raw["force"], entry])
+        _, orientation, p, L, _, _ = self.frame
+        lever = turned(orientation[0, push.body][:, None], np.array(push.at)[:, None])[:, 0]
+        momenta = p[0, push.body].copy(), L[0, push.body].copy()
+        applied = AppliedPush(push, start, stop, lever, *momenta)
+        self.continue_with([*self.raw["force"], entry])
         self.applied.append(applied)
         return applied
-
-    def met(self, blow: Blow, start: float, stop: float) -> Applied:
-        """A blow and the state that it meets."""
-        _, orientation, p, L, _, _ = self.frame
-        q = orientation[0, blow.body]
-        lever = turned(q[:, None], np.array(blow.at)[:, None])[:, 0]
-        momenta = p[0, blow.body].copy(), L[0, blow.body].copy()
-        return Applied(blow, start, stop, lever, *momenta, q.copy())
 
     def switch_gravity(self, on: bool) -> None:
         """Uniform gravity on or off from now on: a push M g at every centre of mass.
@@ -210,19 +197,19 @@ class Session:
         """
         if on == self.has_gravity:
             return
-        self.advance(self.edge(range(len(self.scene.kind))))
+        self.advance(self.next_step(range(len(self.scene.kind))))
         forces = copy.deepcopy(self.raw["force"])
-        weighing: list[int] = []
-        if self.weighing:
-            for k in self.weighing:
+        gravity_pushes: list[int] = []
+        if self.gravity_pushes:
+            for k in self.gravity_pushes:
                 forces[k]["during"][1] = self.time
             forces = [f for f in forces if "during" not in f or f["during"][0] < f["during"][1]]
         else:
             weights = self.weights(-1.0 if self.own_gravity else 1.0)
-            weighing = list(range(len(forces), len(forces) + len(weights)))
+            gravity_pushes = list(range(len(forces), len(forces) + len(weights)))
             forces += weights
-        self.go_on_with(forces)
-        self.weighing, self.has_gravity = weighing, on
+        self.continue_with(forces)
+        self.gravity_pushes, self.has_gravity = gravity_pushes, on
 
     def weights(self, sign: float) -> list[dict[str, Any]]:
         """Pushes that stand for gravity, or take it away, from now on; one per [[body]]."""
@@ -243,7 +230,7 @@ class Session:
         return entries
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def go_on_with(self, forces: list[dict[str, Any]]) -> None:
+    def continue_with(self, forces: list[dict[str, Any]]) -> None:
         """Go on as the run of the case with these forces, from the time that it is.
 
         Raises
@@ -260,37 +247,33 @@ class Session:
             raise SessionError(error.problems[0].reason) from None
         now, is_frame = np.array([self.time]), np.zeros(1, dtype=np.bool_)
         try:
-            catch_up(run, self.run, self.frames_before(), self.time)
+            catch_up(run, self.run, self.frame_times_until_now(), self.time)
             self.run = run
-            self.frame, self.entries = self.looked_at(now, is_frame)
+            self.frame, self.entries = self.computed_at(now, is_frame)
         except (SessionError, MotionError, RunError) as error:
             self.raw, self.case, self.warnings = before
             run = self.prepared()[2]
-            catch_up(run, None, self.frames_before(), self.time)
+            catch_up(run, None, self.frame_times_until_now(), self.time)
             self.run = run
-            self.frame, self.entries = self.looked_at(now, is_frame)
+            self.frame, self.entries = self.computed_at(now, is_frame)
             raise SessionError(str(error)) from None
 
-    def frames_before(self) -> Floats:
+    def frame_times_until_now(self) -> Floats:
         """Times of the frames of the case until now [s]."""
         return multiples(self.every, 0, self.next_frame)
 
-    def is_stepped(self, bodies: Any) -> bool:
-        """Whether one of these bodies is on a grid of steps now."""
-        return bool(self.grids(bodies))
-
     def grids(self, bodies: Any) -> list[Segment]:
         """Segments that outlast the session on whose grids these bodies are."""
-        wanted = np.fromiter(bodies, dtype=np.int64)
-        found = []
-        for traveller in self.run.travellers:
-            segment = traveller.segment
-            if on_grid(segment, self.longest) and np.isin(wanted, traveller.plan.members).any():
-                found.append(segment)
-        return found
+        chosen = np.fromiter(bodies, dtype=np.int64)
+        return [
+            traveller.segment
+            for traveller in self.run.travellers
+            if on_grid(traveller.segment, self.longest)
+            and np.isin(chosen, traveller.plan.members).any()
+        ]
 
-    def edge(self, bodies: Any) -> float:
-        """Time from now on [s] at which an edge leaves the steps of these bodies as they are."""
+    def next_step(self, bodies: Any) -> float:
+        """Time from now on [s] at which a push leaves the steps of these bodies as they are."""
         grids = self.grids(bodies)
         if not grids:
             return self.time
@@ -302,7 +285,7 @@ class Session:
                 return time
         return self.time  # their steps are laid anew
 
-    def on_lattice(self, time: float) -> float:
+    def as_session_time(self, time: float) -> float:
         """Time [s] as a multiple of what all times of this session are multiples of."""
         quantum = self.longest * 2.0**-52
         return round(time / quantum) * quantum
@@ -354,57 +337,3 @@ def divides(segment: Segment, time: float) -> bool:
     length = time - segment.start
     steps = math.ceil(length / segment.dt * (1 - 1e-12))
     return steps == 0 or length / steps == segment.dt
-
-
-def same(a: Any, b: Any) -> bool:
-    """Whether two records of arrays and numbers are equal in every bit."""
-    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-        return type(a) is type(b) and np.array_equal(a, b)
-    if isinstance(a, tuple):
-        return type(a) is type(b) and len(a) == len(b) and all(map(same, a, b))
-    return bool(a == b)
-
-
-def continues(traveller: GroupRun, plan: GroupPlan, time: float) -> bool:
-    """Whether a group that went on by its old plan until a time has gone on by the new one."""
-    n = traveller.number + 1
-    was, now = traveller.plan.segments[:n], plan.segments[:n]
-    if len(now) < n or now[-1].stop < time or not same(was[:-1], now[:-1]):
-        return False
-    return same(was[-1]._replace(stop=0.0), now[-1]._replace(stop=0.0))
-
-
-def catch_up(run: Run, before: Run | None, frames: Floats, time: float) -> None:
-    """Bring a fresh run to a time [s], to which another run of the same bodies may have gone.
-
-    Groups with the same past take over what the other has computed; the others go through all
-    frames, whose orientations set the sign of the next.
-    """
-    known = {t.plan.members.tobytes(): t for t in before.travellers} if before else {}
-    fresh = []
-    for k, traveller in enumerate(run.travellers):
-        old = known.get(traveller.plan.members.tobytes())
-        if before and old and continues(old, traveller.plan, time):
-            old.plan = traveller.plan
-            run.travellers[k] = old
-            run.last[old.plan.members] = before.last[old.plan.members]
-        else:
-            fresh.append(traveller)
-    if before:
-        run.ledger.errors, run.ledger.scales = before.ledger.errors, before.ledger.scales
-    if not fresh:
-        return
-    room = room_for(min(CHUNK, max(frames.size, 1)), len(run.scene.kind), run.last)
-    for lo in range(0, frames.size, CHUNK):
-        times = frames[lo : lo + CHUNK]
-        record_all(fresh, times, first_rows(room, times.size))
-
-
-def axes_of(q: Floats) -> Floats:
-    """Rotation matrix (3, 3) of a unit quaternion: columns are the body's axes in the world."""
-    return turned(np.tile(q[:, None], 3), np.eye(3))
-
-
-def in_body(q: Floats, vector: Floats) -> Floats:
-    """A world vector in the axes of a body."""
-    return turned_back(q[:, None], vector[:, None])[:, 0]

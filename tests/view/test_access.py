@@ -318,4 +318,4 @@ def test_names_that_no_case_could_have_do_not_reach_the_page(tmp_path):
     access = Access()
     with open_trajectory(path) as trajectory, listening(access, 8570) as server:
         replay = Replay(trajectory, server, path)
-        assert replay.names == ["a", "b"] == list(replay.chosen.options)
+        assert replay.names == ["a", "b"] == list(replay.body_field.options)

@@ -14,7 +14,7 @@ import particlerb.cli.view as command
 from particlerb.case.reader import load
 from particlerb.cli import main
 from particlerb.view.live import Live
-from particlerb.view.session import Blow
+from particlerb.view.session import UserPush
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_a_session_is_saved_at_the_end(monkeypatch, tmp_path, capsys):
 
     def pushed(page, access):
         page.session.advance(0.25)
-        page.session.apply(Blow(0, (0.2, 0.2, -0.5), (0.0, 0.0, 1.0), 0.0))
+        page.session.apply(UserPush(0, (0.2, 0.2, -0.5), (0.0, 0.0, 1.0), 0.0))
 
     monkeypatch.setattr(command, "serve", pushed)
     for name in ("cube_at_rest_session", "cube_at_rest_session_2"):  # nothing is written over

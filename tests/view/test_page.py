@@ -85,7 +85,7 @@ def test_a_click_at_the_centre_does_not_turn_and_off_it_does(cube):
     cube.click(x, y)
     cube.until(lambda: cube.serving.session.applied, "clicked")
     first = cube.serving.session.applied[0]
-    arm = np.linalg.norm(np.cross(first.lever, first.blow.vector)) / 0.1  # [m] past the centre
+    arm = np.linalg.norm(np.cross(first.lever, first.push.vector)) / 0.1  # [m] past the centre
     assert arm < 0.005  # a pixel or two
     assert np.linalg.norm(state(cube)[2][0]) == pytest.approx(0.1, rel=1e-12)  # N s
     before = state(cube)[3][0].copy()
@@ -94,14 +94,14 @@ def test_a_click_at_the_centre_does_not_turn_and_off_it_does(cube):
     cube.until(lambda: cube.serving.session.applied, "clicked again")
     second = cube.serving.session.applied[0]
     gained = state(cube)[3][0]
-    expected = np.cross(second.lever, second.blow.vector)
+    expected = np.cross(second.lever, second.push.vector)
     assert np.linalg.norm(gained) > 5 * np.linalg.norm(before)
     assert gained == pytest.approx(expected, abs=1e-15)
-    view = np.array(second.blow.vector) / 0.1
+    view = np.array(second.push.vector) / 0.1
     right = np.cross(view, [0.0, 0.0, 1.0])  # of the screen: the click was to this side
     assert second.lever @ right > 0.05
     assert gained[2] > 0.0  # pushed away from us at the right: anticlockwise from above
-    assert np.abs(np.abs(second.blow.at).max() - 0.5) < 1e-12  # on the surface
+    assert np.abs(np.abs(second.push.at).max() - 0.5) < 1e-12  # on the surface
 
 
 def test_dragging_the_camera_does_not_push(cube):

@@ -130,9 +130,9 @@ def test_after_hostile_clients_the_page_is_as_it_was(cube, monkeypatch):
     cube.fill("speed", "2")
     cube.press("push at this point")
     cube.until(lambda: cube.serving.session.applied, "pushed")
-    blow = cube.serving.session.applied[0].blow
+    blow = cube.serving.session.applied[0].push
     assert (blow.at, blow.vector, blow.duration) == ((0.1, 0.0, 0.0), (0.0, -3.5, 0.0), 0.0)
-    assert cube.serving.controls.digits.value == 9
+    assert cube.serving.digits.value == 9
     cube.fill("speed", "1")
     cube.choose("direction", "along the view")
 

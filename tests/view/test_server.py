@@ -88,9 +88,10 @@ def test_garbage_neither_ends_nor_changes_the_scene(page):
         click((NAN, NAN, NAN), (NAN, 0.0, 0.0)), click((1e308, 0.0, 0.0), (-1e308, 0.0, 0.0)),
         click((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)), click("abc", {"x": 1}),
         click((5.0, 0.0, 0.0), (-1.0, 0.0, 0.0), name="/nothing"),
-        field(c.digits, NAN), field(c.digits, "x"), field(c.digits, 2**63),
-        field(c.speed, "nan"), field(c.speed, "-1"), field(c.gravity, [1, 2]),
-        field(c.force, {"a": 1}), field(c.direction, "sideways"), field(c.body, "no such body"),
+        field(page.digits, NAN), field(page.digits, "x"), field(page.digits, 2**63),
+        field(page.speed_field, "nan"), field(page.speed_field, "-1"), field(c.gravity, [1, 2]),
+        field(c.force, {"a": 1}), field(c.direction, "sideways"),
+        field(page.body_field, "no such body"),
         packed(type="GuiUpdateMessage", uuid="no such field", updates={"value": 1}),
         field(c.force, "x", "no such property"),
     ]  # fmt: skip
@@ -103,7 +104,7 @@ def test_garbage_neither_ends_nor_changes_the_scene(page):
     end = time.monotonic() + 60.0  # it may compile
     while not page.session.applied and time.monotonic() < end:
         time.sleep(0.05)
-    assert page.session.applied[0].blow.at == pytest.approx((0.5, 0.1, 0.1))
+    assert page.session.applied[0].push.at == pytest.approx((0.5, 0.1, 0.1))
 
 
 def settled(page):

@@ -11,7 +11,7 @@ pytest.importorskip("tomlkit")
 import particlerb
 from particlerb.case.reader import load, parse
 from particlerb.view.recording import recorded
-from particlerb.view.session import Blow, Session, SessionError
+from particlerb.view.session import Session, SessionError, UserPush
 
 CUBE = {
     "name": "cube",
@@ -68,7 +68,7 @@ def pushed(session, updates):
         if k in (2, 6, 9):
             duration = 0.0 if k == 6 else 0.4 * step
             force = (0.5, -1.0, 2.0 if k < 9 else -7.0)
-            session.apply(Blow(number, (0.05, -0.02, 0.03), force, duration))
+            session.apply(UserPush(number, (0.05, -0.02, 0.03), force, duration))
         if k in (4, 8):
             session.switch_gravity(not session.has_gravity)
     return session
@@ -104,7 +104,7 @@ def test_a_push_leaves_the_past_of_a_stepped_body_as_it_was(session):
     """The state at the start of a push is that of the session that was never pushed."""
     session, calm = session("stepped without end"), session("stepped without end")
     session.advance(0.2345)
-    start = session.apply(Blow(0, (0.1, 0.0, 0.0), (0.0, 0.0, 1.0), 0.03)).start
+    start = session.apply(UserPush(0, (0.1, 0.0, 0.0), (0.0, 0.0, 1.0), 0.03)).start
     calm.advance(start)
     assert start > 0.2345
     for a, b in zip(session.frame[:4], calm.frame[:4], strict=True):
@@ -113,7 +113,7 @@ def test_a_push_leaves_the_past_of_a_stepped_body_as_it_was(session):
 
 def test_impulse_of_the_paper(session):
     session = session()
-    session.apply(Blow(0, CORNER, (0.0, 0.0, 1.0), 0.0))
+    session.apply(UserPush(0, CORNER, (0.0, 0.0, 1.0), 0.0))
     assert session.frame.angular_momentum[0, 0] == pytest.approx([0.2, -0.2, 0.0], abs=1e-15)
     assert session.frame.linear_momentum[0, 0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-15)
 
@@ -121,7 +121,7 @@ def test_impulse_of_the_paper(session):
 def test_push_of_the_paper_is_driven_and_then_in_closed_form(make):
     """L = ∫ r × F dt = 0.20100005 after 0.02 s: the arm turns while the push acts."""
     session = Session(load(make.case(CUBE, t_end=2.0, dt=1e-5)))
-    session.apply(Blow(0, CORNER, UP, 0.02))
+    session.apply(UserPush(0, CORNER, UP, 0.02))
     segments = session.run.travellers[0].plan.segments
     assert [segment.method for segment in segments] == ["strang", "exact"]
     session.advance(1.0)
@@ -132,18 +132,18 @@ def test_push_of_the_paper_is_driven_and_then_in_closed_form(make):
 @pytest.mark.parametrize(
     "blow",
     [
-        Blow(0, CORNER, (np.nan, 0.0, 0.0), 0.0),
-        Blow(0, (np.inf, 0.0, 0.0), UP, 0.0),
-        Blow(0, CORNER, UP, -1.0),
-        Blow(0, CORNER, (0.0, 0.0, 0.0), 0.0),
-        Blow(0, CORNER, UP, 1e9),
-        Blow(0, (1e200, 0.0, 0.0), (0.0, 0.0, 1e200), 0.0),
+        UserPush(0, CORNER, (np.nan, 0.0, 0.0), 0.0),
+        UserPush(0, (np.inf, 0.0, 0.0), UP, 0.0),
+        UserPush(0, CORNER, UP, -1.0),
+        UserPush(0, CORNER, (0.0, 0.0, 0.0), 0.0),
+        UserPush(0, CORNER, UP, 1e9),
+        UserPush(0, (1e200, 0.0, 0.0), (0.0, 0.0, 1e200), 0.0),
     ],
 )
 def test_what_cannot_be_leaves_everything_as_it_was(session, blow):
     session = session()
     session.advance(0.3)
-    session.apply(Blow(0, CORNER, UP, 0.02))
+    session.apply(UserPush(0, CORNER, UP, 0.02))
     session.advance(0.5)
     before, text = [values.copy() for values in session.frame[:4]], recorded(session)
     with pytest.raises(SessionError):
@@ -158,7 +158,7 @@ def test_what_cannot_be_leaves_everything_as_it_was(session, blow):
 def test_a_push_that_overflows_is_taken_back(session):
     """p = 1.7e308 kg m/s is a float64, twice that is none."""
     session = session()
-    huge = Blow(0, (0.0, 0.0, 0.0), (1.7e308, 0.0, 0.0), 0.0)
+    huge = UserPush(0, (0.0, 0.0, 0.0), (1.7e308, 0.0, 0.0), 0.0)
     session.apply(huge)
     with pytest.raises(SessionError, match="not finite"):
         session.apply(huge)
@@ -171,9 +171,9 @@ def test_a_point_cannot_be_turned(make):
     session = Session(load(make.case(point)))
     session.advance(0.1)
     with pytest.raises(SessionError, match="nothing can turn it"):
-        session.apply(Blow(0, (0.1, 0.0, 0.0), UP, 0.1))
+        session.apply(UserPush(0, (0.1, 0.0, 0.0), UP, 0.1))
     assert not session.raw["force"]
-    session.apply(Blow(0, (0.0, 0.0, 0.0), UP, 0.1))
+    session.apply(UserPush(0, (0.0, 0.0, 0.0), UP, 0.1))
 
 
 def test_gravity_on_and_off_is_a_parabola(session):
@@ -211,7 +211,7 @@ def test_a_recorded_session_says_what_it_is(session):
     with pytest.raises(ValueError, match="t = 0"):
         recorded(session)
     session.advance(0.1)
-    session.apply(Blow(0, CORNER, UP, 0.02))
+    session.apply(UserPush(0, CORNER, UP, 0.02))
     text = recorded(session)
     assert text.startswith("# Recorded by `particlerb view`")
     data = tomllib.loads(text)
