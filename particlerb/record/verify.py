@@ -178,9 +178,14 @@ def summed_again(trajectory: Trajectory, part: slice) -> float:
 
 def counted(trajectory: Trajectory) -> Bodies:
     """Bodies as the ledger counts them: those that the case holds have no mass."""
-    bodies, blocks = trajectory.bodies, trajectory.parameter("case_resolved")["body"]
-    held = [bool(block.get("fixed") or block.get("motion")) for block in blocks]
-    free = ~np.repeat(held, [block["count"] for block in blocks])
+    bodies = trajectory.bodies
+    with blaming(trajectory.file):
+        blocks = trajectory.parameter("case_resolved")["body"]
+        held = [bool(block.get("fixed") or block.get("motion")) for block in blocks]
+        counts = [int(block["count"]) for block in blocks]
+        if sum(counts) != trajectory.n_bodies:
+            raise ValueError(f"its case has {sum(counts)} bodies, its frames {trajectory.n_bodies}")
+        free = ~np.repeat(held, counts)
     return bodies._replace(
         mass=bodies.mass * free,
         inv_mass=bodies.inv_mass * free,
@@ -190,7 +195,8 @@ def counted(trajectory: Trajectory) -> Bodies:
 
 def has_pistons(trajectory: Trajectory) -> bool:
     """Whether walls of the case slide."""
-    return any(wall.get("piston") for wall in trajectory.parameter("case_resolved")["wall"])
+    with blaming(trajectory.file):
+        return any(wall.get("piston") for wall in trajectory.parameter("case_resolved")["wall"])
 
 
 def verify_frames(trajectory: Trajectory) -> str:

@@ -20,8 +20,9 @@ import particlerb
 from particlerb.case.output import FIELDS_OF_CONTACT
 from particlerb.cli import main
 from particlerb.record import checked_reading as checked
+from particlerb.record import provenance
 from particlerb.record.checksums import list_checksums
-from particlerb.record.schema import FIELDS
+from particlerb.record.schema import FIELDS, PARAMETERS
 from particlerb.record.trajectory import TrajectoryError
 from particlerb.record.verify import verify
 
@@ -388,6 +389,25 @@ def test_the_guard_is_for_commands_that_read_files(monkeypatch):
     ]
     monkeypatch.setenv(guard.MARK, "1")
     assert not guard.wants_guard(["info"])
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"count":1,', '"count":6,'),
+        ('"count":1,', '"count":-1,'),
+        ('"count":1,', '"count":[],'),
+        ('"body":', '"bodx":'),
+    ],
+)
+def test_a_case_in_the_file_that_is_not_its_own_is_told(copy, capsys, old, new):
+    """Other digits or letters in a text that is JSON all the same."""
+    with h5py.File(copy, "r+") as file:
+        words = file[f"{PARAMETERS}/case_resolved"][()].decode()
+        assert old in words
+        provenance.write_text(file, "case_resolved", words.replace(old, new, 1))
+    assert main(["info", str(copy), "--verify"]) == 1
+    assert "ledger" in capsys.readouterr().out
 
 
 # Refusals that pass
