@@ -389,7 +389,7 @@ def damped_share(contact: GroupContact) -> float:
     A dashpot that acts on the velocity carried on to the kick: ω h < √(16 ζ² + 4) - 4 ζ.
     """
     ratio = float(contact.scene.law.damping_ratio.max(initial=0.0))
-    return 0.5 * (math.sqrt(16.0 * ratio**2 + 4.0) - 4.0 * ratio)
+    return 2.0 / (math.hypot(4.0 * ratio, 2.0) + 4.0 * ratio)
 
 
 def fastest_contact(scene: System, group: GroupPlan, segment: Segment) -> float:

@@ -1242,6 +1242,22 @@ def test_a_softening_whose_square_overflows_is_no_attraction():
     prepare(parse(text))
 
 
+def test_a_restitution_that_is_almost_nothing_is_a_large_damping():
+    """The square of its damping ratio overflows."""
+    text = """
+run = { t_end = 1.0, every = 0.5 }
+contact = { stiffness = 1e4, restitution = 1e-320, friction = 0.3 }
+[[body]]
+name = "a"
+count = 2
+shape = { type = "sphere", radius = 0.2 }
+mass = 1.0
+place = { type = "grid", spacing = 3.0 }
+"""
+    with pytest.raises(CaseError, match="dt"):
+        prepare(parse(text))
+
+
 def message_of_file(path: Path) -> str:
     with pytest.raises(CaseError) as caught:
         load(path)
