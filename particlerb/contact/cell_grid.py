@@ -44,7 +44,7 @@ LOWER: Final = (1 << HALF) - 1
 ROUNDING: Final = 2.0**-50  # of the number of a cell, relative
 
 
-class SpherePairs(NamedTuple):
+class PairList(NamedTuple):
     """Pairs of spheres, sorted by the first and then by the second.
 
     The first is the one on the finer level; on the same level, the one with the lower number.
@@ -253,7 +253,7 @@ def sort_by_first(found: FoundPairs, start: Ints, second: Ints) -> None:
 
 
 @kernel
-def sort_by_second(pairs: SpherePairs, first: int, last: int) -> None:
+def sort_by_second(pairs: PairList, first: int, last: int) -> None:
     """Sort the pairs of each sphere of units first to last by the second: there are few."""
     firsts, seconds, start = pairs
     for i in range(first * UNIT, min(last * UNIT, start.size - 1)):
@@ -267,7 +267,7 @@ def sort_by_second(pairs: SpherePairs, first: int, last: int) -> None:
             seconds[slot] = j
 
 
-class Search:
+class SphereSearch:
     """Finds neighbours among the spheres of bodies, again and again; owns the room for it.
 
     Parameters
@@ -293,7 +293,7 @@ class Search:
         self.place = np.zeros((n, 4))
         self.is_odd = False
 
-    def pairs(self, points: Floats, skin: float, which: Ints | None = None) -> SpherePairs:
+    def pairs(self, points: Floats, skin: float, which: Ints | None = None) -> PairList:
         """Pairs of spheres of different bodies with |x_i - x_j| < r_i + r_j + skin, each once.
 
         Parameters
@@ -319,7 +319,7 @@ class Search:
         which = self.everyone if which is None else which
         n, owners = which.size, self.owners
         if not n:
-            return SpherePairs(which, which, np.zeros(self.everyone.size + 1, dtype=np.int64))
+            return PairList(which, which, np.zeros(self.everyone.size + 1, dtype=np.int64))
         grid = self.grid(self.bounds(points, which), skin)
         cell = self.ints("cell", n)
         spread(lambda lo, hi: number_cells(points, which, owners.level, grid, cell, lo, hi), n)
@@ -342,13 +342,13 @@ class Search:
         spread(lambda lo, hi: find_neighbours(grid, spheres, owners, skin, found, lo, hi), n, WORK)
         return found
 
-    def listed(self, found: FoundPairs) -> SpherePairs:
+    def listed(self, found: FoundPairs) -> PairList:
         """Sort what was found."""
         self.is_odd = not self.is_odd
         n, m = self.everyone.size, int(found.found.sum())
         start = self.ints("start", n + 2, turns=True)
         first, second = (self.ints(name, m, turns=True) for name in ("first", "second"))
-        pairs = SpherePairs(first, second, start[:-1])
+        pairs = PairList(first, second, start[:-1])
         THREADS.alone(sort_by_first, found, start, second)
         spread(lambda lo, hi: sort_by_second(pairs, lo, hi), n)
         return pairs
@@ -396,9 +396,9 @@ def spread(kernel_of: Callable[[int, int], object], n: int, work: int = 1) -> No
     THREADS.share(kernel_of, -(-n // UNIT), work * n)
 
 
-def neighbours(points: Floats, radius: Floats, body: Ints, skin: float) -> SpherePairs:
-    """Pairs of spheres of different bodies that are nearer than `skin`: see `Search.pairs`."""
-    return Search(radius, body).pairs(points, skin)
+def neighbours(points: Floats, radius: Floats, body: Ints, skin: float) -> PairList:
+    """Pairs of spheres of different bodies nearer than `skin`: see `SphereSearch.pairs`."""
+    return SphereSearch(radius, body).pairs(points, skin)
 
 
 def levels_of(radius: Floats) -> Ints:

@@ -40,15 +40,15 @@ class Springs(NamedTuple):
     shear: Floats  # (m,) [N/m] across it
 
 
-def springs_of(scene: ContactModel, contacts: ContactList, are_walls: bool) -> Springs:
+def contact_springs(scene: ContactModel, contacts: ContactList, are_walls: bool) -> Springs:
     """Contacts that press."""
-    elastic = contacts.done[:, ELASTIC : ELASTIC + 3].T
+    elastic = contacts.forces[:, ELASTIC : ELASTIC + 3].T
     size = np.linalg.norm(elastic, axis=0)
-    own = np.flatnonzero(contacts.acts & (size > 0.0))
+    own = np.flatnonzero(contacts.active & (size > 0.0))
     pairs = contacts.first[own].astype(np.int64), contacts.second[own].astype(np.int64)
-    point = contacts.done[own, POINT : POINT + 3].T
+    point = contacts.forces[own, POINT : POINT + 3].T
     normal = elastic[:, own] / size[own]
-    return springs(scene, pairs, are_walls, point, normal, contacts.kept[own, BEFORE])
+    return springs(scene, pairs, are_walls, point, normal, contacts.history[own, BEFORE])
 
 
 def springs(
@@ -69,32 +69,32 @@ def springs(
     return Springs(spheres.body[i], second, point, normal, k, shear)
 
 
-def swing_at_start(contact: GroupContact, com: Floats, q: Floats, depth: float) -> float:
+def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, depth: float) -> float:
     """Fastest frequency of bodies on the contacts that they begin with [rad/s].
 
     Parameters
     ----------
     contact : GroupContact
     com, q : ndarray, shapes (3, n) [m] and (4, n)
-        As for `fastest_swing`.
+        As for `contact_frequency`.
     depth : float [m]
         Overlap that decides how stiff `hertz` is, if two do not overlap by more.
     """
-    scene = contact.scene
+    scene = contact.model
     spheres, near = scene.spheres, TOUCHING * float(scene.spheres.radius.min(initial=np.inf))
     x = np.ascontiguousarray(com[:, spheres.body] + turned(q[:, spheres.body], spheres.arm))
     first, second, _ = neighbours(x, spheres.radius, spheres.body, near)
     away = x[:, second] - x[:, first]
-    between = beginning(scene, (first, second), False, x, away, depth)
+    between = initial_springs(scene, (first, second), False, x, away, depth)
     motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
     poses = poses_at(motions, 0.0)
     first, second, _ = WallSearch(scene.walls, spheres.radius).pairs(x, poses, near)
     away = -gaps(scene.walls, poses, x, first, second)
-    outside = beginning(scene, (first, second), True, x, away, depth)
-    return swing_on(scene, com, q, (between, outside))
+    outside = initial_springs(scene, (first, second), True, x, away, depth)
+    return frequency_on(scene, com, q, (between, outside))
 
 
-def beginning(
+def initial_springs(
     scene: ContactModel,
     pairs: tuple[Ints, Ints],
     are_walls: bool,
@@ -113,7 +113,7 @@ def beginning(
     return springs(scene, pairs, are_walls, point, normal, np.maximum(reach - distance, depth))
 
 
-def fastest_swing(
+def contact_frequency(
     scene: ContactModel, com: Floats, q: Floats, spheres: ContactList, walls: ContactList
 ) -> float:
     """Fastest frequency of bodies on their contacts [rad/s], by power iteration.
@@ -131,11 +131,13 @@ def fastest_swing(
     float
         Rayleigh's quotient: at most the true one. 0 where nothing presses.
     """
-    parts = springs_of(scene, spheres, False), springs_of(scene, walls, True)
-    return swing_on(scene, com, q, parts)
+    parts = contact_springs(scene, spheres, False), contact_springs(scene, walls, True)
+    return frequency_on(scene, com, q, parts)
 
 
-def swing_on(scene: ContactModel, com: Floats, q: Floats, parts: tuple[Springs, Springs]) -> float:
+def frequency_on(
+    scene: ContactModel, com: Floats, q: Floats, parts: tuple[Springs, Springs]
+) -> float:
     """Fastest frequency of bodies on springs between each other, and to walls [rad/s]."""
     first, second, point, normal, k, shear = (
         np.concatenate(pair, axis=-1) for pair in zip(*parts, strict=True)

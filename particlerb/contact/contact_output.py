@@ -44,10 +44,10 @@ class ContactOutput(NamedTuple):
 def walls_at(motions: Sequence[PrescribedMotion], t: float) -> tuple[Floats, Floats]:
     """Centres of walls (n_walls, 3) [m] and their velocities [m/s] at a time."""
     centre = np.array([motion.centre for motion in motions]).reshape(-1, 3)
-    return moved(centre, poses_at(motions, t))
+    return wall_centres(centre, poses_at(motions, t))
 
 
-def moved(centre: Floats, poses: Floats) -> tuple[Floats, Floats]:
+def wall_centres(centre: Floats, poses: Floats) -> tuple[Floats, Floats]:
     """Where points of walls are in their poses, and how fast they are."""
     w, v = poses[:, 3:4], poses[:, 4:7]
     across = 2.0 * np.cross(v, centre)
@@ -55,15 +55,15 @@ def moved(centre: Floats, poses: Floats) -> tuple[Floats, Floats]:
     return poses[:, :3] + arm, poses[:, 7:10] + np.cross(poses[:, 10:13], arm)
 
 
-def nothing_touches(motions: Sequence[PrescribedMotion], t: float) -> ContactOutput:
+def no_contacts(motions: Sequence[PrescribedMotion], t: float) -> ContactOutput:
     """No contacts, and walls as they move."""
-    return touches_of((), *walls_at(motions, t))
+    return contact_output((), *walls_at(motions, t))
 
 
-def touches_of(
+def contact_output(
     parts: Sequence[tuple[Ints, Floats]], centre: Floats, velocity: Floats
 ) -> ContactOutput:
-    """Contacts in their order, from rows that `rows_of` makes."""
+    """Contacts in their order, from rows that `contact_rows` makes."""
     who = np.concatenate([np.zeros((0, 5), dtype=np.int64), *(part[0] for part in parts)])
     what = np.concatenate([np.zeros((0, 10)), *(part[1] for part in parts)])
     order = np.lexsort(who.T[::-1])
@@ -74,7 +74,7 @@ def touches_of(
     )
 
 
-def rows_of(
+def contact_rows(
     contacts: ContactList,
     scene: ContactModel,
     room: Workspace,
@@ -100,10 +100,10 @@ def rows_of(
     what : ndarray, shape (m, 10)
         Point [m], force [N] and torque [N m] on the first, overlap [m].
     """
-    acting = np.flatnonzero(contacts.acts)
-    i, j, done = contacts.first[acting], contacts.second[acting], contacts.done[acting]
+    acting = np.flatnonzero(contacts.active)
+    i, j, done = contacts.first[acting], contacts.second[acting], contacts.forces[acting]
     point = done[:, POINT : POINT + 3]
-    place = room.place[i]
+    place = room.xyzr[i]
     overlap = 2.0 * (place[:, 3] - np.sqrt(((point - place[:, :3]) ** 2).sum(axis=1)))
     first, nobody = members[scene.spheres.body[i]], np.full(i.size, NOBODY)
     force = done[:, ELASTIC : ELASTIC + 3] + done[:, REST : REST + 3]

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.contact.cell_grid import Search
+from particlerb.contact.cell_grid import SphereSearch
 from particlerb.contact.neighbour_list import incidence
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, add_scaled, subtract
 
@@ -107,7 +107,7 @@ def outer_spheres(position: Floats, radius: Floats, smallest: float, depth: floa
         δ: largest overlap of a contact [m].
     """
     n, reach = radius.size, radius + smallest
-    first, second, _ = Search(reach, np.arange(n)).pairs(position, 0.0)
+    first, second, _ = SphereSearch(reach, np.arange(n)).pairs(position, 0.0)
     offset, entry = incidence(first, second, n)
     near = np.where(entry >= 0, second[entry], first[~entry])
     spheres = np.column_stack([position.T, reach])

@@ -12,7 +12,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.pair_force import ContactList, ContactModel, ContactSpheres, NeighbourLists
-from particlerb.contact.wall_motion import PrescribedMotion, farthest_way
+from particlerb.contact.wall_motion import PrescribedMotion, wall_displacement
 from particlerb.contact.wall_search import primitive, squared_distance
 from particlerb.contact.walls import touch
 from particlerb.maths.quaternion import to_body
@@ -58,7 +58,7 @@ class Missed(NamedTuple):
 
 
 @inline
-def is_acting(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) -> bool:
+def is_active_pair(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) -> bool:
     """Whether a contact acts between two spheres."""
     a, contacts, (offset, entry) = spheres.body[i], lists.spheres, lists.of_spheres
     found = False
@@ -67,22 +67,22 @@ def is_acting(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) ->
         c = c if c >= 0 else ~c
         one, two = contacts.first[c], contacts.second[c]
         if (one == i and two == j) or (one == j and two == i):
-            found = found or contacts.acts[c]
+            found = found or contacts.active[c]
     return found
 
 
 @inline
-def is_held_off(scene: ContactModel, lists: NeighbourLists, i: int, p: int) -> bool:
+def is_active_on_wall(scene: ContactModel, lists: NeighbourLists, i: int, p: int) -> bool:
     """Whether primitive p is in the list of sphere i, and one of its wall acts."""
     contacts: ContactList = lists.walls
     a, wall, (offset, entry) = scene.spheres.body[i], scene.walls.wall, lists.of_walls
-    is_listed, is_acting = False, False
+    is_listed, is_active = False, False
     for k in range(offset[a], offset[a + 1]):
         c = entry[k]
         if contacts.first[c] == i:
             is_listed = is_listed or contacts.second[c] == p
-            is_acting = is_acting or (contacts.acts[c] and wall[contacts.second[c]] == wall[p])
-    return is_listed and is_acting
+            is_active = is_active or (contacts.active[c] and wall[contacts.second[c]] == wall[p])
+    return is_listed and is_active
 
 
 @inline
@@ -124,7 +124,7 @@ def missed_pairs(
                     d = subtract((place[j, 0], place[j, 1], place[j, 2]), x_i)
                     delta = place[i, 3] + place[j, 3] - length(d)
                     least = SLIGHT * min(place[i, 3], place[j, 3]) + STEPS * dt * comes
-                    if delta > max(least, depth) and not is_acting(spheres, lists, i, j):
+                    if delta > max(least, depth) and not is_active_pair(spheres, lists, i, j):
                         depth, body, other = delta, min(a, b), max(a, b)
     return Missed(depth, body, other, compared)
 
@@ -164,7 +164,7 @@ def missed_walls(
                 comes = length(subtract(v_a, moving)) + swing[a] + swings[w]
                 comes += bound[a] * turning[a]
                 least, delta = SLIGHT * radius + STEPS * dt * comes, radius - length(gap)
-                if delta > max(least, depth) and not is_held_off(scene, lists, i, p):
+                if delta > max(least, depth) and not is_active_on_wall(scene, lists, i, p):
                     depth, body, other = delta, a, ~w
     return Missed(depth, body, other, compared)
 
@@ -217,7 +217,7 @@ def price_of(n: int, n_primitives: int, compared: int) -> float:
     return TO_LOOK + min(n, BODIES) * each + TO_COMPARE * compared
 
 
-def bounds_of(spheres: ContactSpheres, n: int) -> Floats:
+def bounding_radii(spheres: ContactSpheres, n: int) -> Floats:
     """From the centre of mass of each body to the surface of its farthest sphere, (n,) [m]."""
     bound = np.zeros(n)
     far = np.sqrt((spheres.arm**2).sum(axis=0)) + spheres.radius
@@ -225,15 +225,15 @@ def bounds_of(spheres: ContactSpheres, n: int) -> Floats:
     return bound
 
 
-def swing_of(motion: PrescribedMotion, dt: float) -> float:
+def peak_speed(motion: PrescribedMotion, dt: float) -> float:
     """Speed [m/s] that what moves as prescribed may have had in a step without turning."""
-    return farthest_way([motion], dt, [0.0]) / dt
+    return wall_displacement([motion], dt, [0.0]) / dt
 
 
-def acting_nowhere(lists: NeighbourLists) -> NeighbourLists:
+def all_inactive(lists: NeighbourLists) -> NeighbourLists:
     """The same lists, with no contact that acts."""
     spheres, walls = (
-        contacts._replace(acts=np.zeros_like(contacts.acts))
+        contacts._replace(active=np.zeros_like(contacts.active))
         for contacts in (lists.spheres, lists.walls)
     )
     return lists._replace(spheres=spheres, walls=walls)

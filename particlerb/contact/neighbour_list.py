@@ -11,8 +11,14 @@ from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, rows4
 from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3, load3, rows3, subtract
 
 HALF: Final = 32  # bits: numbers of spheres are below 2^31
-EDGES: Final = (0.0, 0.1, 0.3, 0.5, 0.7)  # of the skin: gaps from which on shells of a list begin
-SHELLS: Final = len(EDGES)
+SHELL_GAPS: Final = (
+    0.0,
+    0.1,
+    0.3,
+    0.5,
+    0.7,
+)  # of the skin: gaps from which on shells of a list begin
+N_SHELLS: Final = len(SHELL_GAPS)
 
 
 # Contacts of each body
@@ -110,7 +116,7 @@ def order_contacts(
         Before; and what is written.
     first, second : ndarray, shape (m,)
         The list.
-    ends : ndarray, shape (SHELLS,)
+    ends : ndarray, shape (N_SHELLS,)
         Written: where each shell ends in it.
     """
     firsts, seconds = pairs
@@ -133,7 +139,7 @@ def order_contacts(
     for k in range(firsts.size):
         ends[shell[k]] += 1
     at = 0
-    for s in range(SHELLS):
+    for s in range(N_SHELLS):
         ends[s], at = at, at + ends[s]
     for k in range(firsts.size):
         was, row = new.rows[k], ends[shell[k]]
@@ -160,7 +166,7 @@ def keep_together(firsts: Ints, seconds: Ints, wall: Ints, shell: Ints) -> None:
 def shell_of(square: float, reach: float, skin: float) -> int:
     """Shell of a pair by the square of a distance that is `reach` at the touch."""
     shell = 0
-    for edge in EDGES[1:]:
+    for edge in SHELL_GAPS[1:]:
         least = reach + edge * skin
         shell += int(square >= least * least)
     return shell
@@ -181,7 +187,7 @@ def find_shells(pairs: tuple[Ints, Ints], place: Floats, skin: float, shell: Int
 
 
 @inline
-def way_of(x0: Vec3, q0: Quat, x1: Vec3, q1: Quat, reach: float) -> float:
+def max_displacement(x0: Vec3, q0: Quat, x1: Vec3, q1: Quat, reach: float) -> float:
     """How far a point of a body has moved [m], at most; see `has_moved`."""
     d = subtract(x1, x0)
     _, u, v, w = multiply(q1, conjugate(q0))
@@ -210,6 +216,6 @@ def has_moved(then: Floats, now: Floats, reach: Floats, allowance: float) -> boo
     x1, q1 = rows3(now, 0, n), rows4(now[3:7], 0, n)
     far = 0
     for b in range(n):
-        moved = way_of(load3(x0, b), load4(q0, b), load3(x1, b), load4(q1, b), reach[b])
+        moved = max_displacement(load3(x0, b), load4(q0, b), load3(x1, b), load4(q1, b), reach[b])
         far += 0 if moved <= allowance else 1  # what is not a number has moved too
     return far > 0

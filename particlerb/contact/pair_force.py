@@ -96,10 +96,10 @@ class ContactList(NamedTuple):
 
     first: Indices  # (m,) sphere
     second: Indices  # (m,) sphere, or primitive of a wall
-    kept: Floats  # (m, KEPT or KEPT_ROLLING)
-    done: Floats  # (m, DONE or DONE_ROLLING) of those that act
-    acts: Bools  # (m,) whether it does anything: far fewer do, and these rows alone are read
-    ends: Ints  # (SHELLS,) where each shell ends: see `lists.order_contacts`
+    history: Floats  # (m, KEPT or KEPT_ROLLING)
+    forces: Floats  # (m, DONE or DONE_ROLLING) of those that act
+    active: Bools  # (m,) whether it does anything: far fewer do, and these rows alone are read
+    shell_ends: Ints  # (N_SHELLS,) where each shell ends: see `lists.order_contacts`
 
 
 class NeighbourLists(NamedTuple):
@@ -109,7 +109,7 @@ class NeighbourLists(NamedTuple):
     walls: ContactList
     of_spheres: Incidence
     of_walls: Incidence
-    lever: float  # [m] no point that touches something is farther from its centre of mass
+    max_contact_arm: float  # [m] no point that touches something is farther from its centre of mass
 
 
 class ContactModel(NamedTuple):
@@ -122,31 +122,31 @@ class ContactModel(NamedTuple):
     walls: Walls
     inv_mass: Floats  # (n_bodies,) [1/kg]
     inv_inertia: Floats  # (3, n_bodies) [1/(kg m²)], rotor frame
-    drives: PrescribedBodies | None = None  # bodies that move as prescribed
+    prescribed: PrescribedBodies | None = None  # bodies that move as prescribed
 
 
 class GroupContact(NamedTuple):
     """Contact of a group of bodies."""
 
-    scene: ContactModel
+    model: ContactModel
     motions: Floats  # (n_walls, MOTION) numbers of `wall_motion.Motion`
-    reach: Floats  # (n_bodies,) [m] from the centre of mass to the farthest centre of a sphere
+    max_arm: Floats  # (n_bodies,) [m] from the centre of mass to the farthest centre of a sphere
     skin: float  # [m] pairs nearer than this are kept, at first
-    is_fixed: bool  # whether the skin stays so
-    is_shown: bool  # whether frames show who touches whom
-    left_out: int  # spheres so deep inside their bodies that nothing can reach them
+    is_skin_fixed: bool  # whether the skin stays so
+    with_output: bool  # whether frames show who touches whom
+    n_interior: int  # spheres so deep inside their bodies that nothing can reach them
     pistons: Pistons | None = None  # walls that slide under a load
-    is_forced: bool = False  # whether steps above the limit of stability are taken
+    allow_unstable: bool = False  # whether steps above the limit of stability are taken
 
 
 class Workspace(NamedTuple):
     """What an evaluation writes."""
 
-    place: Floats  # (n_spheres, 4) [m] centre and radius
+    xyzr: Floats  # (n_spheres, 4) [m] centre and radius
     poses: Floats  # (n_walls, POSE) as `wall_motion.poses_at`; and of pistons the axis over √M
     bodies: Floats  # (n_bodies, BODY_COLUMNS)
-    deep: Floats  # (threads, 3) deepest of contacts too deep: overlap and radius [m], body; or 0
-    turnover: Floats  # (n_bodies,) [J] gross work of contacts so far: see `collect`
+    deepest: Floats  # (threads, 3) deepest of contacts too deep: overlap and radius [m], body; or 0
+    gross_work: Floats  # (n_bodies,) [J] gross work of contacts so far: see `collect_loads`
 
 
 @lean
@@ -181,7 +181,7 @@ def place_bodies(
     """
     spheres, inv_mass, inertia = scene.spheres, scene.inv_mass, scene.inv_inertia
     arm, radius, offset = spheres.arm, spheres.radius, spheres.offset
-    place, bodies = room.place, room.bodies
+    place, bodies = room.xyzr, room.bodies
     for k in range(n):
         b = lo + k
         x, q = get3(rows, COM, k), get4(rows, Q, k)
@@ -237,7 +237,7 @@ def softness(scene: ContactModel, bodies: Floats, b: int, point: Vec3, normal: V
 @lean
 def note_deep(room: Workspace, rank: int, delta: float, radius: float, b: int) -> None:
     """Keep that a body lies too deep in another or in a wall, for the host to say."""
-    deep = room.deep
+    deep = room.deepest
     if delta > deep[rank, 0] or (delta == deep[rank, 0] and b < deep[rank, 2]):
         deep[rank, 0], deep[rank, 1], deep[rank, 2] = delta, radius, b
 
@@ -247,8 +247,8 @@ def begin(
     law: Law, pair: int, contacts: ContactList, c: int, softness: float, r_eff: float
 ) -> None:
     """Keep what contact c has as long as it lasts."""
-    contacts.kept[c, SOFTNESS] = softness
-    contacts.kept[c, DASHPOT] = dashpot(law, pair, softness, r_eff)
+    contacts.history[c, SOFTNESS] = softness
+    contacts.history[c, DASHPOT] = dashpot(law, pair, softness, r_eff)
 
 
 @lean
@@ -274,7 +274,7 @@ def act(
     The spring grows by half of `before` with the slide of the instant before, kept with it, and
     by the other half with that of now.
     """
-    kept, done = contacts.kept, contacts.done
+    kept, done = contacts.history, contacts.forces
     rate = dot(relative, normal)
     slide = add_scaled(-rate, normal, relative)
     spring = turned_spring(column(kept, c, SPRING), normal)
@@ -296,7 +296,7 @@ def act(
     done[c, DRIVEN] = -elastic * dot(normal, drift)
     other = column(done, c, REST)
     done[c, TURNOVER] = abs(dot(other, relative)) + abs(done[c, DRIVEN] + dot(other, drift))
-    contacts.acts[c] = True
+    contacts.active[c] = True
 
 
 @lean
@@ -316,28 +316,28 @@ def resist(
     """Torque of contact c against rolling, if anything resists."""
     if rolling is None:
         return
-    kept = contacts.kept
+    kept = contacts.history
     turning = add_scaled(-dot(turning, normal), normal, turning)
     spring = turned_spring(column(kept, c, ROLLED), normal)
     spring = add_scaled(0.5 * before * touch.r_eff, turning, spring)
     found = rolling_torque(rolling, law, pair, touch, turning, pushed, spring, before)
     put_column(kept, c, ROLLED, add_scaled(0.5 * after * touch.r_eff, turning, found.spring))
-    put_column(contacts.done, c, TWIST, found.torque)
+    put_column(contacts.forces, c, TWIST, found.torque)
 
 
 @lean
 def forget(contacts: ContactList, c: int) -> None:
     """Contact c does nothing, and keeps nothing; it stays so for who looks at a frame."""
-    kept, done = contacts.kept, contacts.done
+    kept, done = contacts.history, contacts.forces
     for k in range(kept.shape[1]):
         kept[c, k] = 0.0
     put_column(done, c, ELASTIC, (0.0, 0.0, 0.0))
     put_column(done, c, POINT, (NOWHERE, 0.0, 0.0))
-    contacts.acts[c] = False
+    contacts.active[c] = False
 
 
 @lean
-def fastest(bodies: Floats, first: int, end: int) -> tuple[float, float]:
+def max_speeds(bodies: Floats, first: int, end: int) -> tuple[float, float]:
     """Largest speed [m/s] and angular velocity [rad/s] of bodies first to end."""
     v, w = 0.0, 0.0
     for b in range(first, end):
@@ -346,7 +346,7 @@ def fastest(bodies: Floats, first: int, end: int) -> tuple[float, float]:
 
 
 @lean_kernel
-def touch_spheres(
+def sphere_contact_forces(
     scene: ContactModel,
     room: Workspace,
     contacts: ContactList,
@@ -366,7 +366,7 @@ def touch_spheres(
     before, after : float [s]
         Lengths of the drifts before and after this instant; 0 where there is none.
     v, w : float [m/s, rad/s]
-        Largest of all bodies, see `fastest`.
+        Largest of all bodies, see `max_speeds`.
     first, end, rank : int
         Contacts, `end` excluded, and the thread that is at them.
     """
@@ -377,7 +377,7 @@ def touch_spheres(
         spheres.body,
         spheres.material,
     )
-    place, bodies, acts = room.place, room.bodies, contacts.acts
+    place, bodies, acts = room.xyzr, room.bodies, contacts.active
     longer = max(before, after)
     margin, stretch = longer * v, 1.0 + 4.0 * longer * w
     for c in range(first, end):
@@ -396,11 +396,11 @@ def touch_spheres(
         delta = reach - distance
         point = add_scaled(place[i, 3] - 0.5 * delta, normal, x)
         v_a, v_b = velocity(bodies, a, point), velocity(bodies, b, point)
-        relative, drift = subtract(v_a, v_b), drift_of(scene.drives, bodies, a, b, v_a, v_b)
+        relative, drift = subtract(v_a, v_b), drift_of(scene.prescribed, bodies, a, b, v_a, v_b)
         turning = subtract(column(bodies, a, SPIN), column(bodies, b, SPIN))
         r_eff = place[i, 3] * place[j, 3] / reach
         pair = pair_of[material[i], material[j]]
-        if contacts.kept[c, SOFTNESS] == 0.0:
+        if contacts.history[c, SOFTNESS] == 0.0:
             soft = softness(scene, bodies, a, point, normal)
             soft += softness(scene, bodies, b, point, normal)
             begin(law, pair, contacts, c, soft, r_eff)
@@ -506,7 +506,7 @@ def twist_of(rolling: Floats | None, done: Floats, c: int) -> Vec3:
 
 
 @lean_kernel
-def collect(
+def collect_loads(
     scene: ContactModel,
     room: Workspace,
     lists: NeighbourLists,
@@ -539,8 +539,8 @@ def collect(
     spheres, walls, of_spheres, of_walls, _ = lists
     (offset, entry), (wall_offset, wall_entry) = of_spheres, of_walls
     body, bodies, rolling = scene.spheres.body, room.bodies, scene.law.rolling
-    firsts, seconds, done, acts = spheres.first, spheres.second, spheres.done, spheres.acts
-    wall_done, wall_acts, zero, place = walls.done, walls.acts, (0.0, 0.0, 0.0), room.place
+    firsts, seconds, done, acts = spheres.first, spheres.second, spheres.forces, spheres.active
+    wall_done, wall_acts, zero, place = walls.forces, walls.active, (0.0, 0.0, 0.0), room.xyzr
     for k in range(n):
         b = lo + k
         x = column(bodies, b, AT)
@@ -569,7 +569,7 @@ def collect(
             lagging = add_scaled(later, get3(rows, steady, k), lagging)
             power -= 0.25 * (bodies[b, INV_MASS] * dot(rest, lagging) + dot(spun, twisting))
         if span > 0.0:
-            room.turnover[b] += span * turnover
+            room.gross_work[b] += span * turnover
         add_to(rows, at + FORCE, k, F)
         add_to(rows, at + TORQUE, k, tau)
         add_to(rows, at + OTHER, k, rest)
@@ -580,7 +580,7 @@ def collect(
 
 
 @lean
-def press(
+def load_pistons(
     pistons: Pistons | None,
     slides: Floats,
     contacts: ContactList,
@@ -589,7 +589,7 @@ def press(
 ) -> None:
     """Sum what contacts do to walls that slide, along their axes, and how stiff they are.
 
-    `later` as for `collect`.
+    `later` as for `collect_loads`.
     """
     if pistons is None:
         return
@@ -598,14 +598,14 @@ def press(
         slides[k, BESIDE] = later * pistons.force[k]
     for c in range(contacts.second.size):
         k = pistons.of_wall[scene.walls.wall[contacts.second[c]]]
-        if k >= 0 and contacts.acts[c]:
+        if k >= 0 and contacts.active[c]:
             a = pistons.axis[k, 0], pistons.axis[k, 1], pistons.axis[k, 2]
-            push = dot(a, column(contacts.done, c, ELASTIC))
+            push = dot(a, column(contacts.forces, c, ELASTIC))
             slides[k, PUSH] -= push
-            late = column(contacts.done, c, contacts.done.shape[1] + LATE)
-            slides[k, BESIDE] -= push * contacts.done[c, LAG] + dot(a, late)
-            slides[k, REST_OF_PISTON] -= dot(a, column(contacts.done, c, REST))
-            delta, radius = contacts.kept[c, BEFORE], scene.spheres.radius[contacts.first[c]]
+            late = column(contacts.forces, c, contacts.forces.shape[1] + LATE)
+            slides[k, BESIDE] -= push * contacts.forces[c, LAG] + dot(a, late)
+            slides[k, REST_OF_PISTON] -= dot(a, column(contacts.forces, c, REST))
+            delta, radius = contacts.history[c, BEFORE], scene.spheres.radius[contacts.first[c]]
             share = math.sqrt(4.0 * radius * delta) if scene.law.hertz is not None else 1.0
             slides[k, STIFFNESS] += share if delta > 0.0 else 0.0
     for k in range(slides.shape[0]):
@@ -624,8 +624,8 @@ def stored_energy(contacts: ContactList) -> float:
     """Energy of all normal springs [J]."""
     total = 0.0
     for c in range(contacts.first.size):
-        if contacts.acts[c]:
-            total += contacts.done[c, STORED]
+        if contacts.active[c]:
+            total += contacts.forces[c, STORED]
     return total
 
 
@@ -634,7 +634,7 @@ def done_columns(law: Law) -> int:
     return DONE if law.rolling is None else DONE_ROLLING
 
 
-def nothing_kept(law: Law) -> ContactHistory:
+def empty_history(law: Law) -> ContactHistory:
     """What no contacts keep."""
     none = np.zeros(0, dtype=np.int64)
     return ContactHistory(none, none, np.zeros((0, KEPT if law.rolling is None else KEPT_ROLLING)))

@@ -40,7 +40,7 @@ class Pistons(NamedTuple):
     start: Floats  # (k, 2) displacement [m] and velocity [m/s] at the start
 
 
-def slides_of(pistons: Pistons | None) -> Floats:
+def initial_piston_state(pistons: Pistons | None) -> Floats:
     """What changes of pistons, (k, SLIDE), at the start."""
     if pistons is None:
         return np.zeros((0, SLIDE))
@@ -51,7 +51,7 @@ def slides_of(pistons: Pistons | None) -> Floats:
 
 
 @inline
-def put_pistons(pistons: Pistons | None, slides: Floats, ahead: float, poses: Floats) -> None:
+def place_pistons(pistons: Pistons | None, slides: Floats, ahead: float, poses: Floats) -> None:
     """Displace the poses of walls that slide; `ahead` as for `loads.place_bodies`."""
     if pistons is None:
         return
@@ -67,7 +67,7 @@ def put_pistons(pistons: Pistons | None, slides: Floats, ahead: float, poses: Fl
 
 
 @inline
-def have_slid(pistons: Pistons | None, slides: Floats, allowance: float) -> bool:
+def pistons_have_moved(pistons: Pistons | None, slides: Floats, allowance: float) -> bool:
     """Whether a piston has moved by more than the allowance since lists were made."""
     if pistons is None:
         return False
@@ -112,7 +112,7 @@ def kick_pistons(
 
 
 @inline
-def slide_pistons(pistons: Pistons | None, slides: Floats, dt: float) -> None:
+def drift_pistons(pistons: Pistons | None, slides: Floats, dt: float) -> None:
     """Let pistons drift."""
     if pistons is None:
         return
@@ -120,7 +120,7 @@ def slide_pistons(pistons: Pistons | None, slides: Floats, dt: float) -> None:
         slides[k, PLACE] += dt * slides[k, SPEED]
 
 
-def energies_of(pistons: Pistons | None, slides: Floats) -> tuple[float, float]:
+def piston_energies(pistons: Pistons | None, slides: Floats) -> tuple[float, float]:
     """Kinetic energy, and that of load and weight, zero where the case begins [J]."""
     if pistons is None:
         return 0.0, 0.0

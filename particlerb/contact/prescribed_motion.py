@@ -24,7 +24,7 @@ class PrescribedBodies(NamedTuple):
 
 
 @inline
-def driven_pose(drives: PrescribedBodies, k: int, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]:
+def prescribed_pose(drives: PrescribedBodies, k: int, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]:
     """Place, orientation, velocity and angular velocity of driven body k at a time."""
     x, turn, v, omega = pose_at(motion_in(drives.motions, k), t)
     com, q = drives.com, drives.q
@@ -34,7 +34,9 @@ def driven_pose(drives: PrescribedBodies, k: int, t: float) -> tuple[Vec3, Quat,
 
 
 @inline
-def momenta(drives: PrescribedBodies, k: int, q: Quat, v: Vec3, omega: Vec3) -> tuple[Vec3, Vec3]:
+def prescribed_momenta(
+    drives: PrescribedBodies, k: int, q: Quat, v: Vec3, omega: Vec3
+) -> tuple[Vec3, Vec3]:
     """M v and I ω of driven body k."""
     inertia, mass = drives.inertia, drives.mass[k]
     own = multiplied3((inertia[0, k], inertia[1, k], inertia[2, k]), to_body(q, omega))

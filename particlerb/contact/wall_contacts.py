@@ -141,7 +141,7 @@ def meeting_at(
     scene: ContactModel, room: Workspace, contacts: ContactList, c: int, end: int, longer: float
 ) -> Meeting:
     """The sphere and the wall of contacts c to end; `longer` is the longer drift around now [s]."""
-    place, bodies, poses = room.place, room.bodies, room.poses
+    place, bodies, poses = room.xyzr, room.bodies, room.poses
     i, w = contacts.first[c], scene.walls.wall[contacts.second[c]]
     a, x, radius = scene.spheres.body[i], column(place, i, 0), place[i, 3]
     d, q = subtract(x, column(poses, w, 0)), (poses[w, 3], poses[w, 4], poses[w, 5], poses[w, 6])
@@ -162,7 +162,7 @@ def spot_of(one: Primitive, around: Floats, meeting: Meeting) -> tuple[int, bool
 
 
 @lean_kernel
-def touch_walls(
+def wall_contact_forces(
     scene: ContactModel,
     room: Workspace,
     contacts: ContactList,
@@ -177,7 +177,7 @@ def touch_walls(
     and walls whose contacts begin there.
     """
     least, c, end, most = bounds
-    acts = contacts.acts
+    acts = contacts.active
     if least < c < end:
         c = end_of(scene, contacts, c - 1, end)
     while c < end:
@@ -215,7 +215,7 @@ def look_around(scene: ContactModel, contacts: ContactList, meeting: Meeting) ->
             lowest, lone, gap = lowest + 1, c, away
         elif count != 0:
             others += 1
-        held += 1 if contacts.acts[c] else 0
+        held += 1 if contacts.active[c] else 0
     return Seen(lowest, others, held, lone, gap)
 
 
@@ -245,13 +245,13 @@ def press(
     relative = subtract(velocity(bodies, a, point), moving)
     turning = subtract(column(bodies, a, SPIN), omega)
     if delta <= -0.5 * max(before, after) * abs(dot(relative, normal)):
-        if contacts.acts[lead]:
+        if contacts.active[lead]:
             forget(contacts, lead)
         return
     primitive, law = contacts.second[lead], scene.law
     material = scene.spheres.material[contacts.first[lead]]
     pair = scene.pair_of[material, scene.wall_material[primitive]]
-    if contacts.kept[lead, SOFTNESS] == 0.0:
+    if contacts.history[lead, SOFTNESS] == 0.0:
         soft = softness(scene, bodies, a, point, normal)
         soft += dot(normal, column(poses, w, 13)) ** 2  # of a piston
         begin(law, pair, contacts, lead, soft, radius)
@@ -261,7 +261,7 @@ def press(
         law, pair, contacts, lead, delta, normal, point, relative, turning, moving, radius, before,
         after,
     )  # fmt: skip
-    done, beside = contacts.done, spots_at(contacts) + AWAY
+    done, beside = contacts.forces, spots_at(contacts) + AWAY
     put_column(done, lead, beside, (0.0, 0.0, 0.0))
     if points > 1:
         put_column(done, lead, ELASTIC, elastic)
@@ -276,14 +276,14 @@ def press(
 @lean
 def spots_at(contacts: ContactList) -> int:
     """Where the columns of points begin."""
-    at: int = contacts.done.shape[1] - SPOT
+    at: int = contacts.forces.shape[1] - SPOT
     return at
 
 
 @lean
 def spread_out(scene: ContactModel, contacts: ContactList, meeting: Meeting) -> None:
     """Write the points that count."""
-    done, at = contacts.done, spots_at(contacts)
+    done, at = contacts.forces, spots_at(contacts)
     for c in range(meeting.first, meeting.end):
         one = primitive_of(scene, contacts, c)
         count, is_lowest, away = spot_of(one, scene.walls.around, meeting)
@@ -298,7 +298,7 @@ def is_below(contacts: ContactList, meeting: Meeting, c: int, away: Vec3, slack:
 
     The cap is what the sphere cuts out of the plane there; negative inside.
     """
-    nearer = column(contacts.done, c, spots_at(contacts) + AWAY)
+    nearer = column(contacts.forces, c, spots_at(contacts) + AWAY)
     d = subtract(nearer, away)
     cap = max(meeting.radius * meeting.radius - dot(nearer, nearer), 0.0)
     return length(d) - math.sqrt(cap) - slack
@@ -307,7 +307,7 @@ def is_below(contacts: ContactList, meeting: Meeting, c: int, away: Vec3, slack:
 @lean
 def join(contacts: ContactList, meeting: Meeting) -> None:
     """Write of which piece each point is: what counts beside the nearest joins those around it."""
-    done, at = contacts.done, spots_at(contacts)
+    done, at = contacts.forces, spots_at(contacts)
     first, end, changes = meeting.first, meeting.end, 1
     while changes > 0:
         changes = 0
@@ -331,7 +331,7 @@ def join(contacts: ContactList, meeting: Meeting) -> None:
 @lean
 def next_piece(contacts: ContactList, meeting: Meeting) -> int:
     """First contact of a piece that is not dealt with; -1: there is none."""
-    done, at = contacts.done, spots_at(contacts)
+    done, at = contacts.forces, spots_at(contacts)
     for c in range(meeting.first, meeting.end):
         if done[c, at + LOWEST] > 0.0 and done[c, at + PIECE] == c:
             return c
@@ -361,7 +361,7 @@ def piece_at(
 
     Of each the mean force over the kick is taken along its own δ + δ̇ t, as of a contact.
     """
-    done, at, law, radius = contacts.done, spots_at(contacts), scene.law, meeting.radius
+    done, at, law, radius = contacts.forces, spots_at(contacts), scene.law, meeting.radius
     material = scene.spheres.material[contacts.first[root]]
     pair = scene.pair_of[material, scene.wall_material[contacts.second[root]]]
     lead, points, total, pushes, hardest = root, 0, 0.0, 0.0, 0.0
@@ -400,7 +400,7 @@ def inherit(
 
     The piece counts as dealt with then.
     """
-    done, at, kept, acts = contacts.done, spots_at(contacts), contacts.kept, contacts.acts
+    done, at, kept, acts = contacts.forces, spots_at(contacts), contacts.history, contacts.active
     first, end, heir = meeting.first, meeting.end, -1
     for c in range(first, end):
         is_one = acts[c] and is_of(scene, contacts, meeting, c, root)
@@ -421,7 +421,7 @@ def inherit(
 @lean
 def is_of(scene: ContactModel, contacts: ContactList, meeting: Meeting, c: int, root: int) -> bool:
     """Whether contact c is of a piece, or has been where the piece is now."""
-    done, at = contacts.done, spots_at(contacts)
+    done, at = contacts.forces, spots_at(contacts)
     if done[c, at + COUNT] != 0.0:
         return bool(done[c, at + PIECE] == root)
     d = subtract(meeting.y, nearest(primitive_of(scene, contacts, c), meeting.y))
@@ -435,7 +435,7 @@ def is_of(scene: ContactModel, contacts: ContactList, meeting: Meeting, c: int, 
 @lean
 def forget_rest(contacts: ContactList, meeting: Meeting) -> None:
     """Forget contacts whose points have ended, and have handed on nothing."""
-    done, at = contacts.done, spots_at(contacts)
+    done, at = contacts.forces, spots_at(contacts)
     for c in range(meeting.first, meeting.end):
-        if contacts.acts[c] and done[c, at + PIECE] >= 0.0:
+        if contacts.active[c] and done[c, at + PIECE] >= 0.0:
             forget(contacts, c)

@@ -46,7 +46,7 @@ def motion_in(rows: Floats, k: int) -> PrescribedMotion:
     )
 
 
-def numbers_of(motions: Sequence[PrescribedMotion]) -> Floats:
+def motion_rows(motions: Sequence[PrescribedMotion]) -> Floats:
     """Numbers of motions, (n, 14), for `motion_in`."""
     rows = [[*m.centre, *m.velocity, *m.angular_velocity, *m.amplitude, *m[4:]] for m in motions]
     return np.array(rows, dtype=np.float64).reshape(len(rows), 14)
@@ -90,7 +90,7 @@ def poses_at(motions: Sequence[PrescribedMotion], t: float) -> Floats:
     return poses
 
 
-def farthest_way(
+def wall_displacement(
     motions: Sequence[PrescribedMotion], duration: float, reach: Sequence[float]
 ) -> float:
     """How far a point of a wall may move in a time [m], within a `reach` of each wall's centre."""
@@ -101,7 +101,9 @@ def farthest_way(
     return max(ways)
 
 
-def distances(motions: Sequence[PrescribedMotion], t: float, points: Floats) -> list[float]:
+def farthest_distances(
+    motions: Sequence[PrescribedMotion], t: float, points: Floats
+) -> list[float]:
     """From the centre of each wall to the farthest of the points (3, n), at most [m]."""
     lower, upper = points.min(axis=1), points.max(axis=1)
     found = []

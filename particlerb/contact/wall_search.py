@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel, lean
-from particlerb.contact.cell_grid import SpherePairs, sort_by_second, spread
+from particlerb.contact.cell_grid import PairList, sort_by_second, spread
 from particlerb.contact.neighbour_list import shell_of
 from particlerb.contact.walls import (
     DISC,
@@ -123,7 +123,7 @@ def find_candidates(
     points: Floats,
     reach: Floats,
     which: Ints,
-    pairs: SpherePairs,
+    pairs: PairList,
     is_counting: bool,
     first_unit: int,
     last_unit: int,
@@ -164,7 +164,7 @@ def find_wall_shells(
     points: Floats,
     radius: Floats,
     skin: float,
-    pairs: SpherePairs,
+    pairs: PairList,
     shell: Ints,
 ) -> None:
     """Write the shell of each pair of a sphere and a primitive: see `lists.order_contacts`."""
@@ -196,7 +196,7 @@ class WallSearch:
 
     def pairs(
         self, points: Floats, poses: Floats, skin: float, which: Ints | None = None
-    ) -> SpherePairs:
+    ) -> PairList:
         """Pairs of a sphere and a primitive that is nearer to its centre than r + skin.
 
         Parameters
@@ -220,15 +220,15 @@ class WallSearch:
         start = np.zeros(n + 1, dtype=np.int64)
         reach = self.radius + skin
         if not which.size or not walls.kind.size:
-            return SpherePairs(self.everyone[:0], self.everyone[:0], start)
+            return PairList(self.everyone[:0], self.everyone[:0], start)
         if reach.max() > self.reach:
             self.reach = float(reach.max())
             self.lists = lists_of(walls, self.reach, int(CELLS_PER_SPHERE * n))
-        pairs = SpherePairs(self.everyone[:0], self.everyone[:0], start)
+        pairs = PairList(self.everyone[:0], self.everyone[:0], start)
         self.visit(points, poses, reach, which, pairs, True)
         np.cumsum(start, out=start)
         first, second = np.empty((2, int(start[-1])), dtype=np.int64)
-        pairs = SpherePairs(first, second, start)
+        pairs = PairList(first, second, start)
         self.visit(points, poses, reach, which, pairs, False)
         spread(lambda lo, hi: sort_by_second(pairs, lo, hi), n)
         return pairs
@@ -239,7 +239,7 @@ class WallSearch:
         poses: Floats,
         reach: Floats,
         which: Ints,
-        pairs: SpherePairs,
+        pairs: PairList,
         is_counting: bool,
     ) -> None:
         """Count, or write, what is near the spheres."""
@@ -255,7 +255,7 @@ class WallSearch:
 
 def lists_of(walls: Walls, reach: float, more: int = 0) -> WallLists:
     """Lists for centres that may touch what is within reach [m]; more cells for many spheres."""
-    lower, upper = bounds_of(walls)
+    lower, upper = bounding_boxes(walls)
     n_walls = int(walls.wall.max(initial=-1)) + 1
     shape, origin = np.zeros((n_walls, 3), dtype=np.int64), np.zeros((n_walls, 3))
     width = np.ones(n_walls)
@@ -283,7 +283,7 @@ def lists_of(walls: Walls, reach: float, more: int = 0) -> WallLists:
     return lists
 
 
-def bounds_of(walls: Walls) -> tuple[Floats, Floats]:
+def bounding_boxes(walls: Walls) -> tuple[Floats, Floats]:
     """Opposite corners of the box around each primitive, (n_primitives, 3) [m]; not of planes."""
     kind, parameter, _, _ = walls
     a, b, c = parameter[:, :3], parameter[:, 3:6], parameter[:, 6:9]

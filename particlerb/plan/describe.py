@@ -97,10 +97,10 @@ def contact_line(case: Case, scene: System, plan: Plan) -> str:
     """What may touch, by which law, or why nothing touches."""
     found = [s.terms.contact for g in plan.groups for s in g.segments if s.terms.contact]
     if case.contact is not None and found:
-        spheres, walls = found[0].scene.spheres.radius.size, len(found[0].motions)
+        spheres, walls = found[0].model.spheres.radius.size, len(found[0].motions)
         what = f"{spheres} spheres and {walls} walls, {case.contact.law}"
-        if found[0].left_out:
-            what += f", {found[0].left_out} spheres inside that nothing can reach left out"
+        if found[0].n_interior:
+            what += f", {found[0].n_interior} spheres inside that nothing can reach left out"
         return f"on: {what}, pairs kept within {found[0].skin:.3g} m{flying(plan)}"
     if not scene.particles.radius.any():
         return "off: no particle has a radius"

@@ -19,7 +19,7 @@ from particlerb.contact.interior_spheres import outer_spheres
 from particlerb.contact.law import SHEAR_DAMPING, Law
 from particlerb.contact.pair_force import ContactModel, ContactSpheres, GroupContact
 from particlerb.contact.prescribed_motion import PrescribedBodies
-from particlerb.contact.wall_motion import numbers_of
+from particlerb.contact.wall_motion import motion_rows
 from particlerb.contact.wall_shapes import has_edges
 from particlerb.forces import Terms
 from particlerb.forces.attraction import Attraction
@@ -267,7 +267,7 @@ def contact_among(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
         drives_among(scene, members, touching),
     )  # fmt: skip
-    motions = numbers_of(touching.motions)
+    motions = motion_rows(touching.motions)
     is_shown = any(name in FIELDS_OF_CONTACT for name in case.output.fields)
     is_fixed, pistons = touching.skin is not None, touching.pistons
     left_out = int(may_touch.sum()) - owner.size
@@ -289,7 +289,7 @@ def drives_among(scene: System, members: Ints, touching: ContactSetup) -> Prescr
     bodies, state = scene.bodies, scene.state
     return PrescribedBodies(
         which,
-        numbers_of(motions),
+        motion_rows(motions),
         np.ascontiguousarray(state.com[:, own] - at_start.T),
         np.ascontiguousarray(state.q[:, own]),
         bodies.mass[own],

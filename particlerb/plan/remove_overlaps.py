@@ -13,7 +13,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case
 from particlerb.case.to_system import System, assemble
-from particlerb.contact.cell_grid import Search
+from particlerb.contact.cell_grid import SphereSearch
 from particlerb.contact.wall_motion import poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
@@ -64,7 +64,7 @@ def pushed_apart(case: Case, scene: System, contact: ContactSetup) -> Floats:
     spheres = spheres_of(scene, contact)
     place, radius, body = spheres
     com, moves = scene.state.com.copy(), ~contact.fixed
-    search, walls = Search(radius, body), WallSearch(contact.walls, radius)
+    search, walls = SphereSearch(radius, body), WallSearch(contact.walls, radius)
     poses = poses_at(contact.motions, 0.0)
     enough = max(LEFT * float(radius.min()), case.contact.overlap if case.contact else 0.0)
     deepest = np.inf

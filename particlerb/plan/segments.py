@@ -16,7 +16,7 @@ from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case, ImpulseTable
 from particlerb.case.to_system import System
-from particlerb.contact.contact_frequency import swing_at_start
+from particlerb.contact.contact_frequency import initial_contact_frequency
 from particlerb.contact.pair_force import ContactSpheres, GroupContact
 from particlerb.forces import Terms
 from particlerb.forces.attraction import Attraction, fastest_rates
@@ -349,7 +349,7 @@ def refuse_crowded(case: Case, scene: System, group: GroupPlan, reach: float) ->
     contact, state = segment.terms.contact, taken(scene.state, group.members)
     assert contact is not None
     depth = deepest_impact(contact, group.bodies, state, falling_speed(scene, segment.terms))
-    rate = swing_at_start(contact, state.com, state.q, depth)
+    rate = initial_contact_frequency(contact, state.com, state.q, depth)
     if segment.dt * rate > reach:
         reason = (
             f"the step of {segment.dt:.3g} s is above {reach / rate:.3g} s, where bodies like"
@@ -367,10 +367,10 @@ def refuse_crowded(case: Case, scene: System, group: GroupPlan, reach: float) ->
 
 def deepest_impact(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> float:
     """Deepest overlap [m] of an impact of the heaviest bodies of `hertz`; 0 for hooke."""
-    if contact.scene.law.hertz is None:
+    if contact.model.law.hertz is None:
         return 0.0
-    K = (4.0 / 3.0) * float(contact.scene.law.stiffness.max())
-    K *= math.sqrt(float(contact.scene.spheres.radius.max()))
+    K = (4.0 / 3.0) * float(contact.model.law.stiffness.max())
+    K *= math.sqrt(float(contact.model.spheres.radius.max()))
     moving = bodies.inv_mass[bodies.inv_mass > 0.0]
     speed = impact_speed(contact, bodies, state, fall)
     return float((1.25 * speed**2 / (K * 2.0 * moving.min(initial=np.inf))) ** 0.4)
@@ -380,7 +380,7 @@ def impact_speed(contact: GroupContact, bodies: Bodies, state: State, fall: floa
     """Speed [m/s] with which two may meet, by those at t = 0 and by falling."""
     speed = np.linalg.norm(state.p * bodies.inv_mass, axis=0)
     spin = np.linalg.norm(omega_world(bodies, state), axis=0)
-    return 2.0 * float((speed + spin * contact.reach).max()) + fall
+    return 2.0 * float((speed + spin * contact.max_arm).max()) + fall
 
 
 def damped_share(contact: GroupContact) -> float:
@@ -388,7 +388,7 @@ def damped_share(contact: GroupContact) -> float:
 
     A dashpot that acts on the velocity carried on to the kick: ω h < √(16 ζ² + 4) - 4 ζ.
     """
-    ratio = float(contact.scene.law.damping_ratio.max(initial=0.0))
+    ratio = float(contact.model.law.damping_ratio.max(initial=0.0))
     return 2.0 / (math.hypot(4.0 * ratio, 2.0) + 4.0 * ratio)
 
 
@@ -466,7 +466,7 @@ def contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: flo
     or reached by falling. Of a wall 1/M is 0, or that of its piston; the other body is the softest
     one of each material.
     """
-    scene, law = contact.scene, contact.scene.law
+    scene, law = contact.model, contact.model.law
     softness = bodies.inv_mass + softest_turning(scene.spheres, bodies.inv_inertia)
     own = np.full(softness.size, -1)
     own[scene.spheres.body] = scene.spheres.material
@@ -502,7 +502,7 @@ def softest_turning(spheres: ContactSpheres, inv_inertia: Floats) -> Floats:
 
 def softest_partners(contact: GroupContact, softness: Floats, material: Ints) -> Floats:
     """Largest 1/m_eff [1/kg] of what each body may meet of each material; -inf: nothing, (n, k)."""
-    scene, walls = contact.scene, contact.scene.walls
+    scene, walls = contact.model, contact.model.walls
     partner = np.full((softness.size, len(scene.pair_of)), -np.inf)
     for code in np.unique(material[material >= 0]).tolist():
         those = np.flatnonzero(material == code)

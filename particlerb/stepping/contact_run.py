@@ -17,18 +17,23 @@ import numpy as np
 
 from particlerb.compiled.barrier import ALONE, Team, largest, meet, share_of, together
 from particlerb.compiled.jit import inline, kernel, kernel_from
-from particlerb.contact.cell_grid import Search
-from particlerb.contact.contact_frequency import fastest_swing
-from particlerb.contact.contact_output import ContactOutput, moved, rows_of, touches_of
-from particlerb.contact.missed_pairs import Missed, Watch, WatchedBodies, bounds_of, swing_of
+from particlerb.contact.cell_grid import SphereSearch
+from particlerb.contact.contact_frequency import contact_frequency
+from particlerb.contact.contact_output import (
+    ContactOutput,
+    contact_output,
+    contact_rows,
+    wall_centres,
+)
+from particlerb.contact.missed_pairs import Missed, Watch, WatchedBodies, bounding_radii, peak_speed
 from particlerb.contact.neighbour_list import (
-    EDGES,
-    SHELLS,
+    N_SHELLS,
+    SHELL_GAPS,
     ContactHistory,
     find_shells,
     incidence,
+    max_displacement,
     order_contacts,
-    way_of,
 )
 from particlerb.contact.pair_force import (
     AT,
@@ -42,15 +47,15 @@ from particlerb.contact.pair_force import (
     GroupContact,
     NeighbourLists,
     Workspace,
-    collect,
+    collect_loads,
     done_columns,
-    fastest,
-    nothing_kept,
+    empty_history,
+    load_pistons,
+    max_speeds,
     place_bodies,
-    press,
     put_poses,
+    sphere_contact_forces,
     stored_energy,
-    touch_spheres,
 )
 from particlerb.contact.piston import (
     BOOKED,
@@ -61,16 +66,20 @@ from particlerb.contact.piston import (
     SPEED,
     THEN,
     Pistons,
-    energies_of,
-    have_slid,
+    drift_pistons,
+    initial_piston_state,
     kick_pistons,
-    put_pistons,
-    slide_pistons,
-    slides_of,
+    piston_energies,
+    pistons_have_moved,
+    place_pistons,
 )
-from particlerb.contact.prescribed_motion import PrescribedBodies, driven_pose, momenta
-from particlerb.contact.wall_contacts import SPOT, touch_walls
-from particlerb.contact.wall_motion import distances, farthest_way, motion_in
+from particlerb.contact.prescribed_motion import (
+    PrescribedBodies,
+    prescribed_momenta,
+    prescribed_pose,
+)
+from particlerb.contact.wall_contacts import SPOT, wall_contact_forces
+from particlerb.contact.wall_motion import farthest_distances, motion_in, wall_displacement
 from particlerb.contact.wall_search import WallSearch, find_wall_shells
 from particlerb.forces import FORCE as STEADY
 from particlerb.forces import PAIR, Acting, acting_of
@@ -164,17 +173,17 @@ def place_blocks(
     first, end = share_of(team, 0, len(blocks))
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
-        put_driven(contact.scene.drives, memory.start + time, False, rows, lo, n)
-        way = max(way, farthest(memory.then, rows, contact.reach, lo, n))
-        place_bodies(contact.scene, room, rows, memory.last, ahead, lo, n)
-        speeds = fastest(room.bodies, lo, lo + n)
+        put_driven(contact.model.prescribed, memory.start + time, False, rows, lo, n)
+        way = max(way, farthest(memory.then, rows, contact.max_arm, lo, n))
+        place_bodies(contact.model, room, rows, memory.last, ahead, lo, n)
+        speeds = max_speeds(room.bodies, lo, lo + n)
         v, w = max(v, speeds[0]), max(w, speeds[1])
         if others is not None:
             gather_block(rows, y, lo, n)
     if team.rank == 0:
         put_poses(contact.motions, memory.start + time, room.poses)
-        put_pistons(contact.pistons, memory.slides, ahead, room.poses)
-        if have_slid(contact.pistons, memory.slides, allowance):
+        place_pistons(contact.pistons, memory.slides, ahead, room.poses)
+        if pistons_have_moved(contact.pistons, memory.slides, allowance):
             way = np.inf
     return largest(team, way, v, w)
 
@@ -190,7 +199,7 @@ def reach_of(
     lists: NeighbourLists, way: float, v: float, w: float, before: float, after: float
 ) -> float:
     """How far a point of a body has come since the lists were made, or comes about now [m]."""
-    return way + max(before, after) * (v + 4.0 * w * lists.lever)
+    return way + max(before, after) * (v + 4.0 * w * lists.max_contact_arm)
 
 
 @inline
@@ -203,9 +212,9 @@ def put_driven(
     for k in range(drives.which.size):
         slot = drives.which[k] - lo
         if 0 <= slot < n:
-            x, q, v, omega = driven_pose(drives, k, t)
+            x, q, v, omega = prescribed_pose(drives, k, t)
             if with_momenta:
-                v, omega = momenta(drives, k, q, v, omega)
+                v, omega = prescribed_momenta(drives, k, q, v, omega)
             put3(rows, COM, slot, x)
             put4(rows, Q, slot, q)
             put3(rows, P, slot, v)
@@ -222,7 +231,7 @@ def farthest(then: Floats, rows: Floats, reach: Floats, lo: int, n: int) -> floa
             (then[0, b], then[1, b], then[2, b]),
             (then[3, b], then[4, b], then[5, b], then[6, b]),
         )
-        moved = way_of(x, q, get3(rows, COM, k), get4(rows, Q, k), reach[b])
+        moved = max_displacement(x, q, get3(rows, COM, k), get4(rows, Q, k), reach[b])
         way = max(way, moved if moved < np.inf else np.inf)  # what is not a number has moved too
     return way
 
@@ -240,17 +249,17 @@ def touch(
     team: Team,
 ) -> None:
     """Find the forces of contacts in shells that have come into reach, each shared out equally."""
-    scene, spheres, walls, skin = contact.scene, lists.spheres, lists.walls, contact.skin
+    scene, spheres, walls, skin = contact.model, lists.spheres, lists.walls, contact.skin
     end_spheres, end_walls = 0, 0
-    for s in range(SHELLS):
-        if EDGES[s] * skin <= 2.0 * reached:  # both may come
-            first, end = share_of(team, end_spheres, spheres.ends[s])
-            touch_spheres(scene, room, spheres, before, after, v, w, first, end, team.rank)
-        if EDGES[s] * skin <= reached:
-            first, end = share_of(team, end_walls, walls.ends[s])
-            bounds = end_walls, first, end, walls.ends[s]
-            touch_walls(scene, room, walls, before, after, bounds, team.rank)
-        end_spheres, end_walls = spheres.ends[s], walls.ends[s]
+    for s in range(N_SHELLS):
+        if SHELL_GAPS[s] * skin <= 2.0 * reached:  # both may come
+            first, end = share_of(team, end_spheres, spheres.shell_ends[s])
+            sphere_contact_forces(scene, room, spheres, before, after, v, w, first, end, team.rank)
+        if SHELL_GAPS[s] * skin <= reached:
+            first, end = share_of(team, end_walls, walls.shell_ends[s])
+            bounds = end_walls, first, end, walls.shell_ends[s]
+            wall_contact_forces(scene, room, walls, before, after, bounds, team.rank)
+        end_spheres, end_walls = spheres.shell_ends[s], walls.shell_ends[s]
 
 
 @kernel
@@ -275,7 +284,7 @@ def load_blocks(
                 put(rows, PAIR + c, b, 0.0)
         if others is not None:
             scatter_block(load, rows, PAIR, 0, lo, n)
-        collect(scene, room, lists, rows, PAIR, STEADY, lo, n, later, span)
+        collect_loads(scene, room, lists, rows, PAIR, STEADY, lo, n, later, span)
 
 
 @kernel
@@ -306,8 +315,8 @@ def save(
     for k in range(first, end):
         copy_changing(blocks[k], saved.blocks[k], layout.size[k])
     copy_rows(memory.last, saved.last, team)
-    copy_rows(lists.spheres.kept, saved.spheres, team)
-    copy_rows(lists.walls.kept, saved.walls, team)
+    copy_rows(lists.spheres.history, saved.spheres, team)
+    copy_rows(lists.walls.history, saved.walls, team)
     if team.rank == 0:
         saved.slides[:] = memory.slides
     meet(team)
@@ -328,8 +337,8 @@ def restore(
     for k in range(first, end):
         copy_changing(saved.blocks[k], blocks[k], layout.size[k])
     copy_rows(saved.last, memory.last, team)
-    copy_rows(saved.spheres, lists.spheres.kept, team)
-    copy_rows(saved.walls, lists.walls.kept, team)
+    copy_rows(saved.spheres, lists.spheres.history, team)
+    copy_rows(saved.walls, lists.walls.history, team)
     if team.rank == 0:
         memory.slides[:] = saved.slides
     recall(lists.spheres, team)
@@ -349,9 +358,9 @@ def copy_rows(source: Floats, target: Floats, team: Team) -> None:
 @inline
 def recall(contacts: ContactList, team: Team) -> None:
     """Let contacts that keep something act, so that they forget it where they have ended."""
-    first, end = share_of(team, 0, contacts.acts.size)
+    first, end = share_of(team, 0, contacts.active.size)
     for c in range(first, end):
-        contacts.acts[c] = contacts.acts[c] or contacts.kept[c, SOFTNESS] > 0.0
+        contacts.active[c] = contacts.active[c] or contacts.history[c, SOFTNESS] > 0.0
 
 
 # The loop
@@ -433,12 +442,12 @@ def advance_touching(  # noqa: PLR0912, PLR0915
                 kick, later = is_open + EDGE * h, h - before
                 span = kick if i < steps[s] else 0.0
                 load_blocks(
-                    blocks, layout, others, load, contact.scene, room, lists, later, span, team
+                    blocks, layout, others, load, contact.model, room, lists, later, span, team
                 )
                 if team.rank == 0:
-                    press(pistons, slides, lists.walls, contact.scene, later)
+                    load_pistons(pistons, slides, lists.walls, contact.model, later)
                     kick_pistons(pistons, slides, is_open, EDGE * h, True)
-                    slide_pistons(pistons, slides, h)
+                    drift_pistons(pistons, slides, h)
                 move_blocks(blocks, layout, acting, books, 0, kick, h, first, end)
                 is_open = EDGE * h
                 time += dt if i < steps[s] else 0.0
@@ -454,17 +463,17 @@ def advance_touching(  # noqa: PLR0912, PLR0915
             touch(contact, room, lists, before, 0.0, v, w, reached, team)
             meet(team)
             load_blocks(
-                blocks, layout, others, load, contact.scene, room, lists, -before, 0.0, team
+                blocks, layout, others, load, contact.model, room, lists, -before, 0.0, team
             )
             close_blocks(blocks, layout, acting, books, is_open, first, end)
             if team.rank == 0:
-                press(pistons, slides, lists.walls, contact.scene, -before)
+                load_pistons(pistons, slides, lists.walls, contact.model, -before)
                 kick_pistons(pistons, slides, is_open, 0.0, False)
         if frame[s] != PAUSE:
             for k in range(first, end):
                 t = memory.start + now
                 lo, n = layout.first[k], layout.size[k]
-                put_driven(contact.scene.drives, t, True, blocks[k], lo, n)
+                put_driven(contact.model.prescribed, t, True, blocks[k], lo, n)
         if frame[s] >= 0:
             if team.rank == 0:
                 elastic[frame[s]] = stored_energy(lists.spheres) + stored_energy(lists.walls)
@@ -582,37 +591,37 @@ class TouchingMotion(CoupledMotion):
     ) -> None:
         contact = group.terms.contact
         assert contact is not None
-        spheres = contact.scene.spheres
+        spheres = contact.model.spheres
         n, n_spheres = group.members.size, spheres.radius.size
         cost += NANOSECONDS_PER_SPHERE * n_spheres / n
         self.to_make, self.to_step = TO_MAKE + TO_MAKE_SPHERE * n_spheres, cost * n  # [ns]
         super().__init__(stages, cost, group, state, start, dt)
         self.kernels, self.contact = kernels, contact
-        self.search = Search(spheres.radius, spheres.body)
+        self.search = SphereSearch(spheres.radius, spheres.body)
         self.radius = np.full(n, np.inf)
         np.minimum.at(self.radius, spheres.body, spheres.radius)
-        self.walls = WallSearch(contact.scene.walls, spheres.radius)
+        self.walls = WallSearch(contact.model.walls, spheres.radius)
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         room = np.zeros((len(self.motions), POSE))
         place, bodies = np.zeros((n_spheres, 4)), np.zeros((n, BODY_COLUMNS))
         self.room = Workspace(place, room, bodies, np.zeros((len(self.blocks), 3)), np.zeros(n))
         y = np.vstack(state)
-        slides = slides_of(contact.pistons)
+        slides = initial_piston_state(contact.pistons)
         self.memory = StepMemory(y[7:].copy(), y[:7].copy(), start, np.inf, slides)
         self.place = LoopPosition(0, 0, 0.0, 0.0, 0.0)
-        self.bound = bounds_of(spheres, n)
-        corners = np.abs(contact.scene.walls.parameter[:, :3]).max(initial=0.0)
+        self.bound = bounding_radii(spheres, n)
+        corners = np.abs(contact.model.walls.parameter[:, :3]).max(initial=0.0)
         self.extent = math.sqrt(3.0) * float(corners) + float(spheres.radius.max())
         self.watch = watch or Watch()
-        self.lever = float((contact.reach + 2.0 * spheres.radius.max()).max())
+        self.lever = float((contact.max_arm + 2.0 * spheres.radius.max()).max())
         self.rooms: dict[str, Floats] = {}
         self.origin, self.farthest = y[:3].copy(), 0.0  # [m] way of a body so far, at new lists
         self.least_skin, self.made = contact.skin, 0.0
         self.swing, self.count = 0.0, 0  # [rad/s] fastest on all contacts that was seen; lists
         self.looks = numbers is None  # who steps some of more bodies looks at these itself
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
-        self.primitives = np.arange(contact.scene.walls.kind.size)
-        self.kept = kept or (nothing_kept(contact.scene.law),) * 2
+        self.primitives = np.arange(contact.model.walls.kind.size)
+        self.kept = kept or (empty_history(contact.model.law),) * 2
         terms = group.terms
         self.others = None if terms.links is None and terms.attraction is None else 1
         is_worth_it = NANOSECONDS_PER_SPHERE * n_spheres > WORTH_THREADS
@@ -623,8 +632,8 @@ class TouchingMotion(CoupledMotion):
         self.touches: dict[int, ContactOutput] = {}  # in its frames, where they are asked for
         self.slides = np.zeros((0, len(slides), SLIDE))  # of pistons in its frames
         self.kinetic = np.zeros(0)  # [J] energy of pistons in its frames
-        self.at_rest = energies_of(contact.pistons, slides)[0]  # [J] the same at the start
-        self.elastic += energies_of(contact.pistons, slides)[1]
+        self.at_rest = piston_energies(contact.pistons, slides)[0]  # [J] the same at the start
+        self.elastic += piston_energies(contact.pistons, slides)[1]
 
     def make_lists(self) -> None:
         """Pairs that may touch until a body has moved by half the skin."""
@@ -632,14 +641,14 @@ class TouchingMotion(CoupledMotion):
         self.made = self.place.time
         self.put_places(0.0)
         self.keep_watch(steps)
-        points = np.ascontiguousarray(self.room.place[:, :3].T)
-        reach = distances(self.motions, self.memory.start + self.place.time, points)
+        points = np.ascontiguousarray(self.room.xyzr[:, :3].T)
+        reach = farthest_distances(self.motions, self.memory.start + self.place.time, points)
         self.fit_skin(steps, reach)
         contact, y = self.contact, self.values(0, 13)
         if self.looks and self.count > 0 and is_due(self.count):
             self.look(y)
         self.count += 1
-        scene, n = contact.scene, y.shape[1]
+        scene, n = contact.model, y.shape[1]
         self.memory.then[:] = y[:7]
         self.memory.slides[:, THEN] = self.memory.slides[:, PLACE]
         way = np.sqrt(((y[:3] - self.origin) ** 2).sum(axis=0)).max()
@@ -651,7 +660,7 @@ class TouchingMotion(CoupledMotion):
         near = self.walls.pairs(points, self.room.poses, contact.skin + way)
         body, pairs = scene.spheres.body, (first, second)
         shell = np.empty(first.size, dtype=np.int64)
-        find_shells(pairs, self.room.place, contact.skin, shell)
+        find_shells(pairs, self.room.xyzr, contact.skin, shell)
         spheres = self.contacts(0, pairs, (self.numbers, self.numbers), shell)
         shell = np.zeros(near.first.size, dtype=np.int64)
         if way == 0.0:  # walls that move may come at once
@@ -668,9 +677,9 @@ class TouchingMotion(CoupledMotion):
     def look(self, y: Floats) -> None:
         """See how fast the bodies swing on all their contacts."""
         lists = self.lists.spheres, self.lists.walls
-        found = fastest_swing(self.contact.scene, y[:3], y[3:7], *lists)
+        found = contact_frequency(self.contact.model, y[:3], y[3:7], *lists)
         self.swing = max(self.swing, found)
-        if found * self.dt > STABLE and not self.contact.is_forced:
+        if found * self.dt > STABLE and not self.contact.allow_unstable:
             raise MotionError(
                 f"at t = {self.memory.start + self.place.time:.6g} s bodies swing on all their"
                 f" contacts together with {found:.3g} rad/s: a step of {self.dt:.3g} s is above"
@@ -682,18 +691,18 @@ class TouchingMotion(CoupledMotion):
     def keep_watch(self, steps: int) -> None:
         """Raise MotionError where something overlaps and no contact has acted; now and then."""
         contact, n, time = self.contact, self.bound.size, self.memory.start + self.place.time
-        n_primitives = contact.scene.walls.kind.size
+        n_primitives = contact.model.walls.kind.size
         work = self.to_make + steps * self.to_step
         if steps <= 0 or not self.watch.is_due(n, n_primitives, work):
             return
-        rows, drives, still = self.room.bodies, contact.scene.drives, np.zeros(n)
+        rows, drives, still = self.room.bodies, contact.model.prescribed, np.zeros(n)
         if drives is not None:
             ways = [
-                swing_of(motion_in(drives.motions, k), self.dt) for k in range(drives.which.size)
+                peak_speed(motion_in(drives.motions, k), self.dt) for k in range(drives.which.size)
             ]
             still[drives.which] = ways
         bodies = WatchedBodies(
-            self.room.place,
+            self.room.xyzr,
             np.ascontiguousarray(rows[:, AT : AT + 3].T),
             np.ascontiguousarray(rows[:, VELOCITY : VELOCITY + 3].T),
             np.ascontiguousarray(rows[:, TURNING]),
@@ -701,8 +710,8 @@ class TouchingMotion(CoupledMotion):
             still,
             np.zeros(n, dtype=np.bool_),
         )
-        swings = np.array([swing_of(motion, self.dt) for motion in self.motions])
-        found = self.watch.look(contact.scene, self.lists, bodies, self.room.poses, swings, self.dt)
+        swings = np.array([peak_speed(motion, self.dt) for motion in self.motions])
+        found = self.watch.look(contact.model, self.lists, bodies, self.room.poses, swings, self.dt)
         if found.depth > 0.0:
             raise MotionError(lost_pair(found, self.group.members, time, contact.skin))
 
@@ -713,24 +722,26 @@ class TouchingMotion(CoupledMotion):
         never beyond what holds all pairs of the scene. All of it follows from counts.
         """
         skin = self.contact.skin
-        if steps > 0 and not self.contact.is_fixed:
+        if steps > 0 and not self.contact.is_skin_fixed:
             n_pairs = self.lists.spheres.first.size + self.lists.walls.first.size
             to_use = TO_USE * n_pairs * steps
             has_moved = self.place.time < self.memory.until
-            has_moved = has_moved or farthest_way(self.motions, 2 * steps * self.dt, reach) > skin
+            has_moved = (
+                has_moved or wall_displacement(self.motions, 2 * steps * self.dt, reach) > skin
+            )
             is_worth_it = self.to_make > WORTH * steps * self.to_step
             if self.to_make <= to_use:
                 skin = max(skin / WIDEN, self.least_skin)
             elif has_moved and is_worth_it and steps < LONGEST:
                 skin *= WIDEN
-        places = self.room.place[:, :3], self.room.poses[:, :3]
+        places = self.room.xyzr[:, :3], self.room.poses[:, :3]
         farthest = sum(float(np.abs(x).max(initial=0.0)) for x in places)
         widest = WIDEST * 2.0 * (math.sqrt(3.0) * farthest + self.extent)
         self.contact = self.contact._replace(skin=min(skin, widest))
 
     def refuse_tunnelling(self, y: Floats) -> None:
         """Raise MotionError where a body moves by more than its own radius in a step."""
-        inverse = self.contact.scene.inv_mass  # held bodies have velocities in place of momenta
+        inverse = self.contact.model.inv_mass  # held bodies have velocities in place of momenta
         speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * np.where(inverse > 0.0, inverse, 1.0)
         fast = np.flatnonzero(speed * self.dt > self.radius)
         if fast.size:
@@ -745,7 +756,7 @@ class TouchingMotion(CoupledMotion):
 
     def refuse_light_pistons(self) -> None:
         """Raise MotionError where a step is too long for a piston on all that it presses."""
-        pistons, scene = self.contact.pistons, self.contact.scene
+        pistons, scene = self.contact.pistons, self.contact.model
         if pistons is None:
             return
         stiffness = self.memory.slides[:, MOST] * float(scene.law.stiffness.max())
@@ -762,7 +773,7 @@ class TouchingMotion(CoupledMotion):
 
     def refuse_deep(self) -> None:
         """Raise MotionError where a body lies so deep that it may come out on the other side."""
-        deepest = max(self.room.deep.tolist(), key=lambda row: (row[0], -row[2]))
+        deepest = max(self.room.deepest.tolist(), key=lambda row: (row[0], -row[2]))
         depth, radius, body = deepest  # the same for any number of threads
         if depth > 0.0:
             raise MotionError(
@@ -782,20 +793,22 @@ class TouchingMotion(CoupledMotion):
         if not any(any(row[3:]) for row in self.contact.motions.tolist()):
             return LONGEST * self.dt, sliding
         reach = [far + skin for far in reach]  # as bodies move
-        while steps > 1 and farthest_way(self.motions, steps * self.dt, reach) > skin:
+        while steps > 1 and wall_displacement(self.motions, steps * self.dt, reach) > skin:
             steps //= 2
-        return steps * self.dt, farthest_way(self.motions, (steps + 1) * self.dt, reach) + sliding
+        return steps * self.dt, wall_displacement(
+            self.motions, (steps + 1) * self.dt, reach
+        ) + sliding
 
     def contacts(
         self, which: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], shell: Ints
     ) -> ContactList:
         """New contacts of spheres, or of walls, with what those of the old list keep."""
-        m, old, law = pairs[0].size, self.kept[which], self.contact.scene.law
+        m, old, law = pairs[0].size, self.kept[which], self.contact.model.law
         keys, rows = np.empty((2, m), dtype=np.int64)
         values = self.floats(f"kept {which}, {self.count % 2}", m, old.values.shape[1])
-        new, ends = ContactHistory(keys, rows, values), np.empty(SHELLS, dtype=np.int64)
+        new, ends = ContactHistory(keys, rows, values), np.empty(N_SHELLS, dtype=np.int64)
         first, second = np.empty((2, m), dtype=np.int32)
-        wall = self.contact.scene.walls.wall if which == 1 else self.numbers[:0]
+        wall = self.contact.model.walls.wall if which == 1 else self.numbers[:0]
         order_contacts(pairs, numbers, wall, shell, old, new, first, second, ends)
         self.kept = (new, self.kept[1]) if which == 0 else (self.kept[0], new)
         columns = done_columns(law) + (SPOT if which == 1 else 0)
@@ -818,7 +831,7 @@ class TouchingMotion(CoupledMotion):
             saved |= {f"keys.{k}": keys.copy(), f"rows.{k}": rows.copy()}
         way = np.array([self.farthest, self.made, self.contact.skin])
         saved |= {
-            "turnover": self.room.turnover.copy(),
+            "turnover": self.room.gross_work.copy(),
             "looks": np.array([self.swing, self.count]),
             "watch": self.watch.saved(),
         }
@@ -830,13 +843,13 @@ class TouchingMotion(CoupledMotion):
         self.memory = filled(self.memory, within("memory", saved))
         self.place = filled(self.place, within("place", saved))
         self.lists = filled(self.lists, within("lists", saved))
-        spheres, walls = self.lists.spheres.kept, self.lists.walls.kept
+        spheres, walls = self.lists.spheres.history, self.lists.walls.history
         self.kept = (
             ContactHistory(saved["keys.0"], saved["rows.0"], spheres),
             ContactHistory(saved["keys.1"], saved["rows.1"], walls),
         )
         self.origin = saved["origin"]
-        self.room.turnover[:] = saved["turnover"]
+        self.room.gross_work[:] = saved["turnover"]
         self.swing, self.count = float(saved["looks"][0]), int(saved["looks"][1])
         self.watch.restore(saved["watch"])
         self.farthest, self.made, skin = saved["way"].tolist()
@@ -844,15 +857,15 @@ class TouchingMotion(CoupledMotion):
 
     def turned_over(self) -> float:
         """Gross work of contacts without potential, and of walls, since the start [J]."""
-        return float(self.room.turnover.sum())
+        return float(self.room.gross_work.sum())
 
     def energy(self) -> float:
         """Elastic energy at the start [J]."""
         lists = self.lists
-        kept = lists.spheres.kept.copy(), lists.walls.kept.copy()
+        kept = lists.spheres.history.copy(), lists.walls.history.copy()
         _, v, w = self.put_places(0.0)
         touch(self.contact, self.room, lists, 0.0, 0.0, v, w, np.inf, ALONE)
-        lists.spheres.kept[:], lists.walls.kept[:] = kept
+        lists.spheres.history[:], lists.walls.history[:] = kept
         return float(stored_energy(lists.spheres) + stored_energy(lists.walls))
 
     def put_places(self, ahead: float) -> tuple[float, float, float]:
@@ -870,7 +883,7 @@ class TouchingMotion(CoupledMotion):
         booked = super().record(times, rows, frames)
         if pistons is not None:
             for k, row in enumerate(rows.tolist()):
-                kinetic, potential = energies_of(pistons, self.slides[row])
+                kinetic, potential = piston_energies(pistons, self.slides[row])
                 self.kinetic[row], self.energies[row] = kinetic, self.energies[row] + potential
                 booked[k, 0] += self.slides[row, :, BOOKED].sum()
         return booked
@@ -891,7 +904,7 @@ class TouchingMotion(CoupledMotion):
     def run(self, schedule: Schedule, count: int, frames: Frames, sums: Floats) -> None:
         """Go through a schedule; stop at each frame if it is to show who touches whom."""
         del count
-        if not self.contact.is_shown:
+        if not self.contact.with_output:
             self.run_through(schedule, frames, sums)
             return
         for stop in one_by_one(schedule):
@@ -902,17 +915,17 @@ class TouchingMotion(CoupledMotion):
 
     def seen(self, slides: Floats) -> ContactOutput:
         """Contacts of the frame that was written last: its closing evaluation is still there."""
-        lists, scene, room = self.lists, self.contact.scene, self.room
+        lists, scene, room = self.lists, self.contact.model, self.room
         found = [
-            rows_of(contacts, scene, room, self.group.members, self.numbers, are_walls)
+            contact_rows(contacts, scene, room, self.group.members, self.numbers, are_walls)
             for contacts, are_walls in ((lists.spheres, False), (lists.walls, True))
         ]
         centre = np.array([motion.centre for motion in self.motions]).reshape(-1, 3)
-        centre, velocity = moved(centre, room.poses)
+        centre, velocity = wall_centres(centre, room.poses)
         if (pistons := self.contact.pistons) is not None:  # contacts saw a velocity carried on
             ahead = slides[:, SPEED] - slides[:, SEEN]
             velocity[pistons.wall] += ahead[:, None] * pistons.axis
-        return touches_of(found, centre, velocity)
+        return contact_output(found, centre, velocity)
 
     def run_through(self, schedule: Schedule, frames: Frames, sums: Floats) -> None:
         """Go through a schedule, with new lists where they are used up."""
@@ -922,7 +935,7 @@ class TouchingMotion(CoupledMotion):
         )
         pairs = self.forces.for_python if is_large else self.forces.pairs
         while True:
-            kept = self.lists.spheres.kept, self.lists.walls.kept, self.memory.slides
+            kept = self.lists.spheres.history, self.lists.walls.history, self.memory.slides
             saved = Copies(self.saved, np.empty_like(self.memory.last), *map(np.empty_like, kept))
             through = partial(
                 advance, self.blocks, self.layout, acting_of(group.terms), self.account.books,

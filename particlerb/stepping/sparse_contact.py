@@ -16,18 +16,23 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from particlerb.contact.cell_grid import Search
-from particlerb.contact.contact_output import ContactOutput, nothing_touches
+from particlerb.contact.cell_grid import SphereSearch
+from particlerb.contact.contact_output import ContactOutput, no_contacts
 from particlerb.contact.missed_pairs import (
     Watch,
     WatchedBodies,
-    acting_nowhere,
-    bounds_of,
-    swing_of,
+    all_inactive,
+    bounding_radii,
+    peak_speed,
 )
 from particlerb.contact.neighbour_list import ContactHistory, has_moved
 from particlerb.contact.pair_force import GroupContact
-from particlerb.contact.wall_motion import distances, farthest_way, motion_in, poses_at
+from particlerb.contact.wall_motion import (
+    farthest_distances,
+    motion_in,
+    poses_at,
+    wall_displacement,
+)
 from particlerb.contact.wall_search import WallSearch
 from particlerb.forces import Terms, terms_on
 from particlerb.integrators.exact import FreeMotion
@@ -59,7 +64,7 @@ def can_fly(terms: Terms, n: int) -> bool:
         terms.links, terms.attraction,
     )  # fmt: skip
     contact = terms.contact
-    is_moved = contact is not None and (contact.pistons or contact.scene.drives) is not None
+    is_moved = contact is not None and (contact.pistons or contact.model.prescribed) is not None
     return n >= LEAST_BODIES and not is_moved and all(term is None for term in others)
 
 
@@ -138,15 +143,15 @@ class DiluteMotion:
         self.kernels, self.stages, self.cost = kernels, stages, cost
         self.group, self.contact, self.start, self.dt = group, contact, start, dt
         self.skin = 2.0 * contact.skin
-        spheres, n = contact.scene.spheres, group.members.size
-        self.bound = bounds_of(spheres, n)
+        spheres, n = contact.model.spheres, group.members.size
+        self.bound = bounding_radii(spheres, n)
         self.watch, self.watch_of_flights = Watch(), Watch()
-        self.bodies = Search(self.bound, np.arange(n))
-        self.walls = WallSearch(contact.scene.walls, self.bound)
+        self.bodies = SphereSearch(self.bound, np.arange(n))
+        self.walls = WallSearch(contact.model.walls, self.bound)
         self.no_reach = np.zeros(n)  # a sphere around a body does not move when it turns
         self.wall_motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         whole = TouchingMotion(kernels, stages, cost, group, state, start, dt)
-        self.nothing = acting_nowhere(whole.lists)
+        self.nothing = all_inactive(whole.lists)
         self.elastic, self.energies = whole.elastic, np.zeros(0)
         self.at_rest, self.kinetic = 0.0, np.zeros(0)  # [J] of pistons, of which there are none
         self.touches: dict[int, ContactOutput] = {}
@@ -166,7 +171,7 @@ class DiluteMotion:
     def part(self, which: Ints) -> tuple[Group, Ints]:
         """Some bodies of the group, ascending, and the numbers of their spheres."""
         contact, group = self.contact, self.group
-        scene = contact.scene
+        scene = contact.model
         own = np.flatnonzero(np.isin(scene.spheres.body, which))
         number = np.full(group.members.size, -1)
         number[which] = np.arange(which.size)
@@ -182,7 +187,7 @@ class DiluteMotion:
         touchable = scene._replace(
             spheres=spheres, inv_mass=scene.inv_mass[which], inv_inertia=inertia
         )
-        part = GroupContact(touchable, contact.motions, contact.reach[which], *contact[3:])
+        part = GroupContact(touchable, contact.motions, contact.max_arm[which], *contact[3:])
         terms = terms_on(group.terms._replace(contact=None), which)._replace(contact=part)
         return Group(group.members[which], taken(group.bodies, which), terms), own
 
@@ -194,7 +199,7 @@ class DiluteMotion:
         """Steps of the next interval, by the speeds of now."""
         contact, gravity = self.contact, self.group.terms.gravity
         y = np.vstack(self.state)
-        speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * contact.scene.inv_mass
+        speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * contact.model.inv_mass
         v = float(speed.max())
         g = 0.0 if gravity is None else float(np.linalg.norm(gravity.acceleration))
         way = PRUDENCE * 0.5 * self.skin
@@ -242,8 +247,8 @@ class DiluteMotion:
         first, second, _ = self.bodies.pairs(com, self.skin)
         now = self.time(self.done)
         poses = poses_at(self.wall_motions, now)
-        reach = [far + self.skin for far in distances(self.wall_motions, now, com)]
-        way = farthest_way(self.wall_motions, (steps + 1) * self.dt, reach)
+        reach = [far + self.skin for far in farthest_distances(self.wall_motions, now, com)]
+        way = wall_displacement(self.wall_motions, (steps + 1) * self.dt, reach)
         touched, _, _ = self.walls.pairs(com, poses, self.skin + way)
         found = np.zeros(self.bound.size, dtype=np.bool_)
         for own in (first, second, touched):
@@ -273,7 +278,7 @@ class DiluteMotion:
 
     def keep_watch(self) -> None:
         """Raise MotionError where one that has flown overlaps something; now and then."""
-        scene, n, now = self.contact.scene, self.active.size, self.time(self.done)
+        scene, n, now = self.contact.model, self.active.size, self.time(self.done)
         work = self.cost * (TO_BEGIN * n + self.steps * float(self.active.sum()))
         if not self.watch_of_flights.is_due(n, scene.walls.kind.size, work):
             return
@@ -290,7 +295,7 @@ class DiluteMotion:
             self.active,
         )
         poses = poses_at(self.wall_motions, now)
-        swings = np.array([swing_of(motion, self.dt) for motion in self.wall_motions])
+        swings = np.array([peak_speed(motion, self.dt) for motion in self.wall_motions])
         found = self.watch_of_flights.look(scene, self.nothing, bodies, poses, swings, self.dt)
         if found.depth > 0.0:
             raise MotionError(lost_pair(found, self.group.members, now, self.skin))
@@ -323,12 +328,12 @@ class DiluteMotion:
 
     def touches_in(self, times: Floats, rows: Ints) -> dict[int, ContactOutput]:
         """Contacts in frames of the interval that is shown, where they are asked for."""
-        if not self.contact.is_shown or self.shown is None:
+        if not self.contact.with_output or self.shown is None:
             return {}
         if self.shown.touching is not None:
             return self.shown.touching.touches
         frames = zip(times.tolist(), rows.tolist(), strict=True)
-        return {row: nothing_touches(self.wall_motions, t) for t, row in frames}
+        return {row: no_contacts(self.wall_motions, t) for t, row in frames}
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""

@@ -207,11 +207,11 @@ def contact_in(case: dict):
 
 def test_spheres_that_nothing_can_reach_take_no_part():
     contact, text = contact_in(block())
-    assert contact.left_out == 8
-    assert contact.scene.spheres.radius.size == 64 - 8 + 1
+    assert contact.n_interior == 8
+    assert contact.model.spheres.radius.size == 64 - 8 + 1
     assert "57 spheres and 1 walls" in text
     assert "8 spheres inside that nothing can reach left out" in text
-    inside = np.abs(contact.scene.spheres.arm[:, :-1]).max(axis=0) < 0.2
+    inside = np.abs(contact.model.spheres.arm[:, :-1]).max(axis=0) < 0.2
     assert not inside.any()
 
 
@@ -225,8 +225,8 @@ def test_what_comes_through_the_gaps_keeps_the_spheres_inside(what):
             {"type": "box", "name": "box", "lower": [-2, -2, 0], "upper": [2, 2, 4], "open": ["+z"]}
         ]
     contact, text = contact_in(case)
-    assert contact.left_out == 0
-    assert contact.scene.spheres.radius.size == 65
+    assert contact.n_interior == 0
+    assert contact.model.spheres.radius.size == 65
     assert "left out" not in text
 
 

@@ -5,9 +5,9 @@ import pytest
 
 import particlerb
 from particlerb.contact import missed_pairs as watch
-from particlerb.contact.cell_grid import Search, SpherePairs
+from particlerb.contact.cell_grid import PairList, SphereSearch
 from particlerb.contact.missed_pairs import Watch
-from particlerb.contact.wall_motion import PrescribedMotion, distances
+from particlerb.contact.wall_motion import PrescribedMotion, farthest_distances
 from particlerb.contact.wall_search import WallSearch
 from particlerb.plan import groups
 from particlerb.simulation.run import RunError
@@ -108,7 +108,7 @@ def test_a_wall_that_turns_about_a_far_centre_is_not_missed(make):
 def test_distance_is_that_of_the_centre_at_the_time():
     motion = PrescribedMotion((3.0, 0, 0), (1.0, 0, 0), (0, 0, 2.0))
     points = np.array([[5.0, 5.5], [0.0, 0.5], [0.0, 0.0]])
-    (far,) = distances([motion], 2.0, points)
+    (far,) = farthest_distances([motion], 2.0, points)
     assert far == pytest.approx(np.hypot(0.5, 0.5))  # the centre is at 5
 
 
@@ -120,7 +120,7 @@ def lose_all(monkeypatch, cls):
     none = np.zeros(0, dtype=np.int64)
 
     def pairs(search, points, *_):
-        return SpherePairs(none, none, np.zeros(points.shape[1] + 1, dtype=np.int64))
+        return PairList(none, none, np.zeros(points.shape[1] + 1, dtype=np.int64))
 
     monkeypatch.setattr(cls, "pairs", pairs)
 
@@ -147,7 +147,7 @@ def two_that_meet(make) -> dict:
 def test_a_pair_that_no_list_holds_ends_the_run(make, monkeypatch):
     monkeypatch.setattr(watch, "SHARE", 1e9)
     particlerb.run(two_that_meet(make)).close()
-    lose_all(monkeypatch, Search)
+    lose_all(monkeypatch, SphereSearch)
     with pytest.raises(RunError, match=r"at t = 0\.0\d+ s body 0 and body 1 overlap by"):
         particlerb.run(two_that_meet(make))
 

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from particlerb.compiled.jit import config
 from particlerb.compiled.threads import THREADS
 from particlerb.contact import cell_grid as module
-from particlerb.contact.cell_grid import Search, levels_of, modular_strides, neighbours
+from particlerb.contact.cell_grid import SphereSearch, levels_of, modular_strides, neighbours
 from particlerb.contact.interior_spheres import outer_spheres
 from particlerb.contact.neighbour_list import (
-    EDGES,
-    SHELLS,
+    N_SHELLS,
+    SHELL_GAPS,
     ContactHistory,
     find_shells,
     has_moved,
@@ -187,7 +187,7 @@ def test_a_chosen_part_has_only_pairs_of_its_own():
     rng = np.random.default_rng(2)
     x, r, body = random_place(rng, N), near_radius(rng, N), bodies(rng, N)
     which = np.flatnonzero(rng.random(N) < 0.4)
-    search = Search(r, body)
+    search = SphereSearch(r, body)
     search.pairs(x, 0.1)  # what is left in the room must not show
     expected = {(i, j) for i, j in all_pairs(x, r, body, 0.1) if {i, j} <= set(which.tolist())}
     assert as_set(search.pairs(x, 0.1, which)) == expected
@@ -196,7 +196,7 @@ def test_a_chosen_part_has_only_pairs_of_its_own():
 def test_a_list_lasts_until_the_call_after_the_next_one():
     rng = np.random.default_rng(3)
     r, body = equal_radius(rng, N), bodies(rng, N)
-    search = Search(r, body)
+    search = SphereSearch(r, body)
     search.pairs(random_place(rng, N), 0.3)
     old = search.pairs(random_place(rng, N), 0.3)
     kept = [part.copy() for part in old]
@@ -236,7 +236,7 @@ def test_room_and_time_do_not_grow_with_empty_space():
     """Every cell holds about as many spheres of a lattice as if it had been packed densely."""
     rng = np.random.default_rng(6)
     x, r = lattice_place(rng, N), equal_radius(rng, N)
-    search = Search(r, np.arange(N))
+    search = SphereSearch(r, np.arange(N))
     search.pairs(x, 0.1)
     begin = search.integers["begin"]
     assert begin.size < 8 * N
@@ -332,7 +332,7 @@ def test_shells_are_those_of_the_gaps(seed):
     find_shells((first, second), place, skin, shell)
     gap = np.linalg.norm(place[first, :3] - place[second, :3], axis=1)
     gap -= place[first, 3] + place[second, 3]
-    expected = np.searchsorted(np.array(EDGES) * skin, gap, side="right") - 1
+    expected = np.searchsorted(np.array(SHELL_GAPS) * skin, gap, side="right") - 1
     assert (shell == np.maximum(expected, 0)).all()
 
 
@@ -349,15 +349,15 @@ def test_a_new_list_stands_in_shells_and_has_what_the_same_pairs_kept(seed, are_
     before = kept_of(list(values), values, rng)
     first, second = np.array(new, dtype=np.int64).reshape(-1, 2).T.copy()
     m = len(new)
-    shell = rng.integers(0, SHELLS, m)
+    shell = rng.integers(0, N_SHELLS, m)
     after = ContactHistory(*np.empty((2, m), dtype=np.int64), np.empty((m, 3)))
     listed = np.empty((2, m), dtype=np.int32)
-    ends, keeps = np.empty(SHELLS, dtype=np.int64), [pair in old for pair in new]
+    ends, keeps = np.empty(N_SHELLS, dtype=np.int64), [pair in old for pair in new]
     expected = np.where(keeps, 0, shell)
     none = np.zeros(0, dtype=np.int64)
     order_contacts((first, second), (number, other), none, shell, before, after, *listed, ends)
     order = np.argsort(expected, kind="stable")
-    assert (ends == np.searchsorted(expected[order], np.arange(SHELLS), side="right")).all()
+    assert (ends == np.searchsorted(expected[order], np.arange(N_SHELLS), side="right")).all()
     assert (listed == np.array([first, second])[:, order]).all()
     assert (np.diff(after.keys) > 0).all()
     for row, (i, j) in enumerate(listed.T.tolist()):
@@ -372,7 +372,7 @@ def test_contacts_of_a_sphere_and_a_wall_stand_together_in_the_nearest_shell():
     none = np.zeros(0, dtype=np.int64)
     before = ContactHistory(none, none, np.zeros((0, 3)))
     after = ContactHistory(*np.empty((2, 6), dtype=np.int64), np.empty((6, 3)))
-    listed, ends = np.empty((2, 6), dtype=np.int32), np.empty(SHELLS, dtype=np.int64)
+    listed, ends = np.empty((2, 6), dtype=np.int32), np.empty(N_SHELLS, dtype=np.int64)
     number = np.arange(4)
     order_contacts((first, second), (number, number), wall, shell, before, after, *listed, ends)
     assert listed.T.tolist() == [[0, 0], [0, 1], [0, 2], [1, 3], [2, 0], [1, 1]]

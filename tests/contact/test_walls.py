@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from particlerb.compiled.jit import config, kernel
 from particlerb.contact import wall_search as module
-from particlerb.contact.wall_motion import PrescribedMotion, farthest_way, poses_at
-from particlerb.contact.wall_search import WallSearch, bounds_of, primitive
+from particlerb.contact.wall_motion import PrescribedMotion, poses_at, wall_displacement
+from particlerb.contact.wall_search import WallSearch, bounding_boxes, primitive
 from particlerb.contact.wall_shapes import box, cylinder, joined, plane, surface
 from particlerb.contact.walls import (
     EDGE,
@@ -336,7 +336,7 @@ def test_gap_moves_with_the_wall_and_the_bound_holds(seed):
     R1 = Rotation.from_quat(later[3:7], scalar_first=True)
     way = np.linalg.norm(later[:3] + R1.apply(x) - pose[:3] - R.apply(x))
     reach = np.linalg.norm(x - motion.centre)
-    assert way <= farthest_way([motion], dt, [reach]) * (1 + 1e-12)
+    assert way <= wall_displacement([motion], dt, [reach]) * (1 + 1e-12)
 
 
 # Candidates
@@ -422,7 +422,7 @@ def test_lists_of_a_fine_surface_are_short():
 def test_bounds_hold_the_whole_primitive():
     rng = np.random.default_rng(9)
     walls = all_walls(rng)
-    lower, upper = bounds_of(walls)
+    lower, upper = bounding_boxes(walls)
     m, n = walls.kind.size, 200
     x = np.repeat(rng.uniform(-3, 3, (n, 3)), m, axis=0)
     found = np.empty((n * m, 3))
