@@ -18,9 +18,8 @@ from results import record
 
 from particlerb.compiled.threads import THREADS
 from particlerb.forces import Terms, terms_on
-from particlerb.forces.follower import Follower
 from particlerb.forces.gravity import UniformGravity
-from particlerb.forces.push import Push
+from particlerb.forces.push import Follower, Push
 from particlerb.integrators import METHODS
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import State, room_for
@@ -55,9 +54,9 @@ def scene(n: int, seed: int = 1) -> tuple[Bodies, State, dict[str, Terms]]:
     follower = Follower(0.1 * random.normal(size=(3, n)), 0.1 * random.normal(size=(3, n)))
     terms = {
         "no force": Terms(),
-        "push": Terms(push=push),
-        "gravity and push": Terms(gravity=gravity, push=push),
-        "follower, booked": Terms(gravity=gravity, follower=follower),
+        "push": Terms(loads=(push,)),
+        "gravity and push": Terms(gravity, (push,)),
+        "follower, booked": Terms(gravity, (follower,)),
     }
     return bodies, state, terms
 
@@ -109,7 +108,7 @@ def costs() -> dict[tuple[str, str], float]:
 def order(method: str, coarsest: float, n: int = 32) -> tuple[float, np.ndarray]:
     """Fitted order of the orientation at t = 4, and the errors over four halvings."""
     bodies, state, terms = scene(n)
-    loads = Terms(push=terms["push"].push, follower=terms["follower, booked"].follower)
+    loads = Terms(loads=terms["push"].loads + terms["follower, booked"].loads)
     group = Group(np.arange(n), bodies, loads)
 
     def end(name: str, dt: float) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Pydantic's errors in the words of a case: (path, reason, hint, whether the key is to blame)."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from pydantic_core import ErrorDetails
@@ -15,9 +15,9 @@ from particlerb.case.contact import (
     Piston,
     Prescribed,
 )
+from particlerb.case.forces import FORCES
 from particlerb.case.problems import Path, nearest, shown
 from particlerb.case.schema import (
-    FORCES,
     PLACES,
     AttractionTable,
     Body,
@@ -185,7 +185,12 @@ def type_of(raw: Any, path: Path) -> Any:
     return kind if isinstance(kind, str) else None
 
 
-FAMILIES = {"shape": SHAPES, "place": PLACES, "force": FORCES, "wall": WALLS}
+FAMILIES: dict[str, Mapping[str, type[Table]]] = {
+    "shape": SHAPES,
+    "place": PLACES,
+    "force": FORCES,
+    "wall": WALLS,
+}
 TABLES: dict[str, type[Table]] = {
     "": Case, "run": RunTable, "gravity": Gravity, "attraction": AttractionTable, "body": Body,
     "part": ShapePart,
@@ -201,7 +206,7 @@ def table_keys(path: Path, kind: str | None = None) -> tuple[str, ...]:
     name = next((part for part in reversed(path) if isinstance(part, str)), "")
     if name in FAMILIES:
         family = FAMILIES[name]
-        return tuple(family[kind].model_fields) if kind in family else tuple(family)
+        return tuple(family[kind].model_fields) if kind and kind in family else tuple(family)
     if name in {"velocity", "angular_velocity"}:
         return ("body", "random")
     return tuple(TABLES[name].model_fields) if name in TABLES else ()

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from particlerb.case.placement import resolve_bodies
-from particlerb.case.schema import Case, UniformField
+from particlerb.case.schema import Case
 from particlerb.geometry.mass_properties import MassProperties
 from particlerb.geometry.particles import Particles, concatenate, one_kind, united
 from particlerb.geometry.solid import ROUNDING, UniformSolid, stand_in
@@ -76,6 +76,6 @@ def needs(case: Case, block: Ints, kind: Ints, n_kinds: int) -> tuple[Bools, Boo
         own = slice(None) if names is None else resolve_bodies(case, names)
         heavy[kind[own]] = True
     for force in case.force:
-        if isinstance(force, UniformField) and isinstance(force.charge, tuple):
+        if force.needs_particles:
             heavy[kind[resolve_bodies(case, force.body)]] = True
     return touched, heavy

@@ -6,42 +6,25 @@ the right kind: that is reported by the schema. So one reading finds all mistake
 
 import math
 from collections.abc import Iterator
-from typing import Any, TypeAlias
+from typing import Any
 
+from particlerb.case.forces import FORCES, ForceTable
 from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_WALLS
 from particlerb.case.problems import Path, nearest
-from particlerb.case.schema import SpringTable
+from particlerb.case.raw import (
+    Finding,
+    bodies_named,
+    given,
+    is_origin,
+    members,
+    number,
+    tables,
+)
 from particlerb.case.shapes import SHAPES
-from particlerb.case.values import LARGEST_COUNT, REFERENCE, is_rows
+from particlerb.case.values import REFERENCE, is_rows
 from particlerb.files import Files
 
 MOST_FRAMES = 10**9
-
-Finding: TypeAlias = tuple[Path, str, str]
-
-
-def tables(raw: Any, key: str) -> list[tuple[int, dict[str, Any]]]:
-    """Tables of an array of tables with their index; what is none is left out."""
-    entries = raw.get(key) if isinstance(raw, dict) else None
-    if not isinstance(entries, list):
-        return []
-    return [(i, entry) for i, entry in enumerate(entries) if isinstance(entry, dict)]
-
-
-def number(table: Any, key: str) -> float | None:
-    """Finite number of a table; None where there is none."""
-    value = table.get(key) if isinstance(table, dict) else None
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return None
-    try:
-        return float(value) if math.isfinite(value) else None
-    except OverflowError:
-        return None
-
-
-def given(table: dict[str, Any], key: str) -> bool:
-    """Whether a key is there and says something."""
-    return table.get(key) is not None and table[key] != []
 
 
 def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
@@ -50,10 +33,9 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
     yield from names(raw)
     yield from references(raw)
     for i, force in tables(raw, "force"):
-        if force.get("type") == "spring":
-            yield from spring_rules(("force", i), force, members(raw))
-        if force.get("type") == "field" and isinstance(force.get("charge"), list):
-            yield from out_of_place(("force", i), force, "at", "a charge for each particle")
+        table = table_of(force)
+        if table is not None:
+            yield from table.rules(("force", i), force, members(raw))
     yield from attraction_rules(raw.get("attraction"), members(raw))
     yield from contact_rules(raw)
     for i, body in tables(raw, "body"):
@@ -63,6 +45,12 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
         yield from shapes(("body", i), body, files)
     for i, wall in tables(raw, "wall"):
         yield from file_rules(("wall", i, "file"), wall.get("file"), files)
+
+
+def table_of(force: dict[str, Any]) -> type[ForceTable] | None:
+    """Table of a [[force]] by its type; None where there is none of that name."""
+    kind = force.get("type")
+    return FORCES.get(kind) if isinstance(kind, str) else None
 
 
 def times(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -110,9 +98,8 @@ def references(raw: dict[str, Any]) -> Iterator[Finding]:
         if isinstance(body.get("name"), str):
             counts.setdefault(body["name"], body.get("count", 1))
     for i, force in tables(raw, "force"):
-        yield from reference(("force", i, "body"), force.get("body"), counts)
-        if force.get("type") == "spring":
-            yield from reference(("force", i, "to"), force.get("to"), counts)
+        for key in (table_of(force) or ForceTable).names_bodies:
+            yield from reference(("force", i, key), force.get(key), counts)
     if isinstance(raw.get("attraction"), dict):
         yield from reference(("attraction", "body"), raw["attraction"].get("body"), counts)
     for i, check in tables(raw.get("check"), "value"):
@@ -138,67 +125,6 @@ def reference(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Findin
         yield path, f'there is no body "{value}"', f"{match['name']}[0] to [{count - 1}] exist"
 
 
-def members(raw: dict[str, Any]) -> dict[str, range]:
-    """Indices of the bodies of every block; none where a block says not how many it has."""
-    found: dict[str, range] = {}
-    first = 0
-    for _, body in tables(raw, "body"):
-        name, count = body.get("name"), body.get("count", 1)
-        is_count = isinstance(count, int) and 1 <= count <= LARGEST_COUNT
-        if not isinstance(name, str) or not is_count:
-            return {}
-        found[name] = range(first, first + count)
-        first += count
-    return found
-
-
-def named(value: Any, known: dict[str, range]) -> list[range] | None:
-    """Bodies of one name, or of each of a list; None where one is not there."""
-    found = []
-    for name in value if isinstance(value, list) else [value]:
-        match = REFERENCE.fullmatch(name) if isinstance(name, str) else None
-        if match is None or match["name"] not in known:
-            return None
-        block = known[match["name"]]
-        if match["index"]:
-            k = int(match["index"])
-            block = block[k : k + 1]
-        if not block:
-            return None
-        found.append(block)
-    return found
-
-
-def spring_rules(path: Path, force: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
-    """A spring has one other end, and as many bodies there as it needs."""
-    has_end = any(given(force, key) for key in ("anchor", "to", "reach"))
-    has_typo = not SpringTable.model_fields.keys() >= force.keys()
-    if not has_end and not has_typo:
-        hint = "give `anchor` for the world, `to` or `reach` for other bodies"
-        yield (*path, "anchor"), "missing", hint
-    if given(force, "anchor"):
-        for key in ("to", "reach"):
-            if given(force, key):
-                yield (*path, key), "given beside anchor", "a spring has one other end"
-        yield from out_of_place(path, force, "to_at", "an anchor")
-    if not given(force, "to") or given(force, "reach"):
-        return
-    first, second = named(force.get("body"), known), named(force["to"], known)
-    if not first or not second:
-        return
-    n, m = sum(map(len, first)), sum(map(len, second))
-    if n != m and 1 not in {n, m}:
-        reason = f"names {m} bodies, `body` {n}: they make no pairs"
-        hint = "name equal numbers, or one for all; or give `reach`"
-        yield (*path, "to"), reason, hint
-
-
-def out_of_place(path: Path, table: dict[str, Any], key: str, what: str) -> Iterator[Finding]:
-    """A point has no place beside something else; a resolved case states its default there."""
-    if given(table, key) and not is_origin(table[key]):
-        yield (*path, key), f"has no place beside {what}", "leave it out"
-
-
 def attraction_rules(table: Any, known: dict[str, range]) -> Iterator[Finding]:
     """Two bodies at least attract each other, and what a tree sums as one is said once."""
     if not isinstance(table, dict):
@@ -206,7 +132,7 @@ def attraction_rules(table: Any, known: dict[str, range]) -> Iterator[Finding]:
     if given(table, "opening_angle") and given(table, "accuracy"):
         yield ("attraction", "accuracy"), "given beside opening_angle", "give one of them"
     every = list(known.values())
-    blocks = named(table["body"], known) if given(table, "body") else every
+    blocks = bodies_named(table["body"], known) if given(table, "body") else every
     if blocks and all(len(b) == 1 and b == blocks[0] for b in blocks):
         key = ("attraction", "body") if given(table, "body") else ("attraction",)
         yield key, "needs two bodies at least, has one", "name more of them, or leave this out"
@@ -375,11 +301,6 @@ def many_bodies(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
     elif count > 1 and not is_rows(body.get("position")):
         hint = 'place = { type = "grid", spacing = 1.0 }, or type = "random"'
         yield (*path, "place"), f"missing: count = {count} bodies need different positions", hint
-
-
-def is_origin(position: Any) -> bool:
-    """Whether a position is the default, which a resolved case states beside `place`."""
-    return isinstance(position, list) and position == [0, 0, 0]
 
 
 def grid_rules(path: Path, place: Any, count: int) -> Iterator[Finding]:

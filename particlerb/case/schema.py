@@ -21,6 +21,7 @@ from pydantic import (
 )
 
 from particlerb.case.contact import ContactTable, Material, Prescribed, Wall, Yes
+from particlerb.case.forces import KIND, ORIGIN, AnyForce
 from particlerb.case.output import ChartTable, Check, CheckValue, Output
 from particlerb.case.shapes import Shape, Sphere, as_points
 from particlerb.case.source import Source
@@ -28,53 +29,41 @@ from particlerb.case.values import (
     Count,
     Counts,
     Euler,
-    Frame,
     Name,
     Names,
     NonNegative,
     OneOrientation,
     Positive,
     Quaternion,
-    Real,
     Rows3,
     Rows4,
     Spacing,
     Table,
     Vector,
     broken,
-    entries,
     is_rows,
     one_of,
 )
 from particlerb.files import File
 
 __all__ = [
-    "FORCES",
     "METHODS",
     "PLACES",
-    "AnyForce",
     "AttractionTable",
     "Body",
     "Case",
-    "CentralTable",
     "Check",
     "CheckValue",
-    "DragTable",
     "Euler",
     "Gravity",
     "GridPlacement",
-    "ImpulseTable",
     "InBody",
     "Motion",
     "NormalDistribution",
     "Output",
-    "PushTable",
     "RandomBox",
     "RunTable",
     "ShapePart",
-    "SpringTable",
-    "TorqueTable",
-    "UniformField",
     "case_json_schema",
 ]
 
@@ -89,9 +78,6 @@ METHODS = (
     "explicit_euler",
     "momentum_euler",
 )
-KIND = "Kind of force or placement. [-]"
-FRAME = "Axes of the vector: world or body. [-]"
-BODIES = "Name of a [[body]] block, of one body as name[3], or a list of such names. [-]"
 NEWTON = 6.67430e-11  # G [m³/(kg s²)], CODATA 2018
 
 
@@ -229,7 +215,6 @@ Motion = Annotated[
 ]
 Place = Annotated[GridPlacement | RandomBox, Field(discriminator="type")]
 PLACES: dict[str, type[Table]] = {"grid": GridPlacement, "random": RandomBox}
-ORIGIN = (0.0, 0.0, 0.0)
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -311,141 +296,6 @@ class Body(Table):
         return self.fixed or self.motion is not None
 
 
-def is_interval(value: tuple[float, float]) -> tuple[float, float]:
-    """Require t0 < t1."""
-    if value[0] >= value[1]:
-        raise broken(f"must start before it ends, got [{value[0]!r}, {value[1]!r}]")
-    return value
-
-
-During = Annotated[tuple[NonNegative, NonNegative], entries(2), AfterValidator(is_interval)]
-
-
-class PushTable(Table):
-    """A constant force at a point of the body that stays on that point while the body turns."""
-
-    type: Literal["push"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
-    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
-    force: Vector = Field(description="Force. [N]")
-    frame: Frame = Field("world", description=FRAME)
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
-
-
-class TorqueTable(Table):
-    """A constant torque."""
-
-    type: Literal["torque"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
-    torque: Vector = Field(description="Torque. [N m]")
-    frame: Frame = Field("world", description=FRAME)
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
-
-
-class ImpulseTable(Table):
-    """A jump of the momenta at one instant: P += J, L += r × J."""
-
-    type: Literal["impulse"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
-    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
-    impulse: Vector = Field(description="Impulse. [N s]")
-    frame: Frame = Field("world", description=FRAME)
-    time: NonNegative = Field(description="When, at most t_end. [s]")
-
-
-class DragTable(Table):
-    """Linear drag: F = -c v and τ = -c_r ω."""
-
-    type: Literal["drag"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
-    translation: NonNegative = Field(0.0, description="Coefficient c. [N s/m]")
-    rotation: NonNegative = Field(0.0, description="Coefficient c_r. [N m s/rad]")
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
-
-
-def rest_form(value: Any) -> str:
-    """Tag of a rest length."""
-    return "word" if isinstance(value, str) else "number"
-
-
-def charge_form(value: Any) -> str:
-    """Tag of a charge: one, or one per particle."""
-    return "list" if isinstance(value, (list, tuple)) else "number"
-
-
-RestLength = Annotated[
-    Annotated[NonNegative, Tag("number")] | Annotated[Literal["initial"], Tag("word")],
-    Discriminator(rest_form),
-]
-Charge = Annotated[
-    Annotated[Real, Tag("number")] | Annotated[tuple[Real, ...], Field(min_length=1), Tag("list")],
-    Discriminator(charge_form),
-]
-
-
-class SpringTable(Table):
-    """A spring from a point of the body to the world or another body: F = k (l - l₀) + c dl/dt."""
-
-    type: Literal["spring"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
-    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
-    anchor: Vector | None = Field(
-        None, description="The other end, world frame; this, or to or reach. [m]"
-    )
-    to: Names | None = Field(
-        None, description="Bodies at the other end: one for each, one for all, or by reach. [-]"
-    )
-    to_at: Vector = Field(ORIGIN, description="Point of the other body, in its body frame. [m]")
-    reach: Positive | None = Field(
-        None, description="Ties every pair of points that are at most this far apart at t = 0. [m]"
-    )
-    stiffness: Positive = Field(description="Stiffness k. [N/m]")
-    damping: NonNegative = Field(0.0, description="Damping c along the spring. [N s/m]")
-    rest_length: RestLength = Field(
-        0.0, description='Length l₀ without force; "initial": as long as it is at t = 0. [m]'
-    )
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
-
-
-class UniformField(Table):
-    """A uniform field that acts on charges and on a dipole of the body: Σ q E and d × E."""
-
-    type: Literal["field"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
-    field: Vector = Field(description="Field E, world frame. [V/m; T for a magnetic dipole]")
-    charge: Charge = Field(
-        0.0, description="Charge q of the body, or a list with one per particle. [C]"
-    )
-    at: Vector = Field(ORIGIN, description="Where a single charge sits, body frame. [m]")
-    dipole: Vector = Field(ORIGIN, description="Dipole d, body frame. [C m; A m²]")
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
-
-
-class CentralTable(Table):
-    """Attraction by a fixed centre, inverse-square, with its gravity-gradient torque."""
-
-    type: Literal["central"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
-    centre: Vector = Field(ORIGIN, description="Where the centre is, world frame. [m]")
-    mu: Positive = Field(description="G times the mass of the centre. [m³/s²]")
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
-
-
-AnyForce = (
-    PushTable | TorqueTable | ImpulseTable | DragTable | SpringTable | UniformField | CentralTable
-)
-Force = Annotated[AnyForce, Field(discriminator="type")]
-FORCES: dict[str, type[Table]] = {
-    "push": PushTable,
-    "torque": TorqueTable,
-    "impulse": ImpulseTable,
-    "drag": DragTable,
-    "spring": SpringTable,
-    "field": UniformField,
-    "central": CentralTable,
-}
-
-
 class Case(Table):
     """A whole scene; made by `particlerb.case.reader.load`."""
 
@@ -456,7 +306,9 @@ class Case(Table):
         None, description="Attraction between bodies; default: none. [-]"
     )
     body: Annotated[tuple[Body, ...], Field(min_length=1)] = Field(description="The bodies. [-]")
-    force: tuple[Force, ...] = Field((), description="What acts on them. [-]")
+    force: tuple[Annotated[AnyForce, Field(discriminator="type")], ...] = Field(
+        (), description="What acts on them. [-]"
+    )
     contact: ContactTable | None = Field(None, description="How bodies touch; default: not. [-]")
     material: tuple[Material, ...] = Field((), description="Of bodies and walls. [-]")
     wall: tuple[Wall, ...] = Field((), description="Walls that bodies touch. [-]")

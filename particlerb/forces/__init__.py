@@ -1,56 +1,92 @@
-"""The forces that can act on bodies, one per file; `Terms` gathers them, `Acting` tells a kernel.
+"""The forces that can act on bodies, one per file; `Terms` gathers what acts on a group of bodies.
 
-A term that does not act is None: None is a type, so Numba leaves its code out while compiling.
-Forces between bodies reach a kernel as a load in the rows PAIR, which `methods.pair_forces` fills
-before each kick; links, attraction and contact cost nothing where no body acts on another.
+Begin with `kinds`: what a file brings; `registry` lists the files, `kernels` has the kicks of all
+of them together. links.py, attraction.py and gravity_tree/ are forces between bodies: they reach a
+kernel as a load, which `stepping.pair_forces` fills before each kick; they cost nothing where no
+body acts on another.
 """
 
-from typing import Final, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline
 from particlerb.contact.pair_force import GroupContact
 from particlerb.forces.attraction import Attraction
-from particlerb.forces.central import CENTRAL_ROWS, Central, central_work, kick_centres
-from particlerb.forces.drag import DECAY_ROWS, DRAG_ROWS, Drag, drag_load
-from particlerb.forces.follower import FOLLOWER_ROWS, Follower, kick_follower
-from particlerb.forces.gravity import UniformGravity
+from particlerb.forces.gravity import UniformGravity, parts_of_gravity
+from particlerb.forces.kernels import (
+    Acting,
+    Entry,
+    damp,
+    flow_in,
+    flow_out,
+    kick_others,
+    kick_potential,
+    less_internal,
+    load_at,
+    load_of_velocity,
+    prepare_kick,
+    set_time,
+    shift_time,
+    with_power,
+)
+from particlerb.forces.kinds import BODIES, CONTACT, VELOCITY, Kick, Rates
 from particlerb.forces.links import WORLD, Links
-from particlerb.forces.push import LEVER_ROWS, Push, kick_force, kick_lever, lever_work
-from particlerb.forces.spring import SPRING_ROWS, Spring, kick_springs, spring_energy
-from particlerb.forces.torque import TORQUE_ROWS, Torque, kick_torque
-from particlerb.maths.quaternion import Rows
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, subtract
-from particlerb.model.block import LOADS, get, get3
-from particlerb.model.bodies import taken
-from particlerb.model.load import CONTACT_ROWS, OTHER, OUTSIDE, POWER
-from particlerb.model.load import TORQUE as PAIR_TORQUE
+from particlerb.forces.registry import (
+    FIRST,
+    KICKS,
+    MANY,
+    MANY_KICKS,
+    PAIR,
+    STAGE,
+    TERMS,
+    term_of,
+)
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import Bodies, taken
+from particlerb.model.load import OTHER
+from particlerb.model.state import State
 
-FORCE: Final = LOADS
-LEVER: Final = FORCE + 3
-FOLLOWER: Final = LEVER + LEVER_ROWS
-TORQUE: Final = FOLLOWER + FOLLOWER_ROWS
-DRAG: Final = TORQUE + TORQUE_ROWS
-PAIR: Final = DRAG + DRAG_ROWS + DECAY_ROWS  # rows of forces/links.py: what other bodies do
-MANY: Final = PAIR + CONTACT_ROWS  # springs, then centres
-STAGE: Final = 1024  # rows from here on, after all loads, are room for a method's stages
-ZERO: Final = (0.0, 0.0, 0.0)
-Entry: TypeAlias = tuple[
-    float, Vec3, Vec3
-]  # work, impulse, angular impulse: stepping/external_work.py
+__all__ = [
+    "PAIR",
+    "STAGE",
+    "Acting",
+    "Entry",
+    "Terms",
+    "acting_of",
+    "damp",
+    "energies_of",
+    "energy_of_loads",
+    "flow_in",
+    "flow_out",
+    "force_of_loads",
+    "has_energy",
+    "has_potential",
+    "is_constant",
+    "kick_others",
+    "kick_potential",
+    "less_internal",
+    "load_at",
+    "load_of_velocity",
+    "needs_of",
+    "prepare_kick",
+    "rates_of",
+    "row_count",
+    "rows_of_terms",
+    "set_time",
+    "shift_time",
+    "summed",
+    "terms_on",
+    "with_power",
+    "words_of",
+    "work_of_potentials",
+]
 
 
 class Terms(NamedTuple):
     """What acts on a group of bodies during one segment of time."""
 
     gravity: UniformGravity | None = None
-    push: Push | None = None
-    follower: Follower | None = None
-    torque: Torque | None = None
-    drag: Drag | None = None
-    spring: tuple[Spring, ...] | None = None
-    central: tuple[Central, ...] | None = None
+    loads: tuple[Any, ...] = ()  # on each body by itself: parameters that are in registry.TERMS
     links: Links | None = None
     attraction: Attraction | None = None
     opening_angle: float = 0.0  # of the tree that sums the attraction; 0: a direct sum
@@ -63,87 +99,87 @@ class Terms(NamedTuple):
         return any(term is not None for term in between)
 
 
-class Acting(NamedTuple):
-    """Which loads are in the rows of a block: None where a kernel needs no code for them."""
+def summed(loads: list[Any]) -> tuple[Any, ...]:
+    """Loads in the order of the registry: those of a kind added up, but for those that stay apart.
 
-    force: int | None  # pushes and gravity
-    lever: int | None
-    follower: int | None
-    torque: int | None
-    drag: int | None
-    springs: tuple[int, ...] | None  # as many entries as there are on each body
-    centres: tuple[int, ...] | None
-    pair: int | None  # what other bodies do
-    contact: int | None  # and contacts beside their potential
+    What is zero for every body is left out.
+    """
+    found: list[Any] = []
+    for parameters, term in TERMS.items():
+        own = [load for load in loads if type(load) is parameters]
+        if term.is_many or not own:
+            found += own
+            continue
+        total = [sum(arrays, np.zeros(arrays[0].shape)) for arrays in zip(*own, strict=True)]
+        found += [parameters(*total)] if any(array.any() for array in total) else []
+    return tuple(found)
+
+
+def parts_of(terms: Terms) -> list[tuple[Kick, Floats]]:
+    """Numbers of all loads and gravity, and the kick that takes them."""
+    parts = [] if terms.gravity is None else parts_of_gravity(terms.gravity)
+    for load in terms.loads:
+        parts += term_of(load).parts(load)
+    return parts
 
 
 def rows_of_terms(terms: Terms) -> list[tuple[int, Floats]]:
     """Parameters of the terms, and the rows of a block where they go."""
-    gravity, push, follower, torque, drag, springs, centres, _, _, _, _ = terms
-    parts: list[tuple[int, Floats]] = []
-    if gravity is not None:
-        parts.append((FORCE, gravity.mass * gravity.acceleration[:, None]))
-    if push is not None and push.force.any():
-        parts = [(FORCE, push.force + (parts[0][1] if parts else 0.0))]
-    if push is not None and push.lever.any():
-        parts.append((LEVER, push.lever))
-    for at, term in ((FOLLOWER, follower), (TORQUE, torque), (DRAG, drag)):
-        if term is not None:
-            parts.append((at, np.vstack(term)))
+    parts: dict[int, Floats] = {}
+    apart: list[tuple[Kick, Floats]] = []
+    for kick, values in parts_of(terms):
+        if kick.is_many:
+            apart.append((kick, values))
+            continue
+        at = FIRST[kick.name]
+        parts[at] = values + parts[at] if at in parts else values
     at = MANY
-    for one in (*(springs or ()), *(centres or ())):
-        parts.append((at, np.vstack(one)))
-        at += len(parts[-1][1])
-    return parts
+    for kick, values in sorted(apart, key=lambda part: MANY_KICKS.index(part[0])):
+        parts[at] = values
+        at += kick.rows
+    return list(parts.items())
 
 
 def acting_of(terms: Terms) -> Acting:
     """What a kernel is to be compiled for."""
-    rows = {at for at, _ in rows_of_terms(terms)}
+    names = [kick.name for kick, _ in parts_of(terms)]
+    acting = [kick for kick in KICKS if kick.name in names]
 
-    def tag(at: int) -> int | None:
-        return at if at in rows else None
+    def tag(kick: Kick) -> int | tuple[int, ...] | None:
+        if kick not in acting:
+            return None
+        return tuple(range(names.count(kick.name))) if kick.is_many else 1
 
     return Acting(
-        tag(FORCE),
-        tag(LEVER),
-        tag(FOLLOWER),
-        tag(TORQUE),
-        tag(DRAG),
-        None if terms.spring is None else tuple(range(len(terms.spring))),
-        None if terms.central is None else tuple(range(len(terms.central))),
+        tuple(tag(kick) for kick in KICKS),
         PAIR if terms.is_coupled else None,
         PAIR + OTHER if terms.contact is not None else None,
+        1 if any(kick.flow is not None for kick in acting) else None,
+        1 if any(kick.at_time is not None for kick in acting) else None,
     )
 
 
 def terms_on(terms: Terms, which: Ints) -> Terms:
     """Terms of some of the bodies; of all of them, in order, where they act on each other."""
-    gravity, push, follower, torque, drag, spring, central, *_ = terms
+    gravity = terms.gravity
     assert not terms.is_coupled or np.array_equal(which, np.arange(which.size))
     return terms._replace(
         gravity=None
         if gravity is None
         else UniformGravity(gravity.mass[which], gravity.acceleration),
-        push=None if push is None else taken(push, which),
-        follower=None if follower is None else taken(follower, which),
-        torque=None if torque is None else taken(torque, which),
-        drag=None if drag is None else taken(drag, which),
-        spring=None if spring is None else tuple(taken(one, which) for one in spring),
-        central=None if central is None else tuple(taken(one, which) for one in central),
+        loads=tuple(taken(load, which) for load in terms.loads),
     )
 
 
 def row_count(terms: Terms) -> int:
     """Rows of a block with these terms."""
-    springs, centres = terms.spring or (), terms.central or ()
-    return MANY + SPRING_ROWS * len(springs) + CENTRAL_ROWS * len(centres)
+    return MANY + sum(kick.rows for kick, _ in parts_of(terms) if kick.is_many)
 
 
 def has_potential(terms: Terms) -> bool:
     """Whether every force has one: then energy needs no booking on the way."""
     damped = terms.links is not None and terms.links.damping is not None
-    others = terms.follower is None and terms.torque is None and terms.drag is None
+    others = all(kick.has_potential for kick, _ in parts_of(terms))
     return others and not damped and terms.contact is None
 
 
@@ -153,93 +189,70 @@ def is_constant(terms: Terms) -> bool:
     Forces between bodies do not change the sums that are booked, as long as those from outside are
     uniform gravity alone.
     """
-    if not has_potential(terms) or terms.spring is not None or terms.central is not None:
+    if not has_potential(terms) or not all(kick.is_steady for kick, _ in parts_of(terms)):
         return False
     reaches_out = terms.links is not None and bool((terms.links.second == WORLD).any())
-    return not reaches_out and not (terms.is_coupled and terms.push is not None)
+    return not reaches_out and not (terms.is_coupled and terms.loads)
 
 
-def work_of_potentials(terms: Terms, com: Floats, q: Floats) -> float:
-    """Work [J] of pushes, uniform and central fields, up to a constant."""
+def force_of_loads(terms: Terms, n: int) -> Floats:
+    """Force of the loads alone, (3, n) [N], where it is constant in the world."""
+    total = np.zeros((3, n))
+    for load in terms.loads:
+        for kick, values in term_of(load).parts(load):
+            total = total + values if kick.is_steady and not kick.needs else total
+    return total
+
+
+def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
+    """What a method must take into account, for each term by its name."""
+    needs: dict[str, frozenset[str]] = {}
+    for load in terms.loads:
+        term = term_of(load)
+        needs[term.name] = frozenset().union(*(kick.needs for kick, _ in term.parts(load)))
+    if terms.links is not None:
+        needs["links"] = frozenset({BODIES})
+        if terms.links.damping is not None:
+            needs["dashpots"] = frozenset({BODIES, VELOCITY})
+    if terms.attraction is not None:
+        needs["attraction"] = frozenset({BODIES})
+    if terms.contact is not None:
+        needs["contact"] = frozenset({CONTACT})
+    return needs
+
+
+def words_of(terms: Terms) -> list[str]:
+    """Names of gravity and the loads that act, as the plan has them."""
+    gravity = [] if terms.gravity is None else ["gravity"]
+    return gravity + list(dict.fromkeys(term_of(load).words for load in terms.loads))
+
+
+def rates_of(load: Any, bodies: Bodies, state: State) -> Rates:
+    """What a load does to the default step."""
+    return term_of(load).rates(load, bodies, state)
+
+
+def work_of_potentials(terms: Terms, com: Floats, q: Floats, t: float = 0.0) -> float:
+    """Work [J] of potentials at t [s] since the segment began, up to a constant."""
     work = 0.0
-    if terms.push is not None:
-        work += float(
-            (lever_work(terms.push.lever, q) + (terms.push.force * com).sum(axis=0)).sum()
-        )
-    for central in terms.central or ():
-        work += float(central_work(central, com, q).sum())
+    for load in terms.loads:
+        of = term_of(load).work
+        work += 0.0 if of is None else float(of(load, com, q, t).sum())
     return work
 
 
-def energy_of_springs(terms: Terms, com: Floats, q: Floats) -> float:
-    """Potential energy [J] of springs to anchors that are not among the links."""
-    return sum(float(spring_energy(one, com, q).sum()) for one in terms.spring or ())
+def energies_of(load: Any, com: Floats, q: Floats) -> Floats | None:
+    """Potential energy of a load, (n,) [J]; None where it has none, or its work is booked."""
+    of = term_of(load).energy
+    return None if of is None else of(load, com, q)
 
 
-@inline
-def kick_pair(
-    pair: int | None, rows: Floats, at: int, b: int, dt: float, p: Vec3, L: Vec3
-) -> tuple[Vec3, Vec3]:
-    """p + F dt,  L + τ dt of the forces of other bodies."""
-    if pair is None:
-        return p, L
-    F, tau = get3(rows, at, b), get3(rows, at + PAIR_TORQUE, b)
-    return add_scaled(dt, F, p), add_scaled(dt, tau, L)
+def has_energy(terms: Terms) -> bool:
+    """Whether a load has potential energy."""
+    return any(term_of(load).energy is not None for load in terms.loads)
 
 
-@inline
-def less_internal(
-    pair: int | None, contact: int | None, rows: Floats, b: int, x: Vec3, dt: float, entry: Entry
-) -> Entry:
-    """What is booked: without the impulses that bodies give each other, with dashpots' work."""
-    if pair is None:
-        return entry
-    work, impulse, angular = entry
-    F, tau = get3(rows, PAIR, b), get3(rows, PAIR + PAIR_TORQUE, b)
-    F, tau = kick_pair(contact, rows, PAIR + OTHER, b, 1.0, F, tau)
-    turning = add_scaled(1.0, cross(x, F), tau)
-    F = subtract(F, get3(rows, PAIR + OUTSIDE, b))
-    turning = subtract(turning, get3(rows, PAIR + OUTSIDE + 3, b))
-    work += dt * get(rows, PAIR + POWER, b)
-    return work, add_scaled(-dt, F, impulse), add_scaled(-dt, turning, angular)
-
-
-@inline
-def rows_of(springs: tuple[int, ...] | None) -> int:
-    """Rows that springs take."""
-    if springs is None:
-        return 0
-    return SPRING_ROWS * len(springs)
-
-
-@inline
-def kick_potential(
-    acting: Acting, rows: Floats, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
-) -> tuple[Vec3, Vec3]:
-    """Momenta after dt of the forces that have a potential, at a fixed pose."""
-    p = kick_force(acting.force, rows, FORCE, b, dt, p)
-    L = kick_lever(acting.lever, rows, LEVER, b, R, dt, L)
-    p, L = kick_springs(acting.springs, rows, MANY, b, x, R, dt, p, L)
-    p, L = kick_pair(acting.pair, rows, PAIR, b, dt, p, L)
-    return kick_centres(acting.centres, rows, MANY + rows_of(acting.springs), b, x, R, dt, p, L)
-
-
-@inline
-def kick_others(
-    acting: Acting, rows: Floats, b: int, R: Rows, dt: float, p: Vec3, L: Vec3
-) -> tuple[Vec3, Vec3]:
-    """Momenta after dt of the forces without potential, drag aside, at a fixed pose."""
-    p, L = kick_follower(acting.follower, rows, FOLLOWER, b, R, dt, p, L)
-    p, L = kick_pair(acting.contact, rows, PAIR + OTHER, b, dt, p, L)
-    return p, kick_torque(acting.torque, rows, TORQUE, b, dt, L)
-
-
-@inline
-def load_at(
-    acting: Acting, rows: Floats, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3
-) -> tuple[Vec3, Vec3, Vec3, Vec3]:
-    """Force and torque of all terms, and the part of both that has a potential."""
-    own_force, own_torque = kick_potential(acting, rows, b, x, R, 1.0, ZERO, ZERO)
-    F, tau = kick_others(acting, rows, b, R, 1.0, own_force, own_torque)
-    F, tau = drag_load(acting.drag, rows, DRAG, b, R, p, L, F, tau)
-    return F, tau, own_force, own_torque
+def energy_of_loads(terms: Terms, com: Floats, q: Floats) -> float:
+    """Potential energy [J] of loads that have one: springs that are not among the links."""
+    energies = [energies_of(load, com, q) for load in terms.loads]
+    return sum(float(energy.sum()) for energy in energies if energy is not None)

@@ -10,17 +10,28 @@ F and τ are the exact derivatives of U, hence energy, and angular momentum abou
 constants of the motion. Source: Hughes, Spacecraft Attitude Dynamics (1986), section 8.1.
 """
 
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.jit import inline
+from particlerb.forces.kinds import (
+    Force,
+    ForceError,
+    Kick,
+    Momenta,
+    Rates,
+    Term,
+    same_for_all,
+)
 from particlerb.maths.quaternion import Rows, turn, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import get, get3
-from particlerb.model.state import turned_back
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, lengths, turned_back
 
-CENTRAL_ROWS: Final = 8
+if TYPE_CHECKING:
+    from particlerb.case.forces import CentralTable
 
 
 class Central(NamedTuple):
@@ -33,44 +44,71 @@ class Central(NamedTuple):
 
 
 @inline
-def kick_centres(
-    centres: tuple[int, ...] | None,
-    rows: Floats,
-    at: int,
-    b: int,
-    x: Vec3,
-    R: Rows,
-    dt: float,
-    p: Vec3,
-    L: Vec3,
-) -> tuple[Vec3, Vec3]:
-    """p + Σ F dt,  L + Σ τ dt."""
-    if centres is None:
-        return p, L
-    for k in range(len(centres)):  # the length is known while compiling: this is unrolled
-        first = at + k * CENTRAL_ROWS
-        r = subtract(x, get3(rows, first, b))
-        mu, mass = get(rows, first + 3, b), get(rows, first + 4, b)
-        inertia = get3(rows, first + 5, b)
-        inverse = 1.0 / np.sqrt(dot(r, r))
-        n = scale(inverse, r)
-        m = turn_back(R, n)
-        moved = turn(R, (inertia[0] * m[0], inertia[1] * m[1], inertia[2] * m[2]))
-        size = mu * inverse * inverse
-        trace = inertia[0] + inertia[1] + inertia[2]
-        near = 1.5 * size * inverse * inverse
-        along = near * (5.0 * dot(n, moved) - trace) - size * mass
-        force = add_scaled(-2.0 * near, moved, scale(along, n))
-        torque = scale(3.0 * size * inverse, cross(n, moved))
-        p, L = add_scaled(dt, force, p), add_scaled(dt, torque, L)
-    return p, L
+def kick_central(
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+) -> Momenta:
+    """p + F dt,  L + τ dt."""
+    r = subtract(x, get3(rows, at, b))
+    mu, mass = get(rows, at + 3, b), get(rows, at + 4, b)
+    inertia = get3(rows, at + 5, b)
+    inverse = 1.0 / np.sqrt(dot(r, r))
+    n = scale(inverse, r)
+    m = turn_back(R, n)
+    moved = turn(R, (inertia[0] * m[0], inertia[1] * m[1], inertia[2] * m[2]))
+    size = mu * inverse * inverse
+    trace = inertia[0] + inertia[1] + inertia[2]
+    near = 1.5 * size * inverse * inverse
+    along = near * (5.0 * dot(n, moved) - trace) - size * mass
+    force = add_scaled(-2.0 * near, moved, scale(along, n))
+    torque = scale(3.0 * size * inverse, cross(n, moved))
+    return add_scaled(dt, force, p), add_scaled(dt, torque, L)
 
 
-def central_work(central: Central, com: Floats, q: Floats) -> Floats:
+KICK: Final = Kick("central", 8, kick_central, has_potential=True, is_many=True)
+FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
+
+
+def central_work(central: Central, com: Floats, q: Floats, t: float = 0.0) -> Floats:
     """-U, (n,) [J]: what the field has done, up to a constant."""
+    del t
     r = com - central.centre
     d = np.linalg.norm(r, axis=0)
     m = turned_back(q, r / d)
     near = central.inertia.sum(axis=0) - 3.0 * (m * m * central.inertia).sum(axis=0)
     work: Floats = central.mu * (central.mass / d + 0.5 * near / (d * d * d))
     return work
+
+
+def central_rates(central: Central, bodies: Bodies, state: State) -> Rates:
+    """√3 of the rate of a circular orbit: the fastest libration of a rod."""
+    del bodies
+    distance = lengths(state.com - central.centre)
+    return Rates(rate=np.sqrt(3.0 * central.mu / distance) / distance)
+
+
+def term_of(table: "CentralTable", numbers: Floats, bodies: Bodies, start: float) -> Central:
+    """One centre for each body."""
+    del table, start
+    return Central(numbers[:3], numbers[3], bodies.mass, bodies.inertia)
+
+
+def refuse_centre(table: "CentralTable", numbers: Floats, com: Floats) -> None:
+    """Raise ForceError where a body starts in the centre."""
+    del table
+    there = np.flatnonzero(~(com - numbers[:3]).any(axis=0))
+    if there.size:
+        reason = "{name} starts exactly at this centre, where the force has no direction"
+        raise ForceError("centre", reason, "move one of the two", int(there[0]))
+
+
+FORCE: Final = Force(
+    same_for_all(lambda table: (*table.centre, table.mu)), term_of, nowhere=FAR,
+    check=refuse_centre,
+)  # fmt: skip
+KICKS: Final = (KICK,)
+TERMS: Final = (
+    Term(
+        Central, "central field", lambda central: [(KICK, np.vstack(central))], central_rates,
+        central_work, is_many=True,
+    ),
+)  # fmt: skip

@@ -11,9 +11,21 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline
+from particlerb.forces.kinds import (
+    POSE,
+    VELOCITY,
+    Force,
+    Kick,
+    Momenta,
+    Rates,
+    Term,
+    same_for_all,
+)
 from particlerb.maths.quaternion import Rows, turn, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, multiplied3, subtract
 from particlerb.model.block import INV_INERTIA, get, get3, put
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State
 
 DRAG_ROWS: Final = 2
 DECAY_ROWS: Final = 9  # of the exact flow: four factors for p and L, four for what is added; h
@@ -28,29 +40,17 @@ class Drag(NamedTuple):
 
 @inline
 def drag_load(
-    drag: int | None,
-    rows: Floats,
-    at: int,
-    b: int,
-    R: Rows,
-    p: Vec3,
-    L: Vec3,
-    F: Vec3,
-    tau: Vec3,
-) -> tuple[Vec3, Vec3]:
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3, F: Vec3, tau: Vec3
+) -> Momenta:
     """F - γ p,  τ - c_r ω."""
-    if drag is None:
-        return F, tau
     w = turn(R, multiplied3(get3(rows, INV_INERTIA, b), turn_back(R, L)))
     rotation = get(rows, at + 1, b)
     return add_scaled(-get(rows, at, b), p, F), add_scaled(-rotation, w, tau)
 
 
 @inline
-def prepare_decay(drag: int | None, rows: Floats, at: int, n: int, dt: float) -> None:
+def prepare_decay(rows: Floats, at: int, n: int, dt: float) -> None:
     """Factors of the exact flow over dt, in the rows after those of the drag."""
-    if drag is None:
-        return
     if get(rows, at + DRAG_ROWS + 8, 0) == dt:
         return
     put(rows, at + DRAG_ROWS + 8, 0, dt)
@@ -66,19 +66,9 @@ def prepare_decay(drag: int | None, rows: Floats, at: int, n: int, dt: float) ->
 
 @inline
 def damp(
-    drag: int | None,
-    rows: Floats,
-    at: int,
-    b: int,
-    R: Rows,
-    p_old: Vec3,
-    L_old: Vec3,
-    p: Vec3,
-    L: Vec3,
-) -> tuple[Vec3, Vec3]:
+    rows: Floats, at: int, b: int, R: Rows, p_old: Vec3, L_old: Vec3, p: Vec3, L: Vec3
+) -> Momenta:
     """Exact flow: p and L are p_old and L_old with the kicks of all other forces."""
-    if drag is None:
-        return p, L
     first = at + DRAG_ROWS
     decay, share = get(rows, first, b), get(rows, first + 4, b)
     kicked = subtract(p, p_old)
@@ -86,3 +76,23 @@ def damp(
     m = multiplied3(get3(rows, first + 1, b), turn_back(R, L_old))
     dm = multiplied3(get3(rows, first + 5, b), turn_back(R, subtract(L, L_old)))
     return p, turn(R, add_scaled(1.0, m, dm))
+
+
+KICK: Final = Kick(
+    "drag", DRAG_ROWS + DECAY_ROWS, needs=frozenset({POSE, VELOCITY}),
+    load=drag_load, damp=damp, prepare=prepare_decay,
+)  # fmt: skip
+
+
+def drag_rates(drag: Drag, bodies: Bodies, state: State) -> Rates:
+    """The faster of the decays of p and L."""
+    del state
+    return Rates(rate=np.maximum(drag.rate, drag.rotation * bodies.inv_inertia.max(axis=0)))
+
+
+FORCE: Final = Force(
+    same_for_all(lambda table: (table.translation, table.rotation)),
+    lambda _, numbers, bodies, start: Drag(numbers[0] * bodies.inv_mass, numbers[1]),
+)
+KICKS: Final = (KICK,)
+TERMS: Final = (Term(Drag, "drag", lambda drag: [(KICK, np.vstack(drag))], drag_rates),)

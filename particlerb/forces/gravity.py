@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+from particlerb.forces.kinds import Kick
+from particlerb.forces.push import FORCE_KICK
 from particlerb.maths.vec3 import Floats
 
 
@@ -10,3 +12,8 @@ class UniformGravity(NamedTuple):
 
     mass: Floats  # (n,) [kg]
     acceleration: Floats  # (3,) [m/s²], world frame
+
+
+def parts_of_gravity(gravity: UniformGravity) -> list[tuple[Kick, Floats]]:
+    """A force that is constant in the world."""
+    return [(FORCE_KICK, gravity.mass * gravity.acceleration[:, None])]

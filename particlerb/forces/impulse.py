@@ -1,12 +1,17 @@
 """Impulses: a jump of the momenta of some bodies at one instant, P += J and L += r × J."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from particlerb.forces.kinds import Force, same_for_all
+from particlerb.forces.push import refuse_large
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, omega_world, turned
+from particlerb.model.state import State, omega_world, turned, turned_back
+
+if TYPE_CHECKING:
+    from particlerb.case.forces import ImpulseTable
 
 
 class Impulse(NamedTuple):
@@ -32,3 +37,17 @@ def apply_impulse(impulse: Impulse, bodies: Bodies, state: State) -> tuple[State
     work = (velocity * J).sum() + (omega * turn).sum()
     about_origin = turn + np.cross(state.com, J, axis=0)
     return after, np.array([work, *J.sum(axis=1), *about_origin.sum(axis=1)])
+
+
+def impulse_of(table: "ImpulseTable", numbers: Floats, bodies: Bodies) -> Impulse:
+    """The impulse of a [[force]] on n bodies."""
+    arm, J = turned_back(bodies.rotor_frame, numbers[:3]), numbers[3:6]
+    follows = table.frame == "body"
+    J = turned_back(bodies.rotor_frame, J) if follows else J
+    return Impulse(arm, np.ascontiguousarray(J), follows)
+
+
+FORCE: Final = Force(
+    same_for_all(lambda table: (*table.at, *table.impulse)), jump=impulse_of, has_arm=True,
+    check=refuse_large,
+)  # fmt: skip

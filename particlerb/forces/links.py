@@ -8,7 +8,7 @@ A link of no length has no direction and gives no force.
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -219,8 +219,8 @@ def link_energy(links: Links, com: Floats, q: Floats) -> float:
     return float((0.5 * links.stiffness * stretch * stretch).sum())
 
 
-def with_springs(links: Links | None, springs: tuple[Spring, ...], bodies: Bodies) -> Links:
-    """Links of a group with the springs of single bodies among them; without dashpots."""
+def with_springs(links: Links | None, loads: tuple[Any, ...], bodies: Bodies) -> Links:
+    """Links of a group with the springs among the loads of its bodies; without dashpots."""
     n = bodies.mass.size
     nobody, nowhere, nothing = np.zeros(0, dtype=np.int64), np.zeros((3, 0)), np.zeros(0)
     none = Links(
@@ -228,7 +228,9 @@ def with_springs(links: Links | None, springs: tuple[Spring, ...], bodies: Bodie
         bodies.inv_inertia,
     )  # fmt: skip
     parts = [none if links is None else links]
-    for one in springs:
+    for one in loads:
+        if not isinstance(one, Spring):
+            continue
         ends = np.arange(n), np.full(n, WORLD)
         own = (one.at, one.anchor, one.stiffness, one.rest_length)
         parts.append(none._replace(**dict(zip(none._fields, (*ends, *own), strict=False))))

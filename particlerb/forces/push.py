@@ -1,20 +1,35 @@
-"""Constant world forces at body points, however many: one force and one lever tensor per body.
+"""Constant forces at body points, however many: one force and one lever tensor per body.
 
-Forces F_i at body points r_i give the force Σ F_i and the torque Σ (R r_i) × F_i. With the lever
-tensor T = Σ r_i F_iᵀ the torque is the axial vector of R T, τ_x = (R T)_yz - (R T)_zy, and
--Σ F_i·(x + R r_i) = -F·x - tr(R T) is a potential of all of them.
+Constant in the world, forces F_i at body points r_i give the force Σ F_i and the torque
+Σ (R r_i) × F_i. With the lever tensor T = Σ r_i F_iᵀ the torque is the axial vector of R T,
+τ_x = (R T)_yz - (R T)_zy, and -Σ F_i·(x + R r_i) = -F·x - tr(R T) is a potential of all of them.
+
+Follower loads are constant in the body and turn with it: a thruster at a body point r gives the
+body force F and the body torque r × F. They have no potential: their work is booked by kicks.
 """
 
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.maths.quaternion import Rows
+from particlerb.forces.kinds import (
+    Force,
+    Kick,
+    Momenta,
+    Rates,
+    Term,
+    refuse_overflow,
+    same_for_all,
+)
+from particlerb.maths.quaternion import Rows, turn
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
 from particlerb.model.block import get3
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, lengths, turned_back
 
-LEVER_ROWS: Final = 9
+if TYPE_CHECKING:
+    from particlerb.case.forces import ImpulseTable, PushTable
 
 
 class Push(NamedTuple):
@@ -24,29 +39,56 @@ class Push(NamedTuple):
     lever: Floats  # (9, n) [N m]: row 3 j + l is T_lj, l in the rotor frame, j in the world frame
 
 
+class Follower(NamedTuple):
+    """Parameters of the term for n bodies."""
+
+    force: Floats  # (3, n) [N], rotor frame
+    torque: Floats  # (3, n) [N m], rotor frame, about the centre of mass
+
+
 @inline
-def kick_force(force: int | None, rows: Floats, at: int, b: int, dt: float, p: Vec3) -> Vec3:
+def kick_force(
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+) -> Momenta:
     """p + F dt, with F constant in the world: pushes and gravity."""
-    if force is None:
-        return p
-    return add_scaled(dt, get3(rows, at, b), p)
+    return add_scaled(dt, get3(rows, at, b), p), L
 
 
 @inline
 def kick_lever(
-    lever: int | None, rows: Floats, at: int, b: int, R: Rows, dt: float, L: Vec3
-) -> Vec3:
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+) -> Momenta:
     """L + axial(R T) dt."""
-    if lever is None:
-        return L
-    x, y, z = R
+    X, Y, Z = R
     t_x, t_y, t_z = get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
     torque = (
-        dot(y, t_z) - dot(z, t_y),
-        dot(z, t_x) - dot(x, t_z),
-        dot(x, t_y) - dot(y, t_x),
+        dot(Y, t_z) - dot(Z, t_y),
+        dot(Z, t_x) - dot(X, t_z),
+        dot(X, t_y) - dot(Y, t_x),
     )
-    return add_scaled(dt, torque, L)
+    return p, add_scaled(dt, torque, L)
+
+
+@inline
+def kick_follower(
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+) -> Momenta:
+    """p + R F dt,  L + R τ dt."""
+    force, torque = turn(R, get3(rows, at, b)), turn(R, get3(rows, at + 3, b))
+    return add_scaled(dt, force, p), add_scaled(dt, torque, L)
+
+
+FORCE_KICK: Final = Kick(
+    "force", 3, kick_force, has_potential=True, is_steady=True, needs=frozenset()
+)
+LEVER_KICK: Final = Kick("lever", 9, kick_lever, has_potential=True, is_steady=True)
+FOLLOWER_KICK: Final = Kick("follower", 6, kick_follower)
+
+
+def parts_of_push(push: Push) -> list[tuple[Kick, Floats]]:
+    """Rows of the force and of the lever, as far as they are there."""
+    parts = (FORCE_KICK, push.force), (LEVER_KICK, push.lever)
+    return [(kick, values) for kick, values in parts if values.any()]
 
 
 def lever_work(lever: Floats, q: Floats) -> Floats:
@@ -65,3 +107,59 @@ def lever_work(lever: Floats, q: Floats) -> Floats:
         + 2 * (y * z + w * x) * t[2, 1]
     )
     return np.asarray(trace)
+
+
+def push_work(push: Push, com: Floats, q: Floats, t: float) -> Floats:
+    """F·x + tr(R T), (n,) [J]: what the forces have done, up to a constant."""
+    del t
+    return np.asarray(lever_work(push.lever, q) + (push.force * com).sum(axis=0))
+
+
+def push_rates(push: Push, bodies: Bodies, state: State) -> Rates:
+    """The torque about which a body swings."""
+    del bodies, state
+    return Rates(turning=lengths(push.lever))
+
+
+def follower_rates(follower: Follower, bodies: Bodies, state: State) -> Rates:
+    """The torque that spins a body up."""
+    del bodies, state
+    return Rates(spinning=lengths(follower.torque))
+
+
+def push_at(vector: Floats, arm: Floats) -> Push:
+    """A force (3, n) [N], world frame, at points (3, n) [m], rotor frame."""
+    return Push(vector, (vector[:, None] * arm).reshape(9, -1))  # [j, l] = F_j r_l
+
+
+def term_of(table: "PushTable", numbers: Floats, bodies: Bodies, start: float) -> Push | Follower:
+    """A push in the world, or a load that follows the body."""
+    del start
+    arm, vector = turned_back(bodies.rotor_frame, numbers[:3]), numbers[3:6]
+    if table.frame == "world":
+        return push_at(vector, arm)
+    own = turned_back(bodies.rotor_frame, vector)
+    return Follower(own, np.cross(arm, own, axis=0))
+
+
+def arm_and_force(table: "PushTable") -> tuple[float, ...]:
+    """The point and the force."""
+    return (*table.at, *table.force)
+
+
+def refuse_large(table: "PushTable | ImpulseTable", numbers: Floats, com: Floats) -> None:
+    """Raise ForceError where the torque is beyond float64."""
+    del com
+    arm, size = float(np.abs(numbers[:3]).max()), float(np.abs(numbers[3:6]).max())
+    refuse_overflow(f"arm {arm!r} m and {table.type}", "at", arm, size)
+
+
+FORCE: Final = Force(same_for_all(arm_and_force), term_of, has_arm=True, check=refuse_large)
+KICKS: Final = (FORCE_KICK, LEVER_KICK, FOLLOWER_KICK)
+TERMS: Final = (
+    Term(Push, "push", parts_of_push, push_rates, push_work),
+    Term(
+        Follower, "load fixed in the body",
+        lambda term: [(FOLLOWER_KICK, np.vstack(term))], follower_rates,
+    ),
+)  # fmt: skip

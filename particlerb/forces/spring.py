@@ -4,17 +4,22 @@ With d from the body point to the anchor and l = |d|: F = k (l - l₀) d/l at th
 potential k (l - l₀)²/2. A spring of no length has no direction and gives no force.
 """
 
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.jit import inline
+from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term
 from particlerb.maths.quaternion import Rows, turn
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import get, get3
-from particlerb.model.state import turned
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, lengths, multiplied, turned, turned_back
 
-SPRING_ROWS: Final = 8
+if TYPE_CHECKING:
+    from particlerb.case.forces import SpringTable
+    from particlerb.case.to_system import System
+
 TINY: Final = 1e-300  # keeps 1/l finite where the spring has no length
 
 
@@ -28,28 +33,18 @@ class Spring(NamedTuple):
 
 
 @inline
-def kick_springs(
-    springs: tuple[int, ...] | None,
-    rows: Floats,
-    at: int,
-    b: int,
-    x: Vec3,
-    R: Rows,
-    dt: float,
-    p: Vec3,
-    L: Vec3,
-) -> tuple[Vec3, Vec3]:
-    """p + Σ F dt,  L + Σ (R r) × F dt."""
-    if springs is None:
-        return p, L
-    for k in range(len(springs)):  # the length is known while compiling: this is unrolled
-        first = at + k * SPRING_ROWS
-        arm = turn(R, get3(rows, first, b))
-        d = subtract(subtract(get3(rows, first + 3, b), x), arm)
-        stiffness, rest = get(rows, first + 6, b), get(rows, first + 7, b)
-        force = scale(stiffness * (1.0 - rest / np.sqrt(dot(d, d) + TINY)), d)
-        p, L = add_scaled(dt, force, p), add_scaled(dt, cross(arm, force), L)
-    return p, L
+def kick_spring(
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+) -> Momenta:
+    """p + F dt,  L + (R r) × F dt."""
+    arm = turn(R, get3(rows, at, b))
+    d = subtract(subtract(get3(rows, at + 3, b), x), arm)
+    stiffness, rest = get(rows, at + 6, b), get(rows, at + 7, b)
+    force = scale(stiffness * (1.0 - rest / np.sqrt(dot(d, d) + TINY)), d)
+    return add_scaled(dt, force, p), add_scaled(dt, cross(arm, force), L)
+
+
+KICK: Final = Kick("spring", 8, kick_spring, has_potential=True, is_many=True)
 
 
 def spring_energy(spring: Spring, com: Floats, q: Floats) -> Floats:
@@ -58,3 +53,60 @@ def spring_energy(spring: Spring, com: Floats, q: Floats) -> Floats:
     stretch = np.linalg.norm(d, axis=0) - spring.rest_length
     energy: Floats = 0.5 * spring.stiffness * stretch * stretch
     return energy
+
+
+def spring_rates(spring: Spring, bodies: Bodies, state: State) -> Rates:
+    """k (1/M + r²/I) with the smallest moment."""
+    del state
+    softness = bodies.inv_mass + lengths(spring.at) ** 2 * bodies.inv_inertia.max(axis=0)
+    return Rates(squared=spring.stiffness * softness)
+
+
+def resolve(
+    table: "SpringTable", members: Ints, system: "System"
+) -> list[tuple[Ints, tuple[float, ...]]]:
+    """Point, anchor, stiffness and rest length; one body at a time where it is that of t = 0."""
+    fixed = (*table.at, *(table.anchor or ()), table.stiffness)
+    if table.rest_length != "initial":
+        return [(members, (*fixed, table.rest_length))]
+    spans = places(system, members, table.at) - np.array(table.anchor)[:, None]
+    return [
+        (members[k : k + 1], (*fixed, length)) for k, length in enumerate(lengths(spans).tolist())
+    ]
+
+
+def places(system: "System", bodies: Ints, at: Floats | tuple[float, float, float]) -> Floats:
+    """Places of points of bodies at t = 0, (3, n) [m], world frame.
+
+    Parameters
+    ----------
+    system : System
+        Gives the state at t = 0.
+    bodies : ndarray, shape (n,)
+        Of the system.
+    at : tuple of 3 floats, or ndarray of shape (3, n) [m]
+        Body frame, from the centre of mass; one point for all, or one for each.
+    """
+    own = np.array(at, dtype=np.float64)
+    own = np.tile(own[:, None], bodies.size) if own.ndim == 1 else own
+    inverse = system.bodies.rotor_frame[:, bodies] * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
+    q = multiplied(system.state.q[:, bodies], inverse)
+    place: Floats = system.state.com[:, bodies] + turned(q, own)
+    return place
+
+
+def term_of(table: "SpringTable", numbers: Floats, bodies: Bodies, start: float) -> Spring:
+    """One spring on each body."""
+    del table, start
+    arm = turned_back(bodies.rotor_frame, numbers[:3])
+    return Spring(arm, numbers[3:6], numbers[6], numbers[7])
+
+
+FORCE: Final = Force(resolve, term_of, has_arm=True)
+KICKS: Final = (KICK,)
+TERMS: Final = (
+    Term(
+        Spring, "spring", lambda spring: [(KICK, np.vstack(spring))], spring_rates,
+        energy=spring_energy, is_many=True,
+    ),
+)  # fmt: skip

@@ -1,12 +1,23 @@
-"""Constant world torques: free couples. No potential in general; the work is booked by kicks."""
+"""Constant torques: free couples in the world, or in the body, where they follow it.
 
-from typing import Final, NamedTuple
+No potential in general; the work is booked by kicks.
+"""
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
 
 from particlerb.compiled.jit import inline
+from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, same_for_all
+from particlerb.forces.push import Follower
+from particlerb.maths.quaternion import Rows
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled
 from particlerb.model.block import get3
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, lengths, turned_back
 
-TORQUE_ROWS: Final = 3
+if TYPE_CHECKING:
+    from particlerb.case.forces import TorqueTable
 
 
 class Torque(NamedTuple):
@@ -16,8 +27,42 @@ class Torque(NamedTuple):
 
 
 @inline
-def kick_torque(torque: int | None, rows: Floats, at: int, b: int, dt: float, L: Vec3) -> Vec3:
+def kick_torque(
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+) -> Momenta:
     """L + τ dt."""
-    if torque is None:
-        return L
-    return add_scaled(dt, get3(rows, at, b), L)
+    return p, add_scaled(dt, get3(rows, at, b), L)
+
+
+KICK: Final = Kick("torque", 3, kick_torque)
+
+
+def torque_rates(term: Torque, bodies: Bodies, state: State) -> Rates:
+    """The torque that spins a body up."""
+    del bodies, state
+    return Rates(spinning=lengths(term.torque))
+
+
+def term_of(
+    table: "TorqueTable", numbers: Floats, bodies: Bodies, start: float
+) -> Torque | Follower:
+    """A torque in the world, or one that follows the body."""
+    del start
+    if table.frame == "world":
+        return Torque(numbers[3:6])
+    own = turned_back(bodies.rotor_frame, numbers[3:6])
+    return Follower(np.zeros_like(own), own)
+
+
+def turning(table: "TorqueTable", is_point: bool) -> tuple[str, str]:
+    """Key and hint where it turns a point, or a rod about its axis."""
+    del table
+    return "torque", "leave it out" if is_point else "give a torque across the rod"
+
+
+FORCE: Final = Force(
+    same_for_all(lambda table: (0.0, 0.0, 0.0, *table.torque)), term_of, is_torque=True,
+    turning=turning,
+)  # fmt: skip
+KICKS: Final = (KICK,)
+TERMS: Final = (Term(Torque, "torque", lambda term: [(KICK, term.torque)], torque_rates),)

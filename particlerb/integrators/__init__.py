@@ -2,8 +2,9 @@
 
 Each has ORDER (None for a closed form, which has no step), FREE_ORDER (where no force acts),
 IS_ADAPTIVE (whether it chooses its steps by a tolerance), KEEPS_RODS (whether the angular momentum
-of a rod stays across its axis to rounding, and not to the error of the steps), ACCEPTS (the terms
-that may act while it works), SUMMARY, COST and `begin`, which makes a `motion.Motion`. Those with
+of a rod stays across its axis to rounding, and not to the error of the steps), ACCEPTS (what a
+force may depend on, in the words of `forces.kinds`), SUMMARY, COST and `begin`, which makes a
+`motion.Motion`. Those with
 a step have EVALUATIONS, of the forces in it, and those with a fixed one REACH, the largest hω of an
 oscillator that stays bounded, and LONGEST, the turn [rad] of a step above which it is worth a
 warning.

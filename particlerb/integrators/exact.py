@@ -32,7 +32,7 @@ FREE_ORDER: Final = None
 IS_ADAPTIVE: Final = False
 COST: Final = 4.0  # ns per body and frame, roughly
 KEEPS_RODS: Final = True
-ACCEPTS: Final = frozenset({"gravity"})  # and a push that acts at the centre of mass
+ACCEPTS: Final[frozenset[str]] = frozenset()  # gravity, and a push at the centre of mass
 SUMMARY: Final = "closed form, no step; free bodies only (uniform gravity, push through the com)"
 
 

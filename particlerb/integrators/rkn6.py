@@ -18,6 +18,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel_from
 from particlerb.forces import Acting
+from particlerb.forces.kinds import BODIES, POSE
 from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, dot, multiplied3, scale
 from particlerb.model.block import (
@@ -59,9 +60,7 @@ ORDER: Final = 6
 FREE_ORDER: Final = 8
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = True
-ACCEPTS: Final = frozenset(
-    {"gravity", "push", "follower", "torque", "spring", "central", "links", "attraction"}
-)
+ACCEPTS: Final = frozenset({POSE, BODIES})
 SUMMARY: Final = "order 6 (8 on free bodies), symmetric; for forces that depend on the pose alone"
 COST: Final = 66.0  # ns per body-step, roughly; of bodies with a closed drift
 EVALUATIONS: Final = 11  # of the forces in a step

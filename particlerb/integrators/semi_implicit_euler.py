@@ -11,8 +11,13 @@ others use.
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces import DRAG, Acting, kick_others, kick_potential, less_internal
-from particlerb.forces.drag import drag_load
+from particlerb.forces import (
+    Acting,
+    kick_others,
+    kick_potential,
+    less_internal,
+    load_of_velocity,
+)
 from particlerb.integrators.slopes import ACCEPTED, Pose, pose, put_pose
 from particlerb.maths.quaternion import (
     add_scaled4,
@@ -80,9 +85,9 @@ def step(
         y = pose(rows, b)
         R, inverse = matrix(y.q), get3(rows, INV_INERTIA, b)
         middle = kick_potential(acting, rows, b, y.x, R, dt, y.p, y.L)
-        p, L = kick_others(acting, rows, b, R, dt, middle[0], middle[1])
+        p, L = kick_others(acting, rows, b, y.x, R, dt, middle[0], middle[1])
         zero = (0.0, 0.0, 0.0)
-        against, braking = drag_load(acting.drag, rows, DRAG, b, R, y.p, y.L, zero, zero)
+        against, braking = load_of_velocity(acting, rows, b, y.x, R, y.p, y.L, zero, zero)
         p, L = add_scaled(dt, against, p), add_scaled(dt, braking, L)
         entry = kick_entry(rows, b, y.x, R, (y.p, y.L), middle, (p, L))
         book(

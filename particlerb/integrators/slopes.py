@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import inline
 from particlerb.forces import Acting, Entry, less_internal, load_at
+from particlerb.forces.kinds import BODIES, POSE, VELOCITY
 from particlerb.maths.quaternion import (
     Quat,
     Rows,
@@ -28,10 +29,7 @@ from particlerb.maths.vec3 import (
 )
 from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
 
-ACCEPTED: Final = frozenset(
-    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
-    | {"links", "dashpots", "attraction"}
-)  # terms that these methods take: all but contact
+ACCEPTED: Final = frozenset({POSE, VELOCITY, BODIES})  # what these methods take: not contact
 
 
 class Pose(NamedTuple):

@@ -10,8 +10,8 @@ Source: Strang, SIAM J. Numer. Anal. 5, 506 (1968); the rotor: rotors/symmetric_
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces import DRAG, Acting
-from particlerb.forces.drag import prepare_decay
+from particlerb.forces import Acting, prepare_kick
+from particlerb.forces.kinds import BODIES, CONTACT, POSE, VELOCITY
 from particlerb.maths.quaternion import turn_back
 from particlerb.maths.vec3 import Floats, add_scaled
 from particlerb.model.block import COM, INV_INERTIA, INV_MASS, Q, get, get3, get4, put3, put4
@@ -28,10 +28,7 @@ ORDER: Final = 2
 FREE_ORDER: Final = 2
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = True
-ACCEPTS: Final = frozenset(
-    {"gravity", "push", "follower", "torque", "drag", "spring", "central"}
-    | {"links", "dashpots", "attraction", "contact"}
-)
+ACCEPTS: Final = frozenset({POSE, VELOCITY, BODIES, CONTACT})
 SUMMARY: Final = "order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force"
 COST: Final = 6.0  # ns per body-step, roughly
 EVALUATIONS: Final = 1  # of the forces in a step
@@ -45,7 +42,7 @@ def step(
     acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
 ) -> None:
     """K(opening) D(dt); the kick of dt/2 that belongs to the end stays open."""
-    prepare_decay(acting.drag, rows, DRAG, n, opening)
+    prepare_kick(acting, rows, n, opening)
     for b in range(n):
         p, L, R = kick(acting, books, rows, b, opening)
         x, q = get3(rows, COM, b), get4(rows, Q, b)

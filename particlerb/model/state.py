@@ -104,6 +104,11 @@ def turned_back(q: Floats, v: Floats) -> Floats:
     return turned(q * np.array([[1.0], [-1.0], [-1.0], [-1.0]]), v)
 
 
+def lengths(vectors: Floats) -> Floats:
+    """|v| of each column."""
+    return np.asarray(np.linalg.norm(vectors, axis=0))
+
+
 def initial_state(
     bodies: Bodies,
     position: Floats,

@@ -38,10 +38,11 @@ from particlerb.contact.wall_motion import PrescribedMotion, poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.wall_shapes import box, cylinder, joined, plane, surface, unit
 from particlerb.contact.walls import Walls, gaps
+from particlerb.forces.spring import places
 from particlerb.geometry.mesh import triangles_of
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3
-from particlerb.model.state import turned
-from particlerb.plan.links import and_more, is_among, lengths, particles_of, places
+from particlerb.model.state import lengths, turned
+from particlerb.plan.links import and_more, is_among, particles_of
 
 NOTHING: Final = -1  # material of a body that touches nothing
 TANGENTIAL: Final = 2.0 / 7.0  # default tangential over normal stiffness

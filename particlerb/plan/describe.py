@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from particlerb.case.schema import FORCES, Case
+from particlerb.case.forces import FORCES
+from particlerb.case.schema import Case
 from particlerb.case.to_system import System
-from particlerb.forces import Terms, has_potential, is_constant
+from particlerb.forces import Terms, has_potential, is_constant, words_of
 from particlerb.maths.vec3 import Ints
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.rotors.rotor_class import NAMES
@@ -172,7 +173,7 @@ def segment_line(segment: Segment) -> str:
 
 def free_reason(terms: Terms) -> str:
     """Why a segment is free."""
-    acting = [name for name, term in (("gravity", terms.gravity), ("push", terms.push)) if term]
+    acting = words_of(terms)
     if not acting:
         return "nothing acts"
     return f"{' and '.join(acting)} through the centre of mass: a parabola"
@@ -180,16 +181,7 @@ def free_reason(terms: Terms) -> str:
 
 def driving(terms: Terms) -> str:
     """How the terms that act make bodies move, and their names."""
-    names = {
-        "gravity": terms.gravity,
-        "push": terms.push,
-        "load fixed in the body": terms.follower,
-        "torque": terms.torque,
-        "drag": terms.drag,
-        "spring": terms.spring,
-        "central field": terms.central,
-    }
-    acting = [name for name, term in names.items() if term is not None]
+    acting = words_of(terms)
     outside = f"driven by {' and '.join(acting)}" if acting else ""
     if not terms.is_coupled:
         return outside or "driven by nothing, but the case names the method"

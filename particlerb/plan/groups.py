@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.output import FIELDS_OF_CONTACT
-from particlerb.case.schema import Case, CentralTable
+from particlerb.case.schema import Case
 from particlerb.case.to_system import System
 from particlerb.contact.interior_spheres import outer_spheres
 from particlerb.contact.law import SHEAR_DAMPING, Law
@@ -25,6 +25,7 @@ from particlerb.forces import Terms
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity_tree.tree import BREAK_EVEN, angle_for
 from particlerb.forces.links import WORLD, Links
+from particlerb.forces.registry import force_of
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import turned_back
@@ -35,7 +36,6 @@ from particlerb.rotors.rotor_class import ASYMMETRIC
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
 DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet
-FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
 
 
 class BodyGroup(NamedTuple):
@@ -158,8 +158,7 @@ def aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
                 Forces(load.force, np.zeros((N_NUMBERS, members.size))),
                 np.zeros(members.size, dtype=bool),
             )
-            if isinstance(load.force, CentralTable):
-                free[0].numbers[:3] = FAR
+            free[0].numbers[:3] = force_of(load.force).nowhere
             rooms.append(free)
         numbers, taken_ = free[0].numbers, free[1]
         numbers[: len(load.numbers), own] = np.array(load.numbers)[:, None]
@@ -175,9 +174,10 @@ def terms_of(
     forces: list[Forces],
     links: list[Link],
     touching: ContactSetup | None,
+    start: float,
 ) -> Terms:
-    """Terms of a group while these of its forces and links act."""
-    terms = acting_terms(case, bodies, forces)
+    """Terms of a group while these of its forces and links act, in the segment from `start` on."""
+    terms = acting_terms(case, bodies, forces, start)
     if links:
         terms = terms._replace(links=links_among(group.members, bodies, links))
     if group.attracts:

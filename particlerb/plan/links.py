@@ -10,14 +10,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from particlerb.case.forces import AnyForce, SpringTable
 from particlerb.case.placement import bodies_in_order, resolve_bodies
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
-from particlerb.case.schema import AnyForce, Case, SpringTable
+from particlerb.case.schema import Case
 from particlerb.case.to_system import System
 from particlerb.forces.links import WORLD
+from particlerb.forces.spring import places
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.state import multiplied, turned, turned_back
+from particlerb.model.state import lengths, turned_back
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 REACH_ROUNDING: Final = 1e-9  # share by which a pair may be further apart than reach
@@ -317,32 +319,7 @@ def components(n_bodies: int, links: list[Link], attracted: Ints, touching: Ints
             label = label[label]
 
 
-# Places and distances
-
-
-def places(scene: System, bodies: Ints, at: Floats | tuple[float, float, float]) -> Floats:
-    """Places of points of bodies at t = 0, (3, n) [m], world frame.
-
-    Parameters
-    ----------
-    scene : System
-        Gives the state at t = 0.
-    bodies : ndarray, shape (n,)
-        Of the scene.
-    at : tuple of 3 floats, or ndarray of shape (3, n) [m]
-        Body frame, from the centre of mass; one point for all, or one for each.
-    """
-    own = np.array(at, dtype=np.float64)
-    own = np.tile(own[:, None], bodies.size) if own.ndim == 1 else own
-    inverse = scene.bodies.rotor_frame[:, bodies] * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-    q = multiplied(scene.state.q[:, bodies], inverse)
-    place: Floats = scene.state.com[:, bodies] + turned(q, own)
-    return place
-
-
-def lengths(vectors: Floats) -> Floats:
-    """|v| of each column."""
-    return np.asarray(np.linalg.norm(vectors, axis=0))
+# Distances
 
 
 @np.errstate(over="ignore", under="ignore")

@@ -18,8 +18,8 @@ from particlerb.contact.wall_motion import poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats
+from particlerb.model.state import lengths
 from particlerb.plan.contact_setup import ContactSetup, contact_of, shift_of, spheres_of
-from particlerb.plan.links import lengths
 
 ROUNDS: Final = 2000  # at most
 LENGTHENED: Final = 1.5  # times the mean of all pushes on a body

@@ -14,26 +14,24 @@ import numpy as np
 from particlerb.case.coarse_lattice import coarse
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import problem_at
-from particlerb.case.schema import Case, ImpulseTable
+from particlerb.case.schema import Case
 from particlerb.case.to_system import System
 from particlerb.contact.contact_frequency import initial_contact_frequency
 from particlerb.contact.pair_force import ContactSpheres, GroupContact
-from particlerb.forces import Terms
+from particlerb.forces import Terms, needs_of, rates_of
 from particlerb.forces.attraction import Attraction, fastest_rates
 from particlerb.forces.impulse import Impulse
 from particlerb.forces.links import fastest_oscillation, link_rates, with_springs
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies, taken
-from particlerb.model.state import State, omega_world
+from particlerb.model.state import State, lengths, omega_world
 from particlerb.plan.case_forces import (
     acts,
-    bodies_at_centres,
-    impossible_torques,
-    jump,
+    edges_of,
+    impossible,
+    jumps_at,
     loads_of,
-    sizes,
-    too_large,
 )
 from particlerb.plan.contact_setup import ContactSetup, contact_of
 from particlerb.plan.groups import BodyGroup, groups_of, terms_of
@@ -104,10 +102,7 @@ def make_plan(case: Case, scene: System) -> Plan:
     """
     loads = loads_of(case, scene)
     links = links_of(case, scene)
-    problems = [p for load in loads for p in too_large(case, load)]
-    problems += [p for load in loads for p in impossible_torques(case, scene, load)]
-    problems += [p for load in loads for p in bodies_at_centres(case, scene, load)]
-    problems += coincident(case, scene)
+    problems = impossible(case, scene, loads) + coincident(case, scene)
     if problems:
         raise CaseError(problems)
     touching = contact_of(case, scene)
@@ -161,10 +156,7 @@ def cut_into_segments(
     """Segments of a group between the edges of its forces; steps are set later."""
     edges = {0.0}
     for form in (*(force.form for force in group.forces), *(link.force for link in group.links)):
-        if isinstance(form, ImpulseTable):
-            edges.add(form.time)
-        elif form.during is not None:
-            edges.update(form.during)
+        edges.update(edges_of(form))
     starts = sorted(edges)
     members, forces = group.members, group.forces
     bodies = taken(scene.bodies, members)
@@ -174,12 +166,8 @@ def cut_into_segments(
     for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
         acting = [force for force in forces if acts(force.form, start)]
         links = [link for link in group.links if acts(link.force, start)]
-        terms = terms_of(case, scene, group, bodies, acting, links, touching)
-        jumps = tuple(
-            jump(force, bodies)
-            for force in forces
-            if isinstance(force.form, ImpulseTable) and force.form.time == start
-        )
+        terms = terms_of(case, scene, group, bodies, acting, links, touching, start)
+        jumps = jumps_at(forces, bodies, start)
         method = chosen_method(case.run.method, bodies, terms)
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, case.run.tolerance))
     return GroupPlan(members, bodies, tuple(segments))
@@ -195,20 +183,15 @@ def held(bodies: Bodies, fixed: Bools) -> Bodies:
     )
 
 
-def turning_terms(terms: Terms) -> set[str]:
-    """Names of the terms that a closed form cannot have: not a push at the centre of mass."""
-    acting = {name for name, term in terms._asdict().items() if term is not None}
-    acting.discard("opening_angle")
-    if terms.links is not None and terms.links.damping is not None:
-        acting.add("dashpots")
-    if terms.push is not None and not terms.push.lever.any():
-        acting.discard("push")
-    return acting
+def refused_terms(method: str, terms: Terms) -> list[str]:
+    """Names of the terms that need more than a method takes into account."""
+    able = METHODS[method].ACCEPTS
+    return sorted(name for name, needs in needs_of(terms).items() if not needs <= able)
 
 
 def accepts(method: str, terms: Terms) -> bool:
     """Whether a method can integrate under these terms."""
-    return bool(turning_terms(terms) <= METHODS[method].ACCEPTS)
+    return not refused_terms(method, terms)
 
 
 def has_step(method: str) -> bool:
@@ -234,10 +217,10 @@ def refuse_method(case: Case, groups: list[GroupPlan]) -> None:
     """Raise CaseError where a method was asked for and a force acts that it does not accept."""
     for group in groups:
         for segment in group.segments:
-            if accepts(segment.method, segment.terms):
+            refused = refused_terms(segment.method, segment.terms)
+            if not refused:
                 continue
-            refused = turning_terms(segment.terms) - METHODS[segment.method].ACCEPTS
-            acting = ", ".join(sorted(refused))
+            acting = ", ".join(refused)
             able = ", ".join(name for name in METHODS if accepts(name, segment.terms))
             reason = f"{segment.method} does not accept what acts here: {acting}"
             raise CaseError([problem_at(case, "run.method", reason, f"methods that do: {able}")])
@@ -413,27 +396,17 @@ def rates(scene: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
     swing = np.zeros_like(spin)
     for segment in group.segments:
         for at, impulse, _ in segment.jumps:
-            spin = spin + sizes(at) * sizes(impulse) * inv_inertia
-        _, push, follower, torque, drag, springs, centres, links, attraction, *_ = segment.terms
-        lasting = np.zeros_like(spin)
-        if follower is not None:
-            lasting = lasting + sizes(follower.torque)
-        if torque is not None:
-            lasting = lasting + sizes(torque.torque)
+            spin = spin + lengths(at) * lengths(impulse) * inv_inertia
+        links, attraction = segment.terms.links, segment.terms.attraction
+        lasting, swinging, squares = np.zeros((3, spin.size))
+        for load in segment.terms.loads:
+            spinning, turning, squared, rate = rates_of(load, bodies, state)
+            lasting, swinging = lasting + spinning, swinging + turning
+            squares, swing = squares + squared, np.maximum(swing, rate)
         length = (segment.stop if np.isfinite(segment.stop) else t_end) - segment.start
         spin = spin + lasting * inv_inertia * max(length, 0.0)
-        swinging = lasting if push is None else lasting + sizes(push.lever)
-        swing = np.maximum(swing, np.sqrt(swinging * inv_inertia))
-        if drag is not None:
-            swing = np.maximum(swing, np.maximum(drag.rate, drag.rotation * inv_inertia))
-        squares = np.zeros_like(spin)
-        for spring in springs or ():
-            softness = bodies.inv_mass + sizes(spring.at) ** 2 * inv_inertia
-            squares += spring.stiffness * softness
+        swing = np.maximum(swing, np.sqrt((lasting + swinging) * inv_inertia))
         swing = np.maximum(swing, np.sqrt(squares))
-        for centre in centres or ():
-            distance = sizes(state.com - centre.centre)
-            swing = np.maximum(swing, np.sqrt(3.0 * centre.mu / distance) / distance)
         if links is not None:
             swing = np.maximum(swing, link_rates(links))
         if attraction is not None:
@@ -595,10 +568,9 @@ def as_warning(problem: Problem) -> str:
 
 def stable_step(scene: System, group: GroupPlan, segment: Segment) -> float:
     """Longest step [s] with which the springs of a segment stay bounded at t = 0; inf: any."""
-    links, springs = segment.terms.links, segment.terms.spring or ()
-    if links is None and not springs:
+    everything = with_springs(segment.terms.links, segment.terms.loads, group.bodies)
+    if not everything.first.size:
         return np.inf
     state = taken(scene.state, group.members)
-    everything = with_springs(links, springs, group.bodies)
     rate = fastest_oscillation(everything, group.bodies, state.com, state.q)
     return float(METHODS[segment.method].REACH / rate) if rate > 0.0 else np.inf

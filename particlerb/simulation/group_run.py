@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particlerb.contact.contact_output import ContactOutput
-from particlerb.forces import energy_of_springs
+from particlerb.forces import energy_of_loads, has_energy
 from particlerb.forces.impulse import apply_impulse
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
@@ -73,12 +73,12 @@ class GroupRun:
     @property
     def is_bound(self) -> bool:
         """Whether the bodies have a potential energy beside that of uniform gravity."""
-        return self.pairs is not None or self.segment.terms.spring is not None
+        return self.pairs is not None or has_energy(self.segment.terms)
 
     def potential(self, com: Floats, q: Floats) -> float:
         """Potential energy of all springs, and of the bodies with each other [J]."""
         energy = 0.0 if self.pairs is None else self.pairs.potential_energy(com, q)
-        return energy + energy_of_springs(self.segment.terms, com, q)
+        return energy + energy_of_loads(self.segment.terms, com, q)
 
     def begin(self, segment: Segment, state: State) -> Motion:
         """Apply the impulses at the start of a segment and set off."""

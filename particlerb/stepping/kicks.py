@@ -5,12 +5,33 @@ each other are one of the summed length, so a step leaves its last kick open for
 """
 
 from particlerb.compiled.jit import inline
-from particlerb.forces import DRAG, Acting, kick_others, kick_potential, less_internal
-from particlerb.forces.drag import damp
+from particlerb.forces import (
+    Acting,
+    Entry,
+    damp,
+    flow_in,
+    flow_out,
+    kick_others,
+    kick_potential,
+    less_internal,
+    with_power,
+)
 from particlerb.maths.quaternion import Rows, matrix
-from particlerb.maths.vec3 import Floats, Vec3
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled
 from particlerb.model.block import COM, L, P, Q, get3, get4, put3
 from particlerb.stepping.external_work import book, kick_entry
+
+
+@inline
+def with_flow(
+    flow: int | None, rows: Floats, b: int, x: Vec3, R: Rows, old: tuple[Vec3, Vec3],
+    new: tuple[Vec3, Vec3], entry: Entry,
+) -> Entry:  # fmt: skip
+    """What is booked, with what a flow did from old to new momenta."""
+    if flow is None:
+        return entry
+    work, dp, dL = kick_entry(rows, b, x, R, old, old, new)
+    return work + entry[0], add_scaled(1.0, dp, entry[1]), add_scaled(1.0, dL, entry[2])
 
 
 @inline
@@ -20,11 +41,16 @@ def kick(
     """Kick body b over dt; its new momenta, which are stored, and its rotation matrix."""
     x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
     old = get3(rows, P, b), get3(rows, L, b)
-    middle = kick_potential(acting, rows, b, x, R, dt, old[0], old[1])
-    p, L_new = kick_others(acting, rows, b, R, dt, middle[0], middle[1])
-    p, L_new = damp(acting.drag, rows, DRAG, b, R, old[0], old[1], p, L_new)
+    first = flow_in(acting, rows, b, R, 0.5 * dt, old[0], old[1])
+    middle = kick_potential(acting, rows, b, x, R, dt, first[0], first[1])
+    p, L_new = kick_others(acting, rows, b, x, R, dt, middle[0], middle[1])
+    last = damp(acting, rows, b, R, first[0], first[1], p, L_new)
+    p, L_new = flow_out(acting, rows, b, R, 0.5 * dt, last[0], last[1])
     put3(rows, P, b, p)
     put3(rows, L, b, L_new)
-    entry = kick_entry(rows, b, x, R, old, middle, (p, L_new))
+    entry = kick_entry(rows, b, x, R, first, middle, last)
+    entry = with_flow(acting.flow, rows, b, x, R, old, first, entry)
+    entry = with_flow(acting.flow, rows, b, x, R, last, (p, L_new), entry)
+    entry = with_power(acting.clock, acting, rows, b, x, R, dt, entry)
     book(books, rows, b, 1.0, less_internal(acting.pair, acting.contact, rows, b, x, dt, entry))
     return p, L_new, R

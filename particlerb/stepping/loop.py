@@ -16,13 +16,12 @@ import numpy as np
 from particlerb.compiled.jit import inline
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import (
-    DRAG,
     Acting,
     acting_of,
+    prepare_kick,
     row_count,
     rows_of_terms,
 )
-from particlerb.forces.drag import prepare_decay
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.model.block import (
@@ -67,7 +66,7 @@ def close(acting: Acting, books: int | None, rows: Floats, n: int, dt: float) ->
     """Make the open kick of a block."""
     if dt == 0.0:
         return
-    prepare_decay(acting.drag, rows, DRAG, n, dt)
+    prepare_kick(acting, rows, n, dt)
     for b in range(n):
         kick(acting, books, rows, b, dt)
 

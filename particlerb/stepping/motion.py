@@ -11,7 +11,13 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from particlerb.forces import Terms, is_constant, terms_on, work_of_potentials
+from particlerb.forces import (
+    Terms,
+    force_of_loads,
+    is_constant,
+    terms_on,
+    work_of_potentials,
+)
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import Frames, State, multiplied
@@ -66,8 +72,8 @@ class ConstantForce(NamedTuple):
 
 def force_of(group: Group) -> tuple[Floats, Floats]:
     """Force of the pushes alone, and of all that is constant in the world; (3, n) [N]."""
-    gravity, push = group.terms.gravity, group.terms.push
-    pushed = np.zeros((3, group.members.size)) if push is None else push.force
+    gravity = group.terms.gravity
+    pushed = force_of_loads(group.terms, group.members.size)
     if gravity is None:
         return pushed, pushed
     return pushed, pushed + gravity.mass * gravity.acceleration[:, None]
@@ -118,7 +124,7 @@ class WorkAccount:
         """Work, impulse and angular impulse (7,) until a state; `sums` were booked by kernels."""
         if not self.is_kept:
             return np.zeros(7)
-        potential = work_of_potentials(self.group.terms, com, q) - self.work_before
+        potential = work_of_potentials(self.group.terms, com, q, elapsed) - self.work_before
         if self.books is None:
             given: Floats = self.constant.booked(np.array([elapsed]))[0]
             given[0] = potential

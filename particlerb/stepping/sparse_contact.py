@@ -59,13 +59,10 @@ Keeps: TypeAlias = (
 
 def can_fly(terms: Terms, n: int) -> bool:
     """Whether bodies without contact have a closed form, and are many enough."""
-    others = (
-        terms.push, terms.follower, terms.torque, terms.drag, terms.spring, terms.central,
-        terms.links, terms.attraction,
-    )  # fmt: skip
+    others = terms.loads or terms.links is not None or terms.attraction is not None
     contact = terms.contact
     is_moved = contact is not None and (contact.pistons or contact.model.prescribed) is not None
-    return n >= LEAST_BODIES and not is_moved and all(term is None for term in others)
+    return n >= LEAST_BODIES and not is_moved and not others
 
 
 class Interval:

@@ -14,8 +14,9 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
+from particlerb.case.forces import PushTable
 from particlerb.case.placement import resolve_bodies
-from particlerb.case.schema import Case, PushTable
+from particlerb.case.schema import Case
 from particlerb.case.to_system import System
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken

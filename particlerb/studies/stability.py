@@ -143,7 +143,7 @@ def sprung_bodies() -> StabilityScene:
     at = np.tile([[0.3], [0.2], [0.4]], (1, 8))
     spring = Spring(at, np.zeros((3, 8)), np.full(8, 0.25), np.zeros(8))
     inertia = np.tile([1.0, 2.0, 3.0], (8, 1))
-    return scene(inertia, eight_spins(), Terms(spring=(spring,)), (1.0, 0.0, 0.0))
+    return scene(inertia, eight_spins(), Terms(loads=(spring,)), (1.0, 0.0, 0.0))
 
 
 MOTIONS: Final = {

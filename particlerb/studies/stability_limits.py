@@ -61,9 +61,9 @@ def points(stiffness: Floats, rate: Floats | None = None) -> StabilityScene:
     n = stiffness.size
     zero = np.zeros((3, n))
     spring = Spring(zero, zero, stiffness, np.zeros(n))
-    drag = None if rate is None else Drag(rate, np.zeros(n))
+    loads = (spring,) if rate is None else (Drag(rate, np.zeros(n)), spring)
     resting = np.zeros((n, 3))
-    moved = scene(resting, resting, Terms(spring=(spring,), drag=drag), (1.0, 0.0, 0.0))
+    moved = scene(resting, resting, Terms(loads=loads), (1.0, 0.0, 0.0))
     moved.state.p[0] = 1.0
     return moved
 
@@ -102,7 +102,7 @@ def tops(omega: Floats, stiffness: Floats) -> StabilityScene:
     hook = np.tile([[0.0], [0.0], [-1.0]], (1, n))
     own = turned_back(bodies_of(inertia).rotor_frame, hook)
     spring = Spring(own, hook, stiffness, np.zeros(n))
-    return scene(inertia, omega, Terms(spring=(spring,)), mass=1e20)
+    return scene(inertia, omega, Terms(loads=(spring,)), mass=1e20)
 
 
 def pendulums(z: Floats) -> StabilityScene:

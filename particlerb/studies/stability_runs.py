@@ -11,8 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.forces import Terms
-from particlerb.forces.spring import spring_energy
+from particlerb.forces import Terms, energies_of
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, made_of, quaternions, rotor_order
@@ -144,8 +143,9 @@ def states(moved: StabilityScene, frames: Frames) -> Iterator[State]:
 def energy(moved: StabilityScene, state: State) -> Floats:
     """Kinetic energy and that of the springs, (n,) [J]."""
     value = kinetic_energy(moved.bodies, state)
-    for spring in moved.terms.spring or ():
-        value = value + spring_energy(spring, state.com, state.q)
+    for load in moved.terms.loads:
+        elastic = energies_of(load, state.com, state.q)
+        value = value if elastic is None else value + elastic
     return value
 
 

@@ -15,7 +15,7 @@ from particlerb.compiled.jit import kernel
 from particlerb.forces import (
     Terms,
     acting_of,
-    energy_of_springs,
+    energy_of_loads,
     load_at,
     row_count,
     rows_of_terms,
@@ -23,8 +23,7 @@ from particlerb.forces import (
 )
 from particlerb.forces.central import Central
 from particlerb.forces.drag import Drag
-from particlerb.forces.follower import Follower
-from particlerb.forces.push import Push
+from particlerb.forces.push import Follower, Push
 from particlerb.forces.spring import Spring
 from particlerb.forces.torque import Torque
 from particlerb.maths.quaternion import matrix
@@ -79,12 +78,16 @@ def world(seed):
         return Central(far, rng.uniform(0.1, 9, 1), np.full(1, MASS), column(INERTIA))
 
     terms = Terms(
-        push=Push(v((3, 1)), v((9, 1))),
-        follower=Follower(v((3, 1)), v((3, 1))),
-        torque=Torque(v((3, 1))),
-        drag=Drag(rng.uniform(0, 2, 1), rng.uniform(0, 2, 1)),
-        spring=(spring(), spring()),
-        central=(centre(), centre()),
+        loads=(
+            Push(v((3, 1)), v((9, 1))),
+            Follower(v((3, 1)), v((3, 1))),
+            Torque(v((3, 1))),
+            Drag(rng.uniform(0, 2, 1), rng.uniform(0, 2, 1)),
+            spring(),
+            spring(),
+            centre(),
+            centre(),
+        )
     )
     return terms, (v(3), unit(v(4)), v(3), v(3))
 
@@ -93,29 +96,42 @@ def unit(v):
     return v / np.linalg.norm(v)
 
 
+KINDS = {
+    "push": Push,
+    "follower": Follower,
+    "torque": Torque,
+    "drag": Drag,
+    "spring": Spring,
+    "central": Central,
+}
+SIZES = {Spring: ["stiffness"], Central: ["mu"]}  # what makes them zero; of others all
+
+
+def of(terms, name):
+    """The loads of a kind."""
+    return [load for load in terms.loads if isinstance(load, KINDS[name])]
+
+
 def only(terms, name, one=None):
     """The same terms with all sizes zero but those of one, so that the compiled code is the same.
 
     `one` picks a single one of two springs or centres.
     """
-    push, follower, torque, drag, springs, centres = terms[1:7]
+    kept = [load for k, load in enumerate(of(terms, name)) if one in (None, k)]
 
-    def keep(kind, k=0):
-        return 1.0 if kind == name and one in (None, k) else 0.0
+    def none(load):
+        sizes = SIZES.get(type(load), load._fields)
+        return load._replace(**{size: 0.0 * getattr(load, size) for size in sizes})
 
-    return Terms(
-        push=Push(push.force * keep("push"), push.lever * keep("push")),
-        follower=Follower(*(a * keep("follower") for a in follower)),
-        torque=Torque(torque.torque * keep("torque")),
-        drag=Drag(*(a * keep("drag") for a in drag)),
-        spring=tuple(
-            s._replace(stiffness=s.stiffness * keep("spring", k)) for k, s in enumerate(springs)
-        ),
-        central=tuple(c._replace(mu=c.mu * keep("central", k)) for k, c in enumerate(centres)),
-    )
+    chosen = (load if any(load is k for k in kept) else none(load) for load in terms.loads)
+    return Terms(loads=tuple(chosen))
 
 
-KINDS = ("push", "follower", "torque", "drag", "spring", "central")
+def changed(terms, **changes):
+    """The same terms with the loads of some kinds made anew."""
+    by_type = {KINDS[name]: change for name, change in changes.items()}
+    made = (by_type.get(type(load), lambda same: same)(load) for load in terms.loads)
+    return terms._replace(loads=tuple(made))
 
 
 # Symmetries and potentials
@@ -127,16 +143,20 @@ def turned_world(terms, R):
     def world(v):
         return column(R.apply(v[:, 0]))
 
-    T = R.as_matrix() @ terms.push.lever.reshape(3, 3)  # row j of T is the force's component j
-    return terms._replace(
-        push=Push(world(terms.push.force), T.reshape(9, 1)),
-        torque=Torque(world(terms.torque.torque)),
-        spring=tuple(s._replace(anchor=world(s.anchor)) for s in terms.spring),
-        central=tuple(c._replace(centre=world(c.centre)) for c in terms.central),
+    def push(push):
+        T = R.as_matrix() @ push.lever.reshape(3, 3)  # row j of T is the force's component j
+        return Push(world(push.force), T.reshape(9, 1))
+
+    return changed(
+        terms,
+        push=push,
+        torque=lambda torque: Torque(world(torque.torque)),
+        spring=lambda s: s._replace(anchor=world(s.anchor)),
+        central=lambda c: c._replace(centre=world(c.centre)),
     )
 
 
-@given(seed=seeds, turn=seeds, kind=st.sampled_from(KINDS))
+@given(seed=seeds, turn=seeds, kind=st.sampled_from(list(KINDS)))
 @settings(max_examples=60)
 def test_a_scene_turned_as_a_whole_has_turned_forces(make, seed, turn, kind):
     terms, (x, q, p, L) = world(seed)
@@ -148,14 +168,15 @@ def test_a_scene_turned_as_a_whole_has_turned_forces(make, seed, turn, kind):
         assert other == pytest.approx(R.apply(one), abs=1e-13)
 
 
-@given(seed=seeds, shift=seeds, kind=st.sampled_from(KINDS))
+@given(seed=seeds, shift=seeds, kind=st.sampled_from(list(KINDS)))
 @settings(max_examples=60)
 def test_a_scene_moved_as_a_whole_has_the_same_forces(seed, shift, kind):
     terms, (x, q, p, L) = world(seed)
     terms, by = only(terms, kind), np.random.default_rng(shift).standard_normal(3)
-    moved = terms._replace(
-        spring=tuple(s._replace(anchor=s.anchor + column(by)) for s in terms.spring),
-        central=tuple(c._replace(centre=c.centre + column(by)) for c in terms.central),
+    moved = changed(
+        terms,
+        spring=lambda s: s._replace(anchor=s.anchor + column(by)),
+        central=lambda c: c._replace(centre=c.centre + column(by)),
     )
     for one, other in zip(loads(terms, x, q, p, L), loads(moved, x + by, q, p, L), strict=True):
         assert other == pytest.approx(one, abs=1e-13)
@@ -169,10 +190,10 @@ def derivative(f, h=1e-3):
 
 def potential_work(terms, com, q):
     """Work of all forces with a potential, up to a constant [J]."""
-    return work_of_potentials(terms, com, q) - energy_of_springs(terms, com, q)
+    return work_of_potentials(terms, com, q) - energy_of_loads(terms, com, q)
 
 
-@given(seed=seeds, kind=st.sampled_from(KINDS))
+@given(seed=seeds, kind=st.sampled_from(list(KINDS)))
 @settings(max_examples=60)
 def test_forces_with_a_potential_are_its_gradient_and_the_others_are_booked(make, seed, kind):
     """F = ∂W/∂x and τ·e = dW/dφ for a turn by φ about the world axis e, W the work done."""
@@ -204,7 +225,7 @@ def test_forces_with_a_potential_are_its_gradient_and_the_others_are_booked(make
 def test_terms_and_several_of_a_kind_add_up(seed):
     terms, state = world(seed)
     whole = loads(terms, *state)
-    parts = [only(terms, kind) for kind in KINDS[:4]]
+    parts = [only(terms, kind) for kind in list(KINDS)[:4]]
     parts += [only(terms, kind, k) for kind in ("spring", "central") for k in (0, 1)]
     summed = np.sum([loads(part, *state) for part in parts], axis=0)
     assert np.array(whole) == pytest.approx(summed, abs=1e-13)
@@ -218,7 +239,8 @@ def test_drag_takes_power_and_acts_against_the_motion(make, seed):
     F, tau, _, _ = loads(only(terms, "drag"), x, q, p, L)
     v, R = p / MASS, make.rotation(q).as_matrix()
     w = R @ (R.T @ L / INERTIA)
-    c, c_r = MASS * terms.drag.rate[0], terms.drag.rotation[0]
+    (drag,) = of(terms, "drag")
+    c, c_r = MASS * drag.rate[0], drag.rotation[0]
     assert pytest.approx(-c * v, abs=1e-14) == F
     assert tau == pytest.approx(-c_r * w, abs=1e-14)
     assert F @ v + tau @ w <= 0.0
@@ -230,7 +252,7 @@ def test_a_central_field_turns_nothing_about_its_centre(seed):
     """(x - c) × F + τ = 0: what the gradient gives a body it takes from the orbit."""
     terms, (x, q, p, L) = world(seed)
     F, tau, _, _ = loads(only(terms, "central", 0), x, q, p, L)
-    arm = x - terms.central[0].centre[:, 0]
+    arm = x - of(terms, "central")[0].centre[:, 0]
     assert np.linalg.norm(tau) > 0
     assert np.cross(arm, F) + tau == pytest.approx(np.zeros(3), abs=1e-14)
 
@@ -238,7 +260,7 @@ def test_a_central_field_turns_nothing_about_its_centre(seed):
 def test_a_spring_of_no_length_and_one_at_its_rest_length_give_nothing():
     q, at = np.array([1.0, 0, 0, 0]), column([0.1, 0.2, 0.3])
     for anchor, rest in (([0.1, 0.2, 0.3], 0.0), ([0.1, 0.2, 0.3], 2.0), ([0.1, 0.2, 2.3], 2.0)):
-        terms = Terms(spring=(Spring(at, column(anchor), np.ones(1), np.full(1, rest)),))
+        terms = Terms(loads=(Spring(at, column(anchor), np.ones(1), np.full(1, rest)),))
         for value in loads(terms, np.zeros(3), q):
             assert value == pytest.approx(np.zeros(3), abs=1e-15)
 
@@ -263,7 +285,7 @@ def test_a_central_field_is_the_sum_over_the_particles_of_a_small_body(make, is_
     for size in sizes:
         centre = Central(np.zeros((3, 1)), np.full(1, mu), column(m.sum()), column(moments))
         centre = centre._replace(mass=centre.mass[0], inertia=centre.inertia * size**2)
-        F, tau, _, _ = loads(Terms(central=(centre,)), x, q)
+        F, tau, _, _ = loads(Terms(loads=(centre,)), x, q)
         far = x + size * r
         each = -mu * m[:, None] * far / np.linalg.norm(far, axis=1)[:, None] ** 3
         turning = np.cross(size * r, each).sum(axis=0)

@@ -99,7 +99,7 @@ def group_of(make, push=None, gravity=None, n=300):
     scene = assemble(load(make.case(*blocks, flip)))
     members = np.arange(len(scene.kind))
     own = taken(scene.bodies, members)
-    return Group(members, own, Terms(gravity, push)), scene.state
+    return Group(members, own, Terms(gravity, () if push is None else (push,))), scene.state
 
 
 @pytest.mark.compiled

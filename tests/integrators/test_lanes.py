@@ -22,8 +22,7 @@ from particlerb.stepping.motion import Group
 from particlerb.forces import Terms
 from particlerb.forces.central import Central
 from particlerb.forces.drag import Drag
-from particlerb.forces.follower import Follower
-from particlerb.forces.push import Push
+from particlerb.forces.push import Follower, Push
 from particlerb.forces.spring import Spring
 from particlerb.forces.torque import Torque
 
@@ -33,11 +32,11 @@ bodies = Bodies(one(1), one(1), np.array([[1.0], [2], [2.5]]), 1 / np.array([[1.
 state = State(one((3, 1)), np.array([[1.0], [0], [0], [0]]), one((3, 1)), one((3, 1)))
 terms = {
     "nothing": Terms(),
-    "push": Terms(push=Push(one((3, 1)), one((9, 1)))),
-    "booked": Terms(follower=Follower(one((3, 1)), one((3, 1))), torque=Torque(one((3, 1)))),
-    "drag": Terms(drag=Drag(one(1), one(1))),
-    "fields": Terms(spring=2 * (Spring(one((3, 1)), one((3, 1)), one(1), one(1)),),
-                    central=(Central(np.zeros((3, 1)), one(1), one(1), one((3, 1))),)),
+    "push": Terms(loads=(Push(one((3, 1)), one((9, 1))),)),
+    "booked": Terms(loads=(Follower(one((3, 1)), one((3, 1))), Torque(one((3, 1))))),
+    "drag": Terms(loads=(Drag(one(1), one(1)),)),
+    "fields": Terms(loads=(*2 * (Spring(one((3, 1)), one((3, 1)), one(1), one(1)),),
+                           Central(np.zeros((3, 1)), one(1), one(1), one((3, 1))))),
 }
 none = room_for(0, 0, np.empty((0, 4)))
 chosen = {"strang": terms, "rkn6": ["fields"], "rk4": ["push", "drag"],

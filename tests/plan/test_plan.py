@@ -210,7 +210,8 @@ def test_forces_of_one_form_share_a_group_and_keep_their_own_size(make):
     force.append(make.push([0, 0, 7.0], [0, 0, 0], "c[30]"))
     groups = plan_of(make.case(block, force=force, dt=0.1)).groups
     assert [group.members.size for group in groups] == [30, 1, 9]
-    np.testing.assert_array_equal(groups[0].segments[0].terms.push.force[2], 1.0 + np.arange(30))
+    (push,) = groups[0].segments[0].terms.loads
+    np.testing.assert_array_equal(push.force[2], 1.0 + np.arange(30))
     assert [group.segments[0].method for group in groups] == ["strang", "exact", "exact"]
 
 

@@ -1,0 +1,210 @@
+"""The tables of [[force]], one class for each type; the physics of type "x" is in forces/x.py.
+
+They stand here and not beside the physics because whoever reads a case must not wait for the
+compiler. A new one is a class, and a member of `AnyForce`.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Literal, get_args
+
+from pydantic import AfterValidator, Discriminator, Field, Tag
+
+from particlerb.case.problems import Path
+from particlerb.case.raw import Finding, bodies_named, given, out_of_place
+from particlerb.case.values import (
+    Frame,
+    Names,
+    NonNegative,
+    Positive,
+    Real,
+    Table,
+    Vector,
+    broken,
+    entries,
+)
+
+KIND = "Kind of force or placement. [-]"
+FRAME = "Axes of the vector: world or body. [-]"
+BODIES = "Name of a [[body]] block, of one body as name[3], or a list of such names. [-]"
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+class ForceTable(Table):
+    """What all tables of [[force]] share."""
+
+    names_bodies: ClassVar[tuple[str, ...]] = ("body",)
+
+    @property
+    def needs_particles(self) -> bool:
+        """Whether it acts on the particles of a body, and not on its mass and tensor alone."""
+        return False
+
+    @classmethod
+    def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+        """Rules that involve more than one key of the table, or other tables; see case/rules.py."""
+        yield from ()
+
+
+def is_interval(value: tuple[float, float]) -> tuple[float, float]:
+    """Require t0 < t1."""
+    if value[0] >= value[1]:
+        raise broken(f"must start before it ends, got [{value[0]!r}, {value[1]!r}]")
+    return value
+
+
+During = Annotated[tuple[NonNegative, NonNegative], entries(2), AfterValidator(is_interval)]
+
+
+class PushTable(ForceTable):
+    """A constant force at a point of the body that stays on that point while the body turns."""
+
+    type: Literal["push"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
+    force: Vector = Field(description="Force. [N]")
+    frame: Frame = Field("world", description=FRAME)
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
+class TorqueTable(ForceTable):
+    """A constant torque."""
+
+    type: Literal["torque"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    torque: Vector = Field(description="Torque. [N m]")
+    frame: Frame = Field("world", description=FRAME)
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
+class ImpulseTable(ForceTable):
+    """A jump of the momenta at one instant: P += J, L += r × J."""
+
+    type: Literal["impulse"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
+    impulse: Vector = Field(description="Impulse. [N s]")
+    frame: Frame = Field("world", description=FRAME)
+    time: NonNegative = Field(description="When, at most t_end. [s]")
+
+
+class DragTable(ForceTable):
+    """Linear drag: F = -c v and τ = -c_r ω."""
+
+    type: Literal["drag"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    translation: NonNegative = Field(0.0, description="Coefficient c. [N s/m]")
+    rotation: NonNegative = Field(0.0, description="Coefficient c_r. [N m s/rad]")
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
+def rest_form(value: Any) -> str:
+    """Tag of a rest length."""
+    return "word" if isinstance(value, str) else "number"
+
+
+def charge_form(value: Any) -> str:
+    """Tag of a charge: one, or one per particle."""
+    return "list" if isinstance(value, (list, tuple)) else "number"
+
+
+RestLength = Annotated[
+    Annotated[NonNegative, Tag("number")] | Annotated[Literal["initial"], Tag("word")],
+    Discriminator(rest_form),
+]
+Charge = Annotated[
+    Annotated[Real, Tag("number")] | Annotated[tuple[Real, ...], Field(min_length=1), Tag("list")],
+    Discriminator(charge_form),
+]
+
+
+class SpringTable(ForceTable):
+    """A spring from a point of the body to the world or another body: F = k (l - l₀) + c dl/dt."""
+
+    type: Literal["spring"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
+    anchor: Vector | None = Field(
+        None, description="The other end, world frame; this, or to or reach. [m]"
+    )
+    to: Names | None = Field(
+        None, description="Bodies at the other end: one for each, one for all, or by reach. [-]"
+    )
+    to_at: Vector = Field(ORIGIN, description="Point of the other body, in its body frame. [m]")
+    reach: Positive | None = Field(
+        None, description="Ties every pair of points that are at most this far apart at t = 0. [m]"
+    )
+    stiffness: Positive = Field(description="Stiffness k. [N/m]")
+    damping: NonNegative = Field(0.0, description="Damping c along the spring. [N s/m]")
+    rest_length: RestLength = Field(
+        0.0, description='Length l₀ without force; "initial": as long as it is at t = 0. [m]'
+    )
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+    names_bodies: ClassVar[tuple[str, ...]] = ("body", "to")
+
+    @classmethod
+    def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+        """A spring has one other end, and as many bodies there as it needs."""
+        has_end = any(given(raw, key) for key in ("anchor", "to", "reach"))
+        has_typo = not cls.model_fields.keys() >= raw.keys()
+        if not has_end and not has_typo:
+            hint = "give `anchor` for the world, `to` or `reach` for other bodies"
+            yield (*path, "anchor"), "missing", hint
+        if given(raw, "anchor"):
+            for key in ("to", "reach"):
+                if given(raw, key):
+                    yield (*path, key), "given beside anchor", "a spring has one other end"
+            yield from out_of_place(path, raw, "to_at", "an anchor")
+        if not given(raw, "to") or given(raw, "reach"):
+            return
+        first, second = bodies_named(raw.get("body"), known), bodies_named(raw["to"], known)
+        if not first or not second:
+            return
+        n, m = sum(map(len, first)), sum(map(len, second))
+        if n != m and 1 not in {n, m}:
+            reason = f"names {m} bodies, `body` {n}: they make no pairs"
+            hint = "name equal numbers, or one for all; or give `reach`"
+            yield (*path, "to"), reason, hint
+
+
+class UniformField(ForceTable):
+    """A uniform field that acts on charges and on a dipole of the body: Σ q E and d × E."""
+
+    type: Literal["field"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    field: Vector = Field(description="Field E, world frame. [V/m; T for a magnetic dipole]")
+    charge: Charge = Field(
+        0.0, description="Charge q of the body, or a list with one per particle. [C]"
+    )
+    at: Vector = Field(ORIGIN, description="Where a single charge sits, body frame. [m]")
+    dipole: Vector = Field(ORIGIN, description="Dipole d, body frame. [C m; A m²]")
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+    @property
+    def needs_particles(self) -> bool:
+        """Whether each particle has a charge of its own."""
+        return isinstance(self.charge, tuple)
+
+    @classmethod
+    def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+        """A single charge has a place, others sit where the particles are."""
+        if isinstance(raw.get("charge"), list):
+            yield from out_of_place(path, raw, "at", "a charge for each particle")
+
+
+class CentralTable(ForceTable):
+    """Attraction by a fixed centre, inverse-square, with its gravity-gradient torque."""
+
+    type: Literal["central"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    centre: Vector = Field(ORIGIN, description="Where the centre is, world frame. [m]")
+    mu: Positive = Field(description="G times the mass of the centre. [m³/s²]")
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
+AnyForce = (
+    PushTable | TorqueTable | ImpulseTable | DragTable | SpringTable | UniformField | CentralTable
+)
+FORCES: dict[str, type[ForceTable]] = {
+    get_args(table.model_fields["type"].annotation)[0]: table for table in get_args(AnyForce)
+}

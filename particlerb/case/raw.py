@@ -1,0 +1,76 @@
+"""The plain data of a case file, as rules read it: what is not of the right kind is passed over."""
+
+import math
+from collections.abc import Iterator
+from typing import Any, TypeAlias
+
+from particlerb.case.problems import Path
+from particlerb.case.values import LARGEST_COUNT, REFERENCE
+
+Finding: TypeAlias = tuple[Path, str, str]
+
+
+def tables(raw: Any, key: str) -> list[tuple[int, dict[str, Any]]]:
+    """Tables of an array of tables with their index; what is none is left out."""
+    entries = raw.get(key) if isinstance(raw, dict) else None
+    if not isinstance(entries, list):
+        return []
+    return [(i, entry) for i, entry in enumerate(entries) if isinstance(entry, dict)]
+
+
+def number(table: Any, key: str) -> float | None:
+    """Finite number of a table; None where there is none."""
+    value = table.get(key) if isinstance(table, dict) else None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    try:
+        return float(value) if math.isfinite(value) else None
+    except OverflowError:
+        return None
+
+
+def given(table: dict[str, Any], key: str) -> bool:
+    """Whether a key is there and says something."""
+    return table.get(key) is not None and table[key] != []
+
+
+def members(raw: dict[str, Any]) -> dict[str, range]:
+    """Indices of the bodies of every block; none where a block says not how many it has."""
+    found: dict[str, range] = {}
+    first = 0
+    for _, body in tables(raw, "body"):
+        name, count = body.get("name"), body.get("count", 1)
+        is_count = isinstance(count, int) and 1 <= count <= LARGEST_COUNT
+        if not isinstance(name, str) or not is_count:
+            return {}
+        found[name] = range(first, first + count)
+        first += count
+    return found
+
+
+def bodies_named(value: Any, known: dict[str, range]) -> list[range] | None:
+    """Bodies of one name, or of each of a list; None where one is not there."""
+    found = []
+    for name in value if isinstance(value, list) else [value]:
+        match = REFERENCE.fullmatch(name) if isinstance(name, str) else None
+        if match is None or match["name"] not in known:
+            return None
+        block = known[match["name"]]
+        if match["index"]:
+            k = int(match["index"])
+            block = block[k : k + 1]
+        if not block:
+            return None
+        found.append(block)
+    return found
+
+
+def is_origin(position: Any) -> bool:
+    """Whether a position is the default, which a resolved case states beside `place`."""
+    return isinstance(position, list) and position == [0, 0, 0]
+
+
+def out_of_place(path: Path, table: dict[str, Any], key: str, what: str) -> Iterator[Finding]:
+    """A point has no place beside something else; a resolved case states its default there."""
+    if given(table, key) and not is_origin(table[key]):
+        yield (*path, key), f"has no place beside {what}", "leave it out"

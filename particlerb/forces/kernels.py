@@ -1,0 +1,206 @@
+"""Kicks of all forces together, by functions whose source is made from the registry.
+
+`Acting` tells a kernel which rows of a block have loads. What is None there is left out while
+compiling, because None is a type. Dispatchers that are handed over as arguments, or kept in a
+tuple, would never be found in the cache on disk; names in a source are, as each call has its own
+line. Forces of other bodies are loads in the rows PAIR, which are filled before each kick.
+"""
+
+import linecache
+from collections.abc import Callable, Iterable
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from particlerb.compiled.jit import inline
+from particlerb.forces.kinds import Kick, Momenta
+from particlerb.forces.registry import CLOCK, FIRST, KICKS, MANY, MANY_KICKS, PAIR
+from particlerb.maths.quaternion import Rows
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, subtract
+from particlerb.model.block import get, get3, put
+from particlerb.model.load import OTHER, OUTSIDE, POWER
+from particlerb.model.load import TORQUE as PAIR_TORQUE
+
+ZERO: Final = (0.0, 0.0, 0.0)
+Entry: TypeAlias = tuple[
+    float, Vec3, Vec3
+]  # work, impulse, angular impulse: stepping/external_work.py
+
+
+class Acting(NamedTuple):
+    """Which loads are in the rows of a block: None where a kernel needs no code for them."""
+
+    loads: tuple[Any, ...]  # for each of KICKS: None, a number, or as many as there are on a body
+    pair: int | None  # what other bodies do
+    contact: int | None  # and contacts beside their potential
+    flow: int | None  # whether something turns or slows momenta by a flow of its own
+    clock: int | None  # whether something depends on time
+
+
+@inline
+def kick_pair(
+    pair: int | None, rows: Floats, at: int, b: int, dt: float, p: Vec3, L: Vec3
+) -> Momenta:
+    """p + F dt,  L + τ dt of the forces of other bodies."""
+    if pair is None:
+        return p, L
+    F, tau = get3(rows, at, b), get3(rows, at + PAIR_TORQUE, b)
+    return add_scaled(dt, F, p), add_scaled(dt, tau, L)
+
+
+@inline
+def less_internal(
+    pair: int | None, contact: int | None, rows: Floats, b: int, x: Vec3, dt: float, entry: Entry
+) -> Entry:
+    """What is booked: without the impulses that bodies give each other, with dashpots' work."""
+    if pair is None:
+        return entry
+    work, impulse, angular = entry
+    F, tau = get3(rows, PAIR, b), get3(rows, PAIR + PAIR_TORQUE, b)
+    F, tau = kick_pair(contact, rows, PAIR + OTHER, b, 1.0, F, tau)
+    turning = add_scaled(1.0, cross(x, F), tau)
+    F = subtract(F, get3(rows, PAIR + OUTSIDE, b))
+    turning = subtract(turning, get3(rows, PAIR + OUTSIDE + 3, b))
+    work += dt * get(rows, PAIR + POWER, b)
+    return work, add_scaled(-dt, F, impulse), add_scaled(-dt, turning, angular)
+
+
+@inline
+def count(tags: tuple[int, ...] | None) -> int:
+    """How many sets of rows a body has."""
+    if tags is None:
+        return 0
+    return len(tags)
+
+
+class Family(NamedTuple):
+    """A function that calls those of some kicks, one after the other."""
+
+    name: str
+    hook: str  # field of Kick
+    given: str  # arguments, after the rows
+    changed: str = ""  # which of them it returns anew; empty: nothing
+    last: str = ""  # lines at the end
+
+
+POSE: Final = "b, x, R, dt, p, L"
+POTENTIAL: Final = Family(
+    "kick_potential", "push", POSE, "p, L",
+    last="p, L = kick_pair(acting.pair, rows, PAIR, b, dt, p, L)",
+)  # fmt: skip
+OTHERS: Final = Family(
+    "kick_others", "push", POSE, "p, L",
+    last="p, L = kick_pair(acting.contact, rows, PAIR + OTHER, b, dt, p, L)",
+)  # fmt: skip
+LOAD: Final = Family("load_of_velocity", "load", "b, x, R, p, L, F, tau", "F, tau")
+FLOW_IN: Final = Family("flow_in", "flow", "b, R, dt, p, L", "p, L")
+FLOW_OUT: Final = Family("flow_out", "flow", "b, R, dt, p, L", "p, L")
+DAMP: Final = Family("damp", "damp", "b, R, p_old, L_old, p, L", "p, L")
+PREPARE: Final = Family("prepare_kick", "prepare", "n, dt")
+AT_TIME: Final = Family("at_time", "at_time", "b, t")
+POWERS: Final = Family("power_of_time", "power", "b, x, R, power", "power")
+
+
+def source_of(family: Family, kicks: Iterable[Kick]) -> str:
+    """Source of a family: a function for each kick, left out if None, and one that calls all."""
+    parts, calls = [], []
+    result = f"return {family.changed}" if family.changed else "return"
+    for kick in kicks:
+        own, hook = f"{family.name}_{kick.name}", f"{kick.name}_{family.hook}"
+        head = f"def {own}(tag, rows, at, {family.given}):\n    if tag is None:\n        {result}\n"
+        first = f"at + k * {kick.rows}" if kick.is_many else "at"
+        call = f"{hook}(rows, {first}, {family.given})"
+        step = f"{family.changed} = {call}" if family.changed else call
+        if kick.is_many:  # the length is known while compiling: the loop is unrolled
+            step = f"for k in range(len(tag)):\n        {step}"
+        parts.append(f"@inline\n{head}    {step}\n    {result}\n")
+        tag = f"acting.loads[{KICKS.index(kick)}]"
+        step = f"{own}({tag}, rows, {first_row(kick)}, {family.given})"
+        calls.append(f"{family.changed} = {step}" if family.changed else step)
+    body = "\n    ".join([*calls, *([family.last] if family.last else []), result])
+    return "\n\n".join([*parts, f"def {family.name}(acting, rows, {family.given}):\n    {body}\n"])
+
+
+def first_row(kick: Kick) -> str:
+    """First row of a kick, as source: constant for a kernel."""
+    if not kick.is_many:
+        return str(FIRST[kick.name])
+    before = MANY_KICKS[: MANY_KICKS.index(kick)]
+    return " + ".join(
+        [str(MANY), *(f"{one.rows} * count(acting.loads[{KICKS.index(one)}])" for one in before)]
+    )
+
+
+def made(family: Family, kicks: Iterable[Kick]) -> Callable[..., Any]:
+    """Compile a family of those kicks that have its hook."""
+    able = [kick for kick in kicks if getattr(kick, family.hook) is not None]
+    names: dict[str, Any] = {
+        "inline": inline, "kick_pair": kick_pair, "count": count, "PAIR": PAIR, "OTHER": OTHER,
+        **{f"{kick.name}_{family.hook}": getattr(kick, family.hook) for kick in able},
+    }  # fmt: skip
+    source, file = source_of(family, able), f"<{family.name} of {len(able)} forces>"
+    linecache.cache[file] = len(source), None, source.splitlines(True), file  # for tracebacks
+    exec(compile(source, file, "exec"), names)
+    function: Callable[..., Any] = inline(names[family.name])
+    return function
+
+
+kick_potential: Callable[..., Momenta] = made(POTENTIAL, [k for k in KICKS if k.has_potential])
+"""(acting, rows, b, x, R, dt, p, L): momenta after dt of the forces that have a potential."""
+kick_others: Callable[..., Momenta] = made(OTHERS, [k for k in KICKS if not k.has_potential])
+"""(acting, rows, b, x, R, dt, p, L): momenta after dt of those without, that know no velocities."""
+load_of_velocity: Callable[..., Momenta] = made(LOAD, KICKS)
+"""(acting, rows, b, x, R, p, L, F, tau): F and τ with what depends on velocities added."""
+flow_in: Callable[..., Momenta] = made(FLOW_IN, KICKS)
+"""(acting, rows, b, R, dt, p, L): momenta after the flows of such forces; half of them before a
+kick, and half after it by"""
+flow_out: Callable[..., Momenta] = made(FLOW_OUT, KICKS[::-1])
+damp: Callable[..., Momenta] = made(DAMP, KICKS)
+"""(acting, rows, b, R, p_old, L_old, p, L): momenta after a kick with drag in it."""
+prepare_kick: Callable[..., None] = made(PREPARE, KICKS)
+"""(acting, rows, n, dt): before a block is kicked over dt."""
+at_time: Callable[..., None] = made(AT_TIME, KICKS)
+add_power: Callable[..., float] = made(POWERS, KICKS)
+
+
+@inline
+def set_time(acting: Acting, rows: Floats, n: int, t: float) -> None:
+    """Begin a step of a block at a time [s] since the segment began."""
+    start_clock(acting.clock, acting, rows, n, t)
+
+
+@inline
+def start_clock(clock: int | None, acting: Acting, rows: Floats, n: int, t: float) -> None:
+    """The same, where something depends on time."""
+    if clock is None:
+        return
+    for b in range(n):
+        put(rows, CLOCK, b, t)
+        at_time(acting, rows, b, t)
+
+
+@inline
+def shift_time(acting: Acting, rows: Floats, b: int, share: float) -> None:
+    """Take the loads of body b at so many seconds after the step began."""
+    at_time(acting, rows, b, get(rows, CLOCK, b) + share)
+
+
+@inline
+def with_power(
+    clock: int | None, acting: Acting, rows: Floats, b: int, x: Vec3, R: Rows, dt: float,
+    entry: Entry,
+) -> Entry:  # fmt: skip
+    """What is booked, with dt ∂V/∂t of body b, where something depends on time."""
+    if clock is None:
+        return entry
+    work, impulse, angular = entry
+    return work + dt * add_power(acting, rows, b, x, R, 0.0), impulse, angular
+
+
+@inline
+def load_at(
+    acting: Acting, rows: Floats, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3
+) -> tuple[Vec3, Vec3, Vec3, Vec3]:
+    """Force and torque of all terms, and the part of both that has a potential."""
+    own_force, own_torque = kick_potential(acting, rows, b, x, R, 1.0, ZERO, ZERO)
+    F, tau = kick_others(acting, rows, b, x, R, 1.0, own_force, own_torque)
+    F, tau = load_of_velocity(acting, rows, b, x, R, p, L, F, tau)
+    return F, tau, own_force, own_torque

@@ -1,0 +1,146 @@
+"""What a module of this folder brings: three records, and what a case did wrong.
+
+`Force` says how the numbers of a [[force]] become parameters of n bodies, `Term` what parameters
+are to the plan and the energy balance, `Kick` what kernels do with them. A module that is named
+like a type of [[force]] brings FORCE, TERMS and KICKS; `registry` collects them, and nobody else
+names a force. How to add one: CONTRIBUTING.md.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+
+from particlerb.maths.vec3 import Floats, Ints, Vec3
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State
+
+if TYPE_CHECKING:
+    from particlerb.case.to_system import System
+
+POSE: Final = "pose"  # what a method must take into account: a force that changes with the pose,
+VELOCITY: Final = "velocity"  # with the velocities,
+TIME: Final = "time"  # or with the time; and
+BODIES: Final = "bodies"  # what bodies do to each other from afar,
+CONTACT: Final = "contact"  # or where they touch
+LARGEST: Final = float(np.finfo(np.float64).max)
+NOTHING: Final = np.zeros(())
+Momenta: TypeAlias = tuple[Vec3, Vec3]
+
+
+class ForceError(ValueError):
+    """A force that cannot act: the key that is to blame, why, and what to do.
+
+    {name} in the reason stands for the name of `body`, counted among those on which it acts.
+    """
+
+    def __init__(self, key: str, reason: str, hint: str = "", body: int = 0) -> None:
+        super().__init__(reason)
+        self.key, self.reason, self.hint, self.body = key, reason, hint, body
+
+
+class Kick(NamedTuple):
+    """Rows of a block of bodies, and what the kernels do with them, body by body.
+
+    All functions are `inline`: scalars and tuples in and out, their rows from `at` on, body b. At
+    a fixed pose, position x and rotation matrix R, p and L are the momenta. A force that depends
+    on the pose alone brings `push`; one that depends on velocities `load`, and `flow` or `damp`
+    for splittings; one that depends on time `at_time` beside `push`, and where it has a potential
+    `power`.
+    """
+
+    name: str  # of the rows; unique
+    rows: int  # that the parameters take, and what the functions keep there
+    push: Callable[..., Momenta] | None = None
+    """(rows, at, b, x, R, dt, p, L): p + F dt, L + τ dt."""
+    has_potential: bool = False  # then its work is that of the potential
+    is_steady: bool = False  # whether the force is constant in the world, whatever the torque
+    is_many: bool = False  # whether a body may have several sets of these rows
+    needs: frozenset[str] = frozenset({POSE})
+    load: Callable[..., Momenta] | None = None
+    """(rows, at, b, x, R, p, L, F, τ): F and τ with its own added."""
+    flow: Callable[..., Momenta] | None = None
+    """(rows, at, b, R, dt, p, L): the momenta after it alone has acted over dt."""
+    damp: Callable[..., Momenta] | None = None
+    """(rows, at, b, R, p₀, L₀, p, L): the same together with all loads of a kick, which alone make
+    p and L of p₀ and L₀; of one force at most."""
+    prepare: Callable[..., None] | None = None
+    """(rows, at, n, dt): before a block of n bodies is kicked over dt."""
+    at_time: Callable[..., None] | None = None
+    """(rows, at, b, t): set what its `push` reads to the time t [s] since the segment began."""
+    power: Callable[..., float] | None = None
+    """(rows, at, b, x, R, power): the power with ∂V/∂t [W] at that time added."""
+
+
+class Rates(NamedTuple):
+    """What a term does to the default step; arrays (n,)."""
+
+    spinning: Floats = NOTHING  # [N m] torque without a potential: it spins a body up
+    turning: Floats = NOTHING  # [N m] torque of another kind, about which a body swings
+    squared: Floats = NOTHING  # [1/s²] ω² of an oscillation; those of all terms add up
+    rate: Floats = NOTHING  # [rad/s] of anything else
+
+
+class Term(NamedTuple):
+    """Parameters of n bodies: a NamedTuple of arrays (..., n) that is named like the term."""
+
+    parameters: type[Any]
+    words: str  # in the plan
+    parts: Callable[[Any], list[tuple[Kick, Floats]]]
+    """(parameters): what goes into the rows of which kick."""
+    rates: Callable[[Any, Bodies, State], Rates]
+    work: Callable[[Any, Floats, Floats, float], Floats] | None = None
+    """(parameters, com, q, t): -V, (n,) [J], of a potential whose work is booked."""
+    energy: Callable[[Any, Floats, Floats], Floats] | None = None
+    """(parameters, com, q): V, (n,) [J], of one that counts as potential energy."""
+    is_many: bool = False  # whether several on a body stay apart; others are summed
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return self.parameters.__name__.lower()
+
+
+def by_its_arm(table: Any, is_point: bool) -> tuple[str, str]:
+    """Key and hint for a force at a point that turns what it cannot turn."""
+    del table
+    return "at", "act at the centre of mass" if is_point else "act at a point of the rod's axis"
+
+
+class Force(NamedTuple):
+    """How a type of [[force]], given by its table of the case, acts on bodies.
+
+    The numbers of one body, N_NUMBERS at most, stand in a column: those that `resolve` returns.
+    """
+
+    resolve: Callable[[Any, Ints, "System"], list[tuple[Ints, tuple[float, ...]]]]
+    """(table, members, system): which of these bodies have which numbers.
+
+    Raises ForceError."""
+    term: Callable[[Any, Floats, Bodies, float], Any] | None = None
+    """(table, numbers (N_NUMBERS, n), bodies, start): parameters of a term from `start` [s] on."""
+    jump: Callable[[Any, Floats, Bodies], Any] | None = None
+    """(table, numbers, bodies): an Impulse, for a force that acts at one instant, `table.time`."""
+    has_arm: bool = False  # whether numbers 0 to 2 are an arm or moment, body frame, that turns it
+    is_torque: bool = False  # whether 3 to 5 are a torque
+    nowhere: float = 0.0  # numbers 0 to 2 of bodies on which it does not act; the others are 0
+    check: Callable[[Any, Floats, Floats], None] | None = None
+    """(table, numbers, com): raises ForceError where bodies that start at com (3, n) [m] cannot."""
+    turning: Callable[[Any, bool], tuple[str, str]] = by_its_arm
+    """(table, is_point): key and hint where it turns a point, or a rod about its axis."""
+
+
+def same_for_all(numbers: Callable[[Any], tuple[float, ...]]) -> Callable[..., Any]:
+    """`resolve` of a force whose numbers are those of its table."""
+
+    def resolve(table: Any, members: Ints, system: "System") -> list[tuple[Ints, Any]]:
+        del system
+        return [(members, numbers(table))]
+
+    return resolve
+
+
+def refuse_overflow(what: str, key: str, arm: float, size: float, load: str = "torque") -> None:
+    """Raise ForceError where the product of an arm and a size is beyond float64."""
+    if not 2.0 * arm * size < LARGEST:
+        raise ForceError(key, f"{what} {size!r} give a {load} beyond the range of float64")

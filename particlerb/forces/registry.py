@@ -1,0 +1,50 @@
+"""All forces: the modules that are named like the types of [[force]], and what they bring.
+
+`particlerb.case.forces` has the types, in the order of the file format: kicks, and the words of
+the plan, follow it. Everything else finds a force here, by its type or by its parameters.
+"""
+
+from importlib import import_module
+from itertools import chain
+from types import ModuleType
+from typing import Any, Final
+
+from particlerb.case.forces import FORCES as TABLES
+from particlerb.forces.kinds import Force, Kick, Term
+from particlerb.forces.push import FORCE_KICK
+from particlerb.model.block import LOADS
+from particlerb.model.load import CONTACT_ROWS
+
+MODULES: Final[dict[str, ModuleType]] = {
+    name: import_module(f"particlerb.forces.{name}") for name in TABLES
+}
+FORCES: Final[dict[str, Force]] = {name: module.FORCE for name, module in MODULES.items()}
+KICKS: Final[tuple[Kick, ...]] = tuple(
+    chain.from_iterable(getattr(module, "KICKS", ()) for module in MODULES.values())
+)
+TERMS: Final[dict[type[Any], Term]] = {
+    term.parameters: term for module in MODULES.values() for term in getattr(module, "TERMS", ())
+}
+SINGLE: Final = tuple(kick for kick in KICKS if not kick.is_many)
+MANY_KICKS: Final = tuple(kick for kick in KICKS if kick.is_many)
+
+# Rows of a block: those of the kicks that a body has once, its clock, the load of other bodies,
+# and then the others, as many times as they act.
+FIRST: Final[dict[str, int]] = {
+    kick.name: LOADS + sum(before.rows for before in SINGLE[:k]) for k, kick in enumerate(SINGLE)
+}
+STEADY: Final = FIRST[FORCE_KICK.name]  # force that is constant in the world, gravity's among it
+CLOCK: Final = LOADS + sum(kick.rows for kick in SINGLE)  # time since the segment began [s]
+PAIR: Final = CLOCK + 1  # rows of model/load.py
+MANY: Final = PAIR + CONTACT_ROWS
+STAGE: Final = 1024  # rows from here on, after all loads, are room for a method's stages
+
+
+def force_of(table: Any) -> Force:
+    """The force of a table of [[force]]."""
+    return FORCES[table.type]
+
+
+def term_of(parameters: Any) -> Term:
+    """What parameters of bodies are."""
+    return TERMS[type(parameters)]
