@@ -179,7 +179,7 @@ def summed_again(trajectory: Trajectory, part: slice) -> float:
 def counted(trajectory: Trajectory) -> Bodies:
     """Bodies as the ledger counts them: those that the case holds have no mass."""
     bodies = trajectory.bodies
-    with blaming(trajectory.file):
+    with trajectory_errors(trajectory.file):
         blocks = trajectory.parameter("case_resolved")["body"]
         held = [bool(block.get("fixed") or block.get("motion")) for block in blocks]
         counts = [int(block["count"]) for block in blocks]
@@ -195,7 +195,7 @@ def counted(trajectory: Trajectory) -> Bodies:
 
 def has_pistons(trajectory: Trajectory) -> bool:
     """Whether walls of the case slide."""
-    with blaming(trajectory.file):
+    with trajectory_errors(trajectory.file):
         return any(wall.get("piston") for wall in trajectory.parameter("case_resolved")["wall"])
 
 
