@@ -178,6 +178,9 @@ class UniformField(ForceTable):
     )
     at: Vector = Field(ORIGIN, description="Where a single charge sits, body frame. [m]")
     dipole: Vector = Field(ORIGIN, description="Dipole d, body frame. [C m; A m²]")
+    angular_velocity: Vector = Field(
+        ORIGIN, description="Rate at which E turns from t = 0 on, world frame. [rad/s]"
+    )
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
     @property

@@ -1,23 +1,102 @@
 """A uniform field that acts on charges and on a dipole of the body: F = Σ q E, τ = (Σ q r + d) × E.
 
-A moment of charges turns a body by m × E, as an arm r does by r × F: so it is a push.
+A moment of charges turns a body by m × E, as an arm r does by r × F: so a steady field is a push.
+One that turns with the angular velocity Ω has E(t) = E∥ + E⊥ cos |Ω|t + (Ω/|Ω|) × E sin |Ω|t and
+the potential U = -q E·x - (R m)·E; bodies gain ∂U/∂t = -(q x + R m)·(Ω × E) beside its loss.
 """
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.forces.kinds import Force, ForceError, by_its_arm, refuse_overflow
+from particlerb.compiled.jit import inline
+from particlerb.forces.kinds import (
+    POSE,
+    TIME,
+    Force,
+    ForceError,
+    Kick,
+    Momenta,
+    Rates,
+    Term,
+    by_its_arm,
+    refuse_overflow,
+)
 from particlerb.forces.push import Push
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.quaternion import Rows, turn
+from particlerb.maths.trig import cos_sin_half_turns
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale
+from particlerb.model.block import get, get3, put3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import lengths, turned_back
+from particlerb.model.state import State, lengths, turned, turned_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import UniformField
     from particlerb.case.to_system import System
 
 MOMENT_ROUNDING: Final = 1e-14  # share of a moment of charges that is its rounding
+
+
+class RotatingField(NamedTuple):
+    """Parameters of the term for n bodies."""
+
+    along: Floats  # (3, n) part of E along Ω, world frame
+    across: Floats  # (3, n) the other part, when the segment begins
+    ahead: Floats  # (3, n) where that will be a quarter of a turn later
+    rate: Floats  # (n,) |Ω| [rad/s]
+    moment: Floats  # (3, n) of charges and dipole, rotor frame
+    charge: Floats  # (n,)
+
+
+FIELD: Final = 14  # first row after the parameters: E now, and its rate of change
+CHANGE: Final = 17
+
+
+@inline
+def turn_field(rows: Floats, at: int, b: int, t: float) -> None:
+    """Set E and Ω × E to the time t."""
+    rate = get(rows, at + 9, b)
+    cos, sin, sign = cos_sin_half_turns(rate * t)
+    across, ahead = scale(sign, get3(rows, at + 3, b)), scale(sign, get3(rows, at + 6, b))
+    now = add_scaled(sin, ahead, add_scaled(cos, across, get3(rows, at, b)))
+    put3(rows, at + FIELD, b, now)
+    put3(rows, at + CHANGE, b, scale(rate, add_scaled(cos, ahead, scale(-sin, across))))
+
+
+@inline
+def kick_field(
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+) -> Momenta:
+    """p + q E dt,  L + (R m) × E dt."""
+    E, moment = get3(rows, at + FIELD, b), turn(R, get3(rows, at + 10, b))
+    return add_scaled(dt * get(rows, at + 13, b), E, p), add_scaled(dt, cross(moment, E), L)
+
+
+@inline
+def field_power(rows: Floats, at: int, b: int, x: Vec3, R: Rows, power: float) -> float:
+    """∂U/∂t = -(q x + R m)·(Ω × E)."""
+    moment = turn(R, get3(rows, at + 10, b))
+    return power - dot(add_scaled(get(rows, at + 13, b), x, moment), get3(rows, at + CHANGE, b))
+
+
+KICK: Final = Kick(
+    "rotating_field", 20, kick_field, has_potential=True, is_many=True,
+    needs=frozenset({POSE, TIME}), at_time=turn_field, power=field_power,
+)  # fmt: skip
+
+
+def field_work(field: RotatingField, com: Floats, q: Floats, t: float) -> Floats:
+    """-U, (n,) [J], at t [s]."""
+    angle = field.rate * t
+    E = field.along + np.cos(angle) * field.across + np.sin(angle) * field.ahead
+    return np.asarray(((field.charge * com + turned(q, field.moment)) * E).sum(axis=0))
+
+
+def field_rates(field: RotatingField, bodies: Bodies, state: State) -> Rates:
+    """The torque about which a body swings, and the turn of the field."""
+    del bodies, state
+    strength = np.hypot(lengths(field.along), lengths(field.across))
+    return Rates(turning=lengths(field.moment) * strength, rate=field.rate)
 
 
 @np.errstate(over="ignore")  # `refuse_large` finds what is
@@ -31,7 +110,7 @@ def resolve(
     """
     if not isinstance(table.charge, tuple):
         moment = table.charge * np.array(table.at) + table.dipole
-        return [(members, (*moment.tolist(), *table.field, table.charge))]
+        return [(members, (*moment.tolist(), *table.field, table.charge, *table.angular_velocity))]
     refuse_count(table.charge, members, system)
     resolved: list[tuple[Ints, tuple[float, ...]]] = []
     kinds = system.kind[members]
@@ -44,7 +123,7 @@ def resolve(
         if lengths(moment) <= MOMENT_ROUNDING * size:
             moment = np.zeros(3)
         moment = moment + table.dipole
-        numbers = (*moment.tolist(), *table.field, float(q.sum()))
+        numbers = (*moment.tolist(), *table.field, float(q.sum()), *table.angular_velocity)
         resolved.append((members[kinds == kind], numbers))
     return resolved
 
@@ -60,11 +139,22 @@ def refuse_count(charges: tuple[float, ...], members: Ints, system: "System") ->
     raise ForceError("charge", reason, hint, b)
 
 
-def term_of(table: "UniformField", numbers: Floats, bodies: Bodies, start: float) -> Push:
-    """The force on the charge, and the moment as the lever of the field."""
-    del table, start
-    moment, E = turned_back(bodies.rotor_frame, numbers[:3]), numbers[3:6]
-    return Push(numbers[6] * E, (E[:, None] * moment).reshape(9, -1))
+def term_of(
+    table: "UniformField", numbers: Floats, bodies: Bodies, start: float
+) -> Push | RotatingField:
+    """The force on the charge, and the moment as the lever of the field; or a field that turns."""
+    del table
+    moment, E, charge = turned_back(bodies.rotor_frame, numbers[:3]), numbers[3:6], numbers[6]
+    rate = lengths(numbers[7:10])
+    if not rate.any():
+        return Push(charge * E, (E[:, None] * moment).reshape(9, -1))
+    axis = numbers[7:10] / np.where(rate > 0.0, rate, 1.0)
+    along = axis * (axis * E).sum(axis=0)
+    across, ahead = E - along, np.cross(axis, E, axis=0)
+    cos, sin = np.cos(rate * start), np.sin(rate * start)
+    return RotatingField(
+        along, cos * across + sin * ahead, cos * ahead - sin * across, rate, moment, charge
+    )
 
 
 def refuse_large(table: "UniformField", numbers: Floats, com: Floats) -> None:
@@ -86,3 +176,11 @@ def turning(table: "UniformField", is_point: bool) -> tuple[str, str]:
 
 
 FORCE: Final = Force(resolve, term_of, has_arm=True, check=refuse_large, turning=turning)
+KICKS: Final = (KICK,)
+TERMS: Final = (
+    Term(
+        RotatingField, "rotating field",
+        lambda field: [(KICK, np.vstack([*field, np.zeros((6, field.rate.size))]))], field_rates,
+        field_work, is_many=True,
+    ),
+)  # fmt: skip

@@ -124,7 +124,7 @@ def advance(
             out[:] = y
             if times[f] > t or not h > 0.0:
                 if not is_dense:
-                    take_stages(acting, books, rows, n, w, y, K, out, h, 13, STAGES)
+                    take_stages(acting, books, rows, n, w, y, K, out, t, h, 13, STAGES)
                     is_dense = True
                 interpolate(n, w, y, new, K, h, (times[f] - t) / h, out)
             shown = out.reshape(size, w)

@@ -25,7 +25,7 @@ from particlerb.integrators.dop853_step import (
     normalise,
     take_slopes,
 )
-from particlerb.integrators.dop853_table import STAGES, A
+from particlerb.integrators.dop853_table import NODES, STAGES, A
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.model.block import (
@@ -86,13 +86,14 @@ def slopes_of_blocks(
     blocks: Floats,
     layout: Layout,
     w: int,
+    t: float,
     y: Floats,
     slope: Floats,
 ) -> None:
     """Slopes of all blocks in the states y, with the loads in their rows."""
     own = slope.reshape(y.shape)
     for k in range(layout.first.size):
-        take_slopes(acting, books, blocks[k], layout.size[k], w, y[k], own[k])
+        take_slopes(acting, books, blocks[k], layout.size[k], w, t, y[k], own[k])
 
 
 def joint_slopes(
@@ -102,15 +103,16 @@ def joint_slopes(
     layout: Layout,
     pairs: PairTerms,
     w: int,
+    t: float,
     y: Floats,
     slope: Floats,
 ) -> None:
-    """Slopes of all bodies in the states y."""
+    """Slopes of all bodies in the states y at a time [s] since the segment began."""
     links, attraction, work, with_dashpots, states, load, _ = pairs
     spread_out(y, layout, w, states)
     pair_loads(links, attraction, work, with_dashpots, states, load)
     scatter(load, blocks, layout, PAIR, 0)
-    slopes_of_blocks(acting, books, blocks, layout, w, y, slope)
+    slopes_of_blocks(acting, books, blocks, layout, w, t, y, slope)
 
 
 @kernel
@@ -123,12 +125,13 @@ def add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
 def joint_stages(
     acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: PairTerms,
     room: JointWorkspace,
-    new: Floats, h: float, i: int, j: int,
+    new: Floats, t: float, h: float, i: int, j: int,
 ) -> None:  # fmt: skip
-    """Slopes of the stages i .. j - 1 of a step h; `new` is the state of the last one."""
+    """Slopes of the stages i .. j - 1 of a step h from t; `new` is the state of the last one."""
     for stage in range(i, j):
         add_stages(h, stage, room.K, room.y, new)
-        joint_slopes(acting, books, blocks, layout, pairs, room.width, new, room.K[stage])
+        now = t + NODES[stage] * h
+        joint_slopes(acting, books, blocks, layout, pairs, room.width, now, new, room.K[stage])
 
 
 @kernel
@@ -170,10 +173,10 @@ def find_joint_step(
     t: float, h: float, tolerance: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Longest step up to h that is accurate, and the one to try after it; see `find_step`."""
-    joint_slopes(acting, books, blocks, layout, pairs, room.width, room.y, room.K[0])
+    joint_slopes(acting, books, blocks, layout, pairs, room.width, t, room.y, room.K[0])
     longest = h
     while True:
-        joint_stages(acting, books, blocks, layout, pairs, room, room.new, h, 1, 13)
+        joint_stages(acting, books, blocks, layout, pairs, room, room.new, t, h, 1, 13)
         error = joint_error(blocks, layout, room, h, tolerance)
         if error < 1.0:
             normalise_blocks(room.new, layout, room.width)
@@ -239,7 +242,7 @@ def advance_joint(
         out[:] = y
         if times[f] > t or not h > 0.0:
             if not is_dense:
-                joint_stages(acting, books, blocks, layout, pairs, room, out, h, 13, STAGES)
+                joint_stages(acting, books, blocks, layout, pairs, room, out, t, h, 13, STAGES)
                 is_dense = True
             interpolate_blocks(layout, room, h, (times[f] - t) / h)
         store_blocks(layout, room, rotor_frame, members, frames, sums, index[f])

@@ -14,8 +14,8 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.forces import STAGE as WORK
-from particlerb.forces import Acting
-from particlerb.integrators.dop853_table import STAGES, A, D, E
+from particlerb.forces import Acting, set_time
+from particlerb.integrators.dop853_table import NODES, STAGES, A, D, E
 from particlerb.integrators.slopes import Pose, slopes
 from particlerb.maths.quaternion import matrix_along
 from particlerb.maths.vec3 import Floats
@@ -47,10 +47,12 @@ def take_slopes(
     rows: Floats,
     n: int,
     w: int,
+    t: float,
     y: Floats,
     slope: Floats,
 ) -> None:
-    """Slopes of a pack in the states y."""
+    """Slopes of a pack in the states y at a time [s] since the segment began."""
+    set_time(acting, rows, n, t)
     for c in range(ALONE):
         for b in range(n):
             put(rows, WORK + c, b, y[c * w + b])
@@ -107,15 +109,16 @@ def take_stages(
     y: Floats,
     K: Floats,
     new: Floats,
+    t: float,
     h: float,
     i: int,
     j: int,
 ) -> None:
-    """Slopes of the stages i .. j - 1 of a step h; `new` is the state of the last one."""
+    """Slopes of the stages i .. j - 1 of a step h from t; `new` is the state of the last one."""
     for stage in range(i, j):
         new[:] = y
         add_rows(h, A[stage], K, stage, new)
-        take_slopes(acting, books, rows, n, w, new, K[stage])
+        take_slopes(acting, books, rows, n, w, t + NODES[stage] * h, new, K[stage])
 
 
 @inline
@@ -246,10 +249,10 @@ def find_step(
     are not smooth. The others go on.
     """
     errors, five, three = np.zeros(n), np.empty(y.size), np.empty(y.size)
-    take_slopes(acting, books, rows, n, w, y, K[0])
+    take_slopes(acting, books, rows, n, w, t, y, K[0])
     longest = h
     while True:
-        take_stages(acting, books, rows, n, w, y, K, new, h, 1, 13)
+        take_stages(acting, books, rows, n, w, y, K, new, t, h, 1, 13)
         differences(K, five, three)
         error = errors_of(rows, n, w, y, five, three, new, h, tolerance, errors)
         if error < 1.0:

@@ -113,6 +113,7 @@ A: Final = table(
         (15, 14, -9.15095847217987),
     ),
 )
+NODES: Final = A.sum(axis=1)  # where in a step the slopes are taken
 E: Final = table(
     (2, 16),
     (

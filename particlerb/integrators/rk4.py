@@ -10,7 +10,7 @@ the form; Kutta 1901 for the method.
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces import STAGE, Acting
+from particlerb.forces import STAGE, Acting, shift_time
 from particlerb.integrators.slopes import (
     ACCEPTED,
     Pose,
@@ -42,6 +42,7 @@ REACH: Final = 2.82  # largest hω of an oscillator that stays bounded
 LONGEST: Final = 0.5  # rad in one step above which it is worth a warning
 WEIGHTS: Final = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)  # of the slopes
 NEXT: Final = (0.5, 0.5, 1.0, 0.0)  # where the next slope is taken, in steps
+WHERE: Final = (0.0, 0.5, 0.5, 1.0)  # each slope is taken, in steps
 LENGTH: Final = SCRATCH  # row of |q| there
 
 
@@ -55,10 +56,12 @@ def step(
         y = pose(rows, b)
         k1, e1 = slopes(acting, rows, b, y, matrix(y.q))
         y2 = add_pose(0.5 * dt, k1, y)
+        shift_time(acting, rows, b, 0.5 * dt)
         k2, e2 = slopes(acting, rows, b, y2, matrix_along(y2.q))
         y3 = add_pose(0.5 * dt, k2, y)
         k3, e3 = slopes(acting, rows, b, y3, matrix_along(y3.q))
         y4 = add_pose(dt, k3, y)
+        shift_time(acting, rows, b, dt)
         k4, e4 = slopes(acting, rows, b, y4, matrix_along(y4.q))
         y = add_pose(sixth, k1, add_pose(third, k2, add_pose(third, k3, add_pose(sixth, k4, y))))
         put_pose(rows, b, on_sphere(y))
@@ -107,6 +110,7 @@ def stage(
         if k > 0:
             stretch = get(rows, LENGTH, b) - 1.0
             y = Pose(y.x, add_scaled4(stretch, y.q, y.q), y.p, y.L)
+        shift_time(acting, rows, b, WHERE[k] * dt)
         slope, entry = slopes(acting, rows, b, y, R)
         if k == 0:
             put_pose_at(rows, STAGE, b, y)

@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces import Acting
-from particlerb.forces.kinds import BODIES, POSE
+from particlerb.forces import Acting, shift_time
+from particlerb.forces.kinds import BODIES, POSE, TIME
 from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, dot, multiplied3, scale
 from particlerb.model.block import (
@@ -60,7 +60,7 @@ ORDER: Final = 6
 FREE_ORDER: Final = 8
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = True
-ACCEPTS: Final = frozenset({POSE, BODIES})
+ACCEPTS: Final = frozenset({POSE, TIME, BODIES})
 SUMMARY: Final = "order 6 (8 on free bodies), symmetric; for forces that depend on the pose alone"
 COST: Final = 66.0  # ns per body-step, roughly; of bodies with a closed drift
 EVALUATIONS: Final = 11  # of the forces in a step
@@ -92,6 +92,7 @@ DRIFTS: Final = (
     0.290553797799558,
     0.123229775946271,
 )
+BEFORE: Final = tuple(sum(DRIFTS[:k], 0.0) for k in range(len(DRIFTS)))  # where each kick is made
 EDGE: Final = KICKS[0]
 U: Final = SCRATCH  # of the Moser-Veselov map: u, f, and the solution
 F: Final = SCRATCH + 3
@@ -177,6 +178,7 @@ def asymmetric_stage(
     pieces = pieces_of(turn, abs(DRIFTS[k]))
     iterations = iterations_of(turn / pieces)
     for b in range(n):
+        shift_time(acting, rows, b, BEFORE[k] * dt)
         _, L_b, R = kick(acting, books, rows, b, kick_dt)
         fly(rows, b, drift_dt)
         start_map(rows, b, turn_back(R, L_b), drift_dt / pieces)
@@ -204,6 +206,7 @@ def symmetric_stage(
     """Kick and drift k of bodies whose drift has a closed form."""
     h = KICKS[k] * dt if k > 0 else opening
     for b in range(n):
+        shift_time(acting, rows, b, BEFORE[k] * dt)
         kick(acting, books, rows, b, h)
         fly(rows, b, DRIFTS[k] * dt)
         q = get4(rows, Q, b)

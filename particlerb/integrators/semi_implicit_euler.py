@@ -17,6 +17,7 @@ from particlerb.forces import (
     kick_potential,
     less_internal,
     load_of_velocity,
+    with_power,
 )
 from particlerb.integrators.slopes import ACCEPTED, Pose, pose, put_pose
 from particlerb.maths.quaternion import (
@@ -90,9 +91,8 @@ def step(
         against, braking = load_of_velocity(acting, rows, b, y.x, R, y.p, y.L, zero, zero)
         p, L = add_scaled(dt, against, p), add_scaled(dt, braking, L)
         entry = kick_entry(rows, b, y.x, R, (y.p, y.L), middle, (p, L))
-        book(
-            books, rows, b, 1.0, less_internal(acting.pair, acting.contact, rows, b, y.x, dt, entry)
-        )
+        entry = less_internal(acting.pair, acting.contact, rows, b, y.x, dt, entry)
+        book(books, rows, b, 1.0, with_power(acting.clock, acting, rows, b, y.x, R, dt, entry))
         w = gyroscopic(multiplied3(inverse, turn_back(R, L)), inverse, dt)
         q = normalised(add_scaled4(dt, times_vector(y.q, scale(0.5, w)), y.q))
         m = (w[0] / inverse[0], w[1] / inverse[1], w[2] / inverse[2]) if inverse[0] > 0.0 else zero

@@ -7,8 +7,8 @@ Q leaves the unit sphere: R is that of Q/|Q| (`matrix_along`), and Q̇ takes Q a
 from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import inline
-from particlerb.forces import Acting, Entry, less_internal, load_at
-from particlerb.forces.kinds import BODIES, POSE, VELOCITY
+from particlerb.forces import Acting, Entry, less_internal, load_at, with_power
+from particlerb.forces.kinds import BODIES, POSE, TIME, VELOCITY
 from particlerb.maths.quaternion import (
     Quat,
     Rows,
@@ -29,7 +29,7 @@ from particlerb.maths.vec3 import (
 )
 from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
 
-ACCEPTED: Final = frozenset({POSE, VELOCITY, BODIES})  # what these methods take: not contact
+ACCEPTED: Final = frozenset({POSE, VELOCITY, TIME, BODIES})  # what these methods take: no contact
 
 
 class Pose(NamedTuple):
@@ -83,4 +83,5 @@ def slopes(acting: Acting, rows: Floats, b: int, y: Pose, R: Rows) -> tuple[Pose
     power = dot(subtract(F, own_force), v) + dot(turn_back(R, subtract(tau, own_torque)), w)
     turning = add_scaled(1.0, tau, cross(y.x, F))
     entry = less_internal(acting.pair, acting.contact, rows, b, y.x, 1.0, (power, F, turning))
+    entry = with_power(acting.clock, acting, rows, b, y.x, R, 1.0, entry)
     return Pose(v, times_vector(y.q, scale(0.5, w)), F, tau), entry

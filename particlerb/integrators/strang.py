@@ -11,7 +11,7 @@ from typing import Final
 
 from particlerb.compiled.jit import inline, kernel_from
 from particlerb.forces import Acting, prepare_kick
-from particlerb.forces.kinds import BODIES, CONTACT, POSE, VELOCITY
+from particlerb.forces.kinds import BODIES, CONTACT, POSE, TIME, VELOCITY
 from particlerb.maths.quaternion import turn_back
 from particlerb.maths.vec3 import Floats, add_scaled
 from particlerb.model.block import COM, INV_INERTIA, INV_MASS, Q, get, get3, get4, put3, put4
@@ -28,7 +28,7 @@ ORDER: Final = 2
 FREE_ORDER: Final = 2
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = True
-ACCEPTS: Final = frozenset({POSE, VELOCITY, BODIES, CONTACT})
+ACCEPTS: Final = frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT})
 SUMMARY: Final = "order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force"
 COST: Final = 6.0  # ns per body-step, roughly
 EVALUATIONS: Final = 1  # of the forces in a step

@@ -96,6 +96,7 @@ from particlerb.stepping.coupled import (
     close_blocks,
     gather_block,
     scatter_block,
+    set_times,
     store_blocks,
 )
 from particlerb.stepping.loop import PAUSE, Schedule
@@ -448,6 +449,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
                     load_pistons(pistons, slides, lists.walls, contact.model, later)
                     kick_pistons(pistons, slides, is_open, EDGE * h, True)
                     drift_pistons(pistons, slides, h)
+                set_times(blocks, layout, acting, time, first, end)
                 move_blocks(blocks, layout, acting, books, 0, kick, h, first, end)
                 is_open = EDGE * h
                 time += dt if i < steps[s] else 0.0
@@ -465,6 +467,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
             load_blocks(
                 blocks, layout, others, load, contact.model, room, lists, -before, 0.0, team
             )
+            set_times(blocks, layout, acting, now, first, end)
             close_blocks(blocks, layout, acting, books, is_open, first, end)
             if team.rank == 0:
                 load_pistons(pistons, slides, lists.walls, contact.model, -before)

@@ -18,7 +18,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel, kernel_from
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.forces import PAIR, STAGE, Acting, acting_of
+from particlerb.forces import PAIR, STAGE, Acting, acting_of, set_time
 from particlerb.forces.links import Links, damp_links
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
@@ -205,6 +205,15 @@ def close_blocks(
         close(acting, books, blocks[i], layout.size[i], dt)
 
 
+@kernel
+def set_times(
+    blocks: Floats, layout: Layout, acting: Acting, t: float, first: int, last: int
+) -> None:
+    """Begin a step of some blocks at a time [s] since the segment began."""
+    for i in range(first, last):
+        set_time(acting, blocks[i], layout.size[i], t)
+
+
 @inline
 def move(
     blocks: Floats,
@@ -241,6 +250,7 @@ def advance_together(
     dt, behind, steps, rest, frame = schedule
     links, attraction, work, with_dashpots, y, load, booked = pairs
     is_open = EDGE * dt if behind > 0 else 0.0
+    taken = behind
     for s in range(steps.size):
         was_open = is_open
         for i in range(steps[s] + 1):  # the last is the partial step to a frame
@@ -251,6 +261,7 @@ def advance_together(
                 copy_blocks(blocks, saved, layout)
                 h, was_open = rest[s], is_open
             if h > 0.0:
+                set_times(blocks, layout, acting, taken * dt, 0, len(blocks))
                 if flows is not None:
                     damp(blocks, layout, links, y, booked, is_open, True)
                 for k in range(STAGES):
@@ -264,7 +275,9 @@ def advance_together(
                     else:
                         move(blocks, layout, acting, books, k, EDGE * h + is_open, h)
                 is_open = EDGE * h
+            taken += 1 if i < steps[s] else 0
         if frame[s] != PAUSE and is_open > 0.0:
+            set_times(blocks, layout, acting, taken * dt + rest[s], 0, len(blocks))
             if flows is not None:
                 damp(blocks, layout, links, y, booked, is_open, True)
             gather(blocks, layout, y)

@@ -21,6 +21,7 @@ from particlerb.forces import (
     prepare_kick,
     row_count,
     rows_of_terms,
+    set_time,
 )
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
@@ -102,6 +103,7 @@ def advance_blocks(
         n = min(members.size - lo, BLOCK)
         index, turn = members[lo : lo + n], rows4(rotor_frame, lo, lo + n)
         is_open = EDGE * dt if behind > 0 else 0.0
+        taken = behind
         for s in range(steps.size):
             was_open = is_open
             for i in range(steps[s] + 1):  # the last is the partial step to a frame
@@ -112,9 +114,12 @@ def advance_blocks(
                     copy_changing(rows, saved, n)
                     h, was_open = rest[s], is_open
                 if h > 0.0:
+                    set_time(acting, rows, n, taken * dt)
                     step(acting, books, rows, n, EDGE * h + is_open, h)
                     is_open = EDGE * h
+                taken += 1 if i < steps[s] else 0
             if frame[s] != PAUSE:
+                set_time(acting, rows, n, taken * dt + rest[s])
                 close(acting, books, rows, n, is_open)
             if frame[s] >= 0:
                 local = rows.reshape(rows.size // STRIDE, STRIDE)

@@ -481,7 +481,7 @@ BETWEEN = [
         "names 3 bodies, `body` 4: they make no pairs",
         "name equal numbers, or one for all; or give `reach`",
     ),
-    ("field", "", "field", "missing", "keys here: type, body, field, charge, at, dipole, during"),
+    ("field", "", "field", "missing", "keys here: type, body, field, charge, at, dipole, angular"),
     ("field", "fild = [0, 0, 1]", "fild", "unknown key", 'did you mean "field"?'),
     ("field", "field = [0, 1]", "field", "must have 3 entries, has 2", ""),
     ("field", "field = [0, 0, 1]\ndipole = 2", "dipole", "must be a list of 3 numbers", ""),

@@ -8,6 +8,7 @@ import pytest
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.compiled.threads import BLOCK
+from particlerb.forces.kinds import VELOCITY
 from particlerb.integrators import METHODS
 from particlerb.simulation.run import RunError
 from particlerb.stepping import loop as stepped
@@ -38,7 +39,7 @@ def fields(make, **keys):
 
 def forces_for(make, method, **keys):
     """All kinds that a method accepts."""
-    if "drag" not in METHODS[method].ACCEPTS:
+    if VELOCITY not in METHODS[method].ACCEPTS:
         return fields(make, **keys)
     others = [
         make.push([1.0, 0, 0], [0, 0.1, 0], frame="body", **keys),

@@ -9,6 +9,7 @@ import pytest
 
 import particlerb
 from particlerb.case.problems import CaseError
+from particlerb.forces.kinds import VELOCITY
 from particlerb.integrators import METHODS, rkn6
 
 T_END = 6.4
@@ -46,7 +47,7 @@ def all_kinds(make):
 
 
 def forces_for(make, method):
-    return all_kinds(make) if "drag" in METHODS[method].ACCEPTS else fields(make)
+    return all_kinds(make) if VELOCITY in METHODS[method].ACCEPTS else fields(make)
 
 
 def errors(make, found, true):

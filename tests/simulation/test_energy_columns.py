@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from particlerb.forces.kinds import VELOCITY
 from particlerb.integrators import METHODS
 
 START = {"position": [1.0, 0.2, 0.3], "velocity": [0.3, 0.1, -0.2], "orientation": [0.8, 0, 0.6, 0]}
@@ -55,7 +56,7 @@ def runs(make):
     for scene, force in SCENES.items():
         for method, module in METHODS.items():
             damped = any("damping" in one for one in force(make))
-            if method == "exact" or (damped and "dashpots" not in module.ACCEPTS):
+            if method == "exact" or (damped and VELOCITY not in module.ACCEPTS):
                 continue
             names.append((scene, method))
             cases.append(make.case(*bodies, force=force(make), method=method, **keys))
