@@ -138,6 +138,8 @@ def pulled(x, R, tensor, mass, v, w, force: dict) -> tuple[np.ndarray, np.ndarra
     kind, zero = force["type"], np.zeros(3)
     if kind == "drag":
         return -force["translation"] * v, -force["rotation"] * w
+    if kind == "magnus":
+        return force["coefficient"] * np.cross(w, v), zero
     if kind == "torque":
         return zero, np.array(force["torque"])
     if kind == "central":

@@ -205,8 +205,24 @@ class CentralTable(ForceTable):
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
+class MagnusTable(ForceTable):
+    """Magnus lift of a spinning body: F = c ω × v."""
+
+    type: Literal["magnus"] = Field(description=KIND)
+    body: Names = Field(description=BODIES)
+    coefficient: Real = Field(description="Coefficient c. [kg/rad]")
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
 AnyForce = (
-    PushTable | TorqueTable | ImpulseTable | DragTable | SpringTable | UniformField | CentralTable
+    PushTable
+    | TorqueTable
+    | ImpulseTable
+    | DragTable
+    | SpringTable
+    | UniformField
+    | CentralTable
+    | MagnusTable
 )
 FORCES: dict[str, type[ForceTable]] = {
     get_args(table.model_fields["type"].annotation)[0]: table for table in get_args(AnyForce)

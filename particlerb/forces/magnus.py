@@ -1,0 +1,76 @@
+"""Magnus lift of a spinning body: F = c ω × v, across the spin and the way; no torque.
+
+It does no work. For an ideal flow about a sphere c is half the mass of the fluid in its place
+(Rubinow and Keller, J. Fluid Mech. 11, 447 (1961), have c = π a³ ρ at small Reynolds numbers). At
+a fixed pose L and so ω stay, and p turns about ω at the rate c |ω|/M: that is the flow of it
+alone, of which splittings make one half before and one half after the other kicks.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.compiled.jit import inline
+from particlerb.forces.kinds import (
+    POSE,
+    VELOCITY,
+    Force,
+    Kick,
+    Momenta,
+    Rates,
+    Term,
+    same_for_all,
+)
+from particlerb.maths.quaternion import Rows, to_world, turn, turn_back
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, multiplied3, scale
+from particlerb.model.block import INV_INERTIA, get, get3
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, lengths, omega_world
+from particlerb.rotors.symmetric_split import turn_by
+
+
+class Magnus(NamedTuple):
+    """Parameters of the term for n bodies."""
+
+    share: Floats  # (n,), c/M
+
+
+@inline
+def spin(rows: Floats, b: int, R: Rows, L: Vec3) -> Vec3:
+    """ω of body b, world frame [rad/s]."""
+    return turn(R, multiplied3(get3(rows, INV_INERTIA, b), turn_back(R, L)))
+
+
+@inline
+def magnus_load(
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3, F: Vec3, tau: Vec3
+) -> Momenta:
+    """F + c ω × v."""
+    return add_scaled(get(rows, at, b), cross(spin(rows, b, R, L), p), F), tau
+
+
+@inline
+def magnus_flow(rows: Floats, at: int, b: int, R: Rows, dt: float, p: Vec3, L: Vec3) -> Momenta:
+    """p turned about ω by c |ω| dt/M; up to a whole turn."""
+    half = scale(0.5 * dt * get(rows, at, b), spin(rows, b, R, L))
+    return to_world(turn_by(half, (1.0, 0.0, 0.0, 0.0)), p), L
+
+
+KICK: Final = Kick(
+    "magnus", 1, needs=frozenset({POSE, VELOCITY}), load=magnus_load, flow=magnus_flow
+)
+
+
+def magnus_rates(magnus: Magnus, bodies: Bodies, state: State) -> Rates:
+    """The rate at which the way turns."""
+    return Rates(rate=np.abs(magnus.share) * lengths(omega_world(bodies, state)))
+
+
+FORCE: Final = Force(
+    same_for_all(lambda table: (table.coefficient,)),
+    lambda _, numbers, bodies, start: Magnus(numbers[0] * bodies.inv_mass),
+)
+KICKS: Final = (KICK,)
+TERMS: Final = (
+    Term(Magnus, "Magnus lift", lambda magnus: [(KICK, np.vstack(magnus))], magnus_rates),
+)
