@@ -17,7 +17,7 @@ from particlerb.case.schema import Body, Case
 from particlerb.case.shapes import AnyShape
 from particlerb.case.to_system import System, part_particles, turn_of
 from particlerb.geometry import shapes
-from particlerb.geometry.analytic import ANALYTIC, Analytic
+from particlerb.geometry.analytic import ANALYTIC, Analytic, volume
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats
@@ -112,7 +112,7 @@ def ideal_moments(case: Case, i: int, body: Body) -> Floats:
     if body.shape is not None:
         mass = body.mass
         if mass is None:
-            mass = (body.density or 0.0) * shapes.volume(body.shape.type, size_of(body.shape))
+            mass = (body.density or 0.0) * volume(body.shape.type, size_of(body.shape))
         return np.asarray(np.linalg.eigvalsh(mass * solid_of(body.shape).tensor))
     parts = []
     for part in body.part:

@@ -12,8 +12,7 @@ import numpy as np
 
 from particlerb.case.schema import Body, Case, ShapePart
 from particlerb.case.shapes import Cloud, MeshShape, Moments, PointsShape, SpheresShape
-from particlerb.geometry import shapes
-from particlerb.geometry.analytic import ANALYTIC, Analytic
+from particlerb.geometry.analytic import ANALYTIC, Analytic, volume
 from particlerb.geometry.mesh import TriangleMesh, mesh_solid, read_mesh
 from particlerb.geometry.overlapping_spheres import overlaps, plain_solid, union_solid
 from particlerb.geometry.particle_files import read_spheres
@@ -59,7 +58,7 @@ def matter_of_shape(case: Case, table: Body | ShapePart) -> Matter:
     size = shape.model_dump(exclude={"type", "n", "arrangement", "inertia_error"})
     solid = ANALYTIC[shape.type](**size) if shape.type in ANALYTIC else None
     try:
-        return Matter(shapes.volume(shape.type, size), solid=solid)
+        return Matter(volume(shape.type, size), solid=solid)
     except ValueError:
         return Matter(solid=solid)
 

@@ -14,7 +14,7 @@ from particlerb.case.placement import resolve_bodies
 from particlerb.case.schema import Case
 from particlerb.geometry.mass_properties import MassProperties
 from particlerb.geometry.particles import Particles, concatenate, one_kind, united
-from particlerb.geometry.solid import ROUNDING, UniformSolid, stand_in
+from particlerb.geometry.solid import ROUNDING, UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 MANY: Final = 10_000
@@ -61,7 +61,7 @@ def points_for(properties: MassProperties, k: int) -> Particles:
     mass = float(properties.mass[k])
     per_mass: Floats = properties.inertia_tensor[k] / mass
     offset = np.linalg.norm(properties.com[k]) / np.sqrt(np.trace(per_mass) or 1.0)
-    return stand_in(
+    return equimomental_points(
         UniformSolid(1.0, np.zeros(3), per_mass, ROUNDING * (1.0 + float(offset))), mass
     )
 

@@ -24,8 +24,8 @@ from particlerb.case.reader import problem_at
 from particlerb.case.reduction import reduced
 from particlerb.case.schema import Body, Case, Euler, NormalDistribution, ShapePart
 from particlerb.case.shapes import AnyShape, Cloud, MeshShape, PointsShape, SpheresShape
-from particlerb.geometry import shapes
-from particlerb.geometry.fill import FilledShape, enough, mesh_particles
+from particlerb.geometry import analytic, shapes
+from particlerb.geometry.fill import FilledShape, coarsest_within, mesh_particles
 from particlerb.geometry.mass_properties import MassProperties, mass_properties
 from particlerb.geometry.mesh import read_mesh
 from particlerb.geometry.overlapping_spheres import spheres
@@ -200,13 +200,13 @@ def shape_particles(
         return mesh_particles(mesh, mass, density, *how)
     parameters = shape.model_dump(exclude={"type", "inertia_error"})
     if mass is None:
-        mass = (density or 0.0) * shapes.volume(shape.type, parameters)
+        mass = (density or 0.0) * analytic.volume(shape.type, parameters)
     particles_of = partial(getattr(shapes, shape.type), **parameters, mass=mass)
     wanted = getattr(shape, "inertia_error", None)
     if wanted is None:
         return FilledShape(particles_of())
     size = {key: parameters[key] for key in parameters.keys() - {"n", "arrangement"}}
-    return enough(shape.type, size, wanted, lambda n: particles_of(n=n))
+    return coarsest_within(shape.type, size, wanted, lambda n: particles_of(n=n))
 
 
 def kinds_of_bodies(case: Case, placement: Placement, first_kind: Ints) -> Ints:

@@ -1,11 +1,12 @@
-"""Centre of mass and tensor of the analytic solids, per unit of mass.
+"""Centre of mass, tensor per unit of mass, and volume of the analytic solids.
 
 Written independently of all sums: `converge` and the stop rule measure particles against these.
 Numbers of docs/bodies.md in brackets.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -99,3 +100,50 @@ ANALYTIC: Final[dict[str, Callable[..., Analytic]]] = {
     "rod": analytic_rod,
     "tetrahedron": analytic_tetrahedron,
 }
+
+
+def shell_volume(p: Mapping[str, Any]) -> float:
+    """(4π/3)(R³ − r³); ValueError for the thin shell."""
+    if p.get("inner_radius") is None:
+        raise ValueError("a thin shell has no volume: give mass")
+    return 4.0 / 3.0 * math.pi * float(p["radius"] ** 3 - p["inner_radius"] ** 3)
+
+
+def tetrahedron_volume(p: Mapping[str, Any]) -> float:
+    """|(b − a) · (c − a) × (d − a)| / 6."""
+    corner = np.asarray(p["vertices"], dtype=np.float64)
+    return float(abs(np.linalg.det(corner[1:] - corner[0]))) / 6.0
+
+
+VOLUME: dict[str, Callable[[Mapping[str, Any]], float]] = {
+    "box": lambda p: math.prod(p["size"]),
+    "ball": lambda p: 4.0 / 3.0 * math.pi * p["radius"] ** 3,
+    "shell": shell_volume,
+    "cylinder": lambda p: (
+        math.pi * (p["radius"] ** 2 - (p.get("inner_radius") or 0.0) ** 2) * p["height"]
+    ),
+    "cone": lambda p: math.pi * p["radius"] ** 2 * p["height"] / 3.0,
+    "torus": lambda p: 2.0 * math.pi**2 * p["major_radius"] * p["minor_radius"] ** 2,
+    "ellipsoid": lambda p: 4.0 / 3.0 * math.pi * math.prod(p["semi_axes"]),
+    "tetrahedron": tetrahedron_volume,
+}
+
+
+def volume(shape_name: str, parameters: Mapping[str, Any]) -> float:
+    """Volume [m³] of the analytic solid, so that mass = density · volume.
+
+    Parameters
+    ----------
+    shape_name : str
+        Key of `VOLUME`.
+    parameters : mapping
+        Its arguments by name; others are ignored.
+
+    Raises
+    ------
+    ValueError
+        For a shape without volume (points, moments, cloud, rod, thin shell): give mass.
+    """
+    if shape_name not in VOLUME:
+        raise ValueError(f"shape {shape_name!r} has no volume: give mass")
+    return float(VOLUME[shape_name](parameters))

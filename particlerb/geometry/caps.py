@@ -12,7 +12,20 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.maths.vec3 import Floats, Ints, Vec3, cross, dot
+from particlerb.maths.vec3 import (
+    Floats,
+    Ints,
+    Vec3,
+    add,
+    add_scaled,
+    cross,
+    divide,
+    dot,
+    norm,
+    row3,
+    scale,
+    subtract,
+)
 
 SAME: Final = 1e-14  # caps this close are one; circles that overlap by so little only touch
 TURN: Final = 2.0 * math.pi
@@ -31,37 +44,21 @@ class Caps(NamedTuple):
     e2: Floats
 
 
-@inline
-def between(centre: Floats, i: int, j: int) -> Vec3:
-    """From the centre of ball i to that of ball j."""
-    return (
-        centre[j, 0] - centre[i, 0],
-        centre[j, 1] - centre[i, 1],
-        centre[j, 2] - centre[i, 2],
-    )
-
-
-@inline
-def length(v: Vec3) -> float:
-    """|v|."""
-    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-
-
 @kernel
 def caps_of(centre: Floats, radius: Floats, others: Ints, i: int, same: float) -> Caps:
     """Caps of other balls on sphere i; of those that agree within `same` only the first."""
-    room = len(others)
-    axis, e1, e2 = np.empty((room, 3)), np.empty((room, 3)), np.empty((room, 3))
-    height, depth, rim = np.empty(room), np.empty(room), np.empty(room)
+    most = len(others)
+    axis, e1, e2 = np.empty((most, 3)), np.empty((most, 3)), np.empty((most, 3))
+    height, depth, rim = np.empty(most), np.empty(most), np.empty(most)
     k, R = 0, radius[i]
     for j in others:
-        r, v = radius[j], between(centre, i, j)
-        d = length(v)
+        r, v = radius[j], subtract(row3(centre, j), row3(centre, i))
+        d = norm(v)
         deep = (r + R - d) * (d + (r - R)) / (2.0 * d * R)
         high = (d + (R - r)) * (d + R + r) / (2.0 * d * R)
         if deep <= 0.0 or deep * high <= same:
             continue
-        u = (v[0] / d, v[1] / d, v[2] / d)
+        u = divide(v, d)
         h = 0.5 * (high - deep)
         is_new = True
         for m in range(k):
@@ -73,8 +70,7 @@ def caps_of(centre: Floats, radius: Floats, others: Ints, i: int, same: float) -
             continue
         a = (1.0, 0.0, 0.0) if abs(u[0]) < 0.6 else (0.0, 1.0, 0.0)
         p = cross(u, a)
-        size = length(p)
-        p = (p[0] / size, p[1] / size, p[2] / size)
+        p = divide(p, norm(p))
         q = cross(u, p)
         axis[k, 0], axis[k, 1], axis[k, 2] = u
         e1[k, 0], e1[k, 1], e1[k, 2] = p
@@ -82,12 +78,6 @@ def caps_of(centre: Floats, radius: Floats, others: Ints, i: int, same: float) -
         height[k], depth[k], rim[k] = h, deep, math.sqrt(deep * high)
         k += 1
     return Caps(axis[:k], height[:k], depth[:k], rim[:k], e1[:k], e2[:k])
-
-
-@inline
-def row3(rows: Floats, k: int) -> Vec3:
-    """Row k as a tuple."""
-    return rows[k, 0], rows[k, 1], rows[k, 2]
 
 
 @inline
@@ -102,7 +92,7 @@ def meeting(caps: Caps, a: int, b: int, same: float) -> tuple[int, Vec3, Vec3]:
     ua, ub = row3(caps.axis, a), row3(caps.axis, b)
     ha, hb = caps.height[a], caps.height[b]
     w = cross(ua, ub)
-    sine, cosine = length(w), dot(ua, ub)
+    sine, cosine = norm(w), dot(ua, ub)
     if cosine > 0.0:
         rest = sine * sine / (1.0 + cosine)
         ga, gb = (hb - ha) + rest * ha, (ha - hb) + rest * hb
@@ -112,17 +102,11 @@ def meeting(caps: Caps, a: int, b: int, same: float) -> tuple[int, Vec3, Vec3]:
     s = caps.radius[a]
     chord = (sine * s - ga) * (sine * s + ga)
     if chord > same * (sine * s) ** 2:
-        w = (w[0] / sine, w[1] / sine, w[2] / sine)
+        w = divide(w, sine)
         v = cross(w, ua)
         along, across = ga / sine, math.sqrt(chord) / sine
-        x = ha * ua[0] + along * v[0]
-        y = ha * ua[1] + along * v[1]
-        z = ha * ua[2] + along * v[2]
-        return (
-            0,
-            (x - across * w[0], y - across * w[1], z - across * w[2]),
-            (x + across * w[0], y + across * w[1], z + across * w[2]),
-        )
+        middle = add_scaled(along, v, scale(ha, ua))
+        return 0, add_scaled(-across, w, middle), add_scaled(across, w, middle)
     nowhere = (0.0, 0.0, 0.0)
     code = (1 if ga < 0.0 or (ga == 0.0 and cosine <= 0.0) else 0) + (2 if gb <= 0.0 else 0)
     return (4 if code == 0 else code), nowhere, nowhere
@@ -196,20 +180,14 @@ def circle(caps: Caps, k: int) -> Circle:
 def point(c: Circle, t: float) -> Vec3:
     """Point of a circle, h u + s (e1 cos t + e2 sin t)."""
     u, e1, e2, h, _, s = c
-    x, y = s * math.cos(t), s * math.sin(t)
-    return (
-        h * u[0] + x * e1[0] + y * e2[0],
-        h * u[1] + x * e1[1] + y * e2[1],
-        h * u[2] + x * e1[2] + y * e2[2],
-    )
+    return add_scaled(s * math.sin(t), e2, add_scaled(s * math.cos(t), e1, scale(h, u)))
 
 
 @kernel
 def open_by(caps: Caps, arcs: Floats) -> float:
     """Length of Σ (end − beginning) of all arcs: 0 where they close."""
-    x = y = z = 0.0
+    gap = (0.0, 0.0, 0.0)
     for m in range(len(arcs)):
         c = circle(caps, int(arcs[m, 0]))
-        p, q = point(c, arcs[m, 1]), point(c, arcs[m, 2])
-        x, y, z = x + q[0] - p[0], y + q[1] - p[1], z + q[2] - p[2]
-    return length((x, y, z))
+        gap = subtract(add(gap, point(c, arcs[m, 2])), point(c, arcs[m, 1]))
+    return norm(gap)

@@ -4,7 +4,7 @@ The bounding box is cut into equal cells. A cell on the boundary counts by the s
 inside; its particle sits at the centroid of that share. Read in this order: `Lattice`; `cut_mesh`,
 shares of a mesh by clipping its faces; `cell_particles`, which makes the particles and moves them
 outward by the little that one particle in place of a cell lacks in the tensor. Formulas are in
-docs/mass_properties.md; solids with round sections are in `bodies.sections`.
+docs/mass_properties.md; solids with round sections are in `geometry.sections`.
 
 A *cell sum* has ten numbers over the matter of one cell, in coordinates u, v, w of the cell from 0
 to 1 and in units of its volume: 1, u, v, w, uu, vv, ww, uv, uw, vw.
@@ -17,6 +17,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.geometry.particles import Particles, one_kind
+from particlerb.geometry.solid import symmetric
 from particlerb.maths.vec3 import Floats, Ints
 
 FULL: Final = np.array([1, 1 / 2, 1 / 2, 1 / 2, 1 / 3, 1 / 3, 1 / 3, 1 / 4, 1 / 4, 1 / 4])
@@ -248,6 +249,8 @@ def add_below(sums: Floats, above: Floats) -> None:
 class Pieces(NamedTuple):
     """Matter of the cells that hold any."""
 
+    cell: Ints
+    """Numbers along x, y, z, shape (k, 3)."""
     share: Floats
     """Of the cell, shape (k,)."""
     centroid: Floats
@@ -258,7 +261,7 @@ class Pieces(NamedTuple):
 
 def pieces(layers: Iterable[Layer], grid: Lattice) -> Pieces:
     """Shares and centroids of the cells that are not empty."""
-    shares, centroids, spread = [], [], np.zeros(6)
+    cells, shares, centroids, spread = [], [], [], np.zeros(6)
     for i, sums in layers:
         chosen = np.argwhere(sums[:, :, 0] > EMPTY)
         held = sums[chosen[:, 0], chosen[:, 1]]
@@ -268,12 +271,11 @@ def pieces(layers: Iterable[Layer], grid: Lattice) -> Pieces:
         squares = np.stack([x * x, y * y, z * z, x * y, x * z, y * z], axis=1)
         spread += (held[:, 4:] - share[:, None] * squares).sum(axis=0)
         shares.append(share)
-        cell = np.column_stack([np.full(len(chosen), i), chosen])
-        centroids.append(grid.lower + (cell + mean) * grid.spacing)
+        cells.append(np.column_stack([np.full(len(chosen), i), chosen]))
+        centroids.append(grid.lower + (cells[-1] + mean) * grid.spacing)
     share = np.concatenate(shares)
-    xx, yy, zz, xy, xz, yz = spread / share.sum()
-    own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return Pieces(share, np.concatenate(centroids), own * np.outer(grid.spacing, grid.spacing))
+    own = symmetric(spread / share.sum()) * np.outer(grid.spacing, grid.spacing)
+    return Pieces(np.concatenate(cells), share, np.concatenate(centroids), own)
 
 
 def cell_particles(layers: Iterable[Layer], grid: Lattice, mass: float) -> Particles:
@@ -300,7 +302,7 @@ def cell_particles(layers: Iterable[Layer], grid: Lattice, mass: float) -> Parti
     ----------
     Dowson, Landau, J. Multivariate Analysis 12, 450 (1982), for A.
     """
-    share, centroid, lacking = pieces(layers, grid)
+    _, share, centroid, lacking = pieces(layers, grid)
     weight = share / share.sum()
     com = weight @ centroid
     r = centroid - com

@@ -14,7 +14,18 @@ import math
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.maths.vec3 import Floats, Ints, Vec3, cross, dot, subtract
+from particlerb.maths.vec3 import (
+    Floats,
+    Ints,
+    Vec3,
+    add_scaled,
+    cross,
+    divide,
+    dot,
+    norm,
+    row3,
+    subtract,
+)
 
 MOST = 1000  # pairs that are told
 
@@ -75,17 +86,23 @@ def sweep(
 
 
 @inline
-def corner_of(vertices: Floats, v: int) -> Vec3:
-    """One vertex."""
-    return vertices[v, 0], vertices[v, 1], vertices[v, 2]
-
-
-@inline
 def normal(t: Triangle) -> Vec3:
     """Unit normal."""
     n = cross(subtract(t[1], t[0]), subtract(t[2], t[0]))
-    size = math.sqrt(dot(n, n))
-    return n[0] / size, n[1] / size, n[2] / size
+    return divide(n, norm(n))
+
+
+@inline
+def corners(vertices: Floats, face: Ints) -> Triangle:
+    """Corners of a face."""
+    return row3(vertices, face[0]), row3(vertices, face[1]), row3(vertices, face[2])
+
+
+@inline
+def along_line(t: Triangle, line: Vec3, origin: Vec3) -> Vec3:
+    """Coordinates of the corners of a triangle along a line."""
+    a, b, c = subtract(t[0], origin), subtract(t[1], origin), subtract(t[2], origin)
+    return dot(line, a), dot(line, b), dot(line, c)
 
 
 @inline
@@ -93,8 +110,20 @@ def height(vertices: Floats, v: int, face: Ints, n: Vec3, foot: Vec3, nearness: 
     """Distance of vertex v from the plane of a face, 0 where it is its corner or near."""
     if v == face[0] or v == face[1] or v == face[2]:
         return 0.0
-    distance = dot(n, subtract(corner_of(vertices, v), foot))
+    distance = dot(n, subtract(row3(vertices, v), foot))
     return 0.0 if abs(distance) <= nearness else distance
+
+
+@inline
+def heights(
+    vertices: Floats, other: Ints, face: Ints, n: Vec3, foot: Vec3, nearness: float
+) -> Vec3:
+    """The same of the corners of another face."""
+    return (
+        height(vertices, other[0], face, n, foot, nearness),
+        height(vertices, other[1], face, n, foot, nearness),
+        height(vertices, other[2], face, n, foot, nearness),
+    )
 
 
 @inline
@@ -122,32 +151,18 @@ def cross_at(
     vertices: Floats, f: Ints, g: Ints, nearness: float, polygon: Floats, clipped: Floats
 ) -> tuple[bool, float, float, float]:
     """Whether two faces cross, and a point where."""
-    p = corner_of(vertices, f[0]), corner_of(vertices, f[1]), corner_of(vertices, f[2])
-    q = corner_of(vertices, g[0]), corner_of(vertices, g[1]), corner_of(vertices, g[2])
+    p, q = corners(vertices, f), corners(vertices, g)
     m, n = normal(p), normal(q)
-    over_p = (
-        height(vertices, g[0], f, m, p[0], nearness),
-        height(vertices, g[1], f, m, p[0], nearness),
-        height(vertices, g[2], f, m, p[0], nearness),
-    )
-    if over_p[0] == 0.0 and over_p[1] == 0.0 and over_p[2] == 0.0 and dot(m, n) > 0.0:
+    over_p = heights(vertices, g, f, m, p[0], nearness)
+    if over_p == (0.0, 0.0, 0.0) and dot(m, n) > 0.0:
         return covers(p, q, m, nearness, polygon, clipped)
-    over_q = (
-        height(vertices, f[0], g, n, q[0], nearness),
-        height(vertices, f[1], g, n, q[0], nearness),
-        height(vertices, f[2], g, n, q[0], nearness),
-    )
+    over_q = heights(vertices, f, g, n, q[0], nearness)
     line = cross(m, n)
-    size = math.sqrt(dot(line, line))
+    size = norm(line)
     if not straddles(over_p) or not straddles(over_q) or size == 0.0:
         return False, 0.0, 0.0, 0.0
-    line = line[0] / size, line[1] / size, line[2] / size
-    along_p = 0.0, dot(line, subtract(p[1], p[0])), dot(line, subtract(p[2], p[0]))
-    along_q = (
-        dot(line, subtract(q[0], p[0])),
-        dot(line, subtract(q[1], p[0])),
-        dot(line, subtract(q[2], p[0])),
-    )
+    line = divide(line, size)
+    along_p, along_q = along_line(p, line, p[0]), along_line(q, line, p[0])
     low_p, high_p = interval(along_p, over_q)
     low_q, high_q = interval(along_q, over_p)
     low, high = max(low_p, low_q), min(high_p, high_q)
@@ -162,13 +177,8 @@ def edge_point(p: Triangle, along: Vec3, above: Vec3, t: float, line: Vec3) -> V
         m = (k + 1) % 3
         if above[k] * above[m] < 0.0:
             s = above[k] / (above[k] - above[m])
-            d = subtract(p[m], p[k])
             ahead = t - (along[k] + s * (along[m] - along[k]))
-            return (
-                p[k][0] + s * d[0] + ahead * line[0],
-                p[k][1] + s * d[1] + ahead * line[1],
-                p[k][2] + s * d[2] + ahead * line[2],
-            )
+            return add_scaled(ahead, line, add_scaled(s, subtract(p[m], p[k]), p[k]))
     return p[0]
 
 
@@ -182,8 +192,7 @@ def covers(
     be wider than `nearness`.
     """
     u = subtract(p[1], p[0])
-    size = math.sqrt(dot(u, u))
-    u = u[0] / size, u[1] / size, u[2] / size
+    u = divide(u, norm(u))
     v = cross(n, u)
     count = 3
     for k in range(3):
@@ -219,9 +228,5 @@ def covers(
         x, y = x + polygon[0, i] / count, y + polygon[1, i] / count
     if area <= nearness * nearness:
         return False, 0.0, 0.0, 0.0
-    return (
-        True,
-        p[0][0] + x * u[0] + y * v[0],
-        p[0][1] + x * u[1] + y * v[1],
-        p[0][2] + x * u[2] + y * v[2],
-    )
+    middle = add_scaled(y, v, add_scaled(x, u, p[0]))
+    return True, middle[0], middle[1], middle[2]

@@ -21,7 +21,7 @@ from particlerb.geometry.mesh import TriangleMesh, mesh_solid
 from particlerb.geometry.overlapping_spheres import union_solid
 from particlerb.geometry.packing import packing
 from particlerb.geometry.particles import Particles, concatenate, one_kind, united
-from particlerb.geometry.solid import UniformSolid, stand_in
+from particlerb.geometry.solid import UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Floats
 
 MOST_PARTICLES: Final = 1_000_000
@@ -102,7 +102,7 @@ def differences(com: Floats, tensor: Floats, analytic: Analytic) -> tuple[float,
     )
 
 
-def enough(
+def coarsest_within(
     shape: str, size: dict[str, object], wanted: float, make: Callable[[int], Particles]
 ) -> FilledShape:
     """Coarsest set that was tried of an analytic shape with at most the wanted error.
@@ -110,7 +110,7 @@ def enough(
     Parameters
     ----------
     shape, size : str, dict
-        Key of `bodies.analytic.ANALYTIC`, and the arguments.
+        Key of `geometry.analytic.ANALYTIC`, and the arguments.
     wanted : float
     make : callable
         Particles for n; ValueError where n is too small.
@@ -178,7 +178,7 @@ def mesh_particles(
     Parameters
     ----------
     mesh : TriangleMesh
-        As `bodies.mesh.checked` leaves it.
+        As `geometry.mesh.checked` leaves it.
     mass, density : float [kg, kg/m³]
         One of them.
     arrangement : {"exact", "cells", "spheres"}
@@ -204,7 +204,7 @@ def mesh_particles(
         raise ValueError(f"mass is {total} kg: positive and finite is needed")
     analytic = Analytic(solid.com, solid.inertia / solid.volume)
     if arrangement == "exact":
-        return FilledShape(stand_in(solid, total), (), mesh.notes)
+        return FilledShape(equimomental_points(solid, total), (), mesh.notes)
     if arrangement == "cells":
 
         def cells(n: int) -> tuple[Trial, Particles]:
@@ -240,7 +240,7 @@ def spheres_in(
 
     def filled(count: int, trials: Sequence[Trial]) -> FilledShape:
         surface = one_kind(found.centre[:count], 0.0, found.radius[:count])
-        made = united(concatenate([surface, stand_in(solid, mass)]))
+        made = united(concatenate([surface, equimomental_points(solid, mass)]))
         return FilledShape(made, tuple(trials))
 
     found = packing(mesh, n if inertia_error is None else 16)

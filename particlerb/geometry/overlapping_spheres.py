@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from particlerb.geometry.particles import Particles, concatenate, one_kind, united
-from particlerb.geometry.solid import UniformSolid, stand_in
+from particlerb.geometry.solid import UniformSolid, equimomental_points, symmetric
 from particlerb.geometry.union import neighbours, union
 from particlerb.maths.vec3 import Floats, Ints
 
@@ -79,7 +79,7 @@ def spheres(
         return one_kind(centre, amount * share, R)
     solid = union_solid(centre, R)
     surface = one_kind(centre, 0.0, R)
-    matter = stand_in(solid, amount * solid.volume if mass is None else amount)
+    matter = equimomental_points(solid, amount * solid.volume if mass is None else amount)
     return united(concatenate([surface, matter]))
 
 
@@ -122,7 +122,7 @@ def union_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
     c = (centre - origin) / unit
     found = union(c, R / unit)
     com = found.first / found.volume
-    second = full(found.second) - found.volume * np.outer(com, com)
+    second = symmetric(found.second) - found.volume * np.outer(com, com)
     inertia = np.trace(second) * np.eye(3) - second
     extent = float((np.linalg.norm(c, axis=1) + R / unit).max())
     error = (found.gap + EPSILON * found.area) * extent / (3.0 * found.volume)
@@ -138,12 +138,6 @@ def plain_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
     r = centre - com
     second = (r.T * volume) @ r + 0.2 * (volume @ R**2) * np.eye(3)
     return UniformSolid(total, com, np.trace(second) * np.eye(3) - second, len(R) * EPSILON)
-
-
-def full(second: Floats) -> Floats:
-    """Symmetric matrix of xx yy zz xy xz yz."""
-    xx, yy, zz, xy, xz, yz = second
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def overlaps(centre: Floats, radius: Floats) -> Overlaps:

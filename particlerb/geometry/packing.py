@@ -16,10 +16,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.geometry.cells import EMPTY, cut_mesh, grid_over
+from particlerb.geometry.cells import cut_mesh, grid_over, pieces
 from particlerb.geometry.mesh import TriangleMesh, mesh_solid
 from particlerb.geometry.winding import solid_angle
-from particlerb.maths.vec3 import Floats, Ints, Vec3, dot, subtract
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, corner3, dot, subtract
 
 HOLDING: Final = 40_000  # cells that hold matter, about: how finely centres are tried
 CELLS: Final = 4_000_000  # of the whole grid at most: a thin body that lies askew has many empty
@@ -27,8 +27,6 @@ SMALLEST: Final = 0.25  # radius in units of a cell, below which spheres are of 
 SWEEPS: Final = 2  # in each of the eight directions
 GROWTH: Final = 5  # halvings of the step by which a sphere is moved to grow
 GAIN: Final = 0.55  # of a step that a radius must grow by; towards the ridge of a corner, 1/√3
-
-Triangle = tuple[Vec3, Vec3, Vec3]
 
 
 class Packing(NamedTuple):
@@ -46,7 +44,7 @@ def packing(mesh: TriangleMesh, most: int) -> Packing:
     Parameters
     ----------
     mesh : TriangleMesh
-        As `bodies.mesh.checked` leaves it.
+        As `geometry.mesh.checked` leaves it.
     most : int
 
     Raises
@@ -58,26 +56,21 @@ def packing(mesh: TriangleMesh, most: int) -> Packing:
     extent = upper - lower
     finest = max(mesh_solid(mesh).volume / HOLDING, math.prod(extent) / CELLS)
     grid = grid_over(lower, upper, math.ceil(extent.max() / math.cbrt(finest)))
+    held = pieces(cut_mesh(mesh.vertices, mesh.faces, grid), grid)
+    cell = tuple(held.cell.T)
     share, centroid = np.zeros(grid.counts), np.zeros((*grid.counts, 3))
-    for i, sums in cut_mesh(mesh.vertices, mesh.faces, grid):
-        share[i] = np.where(sums[:, :, 0] > EMPTY, sums[:, :, 0], 0.0)
-        held = share[i] > 0.0
-        cell = np.argwhere(held)
-        mean = np.clip(sums[held][:, 1:4] / share[i][held][:, None], 0.0, 1.0)
-        at = np.column_stack([np.full(len(cell), i), cell])
-        centroid[i][held] = grid.lower + (at + mean) * grid.spacing
+    share[cell], centroid[cell] = held.share, held.centroid
     corner = np.ascontiguousarray(mesh.vertices[mesh.faces])
     nearest = np.full(grid.counts, -1, dtype=np.int64)
-    distance = np.full(grid.counts, np.inf)
-    near_faces(corner, share, centroid, grid.lower, grid.spacing, nearest, distance)
+    squared = np.full(grid.counts, np.inf)
+    near_faces(corner, share, centroid, grid.lower, grid.spacing, nearest, squared)
     for turn in range(8 * SWEEPS):
         signs = 1 - 2 * (turn & 1), 1 - (turn & 2), 1 - (turn & 4) // 2
-        sweep_distance(corner, share, centroid, signs, nearest, distance)
+        sweep_distance(corner, share, centroid, signs, nearest, squared)
     centre, radius = np.empty((most, 3)), np.empty(most)
-    held = share > 0.0
-    point = np.ascontiguousarray(np.concatenate([centroid[held].T, share[held][None]]))
+    point = np.ascontiguousarray(np.concatenate([held.centroid.T, held.share[None]]))
     step = float(grid.spacing.min())
-    found = cover(corner, point, np.ascontiguousarray(distance[held]), step, centre, radius)
+    found = cover(corner, point, squared[cell], step, centre, radius)
     if found == 0:
         raise ValueError("no sphere finds room in the mesh: it is thinner than a cell of the grid")
     return Packing(centre[:found].copy(), radius[:found].copy())
@@ -97,27 +90,21 @@ def off_segment(p: Vec3, a: Vec3, b: Vec3) -> float:
     """Square of the distance of a point from a segment."""
     d, r = subtract(b, a), subtract(p, a)
     t = clamped(dot(r, d) / dot(d, d))
-    e = r[0] - t * d[0], r[1] - t * d[1], r[2] - t * d[2]
+    e = add_scaled(-t, d, r)
     return dot(e, e)
 
 
 @kernel
 def off_triangle(p: Vec3, corner: Floats, f: int) -> float:
     """Square of the distance of a point from a face."""
-    a = corner[f, 0, 0], corner[f, 0, 1], corner[f, 0, 2]
-    b = corner[f, 1, 0], corner[f, 1, 1], corner[f, 1, 2]
-    c = corner[f, 2, 0], corner[f, 2, 1], corner[f, 2, 2]
+    a, b, c = corner3(corner, f, 0), corner3(corner, f, 1), corner3(corner, f, 2)
     ab, ac, ap = subtract(b, a), subtract(c, a), subtract(p, a)
     aa, cc, ac_ab = dot(ab, ab), dot(ac, ac), dot(ab, ac)
     x, y = dot(ap, ab), dot(ap, ac)
     below = aa * cc - ac_ab * ac_ab
     s, t = (cc * x - ac_ab * y) / below, (aa * y - ac_ab * x) / below
     if s >= 0.0 and t >= 0.0 and s + t <= 1.0:
-        e = (
-            ap[0] - s * ab[0] - t * ac[0],
-            ap[1] - s * ab[1] - t * ac[1],
-            ap[2] - s * ab[2] - t * ac[2],
-        )
+        e = add_scaled(-t, ac, add_scaled(-s, ab, ap))
         return dot(e, e)
     return min(off_segment(p, a, b), off_segment(p, b, c), off_segment(p, c, a))
 
@@ -222,7 +209,7 @@ def without(p: Vec3, r: float, free: Floats, n_free: int) -> int:
 
 
 @inline
-def room(p: Vec3, corner: Floats, near: Ints, n_near: int) -> float:
+def clearance(p: Vec3, corner: Floats, near: Ints, n_near: int) -> float:
     """Distance of a point from the first n_near of some faces."""
     squared = math.inf
     for m in range(n_near):
@@ -254,7 +241,7 @@ def grown(p: Vec3, r: float, step: float, corner: Floats, near: Ints) -> tuple[V
                     d = subtract(q, start)
                     if dot(d, d) > 0.75 * step * step:
                         continue
-                    wider = room(q, corner, near, n_near)
+                    wider = clearance(q, corner, near, n_near)
                     if wider >= r + GAIN * size:
                         p, r = q, wider
         size *= 0.5

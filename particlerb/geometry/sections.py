@@ -2,7 +2,7 @@
 
 At each height the matter is a disc without a smaller one about z. What of a disc lies in a cell is
 known in closed form; along z Gauss's rule adds up, piece by piece between the heights where
-sections change their kind. Everything is in the coordinates of `bodies.cells`, after the bounding
+sections change their kind. Everything is in the coordinates of `geometry.cells`, after the bounding
 box has been made the cube from -1 to 1: an ellipsoid is then a ball.
 """
 
@@ -93,7 +93,7 @@ def section_particles(profile: Profile, half_size: Floats, mass: float, n: int) 
 def cut_sections(profile: Profile, counts: tuple[int, int, int]) -> Iterator[Layer]:
     """Cell sums of a solid in its bounding box, layer by layer along z: (k, (n_x, n_y, 10)).
 
-    Sums are those of `bodies.cells`, where layers follow the first axis: their order is z, x, y.
+    Sums are those of `geometry.cells`, where layers follow the first axis: their order is z, x, y.
     """
     nx, ny, nz = counts
     breaks = np.array([-profile.hole, profile.hole]) if profile.hole else np.empty(0)
@@ -109,15 +109,15 @@ def cut_sections(profile: Profile, counts: tuple[int, int, int]) -> Iterator[Lay
 
 def nodes_between(ends: Floats, is_round: bool) -> tuple[Floats, Floats, Floats]:
     """Heights, weights and cos θ of Gauss's rule between ascending heights."""
-    if not is_round:
-        middle, half = 0.5 * (ends[1:] + ends[:-1]), 0.5 * (ends[1:] - ends[:-1])
-        z = (middle[:, None] + half[:, None] * NODES).ravel()
-        return z, np.outer(half, WEIGHTS).ravel(), np.sqrt(1.0 - z * z)
-    angle = np.arcsin(ends)
-    middle, half = 0.5 * (angle[1:] + angle[:-1]), 0.5 * (angle[1:] - angle[:-1])
-    theta = (middle[:, None] + half[:, None] * NODES).ravel()
-    cosine = np.cos(theta)
-    return np.sin(theta), np.outer(half, WEIGHTS).ravel() * cosine, cosine
+    if is_round:
+        ends = np.arcsin(ends)
+    middle, half = 0.5 * (ends[1:] + ends[:-1]), 0.5 * (ends[1:] - ends[:-1])
+    z = (middle[:, None] + half[:, None] * NODES).ravel()
+    weight = np.outer(half, WEIGHTS).ravel()
+    if is_round:
+        cosine = np.cos(z)
+        return np.sin(z), weight * cosine, cosine
+    return z, weight, np.sqrt(1.0 - z * z)
 
 
 @kernel
@@ -206,20 +206,16 @@ def strip(p: float, q: float, level: float, side: float, r: float, x0: float, y0
     Gauss's rule in the angle, of twelve nodes: rounding for a quarter of a turn.
     """
     a = ax = ay = axx = ayy = axy = 0.0
-    if side == 0.0:
-        for s in range(len(NODES)):
-            x = 0.5 * (p + q) + 0.5 * (q - p) * NODES[s] - x0
-            h, weight = level - y0, 0.5 * (q - p) * WEIGHTS[s]
-            a, ax, ay = a + weight * h, ax + weight * h * x, ay + weight * h * h * 0.5
-            axx, axy = axx + weight * h * x * x, axy + weight * h * h * x * 0.5
-            ayy += weight * h * h * h * (1 / 3)
-        return a, ax, ay, axx, ayy, axy
-    first, last = math.asin(max(p / r, -1.0)), math.asin(min(q / r, 1.0))
+    first, last = p, q
+    if side != 0.0:
+        first, last = math.asin(max(p / r, -1.0)), math.asin(min(q / r, 1.0))
+    middle, half = 0.5 * (first + last), 0.5 * (last - first)
     for s in range(len(NODES)):
-        angle = 0.5 * (first + last) + 0.5 * (last - first) * NODES[s]
-        cosine = math.cos(angle)
-        x, h = r * math.sin(angle) - x0, side * r * cosine - y0
-        weight = 0.5 * (last - first) * WEIGHTS[s] * r * cosine
+        at, weight = middle + half * NODES[s], half * WEIGHTS[s]
+        x, h = at - x0, level - y0
+        if side != 0.0:
+            cosine = math.cos(at)
+            x, h, weight = r * math.sin(at) - x0, side * r * cosine - y0, weight * r * cosine
         a, ax, ay = a + weight * h, ax + weight * h * x, ay + weight * h * h * 0.5
         axx, axy = axx + weight * h * x * x, axy + weight * h * h * x * 0.5
         ayy += weight * h * h * h * (1 / 3)

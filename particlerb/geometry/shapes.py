@@ -15,8 +15,7 @@ tensor of the solid.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -101,7 +100,7 @@ def filled(
     inside: Inside,
     profile: Profile,
 ) -> Particles:
-    """Particles of a lattice as in `lattice`, or of cells; `profile` as in `bodies.sections`."""
+    """Particles of a lattice as in `lattice`, or of cells; `profile` as in `geometry.sections`."""
     one_of(arrangement, "lattice", "cells")
     if arrangement == "cells":
         cells = at_least("n", n, 2)
@@ -363,53 +362,3 @@ def cloud(n: int, radius: float, mass: float, rng: np.random.Generator) -> Parti
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     distance = float(positive("radius", radius)) * np.cbrt(rng.random((n, 1)))
     return equal(direction * distance, mass)
-
-
-# Volumes
-
-
-def shell_volume(p: Mapping[str, Any]) -> float:
-    """(4π/3)(R³ − r³); ValueError for the thin shell."""
-    if p.get("inner_radius") is None:
-        raise ValueError("a thin shell has no volume: give mass")
-    return 4.0 / 3.0 * math.pi * float(p["radius"] ** 3 - p["inner_radius"] ** 3)
-
-
-def tetrahedron_volume(p: Mapping[str, Any]) -> float:
-    """|(b − a) · (c − a) × (d − a)| / 6."""
-    corner = np.asarray(p["vertices"], dtype=np.float64)
-    return float(abs(np.linalg.det(corner[1:] - corner[0]))) / 6.0
-
-
-VOLUME: dict[str, Callable[[Mapping[str, Any]], float]] = {
-    "box": lambda p: math.prod(p["size"]),
-    "ball": lambda p: 4.0 / 3.0 * math.pi * p["radius"] ** 3,
-    "shell": shell_volume,
-    "cylinder": lambda p: (
-        math.pi * (p["radius"] ** 2 - (p.get("inner_radius") or 0.0) ** 2) * p["height"]
-    ),
-    "cone": lambda p: math.pi * p["radius"] ** 2 * p["height"] / 3.0,
-    "torus": lambda p: 2.0 * math.pi**2 * p["major_radius"] * p["minor_radius"] ** 2,
-    "ellipsoid": lambda p: 4.0 / 3.0 * math.pi * math.prod(p["semi_axes"]),
-    "tetrahedron": tetrahedron_volume,
-}
-
-
-def volume(shape_name: str, parameters: Mapping[str, Any]) -> float:
-    """Volume [m³] of the analytic solid, so that mass = density · volume.
-
-    Parameters
-    ----------
-    shape_name : str
-        Name of a function of this module.
-    parameters : mapping
-        Its arguments by name; others are ignored.
-
-    Raises
-    ------
-    ValueError
-        For a shape without volume (points, moments, cloud, rod, thin shell): give mass.
-    """
-    if shape_name not in VOLUME:
-        raise ValueError(f"shape {shape_name!r} has no volume: give mass")
-    return float(VOLUME[shape_name](parameters))

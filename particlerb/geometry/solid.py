@@ -1,8 +1,8 @@
 """A uniform solid in a few numbers, and the few particles that move like it.
 
 What is known exactly of a body as a whole (a union of spheres, a mesh) is a `UniformSolid`: volume,
-centre of mass and tensor for density 1. `stand_in` turns it into six point masses, so that the
-sums over the particles of any body, these among them, are its mass properties.
+centre of mass and tensor for density 1. `equimomental_points` turns it into six point masses, so
+that the sums over the particles of any body, these among them, are its mass properties.
 """
 
 import math
@@ -29,7 +29,13 @@ class UniformSolid(NamedTuple):
     """Estimated relative error of the volume, and of the inertia relative to its trace."""
 
 
-def stand_in(solid: UniformSolid, mass: float) -> Particles:
+def symmetric(second: Floats) -> Floats:
+    """Matrix (3, 3) of xx yy zz xy xz yz."""
+    xx, yy, zz, xy, xz, yz = second
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def equimomental_points(solid: UniformSolid, mass: float) -> Particles:
     """Six equal point masses with the com of a solid and, for this mass, its tensor.
 
     At com ± p_k along principal axis k, with p_1² = 3 (λ_2 + λ_3 − λ_1) / (2 V) and cyclic: six

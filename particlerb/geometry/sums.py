@@ -171,47 +171,47 @@ def add(total: Sum, term: float) -> Sum:
 
 
 @inline
-def put(room: Floats, row: int, lane: int, term: float) -> None:
+def put(lanes: Floats, row: int, lane: int, term: float) -> None:
     """Add a term to a sum of one lane."""
-    high, low = add((room[at(row, lane)], room[at(LOW + row, lane)]), term)
-    room[at(row, lane)], room[at(LOW + row, lane)] = high, low
+    high, low = add((lanes[at(row, lane)], lanes[at(LOW + row, lane)]), term)
+    lanes[at(row, lane)], lanes[at(LOW + row, lane)] = high, low
 
 
 @inline
 def load(
-    room: Floats, lane: int, x: float, y: float, z: float, m: float, r: float, units: Floats
+    lanes: Floats, lane: int, x: float, y: float, z: float, m: float, r: float, units: Floats
 ) -> None:
     """Write one particle into its lane: scaled, from the origin; note its size and faults."""
-    room[at(BAD, lane)] += ((x - x) + (y - y)) + ((z - z) + (m - m)) + (r - r)
-    room[at(LEAST, lane)] = min(room[at(LEAST, lane)], m, r)
-    room[at(HEAVIEST, lane)] = max(room[at(HEAVIEST, lane)], m)
+    lanes[at(BAD, lane)] += ((x - x) + (y - y)) + ((z - z) + (m - m)) + (r - r)
+    lanes[at(LEAST, lane)] = min(lanes[at(LEAST, lane)], m, r)
+    lanes[at(HEAVIEST, lane)] = max(lanes[at(HEAVIEST, lane)], m)
     size = max(abs(x), abs(y), abs(z), r) if m > 0.0 else 0.0
-    room[at(EXTENT, lane)] = max(room[at(EXTENT, lane)], size)
-    room[at(X, lane)] = x * units[0] - units[2]
-    room[at(X + 1, lane)] = y * units[0] - units[3]
-    room[at(X + 2, lane)] = z * units[0] - units[4]
-    room[at(X + 3, lane)] = m * units[1]
-    room[at(X + 4, lane)] = r * units[0]
+    lanes[at(EXTENT, lane)] = max(lanes[at(EXTENT, lane)], size)
+    lanes[at(X, lane)] = x * units[0] - units[2]
+    lanes[at(X + 1, lane)] = y * units[0] - units[3]
+    lanes[at(X + 2, lane)] = z * units[0] - units[4]
+    lanes[at(X + 3, lane)] = m * units[1]
+    lanes[at(X + 4, lane)] = r * units[0]
 
 
 @inline
-def add_group(room: Floats) -> None:
+def add_group(lanes: Floats) -> None:
     """Add the particles of all lanes to the sums."""
     for lane in range(LANES):
-        m, x = room[at(X + 3, lane)], room[at(X, lane)]
-        y, z, r = room[at(X + 1, lane)], room[at(X + 2, lane)], room[at(X + 4, lane)]
+        m, x = lanes[at(X + 3, lane)], lanes[at(X, lane)]
+        y, z, r = lanes[at(X + 1, lane)], lanes[at(X + 2, lane)], lanes[at(X + 4, lane)]
         mx, my, mz = m * x, m * y, m * z
-        put(room, 0, lane, m)
-        put(room, 1, lane, mx)
-        put(room, 2, lane, my)
-        put(room, 3, lane, mz)
-        put(room, 4, lane, mx * x)
-        put(room, 5, lane, my * y)
-        put(room, 6, lane, mz * z)
-        put(room, 7, lane, mx * y)
-        put(room, 8, lane, mx * z)
-        put(room, 9, lane, my * z)
-        put(room, 10, lane, 0.4 * m * r * r)
+        put(lanes, 0, lane, m)
+        put(lanes, 1, lane, mx)
+        put(lanes, 2, lane, my)
+        put(lanes, 3, lane, mz)
+        put(lanes, 4, lane, mx * x)
+        put(lanes, 5, lane, my * y)
+        put(lanes, 6, lane, mz * z)
+        put(lanes, 7, lane, mx * y)
+        put(lanes, 8, lane, mx * z)
+        put(lanes, 9, lane, my * z)
+        put(lanes, 10, lane, 0.4 * m * r * r)
 
 
 @kernel
@@ -227,13 +227,13 @@ def sum_chunks(
     last: int,
 ) -> None:
     """Sums of the chunks first to last, high parts, then low parts, and what was noted."""
-    room, units = np.empty(BUFFER), np.empty(5)
+    lanes, units = np.empty(BUFFER), np.empty(5)
     for c in range(first, last):
         k, lo, hi = chunks[c]
         units[0] = math.ldexp(1.0, -int(exponent[k, 0]))
         units[1] = math.ldexp(1.0, -int(exponent[k, 1]))
         units[2], units[3], units[4] = origin[k, 0], origin[k, 1], origin[k, 2]
-        room[:] = 0.0
+        lanes[:] = 0.0
         whole = lo + (hi - lo) // LANES * LANES
         for start in range(lo, whole, LANES):
             x = place[3 * start : 3 * (start + LANES)]
@@ -241,24 +241,24 @@ def sum_chunks(
             for lane in range(LANES):
                 i = unsigned(3 * lane)
                 j = unsigned(lane)
-                load(room, lane, x[i], x[i + unsigned(1)], x[i + unsigned(2)], m[j], r[j], units)
-            add_group(room)
+                load(lanes, lane, x[i], x[i + unsigned(1)], x[i + unsigned(2)], m[j], r[j], units)
+            add_group(lanes)
         if whole < hi:
-            room[X * LANES :] = 0.0
+            lanes[X * LANES :] = 0.0
             for lane in range(hi - whole):
                 i = whole + lane
                 x0, y0, z0 = place[3 * i], place[3 * i + 1], place[3 * i + 2]
-                load(room, lane, x0, y0, z0, mass[i], radius[i], units)
-            add_group(room)
+                load(lanes, lane, x0, y0, z0, mass[i], radius[i], units)
+            add_group(lanes)
         rows[c, :EXTENT] = 0.0
         for lane in range(LANES):  # rows inside: additions that need not wait for each other
             for row in range(SUMS):
-                total = add((rows[c, row], rows[c, LOW + row]), room[row * LANES + lane])
-                rows[c, row], rows[c, LOW + row] = add(total, room[(LOW + row) * LANES + lane])
+                total = add((rows[c, row], rows[c, LOW + row]), lanes[row * LANES + lane])
+                rows[c, row], rows[c, LOW + row] = add(total, lanes[(LOW + row) * LANES + lane])
         for row in range(EXTENT, ROWS):
             value = 0.0
             for lane in range(LANES):
-                found = room[row * LANES + lane]
+                found = lanes[row * LANES + lane]
                 if row == BAD:
                     value += found
                 else:
@@ -286,26 +286,15 @@ def join(
             heaviest = max(heaviest, rows[c, HEAVIEST])
             c += 1
         M = total[0, 0] + total[0, 1]
-        dx = (total[1, 0] + total[1, 1]) / M
-        dy = (total[2, 0] + total[2, 1]) / M
-        dz = (total[3, 0] + total[3, 1]) / M
-        moments[k, 0] = M
-        moments[k, 1], moments[k, 2], moments[k, 3] = (
-            origin[k, 0] + dx,
-            origin[k, 1] + dy,
-            origin[k, 2] + dz,
-        )
-        moments[k, 4] = total[4, 0] + (total[4, 1] - M * dx * dx)
-        moments[k, 5] = total[5, 0] + (total[5, 1] - M * dy * dy)
-        moments[k, 6] = total[6, 0] + (total[6, 1] - M * dz * dz)
-        moments[k, 7] = total[7, 0] + (total[7, 1] - M * dx * dy)
-        moments[k, 8] = total[8, 0] + (total[8, 1] - M * dx * dz)
-        moments[k, 9] = total[9, 0] + (total[9, 1] - M * dy * dz)
+        d = (total[1:4, 0] + total[1:4, 1]) / M
+        moments[k, 0], moments[k, 1:4] = M, origin[k] + d
+        for row, (a, b) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
+            moments[k, 4 + row] = total[4 + row, 0] + (total[4 + row, 1] - M * d[a] * d[b])
         moments[k, 10] = total[10, 0] + total[10, 1]
         e_length, e_mass = power_above(extent), power_above(heaviest)
         is_far = abs(e_length - exponent[k, 0]) > SPARE or abs(e_mass - exponent[k, 1]) > SPARE
         spread = moments[k, 4] + moments[k, 5] + moments[k, 6]
-        off = M * (dx * dx + dy * dy + dz * dz)
+        off = M * (d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
         if is_far:
             exponent[k, 0], exponent[k, 1] = e_length, e_mass
             origin[k, 0] = origin[k, 1] = origin[k, 2] = 0.0

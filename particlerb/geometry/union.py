@@ -21,16 +21,13 @@ from particlerb.compiled.threads import THREADS
 from particlerb.geometry.caps import (
     SAME,
     Caps,
-    between,
     caps_of,
     circle,
     exposed_arcs,
-    length,
     open_by,
     point,
-    row3,
 )
-from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, cross, dot
+from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, cross, dot, norm, row3, subtract
 
 PIECE: Final = 0.5 * math.pi  # [rad] an arc is integrated in pieces of at most this
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)  # of cubic trigonometric terms: 3e-17
@@ -127,7 +124,7 @@ def hide(
             j = order[b]
             if low[j] > top:
                 break
-            d = length(between(centre, i, j))
+            d = norm(subtract(row3(centre, j), row3(centre, i)))
             large, small = (i, j) if (radius[i], -i) > (radius[j], -j) else (j, i)
             if d <= (radius[large] - radius[small]) + SAME * radius[large]:
                 hidden[small] = True
@@ -155,7 +152,10 @@ def pairs(
             j = order[b]
             if low[j] > top:
                 break
-            if not hidden[j] and length(between(centre, i, j)) < radius[i] + radius[j]:
+            if (
+                not hidden[j]
+                and norm(subtract(row3(centre, j), row3(centre, i))) < radius[i] + radius[j]
+            ):
                 if writes:
                     other[at[i]], other[at[j]] = j, i
                 at[i] += 1

@@ -1,6 +1,6 @@
 """Which way the faces of a mesh look: one side for each connected part, and what lies inside what.
 
-Kernels and their NumPy callers; faces in, signs out. Messages are the business of `bodies.mesh`.
+Kernels and their NumPy callers; faces in, signs out. Messages are the business of `geometry.mesh`.
 """
 
 import math
@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from particlerb.compiled.jit import kernel
-from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints, corner3, cross, dot, norm, subtract
 
 ON_FACE = 1e-9  # height of a point over a face, relative: it has no winding number there
 
@@ -124,33 +124,13 @@ def solid_angle(corner: Floats, point: Floats) -> float:
 
     Source: Van Oosterom, Strackee, IEEE Trans. Biomed. Eng. 30, 125 (1983), eq. (8).
     """
-    total = 0.0
+    total, p = 0.0, (point[0], point[1], point[2])
     for f in range(len(corner)):
-        ax, ay, az = (
-            corner[f, 0, 0] - point[0],
-            corner[f, 0, 1] - point[1],
-            corner[f, 0, 2] - point[2],
-        )
-        bx, by, bz = (
-            corner[f, 1, 0] - point[0],
-            corner[f, 1, 1] - point[1],
-            corner[f, 1, 2] - point[2],
-        )
-        cx, cy, cz = (
-            corner[f, 2, 0] - point[0],
-            corner[f, 2, 1] - point[1],
-            corner[f, 2, 2] - point[2],
-        )
-        a = math.sqrt(ax * ax + ay * ay + az * az)
-        b = math.sqrt(bx * bx + by * by + bz * bz)
-        c = math.sqrt(cx * cx + cy * cy + cz * cz)
-        triple = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-        below = (
-            a * b * c
-            + (ax * bx + ay * by + az * bz) * c
-            + (bx * cx + by * cy + bz * cz) * a
-            + (cx * ax + cy * ay + cz * az) * b
-        )
+        r0, r1 = subtract(corner3(corner, f, 0), p), subtract(corner3(corner, f, 1), p)
+        r2 = subtract(corner3(corner, f, 2), p)
+        a, b, c = norm(r0), norm(r1), norm(r2)
+        triple = dot(r0, cross(r1, r2))
+        below = a * b * c + dot(r0, r1) * c + dot(r1, r2) * a + dot(r2, r0) * b
         if below <= 0.0 and abs(triple) <= ON_FACE * a * b * c:
             return math.nan
         total += 2.0 * math.atan2(triple, below)

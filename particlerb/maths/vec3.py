@@ -5,6 +5,7 @@ A block of bodies is reached through one-dimensional row views (`rows3`): with t
 neighbouring bodies in the lanes of a SIMD register, with two-dimensional slices it does not.
 """
 
+import math
 from typing import TypeAlias
 
 import numpy as np
@@ -39,6 +40,12 @@ def multiplied3(x: Vec3, y: Vec3) -> Vec3:
 
 
 @inline
+def add(x: Vec3, y: Vec3) -> Vec3:
+    """x + y."""
+    return x[0] + y[0], x[1] + y[1], x[2] + y[2]
+
+
+@inline
 def subtract(x: Vec3, y: Vec3) -> Vec3:
     """x - y."""
     return x[0] - y[0], x[1] - y[1], x[2] - y[2]
@@ -51,6 +58,18 @@ def dot(x: Vec3, y: Vec3) -> float:
 
 
 @inline
+def norm(x: Vec3) -> float:
+    """|x|."""
+    return math.sqrt(dot(x, x))
+
+
+@inline
+def divide(x: Vec3, a: float) -> Vec3:
+    """x / a."""
+    return x[0] / a, x[1] / a, x[2] / a
+
+
+@inline
 def cross(x: Vec3, y: Vec3) -> Vec3:
     """x × y."""
     return (
@@ -58,6 +77,18 @@ def cross(x: Vec3, y: Vec3) -> Vec3:
         x[2] * y[0] - x[0] * y[2],
         x[0] * y[1] - x[1] * y[0],
     )
+
+
+@inline
+def row3(rows: Floats, k: int) -> Vec3:
+    """Row k of an (n, 3) array."""
+    return rows[k, 0], rows[k, 1], rows[k, 2]
+
+
+@inline
+def corner3(corner: Floats, f: int, k: int) -> Vec3:
+    """Corner k of face f, of an (n, 3, 3) array."""
+    return corner[f, k, 0], corner[f, k, 1], corner[f, k, 2]
 
 
 @inline

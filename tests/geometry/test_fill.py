@@ -11,7 +11,7 @@ from mesh_examples import box, icosahedron, inside_out, joined, octahedron, sphe
 from particlerb.geometry import shapes
 from particlerb.geometry.analytic import ANALYTIC
 from particlerb.geometry.cells import FULL, Lattice, cut_mesh, grid_over, pieces
-from particlerb.geometry.fill import enough, errors, mesh_particles, table
+from particlerb.geometry.fill import coarsest_within, errors, mesh_particles, table
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.mesh import checked, mesh_solid
 from particlerb.geometry.overlapping_spheres import union_solid
@@ -268,7 +268,7 @@ def test_a_body_of_spheres_has_the_mass_of_the_mesh():
 
 def test_stop_rule_takes_the_first_that_is_good_enough():
     size = {"radius": 1.0}
-    filled = enough("ball", size, 0.02, lambda n: shapes.ball(1.0, 5.0, n))
+    filled = coarsest_within("ball", size, 0.02, lambda n: shapes.ball(1.0, 5.0, n))
     errors_found = [trial.error for trial in filled.trials]
     assert errors_found[-1] <= 0.02 < min(errors_found[:-1])
     last = filled.trials[-1]
@@ -284,7 +284,7 @@ def test_stop_rule_that_is_not_met_shows_what_was_tried(monkeypatch):
     with pytest.raises(
         ValueError, match=r"inertia_error = 1e-09 is not met; the best .*\n +n"
     ) as e:
-        enough("ball", {"radius": 1.0}, 1e-9, lambda n: shapes.ball(1.0, 1.0, n))
+        coarsest_within("ball", {"radius": 1.0}, 1e-9, lambda n: shapes.ball(1.0, 1.0, n))
     assert len(str(e.value).splitlines()) > 5
 
 

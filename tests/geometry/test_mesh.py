@@ -23,7 +23,7 @@ from mesh_examples import (
 
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.mesh import checked, mesh_solid, read_mesh, refuse_miscounted
-from particlerb.geometry.solid import stand_in
+from particlerb.geometry.solid import equimomental_points
 from particlerb.rotors.rotor_class import ASYMMETRIC, SPHERE, SYMMETRIC
 
 REFERENCE = json.loads(
@@ -146,7 +146,7 @@ def test_rotor_classes_of_meshes():
         (box((1.0, 1.0, 2.0)), SYMMETRIC),
         (box((1.0, 2.0, 3.0)), ASYMMETRIC),
     ):
-        assert mass_properties(stand_in(solid(mesh), 3.0)).rotor_class[0] == expected
+        assert mass_properties(equimomental_points(solid(mesh), 3.0)).rotor_class[0] == expected
 
 
 # What is changed

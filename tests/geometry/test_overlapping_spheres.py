@@ -10,7 +10,7 @@ from naive_union import union_by_slices
 from particlerb.geometry import union as union_module
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.overlapping_spheres import overlaps, plain_solid, spheres, union_solid
-from particlerb.geometry.solid import UniformSolid, stand_in
+from particlerb.geometry.solid import UniformSolid, equimomental_points
 
 GENERIC = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
 AXIS = np.array([0.36, 0.48, 0.8])
@@ -269,4 +269,4 @@ def test_what_is_no_body_of_spheres(arguments, message):
 def test_no_points_stand_in_for_what_no_matter_has():
     solid = UniformSolid(1.0, np.zeros(3), np.diag([1.0, 2.0, 3.5]), 1e-15)
     with pytest.raises(ValueError, match=r"1\.0, 2\.0, 3\.5 kg m²: I1 \+ I2 − I3 = -0\.5"):
-        stand_in(solid, 1.0)
+        equimomental_points(solid, 1.0)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from particlerb.compiled.jit import CACHE_FOLDER
-from particlerb.geometry import shapes
+from particlerb.geometry import analytic, shapes
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.particle_files import read_points
 from particlerb.geometry.particles import (
@@ -125,7 +125,7 @@ def test_ball_lattice_is_the_table_of_voxel_balls(row):
     assert len(particles.mass) == row["N"]
     assert np.diagonal(tensor_of(particles)) == pytest.approx([row["I"]] * 3, rel=2e-15)
     cell = (2.0 / row["n"]) ** 3
-    ratio = len(particles.mass) * cell / shapes.volume("ball", {"radius": 1.0})
+    ratio = len(particles.mass) * cell / analytic.volume("ball", {"radius": 1.0})
     assert ratio - 1 == pytest.approx(row["vol_err"], abs=1e-12)
 
 
@@ -196,7 +196,7 @@ def test_volume_is_that_of_the_cells(name, parameters, moments):
     """Cells inside times volume of a cell; cells are nearly cubes of the distance of neighbours."""
     p = getattr(shapes, name)(**parameters, mass=1.0, n=40).position
     cell = math.prod(np.diff(np.unique(np.round(axis, 9))).min() for axis in p.T)
-    volume = shapes.volume(name, parameters)
+    volume = analytic.volume(name, parameters)
     assert len(p) * cell == pytest.approx(volume, rel=0.03)
     spacing = [np.diff(np.unique(np.round(axis, 9))).min() for axis in p.T]
     assert max(spacing) / min(spacing) < 1.04
@@ -213,13 +213,13 @@ def test_volume_is_that_of_the_cells(name, parameters, moments):
     ],
 )
 def test_volume_of_solids(name, parameters, volume):
-    assert shapes.volume(name, parameters) == pytest.approx(volume, rel=1e-15)
+    assert analytic.volume(name, parameters) == pytest.approx(volume, rel=1e-15)
 
 
 @pytest.mark.parametrize("name", ["points", "moments", "cloud", "rod", "shell"])
 def test_shapes_without_volume_ask_for_a_mass(name):
     with pytest.raises(ValueError, match="give mass"):
-        shapes.volume(name, {"radius": 1.0})
+        analytic.volume(name, {"radius": 1.0})
 
 
 # Every shape
