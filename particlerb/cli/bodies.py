@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from particlerb.cli.common import Ending, find_case, read_case
+from particlerb.cli.common import Ending, ending, find_case, read_case
 
 if TYPE_CHECKING:
     from particlerb.case.matter import Matter
@@ -55,7 +55,7 @@ def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[Named]
     Ending
         If the file or the body is wrong, or options do not go with it.
     """
-    path = find_case(options.file)
+    path = find_case(options.file, options.commands)
     if path.suffix.lower() in READERS:
         return [body_of_file(path, wanted, options)]
     for option in ("mass", "density", "scale", "spin"):
@@ -77,11 +77,10 @@ def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
     from particlerb.geometry.particles import one_kind
     from particlerb.model.state import omega_world
 
-    try:
+    with ending(CaseError):
         scene = assemble(case, keeps_all=True)
+    try:
         bodies = np.arange(len(scene.kind)) if wanted is None else resolve_bodies(case, wanted)
-    except CaseError as error:
-        raise Ending(str(error)) from None
     except KeyError:
         known = ", ".join(body.name for body in case.body)
         raise Ending(f"{wanted}: no such body; bodies here: {known}") from None
@@ -141,8 +140,6 @@ def table_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Mat
 
 def amount(options: argparse.Namespace) -> tuple[float | None, float | None]:
     """Mass and density of uniform matter, one of them given."""
-    if options.mass is not None and options.density is not None:
-        raise Ending("--density beside --mass: give one of them")
     if options.mass is None and options.density is None:
         return None, UNWEIGHED
     return options.mass, options.density

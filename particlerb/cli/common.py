@@ -5,7 +5,7 @@ import contextlib
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,22 +18,6 @@ FAILED: Final = 1
 WRONG: Final = 2
 MISSED: Final = 3
 INTERRUPTED: Final = 130
-NAMES: Final = (
-    "run",
-    "resume",
-    "check",
-    "mass",
-    "info",
-    "plot",
-    "export",
-    "view",
-    "chart",
-    "stability",
-    "converge",
-    "cases",
-    "methods",
-    "schema",
-)
 PICTURES: Final = (".png", ".svg", ".pdf")
 CONTROLS: Final = dict.fromkeys((*range(32), *range(127, 160)), "�")
 
@@ -51,19 +35,28 @@ def tamed(text: str) -> str:
     return text.translate(CONTROLS | {ord(c): c for c in "\n\t"})
 
 
-def find_case(name: str) -> Path:
+@contextlib.contextmanager
+def ending(*errors: type[Exception], code: int = WRONG) -> Iterator[None]:
+    """End the command with the message of an error of these kinds; by default wrong usage."""
+    try:
+        yield
+    except errors as error:
+        raise Ending(str(error), code) from None
+
+
+def find_case(name: str, commands: tuple[str, ...]) -> Path:
     """Path of a case given by path or by name.
 
     Raises
     ------
     Ending
-        If there is none; with the nearest names.
+        If there is none; with the nearest names, those of commands among them.
     """
     from particlerb.case.named import case_path, nearest_names
 
     path = case_path(name)
     if path is None:
-        hint = nearest_names(name, NAMES)
+        hint = nearest_names(name, commands)
         raise Ending(f"{name}: no such command, file or case; {hint}")
     return path
 
@@ -76,10 +69,8 @@ def read_case(options: argparse.Namespace) -> "Case":
     overrides = list(options.overrides)
     if getattr(options, "threads", None) is not None:
         overrides.append(f"run.threads={options.threads}")
-    try:
-        return load(find_case(options.case), overrides)
-    except CaseError as error:
-        raise Ending(str(error)) from None
+    with ending(CaseError):
+        return load(find_case(options.case, options.commands), overrides)
 
 
 def prepared_case(options: argparse.Namespace) -> "Prepared":
@@ -87,17 +78,15 @@ def prepared_case(options: argparse.Namespace) -> "Prepared":
     from particlerb.case.problems import CaseError
 
     case = read_case(options)
-    try:
+    with ending(CaseError):
         from particlerb.simulation.accuracy import prepare_accurately
 
         prepared = prepare_accurately(case)
-    except CaseError as error:
-        raise Ending(str(error)) from None
-    warn(options, list(prepared.plan.warnings))
+    warn(options, prepared.plan.warnings)
     return prepared
 
 
-def warn(options: argparse.Namespace, warnings: list[str]) -> None:
+def warn(options: argparse.Namespace, warnings: Sequence[str]) -> None:
     """Print warnings; with --strict they end the program."""
     for warning in warnings:
         print(warning, file=sys.stderr)
@@ -123,21 +112,32 @@ def opened(path: str) -> Any:
     """Trajectory in a file; wrong usage where it is none."""
     from particlerb.record.trajectory import TrajectoryError, open_trajectory
 
-    try:
+    with ending(TrajectoryError, FileNotFoundError, IsADirectoryError):
         return open_trajectory(path)
-    except (TrajectoryError, FileNotFoundError, IsADirectoryError) as error:
-        raise Ending(str(error)) from None
 
 
-@contextlib.contextmanager
-def readable() -> Iterator[None]:
+def readable() -> contextlib.AbstractContextManager[None]:
     """End the command with one message where a trajectory turns out to be damaged."""
     from particlerb.record.checked_reading import TrajectoryError
 
-    try:
-        yield
-    except TrajectoryError as error:
-        raise Ending(str(error), FAILED) from None
+    return ending(TrajectoryError, code=FAILED)
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """End the command where an export is not possible, or its file cannot be written."""
+    from particlerb.export import ExportError
+
+    with ending(ExportError):
+        try:
+            yield
+        except OSError as error:
+            raise Ending(f"cannot write {path}: {error.strerror or error}", FAILED) from None
+
+
+def count_of(number: int, noun: str) -> str:
+    """A number with its noun: 1 frame, 3 frames."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def amount(size: float) -> str:

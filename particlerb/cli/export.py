@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from particlerb.cli.bodies import holds_bodies, named_bodies
-from particlerb.cli.common import DONE, FAILED, Ending, opened, readable, to_write
+from particlerb.cli.common import DONE, Ending, count_of, opened, readable, to_write, writing
 
 
 def export_command(options: argparse.Namespace) -> int:
@@ -23,7 +23,6 @@ def export_command(options: argparse.Namespace) -> int:
 
 def export_of_bodies(options: argparse.Namespace) -> int:
     """Export bodies of a case, or the body of a file."""
-    from particlerb.export import ExportError
     from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies, file_name
 
     if options.to not in BODY_FORMATS:
@@ -42,33 +41,24 @@ def export_of_bodies(options: argparse.Namespace) -> int:
     path = export_path(options, Path(stem + BODY_FORMATS[options.to].suffix))
     if options.to == "lammps":
         to_write(path.with_suffix(".rigid"), options.overwrite, Path(options.file))
-    try:
+    with writing(path):
         written = export_bodies(found, path, options.to)
-    except ExportError as error:
-        raise Ending(str(error)) from None
-    except OSError as error:
-        raise Ending(f"cannot write {path}: {error.strerror or error}", FAILED) from None
     print(f"written: {', '.join(map(str, written))}")
     return DONE
 
 
 def export_trajectory(options: argparse.Namespace) -> int:
     """Export what was chosen of a trajectory file."""
-    from particlerb.export import FORMATS, ExportError, export
+    from particlerb.export import FORMATS, export
 
     if options.to not in FORMATS:
         raise Ending(f"--to {options.to}: trajectories become {', '.join(FORMATS)}")
     source = Path(options.file)
     named = source.with_name(f"{source.stem}_particles") if options.to == "particles" else source
     path = export_path(options, named.with_suffix(FORMATS[options.to][0]))
-    with opened(options.file) as trajectory, readable():
-        try:
-            n = export(trajectory, path, options.to, options.bodies, options.frames, options.fields)
-        except ExportError as error:
-            raise Ending(str(error)) from None
-        except OSError as error:
-            raise Ending(f"cannot write {path}: {error.strerror or error}", FAILED) from None
-    print(f"written: {path} ({n} {'frame' if n == 1 else 'frames'})")
+    with opened(options.file) as trajectory, readable(), writing(path):
+        n = export(trajectory, path, options.to, options.bodies, options.frames, options.fields)
+    print(f"written: {path} ({count_of(n, 'frame')})")
     return DONE
 
 
@@ -77,22 +67,3 @@ def export_path(options: argparse.Namespace, default: Path) -> Path:
     path = Path(options.output or default)
     to_write(path, options.overwrite, Path(options.file))
     return path
-
-
-def frame_slice(text: str) -> slice:
-    """Slice from a text as Python writes it: 10, 0:100, ::10, -1."""
-    parts = text.split(":")
-    if len(parts) > 3:
-        raise argparse.ArgumentTypeError(f"must be first:stop:stride, got {text}")
-    try:
-        numbers = [int(part) if part.strip() else None for part in parts]
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"must be first:stop:stride, got {text}") from None
-    if len(numbers) == 1:
-        number = numbers[0]
-        if number is None:
-            raise argparse.ArgumentTypeError("must be first:stop:stride, got nothing")
-        return slice(number, number + 1 or None)
-    if len(numbers) == 3 and numbers[2] is not None and numbers[2] < 1:
-        raise argparse.ArgumentTypeError(f"must go forward, got {text}")
-    return slice(*numbers)

@@ -14,13 +14,9 @@ def mass_command(options: argparse.Namespace) -> int:
 
     records = []
     for body in named_bodies(options, options.body):
-        n = len(body.particles.mass)
+        known = body.name, body.properties, 0, len(body.particles.mass), body.matter, body.spin
         try:
-            records.append(
-                record_of(
-                    body.name, body.properties, 0, n, body.matter, body.spin, RADIANS_PER_STEP
-                )
-            )
+            records.append(record_of(*known, RADIANS_PER_STEP))
         except ValueError as error:
             raise Ending(f"{options.file}: {error}") from None
     if options.json:

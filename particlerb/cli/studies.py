@@ -2,87 +2,93 @@
 
 import argparse
 import csv
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import Any, NamedTuple
 
-from particlerb.cli.common import DONE, Ending, read_case, to_write
+from particlerb.cli.common import DONE, Ending, ending, read_case, to_write
+
+
+class Shown(NamedTuple):
+    """How a study runs, and how its result is told and drawn."""
+
+    total: Callable[[], int]
+    """Steps of its progress bar."""
+    unit: str
+    run: Callable[[Callable[[int], object]], Any]
+    words: ModuleType
+    """With `table` and `csv_rows` of a result."""
+    draw: Callable[[Any, Path], None]
 
 
 def chart_command(options: argparse.Namespace) -> int:
     """`chart`: error against time for all methods on a case."""
-    from particlerb.case.problems import CaseError
-    from particlerb.studies import work_precision as study
-
-    case = read_case(options)
-    stem = case.path.stem if case.path else "case"
-    paths = outputs(options, f"chart_{stem}")
-    try:
-        curves = study.curve_count(options.methods, options.peers)
-        found = measured(
-            curves,
-            "curve",
-            lambda tick: study.chart(
-                case, options.methods, options.peers, options.error, options.budget, tick
-            ),
-        )
-    except CaseError as error:
-        raise Ending(str(error)) from None
-    except ValueError as error:
-        raise Ending(str(error)) from None
-    print(study.table(found))
+    from particlerb.studies import work_precision, work_precision_table
     from particlerb.studies.charts.work_precision import draw_chart
 
-    write(paths, study.csv_rows(found), lambda path: draw_chart(found, path))
-    return DONE
+    case = read_case(options)
+    asked = options.methods, options.peers
+    study = Shown(
+        lambda: work_precision.curve_count(*asked),
+        "curve",
+        lambda tick: work_precision.chart(case, *asked, options.error, options.budget, tick),
+        work_precision_table,
+        draw_chart,
+    )
+    return show(options, f"chart_{case.path.stem if case.path else 'case'}", study)
 
 
 def stability_command(options: argparse.Namespace) -> int:
     """`stability`: where each method fails."""
-    from particlerb.studies import stability as study
-
-    paths = outputs(options, "stability")
-    try:
-        found = measured(
-            study.n_tasks(options.methods),
-            "map",
-            lambda tick: study.stability(options.methods, options.budget, tick),
-        )
-    except ValueError as error:
-        raise Ending(str(error)) from None
-    print(study.table(found))
+    from particlerb.studies import stability, stability_table
     from particlerb.studies.charts.stability import draw_stability
 
-    write(paths, study.csv_rows(found), lambda path: draw_stability(found, path))
-    return DONE
+    study = Shown(
+        lambda: stability.n_tasks(options.methods),
+        "map",
+        lambda tick: stability.stability(options.methods, options.budget, tick),
+        stability_table,
+        draw_stability,
+    )
+    return show(options, "stability", study)
 
 
 def converge_command(options: argparse.Namespace) -> int:
     """`converge`: summed inertia tensors beside the analytic ones."""
-    from particlerb.studies import convergence as study
-
-    paths = outputs(options, "converge")
-    try:
-        found = measured(
-            len(study.arrangements(options.shapes)),
-            "shape",
-            lambda tick: study.converge(options.shapes, options.most, tick),
-        )
-    except ValueError as error:
-        raise Ending(str(error)) from None
-    print(study.table(found))
+    from particlerb.studies import convergence
     from particlerb.studies.charts.convergence import draw_convergence
 
-    write(paths, study.csv_rows(found), lambda path: draw_convergence(found, path))
-    return DONE
+    study = Shown(
+        lambda: len(convergence.arrangements(options.shapes)),
+        "shape",
+        lambda tick: convergence.converge(options.shapes, options.most, tick),
+        convergence,
+        draw_convergence,
+    )
+    return show(options, "converge", study)
 
 
-def measured(total: int, unit: str, study: Callable[[Callable[[int], object]], Any]) -> Any:
-    """Result of a study, with a progress bar."""
+def show(options: argparse.Namespace, stem: str, study: Shown) -> int:
+    """Run a study with a progress bar, print its table, write its rows and pictures."""
     from tqdm import tqdm
 
-    with tqdm(total=total, unit=unit, disable=None, delay=0.5) as bar:
-        return study(bar.update)
+    from particlerb.case.problems import CaseError
+
+    paths = outputs(options, stem)
+    with (
+        ending(CaseError, ValueError),
+        tqdm(total=study.total(), unit=study.unit, disable=None, delay=0.5) as bar,
+    ):
+        found = study.run(bar.update)
+    print(study.words.table(found))
+    rows, *pictures = paths
+    with rows.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows(study.words.csv_rows(found))
+    for picture in pictures:
+        study.draw(found, picture)
+    print(f"written: {', '.join(map(str, paths))}")
+    return DONE
 
 
 def outputs(options: argparse.Namespace, stem: str) -> list[Path]:
@@ -103,15 +109,3 @@ def outputs(options: argparse.Namespace, stem: str) -> list[Path]:
     except OSError as error:
         raise Ending(f"{base} cannot be made: {error.strerror}") from None
     return paths
-
-
-def write(
-    paths: Sequence[Path], rows: Iterable[Sequence[object]], draw: Callable[[Path], None]
-) -> None:
-    """Write table and pictures; say where they are."""
-    table, *pictures = paths
-    with table.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows(rows)
-    for picture in pictures:
-        draw(picture)
-    print(f"written: {', '.join(str(path) for path in paths)}")

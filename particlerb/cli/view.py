@@ -7,53 +7,15 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from particlerb.cli.common import DONE, FAILED, Ending, opened, read_case, to_write
+from particlerb.cli.common import DONE, FAILED, Ending, ending, opened, read_case, to_write
 from particlerb.cli.guard import probe
 
 if TYPE_CHECKING:
     from particlerb.view.access import Access
     from particlerb.view.page import Page
 
-AT_FIRST: Final = "cube_at_rest"
 FILES: Final = (".h5", ".hdf5", ".vtkhdf")
 MISSING: Final = 'the browser scene needs viser: pip install "particlerb[view]"'
-
-
-def add_view(command: argparse.ArgumentParser) -> None:
-    """Options of `view`."""
-    command.add_argument(
-        "case", nargs="?", default=AT_FIRST, metavar="CASE|FILE",
-        help="a case to push, or a trajectory file to play; default: the paper's cube",
-    )  # fmt: skip
-    command.add_argument(
-        "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE",
-        help="change a key of the case; repeatable",
-    )  # fmt: skip
-    command.add_argument("--threads", type=int, metavar="N", help="default: all cores")
-    command.add_argument("--port", type=port, default=8080, help="default: %(default)s")
-    command.add_argument(
-        "--host", default="127.0.0.1",
-        help="address to listen on; default: %(default)s, this machine only",
-    )  # fmt: skip
-    command.add_argument(
-        "--allow-host", dest="hosts", action="append", default=[], metavar="NAME",
-        help="a name by which the page may be called too, as behind a tunnel or proxy; repeatable",
-    )  # fmt: skip
-    command.add_argument(
-        "--no-token", action="store_true",
-        help="let in every program of those who reach the port, without the token of the address",
-    )  # fmt: skip
-    command.add_argument(
-        "-o", "--output", metavar="FILE", help="of a saved session; output/<case>_session.toml"
-    )
-
-
-def port(text: str) -> int:
-    """A port."""
-    value = int(text)
-    if not 1 <= value <= 65535:
-        raise argparse.ArgumentTypeError(f"must be between 1 and 65535, got {text}")
-    return value
 
 
 def view_command(options: argparse.Namespace) -> int:
@@ -98,12 +60,10 @@ def push(options: argparse.Namespace, server: object, access: "Access") -> int:
     stem = case.path.stem if case.path else "case"
     path = Path(options.output) if options.output else Path("output") / f"{stem}_session.toml"
     to_write(path, overwrite=True)  # where it exists, a number is added
-    try:
+    with ending(CaseError):
         print("making ready (the first time compiles, some 15 s or longer) ...", file=sys.stderr)
         rehearse(case)
         live = Live(case, server, path)  # type: ignore[arg-type]
-    except CaseError as error:
-        raise Ending(str(error)) from None
     serve(live, access)
     if not live.is_saved:
         with contextlib.suppress(ValueError):

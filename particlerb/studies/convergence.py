@@ -24,6 +24,7 @@ from particlerb.geometry import shapes as particle_shapes
 from particlerb.geometry.analytic import ANALYTIC, Analytic
 from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.studies.text import aligned, chosen_names
 
 MOST: Final = 1_000_000  # particles of the finest lattice
 FEWEST: Final = 1000  # with fewer, some curves have too few n to say anything
@@ -51,13 +52,17 @@ class ReferenceSolid(NamedTuple):
     """Function of particlerb.geometry.shapes."""
     size: dict[str, Any]
     """Its arguments [m]; the same ones give the analytic tensor."""
-    analytic: Callable[..., Analytic]
     others: tuple[str, ...] = ()
     """Arrangements beside the lattice."""
     coarsest: int = 2
     """Smallest n for which a lattice has particles."""
     finest: float = math.inf
     """Largest n that is tried; where every n is exact, a hundred of them will do."""
+
+    @property
+    def analytic(self) -> Analytic:
+        """What the tensor should be."""
+        return ANALYTIC[self.shape](**self.size)
 
     def filled(self, **how: Any) -> Particles:
         """Particles of one kilogram."""
@@ -67,35 +72,22 @@ class ReferenceSolid(NamedTuple):
 
 CORNERS: Final = ((0.0, 0.0, 0.0), (1.0, 0.1, 0.0), (0.2, 0.8, 0.1), (0.3, 0.2, 0.9))
 SOLIDS: Final[dict[str, ReferenceSolid]] = {
-    "box": ReferenceSolid("box", {"size": (1.0, 0.8, 0.5)}, ANALYTIC["box"], ("exact",)),
-    "rod": ReferenceSolid("rod", {"length": 1.0}, ANALYTIC["rod"], ("exact",)),
-    "tetrahedron": ReferenceSolid(
-        "tetrahedron", {"vertices": CORNERS}, ANALYTIC["tetrahedron"], ("exact",), finest=100
-    ),
-    "thin_shell": ReferenceSolid(
-        "shell", {"radius": 0.5}, ANALYTIC["shell"], coarsest=1, finest=100
-    ),
-    "ball": ReferenceSolid("ball", {"radius": 0.5}, ANALYTIC["ball"], ("cells", "exact")),
-    "ellipsoid": ReferenceSolid(
-        "ellipsoid", {"semi_axes": (0.5, 0.35, 0.25)}, ANALYTIC["ellipsoid"], ("cells", "exact")
-    ),
-    "shell": ReferenceSolid(
-        "shell", {"radius": 0.5, "inner_radius": 0.3}, ANALYTIC["shell"], ("cells",)
-    ),
-    "cylinder": ReferenceSolid(
-        "cylinder", {"radius": 0.25, "height": 0.75}, ANALYTIC["cylinder"], ("cells",)
-    ),
+    "box": ReferenceSolid("box", {"size": (1.0, 0.8, 0.5)}, ("exact",)),
+    "rod": ReferenceSolid("rod", {"length": 1.0}, ("exact",)),
+    "tetrahedron": ReferenceSolid("tetrahedron", {"vertices": CORNERS}, ("exact",), finest=100),
+    "thin_shell": ReferenceSolid("shell", {"radius": 0.5}, coarsest=1, finest=100),
+    "ball": ReferenceSolid("ball", {"radius": 0.5}, ("cells", "exact")),
+    "ellipsoid": ReferenceSolid("ellipsoid", {"semi_axes": (0.5, 0.35, 0.25)}, ("cells", "exact")),
+    "shell": ReferenceSolid("shell", {"radius": 0.5, "inner_radius": 0.3}, ("cells",)),
+    "cylinder": ReferenceSolid("cylinder", {"radius": 0.25, "height": 0.75}, ("cells",)),
     "tube": ReferenceSolid(
         "cylinder",
         {"radius": 0.25, "height": 0.75, "inner_radius": 0.15},
-        ANALYTIC["cylinder"],
         ("cells",),
         coarsest=3,
     ),
-    "cone": ReferenceSolid("cone", {"radius": 0.25, "height": 0.75}, ANALYTIC["cone"], ("cells",)),
-    "torus": ReferenceSolid(
-        "torus", {"major_radius": 0.5, "minor_radius": 0.2}, ANALYTIC["torus"], ("cells",)
-    ),
+    "cone": ReferenceSolid("cone", {"radius": 0.25, "height": 0.75}, ("cells",)),
+    "torus": ReferenceSolid("torus", {"major_radius": 0.5, "minor_radius": 0.2}, ("cells",)),
 }
 
 
@@ -164,15 +156,10 @@ def converge(
 
 def arrangements(shapes: Sequence[str] = ()) -> list[tuple[str, str]]:
     """Shape and arrangement of every curve; ValueError names shapes that are not known."""
-    unknown = [name for name in shapes if name not in SOLIDS]
-    if unknown:
-        raise ValueError(
-            f"no analytic tensor for {', '.join(unknown)}; shapes of this study: "
-            + ", ".join(SOLIDS)
-        )
-    chosen = dict.fromkeys(shapes or SOLIDS)
     return [
-        (name, arrangement) for name in chosen for arrangement in ("lattice", *SOLIDS[name].others)
+        (name, arrangement)
+        for name in chosen_names(shapes, tuple(SOLIDS), "shape with an analytic tensor")
+        for arrangement in ("lattice", *SOLIDS[name].others)
     ]
 
 
@@ -204,7 +191,7 @@ def sets(solid: ReferenceSolid, arrangement: str, most: int) -> Iterator[tuple[i
 
 def errors(solid: ReferenceSolid, particles: Particles) -> tuple[float, float]:
     """Error of the tensor and of the com of particles."""
-    return fill.errors(particles, solid.analytic(**solid.size))
+    return fill.errors(particles, solid.analytic)
 
 
 # What a curve says
@@ -290,16 +277,13 @@ def needed(curve: Curve, wanted: float) -> Need:
 def table(convergence: Convergence) -> str:
     """What the study found, a line per curve: law of the error, n and particles for some errors."""
     head = ("shape", "arrangement", "error", *(f"{wanted:g}" for wanted in WANTED))
-    rows = [head]
-    for curve in convergence.curves:
-        needs = (need_text(needed(curve, wanted)) for wanted in WANTED)
-        rows.append((curve.shape, curve.arrangement, law_text(curve), *needs))
-    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
+    rows = [
+        (c.shape, c.arrangement, law_text(c), *(need_text(needed(c, wanted)) for wanted in WANTED))
+        for c in convergence.curves
     ]
-    return "\n".join([*lines, "", EXPLANATION.format(most=convergence.most, cells=FINEST_CELLS)])
+    return f"{aligned([head, *rows])}\n\n" + EXPLANATION.format(
+        most=convergence.most, cells=FINEST_CELLS
+    )
 
 
 def law_text(curve: Curve) -> str:

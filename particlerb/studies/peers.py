@@ -6,7 +6,7 @@ errors of a chart. It knows no engine.
 
 import importlib.util
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -22,6 +22,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import Frames, kinetic_energy, multiplied, omega_world, turned_back
 from particlerb.simulation.trials import BodySubset, Error, errors
+from particlerb.studies.text import chosen_names
 
 PeerScene: TypeAlias = Any  # the adapters' own type: bodies, pushes, gravity, t_end
 
@@ -30,21 +31,15 @@ class Engine(NamedTuple):
     """One peer."""
 
     name: str
-    missing: str  # why it cannot be used here; empty where it can
-    variants: Mapping[
-        str, tuple[float, ...]
-    ]  # ladder of steps times the fastest rate, or tolerances
+    missing: str
+    """Why it cannot be used here; empty where it can."""
+    variants: Mapping[str, tuple[float, ...]]
+    """Ladder of steps times the fastest rate, or of tolerances."""
     is_adaptive: bool
-    module: Any
-
-    def refusal(self, scene: PeerScene) -> str | None:
-        """Why it cannot hold the scene."""
-        reason: str | None = self.module.refusal(scene)
-        return reason
-
-    def run(self, scene: PeerScene, variant: str, step: float) -> Any:
-        """Run the scene to its end."""
-        return self.module.run(scene, variant, step)
+    refusal: Callable[[PeerScene], str | None]
+    """Why it cannot hold a scene."""
+    run: Callable[[PeerScene, str, float], Any]
+    """Run a scene to its end, with a variant and a step or tolerance."""
 
 
 @cache
@@ -60,14 +55,13 @@ def adapters() -> ModuleType:
     for folder in (package.parent / "benchmarks" / "peers", package / "_peers"):
         path = folder / "__init__.py"
         if path.is_file():
-            name = "particlerb_peers"
             spec = importlib.util.spec_from_file_location(
-                name, path, submodule_search_locations=[str(folder)]
+                "particlerb_peers", path, submodule_search_locations=[str(folder)]
             )
             assert spec is not None
             assert spec.loader is not None
             module = importlib.util.module_from_spec(spec)
-            sys.modules[name] = module
+            sys.modules[spec.name] = module
             spec.loader.exec_module(module)
             return module
     raise ValueError("the adapters to other engines are not installed")
@@ -84,20 +78,14 @@ def engines(names: Sequence[str]) -> list[Engine]:
     if not names:
         return []
     known = adapters().ENGINES
-    wanted = list(known) if "all" in names else list(dict.fromkeys(names))
-    for name in wanted:
-        if name not in known:
-            raise ValueError(f"{name}: no such peer; there are all, {', '.join(known)}")
-    found = []
-    for name in wanted:
-        module = known[name]()
-        found.append(
-            Engine(module.NAME, module.missing() or "", module.VARIANTS, module.ADAPTIVE, module)
-        )
-    return found
+    asked = chosen_names(names, ("all", *known), "peer")
+    modules = [known[name]() for name in (known if "all" in asked else asked)]
+    return [
+        Engine(m.NAME, m.missing() or "", m.VARIANTS, m.ADAPTIVE, m.refusal, m.run) for m in modules
+    ]
 
 
-GIVEN: Final = "peers are given gravity and constant world pushes"
+GIVEN: Final = "other engines take gravity and constant pushes in the world frame only"
 
 
 def peer_scene(case: Case, scene: System) -> PeerScene:
@@ -111,26 +99,19 @@ def peer_scene(case: Case, scene: System) -> PeerScene:
     types = sys.modules[f"{adapters().__name__}.scene"]
     bodies, state = scene.bodies, scene.state
     if case.attraction is not None:
-        raise ValueError(f"{GIVEN} alone")
+        raise ValueError(GIVEN)
     pushes = []
     for force in case.force:
         if not isinstance(force, PushTable) or force.frame != "world" or force.during is not None:
-            raise ValueError(f"{GIVEN} alone")
+            raise ValueError(GIVEN)
         for b in resolve_bodies(case, force.body).tolist():
             at = to_rotor(bodies.rotor_frame[:, b], force.at)
             pushes.append(types.Push(b, at, np.array(force.force)))
     gravity = case.gravity.acceleration if case.gravity else (0.0, 0.0, 0.0)
-    return types.Scene(
-        bodies.mass,
-        np.ascontiguousarray(bodies.inertia.T),
-        np.ascontiguousarray(state.com.T),
-        np.ascontiguousarray(state.q.T),
-        np.ascontiguousarray((state.p * bodies.inv_mass).T),
-        np.ascontiguousarray(omega_world(bodies, state).T),
-        np.array(gravity),
-        tuple(pushes),
-        case.run.t_end,
-    )
+    velocity, omega = state.p * bodies.inv_mass, omega_world(bodies, state)
+    columns = (bodies.inertia, state.com, state.q, velocity, omega)
+    rows = (np.ascontiguousarray(column.T) for column in columns)
+    return types.Scene(bodies.mass, *rows, np.array(gravity), tuple(pushes), case.run.t_end)
 
 
 def to_rotor(frame: Floats, vector: Sequence[float]) -> Floats:
@@ -149,15 +130,13 @@ def peer_errors(
     inverse = bodies.rotor_frame * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
     orientation = multiplied(np.ascontiguousarray(result.orientation[which].T), inverse).T
 
-    def repeated(values: Floats) -> Floats:
-        return np.repeat(values[None], times.size, axis=0)
-
-    found = reference._replace(
-        position=repeated(result.position[which]), orientation=repeated(orientation)
+    position, turned = (
+        np.repeat(column[None], times.size, axis=0)
+        for column in (result.position[which], orientation)
     )
+    found = reference._replace(position=position, orientation=turned)
     error = errors(part, times, found, reference)[-1]
-    is_free = not any(s.terms != type(s.terms)() for g in part.groups for s in g.segments)
-    if not is_free:
+    if any(s.terms != type(s.terms)() for g in part.groups for s in g.segments):
         return error, np.nan, np.nan
     kinetic = kinetic_energy(bodies, part.state)
     energy = np.abs(result.kinetic_energy[which] - kinetic).sum() / kinetic.sum()

@@ -4,11 +4,12 @@ Maps: bodies on which nothing acts turn 10 000 times; the worst error of their e
 became of them, for steps h|ω| [rad] from 0.02 to 4 and for many shapes and starts
 (stability_runs.py). Limits: steps up to which linear motions stay bounded, beside closed forms
 (stability_limits.py). Drift: energy against time over a million turns. Explained in
-docs/stability.md. Nothing here prints, draws or knows of cases and files.
+docs/stability.md; in words in stability_table.py. Nothing here prints, draws or knows of cases
+and files.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
 from typing import Any, Final, NamedTuple
@@ -24,8 +25,7 @@ from particlerb.studies.stability_limits import LIMITS, Limit, limits_of, tops
 from particlerb.studies.stability_runs import (
     ACCURATE,
     FAMILIES,
-    LARGE,
-    SMALL,
+    MOMENTS,
     TURNS,
     VERDICTS,
     StabilityOutcome,
@@ -35,7 +35,9 @@ from particlerb.studies.stability_runs import (
     row_of,
     sampling,
     scene,
+    unit_vectors,
 )
+from particlerb.studies.text import chosen_names
 
 BUDGET: Final = 240.0  # [s] of two cores for all methods, without compilation
 LONGER: Final = 100  # a drift has so many times the turns of a map
@@ -44,7 +46,7 @@ TOLERANCES: Final = np.geomspace(1e-12, 1e-2, 11)  # in their place for adaptive
 COLUMNS: Final = 33  # of a map, with the default budget
 ADAPTIVE_COLUMNS: Final = 13
 MOST_COLUMNS: Final = 99  # two families are one block of bodies
-DEAR: Final = 0.1  # least step of the maps of rkn6: below, a row costs as much as all others
+LEAST_PACE: Final = {"rkn6": 0.1}  # below, a row costs as much as all others
 DRIFT_PACE: Final = 0.25  # h|ω| of a drift
 DRIFT_PACES: Final = {"rkn6": 0.5}  # where it is another: eleven kicks, and errors above rounding
 FREE: Final = "free body"
@@ -75,9 +77,9 @@ def paces(method: str) -> Floats:
     """Rows of the maps of a method."""
     if METHODS[method].IS_ADAPTIVE:
         return TOLERANCES
-    if method == "rkn6":
-        return PACES[PACES >= DEAR]
-    return PACES if METHODS[method].ORDER else np.zeros(1)
+    if not METHODS[method].ORDER:
+        return np.zeros(1)
+    return PACES[LEAST_PACE.get(method, 0.0) <= PACES]
 
 
 def columns_of(method: str, budget: float) -> int:
@@ -121,16 +123,9 @@ class EnergyDrift(NamedTuple):
         return running
 
 
-def eight_spins() -> Floats:
-    """Angular velocities of 1 rad/s about different axes, (8, 3)."""
-    axis = np.random.default_rng(3).normal(size=(8, 3))
-    spins: Floats = axis / np.linalg.norm(axis, axis=1, keepdims=True)
-    return spins
-
-
 def free_bodies() -> StabilityScene:
-    """Eight bodies, I = (1, 2, 3)."""
-    return scene(np.tile([1.0, 2.0, 3.0], (8, 1)), eight_spins())
+    """Eight bodies, I = (1, 2, 3), that spin about different axes with 1 rad/s."""
+    return scene(MOMENTS, eight_spins())
 
 
 def heavy_tops() -> StabilityScene:
@@ -142,8 +137,12 @@ def sprung_bodies() -> StabilityScene:
     """The same, each hung up at one of its points by a spring, 1 m off the other end: chaotic."""
     at = np.tile([[0.3], [0.2], [0.4]], (1, 8))
     spring = Spring(at, np.zeros((3, 8)), np.full(8, 0.25), np.zeros(8))
-    inertia = np.tile([1.0, 2.0, 3.0], (8, 1))
-    return scene(inertia, eight_spins(), Terms(loads=(spring,)), (1.0, 0.0, 0.0))
+    return scene(MOMENTS, eight_spins(), Terms(loads=(spring,)), (1.0, 0.0, 0.0))
+
+
+def eight_spins() -> Floats:
+    """Angular velocities of 1 rad/s about different axes, (8, 3)."""
+    return unit_vectors(8, seed=3)
 
 
 MOTIONS: Final = {
@@ -155,8 +154,7 @@ MOTIONS: Final = {
 
 def drift_of(method: str, motion: str, turns: float) -> EnergyDrift:
     """Errors of one method and motion over many turns."""
-    moved = MOTIONS[motion]()
-    pace = DRIFT_PACES.get(method, DRIFT_PACE)
+    moved, pace = MOTIONS[motion](), DRIFT_PACES.get(method, DRIFT_PACE)
     times = sampling(pace, turns)
     frames = history(moved, method, pace, times, chunks=50)
     error = energy_errors(moved, frames)
@@ -226,7 +224,7 @@ def stability(
     tasks = tasks_of(methods, budget, turns)
     done = dict(zip(tasks, in_parallel(list(tasks.values()), progress), strict=True))
     maps: list[Map] = []
-    for method in chosen(methods):
+    for method in chosen_names(methods, tuple(METHODS), "method"):
         rows = [value for key, value in done.items() if key[:2] == ("row", method)]
         maps += maps_of(method, columns_of(method, budget), rows)
     limits = [one for key, value in done.items() if key[0] == "limits" for one in value]
@@ -234,30 +232,23 @@ def stability(
     return Stability(turns, tuple(maps), tuple(limits), tuple(drifts))
 
 
-def chosen(methods: Sequence[str]) -> list[str]:
-    """Names of methods, each once; ValueError names those that are not known."""
-    unknown = [name for name in methods if name not in METHODS]
-    if unknown:
-        raise ValueError(f"unknown method: {', '.join(unknown)}; methods: {', '.join(METHODS)}")
-    return list(dict.fromkeys(methods or METHODS))
-
-
 def tasks_of(
     methods: Sequence[str], budget: float = BUDGET, turns: float = TURNS
 ) -> dict[Key, Callable[[], Any]]:
     """What there is to do, the longest first."""
-    names = chosen(methods)
-    tasks: dict[Key, Callable[[], Any]] = {}
-    for motion in reversed(MOTIONS):
-        for name in (n for n in names if n in LIMITS):
-            tasks["drift", name, motion] = partial(drift_of, name, motion, LONGER * turns)
-    for name in (n for n in names if n in LIMITS):
-        tasks["limits", name] = partial(limits_of, name)
-    for name in names:
-        for pace in paces(name).tolist():
-            task = partial(row_of, name, pace, columns_of(name, budget), turns)
-            tasks["row", name, repr(pace)] = task
-    return tasks
+    names = chosen_names(methods, tuple(METHODS), "method")
+    stepped = [name for name in names if name in LIMITS]
+    tasks: dict[Key, Callable[[], Any]] = {
+        ("drift", name, motion): partial(drift_of, name, motion, LONGER * turns)
+        for motion in reversed(MOTIONS)
+        for name in stepped
+    }
+    tasks |= {("limits", name): partial(limits_of, name) for name in stepped}
+    return tasks | {
+        ("row", name, repr(pace)): partial(row_of, name, pace, columns_of(name, budget), turns)
+        for name in names
+        for pace in paces(name).tolist()
+    }
 
 
 def n_tasks(methods: Sequence[str] = ()) -> int:
@@ -279,7 +270,7 @@ def in_parallel(tasks: Sequence[Callable[[], Any]], progress: Callable[[int], ob
     return [future.result() for future in futures]
 
 
-# Text and rows
+# What a map says
 
 
 def largest_pace(one: Map, error: float) -> float:
@@ -301,117 +292,3 @@ def onsets(one: Map) -> dict[str, float]:
         for k, name in enumerate(VERDICTS)
         if k != ACCURATE and (one.verdict == k).any()
     }
-
-
-def table(study: Stability) -> str:
-    """Limits beside theory, drift, and for each map how far it is accurate and what comes then."""
-    parts = []
-    if study.limits:
-        parts.append(aligned([LIMIT_HEAD, *map(limit_row, study.limits)]))
-    if study.drifts:
-        parts.append(aligned([DRIFT_HEAD, *map(drift_row, study.drifts)]))
-    parts.append(aligned([MAP_HEAD, *map(map_row, study.maps)]))
-    return "\n\n".join([*parts, EXPLANATION])
-
-
-LIMIT_HEAD: Final = ("method", "limit", "theory", "measured", "difference")
-DRIFT_HEAD: Final = ("method", "motion", "h|ω|", "energy error", "exponent", "|L| error")
-MAP_HEAD: Final = ("method", "map", "below 1e-3", "below 0.1", "10 % off after", "what happens")
-EXPLANATION: Final = """\
-limit: steps from which on a linear motion grows, or factors of one step, beside closed forms
-exponent: p of (largest energy error until t) ∝ t^p over the last decade of the turns, and
-  its spread over 8 bodies; 0 bounded, 1/2 sum of rounding errors, 1 drift
-map: shape, from needle to disc at a generic spin; start, from stable axes to the separatrix
-below: largest h|ω| (dop853: tolerance) so that neither it nor any smaller one tried loses more
-  energy; 10 % off: turns until then at the smallest one, of the first body"""
-
-
-def limit_row(one: Limit) -> tuple[str, ...]:
-    """Texts of a limit."""
-    return one.method, one.name, number(one.theory), number(one.measured), percent(one.difference)
-
-
-def number(value: float) -> str:
-    """Six digits; none where there is no limit, a dash where nothing is known."""
-    return "none" if math.isinf(value) else "-" if math.isnan(value) else f"{value:.6g}"
-
-
-def percent(value: float) -> str:
-    """Per cent of a difference."""
-    return "-" if math.isnan(value) else f"{100.0 * value:.3f} %"
-
-
-def drift_row(drift: EnergyDrift) -> tuple[str, ...]:
-    """Texts of a drift."""
-    p, spread = growth_exponent(drift)
-    last = drift.largest[-1]
-    if math.isnan(p):
-        gone = drift.turns[np.isinf(drift.largest).argmax()]
-        return (
-            drift.method,
-            drift.motion,
-            f"{drift.pace:g}",
-            f"inf after {gone:.2g} turns",
-            "-",
-            "-",
-        )
-    spin = f"{drift.spin_error.max():.0e}" if drift.motion == FREE else "-"
-    exponent = f"{p:.2f} ± {spread:.2f}"
-    return drift.method, drift.motion, f"{drift.pace:g}", f"{last:.1e}", exponent, spin
-
-
-def map_row(one: Map) -> tuple[str, ...]:
-    """Texts of a map."""
-    if not one.pace.any():
-        worst = f"no step; worst error {one.error.max():.0e}"
-        return one.method, one.family, "any", "any", "-", worst
-    first = one.turns[0].min()
-    return (
-        one.method,
-        one.family,
-        *(f"{largest_pace(one, error):.2g}" for error in (SMALL, LARGE)),
-        f"{first:.2g} turns" if math.isfinite(first) else "-",
-        what_happens(one),
-    )
-
-
-def what_happens(one: Map) -> str:
-    """Verdicts in the order in which they set in."""
-    found = sorted(onsets(one).items(), key=lambda item: item[1])
-    if not found:
-        return f"accurate throughout; worst error {one.error.max():.0e}"
-    return "; ".join(f"{name} from {pace:.2g}" for name, pace in found)
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Columns of text, two blanks apart."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )
-
-
-def csv_rows(study: Stability) -> Iterator[Sequence[object]]:
-    """Rows of numbers, the header first: maps, limits and drift, empty where a column has no sense.
-
-    `pace` is h|ω| [rad] or the tolerance, `across` the side ratio or 2HI₂/L², `turns` those until
-    the energy was off by 10 % (maps), or passed (drift).
-    """
-    yield (
-        "kind", "method", "name", "pace", "across", "energy_error", "verdict", "turns", "theory",
-        "measured",
-    )  # fmt: skip
-    for one in study.maps:
-        for r, pace in enumerate(one.pace.tolist()):
-            for c, across in enumerate(one.across.tolist()):
-                yield (
-                    "map", one.method, one.family, pace, across, float(one.error[r, c]),
-                    VERDICTS[one.verdict[r, c]], float(one.turns[r, c]), "", "",
-                )  # fmt: skip
-    for found in study.limits:
-        yield "limit", found.method, found.name, *[""] * 5, found.theory, found.measured
-    for drift in study.drifts:
-        for turns, error in zip(drift.turns.tolist(), drift.error.max(axis=1), strict=True):
-            row = drift.method, drift.motion, drift.pace, "", float(error), "", turns, "", ""
-            yield "drift", *row

@@ -8,7 +8,7 @@ closed forms are written here and share nothing with the methods but, for rkn6, 
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,10 +18,11 @@ from particlerb.forces.links import Links
 from particlerb.forces.spring import Spring
 from particlerb.integrators.rkn6 import DRIFTS, KICKS
 from particlerb.maths.vec3 import Bools, Floats
-from particlerb.model.state import turned_back
+from particlerb.model.state import State, turned_back
 from particlerb.rotors.moser_veselov import modified_inertia
 from particlerb.studies.stability_runs import (
     ACCURATE,
+    MOMENTS,
     TURNS,
     StabilityScene,
     bodies_of,
@@ -30,9 +31,9 @@ from particlerb.studies.stability_runs import (
     row_of,
     scene,
     states,
+    unit_vectors,
 )
 
-PAIR: Final = "two bodies on a spring: largest hω"
 LINGERING: Final = 100_000  # steps where growth sets in slowly beyond the limit
 
 
@@ -62,8 +63,7 @@ def points(stiffness: Floats, rate: Floats | None = None) -> StabilityScene:
     zero = np.zeros((3, n))
     spring = Spring(zero, zero, stiffness, np.zeros(n))
     loads = (spring,) if rate is None else (Drag(rate, np.zeros(n)), spring)
-    resting = np.zeros((n, 3))
-    moved = scene(resting, resting, Terms(loads=loads), (1.0, 0.0, 0.0))
+    moved = scene(np.zeros(3), np.zeros((n, 3)), Terms(loads=loads), (1.0, 0.0, 0.0))
     moved.state.p[0] = 1.0
     return moved
 
@@ -85,9 +85,8 @@ def pairs(z: Floats) -> StabilityScene:
         first, n + first, zero, zero, 0.5 * z * z, np.zeros(n), None, bodies.inv_mass,
         bodies.inv_inertia,
     )  # fmt: skip
-    resting = np.zeros((2 * n, 3))
-    moved = scene(resting, resting, Terms(links=springs))
-    moved.state.p[0] = np.where(np.arange(2 * n) < n, 1.0, -1.0)
+    moved = scene(np.zeros(3), np.zeros((2 * n, 3)), Terms(links=springs))
+    moved.state.p[0] = np.repeat([1.0, -1.0], n)
     return moved
 
 
@@ -98,11 +97,10 @@ def tops(omega: Floats, stiffness: Floats) -> StabilityScene:
     the centre of mass stays, and the energy ½k|A - r|² is -k A·r.
     """
     n = stiffness.size
-    inertia = np.tile([1.0, 2.0, 3.0], (n, 1))
     hook = np.tile([[0.0], [0.0], [-1.0]], (1, n))
-    own = turned_back(bodies_of(inertia).rotor_frame, hook)
+    own = turned_back(bodies_of(np.tile(MOMENTS, (n, 1))).rotor_frame, hook)
     spring = Spring(own, hook, stiffness, np.zeros(n))
-    return scene(inertia, omega, Terms(loads=(spring,)), mass=1e20)
+    return scene(MOMENTS, omega, Terms(loads=(spring,)), mass=1e20)
 
 
 def pendulums(z: Floats) -> StabilityScene:
@@ -135,27 +133,34 @@ def limit(
     return float(high)
 
 
+def growth(
+    method: str,
+    moved: StabilityScene,
+    quantity: Callable[[StabilityScene, State], float],
+    steps: int = 20,
+) -> float:
+    """Factor of a quantity per step of 1 s, less 1; over the second half of 2N steps."""
+    frames = history(moved, method, 1.0, np.array([steps, 2.0 * steps]))
+    first, second = (quantity(moved, state) for state in states(moved, frames))
+    return float((second / first) ** (1.0 / steps) - 1.0)
+
+
 def gain(method: str, z: float, steps: int = 20) -> float:
-    """Factor of the energy of an oscillator per step, less 1; over the second half of 2N steps."""
-    moved = oscillators(np.array([z]))
-    frames = history(moved, method, 1.0, np.array([steps, 2.0 * steps]))
-    E = [energy(moved, state)[0] for state in states(moved, frames)]
-    return float((E[1] / E[0]) ** (1.0 / steps) - 1.0)
+    """Factor of the energy of an oscillator with hω = z per step, less 1."""
+    return growth(method, oscillators(np.array([z])), lambda *one: energy(*one)[0], steps)
 
 
-def top_gain(method: str, z: float, steps: int = 20) -> float:
+def top_gain(method: str, z: float) -> float:
     """Factor of a small |ω⊥|² of a symmetric top, I = (1, 1, 1.5), hω₃ = z, per step, less 1."""
-    moved = scene(np.array([[1.0, 1.0, 1.5]]), np.array([[1e-4 * z, 0.0, z]]))
-    frames = history(moved, method, 1.0, np.array([steps, 2.0 * steps]))
-    across = [(turned_back(s.q, s.L)[:2] ** 2).sum() for s in states(moved, frames)]
-    return float((across[1] / across[0]) ** (1.0 / steps) - 1.0)
+    top = scene(np.array([1.0, 1.0, 1.5]), np.array([[1e-4 * z, 0.0, z]]))
+    return growth(method, top, lambda _, s: (turned_back(s.q, s.L)[:2] ** 2).sum())
 
 
 def turn_in_a_step(method: str, z: float) -> float:
     """Angle [rad] by which a step with hω = z turns a body about its axis 3."""
-    moved = scene(np.array([[1.0, 2.0, 3.0]]), np.array([[0.0, 0.0, z]]))
-    w, x, y, s = history(moved, method, 1.0, np.array([1.0])).orientation[0, 0]
-    return 2.0 * math.atan2(math.sqrt(x * x + y * y + s * s), w)
+    moved = scene(MOMENTS, np.array([[0.0, 0.0, z]]))
+    w, *axis = history(moved, method, 1.0, np.array([1.0])).orientation[0, 0]
+    return 2.0 * math.atan2(math.hypot(*axis), w)
 
 
 # Theory
@@ -202,6 +207,12 @@ def splitting_limit(kicks: Sequence[float], drifts: Sequence[float]) -> float:
     return float(z[beyond.argmax()])
 
 
+def resonance(z: float) -> float:
+    """Energy per step of rkn6, less 1, of an oscillator with hω = z where it is not bounded."""
+    half = abs(float(half_trace(KICKS, DRIFTS, np.array([z]))[0]))
+    return math.expm1(2.0 * math.acosh(half))
+
+
 def root(f: Callable[[float], float], low: float, high: float) -> float:
     """Where f changes its sign, by bisection."""
     for _ in range(60):
@@ -237,7 +248,7 @@ def steady_limit() -> float:
     """Smallest turn [rad] about axis 3 that the plain map misses by more than 2 %."""
     turn = np.linspace(0.5, 3.0, 1001)
     spins = turn[:, None] * np.array([0.0, 0.0, 1.0])
-    v, _ = plain_map(np.tile([1.0, 2.0, 3.0], (turn.size, 1)), spins)
+    v, _ = plain_map(np.tile(MOMENTS, (turn.size, 1)), spins)
     missed = ~(np.abs(2.0 * np.arctan(v[2]) / turn - 1.0) < 0.02)
     return float(turn[missed.argmax()])
 
@@ -245,10 +256,8 @@ def steady_limit() -> float:
 def tumbling_limit() -> float:
     """Smallest h|ω| for which the plain fixed point of some of 200 spins has not converged."""
     turn = np.linspace(0.5, 3.0, 251)
-    axis = np.random.default_rng(1).normal(size=(200, 3))
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    spins = (turn[:, None, None] * axis).reshape(-1, 3)
-    _, change = plain_map(np.tile([1.0, 2.0, 3.0], (len(spins), 1)), spins, 300)
+    spins = (turn[:, None, None] * unit_vectors(200, seed=1)).reshape(-1, 3)
+    _, change = plain_map(np.tile(MOMENTS, (len(spins), 1)), spins, 300)
     missed = ~(change.reshape(turn.size, -1) < 1e-9).all(axis=1)
     return float(turn[missed.argmax()])
 
@@ -262,116 +271,109 @@ def cut_limit(pace: float = 64.0) -> float:
 # All of them
 
 
-def damped(zeta: float) -> Callable[[Floats], StabilityScene]:
-    """Oscillators with this drag, for `limit`."""
-    return partial(oscillators, zeta=zeta)
+class LimitCase(NamedTuple):
+    """A limit of a method: what theory says, and how to measure it."""
+
+    name: str
+    theory: float
+    measure: Callable[[str], float]
+    """Of a method."""
 
 
-def drag_alone(z: Floats) -> StabilityScene:
+def undamped(theory: float, **libration: Any) -> Iterator[LimitCase]:
+    """Oscillator, two bodies, and libration with its arguments of `limit`, if it has any."""
+    yield LimitCase("oscillator: largest hω", theory, partial(limit, make=oscillators))
+    yield LimitCase("two bodies on a spring: largest hω", theory, partial(limit, make=pairs))
+    if libration:
+        measure = partial(limit, make=pendulums, **libration)
+        yield LimitCase("libration: largest hΩ", theory, measure)
+
+
+def damped(theory: Callable[[float], float], *zetas: float) -> Iterator[LimitCase]:
+    """Oscillators with drag."""
+    for zeta in zetas:
+        measure = partial(limit, make=partial(oscillators, zeta=zeta), steps=LINGERING)
+        yield LimitCase(f"damped, ζ = {zeta}: largest hω", theory(zeta), measure)
+
+
+def drag_alone(theory: float, **search: Any) -> LimitCase:
     """Points without a spring, with hγ = z for h = 1 s."""
-    return points(np.zeros_like(z), z)
+    measure = partial(limit, make=lambda z: points(np.zeros_like(z), z), **search)
+    return LimitCase("drag alone: largest hγ", theory, measure)
 
 
-def limits_of_strang() -> Iterator[Limit]:
+def energy_factors(theory: Callable[[float], float], *z: float, **steps: Any) -> list[LimitCase]:
+    """Energy of an oscillator per step."""
+    name = "energy per step - 1 at hω = {}"
+    return [LimitCase(name.format(one), theory(one), partial(gain, z=one, **steps)) for one in z]
+
+
+def symmetric_top(theory: float) -> LimitCase:
+    """|ω⊥|² per step with hω₃ = 0.2."""
+    name = "symmetric top: |ω⊥|² per step - 1, hλ = 0.1"
+    return LimitCase(name, theory, partial(top_gain, z=0.2))
+
+
+QUATERNION: Final = LimitCase(
+    "turn of a step with hω = 1", 2.0 * math.atan(0.5), partial(turn_in_a_step, z=1.0)
+)
+"""A step q + ½ h q ω, normalised, turns by 2 atan(hω/2)."""
+
+
+def strang() -> Iterator[LimitCase]:
     """Störmer-Verlet for translation; drag as an exact flow."""
-    name = "strang"
-    yield Limit(name, "oscillator: largest hω", 2.0, limit(name, oscillators))
-    yield Limit(name, PAIR, 2.0, limit(name, pairs))
-    yield Limit(name, "libration: largest hΩ", 2.0, limit(name, pendulums, steps=300))
-    for zeta in (0.5, 1.0):
-        measured = limit(name, damped(zeta), steps=LINGERING)
-        yield Limit(name, f"damped, ζ = {zeta}: largest hω", damped_splitting(zeta), measured)
-    yield Limit(name, "drag alone: largest hγ", math.inf, limit(name, drag_alone, high=1e3))
+    yield from undamped(2.0, steps=300)
+    yield from damped(damped_splitting, 0.5, 1.0)
+    yield drag_alone(math.inf, high=1e3)
 
 
-def limits_of_rkn6() -> Iterator[Limit]:
+def rkn6() -> Iterator[LimitCase]:
     """Eleven kicks and drifts; the Moser-Veselov map without and with cutting."""
-    name, theory = "rkn6", splitting_limit(KICKS, DRIFTS)
-    yield Limit(name, "oscillator: largest hω", theory, limit(name, oscillators))
-    yield Limit(name, PAIR, theory, limit(name, pairs))
-    measured = limit(name, pendulums, low=8.5, high=9.5, steps=60)
-    yield Limit(name, "libration: largest hΩ", theory, measured)
-    z = 3.14188
-    exponent = 2.0 * math.acosh(abs(float(half_trace(KICKS, DRIFTS, np.array([z]))[0])))
-    measured = gain(name, z, 30_000)
-    yield Limit(name, f"energy per step - 1 at hω = {z}", math.expm1(exponent), measured)
-    yield Limit(name, "plain map, steady: largest turn", 0.5 * math.pi, steady_limit())
-    yield Limit(name, "plain map, (1, 2, 3): largest h|ω|", math.nan, tumbling_limit())
-    yield Limit(name, "map cut in pieces: largest h|ω|", math.inf, cut_limit())
+    yield from undamped(splitting_limit(KICKS, DRIFTS), low=8.5, high=9.5, steps=60)
+    yield from energy_factors(resonance, 3.14188, steps=30_000)
+    yield LimitCase("plain map, steady: largest turn", 0.5 * math.pi, lambda _: steady_limit())
+    yield LimitCase("plain map, (1, 2, 3): largest h|ω|", math.nan, lambda _: tumbling_limit())
+    yield LimitCase("map cut in pieces: largest h|ω|", math.inf, lambda _: cut_limit())
 
 
-def limits_of_rk4() -> Iterator[Limit]:
+def rk4() -> Iterator[LimitCase]:
     """The imaginary and the real axis of the stability region."""
-    name = "rk4"
-    yield Limit(name, "oscillator: largest hω", math.sqrt(8.0), limit(name, oscillators))
-    yield Limit(name, PAIR, math.sqrt(8.0), limit(name, pairs))
-    measured = limit(name, pendulums, steps=300)
-    yield Limit(name, "libration: largest hΩ", math.sqrt(8.0), measured)
-    for z in (0.5, 1.0, 2.0):
-        theory = -(z**6) / 72.0 + z**8 / 576.0
-        yield Limit(name, f"energy per step - 1 at hω = {z}", theory, gain(name, z))
-    theory = root(lambda z: rk4_factor(-z).real - 1.0, 1.0, 4.0)
-    yield Limit(name, "drag alone: largest hγ", theory, limit(name, drag_alone, steps=LINGERING))
+    yield from undamped(math.sqrt(8.0), steps=300)
+    yield from energy_factors(lambda z: -(z**6) / 72.0 + z**8 / 576.0, 0.5, 1.0, 2.0)
+    yield drag_alone(root(lambda z: rk4_factor(-z).real - 1.0, 1.0, 4.0), steps=LINGERING)
 
 
-def limits_of_semi_implicit_euler() -> Iterator[Limit]:
+def semi_implicit_euler() -> Iterator[LimitCase]:
     """Velocities first, drag at the old velocity; backward Euler for the gyroscopic term."""
-    name, top = "semi_implicit_euler", 0.2
-    yield Limit(name, "oscillator: largest hω", 2.0, limit(name, oscillators))
-    yield Limit(name, PAIR, 2.0, limit(name, pairs))
-    for zeta in (0.2, 0.5, 1.0):
-        measured = limit(name, damped(zeta), steps=LINGERING)
-        yield Limit(name, f"damped, ζ = {zeta}: largest hω", damped_semi_implicit(zeta), measured)
-    yield Limit(name, "drag alone: largest hγ", 2.0, limit(name, drag_alone, steps=LINGERING))
-    theory = 1.0 / (1.0 + (0.5 * top) ** 2) - 1.0
-    yield Limit(name, "symmetric top: |ω⊥|² per step - 1, hλ = 0.1", theory, top_gain(name, top))
-    yield quaternion_turn(name)
+    yield from undamped(2.0)
+    yield from damped(damped_semi_implicit, 0.2, 0.5, 1.0)
+    yield drag_alone(2.0, steps=LINGERING)
+    yield symmetric_top(1.0 / (1.0 + 0.1**2) - 1.0)
+    yield QUATERNION
 
 
-def limits_at_the_old_state(name: str) -> Iterator[Limit]:
-    """What the explicit Euler methods have in common."""
-    for z in (0.1, 1.0):
-        yield Limit(name, f"energy per step - 1 at hω = {z}", z**2, gain(name, z))
-    for zeta in (0.2, 0.5):
-        measured = limit(name, damped(zeta), steps=LINGERING)
-        yield Limit(name, f"damped, ζ = {zeta}: largest hω", 2.0 * zeta, measured)
-    yield Limit(name, "drag alone: largest hγ", 2.0, limit(name, drag_alone, steps=LINGERING))
-    yield quaternion_turn(name)
+def explicit_euler(top: float = 0.1**2) -> Iterator[LimitCase]:
+    """Rates at the old state: those of the body."""
+    yield from energy_factors(lambda z: z**2, 0.1, 1.0)
+    yield from damped(lambda zeta: 2.0 * zeta, 0.2, 0.5)
+    yield drag_alone(2.0, steps=LINGERING)
+    yield QUATERNION
+    yield symmetric_top(top)
 
 
-def limits_of_explicit_euler() -> Iterator[Limit]:
-    """Rates in the body."""
-    name, top = "explicit_euler", 0.2
-    yield from limits_at_the_old_state(name)
-    measured = top_gain(name, top)
-    yield Limit(name, "symmetric top: |ω⊥|² per step - 1, hλ = 0.1", (0.5 * top) ** 2, measured)
-
-
-def limits_of_momentum_euler() -> Iterator[Limit]:
+def momentum_euler() -> Iterator[LimitCase]:
     """L as a variable: a step turns L in the body by 2 atan(½h|ω|) about ω, and |L| stays."""
-    name, top = "momentum_euler", 0.2
-    yield from limits_at_the_old_state(name)
-    theory = 1.5 * (1.5 - 1.0) * top**2 / (1.0 + 0.25 * top**2)
-    measured = top_gain(name, top)
-    yield Limit(name, "symmetric top: |ω⊥|² per step - 1, hλ = 0.1", theory, measured)
+    return explicit_euler(1.5 * (1.5 - 1.0) * 0.2**2 / (1.0 + 0.1**2))
 
 
-def quaternion_turn(method: str) -> Limit:
-    """A step q + ½ h q ω, normalised, turns by 2 atan(hω/2)."""
-    measured = turn_in_a_step(method, 1.0)
-    return Limit(method, "turn of a step with hω = 1", 2.0 * math.atan(0.5), measured)
-
-
-LIMITS: Final[dict[str, Callable[[], Iterator[Limit]]]] = {
-    "strang": limits_of_strang,
-    "rkn6": limits_of_rkn6,
-    "rk4": limits_of_rk4,
-    "semi_implicit_euler": limits_of_semi_implicit_euler,
-    "explicit_euler": limits_of_explicit_euler,
-    "momentum_euler": limits_of_momentum_euler,
+LIMITS: Final[dict[str, Callable[[], Iterator[LimitCase]]]] = {
+    case.__name__: case
+    for case in (strang, rkn6, rk4, semi_implicit_euler, explicit_euler, momentum_euler)
 }
 
 
 def limits_of(method: str) -> tuple[Limit, ...]:
     """All limits of a method."""
-    return tuple(LIMITS[method]())
+    return tuple(
+        Limit(method, one.name, one.theory, one.measure(method)) for one in LIMITS[method]()
+    )

@@ -32,8 +32,10 @@ SMALL: Final = 1e-3  # relative error of the energy up to which a run is called 
 LARGE: Final = 0.1
 GROWTH: Final = 1.5  # of the worst error from the first half of a run to the second
 ROUNDING: Final = 1e-10  # a worst error below is not called growing: sums of rounding errors grow
+MOMENTS: Final = np.array([1.0, 2.0, 3.0])  # [kg m²] of bodies where the shape does not matter
 NEEDLE: Final = 0.05  # side ratio of the thinnest plate, and thickness of the needle
 
+UPRIGHT: Final = (1.0, 0.0, 0.0, 0.0)
 VERDICTS: Final = (
     "accurate",
     "accurate so far, growing",
@@ -66,6 +68,13 @@ def bodies_of(inertia: Floats, mass: float = 1.0) -> Bodies:
     return made_of(np.full(n, mass), np.ascontiguousarray(ordered.T), frame, rotor_class)
 
 
+def unit_vectors(n: int, seed: int) -> Floats:
+    """Random directions, (n, 3)."""
+    axis = np.random.default_rng(seed).normal(size=(n, 3))
+    unit: Floats = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    return unit
+
+
 def scene(
     inertia: Floats,
     omega: Floats,
@@ -77,17 +86,17 @@ def scene(
 
     Parameters
     ----------
-    inertia, omega : ndarray, shape (n, 3) [kg m², rad/s]
-        Moments ascending.
+    inertia : ndarray, shape (3,) or (n, 3) [kg m²]
+        Principal moments, ascending, of all bodies or of each.
+    omega : ndarray, shape (n, 3) [rad/s]
     terms : Terms, optional
     position : (3,) [m]
     mass : float [kg]
     """
-    n = len(inertia)
-    bodies = bodies_of(inertia, mass)
-    place = np.tile(np.array(position), (n, 1))
-    upright = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-    state = initial_state(bodies, place, upright, np.zeros((n, 3)), omega)
+    n = len(omega)
+    bodies = bodies_of(np.broadcast_to(inertia, (n, 3)), mass)
+    com = np.tile(np.array(position), (n, 1))
+    state = initial_state(bodies, com, np.tile(UPRIGHT, (n, 1)), np.zeros((n, 3)), omega)
     return StabilityScene(bodies, terms or Terms(), state)
 
 
@@ -114,7 +123,7 @@ def history(
     n = moved.bodies.mass.size
     group = Group(np.arange(n), moved.bodies, moved.terms)
     motion = METHODS[method].begin(group, moved.state, 0.0, dt, tolerance)
-    frames = room_for(times.size, n, np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
+    frames = room_for(times.size, n, np.tile(UPRIGHT, (n, 1)))
     for array in frames[:4]:
         array[:] = np.nan
     for rows in np.array_split(np.arange(times.size), chunks):
@@ -218,11 +227,10 @@ def starts(columns: int) -> tuple[Floats, Floats, Floats]:
     u = np.linspace(-1.0, 1.0, columns)
     angle = np.radians(30.0 + u * np.abs(u) * np.where(u < 0.0, 29.0, 59.0))
     L = np.stack([np.sin(angle), np.zeros(columns), np.cos(angle)], axis=1)
-    moments = np.array([1.0, 2.0, 3.0])
-    across = moments[1] * (L * L / moments).sum(axis=1)
-    omega = L / moments
+    across = MOMENTS[1] * (L * L / MOMENTS).sum(axis=1)
+    omega = L / MOMENTS
     omega /= np.linalg.norm(omega, axis=1, keepdims=True)
-    return across, np.tile(moments, (columns, 1)), omega
+    return across, np.tile(MOMENTS, (columns, 1)), omega
 
 
 Family = Callable[[int], tuple[Floats, Floats, Floats]]

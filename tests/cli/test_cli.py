@@ -473,7 +473,7 @@ def test_sigterm_ends_every_command_with_130(monkeypatch, capsys):
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(60)
 
-    monkeypatch.setitem(cli.COMMANDS, "cases", wait)
+    monkeypatch.setitem(cli.COMMANDS, "cases", cli.COMMANDS["cases"]._replace(run=wait))
     monkeypatch.setattr("sys.argv", ["particlerb", "cases"])
     before = signal.getsignal(signal.SIGTERM)
     try:

@@ -11,14 +11,16 @@ from particlerb.simulation.trials import Error
 from particlerb.studies.work_precision import (
     Point,
     WorkPrecision,
-    advice,
     chart,
+    failure,
+    nice_steps,
+)
+from particlerb.studies.work_precision_table import (
+    advice,
     cheapest,
     csv_rows,
     duration,
-    failure,
     frontier,
-    nice_steps,
     table,
 )
 
@@ -28,8 +30,8 @@ def point(seconds, worst, method="strang", engine="", step=0.1, position=0.0, fa
     return Point(method, engine, step, False, seconds, error, 0.0, 0.0, failed)
 
 
-def made(*points, wanted=1e-6):
-    return WorkPrecision("scene", 1, 1, 1.0, points, "the closed form", 1e-15, (), (), wanted)
+def made(*points, target=1e-6):
+    return WorkPrecision("scene", 1, 1, 1.0, points, "the closed form", 1e-15, (), (), target)
 
 
 def test_steps_are_those_that_one_would_write_down():
@@ -60,15 +62,16 @@ def test_advice_names_the_cheapest_run_that_is_good_enough():
 def test_advice_says_what_came_nearest_where_nothing_is_good_enough():
     text = advice(made(point(1e-3, 1e-4), point(1.0, 1e-5)))
     assert text == (
-        "no run came below 1e-06 within the time; the best was strang with dt = 0.1 s: 1e-05 in 1 s"
+        "no run reached an error of 1e-06 within the budget; the best was strang with dt = 0.1 s:"
+        " 1e-05 in 1 s"
     )
     assert "shorten run.t_end" in advice(made(point(1.0, 3.0, failed="lost")))
 
 
 def test_nothing_is_advised_below_the_floor_of_the_reference():
-    chart = made(point(1.0, 0.0), wanted=1e-12)._replace(floor=6e-9)
+    chart = made(point(1.0, 0.0), target=1e-12)._replace(floor=6e-9)
     assert advice(chart) == (
-        "nothing can be said about 1e-12: the reference itself is good to 6e-09 only"
+        "an error of 1e-12 cannot be judged: the reference is accurate to 6e-09 only"
     )
 
 
@@ -81,10 +84,10 @@ def test_durations_read_as_one_would_say_them(seconds, words):
 
 def test_failures_are_told_apart():
     assert failure(Error(0.9, 0.1, 0.0)) == ""
-    assert failure(Error(1.5, 1.0, 0.0)).startswith("lost: off by 1.5 rad")
-    assert failure(Error(0.1, 0.1, 3.0)) == "lost: off by 3 of size or way"
-    assert failure(Error(math.nan, 0.0, 0.0)) == "not finite"
-    assert failure(Error(0.0, 0.0, math.inf)) == "not finite"
+    assert failure(Error(1.5, 1.0, 0.0)) == "orientation off by 1.5 rad"
+    assert failure(Error(0.1, 0.1, 3.0)) == "position off by 3 times the size or path of the body"
+    assert failure(Error(math.nan, 0.0, 0.0)) == "NaN or infinite"
+    assert failure(Error(0.0, 0.0, math.inf)) == "NaN or infinite"
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +156,7 @@ def test_forced_scene_has_a_reference_of_two_methods_that_agree(make):
         make.body(angular_velocity=[1, 2, 0.5]), force=[push, drag], t_end=2.0, every=2.0
     )
     found = chart(load(case), ("exact", "strang", "rkn6"), budget=2.0)
-    assert "dop853 at its finest, beside rk4" in found.reference
+    assert "dop853 with tolerance 1e-14, checked by rk4" in found.reference
     assert found.floor < 1e-10
     assert dict(found.left_out)["rkn6"] == "rkn6 does not accept what acts here: drag"
     assert {p.method for p in found.points} == {"strang"}
@@ -166,8 +169,8 @@ def test_a_large_scene_is_judged_by_a_sample_and_timed_as_a_whole(make):
     )
     found = chart(load(make.case(bodies)), ("strang",), budget=1.0)
     assert found.n_bodies == 300
-    assert 64 <= found.n_judged <= 128
-    assert f"{found.n_judged} bodies judged" in table(found)
+    assert 64 <= found.n_sampled <= 128
+    assert f"errors of {found.n_sampled} sampled bodies" in table(found)
 
 
 @pytest.mark.compiled
@@ -177,9 +180,9 @@ def test_points_are_judged_by_where_they_are(make):
     body = {"name": "point", "shape": shape, "position": [1, 0, 0], "velocity": [0, 1, 0]}
     centre = {"type": "central", "body": "point", "mu": 1.0}
     case = make.case(body, force=[centre], t_end=6.0, every=6.0)
-    found = chart(load(case), ("strang", "explicit_euler"), wanted=1e-4, budget=2.0)
+    found = chart(load(case), ("strang", "explicit_euler"), target=1e-4, budget=2.0)
     euler = [p for p in found.points if p.method == "explicit_euler"]
-    assert any(p.failure.endswith("of size or way") for p in euler)
+    assert any(p.failure.startswith("position off by") for p in euler)
     assert frontier(found.points)[-1].method == "strang"
     assert all(p.error.position < 1.0 for p in frontier(found.points))
     assert cheapest(found.points, 1e-4).method == "strang"
@@ -224,4 +227,4 @@ def test_peer_on_the_chart_has_the_errors_of_its_own_order(make):
     turning = make.case(make.body(), force=[make.torque([0, 0, 1])])
     refused = chart(load(turning), ("dop853",), ("scipy",), budget=1.0)
     (reason,) = [why for name, why in refused.left_out if name == "SciPy"]
-    assert reason == "peers are given gravity and constant world pushes alone"
+    assert reason == "other engines take gravity and constant pushes in the world frame only"

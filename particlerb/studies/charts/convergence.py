@@ -10,13 +10,18 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import NullFormatter
 
-from particlerb.maths.vec3 import Floats
-from particlerb.studies.charts.style import COLOURS, GRID, INK, bare
+from particlerb.studies.charts.style import (
+    COLOURS,
+    INK,
+    CurveEnd,
+    finish_panel,
+    name_curves,
+    write_inside,
+)
 from particlerb.studies.convergence import (
     WANTED,
     Convergence,
@@ -36,24 +41,30 @@ NAMES_AT = 1.6  # where names begin, in the same units
 SHORT = 0.01  # a curve that ends before this has its name where it ends
 BOTTOM, LOWEST = 5e-5, 5e-7  # lowest errors shown, left and right
 FLOOR = 1e-17  # where an error of 0 is drawn
-
-End = tuple[float, float, str, str]
+FINE_TICKS = ["0", "$10^{-16}$", "$10^{-14}$", "$10^{-12}$"]
 
 
 def draw_convergence(convergence: Convergence, path: Path) -> None:
     """Draw a study; as PNG, SVG or PDF, by the suffix of the path."""
+    exact = [curve for curve in convergence.curves if is_exact(curve)]
     rough = [curve for curve in convergence.curves if not is_exact(curve)]
-    colours = colours_of(rough)
     figure = Figure(figsize=(14.5, 8.4), layout="constrained")
     figure.suptitle("How many particles a body needs", color=INK, fontsize=14)
-    if rough:
-        left, right = figure.subfigures(1, 2, squeeze=False, wspace=0.02)[0]
-        draw_answer(left, convergence, colours)
-        draw_evidence(right, convergence, colours)
+    most = convergence.most
+    if not rough:
+        draw_exact(figure.subplots(), exact, most)
     else:
-        axes = figure.subplots()
-        draw_exact(axes, convergence.curves, convergence.most)
-        axes.set_xlabel("particles in total")
+        colours = colours_of(rough)
+        left, right = figure.subfigures(1, 2, squeeze=False, wspace=0.02)[0]
+        if exact:
+            above, below = left.subplots(2, 1, sharex=True, height_ratios=(4.6, 1.4))
+            draw_settled(above, rough, colours, most)
+            above.set_xlabel("")
+            draw_exact(below, exact, most)
+        else:
+            draw_settled(left.subplots(), rough, colours, most)
+        needs = {curve.shape: int(curve.particles[0]) for curve in exact}
+        draw_lattices(right, rough, colours, needs)
     figure.savefig(path, dpi=110)
 
 
@@ -70,34 +81,19 @@ def title(curve: Curve) -> str:
     return name if math.isnan(p) else f"{name}, 1/n^{p:.2f}"
 
 
-def finish(axes: Axes) -> None:
+def finish(axes: Axes, heading: str = "", **settings: object) -> None:
     """What all panels have in common."""
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    finish_panel(axes, heading, xscale="log", yscale="log", **settings)
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.grid(color=GRID, lw=0.6)
-    bare(axes)
 
 
 # Left: error against the total number of particles
 
 
-def draw_answer(figure: SubFigure, convergence: Convergence, colours: dict[str, str]) -> None:
-    """Errors that no larger set exceeds, and the strip of rounding below them."""
-    exact = [curve for curve in convergence.curves if is_exact(curve)]
-    rows = 2 if exact else 1
-    ratios = (4.6, 1.4)[:rows]
-    panels = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
-    draw_settled(panels[0], convergence, colours)
-    if exact:
-        draw_exact(panels[1], exact, convergence.most)
-    panels[-1].set_xlabel("particles in total")
-
-
-def draw_settled(axes: Axes, convergence: Convergence, colours: dict[str, str]) -> None:
+def draw_settled(axes: Axes, curves: Sequence[Curve], colours: dict[str, str], most: int) -> None:
     """The error that neither this set nor any larger one that was tried exceeds."""
     ends = []
-    for curve in (c for c in convergence.curves if not is_exact(c)):
+    for curve in curves:
         shown = is_confirmed(curve) & (settled(curve) >= BOTTOM)
         if not shown.any():
             continue
@@ -105,35 +101,21 @@ def draw_settled(axes: Axes, convergence: Convergence, colours: dict[str, str]) 
         style = "steps-post" if math.isnan(order(curve)) else "default"
         axes.plot(number, error, color=colours[curve.shape], lw=1.8, drawstyle=style)
         ends.append((float(number[-1]), float(error[-1]), title(curve), colours[curve.shape]))
-    finish(axes)
-    axes.set_ylim(BOTTOM, 1.0)
-    axes.set_xlim(1.0, WIDEST * convergence.most)
-    name_ends(axes, ends, convergence.most, gap=0.16)
-    axes.hlines(WANTED, 1.0, convergence.most, color=INK, lw=0.8, ls=":")
-    axes.set_title("error that no larger lattice exceeds", fontsize=10, loc="left")
-    axes.set_ylabel("relative error of tensor or com")
+    finish(
+        axes, "error that no larger lattice exceeds", xlabel="particles in total",
+        ylabel="relative error of tensor or com", xlim=(1.0, WIDEST * most), ylim=(BOTTOM, 1.0),
+    )  # fmt: skip
+    name_ends(axes, ends, most, gap=0.16)
+    axes.hlines(WANTED, 1.0, most, color=INK, lw=0.8, ls=":")
 
 
-def name_ends(axes: Axes, ends: Sequence[End], most: int, gap: float) -> None:
-    """Names beside the ends of curves, at least `gap` decades apart."""
-    far = sorted((end for end in ends if end[0] > SHORT * most), key=lambda end: end[1])
-    heights = spread_apart(np.log10([end[1] for end in far]), gap)
-    for (x, y, name, colour), height in zip(far, heights, strict=True):
-        axes.annotate(
-            name, (x, y), (NAMES_AT * most, 10.0**height), color=colour, va="center",
-            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6},
-        )  # fmt: skip
-    for x, y, name, colour in (end for end in ends if end[0] <= SHORT * most):
+def name_ends(axes: Axes, ends: Sequence[CurveEnd], most: int, gap: float) -> None:
+    """Names at the right; those of curves that end early where these end."""
+    is_far = [end[0] > SHORT * most for end in ends]
+    name_curves(axes, [end for end, far in zip(ends, is_far, strict=True) if far],
+                NAMES_AT * most, gap)  # fmt: skip
+    for x, y, name, colour in (end for end, far in zip(ends, is_far, strict=True) if not far):
         axes.annotate(name, (x, y), (6, 6), textcoords="offset points", color=colour)
-
-
-def spread_apart(height: Floats, gap: float) -> Floats:
-    """Ascending heights moved apart to this gap, as far up as down."""
-    steps = gap * np.arange(len(height))
-    rising = np.maximum.accumulate(height - steps)
-    falling = np.minimum.accumulate((height - steps)[::-1])[::-1]
-    moved: Floats = 0.5 * (rising + falling) + steps
-    return moved
 
 
 def draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
@@ -146,41 +128,42 @@ def draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
             f"{title(curve)} {number}", (number, error), (0.02 + 0.19 * k, 0.84), color=EXACT,
             textcoords="axes fraction", arrowprops={"arrowstyle": "-", "color": EXACT, "lw": 0.6},
         )  # fmt: skip
-    ends = []
     cells = [c for c in curves if c.arrangement == "cells"]
     lines = [([c], f"{title(c)}, any n") for c in curves if len(c.n) > 1 and c not in cells]
     if cells:
         names = title(cells[0]) if len(cells) == 1 else "all curved shapes"
         lines.append((cells, f"cells of {names}, any n"))
+    ends = []
     for together, name in lines:
         worst = max(FLOOR, *(float(curve.error.max()) for curve in together))
         first = min(int(curve.particles[0]) for curve in together)
         last = max(int(curve.particles[-1]) for curve in together)
         axes.plot([first, last], [worst, worst], color=EXACT, lw=1.8)
         ends.append((float(last), worst, name, EXACT))
-    finish(axes)
-    axes.set_xlim(1.0, WIDEST * most)
+    finish(
+        axes, "exact sets: only rounding is left", xlabel="particles in total",
+        xlim=(1.0, WIDEST * most), ylim=(FLOOR / 2, 1e-12),
+    )  # fmt: skip
     name_ends(axes, ends, most, gap=0.8)
-    axes.set_ylim(FLOOR / 2, 1e-12)
-    axes.set_yticks([FLOOR, 1e-16, 1e-14, 1e-12], ["0", "$10^{-16}$", "$10^{-14}$", "$10^{-12}$"])
+    axes.set_yticks([FLOOR, 1e-16, 1e-14, 1e-12], FINE_TICKS)
     axes.tick_params(axis="y", which="minor", left=False)
-    axes.set_title("exact sets: only rounding is left", fontsize=10, loc="left", color=EXACT)
 
 
 # Right: every lattice that was tried, against particles per edge
 
 
-def draw_evidence(figure: SubFigure, convergence: Convergence, colours: dict[str, str]) -> None:
-    """One panel per shape, the numbers of particles in it."""
-    rough = [curve for curve in convergence.curves if not is_exact(curve)]
-    exact = {c.shape: int(c.particles[0]) for c in convergence.curves if is_exact(c)}
-    columns = min(3, math.ceil(math.sqrt(len(rough))))
-    rows = math.ceil(len(rough) / columns)
+def draw_lattices(
+    figure: SubFigure, curves: Sequence[Curve], colours: dict[str, str], exact: dict[str, int]
+) -> None:
+    """One panel per shape, the numbers of particles in it, that of an exact set too."""
+    columns = min(3, math.ceil(math.sqrt(len(curves))))
+    rows = math.ceil(len(curves) / columns)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes, curve in zip(panels.flat, rough, strict=False):
-        draw_lattices(axes, curve, colours[curve.shape])
-        write_needs(axes, curve, exact.get(curve.shape))
-    for axes in panels.flat[len(rough) :]:
+    for axes, curve in zip(panels.flat, curves, strict=False):
+        draw_lattice(axes, curve, colours[curve.shape])
+        write_inside(axes, 0.03, 0.03, needs_text(curve, exact.get(curve.shape)), fontsize=7,
+                     family="monospace", color=INK, va="bottom", linespacing=1.25)  # fmt: skip
+    for axes in panels.flat[len(curves) :]:
         axes.remove()
     figure.suptitle(
         "each lattice (dots), median and range of neighbouring n (line, band), 1/n² (dotted)",
@@ -189,7 +172,7 @@ def draw_evidence(figure: SubFigure, convergence: Convergence, colours: dict[str
     figure.supxlabel("particles per edge, n", fontsize=10)
 
 
-def draw_lattices(axes: Axes, curve: Curve, colour: str) -> None:
+def draw_lattice(axes: Axes, curve: Curve, colour: str) -> None:
     """Every error, the band and the median of neighbouring n, and 1/n² to compare with."""
     lowest, median, highest = spread(curve)
     axes.plot(curve.n, curve.n**-2.0, color=INK, lw=0.9, ls=":", zorder=3)
@@ -197,20 +180,16 @@ def draw_lattices(axes: Axes, curve: Curve, colour: str) -> None:
     if math.isnan(order(curve)):
         axes.fill_between(curve.n, lowest, highest, color=colour, alpha=0.2, lw=0)
         axes.plot(curve.n, median, color=colour, lw=1.6)
-    finish(axes)
-    axes.set_ylim(LOWEST, 1.0)
-    axes.text(0.98, 0.97, title(curve), transform=axes.transAxes, ha="right", va="top",
-              color=colour)  # fmt: skip
+    finish(axes, ylim=(LOWEST, 1.0))
+    write_inside(axes, 0.98, 0.97, title(curve), ha="right", va="top", color=colour)
 
 
-def write_needs(axes: Axes, curve: Curve, exact: int | None) -> None:
-    """Particles for each wanted error, in the corner below the points."""
+def needs_text(curve: Curve, exact: int | None) -> str:
+    """Particles for each wanted error, and those of an exact set."""
     rows = [("error", "particles")]
     for wanted in WANTED:
         need = needed(curve, wanted)
         rows.append((f"{wanted:g}", f"{'' if need.is_reached else '> '}{need.particles:,}"))
     if exact is not None:
         rows.append(("exact", f"{exact}"))
-    text = "\n".join(f"{error:<6}{number:>10}" for error, number in rows).replace(",", " ")
-    axes.text(0.03, 0.03, text, transform=axes.transAxes, fontsize=7, family="monospace",
-              color=INK, va="bottom", linespacing=1.25)  # fmt: skip
+    return "\n".join(f"{error:<6}{number:>10}" for error, number in rows).replace(",", " ")

@@ -18,8 +18,15 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
 from particlerb.maths.vec3 import Bools, Floats
-from particlerb.studies.charts.convergence import spread_apart
-from particlerb.studies.charts.style import GRID, INK, bare
+from particlerb.studies.charts.style import (
+    INK,
+    METHOD_COLOURS,
+    bare,
+    finish_panel,
+    name_curves,
+    write_beside,
+    write_inside,
+)
 from particlerb.studies.stability import (
     MOTIONS,
     EnergyDrift,
@@ -28,49 +35,23 @@ from particlerb.studies.stability import (
     growth_exponent,
     is_tolerance,
     largest_pace,
-    number,
 )
-from particlerb.studies.stability_limits import (
-    Limit,
-)
-from particlerb.studies.stability_runs import (
-    SMALL,
-    UNSOLVABLE,
-    VERDICTS,
-)
+from particlerb.studies.stability_limits import Limit
+from particlerb.studies.stability_runs import SMALL, UNSOLVABLE, VERDICTS
+from particlerb.studies.stability_table import number
 
 TINTS: Final = ("#9fd8b4", "#f3e9a2", "#79b4dd", "#e8823a", "#4a4a4a")  # of VERDICTS
-WORDS: Final = (
-    "accurate",
-    "accurate so far,\ngrowing",
-    "bounded\nand wrong",
-    "growing",
-    "no numbers\nleft",
-)
-MEANING: Final = (
-    "accurate: energy within 0.1 %, no growth",
-    "accurate so far, but the error grows",
-    "bounded and wrong: off by more than 0.1 %",
-    "growing: wrong, and more so with time",
-    "not solvable: NaN or infinite",
-)
-LEVELS: Final = (-9.0, -6.0, -3.0, -1.0)  # decades of the lines of equal error
-COLOURS: Final = {
-    "exact": "#333333",
-    "strang": "#0072b2",
-    "rkn6": "#009e73",
-    "dop853": "#7b3294",
-    "rk4": "#b8860b",
-    "semi_implicit_euler": "#d55e00",
-    "explicit_euler": "#b2182b",
-    "momentum_euler": "#cc79a7",
+MEANING: Final = {
+    "accurate": "accurate: energy within 0.1 %, no growth",
+    "accurate so far,\ngrowing": "accurate so far, but the error grows",
+    "bounded\nand wrong": "bounded and wrong: off by more than 0.1 %",
+    "growing": "growing: wrong, and more so with time",
+    "NaN or\ninfinite": "not solvable: NaN or infinite",
 }
+"""Of the verdicts: words in a map, and in the legend."""
+LEVELS: Final = (-9.0, -6.0, -3.0, -1.0)  # decades of the lines of equal error
 STEPS: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
-STARTS: Final = (
-    (2.0 / 3.0, "axis of\nlargest"),
-    (1.0, "separa-\ntrix"),
-    (2.0, "axis of\nsmallest"),
-)
+STARTS: Final = {2.0 / 3.0: "axis of\nlargest", 1.0: "separa-\ntrix", 2.0: "axis of\nsmallest"}
 FLOOR: Final = 1e-17  # lowest error drawn
 BOTTOM, TOP = 1e-15, 30.0  # of the drift
 LEFT_FREE: Final = 3e-8  # between the curves of rkn6 and of all others: where runs end is named
@@ -105,17 +86,18 @@ def draw_maps(figure: SubFigure, study: Stability, methods: Sequence[str]) -> No
     for one in study.maps:
         axes = panels[families.index(one.family), methods.index(one.method)]
         draw_map(axes, one)
-        if one.method == methods[0] and not is_tolerance(one):
+        if is_tolerance(one):
+            continue
+        if one.method == methods[0]:
             axes.set_ylabel("h |ω|  [rad per step]", fontsize=11)
-        if one.method == methods[-1] and not is_tolerance(one):
+        if one.method == methods[-1]:
             mark_steps_per_turn(axes)
     for axes, method in zip(panels[0], methods, strict=True):
-        axes.set_title(spoken(method), color=COLOURS[method], fontsize=13, pad=20)
-        axes.text(0.5, 1.03, headline(study, method), ha="center", va="bottom", fontsize=9,
-                  transform=axes.transAxes)  # fmt: skip
+        axes.set_title(spoken(method), color=METHOD_COLOURS[method], fontsize=13, pad=20)
+        write_inside(axes, 0.5, 1.03, headline(study, method), ha="center", va="bottom", fontsize=9)
     patches = [
         Patch(facecolor=tint, edgecolor=INK, lw=0.5, label=text)
-        for tint, text in zip(TINTS, MEANING, strict=True)
+        for tint, text in zip(TINTS, MEANING.values(), strict=True)
     ]
     figure.legend(handles=patches, loc="outside upper center", ncols=5, frameon=False, fontsize=11)
 
@@ -151,7 +133,7 @@ def draw_map(axes: Axes, one: Map) -> None:
         name_regions(axes, one)
     else:
         text = f"closed form:\nno step\n\nworst error\n{one.error.max():.0e}"
-        axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes, fontsize=11)
+        write_inside(axes, 0.5, 0.5, text, ha="center", va="center", fontsize=11)
     mark_across(axes, one)
     mark_pace(axes, one)
 
@@ -177,7 +159,7 @@ def draw_levels(axes: Axes, one: Map) -> None:
 
 def name_regions(axes: Axes, one: Map) -> None:
     """The word of each verdict in the widest place of its region, and how soon all is lost."""
-    for k, word in enumerate(WORDS):
+    for k, word in enumerate(MEANING):
         place = widest(one.verdict == k)
         if place is None:
             continue
@@ -231,8 +213,8 @@ def mark_across(axes: Axes, one: Map) -> None:
         axes.set_xticks(at, ["needle", "plate\n1 : 4", "plate\n1 : 2", "disc"], fontsize=9)
         axes.set_xlabel("shape of the body")
         return
-    at = [float(np.interp(value, one.across, x)) for value, _ in STARTS]
-    axes.set_xticks(at, [text for _, text in STARTS], fontsize=9)
+    at = np.interp(list(STARTS), one.across, x).tolist()
+    axes.set_xticks(at, list(STARTS.values()), fontsize=9)
     axes.axvline(at[1], color=INK, lw=0.8, ls=":")
     axes.set_xlabel("start, I = (1, 2, 3)")
 
@@ -250,8 +232,8 @@ def mark_pace(axes: Axes, one: Map) -> None:
     missing = one.pace[0] / STEPS[0] if one.pace.any() else 1.0
     if missing > 2.0:
         height = 0.5 * math.log(missing) / math.log(STEPS[-1] / STEPS[0])
-        axes.text(0.5, height, "not run: small steps\nof this method are dear", ha="center",
-                  va="center", fontsize=8, color=INK, transform=axes.transAxes)  # fmt: skip
+        text = "not run: small steps\nof this method\ncost too much"
+        write_inside(axes, 0.5, height, text, ha="center", va="center", fontsize=8, color=INK)
 
 
 def mark_steps_per_turn(axes: Axes) -> None:
@@ -268,25 +250,20 @@ def mark_steps_per_turn(axes: Axes) -> None:
 def draw_limits(figure: SubFigure, limits: Sequence[Limit]) -> None:
     """Each limit: its distance from theory in per cent, and both figures in words."""
     axes = figure.subplots()
-    beside = axes.get_yaxis_transform()
-    mono: dict[str, Any] = {"transform": beside, "va": "center", "family": "monospace"}
+    figures: dict[str, Any] = {"va": "center", "family": "monospace", "fontsize": 8.5}
     axes.axvspan(-1.0, 1.0, color="#eef5ee", lw=0)
     axes.axvline(0.0, color=INK, lw=0.8)
     for y, one in zip(range(len(limits), 0, -1), limits, strict=True):
-        colour = COLOURS[one.method]
+        colour = METHOD_COLOURS[one.method]
         if math.isfinite(one.theory):
             axes.plot(100.0 * (one.measured / one.theory - 1.0), y, "o", color=colour, ms=6)
         name = f"{spoken(one.method)}: {one.name.replace(': largest', ',')}"
-        axes.text(-0.02, y, name, transform=beside, ha="right", va="center", fontsize=9,
-                  color=colour)  # fmt: skip
-        axes.text(
-            1.02, y, f"{number(one.theory):>12} {number(one.measured):>12}", fontsize=8.5, **mono
-        )
+        write_beside(axes, -0.02, y, name, ha="right", va="center", fontsize=9, color=colour)
+        text = f"{number(one.theory):>12} {number(one.measured):>12}"
+        write_beside(axes, 1.02, y, text, **figures)
     heading = f"{'theory':>12} {'measured':>12}"
-    axes.text(1.02, len(limits) + 1.0, heading, fontsize=8.5, weight="bold", **mono)
-    axes.set_xlim(-1.3, 1.3)
-    axes.set_ylim(0.3, len(limits) + 1.5)
-    axes.set_yticks([])
+    write_beside(axes, 1.02, len(limits) + 1.0, heading, weight="bold", **figures)
+    axes.set(xlim=(-1.3, 1.3), ylim=(0.3, len(limits) + 1.5), yticks=[])
     axes.set_xlabel("measured less theory [%]; shaded: 1 %")
     axes.set_title("limits of the step, and factors per step", loc="left", fontsize=12)
     axes.spines["left"].set_visible(False)
@@ -300,20 +277,24 @@ def draw_drifts(figure: SubFigure, drifts: Sequence[EnergyDrift]) -> None:
     """Energy error against time: one panel per motion."""
     panels = figure.subplots(len(MOTIONS), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, motion in zip(panels, MOTIONS, strict=True):
-        axes.set_xscale("log")
-        axes.set_yscale("log")
         own = [one for one in drifts if one.motion == motion]
+        longest = max(one.turns[-1] for one in own)
+        finish_panel(
+            axes, f"{motion}, eight starts: every sample (dots), largest until then (line)",
+            xscale="log", yscale="log", xlim=(0.1, 300.0 * longest), ylim=(BOTTOM, TOP),
+            xticks=[10.0**k for k in range(-1, round(math.log10(longest)) + 1)],
+            ylabel="|E/E₀ − 1|",
+        )  # fmt: skip
+        axes.xaxis.set_minor_locator(NullLocator())
         for drift in own:
             draw_drift(axes, drift)
-        finish_drift(axes, own)
-        title = f"{motion}, eight starts: every sample (dots), largest until then (line)"
-        axes.set_title(title, loc="left", fontsize=12)
+        name_drifts(axes, own)
     panels[-1].set_xlabel("turns")
 
 
 def draw_drift(axes: Axes, drift: EnergyDrift) -> None:
     """Samples of the worst body, and the running maximum; where it ends if it ends."""
-    colour = COLOURS[drift.method]
+    colour = METHOD_COLOURS[drift.method]
     is_finite = np.isfinite(drift.largest)
     turns, worst = drift.turns[is_finite], drift.error.max(axis=1)[is_finite]
     axes.plot(turns, np.maximum(worst, FLOOR), ".", color=colour, ms=2.5, alpha=0.5)
@@ -323,24 +304,13 @@ def draw_drift(axes: Axes, drift: EnergyDrift) -> None:
         axes.text(turns[-1], LEFT_FREE, text, color=colour, va="center")
 
 
-def finish_drift(axes: Axes, drifts: Sequence[EnergyDrift]) -> None:
-    """Names at the ends, apart from each other, and the axes."""
-    whole = sorted(
-        (one for one in drifts if np.isfinite(one.largest).all()), key=lambda one: one.largest[-1]
-    )
-    ends = [min(max(float(one.largest[-1]), BOTTOM), TOP) for one in whole]
-    for drift, end, height in zip(whole, ends, spread_apart(np.log10(ends), 1.8), strict=True):
-        last, exponent = float(drift.turns[-1]), abs(growth_exponent(drift)[0])
+def name_drifts(axes: Axes, drifts: Sequence[EnergyDrift]) -> None:
+    """Names and exponents at the ends of the curves that do not break off."""
+    ends = []
+    for drift in (one for one in drifts if np.isfinite(one.largest).all()):
+        end, exponent = float(drift.largest[-1]), abs(growth_exponent(drift)[0])
         text = f"{spoken(drift.method)}, h|ω| = {drift.pace:g}: ∝ t^{exponent:.2f}"
-        axes.annotate(
-            text, (last, end), (1.6 * last, 10.0**height), color=COLOURS[drift.method],
-            va="center", arrowprops={"arrowstyle": "-", "color": COLOURS[drift.method], "lw": 0.6},
-        )  # fmt: skip
-    longest = max(one.turns[-1] for one in drifts)
-    axes.set_ylim(BOTTOM, TOP)
-    axes.set_xlim(0.1, 300.0 * longest)
-    axes.set_xticks([10.0**k for k in range(-1, round(math.log10(longest)) + 1)])
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.grid(color=GRID, lw=0.6)
-    axes.set_ylabel("|E/E₀ − 1|")
-    bare(axes)
+        level = min(max(end, BOTTOM), TOP)
+        ends.append((float(drift.turns[-1]), level, text, METHOD_COLOURS[drift.method]))
+    if ends:
+        name_curves(axes, ends, 1.6 * ends[0][0], gap=1.8)

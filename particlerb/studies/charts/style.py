@@ -1,18 +1,73 @@
-"""Colours and lines that all pictures share."""
+"""Colours, lines and panels that all pictures share."""
 
-from typing import Final
+from collections.abc import Sequence
+from typing import Any, Final
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
+
+from particlerb.maths.vec3 import Floats
 
 mpl.use("Agg")
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73")  # told apart also by the colour-blind
+METHOD_COLOURS: Final = {
+    "exact": "#333333",
+    "strang": "#0072b2",
+    "rkn6": "#009e73",
+    "dop853": "#7b3294",
+    "rk4": "#b8860b",
+    "semi_implicit_euler": "#d55e00",
+    "explicit_euler": "#b2182b",
+    "momentum_euler": "#cc79a7",
+}
 INK: Final = "#333333"
 GRID: Final = "#dddddd"
+
+CurveEnd = tuple[float, float, str, str]
+"""x and y of the last point of a curve, its name, its colour."""
 
 
 def bare(axes: Axes) -> None:
     """Leave out what carries nothing: the frame at the top and at the right."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
+
+
+def finish_panel(axes: Axes, title: str = "", **settings: Any) -> None:
+    """Set the title, the grid and what `Axes.set` takes: labels, scales, limits, ticks."""
+    axes.set(**settings)
+    axes.set_title(title, fontsize=10, loc="left", color=INK)
+    axes.grid(color=GRID, lw=0.6)
+    bare(axes)
+
+
+def write_beside(axes: Axes, x: float, y: float, text: str, **style: Any) -> None:
+    """Write at a share x of the width of the panel, and at a value y of its axis."""
+    axes.text(x, y, text, transform=axes.get_yaxis_transform(), **style)
+
+
+def write_inside(axes: Axes, x: float, y: float, text: str, **style: Any) -> None:
+    """Write at shares of the width and the height of the panel."""
+    axes.text(x, y, text, transform=axes.transAxes, **style)
+
+
+def name_curves(axes: Axes, ends: Sequence[CurveEnd], x: float, gap: float) -> None:
+    """Write names at x beside the ends of curves on a logarithmic axis, `gap` decades apart."""
+    ordered = sorted(ends, key=lambda end: end[1])
+    levels = spread_apart(np.log10([end[1] for end in ordered]), gap)
+    for (last, y, name, colour), level in zip(ordered, levels, strict=True):
+        axes.annotate(
+            name, (last, y), (x, 10.0**level), color=colour, va="center",
+            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6},
+        )  # fmt: skip
+
+
+def spread_apart(level: Floats, gap: float) -> Floats:
+    """Ascending levels moved apart to this gap, as far up as down."""
+    steps = gap * np.arange(len(level))
+    rising = np.maximum.accumulate(level - steps)
+    falling = np.minimum.accumulate((level - steps)[::-1])[::-1]
+    moved: Floats = 0.5 * (rising + falling) + steps
+    return moved

@@ -1,0 +1,113 @@
+"""The study of `stability` in words: limits beside theory, drift, maps; and its rows of numbers."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from particlerb.studies.stability import (
+    FREE,
+    EnergyDrift,
+    Map,
+    Stability,
+    growth_exponent,
+    largest_pace,
+    onsets,
+)
+from particlerb.studies.stability_limits import Limit
+from particlerb.studies.stability_runs import LARGE, SMALL, VERDICTS
+from particlerb.studies.text import aligned
+
+LIMIT_HEAD: Final = ("method", "limit", "theory", "measured", "difference")
+DRIFT_HEAD: Final = ("method", "motion", "h|ω|", "energy error", "exponent", "|L| error")
+MAP_HEAD: Final = ("method", "map", "below 1e-3", "below 0.1", "10 % off after", "what happens")
+EXPLANATION: Final = """\
+limit: steps from which on a linear motion grows, or factors of one step, beside closed forms
+exponent: p of (largest energy error until t) ∝ t^p over the last decade of the turns, and
+  its spread over 8 bodies; 0 bounded, 1/2 sum of rounding errors, 1 drift
+map: shape, from needle to disc at a generic spin; start, from stable axes to the separatrix
+below: largest h|ω| (dop853: tolerance) so that neither it nor any smaller one tried loses more
+  energy; 10 % off: turns until then at the smallest one, of the first body"""
+
+
+def table(study: Stability) -> str:
+    """Limits beside theory, drift, and for each map how far it is accurate and what comes then."""
+    parts = []
+    if study.limits:
+        parts.append(aligned([LIMIT_HEAD, *map(limit_row, study.limits)]))
+    if study.drifts:
+        parts.append(aligned([DRIFT_HEAD, *map(drift_row, study.drifts)]))
+    parts.append(aligned([MAP_HEAD, *map(map_row, study.maps)]))
+    return "\n\n".join([*parts, EXPLANATION])
+
+
+def limit_row(one: Limit) -> tuple[str, ...]:
+    """Texts of a limit."""
+    return one.method, one.name, number(one.theory), number(one.measured), percent(one.difference)
+
+
+def number(value: float) -> str:
+    """Six digits; none where there is no limit, a dash where nothing is known."""
+    return "none" if math.isinf(value) else "-" if math.isnan(value) else f"{value:.6g}"
+
+
+def percent(value: float) -> str:
+    """Per cent of a difference."""
+    return "-" if math.isnan(value) else f"{100.0 * value:.3f} %"
+
+
+def drift_row(drift: EnergyDrift) -> tuple[str, ...]:
+    """Texts of a drift."""
+    p, spread = growth_exponent(drift)
+    found = f"{drift.largest[-1]:.1e}", f"{p:.2f} ± {spread:.2f}"
+    if math.isnan(p):
+        ended = drift.turns[np.isinf(drift.largest).argmax()]
+        found = f"inf after {ended:.2g} turns", "-"
+    spin = "-" if math.isnan(p) or drift.motion != FREE else f"{drift.spin_error.max():.0e}"
+    return drift.method, drift.motion, f"{drift.pace:g}", *found, spin
+
+
+def map_row(one: Map) -> tuple[str, ...]:
+    """Texts of a map."""
+    if not one.pace.any():
+        worst = f"no step; worst error {one.error.max():.0e}"
+        return one.method, one.family, "any", "any", "-", worst
+    first = one.turns[0].min()
+    steps = (f"{largest_pace(one, error):.2g}" for error in (SMALL, LARGE))
+    lost = f"{first:.2g} turns" if math.isfinite(first) else "-"
+    return one.method, one.family, *steps, lost, what_happens(one)
+
+
+def what_happens(one: Map) -> str:
+    """Verdicts in the order in which they set in."""
+    found = sorted(onsets(one).items(), key=lambda item: item[1])
+    if not found:
+        return f"accurate throughout; worst error {one.error.max():.0e}"
+    return "; ".join(f"{name} from {pace:.2g}" for name, pace in found)
+
+
+CSV_HEAD: Final = (
+    "kind", "method", "name", "pace", "across", "energy_error", "verdict", "turns", "theory",
+    "measured",
+)  # fmt: skip
+
+
+def csv_rows(study: Stability) -> Iterator[Sequence[object]]:
+    """Rows of numbers, the header first: maps, limits and drift, empty where a column has no sense.
+
+    `pace` is h|ω| [rad] or the tolerance, `across` the side ratio or 2HI₂/L², `turns` those until
+    the energy was off by 10 % (maps), or passed (drift).
+    """
+    yield CSV_HEAD
+    for one in study.maps:
+        for (r, c), error in np.ndenumerate(one.error):
+            place = float(one.pace[r]), float(one.across[c])
+            found = float(error), VERDICTS[one.verdict[r, c]], float(one.turns[r, c])
+            yield "map", one.method, one.family, *place, *found, "", ""
+    for limit in study.limits:
+        yield "limit", limit.method, limit.name, *[""] * 5, limit.theory, limit.measured
+    for drift in study.drifts:
+        for turns, error in zip(drift.turns.tolist(), drift.error.max(axis=1), strict=True):
+            row = drift.method, drift.motion, drift.pace, "", float(error), "", turns, "", ""
+            yield "drift", *row

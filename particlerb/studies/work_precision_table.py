@@ -1,0 +1,111 @@
+"""A chart of work against precision in words: the Pareto front, the advice, the table, the rows."""
+
+from collections.abc import Iterator, Sequence
+
+from particlerb.studies.text import count_of
+from particlerb.studies.work_precision import POSE, Point, WorkPrecision
+
+
+def frontier(points: Sequence[Point]) -> list[Point]:
+    """Points of our own that no other of them beats in both time and error, by rising time."""
+    front: list[Point] = []
+    for point in sorted((p for p in points if not p.failure and not p.engine), key=fast_first):
+        if not front or point.size < front[-1].size:
+            front.append(point)
+    return front
+
+
+def fast_first(point: Point) -> tuple[float, float]:
+    """Order of points by time, then by error."""
+    return point.seconds, point.size
+
+
+def cheapest(points: Sequence[Point], target: float) -> Point | None:
+    """Our own point of least time whose error is small enough."""
+    good = [p for p in points if not p.engine and not p.failure and p.size <= target]
+    return min(good, key=fast_first, default=None)
+
+
+def advice(found: WorkPrecision) -> str:
+    """The sentence that a user wants."""
+    if found.target < found.floor:
+        return (
+            f"an error of {found.target:.3g} cannot be judged: the reference is accurate to"
+            f" {found.floor:.1g} only"
+        )
+    best = cheapest(found.points, found.target)
+    if best is not None:
+        return f"for an error of {found.target:.3g} take {setting(best)}: {duration(best.seconds)}"
+    own = [p for p in found.points if not p.engine and not p.failure]
+    if not own:
+        return "every run failed: shorten run.t_end"
+    least = min(own, key=lambda p: p.size)
+    return (
+        f"no run reached an error of {found.target:.3g} within the budget; the best was"
+        f" {setting(least)}: {least.size:.2g} in {duration(least.seconds)}"
+    )
+
+
+def setting(point: Point) -> str:
+    """How to run a point again."""
+    if point.is_tolerance:
+        return f"{point.label} with tolerance = {point.step:.3g}"
+    return f"{point.label} with dt = {point.step:.6g} s" if point.step else point.label
+
+
+def duration(seconds: float) -> str:
+    """A time as one would say it."""
+    for unit, factor in (("s", 1.0), ("ms", 1e3), ("µs", 1e6)):
+        if seconds * factor >= 1.0:
+            return f"{seconds * factor:.3g} {unit}"
+    return f"{seconds * 1e9:.3g} ns"
+
+
+def table(found: WorkPrecision) -> str:
+    """Text of a chart: one line per point, then what was left out, then the advice."""
+    bodies = count_of(found.n_bodies, "body", "bodies")
+    sampled = f"; errors of {found.n_sampled} sampled bodies"
+    front = {id(point) for point in frontier(found.points)}
+    heads = columns(found, ("worst rad", "rms rad", "position", "energy", "|L|"))
+    return "\n".join(
+        [
+            f"{found.title}: {bodies} to t = {found.t_end:.6g} s, one thread",
+            f"{found.measure}, against {found.reference}, good to {found.floor:.1g}"
+            + (sampled if found.n_sampled < found.n_bodies else ""),
+            "",
+            f"{'method':<28} {'dt or tol':>10} {'time':>9} {heads}",
+            *(row(found, p, "*" if id(p) in front else " ") for p in found.points),
+            *(f" {name}: left out, {reason}" for name, reason in found.left_out),
+            *(f" {name}: {error:.2e} rad, published" for name, error in found.published),
+            "",
+            "* on the Pareto front: no method of ours is both faster and more accurate",
+            advice(found),
+        ]
+    )
+
+
+def row(found: WorkPrecision, p: Point, mark: str) -> str:
+    """A point in a line."""
+    step = f"{p.step:.3g}" if p.step else "-"
+    values = columns(found, [f"{value:.2e}" for value in (*p.error, p.energy, p.spin)])
+    failed = f"  FAILED, {p.failure}" if p.failure else ""
+    return f"{mark}{p.label:<27} {step:>10} {duration(p.seconds):>9} {values}{failed}"
+
+
+def columns(found: WorkPrecision, values: Sequence[str]) -> str:
+    """Columns of a table: errors of orientation and position, which say nothing of contact."""
+    shown = values if found.measure == POSE else values[3:]
+    return " ".join(f"{value:>9}" for value in shown)
+
+
+def csv_rows(found: WorkPrecision) -> Iterator[Sequence[object]]:
+    """All points; the first row is the header."""
+    yield (
+        "engine", "method", "step [s] or tolerance", "is_tolerance", "seconds", "worst [rad]",
+        "rms [rad]", "position", "energy", "angular_momentum", "failure",
+    )  # fmt: skip
+    for p in found.points:
+        yield (
+            p.engine or "particlerb", p.method, p.step, p.is_tolerance, p.seconds, p.error.worst,
+            p.error.rms, p.error.position, p.energy, p.spin, p.failure,
+        )  # fmt: skip
