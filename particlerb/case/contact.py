@@ -76,7 +76,7 @@ class ContactTable(Table):
         None, description="Distance up to which pairs are kept; default: chosen. [m]"
     )
     overlap: NonNegative = Field(
-        0.0, description="Overlap at t = 0 that is no mistake; rounding always is none. [m]"
+        0.0, description="Overlap at t = 0 that is allowed; rounding always is. [m]"
     )
     relax: Yes = Field(False, description="Whether to push apart what overlaps at t = 0. [-]")
     allow_unstable: Yes = Field(

@@ -98,7 +98,7 @@ class RunTable(Table):
     accuracy: Annotated[Positive, Field(le=1.0)] | None = Field(
         None,
         description="Largest error at t_end; chooses method and step, in place of method and dt."
-        " [rad, and position relative to size or way]",
+        " [rad, and position relative to size or path]",
     )
     seed: Annotated[int, Strict(), Field(ge=0, le=2**63 - 1)] = Field(
         0, description="Seed of all random numbers. [-]"

@@ -102,7 +102,7 @@ def add_plan(command: Parser) -> None:
 def add_matter(command: Parser) -> None:
     """Add options of the commands that read bodies: of a case, or one from a file of its own."""
     add_overrides(command)
-    file = command.add_argument_group("of a body in a table or mesh, which is no case")
+    file = command.add_argument_group("for a body in a table or mesh")
     amount = file.add_mutually_exclusive_group()
     amount.add_argument("--mass", type=positive, metavar="KG", help="of the body")
     amount.add_argument(

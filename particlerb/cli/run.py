@@ -98,7 +98,7 @@ def conclude(
         if not options.quiet:
             print(drift_text(outcome))
             print(f"written: {path}")
-    warn(options, swing_warnings(prepared, outcome))
+    warn(options, contact_warnings(prepared, outcome))
     return DONE if all(check.holds for check in checks) else MISSED
 
 
@@ -149,7 +149,9 @@ def size_text(case: "Case", path: Path) -> str:
     if CONTACTS in case.output.fields:
         item = np.dtype(case.output.dtype).itemsize
         each = sum(max(c.width, 1) * (4 if c.is_count else item) for c in COLUMNS.values())
-        text += f" and {each} bytes for each contact in a frame, whose number nobody knows yet"
+        text += (
+            f" and {each} bytes for each contact in a frame, whose number is not known in advance"
+        )
     return f"{text}; {amount(free_bytes(path))} are free"
 
 
@@ -238,49 +240,48 @@ def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
             n = trajectory.n_frames
             text = f"{n} {'frame is' if n == 1 else 'frames are'} kept in {path}"
             if can_go_on and (CHECKPOINT in trajectory.file or not n):
-                text += f"\ngo on with: python -m particlerb resume {shlex.quote(str(path))}"
+                text += f"\ncontinue with: python -m particlerb resume {shlex.quote(str(path))}"
             return text
     except (OSError, TrajectoryError) as error:
         return f"what is in {path} cannot be read now: {error}"
 
 
 def drift_text(outcome: "Outcome") -> str:
-    """The ledger in one line."""
+    """Conservation errors in a line; before it what contacts asked for, and what was saved."""
     energy, linear, angular = outcome.drift
-    text = (
-        f"drift (total less booked, relative): energy {energy:.2g}, momentum {linear:.2g},"
+    lines = [
+        f"conservation error (external work removed): energy {energy:.2g}, momentum {linear:.2g},"
         f" angular momentum {angular:.2g}"
-    )
+    ]
     if outcome.swing > 0.0:
-        text = f"{swing_text(outcome.swing)}\n{text}"
-    if outcome.flown is None:
-        return text
-    share = f"{100.0 * outcome.flown:.3g} % of the body-steps"
-    return f"{share} were saved: nothing was in reach, closed form\n{text}"
+        lines.insert(0, contact_text(outcome.swing))
+    if outcome.flown is not None:
+        share = f"{100.0 * outcome.flown:.3g} % of the body-steps"
+        lines.insert(0, f"{share} were taken in closed form: no contact in reach")
+    return "\n".join(lines)
 
 
-def swing_warnings(prepared: "Prepared", outcome: "Outcome") -> list[str]:
-    """Warning where bodies swung faster on several contacts than damped ones are stable."""
+def contact_warnings(prepared: "Prepared", outcome: "Outcome") -> list[str]:
+    """Warning where bodies oscillated faster on several contacts than damped ones are stable."""
     from particlerb.plan.segments import stable_turn
 
     limit = stable_turn(prepared.plan)
     if outcome.swing <= limit:
         return []
     return [
-        f"particlerb: warning: bodies swung with {outcome.swing:.3g} rad a step on all their"
-        f" contacts together: above {limit:.3g} rad contacts so damped do not come to rest;"
-        f" a step shorter by {outcome.swing / limit:.2g} is right"
+        f"particlerb: warning: all contacts of a body together reached ω dt = {outcome.swing:.3g}:"
+        f" above {limit:.3g} contacts so damped do not come to rest; divide run.dt by"
+        f" {outcome.swing / limit:.2g}"
     ]
 
 
-def swing_text(swing: float) -> str:
-    """How many steps a swing of bodies on their contacts takes."""
+def contact_text(frequency: float) -> str:
+    """ω dt of bodies on all their contacts, and how many steps a contact takes."""
     from particlerb.plan.segments import STEPS_PER_CONTACT
 
-    steps = math.pi / swing
-    text = f"bodies on all their contacts swing with up to {swing:.2g} rad a step:"
-    text += f" {steps:.3g} steps in a contact"
-    return text if steps >= STEPS_PER_CONTACT else f"{text}, {STEPS_PER_CONTACT} make it accurate"
+    steps = math.pi / frequency
+    text = f"stiffest contact: ω dt = {frequency:.2g}, {steps:.3g} steps in a contact"
+    return text if steps >= STEPS_PER_CONTACT else f"{text}; {STEPS_PER_CONTACT} are accurate"
 
 
 def summary(path: Path, outcome: "Outcome", checks: "list[Result]") -> dict[str, Any]:

@@ -118,7 +118,7 @@ def refuse_degenerate(body: Exported, to: str, *classes: int) -> None:
     """ExportError for a body without extent in a code that does not have such."""
     code = int(body.properties.rotor_class[0])
     if code in classes:
-        raise ExportError(f"{body.name} is a {NAMES[code]}: {to} wants three positive moments")
+        raise ExportError(f"{body.name} is a {NAMES[code]}: {to} needs three positive moments")
 
 
 def lammps(bodies: Sequence[Exported]) -> dict[str, str]:

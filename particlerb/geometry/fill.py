@@ -61,7 +61,7 @@ class FilledShape(NamedTuple):
         if not self.trials:
             return list(self.notes)
         last = self.trials[-1]
-        head = f"inertia error {last.error:.3g} with n = {last.n}, as wanted; tried:"
+        head = f"inertia error {last.error:.3g} with n = {last.n}, as requested; tried:"
         return [*self.notes, head, *table(self.trials)]
 
 

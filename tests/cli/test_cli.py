@@ -211,7 +211,7 @@ def test_a_disk_that_fills_up_ends_the_run_and_keeps_the_frames(here, capsys, mo
     assert err.splitlines() == [
         "particlerb: the run failed: cannot write output/cube.h5: No space left on device;"
         f" {n} frames are kept in output/cube.h5",
-        "go on with: python -m particlerb resume output/cube.h5",
+        "continue with: python -m particlerb resume output/cube.h5",
     ]
 
 
@@ -488,7 +488,7 @@ def test_sigterm_ends_every_command_with_130(monkeypatch, capsys):
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_guard_takes_its_process_along(tmp_path, monkeypatch):
     other, note = tmp_path / "python", tmp_path / "pid"
-    other.write_text(f"#!/bin/sh\necho $$ > {note}\nkill -TERM $PPID\nexec sleep 60\n")
+    other.write_text(f"#!/bin/sh\necho $$ > {note}\nsleep 0.5\nkill -TERM $PPID\nexec sleep 60\n")
     other.chmod(0o700)
     monkeypatch.setattr("sys.executable", str(other))
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -600,7 +600,7 @@ def test_the_size_that_is_told_and_what_info_tells(make, tmp_path, capsys, dtype
     told = size_text(load(case), tmp_path / "run.h5")
     number, unit = re.search(r"about ([\d.]+) ([kM])B", told).groups()
     most = float(number) * {"k": 1e3, "M": 1e6}[unit]
-    assert f" and {each} bytes for each contact in a frame, whose number nobody knows yet" in told
+    assert f" and {each} bytes for each contact in a frame, whose number is not known in" in told
     with particlerb.run(case, tmp_path / "run.h5") as t:
         n = sum(len(t.contacts(k).wall) for k in range(t.n_frames))
     capsys.readouterr()

@@ -188,7 +188,7 @@ def test_carriers_are_the_spheres_with_the_mass_of_the_body():
     ("bodies", "to", "message"),
     [
         ([clump(), cloud()], "lammps", "one body: name one of clump, cloud"),
-        ([needle()], "mjcf", "needle is a rod: MuJoCo wants three positive moments"),
+        ([needle()], "mjcf", "needle is a rod: MuJoCo needs three positive moments"),
         ([cloud()], "yade", "cloud has no particle with a radius"),
     ],
 )

@@ -76,7 +76,7 @@ def test_the_plan_tells_what_was_tried_and_changed():
     scene = assemble(case)
     lines = describe(case, scene, make_plan(case, scene)).splitlines()
     own = [line for line in lines if line.startswith("  part ")]
-    assert "as wanted; tried:" in own[0]
+    assert "as requested; tried:" in own[0]
     assert own[1].split()[1:] == ["n", "particles", "inertia", "com"]
     tried = [line.split() for line in own if line.split()[1].isdigit() and len(line.split()) == 5]
     assert float(tried[-1][3]) <= 0.1 < float(tried[-2][3])
@@ -91,7 +91,7 @@ def test_mass_tells_what_was_tried_and_changed(files, capsys):
     assert main(["mass", "a.toml"]) == 0
     text = capsys.readouterr().out
     assert "  particles            turned round face 0\n" in text
-    assert " with n = 2, as wanted; tried:" in text
+    assert " with n = 2, as requested; tried:" in text
     assert text.splitlines()[-1].split()[:2] == ["2", "8"]
     assert main(["mass", "mixed.ply", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["notes"] == ["turned round face 0"]

@@ -361,7 +361,7 @@ def test_what_resume_misses_while_it_writes_is_told(copy, capsys):
     assert "the run failed" in err
     assert "harmed.h5 is damaged" in err
     assert "5 frames are kept" in err
-    assert "go on with" not in err
+    assert "continue with" not in err
 
 
 def test_a_crash_of_hdf5_is_a_message(tmp_path, monkeypatch, capfd):

@@ -393,7 +393,7 @@ def test_a_limit_of_the_file_leaves_what_was_committed(tmp_path):
     )  # fmt: skip
     assert done.returncode == 1, done.stderr
     assert "the run failed: cannot write a.h5: File too large; " in done.stderr
-    assert "go on with: python -m particlerb resume a.h5" in done.stderr
+    assert "continue with: python -m particlerb resume a.h5" in done.stderr
     path = tmp_path / "a.h5"
     with particlerb.open(path) as t, particlerb.open(tmp_path / "straight.h5") as right:
         assert 0 < t.n_frames < right.n_frames

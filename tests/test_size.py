@@ -1,0 +1,121 @@
+"""How large the package is: lines of code, of modules and of functions. Exceptions only shrink.
+
+A line of code is one with a token of the program in it: docstrings, comments and blanks do not
+count. Of modules and functions all lines count.
+"""
+
+import ast
+import io
+import tokenize
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
+
+LINES_OF_CODE = 26199
+"""At most, of the package; 19 000 are the aim."""
+
+LONGEST_MODULE = 400
+LONG_MODULES = {
+    "particlerb/case/rules.py": 409,
+    "particlerb/case/schema.py": 498,
+    "particlerb/case/shapes.py": 409,
+    "particlerb/contact/cell_grid.py": 430,
+    "particlerb/contact/law.py": 457,
+    "particlerb/contact/pair_force.py": 640,
+    "particlerb/contact/wall_contacts.py": 441,
+    "particlerb/forces/attraction.py": 409,
+    "particlerb/forces/gravity_tree/walk.py": 405,
+    "particlerb/geometry/shapes.py": 415,
+    "particlerb/plan/contact_setup.py": 542,
+    "particlerb/plan/links.py": 418,
+    "particlerb/plan/segments.py": 604,
+    "particlerb/record/trajectory.py": 583,
+    "particlerb/record/writer.py": 490,
+    "particlerb/simulation/run.py": 436,
+    "particlerb/stepping/contact_run.py": 939,
+    "particlerb/stepping/coupled.py": 429,
+    "particlerb/view/live.py": 482,
+    "particlerb/view/session.py": 410,
+}
+"""Lines at most of modules that are longer."""
+
+LONGEST_FUNCTION = 60
+LONG_FUNCTIONS = {
+    "particlerb/contact/cell_grid.py:find_neighbours": 65,
+    "particlerb/contact/neighbour_list.py:order_contacts": 63,
+    "particlerb/contact/pair_force.py:collect": 71,
+    "particlerb/contact/pair_force.py:touch_spheres": 64,
+    "particlerb/export/__init__.py:export": 74,
+    "particlerb/forces/gravity_tree/walk.py:meet": 65,
+    "particlerb/integrators/dop853.py:advance": 69,
+    "particlerb/plan/contact_setup.py:contact_of": 63,
+    "particlerb/stepping/contact_run.py:advance_touching": 100,
+    "particlerb/studies/mass_report.py:record_of": 62,
+}
+"""Lines at most of functions that are longer."""
+
+SILENT = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
+
+
+def code_lines(source: str) -> int:
+    """Number of lines of code."""
+    documented = {
+        line
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+        for line in range(node.lineno, node.end_lineno + 1)
+    }
+    lines = {
+        line
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type not in (*SILENT, tokenize.ENDMARKER)
+        for line in range(token.start[0], token.end[0] + 1)
+    }
+    return len(lines - documented)
+
+
+def modules() -> dict[str, int]:
+    """Lines of all modules."""
+    return {str(p.relative_to(ROOT)): len(p.read_text().splitlines()) for p in PACKAGE}
+
+
+def functions() -> dict[str, int]:
+    """Lines of all functions, from `def` on; of the same name in a module, the longest."""
+    found: dict[str, int] = {}
+    for path in PACKAGE:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                name = f"{path.relative_to(ROOT)}:{node.name}"
+                lines = node.end_lineno - node.lineno + 1
+                found[name] = max(lines, found.get(name, 0))
+    return found
+
+
+def assert_at_most(found: dict[str, int], limit: int, exceptions: dict[str, int]) -> None:
+    """Nothing is longer than the limit but for exceptions, and all of these still are."""
+    too_long = {k: n for k, n in found.items() if n > exceptions.get(k, limit)}
+    assert not too_long, f"longer than {limit} lines, or than before: {too_long}"
+    short = [name for name in exceptions if found.get(name, 0) <= limit]
+    assert not short, f"take off the list of exceptions: {short}"
+
+
+def test_the_package_is_no_larger_than_before():
+    lines = sum(code_lines(path.read_text()) for path in PACKAGE)
+    assert lines <= LINES_OF_CODE, f"{lines} lines of code: unify before you add"
+
+
+def test_modules_are_short():
+    assert_at_most(modules(), LONGEST_MODULE, LONG_MODULES)
+
+
+def test_functions_are_short():
+    assert_at_most(functions(), LONGEST_FUNCTION, LONG_FUNCTIONS)
+
+
+def test_docstrings_comments_and_blanks_are_no_code():
+    lines = ['"""Doc."""', "", "# comment", "x = [", "    1,  # one", "]", "", "def f():"]
+    lines += ['    """First', '    last."""', ""]
+    assert code_lines("\n".join(lines)) == 4

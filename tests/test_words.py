@@ -1,0 +1,134 @@
+"""Words on the screen and in the documentation: standard terms, none of our own.
+
+Held against every string that can reach a user, which is every literal of the package with a blank
+in it (docstrings left out), and against the text of README.md and docs/*.md (code left out).
+"""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+IDIOMS = {
+    r"ways?": "trajectory, path, distance, displacement",
+    r"book(s|ed|ing)?": "external work, count as work",
+    r"ledgers?": "energy balance",
+    r"total less": "conservation error (external work removed)",
+    r"turned over": "the largest kinetic energy or work",
+    r"sw(ings?|ung|inging)": "oscillate; ω dt of the stiffest contact",
+    r"not known better": "limit of the reference",
+    r"(is|are) no numbers?|no numbers left": "NaN, not a number",
+    r"dear(er)?": "cost too much",
+    r"travell?ers?": "group run",
+    r"buried": "interior",
+    r"complain(s|ts?)?": "message",
+    r"misfits?": "error",
+    r"want(s|ed)?": "requested, target, needs",
+    r"room": "space",
+    r"go(es|ing)? on": "continue",
+    r"nobody": "(the passive)",
+    r"all the same": "nevertheless, anyway",
+    r"pays? nothing": "do no work",
+    r"got anywhere": "failed",
+    r"hung up": "attached",
+    r"is no(?! longer)": "is not a",
+}
+"""What is not said (whole words), and what is said instead."""
+
+PLAIN = r"(in (one of )?(two|three|many) ways|there is no|wrong way|other way|no(t| longer) dear)"
+"""Phrases with such words that are plain English."""
+
+EXCEPTIONS = {
+    "docs/schema.md": 2,
+    "particlerb/case/contact.py": 1,
+    "particlerb/case/output.py": 1,
+    "particlerb/case/reader.py": 2,
+    "particlerb/case/rules.py": 1,
+    "particlerb/case/values.py": 2,
+    "particlerb/geometry/fill.py": 1,
+    "particlerb/geometry/mesh.py": 1,
+    "particlerb/geometry/packing.py": 1,
+    "particlerb/plan/describe.py": 4,
+    "particlerb/plan/remove_overlaps.py": 1,
+    "particlerb/plan/segments.py": 2,
+    "particlerb/record/checked_reading.py": 5,
+    "particlerb/record/provenance.py": 2,
+    "particlerb/record/schema.py": 2,
+    "particlerb/record/target.py": 2,
+    "particlerb/record/trajectory.py": 3,
+    "particlerb/record/verify.py": 2,
+    "particlerb/simulation/accuracy.py": 3,
+    "particlerb/simulation/resume.py": 4,
+    "particlerb/stepping/contact_run.py": 3,
+    "particlerb/view/access.py": 1,
+    "particlerb/view/live.py": 1,
+}
+"""Idioms that a file still has, at most: numbers that may only shrink."""
+
+
+def user_strings(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and text of the literals of a module with a blank in them, without docstrings."""
+    tree = ast.parse(path.read_text())
+    docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if id(node) in docs or not isinstance(node, ast.Constant):
+            continue
+        if isinstance(node.value, str) and " " in node.value:
+            yield node.lineno, node.value
+
+
+def page_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Lines of a page, without code in the text and without blocks of code; output stays."""
+    language = ""
+    for number, line in enumerate(path.read_text().splitlines(), 1):
+        if line.startswith("```"):
+            language = "" if language else line[3:].strip() or "code"
+        elif language in ("", "text"):
+            yield number, re.sub(r"`[^`]*`", "", line)
+
+
+def idioms_of(path: Path) -> list[str]:
+    """Where a file has which idiom, and what to say instead."""
+    lines = user_strings(path) if path.suffix == ".py" else page_lines(path)
+    return [
+        f"{path.relative_to(ROOT)}:{number}: «{found[0]}»: say {plain}"
+        for number, text in lines
+        for idiom, plain in IDIOMS.items()
+        for found in re.finditer(rf"\b({idiom})\b", re.sub(PLAIN, "", text, flags=re.I), re.I)
+    ]
+
+
+FILES = [*sorted((ROOT / "particlerb").rglob("*.py")), ROOT / "README.md"]
+FILES += sorted((ROOT / "docs").glob("*.md"))
+
+
+def test_users_read_standard_terms():
+    found = {str(path.relative_to(ROOT)): idioms_of(path) for path in FILES}
+    too_many = [line for name, lines in found.items() if len(lines) > EXCEPTIONS.get(name, 0)
+                for line in lines]  # fmt: skip
+    assert not too_many, "\n".join(too_many)
+    clean = [name for name in EXCEPTIONS if not found.get(name)]
+    assert not clean, f"take off the list of exceptions: {clean}"
+
+
+@pytest.mark.parametrize(
+    ("text", "is_plain"),
+    [
+        ("f('ways of 13 of 300 bodies')", False),
+        ("f('drift (total less booked, relative)')", False),
+        ("f(f'bodies swing with {x}')", False),
+        ("f('steps are dear')", False),
+        ("f('trajectories (13 of 300)')", True),
+        ("'''Ways of bodies in a docstring.'''", True),
+        ("row['swing']", True),
+        ("f('there is no such body, given in one of three ways')", True),
+    ],
+)
+def test_idioms_are_found_in_strings_and_not_in_docstrings(tmp_path, monkeypatch, text, is_plain):
+    monkeypatch.setattr("test_words.ROOT", tmp_path)
+    (tmp_path / "a.py").write_text(text)
+    assert bool(idioms_of(tmp_path / "a.py")) != is_plain
