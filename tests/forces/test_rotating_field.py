@@ -114,5 +114,31 @@ def test_a_field_that_acts_later_has_turned_meanwhile(make, method):
     assert found.velocity[:, 0] == pytest.approx(true.velocity, abs=3e-6)
 
 
+@pytest.mark.parametrize("loop", ["alone", "tied", "contact"])
+def test_each_loop_tells_kicks_the_time_at_which_they_are_made(make, loop):
+    """On a charge alone: p = Σ q E(t_k) h_k, half a step at the ends; frames off the grid too."""
+    dt, q = 0.1, 1.5
+    ball = make.sphere("body")
+    force = [{"type": "field", "body": "body", "field": FIELD["field"], "charge": q}]
+    force[0]["angular_velocity"] = TURN.tolist()
+    keys = {"method": "strang", "dt": dt, "t_end": 0.99, "every": 0.33}
+    bodies = [ball, make.sphere("other", position=[9.0, 0, 0])]
+    if loop == "tied":
+        force.append(make.tie("other", 1e-300))
+    if loop == "contact":
+        keys["contact"] = make.hooke(100.0)
+    found = make.arrays(make.case(*bodies, force=force, **keys))
+
+    def kick(t, h):
+        return q * h * make.rotation([1.0, 0, 0, 0]).from_rotvec(TURN * t).apply(FIELD["field"])
+
+    for time, p in zip(found.time, found.linear_momentum[:, 0], strict=True):
+        steps = int(time / dt)
+        rest = time - steps * dt
+        expected = sum(kick(k * dt, 0.5 * dt) + kick((k + 1) * dt, 0.5 * dt) for k in range(steps))
+        expected = expected + kick(steps * dt, 0.5 * rest) + kick(time, 0.5 * rest)
+        assert p == pytest.approx(expected, abs=1e-14)
+
+
 def test_every_method_with_a_step_takes_time_into_account():
     assert all(TIME in method.ACCEPTS for method in METHODS.values() if method.ORDER)
