@@ -107,7 +107,7 @@ def summed(loads: list[Any]) -> tuple[Any, ...]:
     found: list[Any] = []
     for parameters, term in TERMS.items():
         own = [load for load in loads if type(load) is parameters]
-        if term.is_many or not own:
+        if term.kick.is_many or not own:
             found += own
             continue
         total = [sum(arrays, np.zeros(arrays[0].shape)) for arrays in zip(*own, strict=True)]
@@ -200,7 +200,7 @@ def force_of_loads(terms: Terms, n: int) -> Floats:
     total = np.zeros((3, n))
     for load in terms.loads:
         for kick, values in term_of(load).parts(load):
-            total = total + values if kick.is_steady and not kick.needs else total
+            total = total + values if kick.is_uniform else total
     return total
 
 

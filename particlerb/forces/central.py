@@ -106,9 +106,4 @@ FORCE: Final = Force(
     check=refuse_centre,
 )  # fmt: skip
 KICKS: Final = (KICK,)
-TERMS: Final = (
-    Term(
-        Central, "central field", lambda central: [(KICK, np.vstack(central))], central_rates,
-        central_work, is_many=True,
-    ),
-)  # fmt: skip
+TERMS: Final = (Term(Central, "central field", KICK, central_rates, central_work),)

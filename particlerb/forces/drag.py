@@ -12,8 +12,6 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.forces.kinds import (
-    POSE,
-    VELOCITY,
     Force,
     Kick,
     Momenta,
@@ -78,10 +76,7 @@ def damp(
     return p, turn(R, add_scaled(1.0, m, dm))
 
 
-KICK: Final = Kick(
-    "drag", DRAG_ROWS + DECAY_ROWS, needs=frozenset({POSE, VELOCITY}),
-    load=drag_load, damp=damp, prepare=prepare_decay,
-)  # fmt: skip
+KICK: Final = Kick("drag", DRAG_ROWS + DECAY_ROWS, load=drag_load, damp=damp, prepare=prepare_decay)
 
 
 def drag_rates(drag: Drag, bodies: Bodies, state: State) -> Rates:
@@ -95,4 +90,4 @@ FORCE: Final = Force(
     lambda _, numbers, bodies, start: Drag(numbers[0] * bodies.inv_mass, numbers[1]),
 )
 KICKS: Final = (KICK,)
-TERMS: Final = (Term(Drag, "drag", lambda drag: [(KICK, np.vstack(drag))], drag_rates),)
+TERMS: Final = (Term(Drag, "drag", KICK, drag_rates),)

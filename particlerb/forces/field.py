@@ -11,8 +11,6 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.forces.kinds import (
-    POSE,
-    TIME,
     Force,
     ForceError,
     Kick,
@@ -80,8 +78,8 @@ def field_power(rows: Floats, at: int, b: int, x: Vec3, R: Rows, power: float) -
 
 
 KICK: Final = Kick(
-    "rotating_field", 20, kick_field, has_potential=True, is_many=True,
-    needs=frozenset({POSE, TIME}), at_time=turn_field, power=field_power,
+    "rotating_field", 20, kick_field, has_potential=True, is_many=True, at_time=turn_field,
+    power=field_power,
 )  # fmt: skip
 
 
@@ -177,10 +175,4 @@ def turning(table: "UniformField", is_point: bool) -> tuple[str, str]:
 
 FORCE: Final = Force(resolve, term_of, has_arm=True, check=refuse_large, turning=turning)
 KICKS: Final = (KICK,)
-TERMS: Final = (
-    Term(
-        RotatingField, "rotating field",
-        lambda field: [(KICK, np.vstack([*field, np.zeros((6, field.rate.size))]))], field_rates,
-        field_work, is_many=True,
-    ),
-)  # fmt: skip
+TERMS: Final = (Term(RotatingField, "rotating field", KICK, field_rates, field_work),)

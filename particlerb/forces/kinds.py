@@ -55,8 +55,8 @@ class Kick(NamedTuple):
     """(rows, at, b, x, R, dt, p, L): p + F dt, L + τ dt."""
     has_potential: bool = False  # then its work is that of the potential
     is_steady: bool = False  # whether the force is constant in the world, whatever the torque
+    is_uniform: bool = False  # whether it depends on nothing at all
     is_many: bool = False  # whether a body may have several sets of these rows
-    needs: frozenset[str] = frozenset({POSE})
     load: Callable[..., Momenta] | None = None
     """(rows, at, b, x, R, p, L, F, τ): F and τ with its own added."""
     flow: Callable[..., Momenta] | None = None
@@ -70,6 +70,12 @@ class Kick(NamedTuple):
     """(rows, at, b, t): set what its `push` reads to the time t [s] since the segment began."""
     power: Callable[..., float] | None = None
     """(rows, at, b, x, R, power): the power with ∂V/∂t [W] at that time added."""
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What a method must take into account."""
+        needs = {POSE: not self.is_uniform, VELOCITY: self.load, TIME: self.at_time}
+        return frozenset(name for name, is_needed in needs.items() if is_needed)
 
 
 class Rates(NamedTuple):
@@ -86,14 +92,20 @@ class Term(NamedTuple):
 
     parameters: type[Any]
     words: str  # in the plan
-    parts: Callable[[Any], list[tuple[Kick, Floats]]]
-    """(parameters): what goes into the rows of which kick."""
+    kick: Kick
     rates: Callable[[Any, Bodies, State], Rates]
     work: Callable[[Any, Floats, Floats, float], Floats] | None = None
     """(parameters, com, q, t): -V, (n,) [J], of a potential whose work is booked."""
     energy: Callable[[Any, Floats, Floats], Floats] | None = None
     """(parameters, com, q): V, (n,) [J], of one that counts as potential energy."""
-    is_many: bool = False  # whether several on a body stay apart; others are summed
+    split: Callable[[Any], list[tuple[Kick, Floats]]] | None = None
+    """(parameters): what goes into the rows of which kick, where one is not enough."""
+
+    def parts(self, parameters: Any) -> list[tuple[Kick, Floats]]:
+        """What goes into the rows of which kick; of one, all arrays in their order."""
+        if self.split is not None:
+            return self.split(parameters)
+        return [(self.kick, np.vstack(parameters))]
 
     @property
     def name(self) -> str:

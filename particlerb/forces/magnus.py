@@ -12,8 +12,6 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.forces.kinds import (
-    POSE,
-    VELOCITY,
     Force,
     Kick,
     Momenta,
@@ -56,9 +54,7 @@ def magnus_flow(rows: Floats, at: int, b: int, R: Rows, dt: float, p: Vec3, L: V
     return to_world(turn_by(half, (1.0, 0.0, 0.0, 0.0)), p), L
 
 
-KICK: Final = Kick(
-    "magnus", 1, needs=frozenset({POSE, VELOCITY}), load=magnus_load, flow=magnus_flow
-)
+KICK: Final = Kick("magnus", 1, load=magnus_load, flow=magnus_flow)
 
 
 def magnus_rates(magnus: Magnus, bodies: Bodies, state: State) -> Rates:
@@ -71,6 +67,4 @@ FORCE: Final = Force(
     lambda _, numbers, bodies, start: Magnus(numbers[0] * bodies.inv_mass),
 )
 KICKS: Final = (KICK,)
-TERMS: Final = (
-    Term(Magnus, "Magnus lift", lambda magnus: [(KICK, np.vstack(magnus))], magnus_rates),
-)
+TERMS: Final = (Term(Magnus, "Magnus lift", KICK, magnus_rates),)

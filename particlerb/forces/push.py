@@ -79,7 +79,7 @@ def kick_follower(
 
 
 FORCE_KICK: Final = Kick(
-    "force", 3, kick_force, has_potential=True, is_steady=True, needs=frozenset()
+    "force", 3, kick_force, has_potential=True, is_steady=True, is_uniform=True
 )
 LEVER_KICK: Final = Kick("lever", 9, kick_lever, has_potential=True, is_steady=True)
 FOLLOWER_KICK: Final = Kick("follower", 6, kick_follower)
@@ -157,9 +157,6 @@ def refuse_large(table: "PushTable | ImpulseTable", numbers: Floats, com: Floats
 FORCE: Final = Force(same_for_all(arm_and_force), term_of, has_arm=True, check=refuse_large)
 KICKS: Final = (FORCE_KICK, LEVER_KICK, FOLLOWER_KICK)
 TERMS: Final = (
-    Term(Push, "push", parts_of_push, push_rates, push_work),
-    Term(
-        Follower, "load fixed in the body",
-        lambda term: [(FOLLOWER_KICK, np.vstack(term))], follower_rates,
-    ),
-)  # fmt: skip
+    Term(Push, "push", FORCE_KICK, push_rates, push_work, split=parts_of_push),
+    Term(Follower, "load fixed in the body", FOLLOWER_KICK, follower_rates),
+)

@@ -104,9 +104,4 @@ def term_of(table: "SpringTable", numbers: Floats, bodies: Bodies, start: float)
 
 FORCE: Final = Force(resolve, term_of, has_arm=True)
 KICKS: Final = (KICK,)
-TERMS: Final = (
-    Term(
-        Spring, "spring", lambda spring: [(KICK, np.vstack(spring))], spring_rates,
-        energy=spring_energy, is_many=True,
-    ),
-)  # fmt: skip
+TERMS: Final = (Term(Spring, "spring", KICK, spring_rates, energy=spring_energy),)

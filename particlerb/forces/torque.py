@@ -65,4 +65,4 @@ FORCE: Final = Force(
     turning=turning,
 )  # fmt: skip
 KICKS: Final = (KICK,)
-TERMS: Final = (Term(Torque, "torque", lambda term: [(KICK, term.torque)], torque_rates),)
+TERMS: Final = (Term(Torque, "torque", KICK, torque_rates),)

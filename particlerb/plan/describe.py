@@ -7,7 +7,8 @@ import numpy as np
 from particlerb.case.forces import FORCES
 from particlerb.case.schema import Case
 from particlerb.case.to_system import System
-from particlerb.forces import Terms, has_potential, is_constant, words_of
+from particlerb.forces import Terms, has_potential, is_constant, needs_of, words_of
+from particlerb.forces.kinds import TIME
 from particlerb.maths.vec3 import Ints
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.rotors.rotor_class import NAMES
@@ -127,6 +128,8 @@ def ledger_line(plan: Plan) -> str:
     stepped = [s for group in plan.groups for s in group.segments if has_step(s.method)]
     if not all(has_potential(segment.terms) for segment in stepped):
         return "work and impulses booked step by step: a force without potential acts"
+    if any(TIME in needs for s in stepped for needs in needs_of(s.terms).values()):
+        return "work from potentials and their change with time; impulses booked step by step"
     if not all(is_constant(segment.terms) for segment in stepped):
         return "work from potentials; impulses booked step by step: a force is not constant"
     return "booked in closed form: every force has a potential, kicks pay nothing for it"

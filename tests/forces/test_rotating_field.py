@@ -66,6 +66,7 @@ def test_a_dipole_that_turns_with_the_field_swings_about_it_like_a_pendulum(make
 def test_charges_and_a_dipole_against_an_integration(make):
     keys = {"force": [FIELD], "t_end": 1.6, "every": 0.4, "method": "dop853", "tolerance": 1e-13}
     found = make.arrays(make.case(make.body(**START), **keys))
+    assert "work from potentials and their change with time" in found.plan
     true = true_motion(make, found.time)
     assert found.position[:, 0] == pytest.approx(true.position, abs=1e-11)
     assert make.angle(found.orientation[:, 0], true.orientation).max() < 1e-11
