@@ -13,23 +13,8 @@ import numpy as np
 from particlerb.contact.pair_force import GroupContact
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity import UniformGravity, parts_of_gravity
-from particlerb.forces.kernels import (
-    Acting,
-    Entry,
-    damp,
-    flow_in,
-    flow_out,
-    kick_others,
-    kick_potential,
-    less_internal,
-    load_at,
-    load_of_velocity,
-    prepare_kick,
-    set_time,
-    shift_time,
-    with_power,
-)
-from particlerb.forces.kinds import BODIES, CONTACT, VELOCITY, Kick, Rates
+from particlerb.forces.kernels import Acting
+from particlerb.forces.kinds import BODIES, CONTACT, VELOCITY, Kick
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import (
     FIRST,
@@ -37,49 +22,12 @@ from particlerb.forces.registry import (
     MANY,
     MANY_KICKS,
     PAIR,
-    STAGE,
     TERMS,
     term_of,
 )
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.bodies import Bodies, taken
+from particlerb.model.bodies import taken
 from particlerb.model.load import OTHER
-from particlerb.model.state import State
-
-__all__ = [
-    "PAIR",
-    "STAGE",
-    "Acting",
-    "Entry",
-    "Terms",
-    "acting_of",
-    "damp",
-    "energies_of",
-    "energy_of_loads",
-    "flow_in",
-    "flow_out",
-    "force_of_loads",
-    "has_energy",
-    "has_potential",
-    "is_constant",
-    "kick_others",
-    "kick_potential",
-    "less_internal",
-    "load_at",
-    "load_of_velocity",
-    "needs_of",
-    "prepare_kick",
-    "rates_of",
-    "row_count",
-    "rows_of_terms",
-    "set_time",
-    "shift_time",
-    "summed",
-    "terms_on",
-    "with_power",
-    "words_of",
-    "work_of_potentials",
-]
 
 
 class Terms(NamedTuple):
@@ -225,11 +173,6 @@ def words_of(terms: Terms) -> list[str]:
     """Names of gravity and the loads that act, as the plan has them."""
     gravity = [] if terms.gravity is None else ["gravity"]
     return gravity + list(dict.fromkeys(term_of(load).words for load in terms.loads))
-
-
-def rates_of(load: Any, bodies: Bodies, state: State) -> Rates:
-    """What a load does to the default step."""
-    return term_of(load).rates(load, bodies, state)
 
 
 def work_of_potentials(terms: Terms, com: Floats, q: Floats, t: float = 0.0) -> float:

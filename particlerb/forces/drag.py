@@ -37,12 +37,17 @@ class Drag(NamedTuple):
 
 
 @inline
+def angular_velocity(rows: Floats, b: int, R: Rows, L: Vec3) -> Vec3:
+    """ω of body b, world frame [rad/s]."""
+    return turn(R, multiplied3(get3(rows, INV_INERTIA, b), turn_back(R, L)))
+
+
+@inline
 def drag_load(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3, F: Vec3, tau: Vec3
 ) -> Momenta:
     """F - γ p,  τ - c_r ω."""
-    w = turn(R, multiplied3(get3(rows, INV_INERTIA, b), turn_back(R, L)))
-    rotation = get(rows, at + 1, b)
+    w, rotation = angular_velocity(rows, b, R, L), get(rows, at + 1, b)
     return add_scaled(-get(rows, at, b), p, F), add_scaled(-rotation, w, tau)
 
 

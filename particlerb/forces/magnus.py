@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline
+from particlerb.forces.drag import angular_velocity
 from particlerb.forces.kinds import (
     Force,
     Kick,
@@ -19,9 +20,9 @@ from particlerb.forces.kinds import (
     Term,
     same_for_all,
 )
-from particlerb.maths.quaternion import Rows, to_world, turn, turn_back
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, multiplied3, scale
-from particlerb.model.block import INV_INERTIA, get, get3
+from particlerb.maths.quaternion import Rows, to_world
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, scale
+from particlerb.model.block import get
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, lengths, omega_world
 from particlerb.rotors.symmetric_split import turn_by
@@ -34,23 +35,17 @@ class Magnus(NamedTuple):
 
 
 @inline
-def spin(rows: Floats, b: int, R: Rows, L: Vec3) -> Vec3:
-    """ω of body b, world frame [rad/s]."""
-    return turn(R, multiplied3(get3(rows, INV_INERTIA, b), turn_back(R, L)))
-
-
-@inline
 def magnus_load(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3, F: Vec3, tau: Vec3
 ) -> Momenta:
     """F + c ω × v."""
-    return add_scaled(get(rows, at, b), cross(spin(rows, b, R, L), p), F), tau
+    return add_scaled(get(rows, at, b), cross(angular_velocity(rows, b, R, L), p), F), tau
 
 
 @inline
 def magnus_flow(rows: Floats, at: int, b: int, R: Rows, dt: float, p: Vec3, L: Vec3) -> Momenta:
     """p turned about ω by c |ω| dt/M; up to a whole turn."""
-    half = scale(0.5 * dt * get(rows, at, b), spin(rows, b, R, L))
+    half = scale(0.5 * dt * get(rows, at, b), angular_velocity(rows, b, R, L))
     return to_world(turn_by(half, (1.0, 0.0, 0.0, 0.0)), p), L
 
 

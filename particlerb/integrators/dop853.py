@@ -17,8 +17,9 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.forces import STAGE as WORK
-from particlerb.forces import Acting, acting_of, row_count, rows_of_terms
+from particlerb.forces import acting_of, row_count, rows_of_terms
+from particlerb.forces.kernels import Acting
+from particlerb.forces.registry import STAGE as WORK
 from particlerb.integrators import dop853_joint as joint
 from particlerb.integrators.dop853_step import ALONE, find_step, interpolate, take_stages
 from particlerb.integrators.dop853_table import STAGES

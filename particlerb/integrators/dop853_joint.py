@@ -13,7 +13,9 @@ import numpy as np
 
 from particlerb.compiled.jit import kernel, kernel_from
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.forces import PAIR, STAGE, Acting, acting_of, row_count, rows_of_terms
+from particlerb.forces import acting_of, row_count, rows_of_terms
+from particlerb.forces.kernels import Acting
+from particlerb.forces.registry import PAIR, STAGE
 from particlerb.integrators.dop853_step import (
     ALONE,
     LEAST_STEP,

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.forces import STAGE as WORK
-from particlerb.forces import Acting, set_time
+from particlerb.forces.kernels import Acting, set_time
+from particlerb.forces.registry import STAGE as WORK
 from particlerb.integrators.dop853_table import NODES, STAGES, A, D, E
 from particlerb.integrators.slopes import Pose, slopes
 from particlerb.maths.quaternion import matrix_along

@@ -8,7 +8,7 @@ because its rates advance in its own axes, I ω̇ = Rᵀτ - ω × I ω. See doc
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces import Acting
+from particlerb.forces.kernels import Acting
 from particlerb.integrators.slopes import (
     ACCEPTED,
     Pose,

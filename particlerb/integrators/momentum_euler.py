@@ -10,7 +10,7 @@ Source: Baraff, Physically Based Modeling: Rigid Body Simulation (SIGGRAPH cours
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces import Acting
+from particlerb.forces.kernels import Acting
 from particlerb.integrators.slopes import ACCEPTED, add_pose, on_sphere, pose, put_pose, slopes
 from particlerb.maths.quaternion import matrix
 from particlerb.maths.vec3 import Floats

@@ -10,7 +10,8 @@ the form; Kutta 1901 for the method.
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces import STAGE, Acting, shift_time
+from particlerb.forces.kernels import Acting, shift_time
+from particlerb.forces.registry import STAGE
 from particlerb.integrators.slopes import (
     ACCEPTED,
     Pose,

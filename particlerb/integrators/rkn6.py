@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces import Acting, shift_time
+from particlerb.forces.kernels import Acting, shift_time
 from particlerb.forces.kinds import BODIES, POSE, TIME
 from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, dot, multiplied3, scale

@@ -11,7 +11,7 @@ others use.
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces import (
+from particlerb.forces.kernels import (
     Acting,
     kick_others,
     kick_potential,

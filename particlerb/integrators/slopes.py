@@ -7,7 +7,7 @@ Q leaves the unit sphere: R is that of Q/|Q| (`matrix_along`), and Q̇ takes Q a
 from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import inline
-from particlerb.forces import Acting, Entry, less_internal, load_at, with_power
+from particlerb.forces.kernels import Acting, Entry, less_internal, load_at, with_power
 from particlerb.forces.kinds import BODIES, POSE, TIME, VELOCITY
 from particlerb.maths.quaternion import (
     Quat,

@@ -10,7 +10,7 @@ Source: Strang, SIAM J. Numer. Anal. 5, 506 (1968); the rotor: rotors/symmetric_
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces import Acting, prepare_kick
+from particlerb.forces.kernels import Acting, prepare_kick
 from particlerb.forces.kinds import BODIES, CONTACT, POSE, TIME, VELOCITY
 from particlerb.maths.quaternion import turn_back
 from particlerb.maths.vec3 import Floats, add_scaled

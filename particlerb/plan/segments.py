@@ -18,10 +18,11 @@ from particlerb.case.schema import Case
 from particlerb.case.to_system import System
 from particlerb.contact.contact_frequency import initial_contact_frequency
 from particlerb.contact.pair_force import ContactSpheres, GroupContact
-from particlerb.forces import Terms, needs_of, rates_of
+from particlerb.forces import Terms, needs_of
 from particlerb.forces.attraction import Attraction, fastest_rates
 from particlerb.forces.impulse import Impulse
 from particlerb.forces.links import fastest_oscillation, link_rates, with_springs
+from particlerb.forces.registry import term_of
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies, taken
@@ -400,7 +401,7 @@ def rates(scene: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
         links, attraction = segment.terms.links, segment.terms.attraction
         lasting, swinging, squares = np.zeros((3, spin.size))
         for load in segment.terms.loads:
-            spinning, turning, squared, rate = rates_of(load, bodies, state)
+            spinning, turning, squared, rate = term_of(load).rates(load, bodies, state)
             lasting, swinging = lasting + spinning, swinging + turning
             squares, swing = squares + squared, np.maximum(swing, rate)
         length = (segment.stop if np.isfinite(segment.stop) else t_end) - segment.start

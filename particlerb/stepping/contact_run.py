@@ -81,10 +81,11 @@ from particlerb.contact.prescribed_motion import (
 from particlerb.contact.wall_contacts import SPOT, wall_contact_forces
 from particlerb.contact.wall_motion import farthest_distances, motion_in, wall_displacement
 from particlerb.contact.wall_search import WallSearch, find_wall_shells
-from particlerb.forces import PAIR, Acting, acting_of
+from particlerb.forces import acting_of
 from particlerb.forces.attraction import Attraction, Work
+from particlerb.forces.kernels import Acting
 from particlerb.forces.links import Links
-from particlerb.forces.registry import STEADY
+from particlerb.forces.registry import PAIR, STEADY
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import COM, L, P, Q, copy_changing, get, get3, get4, put, put3, put4
 from particlerb.model.load import CONTACT_ROWS

@@ -18,8 +18,10 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel, kernel_from
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.forces import PAIR, STAGE, Acting, acting_of, set_time
+from particlerb.forces import acting_of
+from particlerb.forces.kernels import Acting, set_time
 from particlerb.forces.links import Links, damp_links
+from particlerb.forces.registry import PAIR, STAGE
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.model.block import (

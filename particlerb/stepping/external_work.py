@@ -6,7 +6,7 @@ integration alone. Where nobody asks (`books` is None), the compiler leaves all 
 """
 
 from particlerb.compiled.jit import inline
-from particlerb.forces import Entry
+from particlerb.forces.kernels import Entry
 from particlerb.maths.quaternion import Rows, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, subtract
 from particlerb.model.block import BOOKED, INV_INERTIA, INV_MASS, get, get3, put

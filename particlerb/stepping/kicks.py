@@ -5,7 +5,7 @@ each other are one of the summed length, so a step leaves its last kick open for
 """
 
 from particlerb.compiled.jit import inline
-from particlerb.forces import (
+from particlerb.forces.kernels import (
     Acting,
     Entry,
     damp,

@@ -15,14 +15,8 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.forces import (
-    Acting,
-    acting_of,
-    prepare_kick,
-    row_count,
-    rows_of_terms,
-    set_time,
-)
+from particlerb.forces import acting_of, row_count, rows_of_terms
+from particlerb.forces.kernels import Acting, prepare_kick, set_time
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.model.block import (

@@ -11,13 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from particlerb.forces import (
-    Terms,
-    force_of_loads,
-    is_constant,
-    terms_on,
-    work_of_potentials,
-)
+from particlerb.forces import Terms, force_of_loads, is_constant, terms_on, work_of_potentials
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import Frames, State, multiplied

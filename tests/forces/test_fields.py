@@ -16,13 +16,13 @@ from particlerb.forces import (
     Terms,
     acting_of,
     energy_of_loads,
-    load_at,
     row_count,
     rows_of_terms,
     work_of_potentials,
 )
 from particlerb.forces.central import Central
 from particlerb.forces.drag import Drag
+from particlerb.forces.kernels import load_at
 from particlerb.forces.push import Follower, Push
 from particlerb.forces.spring import Spring
 from particlerb.forces.torque import Torque
