@@ -1,4 +1,4 @@
-"""Order 6 for forces that depend on the pose alone: eleven kicks and drifts of Blanes and Moan.
+"""Order 6 for forces that know no velocities: eleven kicks and drifts of Blanes and Moan.
 
 A symmetric splitting of Runge-Kutta-Nyström type. Where the forces have a potential it is
 symplectic for all bodies but asymmetric ones, whose rotor is so to order 8: in chaotic motion their
@@ -61,7 +61,7 @@ FREE_ORDER: Final = 8
 IS_ADAPTIVE: Final = False
 KEEPS_RODS: Final = True
 ACCEPTS: Final = frozenset({POSE, TIME, BODIES})
-SUMMARY: Final = "order 6 (8 on free bodies), symmetric; for forces that depend on the pose alone"
+SUMMARY: Final = "order 6 (8 on free bodies), symmetric; for forces without velocities"
 COST: Final = 66.0  # ns per body-step, roughly; of bodies with a closed drift
 EVALUATIONS: Final = 11  # of the forces in a step
 REACH: Final = 3.0  # largest hω of an oscillator that stays bounded (below its first resonance)
