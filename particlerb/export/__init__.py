@@ -9,7 +9,8 @@ import os
 from collections.abc import Collection, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Final, NamedTuple
+from types import ModuleType
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,21 @@ class ExportError(Exception):
     """What was asked for cannot be exported: why, and what can."""
 
 
+def gsd_hoomd() -> ModuleType:
+    """The library that writes gsd files; ExportError where it is missing."""
+    try:
+        import gsd.hoomd
+    except ImportError:
+        raise ExportError("gsd files need the package gsd: pip install gsd") from None
+    return gsd.hoomd  # type: ignore[no-any-return]
+
+
+def sphere_union(centres: Floats, radii: Floats) -> dict[str, Any]:
+    """Spheres (n, 3) [m] and (n,) [m] as the shape of a type of particles in gsd, for OVITO."""
+    diameters = (2.0 * radii).tolist()
+    return {"type": "SphereUnion", "centers": centres.tolist(), "diameters": diameters}
+
+
 class Selection(NamedTuple):
     """What is exported of a trajectory."""
 
@@ -55,16 +71,11 @@ class Selection(NamedTuple):
         frames = slice(self.frames.start, self.frames.stop, self.frames.step)
         return self.trajectory.portions(frames, rows)
 
-    def times(self, part: slice) -> Floats:
-        """Times of some frames [s], shape (T,)."""
-        return self.trajectory.time[part]
-
     def values(self, name: str, part: slice) -> Floats:
         """A field of the chosen bodies in some frames, (T, n, C) or (T, n); derived if need be."""
         trajectory = self.trajectory
-        bodies: slice | Ints = self.bodies
-        if len(self.bodies) == trajectory.n_bodies:
-            bodies = slice(None)
+        everyone = len(self.bodies) == trajectory.n_bodies
+        bodies = slice(None) if everyone else self.bodies
         if name in trajectory.fields or name in CONTACT_FIELDS:
             return trajectory.read(name, part, bodies)
         if name == "velocity":
@@ -124,22 +135,14 @@ def export(
     if to not in FORMATS:
         raise ExportError(f"{to}: no such format; there are {', '.join(FORMATS)}")
     writer = import_module(f"particlerb.export.{to}")
-    known = known_fields(trajectory, writer.HOLDS)
-    unknown = [name for name in fields if name not in known]
-    if unknown:
-        name, there = unknown[0], ", ".join(known)
-        if name in trajectory.contact_fields:
-            raise ExportError(f"{name}: {to} has no place for it; there are {there}")
-        raise ExportError(f"{name}: no such field here; there are {there}")
-    recorded = trajectory.fields + trajectory.contact_fields
-    wanted = [name for name in known if name in (fields or recorded)]
+    names = chosen_fields(trajectory, writer.HOLDS, fields, to)
     selection = Selection(
         trajectory,
         chosen_frames(trajectory, frames),
         chosen_bodies(trajectory, bodies),
-        tuple(name for name in wanted if name in FIELDS or name in CONTACT_FIELDS),
-        tuple(name for name in wanted if name in WALLS),
-        CONTACTS in wanted,
+        tuple(name for name in names if name in FIELDS or name in CONTACT_FIELDS),
+        tuple(name for name in names if name in WALLS),
+        CONTACTS in names,
     )
     if to == "csv" and not fields and selection.fields:
         selection = selection._replace(walls=(), has_contacts=False)
@@ -155,6 +158,20 @@ def export(
     finally:
         unfinished.unlink(missing_ok=True)
     return len(selection.frames)
+
+
+def chosen_fields(
+    trajectory: Trajectory, held: Collection[str], asked: Sequence[str], to: str
+) -> list[str]:
+    """Fields that were asked for, or all recorded, of those that a format holds, in fixed order."""
+    recorded = trajectory.fields + trajectory.contact_fields
+    derived = [name for name in FIELDS if is_known(trajectory, name)]
+    known = [name for name in derived + trajectory.contact_fields if name in held]
+    for name in asked:
+        if name not in known:
+            reason = f"{to} cannot hold it" if name in recorded else "no such field here"
+            raise ExportError(f"{name}: {reason}; there are {', '.join(known)}")
+    return [name for name in known if name in (asked or recorded)]
 
 
 def is_known(trajectory: Trajectory, name: str) -> bool:
@@ -173,24 +190,16 @@ def chosen_frames(trajectory: Trajectory, frames: slice) -> range:
     return chosen
 
 
-def chosen_bodies(trajectory: Trajectory, wanted: Sequence[str]) -> Ints:
+def chosen_bodies(trajectory: Trajectory, asked: Sequence[str]) -> Ints:
     """Numbers of the bodies of some names, ascending; a block's name stands for all its bodies."""
-    if not wanted:
+    if not asked:
         return np.arange(trajectory.n_bodies)
     numbers: dict[str, list[int]] = {}
     for number, name in enumerate(trajectory.names):
-        numbers.setdefault(name, []).append(number)
-        if name.endswith("]"):
-            numbers.setdefault(name.rpartition("[")[0], []).append(number)
-    unknown = [name for name in wanted if name not in numbers]
-    if unknown:
-        raise ExportError(
-            f"{unknown[0]}: no such body; the first are {', '.join(trajectory.names[:3])}"
-        )
-    return np.unique(np.concatenate([numbers[name] for name in wanted]))
-
-
-def known_fields(trajectory: Trajectory, held: Collection[str]) -> list[str]:
-    """Names of the fields that a trajectory can give and a format holds, in a fixed order."""
-    known = [name for name in FIELDS if is_known(trajectory, name)]
-    return [name for name in known + trajectory.contact_fields if name in held]
+        for one in {name, name.rpartition("[")[0] if name.endswith("]") else name}:
+            numbers.setdefault(one, []).append(number)
+    for name in asked:
+        if name not in numbers:
+            first = ", ".join(trajectory.names[:3])
+            raise ExportError(f"{name}: no such body; the first are {first}")
+    return np.unique(np.concatenate([numbers[name] for name in asked]))

@@ -17,10 +17,11 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from particlerb.export import ExportError
+from particlerb.export import ExportError, gsd_hoomd, sphere_union
 from particlerb.geometry.mass_properties import MassProperties
 from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats
+from particlerb.model.bodies import quaternions
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 COMMENT: Final = "made by particlerb; SI units"
@@ -59,6 +60,12 @@ def carriers(body: Exported) -> Carriers:
         weight = radius**3
         mass = total * weight / weight.sum()
     return Carriers(position, mass, radius)
+
+
+def in_principal_axes(body: Exported, position: Floats) -> Floats:
+    """Positions (n, 3) [m] from the com, in the principal axes."""
+    local: Floats = (position - body.properties.com[0]) @ body.properties.axes[0]
+    return local
 
 
 def export_bodies(bodies: Sequence[Exported], path: Path, to: str) -> list[Path]:
@@ -133,17 +140,19 @@ def lammps(bodies: Sequence[Exported]) -> dict[str, str]:
     refuse_degenerate(body, "fix rigid", POINT)
     mass, com, _, moments, axes, _ = (array[0] for array in body.properties)
     own = carriers(body)
-    place = (own.position - com) @ axes
+    place = in_principal_axes(body, own.position)
     reach = np.linalg.norm(place, axis=1).max()
     diameter = np.where(own.radius > 0.0, 2.0 * own.radius, SMALLEST * reach)
-    rows = range(1, len(own.mass) + 1)
-    columns: dict[str, list[str]] = {
-        "Coords": [f"{k} {numbers(place[k - 1])}" for k in rows],
-        "Types": [f"{k} 1" for k in rows],
-        "Diameters": [f"{k} {numbers(diameter[k - 1])}" for k in rows],
-        "Masses": [f"{k} {numbers(own.mass[k - 1])}" for k in rows],
+    columns = {
+        "Coords": map(numbers, place),
+        "Types": ["1"] * len(place),
+        "Diameters": map(numbers, diameter),
+        "Masses": map(numbers, own.mass),
     }
-    sections = [f"{name}\n\n" + "\n".join(lines) for name, lines in columns.items()]
+    sections = [
+        "\n".join([name, "", *(f"{k} {text}" for k, text in enumerate(column, 1))])
+        for name, column in columns.items()
+    ]
     facts = [
         f"# {body.name}, {COMMENT}; from the com, principal axes",
         f"# com {numbers(com)} (as given)",
@@ -175,13 +184,9 @@ def mjcf(bodies: Sequence[Exported]) -> dict[str, str]:
         mass, com, tensor, *_ = (array[0] for array in body.properties)
         element = ET.SubElement(world, "body", name=body.name)
         ET.SubElement(element, "freejoint")
-        ET.SubElement(
-            element,
-            "inertial",
-            pos=numbers(com),
-            mass=numbers(mass),
-            fullinertia=numbers(six(tensor)),
-        )
+        tensor_text = numbers(six(tensor))
+        inertial = {"pos": numbers(com), "mass": numbers(mass), "fullinertia": tensor_text}
+        ET.SubElement(element, "inertial", inertial)
         own = carriers(body)
         for position, radius in zip(own.position, own.radius, strict=True):
             place = {"type": "sphere", "pos": numbers(position)}
@@ -214,50 +219,38 @@ def yade(bodies: Sequence[Exported]) -> dict[str, str]:
             f"# com {numbers(com)}  (as given)",
             "# set both after loading: O.bodies[id].state.mass = mass, .state.inertia = inertia",
         ]
-        local = (own.position - com) @ axes
+        local = in_principal_axes(body, own.position)
         lines += [f"{numbers(p, r)} {k}" for p, r in zip(local, own.radius, strict=True)]
     return {".txt": "\n".join(lines) + "\n"}
 
 
 def write_gsd(bodies: Sequence[Exported], path: Path) -> None:
     """One frame with one particle per body, turned to its principal axes; float64 in the log."""
-    try:
-        import gsd.hoomd
-    except ImportError:
-        raise ExportError("gsd files need the package gsd: pip install gsd") from None
-    from particlerb.model.bodies import quaternions
-
-    frame = gsd.hoomd.Frame()
+    hoomd = gsd_hoomd()
+    frame = hoomd.Frame()
     own = frame.particles
-    properties = [body.properties for body in bodies]
-    axes = np.concatenate([p.axes for p in properties])
+    mass, com, tensor, moments, axes, _ = (
+        np.concatenate(column) for column in zip(*(b.properties for b in bodies), strict=True)
+    )
     own.N, own.typeid = len(bodies), np.arange(len(bodies))
     own.types = [body.name for body in bodies]
-    own.mass = np.concatenate([p.mass for p in properties])
-    own.moment_inertia = np.concatenate([p.moments for p in properties])
-    own.position = np.concatenate([p.com for p in properties])
-    own.orientation = quaternions(axes)
-    own.type_shapes = [sphere_union(body) for body in bodies]
+    own.type_shapes = [shape_of(body) for body in bodies]
+    own.mass, own.moment_inertia = mass, moments
+    own.position, own.orientation = com, quaternions(axes)
     reach = max(float(np.abs(body.particles.position).max()) for body in bodies)
     edge = 2.02 * (reach + max(float(body.particles.radius.max()) for body in bodies)) or 1.0
     frame.configuration.box = [edge, edge, edge, 0, 0, 0]
-    frame.log = {
-        "mass": np.concatenate([p.mass for p in properties]),
-        "com": np.concatenate([p.com for p in properties]),
-        "inertia_tensor": np.concatenate([p.inertia_tensor for p in properties]).reshape(-1, 9),
-    }
-    with gsd.hoomd.open(path, "w") as file:
+    frame.log = {"mass": mass, "com": com, "inertia_tensor": tensor.reshape(-1, 9)}
+    with hoomd.open(path, "w") as file:
         file.append(frame)
 
 
-def sphere_union(body: Exported) -> dict[str, Any]:
-    """Shape of a body for OVITO, in its principal axes; none where it has no radius."""
+def shape_of(body: Exported) -> dict[str, Any]:
+    """Shape of a body for OVITO; none where it has no radius."""
     own = carriers(body)
-    if not own.radius.any():
-        return {}
-    local = (own.position - body.properties.com[0]) @ body.properties.axes[0]
-    diameters = (2.0 * own.radius).tolist()
-    return {"type": "SphereUnion", "centers": local.tolist(), "diameters": diameters}
+    return (
+        sphere_union(in_principal_axes(body, own.position), own.radius) if own.radius.any() else {}
+    )
 
 
 class Format(NamedTuple):

@@ -1,15 +1,15 @@
 """A table in text, numbers with all their digits: a row per frame and body, wall, or contact."""
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 from particlerb.export import ExportError, Selection
 from particlerb.maths.vec3 import Floats
 from particlerb.record.schema import COLUMNS, CONTACT_FIELDS, CONTACTS, FIELDS, WALLS
+from particlerb.record.trajectory import Trajectory
 
 NEEDS: Final = ()
 HOLDS: Final = (*FIELDS, *CONTACT_FIELDS, *WALLS, CONTACTS)
@@ -32,13 +32,20 @@ def write(selection: Selection, path: Path) -> None:
     sorts = (selection.fields, selection.walls, selection.has_contacts)
     if sum(map(bool, sorts)) > 1:
         raise ExportError("csv has rows of bodies, of walls, or of contacts: ask for one sort")
-    header, rows = (
-        (OF_CONTACT, of_contacts(selection))
-        if selection.has_contacts
-        else of_walls(selection)
-        if selection.walls
-        else of_bodies(selection)
-    )
+    trajectory = selection.trajectory
+    if selection.has_contacts:
+        header, rows = OF_CONTACT, of_contacts(selection)
+    elif selection.walls:
+        labels = list(enumerate(trajectory.wall_names))
+        parts = selection.portions(len(labels))
+        header = ["wall", "name", *columns(selection.walls)]
+        rows = labelled(trajectory, parts, labels, selection.walls, trajectory.of_walls)
+    else:
+        labels = [(int(b), trajectory.names[b]) for b in selection.bodies]
+        header = ["body", "name", *columns(selection.fields)]
+        rows = labelled(
+            trajectory, selection.portions(), labels, selection.fields, selection.values
+        )
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(["frame", "time", *header])
@@ -55,44 +62,21 @@ def columns(names: tuple[str, ...]) -> list[str]:
 
 
 def labelled(
-    selection: Selection, part: slice, labels: list[tuple[int, str]], values: list[Floats]
+    trajectory: Trajectory,
+    parts: Iterator[slice],
+    labels: list[tuple[int, str]],
+    fields: tuple[str, ...],
+    values: Callable[[str, slice], Floats],
 ) -> Iterator[tuple[Any, ...]]:
-    """Rows of some frames: one for each label, with its numbers of all fields."""
-    of_frame = [list(v.reshape(*v.shape[:2], -1)) for v in values]
-    numbers = range(selection.trajectory.n_frames)[part]
-    times = selection.times(part).tolist()
-    for k, (frame, t) in enumerate(zip(numbers, times, strict=True)):
-        rows = zip(*(v[k].tolist() for v in of_frame), strict=True)
-        for label, row in zip(labels, rows, strict=True):
-            yield (frame, t, *label, *(number for one in row for number in one))
-
-
-def of_bodies(selection: Selection) -> tuple[list[str], Iterator[tuple[Any, ...]]]:
-    """Head and rows of bodies."""
-    names = np.array(selection.trajectory.names)[selection.bodies].tolist()
-    labels = list(zip(selection.bodies.tolist(), names, strict=True))
-    rows = (
-        row
-        for part in selection.portions()
-        for row in labelled(
-            selection, part, labels, [selection.values(name, part) for name in selection.fields]
-        )
-    )
-    return ["body", "name", *columns(selection.fields)], rows
-
-
-def of_walls(selection: Selection) -> tuple[list[str], Iterator[tuple[Any, ...]]]:
-    """Head and rows of walls."""
-    trajectory = selection.trajectory
-    labels = list(enumerate(trajectory.wall_names))
-    rows = (
-        row
-        for part in selection.portions(len(labels))
-        for row in labelled(
-            selection, part, labels, [trajectory.of_walls(name, part) for name in selection.walls]
-        )
-    )
-    return ["wall", "name", *columns(selection.walls)], rows
+    """Rows of all frames: one for each label, with its numbers of all fields."""
+    for part in parts:
+        found = [values(name, part) for name in fields]
+        of_frame = [array.reshape(*array.shape[:2], -1) for array in found]
+        numbers, times = range(trajectory.n_frames)[part], trajectory.time[part].tolist()
+        for k, (frame, t) in enumerate(zip(numbers, times, strict=True)):
+            rows = zip(labels, *(array[k].tolist() for array in of_frame), strict=True)
+            for label, *row in rows:
+                yield (frame, t, *label, *chain.from_iterable(row))
 
 
 def of_contacts(selection: Selection) -> Iterator[tuple[Any, ...]]:

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from particlerb.export import ExportError, Selection, is_known
+from particlerb.export import Selection, gsd_hoomd, is_known, sphere_union
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import multiplied, turned_back
@@ -30,34 +30,28 @@ ROOM: Final = 1.01  # of the box, times the positions
 
 def write(selection: Selection, path: Path) -> None:
     """Write all frames; constants once."""
-    try:
-        import gsd.hoomd
-    except ImportError:
-        raise ExportError("gsd files need the package gsd: pip install gsd") from None
+    hoomd = gsd_hoomd()
     trajectory = selection.trajectory
     bodies = taken(trajectory.bodies, selection.bodies)
     kinds, types = np.unique(trajectory.kind[selection.bodies], return_inverse=True)
     edges = box_edges(selection)
-    time, energy = trajectory.time, trajectory.energy
-    with gsd.hoomd.open(path, "w") as file:
+    names = [type_name(trajectory, int(kind)) for kind in kinds]
+    shapes = [type_shape(trajectory, int(kind)) for kind in kinds]
+    with hoomd.open(path, "w") as file:
         for part in selection.portions():
             columns = per_body(selection, bodies, part)
             for row, number in enumerate(range(trajectory.n_frames)[part]):
-                frame = gsd.hoomd.Frame()
+                frame = hoomd.Frame()
                 frame.configuration.step = number
                 frame.configuration.box = [*edges, 0, 0, 0]
                 particles = frame.particles
-                particles.N = len(selection.bodies)
-                particles.types = [type_name(trajectory, int(kind)) for kind in kinds]
-                particles.type_shapes = [type_shape(trajectory, int(kind)) for kind in kinds]
-                particles.typeid = types
+                particles.N, particles.typeid = len(selection.bodies), types
+                particles.types, particles.type_shapes = names, shapes
                 particles.mass, particles.moment_inertia = bodies.mass, bodies.inertia.T
                 for name, values in columns.items():
                     setattr(particles, name, values[row])
-                frame.log = {
-                    "time": time[number : number + 1],
-                    "energy": energy[number : number + 1],
-                }
+                own = slice(number, number + 1)
+                frame.log = {"time": trajectory.time[own], "energy": trajectory.energy[own]}
                 file.append(frame)
 
 
@@ -112,11 +106,7 @@ def type_shape(trajectory: Trajectory, kind: int) -> dict[str, Any]:
     if 0 < radius.size <= MOST_SPHERES:
         frame = np.tile(trajectory.bodies.rotor_frame[:, body : body + 1], radius.size)
         centres = turned_back(frame, particles.position[own][is_sphere].T).T
-        return {
-            "type": "SphereUnion",
-            "centers": centres.tolist(),
-            "diameters": (2.0 * radius).tolist(),
-        }
+        return sphere_union(centres, radius)
     a, b, c = ellipsoid(trajectory.bodies.inertia[:, body], float(trajectory.mass[body]))
     return {"type": "Ellipsoid", "a": a, "b": b, "c": c}
 

@@ -22,6 +22,7 @@ from particlerb.geometry.mass_properties import (
 from particlerb.geometry.solid import impossible
 from particlerb.maths.vec3 import Floats
 from particlerb.rotors.rotor_class import NAMES, POINT
+from particlerb.studies.text import count_of
 
 UNIT_ROUNDOFF: Final = 2.0**-53
 LARGEST_DEFICIT: Final = 64 * UNIT_ROUNDOFF  # of I3: below 0 by so much is rounding
@@ -64,10 +65,9 @@ def record_of(
     excess = float(moments[0] + moments[1] - moments[2])
     if moments[0] < 0.0 or excess < -LARGEST_DEFICIT * moments[2]:
         raise ValueError(f"{name}: {impossible(moments)}")
-    about_origin = tensor + mass * (com @ com * np.eye(3) - np.outer(com, com))
-    ratio = ratios_of(properties, k)
-    offset = float(ratio.offset[0]) if code != POINT else 0.0
-    relative = UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))
+    ratio = {key: float(value[0]) for key, value in ratios_of(properties, k)._asdict().items()}
+    offset = ratio["offset"] if code != POINT else 0.0
+    rounding = UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))
     return {
         "name": name,
         "particles": n_particles,
@@ -76,20 +76,26 @@ def record_of(
         "density": None if matter.volume is None else float(mass) / matter.volume,
         "com": com.tolist(),
         "inertia_tensor": tensor.tolist(),
-        "inertia_about_origin": about_origin.tolist(),
+        "inertia_about_origin": about_origin(mass, com, tensor).tolist(),
         "moments": moments.tolist(),
         "axes": axes.tolist(),
         "radii_of_gyration": np.sqrt(moments / mass).tolist(),
         "triangle_excess": excess,
         "rotor_class": NAMES[int(code)],
-        "ratios": {field: float(value[0]) for field, value in ratio._asdict().items()},
-        "error": max(relative, matter.error),
-        "solid": None if matter.solid is None else solid_record(com, tensor / mass, matter.solid),
-        "plain_sum": None if matter.plain is None else plain_record(matter, float(mass)),
+        "ratios": ratio,
+        "error": max(rounding, matter.error),
+        "solid": solid_record(com, tensor / mass, matter.solid),
+        "plain_sum": plain_record(matter, float(mass)),
         "spin": spin,
         "advised_step": radians_per_step / spin if spin > 0.0 else None,
         "notes": list(matter.notes),
     }
+
+
+def about_origin(mass: float, com: Floats, tensor: Floats) -> Floats:
+    """Tensor about the origin: I + m (c² 1 − c cᵀ)."""
+    shifted: Floats = tensor + mass * (com @ com * np.eye(3) - np.outer(com, com))
+    return shifted
 
 
 def ratios_of(properties: MassProperties, k: int) -> Ratios:
@@ -99,17 +105,19 @@ def ratios_of(properties: MassProperties, k: int) -> Ratios:
         return ratios(mass, com, tensor, eigen_systems(tensor)[0])
 
 
-def solid_record(com: Floats, tensor: Floats, solid: Analytic) -> dict[str, float]:
+def solid_record(com: Floats, tensor: Floats, solid: Analytic | None) -> dict[str, float] | None:
     """How far particles are from the solid that they stand for: shares of its tensor and size."""
+    if solid is None:
+        return None
     inertia_error, com_error = differences(com, tensor, solid)
     return {"inertia_error": inertia_error, "com_error": com_error}
 
 
-def plain_record(matter: Matter, mass: float) -> dict[str, Any]:
-    """The sum over spheres beside their union, of the same density."""
+def plain_record(matter: Matter, mass: float) -> dict[str, Any] | None:
+    """The sum over spheres beside their union, of the same density; None without spheres."""
     plain, exact = matter.plain, matter.exact
-    assert plain is not None
-    assert exact is not None
+    if plain is None or exact is None:
+        return None
     density = mass / (matter.volume or math.nan)
     moments = np.linalg.eigvalsh(plain.inertia), np.linalg.eigvalsh(exact.inertia)
     return {
@@ -124,64 +132,59 @@ def plain_record(matter: Matter, mass: float) -> dict[str, Any]:
 
 def text_of(record: dict[str, Any]) -> str:
     """A record in words."""
-    summed = f"{record['particles']} particle{'s' if record['particles'] != 1 else ''}"
-    volume = record["volume"]
-    lines = [
-        f"{record['name']}: {record['rotor_class']}, {summed}",
-        f"  mass                 {numbers(record['mass'])} kg",
-        *([] if volume is None else [f"  volume               {numbers(volume)} m³"]),
-        *([] if volume is None else [f"  density              {numbers(record['density'])} kg/m³"]),
-        f"  centre of mass       {numbers(record['com'])} m",
-        *matrix("inertia tensor", record["inertia_tensor"], "kg m², about the centre of mass"),
-        *matrix("", record["inertia_about_origin"], "kg m², about the origin of the shape's axes"),
-        f"  principal moments    {numbers(record['moments'])} kg m²",
+    volume, excess = record["volume"], numbers(record["triangle_excess"])
+    about_com = "kg m², about the centre of mass"
+    about_0 = "kg m², about the origin of the shape's axes"
+    rows = [
+        ("mass", f"{numbers(record['mass'])} kg"),
+        *([] if volume is None else [("volume", f"{numbers(volume)} m³")]),
+        *([] if volume is None else [("density", f"{numbers(record['density'])} kg/m³")]),
+        ("centre of mass", f"{numbers(record['com'])} m"),
+        *matrix("inertia tensor", record["inertia_tensor"], about_com),
+        *matrix("", record["inertia_about_origin"], about_0),
+        ("principal moments", f"{numbers(record['moments'])} kg m²"),
         *matrix("principal axes", record["axes"], "in columns"),
-        f"  radii of gyration    {numbers(record['radii_of_gyration'])} m",
-        f"  triangle inequality  I1 + I2 − I3 = {numbers(record['triangle_excess'])} kg m²"
-        " (0 or more, to rounding)",
-        f"  rotor class          {record['rotor_class']}: {reason(record)}",
-        f"  error of the sums    {record['error']:.2g} of mass and trace of the tensor, estimated",
-        *solid_lines(record["solid"]),
-        *plain_lines(record["plain_sum"]),
-        f"  step                 {step_text(record)}",
-        *(
-            f"  {'particles' if k == 0 else '':<19}  {note}"
-            for k, note in enumerate(record["notes"])
-        ),
+        ("radii of gyration", f"{numbers(record['radii_of_gyration'])} m"),
+        ("triangle inequality", f"I1 + I2 − I3 = {excess} kg m² (0 or more, to rounding)"),
+        ("rotor class", f"{record['rotor_class']}: {reason(record)}"),
+        ("error of the sums", f"{record['error']:.2g} of mass and trace of the tensor, estimated"),
+        *solid_rows(record["solid"]),
+        *plain_rows(record["plain_sum"]),
+        ("step", step_text(record)),
+        *(("" if k else "particles", note) for k, note in enumerate(record["notes"])),
     ]
-    return "\n".join(lines)
+    head = f"{record['name']}: {record['rotor_class']}, {count_of(record['particles'], 'particle')}"
+    return "\n".join([head, *(f"  {name:<19}  {text}" for name, text in rows)])
 
 
-def solid_lines(solid: dict[str, float] | None) -> list[str]:
+def solid_rows(solid: dict[str, float] | None) -> list[tuple[str, str]]:
     """What a staircase of particles costs."""
     if solid is None:
         return []
     inertia, com = solid["inertia_error"], solid["com_error"]
-    return [
-        f"  beside the solid     tensor per mass off by {inertia:.2g} of its norm, com by {com:.2g}"
-        " radii of gyration"
-    ]
+    text = f"tensor per mass off by {inertia:.2g} of its norm, com by {com:.2g} radii of gyration"
+    return [("beside the solid", text)]
 
 
-def plain_lines(plain: dict[str, Any] | None) -> list[str]:
+def plain_rows(plain: dict[str, Any] | None) -> list[tuple[str, str]]:
     """What a sum that counts overlaps twice would have been."""
     if plain is None:
         return []
     shares = ", ".join(f"{share:+.3g} %" for share in plain["moments_per_cent"])
     return [
-        f"  plain sum            mass {plain['mass_per_cent']:+.3g} %, principal moments {shares},",
-        f"                       com {plain['com_distance']:.3g} m away: overlaps counted twice",
+        ("plain sum", f"mass {plain['mass_per_cent']:+.3g} %, principal moments {shares},"),
+        ("", f"com {plain['com_distance']:.3g} m away: overlaps counted twice"),
     ]
 
 
 def step_text(record: dict[str, Any]) -> str:
     """Advice for a stepping method."""
-    if record["advised_step"] is None:
-        return "it does not spin: any; free rotation has a closed form and needs none"
-    return (
-        f"{record['advised_step']:.3g} s for {record['spin']:.6g} rad/s where something acts;"
-        " free rotation has a closed form and needs none"
-    )
+    advice = "it does not spin: any"
+    if record["advised_step"] is not None:
+        advice = (
+            f"{record['advised_step']:.3g} s for {record['spin']:.6g} rad/s where something acts"
+        )
+    return f"{advice}; free rotation has a closed form and needs none"
 
 
 def numbers(values: float | list[float] | Floats) -> str:
@@ -189,11 +192,10 @@ def numbers(values: float | list[float] | Floats) -> str:
     return ", ".join(repr(float(value)) for value in np.atleast_1d(values))
 
 
-def matrix(name: str, rows: list[list[float]], unit: str) -> list[str]:
-    """Lines of a (3, 3) matrix, the first with its name, the last with its unit."""
-    heads = (f"  {name:<19}  ", *2 * (" " * 23,))
-    ends = ("", "", f"  {unit}")
-    return [f"{h}[{numbers(row)}]{end}" for h, row, end in zip(heads, rows, ends, strict=True)]
+def matrix(name: str, rows: list[list[float]], unit: str) -> list[tuple[str, str]]:
+    """Rows of a (3, 3) matrix, the first with its name, the last with its unit."""
+    first, middle, last = (f"[{numbers(row)}]" for row in rows)
+    return [(name, first), ("", middle), ("", f"{last}  {unit}")]
 
 
 def reason(record: dict[str, Any]) -> str:

@@ -218,7 +218,7 @@ def test_csv_of_walls_and_of_bodies_that_touch(pile, tmp_path):
     assert [float(row["contact_overlap"]) for row in rows] == pile.contact_overlap.ravel().tolist()
     with pytest.raises(ExportError, match="ask for one sort"):
         export(pile, tmp_path / "c.csv", "csv", fields=["position", "contacts"])
-    with pytest.raises(ExportError, match="lammps has no place for it"):
+    with pytest.raises(ExportError, match="lammps cannot hold it"):
         export(pile, tmp_path / "c", "lammps", fields=["contact_number"])
 
 
