@@ -16,7 +16,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import turned
 from particlerb.record.layout import describe, make_clock, make_group, write_h5md
 from particlerb.record.schema import FIELDS, TRAJECTORY, frames_per_chunk
-from particlerb.record.vtkhdf import append_steps, count_steps, create_vtkhdf
+from particlerb.record.vtkhdf import append_steps, create_vtkhdf
 
 NEEDS: Final = ("position", "orientation")
 HOLDS: Final = tuple(FIELDS)
@@ -56,8 +56,7 @@ def write(selection: Selection, path: Path) -> None:
                 for name, values in placed(state, column, local).items():
                     fields[name][done] = values
                 done += 1
-        append_steps(file, clock[:])
-        count_steps(file, n_frames)
+        append_steps(file, 0, clock[:])
 
 
 def states(selection: Selection, names: Sequence[str], part: slice) -> Iterator[tuple[Floats, ...]]:

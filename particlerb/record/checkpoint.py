@@ -1,8 +1,8 @@
 """What a resumed run needs beside the last frame: two slots in the file, written in turn.
 
 A slot is an archive of NumPy arrays (`numpy.load` reads its bytes) with the hash of these bytes
-and the number of frames that lay behind. The attribute `current` says which slot counts; it is
-changed when the other one is wholly on disk, so a kill at any moment leaves one that is whole.
+and the number of frames that lay behind. The attribute `current` says which slot counts; it changes
+with the counter of frames, in one commit. Where the slot that counts is damaged, the other serves.
 """
 
 import hashlib
@@ -63,20 +63,16 @@ def unpacked(content: bytes) -> dict[str, Any]:
         return {name: archive[name] for name in archive.files}
 
 
-def make_slots(file: h5py.File, n_frames: int, arrays: Mapping[str, Any]) -> None:
-    """Make both slots, and write the first; it counts at once."""
-    content = packed(arrays)
-    if schema.CHECKPOINT in file:  # not wholly made
-        del file[schema.CHECKPOINT]
+def make_slots(file: h5py.File, size: int) -> None:
+    """Make both slots, empty, for contents of about so many bytes."""
     group = file.create_group(schema.CHECKPOINT)
-    size = 2 ** (len(content) - 1).bit_length()
+    size = 2 ** (size - 1).bit_length()
     chunks = (min(max(size, SMALLEST_CHUNK), LARGEST_CHUNK),)
     for name in schema.SLOTS:
         slot = group.create_dataset(name, (0,), "u1", maxshape=(None,), chunks=chunks)
         slot.attrs[schema.SLOT_FRAMES] = np.int64(0)
         slot.attrs[schema.SLOT_DIGEST] = np.bytes_(digest_of(b""))
     group.attrs[schema.CURRENT] = np.int64(0)
-    put(group[schema.SLOTS[0]], n_frames, content)
 
 
 def put(slot: h5py.Dataset, n_frames: int, content: bytes) -> None:
@@ -93,10 +89,15 @@ def digest_of(content: bytes) -> str:
 
 
 def write_checkpoint(file: h5py.File, n_frames: int, arrays: Mapping[str, Any]) -> int:
-    """Write the slot that does not count; return its number, for `CURRENT` once it is on disk."""
+    """Write the slot that does not count; return its number, for `CURRENT` at the next commit."""
+    content = packed(arrays)
+    other = 0
+    if schema.CHECKPOINT in file:
+        other = 1 - int(file[schema.CHECKPOINT].attrs[schema.CURRENT])
+    else:
+        make_slots(file, len(content))
     group = file[schema.CHECKPOINT]
-    other = 1 - int(group.attrs[schema.CURRENT])
-    put(group[schema.SLOTS[other]], n_frames, packed(arrays))
+    put(group[schema.SLOTS[other]], n_frames, content)
     return other
 
 

@@ -138,7 +138,7 @@ class FrameReader:
                 else:
                     found = without_cache(values)[lo:hi:stride, bodies]
                 if not np.isfinite(found).all():
-                    raise ValueError(f"{path} has entries that are no numbers")
+                    raise ValueError(f"{path} has entries that are not finite")
             return found
 
         return self.patiently(read)
@@ -148,7 +148,7 @@ class FrameReader:
         with trajectory_errors(self.file):
             found = dataset_at(self.file, path, kinds, shape)[()]
             if found.dtype.kind == "f" and not np.isfinite(found).all():
-                raise ValueError(f"{path} has entries that are no numbers")
+                raise ValueError(f"{path} has entries that are not finite")
         return found
 
     def read(

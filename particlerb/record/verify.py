@@ -1,7 +1,7 @@
 """Whether a trajectory file is whole: what can be computed anew is, and compared.
 
-The digest of tables and texts, the checksum of every frame, the ledger summed again from the
-frames, and what must hold of any frames. Frames are read in portions.
+The digest of tables and texts, the checksum of every frame, the energy balance summed again from
+the frames, and what must hold of any frames. Frames are read in portions.
 """
 
 from collections.abc import Callable
@@ -9,7 +9,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import totals
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames
@@ -27,7 +26,11 @@ from particlerb.record.checksums import digest, frame_checksums, list_checksums
 from particlerb.record.trajectory import Trajectory
 
 STATE: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
-SUMMED: Final = ("kinetic_energy", "linear_momentum", "angular_momentum")
+SUMMED: Final = {  # what is summed again, and the size of what is summed
+    "kinetic_energy": "kinetic_energy",
+    "linear_momentum": "momentum_size",
+    "angular_momentum": "spin_size",
+}
 ROUNDING: Final = {"f8": 1e-11, "f4": 1e-5}  # of sums, relative to the size of what is summed
 
 
@@ -60,7 +63,7 @@ def verify(trajectory: Trajectory) -> list[Finding]:
         "tables, texts": verify_tables,
         "times": verify_times,
         "checksums": verify_checksums,
-        "ledger": verify_ledger,
+        "energy balance": verify_balance,
         "frames": verify_frames,
         "steps for VTK": verify_steps,
         "checkpoint": verify_checkpoint,
@@ -122,16 +125,16 @@ def verify_checksums(trajectory: Trajectory) -> str:
     return f"of {n} frames are those written"
 
 
-def verify_ledger(trajectory: Trajectory) -> str:
-    """Sum energy and momenta of the frames again, and balance the books."""
+def verify_balance(trajectory: Trajectory) -> str:
+    """Sum energy and momenta of the frames again, and compare with the recorded balance."""
     balance(trajectory)
     lacking = [name for name in STATE if name not in trajectory.fields]
     if lacking:
-        return f"balances; not summed again, {', '.join(lacking)} was not recorded"
+        return f"closes; not summed again, {', '.join(lacking)} was not recorded"
     worst = 0.0
     for part in trajectory.portions():
         worst = max(worst, summed_again(trajectory, part))
-    return f"balances; summed again from the frames it differs by {worst:.1g} at most"
+    return f"closes; summed again from the frames it differs by {worst:.1g} at most"
 
 
 def balance(trajectory: Trajectory) -> None:
@@ -156,18 +159,13 @@ def summed_again(trajectory: Trajectory, part: slice) -> float:
     n_frames = len(x)
     frames = Frames(x, q, p, L, q[-1].copy(), np.ones(n_frames, dtype=np.bool_))
     now = totals(frames, counted(trajectory), np.zeros(3))
-    sizes: dict[str, Floats] = {
-        "kinetic_energy": now.kinetic_energy,
-        "linear_momentum": now.momentum_size,
-        "angular_momentum": now.spin_size,
-    }
     worst = 0.0
-    for name in SUMMED:
+    for name, size in SUMMED.items():
         difference = trajectory.observable(name, part) - getattr(now, name)
-        if name == "kinetic_energy" and has_pistons(trajectory):  # theirs is in the ledger too
+        if name == "kinetic_energy" and has_pistons(trajectory):  # theirs is in the balance too
             difference = np.minimum(difference, 0.0)
         difference = np.abs(difference).reshape(n_frames, -1).max(axis=1)
-        largest = sizes[name].max(initial=0.0)
+        largest = getattr(now, size).max(initial=0.0)
         share = float(difference.max(initial=0.0)) / (largest or 1.0)
         if share > ROUNDING["f8" if precise else "f4"]:
             frame = int(np.argmax(difference)) + (part.start or 0)
@@ -177,7 +175,7 @@ def summed_again(trajectory: Trajectory, part: slice) -> float:
 
 
 def counted(trajectory: Trajectory) -> Bodies:
-    """Bodies as the ledger counts them: those that the case holds have no mass."""
+    """Bodies as the energy balance counts them: those that the case holds have no mass."""
     bodies = trajectory.bodies
     with trajectory_errors(trajectory.file):
         blocks = trajectory.parameter("case_resolved")["body"]

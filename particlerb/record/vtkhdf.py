@@ -125,20 +125,19 @@ def view(group: h5py.Group, name: str, values: h5py.Dataset, n_frames: int | Non
     h5d.create(group.id, name.encode(), values.id.get_type(), h5s.create_simple(shape), properties)
 
 
-def append_steps(file: h5py.File, times: Floats) -> None:
-    """Append steps that are not counted yet."""
+def append_steps(file: h5py.File, first: int, times: Floats) -> None:
+    """Write the steps from `first` on; there are none behind them."""
     if VTKHDF not in file:
         return
-    steps = file[VTKHDF]["Steps"]
-    first = int(steps.attrs["NSteps"])
-    n = int(file[VTKHDF]["NumberOfPoints"][0])
-    last = first + len(times)
-    for name, values in (("Values", times), ("PointOffsets", np.arange(first, last) * n)):
+    steps, last = file[VTKHDF]["Steps"], first + len(times)
+    starts = np.arange(first, last) * int(file[VTKHDF]["NumberOfPoints"][0])
+    for name, values in (("Values", times), ("PointOffsets", starts)):
         steps[name].resize(last, axis=0)
         steps[name][first:] = values
+    count_steps(file, last)
 
 
 def count_steps(file: h5py.File, n_frames: int) -> None:
-    """Say how many steps there are; call it when their data are on disk."""
+    """Say how many steps there are."""
     if VTKHDF in file:
         file[VTKHDF]["Steps"].attrs.modify("NSteps", np.int64(n_frames))

@@ -19,7 +19,7 @@ from particlerb.contact.contact_output import ContactOutput
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, derived
 from particlerb.record import schema
-from particlerb.record.checkpoint import make_slots, write_checkpoint
+from particlerb.record.checkpoint import write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
 from particlerb.record.contact_writer import ContactList, contact_values
 from particlerb.record.file_size import frames_at_most
@@ -104,7 +104,7 @@ class Recorder:
         output = OutputFile(path, WriterLock(path), "r+", case.output.durable)
         with output.writing():
             self.begin(output, case, scene)
-            self.n_committed, self.known, self.has_slots = n_frames, known, n_frames > 0
+            self.n_committed, self.known = n_frames, known
             self.cut(known)
         return self
 
@@ -126,8 +126,7 @@ class Recorder:
         # Of frames that are not committed, how many lie before them, and their small arrays.
         self.pending: list[tuple[int, dict[str, Rows]]] = []
         self.known = 0  # frames that were there before
-        self.has_slots = False  # of the checkpoint
-        self.slot: int | None = None  # that counts from the next commit on
+        self.slot: int | None = None  # of the checkpoint, that counts from the next commit on
         self.last_commit = self.last_checkpoint = time.monotonic()
         self.seconds_for_checkpoint = 0.0
 
@@ -235,11 +234,7 @@ class Recorder:
             return
         arrays = checkpoint()
         with self.output.writing():
-            if self.has_slots:
-                self.slot = write_checkpoint(self.file, self.n_frames, arrays)
-            else:
-                make_slots(self.file, self.n_frames, arrays)
-                self.has_slots = True
+            self.slot = write_checkpoint(self.file, self.n_frames, arrays)
         self.last_checkpoint = time.monotonic()
 
     def commit_if_due(self, checkpoint: Callable[[], Mapping[str, Any]] | None) -> None:
@@ -271,9 +266,8 @@ class Recorder:
             # The offset of contacts has one entry more than there are frames.
             append_rows(self.file[path], first + (path == schema.OFFSET), values)
         append_rows(self.step, first, np.arange(first, n))
-        append_steps(self.file, self.series[schema.TIME][first:n])
+        append_steps(self.file, first, self.series[schema.TIME][first:n])
         self.file.attrs.modify(schema.COMMITTED, np.int64(n))
-        count_steps(self.file, n)
         if self.slot is not None:
             self.file[schema.CHECKPOINT].attrs.modify(schema.CURRENT, np.int64(self.slot))
 

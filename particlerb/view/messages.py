@@ -16,7 +16,6 @@ LONGEST_TEXT: Final = 300  # characters of a field
 LARGEST_NUMBER: Final = 1e30  # of a camera or a ray, in units of the page
 MOST_PIXELS: Final = 4_000_000  # of a picture
 MOST_BYTES: Final = 10_000  # of a message that is no picture
-MODIFIERS: Final = frozenset({"ctrl", "cmd", "cmd/ctrl", "shift", "alt"})
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
