@@ -129,21 +129,17 @@ def push_part(applied: AppliedPush, drift: tuple[float, float] | None) -> Figure
     """What was done to the body last, and the drifts of energy and |L| since it ended."""
     push = applied.push
     is_push = push.duration > 0.0
+    times = [applied.start, applied.stop] if is_push else [applied.start]
     rows = [
         row("at", "body point  m", push.at),
         row("force", "F  N" if is_push else "J  N s", push.vector),
         row("lever", "lever arm r  m", applied.lever),
         row("torque", "r × F  N m" if is_push else "r × J  N m s", applied.torque),
-        row("time", "from, to  s" if is_push else "at  s", times_of(applied)),
+        row("time", "from, to  s" if is_push else "at  s", times),
     ]
     if drift is not None:
         rows.append(row("drift", "errors: E, |L|", drift))
     return FigurePart("last push", tuple(rows))
-
-
-def times_of(applied: AppliedPush) -> list[float]:
-    """Start and end of a push [s], or the instant of an impulse."""
-    return [applied.start, applied.stop] if applied.push.duration > 0.0 else [applied.start]
 
 
 def hand_part(

@@ -86,14 +86,10 @@ class Surfaces:
         self.reach: Floats = np.zeros(len(scene.kind))  # radius of a ball that holds each [m]
         for i in range(len(case.body)):
             own = np.flatnonzero(self.block == i)
-            kinds = np.unique(scene.kind[own])
-            self.reach[own] = (
-                [self.form(k).reach for k in scene.kind[own]]
-                if kinds.size > 1
-                else (self.form(int(kinds[0])).reach)
-            )
+            kinds, of_body = np.unique(scene.kind[own], return_inverse=True)
+            self.reach[own] = np.array([self.form(kind).reach for kind in kinds])[of_body]
             if kinds.size == 1:
-                self.layers.append(Layer(self.form(int(kinds[0])).mesh, own, None, None))
+                self.layers.append(Layer(self.form(kinds[0]).mesh, own, None, None))
             else:
                 axes = np.array([equal_ellipsoid(scene, b) for b in own.tolist()])
                 frame = scene.bodies.rotor_frame[:, own]

@@ -155,7 +155,7 @@ class Live(Page):
         if chosen == ALONG_VIEW:
             client = getattr(event, "client", None)
             if client is None:
-                raise ValueError("along the view of whom? choose another direction")
+                raise ValueError("the browser that asked is gone: choose another direction")
             place = self.session.frame.position[0, b] + self.in_world_axes(b, at)
             away = place - self.stage.in_world(client.camera.position)
             directions[ALONG_VIEW] = away / np.linalg.norm(away)

@@ -162,7 +162,7 @@ class Session:
         if not all(math.isfinite(value) for value in numbers) or push.duration < 0.0:
             raise SessionError("the push has a number that is not finite, or a negative duration")
         if not any(push.vector):
-            raise SessionError("a push of nothing: the force is zero")
+            raise SessionError("the force of the push is zero")
         self.advance(self.next_step([push.body]))
         start = self.time
         stop = start + push.duration

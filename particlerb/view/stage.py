@@ -164,8 +164,8 @@ class Stage:
         """Arrows (n, 3) in units of the page from a place [m] on; none where they are empty."""
         handle = self.arrows.get(name)
         if not len(vectors):
-            if handle is not None and handle.visible:
-                handle.visible = False
+            if handle is not None:
+                show_if(handle, False)
             return
         first = np.tile(self.on_page(start), (len(vectors), 1))
         points = np.stack([first, first + vectors], axis=1).astype(np.float32)
@@ -177,24 +177,25 @@ class Stage:
             )  # fmt: skip
             return
         handle.points = points
-        if not handle.visible:
-            handle.visible = True
+        show_if(handle, True)
 
     def draw_trail(self, places: Floats) -> None:
         """A line through places (n, 3) [m]."""
-        if len(places) < 2:
-            if self.trail.visible:
-                self.trail.visible = False
-            return
-        shown = self.on_page(places).astype(np.float32)
-        self.trail.points = np.stack([shown[:-1], shown[1:]], axis=1)
-        if not self.trail.visible:
-            self.trail.visible = True
+        if len(places) > 1:
+            shown = self.on_page(places).astype(np.float32)
+            self.trail.points = np.stack([shown[:-1], shown[1:]], axis=1)
+        show_if(self.trail, len(places) > 1)
 
     def clickable(self, callback: Any) -> None:
         """Call back with the event of every click on a body."""
         for handle in self.layers:
             handle.on_click(callback)
+
+
+def show_if(handle: Any, is_visible: bool) -> None:
+    """Show or hide something; the browser hears of it only where that is new."""
+    if handle.visible != is_visible:
+        handle.visible = is_visible
 
 
 def linear(colours: Any) -> Any:
