@@ -30,8 +30,8 @@ from results import record
 
 from particlerb.case.reader import load
 from particlerb.compiled.threads import THREADS
-from particlerb.contact.cell_grid import neighbours
 from particlerb.contact.restitution import damping_ratio
+from particlerb.contact.sphere_search import neighbours
 from particlerb.simulation.run import Run, prepare
 
 RADIUS = 0.1  # m

@@ -10,15 +10,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.contact.cell_grid import neighbours
-from particlerb.contact.pair_force import (
-    BEFORE,
-    ELASTIC,
-    POINT,
-    ContactList,
-    ContactModel,
-    GroupContact,
-)
+from particlerb.contact.contact_model import ContactList, ContactModel, GroupContact
+from particlerb.contact.sphere_search import neighbours
 from particlerb.contact.wall_motion import motion_in, poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
@@ -40,27 +33,30 @@ class Springs(NamedTuple):
     shear: Floats  # (m,) [N/m] across it
 
 
-def contact_springs(scene: ContactModel, contacts: ContactList, are_walls: bool) -> Springs:
+def contact_springs(model: ContactModel, contacts: ContactList, are_walls: bool) -> Springs:
     """Contacts that press."""
-    elastic = contacts.forces[:, ELASTIC : ELASTIC + 3].T
+    elastic = contacts.forces.elastic.T
     size = np.linalg.norm(elastic, axis=0)
     own = np.flatnonzero(contacts.active & (size > 0.0))
     pairs = contacts.first[own].astype(np.int64), contacts.second[own].astype(np.int64)
-    point = contacts.forces[own, POINT : POINT + 3].T
+    point = contacts.forces.point[own].T
     normal = elastic[:, own] / size[own]
-    return springs(scene, pairs, are_walls, point, normal, contacts.history[own, BEFORE])
+    return springs(model, pairs, are_walls, point, normal, contacts.history.overlap[own])
 
 
 def springs(
-    scene: ContactModel, pairs: tuple[Ints, Ints], are_walls: bool, point: Floats, normal: Floats,
+    model: ContactModel, pairs: tuple[Ints, Ints], are_walls: bool, point: Floats, normal: Floats,
     depth: Floats,
 ) -> Springs:  # fmt: skip
     """Springs of pairs of spheres, or of spheres with primitives of walls, at their overlaps."""
-    (i, j), spheres, law = pairs, scene.spheres, scene.law
-    second = np.full(i.size, scene.inv_mass.size) if are_walls else spheres.body[j]
-    material = scene.wall_material[j] if are_walls else spheres.material[j]
-    pair = scene.pair_of[spheres.material[i], material]
-    k, shear = law.stiffness[pair], np.where(law.friction[pair] > 0.0, law.shear[pair], 0.0)
+    (i, j), spheres, law = pairs, model.spheres, model.law
+    second = np.full(i.size, model.inv_mass.size) if are_walls else spheres.body[j]
+    material = model.wall_material[j] if are_walls else spheres.material[j]
+    pair = model.pair_of[spheres.material[i], material]
+    k, shear = (
+        law.stiffness[pair],
+        np.where(law.friction[pair] > 0.0, law.tangential_stiffness[pair], 0.0),
+    )
     if law.hertz is not None:
         R = spheres.radius[i]
         R = R if are_walls else R * spheres.radius[j] / (R + spheres.radius[j])
@@ -80,22 +76,22 @@ def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, dep
     depth : float [m]
         Overlap that decides how stiff `hertz` is, if two do not overlap by more.
     """
-    scene = contact.model
-    spheres, near = scene.spheres, TOUCHING * float(scene.spheres.radius.min(initial=np.inf))
+    model = contact.model
+    spheres, near = model.spheres, TOUCHING * float(model.spheres.radius.min(initial=np.inf))
     x = np.ascontiguousarray(com[:, spheres.body] + turned(q[:, spheres.body], spheres.arm))
     first, second, _ = neighbours(x, spheres.radius, spheres.body, near)
     away = x[:, second] - x[:, first]
-    between = initial_springs(scene, (first, second), False, x, away, depth)
+    between = initial_springs(model, (first, second), False, x, away, depth)
     motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
     poses = poses_at(motions, 0.0)
-    first, second, _ = WallSearch(scene.walls, spheres.radius).pairs(x, poses, near)
-    away = -gaps(scene.walls, poses, x, first, second)
-    outside = initial_springs(scene, (first, second), True, x, away, depth)
-    return frequency_on(scene, com, q, (between, outside))
+    first, second, _ = WallSearch(model.walls, spheres.radius).pairs(x, poses, near)
+    away = -gaps(model.walls, poses, x, first, second)
+    outside = initial_springs(model, (first, second), True, x, away, depth)
+    return frequency_on(model, com, q, (between, outside))
 
 
 def initial_springs(
-    scene: ContactModel,
+    model: ContactModel,
     pairs: tuple[Ints, Ints],
     are_walls: bool,
     x: Floats,
@@ -103,24 +99,24 @@ def initial_springs(
     depth: float,
 ) -> Springs:
     """Springs between spheres at x and what lies `away` from their centres."""
-    radius, distance = scene.spheres.radius, np.sqrt((away**2).sum(axis=0))
+    radius, distance = model.spheres.radius, np.sqrt((away**2).sum(axis=0))
     reach = radius[pairs[0]] + (0.0 if are_walls else radius[pairs[1]])
     touches = distance <= (1.0 + TOUCHING) * reach  # of an edge nothing may face the sphere
     pairs = pairs[0][touches], pairs[1][touches]
     away, distance, reach = away[:, touches], distance[touches], reach[touches]
     normal = away / np.where(distance > 0.0, distance, 1.0)
     point = x[:, pairs[0]] + radius[pairs[0]] * normal
-    return springs(scene, pairs, are_walls, point, normal, np.maximum(reach - distance, depth))
+    return springs(model, pairs, are_walls, point, normal, np.maximum(reach - distance, depth))
 
 
 def contact_frequency(
-    scene: ContactModel, com: Floats, q: Floats, spheres: ContactList, walls: ContactList
+    model: ContactModel, com: Floats, q: Floats, spheres: ContactList, walls: ContactList
 ) -> float:
     """Fastest frequency of bodies on their contacts [rad/s], by power iteration.
 
     Parameters
     ----------
-    scene : ContactModel
+    model : ContactModel
     com, q : ndarray, shapes (3, n) [m] and (4, n)
         Where the bodies are; the orientations are those of the rotor frames.
     spheres, walls : ContactList
@@ -131,12 +127,12 @@ def contact_frequency(
     float
         Rayleigh's quotient: at most the true one. 0 where nothing presses.
     """
-    parts = contact_springs(scene, spheres, False), contact_springs(scene, walls, True)
-    return frequency_on(scene, com, q, parts)
+    parts = contact_springs(model, spheres, False), contact_springs(model, walls, True)
+    return frequency_on(model, com, q, parts)
 
 
 def frequency_on(
-    scene: ContactModel, com: Floats, q: Floats, parts: tuple[Springs, Springs]
+    model: ContactModel, com: Floats, q: Floats, parts: tuple[Springs, Springs]
 ) -> float:
     """Fastest frequency of bodies on springs between each other, and to walls [rad/s]."""
     first, second, point, normal, k, shear = (
@@ -152,8 +148,8 @@ def frequency_on(
     v, w = np.random.default_rng(0).standard_normal((2, 3, n + 1))
     squared = 0.0
     for _ in range(ITERATIONS):
-        v[:, :-1] *= scene.inv_mass > 0.0
-        w[:, :-1] *= scene.inv_mass > 0.0
+        v[:, :-1] *= model.inv_mass > 0.0
+        w[:, :-1] *= model.inv_mass > 0.0
         v[:, -1], w[:, -1] = 0.0, 0.0  # the world
         u = sum(sign * (v[:, body] + np.cross(w[:, body], arm, axis=0)) for body, arm, sign in ends)
         along = normal * (normal * u).sum(axis=0)
@@ -164,8 +160,8 @@ def frequency_on(
             for c in range(3):
                 F[c] += sign * np.bincount(body, f[c], n + 1)
                 tau[c] += sign * np.bincount(body, turning[c], n + 1)
-        moved = scene.inv_mass * F[:, :-1]
-        spun = turned(q, scene.inv_inertia * turned_back(q, tau[:, :-1]))
+        moved = model.inv_mass * F[:, :-1]
+        spun = turned(q, model.inv_inertia * turned_back(q, tau[:, :-1]))
         given = (F[:, :-1] * moved).sum() + (tau[:, :-1] * spun).sum()  # u K M⁻¹ K u
         stored = (u * f).sum()
         squared = float(given / stored) if stored > 0.0 else 0.0

@@ -1,23 +1,16 @@
-"""What contacts do at one instant: who touches whom, where, how hard, how deep; forces on walls.
+"""What contacts do at one instant: who contacts whom, where, how hard, how deep; forces on walls.
 
 Read from the evaluation that closes a frame, when somebody asks for it: stepping pays nothing for
 it. All is in an order of its own, which neither threads nor lists of pairs change.
 """
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.contact.pair_force import (
-    ELASTIC,
-    POINT,
-    REST,
-    TWIST,
-    ContactList,
-    ContactModel,
-    Workspace,
-)
+from particlerb.contact.contact_model import ContactList, ContactModel, Workspace
+from particlerb.contact.records import Records
 from particlerb.contact.wall_motion import PrescribedMotion, poses_at
 from particlerb.maths.vec3 import Floats, Ints
 
@@ -35,7 +28,7 @@ class ContactOutput(NamedTuple):
     wall: Ints  # (m,) the wall, NOBODY where the second is a body
     point: Floats  # (m, 3) [m] world frame
     force: Floats  # (m, 3) [N] on the first, world axes
-    twist: Floats  # (m, 3) [N m] against rolling, on the first
+    rolling_torque: Floats  # (m, 3) [N m] on the first
     overlap: Floats  # (m,) [m]
     centre: Floats  # (n_walls, 3) [m] of each wall: about which it turns
     velocity: Floats  # (n_walls, 3) [m/s] of the centre
@@ -47,12 +40,12 @@ def walls_at(motions: Sequence[PrescribedMotion], t: float) -> tuple[Floats, Flo
     return wall_centres(centre, poses_at(motions, t))
 
 
-def wall_centres(centre: Floats, poses: Floats) -> tuple[Floats, Floats]:
+def wall_centres(centre: Floats, poses: Records) -> tuple[Floats, Floats]:
     """Where points of walls are in their poses, and how fast they are."""
-    w, v = poses[:, 3:4], poses[:, 4:7]
+    w, v = poses.orientation[:, :1], poses.orientation[:, 1:]
     across = 2.0 * np.cross(v, centre)
     arm = centre + w * across + np.cross(v, across)
-    return poses[:, :3] + arm, poses[:, 7:10] + np.cross(poses[:, 10:13], arm)
+    return poses.position + arm, poses.velocity + np.cross(poses.angular_velocity, arm)
 
 
 def no_contacts(motions: Sequence[PrescribedMotion], t: float) -> ContactOutput:
@@ -68,25 +61,25 @@ def contact_output(
     what = np.concatenate([np.zeros((0, 10)), *(part[1] for part in parts)])
     order = np.lexsort(who.T[::-1])
     who, what = who[order], what[order]
-    point, force, twist, overlap = np.split(what, (3, 6, 9), axis=1)
+    point, force, torque, overlap = np.split(what, (3, 6, 9), axis=1)
     return ContactOutput(
-        who[:, :2], who[:, 2], point, force, twist, overlap[:, 0], centre, velocity
+        who[:, :2], who[:, 2], point, force, torque, overlap[:, 0], centre, velocity
     )
 
 
 def contact_rows(
     contacts: ContactList,
-    scene: ContactModel,
-    room: Workspace,
+    model: ContactModel,
+    workspace: Workspace,
     members: Ints,
     numbers: Ints,
     are_walls: bool,
 ) -> tuple[Ints, Floats]:
-    """Contacts that were found acting by the last evaluation.
+    """Contacts that were found active by the last evaluation.
 
     Parameters
     ----------
-    contacts, scene, room : ContactList, ContactModel, Workspace
+    contacts, model, workspace : ContactList, ContactModel, Workspace
         After an evaluation.
     members, numbers : ndarray
         Bodies of the scene, and numbers of the spheres that say where a contact comes in the list.
@@ -100,49 +93,49 @@ def contact_rows(
     what : ndarray, shape (m, 10)
         Point [m], force [N] and torque [N m] on the first, overlap [m].
     """
-    acting = np.flatnonzero(contacts.active)
-    i, j, done = contacts.first[acting], contacts.second[acting], contacts.forces[acting]
-    point = done[:, POINT : POINT + 3]
-    place = room.xyzr[i]
-    overlap = 2.0 * (place[:, 3] - np.sqrt(((point - place[:, :3]) ** 2).sum(axis=1)))
-    first, nobody = members[scene.spheres.body[i]], np.full(i.size, NOBODY)
-    force = done[:, ELASTIC : ELASTIC + 3] + done[:, REST : REST + 3]
-    twist = np.zeros((i.size, 3)) if scene.law.rolling is None else done[:, TWIST : TWIST + 3]
+    active = np.flatnonzero(contacts.active)
+    i, j = contacts.first[active], contacts.second[active]
+    forces: Any = contacts.forces[active]  # records
+    xyzr = workspace.xyzr[i]
+    overlap = 2.0 * (xyzr[:, 3] - np.sqrt(((forces.point - xyzr[:, :3]) ** 2).sum(axis=1)))
+    first, nobody = members[model.spheres.body[i]], np.full(i.size, NOBODY)
+    force = forces.elastic + forces.other
+    torque = np.zeros((i.size, 3)) if model.law.rolling is None else forces.rolling_torque
     if are_walls:
-        who = np.stack([first, nobody, scene.walls.wall[j], numbers[i], j], axis=1)
+        who = np.stack([first, nobody, model.walls.wall[j], numbers[i], j], axis=1)
     else:
-        second = members[scene.spheres.body[j]]
+        second = members[model.spheres.body[j]]
         who = np.stack([first, second, nobody, numbers[i], numbers[j]], axis=1)
         swap = first > second
         who[swap] = who[swap][:, [1, 0, 2, 4, 3]]
         sign = np.where(swap, -1.0, 1.0)[:, None]
-        force, twist = sign * force, sign * twist
-    is_deep = overlap > 0.0  # the force is that of a step around the instant: it may begin before
-    what = np.hstack([point, force, twist, overlap[:, None]])
-    return who[is_deep], what[is_deep]
+        force, torque = sign * force, sign * torque
+    overlaps = overlap > 0.0  # the force is that of a step around the instant: it may begin before
+    what = np.hstack([forces.point, force, torque, overlap[:, None]])
+    return who[overlaps], what[overlaps]
 
 
-def contact_numbers(touches: ContactOutput, n_bodies: int) -> Ints:
+def contact_numbers(contacts: ContactOutput, n_bodies: int) -> Ints:
     """Contacts of each body, (n_bodies,), those with walls among them."""
-    both = touches.body.reshape(-1)
+    both = contacts.body.reshape(-1)
     return np.bincount(both[both != NOBODY], minlength=n_bodies)
 
 
-def largest_overlaps(touches: ContactOutput, n_bodies: int) -> Floats:
-    """Largest overlap of each body, (n_bodies,) [m]; 0 where it touches nothing."""
+def largest_overlaps(contacts: ContactOutput, n_bodies: int) -> Floats:
+    """Largest overlap of each body, (n_bodies,) [m]; 0 where it contacts nothing."""
     found = np.zeros(n_bodies)
-    for side in touches.body.T:
+    for side in contacts.body.T:
         own = side != NOBODY
-        np.maximum.at(found, side[own], touches.overlap[own])
+        np.maximum.at(found, side[own], contacts.overlap[own])
     return found
 
 
-def wall_loads(touches: ContactOutput) -> tuple[Floats, Floats]:
+def wall_loads(contacts: ContactOutput) -> tuple[Floats, Floats]:
     """Force [N] on each wall, and torque [N m] about its centre, (n_walls, 3); world axes."""
-    force, torque = np.zeros((2, *touches.centre.shape))
-    own = touches.wall != NOBODY
-    wall, pressed = touches.wall[own], -touches.force[own]
-    arm = touches.point[own] - touches.centre[wall]
+    force, torque = np.zeros((2, *contacts.centre.shape))
+    on_wall = contacts.wall != NOBODY
+    wall, pressed = contacts.wall[on_wall], -contacts.force[on_wall]
+    arm = contacts.point[on_wall] - contacts.centre[wall]
     np.add.at(force, wall, pressed)
-    np.add.at(torque, wall, np.cross(arm, pressed) - touches.twist[own])
+    np.add.at(torque, wall, np.cross(arm, pressed) - contacts.rolling_torque[on_wall])
     return force, torque

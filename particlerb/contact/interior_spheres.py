@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.contact.cell_grid import SphereSearch
 from particlerb.contact.neighbour_list import incidence
+from particlerb.contact.sphere_search import SphereSearch
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, add_scaled, subtract
 
 SMALLEST_PATCH: Final = 1.0 / 64  # half of the side, on a cube of side 2

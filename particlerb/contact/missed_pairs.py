@@ -11,40 +11,38 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.contact.pair_force import ContactList, ContactModel, ContactSpheres, NeighbourLists
+from particlerb.contact.contact_model import ContactModel, ContactSpheres, NeighbourLists
+from particlerb.contact.records import Records, row3
 from particlerb.contact.wall_motion import PrescribedMotion, wall_displacement
-from particlerb.contact.wall_search import primitive, squared_distance
-from particlerb.contact.walls import touch
-from particlerb.maths.quaternion import to_body
-from particlerb.maths.vec3 import (
-    Bools,
-    Floats,
-    Ints,
-    Vec3,
-    dot,
-    load3,
-    rows3,
-    subtract,
+from particlerb.contact.walls import (
+    gap_and_velocity,
+    in_frame_of,
+    length,
+    primitive_at,
+    squared_distance,
 )
+from particlerb.maths.vec3 import Bools, Floats, Ints, dot, load3, rows3, subtract
 
-BODIES: Final = 256  # that are looked at in one go
-SHARE: Final = 0.01  # of the time that looking may take
-TO_LOOK: Final = 2e5  # ns of a look, roughly,
-TO_COMPARE: Final = 3.5  # of two bodies, or two spheres,
-TO_COMPARE_WALL: Final = 30.0  # and of a body with a primitive of a wall
+BODIES_PER_LOOK: Final = 256
+MAX_SHARE: Final = 0.01  # of the time, that looking may take
+NS_PER_LOOK: Final = 2e5  # roughly, without comparisons
+NS_PER_PAIR: Final = 3.5  # of bodies or spheres that are compared
+NS_PER_WALL_PAIR: Final = 30.0  # of a body and a primitive of a wall that are compared
 STEPS: Final = 2.0  # in which two may have come to overlap since the last evaluation
-SLIGHT: Final = 1e-3  # overlap, in the smaller radius, that is none yet
+MIN_OVERLAP: Final = 1e-3  # in the smaller radius: less is none yet
 
 
 class WatchedBodies(NamedTuple):
     """Where bodies are, and how fast they may come."""
 
-    place: Floats  # (n_spheres, 4) [m] centre and radius
+    xyzr: Floats  # (n_spheres, 4) [m] centre and radius
     com: Floats  # (3, n) [m]
     velocity: Floats  # (3, n) [m/s]
-    turning: Floats  # (n,) |angular velocity| [rad/s]
-    bound: Floats  # (n,) [m] from the centre of mass to the surface of the farthest sphere
-    swing: Floats  # (n,) [m/s] by which it may have been faster within the last steps
+    angular_speed: Floats  # (n,) [rad/s]
+    bounding_radius: (
+        Floats  # (n,) [m] from the centre of mass to the surface of the farthest sphere
+    )
+    extra_speed: Floats  # (n,) [m/s] by which it may have been faster within the last steps
     is_left_out: Bools  # (n,) bodies that are not watched among each other, nor with walls
 
 
@@ -58,7 +56,7 @@ class Missed(NamedTuple):
 
 
 @inline
-def is_active_pair(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) -> bool:
+def has_contact(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) -> bool:
     """Whether a contact acts between two spheres."""
     a, contacts, (offset, entry) = spheres.body[i], lists.spheres, lists.of_spheres
     found = False
@@ -72,10 +70,10 @@ def is_active_pair(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: in
 
 
 @inline
-def is_active_on_wall(scene: ContactModel, lists: NeighbourLists, i: int, p: int) -> bool:
+def has_wall_contact(model: ContactModel, lists: NeighbourLists, i: int, p: int) -> bool:
     """Whether primitive p is in the list of sphere i, and one of its wall acts."""
-    contacts: ContactList = lists.walls
-    a, wall, (offset, entry) = scene.spheres.body[i], scene.walls.wall, lists.of_walls
+    contacts, (offset, entry) = lists.walls, lists.of_walls
+    a, wall = model.spheres.body[i], model.walls.wall
     is_listed, is_active = False, False
     for k in range(offset[a], offset[a + 1]):
         c = entry[k]
@@ -85,15 +83,9 @@ def is_active_on_wall(scene: ContactModel, lists: NeighbourLists, i: int, p: int
     return is_listed and is_active
 
 
-@inline
-def length(v: Vec3) -> float:
-    """|v|."""
-    return float(np.sqrt(dot(v, v)))
-
-
 @kernel
 def missed_pairs(
-    scene: ContactModel,
+    model: ContactModel,
     lists: NeighbourLists,
     bodies: WatchedBodies,
     dt: float,
@@ -101,7 +93,7 @@ def missed_pairs(
     worst: Missed,
 ) -> Missed:
     """Compare the spheres of some bodies with those of all others."""
-    spheres, (place, com, velocity, turning, bound, swing, is_left_out) = scene.spheres, bodies
+    spheres, (xyzr, com, velocity, turning, bound, extra, is_left_out) = model.spheres, bodies
     n, offset = bound.size, spheres.offset
     x, v = rows3(com, 0, n), rows3(velocity, 0, n)
     depth, body, other, compared = worst
@@ -112,37 +104,36 @@ def missed_pairs(
             most = bound[a] + bound[b]
             if dot(apart, apart) >= most * most or a == b or (is_left_out[a] and is_left_out[b]):
                 continue
-            comes = length(subtract(load3(v, a), load3(v, b))) + swing[a] + swing[b]
+            comes = length(subtract(load3(v, a), load3(v, b))) + extra[a] + extra[b]
             comes += bound[a] * turning[a] + bound[b] * turning[b]
             for i in range(offset[a], offset[a + 1]):
-                x_i = (place[i, 0], place[i, 1], place[i, 2])
+                x_i = row3(xyzr, i)
                 compared += 1
-                if length(subtract(x_i, x_b)) >= bound[b] + place[i, 3]:
+                if length(subtract(x_i, x_b)) >= bound[b] + xyzr[i, 3]:
                     continue
                 for j in range(offset[b], offset[b + 1]):
                     compared += 1
-                    d = subtract((place[j, 0], place[j, 1], place[j, 2]), x_i)
-                    delta = place[i, 3] + place[j, 3] - length(d)
-                    least = SLIGHT * min(place[i, 3], place[j, 3]) + STEPS * dt * comes
-                    if delta > max(least, depth) and not is_active_pair(spheres, lists, i, j):
-                        depth, body, other = delta, min(a, b), max(a, b)
+                    overlap = xyzr[i, 3] + xyzr[j, 3] - length(subtract(row3(xyzr, j), x_i))
+                    least = MIN_OVERLAP * min(xyzr[i, 3], xyzr[j, 3]) + STEPS * dt * comes
+                    if overlap > max(least, depth) and not has_contact(spheres, lists, i, j):
+                        depth, body, other = overlap, min(a, b), max(a, b)
     return Missed(depth, body, other, compared)
 
 
 @kernel
 def missed_walls(
-    scene: ContactModel,
+    model: ContactModel,
     lists: NeighbourLists,
     bodies: WatchedBodies,
-    poses: Floats,
-    swings: Floats,
+    poses: Records,
+    extra_speeds: Floats,
     dt: float,
     which: Ints,
     worst: Missed,
 ) -> Missed:
-    """Compare the spheres of some bodies with all walls; `swings` as that of bodies, (n_walls,)."""
-    spheres, walls = scene.spheres, scene.walls
-    place, com, velocity, turning, bound, swing, is_left_out = bodies
+    """Compare the spheres of some bodies with all walls; `extra_speeds` (n_walls,) of these."""
+    spheres, walls = model.spheres, model.walls
+    xyzr, com, velocity, turning, bound, extra, is_left_out = bodies
     n, offset = bound.size, spheres.offset
     x, v = rows3(com, 0, n), rows3(velocity, 0, n)
     depth, body, other, compared = worst
@@ -152,20 +143,18 @@ def missed_walls(
         x_a, v_a = load3(x, a), load3(v, a)
         for p in range(walls.kind.size):
             w = walls.wall[p]
-            X = (poses[w, 0], poses[w, 1], poses[w, 2])
-            q = (poses[w, 3], poses[w, 4], poses[w, 5], poses[w, 6])
-            one = primitive(walls.kind, walls.parameter, p)
-            if squared_distance(one, to_body(q, subtract(x_a, X))) >= bound[a] * bound[a]:
+            one = primitive_at(walls.kind, walls.parameter, p)
+            if squared_distance(one, in_frame_of(poses, w, x_a)) >= bound[a] * bound[a]:
                 continue
             for i in range(offset[a], offset[a + 1]):
                 compared += 1
-                x_i, radius = (place[i, 0], place[i, 1], place[i, 2]), place[i, 3]
-                gap, moving = touch(walls, poses, p, x_i)
-                comes = length(subtract(v_a, moving)) + swing[a] + swings[w]
+                x_i, radius = row3(xyzr, i), xyzr[i, 3]
+                gap, moving = gap_and_velocity(walls, poses, p, x_i)
+                comes = length(subtract(v_a, moving)) + extra[a] + extra_speeds[w]
                 comes += bound[a] * turning[a]
-                least, delta = SLIGHT * radius + STEPS * dt * comes, radius - length(gap)
-                if delta > max(least, depth) and not is_active_on_wall(scene, lists, i, p):
-                    depth, body, other = delta, a, ~w
+                least, overlap = MIN_OVERLAP * radius + STEPS * dt * comes, radius - length(gap)
+                if overlap > max(least, depth) and not has_wall_contact(model, lists, i, p):
+                    depth, body, other = overlap, a, ~w
     return Missed(depth, body, other, compared)
 
 
@@ -188,24 +177,24 @@ class Watch:
 
     def is_due(self, n: int, n_primitives: int, work: float) -> bool:
         """Whether to look now, after so much more work [ns]."""
-        self.credit += SHARE * work
+        self.credit += MAX_SHARE * work
         return self.credit >= max(self.price, price_of(n, n_primitives, 0))
 
     def look(
         self,
-        scene: ContactModel,
+        model: ContactModel,
         lists: NeighbourLists,
         bodies: WatchedBodies,
-        poses: Floats,
-        swings: Floats,
+        poses: Records,
+        extra_speeds: Floats,
         dt: float,
     ) -> Missed:
         """The deepest overlap of the bodies whose turn it is at which nothing acts."""
-        n, n_primitives = bodies.bound.size, scene.walls.kind.size
-        which = (self.next + np.arange(min(n, BODIES))) % n
+        n, n_primitives = bodies.bounding_radius.size, model.walls.kind.size
+        which = (self.next + np.arange(min(n, BODIES_PER_LOOK))) % n
         self.next = (self.next + which.size) % n
-        missed = missed_pairs(scene, lists, bodies, dt, which, Missed(0.0, 0, 0, 0))
-        missed = missed_walls(scene, lists, bodies, poses, swings, dt, which, missed)
+        missed = missed_pairs(model, lists, bodies, dt, which, Missed(0.0, 0, 0, 0))
+        missed = missed_walls(model, lists, bodies, poses, extra_speeds, dt, which, missed)
         self.price = price_of(n, n_primitives, missed.compared)
         self.credit -= self.price
         return missed
@@ -213,8 +202,8 @@ class Watch:
 
 def price_of(n: int, n_primitives: int, compared: int) -> float:
     """Time of a look [ns], roughly."""
-    each = TO_COMPARE * n + TO_COMPARE_WALL * n_primitives
-    return TO_LOOK + min(n, BODIES) * each + TO_COMPARE * compared
+    each = NS_PER_PAIR * n + NS_PER_WALL_PAIR * n_primitives
+    return NS_PER_LOOK + min(n, BODIES_PER_LOOK) * each + NS_PER_PAIR * compared
 
 
 def bounding_radii(spheres: ContactSpheres, n: int) -> Floats:

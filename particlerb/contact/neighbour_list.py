@@ -1,4 +1,4 @@
-"""Lists of contacts: those of each body, what they keep from list to list, how long lists hold."""
+"""Lists of contacts: those of each body, their history from list to list, how long lists hold."""
 
 import math
 from typing import Final, NamedTuple
@@ -7,17 +7,11 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
+from particlerb.contact.cell_grid import pair_key
 from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, rows4
 from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3, load3, rows3, subtract
 
-HALF: Final = 32  # bits: numbers of spheres are below 2^31
-SHELL_GAPS: Final = (
-    0.0,
-    0.1,
-    0.3,
-    0.5,
-    0.7,
-)  # of the skin: gaps from which on shells of a list begin
+SHELL_GAPS: Final = (0.0, 0.1, 0.3, 0.5, 0.7)  # share of the skin where shells of a list begin
 N_SHELLS: Final = len(SHELL_GAPS)
 
 
@@ -66,21 +60,15 @@ def incidence(first_body: Ints, second_body: Ints, n_bodies: int) -> Incidence:
     return Incidence(offset[:-1], entry)
 
 
-# What contacts keep from list to list
+# History of contacts, from list to list
 
 
 class ContactHistory(NamedTuple):
-    """What contacts keep, found by the numbers of the two."""
+    """What contacts remember, found by the numbers of the two."""
 
-    keys: Ints  # (m,) ascending, see `key_of`
+    keys: Ints  # (m,) ascending, see `pair_key`
     rows: Ints  # (m,) row of `values` that belongs to a key
     values: Floats  # (m, ..)
-
-
-@inline
-def key_of(i: int, j: int) -> int:
-    """Number of a pair, ascending if the pairs are."""
-    return (i << HALF) | j
 
 
 @kernel
@@ -95,10 +83,10 @@ def order_contacts(
     second: Indices,
     ends: Ints,
 ) -> None:
-    """Write a new list of contacts, and what they keep, zeros for those not in the old one.
+    """Write a new list of contacts and their history, zeros for those not in the old one.
 
     They stand in shells, by the gap: so what cannot touch yet is passed over as a whole. A contact
-    that keeps something is in the first shell, whatever its gap. Those of a sphere with the
+    with a history is in the first shell, whatever its gap. Those of a sphere with the
     primitives of one wall stand together, in the shell of the nearest.
 
     Parameters
@@ -111,7 +99,7 @@ def order_contacts(
     wall : ndarray
         Wall of each primitive; empty for pairs of spheres.
     shell : ndarray, shape (m,)
-        Of each pair, from 0; written here where a contact keeps something.
+        Of each pair, from 0; written here where a contact has a history.
     old, new : ContactHistory
         Before; and what is written.
     first, second : ndarray, shape (m,)
@@ -122,9 +110,8 @@ def order_contacts(
     firsts, seconds = pairs
     number, other = numbers
     before, columns = 0, new.values.shape[1]
-    ends[:] = 0
     for k in range(firsts.size):
-        key = key_of(number[firsts[k]], other[seconds[k]])
+        key = pair_key(number[firsts[k]], other[seconds[k]])
         while before < old.keys.size and old.keys[before] < key:
             before += 1
         row = -1
@@ -136,6 +123,23 @@ def order_contacts(
         new.keys[k], new.rows[k] = key, row
     if wall.size > 0:
         keep_together(firsts, seconds, wall, shell)
+    sort_into_shells(pairs, shell, old, new, first, second, ends)
+
+
+@inline
+def sort_into_shells(
+    pairs: tuple[Ints, Ints],
+    shell: Ints,
+    old: ContactHistory,
+    new: ContactHistory,
+    first: Indices,
+    second: Indices,
+    ends: Ints,
+) -> None:
+    """Write the list and the history by shells, in their order within: a counting sort."""
+    firsts, seconds = pairs
+    columns = new.values.shape[1]
+    ends[:] = 0
     for k in range(firsts.size):
         ends[shell[k]] += 1
     at = 0
@@ -163,59 +167,60 @@ def keep_together(firsts: Ints, seconds: Ints, wall: Ints, shell: Ints) -> None:
 
 
 @inline
-def shell_of(square: float, reach: float, skin: float) -> int:
-    """Shell of a pair by the square of a distance that is `reach` at the touch."""
+def shell_of(square: float, touching: float, skin: float) -> int:
+    """Shell of a pair by the square of a distance that is `touching` at the touch."""
     shell = 0
-    for edge in SHELL_GAPS[1:]:
-        least = reach + edge * skin
+    for gap in SHELL_GAPS[1:]:
+        least = touching + gap * skin
         shell += int(square >= least * least)
     return shell
 
 
 @kernel
-def find_shells(pairs: tuple[Ints, Ints], place: Floats, skin: float, shell: Ints) -> None:
-    """Write the shell of each pair of spheres; `place` has centres and radii, (n, 4) [m]."""
+def find_shells(pairs: tuple[Ints, Ints], xyzr: Floats, skin: float, shell: Ints) -> None:
+    """Write the shell of each pair of spheres; `xyzr` has centres and radii, (n, 4) [m]."""
     firsts, seconds = pairs
     for k in range(firsts.size):
         i, j = firsts[k], seconds[k]
-        dx, dy = place[j, 0] - place[i, 0], place[j, 1] - place[i, 1]
-        dz, reach = place[j, 2] - place[i, 2], place[i, 3] + place[j, 3]
-        shell[k] = shell_of(dx * dx + dy * dy + dz * dz, reach, skin)
+        dx, dy = xyzr[j, 0] - xyzr[i, 0], xyzr[j, 1] - xyzr[i, 1]
+        dz, touching = xyzr[j, 2] - xyzr[i, 2], xyzr[i, 3] + xyzr[j, 3]
+        shell[k] = shell_of(dx * dx + dy * dy + dz * dz, touching, skin)
 
 
 # When a list has to be made anew
 
 
 @inline
-def max_displacement(x0: Vec3, q0: Quat, x1: Vec3, q1: Quat, reach: float) -> float:
+def max_displacement(x0: Vec3, q0: Quat, x1: Vec3, q1: Quat, arm: float) -> float:
     """How far a point of a body has moved [m], at most; see `has_moved`."""
     d = subtract(x1, x0)
     _, u, v, w = multiply(q1, conjugate(q0))
     moved = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-    return moved + 2.0 * math.sqrt(u * u + v * v + w * w) * reach
+    return moved + 2.0 * math.sqrt(u * u + v * v + w * w) * arm
 
 
 @kernel
-def has_moved(then: Floats, now: Floats, reach: Floats, allowance: float) -> bool:
+def has_moved(then: Floats, now: Floats, max_arm: Floats, allowance: float) -> bool:
     """Whether a point of a body may have moved by more than the allowance.
 
-    A point within `reach` of the centre of mass has moved by |Δx| + 2 sin(φ/2) reach at most, φ
+    A point within `max_arm` of the centre of mass has moved by |Δx| + 2 sin(φ/2) max_arm at most, φ
     the angle of the turn. Of two bodies both may move: a list with a skin lasts for skin/2.
 
     Parameters
     ----------
     then, now : ndarray, shape (7 or more, n_bodies)
         Centre of mass [m] and unit quaternion of each body, in the same frame both times.
-    reach : ndarray, shape (n_bodies,) [m]
+    max_arm : ndarray, shape (n_bodies,) [m]
         Distance from the centre of mass to the farthest centre of the body's spheres.
     allowance : float
         [m]
     """
-    n = reach.size
+    n = max_arm.size
     x0, q0 = rows3(then, 0, n), rows4(then[3:7], 0, n)
     x1, q1 = rows3(now, 0, n), rows4(now[3:7], 0, n)
-    far = 0
+    count = 0
     for b in range(n):
-        moved = max_displacement(load3(x0, b), load4(q0, b), load3(x1, b), load4(q1, b), reach[b])
-        far += 0 if moved <= allowance else 1  # what is not a number has moved too
-    return far > 0
+        arm = max_arm[b]
+        moved = max_displacement(load3(x0, b), load4(q0, b), load3(x1, b), load4(q1, b), arm)
+        count += 0 if moved <= allowance else 1  # what is not a number has moved too
+    return count > 0

@@ -7,25 +7,11 @@ without bouncing; what it loses then is booked.
 """
 
 import math
-from typing import Final, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from particlerb.compiled.jit import inline
+from particlerb.contact.records import PISTON, Records, zero_records
 from particlerb.maths.vec3 import Floats, Ints
-
-PLACE: Final = 0  # columns of what changes: displacement [m],
-SPEED: Final = 1  # velocity [m/s] of the drift before the last kick,
-LAST: Final = 2  # and of the drift before that
-THEN: Final = 3  # displacement when lists were made [m]
-BOOKED: Final = 4  # work [J] of contacts without potential, and of stops
-SEEN: Final = 5  # velocity that contacts saw [m/s]
-PUSH: Final = 6  # elastic force of contacts along the axis [N],
-REST: Final = 7  # and the rest of it
-MOST: Final = 8  # largest stiffness so far of all contacts together, over that of the law,
-STIFFNESS: Final = 9  # and that of now
-BESIDE: Final = 10  # power [W] that the rest gives beside force times mean velocity of a kick
-SLIDE: Final = 11
 
 
 class Pistons(NamedTuple):
@@ -40,48 +26,49 @@ class Pistons(NamedTuple):
     start: Floats  # (k, 2) displacement [m] and velocity [m/s] at the start
 
 
-def initial_piston_state(pistons: Pistons | None) -> Floats:
-    """What changes of pistons, (k, SLIDE), at the start."""
+def initial_piston_state(pistons: Pistons | None) -> Records:
+    """State of pistons at the start, records PISTON."""
     if pistons is None:
-        return np.zeros((0, SLIDE))
-    slides = np.zeros((pistons.wall.size, SLIDE))
-    slides[:, [PLACE, SPEED]] = pistons.start
-    slides[:, LAST], slides[:, THEN] = slides[:, SPEED], slides[:, PLACE]
-    return slides
+        return zero_records(PISTON, 0)
+    state = zero_records(PISTON, pistons.wall.size)
+    state.displacement = state.listed_displacement = pistons.start[:, 0]
+    state.velocity = state.previous_velocity = pistons.start[:, 1]
+    return state
 
 
 @inline
-def place_pistons(pistons: Pistons | None, slides: Floats, ahead: float, poses: Floats) -> None:
-    """Displace the poses of walls that slide; `ahead` as for `loads.place_bodies`."""
+def place_pistons(pistons: Pistons | None, state: Records, ahead: float, poses: Records) -> None:
+    """Displace the poses of walls that slide; `ahead` as for `pair_force.place_bodies`."""
     if pistons is None:
         return
     for k in range(pistons.wall.size):
         w = pistons.wall[k]
-        u = slides[k, SPEED] + ahead * (slides[k, SPEED] - slides[k, LAST])
-        slides[k, SEEN] = u
+        u = state.velocity[k] + ahead * (state.velocity[k] - state.previous_velocity[k])
+        state.contact_velocity[k] = u
         for c in range(3):
             a = pistons.axis[k, c]
-            poses[w, c] += slides[k, PLACE] * a
-            poses[w, 7 + c] += u * a
-            poses[w, 13 + c] = a / math.sqrt(pistons.mass[k])
+            poses.position[w, c] += state.displacement[k] * a
+            poses.velocity[w, c] += u * a
+            poses.piston_axis[w, c] = a / math.sqrt(pistons.mass[k])
 
 
 @inline
-def pistons_have_moved(pistons: Pistons | None, slides: Floats, allowance: float) -> bool:
+def pistons_have_moved(pistons: Pistons | None, state: Records, allowance: float) -> bool:
     """Whether a piston has moved by more than the allowance since lists were made."""
     if pistons is None:
         return False
-    far = False
+    found = False
     for k in range(pistons.wall.size):
-        far = far or not abs(slides[k, PLACE] - slides[k, THEN]) <= allowance
-    return far
+        displacement = abs(state.displacement[k] - state.listed_displacement[k])
+        found = found or not displacement <= allowance
+    return found
 
 
 @inline
 def kick_pistons(
-    pistons: Pistons | None, slides: Floats, closing: float, opening: float, is_step: bool
+    pistons: Pistons | None, state: Records, closing: float, opening: float, is_step: bool
 ) -> None:
-    """Kick pistons by the forces in PUSH and REST, over the end of a step and the start of another.
+    """Kick pistons by the forces in their state, over the end of a step and the start of another.
 
     Contacts book the power of their elastic force on walls that move as if somebody moved them:
     that of pistons is taken back, since their energy is in the total. One that has passed a limit
@@ -90,39 +77,41 @@ def kick_pistons(
     if pistons is None:
         return
     for k in range(pistons.wall.size):
-        s, u, push, rest = slides[k, PLACE], slides[k, SPEED], slides[k, PUSH], slides[k, REST]
+        s, u = state.displacement[k], state.velocity[k]
+        push, rest = state.elastic_force[k], state.other_force[k]
         M, F = pistons.mass[k], pistons.force[k]
         force = F + push + rest
         low, high = pistons.limit[k, 0], pistons.limit[k, 1]
-        middle, place = u + closing * force / M, min(max(s, low), high)
+        middle, limited = u + closing * force / M, min(max(s, low), high)
         is_low, is_high = s <= low, s >= high
-        given = (closing + opening) * (push * slides[k, SEEN] + slides[k, BESIDE])
+        given = push * state.contact_velocity[k] + state.correction_power[k]
+        given *= closing + opening
         given += closing * rest * 0.5 * (u + middle)
         if (is_high and u > 0.0) or (is_low and u < 0.0):
-            given -= 0.5 * M * middle * middle + (F + push) * (place - s)
-            slides[k, PLACE], middle = place, 0.0
+            given -= 0.5 * M * middle * middle + (F + push) * (limited - s)
+            state.displacement[k], middle = limited, 0.0
         is_held = (is_high and force >= 0.0) or (is_low and force <= 0.0)
         if is_held and u == 0.0:
             middle = 0.0
         after = middle if is_held and middle == 0.0 else middle + opening * force / M
-        slides[k, BOOKED] += given + opening * rest * 0.5 * (middle + after)
-        slides[k, SPEED] = after
+        state.booked_work[k] += given + opening * rest * 0.5 * (middle + after)
+        state.velocity[k] = after
         if is_step:
-            slides[k, LAST] = u
+            state.previous_velocity[k] = u
 
 
 @inline
-def drift_pistons(pistons: Pistons | None, slides: Floats, dt: float) -> None:
+def drift_pistons(pistons: Pistons | None, state: Records, dt: float) -> None:
     """Let pistons drift."""
     if pistons is None:
         return
     for k in range(pistons.wall.size):
-        slides[k, PLACE] += dt * slides[k, SPEED]
+        state.displacement[k] += dt * state.velocity[k]
 
 
-def piston_energies(pistons: Pistons | None, slides: Floats) -> tuple[float, float]:
+def piston_energies(pistons: Pistons | None, state: Records) -> tuple[float, float]:
     """Kinetic energy, and that of load and weight, zero where the case begins [J]."""
     if pistons is None:
         return 0.0, 0.0
-    kinetic = 0.5 * pistons.mass * slides[:, SPEED] ** 2
-    return float(kinetic.sum()), float(-(pistons.force * slides[:, PLACE]).sum())
+    kinetic = 0.5 * pistons.mass * state.velocity**2
+    return float(kinetic.sum()), float(-(pistons.force * state.displacement).sum())

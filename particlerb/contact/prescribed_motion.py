@@ -1,22 +1,23 @@
 """Bodies that move as prescribed, whatever touches them, by the motions that walls have.
 
-A driven body has no inverse mass, so nothing pushes it. Where the states of others have momenta,
-those of driven bodies have velocities while contacts are evaluated.
+A prescribed body has no inverse mass, so nothing pushes it. Where the states of others have
+momenta, its state has velocities while contacts are evaluated.
 """
 
 from typing import NamedTuple
 
 from particlerb.compiled.jit import inline
+from particlerb.contact.records import Records
 from particlerb.contact.wall_motion import motion_in, pose_at
 from particlerb.maths.quaternion import Quat, multiply, to_body, to_world
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, multiplied3
 
 
 class PrescribedBodies(NamedTuple):
-    """Driven bodies of a group."""
+    """Prescribed bodies of a group."""
 
     which: Ints  # (m,) bodies of the group
-    motions: Floats  # (m, MOTION) numbers of `wall_motion.Motion`
+    motions: Records  # (m,) MOTION
     com: Floats  # (3, m) [m] centre of mass before it is displaced,
     q: Floats  # (4, m) and orientation of the rotor frame
     mass: Floats  # (m,) [kg]
@@ -24,20 +25,22 @@ class PrescribedBodies(NamedTuple):
 
 
 @inline
-def prescribed_pose(drives: PrescribedBodies, k: int, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]:
-    """Place, orientation, velocity and angular velocity of driven body k at a time."""
-    x, turn, v, omega = pose_at(motion_in(drives.motions, k), t)
-    com, q = drives.com, drives.q
+def prescribed_pose(
+    prescribed: PrescribedBodies, k: int, t: float
+) -> tuple[Vec3, Quat, Vec3, Vec3]:
+    """Position, orientation, velocity and angular velocity of prescribed body k at a time."""
+    x, turn, v, omega = pose_at(motion_in(prescribed.motions, k), t)
+    com, q = prescribed.com, prescribed.q
     arm = to_world(turn, (com[0, k], com[1, k], com[2, k]))
-    own = multiply(turn, (q[0, k], q[1, k], q[2, k], q[3, k]))
-    return add_scaled(1.0, arm, x), own, add_scaled(1.0, cross(omega, arm), v), omega
+    orientation = multiply(turn, (q[0, k], q[1, k], q[2, k], q[3, k]))
+    return add_scaled(1.0, arm, x), orientation, add_scaled(1.0, cross(omega, arm), v), omega
 
 
 @inline
 def prescribed_momenta(
-    drives: PrescribedBodies, k: int, q: Quat, v: Vec3, omega: Vec3
+    prescribed: PrescribedBodies, k: int, q: Quat, v: Vec3, omega: Vec3
 ) -> tuple[Vec3, Vec3]:
-    """M v and I ω of driven body k."""
-    inertia, mass = drives.inertia, drives.mass[k]
-    own = multiplied3((inertia[0, k], inertia[1, k], inertia[2, k]), to_body(q, omega))
-    return (mass * v[0], mass * v[1], mass * v[2]), to_world(q, own)
+    """M v and I ω of prescribed body k."""
+    inertia, mass = prescribed.inertia, prescribed.mass[k]
+    spin = multiplied3((inertia[0, k], inertia[1, k], inertia[2, k]), to_body(q, omega))
+    return (mass * v[0], mass * v[1], mass * v[2]), to_world(q, spin)

@@ -9,17 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline
-from particlerb.maths.quaternion import Quat, to_world
-from particlerb.maths.vec3 import (
-    Floats,
-    Vec3,
-    add_scaled,
-    cross,
-    dot,
-    scale,
-    subtract,
+from particlerb.compiled.jit import inline, lean
+from particlerb.contact.records import (
+    MOTION,
+    POSE,
+    Records,
+    put_row3,
+    put_row4,
+    row3,
+    to_floats,
+    zero_records,
 )
+from particlerb.maths.quaternion import Quat, to_world
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
 
 
 class PrescribedMotion(NamedTuple):
@@ -34,22 +36,21 @@ class PrescribedMotion(NamedTuple):
 
 
 @inline
-def motion_in(rows: Floats, k: int) -> PrescribedMotion:
-    """Motion from the numbers of a row."""
+def motion_in(records: Records, k: int) -> PrescribedMotion:
+    """Motion of record k."""
     return PrescribedMotion(
-        (rows[k, 0], rows[k, 1], rows[k, 2]),
-        (rows[k, 3], rows[k, 4], rows[k, 5]),
-        (rows[k, 6], rows[k, 7], rows[k, 8]),
-        (rows[k, 9], rows[k, 10], rows[k, 11]),
-        rows[k, 12],
-        rows[k, 13],
+        row3(records.centre, k),
+        row3(records.velocity, k),
+        row3(records.angular_velocity, k),
+        row3(records.amplitude, k),
+        records.frequency[k],
+        records.phase[k],
     )
 
 
-def motion_rows(motions: Sequence[PrescribedMotion]) -> Floats:
-    """Numbers of motions, (n, 14), for `motion_in`."""
-    rows = [[*m.centre, *m.velocity, *m.angular_velocity, *m.amplitude, *m[4:]] for m in motions]
-    return np.array(rows, dtype=np.float64).reshape(len(rows), 14)
+def motion_records(motions: Sequence[PrescribedMotion]) -> Records:
+    """Motions as records MOTION, (n,), for `motion_in`."""
+    return np.array([tuple(motion) for motion in motions], dtype=MOTION).view(np.recarray)
 
 
 @inline
@@ -65,28 +66,34 @@ def pose_at(motion: PrescribedMotion, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]
     """
     centre, velocity, omega, amplitude, frequency, phase = motion
     rate = 2.0 * math.pi * frequency
-    turned = rate * t + phase
-    way = add_scaled(math.sin(turned), amplitude, scale(t, velocity))
-    v = add_scaled(rate * math.cos(turned), amplitude, velocity)
+    angle = rate * t + phase
+    displacement = add_scaled(math.sin(angle), amplitude, scale(t, velocity))
+    v = add_scaled(rate * math.cos(angle), amplitude, velocity)
     speed = math.sqrt(dot(omega, omega))
     half = 0.5 * speed * t
     f = math.sin(half) / speed if speed > 0.0 else 0.0
     q = (math.cos(half), f * omega[0], f * omega[1], f * omega[2])
     arm = to_world(q, centre)
-    x = subtract(add_scaled(1.0, centre, way), arm)
+    x = subtract(add_scaled(1.0, centre, displacement), arm)
     return x, q, subtract(v, cross(omega, arm)), omega
 
 
-def write_poses(motions: Sequence[PrescribedMotion], t: float, poses: Floats) -> None:
-    """Write position, orientation, velocity and angular velocity of each wall, (n_walls, 13)."""
-    for wall, motion in enumerate(motions):
-        poses[wall] = [number for part in pose_at(motion, t) for number in part]
+@lean
+def put_poses(motions: Records, t: float, poses: Records) -> None:
+    """Write the poses of all walls at a time; `motions` from `motion_records`."""
+    for w in range(motions.size):
+        x, q, v, omega = pose_at(motion_in(motions, w), t)
+        put_row3(poses.position, w, x)
+        put_row4(poses.orientation, w, q)
+        put_row3(poses.velocity, w, v)
+        put_row3(poses.angular_velocity, w, omega)
 
 
-def poses_at(motions: Sequence[PrescribedMotion], t: float) -> Floats:
-    """Poses of all walls, (n_walls, 13): see `write_poses`."""
-    poses = np.empty((len(motions), 13))
-    write_poses(motions, t, poses)
+def poses_at(motions: Sequence[PrescribedMotion], t: float) -> Records:
+    """Poses of all walls, (n_walls,) records POSE."""
+    poses = zero_records(POSE, len(motions))
+    for pose, motion in zip(to_floats(poses), motions, strict=True):
+        pose[:13] = np.concatenate([np.atleast_1d(part) for part in pose_at(motion, t)])
     return poses
 
 
@@ -94,11 +101,12 @@ def wall_displacement(
     motions: Sequence[PrescribedMotion], duration: float, reach: Sequence[float]
 ) -> float:
     """How far a point of a wall may move in a time [m], within a `reach` of each wall's centre."""
-    ways = [0.0]
+    found = [0.0]
     for (_, velocity, omega, amplitude, frequency, _), far in zip(motions, reach, strict=True):
-        swing = min(2.0, 2.0 * math.pi * frequency * duration) * math.hypot(*amplitude)
-        ways.append(duration * (math.hypot(*velocity) + far * math.hypot(*omega)) + swing)
-    return max(ways)
+        oscillation = min(2.0, 2.0 * math.pi * frequency * duration) * math.hypot(*amplitude)
+        speed = math.hypot(*velocity) + far * math.hypot(*omega)
+        found.append(duration * speed + oscillation)
+    return max(found)
 
 
 def farthest_distances(

@@ -5,9 +5,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel, lean
-from particlerb.contact.cell_grid import PairList, sort_by_second, spread
+from particlerb.compiled.jit import inline, kernel
+from particlerb.contact.cell_grid import UNIT, PairList, sort_by_second, spread
 from particlerb.contact.neighbour_list import shell_of
+from particlerb.contact.records import Records, row3
 from particlerb.contact.walls import (
     DISC,
     EDGE,
@@ -15,28 +16,17 @@ from particlerb.contact.walls import (
     PLANE,
     RIM,
     SIDE,
-    Primitive,
     Walls,
-    nearest,
-    row3,
+    in_frame_of,
+    primitive_at,
+    squared_distance,
 )
-from particlerb.maths.quaternion import to_body
-from particlerb.maths.vec3 import (
-    Floats,
-    Ints,
-    Vec3,
-    add_scaled,
-    dot,
-    load3,
-    rows3,
-    subtract,
-)
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, load3, rows3, subtract
 
-UNIT: Final = 1024  # as in `search`
-WORK: Final = 4  # body-steps that finding what is near a sphere takes
-CELLS: Final = 8  # per primitive, at most,
-CELLS_PER_SPHERE: Final = 0.25  # and per sphere: most of a wide heap is far from all walls
-FEWEST_CELLS: Final = 512
+COST: Final = 4  # body-steps that finding what is near a sphere takes
+MAX_CELLS: Final = 8  # per primitive
+CELLS_PER_SPHERE: Final = 0.25  # more: most of a wide heap is far from all walls
+MIN_CELLS: Final = 512
 
 
 class WallLists(NamedTuple):
@@ -51,22 +41,6 @@ class WallLists(NamedTuple):
     first: Ints  # (n_walls + 1,) lists of wall w are first[w] to first[w + 1]
     begin: Ints  # (n_lists + 1,) entries of list k are begin[k] to begin[k + 1]
     entry: Ints  # (n_entries,) primitive
-
-
-@lean
-def primitive(kind: Ints, rows: Floats, p: int) -> Primitive:
-    """Primitive p."""
-    a, b, c, n = row3(rows, p, 0), row3(rows, p, 3), row3(rows, p, 6), row3(rows, p, 9)
-    return Primitive(kind[p], a, b, c, n)
-
-
-@inline
-def squared_distance(one: Primitive, x: Vec3) -> float:
-    """Square of the distance from a primitive [m²], behind a plane 0."""
-    if one.kind == PLANE and dot(subtract(x, one.a), one.b) < 0.0:
-        return 0.0
-    d = subtract(x, nearest(one, x))
-    return dot(d, d)
 
 
 @kernel
@@ -89,8 +63,8 @@ def list_primitives(
     kind, rows, wall, _ = walls
     origin, per_metre, shape, first, begin, entry = lists
     for p in range(kind.size):
-        w, one = wall[p], primitive(kind, rows, p)
-        zero, step = row3(origin, w, 0), 1.0 / per_metre[w]
+        w, one = wall[p], primitive_at(kind, rows, p)
+        zero, step = row3(origin, w), 1.0 / per_metre[w]
         far = reach + 0.5 * math.sqrt(3.0) * step * (1.0 + 1e-9)
         for i in range(corners[p, 0], corners[p, 3] + 1):
             for j in range(corners[p, 1], corners[p, 4] + 1):
@@ -119,7 +93,7 @@ def list_of(x: Vec3, zero: Vec3, per_metre: float, shape: tuple[int, int, int], 
 def find_candidates(
     walls: Walls,
     lists: WallLists,
-    poses: Floats,
+    poses: Records,
     points: Floats,
     reach: Floats,
     which: Ints,
@@ -135,21 +109,20 @@ def find_candidates(
     kind, rows, _, _ = walls
     origin, per_metre, shape, first, begin, entry = lists
     _, second, start = pairs
-    place = rows3(points, 0, points.shape[1])
+    centres = rows3(points, 0, points.shape[1])
     for at in range(first_unit * UNIT, min(last_unit * UNIT, which.size)):
         i = which[at]
         count, square = 0, reach[i] * reach[i]
         if not is_counting and start[i + 1] == start[i]:
             continue
         for w in range(per_metre.size):
-            q = (poses[w, 3], poses[w, 4], poses[w, 5], poses[w, 6])
-            x = to_body(q, subtract(load3(place, i), row3(poses, w, 0)))
+            x = in_frame_of(poses, w, load3(centres, i))
             shape_w = (shape[w, 0], shape[w, 1], shape[w, 2])
-            cell = list_of(x, row3(origin, w, 0), per_metre[w], shape_w, first[w])
-            for own in (first[w], cell):
-                for k in range(begin[max(own, 0)], begin[own + 1]):
+            cell = list_of(x, row3(origin, w), per_metre[w], shape_w, first[w])
+            for one in (first[w], cell):
+                for k in range(begin[max(one, 0)], begin[one + 1]):
                     p = entry[k]
-                    if squared_distance(primitive(kind, rows, p), x) < square:
+                    if squared_distance(primitive_at(kind, rows, p), x) < square:
                         if not is_counting:
                             second[start[i] + count] = p
                         count += 1
@@ -160,23 +133,22 @@ def find_candidates(
 @kernel
 def find_wall_shells(
     walls: Walls,
-    poses: Floats,
+    poses: Records,
     points: Floats,
     radius: Floats,
     skin: float,
     pairs: PairList,
     shell: Ints,
 ) -> None:
-    """Write the shell of each pair of a sphere and a primitive: see `lists.order_contacts`."""
+    """Write the shell of each pair of a sphere and a primitive: see `order_contacts`."""
     kind, rows, wall, _ = walls
     firsts, seconds, _ = pairs
-    place = rows3(points, 0, points.shape[1])
+    centres = rows3(points, 0, points.shape[1])
     for k in range(firsts.size):
         i, p = firsts[k], seconds[k]
-        w = wall[p]
-        q = (poses[w, 3], poses[w, 4], poses[w, 5], poses[w, 6])
-        x = to_body(q, subtract(load3(place, i), row3(poses, w, 0)))
-        shell[k] = shell_of(squared_distance(primitive(kind, rows, p), x), radius[i], skin)
+        x = in_frame_of(poses, wall[p], load3(centres, i))
+        square = squared_distance(primitive_at(kind, rows, p), x)
+        shell[k] = shell_of(square, radius[i], skin)
 
 
 class WallSearch:
@@ -195,7 +167,7 @@ class WallSearch:
         self.reach = -1.0
 
     def pairs(
-        self, points: Floats, poses: Floats, skin: float, which: Ints | None = None
+        self, points: Floats, poses: Records, skin: float, which: Ints | None = None
     ) -> PairList:
         """Pairs of a sphere and a primitive that is nearer to its centre than r + skin.
 
@@ -203,7 +175,7 @@ class WallSearch:
         ----------
         points : ndarray, shape (3, n) [m]
             Centres.
-        poses : ndarray, shape (n_walls, 13)
+        poses : records POSE, shape (n_walls,)
             Of the walls at the same time.
         skin : float
             Not negative [m].
@@ -212,7 +184,7 @@ class WallSearch:
 
         Returns
         -------
-        Pairs
+        PairList
             The sphere is the first, the primitive the second; sorted by both.
         """
         which = self.everyone if which is None else which
@@ -236,7 +208,7 @@ class WallSearch:
     def visit(
         self,
         points: Floats,
-        poses: Floats,
+        poses: Records,
         reach: Floats,
         which: Ints,
         pairs: PairList,
@@ -249,7 +221,7 @@ class WallSearch:
                 walls, lists, poses, points, reach, which, pairs, is_counting, lo, hi
             ),
             which.size,
-            WORK,
+            COST,
         )
 
 
@@ -267,7 +239,7 @@ def lists_of(walls: Walls, reach: float, more: int = 0) -> WallLists:
         low, high = lower[own] - reach, upper[own] + reach
         origin[w] = low.min(axis=0)
         extent = high.max(axis=0) - origin[w]
-        cells = CELLS * own.size + FEWEST_CELLS + more
+        cells = MAX_CELLS * own.size + MIN_CELLS + more
         width[w] = max(np.cbrt(extent.prod() / cells), 2.0 * reach)
         shape[w] = np.floor(extent / width[w]) + 1
         corners[own, :3] = (low - origin[w]) / width[w]

@@ -7,7 +7,7 @@ A wall has points that are nearer to a centre than all of it around them. A face
 centre is above or below the face; an edge, if the centre is beyond that edge for each face that
 meets there; a vertex, if it is beyond for each edge. So there is one on a plane of triangles, one
 over a ridge, two in a valley; there and in the bottom of a bowl edges and vertices count as well
-(`count_of`). What counts is made contacts of by `pieces`.
+(`euler_count`). `wall_contacts` makes contacts of what counts.
 Faces of one plane have the very same normal, and all primitives ask on which side of an edge a
 centre is by the same formula, so that they divide space among themselves up to rounding.
 
@@ -22,6 +22,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel, lean
+from particlerb.contact.records import Records, row3, row4
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import (
     Floats,
@@ -49,7 +50,7 @@ TILT: Final = (0.5377, 0.8339, 0.1239)  # a centre just above an edge counts as 
 
 
 class Walls(NamedTuple):
-    """Primitives of all walls, those of a wall together; places at t = 0 if nothing moves."""
+    """Primitives of all walls, those of a wall together; positions at t = 0 if nothing moves."""
 
     kind: Ints  # (n_primitives,)
     parameter: Floats  # (n_primitives, 12) [m], see the kinds
@@ -147,9 +148,17 @@ class Primitive(NamedTuple):
 
 
 @lean
-def row3(rows: Floats, p: int, k: int) -> Vec3:
-    """Three numbers of a row, from k on."""
-    return rows[p, k], rows[p, k + 1], rows[p, k + 2]
+def primitive_at(kind: Ints, rows: Floats, p: int) -> Primitive:
+    """Primitive p, from the kinds and parameters of `Walls`."""
+    a, b = (rows[p, 0], rows[p, 1], rows[p, 2]), (rows[p, 3], rows[p, 4], rows[p, 5])
+    c, n = (rows[p, 6], rows[p, 7], rows[p, 8]), (rows[p, 9], rows[p, 10], rows[p, 11])
+    return Primitive(kind[p], a, b, c, n)
+
+
+@lean
+def length(v: Vec3) -> float:
+    """|v|."""
+    return math.sqrt(dot(v, v))
 
 
 @inline
@@ -172,6 +181,15 @@ def nearest(one: Primitive, x: Vec3) -> Vec3:  # noqa: PLR0911
 
 
 @inline
+def squared_distance(one: Primitive, x: Vec3) -> float:
+    """Square of the distance from a primitive [m²], behind a plane 0."""
+    if one.kind == PLANE and dot(subtract(x, one.a), one.b) < 0.0:
+        return 0.0
+    d = subtract(x, nearest(one, x))
+    return dot(d, d)
+
+
+@inline
 def side(a: Vec3, b: Vec3, n: Vec3, x: Vec3) -> float:
     """(b - a) × (x - a) · n: positive to the left of a to b, seen against n; never zero."""
     ab = subtract(b, a)
@@ -187,13 +205,13 @@ def is_over_face(a: Vec3, b: Vec3, c: Vec3, n: Vec3, x: Vec3) -> bool:
 
 @lean
 def count_at_edge(a: Vec3, b: Vec3, around: Floats, lo: int, hi: int, x: Vec3) -> tuple[int, bool]:
-    """`count_of` an edge: the faces that x is beyond, but for all but one that meet there."""
+    """`euler_count` of an edge: the faces that x is beyond, but for all but one that meet there."""
     ab = subtract(b, a)
     if dot(subtract(x, a), ab) <= 0.0 or dot(subtract(x, b), ab) >= 0.0:
         return 0, False
     beyond = 0
     for k in range(lo, hi):
-        beyond += 1 if side(a, b, row3(around, k, 0), x) < 0.0 else 0
+        beyond += 1 if side(a, b, row3(around, k), x) < 0.0 else 0
     return beyond - (hi - lo) + 1, beyond == hi - lo
 
 
@@ -201,22 +219,22 @@ def count_at_edge(a: Vec3, b: Vec3, around: Floats, lo: int, hi: int, x: Vec3) -
 def count_at_vertex(
     a: Vec3, around: Floats, lo: int, middle: int, hi: int, x: Vec3
 ) -> tuple[int, bool]:
-    """`count_of` a vertex: 1, less edges that come nearer, and the faces between two of these."""
+    """`euler_count` of a vertex: 1, less edges that come nearer, and faces between two of them."""
     ax, nearer = subtract(x, a), 0
     for k in range(lo, middle):
-        nearer += 1 if dot(ax, subtract(row3(around, k, 0), a)) > 0.0 else 0
+        nearer += 1 if dot(ax, subtract(row3(around, k), a)) > 0.0 else 0
     count = 1 - nearer
     if nearer > 1:
         for k in range(middle, hi):
             one, other = lo + int(around[k, 0]), lo + int(around[k, 1])
-            both = dot(ax, subtract(row3(around, one, 0), a)) > 0.0
-            both = both and dot(ax, subtract(row3(around, other, 0), a)) > 0.0
+            both = dot(ax, subtract(row3(around, one), a)) > 0.0
+            both = both and dot(ax, subtract(row3(around, other), a)) > 0.0
             count += 1 if both else 0
     return count, nearer == 0
 
 
 @lean
-def count_of(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
+def euler_count(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
     """How often a point of a primitive counts, and whether it is nearer to x than all around it.
 
     1 where a sphere around x that grows meets a new piece of the wall there, -1 where two of its
@@ -242,7 +260,7 @@ def count_of(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
 
 
 @lean
-def away_from(one: Primitive, x: Vec3) -> Vec3:
+def gap_vector(one: Primitive, x: Vec3) -> Vec3:
     """Vector to x from the nearest point of a primitive, of a face from that of its plane."""
     if one.kind == PLANE:
         return scale(max(dot(subtract(x, one.a), one.b), NEAR), one.b)
@@ -252,21 +270,20 @@ def away_from(one: Primitive, x: Vec3) -> Vec3:
 
 
 @lean
-def gap_of(one: Primitive, around: Floats, x: Vec3) -> Vec3:
-    """Vector to x from the point of a primitive that it touches; wall's frame."""
-    _, is_lowest = count_of(one, around, x)
-    return away_from(one, x) if is_lowest else (FAR, 0.0, 0.0)
+def in_frame_of(poses: Records, w: int, x: Vec3) -> Vec3:
+    """Point of the world in the frame of wall w."""
+    return to_body(row4(poses.orientation, w), subtract(x, row3(poses.position, w)))
 
 
 @lean
-def touch(walls: Walls, poses: Floats, p: int, x: Vec3) -> tuple[Vec3, Vec3]:
+def gap_and_velocity(walls: Walls, poses: Records, p: int, x: Vec3) -> tuple[Vec3, Vec3]:
     """Gap between a primitive and the centre of a sphere, and how fast the wall moves there.
 
     Parameters
     ----------
     walls : Walls
-    poses : ndarray, shape (n_walls, 13)
-        As `write_poses` gives them for the time that is meant.
+    poses : records POSE, shape (n_walls,)
+        At the time that is meant.
     p : int
         Primitive.
     x : tuple of 3 floats [m]
@@ -281,16 +298,17 @@ def touch(walls: Walls, poses: Floats, p: int, x: Vec3) -> tuple[Vec3, Vec3]:
         Of the wall's point, world axes.
     """
     kind, rows, wall, around = walls
-    w = wall[p]
-    a, b, c, n = row3(rows, p, 0), row3(rows, p, 3), row3(rows, p, 6), row3(rows, p, 9)
-    X, q = row3(poses, w, 0), (poses[w, 3], poses[w, 4], poses[w, 5], poses[w, 6])
-    d = subtract(x, X)
-    gap = to_world(q, gap_of(Primitive(kind[p], a, b, c, n), around, to_body(q, d)))
-    velocity = add_scaled(1.0, cross(row3(poses, w, 10), subtract(d, gap)), row3(poses, w, 7))
-    return gap, velocity
+    w, one = wall[p], primitive_at(kind, rows, p)
+    y = in_frame_of(poses, w, x)
+    _, is_nearest = euler_count(one, around, y)
+    away = gap_vector(one, y) if is_nearest else (FAR, 0.0, 0.0)
+    gap = to_world(row4(poses.orientation, w), away)
+    arm = subtract(subtract(x, row3(poses.position, w)), gap)
+    omega = row3(poses.angular_velocity, w)
+    return gap, add_scaled(1.0, cross(omega, arm), row3(poses.velocity, w))
 
 
-def gaps(walls: Walls, poses: Floats, points: Floats, which: Ints, primitive: Ints) -> Floats:
+def gaps(walls: Walls, poses: Records, points: Floats, which: Ints, primitive: Ints) -> Floats:
     """Vectors from primitives of walls to some of the points (3, n), (3, m) [m]; FAR: has none."""
     found = np.empty((3, which.size))
     find_gaps(walls, poses, points, which, primitive, found)
@@ -299,10 +317,10 @@ def gaps(walls: Walls, poses: Floats, points: Floats, which: Ints, primitive: In
 
 @kernel
 def find_gaps(
-    walls: Walls, poses: Floats, points: Floats, which: Ints, primitive: Ints, gap: Floats
+    walls: Walls, poses: Records, points: Floats, which: Ints, primitive: Ints, gap: Floats
 ) -> None:
     """Write what `gaps` returns."""
-    place = points[0], points[1], points[2]
+    x = points[0], points[1], points[2]
     for k in range(which.size):
-        away, _ = touch(walls, poses, primitive[k], load3(place, which[k]))
+        away, _ = gap_and_velocity(walls, poses, primitive[k], load3(x, which[k]))
         gap[0, k], gap[1, k], gap[2, k] = away

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particlerb.contact.pair_force import GroupContact
+from particlerb.contact.contact_model import GroupContact
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity import UniformGravity, parts_of_gravity
 from particlerb.forces.kernels import Acting

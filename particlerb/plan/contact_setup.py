@@ -27,13 +27,13 @@ from particlerb.case.problems import CaseError, Problem, nearest
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Body, Case, Euler
 from particlerb.case.to_system import System
-from particlerb.contact.cell_grid import neighbours
 from particlerb.contact.piston import Pistons
 from particlerb.contact.restitution import (
     damping_ratio,
     effective_modulus,
     effective_shear_modulus,
 )
+from particlerb.contact.sphere_search import neighbours
 from particlerb.contact.wall_motion import PrescribedMotion, poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.wall_shapes import box, cylinder, joined, plane, surface, unit

@@ -15,11 +15,12 @@ import numpy as np
 from particlerb.case.output import FIELDS_OF_CONTACT
 from particlerb.case.schema import Case
 from particlerb.case.to_system import System
+from particlerb.compiled.option import option
+from particlerb.contact.contact_model import ContactModel, ContactSpheres, GroupContact
 from particlerb.contact.interior_spheres import outer_spheres
-from particlerb.contact.law import SHEAR_DAMPING, Law
-from particlerb.contact.pair_force import ContactModel, ContactSpheres, GroupContact
+from particlerb.contact.law import TANGENTIAL_DAMPING, Law
 from particlerb.contact.prescribed_motion import PrescribedBodies
-from particlerb.contact.wall_motion import motion_rows
+from particlerb.contact.wall_motion import motion_records
 from particlerb.contact.wall_shapes import has_edges
 from particlerb.forces import Terms
 from particlerb.forces.attraction import Attraction
@@ -267,7 +268,7 @@ def contact_among(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
         drives_among(scene, members, touching),
     )  # fmt: skip
-    motions = motion_rows(touching.motions)
+    motions = motion_records(touching.motions)
     is_shown = any(name in FIELDS_OF_CONTACT for name in case.output.fields)
     is_fixed, pistons = touching.skin is not None, touching.pistons
     left_out = int(may_touch.sum()) - owner.size
@@ -289,7 +290,7 @@ def drives_among(scene: System, members: Ints, touching: ContactSetup) -> Prescr
     bodies, state = scene.bodies, scene.state
     return PrescribedBodies(
         which,
-        motion_rows(motions),
+        motion_records(motions),
         np.ascontiguousarray(state.com[:, own] - at_start.T),
         np.ascontiguousarray(state.q[:, own]),
         bodies.mass[own],
@@ -327,11 +328,11 @@ def law_of(touching: ContactSetup) -> Law:
         (pairs.modulus if is_hertz else pairs.stiffness).ravel(),
         (pairs.shear_modulus if is_hertz else pairs.tangential_stiffness).ravel(),
         pairs.damping_ratio.ravel(),
-        np.full(rolling.size, SHEAR_DAMPING),
+        np.full(rolling.size, TANGENTIAL_DAMPING),
         pairs.friction.ravel(),
         rolling if rolling.any() else None,
-        1 if is_hertz else None,
-        1 if touching.attract else None,
+        option(is_hertz),
+        option(touching.attract),
     )
 
 

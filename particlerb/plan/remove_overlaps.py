@@ -13,7 +13,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case
 from particlerb.case.to_system import System, assemble
-from particlerb.contact.cell_grid import SphereSearch
+from particlerb.contact.sphere_search import SphereSearch
 from particlerb.contact.wall_motion import poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps

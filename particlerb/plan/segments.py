@@ -17,7 +17,7 @@ from particlerb.case.reader import problem_at
 from particlerb.case.schema import Case
 from particlerb.case.to_system import System
 from particlerb.contact.contact_frequency import initial_contact_frequency
-from particlerb.contact.pair_force import ContactSpheres, GroupContact
+from particlerb.contact.contact_model import ContactSpheres, GroupContact
 from particlerb.forces import Terms, needs_of
 from particlerb.forces.attraction import Attraction, fastest_rates
 from particlerb.forces.impulse import Impulse
@@ -447,7 +447,7 @@ def contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: flo
     partner = softest_partners(contact, softness, own)
     pair = scene.pair_of[own]  # of bodies that touch nothing any one: they have no partners
     both = np.where(own[:, None] >= 0, softness[:, None] + partner, 0.0)
-    shear = np.where(law.friction > 0.0, law.shear, 0.0)
+    shear = np.where(law.friction > 0.0, law.tangential_stiffness, 0.0)
     if law.hertz is None:
         k = (law.stiffness + shear)[pair]
         return np.asarray(np.sqrt(np.maximum(k * both, 0.0).max(axis=1)))

@@ -17,8 +17,15 @@ import numpy as np
 
 from particlerb.compiled.barrier import ALONE, Team, largest, meet, share_of, together
 from particlerb.compiled.jit import inline, kernel, kernel_from
-from particlerb.contact.cell_grid import SphereSearch
+from particlerb.contact.body_loads import collect_loads, load_pistons, stored_energy
 from particlerb.contact.contact_frequency import contact_frequency
+from particlerb.contact.contact_model import (
+    ContactList,
+    ContactModel,
+    GroupContact,
+    NeighbourLists,
+    Workspace,
+)
 from particlerb.contact.contact_output import (
     ContactOutput,
     contact_output,
@@ -36,35 +43,14 @@ from particlerb.contact.neighbour_list import (
     order_contacts,
 )
 from particlerb.contact.pair_force import (
-    AT,
-    BODY_COLUMNS,
-    POSE,
-    SOFTNESS,
-    TURNING,
-    VELOCITY,
-    ContactList,
-    ContactModel,
-    GroupContact,
-    NeighbourLists,
-    Workspace,
-    collect_loads,
-    done_columns,
     empty_history,
-    load_pistons,
+    forces_dtype,
+    history_dtype,
     max_speeds,
     place_bodies,
-    put_poses,
     sphere_contact_forces,
-    stored_energy,
 )
 from particlerb.contact.piston import (
-    BOOKED,
-    MOST,
-    PLACE,
-    SEEN,
-    SLIDE,
-    SPEED,
-    THEN,
     Pistons,
     drift_pistons,
     initial_piston_state,
@@ -78,8 +64,23 @@ from particlerb.contact.prescribed_motion import (
     prescribed_momenta,
     prescribed_pose,
 )
-from particlerb.contact.wall_contacts import SPOT, wall_contact_forces
-from particlerb.contact.wall_motion import farthest_distances, motion_in, wall_displacement
+from particlerb.contact.records import (
+    BODY,
+    PISTON,
+    POSE,
+    Records,
+    from_floats,
+    to_floats,
+    zero_records,
+)
+from particlerb.contact.sphere_search import SphereSearch
+from particlerb.contact.wall_contacts import wall_contact_forces
+from particlerb.contact.wall_motion import (
+    farthest_distances,
+    motion_in,
+    put_poses,
+    wall_displacement,
+)
 from particlerb.contact.wall_search import WallSearch, find_wall_shells
 from particlerb.forces import acting_of
 from particlerb.forces.attraction import Attraction, Work
@@ -127,7 +128,7 @@ class StepMemory(NamedTuple):
     then: Floats  # (7, n) centres of mass and quaternions when the lists were made
     start: float  # [s] of the segment
     until: float  # [s] on the grid: so long lists hold, as walls move
-    slides: Floats  # (k, SLIDE) of pistons: the first thread's
+    slides: Records  # (k,) PISTON: the first thread's
 
 
 class LoopPosition(NamedTuple):
@@ -146,9 +147,9 @@ class Copies(NamedTuple):
 
     blocks: Floats
     last: Floats
-    spheres: Floats  # (m, ..) what contacts keep
-    walls: Floats
-    slides: Floats
+    spheres: Records  # (m,) history of contacts
+    walls: Records
+    slides: Records
 
 
 # Parts of an evaluation; each thread has blocks of its own and takes its share of the contacts
@@ -317,10 +318,11 @@ def save(
     for k in range(first, end):
         copy_changing(blocks[k], saved.blocks[k], layout.size[k])
     copy_rows(memory.last, saved.last, team)
-    copy_rows(lists.spheres.history, saved.spheres, team)
-    copy_rows(lists.walls.history, saved.walls, team)
+    copy_records(lists.spheres.history, saved.spheres, team)
+    copy_records(lists.walls.history, saved.walls, team)
     if team.rank == 0:
-        saved.slides[:] = memory.slides
+        for k in range(memory.slides.size):
+            saved.slides[k] = memory.slides[k]
     meet(team)
 
 
@@ -339,10 +341,11 @@ def restore(
     for k in range(first, end):
         copy_changing(saved.blocks[k], blocks[k], layout.size[k])
     copy_rows(saved.last, memory.last, team)
-    copy_rows(saved.spheres, lists.spheres.history, team)
-    copy_rows(saved.walls, lists.walls.history, team)
+    copy_records(saved.spheres, lists.spheres.history, team)
+    copy_records(saved.walls, lists.walls.history, team)
     if team.rank == 0:
-        memory.slides[:] = saved.slides
+        for k in range(memory.slides.size):
+            memory.slides[k] = saved.slides[k]
     recall(lists.spheres, team)
     recall(lists.walls, team)
     meet(team)
@@ -358,11 +361,19 @@ def copy_rows(source: Floats, target: Floats, team: Team) -> None:
 
 
 @inline
+def copy_records(source: Records, target: Records, team: Team) -> None:
+    """Copy records of an array."""
+    first, end = share_of(team, 0, source.size)
+    for i in range(first, end):
+        target[i] = source[i]
+
+
+@inline
 def recall(contacts: ContactList, team: Team) -> None:
     """Let contacts that keep something act, so that they forget it where they have ended."""
     first, end = share_of(team, 0, contacts.active.size)
     for c in range(first, end):
-        contacts.active[c] = contacts.active[c] or contacts.history[c, SOFTNESS] > 0.0
+        contacts.active[c] = contacts.active[c] or contacts.history.inv_effective_mass[c] > 0.0
 
 
 # The loop
@@ -405,7 +416,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
     frames: Frames,
     sums: Floats,
     elastic: Floats,
-    pressed: Floats,
+    pressed: Records,
     saved: Copies,
     team: Team,
 ) -> LoopPosition:
@@ -481,7 +492,8 @@ def advance_touching(  # noqa: PLR0912, PLR0915
         if frame[s] >= 0:
             if team.rank == 0:
                 elastic[frame[s]] = stored_energy(lists.spheres) + stored_energy(lists.walls)
-                pressed[frame[s], :, :] = slides
+                for k in range(slides.size):
+                    pressed[frame[s], k] = slides[k]
             store_blocks(
                 blocks, layout, books, rotor_frame, members, frames, sums, frame[s], first, end
             )
@@ -606,9 +618,9 @@ class TouchingMotion(CoupledMotion):
         np.minimum.at(self.radius, spheres.body, spheres.radius)
         self.walls = WallSearch(contact.model.walls, spheres.radius)
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
-        room = np.zeros((len(self.motions), POSE))
-        place, bodies = np.zeros((n_spheres, 4)), np.zeros((n, BODY_COLUMNS))
-        self.room = Workspace(place, room, bodies, np.zeros((len(self.blocks), 3)), np.zeros(n))
+        poses = zero_records(POSE, len(self.motions))
+        xyzr, bodies = np.zeros((n_spheres, 4)), zero_records(BODY, n)
+        self.room = Workspace(xyzr, poses, bodies, np.zeros((len(self.blocks), 3)), np.zeros(n))
         y = np.vstack(state)
         slides = initial_piston_state(contact.pistons)
         self.memory = StepMemory(y[7:].copy(), y[:7].copy(), start, np.inf, slides)
@@ -634,7 +646,7 @@ class TouchingMotion(CoupledMotion):
         self.elastic = self.energy()
         self.energies = np.zeros(0)  # [J] elastic energy in the frames of the last `record`
         self.touches: dict[int, ContactOutput] = {}  # in its frames, where they are asked for
-        self.slides = np.zeros((0, len(slides), SLIDE))  # of pistons in its frames
+        self.slides = zero_records(PISTON, 0, len(slides))  # of pistons in its frames
         self.kinetic = np.zeros(0)  # [J] energy of pistons in its frames
         self.at_rest = piston_energies(contact.pistons, slides)[0]  # [J] the same at the start
         self.elastic += piston_energies(contact.pistons, slides)[1]
@@ -654,7 +666,7 @@ class TouchingMotion(CoupledMotion):
         self.count += 1
         scene, n = contact.model, y.shape[1]
         self.memory.then[:] = y[:7]
-        self.memory.slides[:, THEN] = self.memory.slides[:, PLACE]
+        self.memory.slides.listed_displacement = self.memory.slides.displacement
         way = np.sqrt(((y[:3] - self.origin) ** 2).sum(axis=0)).max()
         self.farthest = max(self.farthest, float(way))
         self.refuse_tunnelling(y)
@@ -707,9 +719,9 @@ class TouchingMotion(CoupledMotion):
             still[drives.which] = ways
         bodies = WatchedBodies(
             self.room.xyzr,
-            np.ascontiguousarray(rows[:, AT : AT + 3].T),
-            np.ascontiguousarray(rows[:, VELOCITY : VELOCITY + 3].T),
-            np.ascontiguousarray(rows[:, TURNING]),
+            np.ascontiguousarray(rows.position.T),
+            np.ascontiguousarray(rows.velocity.T),
+            np.ascontiguousarray(rows.angular_speed),
             self.bound,
             still,
             np.zeros(n, dtype=np.bool_),
@@ -738,7 +750,7 @@ class TouchingMotion(CoupledMotion):
                 skin = max(skin / WIDEN, self.least_skin)
             elif has_moved and is_worth_it and steps < LONGEST:
                 skin *= WIDEN
-        places = self.room.xyzr[:, :3], self.room.poses[:, :3]
+        places = self.room.xyzr[:, :3], self.room.poses.position
         farthest = sum(float(np.abs(x).max(initial=0.0)) for x in places)
         widest = WIDEST * 2.0 * (math.sqrt(3.0) * farthest + self.extent)
         self.contact = self.contact._replace(skin=min(skin, widest))
@@ -763,7 +775,7 @@ class TouchingMotion(CoupledMotion):
         pistons, scene = self.contact.pistons, self.contact.model
         if pistons is None:
             return
-        stiffness = self.memory.slides[:, MOST] * float(scene.law.stiffness.max())
+        stiffness = self.memory.slides.max_stiffness * float(scene.law.stiffness.max())
         rate = np.sqrt(stiffness / pistons.mass)
         k = int(np.argmax(rate))
         if self.dt * rate[k] > STABLE:
@@ -794,7 +806,7 @@ class TouchingMotion(CoupledMotion):
         """
         steps, skin = min(max(FEW_STEPS, 2 * lasted), LONGEST), self.contact.skin
         sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
-        if not any(any(row[3:]) for row in self.contact.motions.tolist()):
+        if not to_floats(self.contact.motions)[:, 3:].any():
             return LONGEST * self.dt, sliding
         reach = [far + skin for far in reach]  # as bodies move
         while steps > 1 and wall_displacement(self.motions, steps * self.dt, reach) > skin:
@@ -815,10 +827,13 @@ class TouchingMotion(CoupledMotion):
         wall = self.contact.model.walls.wall if which == 1 else self.numbers[:0]
         order_contacts(pairs, numbers, wall, shell, old, new, first, second, ends)
         self.kept = (new, self.kept[1]) if which == 0 else (self.kept[0], new)
-        columns = done_columns(law) + (SPOT if which == 1 else 0)
-        done = self.floats(f"done {which}", m, columns)
-        done[:] = 0.0  # a checkpoint has it, and none of the leftovers of other lists
-        return ContactList(first, second, values, done, values[:, SOFTNESS] > 0.0, ends)
+        dtype = forces_dtype(law, which == 1)
+        rows_of_forces = self.floats(f"forces {which}", m, dtype.itemsize // values.itemsize)
+        rows_of_forces[:] = 0.0  # a checkpoint has it, and none of the leftovers of other lists
+        forces = from_floats(rows_of_forces, dtype)
+        history = from_floats(values, history_dtype(law))
+        active = history.inv_effective_mass > 0.0
+        return ContactList(first, second, history, forces, active, ends)
 
     def floats(self, name: str, m: int, columns: int) -> Floats:
         """Room for rows, which grows: to ask for new pages takes as long as to fill them."""
@@ -849,8 +864,8 @@ class TouchingMotion(CoupledMotion):
         self.lists = filled(self.lists, within("lists", saved))
         spheres, walls = self.lists.spheres.history, self.lists.walls.history
         self.kept = (
-            ContactHistory(saved["keys.0"], saved["rows.0"], spheres),
-            ContactHistory(saved["keys.1"], saved["rows.1"], walls),
+            ContactHistory(saved["keys.0"], saved["rows.0"], to_floats(spheres)),
+            ContactHistory(saved["keys.1"], saved["rows.1"], to_floats(walls)),
         )
         self.origin = saved["origin"]
         self.room.gross_work[:] = saved["turnover"]
@@ -883,19 +898,19 @@ class TouchingMotion(CoupledMotion):
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         n, pistons = frames.position.shape[0], self.contact.pistons
         self.energies, self.kinetic, self.touches = np.zeros(n), np.zeros(n), {}
-        self.slides = np.zeros((n, len(self.memory.slides), SLIDE))
+        self.slides = zero_records(PISTON, n, len(self.memory.slides))
         booked = super().record(times, rows, frames)
         if pistons is not None:
             for k, row in enumerate(rows.tolist()):
                 kinetic, potential = piston_energies(pistons, self.slides[row])
                 self.kinetic[row], self.energies[row] = kinetic, self.energies[row] + potential
-                booked[k, 0] += self.slides[row, :, BOOKED].sum()
+                booked[k, 0] += self.slides[row].booked_work.sum()
         return booked
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
         state, booked = super().finish(stop)
-        booked[0] += self.memory.slides[:, BOOKED].sum()
+        booked[0] += self.memory.slides.booked_work.sum()
         return state, booked
 
     def onwards(self) -> Pistons | None:
@@ -903,7 +918,7 @@ class TouchingMotion(CoupledMotion):
         pistons = self.contact.pistons
         if pistons is None:
             return None
-        return pistons._replace(start=self.memory.slides[:, [PLACE, SPEED]].copy())
+        return pistons._replace(start=to_floats(self.memory.slides)[:, :2].copy())
 
     def run(self, schedule: Schedule, count: int, frames: Frames, sums: Floats) -> None:
         """Go through a schedule; stop at each frame if it is to show who touches whom."""
@@ -917,7 +932,7 @@ class TouchingMotion(CoupledMotion):
             if row >= 0:
                 self.touches[row] = self.seen(self.slides[row])
 
-    def seen(self, slides: Floats) -> ContactOutput:
+    def seen(self, slides: Records) -> ContactOutput:
         """Contacts of the frame that was written last: its closing evaluation is still there."""
         lists, scene, room = self.lists, self.contact.model, self.room
         found = [
@@ -927,7 +942,7 @@ class TouchingMotion(CoupledMotion):
         centre = np.array([motion.centre for motion in self.motions]).reshape(-1, 3)
         centre, velocity = wall_centres(centre, room.poses)
         if (pistons := self.contact.pistons) is not None:  # contacts saw a velocity carried on
-            ahead = slides[:, SPEED] - slides[:, SEEN]
+            ahead = slides.velocity - slides.contact_velocity
             velocity[pistons.wall] += ahead[:, None] * pistons.axis
         return contact_output(found, centre, velocity)
 

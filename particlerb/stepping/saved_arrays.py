@@ -10,6 +10,8 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
+from particlerb.contact.records import from_floats, to_floats
+
 Saved: TypeAlias = dict[str, Any]  # arrays by name
 Tuple = TypeVar("Tuple", bound=tuple[Any, ...])
 
@@ -26,11 +28,16 @@ def within(name: str, saved: Mapping[str, Any]) -> Saved:
 
 
 def flat(values: Any) -> Saved:
-    """Arrays of a NamedTuple of arrays, numbers, such tuples and None, by the names of fields."""
+    """Arrays of a NamedTuple of arrays, numbers, such tuples and None, by the names of fields.
+
+    Records become rows of floats.
+    """
     saved: Saved = {}
     for name, value in values._asdict().items():
         if hasattr(value, "_fields"):
             saved |= under(name, flat(value))
+        elif isinstance(value, np.recarray):
+            saved[name] = to_floats(value).copy()
         elif value is not None:
             saved[name] = np.array(value)
     return saved
@@ -45,6 +52,8 @@ def filled(like: Tuple, saved: Mapping[str, Any]) -> Tuple:
             values[name] = filled(value, within(name, saved))
         elif isinstance(value, (bool, int, float)):
             values[name] = type(value)(saved[name])
+        elif isinstance(value, np.recarray):
+            values[name] = from_floats(saved[name], value.dtype)
         else:
             values[name] = saved.get(name)
     filled_in: Tuple = type(fields)(**values)

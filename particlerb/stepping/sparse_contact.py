@@ -16,7 +16,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from particlerb.contact.cell_grid import SphereSearch
+from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.contact_output import ContactOutput, no_contacts
 from particlerb.contact.missed_pairs import (
     Watch,
@@ -26,7 +26,7 @@ from particlerb.contact.missed_pairs import (
     peak_speed,
 )
 from particlerb.contact.neighbour_list import ContactHistory, has_moved
-from particlerb.contact.pair_force import GroupContact
+from particlerb.contact.sphere_search import SphereSearch
 from particlerb.contact.wall_motion import (
     farthest_distances,
     motion_in,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.contact.cell_grid import neighbours
+from particlerb.contact.sphere_search import neighbours
 
 pytestmark = [pytest.mark.compiled, pytest.mark.slow]
 

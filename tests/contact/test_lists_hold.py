@@ -5,8 +5,9 @@ import pytest
 
 import particlerb
 from particlerb.contact import missed_pairs as watch
-from particlerb.contact.cell_grid import PairList, SphereSearch
+from particlerb.contact.cell_grid import PairList
 from particlerb.contact.missed_pairs import Watch
+from particlerb.contact.sphere_search import SphereSearch
 from particlerb.contact.wall_motion import PrescribedMotion, farthest_distances
 from particlerb.contact.wall_search import WallSearch
 from particlerb.plan import groups
@@ -145,7 +146,7 @@ def two_that_meet(make) -> dict:
 
 
 def test_a_pair_that_no_list_holds_ends_the_run(make, monkeypatch):
-    monkeypatch.setattr(watch, "SHARE", 1e9)
+    monkeypatch.setattr(watch, "MAX_SHARE", 1e9)
     particlerb.run(two_that_meet(make)).close()
     lose_all(monkeypatch, SphereSearch)
     with pytest.raises(RunError, match=r"at t = 0\.0\d+ s body 0 and body 1 overlap by"):
@@ -155,7 +156,7 @@ def test_a_pair_that_no_list_holds_ends_the_run(make, monkeypatch):
 @pytest.mark.compiled
 def test_a_list_that_is_kept_too_long_ends_the_run(make, monkeypatch):
     """The wall moves farther than is known; later lists do hold the pair."""
-    monkeypatch.setattr(watch, "SHARE", 1e9)
+    monkeypatch.setattr(watch, "MAX_SHARE", 1e9)
     monkeypatch.setattr(TouchingMotion, "walls_ahead", lambda motion, *_: (0.05, 0.0))
     ball = make.sphere(position=[0, 0, 0.3])
     lift = make.plane(motion={"velocity": [0, 0, 5.0]})
@@ -168,7 +169,7 @@ def test_a_list_that_is_kept_too_long_ends_the_run(make, monkeypatch):
 @pytest.mark.compiled
 def test_a_body_that_flies_into_another_ends_the_run(make, monkeypatch):
     """One whose neighbours are not seen when the interval begins."""
-    monkeypatch.setattr(watch, "SHARE", 1e9)
+    monkeypatch.setattr(watch, "MAX_SHARE", 1e9)
     monkeypatch.setattr(dilute, "LEAST_BODIES", 2)
 
     def nobody(motion, *_):
@@ -184,7 +185,7 @@ def test_a_body_that_flies_into_another_ends_the_run(make, monkeypatch):
 @pytest.mark.compiled
 def test_nothing_is_lost_where_nothing_is_wrong(make, monkeypatch):
     """Clumps, edges, a wall that shakes, one that turns and a stirrer, looked at with each list."""
-    monkeypatch.setattr(watch, "SHARE", 1e9)
+    monkeypatch.setattr(watch, "MAX_SHARE", 1e9)
     looks, look = [], Watch.look
 
     def counted(*given):
@@ -227,7 +228,7 @@ def test_the_watch_takes_its_share_by_counts(monkeypatch):
             one.credit -= one.price
             spent, looks = spent + one.price, looks + 1
     assert looks > 50
-    assert spent < watch.SHARE * work
+    assert spent < watch.MAX_SHARE * work
     other = Watch()
     other.restore(one.saved())
     assert vars(other) == vars(one)

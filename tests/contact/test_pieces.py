@@ -8,9 +8,8 @@ from scipy.spatial.transform import Rotation
 
 import particlerb
 from particlerb.compiled.jit import kernel
-from particlerb.contact.wall_search import primitive
 from particlerb.contact.wall_shapes import surface
-from particlerb.contact.walls import away_from, count_of
+from particlerb.contact.walls import euler_count, gap_vector, primitive_at
 from particlerb.simulation.run import RunError
 
 TURN = Rotation.from_rotvec([0.3, -0.8, 0.5])
@@ -38,9 +37,9 @@ def energies(walls, x, radius, energy, force):
     for i in range(x.shape[0]):
         at = x[i, 0], x[i, 1], x[i, 2]
         for p in range(walls.kind.size):
-            one = primitive(walls.kind, walls.parameter, p)
-            count, _ = count_of(one, walls.around, at)
-            away = away_from(one, at)
+            one = primitive_at(walls.kind, walls.parameter, p)
+            count, _ = euler_count(one, walls.around, at)
+            away = gap_vector(one, at)
             d = np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
             if count != 0 and d < radius:
                 energy[i] += count * 0.5 * (radius - d) * (radius - d)

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from particlerb.compiled.jit import config
 from particlerb.compiled.threads import THREADS
-from particlerb.contact import cell_grid as module
-from particlerb.contact.cell_grid import SphereSearch, levels_of, modular_strides, neighbours
+from particlerb.contact import cell_grid, sphere_search
 from particlerb.contact.interior_spheres import outer_spheres
 from particlerb.contact.neighbour_list import (
     N_SHELLS,
@@ -22,6 +21,12 @@ from particlerb.contact.neighbour_list import (
     has_moved,
     incidence,
     order_contacts,
+)
+from particlerb.contact.sphere_search import (
+    SphereSearch,
+    levels_of,
+    modular_strides,
+    neighbours,
 )
 
 PLAIN = bool(config.DISABLE_JIT)
@@ -34,7 +39,8 @@ def small_units():
     """In plain Python, where the size is no constant of the compiled code."""
     with pytest.MonkeyPatch.context() as patch:
         if PLAIN:
-            patch.setattr(module, "UNIT", 16)
+            for module in (cell_grid, sphere_search):
+                patch.setattr(module, "UNIT", 16)
         yield
 
 

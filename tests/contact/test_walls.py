@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from particlerb.compiled.jit import config, kernel
 from particlerb.contact import wall_search as module
+from particlerb.contact.records import to_floats
 from particlerb.contact.wall_motion import PrescribedMotion, poses_at, wall_displacement
-from particlerb.contact.wall_search import WallSearch, bounding_boxes, primitive
+from particlerb.contact.wall_search import WallSearch, bounding_boxes
 from particlerb.contact.wall_shapes import box, cylinder, joined, plane, surface
 from particlerb.contact.walls import (
     EDGE,
@@ -21,9 +22,10 @@ from particlerb.contact.walls import (
     FAR,
     NEAR,
     VERTEX,
+    gap_and_velocity,
     nearest,
     nearest_on_triangle,
-    touch,
+    primitive_at,
 )
 
 PLAIN = bool(config.DISABLE_JIT)
@@ -34,13 +36,13 @@ REST = PrescribedMotion()
 @kernel
 def gaps_and_velocities(walls, poses, p, x, gap, velocity):
     for k in range(p.size):
-        gap[k], velocity[k] = touch(walls, poses, p[k], (x[k, 0], x[k, 1], x[k, 2]))
+        gap[k], velocity[k] = gap_and_velocity(walls, poses, p[k], (x[k, 0], x[k, 1], x[k, 2]))
 
 
 @kernel
 def nearest_points(walls, p, x, found):
     for k in range(p.size):
-        one = primitive(walls.kind, walls.parameter, p[k])
+        one = primitive_at(walls.kind, walls.parameter, p[k])
         found[k] = nearest(one, (x[k, 0], x[k, 1], x[k, 2]))
 
 
@@ -302,19 +304,20 @@ def test_motion_is_a_closed_form_and_velocity_its_derivative():
     wall, p = plane([1.0, 2.0, 3.0], [0.2, 0.3, 1.0]), np.array([[0.5, 0.6, 0.7]])
 
     def place(t):
-        X, q = np.split(poses_at([motion], t)[0, :7], [3])
+        X, q = np.split(to_floats(poses_at([motion], t))[0, :7], [3])
         return X + Rotation.from_quat(q, scalar_first=True).apply(p[0])
 
     t, h = 0.9, 1e-5
     pose = poses_at([motion], t)[0]
-    speed = pose[7:10] + np.cross(pose[10:], place(t) - pose[:3])
+    omega = pose.angular_velocity
+    speed = pose.velocity + np.cross(omega, place(t) - pose.position)
     assert np.allclose(speed, (place(t + h) - place(t - h)) / (2 * h), atol=1e-8)
     turn = Rotation.from_rotvec(t * np.array(motion.angular_velocity))
     way = t * np.array(motion.velocity) + np.array(motion.amplitude) * np.sin(3.4 * np.pi * t + 0.3)
     assert np.allclose(place(t), motion.centre + way + turn.apply(p[0] - motion.centre), atol=1e-14)
     gap, velocity = (u[0, 0] for u in touched(wall, place(t)[None], [motion], t))
-    at = place(t) - gap - pose[:3]
-    assert np.allclose(velocity, pose[7:10] + np.cross(pose[10:], at), atol=1e-14)
+    at = place(t) - gap - pose.position
+    assert np.allclose(velocity, pose.velocity + np.cross(omega, at), atol=1e-14)
 
 
 @settings(max_examples=20 if PLAIN else 100)
@@ -326,15 +329,15 @@ def test_gap_moves_with_the_wall_and_the_bound_holds(seed):
     motion = PrescribedMotion((0.1, 0.2, 0.0), tuple(v), tuple(w), tuple(a), 2.0, 0.4)
     x, t = rng.uniform(-1.5, 1.5, 3), 3.0 * rng.random()
     pose = poses_at([motion], t)[0]
-    R = Rotation.from_quat(pose[3:7], scalar_first=True)
-    moved = touched(wall, (pose[:3] + R.apply(x))[None], [motion], t)[0][0]
+    R = Rotation.from_quat(pose.orientation, scalar_first=True)
+    moved = touched(wall, (pose.position + R.apply(x))[None], [motion], t)[0][0]
     rest = touched(wall, x[None])[0][0]
     both = ~np.isnan(rest[:, 0]) & ~np.isnan(moved[:, 0])
     assert np.allclose(moved[both], R.apply(rest)[both], atol=1e-12)
     dt = 0.2 * rng.random()
     later = poses_at([motion], t + dt)[0]
-    R1 = Rotation.from_quat(later[3:7], scalar_first=True)
-    way = np.linalg.norm(later[:3] + R1.apply(x) - pose[:3] - R.apply(x))
+    R1 = Rotation.from_quat(later.orientation, scalar_first=True)
+    way = np.linalg.norm(later.position + R1.apply(x) - pose.position - R.apply(x))
     reach = np.linalg.norm(x - motion.centre)
     assert way <= wall_displacement([motion], dt, [reach]) * (1 + 1e-12)
 
@@ -369,8 +372,8 @@ def test_candidates_are_all_that_are_near(skin):
     first, second, start = WallSearch(walls, r).pairs(np.ascontiguousarray(x.T), poses, skin)
     m = walls.kind.size
     own = poses[np.tile(walls.wall, n)]
-    local = Rotation.from_quat(own[:, 3:7], scalar_first=True)
-    each = local.inv().apply(np.repeat(x, m, axis=0) - own[:, :3])
+    local = Rotation.from_quat(own.orientation, scalar_first=True)
+    each = local.inv().apply(np.repeat(x, m, axis=0) - own.position)
     found = np.empty((n * m, 3))
     nearest_points(walls, np.tile(np.arange(m), n), each, found)
     d = np.linalg.norm(each - found, axis=1).reshape(n, m)
@@ -403,7 +406,7 @@ def test_candidates_of_a_chosen_part_and_of_nothing():
     assert (some.first == pairs.first[keep]).all()
     assert (some.second == pairs.second[keep]).all()
     assert not search.pairs(x, poses, 0.1, which[:0]).first.size
-    assert not WallSearch(joined([]), r).pairs(x, np.zeros((0, 13)), 0.1).first.size
+    assert not WallSearch(joined([]), r).pairs(x, poses_at([], 0.0), 0.1).first.size
 
 
 def test_lists_of_a_fine_surface_are_short():

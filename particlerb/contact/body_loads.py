@@ -1,0 +1,228 @@
+"""Loads of contacts on bodies and pistons: the third pass of an evaluation, see `pair_force`."""
+
+import math
+from typing import NamedTuple
+
+from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.contact.contact_model import ContactList, ContactModel, NeighbourLists, Workspace
+from particlerb.contact.piston import Pistons
+from particlerb.contact.records import Records, row3, row4
+from particlerb.maths.quaternion import matrix, turn, turn_back
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, subtract
+from particlerb.model.block import get, get3, put, put3
+from particlerb.model.load import FORCE, OTHER, OUTSIDE, POWER, TORQUE
+
+
+class BodyLoad(NamedTuple):
+    """What the contacts of a body do to it, world axes."""
+
+    force: Vec3  # [N] elastic
+    torque: Vec3  # [N m] of the elastic forces about the centre of mass
+    other_force: Vec3  # [N] of the rest
+    other_torque: Vec3  # [N m]
+    outside_force: Vec3  # [N] of both, from walls and held bodies
+    outside_torque: Vec3  # [N m] about the origin of the world
+    boundary_power: float  # [W] of walls that move
+    correction: Vec3  # [N s] elastic forces times their correction times
+    correction_torque: Vec3  # [N m s] and their torques
+    gross_power: float  # [W]
+
+
+@lean
+def add_contact(
+    rolling: Floats | None,
+    forces: Records,
+    c: int,
+    sign: float,
+    x: Vec3,
+    is_outside: bool,
+    load: BodyLoad,
+) -> BodyLoad:
+    """Add contact c to the load of a body at x; of the opposite sign where it is the second."""
+    F, tau, rest, turning, world, about, power, correction, correction_torque, gross = load
+    elastic, other, point = row3(forces.elastic, c), row3(forces.other, c), row3(forces.point, c)
+    arm, resistance = subtract(point, x), rolling_torque_of(rolling, forces, c)
+    F, rest = add_scaled(sign, elastic, F), add_scaled(sign, other, rest)
+    torque, time = cross(arm, elastic), sign * forces.correction_time[c]
+    tau = add_scaled(sign, torque, tau)
+    correction = add_scaled(time, elastic, correction)
+    correction_torque = add_scaled(time, torque, correction_torque)
+    turning = add_scaled(sign, add_scaled(1.0, cross(arm, other), resistance), turning)
+    if is_outside:
+        both = add_scaled(1.0, elastic, other)
+        world = add_scaled(sign, both, world)
+        about = add_scaled(sign, add_scaled(1.0, resistance, cross(point, both)), about)
+        power += forces.boundary_power[c]
+    if sign > 0.0:
+        gross += forces.gross_power[c]
+    return BodyLoad(
+        F, tau, rest, turning, world, about, power, correction, correction_torque, gross
+    )
+
+
+@lean
+def add_correction(forces: Records, c: int, arm: Vec3, load: BodyLoad) -> BodyLoad:
+    """Add the correction impulse of a wall contact; `arm` to the centre of the sphere [m]."""
+    F, tau, rest, turning, world, about, power, correction, correction_torque, gross = load
+    impulse = row3(forces.correction_impulse, c)
+    correction = add_scaled(1.0, impulse, correction)
+    correction_torque = add_scaled(1.0, cross(arm, impulse), correction_torque)
+    return BodyLoad(
+        F, tau, rest, turning, world, about, power, correction, correction_torque, gross
+    )
+
+
+@lean
+def rolling_torque_of(rolling: Floats | None, forces: Records, c: int) -> Vec3:
+    """Torque of contact c against rolling, if anything resists."""
+    if rolling is None:
+        return 0.0, 0.0, 0.0
+    return row3(forces.rolling_torque, c)
+
+
+@lean
+def angular_acceleration(model: ContactModel, bodies: Records, b: int, torque: Vec3) -> Vec3:
+    """I⁻¹ τ of body b, world axes [rad/s²]."""
+    inertia = model.inv_inertia
+    R = matrix(row4(bodies.orientation, b))
+    inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
+    return turn(R, multiplied3(inverse, turn_back(R, torque)))
+
+
+@lean_kernel
+def collect_loads(
+    model: ContactModel,
+    workspace: Workspace,
+    lists: NeighbourLists,
+    rows: Floats,
+    at: int,
+    steady: int,
+    lo: int,
+    n: int,
+    later: float,
+    span: float,
+) -> None:
+    """Add what contacts do to the loads of a block of bodies.
+
+    Force times the mean velocity of a kick is not all that a force without potential gives: see
+    `law.correction_time`.
+
+    Parameters
+    ----------
+    model, workspace, lists : ContactModel, Workspace, NeighbourLists
+    rows : ndarray
+        The block, with a load (model/load.py) in CONTACT_ROWS from `at` on. What a wall or a held
+        body does, the world does.
+    at, steady, lo, n : int
+        Rows of the load and of the constant force; first body of the block, and how many there are.
+    later : float [s]
+        By how much the drift after the kick is longer than the one before.
+    span : float [s]
+        For which the loads count in the gross work; 0 for a partial step.
+    """
+    bodies = workspace.bodies
+    for k in range(n):
+        b = lo + k
+        x = row3(bodies.position, b)
+        zero, touches = (0.0, 0.0, 0.0), False
+        load = BodyLoad(zero, zero, zero, zero, zero, zero, 0.0, zero, zero, 0.0)
+        if bodies.inv_mass[b] > 0.0:  # not held
+            touches, load = load_of(model, workspace, lists, b, x, load)
+        F, tau, rest, turning, world, about, power, correction, correction_torque, gross = load
+        if touches:
+            spun = angular_acceleration(model, bodies, b, turning)
+            correction = add_scaled(later, get3(rows, steady, k), correction)
+            lost = bodies.inv_mass[b] * dot(rest, correction) + dot(spun, correction_torque)
+            power -= 0.25 * lost
+        if span > 0.0:
+            workspace.gross_work[b] += span * gross
+        add_to(rows, at + FORCE, k, F)
+        add_to(rows, at + TORQUE, k, tau)
+        add_to(rows, at + OTHER, k, rest)
+        add_to(rows, at + OTHER + 3, k, turning)
+        add_to(rows, at + OUTSIDE, k, world)
+        add_to(rows, at + OUTSIDE + 3, k, about)
+        put(rows, at + POWER, k, get(rows, at + POWER, k) + power)
+
+
+@lean
+def load_of(
+    model: ContactModel,
+    workspace: Workspace,
+    lists: NeighbourLists,
+    b: int,
+    x: Vec3,
+    load: BodyLoad,
+) -> tuple[bool, BodyLoad]:
+    """Whether body b at x touches anything, and what its contacts do to it."""
+    spheres, walls, (offset, entry), (wall_offset, wall_entry), _ = lists
+    body, bodies, rolling = model.spheres.body, workspace.bodies, model.law.rolling
+    touches = False
+    for k in range(offset[b], offset[b + 1]):
+        c, sign = entry[k], 1.0
+        if c < 0:
+            c, sign = ~c, -1.0
+        if spheres.active[c]:
+            touches = True
+            partner = body[spheres.second[c]] if sign > 0.0 else body[spheres.first[c]]
+            is_outside = bodies.inv_mass[partner] == 0.0
+            load = add_contact(rolling, spheres.forces, c, sign, x, is_outside, load)
+    for k in range(wall_offset[b], wall_offset[b + 1]):
+        c = wall_entry[k]
+        if walls.active[c]:
+            touches = True
+            load = add_contact(rolling, walls.forces, c, 1.0, x, True, load)
+            arm = subtract(row3(workspace.xyzr, walls.first[c]), x)
+            load = add_correction(walls.forces, c, arm, load)
+    return touches, load
+
+
+@lean
+def load_pistons(
+    pistons: Pistons | None,
+    state: Records,
+    contacts: ContactList,
+    model: ContactModel,
+    later: float,
+) -> None:
+    """Sum what contacts do to walls that slide, along their axes, and how stiff they are.
+
+    `later` as for `collect_loads`.
+    """
+    if pistons is None:
+        return
+    forces, history = contacts.forces, contacts.history
+    for k in range(state.size):
+        state.elastic_force[k], state.other_force[k], state.stiffness[k] = 0.0, 0.0, 0.0
+        state.correction_power[k] = later * pistons.force[k]
+    for c in range(contacts.second.size):
+        k = pistons.of_wall[model.walls.wall[contacts.second[c]]]
+        if k >= 0 and contacts.active[c]:
+            a = row3(pistons.axis, k)
+            push = dot(a, row3(forces.elastic, c))
+            state.elastic_force[k] -= push
+            impulse = dot(a, row3(forces.correction_impulse, c))
+            state.correction_power[k] -= push * forces.correction_time[c] + impulse
+            state.other_force[k] -= dot(a, row3(forces.other, c))
+            overlap, radius = history.overlap[c], model.spheres.radius[contacts.first[c]]
+            share = math.sqrt(4.0 * radius * overlap) if model.law.hertz is not None else 1.0
+            state.stiffness[k] += share if overlap > 0.0 else 0.0
+    for k in range(state.size):
+        state.max_stiffness[k] = max(state.max_stiffness[k], state.stiffness[k])
+        state.correction_power[k] *= -0.25 * state.other_force[k] / pistons.mass[k]
+
+
+@lean
+def add_to(rows: Floats, at: int, b: int, v: Vec3) -> None:
+    """Add to the vector of body b from row `at` on."""
+    put3(rows, at, b, add_scaled(1.0, v, get3(rows, at, b)))
+
+
+@lean_kernel
+def stored_energy(contacts: ContactList) -> float:
+    """Energy of all normal springs [J]."""
+    total = 0.0
+    for c in range(contacts.first.size):
+        if contacts.active[c]:
+            total += contacts.forces.elastic_energy[c]
+    return total

@@ -1,0 +1,79 @@
+"""What contacts of a group of bodies are made of: spheres, walls, law, lists, workspace."""
+
+from typing import NamedTuple
+
+from particlerb.contact.law import Law
+from particlerb.contact.neighbour_list import Incidence
+from particlerb.contact.piston import Pistons
+from particlerb.contact.prescribed_motion import PrescribedBodies
+from particlerb.contact.records import Records
+from particlerb.contact.walls import Walls
+from particlerb.maths.vec3 import Bools, Floats, Indices, Ints
+
+
+class ContactSpheres(NamedTuple):
+    """Spheres of a group of bodies that can touch others."""
+
+    arm: Floats  # (3, n) [m], rotor frame of the body, from its centre of mass
+    radius: Floats  # (n,) [m]
+    body: Ints  # (n,) ascending
+    material: Ints  # (n,)
+    offset: Ints  # (n_bodies + 1,) those of body b are offset[b] to offset[b + 1]
+
+
+class ContactModel(NamedTuple):
+    """What does not change with the steps."""
+
+    spheres: ContactSpheres
+    law: Law
+    pair_of: Ints  # (n_materials, n_materials) pair of two materials
+    wall_material: Ints  # (n_primitives,)
+    walls: Walls
+    inv_mass: Floats  # (n_bodies,) [1/kg]
+    inv_inertia: Floats  # (3, n_bodies) [1/(kg m²)], rotor frame
+    prescribed: PrescribedBodies | None = None  # bodies that move as prescribed
+
+
+class GroupContact(NamedTuple):
+    """Contact of a group of bodies."""
+
+    model: ContactModel
+    motions: Records  # (n_walls,) MOTION
+    max_arm: Floats  # (n_bodies,) [m] from the centre of mass to the farthest centre of a sphere
+    skin: float  # [m] pairs nearer than this are kept, at first
+    is_skin_fixed: bool  # whether the skin stays so
+    with_output: bool  # whether frames show who touches whom
+    n_interior: int  # spheres so deep inside their bodies that nothing can reach them
+    pistons: Pistons | None = None  # walls that slide under a load
+    allow_unstable: bool = False  # whether steps above the limit of stability are taken
+
+
+class ContactList(NamedTuple):
+    """Pairs that touch or soon may, what they remember from step to step, and their forces."""
+
+    first: Indices  # (m,) sphere
+    second: Indices  # (m,) sphere, or primitive of a wall
+    history: Records  # (m,) HISTORY or ROLLING_HISTORY
+    forces: Records  # (m,) see `pair_force.forces_dtype`; only of those that are active
+    active: Bools  # (m,) whether there is a force: far fewer have one, and only these are read
+    shell_ends: Ints  # (N_SHELLS,) where each shell ends: see `neighbour_list.order_contacts`
+
+
+class NeighbourLists(NamedTuple):
+    """Pairs that may touch, and the contacts of each body among them."""
+
+    spheres: ContactList
+    walls: ContactList
+    of_spheres: Incidence
+    of_walls: Incidence
+    max_contact_arm: float  # [m] from a centre of mass to the farthest point that may touch
+
+
+class Workspace(NamedTuple):
+    """What an evaluation writes."""
+
+    xyzr: Floats  # (n_spheres, 4) [m] centre and radius
+    poses: Records  # (n_walls,) POSE
+    bodies: Records  # (n_bodies,) BODY
+    deepest: Floats  # (threads, 3) deepest of contacts too deep: overlap and radius [m], body; or 0
+    gross_work: Floats  # (n_bodies,) [J] gross work of contacts so far: see `collect_loads`

@@ -1,0 +1,193 @@
+"""Search for pairs of spheres that touch or soon may, by a grid of cells."""
+
+import math
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from particlerb.compiled.threads import THREADS
+from particlerb.contact.cell_grid import (
+    UNIT,
+    CellGrid,
+    FoundPairs,
+    PairList,
+    SortedSpheres,
+    SphereBodies,
+    find_bounds,
+    find_neighbours,
+    number_cells,
+    place_sorted,
+    sort_by_cell,
+    sort_by_first,
+    sort_by_second,
+    spread,
+)
+from particlerb.maths.vec3 import Floats, Ints
+
+COST: Final = 15  # body-steps that finding the neighbours of a sphere takes
+MAX_CELLS: Final = 4  # per sphere: beyond, cells are numbered modulo a prime
+MIN_CELLS: Final = 64
+INITIAL_CAPACITY: Final = 8  # neighbours per sphere that fit at first
+MAX_LEVELS: Final = 40  # anything smaller than the largest sphere by 2^40 is as good as a point
+CELL_ROUNDING: Final = 2.0**-50  # of the number of a cell, relative
+
+
+class SphereSearch:
+    """Finds neighbours among the spheres of bodies, again and again; owns the memory for it.
+
+    Parameters
+    ----------
+    radius : ndarray, shape (n,) [m]
+        Not negative.
+    body : ndarray, shape (n,)
+        Body of each sphere, ascending.
+    """
+
+    def __init__(self, radius: Floats, body: Ints) -> None:
+        n = radius.size
+        level = levels_of(radius)
+        before = np.searchsorted(body, body, side="left")
+        self.owners = SphereBodies(radius, level, before, np.searchsorted(body, body, side="right"))
+        self.n_levels = int(level.max(initial=-1)) + 1
+        self.widest = np.zeros(self.n_levels)
+        np.maximum.at(self.widest, level, 2.0 * radius)
+        self.everyone = np.arange(n)
+        self.population = np.bincount(level, minlength=self.n_levels)
+        self.capacity = INITIAL_CAPACITY * UNIT
+        self.integers: dict[str, Ints] = {}
+        self.xyzr = np.zeros((n, 4))
+        self.is_odd = False
+
+    def pairs(self, points: Floats, skin: float, which: Ints | None = None) -> PairList:
+        """Pairs of spheres of different bodies with |x_i - x_j| < r_i + r_j + skin, each once.
+
+        Parameters
+        ----------
+        points : ndarray, shape (3, n) [m]
+            Centres.
+        skin : float
+            Not negative [m].
+        which : ndarray, shape (k,), optional
+            Spheres that take part, ascending; left out: all.
+
+        Returns
+        -------
+        PairList
+            Views of this object's memory: they last until the call after the next one, so that
+            what belongs to contacts can be carried over from the list before.
+
+        Raises
+        ------
+        FloatingPointError
+            If a position is not finite.
+        """
+        which = self.everyone if which is None else which
+        n, owners = which.size, self.owners
+        if not n:
+            return PairList(which, which, np.zeros(self.everyone.size + 1, dtype=np.int64))
+        grid = self.grid(self.bounds(points, which), skin)
+        cell = self.ints("cell", n)
+        spread(lambda lo, hi: number_cells(points, which, owners.level, grid, cell, lo, hi), n)
+        begin = self.ints("begin", int(grid.base[-1]) + 2)
+        spheres = SortedSpheres(self.ints("number", n), self.xyzr[:n], begin)
+        THREADS.alone(sort_by_cell, which, cell, begin, spheres.number)
+        spread(lambda lo, hi: place_sorted(points, owners.radius, spheres, lo, hi), n)
+        found = self.found(grid, spheres, skin)
+        while found.missing.any():
+            self.capacity += int(found.missing.max())
+            found = self.found(grid, spheres, skin)
+        return self.listed(found)
+
+    def found(self, grid: CellGrid, spheres: SortedSpheres, skin: float) -> FoundPairs:
+        """Pairs as they are found, as far as there is memory."""
+        n, owners = spheres.number.size, self.owners
+        units = -(-n // UNIT)
+        pair = self.ints("pair", units * self.capacity)
+        found = FoundPairs(pair, self.ints("n_found", units), self.ints("missing", units))
+        spread(lambda lo, hi: find_neighbours(grid, spheres, owners, skin, found, lo, hi), n, COST)
+        return found
+
+    def listed(self, found: FoundPairs) -> PairList:
+        """Sort what was found."""
+        self.is_odd = not self.is_odd
+        n, m = self.everyone.size, int(found.n_found.sum())
+        start = self.ints("start", n + 2, turns=True)
+        first, second = (self.ints(name, m, turns=True) for name in ("first", "second"))
+        pairs = PairList(first, second, start[:-1])
+        THREADS.alone(sort_by_first, found, start, second)
+        spread(lambda lo, hi: sort_by_second(pairs, lo, hi), n)
+        return pairs
+
+    def bounds(self, points: Floats, which: Ints) -> Floats:
+        """Corners of the smallest box around the centres, (2, 3) [m]."""
+        n = which.size
+        bounds = np.empty((-(-n // UNIT), 6))
+        spread(lambda lo, hi: find_bounds(points, which, bounds, lo, hi), n)
+        corners = np.stack([bounds[:, :3].min(axis=0), bounds[:, 3:].max(axis=0)])
+        if not np.isfinite(corners).all():
+            raise FloatingPointError("the place of a sphere is not finite")
+        return corners
+
+    def grid(self, corners: Floats, skin: float) -> CellGrid:
+        """Cells that are wide enough for each level's spheres."""
+        extent = corners[1] - corners[0]
+        width = self.widest + skin
+        width = np.maximum(
+            width + CELL_ROUNDING * (extent.max() + width), np.finfo(np.float64).tiny
+        )
+        strides, cells = np.zeros((self.n_levels, 2), dtype=np.int64), [0]
+        is_dense = np.zeros(self.n_levels, dtype=np.bool_)
+        for level, population in enumerate(self.population):
+            most = MAX_CELLS * int(population) + MIN_CELLS
+            shape = np.floor(extent / width[level]) + 3.0  # one more on each side
+            if shape.prod() <= most:
+                _, b, c = shape.astype(np.int64)
+                strides[level] = b * c, c
+                is_dense[level] = True
+                cells.append(cells[-1] + int(shape.prod()))
+            else:
+                *strides[level], number = modular_strides(most)
+                cells.append(cells[-1] + number)
+        return CellGrid(corners[0], 1.0 / width, strides, np.array(cells), is_dense)
+
+    def ints(self, name: str, size: int, turns: bool = False) -> Ints:
+        """Memory for integers, which grows; of what `turns` there are two, used in turn."""
+        key = f"{name}, {self.is_odd}" if turns else name
+        if key not in self.integers or self.integers[key].size < size:
+            self.integers[key] = np.zeros(size + size // 4, dtype=np.int64)
+        return self.integers[key][:size]
+
+
+def neighbours(points: Floats, radius: Floats, body: Ints, skin: float) -> PairList:
+    """Pairs of spheres of different bodies nearer than `skin`: see `SphereSearch.pairs`."""
+    return SphereSearch(radius, body).pairs(points, skin)
+
+
+def levels_of(radius: Floats) -> Ints:
+    """Level of each sphere: radii on a level are within a factor of two, 0 is the finest."""
+    largest = float(radius.max(initial=0.0))
+    if largest == 0.0:
+        return np.zeros(radius.size, dtype=np.int64)
+    _, exponent = np.frexp(radius / largest)  # the share is in [2^(e - 1), 2^e)
+    height = np.where(radius == largest, 0, exponent).astype(np.int64)
+    height = np.maximum(np.where(radius == 0.0, -MAX_LEVELS, height), -MAX_LEVELS)
+    level: Ints = np.unique(height, return_inverse=True)[1]
+    return level
+
+
+@lru_cache
+def modular_strides(least: int) -> tuple[int, int, int]:
+    """Strides in x and y of cells that are numbered modulo a prime, and that prime.
+
+    Among 3 × 3 × 3 cells no two have the same number: for steps from -2 to 2 in all directions
+    a da + b db + dc is 0 only where all three are.
+    """
+    n = least | 1
+    while any(n % k == 0 for k in range(3, math.isqrt(n) + 1, 2)):
+        n += 2
+    steps = np.array([s for s in np.ndindex(5, 5, 5) if s != (2, 2, 2)]) - 2
+    a, b = int(0.6180339887 * n), int(0.7548776662 * n)
+    while not (steps @ np.array([a, b, 1]) % n).all():
+        a, b = a + 1, b - 1
+    return a, b, n
