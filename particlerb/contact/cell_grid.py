@@ -121,10 +121,10 @@ def number_cells(
     rows, zero = rows3(points, 0, points.shape[1]), (origin[0], origin[1], origin[2])
     for at in range(first * UNIT, min(last * UNIT, which.size)):
         i = which[at]
-        own = level[i]
-        base, stride = cells[own], (strides[own, 0], strides[own, 1])
-        d, n = subtract(load3(rows, i), zero), cells[own + 1] - base
-        cell[at] = base + cell_at(d, per_metre[own], stride, n, is_dense[own])
+        k = level[i]
+        base, stride = cells[k], (strides[k, 0], strides[k, 1])
+        d, n = subtract(load3(rows, i), zero), cells[k + 1] - base
+        cell[at] = base + cell_at(d, per_metre[k], stride, n, is_dense[k])
 
 
 @kernel
@@ -159,10 +159,10 @@ def place_sorted(
 
 @inline
 def run_of_cells(
-    middle: int, column: int, stride: tuple[int, int], n: int, is_own: bool
+    middle: int, column: int, stride: tuple[int, int], n: int, same_level: bool
 ) -> tuple[int, int]:
     """First cell of one of 9 columns around the middle, and how many are looked at: 3, or 2."""
-    if is_own and column == 4:
+    if same_level and column == 4:
         return middle, 2
     c = middle + (column // 3 - 1) * stride[0] + (column % 3 - 1) * stride[1] - 1
     return (c % n if c < 0 or c >= n else c), 3
@@ -191,9 +191,9 @@ def find_neighbours(
     capacity, top = pair.size // missing.size, cells.size - 1
     for unit in range(first, last):
         k, end, lost = unit * capacity, (unit + 1) * capacity, 0
-        for own in range(unit * UNIT, min((unit + 1) * UNIT, number.size)):
-            i = number[own]
-            x, y, z, r = xyzr[own, 0], xyzr[own, 1], xyzr[own, 2], xyzr[own, 3] + skin
+        for here in range(unit * UNIT, min((unit + 1) * UNIT, number.size)):
+            i = number[here]
+            x, y, z, r = xyzr[here, 0], xyzr[here, 1], xyzr[here, 2], xyzr[here, 3] + skin
             low, high, finest = before[i], after[i], levels[i]
             for level in range(finest, top):
                 k0 = k
@@ -201,14 +201,14 @@ def find_neighbours(
                 a, b = strides[level, 0], strides[level, 1]
                 d = (x - x0, y - y0, z - z0)
                 middle = cell_at(d, per_metre[level], (a, b), n, is_dense[level])
-                is_own = level == finest
-                for column in range(4 if is_own else 0, 9):
-                    c, left = run_of_cells(middle, column, (a, b), n, is_own)
+                same_level = level == finest
+                for column in range(4 if same_level else 0, 9):
+                    c, left = run_of_cells(middle, column, (a, b), n, same_level)
                     while left > 0:  # twice, where a run goes on at the first cell
                         stop = min(c + left, n)
                         lo, hi = begin[base + c], begin[base + stop]
-                        if is_own and c == middle:
-                            lo = own + 1
+                        if same_level and c == middle:
+                            lo = here + 1
                         left, c = left - (stop - c), 0
                         if k + (hi - lo) + WRITE_AHEAD > end:
                             lost += hi - lo + WRITE_AHEAD
@@ -221,11 +221,11 @@ def find_neighbours(
                 for at in range(unsigned(k0), unsigned(last_one)):
                     other = unsigned(pair[at])
                     dx, dy = xyzr[other, 0] - x, xyzr[other, 1] - y
-                    dz, reach = xyzr[other, 2] - z, xyzr[other, 3] + r
+                    dz, cutoff = xyzr[other, 2] - z, xyzr[other, 3] + r
                     j = number[other]
-                    f, s = (j, i) if is_own and j < i else (i, j)
+                    f, s = (j, i) if same_level and j < i else (i, j)
                     pair[unsigned(k)] = pair_key(f, s)
-                    is_near = dx * dx + dy * dy + dz * dz < reach * reach
+                    is_near = dx * dx + dy * dy + dz * dz < cutoff * cutoff
                     k += int(is_near & ((j >= high) | (j < low)))
         count[unit], missing[unit] = k - unit * capacity, lost
 

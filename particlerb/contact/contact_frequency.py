@@ -37,11 +37,11 @@ def contact_springs(model: ContactModel, contacts: ContactList, are_walls: bool)
     """Contacts that press."""
     elastic = contacts.forces.elastic.T
     size = np.linalg.norm(elastic, axis=0)
-    own = np.flatnonzero(contacts.active & (size > 0.0))
-    pairs = contacts.first[own].astype(np.int64), contacts.second[own].astype(np.int64)
-    point = contacts.forces.point[own].T
-    normal = elastic[:, own] / size[own]
-    return springs(model, pairs, are_walls, point, normal, contacts.history.overlap[own])
+    pressed = np.flatnonzero(contacts.active & (size > 0.0))
+    pairs = contacts.first[pressed].astype(np.int64), contacts.second[pressed].astype(np.int64)
+    point = contacts.forces.point[pressed].T
+    normal = elastic[:, pressed] / size[pressed]
+    return springs(model, pairs, are_walls, point, normal, contacts.history.overlap[pressed])
 
 
 def springs(
@@ -53,10 +53,8 @@ def springs(
     second = np.full(i.size, model.inv_mass.size) if are_walls else spheres.body[j]
     material = model.wall_material[j] if are_walls else spheres.material[j]
     pair = model.pair_of[spheres.material[i], material]
-    k, shear = (
-        law.stiffness[pair],
-        np.where(law.friction[pair] > 0.0, law.tangential_stiffness[pair], 0.0),
-    )
+    k = law.stiffness[pair]
+    shear = np.where(law.friction[pair] > 0.0, law.tangential_stiffness[pair], 0.0)
     if law.hertz is not None:
         R = spheres.radius[i]
         R = R if are_walls else R * spheres.radius[j] / (R + spheres.radius[j])
@@ -100,13 +98,13 @@ def initial_springs(
 ) -> Springs:
     """Springs between spheres at x and what lies `away` from their centres."""
     radius, distance = model.spheres.radius, np.sqrt((away**2).sum(axis=0))
-    reach = radius[pairs[0]] + (0.0 if are_walls else radius[pairs[1]])
-    touches = distance <= (1.0 + TOUCHING) * reach  # of an edge nothing may face the sphere
+    touching = radius[pairs[0]] + (0.0 if are_walls else radius[pairs[1]])
+    touches = distance <= (1.0 + TOUCHING) * touching  # of an edge nothing may face the sphere
     pairs = pairs[0][touches], pairs[1][touches]
-    away, distance, reach = away[:, touches], distance[touches], reach[touches]
+    away, distance, touching = away[:, touches], distance[touches], touching[touches]
     normal = away / np.where(distance > 0.0, distance, 1.0)
     point = x[:, pairs[0]] + radius[pairs[0]] * normal
-    return springs(model, pairs, are_walls, point, normal, np.maximum(reach - distance, depth))
+    return springs(model, pairs, are_walls, point, normal, np.maximum(touching - distance, depth))
 
 
 def contact_frequency(

@@ -77,3 +77,14 @@ class Workspace(NamedTuple):
     bodies: Records  # (n_bodies,) BODY
     deepest: Floats  # (threads, 3) deepest of contacts too deep: overlap and radius [m], body; or 0
     gross_work: Floats  # (n_bodies,) [J] gross work of contacts so far: see `collect_loads`
+
+
+class Evaluation(NamedTuple):
+    """What a thread needs to find the forces of contacts at an instant."""
+
+    model: ContactModel
+    workspace: Workspace
+    contacts: ContactList
+    before: float  # [s] length of the drift before the instant, 0 where there is none
+    after: float  # [s] length of the drift after it, likewise
+    rank: int  # of the thread

@@ -34,14 +34,9 @@ class ContactOutput(NamedTuple):
     velocity: Floats  # (n_walls, 3) [m/s] of the centre
 
 
-def walls_at(motions: Sequence[PrescribedMotion], t: float) -> tuple[Floats, Floats]:
-    """Centres of walls (n_walls, 3) [m] and their velocities [m/s] at a time."""
+def wall_centres(motions: Sequence[PrescribedMotion], poses: Records) -> tuple[Floats, Floats]:
+    """Centres of walls (n_walls, 3) [m] in their poses, and their velocities [m/s]."""
     centre = np.array([motion.centre for motion in motions]).reshape(-1, 3)
-    return wall_centres(centre, poses_at(motions, t))
-
-
-def wall_centres(centre: Floats, poses: Records) -> tuple[Floats, Floats]:
-    """Where points of walls are in their poses, and how fast they are."""
     w, v = poses.orientation[:, :1], poses.orientation[:, 1:]
     across = 2.0 * np.cross(v, centre)
     arm = centre + w * across + np.cross(v, across)
@@ -50,7 +45,7 @@ def wall_centres(centre: Floats, poses: Records) -> tuple[Floats, Floats]:
 
 def no_contacts(motions: Sequence[PrescribedMotion], t: float) -> ContactOutput:
     """No contacts, and walls as they move."""
-    return contact_output((), *walls_at(motions, t))
+    return contact_output((), *wall_centres(motions, poses_at(motions, t)))
 
 
 def contact_output(
@@ -123,11 +118,11 @@ def contact_numbers(contacts: ContactOutput, n_bodies: int) -> Ints:
 
 def largest_overlaps(contacts: ContactOutput, n_bodies: int) -> Floats:
     """Largest overlap of each body, (n_bodies,) [m]; 0 where it contacts nothing."""
-    found = np.zeros(n_bodies)
+    largest = np.zeros(n_bodies)
     for side in contacts.body.T:
-        own = side != NOBODY
-        np.maximum.at(found, side[own], contacts.overlap[own])
-    return found
+        is_body = side != NOBODY
+        np.maximum.at(largest, side[is_body], contacts.overlap[is_body])
+    return largest
 
 
 def wall_loads(contacts: ContactOutput) -> tuple[Floats, Floats]:

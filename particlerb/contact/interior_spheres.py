@@ -106,11 +106,11 @@ def outer_spheres(position: Floats, radius: Floats, smallest: float, depth: floa
     depth : float
         δ: largest overlap of a contact [m].
     """
-    n, reach = radius.size, radius + smallest
-    first, second, _ = SphereSearch(reach, np.arange(n)).pairs(position, 0.0)
+    n, contact_distance = radius.size, radius + smallest
+    first, second, _ = SphereSearch(contact_distance, np.arange(n)).pairs(position, 0.0)
     offset, entry = incidence(first, second, n)
     near = np.where(entry >= 0, second[entry], first[~entry])
-    spheres = np.column_stack([position.T, reach])
+    spheres = np.column_stack([position.T, contact_distance])
     is_outer, stack = np.ones(n, dtype=np.bool_), np.empty((6 + 3 * 32, 4))
     find_outer(spheres, offset, near, depth, stack, is_outer)
     return is_outer

@@ -59,14 +59,14 @@ class Missed(NamedTuple):
 def has_contact(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) -> bool:
     """Whether a contact acts between two spheres."""
     a, contacts, (offset, entry) = spheres.body[i], lists.spheres, lists.of_spheres
-    found = False
+    is_active = False
     for k in range(offset[a], offset[a + 1]):
         c = entry[k]
         c = c if c >= 0 else ~c
         one, two = contacts.first[c], contacts.second[c]
         if (one == i and two == j) or (one == j and two == i):
-            found = found or contacts.active[c]
-    return found
+            is_active = is_active or contacts.active[c]
+    return is_active
 
 
 @inline
@@ -208,10 +208,10 @@ def price_of(n: int, n_primitives: int, compared: int) -> float:
 
 def bounding_radii(spheres: ContactSpheres, n: int) -> Floats:
     """From the centre of mass of each body to the surface of its farthest sphere, (n,) [m]."""
-    bound = np.zeros(n)
-    far = np.sqrt((spheres.arm**2).sum(axis=0)) + spheres.radius
-    np.maximum.at(bound, spheres.body, far)
-    return bound
+    bounding_radius = np.zeros(n)
+    radius = np.sqrt((spheres.arm**2).sum(axis=0)) + spheres.radius
+    np.maximum.at(bounding_radius, spheres.body, radius)
+    return bounding_radius
 
 
 def peak_speed(motion: PrescribedMotion, dt: float) -> float:

@@ -7,12 +7,17 @@ the normal force has a potential and is kept apart from the rest, which the ledg
 """
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.jit import lean, lean_kernel
-from particlerb.contact.contact_model import ContactList, ContactModel, Workspace
+from particlerb.contact.contact_model import (
+    ContactList,
+    ContactModel,
+    Evaluation,
+    Workspace,
+)
 from particlerb.contact.friction import friction_force, rolling_torque, rotated_spring
 from particlerb.contact.law import (
     ContactState,
@@ -27,12 +32,9 @@ from particlerb.contact.law import (
 from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.records import (
-    FORCES,
-    HISTORY,
-    ROLLING_FORCES,
-    ROLLING_HISTORY,
-    WALL_POINT,
     Records,
+    columns_of,
+    history_record,
     put_row3,
     put_row4,
     row3,
@@ -149,20 +151,19 @@ def inv_effective_mass(
 
 
 @lean
-def note_overlap(workspace: Workspace, rank: int, overlap: float, radius: float, b: int) -> None:
+def note_overlap(on: Evaluation, overlap: float, radius: float, b: int) -> None:
     """Note that a body lies too deep in another or in a wall, for the host to say."""
-    deepest = workspace.deepest
+    deepest, rank = on.workspace.deepest, on.rank
     if overlap > deepest[rank, 0] or (overlap == deepest[rank, 0] and b < deepest[rank, 2]):
         deepest[rank, 0], deepest[rank, 1], deepest[rank, 2] = overlap, radius, b
 
 
 @lean
-def begin_contact(
-    law: Law, pair: int, contacts: ContactList, c: int, inv_mass: float, r_eff: float
-) -> None:
+def begin_contact(on: Evaluation, pair: int, c: int, inv_mass: float, r_eff: float) -> None:
     """Keep what contact c has as long as it lasts; `inv_mass` is 1/m_eff [1/kg]."""
-    contacts.history.inv_effective_mass[c] = inv_mass
-    contacts.history.damping[c] = damping_coefficient(law, pair, inv_mass, r_eff)
+    history = on.contacts.history
+    history.inv_effective_mass[c] = inv_mass
+    history.damping[c] = damping_coefficient(on.model.law, pair, inv_mass, r_eff)
 
 
 @lean
@@ -180,21 +181,14 @@ def end_contact(rolling: Floats | None, contacts: ContactList, c: int) -> None:
 
 
 @lean
-def contact_force(
-    law: Law,
-    pair: int,
-    contacts: ContactList,
-    c: int,
-    now: Collision,
-    before: float,
-    after: float,
-) -> None:
+def contact_force(on: Evaluation, pair: int, c: int, now: Collision) -> None:
     """Find the forces of contact c, and keep what the next instant needs.
 
-    The spring grows by half of `before` with the sliding velocity of the instant before, kept with
-    it, and by the other half with that of now.
+    The spring grows by half of the drift before times the sliding velocity of the instant before,
+    kept with it, and by the other half with that of now.
     """
-    history, forces = contacts.history, contacts.forces
+    law, before, after = on.model.law, on.before, on.after
+    history, forces = on.contacts.history, on.contacts.forces
     normal = now.normal
     rate = dot(now.velocity, normal)
     sliding = add_scaled(-rate, normal, now.velocity)
@@ -215,39 +209,36 @@ def contact_force(
     put_row3(forces.elastic, c, scale(-elastic, normal))
     put_row3(forces.other, c, other)
     put_row3(forces.point, c, now.point)
-    resist_rolling(law.rolling, law, pair, contacts, c, state, now, pressed, before, after)
+    resist_rolling(law.rolling, on, pair, c, state, now, pressed)
     forces.elastic_energy[c] = pressed.energy
     forces.correction_time[c] = correction_time(pressed, state, before, after)
     power = -elastic * dot(normal, now.boundary_velocity)
     forces.boundary_power[c] = power
     on_boundary = power + dot(other, now.boundary_velocity)
     forces.gross_power[c] = abs(dot(other, now.velocity)) + abs(on_boundary)
-    contacts.active[c] = True
+    on.contacts.active[c] = True
 
 
 @lean
 def resist_rolling(
     rolling: Floats | None,
-    law: Law,
+    on: Evaluation,
     pair: int,
-    contacts: ContactList,
     c: int,
     state: ContactState,
     now: Collision,
     pressed: NormalForce,
-    before: float,
-    after: float,
 ) -> None:
     """Torque of contact c against rolling, if anything resists."""
     if rolling is None:
         return
-    history, normal = contacts.history, now.normal
+    history, law, normal, R = on.contacts.history, on.model.law, now.normal, state.r_eff
     omega = add_scaled(-dot(now.angular_velocity, normal), normal, now.angular_velocity)
     spring = rotated_spring(row3(history.rolling_spring, c), normal)
-    spring = add_scaled(0.5 * before * state.r_eff, omega, spring)
-    torque, spring = rolling_torque(rolling, law, pair, state, omega, pressed, spring, before)
-    put_row3(history.rolling_spring, c, add_scaled(0.5 * after * state.r_eff, omega, spring))
-    put_row3(contacts.forces.rolling_torque, c, torque)
+    spring = add_scaled(0.5 * on.before * R, omega, spring)
+    torque, spring = rolling_torque(rolling, law, pair, state, omega, pressed, spring, on.before)
+    put_row3(history.rolling_spring, c, add_scaled(0.5 * on.after * R, omega, spring))
+    put_row3(on.contacts.forces.rolling_torque, c, torque)
 
 
 # Spheres with each other
@@ -278,43 +269,50 @@ def sphere_contact_forces(
     first, end, rank : int
         Contacts, `end` excluded, and the thread that is at them.
     """
-    spheres, law, pair_of = model.spheres, model.law, model.pair_of
+    on = Evaluation(model, workspace, contacts, before, after, rank)
     firsts, seconds, active = contacts.first, contacts.second, contacts.active
-    body, material = spheres.body, spheres.material
-    xyzr, bodies = workspace.xyzr, workspace.bodies
+    body, xyzr, bodies = model.spheres.body, workspace.xyzr, workspace.bodies
     longer = max(before, after)
     margin, stretch = longer * v, 1.0 + 4.0 * longer * w
     for c in range(first, end):
         i, j = firsts[c], seconds[c]
-        x, r_i, r_j = row3(xyzr, i), xyzr[i, 3], xyzr[j, 3]
-        d = subtract(row3(xyzr, j), x)
-        square, touching = dot(d, d), r_i + r_j
+        d = subtract(row3(xyzr, j), row3(xyzr, i))
+        square, touching = dot(d, d), xyzr[i, 3] + xyzr[j, 3]
         far = stretch * touching + margin  # for all bodies, without reading these
-        a, b = body[i], body[j]
-        apart = square >= touching * touching
-        if square >= far * far or (
-            apart and not comes_near(bodies, a, b, square, touching, longer)
-        ):
-            if active[c]:
-                end_contact(law.rolling, contacts, c)
-            continue
-        distance = math.sqrt(square)
-        normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
-        overlap = touching - distance
-        point = add_scaled(r_i - 0.5 * overlap, normal, x)
-        v_a, v_b = velocity_at(bodies, a, point), velocity_at(bodies, b, point)
-        omega = subtract(row3(bodies.angular_velocity, a), row3(bodies.angular_velocity, b))
-        boundary = boundary_velocity(model.prescribed, bodies, a, b, v_a, v_b)
-        r_eff = r_i * r_j / touching
-        pair = pair_of[material[i], material[j]]
-        if contacts.history.inv_effective_mass[c] == 0.0:
-            inv_mass = inv_effective_mass(model, bodies, a, point, normal)
-            inv_mass += inv_effective_mass(model, bodies, b, point, normal)
-            begin_contact(law, pair, contacts, c, inv_mass, r_eff)
-        if overlap > MAX_OVERLAP * min(r_i, r_j):
-            note_overlap(workspace, rank, overlap, min(r_i, r_j), a)
-        now = Collision(overlap, normal, point, subtract(v_a, v_b), omega, boundary, r_eff)
-        contact_force(law, pair, contacts, c, now, before, after)
+        is_far = square >= far * far
+        if not is_far and square >= touching * touching:
+            is_far = not comes_near(bodies, body[i], body[j], square, touching, longer)
+        if not is_far:
+            sphere_pair_force(on, c, d)
+        elif active[c]:
+            end_contact(model.law.rolling, contacts, c)
+
+
+@lean
+def sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
+    """Forces of contact c between two spheres, d [m] from centre to centre."""
+    model, workspace, contacts = on.model, on.workspace, on.contacts
+    i, j = contacts.first[c], contacts.second[c]
+    body, material = model.spheres.body, model.spheres.material
+    xyzr, bodies = workspace.xyzr, workspace.bodies
+    a, b, r_i, r_j = body[i], body[j], xyzr[i, 3], xyzr[j, 3]
+    distance = math.sqrt(dot(d, d))
+    normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
+    overlap = r_i + r_j - distance
+    point = add_scaled(r_i - 0.5 * overlap, normal, row3(xyzr, i))
+    v_a, v_b = velocity_at(bodies, a, point), velocity_at(bodies, b, point)
+    omega = subtract(row3(bodies.angular_velocity, a), row3(bodies.angular_velocity, b))
+    boundary = boundary_velocity(model.prescribed, bodies, a, b, v_a, v_b)
+    r_eff = r_i * r_j / (r_i + r_j)
+    pair = model.pair_of[material[i], material[j]]
+    if contacts.history.inv_effective_mass[c] == 0.0:
+        inv_mass = inv_effective_mass(model, bodies, a, point, normal)
+        inv_mass += inv_effective_mass(model, bodies, b, point, normal)
+        begin_contact(on, pair, c, inv_mass, r_eff)
+    if overlap > MAX_OVERLAP * min(r_i, r_j):
+        note_overlap(on, overlap, min(r_i, r_j), a)
+    now = Collision(overlap, normal, point, subtract(v_a, v_b), omega, boundary, r_eff)
+    contact_force(on, pair, c, now)
 
 
 @lean
@@ -344,22 +342,8 @@ def comes_near(
     return near
 
 
-# Rows of lists
-
-
-def forces_dtype(law: Law, with_walls: bool) -> np.dtype[Any]:
-    """Record of the forces of contacts between spheres, or with walls."""
-    forces = FORCES if law.rolling is None else ROLLING_FORCES
-    return np.dtype([*forces.descr, *WALL_POINT]) if with_walls else forces
-
-
-def history_dtype(law: Law) -> np.dtype[Any]:
-    """Record of what a contact remembers."""
-    return HISTORY if law.rolling is None else ROLLING_HISTORY
-
-
 def empty_history(law: Law) -> ContactHistory:
     """History of no contacts."""
     none = np.zeros(0, dtype=np.int64)
-    columns = history_dtype(law).itemsize // np.dtype(np.float64).itemsize
+    columns = columns_of(history_record(law.rolling is not None))
     return ContactHistory(none, none, np.zeros((0, columns)))

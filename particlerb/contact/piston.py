@@ -31,8 +31,8 @@ def initial_piston_state(pistons: Pistons | None) -> Records:
     if pistons is None:
         return zero_records(PISTON, 0)
     state = zero_records(PISTON, pistons.wall.size)
-    state.displacement = state.listed_displacement = pistons.start[:, 0]
-    state.velocity = state.previous_velocity = pistons.start[:, 1]
+    state.displacement[:] = state.listed_displacement[:] = pistons.start[:, 0]
+    state.velocity[:] = state.previous_velocity[:] = pistons.start[:, 1]
     return state
 
 
@@ -57,11 +57,11 @@ def pistons_have_moved(pistons: Pistons | None, state: Records, allowance: float
     """Whether a piston has moved by more than the allowance since lists were made."""
     if pistons is None:
         return False
-    found = False
+    have_moved = False
     for k in range(pistons.wall.size):
         displacement = abs(state.displacement[k] - state.listed_displacement[k])
-        found = found or not displacement <= allowance
-    return found
+        have_moved = have_moved or not displacement <= allowance
+    return have_moved
 
 
 @inline

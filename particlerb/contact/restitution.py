@@ -30,17 +30,8 @@ def phase_over_sine(ratio: float) -> float:
     return (math.acos(ratio) if ratio < 1.0 else math.acosh(ratio)) / sine
 
 
-def restitution(ratio: float, attract: bool = False) -> float:
-    """Coefficient of restitution that a ratio of damping ζ >= 0 gives."""
-    if not attract:
-        return math.exp(-2.0 * ratio * phase_over_sine(ratio))
-    if ratio >= 1.0:
-        return 0.0
-    return math.exp(-math.pi * ratio / math.sqrt((1.0 - ratio) * (1.0 + ratio)))
-
-
 def damping_ratio(restitution: float, attract: bool = False) -> float:
-    """Ratio of damping ζ that gives a coefficient of restitution: the inverse of `restitution`.
+    """Ratio of damping ζ that gives a coefficient of restitution: see the top of the module.
 
     Raises
     ------

@@ -93,13 +93,13 @@ class SphereSearch:
         spheres = SortedSpheres(self.ints("number", n), self.xyzr[:n], begin)
         THREADS.alone(sort_by_cell, which, cell, begin, spheres.number)
         spread(lambda lo, hi: place_sorted(points, owners.radius, spheres, lo, hi), n)
-        found = self.found(grid, spheres, skin)
+        found = self.search(grid, spheres, skin)
         while found.missing.any():
             self.capacity += int(found.missing.max())
-            found = self.found(grid, spheres, skin)
-        return self.listed(found)
+            found = self.search(grid, spheres, skin)
+        return self.sorted_pairs(found)
 
-    def found(self, grid: CellGrid, spheres: SortedSpheres, skin: float) -> FoundPairs:
+    def search(self, grid: CellGrid, spheres: SortedSpheres, skin: float) -> FoundPairs:
         """Pairs as they are found, as far as there is memory."""
         n, owners = spheres.number.size, self.owners
         units = -(-n // UNIT)
@@ -108,7 +108,7 @@ class SphereSearch:
         spread(lambda lo, hi: find_neighbours(grid, spheres, owners, skin, found, lo, hi), n, COST)
         return found
 
-    def listed(self, found: FoundPairs) -> PairList:
+    def sorted_pairs(self, found: FoundPairs) -> PairList:
         """Sort what was found."""
         self.is_odd = not self.is_odd
         n, m = self.everyone.size, int(found.n_found.sum())

@@ -29,7 +29,7 @@ how it changes at the vertices of a polyhedron.
 from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import lean, lean_kernel
-from particlerb.contact.contact_model import ContactList, ContactModel, Workspace
+from particlerb.contact.contact_model import ContactList, ContactModel, Evaluation, Workspace
 from particlerb.contact.pair_force import (
     Collision,
     begin_contact,
@@ -51,7 +51,7 @@ from particlerb.contact.wall_pieces import (
     point_in_reach,
     write_points,
 )
-from particlerb.contact.walls import PLANE, length
+from particlerb.contact.walls import PLANE, length, wall_velocity
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import Vec3, add_scaled, cross, dot, scale, subtract
 
@@ -85,23 +85,18 @@ def end_of(model: ContactModel, contacts: ContactList, first: int, most: int) ->
 
 
 @lean
-def sphere_at_wall(
-    model: ContactModel,
-    workspace: Workspace,
-    contacts: ContactList,
-    c: int,
-    end: int,
-    longer: float,
-) -> SphereAtWall:
-    """The sphere and the wall of contacts c to end; `longer` is the longer drift around now [s]."""
-    xyzr, bodies, poses = workspace.xyzr, workspace.bodies, workspace.poses
-    i, w = contacts.first[c], model.walls.wall[contacts.second[c]]
-    a, x, radius = model.spheres.body[i], row3(xyzr, i), xyzr[i, 3]
+def sphere_at_wall(on: Evaluation, c: int, end: int) -> SphereAtWall:
+    """The sphere and the wall of contacts c to end."""
+    spheres, walls, contacts = on.model.spheres, on.model.walls, on.contacts
+    xyzr, bodies, poses = on.workspace.xyzr, on.workspace.bodies, on.workspace.poses
+    i, w = contacts.first[c], walls.wall[contacts.second[c]]
+    a, x, radius = spheres.body[i], row3(xyzr, i), xyzr[i, 3]
     d, q = subtract(x, row3(poses.position, w)), row4(poses.orientation, w)
     arm = one_norm(subtract(x, row3(bodies.position, a))) + 2.0 * radius
     speed = bodies.speed[a] + bodies.angular_speed[a] * arm + one_norm(row3(poses.velocity, w))
     speed += one_norm(row3(poses.angular_velocity, w)) * (one_norm(d) + 2.0 * radius)
-    return SphereAtWall(c, end, x, to_body(q, d), q, radius, a, w, longer * speed)
+    displacement = max(on.before, on.after) * speed
+    return SphereAtWall(c, end, x, to_body(q, d), q, radius, a, w, displacement)
 
 
 @lean_kernel
@@ -119,44 +114,44 @@ def wall_contact_forces(
     `bounds` are those of a shell, and between them those of the share of this thread: of spheres
     and walls whose contacts begin there.
     """
+    on = Evaluation(model, workspace, contacts, before, after, rank)
     least, c, end, most = bounds
-    active = contacts.active
     if least < c < end:
         c = end_of(model, contacts, c - 1, end)
     while c < end:
         until = end_of(model, contacts, c, most)
-        at = sphere_at_wall(model, workspace, contacts, c, until, max(before, after))
-        found = survey(model, contacts, at)
-        c, nearest = until, found.last_nearest
-        is_same = found.n_active == 1 and found.n_nearest == 1 and active[nearest]
-        if (found.n_active == 0 or is_same) and found.n_others == 0 and found.n_nearest <= 1:
-            if found.n_nearest == 1:
-                gap = to_world(at.q, found.gap)
+        at = sphere_at_wall(on, c, until)
+        around = survey(on, at)
+        c, nearest = until, around.last_nearest
+        is_same = around.n_active == 1 and around.n_nearest == 1 and contacts.active[nearest]
+        if (around.n_active == 0 or is_same) and around.n_others == 0 and around.n_nearest <= 1:
+            if around.n_nearest == 1:
+                gap = to_world(at.q, around.gap)
                 piece = WallPiece(nearest, 1, gap, gap, gap, 0.0, at.radius - length(gap), False)
-                piece_forces(model, workspace, contacts, at, piece, before, after, rank)
+                piece_forces(on, at, piece)
             continue
-        write_points(model, contacts, at)
+        write_points(on, at)
         join_pieces(contacts, at)
         root = next_piece(contacts, at)
         while root >= 0:
-            piece = piece_at(model, workspace, contacts, at, root, before, after)
-            hand_over_history(model, contacts, at, root, piece.nearest)
-            piece_forces(model, workspace, contacts, at, piece, before, after, rank)
+            piece = piece_at(on, at, root)
+            hand_over_history(on, at, root, piece.nearest)
+            piece_forces(on, at, piece)
             root = next_piece(contacts, at)
-        end_leftovers(model, contacts, at)
+        end_leftovers(on, at)
 
 
 @lean
-def survey(model: ContactModel, contacts: ContactList, at: SphereAtWall) -> Survey:
+def survey(on: Evaluation, at: SphereAtWall) -> Survey:
     """What there is around a sphere."""
     nearest, others, active, last, gap = 0, 0, 0, -1, at.y
     for c in range(at.first, at.end):
-        count, is_nearest, away = point_in_reach(model, contacts, at, c)
+        count, is_nearest, away = point_in_reach(on, at, c)
         if is_nearest:
             nearest, last, gap = nearest + 1, c, away
         elif count != 0:
             others += 1
-        active += 1 if contacts.active[c] else 0
+        active += 1 if on.contacts.active[c] else 0
     return Survey(nearest, others, active, last, gap)
 
 
@@ -165,23 +160,15 @@ def velocity_of_wall(poses: Records, w: int, x: Vec3, gap: Vec3, point: Vec3) ->
     """Velocity of a wall [m/s] at a point at a gap below a centre x."""
     omega = row3(poses.angular_velocity, w)
     foot = subtract(subtract(x, row3(poses.position, w)), gap)
-    v = add_scaled(1.0, cross(omega, foot), row3(poses.velocity, w))
+    v = wall_velocity(poses, w, foot)
     return add_scaled(1.0, cross(omega, add_scaled(1.0, gap, subtract(point, x))), v)
 
 
 @lean
-def piece_forces(
-    model: ContactModel,
-    workspace: Workspace,
-    contacts: ContactList,
-    at: SphereAtWall,
-    piece: WallPiece,
-    before: float,
-    after: float,
-    rank: int,
-) -> None:
+def piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
     """Find the forces of a piece; end its contact if it is out of reach."""
-    bodies, poses = workspace.bodies, workspace.poses
+    model, contacts = on.model, on.contacts
+    bodies, poses = on.workspace.bodies, on.workspace.poses
     x, radius, a, w = at.x, at.radius, at.body, at.wall
     c, gap, distance = piece.nearest, piece.gap, length(piece.gap)
     overlap = radius - distance
@@ -190,22 +177,22 @@ def piece_forces(
     moving = velocity_of_wall(poses, w, x, gap, point)
     relative = subtract(velocity_at(bodies, a, point), moving)
     omega = subtract(row3(bodies.angular_velocity, a), row3(poses.angular_velocity, w))
-    if overlap <= -0.5 * max(before, after) * abs(dot(relative, normal)):
+    if overlap <= -0.5 * max(on.before, on.after) * abs(dot(relative, normal)):
         if contacts.active[c]:
             end_contact(model.law.rolling, contacts, c)
         return
-    primitive, law = contacts.second[c], model.law
+    primitive = contacts.second[c]
     material = model.spheres.material[contacts.first[c]]
     pair = model.pair_of[material, model.wall_material[primitive]]
     if contacts.history.inv_effective_mass[c] == 0.0:
         inv_mass = inv_effective_mass(model, bodies, a, point, normal)
         inv_mass += dot(normal, row3(poses.piston_axis, w)) ** 2
-        begin_contact(law, pair, contacts, c, inv_mass, radius)
+        begin_contact(on, pair, c, inv_mass, radius)
     is_thin = model.walls.kind[primitive] != PLANE
     if piece.is_too_weak or (piece.overlap > MAX_OVERLAP * radius and is_thin):
-        note_overlap(workspace, rank, piece.overlap, radius, a)
+        note_overlap(on, piece.overlap, radius, a)
     now = Collision(overlap, normal, point, relative, omega, moving, radius)
-    contact_force(law, pair, contacts, c, now, before, after)
+    contact_force(on, pair, c, now)
     forces = contacts.forces
     put_row3(forces.correction_impulse, c, (0.0, 0.0, 0.0))
     if piece.points > 1:

@@ -50,7 +50,7 @@ def motion_in(records: Records, k: int) -> PrescribedMotion:
 
 def motion_records(motions: Sequence[PrescribedMotion]) -> Records:
     """Motions as records MOTION, (n,), for `motion_in`."""
-    return np.array([tuple(motion) for motion in motions], dtype=MOTION).view(np.recarray)
+    return np.array([tuple(motion) for motion in motions], dtype=MOTION).view(Records)
 
 
 @inline
@@ -101,12 +101,12 @@ def wall_displacement(
     motions: Sequence[PrescribedMotion], duration: float, reach: Sequence[float]
 ) -> float:
     """How far a point of a wall may move in a time [m], within a `reach` of each wall's centre."""
-    found = [0.0]
+    displacement = [0.0]
     for (_, velocity, omega, amplitude, frequency, _), far in zip(motions, reach, strict=True):
         oscillation = min(2.0, 2.0 * math.pi * frequency * duration) * math.hypot(*amplitude)
         speed = math.hypot(*velocity) + far * math.hypot(*omega)
-        found.append(duration * speed + oscillation)
-    return max(found)
+        displacement.append(duration * speed + oscillation)
+    return max(displacement)
 
 
 def farthest_distances(
@@ -114,9 +114,9 @@ def farthest_distances(
 ) -> list[float]:
     """From the centre of each wall to the farthest of the points (3, n), at most [m]."""
     lower, upper = points.min(axis=1), points.max(axis=1)
-    found = []
+    distances = []
     for motion in motions:
         x, q, _, _ = pose_at(motion, t)
         centre = np.array(add_scaled(1.0, to_world(q, motion.centre), x))
-        found.append(float(np.linalg.norm(np.maximum(upper - centre, centre - lower))))
-    return found
+        distances.append(float(np.linalg.norm(np.maximum(upper - centre, centre - lower))))
+    return distances

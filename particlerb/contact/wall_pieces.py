@@ -8,7 +8,7 @@ import math
 from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import lean
-from particlerb.contact.contact_model import ContactList, ContactModel, Workspace
+from particlerb.contact.contact_model import ContactList, Evaluation, Workspace
 from particlerb.contact.law import (
     ContactState,
     correction_time,
@@ -18,9 +18,17 @@ from particlerb.contact.law import (
 )
 from particlerb.contact.pair_force import ZERO, end_contact, velocity_at
 from particlerb.contact.records import put_row3, row3
-from particlerb.contact.walls import NEAR, euler_count, gap_vector, length, nearest, primitive_at
+from particlerb.contact.walls import (
+    NEAR,
+    euler_count,
+    gap_vector,
+    length,
+    nearest,
+    primitive_at,
+    wall_velocity,
+)
 from particlerb.maths.quaternion import Quat, to_world
-from particlerb.maths.vec3 import Vec3, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.vec3 import Vec3, add_scaled, dot, scale, subtract
 
 HANDLED: Final = -1.0  # piece of points that have been dealt with
 MIN_RING_SHARE: Final = 0.25  # of its hardest part, that a ring has to press with
@@ -54,24 +62,23 @@ class WallPiece(NamedTuple):
 
 
 @lean
-def point_in_reach(
-    model: ContactModel, contacts: ContactList, at: SphereAtWall, c: int
-) -> tuple[int, bool, Vec3]:
+def point_in_reach(on: Evaluation, at: SphereAtWall, c: int) -> tuple[int, bool, Vec3]:
     """`euler_count` of the primitive of contact c, 0 out of reach; and the gap, wall's frame."""
-    one = primitive_at(model.walls.kind, model.walls.parameter, contacts.second[c])
+    walls = on.model.walls
+    one = primitive_at(walls.kind, walls.parameter, on.contacts.second[c])
     away, reach = gap_vector(one, at.y), at.radius + 0.5 * at.displacement
     if dot(away, away) >= reach * reach:
         return 0, False, away
-    count, is_nearest = euler_count(one, model.walls.around, at.y)
+    count, is_nearest = euler_count(one, walls.around, at.y)
     return count, is_nearest, away
 
 
 @lean
-def write_points(model: ContactModel, contacts: ContactList, at: SphereAtWall) -> None:
+def write_points(on: Evaluation, at: SphereAtWall) -> None:
     """Write the points that count, each as a piece of its own."""
-    forces = contacts.forces
+    forces = on.contacts.forces
     for c in range(at.first, at.end):
-        count, is_nearest, away = point_in_reach(model, contacts, at, c)
+        count, is_nearest, away = point_in_reach(on, at, c)
         forces.count[c], forces.is_nearest[c] = count, 1.0 if is_nearest else 0.0
         forces.piece[c] = c
         put_row3(forces.gap, c, to_world(at.q, away))
@@ -124,31 +131,23 @@ def next_piece(contacts: ContactList, at: SphereAtWall) -> int:
 @lean
 def approach_velocity(workspace: Workspace, at: SphereAtWall) -> Vec3:
     """Velocity of the centre of a sphere relative to the wall there [m/s]."""
-    poses, w = workspace.poses, at.wall
-    d = subtract(at.x, row3(poses.position, w))
-    moving = add_scaled(1.0, cross(row3(poses.angular_velocity, w), d), row3(poses.velocity, w))
+    d = subtract(at.x, row3(workspace.poses.position, at.wall))
+    moving = wall_velocity(workspace.poses, at.wall, d)
     return subtract(velocity_at(workspace.bodies, at.body, at.x), moving)
 
 
 @lean
-def piece_at(
-    model: ContactModel,
-    workspace: Workspace,
-    contacts: ContactList,
-    at: SphereAtWall,
-    root: int,
-    before: float,
-    after: float,
-) -> WallPiece:
+def piece_at(on: Evaluation, at: SphereAtWall, root: int) -> WallPiece:
     """The piece that begins with a contact, its points summed.
 
     Of each the mean force over the kick is taken along its own δ + δ̇ t, as of a contact.
     """
+    model, contacts, before, after = on.model, on.contacts, on.before, on.after
     points, law, radius = contacts.forces, model.law, at.radius
     material = model.spheres.material[contacts.first[root]]
     pair = model.pair_of[material, model.wall_material[contacts.second[root]]]
     first, n_points, total, pushes, hardest = root, 0, 0.0, 0.0, 0.0
-    v, force, elastic, impulse = approach_velocity(workspace, at), ZERO, ZERO, ZERO
+    v, force, elastic, impulse = approach_velocity(on.workspace, at), ZERO, ZERO, ZERO
     energy, least = 0.0, math.inf
     for c in range(at.first, at.end):
         count, away = points.count[c], row3(points.gap, c)
@@ -176,49 +175,47 @@ def piece_at(
 
 
 @lean
-def hand_over_history(
-    model: ContactModel, contacts: ContactList, at: SphereAtWall, root: int, to: int
-) -> None:
+def hand_over_history(on: Evaluation, at: SphereAtWall, root: int, to: int) -> None:
     """Hand the history of a piece, of its points or of what was one of them, to a contact of it.
 
     The piece counts as dealt with then.
     """
+    contacts, rolling = on.contacts, on.model.law.rolling
     history, active, pieces = contacts.history, contacts.active, contacts.forces.piece
     source = -1
     for c in range(at.first, at.end):
-        is_one = active[c] and belongs_to(model, contacts, at, c, root)
+        is_one = active[c] and belongs_to(on, at, c, root)
         if is_one and (source < 0 or history.normal_force[c] > history.normal_force[source]):
             source = c
     if source >= 0 and source != to:
         history[to] = history[source]
         active[to] = True
     for c in range(at.first, at.end):
-        if c != to and active[c] and belongs_to(model, contacts, at, c, root):
-            end_contact(model.law.rolling, contacts, c)
+        if c != to and active[c] and belongs_to(on, at, c, root):
+            end_contact(rolling, contacts, c)
     for c in range(at.first, at.end):
         if pieces[c] == root:
             pieces[c] = HANDLED
 
 
 @lean
-def belongs_to(
-    model: ContactModel, contacts: ContactList, at: SphereAtWall, c: int, root: int
-) -> bool:
+def belongs_to(on: Evaluation, at: SphereAtWall, c: int, root: int) -> bool:
     """Whether contact c is of a piece, or has been where the piece is now."""
-    points = contacts.forces
+    contacts, points, walls = on.contacts, on.contacts.forces, on.model.walls
     if points.count[c] != 0.0:
         return bool(points.piece[c] == root)
-    one = primitive_at(model.walls.kind, model.walls.parameter, contacts.second[c])
-    away, found = to_world(at.q, subtract(at.y, nearest(one, at.y))), False
+    one = primitive_at(walls.kind, walls.parameter, contacts.second[c])
+    away, belongs = to_world(at.q, subtract(at.y, nearest(one, at.y))), False
     for m in range(at.first, at.end):
         if points.is_nearest[m] > 0.0 and points.piece[m] == root:
-            found = found or outside_cap(contacts, at, m, away, at.displacement) <= 0.0
-    return found
+            belongs = belongs or outside_cap(contacts, at, m, away, at.displacement) <= 0.0
+    return belongs
 
 
 @lean
-def end_leftovers(model: ContactModel, contacts: ContactList, at: SphereAtWall) -> None:
+def end_leftovers(on: Evaluation, at: SphereAtWall) -> None:
     """End contacts whose points have ended, and have handed on nothing."""
+    contacts, rolling = on.contacts, on.model.law.rolling
     for c in range(at.first, at.end):
         if contacts.active[c] and contacts.forces.piece[c] >= 0.0:
-            end_contact(model.law.rolling, contacts, c)
+            end_contact(rolling, contacts, c)

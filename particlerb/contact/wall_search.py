@@ -45,9 +45,9 @@ class WallLists(NamedTuple):
 
 @kernel
 def list_primitives(
-    walls: Walls, lists: WallLists, corners: Ints, reach: float, is_counting: bool
+    walls: Walls, lists: WallLists, corners: Ints, cutoff: float, is_counting: bool
 ) -> None:
-    """Count, or write, the primitives within reach of each cell.
+    """Count, or write, the primitives within the cutoff of each cell.
 
     Parameters
     ----------
@@ -56,8 +56,7 @@ def list_primitives(
         is left as it is meant.
     corners : ndarray, shape (n_primitives, 6)
         First and last cell in each direction that a primitive is near to.
-    reach : float
-        [m]
+    cutoff : float [m]
     is_counting : bool
     """
     kind, rows, wall, _ = walls
@@ -65,7 +64,7 @@ def list_primitives(
     for p in range(kind.size):
         w, one = wall[p], primitive_at(kind, rows, p)
         zero, step = row3(origin, w), 1.0 / per_metre[w]
-        far = reach + 0.5 * math.sqrt(3.0) * step * (1.0 + 1e-9)
+        far = cutoff + 0.5 * math.sqrt(3.0) * step * (1.0 + 1e-9)
         for i in range(corners[p, 0], corners[p, 3] + 1):
             for j in range(corners[p, 1], corners[p, 4] + 1):
                 for k in range(corners[p, 2], corners[p, 5] + 1):
@@ -95,14 +94,14 @@ def find_candidates(
     lists: WallLists,
     poses: Records,
     points: Floats,
-    reach: Floats,
+    cutoff: Floats,
     which: Ints,
     pairs: PairList,
     is_counting: bool,
     first_unit: int,
     last_unit: int,
 ) -> None:
-    """Count, or write, the primitives within reach of the spheres of units first to last.
+    """Count, or write, the primitives within the cutoff of the spheres of units first to last.
 
     Counting, the number of sphere i is written to start[i + 1].
     """
@@ -112,7 +111,7 @@ def find_candidates(
     centres = rows3(points, 0, points.shape[1])
     for at in range(first_unit * UNIT, min(last_unit * UNIT, which.size)):
         i = which[at]
-        count, square = 0, reach[i] * reach[i]
+        count, square = 0, cutoff[i] * cutoff[i]
         if not is_counting and start[i + 1] == start[i]:
             continue
         for w in range(per_metre.size):
@@ -164,7 +163,7 @@ class WallSearch:
     def __init__(self, walls: Walls, radius: Floats) -> None:
         self.walls, self.radius = walls, radius
         self.everyone = np.arange(radius.size)
-        self.reach = -1.0
+        self.cutoff = -1.0
 
     def pairs(
         self, points: Floats, poses: Records, skin: float, which: Ints | None = None
@@ -190,18 +189,18 @@ class WallSearch:
         which = self.everyone if which is None else which
         n, walls = self.everyone.size, self.walls
         start = np.zeros(n + 1, dtype=np.int64)
-        reach = self.radius + skin
+        cutoff = self.radius + skin
         if not which.size or not walls.kind.size:
             return PairList(self.everyone[:0], self.everyone[:0], start)
-        if reach.max() > self.reach:
-            self.reach = float(reach.max())
-            self.lists = lists_of(walls, self.reach, int(CELLS_PER_SPHERE * n))
+        if cutoff.max() > self.cutoff:
+            self.cutoff = float(cutoff.max())
+            self.lists = lists_of(walls, self.cutoff, int(CELLS_PER_SPHERE * n))
         pairs = PairList(self.everyone[:0], self.everyone[:0], start)
-        self.visit(points, poses, reach, which, pairs, True)
+        self.visit(points, poses, cutoff, which, pairs, True)
         np.cumsum(start, out=start)
         first, second = np.empty((2, int(start[-1])), dtype=np.int64)
         pairs = PairList(first, second, start)
-        self.visit(points, poses, reach, which, pairs, False)
+        self.visit(points, poses, cutoff, which, pairs, False)
         spread(lambda lo, hi: sort_by_second(pairs, lo, hi), n)
         return pairs
 
@@ -209,7 +208,7 @@ class WallSearch:
         self,
         points: Floats,
         poses: Records,
-        reach: Floats,
+        cutoff: Floats,
         which: Ints,
         pairs: PairList,
         is_counting: bool,
@@ -218,40 +217,40 @@ class WallSearch:
         walls, lists = self.walls, self.lists
         spread(
             lambda lo, hi: find_candidates(
-                walls, lists, poses, points, reach, which, pairs, is_counting, lo, hi
+                walls, lists, poses, points, cutoff, which, pairs, is_counting, lo, hi
             ),
             which.size,
             COST,
         )
 
 
-def lists_of(walls: Walls, reach: float, more: int = 0) -> WallLists:
-    """Lists for centres that may touch what is within reach [m]; more cells for many spheres."""
+def lists_of(walls: Walls, cutoff: float, more: int = 0) -> WallLists:
+    """Lists for centres within the cutoff [m] of primitives; `more` cells for many spheres."""
     lower, upper = bounding_boxes(walls)
     n_walls = int(walls.wall.max(initial=-1)) + 1
     shape, origin = np.zeros((n_walls, 3), dtype=np.int64), np.zeros((n_walls, 3))
     width = np.ones(n_walls)
     corners = np.zeros((walls.kind.size, 6), dtype=np.int64)
     for w in range(n_walls):
-        own = np.flatnonzero((walls.wall == w) & (walls.kind != PLANE))
-        if not own.size:
+        which = np.flatnonzero((walls.wall == w) & (walls.kind != PLANE))
+        if not which.size:
             continue
-        low, high = lower[own] - reach, upper[own] + reach
+        low, high = lower[which] - cutoff, upper[which] + cutoff
         origin[w] = low.min(axis=0)
         extent = high.max(axis=0) - origin[w]
-        cells = MAX_CELLS * own.size + MIN_CELLS + more
-        width[w] = max(np.cbrt(extent.prod() / cells), 2.0 * reach)
+        cells = MAX_CELLS * which.size + MIN_CELLS + more
+        width[w] = max(np.cbrt(extent.prod() / cells), 2.0 * cutoff)
         shape[w] = np.floor(extent / width[w]) + 1
-        corners[own, :3] = (low - origin[w]) / width[w]
-        corners[own, 3:] = (high - origin[w]) / width[w]
-        corners[own, 3:] = np.minimum(corners[own, 3:], shape[w] - 1)
+        corners[which, :3] = (low - origin[w]) / width[w]
+        corners[which, 3:] = (high - origin[w]) / width[w]
+        corners[which, 3:] = np.minimum(corners[which, 3:], shape[w] - 1)
     first = np.concatenate([[0], np.cumsum(shape.prod(axis=1) + 1)])
     begin = np.zeros(first[-1] + 2, dtype=np.int64)
     lists = WallLists(origin, 1.0 / width, shape, first, begin, np.zeros(0, dtype=np.int64))
-    list_primitives(walls, lists, corners, reach, True)
+    list_primitives(walls, lists, corners, cutoff, True)
     np.cumsum(begin, out=begin)
     lists = lists._replace(entry=np.empty(begin[-1], dtype=np.int64))
-    list_primitives(walls, lists, corners, reach, False)
+    list_primitives(walls, lists, corners, cutoff, False)
     return lists
 
 
@@ -261,12 +260,12 @@ def bounding_boxes(walls: Walls) -> tuple[Floats, Floats]:
     a, b, c = parameter[:, :3], parameter[:, 3:6], parameter[:, 6:9]
     lower, upper = a.copy(), a.copy()
     for kinds, others in (((FACE, EDGE), b), ((FACE,), c)):
-        own = np.isin(kind, kinds)
-        lower[own] = np.minimum(lower[own], others[own])
-        upper[own] = np.maximum(upper[own], others[own])
-    own = np.isin(kind, (SIDE, DISC, RIM))
+        which = np.isin(kind, kinds)
+        lower[which] = np.minimum(lower[which], others[which])
+        upper[which] = np.maximum(upper[which], others[which])
+    which = np.isin(kind, (SIDE, DISC, RIM))
     half = np.where(kind == SIDE, c[:, 1], 0.0)[:, None] * np.abs(b)
     half += c[:, :1] * np.sqrt(np.maximum(1.0 - b * b, 0.0))
-    lower[own] -= half[own]
-    upper[own] += half[own]
+    lower[which] -= half[which]
+    upper[which] += half[which]
     return lower, upper

@@ -6,36 +6,21 @@ from typing import Final
 import numpy as np
 
 from particlerb.contact.walls import DISC, EDGE, FACE, PLANE, RIM, SIDE, VERTEX, Walls
-from particlerb.maths.vec3 import (
-    Bools,
-    Floats,
-    Ints,
-)
+from particlerb.maths.vec3 import Bools, Floats, Ints
 
 COPLANAR: Final = 1e-6  # sine of the angle between faces of one plane: STL has single precision
 
 
 def joined(walls: Sequence[Walls]) -> Walls:
     """Several walls as one set, numbered in this order."""
-    kinds, parameters, owners, around, before = [], [], [], [np.zeros((0, 3))], 0
+    parts, before = [wall_of([], [])], 0
     for number, part in enumerate(walls):
         parameter = part.parameter.copy()
         parameter[(part.kind == EDGE) | (part.kind == VERTEX), 6:8] += before
         parameter[part.kind == VERTEX, 8] += before
         before += len(part.around)
-        kinds.append(part.kind)
-        parameters.append(parameter)
-        owners.append(np.full(part.kind.size, number))
-        around.append(part.around)
-    if not kinds:
-        none = np.zeros(0, dtype=np.int64)
-        return Walls(none, np.zeros((0, 12)), none, around[0])
-    return Walls(
-        np.concatenate(kinds),
-        np.concatenate(parameters),
-        np.concatenate(owners),
-        np.concatenate(around),
-    )
+        parts.append(Walls(part.kind, parameter, np.full(part.kind.size, number), part.around))
+    return Walls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
 def wall_of(kinds: Sequence[int], parameters: Sequence[Sequence[float]]) -> Walls:
@@ -212,15 +197,15 @@ def edge_primitives(
     flat = edge.reshape(-1)
     order = np.argsort(flat, kind="stable")
     order = order[~is_smooth[flat[order]]]
-    own, face = flat[order], order // 3
-    a, b = places[ends[own, 0]], places[ends[own, 1]]
-    third = places[faces[face].sum(axis=1) - ends[own].sum(axis=1)]
+    edge_number, face = flat[order], order // 3
+    a, b = places[ends[edge_number, 0]], places[ends[edge_number, 1]]
+    third = places[faces[face].sum(axis=1) - ends[edge_number].sum(axis=1)]
     turn = np.einsum("ij,ij->i", np.cross(b - a, third - a), normal[face])
     which = np.flatnonzero(~is_smooth)
     parameter = np.zeros((which.size, 12))
     parameter[:, :6] = places[ends[which]].reshape(-1, 6)
-    parameter[:, 6] = np.searchsorted(own, which, side="left")
-    parameter[:, 7] = np.searchsorted(own, which, side="right")
+    parameter[:, 6] = np.searchsorted(edge_number, which, side="left")
+    parameter[:, 7] = np.searchsorted(edge_number, which, side="right")
     kind = np.full(which.size, EDGE)
     return Walls(kind, parameter, kind * 0, np.sign(turn)[:, None] * normal[face])
 
@@ -238,10 +223,10 @@ def vertex_primitives(places: Floats, faces: Ints, ends: Ints, is_smooth: Bools)
     turns = np.searchsorted(corner[corners], np.arange(len(places) + 1))
     parameter, rows, before = np.zeros((which.size, 12)), [np.zeros((0, 3))], 0
     for row, v in zip(parameter, which.tolist(), strict=True):
-        own = there[edges[begins[v] : begins[v + 1]]]
-        two = np.searchsorted(own, others[corners[turns[v] : turns[v + 1]]])
-        rows += [places[own], np.column_stack([two, np.zeros(len(two))])]
-        row[:3], row[6:9] = places[v], np.cumsum([before, len(own), len(two)])
-        before += len(own) + len(two)
+        neighbours = there[edges[begins[v] : begins[v + 1]]]
+        two = np.searchsorted(neighbours, others[corners[turns[v] : turns[v + 1]]])
+        rows += [places[neighbours], np.column_stack([two, np.zeros(len(two))])]
+        row[:3], row[6:9] = places[v], np.cumsum([before, len(neighbours), len(two)])
+        before += len(neighbours) + len(two)
     kind = np.full(which.size, VERTEX)
     return Walls(kind, parameter, kind * 0, np.concatenate(rows))

@@ -247,16 +247,16 @@ def euler_count(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
         return count_at_edge(a, b, around, int(c[0]), int(c[1]), x)
     if kind == VERTEX:
         return count_at_vertex(a, around, int(c[0]), int(c[1]), int(c[2]), x)
-    found = True
+    is_opposite = True
     if kind != PLANE:
         z, rho, _ = radial(a, b, x)
         if kind == SIDE:
-            found = abs(z) <= c[1]
+            is_opposite = abs(z) <= c[1]
         elif kind == DISC:
-            found = rho < c[0]
+            is_opposite = rho < c[0]
         else:
-            found = z > 0.0 and (c[1] == 0.0 or rho >= c[0])
-    return (1, True) if found else (0, False)
+            is_opposite = z > 0.0 and (c[1] == 0.0 or rho >= c[0])
+    return (1, True) if is_opposite else (0, False)
 
 
 @lean
@@ -273,6 +273,12 @@ def gap_vector(one: Primitive, x: Vec3) -> Vec3:
 def in_frame_of(poses: Records, w: int, x: Vec3) -> Vec3:
     """Point of the world in the frame of wall w."""
     return to_body(row4(poses.orientation, w), subtract(x, row3(poses.position, w)))
+
+
+@lean
+def wall_velocity(poses: Records, w: int, arm: Vec3) -> Vec3:
+    """Velocity [m/s] of wall w at an arm from the origin of its frame, world axes."""
+    return add_scaled(1.0, cross(row3(poses.angular_velocity, w), arm), row3(poses.velocity, w))
 
 
 @lean
@@ -304,15 +310,14 @@ def gap_and_velocity(walls: Walls, poses: Records, p: int, x: Vec3) -> tuple[Vec
     away = gap_vector(one, y) if is_nearest else (FAR, 0.0, 0.0)
     gap = to_world(row4(poses.orientation, w), away)
     arm = subtract(subtract(x, row3(poses.position, w)), gap)
-    omega = row3(poses.angular_velocity, w)
-    return gap, add_scaled(1.0, cross(omega, arm), row3(poses.velocity, w))
+    return gap, wall_velocity(poses, w, arm)
 
 
 def gaps(walls: Walls, poses: Records, points: Floats, which: Ints, primitive: Ints) -> Floats:
     """Vectors from primitives of walls to some of the points (3, n), (3, m) [m]; FAR: has none."""
-    found = np.empty((3, which.size))
-    find_gaps(walls, poses, points, which, primitive, found)
-    return found
+    gap = np.empty((3, which.size))
+    find_gaps(walls, poses, points, which, primitive, gap)
+    return gap
 
 
 @kernel

@@ -44,8 +44,6 @@ from particlerb.contact.neighbour_list import (
 )
 from particlerb.contact.pair_force import (
     empty_history,
-    forces_dtype,
-    history_dtype,
     max_speeds,
     place_bodies,
     sphere_contact_forces,
@@ -69,7 +67,10 @@ from particlerb.contact.records import (
     PISTON,
     POSE,
     Records,
+    columns_of,
+    forces_record,
     from_floats,
+    history_record,
     to_floats,
     zero_records,
 )
@@ -278,7 +279,7 @@ def load_blocks(
     span: float,
     team: Team,
 ) -> None:
-    """Write the loads of bodies: see `loads.collect`."""
+    """Write the loads of bodies: see `body_loads.collect_loads`."""
     first, end = share_of(team, 0, len(blocks))
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
@@ -666,7 +667,7 @@ class TouchingMotion(CoupledMotion):
         self.count += 1
         scene, n = contact.model, y.shape[1]
         self.memory.then[:] = y[:7]
-        self.memory.slides.listed_displacement = self.memory.slides.displacement
+        self.memory.slides.listed_displacement[:] = self.memory.slides.displacement
         way = np.sqrt(((y[:3] - self.origin) ** 2).sum(axis=0)).max()
         self.farthest = max(self.farthest, float(way))
         self.refuse_tunnelling(y)
@@ -827,11 +828,12 @@ class TouchingMotion(CoupledMotion):
         wall = self.contact.model.walls.wall if which == 1 else self.numbers[:0]
         order_contacts(pairs, numbers, wall, shell, old, new, first, second, ends)
         self.kept = (new, self.kept[1]) if which == 0 else (self.kept[0], new)
-        dtype = forces_dtype(law, which == 1)
-        rows_of_forces = self.floats(f"forces {which}", m, dtype.itemsize // values.itemsize)
+        with_rolling = law.rolling is not None
+        record = forces_record(with_rolling, which == 1)
+        rows_of_forces = self.floats(f"forces {which}", m, columns_of(record))
         rows_of_forces[:] = 0.0  # a checkpoint has it, and none of the leftovers of other lists
-        forces = from_floats(rows_of_forces, dtype)
-        history = from_floats(values, history_dtype(law))
+        forces = from_floats(rows_of_forces, record)
+        history = from_floats(values, history_record(with_rolling))
         active = history.inv_effective_mass > 0.0
         return ContactList(first, second, history, forces, active, ends)
 
@@ -939,8 +941,7 @@ class TouchingMotion(CoupledMotion):
             contact_rows(contacts, scene, room, self.group.members, self.numbers, are_walls)
             for contacts, are_walls in ((lists.spheres, False), (lists.walls, True))
         ]
-        centre = np.array([motion.centre for motion in self.motions]).reshape(-1, 3)
-        centre, velocity = wall_centres(centre, room.poses)
+        centre, velocity = wall_centres(self.motions, room.poses)
         if (pistons := self.contact.pistons) is not None:  # contacts saw a velocity carried on
             ahead = slides.velocity - slides.contact_velocity
             velocity[pistons.wall] += ahead[:, None] * pistons.axis

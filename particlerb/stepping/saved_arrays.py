@@ -10,7 +10,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from particlerb.contact.records import from_floats, to_floats
+from particlerb.contact.records import Records, from_floats, to_floats
 
 Saved: TypeAlias = dict[str, Any]  # arrays by name
 Tuple = TypeVar("Tuple", bound=tuple[Any, ...])
@@ -36,7 +36,7 @@ def flat(values: Any) -> Saved:
     for name, value in values._asdict().items():
         if hasattr(value, "_fields"):
             saved |= under(name, flat(value))
-        elif isinstance(value, np.recarray):
+        elif isinstance(value, Records):
             saved[name] = to_floats(value).copy()
         elif value is not None:
             saved[name] = np.array(value)
@@ -52,7 +52,7 @@ def filled(like: Tuple, saved: Mapping[str, Any]) -> Tuple:
             values[name] = filled(value, within(name, saved))
         elif isinstance(value, (bool, int, float)):
             values[name] = type(value)(saved[name])
-        elif isinstance(value, np.recarray):
+        elif isinstance(value, Records):
             values[name] = from_floats(saved[name], value.dtype)
         else:
             values[name] = saved.get(name)

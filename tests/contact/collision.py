@@ -1,4 +1,4 @@
-"""What one collision does, in closed form: overlap and duration of hooke and hertz."""
+"""What one collision does, in closed form: restitution, overlap and duration."""
 
 import math
 from typing import Final
@@ -7,6 +7,15 @@ from particlerb.contact.restitution import phase_over_sine
 
 NODES: Final = 60  # of the quadrature, on either side; its error is below 1e-13
 REACH: Final = 3.4  # its outermost nodes are e^{-47} of the interval from the ends
+
+
+def restitution(ratio: float, attract: bool = False) -> float:
+    """Coefficient of restitution that a ratio of damping ζ >= 0 gives."""
+    if not attract:
+        return math.exp(-2.0 * ratio * phase_over_sine(ratio))
+    if ratio >= 1.0:
+        return 0.0
+    return math.exp(-math.pi * ratio / math.sqrt((1.0 - ratio) * (1.0 + ratio)))
 
 
 def hooke_overlap(stiffness: float, mass: float, speed: float, ratio: float = 0.0) -> float:

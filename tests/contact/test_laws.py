@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from collision import hertz_duration, hertz_overlap, hooke_duration, hooke_overlap
+from collision import hertz_duration, hertz_overlap, hooke_duration, hooke_overlap, restitution
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
@@ -183,19 +183,19 @@ def test_spring_and_dashpot_of_the_textbook(e):
 @pytest.mark.parametrize("e", TEXTBOOK)
 def test_textbook_damping_bounces_higher_where_nothing_attracts(e):
     ratio = LSD[e][0]
-    assert closed.restitution(ratio) == pytest.approx(TEXTBOOK[e], abs=6e-4)
+    assert restitution(ratio) == pytest.approx(TEXTBOOK[e], abs=6e-4)
     hooke = hooke_law()._replace(damping_ratio=np.array([ratio]))
     assert -hit(hooke, 400).rate[-1] == pytest.approx(TEXTBOOK[e], abs=6e-4)
 
 
 @given(st.floats(1e-6, 1.0), st.booleans())
 def test_damping_ratio_is_the_inverse_of_restitution(e, attract):
-    assert closed.restitution(closed.damping_ratio(e, attract), attract) == pytest.approx(e, 1e-12)
+    assert restitution(closed.damping_ratio(e, attract), attract) == pytest.approx(e, 1e-12)
 
 
 def test_special_ratios():
-    assert closed.restitution(1.0) == pytest.approx(math.exp(-2.0), rel=1e-15)
-    assert closed.restitution(50.0) == pytest.approx(0.25 / 50.0**2, rel=2e-3)
+    assert restitution(1.0) == pytest.approx(math.exp(-2.0), rel=1e-15)
+    assert restitution(50.0) == pytest.approx(0.25 / 50.0**2, rel=2e-3)
     assert closed.damping_ratio(0.0, attract=True) == 1.0
     assert closed.damping_ratio(1.0) == closed.damping_ratio(1.0, attract=True) == 0.0
 
@@ -235,7 +235,7 @@ def collision(power, ratio, attract):
 @pytest.mark.parametrize(("ratio", "attract"), COLLISIONS)
 def test_closed_forms_of_hooke(ratio, attract):
     e, duration, peak = collision(1.0, ratio, attract)
-    assert closed.restitution(ratio, attract) == pytest.approx(e, rel=1e-9)
+    assert restitution(ratio, attract) == pytest.approx(e, rel=1e-9)
     assert hooke_duration(4.0, 1.0, ratio, attract) == pytest.approx(duration / 2.0, 1e-9)
     assert hooke_overlap(4.0, 1.0, 3.0, ratio) == pytest.approx(1.5 * peak, rel=1e-9)
 
@@ -243,7 +243,7 @@ def test_closed_forms_of_hooke(ratio, attract):
 @pytest.mark.parametrize(("ratio", "attract"), COLLISIONS)
 def test_hertz_has_the_same_restitution_at_the_same_ratio(ratio, attract):
     e, duration, peak = collision(1.5, ratio, attract)
-    assert closed.restitution(ratio, attract) == pytest.approx(e, abs=1e-9)
+    assert restitution(ratio, attract) == pytest.approx(e, abs=1e-9)
     found = hertz_duration(0.75, 1.0, 1.0, 1.0, ratio, attract)
     assert found == pytest.approx(duration, rel=1e-8)
     assert hertz_overlap(0.75, 1.0, 1.0, 1.0, ratio) == pytest.approx(peak, rel=1e-9)
