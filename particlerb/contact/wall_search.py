@@ -195,33 +195,24 @@ class WallSearch:
         if cutoff.max() > self.cutoff:
             self.cutoff = float(cutoff.max())
             self.lists = lists_of(walls, self.cutoff, int(CELLS_PER_SPHERE * n))
-        pairs = PairList(self.everyone[:0], self.everyone[:0], start)
-        self.visit(points, poses, cutoff, which, pairs, True)
+        lists = self.lists
+
+        def visit(pairs: PairList, is_counting: bool) -> None:
+            spread(
+                lambda lo, hi: find_candidates(
+                    walls, lists, poses, points, cutoff, which, pairs, is_counting, lo, hi
+                ),
+                which.size,
+                COST,
+            )
+
+        visit(PairList(self.everyone[:0], self.everyone[:0], start), True)
         np.cumsum(start, out=start)
         first, second = np.empty((2, int(start[-1])), dtype=np.int64)
         pairs = PairList(first, second, start)
-        self.visit(points, poses, cutoff, which, pairs, False)
+        visit(pairs, False)
         spread(lambda lo, hi: sort_by_second(pairs, lo, hi), n)
         return pairs
-
-    def visit(
-        self,
-        points: Floats,
-        poses: Records,
-        cutoff: Floats,
-        which: Ints,
-        pairs: PairList,
-        is_counting: bool,
-    ) -> None:
-        """Count, or write, what is near the spheres."""
-        walls, lists = self.walls, self.lists
-        spread(
-            lambda lo, hi: find_candidates(
-                walls, lists, poses, points, cutoff, which, pairs, is_counting, lo, hi
-            ),
-            which.size,
-            COST,
-        )
 
 
 def lists_of(walls: Walls, cutoff: float, more: int = 0) -> WallLists:
