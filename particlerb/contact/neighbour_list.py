@@ -8,6 +8,7 @@ import numpy as np
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.contact.cell_grid import pair_key
+from particlerb.contact.records import columns_of, history_record
 from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, rows4
 from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3, load3, rows3, subtract
 
@@ -69,6 +70,12 @@ class ContactHistory(NamedTuple):
     keys: Ints  # (m,) ascending, see `pair_key`
     rows: Ints  # (m,) row of `values` that belongs to a key
     values: Floats  # (m, ..)
+
+
+def empty_history(with_rolling: bool) -> ContactHistory:
+    """History of no contacts, with or without resistance to rolling."""
+    none = np.zeros(0, dtype=np.int64)
+    return ContactHistory(none, none, np.zeros((0, columns_of(history_record(with_rolling)))))
 
 
 @kernel

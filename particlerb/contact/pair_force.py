@@ -9,8 +9,6 @@ the normal force has a potential and is kept apart from the rest, which the ledg
 import math
 from typing import Final, NamedTuple
 
-import numpy as np
-
 from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.contact.contact_model import (
     ContactList,
@@ -21,7 +19,6 @@ from particlerb.contact.contact_model import (
 from particlerb.contact.friction import friction_force, rolling_torque, rotated_spring
 from particlerb.contact.law import (
     ContactState,
-    Law,
     NormalForce,
     corrected_rate,
     correction_time,
@@ -29,17 +26,8 @@ from particlerb.contact.law import (
     normal_force,
     with_motion,
 )
-from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.prescribed_motion import PrescribedBodies
-from particlerb.contact.records import (
-    Records,
-    columns_of,
-    history_record,
-    put_row3,
-    put_row4,
-    row3,
-    row4,
-)
+from particlerb.contact.records import Records, put_row3, put_row4, row3, row4
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, scale, subtract
 from particlerb.model.block import COM, L, P, Q, get3, get4
@@ -340,10 +328,3 @@ def comes_near(
     far = touching + 0.5 * longer * (math.sqrt(dot(v, v)) + 4.0 * w * touching)
     near: bool = square < far * far
     return near
-
-
-def empty_history(law: Law) -> ContactHistory:
-    """History of no contacts."""
-    none = np.zeros(0, dtype=np.int64)
-    columns = columns_of(history_record(law.rolling is not None))
-    return ContactHistory(none, none, np.zeros((0, columns)))

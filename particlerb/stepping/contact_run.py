@@ -37,13 +37,13 @@ from particlerb.contact.neighbour_list import (
     N_SHELLS,
     SHELL_GAPS,
     ContactHistory,
+    empty_history,
     find_shells,
     incidence,
     max_displacement,
     order_contacts,
 )
 from particlerb.contact.pair_force import (
-    empty_history,
     max_speeds,
     place_bodies,
     sphere_contact_forces,
@@ -638,7 +638,7 @@ class TouchingMotion(CoupledMotion):
         self.looks = numbers is None  # who steps some of more bodies looks at these itself
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
         self.primitives = np.arange(contact.model.walls.kind.size)
-        self.kept = kept or (empty_history(contact.model.law),) * 2
+        self.kept = kept or (empty_history(contact.model.law.rolling is not None),) * 2
         terms = group.terms
         self.others = None if terms.links is None and terms.attraction is None else 1
         is_worth_it = NANOSECONDS_PER_SPHERE * n_spheres > WORTH_THREADS
