@@ -23,8 +23,9 @@ from particlerb.forces.push import Follower, Push
 from particlerb.integrators import METHODS
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import State, room_for
-from particlerb.stepping.loop import SteppedMotion
+from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import Group
+from particlerb.stepping.stepped_motion import SteppedMotion
 
 N, ROUNDS, DT = 100_000, 15, 0.01
 STEPS = {"rkn6": 4}  # in a burst; others
@@ -66,7 +67,7 @@ class Burst:
 
     def __init__(self, method: str, bodies: Bodies, state: State, terms: Terms) -> None:
         n = bodies.mass.size
-        motion = METHODS[method].begin(Group(np.arange(n), bodies, terms), state, 0.0, DT, 1e-10)
+        motion = begin(METHODS[method], Group(np.arange(n), bodies, terms), state, 0.0, DT, 1e-10)
         assert isinstance(motion, SteppedMotion)
         self.motion, self.n = motion, n
         self.steps = STEPS.get(method, BURST) * (1 if n > 1 else 500)
@@ -77,7 +78,7 @@ class Burst:
 
     def run(self) -> None:
         """Take the steps; note the time of one step of one body."""
-        until = np.array([self.motion.done + self.steps])
+        until = np.array([self.motion.steps_done + self.steps])
         start = time.perf_counter()
         self.motion.advance(until, np.zeros(1), np.array([-1]), self.none)
         self.taken.append((time.perf_counter() - start) / self.n / self.steps)
@@ -112,7 +113,7 @@ def order(method: str, coarsest: float, n: int = 32) -> tuple[float, np.ndarray]
     group = Group(np.arange(n), bodies, loads)
 
     def end(name: str, dt: float) -> np.ndarray:
-        q = METHODS[name].begin(group, state, 0.0, dt, 1e-14).finish(4.0)[0].q
+        q = begin(METHODS[name], group, state, 0.0, dt, 1e-14).finish(4.0)[0].q
         return q * np.sign((q * fine).sum(axis=0)) if name != "dop853" else q
 
     fine = end("dop853", 0.01)

@@ -45,6 +45,7 @@ from particlerb.case.values import (
     one_of,
 )
 from particlerb.files import File
+from particlerb.model.method_names import METHOD_NAMES
 
 __all__ = [
     "METHODS",
@@ -67,17 +68,7 @@ __all__ = [
     "case_json_schema",
 ]
 
-METHODS = (
-    "auto",
-    "exact",
-    "strang",
-    "rkn6",
-    "dop853",
-    "rk4",
-    "semi_implicit_euler",
-    "explicit_euler",
-    "momentum_euler",
-)
+METHODS = ("auto", *METHOD_NAMES)
 NEWTON = 6.67430e-11  # G [m³/(kg s²)], CODATA 2018
 
 

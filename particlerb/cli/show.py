@@ -163,7 +163,7 @@ def methods_command(options: argparse.Namespace) -> int:
     default = "closed form where a body is free, strang where a force drives it (default)"
     print(f"{'auto':<{width}}  {default}")
     for name, method in METHODS.items():
-        print(f"{name:<{width}}  {method.SUMMARY}")
+        print(f"{name:<{width}}  {method.summary}")
     return DONE
 
 

@@ -1,9 +1,10 @@
 """The only caller of Numba's compiler: two decorators and the place of the disk cache.
 
 `inline` is for helpers of scalars and tuples, `kernel` for loops over bodies; kernels run without
-the interpreter's lock, so that `threads` can spread them. `lean` and `lean_kernel` do not count who
-uses an array, which costs 5 ns for each that a loop takes out of a tuple or hands to a helper: they
-can make none. Numba's cache does not notice an edit in
+the interpreter's lock, so that `threads` can spread them. `splice` is for a function that does no
+more than call others: it is copied into its callers, and not compiled by itself. `lean` and
+`lean_kernel` do not count who uses an array, which costs 5 ns for each that a loop takes out of a
+tuple or hands to a helper: they can make none. Numba's cache does not notice an edit in
 another file, nor a changed NUMBA_* flag; so the cache folder has a hash of all of it in its name.
 Nor does it notice that a file was cut or changed, or give up where none can be written: each file
 has a hash of its content, what is damaged is compiled anew, and one warning says what is not kept.
@@ -21,13 +22,15 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeAlias, TypeVar, cast
 
 import numba
 from numba.core import caching
 
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
+Flag: TypeAlias = int | None  # PRESENT, or None: types of their own, so that Numba leaves code out
+PRESENT: Final = 1
 
 PACKAGE = Path(__file__).parents[1]
 FOLDERS_KEPT = 6  # compiled code of earlier sources: switching between two versions stays warm
@@ -221,6 +224,7 @@ def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Fu
 
 
 inline = compile_with(forceinline=True)
+splice = compile_with(inline="always")
 kernel = compile_with(cache=True, nogil=True)
 lean = compile_with(forceinline=True, _nrt=False)
 lean_kernel = compile_with(cache=True, nogil=True, _nrt=False)
@@ -237,3 +241,14 @@ def kernel_from(template: Function, name: str, **names: Any) -> Function:
     function.__qualname__ = f"{template.__qualname__}_{name}"
     function.__doc__ = template.__doc__
     return kernel(cast(Function, function))
+
+
+def flag(is_present: bool) -> Flag:
+    """What a kernel takes for something that is present or absent all the time."""
+    return PRESENT if is_present else None
+
+
+def in_python(function: Function, **names: Any) -> Function:
+    """A function, compiled or not, as Python whose globals of these names are to be others."""
+    plain = getattr(function, "py_func", function)
+    return cast(Function, FunctionType(plain.__code__, plain.__globals__ | names, plain.__name__))

@@ -7,8 +7,9 @@ because its rates advance in its own axes, I ω̇ = Rᵀτ - ω × I ω. See doc
 
 from typing import Final
 
-from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces.kernels import Acting
+from particlerb.compiled.jit import splice
+from particlerb.integrators.external_work import book
+from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import (
     ACCEPTED,
     Pose,
@@ -18,51 +19,47 @@ from particlerb.integrators.slopes import (
     put_pose,
     slopes,
 )
+from particlerb.integrators.stages import MovingBodies, loads, stage
 from particlerb.maths.quaternion import matrix, turn, turn_back
-from particlerb.maths.vec3 import Floats, add_scaled, cross, multiplied3
+from particlerb.maths.vec3 import add_scaled, cross, multiplied3
 from particlerb.model.block import INV_INERTIA, get3
-from particlerb.model.state import State
-from particlerb.stepping.coupled import CoupledMotion, one_stage
-from particlerb.stepping.external_work import book
-from particlerb.stepping.loop import SteppedMotion, advance_blocks
-from particlerb.stepping.motion import Group
-
-ORDER: Final = 1
-FREE_ORDER: Final = 1
-IS_ADAPTIVE: Final = False
-KEEPS_RODS: Final = False
-ACCEPTS: Final = ACCEPTED
-SUMMARY: Final = "order 1, baseline; explicit Euler on rates in the body; energy grows; any force"
-COST: Final = 3.0  # ns per body-step, roughly
-EVALUATIONS: Final = 1  # of the forces in a step
-REACH: Final = 0.0  # largest hω of an oscillator that stays bounded (none)
-LONGEST: Final = 0.5  # rad in one step above which it is worth a warning
 
 
-@inline
-def step(
-    acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
-) -> None:
+@stage
+def advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """All slopes at the beginning; the rotor's momentum in its own axes."""
-    for b in range(n):
-        y = pose(rows, b)
-        R = matrix(y.q)
-        slope, entry = slopes(acting, rows, b, y, R)
-        m = turn_back(R, y.L)
-        w = multiplied3(get3(rows, INV_INERTIA, b), m)
-        m = add_scaled(dt, add_scaled(1.0, turn_back(R, slope.L), cross(m, w)), m)
-        after = on_sphere(add_pose(dt, slope, y))
-        put_pose(rows, b, Pose(after.x, after.q, after.p, turn(matrix(after.q), m)))
-        book(books, rows, b, dt, entry)
+    acting, books = moving.acting, moving.books
+    for k in range(first, last):
+        rows = moving.blocks[k]
+        for b in range(moving.layout.size[k]):
+            y = pose(rows, b)
+            R = matrix(y.q)
+            slope, entry = slopes(acting, rows, b, y, R)
+            m = turn_back(R, y.L)
+            w = multiplied3(get3(rows, INV_INERTIA, b), m)
+            m = add_scaled(dt, add_scaled(1.0, turn_back(R, slope.L), cross(m, w)), m)
+            after = on_sphere(add_pose(dt, slope, y))
+            put_pose(rows, b, Pose(after.x, after.q, after.p, turn(matrix(after.q), m)))
+            book(books, rows, b, dt, entry)
 
 
-advance = kernel_from(advance_blocks, "explicit_euler", step=step, EDGE=0.0)
-together = one_stage("explicit_euler", step, 0.0, flows=False)
+@splice
+def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+    """One stage, with all loads taken at the beginning."""
+    loads(moving)
+    advance_rates(moving, first, last, dt)
 
 
-def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> SteppedMotion:
-    """Set off from a state at a time [s]."""
-    del tolerance
-    if group.terms.is_coupled:
-        return CoupledMotion(together, COST, group, state, start, dt, keeps_spin=False)
-    return SteppedMotion(advance, COST, group, state, start, dt, keeps_spin=False)
+METHOD: Final = Method(
+    name="explicit_euler",
+    summary="order 1, baseline; explicit Euler on rates in the body; energy grows; any force",
+    order=1,
+    free_order=1,
+    accepts=ACCEPTED,
+    cost=3.0,
+    evaluations=1,
+    keeps_angular_momentum=False,
+    stability_limit=0.0,
+    max_turn=0.5,
+    step=step,
+)

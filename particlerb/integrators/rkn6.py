@@ -16,16 +16,19 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces.kernels import Acting, shift_time
+from particlerb.compiled.jit import Flag, inline, splice
+from particlerb.forces.kernels import shift_time
 from particlerb.forces.kinds import BODIES, POSE, TIME
+from particlerb.integrators.kick import kick_body
+from particlerb.integrators.method import Method
+from particlerb.integrators.stages import MovingBodies, loads, stage
 from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, dot, multiplied3, scale
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, multiplied3, scale
 from particlerb.model.block import (
     COM,
     INV_INERTIA,
     INV_MASS,
-    OWN,
+    ROTOR,
     SCRATCH,
     L,
     P,
@@ -37,8 +40,6 @@ from particlerb.model.block import (
     put3,
     put4,
 )
-from particlerb.model.bodies import taken
-from particlerb.model.state import State
 from particlerb.rotors.moser_veselov import (
     LARGEST_SHARE,
     LONGEST_PIECE,
@@ -49,23 +50,8 @@ from particlerb.rotors.moser_veselov import (
     newton,
     pieces_of,
 )
-from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.rotors.symmetric_split import symmetric_split
-from particlerb.stepping.coupled import CoupledMotion, stages_of
-from particlerb.stepping.kicks import kick
-from particlerb.stepping.loop import SteppedMotion, advance_blocks
-from particlerb.stepping.motion import CompositeMotion, Group, Motion, part_of
 
-ORDER: Final = 6
-FREE_ORDER: Final = 8
-IS_ADAPTIVE: Final = False
-KEEPS_RODS: Final = True
-ACCEPTS: Final = frozenset({POSE, TIME, BODIES})
-SUMMARY: Final = "order 6 (8 on free bodies), symmetric; for forces without velocities"
-COST: Final = 66.0  # ns per body-step, roughly; of bodies with a closed drift
-EVALUATIONS: Final = 11  # of the forces in a step
-REACH: Final = 3.0  # largest hω of an oscillator that stays bounded (below its first resonance)
-LONGEST: Final = 3.0  # rad in one step above which it is worth a warning
 KICKS: Final = (
     0.0414649985182624,
     0.198128671918067,
@@ -93,15 +79,14 @@ DRIFTS: Final = (
     0.123229775946271,
 )
 BEFORE: Final = tuple(sum(DRIFTS[:k], 0.0) for k in range(len(DRIFTS)))  # where each kick is made
-EDGE: Final = KICKS[0]
+CLOSING_KICK: Final = KICKS[0]
 U: Final = SCRATCH  # of the Moser-Veselov map: u, f, and the solution
 F: Final = SCRATCH + 3
 V: Final = SCRATCH + 6
 RATE: Final = SCRATCH + 9
-OWN_ROWS: Final = SCRATCH - OWN
 
 
-def maps(turn: float) -> float:
+def maps_of(turn: float) -> float:
     """Moser-Veselov maps per drift of a step in which a body turns so far [rad], about."""
     largest = max(turn / LONGEST_PIECE, 1.0 / LARGEST_SHARE)
     return sum(max(1.0, abs(share) * largest) for share in DRIFTS) / len(DRIFTS)
@@ -141,9 +126,9 @@ def cubic(rows: Floats, at: int, b: int) -> Cubic:
 @inline
 def start_map(rows: Floats, b: int, m: Vec3, dt: float) -> None:
     """Modified inertia and a first guess for body b with the momentum m in its own axes."""
-    s, d = cubic(rows, OWN + 4, b), cubic(rows, OWN + 13, b)
-    turn = scale(dt * get(rows, OWN + 3, b), m)
-    u, f, v = first_guess(turn, get3(rows, OWN, b), s, d)
+    s, d = cubic(rows, ROTOR + 4, b), cubic(rows, ROTOR + 13, b)
+    turn = scale(dt * get(rows, ROTOR + 3, b), m)
+    u, f, v = first_guess(turn, get3(rows, ROTOR, b), s, d)
     put3(rows, U, b, u)
     put3(rows, F, b, f)
     put3(rows, V, b, v)
@@ -161,110 +146,81 @@ def finish_map(rows: Floats, n: int, iterations: int) -> None:
 
 
 @inline
-def asymmetric_stage(
-    k: int,
-    rate: float,
-    acting: Acting,
-    books: int | None,
-    rows: Floats,
-    n: int,
-    opening: float,
-    dt: float,
+def drift_asymmetric(
+    kind: Flag, moving: MovingBodies, first: int, last: int, k: int, kick_dt: float, dt: float
 ) -> None:
-    """Kick and drift k; `rate` is the fastest turn of the block at the beginning of the step."""
-    kick_dt = KICKS[k] * dt if k > 0 else opening
+    """Kick, and drift k, of asymmetric bodies, as long as the fastest of a block asks for."""
+    if kind is None:
+        return
     drift_dt = DRIFTS[k] * dt
-    turn = abs(drift_dt) * rate
-    pieces = pieces_of(turn, abs(DRIFTS[k]))
-    iterations = iterations_of(turn / pieces)
-    for b in range(n):
-        shift_time(acting, rows, b, BEFORE[k] * dt)
-        _, L_b, R = kick(acting, books, rows, b, kick_dt)
-        fly(rows, b, drift_dt)
-        start_map(rows, b, turn_back(R, L_b), drift_dt / pieces)
-    finish_map(rows, n, iterations)
-    for _ in range(pieces - 1):
-        for b in range(n):
-            start_map(rows, b, body_momentum(rows, b), drift_dt / pieces)
-        finish_map(rows, n, iterations)
-
-
-@inline
-def asymmetric_step(
-    acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
-) -> None:
-    """Eleven kicks and drifts; the last kick stays open."""
-    rate = fastest_turn(rows, n)
-    for k in range(len(DRIFTS)):
-        asymmetric_stage(k, rate, acting, books, rows, n, opening, dt)
-
-
-@inline
-def symmetric_stage(
-    k: int, acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
-) -> None:
-    """Kick and drift k of bodies whose drift has a closed form."""
-    h = KICKS[k] * dt if k > 0 else opening
-    for b in range(n):
-        shift_time(acting, rows, b, BEFORE[k] * dt)
-        kick(acting, books, rows, b, h)
-        fly(rows, b, DRIFTS[k] * dt)
-        q = get4(rows, Q, b)
-        m = body_momentum(rows, b)
-        put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), DRIFTS[k] * dt))
-
-
-@inline
-def symmetric_step(
-    acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
-) -> None:
-    """Eleven kicks and drifts of these."""
-    for k in range(len(DRIFTS)):
-        symmetric_stage(k, acting, books, rows, n, opening, dt)
-
-
-@inline
-def stage(
-    k: int,
-    is_asymmetric: bool,
-    acting: Acting,
-    books: int | None,
-    rows: Floats,
-    n: int,
-    opening: float,
-    dt: float,
-) -> None:
-    """Kick and drift k where bodies act on each other."""
-    if is_asymmetric:
+    for block in range(first, min(last, moving.layout.asymmetric)):
+        rows, n = moving.blocks[block], moving.layout.size[block]
         if k == 0:
             put(rows, RATE, 0, fastest_turn(rows, n))
-        asymmetric_stage(k, get(rows, RATE, 0), acting, books, rows, n, opening, dt)
-    else:
-        symmetric_stage(k, acting, books, rows, n, opening, dt)
+        turn = abs(drift_dt) * get(rows, RATE, 0)
+        pieces = pieces_of(turn, abs(DRIFTS[k]))
+        iterations = iterations_of(turn / pieces)
+        for b in range(n):
+            shift_time(moving.acting, rows, b, BEFORE[k] * dt)
+            _, L_b, R = kick_body(moving.acting, moving.books, rows, b, kick_dt)
+            fly(rows, b, drift_dt)
+            start_map(rows, b, turn_back(R, L_b), drift_dt / pieces)
+        finish_map(rows, n, iterations)
+        for _ in range(pieces - 1):
+            for b in range(n):
+                start_map(rows, b, body_momentum(rows, b), drift_dt / pieces)
+            finish_map(rows, n, iterations)
 
 
-advance_asymmetric = kernel_from(advance_blocks, "rkn6_asymmetric", step=asymmetric_step, EDGE=EDGE)
-advance_symmetric = kernel_from(advance_blocks, "rkn6_symmetric", step=symmetric_step, EDGE=EDGE)
-together = stages_of("rkn6", stage, len(DRIFTS), EDGE, flows=False)
+@inline
+def drift_symmetric(
+    kind: Flag, moving: MovingBodies, first: int, last: int, k: int, kick_dt: float, dt: float
+) -> None:
+    """Kick, and drift k, of bodies whose drift has a closed form."""
+    if kind is None:
+        return
+    for block in range(max(first, moving.layout.asymmetric), last):
+        rows = moving.blocks[block]
+        for b in range(moving.layout.size[block]):
+            shift_time(moving.acting, rows, b, BEFORE[k] * dt)
+            kick_body(moving.acting, moving.books, rows, b, kick_dt)
+            fly(rows, b, DRIFTS[k] * dt)
+            q = get4(rows, Q, b)
+            m = body_momentum(rows, b)
+            put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), DRIFTS[k] * dt))
 
 
-def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> Motion:
-    """Set off from a state at a time [s]."""
-    del tolerance
-    is_asymmetric = group.bodies.rotor_class == ASYMMETRIC
-    if group.terms.is_coupled:
-        own = np.zeros((OWN_ROWS, is_asymmetric.size))
-        own[:, is_asymmetric] = modified_inertia(group.bodies.inv_inertia[:, is_asymmetric])
-        return CoupledMotion(together, COST, group, state, start, dt, own=own)
-    parts: list[tuple[Ints, Motion]] = []
-    for chosen, advance in (
-        (is_asymmetric, advance_asymmetric),
-        (~is_asymmetric, advance_symmetric),
-    ):
-        which = np.flatnonzero(chosen)
-        if which.size:
-            part = part_of(group, which)
-            rotor = modified_inertia(part.bodies.inv_inertia) if chosen is is_asymmetric else None
-            motion = SteppedMotion(advance, COST, part, taken(state, which), start, dt, own=rotor)
-            parts.append((which, motion))
-    return parts[0][1] if len(parts) == 1 else CompositeMotion(tuple(parts))
+@stage
+def kick_and_drift(
+    moving: MovingBodies, first: int, last: int, k: int, kick_dt: float, dt: float
+) -> None:
+    """A kick, and drift k of a step dt."""
+    drift_asymmetric(moving.rotors.asymmetric, moving, first, last, k, kick_dt, dt)
+    drift_symmetric(moving.rotors.symmetric, moving, first, last, k, kick_dt, dt)
+
+
+@splice
+def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+    """Eleven kicks and drifts; the last kick stays open."""
+    for k in range(len(DRIFTS)):
+        loads(moving)
+        kick_dt = KICKS[k] * dt if k > 0 else CLOSING_KICK * dt + open_kick
+        kick_and_drift(moving, first, last, k, kick_dt, dt)
+
+
+METHOD: Final = Method(
+    name="rkn6",
+    summary="order 6 (8 on free bodies), symmetric; for forces without velocities",
+    order=6,
+    free_order=8,
+    accepts=frozenset({POSE, TIME, BODIES}),
+    cost=66.0,
+    evaluations=len(KICKS),
+    keeps_rods=True,
+    stability_limit=3.0,  # below its first resonance
+    max_turn=3.0,
+    closing_kick=CLOSING_KICK,
+    step=step,
+    rotor_constants=modified_inertia,
+    asymmetric_cost=maps_of,
+)

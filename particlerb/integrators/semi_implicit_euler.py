@@ -10,16 +10,18 @@ others use.
 
 from typing import Final
 
-from particlerb.compiled.jit import inline, kernel_from
+from particlerb.compiled.jit import inline, splice
 from particlerb.forces.kernels import (
-    Acting,
     kick_others,
     kick_potential,
     less_internal,
     load_of_velocity,
     with_power,
 )
+from particlerb.integrators.external_work import book, kick_entry
+from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED, Pose, pose, put_pose
+from particlerb.integrators.stages import MovingBodies, loads, stage
 from particlerb.maths.quaternion import (
     add_scaled4,
     matrix,
@@ -29,7 +31,6 @@ from particlerb.maths.quaternion import (
     turn_back,
 )
 from particlerb.maths.vec3 import (
-    Floats,
     Vec3,
     add_scaled,
     cross,
@@ -38,22 +39,6 @@ from particlerb.maths.vec3 import (
     scale,
 )
 from particlerb.model.block import INV_INERTIA, INV_MASS, get, get3
-from particlerb.model.state import State
-from particlerb.stepping.coupled import CoupledMotion, one_stage
-from particlerb.stepping.external_work import book, kick_entry
-from particlerb.stepping.loop import SteppedMotion, advance_blocks
-from particlerb.stepping.motion import Group
-
-ORDER: Final = 1
-FREE_ORDER: Final = 1
-IS_ADAPTIVE: Final = False
-KEEPS_RODS: Final = False
-ACCEPTS: Final = ACCEPTED
-SUMMARY: Final = "order 1, baseline; the game standard, implicit gyroscopic term; damps; any force"
-COST: Final = 4.0  # ns per body-step, roughly
-EVALUATIONS: Final = 1  # of the forces in a step
-REACH: Final = 2.0  # largest hω of an oscillator that stays bounded
-LONGEST: Final = 0.5  # rad in one step above which it is worth a warning
 
 
 @inline
@@ -77,36 +62,51 @@ def gyroscopic(w: Vec3, inverse: Vec3, dt: float) -> Vec3:
     return add_scaled(-inv, change, w)
 
 
-@inline
-def step(
-    acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
-) -> None:
+@stage
+def kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """Momenta by the forces, rates by the gyroscopic term, then the pose by both."""
-    for b in range(n):
-        y = pose(rows, b)
-        R, inverse = matrix(y.q), get3(rows, INV_INERTIA, b)
-        middle = kick_potential(acting, rows, b, y.x, R, dt, y.p, y.L)
-        p, L = kick_others(acting, rows, b, y.x, R, dt, middle[0], middle[1])
-        zero = (0.0, 0.0, 0.0)
-        against, braking = load_of_velocity(acting, rows, b, y.x, R, y.p, y.L, zero, zero)
-        p, L = add_scaled(dt, against, p), add_scaled(dt, braking, L)
-        entry = kick_entry(rows, b, y.x, R, (y.p, y.L), middle, (p, L))
-        entry = less_internal(acting.pair, acting.contact, rows, b, y.x, dt, entry)
-        book(books, rows, b, 1.0, with_power(acting.clock, acting, rows, b, y.x, R, dt, entry))
-        w = gyroscopic(multiplied3(inverse, turn_back(R, L)), inverse, dt)
-        q = normalised(add_scaled4(dt, times_vector(y.q, scale(0.5, w)), y.q))
-        m = (w[0] / inverse[0], w[1] / inverse[1], w[2] / inverse[2]) if inverse[0] > 0.0 else zero
-        x = add_scaled(dt * get(rows, INV_MASS, b), p, y.x)
-        put_pose(rows, b, Pose(x, q, p, turn(matrix(q), m)))
+    acting, books = moving.acting, moving.books
+    for k in range(first, last):
+        rows = moving.blocks[k]
+        for b in range(moving.layout.size[k]):
+            y = pose(rows, b)
+            R, inverse = matrix(y.q), get3(rows, INV_INERTIA, b)
+            middle = kick_potential(acting, rows, b, y.x, R, dt, y.p, y.L)
+            p, L = kick_others(acting, rows, b, y.x, R, dt, middle[0], middle[1])
+            zero = (0.0, 0.0, 0.0)
+            against, braking = load_of_velocity(acting, rows, b, y.x, R, y.p, y.L, zero, zero)
+            p, L = add_scaled(dt, against, p), add_scaled(dt, braking, L)
+            entry = kick_entry(rows, b, y.x, R, (y.p, y.L), middle, (p, L))
+            entry = less_internal(acting.pair, acting.contact, rows, b, y.x, dt, entry)
+            book(books, rows, b, 1.0, with_power(acting.clock, acting, rows, b, y.x, R, dt, entry))
+            w = gyroscopic(multiplied3(inverse, turn_back(R, L)), inverse, dt)
+            q = normalised(add_scaled4(dt, times_vector(y.q, scale(0.5, w)), y.q))
+            m = (
+                (w[0] / inverse[0], w[1] / inverse[1], w[2] / inverse[2])
+                if inverse[0] > 0.0
+                else zero
+            )
+            x = add_scaled(dt * get(rows, INV_MASS, b), p, y.x)
+            put_pose(rows, b, Pose(x, q, p, turn(matrix(q), m)))
 
 
-advance = kernel_from(advance_blocks, "semi_implicit_euler", step=step, EDGE=0.0)
-together = one_stage("semi_implicit_euler", step, 0.0, flows=False)
+@splice
+def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+    """One stage, with all loads taken at the beginning."""
+    loads(moving)
+    kick_and_drift(moving, first, last, dt)
 
 
-def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> SteppedMotion:
-    """Set off from a state at a time [s]."""
-    del tolerance
-    if group.terms.is_coupled:
-        return CoupledMotion(together, COST, group, state, start, dt, keeps_spin=False)
-    return SteppedMotion(advance, COST, group, state, start, dt, keeps_spin=False)
+METHOD: Final = Method(
+    name="semi_implicit_euler",
+    summary="order 1, baseline; the game standard, implicit gyroscopic term; damps; any force",
+    order=1,
+    free_order=1,
+    accepts=ACCEPTED,
+    cost=4.0,
+    evaluations=1,
+    keeps_angular_momentum=False,
+    stability_limit=2.0,
+    max_turn=0.5,
+    step=step,
+)

@@ -9,58 +9,78 @@ Source: Strang, SIAM J. Numer. Anal. 5, 506 (1968); the rotor: rotors/symmetric_
 
 from typing import Final
 
-from particlerb.compiled.jit import inline, kernel_from
-from particlerb.forces.kernels import Acting, prepare_kick
+from particlerb.compiled.jit import splice
+from particlerb.forces.kernels import prepare_kick
 from particlerb.forces.kinds import BODIES, CONTACT, POSE, TIME, VELOCITY
-from particlerb.maths.quaternion import turn_back
-from particlerb.maths.vec3 import Floats, add_scaled
-from particlerb.model.block import COM, INV_INERTIA, INV_MASS, Q, get, get3, get4, put3, put4
-from particlerb.model.state import State
+from particlerb.integrators.kick import kick_body
+from particlerb.integrators.method import Method
+from particlerb.integrators.stages import MovingBodies, flow_dashpots, kick, loads, stage
+from particlerb.maths.quaternion import matrix, turn_back
+from particlerb.maths.vec3 import add_scaled
+from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
 from particlerb.rotors.symmetric_split import symmetric_split
-from particlerb.stepping.contact_run import TouchingMotion, kernels_of
-from particlerb.stepping.coupled import CoupledMotion, one_stage
-from particlerb.stepping.kicks import kick
-from particlerb.stepping.loop import SteppedMotion, advance_blocks
-from particlerb.stepping.motion import Group, Motion
-from particlerb.stepping.sparse_contact import DiluteMotion, can_fly
 
-ORDER: Final = 2
-FREE_ORDER: Final = 2
-IS_ADAPTIVE: Final = False
-KEEPS_RODS: Final = True
-ACCEPTS: Final = frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT})
-SUMMARY: Final = "order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force"
-COST: Final = 6.0  # ns per body-step, roughly
-EVALUATIONS: Final = 1  # of the forces in a step
-REACH: Final = 2.0  # largest hω of an oscillator that stays bounded
-LONGEST: Final = 0.5  # rad in one step above which it is worth a warning
-EDGE: Final = 0.5
+CLOSING_KICK: Final = 0.5
 
 
-@inline
-def step(
-    acting: Acting, books: int | None, rows: Floats, n: int, opening: float, dt: float
+@stage
+def drift(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+    """Motion without forces."""
+    for k in range(first, last):
+        rows = moving.blocks[k]
+        for b in range(moving.layout.size[k]):
+            q = get4(rows, Q, b)
+            m = turn_back(matrix(q), get3(rows, L, b))
+            path = dt * get(rows, INV_MASS, b)
+            put3(rows, COM, b, add_scaled(path, get3(rows, P, b), get3(rows, COM, b)))
+            put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), dt))
+
+
+@stage
+def kick_and_drift(
+    moving: MovingBodies, first: int, last: int, kick_dt: float, drift_dt: float
 ) -> None:
-    """K(opening) D(dt); the kick of dt/2 that belongs to the end stays open."""
-    prepare_kick(acting, rows, n, opening)
-    for b in range(n):
-        p, L, R = kick(acting, books, rows, b, opening)
-        x, q = get3(rows, COM, b), get4(rows, Q, b)
-        put3(rows, COM, b, add_scaled(dt * get(rows, INV_MASS, b), p, x))
-        put4(rows, Q, b, symmetric_split(q, turn_back(R, L), get3(rows, INV_INERTIA, b), dt))
+    """`kick` and `drift` in one go, without a way to memory in between."""
+    for k in range(first, last):
+        rows, n = moving.blocks[k], moving.layout.size[k]
+        prepare_kick(moving.acting, rows, n, kick_dt)
+        for b in range(n):
+            p, spin, R = kick_body(moving.acting, moving.books, rows, b, kick_dt)
+            x, q = get3(rows, COM, b), get4(rows, Q, b)
+            m = turn_back(R, spin)
+            put3(rows, COM, b, add_scaled(drift_dt * get(rows, INV_MASS, b), p, x))
+            put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), drift_dt))
 
 
-advance = kernel_from(advance_blocks, "strang", step=step, EDGE=EDGE)
-together = one_stage("strang", step, EDGE, flows=True)
-touching = kernels_of("strang", together)
+@splice
+def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+    """Kick, drift; the kick of dt/2 that belongs to the end stays open."""
+    kick_and_drift(moving, first, last, CLOSING_KICK * dt + open_kick, dt)
 
 
-def begin(group: Group, state: State, start: float, dt: float, tolerance: float) -> Motion:
-    """Set off from a state at a time [s]."""
-    del tolerance
-    if group.terms.contact is not None:
-        kind = DiluteMotion if can_fly(group.terms, group.members.size) else TouchingMotion
-        return kind(touching, together, COST, group, state, start, dt)
-    if group.terms.is_coupled:
-        return CoupledMotion(together, COST, group, state, start, dt)
-    return SteppedMotion(advance, COST, group, state, start, dt)
+@splice
+def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+    """The same with flows of dashpots around the drift, in one order and in the reverse order."""
+    flow_dashpots(moving, open_kick, True)
+    loads(moving)
+    kick(moving, first, last, CLOSING_KICK * dt + open_kick)
+    flow_dashpots(moving, CLOSING_KICK * dt, False)
+    drift(moving, first, last, dt)
+
+
+METHOD: Final = Method(
+    name="strang",
+    summary="order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force",
+    order=2,
+    free_order=2,
+    accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT}),
+    cost=6.0,
+    evaluations=1,
+    keeps_rods=True,
+    stability_limit=2.0,
+    max_turn=0.5,
+    closing_kick=CLOSING_KICK,
+    step=step,
+    coupled_step=coupled_step,
+    has_dashpot_flows=True,
+)

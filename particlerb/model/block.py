@@ -23,11 +23,11 @@ COM: Final = 0
 Q: Final = 3
 P: Final = 7
 L: Final = 10
-BOOKED: Final = 13  # work, impulse, angular impulse: see stepping/external_work.py
+BOOKED: Final = 13  # work, impulse, angular impulse: see integrators/external_work.py
 CHANGING: Final = 20  # rows before this one change with time
 INV_MASS: Final = 20
 INV_INERTIA: Final = 21
-OWN: Final = 24  # constants of a method's rotor
+ROTOR: Final = 24  # constants of asymmetric bodies that a method asks for
 SCRATCH: Final = 46
 LOADS: Final = 56  # from here on the parameters of the terms
 

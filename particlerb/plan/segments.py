@@ -186,7 +186,7 @@ def held(bodies: Bodies, fixed: Bools) -> Bodies:
 
 def refused_terms(method: str, terms: Terms) -> list[str]:
     """Names of the terms that need more than a method takes into account."""
-    able = METHODS[method].ACCEPTS
+    able = METHODS[method].accepts
     return sorted(name for name, needs in needs_of(terms).items() if not needs <= able)
 
 
@@ -197,12 +197,12 @@ def accepts(method: str, terms: Terms) -> bool:
 
 def has_step(method: str) -> bool:
     """Whether a method steps; a closed form does not."""
-    return METHODS[method].ORDER is not None
+    return METHODS[method].order > 0
 
 
 def is_adaptive(method: str) -> bool:
     """Whether a method chooses its steps itself."""
-    return bool(METHODS[method].IS_ADAPTIVE)
+    return bool(METHODS[method].is_adaptive)
 
 
 def chosen_method(named: str, bodies: Bodies, terms: Terms) -> str:
@@ -299,7 +299,7 @@ def refuse_unstable(case: Case, scene: System, groups: tuple[GroupPlan, ...]) ->
             if segment.terms.contact is None:
                 continue
             rate = fastest_contact(scene, group, segment)
-            reach = METHODS[segment.method].REACH * damped_share(segment.terms.contact)
+            reach = METHODS[segment.method].stability_limit * damped_share(segment.terms.contact)
             limit = reach / rate if rate > 0.0 else np.inf
             if segment is group.segments[0]:
                 refuse_crowded(case, scene, group, reach)
@@ -319,7 +319,7 @@ def refuse_unstable(case: Case, scene: System, groups: tuple[GroupPlan, ...]) ->
 def stable_turn(plan: Plan) -> float:
     """Largest ω dt [rad] at which bodies stay at rest on several damped contacts."""
     limits = [
-        METHODS[segment.method].REACH * damped_share(segment.terms.contact)
+        METHODS[segment.method].stability_limit * damped_share(segment.terms.contact)
         for group in plan.groups
         for segment in group.segments
         if segment.terms.contact is not None
@@ -535,7 +535,7 @@ def step_warnings(case: Case, scene: System, groups: tuple[GroupPlan, ...]) -> l
         name = scene.names[int(group.members[0])]
         for segment in stepped:
             method, turn = METHODS[segment.method], segment.dt * rate
-            limit = stable_step(scene, group, segment) if turn > method.REACH else np.inf
+            limit = stable_step(scene, group, segment) if turn > method.stability_limit else np.inf
             contact = 0.0
             if segment.terms.contact is not None:
                 contact = fastest_contact(scene, group, segment)
@@ -550,7 +550,7 @@ def step_warnings(case: Case, scene: System, groups: tuple[GroupPlan, ...]) -> l
                     f" springs of bodies like {name} it grows without bound above {limit:.6g} s"
                 )
                 found["limit"] = max(found.get("limit", (0.0, "", 0.0)), (turn, reason, rate))
-            elif turn > method.LONGEST:
+            elif turn > method.max_turn:
                 reason = f"the step of {segment.dt:.6g} s turns bodies like {name} by up to"
                 reason += f" {turn:.3g} rad"
                 found["turn"] = max(found.get("turn", (0.0, "", 0.0)), (turn, reason, rate))
@@ -574,4 +574,4 @@ def stable_step(scene: System, group: GroupPlan, segment: Segment) -> float:
         return np.inf
     state = taken(scene.state, group.members)
     rate = fastest_oscillation(everything, group.bodies, state.com, state.q)
-    return float(METHODS[segment.method].REACH / rate) if rate > 0.0 else np.inf
+    return float(METHODS[segment.method].stability_limit / rate) if rate > 0.0 else np.inf

@@ -12,6 +12,7 @@ from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import Frames, State, multiplied
 from particlerb.plan.segments import GroupPlan, Segment
+from particlerb.stepping.begin import begin
 from particlerb.stepping.contact_run import TouchingMotion
 from particlerb.stepping.motion import Group, Motion
 from particlerb.stepping.pair_forces import PairForces
@@ -91,10 +92,8 @@ class GroupRun:
     def set_off(self) -> Motion:
         """Motion of this segment from its first state."""
         segment = self.segment
-        motion: Motion = METHODS[segment.method].begin(
-            self.group(), self.first, segment.start, segment.dt, segment.tolerance
-        )
-        return motion
+        method, tolerance = METHODS[segment.method], segment.tolerance
+        return begin(method, self.group(), self.first, segment.start, segment.dt, tolerance)
 
     def group(self) -> Group:
         """What the method needs for this segment; pistons go on from where they are."""

@@ -371,7 +371,7 @@ def rod_limits(plan: Plan, n_bodies: int) -> Floats:
     """Share of L along its axis with which each body, were it a rod, is taken to turn about it."""
     limits = np.full(n_bodies, ROD_ROUNDING)
     for group in plan.groups:
-        if not all(METHODS[segment.method].KEEPS_RODS for segment in group.segments):
+        if not all(METHODS[segment.method].keeps_rods for segment in group.segments):
             limits[group.members] = ROD_ERROR
     return limits
 

@@ -142,13 +142,13 @@ class Pilot:
         """Time that n bodies of the group take for so many steps, by the table [ns]."""
         method = METHODS[stepping.method]
         lanes = max(n, FEW)
-        if method.IS_ADAPTIVE and n > 1 and not self.is_coupled:
+        if method.is_adaptive and n > 1 and not self.is_coupled:
             lanes = -(-n // PACK) * PACK
-        each = method.COST
-        if stepping.method == "rkn6":
+        each = method.cost
+        if method.asymmetric_cost is not None:
             asymmetric = np.mean(self.group.bodies.rotor_class == ASYMMETRIC)
-            each *= 1.0 + asymmetric * (method.maps(stepping.dt * self.rate) - 1.0)
-        return float(steps * (lanes * each + method.EVALUATIONS * self.cost_between))
+            each *= 1.0 + asymmetric * (method.asymmetric_cost(stepping.dt * self.rate) - 1.0)
+        return float(steps * (lanes * each + method.evaluations * self.cost_between))
 
 
 def per_pack(rates: Floats) -> float:
@@ -169,8 +169,8 @@ class Ladder:
 
     def __init__(self, pilot: Pilot, name: str) -> None:
         self.pilot, self.name, self.method = pilot, name, METHODS[name]
-        self.order = 1 if self.method.IS_ADAPTIVE else self.method.ORDER  # of the error
-        self.goal = pilot.wanted * DEARER**-self.method.ORDER
+        self.order = 1 if self.method.is_adaptive else self.method.order  # of the error
+        self.goal = pilot.wanted * DEARER**-self.method.order
         self.times = np.linspace(0.0, pilot.case.run.t_end, TIMES + 1)[1:]
         self.tried: list[Tried] = []  # the coarsest first
         self.errors: list[float] = []  # of all but the finest, which stands for the truth
@@ -182,14 +182,14 @@ class Ladder:
 
         Where that is dearer than another method it is not even compiled.
         """
-        turn = LONGER * ADAPTED * self.pilot.wanted ** (1.0 / self.method.ORDER)
+        turn = LONGER * ADAPTED * self.pilot.wanted ** (1.0 / self.method.order)
         steps = self.pilot.rate * sum(self.pilot.lengths) / turn
         n = self.pilot.group.members.size
         return max(self.pilot.cost(self.stepping(COARSEST), steps, n), LEAST)
 
     def stepping(self, setting: float) -> Stepping:
         """How bodies are stepped with a setting."""
-        if self.method.IS_ADAPTIVE:
+        if self.method.is_adaptive:
             reason = f"{self.name}, by the error estimates of the bodies"
             return Stepping(self.name, self.pilot.longest(0.1), setting, reason)
         instead = ", in place of run.dt" if self.pilot.case.run.dt is not None else ""
@@ -279,12 +279,12 @@ class Ladder:
     @property
     def is_stepped(self) -> bool:
         """Whether a setting is a step, and not a tolerance."""
-        return not self.method.IS_ADAPTIVE
+        return not self.method.is_adaptive
 
     @property
     def near(self) -> float:
         """Ratio of settings whose costs are as 1 to NEAR."""
-        return float(NEAR ** (self.method.ORDER / self.order))
+        return float(NEAR ** (self.method.order / self.order))
 
     @property
     def error(self) -> float:
@@ -328,7 +328,7 @@ class Ladder:
             steps = float(sum(math.ceil(length / setting) for length in self.pilot.lengths))
         else:
             near = min(self.tried, key=lambda one: abs(math.log(one.setting / setting)))
-            steps = near.steps * (near.setting / setting) ** (1.0 / self.method.ORDER)
+            steps = near.steps * (near.setting / setting) ** (1.0 / self.method.order)
             steps *= self.pilot.calm if n > self.pilot.which.size else 1.0
         return self.pilot.cost(self.stepping(setting), steps, n)
 

@@ -24,6 +24,7 @@ from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.plan.segments import GroupPlan, Plan, has_step, is_adaptive, rates
 from particlerb.simulation.group_run import Energies, GroupRun, initial_energies, record_all
 from particlerb.simulation.run import counted
+from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import CompositeMotion, part_of
 
 
@@ -153,8 +154,9 @@ def poses(group: GroupPlan, state: State, times: Floats) -> tuple[Frames, float]
     for segment in group.segments:
         for jump in segment.jumps:
             state, _ = apply_impulse(jump, group.bodies, state)
-        motion = METHODS[segment.method].begin(
-            group.group(segment), state, segment.start, segment.dt, segment.tolerance
+        method, tolerance = METHODS[segment.method], segment.tolerance
+        motion: Any = begin(
+            method, group.group(segment), state, segment.start, segment.dt, tolerance
         )
         forget_accounts(motion)
         rows = np.arange(done, np.searchsorted(times, segment.stop, side="left"))

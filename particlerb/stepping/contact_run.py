@@ -10,13 +10,12 @@ belongs to the grid: partial steps to frames work on a copy.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from types import FunctionType
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.barrier import ALONE, Team, largest, meet, share_of, together
-from particlerb.compiled.jit import inline, kernel, kernel_from
+from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.body_loads import collect_loads, load_pistons, stored_energy
 from particlerb.contact.contact_frequency import contact_frequency
 from particlerb.contact.contact_model import (
@@ -83,29 +82,28 @@ from particlerb.contact.wall_motion import (
     wall_displacement,
 )
 from particlerb.contact.wall_search import WallSearch, find_wall_shells
-from particlerb.forces import acting_of
-from particlerb.forces.attraction import Attraction, Work
-from particlerb.forces.kernels import Acting
-from particlerb.forces.links import Links
 from particlerb.forces.registry import PAIR, STEADY
+from particlerb.integrators.method import Method
+from particlerb.integrators.stages import (
+    Layout,
+    MovingBodies,
+    PairTerms,
+    gather_block,
+    kick,
+    over_threads,
+    pair_loads,
+    scatter_block,
+    set_times,
+)
+from particlerb.integrators.strang import CLOSING_KICK, kick_and_drift
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import COM, L, P, Q, copy_changing, get, get3, get4, put, put3, put4
 from particlerb.model.load import CONTACT_ROWS
 from particlerb.model.state import Frames, State
-from particlerb.stepping.coupled import (
-    CoupledMotion,
-    Layout,
-    Stages,
-    close_blocks,
-    gather_block,
-    scatter_block,
-    set_times,
-    store_blocks,
-)
-from particlerb.stepping.loop import PAUSE, Schedule
+from particlerb.stepping.loop import PAUSE, Recording, Schedule, store_blocks
 from particlerb.stepping.motion import Group, MotionError
-from particlerb.stepping.pair_forces import PairForces, PairTerms, loads_over_threads, pair_loads
 from particlerb.stepping.saved_arrays import Saved, filled, flat, under, within
+from particlerb.stepping.stepped_motion import SteppedMotion
 
 NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
 WORTH_THREADS: Final = 6e4  # ns of a step from which on a second thread pays for its start
@@ -158,10 +156,7 @@ class Copies(NamedTuple):
 
 @kernel
 def place_blocks(
-    blocks: Floats,
-    layout: Layout,
-    others: int | None,
-    y: Floats,
+    moving: MovingBodies,
     contact: GroupContact,
     room: Workspace,
     memory: StepMemory,
@@ -174,6 +169,7 @@ def place_blocks(
     It is further than half the skin where lists are used up because something else has moved.
     """
     allowance, way, v, w = 0.5 * SLACK * contact.skin, 0.0, 0.0, 0.0
+    blocks, layout = moving.blocks, moving.layout
     first, end = share_of(team, 0, len(blocks))
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
@@ -182,14 +178,27 @@ def place_blocks(
         place_bodies(contact.model, room, rows, memory.last, ahead, lo, n)
         speeds = max_speeds(room.bodies, lo, lo + n)
         v, w = max(v, speeds[0]), max(w, speeds[1])
-        if others is not None:
-            gather_block(rows, y, lo, n)
+        gather_pairs(moving.pairs, rows, lo, n)
     if team.rank == 0:
         put_poses(contact.motions, memory.start + time, room.poses)
         place_pistons(contact.pistons, memory.slides, ahead, room.poses)
         if pistons_have_moved(contact.pistons, memory.slides, allowance):
             way = np.inf
     return largest(team, way, v, w)
+
+
+@inline
+def gather_pairs(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> None:
+    """Bring states of a block to where forces without touching are evaluated, if there are any."""
+    if pairs is not None:
+        gather_block(rows, pairs.y, lo, n)
+
+
+@inline
+def scatter_pairs(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> None:
+    """Write these forces into the rows of a block."""
+    if pairs is not None:
+        scatter_block(pairs.load, rows, PAIR, 0, lo, n)
 
 
 @inline
@@ -268,10 +277,7 @@ def touch(
 
 @kernel
 def load_blocks(
-    blocks: Floats,
-    layout: Layout,
-    others: int | None,
-    load: Floats,
+    moving: MovingBodies,
     scene: ContactModel,
     room: Workspace,
     lists: NeighbourLists,
@@ -280,14 +286,14 @@ def load_blocks(
     team: Team,
 ) -> None:
     """Write the loads of bodies: see `body_loads.collect_loads`."""
+    blocks, layout = moving.blocks, moving.layout
     first, end = share_of(team, 0, len(blocks))
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         for c in range(CONTACT_ROWS):
             for b in range(n):
                 put(rows, PAIR + c, b, 0.0)
-        if others is not None:
-            scatter_block(load, rows, PAIR, 0, lo, n)
+        scatter_pairs(moving.pairs, rows, lo, n)
         collect_loads(scene, room, lists, rows, PAIR, STEADY, lo, n, later, span)
 
 
@@ -380,111 +386,78 @@ def recall(contacts: ContactList, team: Team) -> None:
 # The loop
 
 
-@inline
-def move_blocks(
-    blocks: Floats,
-    layout: Layout,
-    acting: Acting,
-    books: int | None,
-    k: int,
-    opening: float,
-    dt: float,
-    first: int,
-    last: int,
-) -> None:
-    """Stage k of some blocks; stands for that of a method."""
-    raise NotImplementedError
-
-
-EDGE: Final = 0.5
-
-
 def advance_touching(  # noqa: PLR0912, PLR0915
-    blocks: Floats,
-    layout: Layout,
-    acting: Acting,
-    books: int | None,
-    others: int | None,
-    pairs: PairTerms,
+    moving: MovingBodies,
     contact: GroupContact,
     room: Workspace,
     lists: NeighbourLists,
     memory: StepMemory,
     schedule: Schedule,
     place: LoopPosition,
-    rotor_frame: Floats,
-    members: Ints,
-    frames: Frames,
-    sums: Floats,
+    recording: Recording,
     elastic: Floats,
     pressed: Records,
     saved: Copies,
     team: Team,
 ) -> LoopPosition:
     """Take a group through a schedule until its lists have to be made anew; where it is then."""
-    dt, _, steps, rest, frame = schedule
-    links, attraction, work, with_dashpots, y, load, _ = pairs
-    stop, begin, time, is_open, kick, reached = place
+    dt, _, steps, partial_steps, frame = schedule
+    blocks, layout = moving.blocks, moving.layout
+    stop, begin, time, open_kick, last_kick, reached = place
     pistons, slides = contact.pistons, memory.slides
     first, end = share_of(team, 0, len(blocks))
     for s in range(stop, steps.size):
-        was_open, was_kick = 0.0, 0.0
+        open_on_grid, kick_on_grid = 0.0, 0.0
         for i in range(begin, steps[s] + 1):  # the last is the partial step to a frame
             h = dt
             if i == steps[s]:
                 if frame[s] < 0:
                     break
-                h = rest[s]
-            before, ahead = is_open / EDGE, is_open / kick if kick > 0.0 else 0.0
+                h = partial_steps[s]
+            before = open_kick / CLOSING_KICK
+            ahead = open_kick / last_kick if last_kick > 0.0 else 0.0
             v, w = 0.0, 0.0
             if h > 0.0:
-                way, v, w = place_blocks(
-                    blocks, layout, others, y, contact, room, memory, time, ahead, team
-                )
+                way, v, w = place_blocks(moving, contact, room, memory, time, ahead, team)
                 if are_used_up(contact, memory, time, way):
-                    return LoopPosition(s, i, time, is_open, kick, reached)
+                    return LoopPosition(s, i, time, open_kick, last_kick, reached)
                 reached = max(reached, reach_of(lists, way, v, w, before, h))
             if i == steps[s]:
                 save(blocks, layout, memory, lists, saved, team)
-                was_open, was_kick = is_open, kick
+                open_on_grid, kick_on_grid = open_kick, last_kick
             if h > 0.0:
                 remember(blocks, layout, memory.last, team)
                 if team.rank == 0:
-                    other_loads(others, links, attraction, work, with_dashpots, y, load)
+                    other_loads(moving.pairs)
                 touch(contact, room, lists, before, h, v, w, reached, team)
                 meet(team)
-                kick, later = is_open + EDGE * h, h - before
-                span = kick if i < steps[s] else 0.0
-                load_blocks(
-                    blocks, layout, others, load, contact.model, room, lists, later, span, team
-                )
+                last_kick, later = open_kick + CLOSING_KICK * h, h - before
+                span = last_kick if i < steps[s] else 0.0
+                load_blocks(moving, contact.model, room, lists, later, span, team)
                 if team.rank == 0:
                     load_pistons(pistons, slides, lists.walls, contact.model, later)
-                    kick_pistons(pistons, slides, is_open, EDGE * h, True)
+                    kick_pistons(pistons, slides, open_kick, CLOSING_KICK * h, True)
                     drift_pistons(pistons, slides, h)
-                set_times(blocks, layout, acting, time, first, end)
-                move_blocks(blocks, layout, acting, books, 0, kick, h, first, end)
-                is_open = EDGE * h
+                set_times(moving, first, end, time)
+                kick_and_drift(moving, first, end, last_kick, h)
+                open_kick = CLOSING_KICK * h
                 time += dt if i < steps[s] else 0.0
-        now = time + (rest[s] if frame[s] >= 0 else 0.0)
-        if frame[s] != PAUSE and is_open > 0.0:
-            before, ahead = is_open / EDGE, is_open / kick if kick > 0.0 else 0.0
-            way, v, w = place_blocks(
-                blocks, layout, others, y, contact, room, memory, now, ahead, team
-            )
+        now = time + (partial_steps[s] if frame[s] >= 0 else 0.0)
+        if frame[s] != PAUSE and open_kick > 0.0:
+            before = open_kick / CLOSING_KICK
+            ahead = open_kick / last_kick if last_kick > 0.0 else 0.0
+            way, v, w = place_blocks(moving, contact, room, memory, now, ahead, team)
             reached = max(reached, reach_of(lists, way, v, w, before, 0.0))
             if team.rank == 0:
-                other_loads(others, links, attraction, work, with_dashpots, y, load)
+                other_loads(moving.pairs)
             touch(contact, room, lists, before, 0.0, v, w, reached, team)
             meet(team)
-            load_blocks(
-                blocks, layout, others, load, contact.model, room, lists, -before, 0.0, team
-            )
-            set_times(blocks, layout, acting, now, first, end)
-            close_blocks(blocks, layout, acting, books, is_open, first, end)
+            load_blocks(moving, contact.model, room, lists, -before, 0.0, team)
+            set_times(moving, first, end, now)
+            kick(moving, first, end, open_kick)
             if team.rank == 0:
                 load_pistons(pistons, slides, lists.walls, contact.model, -before)
-                kick_pistons(pistons, slides, is_open, 0.0, False)
+                kick_pistons(pistons, slides, open_kick, 0.0, False)
         if frame[s] != PAUSE:
             for k in range(first, end):
                 t = memory.start + now
@@ -495,59 +468,23 @@ def advance_touching(  # noqa: PLR0912, PLR0915
                 elastic[frame[s]] = stored_energy(lists.spheres) + stored_energy(lists.walls)
                 for k in range(slides.size):
                     pressed[frame[s], k] = slides[k]
-            store_blocks(
-                blocks, layout, books, rotor_frame, members, frames, sums, frame[s], first, end
-            )
+            store_blocks(moving, first, end, recording, frame[s])
             restore(blocks, layout, memory, lists, saved, team)
-            is_open, kick = was_open, was_kick
+            open_kick, last_kick = open_on_grid, kick_on_grid
         begin = 0
-    return LoopPosition(steps.size, 0, time, is_open, kick, reached)
+    return LoopPosition(steps.size, 0, time, open_kick, last_kick, reached)
 
 
 @inline
-def other_loads(
-    others: int | None,
-    links: Links | None,
-    attraction: Attraction | None,
-    work: Work | None,
-    with_dashpots: bool,
-    y: Floats,
-    load: Floats,
-) -> None:
+def other_loads(pairs: PairTerms | None) -> None:
     """Loads of bodies on each other without touching, if there are any."""
-    if others is None:
+    if pairs is None:
         return
+    links, attraction, work, with_dashpots, y, load, _ = pairs
     pair_loads(links, attraction, work, with_dashpots, y, load)
 
 
-def other_loads_over_threads(
-    others: int | None,
-    links: Links | None,
-    attraction: Attraction | None,
-    forces: PairForces,
-    with_dashpots: bool,
-    y: Floats,
-    load: Floats,
-) -> None:
-    """Stands for `other_loads` where the loop around it runs as Python."""
-    loads_over_threads(links, attraction, forces, with_dashpots, y, load)
-
-
-class Kernels(NamedTuple):
-    """The loop of a method, compiled, and as Python that spreads other forces over threads."""
-
-    compiled: Callable[..., LoopPosition]
-    spread: Callable[..., LoopPosition]
-
-
-def kernels_of(name: str, stages: Stages) -> Kernels:
-    """Kernels of a method with one stage."""
-    own: dict[str, Any] = {"EDGE": stages.edge, "move_blocks": stages.move_blocks}
-    compiled = kernel_from(advance_touching, f"{name}_touching", **own)
-    own["other_loads"] = other_loads_over_threads
-    names = advance_touching.__globals__ | own
-    spread: Any = FunctionType(advance_touching.__code__, names, f"{name}_touching_spread")
-    return Kernels(compiled, spread)
+compiled = kernel(advance_touching)
 
 
 def is_due(count: int) -> bool:
@@ -568,23 +505,22 @@ def lost_pair(found: Missed, members: Ints, time: float, skin: float) -> str:
 
 def one_by_one(schedule: Schedule) -> Iterator[Schedule]:
     """The stops of a schedule, each as a schedule."""
-    done = schedule.done
+    done = schedule.steps_before
     for k, steps in enumerate(schedule.steps.tolist()):
         own = slice(k, k + 1)
         yield Schedule(
-            schedule.dt, done, schedule.steps[own], schedule.rest[own], schedule.frame[own]
+            schedule.dt, done, schedule.steps[own], schedule.partial[own], schedule.frame[own]
         )
         done += steps
 
 
-class TouchingMotion(CoupledMotion):
+class TouchingMotion(SteppedMotion):
     """A group of bodies that touch; see `motion.Motion`.
 
     Parameters
     ----------
-    kernels : Kernels
-    stages, cost, group, state, start, dt :
-        As for `CoupledMotion`.
+    method, group, state, start, dt :
+        As for `SteppedMotion`.
     numbers : ndarray, shape (n_spheres,), optional
         Of the spheres, ascending, where they are some of more.
     kept : tuple of 2 ContactHistory, optional
@@ -595,9 +531,7 @@ class TouchingMotion(CoupledMotion):
 
     def __init__(
         self,
-        kernels: Kernels,
-        stages: Stages,
-        cost: float,
+        method: Method,
         group: Group,
         state: State,
         start: float,
@@ -610,10 +544,11 @@ class TouchingMotion(CoupledMotion):
         assert contact is not None
         spheres = contact.model.spheres
         n, n_spheres = group.members.size, spheres.radius.size
-        cost += NANOSECONDS_PER_SPHERE * n_spheres / n
+        super().__init__(method, group, state, start, dt)
+        cost = method.cost + NANOSECONDS_PER_SPHERE * n_spheres / n
         self.to_make, self.to_step = TO_MAKE + TO_MAKE_SPHERE * n_spheres, cost * n  # [ns]
-        super().__init__(stages, cost, group, state, start, dt)
-        self.kernels, self.contact = kernels, contact
+        self.cost += NANOSECONDS_PER_SPHERE * n_spheres
+        self.contact = contact
         self.search = SphereSearch(spheres.radius, spheres.body)
         self.radius = np.full(n, np.inf)
         np.minimum.at(self.radius, spheres.body, spheres.radius)
@@ -639,8 +574,6 @@ class TouchingMotion(CoupledMotion):
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
         self.primitives = np.arange(contact.model.walls.kind.size)
         self.kept = kept or (empty_history(contact.model.law.rolling is not None),) * 2
-        terms = group.terms
-        self.others = None if terms.links is None and terms.attraction is None else 1
         is_worth_it = NANOSECONDS_PER_SPHERE * n_spheres > WORTH_THREADS
         self.threads = len(self.blocks) if is_worth_it else 1
         self.make_lists()
@@ -891,9 +824,9 @@ class TouchingMotion(CoupledMotion):
 
     def put_places(self, ahead: float) -> tuple[float, float, float]:
         """Place bodies and walls at the time of now; see `place_blocks`."""
-        y, contact, time = self.forces.pairs.y, self.contact, self.place.time
+        moving = self.moving._replace(pairs=None)
         return place_blocks(
-            self.blocks, self.layout, None, y, contact, self.room, self.memory, time, ahead, ALONE
+            moving, self.contact, self.room, self.memory, self.place.time, ahead, ALONE
         )
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
@@ -922,14 +855,13 @@ class TouchingMotion(CoupledMotion):
             return None
         return pistons._replace(start=to_floats(self.memory.slides)[:, :2].copy())
 
-    def run(self, schedule: Schedule, count: int, frames: Frames, sums: Floats) -> None:
+    def run(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule; stop at each frame if it is to show who touches whom."""
-        del count
         if not self.contact.with_output:
-            self.run_through(schedule, frames, sums)
+            self.run_through(schedule, recording)
             return
         for stop in one_by_one(schedule):
-            self.run_through(stop, frames, sums)
+            self.run_through(stop, recording)
             row = int(stop.frame[0])
             if row >= 0:
                 self.touches[row] = self.seen(self.slides[row])
@@ -947,23 +879,20 @@ class TouchingMotion(CoupledMotion):
             velocity[pistons.wall] += ahead[:, None] * pistons.axis
         return contact_output(found, centre, velocity)
 
-    def run_through(self, schedule: Schedule, frames: Frames, sums: Floats) -> None:
+    def run_through(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule, with new lists where they are used up."""
-        group, is_large = self.group, self.forces.is_large
-        advance: Callable[..., LoopPosition] = (
-            self.kernels.spread if is_large else self.kernels.compiled
-        )
-        pairs = self.forces.for_python if is_large else self.forces.pairs
+        forces = self.forces
+        spread: Callable[..., LoopPosition] | None = None
+        if forces is not None and forces.is_large:
+            spread = over_threads(advance_touching, other_loads=lambda _: forces.evaluate())
         while True:
             kept = self.lists.spheres.history, self.lists.walls.history, self.memory.slides
             saved = Copies(self.saved, np.empty_like(self.memory.last), *map(np.empty_like, kept))
             through = partial(
-                advance, self.blocks, self.layout, acting_of(group.terms), self.account.books,
-                self.others, pairs, self.contact, self.room, self.lists, self.memory, schedule,
-                self.place, group.bodies.rotor_frame, group.members, frames, sums, self.energies,
-                self.slides, saved,
+                spread or compiled, self.moving, self.contact, self.room, self.lists,
+                self.memory, schedule, self.place, recording, self.energies, self.slides, saved,
             )  # fmt: skip
-            self.place = through(ALONE) if is_large else together(through, self.threads)
+            self.place = together(through, self.threads) if spread is None else through(ALONE)
             self.refuse_light_pistons()
             self.refuse_deep()
             if self.place.stop == schedule.steps.size:

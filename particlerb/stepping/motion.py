@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from particlerb.compiled.jit import flag
 from particlerb.forces import Terms, force_of_loads, is_constant, terms_on, work_of_potentials
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
@@ -99,9 +100,9 @@ class WorkAccount:
     step. Who looks at poses alone clears `is_kept`: then all that was given is 0.
     """
 
-    def __init__(self, group: Group, state: State, keeps_spin: bool = True) -> None:
+    def __init__(self, group: Group, state: State, keeps_angular_momentum: bool = True) -> None:
         self.group, self.first = group, state
-        self.books = None if is_constant(group.terms) and keeps_spin else 1
+        self.books = flag(not (is_constant(group.terms) and keeps_angular_momentum))
         self.is_kept = True
 
     @cached_property

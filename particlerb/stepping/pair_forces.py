@@ -5,23 +5,16 @@ is in blocks is brought there and back. Small scenes are evaluated by one kernel
 over steps, large ones from Python, spread over threads: the sums are the same to the bit.
 """
 
-from typing import Any, Final, NamedTuple, cast
+from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import inline
 from particlerb.compiled.threads import THREADS
 from particlerb.forces import Terms
-from particlerb.forces.attraction import (
-    Attraction,
-    Work,
-    attraction_loads,
-    potential_energy,
-    spread_loads,
-    work_of,
-)
+from particlerb.forces.attraction import potential_energy, spread_loads, work_of
 from particlerb.forces.gravity_tree.tree import Tree
-from particlerb.forces.links import Links, link_energy, link_loads
+from particlerb.forces.links import link_energy, link_loads
+from particlerb.integrators.stages import PairTerms
 from particlerb.maths.vec3 import Floats
 from particlerb.model.load import LOAD_ROWS, STATE_ROWS
 
@@ -30,54 +23,6 @@ NANOSECONDS_PER_LINK: Final = 15.0
 NANOSECONDS_TO_CALL: Final = 150.0
 NANOSECONDS_IN_TREE: Final = 5000.0  # per particle
 WORTH_THREADS: Final = 1e6  # ns of an evaluation from which on threads pay for their start
-
-
-class PairTerms(NamedTuple):
-    """What kernels need to evaluate a group."""
-
-    links: Links | None
-    attraction: Attraction | None
-    work: Work | None
-    with_dashpots: bool  # whether they are among the loads: splittings have a flow for them
-    y: Floats  # (13, n) states
-    load: Floats  # (13, n), rows of model/load.py
-    booked: Floats  # (13, n) the same rows, of flows
-
-
-@inline
-def attraction_into(
-    attraction: Attraction | None, work: Work | None, y: Floats, load: Floats
-) -> None:
-    """Add the loads of a direct sum, if there is one."""
-    if attraction is None or work is None:
-        return
-    attraction_loads(attraction, work, y, load)
-
-
-@inline
-def clear(load: Floats) -> None:
-    """Make all loads zero."""
-    for c in range(load.shape[0]):
-        for b in range(load.shape[1]):
-            load[c, b] = 0.0
-
-
-@inline
-def pair_loads(
-    links: Links | None,
-    attraction: Attraction | None,
-    work: Work | None,
-    with_dashpots: bool,
-    y: Floats,
-    load: Floats,
-) -> None:
-    """Loads in the state y, on this thread.
-
-    Takes what `PairTerms` has one by one: unpacking it in each call costs more than two points.
-    """
-    clear(load)
-    link_loads(links, y, load, with_dashpots)
-    attraction_into(attraction, work, y, load)
 
 
 def cost_of(terms: Terms) -> float:
@@ -125,11 +70,6 @@ class PairForces:
         )
 
     @property
-    def for_python(self) -> Any:
-        """Pairs as a loop that runs as Python takes them: its `loads_over_threads` finds this."""
-        return self.pairs._replace(work=cast(Any, self))
-
-    @property
     def is_large(self) -> bool:
         """Whether it is to be evaluated from Python, over threads; a tree always is."""
         return self.tree is not None or (THREADS.count > 1 and self.cost > WORTH_THREADS)
@@ -156,15 +96,3 @@ class PairForces:
         if self.tree is not None:
             energy += self.tree.potential_energy(y)
         return energy
-
-
-def loads_over_threads(
-    links: Links | None,
-    attraction: Attraction | None,
-    forces: PairForces,
-    with_dashpots: bool,
-    y: Floats,
-    load: Floats,
-) -> None:
-    """Stands for `pair_loads` where the loop around it runs as Python."""
-    forces.evaluate()

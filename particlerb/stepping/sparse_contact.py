@@ -35,12 +35,12 @@ from particlerb.contact.wall_motion import (
 )
 from particlerb.contact.wall_search import WallSearch
 from particlerb.forces import Terms, terms_on
-from particlerb.integrators.exact import FreeMotion
+from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import Frames, State, turned
-from particlerb.stepping.contact_run import Kernels, TouchingMotion, is_due, lost_pair
-from particlerb.stepping.coupled import Stages
+from particlerb.stepping.contact_run import TouchingMotion, is_due, lost_pair
+from particlerb.stepping.free_motion import FreeMotion
 from particlerb.stepping.motion import CompositeMotion, Group, Motion, MotionError
 from particlerb.stepping.saved_arrays import Saved, filled, flat, under, within
 
@@ -79,8 +79,8 @@ class Interval:
         if stepped.size:
             own, spheres = parent.part(stepped)
             self.touching = TouchingMotion(
-                parent.kernels, parent.stages, parent.cost, own, taken(state, stepped), start,
-                parent.dt, spheres, kept, self.watch,
+                parent.method, own, taken(state, stepped), start, parent.dt, spheres, kept,
+                self.watch,
             )  # fmt: skip
             self.motions.append((stepped, self.touching))
         if flying.size:
@@ -121,15 +121,13 @@ class DiluteMotion:
 
     Parameters
     ----------
-    kernels, stages, cost, group, state, start, dt :
+    method, group, state, start, dt :
         As for `TouchingMotion`.
     """
 
     def __init__(
         self,
-        kernels: Kernels,
-        stages: Stages,
-        cost: float,
+        method: Method,
         group: Group,
         state: State,
         start: float,
@@ -137,7 +135,7 @@ class DiluteMotion:
     ) -> None:
         contact = group.terms.contact
         assert contact is not None
-        self.kernels, self.stages, self.cost = kernels, stages, cost
+        self.method = method
         self.group, self.contact, self.start, self.dt = group, contact, start, dt
         self.skin = 2.0 * contact.skin
         spheres, n = contact.model.spheres, group.members.size
@@ -147,7 +145,7 @@ class DiluteMotion:
         self.walls = WallSearch(contact.model.walls, self.bound)
         self.no_reach = np.zeros(n)  # a sphere around a body does not move when it turns
         self.wall_motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
-        whole = TouchingMotion(kernels, stages, cost, group, state, start, dt)
+        whole = TouchingMotion(method, group, state, start, dt)
         self.nothing = all_inactive(whole.lists)
         self.elastic, self.energies = whole.elastic, np.zeros(0)
         self.at_rest, self.kinetic = 0.0, np.zeros(0)  # [J] of pistons, of which there are none
@@ -276,7 +274,7 @@ class DiluteMotion:
     def keep_watch(self) -> None:
         """Raise MotionError where one that has flown overlaps something; now and then."""
         scene, n, now = self.contact.model, self.active.size, self.time(self.done)
-        work = self.cost * (TO_BEGIN * n + self.steps * float(self.active.sum()))
+        work = self.method.cost * (TO_BEGIN * n + self.steps * float(self.active.sum()))
         if not self.watch_of_flights.is_due(n, scene.walls.kind.size, work):
             return
         (com, q, p, L), spheres = self.state, scene.spheres

@@ -75,16 +75,16 @@ class Map(NamedTuple):
 
 def paces(method: str) -> Floats:
     """Rows of the maps of a method."""
-    if METHODS[method].IS_ADAPTIVE:
+    if METHODS[method].is_adaptive:
         return TOLERANCES
-    if not METHODS[method].ORDER:
+    if not METHODS[method].order:
         return np.zeros(1)
     return PACES[LEAST_PACE.get(method, 0.0) <= PACES]
 
 
 def columns_of(method: str, budget: float) -> int:
     """Columns of the maps of a method: an odd number, so that one is on the separatrix."""
-    most = ADAPTIVE_COLUMNS if METHODS[method].IS_ADAPTIVE else COLUMNS
+    most = ADAPTIVE_COLUMNS if METHODS[method].is_adaptive else COLUMNS
     return min(max(int(most * budget / BUDGET) // 2 * 2 + 1, 5), MOST_COLUMNS)
 
 
@@ -282,7 +282,7 @@ def largest_pace(one: Map, error: float) -> float:
 
 def is_tolerance(one: Map) -> bool:
     """Whether the rows of a map are tolerances."""
-    return bool(METHODS[one.method].IS_ADAPTIVE)
+    return bool(METHODS[one.method].is_adaptive)
 
 
 def onsets(one: Map) -> dict[str, float]:

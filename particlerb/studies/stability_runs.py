@@ -24,6 +24,7 @@ from particlerb.model.state import (
     room_for,
 )
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, SYMMETRIC
+from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import Group
 
 TURNS: Final = 1e4  # of each body of a map
@@ -122,7 +123,7 @@ def history(
     """
     n = moved.bodies.mass.size
     group = Group(np.arange(n), moved.bodies, moved.terms)
-    motion = METHODS[method].begin(group, moved.state, 0.0, dt, tolerance)
+    motion = begin(METHODS[method], group, moved.state, 0.0, dt, tolerance)
     frames = room_for(times.size, n, np.tile(UPRIGHT, (n, 1)))
     for array in frames[:4]:
         array[:] = np.nan
@@ -243,7 +244,7 @@ def row_of(method: str, pace: float, columns: int, turns: float) -> StabilityOut
         np.concatenate, zip(*(f(columns) for f in FAMILIES.values()), strict=True)
     )
     free = scene(inertia, omega)
-    is_stepped = METHODS[method].ORDER and not METHODS[method].IS_ADAPTIVE
+    is_stepped = METHODS[method].order and not METHODS[method].is_adaptive
     dt = pace if is_stepped else EVERY
     times = sampling(dt, turns)
     frames = history(free, method, dt, times, pace, chunks=20)

@@ -279,7 +279,7 @@ class Study:
     def contact_limit(self) -> float:
         """ω dt [rad] of the stiffest contact in the longest step that leaves it bounded."""
         return min(
-            float(METHODS[method].REACH) * damped_share(contact)
+            float(METHODS[method].stability_limit) * damped_share(contact)
             for method, contact in self.contacts
         )
 

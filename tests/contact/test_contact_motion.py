@@ -585,16 +585,20 @@ def test_frames_do_not_change_the_motion_and_a_prolonged_run_is_a_longer_one(mak
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("threads", [1, 2, 3])
-@pytest.mark.parametrize("loop", ["compiled", "python"])
-def test_threads_and_the_loop_in_python_give_the_same_bits(
-    make, shaken, monkeypatch, threads, loop
-):
+def test_threads_give_the_same_bits(make, shaken, monkeypatch, threads):
     monkeypatch.setattr(touching, "WORTH_THREADS", 0.0)
-    if loop == "python":
-        monkeypatch.setattr(PairForces, "is_large", True)
     case = crowd(make, every=0.0313, wall=[shaking(make)])
     case["run"]["threads"] = threads
     same(shaken, ran(case))
+
+
+def test_the_loop_in_python_that_spreads_attraction_gives_the_same_bits(make, monkeypatch):
+    case = crowd(make, t_end=0.01, every=0.0031, dt=1e-3, wall=[shaking(make)])
+    case["attraction"] = {"G": 0.1}
+    compiled = ran(case)
+    monkeypatch.setattr(PairForces, "is_large", True)
+    case["run"]["threads"] = 2
+    same(compiled, ran(case))
 
 
 @pytest.mark.compiled

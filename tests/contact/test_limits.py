@@ -10,10 +10,11 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.contact.restitution import damping_ratio
-from particlerb.integrators import strang
+from particlerb.integrators import METHODS
 from particlerb.plan.segments import STEPS_PER_CONTACT, softest_turning
 from particlerb.simulation.run import RunError, prepare
 from particlerb.stepping import contact_run as touching
+from particlerb.stepping.begin import begin
 
 
 def drop(dt: float | None = None, **contact) -> dict:
@@ -254,7 +255,7 @@ def test_swing_of_a_cube_on_four_balls_has_the_stiffness_of_all(shear):
     case["body"] = [{"name": "cube", "shape": shape, "position": [0.0, 0.0, 0.2 - 1e-5]}]
     prepared = prepare(load(case))
     (group,), state = prepared.plan.groups, prepared.scene.state
-    motion = strang.begin(group.group(group.segments[0]), state, 0.0, 1e-4, 0.0)
+    motion = begin(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 1e-4, 0.0)
     motion.look(motion.values(0, 13))
     inertia = 8 * 0.125 * (0.02 + 0.4 * 0.01)
     along = 4.0 * shear * (1.0 + 0.2**2 / inertia)  # to and fro with a turn: at least this

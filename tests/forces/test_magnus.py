@@ -11,7 +11,7 @@ from particlerb.integrators import METHODS
 MASS, SPIN, C = 2.0, 3.0, 0.7
 RATE = C * SPIN / MASS  # at which the way turns [rad/s]
 BALL = {"inertia": [1.3] * 3, "velocity": [0.4, 0.0, 0.1], "angular_velocity": [0, 0, SPIN]}
-ABLE = [name for name, method in METHODS.items() if VELOCITY in method.ACCEPTS]
+ABLE = [name for name, method in METHODS.items() if VELOCITY in method.accepts]
 START = {
     "position": [1.0, 0.2, 0.3],
     "velocity": [0.3, 0.1, -0.2],

@@ -142,4 +142,4 @@ def test_each_loop_tells_kicks_the_time_at_which_they_are_made(make, loop):
 
 
 def test_every_method_with_a_step_takes_time_into_account():
-    assert all(TIME in method.ACCEPTS for method in METHODS.values() if method.ORDER)
+    assert all(TIME in method.accepts for method in METHODS.values() if method.order)

@@ -289,7 +289,7 @@ def test_order_with_attraction_springs_and_forces_on_some(make, truth, scene, me
     )
     assert found[-1].min() > 1e-11  # the fit does not live on rounding
     for kind in found.T:
-        assert order(STEPS[method], kind) == pytest.approx(METHODS[method].ORDER, abs=0.15)
+        assert order(STEPS[method], kind) == pytest.approx(METHODS[method].order, abs=0.15)
 
 
 @pytest.mark.compiled
@@ -457,7 +457,7 @@ def test_springs_that_come_and_go_book_the_energy_that_they_are_connected_with(m
     keys = {"t_end": 2.0, "every": 0.05, "method": method}
     found = [make.arrays(make.case(*bodies, force=force, dt=dt, **keys)) for dt in (0.04, 0.02)]
     drift = [np.abs(one.ledger.energy_error).max() for one in found]
-    assert drift[0] / drift[1] == pytest.approx(2.0 ** METHODS[method].ORDER, rel=0.3)
+    assert drift[0] / drift[1] == pytest.approx(2.0 ** METHODS[method].order, rel=0.3)
     given = found[1].ledger.work
     during = (found[1].time > 0.33) & (found[1].time < 1.27)
     before, after = found[1].time < 0.33, found[1].time > 1.27

@@ -18,6 +18,8 @@ import numpy as np
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, room_for
 from particlerb.integrators import METHODS
+from particlerb.stepping.begin import begin
+from particlerb.stepping.loop import compiled_loop
 from particlerb.stepping.motion import Group
 from particlerb.forces import Terms
 from particlerb.forces.central import Central
@@ -46,9 +48,9 @@ share = {}
 for name, loads in chosen.items():
     for load in loads:
         method, acting = METHODS[name], terms[load]
-        motion = method.begin(Group(np.arange(1), bodies, acting), state, 0.0, 0.01, 0.0)
+        motion = begin(method, Group(np.arange(1), bodies, acting), state, 0.0, 0.01, 0.0)
         motion.advance(np.array([1]), np.zeros(1), np.array([-1]), none)
-        code = list(motion.advance_blocks.inspect_asm().values())[-1]
+        code = list(compiled_loop(method, False).inspect_asm().values())[-1]
         packed, single = (
             len(re.findall(rf"\bv?(?:fn?m(?:add|sub)\d+|mul|add|sub){kind}\b", code))
             for kind in ("pd", "sd")

@@ -11,13 +11,13 @@ from particlerb.compiled.threads import BLOCK
 from particlerb.forces.kinds import VELOCITY
 from particlerb.integrators import METHODS
 from particlerb.simulation.run import RunError
-from particlerb.stepping import loop as stepped
+from particlerb.stepping import stepped_motion
 from particlerb.stepping.loop import grid_position
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 STATE = ("position", "orientation", "linear_momentum", "angular_momentum")
 STEPPED = [name for name in METHODS if name != "exact"]  # by steps, fixed or not
-ON_GRID = [name for name in STEPPED if not METHODS[name].IS_ADAPTIVE]
+ON_GRID = [name for name in STEPPED if not METHODS[name].is_adaptive]
 MASS, TENSOR = 2.0, np.diag([1.0, 2.0, 2.5])
 START = {
     "position": [1.0, 0.2, 0.3],
@@ -39,7 +39,7 @@ def fields(make, **keys):
 
 def forces_for(make, method, **keys):
     """All kinds that a method accepts."""
-    if VELOCITY not in METHODS[method].ACCEPTS:
+    if VELOCITY not in METHODS[method].accepts:
         return fields(make, **keys)
     others = [
         make.push([1.0, 0, 0], [0, 0.1, 0], frame="body", **keys),
@@ -89,7 +89,7 @@ class SimpleRows:
 def test_progress_pauses_change_no_bit(make, method, monkeypatch):
     keys = {"force": forces_for(make, method), "method": method, "dt": 0.03, "every": 0.4}
     straight = make.arrays(make.case(make.body(**START), **keys))
-    monkeypatch.setattr(stepped, "NANOSECONDS_PER_CALL", 5 * METHODS[method].COST)
+    monkeypatch.setattr(stepped_motion, "NANOSECONDS_PER_CALL", 5 * METHODS[method].cost)
     paused = make.arrays(make.case(make.body(**START), **keys))
     assert_same(straight, paused)
     assert (straight.ledger.energy_error == paused.ledger.energy_error).all()
@@ -172,12 +172,12 @@ def test_the_baselines_do_not_run_backwards(make):
 def test_work_and_momenta_are_booked_to_the_order_of_the_method(make, method):
     """Work against an integration of all forces; total less initial less booked is small."""
     force = forces_for(make, method)
-    dt = {1: 2e-4, 2: 2e-3}.get(METHODS[method].ORDER, 0.02)
+    dt = {1: 2e-4, 2: 2e-3}.get(METHODS[method].order, 0.02)
     keys = {"t_end": 0.4, "every": 0.1, "method": method, "dt": dt, "tolerance": 1e-12}
     found = make.arrays(make.case(make.body(**START), force=force, **keys))
     true = make.integrate(TENSOR, MASS, START, force, found.time)
     # some J over 0.4 s at rates of 2 /s; the error of one step, times the steps: (2 dt)^order
-    limit = max(4 * (2 * dt) ** METHODS[method].ORDER, 1e-10)
+    limit = max(4 * (2 * dt) ** METHODS[method].order, 1e-10)
     assert make.done(found.ledger) == pytest.approx(true.booked[:, 0], abs=limit)
     assert np.abs(found.ledger.energy_error).max() < limit
     assert np.abs(found.ledger.linear_momentum_error).max() < limit
@@ -326,7 +326,7 @@ def test_forces_that_start_and_stop_and_impulses_within_against_an_integration(m
     force = forces_for(make, method)
     edges, J, at = [0.23, 0.4, 0.61], np.array([0.5, -0.3, 0.2]), np.array([0.1, 0.2, -0.3])
     lasting = [one | {"during": [edges[0], edges[2]]} for one in force]
-    dt = {1: 5e-5, 2: 1e-3}.get(METHODS[method].ORDER, 0.01)
+    dt = {1: 5e-5, 2: 1e-3}.get(METHODS[method].order, 0.01)
     keys = {"t_end": 1.0, "every": 0.5, "method": method, "dt": dt, "tolerance": 1e-12}
     hit = make.impulse(J, at, time=edges[1])
     found = make.arrays(make.case(make.body(**START), force=[*lasting, hit], **keys))
@@ -340,7 +340,7 @@ def test_forces_that_start_and_stop_and_impulses_within_against_an_integration(m
             state["velocity"] = state["velocity"] + J / MASS
             more = R @ np.linalg.solve(TENSOR, R.T @ spin)
             state["angular_velocity"] = state["angular_velocity"] + more
-    limit = max(5 * (2 * dt) ** METHODS[method].ORDER, 1e-9)
+    limit = max(5 * (2 * dt) ** METHODS[method].order, 1e-9)
     assert make.angle(found.orientation[-1, 0], state["orientation"]) < limit
     assert found.position[-1, 0] == pytest.approx(state["position"], abs=limit)
     assert found.velocity[-1, 0] == pytest.approx(state["velocity"], abs=limit)

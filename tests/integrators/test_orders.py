@@ -14,7 +14,7 @@ from particlerb.integrators import METHODS, rkn6
 
 T_END = 6.4
 N = 6
-STEPPERS = [name for name, one in METHODS.items() if one.ORDER and not one.IS_ADAPTIVE]
+STEPPERS = [name for name, one in METHODS.items() if one.order and not one.is_adaptive]
 SYMPLECTIC = ("strang", "rkn6")
 
 
@@ -47,7 +47,7 @@ def all_kinds(make):
 
 
 def forces_for(make, method):
-    return all_kinds(make) if VELOCITY in METHODS[method].ACCEPTS else fields(make)
+    return all_kinds(make) if VELOCITY in METHODS[method].accepts else fields(make)
 
 
 def errors(make, found, true):
@@ -95,7 +95,7 @@ def test_order_under_all_forces_that_a_method_accepts(make, method):
     found = measured(make, forces_for(make, method), method, steps)
     assert found[-1].min() > 1e-12
     for kind in found.T:
-        assert order(steps, kind) == pytest.approx(METHODS[method].ORDER, abs=0.1)
+        assert order(steps, kind) == pytest.approx(METHODS[method].order, abs=0.1)
 
 
 @pytest.mark.compiled
@@ -111,10 +111,10 @@ def test_strang_keeps_order_two_where_drag_and_torques_act(make):
 def test_order_on_free_bodies(make, method):
     steps = FIRST_STEP[method] / 2.0 ** np.arange(5)
     turn, way, spin = measured(make, [], method, steps).T
-    assert order(steps, turn) == pytest.approx(METHODS[method].FREE_ORDER, abs=0.1)
+    assert order(steps, turn) == pytest.approx(METHODS[method].free_order, abs=0.1)
     assert way.max() < 1e-11  # a straight line, but for the roundings of up to 5e4 steps
     if method in ("semi_implicit_euler", "explicit_euler"):
-        assert order(steps, spin) == pytest.approx(METHODS[method].FREE_ORDER, abs=0.1)
+        assert order(steps, spin) == pytest.approx(METHODS[method].free_order, abs=0.1)
     else:
         assert not spin.any()
 
@@ -125,7 +125,7 @@ def test_order_of_rkn6_on_free_bodies_is_eight(make):
     steps = 0.84 / 2.0 ** np.linspace(0, 2, 9)
     turn, way, spin = measured(make, [], "rkn6", steps, t_end=32.0).T
     assert 1e-12 < turn[-1] < turn[0] < 1e-6
-    assert order(steps, turn) == pytest.approx(METHODS["rkn6"].FREE_ORDER, abs=0.1)
+    assert order(steps, turn) == pytest.approx(METHODS["rkn6"].free_order, abs=0.1)
     assert way.max() < 1e-12
     assert not spin.any()
 
@@ -146,7 +146,7 @@ def test_error_of_rkn6_falls_with_the_step_where_the_rotor_makes_it(make):
     steps = 0.255 / 2.0 ** (0.125 * np.arange(17))
     turn = measured(make, force, "rkn6", steps, t_end=3.0, start=top)[:, 0]
     assert (turn[1:] < turn[:-1]).all()
-    assert order(steps, turn) == pytest.approx(METHODS["rkn6"].FREE_ORDER, abs=0.3)
+    assert order(steps, turn) == pytest.approx(METHODS["rkn6"].free_order, abs=0.3)
 
 
 def test_kicks_and_drifts_of_rkn6_are_symmetric_and_sum_to_one():
@@ -199,14 +199,14 @@ def test_one_group_may_have_bodies_of_all_classes(make, method):
     bodies = [make.body(name, inertia, **keys) for name, inertia in CLASSES.items()]
     bodies[0]["angular_velocity"] = [0, 0, 0]
     bodies[1]["angular_velocity"] = [0.3, -0.2, 0]
-    t_end, dt = 0.5, {1: 1e-3, 2: 5e-3}.get(METHODS[method].ORDER, 0.05)
+    t_end, dt = 0.5, {1: 1e-3, 2: 5e-3}.get(METHODS[method].order, 0.05)
     run = {"t_end": t_end, "method": method, "dt": dt}
     found = make.arrays(
         make.case(*bodies, force=[make.spring([0, 0, 0], 8.0, 0, body=list(CLASSES))], **run)
     )
     free = make.arrays(make.case(*bodies, t_end=t_end))
     # order 1: ω t ω dt/2; order 2: ω t (ω dt)²/24; order 4: (ω dt)⁴/120; all others: below 1e-9
-    limit = {1: 1.1e-3, 2: 5e-6, 4: 1e-6}.get(METHODS[method].ORDER, 1e-9)
+    limit = {1: 1.1e-3, 2: 5e-6, 4: 1e-6}.get(METHODS[method].order, 1e-9)
     expected = np.tile(np.cos(2 * found.time)[:, None], (1, len(CLASSES)))
     assert found.position[:, :, 0] == pytest.approx(expected, abs=limit)
     apart = make.angle(found.orientation.reshape(-1, 4), free.orientation.reshape(-1, 4))

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from particlerb.integrators import strang
-from particlerb.stepping import loop as stepped
+from particlerb.integrators import METHODS
+from particlerb.stepping import stepped_motion
 
 INERTIA = (1.0, 2.0, 2.5)
 TENSOR = np.diag(INERTIA)
@@ -73,7 +73,7 @@ def test_order_is_two(make, kind, t_end):
     for name in MEASURED[kind]:
         assert errors[name][0] > 1e-6  # the fit does not live on rounding
         slope = np.polyfit(np.log(steps), np.log(errors[name]), 1)[0]
-        assert slope == pytest.approx(strang.ORDER, abs=0.05)
+        assert slope == pytest.approx(METHODS["strang"].order, abs=0.05)
 
 
 # The drift
@@ -236,7 +236,7 @@ def test_progress_pauses_change_no_bit(make, monkeypatch):
     """The host takes the kernel back every so many steps; the motion does not notice."""
     scene = make.case(make.body(**START), force=forces(make, "push"), t_end=1.0, every=0.4, dt=0.03)
     straight = make.arrays(scene)
-    monkeypatch.setattr(stepped, "NANOSECONDS_PER_CALL", 5 * strang.COST)
+    monkeypatch.setattr(stepped_motion, "NANOSECONDS_PER_CALL", 5 * METHODS["strang"].cost)
     paused = make.arrays(scene)
     assert (straight.orientation == paused.orientation).all()
     assert (straight.angular_momentum == paused.angular_momentum).all()

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from particlerb.case.reader import load
 from particlerb.integrators import METHODS
 from particlerb.simulation.run import prepare
+from particlerb.stepping.begin import begin
 
 MASS, H, STEPS = 2.0, 0.04, 100
 START = {
@@ -240,7 +241,7 @@ def test_stages_of_dop853_are_those_of_its_textbook(make, acting):
     case, body, y = scene(make, *TURNING["asymmetric"], force, method="dop853")
     ready = prepare(load(case))
     group = ready.plan.groups[0].group(ready.plan.groups[0].segments[0])
-    motion = METHODS["dop853"].begin(group, ready.scene.state, 0.0, h, 1e9)
+    motion = begin(METHODS["dop853"], group, ready.scene.state, 0.0, h, 1e9)
     frame = make.rotation(group.bodies.rotor_frame[:, 0])
     for k in range(STEPS):
         y = dop853(body, y, h)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.integrators.strang import LONGEST
+from particlerb.integrators import METHODS
 from particlerb.plan.segments import RADIANS_PER_STEP
 from particlerb.simulation.run import prepare
 
@@ -143,7 +143,7 @@ def test_a_step_that_is_too_long_warns(make):
     assert ": warning: " in warning
     assert "the step of 0.0501 s turns bodies like body by up to 0.501 rad" in warning
     assert "advised: dt = 0.005 s or less" in warning
-    limit = make.case(body, method="strang", dt=LONGEST / 10.0)
+    limit = make.case(body, method="strang", dt=METHODS["strang"].max_turn / 10.0)
     assert plan_of(limit).warnings == ()
     assert plan_of(make.case(body, dt=1.0)).warnings == ()  # free: nothing is stepped
 

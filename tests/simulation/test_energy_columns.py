@@ -56,7 +56,7 @@ def runs(make):
     for scene, force in SCENES.items():
         for method, module in METHODS.items():
             damped = any("damping" in one for one in force(make))
-            if method == "exact" or (damped and VELOCITY not in module.ACCEPTS):
+            if method == "exact" or (damped and VELOCITY not in module.accepts):
                 continue
             names.append((scene, method))
             cases.append(make.case(*bodies, force=force(make), method=method, **keys))
@@ -107,5 +107,5 @@ def test_the_error_of_energy_does_not_depend_on_the_column(runs):
         assert run.energy == pytest.approx(total, abs=1e-14)
         assert run.error == pytest.approx(total - total[0] - run.work, abs=1e-13)
         # 0.2 s with steps of 0.02 s at rates of 2 /s, of energies of some J
-        limit = {1: 0.1, 2: 2e-3}.get(METHODS[method].ORDER, 1e-6)
+        limit = {1: 0.1, 2: 2e-3}.get(METHODS[method].order, 1e-6)
         assert np.abs(run.error).max() < limit

@@ -43,7 +43,7 @@ class FakePilot:
 @pytest.fixture(autouse=True)
 def methods(monkeypatch):
     for name, order in ORDERS.items():
-        method = SimpleNamespace(ORDER=order, IS_ADAPTIVE=False)
+        method = SimpleNamespace(order=order, is_adaptive=False)
         monkeypatch.setitem(METHODS, name, method)
         monkeypatch.setitem(ladder.RATIO, name, 2.0)
         monkeypatch.setitem(ladder.FIRST_TURN, name, 1.0)

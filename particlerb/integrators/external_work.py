@@ -5,7 +5,7 @@ impulse [N m s] about the origin of the world. Total less initial less booked is
 integration alone. Where nobody asks (`books` is None), the compiler leaves all of it out.
 """
 
-from particlerb.compiled.jit import inline
+from particlerb.compiled.jit import Flag, inline
 from particlerb.forces.kernels import Entry
 from particlerb.maths.quaternion import Rows, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, subtract
@@ -37,7 +37,7 @@ def kick_entry(
 
 
 @inline
-def book(books: int | None, rows: Floats, b: int, dt: float, entry: Entry) -> None:
+def book(books: Flag, rows: Floats, b: int, dt: float, entry: Entry) -> None:
     """Add dt times an entry to what body b has booked, if anybody asks."""
     if books is None:
         return
@@ -49,7 +49,7 @@ def book(books: int | None, rows: Floats, b: int, dt: float, entry: Entry) -> No
 
 
 @inline
-def store_sums(sums: Floats, f: int, k: int, books: int | None, rows: Floats, n: int) -> None:
+def store_sums(sums: Floats, f: int, k: int, books: Flag, rows: Floats, n: int) -> None:
     """Write the sums over the block into frame f."""
     if books is None:
         return

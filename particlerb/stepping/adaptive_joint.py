@@ -6,12 +6,12 @@ are worth several threads, the same loops run as Python and spread them.
 """
 
 from collections.abc import Callable, Iterator
-from types import FunctionType
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import kernel, kernel_from
+from particlerb.compiled.jit import Flag, in_python, kernel, kernel_from
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import acting_of, row_count, rows_of_terms
 from particlerb.forces.kernels import Acting
@@ -28,6 +28,8 @@ from particlerb.integrators.dop853_step import (
     take_slopes,
 )
 from particlerb.integrators.dop853_table import NODES, STAGES, A
+from particlerb.integrators.method import Method
+from particlerb.integrators.stages import Layout, PairTerms, pair_loads, scatter
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.model.block import (
@@ -45,14 +47,11 @@ from particlerb.model.block import (
     state_rows,
 )
 from particlerb.model.state import Frames, State, room_for, store_frame
-from particlerb.stepping.coupled import Layout, scatter
 from particlerb.stepping.motion import Group, WorkAccount
-from particlerb.stepping.pair_forces import PairForces, PairTerms, loads_over_threads, pair_loads
+from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
-COST: Final = 270.0  # ns per body-step, roughly
-EVALUATIONS: Final = 12  # of the forces in a step
 
 
 class JointWorkspace(NamedTuple):
@@ -84,7 +83,7 @@ def spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
 @kernel
 def slopes_of_blocks(
     acting: Acting,
-    books: int | None,
+    books: Flag,
     blocks: Floats,
     layout: Layout,
     w: int,
@@ -100,7 +99,7 @@ def slopes_of_blocks(
 
 def joint_slopes(
     acting: Acting,
-    books: int | None,
+    books: Flag,
     blocks: Floats,
     layout: Layout,
     pairs: PairTerms,
@@ -125,7 +124,7 @@ def add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
 
 
 def joint_stages(
-    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: PairTerms,
+    acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
     room: JointWorkspace,
     new: Floats, t: float, h: float, i: int, j: int,
 ) -> None:  # fmt: skip
@@ -170,7 +169,7 @@ def give_up(layout: Layout, room: JointWorkspace) -> None:
 
 
 def find_joint_step(
-    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: PairTerms,
+    acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
     room: JointWorkspace,
     t: float, h: float, tolerance: float,
 ) -> tuple[float, float]:  # fmt: skip
@@ -220,7 +219,7 @@ def store_blocks(
 
 
 def advance_joint(
-    acting: Acting, books: int | None, blocks: Floats, layout: Layout, pairs: PairTerms,
+    acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
     room: JointWorkspace,
     clock: Floats, tolerance: float, times: Floats, index: Ints, until: float, stop: float,
     rotor_frame: Floats, members: Ints, frames: Frames, sums: Floats,
@@ -265,28 +264,28 @@ def advance_joint(
     clock[0], clock[1] = t, h
 
 
-def in_python(function: Callable[..., Any], name: str, **names: Any) -> Callable[..., Any]:
-    """The function with other globals, not compiled."""
-    return FunctionType(function.__code__, function.__globals__ | names, name)
-
-
-def family(make: Callable[..., Callable[..., Any]], name: str, **names: Any) -> Callable[..., None]:
+def family(make: Callable[..., Callable[..., Any]], **names: Any) -> Callable[..., None]:
     """`advance_joint` and what it calls, made anew with other globals."""
     for function in (joint_slopes, joint_stages, find_joint_step, advance_joint):
-        names[function.__name__] = make(function, name, **names)
+        names[function.__name__] = make(function, **names)
     advance: Callable[..., None] = names["advance_joint"]
     return advance
 
 
-compiled = family(kernel_from, "here")
-spread = family(in_python, "spread", pair_loads=loads_over_threads)
+compiled = family(partial(kernel_from, name="here"))
 
 
 class JointMotion:
     """A group of bodies that act on each other, with common steps; see `motion.Motion`."""
 
     def __init__(
-        self, group: Group, state: State, start: float, first_step: float, tolerance: float
+        self,
+        method: Method,
+        group: Group,
+        state: State,
+        start: float,
+        first_step: float,
+        tolerance: float,
     ) -> None:
         self.group, self.start, self.tolerance = group, start, tolerance
         n, terms = group.members.size, group.terms
@@ -299,7 +298,7 @@ class JointMotion:
         self.account = WorkAccount(group, state)
         self.room = self.make_room(ALONE if self.account.books is None else CHANGING)
         self.clock = np.array([0.0, first_step])
-        self.cost = COST * n + EVALUATIONS * self.forces.cost
+        self.cost = method.cost * n + method.evaluations * self.forces.cost
         take_blocks(self.blocks, self.layout, self.room)
 
     def make_room(self, size: int) -> JointWorkspace:
@@ -341,17 +340,16 @@ class JointMotion:
     def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
         """Through all times; sums of what was booked, for each row of the frames."""
         group, large = self.group, self.forces.is_large
-        pairs = self.forces.for_python if large else self.forces.pairs
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
         for lo, hi, until in self.calls(times, stop):
             cut = stop if until == stop else np.inf
             arguments = (
-                acting_of(group.terms), self.account.books, self.blocks, self.layout, pairs,
-                self.room, self.clock, self.tolerance, times[lo:hi], rows[lo:hi], until, cut,
-                group.bodies.rotor_frame, group.members, frames, sums,
+                acting_of(group.terms), self.account.books, self.blocks, self.layout,
+                self.forces.pairs, self.room, self.clock, self.tolerance, times[lo:hi],
+                rows[lo:hi], until, cut, group.bodies.rotor_frame, group.members, frames, sums,
             )  # fmt: skip
             if large:
-                spread(*arguments)
+                family(in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)
             else:
                 THREADS.alone(compiled, *arguments)
         return np.asarray(sums.sum(axis=1))

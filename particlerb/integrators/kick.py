@@ -4,7 +4,7 @@ A kick is the exact flow of the forces while nothing moves, drag included. Two k
 each other are one of the summed length, so a step leaves its last kick open for the next one.
 """
 
-from particlerb.compiled.jit import inline
+from particlerb.compiled.jit import Flag, inline
 from particlerb.forces.kernels import (
     Acting,
     Entry,
@@ -16,15 +16,15 @@ from particlerb.forces.kernels import (
     less_internal,
     with_power,
 )
+from particlerb.integrators.external_work import book, kick_entry
 from particlerb.maths.quaternion import Rows, matrix
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled
 from particlerb.model.block import COM, L, P, Q, get3, get4, put3
-from particlerb.stepping.external_work import book, kick_entry
 
 
 @inline
 def with_flow(
-    flow: int | None, rows: Floats, b: int, x: Vec3, R: Rows, old: tuple[Vec3, Vec3],
+    flow: Flag, rows: Floats, b: int, x: Vec3, R: Rows, old: tuple[Vec3, Vec3],
     new: tuple[Vec3, Vec3], entry: Entry,
 ) -> Entry:  # fmt: skip
     """What is booked, with what a flow did from old to new momenta."""
@@ -35,8 +35,8 @@ def with_flow(
 
 
 @inline
-def kick(
-    acting: Acting, books: int | None, rows: Floats, b: int, dt: float
+def kick_body(
+    acting: Acting, books: Flag, rows: Floats, b: int, dt: float
 ) -> tuple[Vec3, Vec3, Rows]:
     """Kick body b over dt; its new momenta, which are stored, and its rotation matrix."""
     x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))

@@ -1,0 +1,52 @@
+"""What an integrator says about itself: one record, made by the file of its name."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
+
+from particlerb.maths.vec3 import Floats
+
+Step: TypeAlias = Callable[..., None]  # (moving, first, last, open_kick, dt): see `Method.step`
+
+
+class Method(NamedTuple):
+    """An integrator."""
+
+    name: str
+    summary: str
+    """One line for `particlerb methods`."""
+    order: int
+    """0 for a closed form, which has no step."""
+    free_order: int
+    """Order where no force acts."""
+    accepts: frozenset[str]
+    """Terms that may act while it works: names of the fields of `forces.Terms`, and dashpots."""
+    cost: float
+    """Time for a step, or a frame, of one body without its neighbours, roughly [ns]."""
+    evaluations: int = 0
+    """Evaluations of the forces in a step."""
+    is_adaptive: bool = False
+    """Whether it chooses its steps by a tolerance."""
+    keeps_rods: bool = False
+    """Whether L of a rod stays across its axis to rounding, and not to the error of the steps."""
+    keeps_angular_momentum: bool = True
+    """Whether L changes by torques alone, as it should."""
+    stability_limit: float = math.inf
+    """Largest hω of an oscillator that stays bounded; of methods with a fixed step."""
+    max_turn: float = math.inf
+    """Turn of a body in a step above which a warning is due [rad]."""
+    closing_kick: float = 0.0
+    """Share of dt of the kick with which a step ends; 0 where it ends with none."""
+    step: Step | None = None
+    """Stages of a step: `step(moving, first, last, open_kick, dt)` advances the blocks `first` to
+    `last`, `last` excluded, of `stages.MovingBodies` by dt [s]. The closing kick is left open: the
+    next step makes it, `open_kick` [s] long, together with its own first one."""
+    coupled_step: Step | None = None
+    """The same for bodies that act on each other, where that takes other stages."""
+    has_dashpot_flows: bool = False
+    """Whether dashpots between bodies are exact flows among the stages, and not loads."""
+    rotor_constants: Callable[[Floats], Floats] | None = None
+    """Constants of asymmetric bodies, from their inverse moments (3, n): rows ROTOR of a block.
+    Where there are any, asymmetric bodies have blocks of their own."""
+    asymmetric_cost: Callable[[float], float] | None = None
+    """Cost of an asymmetric body over that of others, from its turn in a step [rad]."""

@@ -1,0 +1,231 @@
+"""Bodies that each choose their own steps, by DOP853.
+
+Sixteen bodies at a time take the same steps, in SIMD lanes, as long as the error estimate of each
+stays below the tolerance. Frames come from the dense output of order 7, so they change nothing in
+the motion.
+"""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.threads import BLOCK, THREADS
+from particlerb.forces import acting_of, row_count, rows_of_terms
+from particlerb.forces.kernels import Acting
+from particlerb.forces.registry import STAGE as WORK
+from particlerb.integrators.dop853 import PACK
+from particlerb.integrators.dop853_step import ALONE, find_step, interpolate, take_stages
+from particlerb.integrators.dop853_table import STAGES
+from particlerb.integrators.method import Method
+from particlerb.maths.quaternion import rows4
+from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.model.block import (
+    BOOKED,
+    CHANGING,
+    COM,
+    STRIDE,
+    L,
+    P,
+    Q,
+    get,
+    in_blocks,
+    into_blocks,
+    out_of_blocks,
+    put,
+    state_of,
+    state_rows,
+)
+from particlerb.model.state import Frames, State, room_for, store_frame
+from particlerb.stepping.motion import Group, WorkAccount
+from particlerb.stepping.saved_arrays import Saved
+
+NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
+
+
+@inline
+def take_pack(blocks: Floats, pack: int, n: int, w: int, rows: Floats, y: Floats) -> None:
+    """Bring the bodies of a pack to the first lanes of rows, and their vectors to y."""
+    block, first = pack * PACK // BLOCK, pack * PACK % BLOCK
+    source = blocks[block]
+    for r in range(source.size // STRIDE):
+        for b in range(n):
+            put(rows, r, b, get(source, r, first + b))
+    for c in range(y.size // w):
+        for b in range(n):
+            y[c * w + b] = get(source, c, first + b)
+
+
+@inline
+def give_pack(y: Floats, w: int, blocks: Floats, pack: int, n: int) -> None:
+    """Write the vectors of a pack back."""
+    block, first = pack * PACK // BLOCK, pack * PACK % BLOCK
+    target = blocks[block]
+    for c in range(y.size // w):
+        for b in range(n):
+            put(target, c, first + b, y[c * w + b])
+
+
+@kernel
+def advance(
+    blocks: Floats,
+    acting: Acting,
+    books: Flag,
+    clock: Floats,
+    tolerance: float,
+    times: Floats,
+    index: Ints,
+    until: float,
+    stop: float,
+    rotor_frame: Floats,
+    members: Ints,
+    frames: Frames,
+    sums: Floats,
+    first: int,
+    last: int,
+) -> None:
+    """All frames of some blocks, then on to the step around `until`, or to `stop` if it is finite.
+
+    The clock (2, packs) has the time from which a pack's next step starts, and the step to try.
+    """
+    size = ALONE if books is None else CHANGING
+    rows = np.zeros((WORK + 2 * CHANGING) * STRIDE)
+    w = min(members.size, PACK)  # a body that is alone pays for itself only
+    y, new, out = np.zeros(size * w), np.zeros(size * w), np.zeros(size * w)
+    K = np.zeros((STAGES, size * w))
+    packs = -(-members.size // PACK)
+    for pack in range(first * BLOCK // PACK, min(last * BLOCK // PACK, packs)):
+        lo = pack * PACK
+        n = min(members.size - lo, PACK)
+        take_pack(blocks, pack, n, w, rows, y)
+        t, h = clock[0, pack], clock[1, pack]
+        h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h, tolerance)
+        is_dense = False
+        for f in range(times.size):
+            while times[f] > t + h:
+                t += h
+                y[:] = new
+                h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h_next, tolerance)
+                is_dense = False
+            out[:] = y
+            if times[f] > t or not h > 0.0:
+                if not is_dense:
+                    take_stages(acting, books, rows, n, w, y, K, out, t, h, 13, STAGES)
+                    is_dense = True
+                interpolate(n, w, y, new, K, h, (times[f] - t) / h, out)
+            shown = out.reshape(size, w)
+            store_frame(
+                frames, index[f], members[lo : lo + n], rows4(rotor_frame, lo, lo + n),
+                rows3(shown[COM : COM + 3], 0, n), rows4(shown[Q : Q + 4], 0, n),
+                rows3(shown[P : P + 3], 0, n), rows3(shown[L : L + 3], 0, n),
+            )  # fmt: skip
+            for c in range(size - ALONE):
+                for b in range(n):
+                    sums[index[f], lo // BLOCK, c] += shown[BOOKED + c, b]
+        while t + h < until:
+            t += h
+            y[:] = new
+            h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h_next, tolerance)
+        while t < stop < np.inf:  # the last step may have to be cut again
+            h, h_next = find_step(
+                acting, books, rows, n, w, y, K, new, t, min(stop - t, h), tolerance
+            )
+            y[:] = new
+            if not h > 0.0:
+                break
+            t = stop if h >= stop - t else t + h
+        clock[0, pack], clock[1, pack] = t, h
+        give_pack(y, w, blocks, pack, n)
+
+
+class AdaptiveMotion:
+    """A group of bodies, each with steps of its own; see `motion.Motion`."""
+
+    def __init__(
+        self,
+        method: Method,
+        group: Group,
+        state: State,
+        start: float,
+        first_step: float,
+        tolerance: float,
+    ) -> None:
+        self.group, self.start, self.tolerance = group, start, tolerance
+        self.cost = method.cost * group.members.size  # [ns] of a step of all, roughly
+        n, terms = group.members.size, group.terms
+        parts = state_rows(state, group.bodies) + rows_of_terms(terms)
+        assert row_count(terms) <= WORK
+        self.blocks = in_blocks(n, row_count(terms), parts)
+        self.account = WorkAccount(group, state)
+        self.clock = np.zeros((2, -(-n // PACK)))
+        self.clock[1] = first_step
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        elapsed = times - self.start
+        sums = self.advance(elapsed, rows, np.inf, frames)
+        return self.account.of_frames(elapsed, rows, frames, sums)
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State at the end of the segment, and (7,) booked until then."""
+        none = room_for(0, 0, np.empty((0, 4)))
+        elapsed = stop - self.start
+        self.advance(np.empty(0), np.empty(0, dtype=np.int64), elapsed, none)
+        n = self.group.members.size
+        state, sums = (
+            state_of(self.blocks, n),
+            out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1),
+        )
+        return state, self.account.of_state(elapsed, state.com, state.q, state.L, sums)
+
+    def checkpoint(self) -> Saved:
+        """States at the start of each pack's step, when that is, and how long the step is."""
+        n = self.group.members.size
+        return {
+            "changing": out_of_blocks(self.blocks, 0, CHANGING, n),
+            "clock": self.clock.copy(),
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        into_blocks(self.blocks, 0, saved["changing"])
+        self.clock[:] = saved["clock"]
+
+    def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
+        """Through all times; sums of what was booked, for each row of the frames."""
+        group = self.group
+        n = group.members.size
+        sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
+        for lo, hi, until in self.calls(times, stop):
+            cut = stop if until == stop else np.inf
+            through = partial(
+                advance, self.blocks, acting_of(group.terms), self.account.books, self.clock,
+                self.tolerance, times[lo:hi], rows[lo:hi], until, cut, group.bodies.rotor_frame,
+                group.members, frames, sums,
+            )  # fmt: skip
+            THREADS.spread(through, n, int((hi - lo + 1) * self.cost))
+        return np.asarray(sums.sum(axis=1))
+
+    def calls(self, times: Floats, stop: float) -> Iterator[tuple[int, int, float]]:
+        """Ranges of frames, and times to go to after them, of about a second each."""
+        most = max(1.0, NANOSECONDS_PER_CALL / self.cost)
+        done = 0
+        while done < times.size:
+            horizon = self.horizon(most)
+            reached = max(int(np.searchsorted(times, horizon, side="right")), done)
+            if reached == done and self.horizon(2.0 * most) < times[done]:
+                yield done, done, horizon
+            else:
+                yield done, max(reached, done + 1), 0.0
+                done = max(reached, done + 1)
+        while stop < np.inf and self.horizon(most) < stop:
+            yield done, done, self.horizon(most)
+        if stop < np.inf:
+            yield done, done, stop
+
+    def horizon(self, steps: float) -> float:
+        """Time that every body will have reached after so many more steps, about."""
+        ahead = self.clock[0] + steps * self.clock[1]
+        return float(np.min(ahead, initial=np.inf, where=np.isfinite(ahead)))

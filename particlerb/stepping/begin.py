@@ -1,0 +1,59 @@
+"""How a group of bodies sets off: the kind of motion for a method and for what acts."""
+
+import numpy as np
+
+from particlerb.integrators.method import Method
+from particlerb.maths.vec3 import Ints
+from particlerb.model.bodies import taken
+from particlerb.model.state import State
+from particlerb.rotors.rotor_class import ASYMMETRIC
+from particlerb.stepping.adaptive import AdaptiveMotion
+from particlerb.stepping.adaptive_joint import JointMotion
+from particlerb.stepping.contact_run import TouchingMotion
+from particlerb.stepping.free_motion import FreeMotion
+from particlerb.stepping.motion import CompositeMotion, Group, Motion, part_of
+from particlerb.stepping.sparse_contact import DiluteMotion, can_fly
+from particlerb.stepping.stepped_motion import SteppedMotion
+
+
+def begin(
+    method: Method, group: Group, state: State, start: float, dt: float, tolerance: float
+) -> Motion:
+    """Set off from a state at a time [s].
+
+    Parameters
+    ----------
+    method : Method
+    group : Group
+    state : State
+        Of the group.
+    start : float [s]
+    dt : float [s]
+        The step; the first one to try of an adaptive method.
+    tolerance : float
+        Of an adaptive method, relative.
+    """
+    if method.order == 0:
+        return FreeMotion(group, state, start)
+    if method.is_adaptive:
+        adaptive = JointMotion if group.terms.is_coupled else AdaptiveMotion
+        return adaptive(method, group, state, start, dt, tolerance)
+    if group.terms.contact is not None:
+        touching = DiluteMotion if can_fly(group.terms, group.members.size) else TouchingMotion
+        return touching(method, group, state, start, dt)
+    parts: list[tuple[Ints, Motion]] = []
+    for which in parts_of(method, group):
+        part = group if which.size == group.members.size else part_of(group, which)
+        own = state if part is group else taken(state, which)
+        parts.append((which, SteppedMotion(method, part, own, start, dt)))
+    return parts[0][1] if len(parts) == 1 else CompositeMotion(tuple(parts))
+
+
+def parts_of(method: Method, group: Group) -> list[Ints]:
+    """Bodies that share a kernel: those of one kind of rotor, if the method asks for it."""
+    everyone = np.arange(group.members.size)
+    if group.terms.is_coupled or method.rotor_constants is None:
+        return [everyone]
+    is_asymmetric = group.bodies.rotor_class == ASYMMETRIC
+    kinds = everyone[is_asymmetric], everyone[~is_asymmetric]
+    return [which for which in kinds if which.size]

@@ -1,0 +1,188 @@
+"""A group of bodies on a grid of steps: its blocks, and the calls of the loop."""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from particlerb.compiled.jit import flag
+from particlerb.compiled.threads import BLOCK, THREADS
+from particlerb.forces import Terms, acting_of, row_count, rows_of_terms
+from particlerb.forces.registry import STAGE
+from particlerb.integrators.method import Method
+from particlerb.integrators.stages import Layout, MovingBodies, RotorClasses
+from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.model.block import (
+    BOOKED,
+    CHANGING,
+    COM,
+    ROTOR,
+    STRIDE,
+    L,
+    P,
+    Q,
+    in_blocks,
+    into_blocks,
+    out_of_blocks,
+    state_rows,
+)
+from particlerb.model.load import STATE_ROWS
+from particlerb.model.state import Frames, State, room_for
+from particlerb.rotors.rotor_class import ASYMMETRIC
+from particlerb.stepping.loop import (
+    CLOSE,
+    PAUSE,
+    Recording,
+    Schedule,
+    compiled_loop,
+    grid_position,
+    loop_over_threads,
+)
+from particlerb.stepping.motion import Group, WorkAccount
+from particlerb.stepping.pair_forces import PairForces
+from particlerb.stepping.saved_arrays import Saved
+
+NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
+STAGE_ROWS: Final = 2 * STATE_ROWS  # for methods that keep a state and a sum of slopes
+
+
+def layout_of(is_asymmetric: Bools) -> Layout:
+    """Blocks for bodies of which the asymmetric ones come first and have blocks of their own."""
+    n, asymmetric = is_asymmetric.size, int(is_asymmetric.sum())
+    assert is_asymmetric[:asymmetric].all()
+    first = np.r_[np.arange(0, asymmetric, BLOCK), np.arange(asymmetric, n, BLOCK)]
+    ends = np.minimum(first + BLOCK, np.where(first < asymmetric, asymmetric, n))
+    return Layout(first, ends - first, -(-asymmetric // BLOCK))
+
+
+def pairs_of(method: Method, terms: Terms, n: int) -> PairForces | None:
+    """Forces between bodies that do not touch; None where there are none."""
+    if terms.links is None and terms.attraction is None:
+        return None
+    return PairForces(terms, n, not method.has_dashpot_flows)
+
+
+class SteppedMotion:
+    """A group of bodies on a grid of steps; see `motion.Motion`."""
+
+    def __init__(self, method: Method, group: Group, state: State, start: float, dt: float) -> None:
+        self.method, self.group, self.start, self.dt = method, group, start, dt
+        terms, n = group.terms, group.members.size
+        self.forces = pairs_of(method, terms, n)
+        is_asymmetric = group.bodies.rotor_class == ASYMMETRIC
+        has_own_blocks = terms.is_coupled or method.rotor_constants is not None
+        self.layout = layout_of(is_asymmetric & has_own_blocks)
+        full = self.layout.size.tolist()
+        self.slots = np.concatenate([k * BLOCK + np.arange(m) for k, m in enumerate(full)])
+        parts = state_rows(state, group.bodies) + rows_of_terms(terms)
+        rotors = RotorClasses()
+        if method.rotor_constants is not None:
+            rotors = RotorClasses(flag(bool(is_asymmetric.any())), flag(not is_asymmetric.all()))
+            own = method.rotor_constants(group.bodies.inv_inertia[:, is_asymmetric])
+            rotor = np.zeros((len(own), n))
+            rotor[:, is_asymmetric] = own
+            parts.append((ROTOR, rotor))
+        n_rows = STAGE + STAGE_ROWS if terms.is_coupled else row_count(terms)
+        assert row_count(terms) <= STAGE
+        spaced = [(at, self.spaced(values)) for at, values in parts]
+        self.blocks = in_blocks(len(full) * BLOCK, n_rows, spaced)
+        self.saved = np.empty((len(full), CHANGING * STRIDE))
+        self.steps_done = 0
+        self.account = WorkAccount(group, state, method.keeps_angular_momentum)
+        links = terms.links
+        has_dashpots = links is not None and links.damping is not None
+        self.moving = MovingBodies(
+            self.blocks,
+            self.layout,
+            acting_of(terms),
+            self.account.books,
+            rotors,
+            None if self.forces is None else self.forces.pairs,
+            flag(has_dashpots and method.has_dashpot_flows),
+        )
+        self.cost = method.cost * n  # [ns] of a step, roughly
+        self.cost += 0.0 if self.forces is None else method.evaluations * self.forces.cost
+
+    def spaced(self, values: Floats) -> Floats:
+        """Rows of all bodies with the gaps of the blocks between them."""
+        spaced = np.zeros((len(values), len(self.layout.first) * BLOCK))
+        spaced[:, self.slots] = values
+        return spaced
+
+    def values(self, at: int, count: int) -> Floats:
+        """Some rows of all bodies, (count, n)."""
+        n = len(self.blocks) * BLOCK
+        return np.ascontiguousarray(out_of_blocks(self.blocks, at, count, n)[:, self.slots])
+
+    def checkpoint(self) -> Saved:
+        """States on the grid with what was booked, and the steps until there."""
+        return {"changing": self.values(0, CHANGING), "done": np.array(self.steps_done)}
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        into_blocks(self.blocks, 0, self.spaced(saved["changing"]))
+        self.steps_done = int(saved["done"])
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        elapsed = times - self.start
+        sums = self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)
+        return self.account.of_frames(elapsed, rows, frames, sums)
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State at the end of the segment, and (7,) booked until then."""
+        elapsed = np.array([stop - self.start])
+        steps, _ = grid_position(elapsed, self.dt, self.start)
+        none = room_for(0, 0, np.empty((0, 4)))
+        self.advance(steps, np.zeros(1), np.array([CLOSE]), none)
+        sums = self.values(BOOKED, 7).sum(axis=1)
+        state = State(*(self.values(*rows) for rows in ((COM, 3), (Q, 4), (P, 3), (L, 3))))
+        given = self.account.of_state(stop - self.start, state.com, state.q, state.L, sums)
+        return state, given
+
+    def advance(self, steps: Ints, partial: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Go through stops given by their distance from the start; sums of what was booked."""
+        bodies, members = self.group.bodies, self.group.members
+        sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
+        recording = Recording(bodies.rotor_frame, members, frames, sums)
+        for schedule in self.schedules(np.diff(steps, prepend=self.steps_done), partial, rows):
+            self.run(schedule, recording)
+            self.steps_done += int(schedule.steps.sum())
+        return np.asarray(sums.sum(axis=1))
+
+    def run(self, schedule: Schedule, recording: Recording) -> None:
+        """Go through a schedule."""
+        n, n_blocks = self.group.members.size, len(self.blocks)
+        arguments = self.moving, schedule, recording, self.saved
+        if self.forces is None:
+            apart = partial(compiled_loop(self.method, False), *arguments, 1)
+            stops = int(schedule.steps.sum()) + schedule.steps.size
+            THREADS.share(apart, n_blocks, n * stops)
+        elif self.forces.is_large:
+            loop_over_threads(self.method, self.forces)(*arguments, n_blocks, 0, n_blocks)
+        else:
+            loop = compiled_loop(self.method, True)
+            THREADS.alone(loop, *arguments, n_blocks, 0, n_blocks)
+
+    def schedules(self, counts: Ints, partial: Floats, rows: Ints) -> Iterator[Schedule]:
+        """Schedules of a bounded number of steps, with pauses where a frame is further away."""
+        stops: list[tuple[int, float, int]] = []
+        total, most = 0, max(1, int(NANOSECONDS_PER_CALL / self.cost))
+        for count, h, row in zip(counts.tolist(), partial.tolist(), rows.tolist(), strict=True):
+            left = count
+            while total + left > most:
+                stops.append((most - total, 0.0, PAUSE))
+                left -= most - total
+                yield self.schedule(stops)
+                stops, total = [], 0
+            stops.append((left, h, row))
+            total += left
+        if stops:
+            yield self.schedule(stops)
+
+    def schedule(self, stops: list[tuple[int, float, int]]) -> Schedule:
+        """Stops as arrays, from where the group is now."""
+        steps, partial, frame = zip(*stops, strict=True)
+        before = self.steps_done
+        return Schedule(self.dt, before, np.array(steps), np.array(partial), np.array(frame))
