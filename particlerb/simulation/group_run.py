@@ -164,22 +164,20 @@ class GroupRun:
         return frames.position[row, own].T, q
 
 
-def record_all(
-    travellers: Sequence[GroupRun], times: Floats, frames: Frames
-) -> tuple[Floats, Energies]:
-    """Sums over the groups of what `Traveller.record` returns."""
+def record_all(runs: Sequence[GroupRun], times: Floats, frames: Frames) -> tuple[Floats, Energies]:
+    """Sums over the groups of what `GroupRun.record` returns."""
     booked, energies = np.zeros((times.size, 7)), np.zeros((2, times.size))
-    for traveller in travellers:
-        given, own = traveller.record(times, frames)
+    for run in runs:
+        given, own = run.record(times, frames)
         booked += given
         energies += own
     return booked, Energies(*energies)
 
 
-def initial_energies(travellers: Sequence[GroupRun], initial: Frames) -> Energies:
+def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:
     """Energies at t = 0 beside those of the bodies themselves, (1,)."""
-    potential = [t.potential(*t.pose(initial, 0)) for t in travellers if t.is_bound]
-    touching = [t.motion for t in travellers if isinstance(t.motion, TOUCHING)]
+    potential = [run.potential(*run.pose(initial, 0)) for run in runs if run.is_bound]
+    touching = [run.motion for run in runs if isinstance(run.motion, TOUCHING)]
     potential += [motion.elastic for motion in touching]
     kinetic = sum(motion.at_rest for motion in touching)
     return Energies(np.array([sum(potential)]), np.array([kinetic]))

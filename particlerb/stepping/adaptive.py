@@ -39,6 +39,7 @@ from particlerb.model.block import (
     state_rows,
 )
 from particlerb.model.state import Frames, State, room_for, store_frame
+from particlerb.stepping.loop import Recording
 from particlerb.stepping.motion import Group, WorkAccount
 from particlerb.stepping.saved_arrays import Saved
 
@@ -140,27 +141,25 @@ def advance(
         give_pack(y, w, blocks, pack, n)
 
 
-class AdaptiveMotion:
-    """A group of bodies, each with steps of its own; see `motion.Motion`."""
+class AdaptiveRun:
+    """What groups of bodies with steps of their own choice share; see `motion.Motion`."""
 
-    def __init__(
-        self,
-        method: Method,
-        group: Group,
-        state: State,
-        start: float,
-        first_step: float,
-        tolerance: float,
-    ) -> None:
+    blocks: Floats
+    clock: Floats  # (2, ...) [s] time from which a step starts, and the step to try
+    cost: float  # [ns] of a step of all, roughly
+
+    def __init__(self, group: Group, state: State, start: float, tolerance: float) -> None:
         self.group, self.start, self.tolerance = group, start, tolerance
-        self.cost = method.cost * group.members.size  # [ns] of a step of all, roughly
-        n, terms = group.members.size, group.terms
-        parts = state_rows(state, group.bodies) + rows_of_terms(terms)
-        assert row_count(terms) <= WORK
-        self.blocks = in_blocks(n, row_count(terms), parts)
         self.account = WorkAccount(group, state)
-        self.clock = np.zeros((2, -(-n // PACK)))
-        self.clock[1] = first_step
+
+    def advance_some(
+        self, times: Floats, rows: Ints, until: float, stop: float, recording: Recording
+    ) -> None:
+        """All frames, then on to the step around `until`, or to `stop` if it is finite."""
+        raise NotImplementedError
+
+    def write_back(self) -> None:
+        """Bring states back to the blocks, where they were elsewhere."""
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
@@ -170,42 +169,22 @@ class AdaptiveMotion:
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
+        elapsed, n = stop - self.start, self.group.members.size
         none = room_for(0, 0, np.empty((0, 4)))
-        elapsed = stop - self.start
         self.advance(np.empty(0), np.empty(0, dtype=np.int64), elapsed, none)
-        n = self.group.members.size
-        state, sums = (
-            state_of(self.blocks, n),
-            out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1),
-        )
+        self.write_back()
+        state = state_of(self.blocks, n)
+        sums = out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1)
         return state, self.account.of_state(elapsed, state.com, state.q, state.L, sums)
-
-    def checkpoint(self) -> Saved:
-        """States at the start of each pack's step, when that is, and how long the step is."""
-        n = self.group.members.size
-        return {
-            "changing": out_of_blocks(self.blocks, 0, CHANGING, n),
-            "clock": self.clock.copy(),
-        }
-
-    def restore(self, saved: Saved) -> None:
-        """Go on from what was saved."""
-        into_blocks(self.blocks, 0, saved["changing"])
-        self.clock[:] = saved["clock"]
 
     def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
         """Through all times; sums of what was booked, for each row of the frames."""
         group = self.group
-        n = group.members.size
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
+        recording = Recording(group.bodies.rotor_frame, group.members, frames, sums)
         for lo, hi, until in self.calls(times, stop):
             cut = stop if until == stop else np.inf
-            through = partial(
-                advance, self.blocks, acting_of(group.terms), self.account.books, self.clock,
-                self.tolerance, times[lo:hi], rows[lo:hi], until, cut, group.bodies.rotor_frame,
-                group.members, frames, sums,
-            )  # fmt: skip
-            THREADS.spread(through, n, int((hi - lo + 1) * self.cost))
+            self.advance_some(times[lo:hi], rows[lo:hi], until, cut, recording)
         return np.asarray(sums.sum(axis=1))
 
     def calls(self, times: Floats, stop: float) -> Iterator[tuple[int, int, float]]:
@@ -229,3 +208,48 @@ class AdaptiveMotion:
         """Time that every body will have reached after so many more steps, about."""
         ahead = self.clock[0] + steps * self.clock[1]
         return float(np.min(ahead, initial=np.inf, where=np.isfinite(ahead)))
+
+
+class AdaptiveMotion(AdaptiveRun):
+    """A group of bodies, each with steps of its own; see `motion.Motion`."""
+
+    def __init__(
+        self,
+        method: Method,
+        group: Group,
+        state: State,
+        start: float,
+        first_step: float,
+        tolerance: float,
+    ) -> None:
+        super().__init__(group, state, start, tolerance)
+        n, terms = group.members.size, group.terms
+        self.cost = method.cost * n
+        parts = state_rows(state, group.bodies) + rows_of_terms(terms)
+        assert row_count(terms) <= WORK
+        self.blocks = in_blocks(n, row_count(terms), parts)
+        self.clock = np.zeros((2, -(-n // PACK)))
+        self.clock[1] = first_step
+
+    def checkpoint(self) -> Saved:
+        """States at the start of each pack's step, when that is, and how long the step is."""
+        n = self.group.members.size
+        return {
+            "changing": out_of_blocks(self.blocks, 0, CHANGING, n),
+            "clock": self.clock.copy(),
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        into_blocks(self.blocks, 0, saved["changing"])
+        self.clock[:] = saved["clock"]
+
+    def advance_some(
+        self, times: Floats, rows: Ints, until: float, stop: float, recording: Recording
+    ) -> None:
+        """Packs of bodies over threads; see `AdaptiveRun`."""
+        through = partial(
+            advance, self.blocks, acting_of(self.group.terms), self.account.books, self.clock,
+            self.tolerance, times, rows, until, stop, *recording,
+        )  # fmt: skip
+        THREADS.spread(through, self.group.members.size, int((times.size + 1) * self.cost))

@@ -5,9 +5,9 @@ row of arrays (blocks, size * w), in the order of `dop853_step`. Where forces be
 are worth several threads, the same loops run as Python and spread them.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,17 +41,15 @@ from particlerb.model.block import (
     Q,
     get,
     in_blocks,
-    out_of_blocks,
     put,
-    state_of,
     state_rows,
 )
-from particlerb.model.state import Frames, State, room_for, store_frame
-from particlerb.stepping.motion import Group, WorkAccount
+from particlerb.model.state import Frames, State, store_frame
+from particlerb.stepping.adaptive import AdaptiveRun
+from particlerb.stepping.loop import Recording
+from particlerb.stepping.motion import Group
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
-
-NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
 
 
 class JointWorkspace(NamedTuple):
@@ -275,7 +273,7 @@ def family(make: Callable[..., Callable[..., Any]], **names: Any) -> Callable[..
 compiled = family(partial(kernel_from, name="here"))
 
 
-class JointMotion:
+class JointMotion(AdaptiveRun):
     """A group of bodies that act on each other, with common steps; see `motion.Motion`."""
 
     def __init__(
@@ -287,7 +285,7 @@ class JointMotion:
         first_step: float,
         tolerance: float,
     ) -> None:
-        self.group, self.start, self.tolerance = group, start, tolerance
+        super().__init__(group, state, start, tolerance)
         n, terms = group.members.size, group.terms
         assert row_count(terms) <= STAGE
         self.forces = PairForces(terms, n, True)
@@ -295,7 +293,6 @@ class JointMotion:
         self.blocks = in_blocks(n, STAGE + 2 * CHANGING, parts)
         first = np.arange(0, n, BLOCK)
         self.layout = Layout(first, np.minimum(BLOCK, n - first), 0)
-        self.account = WorkAccount(group, state)
         self.room = self.make_room(ALONE if self.account.books is None else CHANGING)
         self.clock = np.array([0.0, first_step])
         self.cost = method.cost * n + method.evaluations * self.forces.cost
@@ -311,22 +308,9 @@ class JointMotion:
             y, new, out, five, three, K, np.zeros((len(self.blocks), width)), width
         )
 
-    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
-        """Write the states at these times into rows of the frames; return (T, 7) booked."""
-        elapsed = times - self.start
-        sums = self.advance(elapsed, rows, np.inf, frames)
-        return self.account.of_frames(elapsed, rows, frames, sums)
-
-    def finish(self, stop: float) -> tuple[State, Floats]:
-        """State at the end of the segment, and (7,) booked until then."""
-        none = room_for(0, 0, np.empty((0, 4)))
-        elapsed = stop - self.start
-        self.advance(np.empty(0), np.empty(0, dtype=np.int64), elapsed, none)
+    def write_back(self) -> None:
+        """Bring the vectors back to the blocks."""
         give_blocks(self.blocks, self.layout, self.room)
-        n = self.group.members.size
-        state = state_of(self.blocks, n)
-        sums = out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1)
-        return state, self.account.of_state(elapsed, state.com, state.q, state.L, sums)
 
     def checkpoint(self) -> Saved:
         """States at the start of the step, when that is, and how long the step is."""
@@ -337,39 +321,19 @@ class JointMotion:
         self.room.y[:] = saved["y"]
         self.clock[:] = saved["clock"]
 
-    def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
-        """Through all times; sums of what was booked, for each row of the frames."""
-        group, large = self.group, self.forces.is_large
-        sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
-        for lo, hi, until in self.calls(times, stop):
-            cut = stop if until == stop else np.inf
-            arguments = (
-                acting_of(group.terms), self.account.books, self.blocks, self.layout,
-                self.forces.pairs, self.room, self.clock, self.tolerance, times[lo:hi],
-                rows[lo:hi], until, cut, group.bodies.rotor_frame, group.members, frames, sums,
-            )  # fmt: skip
-            if large:
-                family(in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)
-            else:
-                THREADS.alone(compiled, *arguments)
-        return np.asarray(sums.sum(axis=1))
-
-    def calls(self, times: Floats, stop: float) -> Iterator[tuple[int, int, float]]:
-        """Ranges of frames, and times to go to after them, of about a second each."""
-        most = max(1.0, NANOSECONDS_PER_CALL / self.cost)
-        done = 0
-        while done < times.size:
-            horizon = self.clock[0] + most * self.clock[1]
-            reached = max(int(np.searchsorted(times, horizon, side="right")), done)
-            if reached == done and horizon + most * self.clock[1] < times[done]:
-                yield done, done, horizon
-            else:
-                yield done, max(reached, done + 1), 0.0
-                done = max(reached, done + 1)
-        while stop < np.inf and self.clock[0] + most * self.clock[1] < stop:
-            yield done, done, self.clock[0] + most * self.clock[1]
-        if stop < np.inf:
-            yield done, done, stop
+    def advance_some(
+        self, times: Floats, rows: Ints, until: float, stop: float, recording: Recording
+    ) -> None:
+        """All bodies together; see `AdaptiveRun`."""
+        arguments = (
+            acting_of(self.group.terms), self.account.books, self.blocks, self.layout,
+            self.forces.pairs, self.room, self.clock, self.tolerance, times, rows, until, stop,
+            *recording,
+        )  # fmt: skip
+        if self.forces.is_large:
+            family(in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)
+        else:
+            THREADS.alone(compiled, *arguments)
 
 
 @kernel
