@@ -20,6 +20,7 @@ from particlerb.model.load import OTHER, OUTSIDE, POWER
 from particlerb.model.load import TORQUE as PAIR_TORQUE
 
 ZERO: Final = (0.0, 0.0, 0.0)
+POSE: Final = "b, x, R, dt, p, L"  # arguments of a kick
 Entry: TypeAlias = tuple[
     float, Vec3, Vec3
 ]  # work, impulse, angular impulse: stepping/external_work.py
@@ -81,24 +82,6 @@ class Family(NamedTuple):
     last: str = ""  # lines at the end
 
 
-POSE: Final = "b, x, R, dt, p, L"
-POTENTIAL: Final = Family(
-    "kick_potential", "push", POSE, "p, L",
-    last="p, L = kick_pair(acting.pair, rows, PAIR, b, dt, p, L)",
-)  # fmt: skip
-OTHERS: Final = Family(
-    "kick_others", "push", POSE, "p, L",
-    last="p, L = kick_pair(acting.contact, rows, PAIR + OTHER, b, dt, p, L)",
-)  # fmt: skip
-LOAD: Final = Family("load_of_velocity", "load", "b, x, R, p, L, F, tau", "F, tau")
-FLOW_IN: Final = Family("flow_in", "flow", "b, R, dt, p, L", "p, L")
-FLOW_OUT: Final = Family("flow_out", "flow", "b, R, dt, p, L", "p, L")
-DAMP: Final = Family("damp", "damp", "b, R, p_old, L_old, p, L", "p, L")
-PREPARE: Final = Family("prepare_kick", "prepare", "n, dt")
-AT_TIME: Final = Family("at_time", "at_time", "b, t")
-POWERS: Final = Family("power_of_time", "power", "b, x, R, power", "power")
-
-
 def source_of(family: Family, kicks: Iterable[Kick]) -> str:
     """Source of a family: a function for each kick, left out if None, and one that calls all."""
     parts, calls = [], []
@@ -143,22 +126,37 @@ def made(family: Family, kicks: Iterable[Kick]) -> Callable[..., Any]:
     return function
 
 
-kick_potential: Callable[..., Momenta] = made(POTENTIAL, [k for k in KICKS if k.has_potential])
+PAIR_KICK: Final = "p, L = kick_pair(acting.{}, rows, {}, b, dt, p, L)"
+kick_potential: Callable[..., Momenta] = made(
+    Family("kick_potential", "push", POSE, "p, L", PAIR_KICK.format("pair", "PAIR")),
+    [kick for kick in KICKS if kick.has_potential],
+)
 """(acting, rows, b, x, R, dt, p, L): momenta after dt of the forces that have a potential."""
-kick_others: Callable[..., Momenta] = made(OTHERS, [k for k in KICKS if not k.has_potential])
+kick_others: Callable[..., Momenta] = made(
+    Family("kick_others", "push", POSE, "p, L", PAIR_KICK.format("contact", "PAIR + OTHER")),
+    [kick for kick in KICKS if not kick.has_potential],
+)
 """(acting, rows, b, x, R, dt, p, L): momenta after dt of those without, that know no velocities."""
-load_of_velocity: Callable[..., Momenta] = made(LOAD, KICKS)
+load_of_velocity: Callable[..., Momenta] = made(
+    Family("load_of_velocity", "load", "b, x, R, p, L, F, tau", "F, tau"), KICKS
+)
 """(acting, rows, b, x, R, p, L, F, tau): F and τ with what depends on velocities added."""
-flow_in: Callable[..., Momenta] = made(FLOW_IN, KICKS)
-"""(acting, rows, b, R, dt, p, L): momenta after the flows of such forces; half of them before a
-kick, and half after it by"""
-flow_out: Callable[..., Momenta] = made(FLOW_OUT, KICKS[::-1])
-damp: Callable[..., Momenta] = made(DAMP, KICKS)
+flow_in: Callable[..., Momenta] = made(Family("flow_in", "flow", "b, R, dt, p, L", "p, L"), KICKS)
+"""(acting, rows, b, R, dt, p, L): momenta after the flows of such forces, one after the other."""
+flow_out: Callable[..., Momenta] = made(
+    Family("flow_out", "flow", "b, R, dt, p, L", "p, L"), KICKS[::-1]
+)
+"""The same in the other order: both in turn, about a kick, are symmetric."""
+damp: Callable[..., Momenta] = made(
+    Family("damp", "damp", "b, R, p_old, L_old, p, L", "p, L"), KICKS
+)
 """(acting, rows, b, R, p_old, L_old, p, L): momenta after a kick with drag in it."""
-prepare_kick: Callable[..., None] = made(PREPARE, KICKS)
+prepare_kick: Callable[..., None] = made(Family("prepare_kick", "prepare", "n, dt"), KICKS)
 """(acting, rows, n, dt): before a block is kicked over dt."""
-at_time: Callable[..., None] = made(AT_TIME, KICKS)
-add_power: Callable[..., float] = made(POWERS, KICKS)
+at_time: Callable[..., None] = made(Family("at_time", "at_time", "b, t"), KICKS)
+add_power: Callable[..., float] = made(
+    Family("add_power", "power", "b, x, R, power", "power"), KICKS
+)
 
 
 @inline

@@ -5,7 +5,6 @@ the plan, follow it. Everything else finds a force here, by its type or by its p
 """
 
 from importlib import import_module
-from itertools import chain
 from types import ModuleType
 from typing import Any, Final
 
@@ -15,12 +14,28 @@ from particlerb.forces.push import FORCE_KICK
 from particlerb.model.block import LOADS
 from particlerb.model.load import CONTACT_ROWS
 
+
+def complete(kick: Kick) -> Kick:
+    """A kick that every method can make.
+
+    Raises
+    ------
+    TypeError
+        If a function is missing that some methods need.
+    """
+    if kick.load is not None and kick.flow is None and kick.damp is None:
+        raise TypeError(f"{kick.name}: `load` needs `flow`, which splittings take")
+    if kick.at_time is not None and kick.has_potential and kick.power is None:
+        raise TypeError(f"{kick.name}: a potential that changes with time needs `power`")
+    return kick
+
+
 MODULES: Final[dict[str, ModuleType]] = {
     name: import_module(f"particlerb.forces.{name}") for name in TABLES
 }
 FORCES: Final[dict[str, Force]] = {name: module.FORCE for name, module in MODULES.items()}
 KICKS: Final[tuple[Kick, ...]] = tuple(
-    chain.from_iterable(getattr(module, "KICKS", ()) for module in MODULES.values())
+    complete(kick) for module in MODULES.values() for kick in getattr(module, "KICKS", ())
 )
 TERMS: Final[dict[type[Any], Term]] = {
     term.parameters: term for module in MODULES.values() for term in getattr(module, "TERMS", ())

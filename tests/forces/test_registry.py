@@ -12,7 +12,7 @@ import pytest
 
 import particlerb
 from particlerb.case.forces import FORCES as TABLES
-from particlerb.forces.registry import FORCES, KICKS, TERMS
+from particlerb.forces.registry import FORCES, KICKS, TERMS, complete
 
 PACKAGE = Path(particlerb.__file__).parent
 PAGE = PACKAGE.parent / "CONTRIBUTING.md"
@@ -102,6 +102,14 @@ def test_every_table_has_a_force_and_every_name_is_there_once():
     assert len({kick.name for kick in KICKS}) == len(KICKS)
     assert len({term.name for term in TERMS.values()}) == len(TERMS)
     assert sum(kick.damp is not None for kick in KICKS) == 1  # two would not commute
+
+
+@pytest.mark.parametrize("name", ["magnus", "rotating_field"])
+def test_a_force_that_some_method_would_leave_out_is_refused(name):
+    kick = next(kick for kick in KICKS if kick.name == name)
+    assert complete(kick) is kick
+    with pytest.raises(TypeError, match=f"{name}: .* needs `(flow|power)`"):
+        complete(kick._replace(flow=None, power=None))
 
 
 def test_nobody_reads_a_case_with_the_compiler(make):
