@@ -12,7 +12,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 26199
+LINES_OF_CODE = 26180
 """At most, of the package; 19 000 are the aim."""
 
 LONGEST_MODULE = 400
@@ -46,12 +46,10 @@ LONG_FUNCTIONS = {
     "particlerb/contact/neighbour_list.py:order_contacts": 63,
     "particlerb/contact/pair_force.py:collect": 71,
     "particlerb/contact/pair_force.py:touch_spheres": 64,
-    "particlerb/export/__init__.py:export": 74,
     "particlerb/forces/gravity_tree/walk.py:meet": 65,
     "particlerb/integrators/dop853.py:advance": 69,
     "particlerb/plan/contact_setup.py:contact_of": 63,
     "particlerb/stepping/contact_run.py:advance_touching": 100,
-    "particlerb/studies/mass_report.py:record_of": 62,
 }
 """Lines at most of functions that are longer."""
 

@@ -135,11 +135,6 @@ def writing(path: Path) -> Iterator[None]:
             raise Ending(f"cannot write {path}: {error.strerror or error}", FAILED) from None
 
 
-def count_of(number: int, noun: str) -> str:
-    """A number with its noun: 1 frame, 3 frames."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
 def amount(size: float) -> str:
     """Number of bytes in words."""
     power = int(min(max(math.log10(max(size, 1.0)) // 3, 1), 4))

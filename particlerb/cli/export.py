@@ -7,7 +7,8 @@ import argparse
 from pathlib import Path
 
 from particlerb.cli.bodies import holds_bodies, named_bodies
-from particlerb.cli.common import DONE, Ending, count_of, opened, readable, to_write, writing
+from particlerb.cli.common import DONE, Ending, opened, readable, to_write, writing
+from particlerb.studies.text import count_of
 
 
 def export_command(options: argparse.Namespace) -> int:

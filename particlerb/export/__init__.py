@@ -5,6 +5,7 @@ memory. What a format cannot hold, or a file was not asked to record, is said be
 written. The formats know of no command line.
 """
 
+import contextlib
 import os
 from collections.abc import Collection, Iterator, Sequence
 from importlib import import_module
@@ -149,15 +150,22 @@ def export(
     lacking = [name for name in writer.NEEDS if not is_known(trajectory, name)]
     if lacking:
         raise ExportError(f"{to} needs {', '.join(lacking)}, not recorded: see [output] fields")
+    with appearing(path) as unfinished:
+        writer.write(selection, unfinished)
+    return len(selection.frames)
+
+
+@contextlib.contextmanager
+def appearing(path: Path) -> Iterator[Path]:
+    """Give a file to write, which becomes the one at the path when it is whole."""
     path = output_path(path, overwrite=True)
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        writer.write(selection, unfinished)
+        yield unfinished
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
-    return len(selection.frames)
 
 
 def chosen_fields(

@@ -66,8 +66,7 @@ def record_of(
     if moments[0] < 0.0 or excess < -LARGEST_DEFICIT * moments[2]:
         raise ValueError(f"{name}: {impossible(moments)}")
     ratio = {key: float(value[0]) for key, value in ratios_of(properties, k)._asdict().items()}
-    offset = ratio["offset"] if code != POINT else 0.0
-    rounding = UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))
+    rounding = rounding_error(0.0 if code == POINT else ratio["offset"])
     return {
         "name": name,
         "particles": n_particles,
@@ -90,6 +89,11 @@ def record_of(
         "advised_step": radians_per_step / spin if spin > 0.0 else None,
         "notes": list(matter.notes),
     }
+
+
+def rounding_error(offset: float) -> float:
+    """Relative error of sums about the com, which lies so many radii of gyration off the origin."""
+    return UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))
 
 
 def about_origin(mass: float, com: Floats, tensor: Floats) -> Floats:
