@@ -122,7 +122,7 @@ def compared(found: WorkPrecision, wanted: float) -> list[tuple[str, float]]:
 def in_a_batch(n: int = 100_000) -> float:
     """Time of the closed form for one body of a batch, with one output [s]."""
     case = load(one_body(n))
-    study = Study(case, 1e-6, 10.0)
+    study = Study(case, 10.0)
     THREADS.use(1)
     from particlerb.simulation.trials import part
 

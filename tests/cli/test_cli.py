@@ -613,3 +613,23 @@ def test_the_size_that_is_told_and_what_info_tells(make, tmp_path, capsys, dtype
     assert 0.3 < facts["size"] / (most + each * n) < 1.0
     assert main(["info", str(tmp_path / "run.h5")]) == 0
     assert re.search(r"^size +[\d.]+ [kM]B$", capsys.readouterr().out, re.MULTILINE)
+
+
+def test_the_stiffest_contact_is_told_with_its_steps():
+    from particlerb.cli.run import contact_text
+
+    assert contact_text(0.065) == "stiffest contact: ω dt = 0.065, 48.3 steps in a contact"
+    assert contact_text(0.5).endswith(", 6.28 steps in a contact; 20 are accurate")
+
+
+@pytest.mark.parametrize(("swing", "warns"), [(0.5, False), (2.5, True)])
+def test_contacts_beyond_their_limit_are_a_warning(monkeypatch, swing, warns):
+    """The limit of `strang` is ω dt = 2."""
+    from types import SimpleNamespace
+
+    from particlerb.cli.run import contact_warnings
+
+    monkeypatch.setattr("particlerb.plan.segments.stable_turn", lambda plan: 2.0)
+    told = contact_warnings(SimpleNamespace(plan=None), SimpleNamespace(swing=swing))
+    assert bool(told) == warns
+    assert all("ω dt = 2.5: above 2 " in text and "divide run.dt by 1.2" in text for text in told)
