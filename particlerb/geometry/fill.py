@@ -10,6 +10,7 @@ a packing of spheres is that of their union, whose volume is compared as well.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -120,22 +121,17 @@ def coarsest_within(
     ValueError
         If a million particles are too few; with the table of what was tried.
     """
-    analytic = ANALYTIC[shape](**size)
-
-    def trial(n: int) -> tuple[Trial, Particles]:
-        particles = make(n)
-        return Trial(n, len(particles.mass), *errors(particles, analytic)), particles
-
-    return first_below(wanted, trial)
+    return first_below(ANALYTIC[shape](**size), wanted, make)
 
 
-def first_below(wanted: float, trial: Callable[[int], tuple[Trial, Particles]]) -> FilledShape:
+def first_below(analytic: Analytic, wanted: float, make: Callable[[int], Particles]) -> FilledShape:
     """Try n = 1, 2, ... and, from 5 on, a fifth more each time."""
     trials: list[Trial] = []
     n, refusal = 1, None
     while True:
         try:
-            made, particles = trial(n)
+            particles = make(n)
+            made = Trial(n, len(particles.mass), *errors(particles, analytic))
         except ValueError as error:  # none of the cells is inside, or all lie in a plane
             if trials:
                 raise
@@ -202,19 +198,14 @@ def mesh_particles(
     total = float(density or 0.0) * solid.volume if mass is None else mass
     if not 0.0 < total < math.inf:
         raise ValueError(f"mass is {total} kg: positive and finite is needed")
-    analytic = Analytic(solid.com, solid.inertia / solid.volume)
     if arrangement == "exact":
         return FilledShape(equimomental_points(solid, total), (), mesh.notes)
     if arrangement == "cells":
-
-        def cells(n: int) -> tuple[Trial, Particles]:
-            particles = mesh_cells(mesh, total, n)
-            return Trial(n, len(particles.mass), *errors(particles, analytic)), particles
-
-        filled = (
-            FilledShape(cells(n)[1]) if inertia_error is None else first_below(inertia_error, cells)
-        )
-        return filled._replace(notes=mesh.notes)
+        make = partial(mesh_cells, mesh, total)
+        if inertia_error is None:
+            return FilledShape(make(n), (), mesh.notes)
+        analytic = Analytic(solid.com, solid.inertia / solid.volume)
+        return first_below(analytic, inertia_error, make)._replace(notes=mesh.notes)
     if arrangement != "spheres":
         raise ValueError(f"arrangement is {arrangement!r}: exact, cells or spheres is needed")
     filled = spheres_in(mesh, solid, total, n, inertia_error)
