@@ -31,21 +31,12 @@ PORTION = 100_000  # states that are read at a time where all are gone through
 
 
 class FrameReader:
-    """States of N bodies in T frames, read from a file when asked for.
-
-    Frames that were not yet committed when the file was opened do not count; `refresh` counts
-    again. Usable as a context manager; closes its file.
+    """Numbers of N bodies in T frames, read from a file when asked for; see `Trajectory`.
 
     Parameters
     ----------
     file : h5py.File
         Open for reading.
-
-    Raises
-    ------
-    TrajectoryError
-        If the file lacks what a trajectory has, or is of another schema; from any method if what
-        it reads is damaged.
     """
 
     def __init__(self, file: h5py.File) -> None:
