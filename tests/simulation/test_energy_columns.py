@@ -54,9 +54,9 @@ def runs(make):
     bodies = make.body("one", **START), make.body("two", **AWAY)
     names, cases = [], []
     for scene, force in SCENES.items():
-        for method, module in METHODS.items():
+        for method, record in METHODS.items():
             damped = any("damping" in one for one in force(make))
-            if method == "exact" or (damped and VELOCITY not in module.accepts):
+            if method == "exact" or (damped and VELOCITY not in record.accepts):
                 continue
             names.append((scene, method))
             cases.append(make.case(*bodies, force=force(make), method=method, **keys))
