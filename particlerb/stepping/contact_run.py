@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.barrier import ALONE, Team, largest, meet, share_of, together
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.body_loads import collect_loads, load_pistons, stored_energy
 from particlerb.contact.contact_frequency import contact_frequency
 from particlerb.contact.contact_model import (
@@ -88,6 +88,7 @@ from particlerb.integrators.stages import (
     Layout,
     MovingBodies,
     PairTerms,
+    flow_dashpots,
     gather_block,
     kick,
     over_threads,
@@ -95,7 +96,7 @@ from particlerb.integrators.stages import (
     scatter_block,
     set_times,
 )
-from particlerb.integrators.strang import CLOSING_KICK, kick_and_drift
+from particlerb.integrators.strang import CLOSING_KICK, drift, kick_and_drift
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import COM, L, P, Q, copy_changing, get, get3, get4, put, put3, put4
 from particlerb.model.load import CONTACT_ROWS
@@ -386,6 +387,39 @@ def recall(contacts: ContactList, team: Team) -> None:
 # The loop
 
 
+@inline
+def flow_together(
+    dashpots: Flag, moving: MovingBodies, dt: float, backwards: bool, team: Team
+) -> None:
+    """Flow of the dashpots between bodies, by the first thread while the others wait."""
+    if dashpots is None:
+        return
+    meet(team)
+    if team.rank == 0:
+        flow_dashpots(moving, dt, backwards)
+    meet(team)
+
+
+@inline
+def kick_then_drift(
+    dashpots: Flag,
+    moving: MovingBodies,
+    first: int,
+    last: int,
+    kick_dt: float,
+    closing: float,
+    dt: float,
+    team: Team,
+) -> None:
+    """Kick and drift of `strang`; the flow of dashpots stands between them."""
+    if dashpots is None:
+        kick_and_drift(moving, first, last, kick_dt, dt)
+        return
+    kick(moving, first, last, kick_dt)
+    flow_together(dashpots, moving, closing, False, team)
+    drift(moving, first, last, dt)
+
+
 def advance_touching(  # noqa: PLR0912, PLR0915
     moving: MovingBodies,
     contact: GroupContact,
@@ -427,6 +461,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
                 open_on_grid, kick_on_grid = open_kick, last_kick
             if h > 0.0:
                 remember(blocks, layout, memory.last, team)
+                flow_together(moving.dashpots, moving, open_kick, True, team)
                 if team.rank == 0:
                     other_loads(moving.pairs)
                 touch(contact, room, lists, before, h, v, w, reached, team)
@@ -438,8 +473,9 @@ def advance_touching(  # noqa: PLR0912, PLR0915
                     load_pistons(pistons, slides, lists.walls, contact.model, later)
                     kick_pistons(pistons, slides, open_kick, CLOSING_KICK * h, True)
                     drift_pistons(pistons, slides, h)
+                closing = CLOSING_KICK * h
                 set_times(moving, first, end, time)
-                kick_and_drift(moving, first, end, last_kick, h)
+                kick_then_drift(moving.dashpots, moving, first, end, last_kick, closing, h, team)
                 open_kick = CLOSING_KICK * h
                 time += dt if i < steps[s] else 0.0
         now = time + (partial_steps[s] if frame[s] >= 0 else 0.0)
@@ -448,6 +484,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
             ahead = open_kick / last_kick if last_kick > 0.0 else 0.0
             way, v, w = place_blocks(moving, contact, room, memory, now, ahead, team)
             reached = max(reached, reach_of(lists, way, v, w, before, 0.0))
+            flow_together(moving.dashpots, moving, open_kick, True, team)
             if team.rank == 0:
                 other_loads(moving.pairs)
             touch(contact, room, lists, before, 0.0, v, w, reached, team)
@@ -884,7 +921,14 @@ class TouchingMotion(SteppedMotion):
         forces = self.forces
         spread: Callable[..., LoopPosition] | None = None
         if forces is not None and forces.is_large:
-            spread = over_threads(advance_touching, other_loads=lambda _: forces.evaluate())
+            spread = over_threads(
+                advance_touching,
+                other_loads=lambda _: forces.evaluate(),
+                flow_together=over_threads(flow_together),
+                kick_then_drift=over_threads(
+                    kick_then_drift, flow_together=over_threads(flow_together)
+                ),
+            )
         while True:
             kept = self.lists.spheres.history, self.lists.walls.history, self.memory.slides
             saved = Copies(self.saved, np.empty_like(self.memory.last), *map(np.empty_like, kept))

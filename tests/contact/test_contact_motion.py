@@ -601,6 +601,27 @@ def test_the_loop_in_python_that_spreads_attraction_gives_the_same_bits(make, mo
     same(compiled, ran(case))
 
 
+def two_on_a_dashpot(make, contact):
+    """Two balls at a distance on a damped spring, with contact or without."""
+    balls = [
+        make.sphere("a", position=[0.0, 0.0, 0.0]),
+        make.sphere("b", position=[1.0, 0.0, 0.0], velocity=[0.5, 0.2, 0.0]),
+    ]
+    spring = {"type": "spring", "body": "a", "to": "b", "stiffness": 3.0, "damping": 2.0}
+    run = {"t_end": 0.1, "every": 0.033, "dt": 2e-3, "method": "strang"}
+    keys = {"contact": make.hooke(1e4, 0.5, 0.5)} if contact else {}
+    return make.case(*balls, force=[spring | {"rest_length": 1.0}], **keys) | {"run": run}
+
+
+def test_dashpots_between_bodies_act_beside_contact(make, monkeypatch):
+    free, beside = (ran(two_on_a_dashpot(make, contact)) for contact in (False, True))
+    assert np.abs(free.v[-1] - free.v[0]).max() > 0.02
+    assert beside.v == pytest.approx(free.v, rel=1e-12, abs=1e-15)
+    assert beside.ledger.work == pytest.approx(free.ledger.work, rel=1e-12, abs=1e-15)
+    monkeypatch.setattr(PairForces, "is_large", True)
+    same(beside, ran(two_on_a_dashpot(make, True)))
+
+
 @pytest.mark.compiled
 def test_three_threads_with_blocks_of_their_own_give_the_bits_of_one(make):
     """700 balls of unequal size fall into a heap; there are three blocks, lists are made often."""
