@@ -4,35 +4,69 @@ The angle is that of the rotation from one orientation to the other, 2 atan2(|v|
 accurate for tiny angles. Rods compare their axes, points nothing.
 """
 
+import math
+
 import numpy as np
 
-from particlerb.maths.vec3 import Floats
+from particlerb.compiled.jit import inline, kernel
+from particlerb.maths.quaternion import Quat, conjugate, multiply, to_world
+from particlerb.maths.vec3 import Floats, Ints, cross, dot
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import multiplied, turned
 from particlerb.rotors.rotor_class import POINT, ROD
 
 CONJUGATE = np.array([[1.0], [-1.0], [-1.0], [-1.0]])
 
 
-def angles(bodies: Bodies, expected: Floats, found: Floats) -> Floats:
-    """Angles between orientations, (n,) [rad].
+@inline
+def angle_between(code: int, frame: Quat, a: Quat, b: Quat) -> float:
+    """Angle between two orientations of a body of a rotor class [rad]."""
+    if code == POINT:
+        return 0.0
+    if code == ROD:
+        axis = to_world(frame, (0.0, 0.0, 1.0))
+        p, q = to_world(a, axis), to_world(b, axis)
+        across = cross(p, q)
+        return math.atan2(math.sqrt(dot(across, across)), dot(p, q))
+    w, x, y, z = multiply(conjugate(a), b)
+    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
+
+
+@kernel
+def compare(
+    rotor_class: Ints, rotor_frame: Floats, x: Floats, q: Floats, y: Floats, r: Floats,
+    angle: Floats, distance: Floats,
+) -> None:  # fmt: skip
+    """Angles and distances of all rows and bodies between states (x, q) and (y, r)."""
+    for k in range(angle.shape[0]):
+        for b in range(rotor_class.size):
+            frame = (rotor_frame[0, b], rotor_frame[1, b], rotor_frame[2, b], rotor_frame[3, b])
+            expected = (q[k, b, 0], q[k, b, 1], q[k, b, 2], q[k, b, 3])
+            found = (r[k, b, 0], r[k, b, 1], r[k, b, 2], r[k, b, 3])
+            angle[k, b] = angle_between(rotor_class[b], frame, expected, found)
+            off = (y[k, b, 0] - x[k, b, 0], y[k, b, 1] - x[k, b, 1], y[k, b, 2] - x[k, b, 2])
+            distance[k, b] = math.sqrt(dot(off, off))
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def misfits(bodies: Bodies, x: Floats, q: Floats, y: Floats, r: Floats) -> tuple[Floats, Floats]:
+    """Angles [rad] and distances [m] between poses, each (T, n).
 
     Parameters
     ----------
     bodies : Bodies
         Constants of the n bodies.
-    expected, found : ndarray, shape (n, 4)
-        Unit quaternions, body frame to world; their signs do not matter.
+    x, y : ndarray, shape (T, n, 3) [m]
+        Positions expected and found.
+    q, r : ndarray, shape (T, n, 4)
+        Unit quaternions, body frame to world, expected and found; their signs do not matter.
     """
-    a, b = np.ascontiguousarray(expected.T), np.ascontiguousarray(found.T)
-    w, *v = multiplied(a * CONJUGATE, b)
-    angle = 2 * np.arctan2(np.linalg.norm(v, axis=0), np.abs(w))
-    rods = bodies.rotor_class == ROD
-    if rods.any():
-        frame = bodies.rotor_frame[:, rods]
-        axis = turned(frame, np.array([[0.0], [0.0], [1.0]]) * np.ones(frame.shape[1]))
-        p, q = turned(a[:, rods], axis), turned(b[:, rods], axis)
-        across = np.linalg.norm(np.cross(p, q, axis=0), axis=0)
-        angle[rods] = np.arctan2(across, (p * q).sum(axis=0))
-    angle[bodies.rotor_class == POINT] = 0.0
+    angle, distance = np.empty(x.shape[:2]), np.empty(x.shape[:2])
+    compare(bodies.rotor_class, bodies.rotor_frame, x, q, y, r, angle, distance)
+    return angle, distance
+
+
+def angles(bodies: Bodies, expected: Floats, found: Floats) -> Floats:
+    """Angles between orientations (n, 4) of n bodies, (n,) [rad]; as `misfits`."""
+    at_rest = np.zeros((1, len(expected), 3))
+    (angle,), _ = misfits(bodies, at_rest, expected[None], at_rest, found[None])
     return np.asarray(angle)

@@ -43,6 +43,7 @@ from particlerb.simulation.step_ladder import (
     ChosenStep,
     Ladder,
     Pilot,
+    candidates,
 )
 from particlerb.simulation.trials import drifts, part, states_at
 
@@ -156,7 +157,7 @@ def search(case: Case, scene: System, group: GroupPlan) -> ChosenStep | None:
     if any(s.terms.contact is not None for s in stepped):
         return by_energy(pilot, "strang")
     able = [name for name in RATIO if all(accepts(name, s.terms) for s in stepped)]
-    return cheapest(pilot, [Ladder(pilot, name) for name in able])
+    return cheapest(pilot, [Ladder(pilot, name) for name in candidates(pilot, able)])
 
 
 def cheapest(pilot: Pilot, ladders: list[Ladder]) -> ChosenStep:

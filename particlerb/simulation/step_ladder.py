@@ -24,14 +24,17 @@ from particlerb.model.state import Frames
 from particlerb.plan.describe import group_name
 from particlerb.plan.segments import GroupPlan, Stepping, has_step, is_adaptive, rates, stepped_by
 from particlerb.rotors.rotor_class import ASYMMETRIC
-from particlerb.simulation.trials import chosen, misfits, poses, ways
+from particlerb.simulation.trials import chosen, poses, relative_misfits, ways
 from particlerb.stepping.pair_forces import cost_of
 
-FIRST_TURN: Final = {"strang": 0.5, "rkn6": 4.0}  # rad of the first step that is tried
-FIRST_TOLERANCE, COARSEST, FINEST = 1e-4, 1e-3, 1e-14  # that is tried, and the limits
+FIRST_TURN: Final = {"strang": 0.5, "rkn6": 4.0, "rk4": 0.5}  # rad of the first step that is tried
+FIRST_WANTED: Final = 1e-3  # for this accuracy, by half of the order for others
+FIRST_TOLERANCE: Final = 0.01  # that is tried, in units of the accuracy,
+COARSEST, FINEST = 1e-3, 1e-14  # and its limits
+CRUDE: Final = 1e-5  # accuracy below which a method of order 2 is no rival
 ADAPTED: Final = 4.0  # rad of a step with a tolerance of 1, about,
 LONGER: Final = 10.0  # and how many times longer steps may be later than at t = 0
-RATIO: Final = {"strang": 2.0, "rkn6": 1.6, "dop853": 30.0}  # of settings that are compared
+RATIO: Final = {"strang": 2.0, "rkn6": 1.6, "rk4": 1.8, "dop853": 30.0}  # of settings compared
 DEARER: Final = 1.25  # a run may be than one whose error on the pilot is just what is wanted
 PILOT: Final = 32  # bodies that are looked at, at most:
 FASTEST: Final = 8  # these by their rates at t = 0, the others by their errors at
@@ -48,7 +51,7 @@ ORDERLY: Final = (0.75, 1.75)  # within these shares of it
 NEAR: Final = 1.5  # ratio of costs between which nothing else is looked for
 NOISE: Final = 1e-13  # no error below it is foretold
 ENOUGH: Final = 0.6  # of what is wanted, where errors are seen and not foretold
-MOST_GROWTH: Final = 3  # of the setting, in powers of it
+MOST_GROWTH: Final = 5  # of the setting, in powers of it
 FURTHER: Final = 300.0  # ratio of errors beyond what was tried, where a run would be too dear
 TINY: Final = 1e-300  # in place of errors of 0
 FEW: Final = 12  # bodies that cost as much as one, in the lanes of a register
@@ -86,6 +89,8 @@ class Pilot:
         ]
         self.cost_between = max(cost_of(segment.terms) for segment in group.segments)
         self.is_coupled = any(segment.terms.is_coupled for segment in group.segments)
+        self.asymmetric = float(np.mean(group.bodies.rotor_class == ASYMMETRIC))
+        self.gone: tuple[Frames | None, Floats] = (None, np.empty(0))  # ways of the last reference
         self.take(np.arange(group.members.size))
         self.calm = 1.0  # steps that the whole group takes beside the pilot, where it adapts them
         if self.which.size > PILOT and not self.is_coupled:
@@ -109,7 +114,7 @@ class Pilot:
         coarse, fine = (
             self.poses(Stepping("strang", self.longest(turn), 0.0, ""), times)[0] for turn in COARSE
         )
-        error = self.errors(times, coarse, fine, 0)
+        error = self.errors(times, coarse, fine)[0]
         fastest = np.argsort(-self.rates, kind="stable")[:FASTEST]
         error[fastest] = np.inf
         return np.sort(np.argsort(-error, kind="stable")[:PILOT])
@@ -130,13 +135,17 @@ class Pilot:
             text = f"{name}: looking for method and step for run.accuracy, now with {method} ..."
             print(text, file=sys.stderr, flush=True)
 
-    def errors(self, times: Floats, found: Frames, expected: Frames, row: int) -> Floats:
-        """Errors of each body in a row: the larger of orientation and position."""
+    def errors(
+        self, times: Floats, found: Frames, expected: Frames, rows: slice = slice(None)
+    ) -> Floats:
+        """Errors of the bodies in rows, (T, n): the larger of orientation and position."""
         bodies = self.own.bodies
-        way = ways(bodies, times, expected, self.state.p.T)[row]
-        with np.errstate(over="ignore", invalid="ignore"):
-            turn, off = misfits(bodies, np.maximum(self.size, way), found, expected, row)
-        return np.nan_to_num(np.maximum(turn, off), nan=np.inf)
+        if self.gone[0] is not expected:
+            self.gone = expected, ways(bodies, times, expected, self.state.p.T)
+        scale = np.maximum(self.size, self.gone[1][rows])
+        error = np.maximum(*relative_misfits(bodies, scale, found, expected, rows))
+        error[np.isnan(error)] = np.inf
+        return error
 
     def cost(self, stepping: Stepping, steps: float, n: int) -> float:
         """Time that n bodies of the group take for so many steps, by the table [ns]."""
@@ -146,9 +155,19 @@ class Pilot:
             lanes = -(-n // PACK) * PACK
         each = method.cost
         if method.asymmetric_cost is not None:
-            asymmetric = np.mean(self.group.bodies.rotor_class == ASYMMETRIC)
-            each *= 1.0 + asymmetric * (method.asymmetric_cost(stepping.dt * self.rate) - 1.0)
+            turns = stepping.dt * self.rate
+            each *= 1.0 + self.asymmetric * (method.asymmetric_cost(turns) - 1.0)
         return float(steps * (lanes * each + method.evaluations * self.cost_between))
+
+
+def candidates(pilot: Pilot, able: list[str]) -> list[str]:
+    """Methods worth a trial, of those that accept the forces."""
+    names = [name for name in RATIO if name in able]
+    if "rkn6" in names:  # order 6 with a step that costs less than three of order 4
+        names.remove("rk4")
+    if pilot.wanted < CRUDE and {"rkn6", "rk4"} & set(names):
+        names = [name for name in names if name != "strang"]
+    return names
 
 
 def per_pack(rates: Floats) -> float:
@@ -174,6 +193,7 @@ class Ladder:
         self.times = np.linspace(0.0, pilot.case.run.t_end, TIMES + 1)[1:]
         self.tried: list[Tried] = []  # the coarsest first
         self.errors: list[float] = []  # of all but the finest, which stands for the truth
+        self.apart: dict[tuple[float, float], float] = {}  # largest error between two settings
         self.setting, self.is_verified = 0.0, False
         self.cost = 0.0 if self.is_stepped else self.least_cost()
 
@@ -196,11 +216,17 @@ class Ladder:
         return Stepping(self.name, setting, 0.0, f"{self.name}, chosen for the accuracy{instead}")
 
     def climb(self) -> None:
-        """Try another setting, and find out what is known then."""
+        """Try another setting, and find out what is known then.
+
+        One run tells what an adaptive method costs about, which may be too much for a second.
+        """
         self.try_out(self.next_setting())
-        if len(self.tried) == 1:
+        if len(self.tried) == 1 and self.is_stepped:
             self.try_out(self.next_setting())
-        self.look()
+        if len(self.tried) > 1:
+            self.look()
+        else:
+            self.cost = self.cost_of(self.tried[0].setting, self.pilot.group.members.size)
 
     def try_out(self, setting: float) -> None:
         """Move the pilot with a setting."""
@@ -211,11 +237,7 @@ class Ladder:
         """Compare all that was tried with the finest: which setting would do, and is it sure."""
         finest, order = self.tried[-1], min(self.order, PRUDENT)
         self.errors = [
-            max(
-                float(self.pilot.errors(self.times, one.frames, finest.frames, row).max())
-                for row in range(TIMES - LAST, TIMES)
-            )
-            / (1.0 - (finest.setting / one.setting) ** order)
+            self.between(one, finest) / (1.0 - (finest.setting / one.setting) ** order)
             for one in self.tried[:-1]
         ]
         self.setting, self.is_verified = self.promising()
@@ -229,6 +251,14 @@ class Ladder:
             or len(self.tried) == MOST_TRIALS
         ):
             self.cost = math.inf
+
+    def between(self, one: Tried, other: Tried) -> float:
+        """Largest error of a run beside another, at the last times."""
+        key, last = (one.setting, other.setting), slice(TIMES - LAST, TIMES)
+        if key not in self.apart:
+            errors = self.pilot.errors(self.times, one.frames, other.frames, last)
+            self.apart[key] = float(errors.max())
+        return self.apart[key]
 
     def content(self) -> None:
         """Take what is seen to meet the accuracy, where nothing longer is promised."""
@@ -309,8 +339,7 @@ class Ladder:
     def next_setting(self) -> float:
         """Setting to try next."""
         if not self.tried:
-            is_stepped = self.is_stepped
-            return self.pilot.longest(FIRST_TURN[self.name]) if is_stepped else FIRST_TOLERANCE
+            return self.first_setting()
         finest, ratio = self.tried[-1].setting, RATIO[self.name]
         if len(self.tried) == 1:
             return finest / ratio
@@ -321,6 +350,14 @@ class Ladder:
             wanted = max(self.setting * ratio, finest / ratio**1.5)
         wanted = min(wanted, finest / ratio)
         return wanted if self.is_stepped else max(wanted, FINEST)
+
+    def first_setting(self) -> float:
+        """Setting to begin with: coarser than what most scenes need, since such runs are short."""
+        wanted = self.pilot.wanted
+        if not self.is_stepped:
+            return min(max(FIRST_TOLERANCE * wanted, FINEST), COARSEST)
+        share = (wanted / FIRST_WANTED) ** (0.5 / self.order)
+        return self.pilot.longest(share * FIRST_TURN[self.name])
 
     def cost_of(self, setting: float, n: int) -> float:
         """Time of a run of n bodies with a setting, by the table [ns]."""
@@ -354,7 +391,5 @@ class Ladder:
         times = np.linspace(0.0, self.pilot.case.run.t_end, MORE_TIMES + 1)
         found, _ = self.pilot.poses(stepping, times[1:])
         finest, _ = self.pilot.poses(self.stepping(self.tried[-1].setting), times[1:])
-        for k in range(MORE_TIMES):
-            if not self.pilot.errors(times[1:], found, finest, k).max() <= self.pilot.wanted:
-                return float(times[k])
-        return float(times[-1])
+        holds = self.pilot.errors(times[1:], found, finest).max(axis=1) <= self.pilot.wanted
+        return float(times[-1 if holds.all() else int(np.argmin(holds))])

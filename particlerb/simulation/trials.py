@@ -19,7 +19,7 @@ from particlerb.integrators.dop853 import PACK
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.balance import EnergyBalance, totals
 from particlerb.model.bodies import Bodies, taken
-from particlerb.model.comparison import angles
+from particlerb.model.comparison import misfits
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.plan.segments import GroupPlan, Plan, has_step, is_adaptive, rates
 from particlerb.simulation.group_run import Energies, GroupRun, initial_energies, record_all
@@ -189,18 +189,16 @@ def forget_accounts(motion: Any) -> None:
             one.account.is_kept = False
 
 
-@np.errstate(over="ignore", invalid="ignore")
 def errors(part: BodySubset, times: Floats, found: Frames, expected: Frames) -> list[Error]:
     """Errors at each time; the way of a body is summed over the times before."""
     way = ways(part.bodies, times, expected, part.state.p.T)
-    result = []
-    for k in range(times.size):
-        turn, relative = misfits(part.bodies, np.maximum(part.size, way[k]), found, expected, k)
-        rms = float(np.sqrt(np.mean(turn * turn)))
-        result.append(Error(float(turn.max()), rms, float(relative.max())))
-    return result
+    turn, relative = relative_misfits(part.bodies, np.maximum(part.size, way), found, expected)
+    rms = np.sqrt(np.mean(turn * turn, axis=1))
+    rows = zip(turn.max(axis=1), rms, relative.max(axis=1), strict=True)
+    return [Error(*map(float, row)) for row in rows]
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def ways(bodies: Bodies, times: Floats, frames: Frames, first: Floats) -> Floats:
     """How far each body went until each time, (T, n) [m], by the speeds at these times.
 
@@ -217,10 +215,11 @@ def ways(bodies: Bodies, times: Floats, frames: Frames, first: Floats) -> Floats
     return np.asarray(np.cumsum(0.5 * lasting * (speed[1:] + speed[:-1]), axis=0))
 
 
-def misfits(
-    bodies: Bodies, scale: Floats, found: Frames, expected: Frames, row: int
+@np.errstate(over="ignore", invalid="ignore")
+def relative_misfits(
+    bodies: Bodies, scale: Floats, found: Frames, expected: Frames, rows: slice = slice(None)
 ) -> tuple[Floats, Floats]:
-    """Errors of each body in a row: orientation [rad], and position in units of `scale`, (n,)."""
-    off = np.linalg.norm(found.position[row] - expected.position[row], axis=1)
-    relative = np.divide(off, scale, out=off.copy(), where=scale > 0.0)
-    return angles(bodies, expected.orientation[row], found.orientation[row]), relative
+    """Errors of bodies in rows: orientation [rad], and position in units of `scale`, (T, n)."""
+    x, q = expected.position[rows], expected.orientation[rows]
+    turn, off = misfits(bodies, x, q, found.position[rows], found.orientation[rows])
+    return turn, np.divide(off, scale, out=off, where=scale > 0.0)

@@ -3,9 +3,9 @@
     python tests/fuzz/fuzz_files.py --runs 20000 --jobs 2
 
 Number k always gives the same broken file: `--only K -o FILE` writes it. Forks with limits of
-memory and time do what the commands do, so that a crash or a hang of HDF5 is seen too: exit codes
-are 0, 1, 2, 3 or 130, and no exception gets out. What escapes is printed with its number. Files
-lie in memory (/dev/shm) where there is one.
+memory and CPU time do what the commands do, so that a crash or a hang of HDF5 is seen too: exit
+codes are 0, 1, 2, 3 or 130, and no exception gets out. What escapes is printed with its number.
+Files lie in memory (/dev/shm) where there is one.
 """
 
 import argparse
@@ -24,7 +24,8 @@ from pathlib import Path
 
 os.environ["NUMBA_DISABLE_JIT"] = "1"  # nothing here is worth compiling
 
-SECONDS_FOR_ONE = 300.0  # of a busy machine, for one command
+SECONDS_FOR_ONE = 100.0  # of CPU time, for one command
+SECONDS_OF_SILENCE = 3600.0  # of a child that waits for something, on a busy machine
 MEMORY = 4 * 2**30
 BODY = {"shape": {"type": "moments", "inertia": [1.0, 2.0, 2.5]}, "mass": 2.0}
 FREE = {
@@ -142,6 +143,7 @@ def work(numbers: Sequence[int], seeds: Sequence[bytes], folder: Path, pipe: int
         path.write_bytes(broken(seeds[k % len(seeds)], k))
         name, exercise = list(exercises(path).items())[k // len(seeds) % WAYS]
         os.write(pipe, f"{k} {name}\n".encode())
+        signal.setitimer(signal.ITIMER_PROF, SECONDS_FOR_ONE)  # ends this process
         try:
             code = exercise()
             said = "" if code in CODES else f"exit code {code}"
@@ -206,7 +208,9 @@ class Worker:
         os.close(self.pipe)
         code = os.waitstatus_to_exitcode(os.waitpid(self.child, 0)[1])
         if self.numbers:
-            if what == "" and self.at[1] in GUARDED and code < 0:
+            if code == -signal.SIGPROF:
+                self.note("hang")
+            elif what == "" and self.at[1] in GUARDED and code < 0:
                 self.crashes += 1  # the guard makes it exit code 1
             else:
                 self.note(what or f"crash {code}")
@@ -217,8 +221,8 @@ class Worker:
             self.is_done = True
 
     def end_hang(self) -> None:
-        """Kill a child that takes too long."""
-        if time.monotonic() - self.heard > SECONDS_FOR_ONE:
+        """Kill a child that waits for ever."""
+        if time.monotonic() - self.heard > SECONDS_OF_SILENCE:
             os.kill(self.child, signal.SIGKILL)
             self.bury("hang")
 

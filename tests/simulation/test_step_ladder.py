@@ -33,8 +33,8 @@ class FakePilot:
         self.spent += self.cost(stepping, steps, self.which.size)
         return self.laws[stepping.method](stepping.dt), float(steps)
 
-    def errors(self, times, found, expected, row):
-        return np.atleast_1d(abs(found - expected))
+    def errors(self, times, found, expected, rows=None):
+        return np.full((1, 1), abs(found - expected))
 
     def cost(self, stepping, steps, n):
         return steps * n * COSTS[stepping.method]
