@@ -21,10 +21,10 @@ import numpy as np
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from particlerb.compiled.jit import config, inline, kernel
 from particlerb.compiled.threads import THREADS
-from particlerb.maths.vec3 import Floats, Ints
 
 LINE: Final = 16  # numbers of two lines of the cache: nobody writes beside what others look at
 ARRIVED: Final = 0  # how often somebody has come to a meeting
@@ -38,8 +38,8 @@ class Team(NamedTuple):
 
     size: int
     rank: int  # of this thread
-    arrivals: Ints  # (2 LINE,) see ARRIVED and OVER
-    wishes: Floats  # (size, LINE) what each brings to a meeting
+    arrivals: NDArray[np.int64]  # (2 LINE,) see ARRIVED and OVER
+    wishes: NDArray[np.float64]  # (size, LINE) what each brings to a meeting
 
 
 # What Numba lacks
