@@ -162,12 +162,10 @@ class Pilot:
 
 def candidates(pilot: Pilot, able: list[str]) -> list[str]:
     """Methods worth a trial, of those that accept the forces."""
-    names = [name for name in RATIO if name in able]
-    if "rkn6" in names:  # order 6 with a step that costs less than three of order 4
-        names.remove("rk4")
-    if pilot.wanted < CRUDE and {"rkn6", "rk4"} & set(names):
-        names = [name for name in names if name != "strang"]
-    return names
+    outdone = {"rk4"} if "rkn6" in able else set()
+    if pilot.wanted < CRUDE and {"rkn6", "rk4"} & set(able):
+        outdone.add("strang")
+    return [name for name in RATIO if name in able and name not in outdone]
 
 
 def per_pack(rates: Floats) -> float:
