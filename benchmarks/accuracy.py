@@ -29,8 +29,10 @@ from results import FOLDER, commit
 
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
+from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Ints
+from particlerb.model.system import System
 from particlerb.plan.segments import is_adaptive
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.run import Prepared
@@ -152,18 +154,18 @@ def case_of(scene: str, *overrides: str) -> Case:
 
 def whole(prepared: Prepared) -> BodySubset:
     """All bodies of a prepared case."""
-    scene = prepared.scene
-    return part(prepared.case, scene, prepared.plan, np.arange(len(scene.kind)))
+    system = prepared.system
+    return part(system, prepared.plan, np.arange(system.n_bodies))
 
 
 def every(study: Study) -> Ints:
     """All bodies of a scene."""
-    return np.arange(len(study.scene.kind))
+    return np.arange(study.system.n_bodies)
 
 
 def truth(study: Study, found: BodySubset) -> float:
     """Error at t_end of a run of all bodies against dop853 at 1e-14."""
-    reference = part(study.case, study.scene, study.plan("dop853", 1e-14), every(study))
+    reference = part(study.system, study.plan("dop853", 1e-14), every(study))
     times = study.times
     last = errors(found, times, states_at(found, times)[0], states_at(reference, times)[0])[-1]
     return max(last.worst, last.position)
@@ -188,12 +190,12 @@ def least_times(parts: list[BodySubset], t_end: float) -> list[float]:
     return least.tolist()
 
 
-def search_time(case: Case) -> float:
+def search_time(system: System) -> float:
     """Processor time of the choice beyond that of a plan, all compiled before [s]."""
-    plain = case.model_copy(update={"run": case.run.model_copy(update={"accuracy": None})})
+    plain = system.with_run(accuracy=None)
     least, spent = [np.inf, np.inf], 0.0
     while spent < FILLED:
-        for k, one in enumerate((plain, case)):
+        for k, one in enumerate((plain, system)):
             start = time.process_time()
             prepare_accurately(one)
             taken = time.process_time() - start
@@ -210,7 +212,7 @@ def ladder(study: Study, wanted: float) -> list[Rung]:
         best, stays, start = np.inf, 0, time.monotonic()
         for step in study.ladder(method):
             states = study.states(method, step)
-            own = part(study.case, study.scene, study.plan(method, step), study.which)
+            own = part(study.system, study.plan(method, step), study.which)
             last = errors(own, study.times, states, study.reference.frames)[-1]
             error = max(last.worst, last.position)
             rungs.append(Rung(method, step, error))
@@ -221,16 +223,16 @@ def ladder(study: Study, wanted: float) -> list[Rung]:
     return rungs
 
 
-def scipy_times(case: Case, study: Study, wanted: list[float]) -> dict[float, float]:
+def scipy_times(study: Study, wanted: list[float]) -> dict[float, float]:
     """Least times of SciPy's joint DOP853 with an error that is small enough [s]."""
     (engine,) = engines(("scipy",))
-    scene = peer_scene(case, study.scene)
-    last = part(case, study.scene, study.plan("auto", None), study.which)
+    scene = peer_scene(study.system)
+    last = part(study.system, study.plan("auto", None), study.which)
     found = dict.fromkeys(wanted, np.nan)
     for tolerance in engine.variants["DOP853"]:
         result = engine.run(scene, "DOP853", tolerance)
         error = peer_errors(
-            result, study.scene, study.which, last, study.times, study.reference.frames
+            result, study.system, study.which, last, study.times, study.reference.frames
         )[0]
         spent = min(engine.run(scene, "DOP853", tolerance).seconds for _ in range(5))
         for one in wanted:
@@ -242,27 +244,27 @@ def scipy_times(case: Case, study: Study, wanted: list[float]) -> dict[float, fl
 def rows(scene: str, wanted: list[float], peers: bool) -> Iterator[tuple]:
     """The table of one scene."""
     base = case_of(scene)
-    study = Study(base, LONGEST)
+    study = Study(to_system(base), LONGEST)
     rungs = ladder(study, min(wanted))
     theirs = {}
     if peers and scene in ("symmetric tops", "asymmetric tops"):
-        theirs = scipy_times(base, study, wanted)
+        theirs = scipy_times(study, wanted)
     for one in wanted:
         yield row(scene, one, study, rungs, theirs.get(one, np.nan))
 
 
 def row(scene: str, wanted: float, study: Study, rungs: list[Rung], peer: float) -> tuple:
     """One line of the table."""
-    case = case_of(scene, f"run.accuracy={wanted}")
-    prepared = prepare_accurately(case)
+    system = to_system(case_of(scene, f"run.accuracy={wanted}"))
+    prepared = prepare_accurately(system)
     said = json.loads(prepared.parameters["accuracy"])
     own = whole(prepared)
     error = truth(study, own)
     good = [r for r in rungs if r.error <= wanted]
     best = list({r.method: r for r in reversed(good)}.values())  # the longest step of each
-    rivals = [part(study.case, study.scene, study.plan(*r[:2]), every(study)) for r in best]
-    spent, *theirs = least_times([own, *rivals], case.run.t_end)
-    search = search_time(case)
+    rivals = [part(study.system, study.plan(*r[:2]), every(study)) for r in best]
+    spent, *theirs = least_times([own, *rivals], system.run.t_end)
+    search = search_time(system)
     k = int(np.argmin(theirs)) if theirs else -1
     ratio = spent / theirs[k] if theirs else np.nan
     faults = [] if said["is_met"] else ["not met"]

@@ -20,7 +20,7 @@ import argparse
 import numpy as np
 from results import record
 
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.simulation.trials import seconds
 from particlerb.studies.work_precision import Point, Study, WorkPrecision, chart
@@ -121,12 +121,11 @@ def compared(found: WorkPrecision, wanted: float) -> list[tuple[str, float]]:
 
 def in_a_batch(n: int = 100_000) -> float:
     """Time of the closed form for one body of a batch, with one output [s]."""
-    case = load(one_body(n))
-    study = Study(case, 10.0)
+    study = Study(to_system(one_body(n)), 10.0)
     THREADS.use(1)
     from particlerb.simulation.trials import part
 
-    whole = part(case, study.scene, study.plan("auto", None), np.arange(n))
+    whole = part(study.system, study.plan("auto", None), np.arange(n))
     return float(np.median([seconds(whole, 100.0) for _ in range(9)])) / n
 
 
@@ -139,7 +138,7 @@ def main() -> None:
     options = parser.parse_args()
     rows: list[tuple[str, float]] = []
     for scene, errors in ((one_body, (1e-6,)), (free_bodies, (1e-6,)), (heavy_tops, (1e-6, 1e-3))):
-        found = chart(load(scene()), (), options.engines.split(","), budget=options.budget)
+        found = chart(to_system(scene()), (), options.engines.split(","), budget=options.budget)
         for name, reason in found.left_out:
             print(f"  {name}: left out, {reason}")
         for wanted in errors:

@@ -28,7 +28,7 @@ import numpy as np
 from peers import with_lammps
 from results import record
 
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.contact.restitution import damping_ratio
 from particlerb.contact.sphere_search import neighbours
@@ -130,7 +130,7 @@ class Ours:
     def __init__(self, case: dict, threads: int = 1) -> None:
         THREADS.use(threads)
         self.threads, self.time = threads, 0.0
-        self.prepared = prepare(load(case))
+        self.prepared = prepare(to_system(case))
         self.run = Run(self.prepared)
 
     def advance(self, seconds: float) -> Cost:
@@ -154,7 +154,7 @@ class Lammps:
     """The same scene in LAMMPS."""
 
     def __init__(self, case: dict, skin: float) -> None:
-        state = prepare(load(case)).scene.state
+        state = prepare(to_system(case)).system.state
         points = spheres(state.com.T, state.q.T).T
         wall = case["wall"][0]
         (x, y, z), (X, Y, Z) = wall["lower"], wall["upper"]

@@ -25,9 +25,10 @@ from results import record
 import particlerb
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
-from particlerb.case.to_system import System, assemble
+from particlerb.case.to_system import to_system
 from particlerb.model.balance import Entries
 from particlerb.model.state import Frames, as_frame
+from particlerb.model.system import System
 from particlerb.record.atomic import AtomicFile
 from particlerb.record.checksums import frame_checksums
 from particlerb.record.schema import frames_per_chunk, rows_per_chunk
@@ -47,9 +48,9 @@ def case_of(n: int, frames: int) -> Case:
     return load({"run": {"t_end": float(frames - 1), "every": 1.0}, "body": [body]})
 
 
-def batch_of(scene: System, size: int) -> tuple[Frames, Entries]:
+def batch_of(system: System, size: int) -> tuple[Frames, Entries]:
     """Frames and ledger entries that any batch of the run may have."""
-    one = as_frame(scene.bodies, scene.state)
+    one = as_frame(system.bodies, system.state)
     arrays = [np.repeat(a, size, axis=0) for a in one[:4]]
     arrays = [a + np.random.default_rng(1).standard_normal(a.shape) for a in arrays]
     wide = ("linear_momentum", "angular_momentum")
@@ -61,16 +62,15 @@ def batch_of(scene: System, size: int) -> tuple[Frames, Entries]:
 
 def with_recorder(
     path: Path,
-    case: Case,
-    scene: System,
+    system: System,
     frames: int,
     batch: int,
     checkpoint: Callable[[], dict[str, Any]] | None = None,
 ) -> float:
     """Seconds for the recorder."""
-    given, entries = batch_of(scene, batch)
+    given, entries = batch_of(system, batch)
     start = time.perf_counter()
-    recorder = Recorder(path, case, scene, {}, overwrite=True)
+    recorder = Recorder(path, system, {}, overwrite=True)
     for lo in range(0, frames, batch):
         rows = np.arange(min(batch, frames - lo))
         recorder.append(lo + rows.astype(float), given, rows, entries)
@@ -80,10 +80,10 @@ def with_recorder(
 
 
 def with_h5py(
-    path: Path, scene: System, frames: int, batch: int, numbers: bool = False, **keys: Any
+    path: Path, system: System, frames: int, batch: int, numbers: bool = False, **keys: Any
 ) -> float:
     """Seconds for h5py alone; with the numbers of a frame too, which are written in the end."""
-    given, _ = batch_of(scene, batch)
+    given, _ = batch_of(system, batch)
     start = time.perf_counter()
     with h5py.File(path, "w", locking=False) as file:
         sets = {}
@@ -121,14 +121,15 @@ def timed(work: Callable[[], object]) -> float:
 
 def writing(folder: Path, n: int, frames: int, batch: int) -> tuple[float, float, float]:
     """Share of the speed of h5py alone, of h5py with as many numbers, and frames a second."""
-    case = case_of(n, frames)
-    scene = assemble(case)
+    system = to_system(case_of(n, frames))
     found = best(
         {
-            "recorder": lambda: with_recorder(folder / "a.h5", case, scene, frames, batch),
-            "h5py": lambda: with_h5py(folder / "b.h5", scene, frames, batch),
-            "all": lambda: with_h5py(folder / "b.h5", scene, frames, batch, numbers=True),
-            "fletcher32": lambda: with_h5py(folder / "b.h5", scene, frames, batch, fletcher32=True),
+            "recorder": lambda: with_recorder(folder / "a.h5", system, frames, batch),
+            "h5py": lambda: with_h5py(folder / "b.h5", system, frames, batch),
+            "all": lambda: with_h5py(folder / "b.h5", system, frames, batch, numbers=True),
+            "fletcher32": lambda: with_h5py(
+                folder / "b.h5", system, frames, batch, fletcher32=True
+            ),
         }
     )
     share, speed = found["h5py"] / found["recorder"], frames / found["recorder"]
@@ -142,8 +143,7 @@ def writing(folder: Path, n: int, frames: int, batch: int) -> tuple[float, float
 
 def reading(folder: Path, frames: int) -> tuple[float, float]:
     """Seconds for one body over all frames, and for one frame; all four fields."""
-    case = case_of(10_000, frames)
-    with_recorder(folder / "a.h5", case, assemble(case), frames, BATCH)
+    with_recorder(folder / "a.h5", to_system(case_of(10_000, frames)), frames, BATCH)
 
     def body() -> object:
         with particlerb.open(folder / "a.h5") as t:
@@ -163,8 +163,7 @@ def reading(folder: Path, frames: int) -> tuple[float, float]:
 
 def commits(folder: Path, n: int, frames: int, batch: int) -> float:
     """Share of the processor's time for commits, without that for syncs."""
-    case = case_of(n, frames)
-    scene = assemble(case)
+    system = to_system(case_of(n, frames))
     spent = {"commit": 0.0, "fsync": 0.0}
 
     def counted(name: str, work: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -183,7 +182,7 @@ def commits(folder: Path, n: int, frames: int, batch: int) -> float:
     )
     start = time.process_time()
     try:
-        with_recorder(folder / "a.h5", case, scene, frames, batch, lambda: {"state": state})
+        with_recorder(folder / "a.h5", system, frames, batch, lambda: {"state": state})
     finally:
         AtomicFile.commit, os.fsync = before  # type: ignore[method-assign]
     whole = time.process_time() - start - spent["fsync"]

@@ -31,6 +31,7 @@ import numpy as np
 from results import FOLDER, commit
 
 from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.simulation.run import RunError, prepare, run_prepared
 from particlerb.stepping.contact_run import TouchingMotion
 
@@ -375,14 +376,14 @@ def child(scene: str, seconds: float, folder: Path) -> dict[str, Any]:
     wanted = SCENES[scene][1]
     pilots = []
     for share in (PILOT, 0.1 * PILOT, PILOT):  # the first compiles
-        prepared, began = prepare(loaded(scene, wanted * share)), time.process_time()
+        prepared, began = prepare(to_system(loaded(scene, wanted * share))), time.process_time()
         run_prepared(prepared, None)
         pilots.append(time.process_time() - began)
     whole = max(pilots[2] - pilots[1], 1e-9) / (0.9 * PILOT)  # s for all steps
     amount = wanted * min(1.0, seconds / whole)
     lists.clear()
     case = loaded(scene, amount)
-    prepared = prepare(case)
+    prepared = prepare(to_system(case))
     steps = [segment.dt for group in prepared.plan.groups for segment in group.segments]
     dt = min([step for step in steps if step and step < math.inf], default=math.nan)
     methods = {segment.method for group in prepared.plan.groups for segment in group.segments}

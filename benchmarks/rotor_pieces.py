@@ -76,7 +76,7 @@ def measured(rule: tuple[float, float]) -> dict[str, list[tuple[float, float, fl
     from particlerb.rotors import moser_veselov
 
     moser_veselov.LONGEST_PIECE, moser_veselov.LARGEST_SHARE = rule  # before anything is compiled
-    from particlerb.case.reader import load
+    from particlerb.case.to_system import to_system
     from particlerb.compiled.threads import THREADS
     from particlerb.simulation.trials import errors, part, seconds, states_at
     from particlerb.studies.work_precision import Study
@@ -84,16 +84,16 @@ def measured(rule: tuple[float, float]) -> dict[str, list[tuple[float, float, fl
     THREADS.use(1)
     found: dict[str, list[tuple[float, float, float]]] = {}
     for kind in KINDS:
-        study = Study(load(bodies_on_tips(kind)), 2.0)
+        study = Study(to_system(bodies_on_tips(kind)), 2.0)
         everyone = np.arange(N_BODIES)
-        oracle = part(study.case, study.scene, study.plan("dop853", 1e-14), everyone)
+        oracle = part(study.system, study.plan("dop853", 1e-14), everyone)
         true = states_at(oracle, study.times[-1:])[0]
         found[kind] = []
         for turn in TURNS:
             plan = study.plan("rkn6", turn / study.rate)
-            own = part(study.case, study.scene, plan, everyone)
+            own = part(study.system, plan, everyone)
             error = errors(own, states_at(own, study.times[-1:])[0], true)[-1].worst
-            spent = min(seconds(own, study.case.run.t_end) for _ in range(REPEATS))
+            spent = min(seconds(own, study.system.run.t_end) for _ in range(REPEATS))
             found[kind].append((float(turn), spent, error))
     return found
 

@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 
 from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.record.schema import frames_per_chunk
 from particlerb.simulation.run import prepare, run_prepared
 
@@ -48,7 +49,7 @@ def with_h5py(path: Path, arrays: dict[str, np.ndarray], batch: int) -> float:
 def compare(frames: int) -> tuple[float, float]:
     """Median seconds of a whole run and of h5py alone."""
     every = 10.0 / (frames - 1)
-    prepared = prepare(load(CASE, [f"run.every={every!r}", "run.t_end=10.0"]))
+    prepared = prepare(to_system(load(CASE, [f"run.every={every!r}", "run.t_end=10.0"])))
     ours, theirs = [], []
     with tempfile.TemporaryDirectory(dir=".") as folder:
         run, reference = Path(folder) / "run.h5", Path(folder) / "reference.h5"

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.simulation.run import prepare, run_prepared
 from particlerb.studies.charts.style import COLOURS, GRID, INK, bare
 
@@ -52,7 +53,7 @@ def main() -> None:
     found = {}
     for angle in (None, *ANGLES):
         case = load(ball(options.bodies, options.steps, angle))
-        found[angle] = run_prepared(prepare(case), None).drift
+        found[angle] = run_prepared(prepare(to_system(case)), None).drift
         label = "direct sum " if angle is None else f"angle {angle:<5.3g}"
         figures = ", ".join(f"{n} {d:.1e}" for n, d in zip(NAMES, found[angle], strict=True))
         print(f"  {label}  {figures}")

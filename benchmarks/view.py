@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import particlerb
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.record.trajectory import open_trajectory
 from particlerb.view.access import Access
 from particlerb.view.live import Live, rehearse
@@ -49,10 +49,10 @@ def main() -> None:
     """Print the table."""
     print("page                                     updates/s")
     for n in (1, 500, 10_000):
-        case = load(cubes(n))
-        rehearse(case)
+        system = to_system(cubes(n))
+        rehearse(system)
         with listening(Access(), PORT) as server:
-            live = Live(case, server, Path("session.toml"))
+            live = Live(system, server, Path("session.toml"))
             print(f"live, {n} bodies{'':<{28 - len(str(n))}}{updates(live):>10.0f}", flush=True)
     for n in (500, 10_000):
         with tempfile.TemporaryDirectory() as folder:

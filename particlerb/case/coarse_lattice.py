@@ -10,17 +10,17 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.placement import first_bodies
 from particlerb.case.problems import Problem
-from particlerb.case.reader import problem_at
-from particlerb.case.schema import Body, Case
+from particlerb.case.schema import Body
 from particlerb.case.shapes import AnyShape
-from particlerb.case.to_system import System, part_particles, turn_of
+from particlerb.case.source import problem_at
+from particlerb.case.to_system import part_particles, turn_of
 from particlerb.geometry import shapes
 from particlerb.geometry.analytic import ANALYTIC, Analytic, volume
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats
+from particlerb.model.system import System
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 TOLERATED: Final = 0.01  # of a principal moment
@@ -42,33 +42,32 @@ class Ideal(NamedTuple):
     tensor: Floats  # (3, 3) [kg m²], about com
 
 
-def coarse(case: Case, scene: System) -> Iterator[Problem]:
-    """Bodies of a case with other moments than they should have.
+def coarse(system: System) -> Iterator[Problem]:
+    """Bodies with other moments than they should have.
 
-    Where the case says `inertia_error` only a change of the rotor class is told.
+    Where a shape says `inertia_error` only a change of the rotor class is told.
     """
-    first = first_bodies(case)
-    for i, body in enumerate(case.body):
+    for i, body in enumerate(system.body):
         filled = [shape for _, shape in shapes_of(body) if is_lattice(shape)]
         if not filled:
             continue
-        k = int(scene.kind[first[i]])
+        k = int(system.kind[system.names.first[i]])
         try:
             with np.errstate(all="ignore"):
-                ideal = ideal_moments(case, i, body)
+                ideal = ideal_moments(system, i, body)
         except (ArithmeticError, np.linalg.LinAlgError):
             continue  # powers of its sizes are no numbers: nothing to compare with
-        moments = np.sort(scene.properties.moments[k])
+        moments = np.sort(system.properties.moments[k])
         off = moments / np.maximum(ideal, math.ulp(0.0)) - 1.0
         off[ideal == 0.0] = 0.0
         worst = int(np.argmax(np.abs(off)))
-        code = int(scene.properties.rotor_class[k])
+        code = int(system.properties.rotor_class[k])
         is_changed = code == POINT or (code == ROD and ideal[0] > TOLERATED * moments[0])
         is_asked = all(getattr(shape, "inertia_error", None) is not None for shape in filled)
         is_off = abs(off[worst]) > TOLERATED * (1.0 + ROUNDING)
         if not is_changed and (is_asked or not is_off):
             continue
-        count = int(scene.summed[k])
+        count = int(system.summed[k])
         which = f"{body.name}: as {count} particle{'s' if count > 1 else ''} it"
         if is_changed:
             reason = f"{which} is a {NAMES[code]}, which the solid is not, and cannot turn as it"
@@ -77,7 +76,7 @@ def coarse(case: Case, scene: System) -> Iterator[Problem]:
             reason = f"{which} has a principal moment {abs(100 * off[worst]):.3g} % {side} that"
             reason += " of the solid"
         key, shape = worst_shape(body)
-        yield problem_at(case, f"body[{i}].{key}", reason, advice(shape))
+        yield problem_at(system, f"body[{i}].{key}", reason, advice(shape))
 
 
 def shapes_of(body: Body) -> list[tuple[str, AnyShape]]:
@@ -107,7 +106,7 @@ def solid_of(shape: AnyShape) -> Analytic:
     return ANALYTIC[shape.type](**size_of(shape))
 
 
-def ideal_moments(case: Case, i: int, body: Body) -> Floats:
+def ideal_moments(system: System, i: int, body: Body) -> Floats:
     """Principal moments of a body whose lattices are solids, ascending, (3,) [kg m²]."""
     if body.shape is not None:
         mass = body.mass
@@ -116,7 +115,7 @@ def ideal_moments(case: Case, i: int, body: Body) -> Floats:
         return np.asarray(np.linalg.eigvalsh(mass * solid_of(body.shape).tensor))
     parts = []
     for part in body.part:
-        particles = part_particles(case, i, part).particles
+        particles = part_particles(system.files, system.run.seed, i, part).particles
         if not particles.mass.any():
             continue
         made = mass_properties(particles)

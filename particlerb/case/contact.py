@@ -5,6 +5,7 @@ every pair of materials that does not give its own in [[contact.pair]]. Which pa
 so which numbers must be there, is the business of `particlerb.plan.contact_setup`.
 """
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, Strict, model_validator
@@ -107,6 +108,15 @@ class Prescribed(Table):
     oscillation: Oscillation | None = Field(
         None, description="Added to the motion of the centre; default: none. [-]"
     )
+
+    @property
+    def shift(self) -> tuple[float, float, float]:
+        """Displacement at t = 0 by the phase of the oscillation, world frame [m]."""
+        if self.oscillation is None:
+            return ORIGIN
+        x, y, z = self.oscillation.amplitude
+        phase = math.sin(self.oscillation.phase)
+        return phase * x, phase * y, phase * z
 
 
 def direction(value: tuple[float, float, float]) -> tuple[float, float, float]:

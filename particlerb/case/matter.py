@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.case.schema import Body, Case, ShapePart
+from particlerb.case.schema import Body, ShapePart
 from particlerb.case.shapes import Cloud, MeshShape, Moments, PointsShape, SpheresShape
+from particlerb.files import Files
 from particlerb.geometry.analytic import ANALYTIC, Analytic, volume
 from particlerb.geometry.mesh import TriangleMesh, mesh_solid, read_mesh
 from particlerb.geometry.overlapping_spheres import overlaps, plain_solid, union_solid
@@ -37,22 +38,22 @@ class Matter(NamedTuple):
     """How its shape became particles: what was tried, or changed in its mesh."""
 
 
-def matter_of(case: Case, body: Body) -> Matter:
-    """Matter of the bodies of a block."""
+def matter_of(files: Files, body: Body) -> Matter:
+    """Matter of the bodies of a record; `files` has what it names."""
     if body.shape is None:
-        volumes = [matter_of_shape(case, part).volume for part in body.part]
+        volumes = [matter_of_shape(files, part).volume for part in body.part]
         return Matter(None if None in volumes else math.fsum(v for v in volumes if v is not None))
-    return matter_of_shape(case, body)
+    return matter_of_shape(files, body)
 
 
-def matter_of_shape(case: Case, table: Body | ShapePart) -> Matter:
+def matter_of_shape(files: Files, table: Body | ShapePart) -> Matter:
     """Matter of a shape on its own."""
     shape = table.shape
     if isinstance(shape, SpheresShape):
-        centre, radius = case_spheres(case, shape)
+        centre, radius = spheres_of(files, shape)
         return matter_of_spheres(centre, radius, shape.overlap == "sum")
     if isinstance(shape, MeshShape):
-        return matter_of_mesh(read_mesh(case.file(shape.file), shape.scale))
+        return matter_of_mesh(read_mesh(files.read(shape.file), shape.scale))
     if shape is None or isinstance(shape, (PointsShape, Cloud, Moments)):
         return Matter()
     size = shape.model_dump(exclude={"type", "n", "arrangement", "inertia_error"})
@@ -70,11 +71,11 @@ def matter_of_mesh(mesh: TriangleMesh) -> Matter:
     return Matter(solid.volume, solid.error, solid=per_mass, notes=mesh.notes)
 
 
-def case_spheres(case: Case, shape: SpheresShape) -> tuple[Floats, Floats]:
+def spheres_of(files: Files, shape: SpheresShape) -> tuple[Floats, Floats]:
     """Centres (n, 3) and radii (n,) [m] of a shape."""
     if shape.file is None:
         return np.array(shape.position), np.array(shape.radius)
-    position, radius = read_spheres(case.file(shape.file))
+    position, radius = read_spheres(files.read(shape.file))
     return position * shape.scale, radius * shape.scale
 
 

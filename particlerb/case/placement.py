@@ -4,8 +4,8 @@ Each block of the case draws its random numbers from streams of its own, one per
 another block, or random velocities asked for later, change none of those that were there before.
 """
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple, overload
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,42 +18,10 @@ from particlerb.case.schema import (
     NormalDistribution,
     RandomBox,
 )
-from particlerb.case.values import REFERENCE, FloatArray, IntArray
+from particlerb.case.values import FloatArray, IntArray
+from particlerb.model.names import BodyNames
 
 PURPOSES = {"place": 0, "orientation": 1, "velocity": 2, "angular_velocity": 3, "shape": 4}
-
-
-class Names(Sequence[str]):
-    """Names of all bodies, made when asked for: `cube` alone, `clump[0]`, `clump[1]`, ... ."""
-
-    def __init__(self, case: Case) -> None:
-        self.blocks = [(body.name, body.count) for body in case.body]
-        self.first = first_bodies(case)
-
-    def __len__(self) -> int:
-        """Number of bodies."""
-        return int(self.first[-1])
-
-    @overload
-    def __getitem__(self, b: int) -> str: ...
-    @overload
-    def __getitem__(self, b: slice) -> list[str]: ...
-    def __getitem__(self, b: int | slice) -> str | list[str]:
-        """Name of body b, or of several."""
-        if isinstance(b, slice):
-            return [self[i] for i in range(*b.indices(len(self)))]
-        b = range(len(self))[b]
-        block = int(np.searchsorted(self.first, b, side="right")) - 1
-        name, count = self.blocks[block]
-        return name if count == 1 else f"{name}[{b - self.first[block]}]"
-
-    def __iter__(self) -> Iterator[str]:
-        """All names, a million in a third of a second."""
-        for name, count in self.blocks:
-            if count == 1:
-                yield name
-            else:
-                yield from (f"{name}[{k}]" for k in range(count))
 
 
 class Placement(NamedTuple):
@@ -69,7 +37,7 @@ class Placement(NamedTuple):
     """World frame [m/s], shape (n_bodies, 3)."""
     angular_velocity: FloatArray
     """World frame [rad/s], shape (n_bodies, 3)."""
-    names: Sequence[str]
+    names: BodyNames
     """One per body."""
 
 
@@ -81,8 +49,8 @@ def place(case: Case) -> Placement:
     Placement
         Arrays of its own, which may be written to.
     """
-    first = first_bodies(case)
-    n = int(first[-1])
+    names = BodyNames((body.name, body.count) for body in case.body)
+    first, n = names.first, len(names)
     block = np.repeat(np.arange(len(case.body)), np.diff(first))
     position, velocity, angular_velocity = (np.empty((n, 3)) for _ in range(3))
     orientation = np.empty((n, 4))
@@ -92,29 +60,22 @@ def place(case: Case) -> Placement:
         orientation[own] = q = orientations(case, i)
         velocity[own] = vectors(case, i, "velocity", body.velocity, q)
         angular_velocity[own] = vectors(case, i, "angular_velocity", body.angular_velocity, q)
-    return Placement(block, position, orientation, velocity, angular_velocity, Names(case))
+    return Placement(block, position, orientation, velocity, angular_velocity, names)
 
 
-def first_bodies(case: Case) -> IntArray:
-    """Index of the first body of each block, and the number of bodies; shape (n_blocks + 1,)."""
-    counts = np.array([0, *(body.count for body in case.body)], dtype=np.int64)
-    first: IntArray = np.cumsum(counts)
-    return first
-
-
-def random_stream(case: Case, block: int, purpose: str) -> np.random.Generator:
+def random_stream(seed: int, block: int, purpose: str) -> np.random.Generator:
     """Random numbers of one block for one purpose.
 
     Parameters
     ----------
-    case : Case
-        Gives the seed.
+    seed : int
+        Of the case.
     block : int
         Index of the [[body]] table.
     purpose : str
         A key of `PURPOSES`; "shape" is for particles drawn at random.
     """
-    entropy = np.random.SeedSequence([case.run.seed, block, PURPOSES[purpose]])
+    entropy = np.random.SeedSequence([seed, block, PURPOSES[purpose]])
     return np.random.default_rng(entropy)
 
 
@@ -125,7 +86,7 @@ def positions(case: Case, block: int) -> FloatArray:
         return grid(body.place, body.count)
     if isinstance(body.place, RandomBox):
         lower, upper = np.array(body.place.lower), np.array(body.place.upper)
-        u = random_stream(case, block, "place").random((body.count, 3))
+        u = random_stream(case.run.seed, block, "place").random((body.count, 3))
         points: FloatArray = (1.0 - u) * lower + u * upper
         return points
     return np.asarray(body.position, dtype=np.float64)
@@ -164,7 +125,7 @@ def orientations(case: Case, block: int) -> FloatArray:
     if isinstance(body.orientation, Euler):
         return quaternion_of_euler(body.orientation.euler_deg)
     if isinstance(body.orientation, str):
-        return random_quaternions(random_stream(case, block, "orientation"), body.count)
+        return random_quaternions(random_stream(case.run.seed, block, "orientation"), body.count)
     return normalised(np.asarray(body.orientation, dtype=np.float64))
 
 
@@ -203,7 +164,9 @@ def random_quaternions(stream: np.random.Generator, count: int) -> FloatArray:
 def vectors(case: Case, block: int, key: str, motion: Motion, q: FloatArray) -> FloatArray:
     """Velocities or angular velocities of a block, world frame, shape (count, 3) or (3,)."""
     if isinstance(motion, NormalDistribution):
-        drawn = random_stream(case, block, key).standard_normal((case.body[block].count, 3))
+        drawn = random_stream(case.run.seed, block, key).standard_normal(
+            (case.body[block].count, 3)
+        )
         return motion.random * drawn
     if isinstance(motion, InBody):
         return to_world(q, np.array(motion.body))
@@ -216,47 +179,3 @@ def to_world(q: FloatArray, v: FloatArray) -> FloatArray:
     t = 2.0 * np.cross(u, v)
     turned: FloatArray = v + w * t + np.cross(u, t)
     return turned
-
-
-def resolve_bodies(case: Case, names: str | Sequence[str]) -> IntArray:
-    """Indices of the bodies that a force or a check names.
-
-    Parameters
-    ----------
-    case : Case
-        The case.
-    names : str or sequence of str
-        `clump` is all bodies of the block, `clump[3]` the fourth of them.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Ascending, each body once.
-
-    Raises
-    ------
-    KeyError
-        If there is no such body; `load` has refused a case that names one.
-    """
-    return np.unique(bodies_in_order(case, names))
-
-
-def bodies_in_order(case: Case, names: str | Sequence[str]) -> IntArray:
-    """Indices of the bodies as they are named: in this order, and as often; else as above."""
-    first = first_bodies(case)
-    blocks = {body.name: i for i, body in enumerate(case.body)}
-    wanted = [names] if isinstance(names, str) else names
-    return np.concatenate([bodies_named(name, blocks, first) for name in wanted])
-
-
-def bodies_named(name: str, blocks: dict[str, int], first: IntArray) -> IntArray:
-    """Indices of the bodies of one name."""
-    match = REFERENCE.fullmatch(name)
-    if match is None or match[1] not in blocks:
-        raise KeyError(name)
-    lo, hi = first[blocks[match[1]]], first[blocks[match[1]] + 1]
-    if match[2] is None:
-        return np.arange(lo, hi)
-    if int(match[2]) >= hi - lo:
-        raise KeyError(name)
-    return np.array([lo + int(match[2])])

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from typing import Any, TypeAlias
 
 from particlerb.case.problems import Path
-from particlerb.case.values import LARGEST_COUNT, REFERENCE
+from particlerb.case.values import LARGEST_COUNT
+from particlerb.model.names import REFERENCE
 
 Finding: TypeAlias = tuple[Path, str, str]
 

@@ -16,14 +16,14 @@ from pydantic import ValidationError
 from particlerb.case.messages import Complaint, complaints, without_typos
 from particlerb.case.named import case_path, nearest_names
 from particlerb.case.overrides import overridden
-from particlerb.case.problems import CaseError, Problem, key_of, nearest, path_of
+from particlerb.case.problems import CaseError, Problem, key_of, nearest
 from particlerb.case.rules import findings
 from particlerb.case.schema import Case
 from particlerb.case.source import Locator, Source, file_problem
 from particlerb.case.values import plain
 from particlerb.files import Files
 
-__all__ = ["CaseError", "Problem", "load", "parse", "problem_at"]
+__all__ = ["CaseError", "Problem", "load", "parse"]
 
 LARGEST_FILE = 64 * 2**20
 MOST_PROBLEMS = 100
@@ -112,21 +112,6 @@ def parse(text: str, path: FilePath | None = None, overrides: Sequence[str] = ()
         raise CaseError([file_problem(path, "is empty", "a case needs [run] and [[body]]")])
     files = Files(path.parent if path else FilePath())
     return build(Source(text, path, raw, files=files), overrides)
-
-
-def problem_at(case: Case, key: str, reason: str, hint: str = "") -> Problem:
-    """Problem of a case that a later stage has found, with the position of its key.
-
-    Parameters
-    ----------
-    case : Case
-        The case that was read.
-    key : str
-        As in messages: `body[0].shape.radius`.
-    reason, hint : str
-        What is wrong, and what to do about it.
-    """
-    return Locator(case.source).problem(path_of(key), reason, hint)
 
 
 def read_text(path: FilePath) -> str:

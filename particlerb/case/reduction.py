@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.case.placement import resolve_bodies
+from particlerb.case.placement import Placement
 from particlerb.case.schema import Case
 from particlerb.geometry.mass_properties import MassProperties
 from particlerb.geometry.particles import Particles, concatenate, one_kind, united
@@ -21,15 +21,17 @@ MANY: Final = 10_000
 
 
 def reduced(
-    case: Case, block: Ints, kind: Ints, particles: Particles, properties: MassProperties
+    case: Case, placement: Placement, kind: Ints, particles: Particles, properties: MassProperties
 ) -> Particles:
     """Particles that are kept.
 
     Parameters
     ----------
     case : Case
-    block, kind : ndarray, shape (n_bodies,)
-        [[body]] block and kind of each body.
+    placement : Placement
+        Names of the bodies, and the [[body]] table of each.
+    kind : ndarray, shape (n_bodies,)
+        Kind of each body.
     particles : Particles
         Of all kinds, from their com.
     properties : MassProperties
@@ -38,7 +40,7 @@ def reduced(
     count = np.diff(particles.offset)
     if count.max() <= MANY:
         return particles
-    touched, heavy = needs(case, block, kind, len(count))
+    touched, heavy = needs(case, placement, kind, len(count))
     sets = []
     for k in range(len(count)):
         own = slice(particles.offset[k], particles.offset[k + 1])
@@ -66,16 +68,16 @@ def points_for(properties: MassProperties, k: int) -> Particles:
     )
 
 
-def needs(case: Case, block: Ints, kind: Ints, n_kinds: int) -> tuple[Bools, Bools]:
+def needs(case: Case, placement: Placement, kind: Ints, n_kinds: int) -> tuple[Bools, Bools]:
     """Which kinds (n_kinds,) need the particles with a radius, and which all of them."""
     can_touch = np.array([case.contact is not None and body.contact for body in case.body])
     touched, heavy = np.zeros(n_kinds, dtype=np.bool_), np.zeros(n_kinds, dtype=np.bool_)
-    touched[kind[can_touch[block]]] = True
+    touched[kind[can_touch[placement.block]]] = True
     if case.attraction is not None:
         names = case.attraction.body
-        own = slice(None) if names is None else resolve_bodies(case, names)
+        own = slice(None) if names is None else placement.names.find(names)
         heavy[kind[own]] = True
     for force in case.force:
         if force.needs_particles:
-            heavy[kind[resolve_bodies(case, force.body)]] = True
+            heavy[kind[placement.names.find(force.body)]] = True
     return touched, heavy

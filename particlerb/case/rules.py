@@ -21,8 +21,9 @@ from particlerb.case.raw import (
     tables,
 )
 from particlerb.case.shapes import SHAPES
-from particlerb.case.values import REFERENCE, is_rows
+from particlerb.case.values import is_rows
 from particlerb.files import Files
+from particlerb.model.names import REFERENCE
 
 MOST_FRAMES = 10**9
 

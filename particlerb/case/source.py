@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from pathlib import Path as FilePath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from particlerb.case.positions import Extent, extents
-from particlerb.case.problems import Path, Problem, key_of, shown
+from particlerb.case.problems import Path, Problem, key_of, path_of, shown
 from particlerb.files import Files
 
 LONGEST_SCANNED = 8 * 2**20  # characters; messages of longer files have no lines
@@ -20,6 +20,29 @@ class Source(NamedTuple):
     overridden: tuple[Path, ...] = ()
     files: Files = Files()
     """That the case names."""
+
+
+class HasSource(Protocol):
+    """A case, or the system that was made of it."""
+
+    @property
+    def source(self) -> Source:
+        """Where it comes from."""
+
+
+def problem_at(described: HasSource, key: str, reason: str, hint: str = "") -> Problem:
+    """Problem that a later stage has found; with its place in the file, if there is one.
+
+    Parameters
+    ----------
+    described : Case or System
+        What has the problem.
+    key : str
+        Path of a record, as in messages: `body[0].shape.radius`.
+    reason, hint : str
+        What is wrong, and what to do about it.
+    """
+    return Locator(described.source).problem(path_of(key), reason, hint)
 
 
 class Locator:

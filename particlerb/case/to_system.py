@@ -1,17 +1,20 @@
-"""From a case to bodies: particles of every kind, constants, and the initial state.
+"""From a case to a `System`: particles of every kind, constants, and the initial state.
+
+What lies behind this module knows of no case.
 
 Bodies of one [[body]] block are copies of one kind, so their particles are stored and summed once;
 only random clouds are a kind each. Spin that a body cannot have (of a point, about a rod's axis)
 is an error where the case gives it, and left out where it was drawn at random.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import NamedTuple
+from os import PathLike
+from typing import Any
 
 import numpy as np
 
-from particlerb.case.matter import case_spheres
+from particlerb.case.matter import spheres_of
 from particlerb.case.placement import (
     Placement,
     normalised,
@@ -20,10 +23,12 @@ from particlerb.case.placement import (
     random_stream,
 )
 from particlerb.case.problems import CaseError, Problem
-from particlerb.case.reader import problem_at
+from particlerb.case.reader import load
 from particlerb.case.reduction import reduced
 from particlerb.case.schema import Body, Case, Euler, NormalDistribution, ShapePart
 from particlerb.case.shapes import AnyShape, Cloud, MeshShape, PointsShape, SpheresShape
+from particlerb.case.source import problem_at
+from particlerb.files import Files
 from particlerb.geometry import analytic, shapes
 from particlerb.geometry.fill import FilledShape, coarsest_within, mesh_particles
 from particlerb.geometry.mass_properties import MassProperties, mass_properties
@@ -39,7 +44,8 @@ from particlerb.geometry.particles import (
 )
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, bodies_of_kind
-from particlerb.model.state import State, initial_state, turned
+from particlerb.model.state import initial_state, turned
+from particlerb.model.system import System
 from particlerb.rotors.rotor_class import POINT, ROD
 
 SMALLEST = 1e-307  # mass [kg] or moment of inertia [kg m²]
@@ -47,35 +53,15 @@ OUT_OF_RANGE = "its volume or moment of inertia is out of the range of float64"
 SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its rounding
 
 
-class System(NamedTuple):
-    """Bodies ready to move."""
-
-    names: Sequence[str]
-    """One per body."""
-    particles: Particles
-    """Of all kinds; positions in the body frame, from the centre of mass [m]."""
-    properties: MassProperties
-    """Of all kinds; com in the axes in which the case gives the shape."""
-    kind: Ints
-    """Kind of each body, shape (n_bodies,)."""
-    bodies: Bodies
-    """Constants of all bodies."""
-    state: State
-    """At t = 0."""
-    summed: Ints
-    """Particles that each kind was summed from, shape (n_kinds,); `particles` may hold fewer."""
-    reach: Floats
-    """Distance of the farthest of these from the com, its radius included [m], (n_kinds,)."""
-    notes: Sequence[tuple[str, str]] = ()
-    """Name of a block and a line on how its shape became particles: what was tried, or changed."""
-
-
-def assemble(case: Case, keeps_all: bool = False) -> System:
-    """Scene of a case.
+def to_system(
+    given: str | PathLike[str] | Mapping[str, Any] | Case, keeps_all: bool = False
+) -> System:
+    """System of a case.
 
     Parameters
     ----------
-    case : Case
+    given : str, path, Mapping or Case
+        As `load` takes it.
     keeps_all : bool
         Whether to keep particles that nothing needs once they are summed.
 
@@ -83,27 +69,53 @@ def assemble(case: Case, keeps_all: bool = False) -> System:
     ------
     CaseError
         If a shape has no particles or moments that no body has, a CSV file is malformed, or a
-        body spins where it cannot.
+        body spins where it cannot; and as `load`.
     """
+    case = load(given)
     placement = place(case)
     notes: list[tuple[str, str]] = []
     particles, properties, first_kind = kinds(case, notes)
     kind = kinds_of_bodies(case, placement, first_kind)
     bodies = bodies_of_kind(properties, kind)
     omega = possible_spin(case, placement, bodies)
-    state = initial_state(
-        bodies, placement.position, placement.orientation, placement.velocity, omega
-    )
+    position = placement.position
+    for i, body in enumerate(case.body):
+        if body.motion is not None:
+            position[placement.block == i] += body.motion.shift
     counts = np.diff(particles.offset)
     centred = particles._replace(
         position=particles.position - np.repeat(properties.com, counts, axis=0)
     )
-    reach = farthest(centred)
-    kept = centred
-    if not keeps_all:
-        kept = reduced(case, placement.block, kind, centred, properties)
-    summed = counts, reach
-    return System(placement.names, kept, properties, kind, bodies, state, *summed, tuple(notes))
+    return System(
+        **records(case),
+        names=placement.names,
+        block=placement.block,
+        kind=kind,
+        particles=centred if keeps_all else reduced(case, placement, kind, centred, properties),
+        properties=properties,
+        summed=counts,
+        reach=farthest(centred),
+        bodies=bodies,
+        state=initial_state(bodies, position, placement.orientation, placement.velocity, omega),
+        notes=tuple(notes),
+    )
+
+
+def records(case: Case) -> dict[str, Any]:
+    """What a system holds of its case."""
+    return {key: getattr(case, key) for key in (*type(case).model_fields, "source")}
+
+
+def with_records(system: System, case: Case) -> System:
+    """The bodies of a system as they are, with all else as a case with the same bodies says."""
+    return system._replace(**records(case))
+
+
+def to_case(system: System) -> Case:
+    """Case that states all records of a system, defaults included."""
+    case = Case.model_construct(**{key: getattr(system, key) for key in Case.model_fields})
+    case._source = system.source
+    return case
 
 
 def farthest(particles: Particles) -> Floats:
@@ -148,29 +160,29 @@ def particle_sets(
 ) -> Iterator[Particles]:
     """Particles of a block: one set, or one for each body where they are random clouds."""
     if isinstance(body.shape, Cloud):
-        stream = random_stream(case, i, "shape")
+        stream = random_stream(case.run.seed, i, "shape")
         mass = body.mass or 0.0
         for _ in range(body.count):
             yield shapes.cloud(body.shape.n, body.shape.radius, mass, stream)
     elif body.shape is not None:
-        filled = shape_particles(case, body.shape, body.mass, body.density)
+        filled = shape_particles(case.source.files, body.shape, body.mass, body.density)
         notes += [(body.name, line) for line in filled.lines]
         yield filled.particles
     else:
-        parts = [part_particles(case, i, part) for part in body.part]
+        parts = [part_particles(case.source.files, case.run.seed, i, part) for part in body.part]
         for j, filled in enumerate(parts):
             notes += [(f"{body.name}, part {j}", line) for line in filled.lines]
         yield united(concatenate([filled.particles for filled in parts]))
 
 
-def part_particles(case: Case, i: int, part: ShapePart) -> FilledShape:
-    """Particles of one part, where it stands in its body."""
+def part_particles(files: Files, seed: int, i: int, part: ShapePart) -> FilledShape:
+    """Particles of one part of record i, where it stands in its body."""
     if isinstance(part.shape, Cloud):
-        stream = random_stream(case, i, "shape")
+        stream = random_stream(seed, i, "shape")
         mass = part.mass or 0.0
         filled = FilledShape(shapes.cloud(part.shape.n, part.shape.radius, mass, stream))
     else:
-        filled = shape_particles(case, part.shape, part.mass, part.density)
+        filled = shape_particles(files, part.shape, part.mass, part.density)
     placed = transformed(filled.particles, turn_of(part), part.position)
     return filled._replace(particles=placed)
 
@@ -183,19 +195,19 @@ def turn_of(part: ShapePart) -> Floats:
 
 
 def shape_particles(
-    case: Case, shape: AnyShape, mass: float | None, density: float | None
+    files: Files, shape: AnyShape, mass: float | None, density: float | None
 ) -> FilledShape:
     """Particles of a shape in its own axes, and what is to be said of them."""
     if isinstance(shape, PointsShape):
         if shape.file is not None:
-            particles = read_points(case.file(shape.file))
+            particles = read_points(files.read(shape.file))
         else:
             particles = shapes.points(shape.position or (), shape.mass or (), shape.radius)
         return FilledShape(particles if mass is None else scaled_to_mass(particles, mass))
     if isinstance(shape, SpheresShape):
-        return FilledShape(spheres(*case_spheres(case, shape), mass, density, shape.overlap))
+        return FilledShape(spheres(*spheres_of(files, shape), mass, density, shape.overlap))
     if isinstance(shape, MeshShape):
-        mesh = read_mesh(case.file(shape.file), shape.scale)
+        mesh = read_mesh(files.read(shape.file), shape.scale)
         how = shape.arrangement, shape.n, shape.inertia_error
         return mesh_particles(mesh, mass, density, *how)
     parameters = shape.model_dump(exclude={"type", "inertia_error"})
@@ -264,11 +276,3 @@ def spin_problem(
         f" about its own axis, got {float(about[b])!r} rad/s about it"
     )
     return problem_at(case, key, reason, "give an angular velocity across the rod")
-
-
-def inertia_in_body(bodies: Bodies, b: int) -> Floats:
-    """Inertia tensor (3, 3) [kg m²] of body b about its com, in the body frame."""
-    frame = np.tile(bodies.rotor_frame[:, b : b + 1], 3)
-    R = turned(frame, np.eye(3))
-    tensor: Floats = (R * bodies.inertia[:, b]) @ R.T
-    return tensor

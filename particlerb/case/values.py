@@ -4,7 +4,6 @@ A string is no number and a bool is no number; an int is a fine float. What a va
 type here, so that the schema reads like the format. Field descriptions end with [unit].
 """
 
-import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeAlias, cast
 
@@ -27,8 +26,6 @@ from pydantic_core import PydanticCustomError
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 LARGEST_COUNT = 2**31 - 1
-REFERENCE = re.compile(r"(?P<name>[^\[\]]+)(?:\[(?P<index>\d{1,10})\])?", re.ASCII)
-"""A [[body]] block, or one body of it: `clump`, `clump[3]`."""
 
 
 class Table(BaseModel):

@@ -70,34 +70,32 @@ def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
     import numpy as np
 
     from particlerb.case.matter import matter_of
-    from particlerb.case.placement import place, resolve_bodies
     from particlerb.case.problems import CaseError
-    from particlerb.case.to_system import assemble
+    from particlerb.case.to_system import to_system
     from particlerb.geometry.mass_properties import of_kind
     from particlerb.geometry.particles import one_kind
     from particlerb.model.state import omega_world
 
     with ending(CaseError):
-        scene = assemble(case, keeps_all=True)
+        system = to_system(case, keeps_all=True)
     try:
-        bodies = np.arange(len(scene.kind)) if wanted is None else resolve_bodies(case, wanted)
+        bodies = np.arange(system.n_bodies) if wanted is None else system.names.find(wanted)
     except KeyError:
         known = ", ".join(body.name for body in case.body)
         raise Ending(f"{wanted}: no such body; bodies here: {known}") from None
-    speed = np.linalg.norm(omega_world(scene.bodies, scene.state), axis=0)
-    block = place(case).block
+    speed = np.linalg.norm(omega_world(system.bodies, system.state), axis=0)
     found = []
-    _, first = np.unique(scene.kind[bodies], return_index=True)
+    _, first = np.unique(system.kind[bodies], return_index=True)
     for b in bodies[np.sort(first)]:
-        k = scene.kind[b]
-        own = slice(scene.particles.offset[k], scene.particles.offset[k + 1])
-        position, mass, radius = (array[own] for array in scene.particles[:3])
-        particles = one_kind(position + scene.properties.com[k], mass, radius)
-        spin = float(speed[bodies][scene.kind[bodies] == k].max())
-        body = case.body[block[b]]
-        notes = [line for name, line in scene.notes if name.partition(", part ")[0] == body.name]
-        matter = matter_of(case, body)._replace(notes=tuple(notes))
-        found.append(Named(scene.names[b], particles, of_kind(scene.properties, k), matter, spin))
+        k = system.kind[b]
+        own = slice(system.particles.offset[k], system.particles.offset[k + 1])
+        position, mass, radius = (array[own] for array in system.particles[:3])
+        particles = one_kind(position + system.properties.com[k], mass, radius)
+        spin = float(speed[bodies][system.kind[bodies] == k].max())
+        body = system.body[system.block[b]]
+        notes = [line for name, line in system.notes if name.partition(", part ")[0] == body.name]
+        matter = matter_of(system.files, body)._replace(notes=tuple(notes))
+        found.append(Named(system.names[b], particles, of_kind(system.properties, k), matter, spin))
     return found
 
 

@@ -74,14 +74,15 @@ def read_case(options: argparse.Namespace) -> "Case":
 
 
 def prepared_case(options: argparse.Namespace) -> "Prepared":
-    """Case made ready to run."""
+    """System of a case, made ready to run."""
     from particlerb.case.problems import CaseError
 
     case = read_case(options)
     with ending(CaseError):
+        from particlerb.case.to_system import to_system
         from particlerb.simulation.accuracy import prepare_accurately
 
-        prepared = prepare_accurately(case)
+        prepared = prepare_accurately(to_system(case))
     warn(options, prepared.plan.warnings)
     return prepared
 

@@ -27,7 +27,7 @@ from particlerb.cli.common import (
 from particlerb.cli.guard import probe
 
 if TYPE_CHECKING:
-    from particlerb.case.schema import Case
+    from particlerb.model.system import System
     from particlerb.simulation.checks import Result
     from particlerb.simulation.run import Outcome, Prepared, Progress
 
@@ -35,18 +35,19 @@ if TYPE_CHECKING:
 def run_command(options: argparse.Namespace) -> int:
     """`run`: the plan, the run, the checks."""
     prepared = prepared_case(options)
-    path = output_path(options, prepared.case)
-    warn(options, disk_warnings(prepared.case, path))
+    path = output_path(options, prepared.system)
+    warn(options, disk_warnings(prepared.system, path))
     if not (options.quiet or options.json):
-        title = prepared.case.title or path.stem
+        title = prepared.system.title or path.stem
         print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
-        print(f"  file: {size_text(prepared.case, path)}\n", flush=True)
-    from particlerb.simulation.run import frame_count, run_prepared
+        print(f"  file: {size_text(prepared.system, path)}\n", flush=True)
+    from particlerb.simulation.frame_times import frame_count
+    from particlerb.simulation.run import run_prepared
 
     def run(progress: "Progress") -> "Outcome":
         return run_prepared(prepared, path, options.overwrite, progress)
 
-    outcome = execute(run, path, options, frame_count(prepared.case), before=number_of(path))
+    outcome = execute(run, path, options, frame_count(prepared.system.run), before=number_of(path))
     return conclude(prepared, outcome, path, options)
 
 
@@ -63,12 +64,12 @@ def resume_command(options: argparse.Namespace) -> int:
     except (CaseError, ResumeError, TrajectoryError, FileNotFoundError) as error:
         raise Ending(str(error)) from None
     warn(options, list(pending.warnings))
-    case, start = pending.prepared.case, pending.start
-    warn(options, disk_warnings(case, path, pending.known))
+    system, start = pending.prepared.system, pending.start
+    warn(options, disk_warnings(system, path, pending.known))
     if not (options.quiet or options.json):
         again = f", the last {pending.known - start} of them to be computed again"
         print(
-            f"{case.title or path.stem}\n\n{path} has {pending.known} of {pending.total} frames"
+            f"{system.title or path.stem}\n\n{path} has {pending.known} of {pending.total} frames"
             f"{again if start < pending.known else ''}\n",
             flush=True,
         )
@@ -89,7 +90,7 @@ def conclude(
     """Print what came out; the exit code."""
     from particlerb.simulation.checks import results, table
 
-    checks = results(prepared.case, prepared.scene, outcome)
+    checks = results(prepared.system, outcome)
     if options.json:
         print(json.dumps(summary(path, outcome, checks)))
     else:
@@ -102,20 +103,21 @@ def conclude(
     return DONE if all(check.holds for check in checks) else MISSED
 
 
-def output_path(options: argparse.Namespace, case: "Case") -> Path:
+def output_path(options: argparse.Namespace, system: "System") -> Path:
     """File of a run, which may be written."""
-    stem = case.path.stem if case.path else "run"
+    source = system.source.path
+    stem = source.stem if source else "run"
     path = Path(options.output) if options.output else Path("output") / f"{stem}.h5"
-    to_write(path, options.overwrite, case.path)
+    to_write(path, options.overwrite, source)
     return path
 
 
-def disk_warnings(case: "Case", path: Path, done: int = 0) -> list[str]:
+def disk_warnings(system: "System", path: Path, done: int = 0) -> list[str]:
     """Warning where what is left to write, behind some frames, would not fit on the disk."""
     from particlerb.record.file_size import SMALLEST_FILE, estimated_size
-    from particlerb.simulation.run import frame_count
+    from particlerb.simulation.frame_times import frame_count
 
-    size = estimated_size(case, frame_count(case) - done) + SMALLEST_FILE
+    size = estimated_size(system, frame_count(system.run) - done) + SMALLEST_FILE
     free = free_bytes(path)
     if size <= free:
         return []
@@ -133,21 +135,19 @@ def free_bytes(path: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
-def size_text(case: "Case", path: Path) -> str:
+def size_text(system: "System", path: Path) -> str:
     """File, frames and size of a run, and the room that there is."""
     import numpy as np
 
     from particlerb.record.file_size import SMALLEST_FILE, estimated_size
     from particlerb.record.schema import COLUMNS, CONTACTS
-    from particlerb.simulation.run import frame_count
+    from particlerb.simulation.frame_times import frame_count
 
-    n = frame_count(case)
-    size = (
-        estimated_size(case, n) + SMALLEST_FILE + sum(map(len, case.source.files.contents.values()))
-    )
+    n = frame_count(system.run)
+    size = estimated_size(system, n) + SMALLEST_FILE + sum(map(len, system.files.contents.values()))
     text = f"{path}, {n} frames, about {amount(size)}"
-    if CONTACTS in case.output.fields:
-        item = np.dtype(case.output.dtype).itemsize
+    if CONTACTS in system.output.fields:
+        item = np.dtype(system.output.dtype).itemsize
         each = sum(max(c.width, 1) * (4 if c.is_count else item) for c in COLUMNS.values())
         text += (
             f" and {each} bytes for each contact in a frame, whose number is not known in advance"

@@ -24,6 +24,7 @@ class Shown(NamedTuple):
 
 def chart_command(options: argparse.Namespace) -> int:
     """`chart`: error against time for all methods on a case."""
+    from particlerb.case.to_system import to_system
     from particlerb.studies import work_precision, work_precision_table
     from particlerb.studies.charts.work_precision import draw_chart
 
@@ -32,7 +33,9 @@ def chart_command(options: argparse.Namespace) -> int:
     study = Shown(
         lambda: work_precision.curve_count(*asked),
         "curve",
-        lambda tick: work_precision.chart(case, *asked, options.error, options.budget, tick),
+        lambda tick: work_precision.chart(
+            to_system(case), *asked, options.error, options.budget, tick
+        ),
         work_precision_table,
         draw_chart,
     )

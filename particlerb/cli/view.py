@@ -54,6 +54,7 @@ def view_command(options: argparse.Namespace) -> int:
 def push(options: argparse.Namespace, server: object, access: "Access") -> int:
     """Serve a case."""
     from particlerb.case.problems import CaseError
+    from particlerb.case.to_system import to_system
     from particlerb.view.live import Live, rehearse
 
     case = read_case(options)
@@ -62,8 +63,9 @@ def push(options: argparse.Namespace, server: object, access: "Access") -> int:
     to_write(path, overwrite=True)  # where it exists, a number is added
     with ending(CaseError):
         print("making ready (the first time compiles, some 15 s or longer) ...", file=sys.stderr)
-        rehearse(case)
-        live = Live(case, server, path)  # type: ignore[arg-type]
+        system = to_system(case)
+        rehearse(system)
+        live = Live(system, server, path)  # type: ignore[arg-type]
     serve(live, access)
     if not live.is_saved:
         with contextlib.suppress(ValueError):

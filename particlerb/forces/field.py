@@ -30,7 +30,7 @@ from particlerb.model.state import State, lengths, turned, turned_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import UniformField
-    from particlerb.case.to_system import System
+    from particlerb.model.system import System
 
 MOMENT_ROUNDING: Final = 1e-14  # share of a moment of charges that is its rounding
 

@@ -16,7 +16,7 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import State
 
 if TYPE_CHECKING:
-    from particlerb.case.to_system import System
+    from particlerb.model.system import System
 
 POSE: Final = "pose"  # what a method must take into account: a force that changes with the pose,
 VELOCITY: Final = "velocity"  # with the velocities,

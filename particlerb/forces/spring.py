@@ -18,7 +18,7 @@ from particlerb.model.state import State, lengths, multiplied, turned, turned_ba
 
 if TYPE_CHECKING:
     from particlerb.case.forces import SpringTable
-    from particlerb.case.to_system import System
+    from particlerb.model.system import System
 
 TINY: Final = 1e-300  # keeps 1/l finite where the spring has no length
 

@@ -152,6 +152,14 @@ def kinetic_energy(bodies: Bodies, state: State) -> Floats:
     return energy
 
 
+def inertia_in_body(bodies: Bodies, b: int) -> Floats:
+    """Inertia tensor (3, 3) [kg m²] of body b about its com, in the body frame."""
+    frame = np.tile(bodies.rotor_frame[:, b : b + 1], 3)
+    R = turned(frame, np.eye(3))
+    tensor: Floats = (R * bodies.inertia[:, b]) @ R.T
+    return tensor
+
+
 def derived(
     bodies: Bodies, orientation: Floats, linear_momentum: Floats, angular_momentum: Floats
 ) -> tuple[Floats, Floats]:

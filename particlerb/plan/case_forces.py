@@ -9,11 +9,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.forces import AnyForce
-from particlerb.case.placement import resolve_bodies
 from particlerb.case.problems import CaseError, Problem
-from particlerb.case.reader import problem_at
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
+from particlerb.case.source import problem_at
 from particlerb.forces import Terms, summed
 from particlerb.forces.gravity import UniformGravity
 from particlerb.forces.impulse import Impulse
@@ -22,6 +19,7 @@ from particlerb.forces.registry import force_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import lengths, turned_back
+from particlerb.model.system import System
 from particlerb.plan.links import AXIAL_ROUNDING, is_link
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
@@ -52,8 +50,8 @@ class Forces(NamedTuple):
     numbers: Floats  # (N_NUMBERS, n)
 
 
-def loads_of(case: Case, scene: System) -> list[ResolvedForce]:
-    """All forces and impulses of a case that act on one body each; `links` has the others.
+def loads_of(system: System) -> list[ResolvedForce]:
+    """All forces and impulses that act on one body each; `links` has the others.
 
     Raises
     ------
@@ -62,14 +60,14 @@ def loads_of(case: Case, scene: System) -> list[ResolvedForce]:
     """
     loads: list[ResolvedForce] = []
     problems: list[Problem] = []
-    for number, force in enumerate(case.force):
+    for number, force in enumerate(system.force):
         if is_link(force):
             continue
-        members = resolve_bodies(case, force.body)
+        members = system.names.find(force.body)
         try:
-            found = force_of(force).resolve(force, members, scene)
+            found = force_of(force).resolve(force, members, system)
         except ForceError as error:
-            problems.append(problem_of(case, scene, number, members, error))
+            problems.append(problem_of(system, number, members, error))
             continue
         loads += [ResolvedForce(number, force, *one) for one in found]
     if problems:
@@ -77,27 +75,27 @@ def loads_of(case: Case, scene: System) -> list[ResolvedForce]:
     return loads
 
 
-def problem_of(case: Case, scene: System, number: int, members: Ints, error: ForceError) -> Problem:
+def problem_of(system: System, number: int, members: Ints, error: ForceError) -> Problem:
     """What is wrong with a [[force]], in the words of its file."""
-    reason = error.reason.replace("{name}", scene.names[int(members[error.body])])
-    return problem_at(case, f"force[{number}].{error.key}", reason, error.hint)
+    reason = error.reason.replace("{name}", system.names[int(members[error.body])])
+    return problem_at(system, f"force[{number}].{error.key}", reason, error.hint)
 
 
-def impossible(case: Case, scene: System, loads: list[ResolvedForce]) -> list[Problem]:
+def impossible(system: System, loads: list[ResolvedForce]) -> list[Problem]:
     """What is wrong with forces where the bodies are, and with torques that they cannot follow."""
     checks = refused, impossible_torques
-    return [p for check in checks for load in loads for p in check(case, scene, load)]
+    return [p for check in checks for load in loads for p in check(system, load)]
 
 
-def refused(case: Case, scene: System, load: ResolvedForce) -> list[Problem]:
+def refused(system: System, load: ResolvedForce) -> list[Problem]:
     """What is wrong with a force by its own check."""
     check = force_of(load.force).check
     if check is None:
         return []
     try:
-        check(load.force, np.array(load.numbers)[:, None], scene.state.com[:, load.members])
+        check(load.force, np.array(load.numbers)[:, None], system.state.com[:, load.members])
     except ForceError as error:
-        return [problem_of(case, scene, load.number, load.members, error)]
+        return [problem_of(system, load.number, load.members, error)]
     return []
 
 
@@ -118,14 +116,14 @@ def edges_of(form: AnyForce) -> tuple[float, ...]:
     return (time,) if time is not None else during or ()
 
 
-def acting_terms(case: Case, bodies: Bodies, forces: list[Forces], start: float) -> Terms:
+def acting_terms(system: System, bodies: Bodies, forces: list[Forces], start: float) -> Terms:
     """Sum of the forces of a segment: one term of each kind, but springs and centres one by one."""
     loads = []
     for form, numbers in forces:
         term = force_of(form).term
         assert term is not None
         loads.append(term(form, numbers, bodies, start))
-    gravity = np.array(case.gravity.acceleration) if case.gravity else np.zeros(3)
+    gravity = system.acceleration
     return Terms(UniformGravity(bodies.mass, gravity) if gravity.any() else None, summed(loads))
 
 
@@ -139,27 +137,27 @@ def jumps_at(forces: list[Forces], bodies: Bodies, start: float) -> tuple[Impuls
     )
 
 
-def impossible_torques(case: Case, scene: System, load: ResolvedForce) -> list[Problem]:
+def impossible_torques(system: System, load: ResolvedForce) -> list[Problem]:
     """What is wrong with a force that turns a point, or a rod about its own axis."""
-    cannot = np.isin(scene.bodies.rotor_class[load.members], (POINT, ROD))
+    cannot = np.isin(system.bodies.rotor_class[load.members], (POINT, ROD))
     index = load.members[cannot]
     kind = force_of(load.force)
     if not index.size or not (kind.has_arm or kind.is_torque):
         return []
-    bodies, state = taken(scene.bodies, index), taken(scene.state, index)
+    bodies, state = taken(system.bodies, index), taken(system.state, index)
     size, axial = turning_part(load, bodies, state.q)
     wrong = np.flatnonzero(axial > AXIAL_ROUNDING * np.maximum(size, 1e-300))
     if not wrong.size:
         return []
     b = int(wrong[0])
-    name, code = scene.names[int(index[b])], int(bodies.rotor_class[b])
+    name, code = system.names[int(index[b])], int(bodies.rotor_class[b])
     what = "has no extent: nothing can turn it" if code == POINT else "cannot turn about its axis"
     reason = (
         f"{name} is a {NAMES[code]} with moments {sorted(bodies.inertia[:, b].tolist())} kg m²"
         f" and {what}, but this {load.force.type} would"
     )
     key, hint = kind.turning(load.force, code == POINT)
-    return [problem_at(case, f"force[{load.number}].{key}", reason, hint)]
+    return [problem_at(system, f"force[{load.number}].{key}", reason, hint)]
 
 
 def turning_part(load: ResolvedForce, bodies: Bodies, q: Floats) -> tuple[Floats, Floats]:

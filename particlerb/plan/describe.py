@@ -5,11 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from particlerb.case.forces import FORCES
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
 from particlerb.forces import Terms, has_potential, is_constant, needs_of, words_of
 from particlerb.forces.kinds import TIME
 from particlerb.maths.vec3 import Ints
+from particlerb.model.system import System
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.rotors.rotor_class import NAMES
 from particlerb.stepping.sparse_contact import can_fly
@@ -19,69 +18,69 @@ SEGMENTS_SHOWN = 12
 RUNS_SHOWN = 4
 
 
-def describe(case: Case, scene: System, plan: Plan, accuracy: str = "") -> str:
+def describe(system: System, plan: Plan, accuracy: str = "") -> str:
     """Text of a plan, with what is known of its accuracy."""
     lines = [
-        ("bodies", bodies_line(scene)),
-        ("particles", particles_line(scene)),
-        *scene.notes,
-        ("gravity", gravity_line(case)),
-        ("attraction", attraction_line(case, plan)),
-        *((kind, force_line(case, kind)) for kind in FORCES),
-        ("contact", contact_line(case, scene, plan)),
+        ("bodies", bodies_line(system)),
+        ("particles", particles_line(system)),
+        *system.notes,
+        ("gravity", gravity_line(system)),
+        ("attraction", attraction_line(system, plan)),
+        *((kind, force_line(system, kind)) for kind in FORCES),
+        ("contact", contact_line(system, plan)),
         ("step", plan.step),
         *([("accuracy", accuracy)] if accuracy else []),
         ("ledger", ledger_line(plan)),
     ]
     for group in plan.groups[:GROUPS_SHOWN]:
-        lines += [(group_name(scene, group.members), text) for text in segment_lines(group)]
+        lines += [(group_name(system, group.members), text) for text in segment_lines(group)]
     if len(plan.groups) > GROUPS_SHOWN:
         lines.append(("...", f"and {len(plan.groups) - GROUPS_SHOWN} more groups of bodies"))
     width = min(44, max(len(name) for name, _ in lines))
     return "\n".join(f"  {name:<{width}}  {text}" for name, text in lines)
 
 
-def bodies_line(scene: System) -> str:
+def bodies_line(system: System) -> str:
     """How many bodies of which rotor class."""
-    counts = np.bincount(scene.bodies.rotor_class, minlength=len(NAMES))
+    counts = np.bincount(system.bodies.rotor_class, minlength=len(NAMES))
     classes = ", ".join(f"{n} {name}" for n, name in zip(counts, NAMES, strict=True) if n)
-    return f"{len(scene.kind)}: {classes}"
+    return f"{len(system.kind)}: {classes}"
 
 
-def particles_line(scene: System) -> str:
+def particles_line(system: System) -> str:
     """How many particles were summed, how many are kept, and why."""
-    kinds = len(scene.particles.offset) - 1
+    kinds = len(system.particles.offset) - 1
     sets = "one set" if kinds == 1 else f"{kinds} sets"
-    line = f"{scene.summed.sum()} in {sets}, summed once: motion needs mass, com, tensor"
-    kept = np.diff(scene.particles.offset)
-    is_reduced = kept < scene.summed
+    line = f"{system.summed.sum()} in {sets}, summed once: motion needs mass, com, tensor"
+    kept = np.diff(system.particles.offset)
+    is_reduced = kept < system.summed
     if not is_reduced.any():
         return line
-    touching = np.add.reduceat(scene.particles.radius > 0.0, scene.particles.offset[:-1])
+    touching = np.add.reduceat(system.particles.radius > 0.0, system.particles.offset[:-1])
     surface = touching[is_reduced].sum()
     rest = f"{surface} that touch, and " if surface else ""
     why = "nothing attracts them" if surface else "nothing touches or attracts them"
-    return f"{line}; of {scene.summed[is_reduced].sum()} are kept {rest}6 points a set: {why}"
+    return f"{line}; of {system.summed[is_reduced].sum()} are kept {rest}6 points a set: {why}"
 
 
-def gravity_line(case: Case) -> str:
+def gravity_line(system: System) -> str:
     """Whether there is gravity."""
-    if case.gravity is None or not any(case.gravity.acceleration):
+    if system.gravity is None or not any(system.gravity.acceleration):
         return "off: no [gravity], or zero"
-    return f"on: {vector(case.gravity.acceleration)} m/s²"
+    return f"on: {vector(system.gravity.acceleration)} m/s²"
 
 
-def attraction_line(case: Case, plan: Plan) -> str:
+def attraction_line(system: System, plan: Plan) -> str:
     """Whether bodies attract each other, and how it is summed."""
-    if case.attraction is None:
+    if system.attraction is None:
         return "off: no [attraction]"
     terms = [s.terms for g in plan.groups for s in g.segments if s.terms.attraction is not None]
     assert terms[0].attraction is not None
-    n, softening = terms[0].attraction.mass.size, case.attraction.softening
+    n, softening = terms[0].attraction.mass.size, system.attraction.softening
     by = f"a tree, opening angle {terms[0].opening_angle:.3g}"
     how = by if terms[0].opening_angle else "each particle with all those of other bodies"
     soft = f"softened by {softening:.6g} m" if softening else "not softened"
-    return f"on: {n} particles, {how}; G = {case.attraction.G:.9g} m³/(kg s²), {soft}"
+    return f"on: {n} particles, {how}; G = {system.attraction.G:.9g} m³/(kg s²), {soft}"
 
 
 def vector(values: Sequence[float]) -> str:
@@ -89,22 +88,22 @@ def vector(values: Sequence[float]) -> str:
     return "(" + ", ".join(f"{value:.9g}" for value in values) + ")"
 
 
-def force_line(case: Case, kind: str) -> str:
+def force_line(system: System, kind: str) -> str:
     """Whether there are forces of a kind."""
-    count = sum(force.type == kind for force in case.force)
+    count = sum(force.type == kind for force in system.force)
     return f"on: {count} of them" if count else f"off: no [[force]] of type {kind}"
 
 
-def contact_line(case: Case, scene: System, plan: Plan) -> str:
+def contact_line(system: System, plan: Plan) -> str:
     """What may touch, by which law, or why nothing touches."""
     found = [s.terms.contact for g in plan.groups for s in g.segments if s.terms.contact]
-    if case.contact is not None and found:
+    if system.contact is not None and found:
         spheres, walls = found[0].model.spheres.radius.size, len(found[0].motions)
-        what = f"{spheres} spheres and {walls} walls, {case.contact.law}"
+        what = f"{spheres} spheres and {walls} walls, {system.contact.law}"
         if found[0].n_interior:
             what += f", {found[0].n_interior} spheres inside that nothing can reach left out"
         return f"on: {what}, pairs kept within {found[0].skin:.3g} m{flying(plan)}"
-    if not scene.particles.radius.any():
+    if not system.particles.radius.any():
         return "off: no particle has a radius"
     return "off: no [contact]; radii add to the inertia tensor only"
 
@@ -135,10 +134,10 @@ def ledger_line(plan: Plan) -> str:
     return "booked in closed form: every force has a potential, kicks pay nothing for it"
 
 
-def group_name(scene: System, index: Ints) -> str:
+def group_name(system: System, index: Ints) -> str:
     """Which bodies these are: names of a few, ranges of many."""
     if index.size <= 2:
-        return ", ".join(scene.names[int(b)] for b in index)
+        return ", ".join(system.names[int(b)] for b in index)
     breaks = np.flatnonzero(np.diff(index) > 1)
     first, last = index[np.r_[0, breaks + 1]], index[np.r_[breaks, index.size - 1]]
     runs = [f"{a}-{b}" if a < b else f"{a}" for a, b in zip(first, last, strict=True)]

@@ -13,8 +13,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.output import FIELDS_OF_CONTACT
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
 from particlerb.compiled.option import option
 from particlerb.contact.contact_model import ContactModel, ContactSpheres, GroupContact
 from particlerb.contact.interior_spheres import outer_spheres
@@ -30,6 +28,7 @@ from particlerb.forces.registry import force_of
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import turned_back
+from particlerb.model.system import System
 from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce, acting_terms
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.links import Link, attracted, components, particles_of, tree_accuracy
@@ -42,32 +41,31 @@ DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside
 class BodyGroup(NamedTuple):
     """Bodies that share a group, and all that ever acts on them."""
 
-    members: Ints  # (n,) bodies of the scene
+    members: Ints  # (n,) bodies of the system
     forces: list[Forces]  # on each of them
-    links: list[Link]  # among them, with numbers of the scene
+    links: list[Link]  # among them, with numbers of the system
     attracts: bool  # whether they attract each other
     touches: bool  # whether they touch
 
 
 def groups_of(
-    case: Case,
-    scene: System,
+    system: System,
     loads: Sequence[ResolvedForce],
     links: Sequence[Link],
     touching: ContactSetup | None,
 ) -> list[BodyGroup]:
-    """Groups of a scene, in the order of their first bodies."""
-    heavy = attracted(case, scene)
+    """Groups of a system, in the order of their first bodies."""
+    heavy = attracted(system)
     solid = np.zeros(0, dtype=np.int64) if touching is None else touching.body
     ends = [end[end != WORLD] for link in links for end in (link.first, link.second)]
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
     groups = [
         BodyGroup(members, forces, [], False, False)
-        for members, forces in groups_alone(scene, loads, bound)
+        for members, forces in groups_alone(system, loads, bound)
     ]
-    label = components(len(scene.kind), list(links), heavy, solid)
-    for members in clusters(scene, loads, links, label, bound):
-        own = np.zeros(len(scene.kind), dtype=bool)
+    label = components(len(system.kind), list(links), heavy, solid)
+    for members in clusters(system, loads, links, label, bound):
+        own = np.zeros(len(system.kind), dtype=bool)
         own[members] = True
         inside = [within(link, own) for link in links if own[link.first].any()]
         attracts = bool(heavy.size) and bool(own[heavy[0]])
@@ -77,10 +75,10 @@ def groups_of(
 
 
 def groups_alone(
-    scene: System, loads: Sequence[ResolvedForce], bound: Ints
+    system: System, loads: Sequence[ResolvedForce], bound: Ints
 ) -> list[tuple[Ints, list[Forces]]]:
     """Bodies that no other body acts on, with forces of the same forms, and these forces."""
-    alone = np.ones(len(scene.kind), dtype=bool)
+    alone = np.ones(len(system.kind), dtype=bool)
     alone[bound] = False
     acting: defaultdict[int, list[int]] = defaultdict(list)
     for k, load in enumerate(loads):
@@ -105,7 +103,7 @@ def groups_alone(
 
 
 def clusters(
-    scene: System, loads: Sequence[ResolvedForce], links: Sequence[Link], label: Ints, bound: Ints
+    system: System, loads: Sequence[ResolvedForce], links: Sequence[Link], label: Ints, bound: Ints
 ) -> list[Ints]:
     """Bodies of each group of clusters that are copies of each other; asymmetric ones first."""
     if not bound.size:
@@ -113,7 +111,7 @@ def clusters(
     order = bound[np.argsort(label[bound], kind="stable")]
     starts = np.flatnonzero(np.diff(label[order], prepend=-1))
     signs: dict[int, list[object]] = {
-        int(label[part[0]]): [tuple(scene.kind[part].tolist())]
+        int(label[part[0]]): [tuple(system.kind[part].tolist())]
         for part in np.split(order, starts[1:])
     }
     for link in links:
@@ -128,7 +126,7 @@ def clusters(
     for part in np.split(order, starts[1:]):
         alike[tuple(signs[int(label[part[0]])])].append(part)
     whole = [np.sort(np.concatenate(parts)) for parts in alike.values()]
-    is_asymmetric = scene.bodies.rotor_class == ASYMMETRIC
+    is_asymmetric = system.bodies.rotor_class == ASYMMETRIC
     return [own[np.argsort(~is_asymmetric[own], kind="stable")] for own in whole]
 
 
@@ -168,8 +166,7 @@ def aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
 
 
 def terms_of(
-    case: Case,
-    scene: System,
+    system: System,
     group: BodyGroup,
     bodies: Bodies,
     forces: list[Forces],
@@ -178,15 +175,15 @@ def terms_of(
     start: float,
 ) -> Terms:
     """Terms of a group while these of its forces and links act, in the segment from `start` on."""
-    terms = acting_terms(case, bodies, forces, start)
+    terms = acting_terms(system, bodies, forces, start)
     if links:
         terms = terms._replace(links=links_among(group.members, bodies, links))
     if group.attracts:
-        attraction = attraction_among(case, scene, group.members, bodies)
-        angle = opening_angle(case, attraction.mass.size)
+        attraction = attraction_among(system, group.members, bodies)
+        angle = opening_angle(system, attraction.mass.size)
         terms = terms._replace(attraction=attraction, opening_angle=angle)
     if group.touches and touching is not None:
-        terms = terms._replace(contact=contact_among(case, scene, group.members, bodies, touching))
+        terms = terms._replace(contact=contact_among(system, group.members, bodies, touching))
     return terms
 
 
@@ -218,38 +215,38 @@ def links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
     )
 
 
-def attraction_among(case: Case, scene: System, members: Ints, bodies: Bodies) -> Attraction:
+def attraction_among(system: System, members: Ints, bodies: Bodies) -> Attraction:
     """Particles with mass of all that attracts in a group, in rotor frames."""
-    assert case.attraction is not None
-    index, _ = particles_of(scene, members)
-    counts = np.diff(scene.particles.offset)[scene.kind[members]]
+    assert system.attraction is not None
+    index, _ = particles_of(system, members)
+    counts = np.diff(system.particles.offset)[system.kind[members]]
     owner = np.repeat(np.arange(members.size), counts)
-    takes_part = np.isin(members, attracted(case, scene))[owner]
-    takes_part &= scene.particles.mass[index] > 0.0
+    takes_part = np.isin(members, attracted(system))[owner]
+    takes_part &= system.particles.mass[index] > 0.0
     index, owner = index[takes_part], owner[takes_part]
-    position: Floats = np.ascontiguousarray(scene.particles.position[index].T)
-    mass = scene.particles.mass[index]
+    position: Floats = np.ascontiguousarray(system.particles.position[index].T)
+    mass = system.particles.mass[index]
     return Attraction(
         np.ascontiguousarray(turned_back(bodies.rotor_frame[:, owner], position)),
         mass,
-        case.attraction.G * mass,
+        system.attraction.G * mass,
         np.searchsorted(owner, np.arange(members.size + 1)),
-        case.attraction.softening * case.attraction.softening,  # inf is no force, and no error
+        system.attraction.softening * system.attraction.softening,  # inf is no force, and no error
     )
 
 
 def contact_among(
-    case: Case, scene: System, members: Ints, bodies: Bodies, touching: ContactSetup
+    system: System, members: Ints, bodies: Bodies, touching: ContactSetup
 ) -> GroupContact:
     """Spheres, law and walls of a group."""
-    index, _ = particles_of(scene, members)
-    counts = np.diff(scene.particles.offset)[scene.kind[members]]
+    index, _ = particles_of(system, members)
+    counts = np.diff(system.particles.offset)[system.kind[members]]
     owner = np.repeat(np.arange(members.size), counts)
-    may_touch = (scene.particles.radius[index] > 0.0) & (touching.material[members][owner] >= 0)
-    takes_part = may_touch & reachable(scene, members, touching)[index]
+    may_touch = (system.particles.radius[index] > 0.0) & (touching.material[members][owner] >= 0)
+    takes_part = may_touch & reachable(system, members, touching)[index]
     index, owner = index[takes_part], owner[takes_part]
-    place = np.ascontiguousarray(scene.particles.position[index].T)
-    radius = scene.particles.radius[index]
+    place = np.ascontiguousarray(system.particles.position[index].T)
+    radius = system.particles.radius[index]
     reach = np.zeros(members.size)
     np.maximum.at(reach, owner, np.sqrt((place * place).sum(axis=0)))
     k = len(touching.materials)
@@ -266,10 +263,10 @@ def contact_among(
     skin = touching.skin or SKIN * float(radius.min())
     touchable = ContactModel(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
-        drives_among(scene, members, touching),
+        drives_among(system, members, touching),
     )  # fmt: skip
     motions = motion_records(touching.motions)
-    is_shown = any(name in FIELDS_OF_CONTACT for name in case.output.fields)
+    is_shown = any(name in FIELDS_OF_CONTACT for name in system.output.fields)
     is_fixed, pistons = touching.skin is not None, touching.pistons
     left_out = int(may_touch.sum()) - owner.size
     is_forced = touching.allow_unstable
@@ -278,7 +275,7 @@ def contact_among(
     )
 
 
-def drives_among(scene: System, members: Ints, touching: ContactSetup) -> PrescribedBodies | None:
+def drives_among(system: System, members: Ints, touching: ContactSetup) -> PrescribedBodies | None:
     """Bodies of a group that move as prescribed, if there are any."""
     which = np.flatnonzero(np.isin(members, touching.driven))
     if not which.size:
@@ -287,7 +284,7 @@ def drives_among(scene: System, members: Ints, touching: ContactSetup) -> Prescr
     numbers = np.searchsorted(touching.driven, own)
     motions = [touching.drives[k] for k in numbers]
     at_start = np.array([math.sin(motion.phase) * np.array(motion.amplitude) for motion in motions])
-    bodies, state = scene.bodies, scene.state
+    bodies, state = system.bodies, system.state
     return PrescribedBodies(
         which,
         motion_records(motions),
@@ -298,22 +295,22 @@ def drives_among(scene: System, members: Ints, touching: ContactSetup) -> Prescr
     )
 
 
-def reachable(scene: System, members: Ints, touching: ContactSetup) -> Bools:
+def reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
     """Whether something can touch each particle of the kinds of these bodies, (n_particles,).
 
     What starts overlapping, to be pushed apart, may be anywhere: then all can be reached.
     """
-    radius, offset = scene.particles.radius, scene.particles.offset
+    radius, offset = system.particles.radius, system.particles.offset
     found = radius > 0.0
     if touching.relax:
         return found
-    comes = np.unique(scene.kind[touching.body])
+    comes = np.unique(system.kind[touching.body])
     own = np.concatenate([radius[offset[kind] : offset[kind + 1]] for kind in comes])
     smallest = 0.0 if has_edges(touching.walls) else float(own[own > 0.0].min())
-    for kind in np.unique(scene.kind[members]).tolist():
+    for kind in np.unique(system.kind[members]).tolist():
         solid = offset[kind] + np.flatnonzero(found[offset[kind] : offset[kind + 1]])
         if solid.size > 1:
-            place = np.ascontiguousarray(scene.particles.position[solid].T)
+            place = np.ascontiguousarray(system.particles.position[solid].T)
             depth = DEEPEST * float(radius[solid].min())
             found[solid] = outer_spheres(place, radius[solid], smallest, depth)
     return found
@@ -336,10 +333,10 @@ def law_of(touching: ContactSetup) -> Law:
     )
 
 
-def opening_angle(case: Case, n_particles: int) -> float:
+def opening_angle(system: System, n_particles: int) -> float:
     """Opening angle of the tree that sums the attraction; 0 for a direct sum."""
-    asked = case.attraction
+    asked = system.attraction
     assert asked is not None
     if asked.sum == "direct" or (asked.sum == "auto" and n_particles < BREAK_EVEN):
         return 0.0
-    return asked.opening_angle or angle_for(tree_accuracy(case))
+    return asked.opening_angle or angle_for(tree_accuracy(system))

@@ -11,15 +11,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.forces import AnyForce, SpringTable
-from particlerb.case.placement import bodies_in_order, resolve_bodies
 from particlerb.case.problems import CaseError, Problem
-from particlerb.case.reader import problem_at
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
+from particlerb.case.source import problem_at
 from particlerb.forces.links import WORLD
 from particlerb.forces.spring import places
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import lengths, turned_back
+from particlerb.model.system import System
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 REACH_ROUNDING: Final = 1e-9  # share by which a pair may be further apart than reach
@@ -39,8 +37,8 @@ class Link(NamedTuple):
 
     number: int  # index of [[force]]
     force: SpringTable
-    first: Ints  # (s,) bodies of the scene
-    second: Ints  # (s,) bodies of the scene; WORLD: an anchor
+    first: Ints  # (s,) bodies of the system
+    second: Ints  # (s,) bodies of the system; WORLD: an anchor
     first_at: Floats  # (3, s) [m], body frame of first, from its centre of mass
     second_at: Floats  # (3, s) [m], body frame of second, or the anchor in the world frame
     rest_length: Floats  # (s,) [m]
@@ -56,8 +54,8 @@ def is_link(force: AnyForce) -> bool:
     return force.anchor is None or force.damping > 0.0
 
 
-def links_of(case: Case, scene: System) -> list[Link]:
-    """All links of a case.
+def links_of(system: System) -> list[Link]:
+    """All links of a system.
 
     Raises
     ------
@@ -68,22 +66,22 @@ def links_of(case: Case, scene: System) -> list[Link]:
     """
     links: list[Link] = []
     problems: list[Problem] = []
-    for number, force in enumerate(case.force):
+    for number, force in enumerate(system.force):
         if not is_link(force) or not isinstance(force, SpringTable):
             continue
         try:
-            link = link_of(case, scene, number, force)
+            link = link_of(system, number, force)
         except CaseError as error:
             problems += error.problems
             continue
-        problems += misplaced_ends(case, scene, link)
+        problems += misplaced_ends(system, link)
         links.append(link)
     if problems:
         raise CaseError(problems)
     return links
 
 
-def link_of(case: Case, scene: System, number: int, force: SpringTable) -> Link:
+def link_of(system: System, number: int, force: SpringTable) -> Link:
     """Springs of one [[force]].
 
     Raises
@@ -92,25 +90,25 @@ def link_of(case: Case, scene: System, number: int, force: SpringTable) -> Link:
         If its bodies make no pairs.
     """
     if force.anchor is not None:
-        first = resolve_bodies(case, force.body)
+        first = system.names.find(force.body)
         second = np.full_like(first, WORLD)
     elif force.reach is not None:
-        first, second = pairs_in_reach(case, scene, number, force)
+        first, second = pairs_in_reach(system, number, force)
     else:
-        first, second = pairs_as_named(case, scene, number, force)
+        first, second = pairs_as_named(system, number, force)
     first_at = np.tile(np.array(force.at)[:, None], first.size)
     end = force.to_at if force.anchor is None else force.anchor
     second_at = np.tile(np.array(end)[:, None], second.size)
     if force.rest_length == "initial":
-        here = places(scene, first, force.at)
-        there = second_at if force.anchor is not None else places(scene, second, force.to_at)
+        here = places(system, first, force.at)
+        there = second_at if force.anchor is not None else places(system, second, force.to_at)
         rest_length = lengths(there - here)
     else:
         rest_length = np.full(first.size, force.rest_length)
     return Link(number, force, first, second, first_at, second_at, rest_length)
 
 
-def pairs_as_named(case: Case, scene: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
+def pairs_as_named(system: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
     """Body after body of `body` and `to`, or one with each of the others.
 
     Raises
@@ -120,13 +118,13 @@ def pairs_as_named(case: Case, scene: System, number: int, force: SpringTable) -
     """
     key = f"force[{number}].to"
     first, second = np.broadcast_arrays(
-        bodies_in_order(case, force.body), bodies_in_order(case, force.to or ())
+        system.names.find_in_order(force.body), system.names.find_in_order(force.to or ())
     )
     itself = np.flatnonzero(first == second)
     if itself.size:
-        reason = f"ties {scene.names[int(first[itself[0]])]} to itself{and_more(itself.size - 1)}"
+        reason = f"ties {system.names[int(first[itself[0]])]} to itself{and_more(itself.size - 1)}"
         hint = "name another body in its place, or give `reach`"
-        raise CaseError([problem_at(case, key, reason, hint)])
+        raise CaseError([problem_at(system, key, reason, hint)])
     a, b = first, second
     if force.at == force.to_at:  # then neither end is the first
         a, b = np.minimum(first, second), np.maximum(first, second)
@@ -134,9 +132,9 @@ def pairs_as_named(case: Case, scene: System, number: int, force: SpringTable) -
     same = (np.diff(a[order]) == 0) & (np.diff(b[order]) == 0)
     again = order[1:][same]
     if again.size:
-        one, other = scene.names[int(first[again[0]])], scene.names[int(second[again[0]])]
+        one, other = system.names[int(first[again[0]])], system.names[int(second[again[0]])]
         reason = f"ties {one} to {other} twice{and_more(again.size - 1)}"
-        raise CaseError([problem_at(case, key, reason, "name every pair once")])
+        raise CaseError([problem_at(system, key, reason, "name every pair once")])
     return first.copy(), second.copy()
 
 
@@ -145,7 +143,7 @@ def and_more(count: int) -> str:
     return f", and {count} more" if count else ""
 
 
-def pairs_in_reach(case: Case, scene: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
+def pairs_in_reach(system: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
     """Every pair of different bodies whose points are near each other at t = 0, sorted.
 
     Where both points are the same one of the body frame, a pair is taken once.
@@ -156,14 +154,14 @@ def pairs_in_reach(case: Case, scene: System, number: int, force: SpringTable) -
         If there is none, or there are more than MOST_SPRINGS.
     """
     reach = force.reach or 0.0
-    first = resolve_bodies(case, force.body)
-    second = resolve_bodies(case, force.to or force.body)
+    first = system.names.find(force.body)
+    second = system.names.find(force.to or force.body)
     key = f"force[{number}].reach"
     if first.size == second.size == 1 and first[0] == second[0]:
-        reason = f"there is no other body than {scene.names[int(first[0])]} to tie it to"
-        raise CaseError([problem_at(case, key, reason, "name more in `body`, or in `to`")])
-    here, there = places(scene, first, force.at), places(scene, second, force.to_at)
-    is_first, is_second = is_among(first, scene), is_among(second, scene)
+        reason = f"there is no other body than {system.names[int(first[0])]} to tie it to"
+        raise CaseError([problem_at(system, key, reason, "name more in `body`, or in `to`")])
+    here, there = places(system, first, force.at), places(system, second, force.to_at)
+    is_first, is_second = is_among(first, system), is_among(second, system)
     found, count = [], 0
     for i, j, _ in near(here, there, reach * (1.0 + REACH_ROUNDING)):
         a, b = first[i], second[j]
@@ -174,24 +172,24 @@ def pairs_in_reach(case: Case, scene: System, number: int, force: SpringTable) -
         count += int(wanted.sum())
         if count > MOST_SPRINGS:
             reason = f"ties more than {MOST_SPRINGS:.0e} pairs"
-            raise CaseError([problem_at(case, key, reason, "give a shorter reach")])
+            raise CaseError([problem_at(system, key, reason, "give a shorter reach")])
     if not count:
         closest = nearest_distance(first, second, here, there, reach)
         reason = f"no two points are that near: the nearest are {closest:.6g} m apart"
-        raise CaseError([problem_at(case, key, reason, "give a longer reach")])
+        raise CaseError([problem_at(system, key, reason, "give a longer reach")])
     a, b = np.concatenate(found, axis=1)
     order = np.lexsort((b, a))
     return a[order], b[order]
 
 
-def is_among(bodies: Ints, scene: System) -> Bools:
-    """Whether each body of the scene is one of these, (n_bodies,)."""
-    mask = np.zeros(len(scene.kind), dtype=np.bool_)
+def is_among(bodies: Ints, system: System) -> Bools:
+    """Whether each body of the system is one of these, (n_bodies,)."""
+    mask = np.zeros(len(system.kind), dtype=np.bool_)
     mask[bodies] = True
     return mask
 
 
-def misplaced_ends(case: Case, scene: System, link: Link) -> list[Problem]:
+def misplaced_ends(system: System, link: Link) -> list[Problem]:
     """What is wrong with ends that would turn a point, or a rod about its own axis."""
     problems = []
     for key, ends, at in (
@@ -201,58 +199,60 @@ def misplaced_ends(case: Case, scene: System, link: Link) -> list[Problem]:
         if not any(at):  # as at an anchor
             continue
         index = np.unique(ends)
-        index = index[np.isin(scene.bodies.rotor_class[index], (POINT, ROD))]
+        index = index[np.isin(system.bodies.rotor_class[index], (POINT, ROD))]
         arm = turned_back(
-            scene.bodies.rotor_frame[:, index], np.tile(np.array(at)[:, None], index.size)
+            system.bodies.rotor_frame[:, index], np.tile(np.array(at)[:, None], index.size)
         )
-        is_point = scene.bodies.rotor_class[index] == POINT
+        is_point = system.bodies.rotor_class[index] == POINT
         across = np.where(is_point, lengths(arm), np.hypot(arm[0], arm[1]))
         wrong = index[across > AXIAL_ROUNDING * lengths(arm)]
         if not wrong.size:
             continue
         b = int(wrong[0])
-        code = int(scene.bodies.rotor_class[b])
+        code = int(system.bodies.rotor_class[b])
         what = (
             "has no extent: nothing can turn it" if code == POINT else "cannot turn about its axis"
         )
         reason = (
-            f"{scene.names[b]} is a {NAMES[code]} with moments"
-            f" {sorted(scene.bodies.inertia[:, b].tolist())} kg m² and {what},"
+            f"{system.names[b]} is a {NAMES[code]} with moments"
+            f" {sorted(system.bodies.inertia[:, b].tolist())} kg m² and {what},"
             " but this spring would"
         )
         where = "the centre of mass" if code == POINT else "a point of the rod's axis"
-        problems.append(problem_at(case, f"force[{link.number}].{key}", reason, f"act at {where}"))
+        problems.append(
+            problem_at(system, f"force[{link.number}].{key}", reason, f"act at {where}")
+        )
     return problems
 
 
 # Attraction
 
 
-def attracted(case: Case, scene: System) -> Ints:
+def attracted(system: System) -> Ints:
     """Bodies of [attraction], ascending; none without it."""
-    if case.attraction is None:
+    if system.attraction is None:
         return np.zeros(0, dtype=np.int64)
-    if case.attraction.body is None:
-        return np.arange(len(scene.kind))
-    return resolve_bodies(case, case.attraction.body)
+    if system.attraction.body is None:
+        return np.arange(len(system.kind))
+    return system.names.find(system.attraction.body)
 
 
-def tree_accuracy(case: Case) -> float:
+def tree_accuracy(system: System) -> float:
     """Error of accelerations that a tree may make, rms, relative."""
-    if case.attraction is not None and case.attraction.accuracy is not None:
-        return case.attraction.accuracy
-    return TREE_ACCURACY if case.run.accuracy is None else SHARE_OF_RUN * case.run.accuracy
+    if system.attraction is not None and system.attraction.accuracy is not None:
+        return system.attraction.accuracy
+    return TREE_ACCURACY if system.run.accuracy is None else SHARE_OF_RUN * system.run.accuracy
 
 
-def coincident(case: Case, scene: System) -> list[Problem]:
+def coincident(system: System) -> list[Problem]:
     """What is wrong with particles of two bodies at one place, where attraction has no bound."""
-    bodies = attracted(case, scene)
-    if case.attraction is None or case.attraction.softening > 0.0 or not bodies.size:
+    bodies = attracted(system)
+    if system.attraction is None or system.attraction.softening > 0.0 or not bodies.size:
         return []
-    index, owner = particles_of(scene, bodies)
-    heavy = scene.particles.mass[index] > 0.0
+    index, owner = particles_of(system, bodies)
+    heavy = system.particles.mass[index] > 0.0
     index, owner = index[heavy], owner[heavy]
-    place = places(scene, owner, scene.particles.position[index].T)
+    place = places(system, owner, system.particles.position[index].T)
     order = np.lexsort((owner, *place))
     place, owner = place[:, order], owner[order]
     is_same = (place[:, 1:] == place[:, :-1]).all(axis=0) & (owner[1:] != owner[:-1])
@@ -260,25 +260,25 @@ def coincident(case: Case, scene: System) -> list[Problem]:
     if not same.size:
         return []
     k = int(same[0])
-    one, other = scene.names[int(owner[k])], scene.names[int(owner[k + 1])]
+    one, other = system.names[int(owner[k])], system.names[int(owner[k + 1])]
     where = ", ".join(f"{x:.6g}" for x in place[:, k])
     reason = (
         f"{one} and {other} each have a particle at [{where}] m at t = 0, where their attraction"
         f" has no bound{and_more(same.size - 1)}"
     )
-    return [problem_at(case, "attraction", reason, "give `softening`, or move one of the two")]
+    return [problem_at(system, "attraction", reason, "give `softening`, or move one of the two")]
 
 
-def particles_of(scene: System, bodies: Ints) -> tuple[Ints, Ints]:
+def particles_of(system: System, bodies: Ints) -> tuple[Ints, Ints]:
     """Particles of these bodies, body after body.
 
     Returns
     -------
     index, owner : ndarray, shape (n_particles,)
-        Which of `scene.particles` it is, and the body of the scene to which it belongs.
+        Which of `system.particles` it is, and the body of the system to which it belongs.
     """
-    start = scene.particles.offset[scene.kind[bodies]]
-    count = scene.particles.offset[scene.kind[bodies] + 1] - start
+    start = system.particles.offset[system.kind[bodies]]
+    count = system.particles.offset[system.kind[bodies] + 1] - start
     before = np.cumsum(count) - count
     index = np.repeat(start - before, count) + np.arange(int(count.sum()))
     return index, np.repeat(bodies, count)
@@ -293,7 +293,7 @@ def components(n_bodies: int, links: list[Link], attracted: Ints, touching: Ints
     Parameters
     ----------
     n_bodies : int
-        Of the scene.
+        Of the system.
     links : list of Link
         Ends in the world tie nothing.
     attracted : ndarray, shape (k,)

@@ -1,4 +1,4 @@
-"""Bodies of a case, pushed apart where they overlap at t = 0 and the case asks for it.
+"""Bodies pushed apart where they overlap at t = 0, if `contact.relax` asks for it.
 
 Each round, every overlap pushes its two bodies apart by half of its depth each, or the one that can
 move by all of it; a body takes the mean of its pushes, a little lengthened. Attitudes stay.
@@ -8,52 +8,38 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.case.placement import first_bodies
 from particlerb.case.problems import CaseError
-from particlerb.case.reader import problem_at
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System, assemble
+from particlerb.case.source import problem_at
 from particlerb.contact.sphere_search import SphereSearch
 from particlerb.contact.wall_motion import poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import lengths
-from particlerb.plan.contact_setup import ContactSetup, contact_of, shift_of, spheres_of
+from particlerb.model.system import System
+from particlerb.plan.contact_setup import ContactSetup, contact_of, spheres_of
 
 ROUNDS: Final = 2000  # at most
 LENGTHENED: Final = 1.5  # times the mean of all pushes on a body
 LEFT: Final = 1e-3  # overlap that may be left, in units of the smallest radius
 
 
-def assembled(case: Case) -> System:
-    """Scene of a case, pushed apart where `contact.relax` asks for it.
+def remove_overlaps(system: System) -> System:
+    """The system with its bodies pushed apart, if `contact.relax` asks for it.
 
     Raises
     ------
     CaseError
-        As `assemble` and `contact_of`; and if bodies have too little room to be pushed apart.
+        As `contact_of`; and if bodies have too little room to be pushed apart.
     """
-    scene = displaced(case, assemble(case))
-    if case.contact is None or not case.contact.relax:
-        return scene
-    contact = contact_of(case, scene)
+    if system.contact is None or not system.contact.relax:
+        return system
+    contact = contact_of(system)
     assert contact is not None
-    com = pushed_apart(case, scene, contact)
-    return scene._replace(state=scene.state._replace(com=com))
+    return system._replace(state=system.state._replace(com=pushed_apart(system, contact)))
 
 
-def displaced(case: Case, scene: System) -> System:
-    """Scene with driven bodies where their motion has them at t = 0."""
-    if all(body.motion is None for body in case.body):
-        return scene
-    com, first = scene.state.com.copy(), first_bodies(case)
-    for i, body in enumerate(case.body):
-        com[:, first[i] : first[i + 1]] += shift_of(body)[:, None]
-    return scene._replace(state=scene.state._replace(com=com))
-
-
-def pushed_apart(case: Case, scene: System, contact: ContactSetup) -> Floats:
+def pushed_apart(system: System, contact: ContactSetup) -> Floats:
     """Centres of mass (3, n_bodies) [m] with which hardly anything overlaps.
 
     Raises
@@ -61,15 +47,15 @@ def pushed_apart(case: Case, scene: System, contact: ContactSetup) -> Floats:
     CaseError
         If overlaps remain.
     """
-    spheres = spheres_of(scene, contact)
+    spheres = spheres_of(system, contact)
     place, radius, body = spheres
-    com, moves = scene.state.com.copy(), ~contact.fixed
+    com, moves = system.state.com.copy(), ~contact.fixed
     search, walls = SphereSearch(radius, body), WallSearch(contact.walls, radius)
     poses = poses_at(contact.motions, 0.0)
-    enough = max(LEFT * float(radius.min()), case.contact.overlap if case.contact else 0.0)
+    enough = max(LEFT * float(radius.min()), system.contact.overlap if system.contact else 0.0)
     deepest = np.inf
     for _ in range(ROUNDS):
-        points = np.ascontiguousarray(place + (com - scene.state.com)[:, body])
+        points = np.ascontiguousarray(place + (com - system.state.com)[:, body])
         first, second, _ = search.pairs(points, 0.0)
         d = points[:, second] - points[:, first]
         distance = np.maximum(lengths(d), 1e-300)
@@ -92,4 +78,4 @@ def pushed_apart(case: Case, scene: System, contact: ContactSetup) -> Floats:
             total = np.bincount(bodies, pushes[c], moves.size)
             com[c] += LENGTHENED * total / counts * moves
     reason = f"bodies still overlap by {deepest:.3g} m after {ROUNDS} rounds of pushing them apart"
-    raise CaseError([problem_at(case, "contact.relax", reason, "give them more room")])
+    raise CaseError([problem_at(system, "contact.relax", reason, "give them more room")])

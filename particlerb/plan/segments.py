@@ -1,7 +1,7 @@
-"""From a scene to a plan: what acts on whom and when, by which method, at which step, and why.
+"""From a system to a plan: what acts on whom and when, by which method, at which step, and why.
 
 Bodies with the same forces form a group. Its time is cut where a force starts or stops and where
-an impulse acts; each segment is free (closed form) or driven (stepped). What a scene does not use
+an impulse acts; each segment is free (closed form) or driven (stepped). What a system does not use
 is neither computed nor compiled, and the plan says so in words.
 """
 
@@ -13,9 +13,7 @@ import numpy as np
 
 from particlerb.case.coarse_lattice import coarse
 from particlerb.case.problems import CaseError, Problem
-from particlerb.case.reader import problem_at
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
+from particlerb.case.source import problem_at
 from particlerb.contact.contact_frequency import initial_contact_frequency
 from particlerb.contact.contact_model import ContactSpheres, GroupContact
 from particlerb.forces import Terms, needs_of
@@ -27,6 +25,7 @@ from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import State, lengths, omega_world
+from particlerb.model.system import System
 from particlerb.plan.case_forces import (
     acts,
     edges_of,
@@ -70,7 +69,7 @@ class Stepping(NamedTuple):
 class GroupPlan(NamedTuple):
     """Bodies on which the same forces act."""
 
-    members: Ints  # (n,) which bodies of the scene these are
+    members: Ints  # (n,) which bodies of the system these are
     bodies: Bodies  # their constants
     segments: tuple[Segment, ...]  # from 0 to infinity
 
@@ -80,20 +79,20 @@ class GroupPlan(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """How a case will be run."""
+    """How a system will be run."""
 
     groups: tuple[GroupPlan, ...]
     step: str  # the step and why this one
     warnings: tuple[str, ...]
 
 
-def make_plan(case: Case, scene: System) -> Plan:
-    """Plan of a case.
+def make_plan(system: System) -> Plan:
+    """Plan of a system.
 
     Parameters
     ----------
-    case, scene : Case, System
-        What the user says, and the bodies made of it.
+    system : System
+        Bodies, and all that acts on them.
 
     Raises
     ------
@@ -101,20 +100,20 @@ def make_plan(case: Case, scene: System) -> Plan:
         If a torque overflows or turns a body that cannot turn so, if the method does not accept a
         force, or if no step can be chosen.
     """
-    loads = loads_of(case, scene)
-    links = links_of(case, scene)
-    problems = impossible(case, scene, loads) + coincident(case, scene)
+    loads = loads_of(system)
+    links = links_of(system)
+    problems = impossible(system, loads) + coincident(system)
     if problems:
         raise CaseError(problems)
-    touching = contact_of(case, scene)
-    grouped = groups_of(case, scene, loads, links, touching)
-    cut = [cut_into_segments(case, scene, group, touching) for group in grouped]
-    refuse_method(case, cut)
-    groups = tuple(with_steps(group, step(case, scene, group)) for group in cut)
-    return checked(case, scene, groups, [None] * len(groups))
+    touching = contact_of(system)
+    grouped = groups_of(system, loads, links, touching)
+    cut = [cut_into_segments(system, group, touching) for group in grouped]
+    refuse_method(system, cut)
+    groups = tuple(with_steps(group, step(system, group)) for group in cut)
+    return checked(system, groups, [None] * len(groups))
 
 
-def with_choice(case: Case, scene: System, plan: Plan, choice: Sequence[Stepping | None]) -> Plan:
+def with_choice(system: System, plan: Plan, choice: Sequence[Stepping | None]) -> Plan:
     """Plan whose groups are stepped as chosen, where something is.
 
     Raises
@@ -126,7 +125,7 @@ def with_choice(case: Case, scene: System, plan: Plan, choice: Sequence[Stepping
         group if chosen is None else stepped_by(group, chosen)
         for group, chosen in zip(plan.groups, choice, strict=True)
     )
-    return checked(case, scene, groups, choice)
+    return checked(system, groups, choice)
 
 
 def stepped_by(group: GroupPlan, chosen: Stepping) -> GroupPlan:
@@ -139,38 +138,36 @@ def stepped_by(group: GroupPlan, chosen: Stepping) -> GroupPlan:
 
 
 def checked(
-    case: Case, scene: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
+    system: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
 ) -> Plan:
     """Plan of groups with steps, if these can be taken."""
-    refuse_endless(case, scene, groups)
-    refuse_unstable(case, scene, groups)
+    refuse_endless(system, groups)
+    refuse_unstable(system, groups)
     warnings = (
-        *(as_warning(problem) for problem in coarse(case, scene)),
-        *step_warnings(case, scene, groups),
+        *(as_warning(problem) for problem in coarse(system)),
+        *step_warnings(system, groups),
     )
-    return Plan(groups, step_reason(case, scene, groups, choice), warnings)
+    return Plan(groups, step_reason(system, groups, choice), warnings)
 
 
-def cut_into_segments(
-    case: Case, scene: System, group: BodyGroup, touching: ContactSetup | None
-) -> GroupPlan:
+def cut_into_segments(system: System, group: BodyGroup, touching: ContactSetup | None) -> GroupPlan:
     """Segments of a group between the edges of its forces; steps are set later."""
     edges = {0.0}
     for form in (*(force.form for force in group.forces), *(link.force for link in group.links)):
         edges.update(edges_of(form))
     starts = sorted(edges)
     members, forces = group.members, group.forces
-    bodies = taken(scene.bodies, members)
+    bodies = taken(system.bodies, members)
     if touching is not None:
         bodies = held(bodies, touching.fixed[members])
     segments = []
     for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
         acting = [force for force in forces if acts(force.form, start)]
         links = [link for link in group.links if acts(link.force, start)]
-        terms = terms_of(case, scene, group, bodies, acting, links, touching, start)
+        terms = terms_of(system, group, bodies, acting, links, touching, start)
         jumps = jumps_at(forces, bodies, start)
-        method = chosen_method(case.run.method, bodies, terms)
-        segments.append(Segment(start, stop, jumps, terms, method, 0.0, case.run.tolerance))
+        method = chosen_method(system.run.method, bodies, terms)
+        segments.append(Segment(start, stop, jumps, terms, method, 0.0, system.run.tolerance))
     return GroupPlan(members, bodies, tuple(segments))
 
 
@@ -214,7 +211,7 @@ def chosen_method(named: str, bodies: Bodies, terms: Terms) -> str:
     return named if rotates or not is_free else "exact"
 
 
-def refuse_method(case: Case, groups: list[GroupPlan]) -> None:
+def refuse_method(system: System, groups: list[GroupPlan]) -> None:
     """Raise CaseError where a method was asked for and a force acts that it does not accept."""
     for group in groups:
         for segment in group.segments:
@@ -224,24 +221,24 @@ def refuse_method(case: Case, groups: list[GroupPlan]) -> None:
             acting = ", ".join(refused)
             able = ", ".join(name for name in METHODS if accepts(name, segment.terms))
             reason = f"{segment.method} does not accept what acts here: {acting}"
-            raise CaseError([problem_at(case, "run.method", reason, f"methods that do: {able}")])
+            raise CaseError([problem_at(system, "run.method", reason, f"methods that do: {able}")])
 
 
-def step(case: Case, scene: System, group: GroupPlan) -> float:
+def step(system: System, group: GroupPlan) -> float:
     """Step of the stepped segments of a group [s]; 0 where it has none."""
     if not any(has_step(segment.method) for segment in group.segments):
         return 0.0
-    if case.run.dt is not None:
-        return case.run.dt
-    rate = fastest_rate(scene, group)
+    if system.run.dt is not None:
+        return system.run.dt
+    rate = fastest_rate(system, group)
     if not np.isfinite(rate):
         reason = "no step can be chosen: a torque over a moment of inertia overflows"
-        raise CaseError([problem_at(case, "run", reason, "give run.dt")])
-    return min(case.run.every, RADIANS_PER_STEP / rate) if rate > 0 else case.run.every
+        raise CaseError([problem_at(system, "run", reason, "give run.dt")])
+    return min(system.run.every, RADIANS_PER_STEP / rate) if rate > 0 else system.run.every
 
 
 def step_reason(
-    case: Case, scene: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
+    system: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
 ) -> str:
     """The steps in words, and why these."""
     stepped = [
@@ -256,64 +253,64 @@ def step_reason(
         return "; ".join(reasons)
     if all(is_adaptive(s.method) or not has_step(s.method) for g, _ in stepped for s in g.segments):
         packs = "packs of sixteen bodies, and those that act on each other,"
-        return f"{packs} take their own, error {case.run.tolerance!r} in each"
-    if case.run.dt is not None:
-        return f"{case.run.dt!r} s, as the case says"
-    steps = {step(case, scene, group) for group, _ in stepped}
+        return f"{packs} take their own, error {system.run.tolerance!r} in each"
+    if system.run.dt is not None:
+        return f"{system.run.dt!r} s, as the case says"
+    steps = {step(system, group) for group, _ in stepped}
     rule = f"the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
     if len(steps) > 1:
         return f"{min(steps):.6g} s to {max(steps):.6g} s, for each group {rule}"
     (dt,) = steps
-    rate = max(fastest_rate(scene, group) for group, _ in stepped)
-    why = "run.every" if dt == case.run.every else f"{RADIANS_PER_STEP} / ({rate:.6g} rad/s)"
+    rate = max(fastest_rate(system, group) for group, _ in stepped)
+    why = "run.every" if dt == system.run.every else f"{RADIANS_PER_STEP} / ({rate:.6g} rad/s)"
     return f"{dt:.6g} s = {why}, {rule}"
 
 
-def refuse_endless(case: Case, scene: System, groups: tuple[GroupPlan, ...]) -> None:
+def refuse_endless(system: System, groups: tuple[GroupPlan, ...]) -> None:
     """Raise CaseError where steps until t_end are more than can be counted."""
     for group in groups:
         for segment in group.segments:
-            length = min(segment.stop, case.run.t_end) - segment.start
+            length = min(segment.stop, system.run.t_end) - segment.start
             if not has_step(segment.method) or length <= 0.0:
                 continue
             step = segment.dt
             if is_adaptive(segment.method):  # it will find a step of about a radian
-                step = 1.0 / max(fastest_rate(scene, group, case.run.t_end), 1.0 / length)
+                step = 1.0 / max(fastest_rate(system, group, system.run.t_end), 1.0 / length)
             if length > MOST_STEPS * step:
-                key = "run" if case.run.dt is None else "run.dt"
+                key = "run" if system.run.dt is None else "run.dt"
                 reason = f"the step of {step:.3g} s would be taken {length / step:.3g}"
                 hint = "give a longer run.dt, or a smaller force"
-                raise CaseError([problem_at(case, key, f"{reason} times until t_end", hint)])
+                raise CaseError([problem_at(system, key, f"{reason} times until t_end", hint)])
 
 
-def refuse_unstable(case: Case, scene: System, groups: tuple[GroupPlan, ...]) -> None:
+def refuse_unstable(system: System, groups: tuple[GroupPlan, ...]) -> None:
     """Raise CaseError where a step is above the limit of contact, unless it is allowed.
 
     That is the limit of a single contact of the outermost spheres, and of all contacts together
-    with which the case begins.
+    at t = 0.
     """
-    if case.contact is None or case.contact.allow_unstable:
+    if system.contact is None or system.contact.allow_unstable:
         return
     for group in groups:
         for segment in group.segments:
             if segment.terms.contact is None:
                 continue
-            rate = fastest_contact(scene, group, segment)
+            rate = fastest_contact(system, group, segment)
             reach = METHODS[segment.method].stability_limit * damped_share(segment.terms.contact)
             limit = reach / rate if rate > 0.0 else np.inf
             if segment is group.segments[0]:
-                refuse_crowded(case, scene, group, reach)
+                refuse_crowded(system, group, reach)
             if segment.dt > limit:
                 reason = (
                     f"the step of {segment.dt:.3g} s is above {limit:.3g} s, where a contact of"
-                    f" bodies like {scene.names[int(group.members[0])]} grows without bound"
+                    f" bodies like {system.names[int(group.members[0])]} grows without bound"
                 )
                 hint = (
                     f"dt = {math.pi / rate / STEPS_PER_CONTACT:.2g} s or less is accurate;"
                     " contact.allow_unstable = true takes it all the same"
                 )
-                key = "run" if case.run.dt is None else "run.dt"
-                raise CaseError([problem_at(case, key, reason, hint)])
+                key = "run" if system.run.dt is None else "run.dt"
+                raise CaseError([problem_at(system, key, reason, hint)])
 
 
 def stable_turn(plan: Plan) -> float:
@@ -327,17 +324,17 @@ def stable_turn(plan: Plan) -> float:
     return min(limits, default=math.inf)
 
 
-def refuse_crowded(case: Case, scene: System, group: GroupPlan, reach: float) -> None:
-    """Raise CaseError where a step is too long for all contacts with which a case begins."""
+def refuse_crowded(system: System, group: GroupPlan, reach: float) -> None:
+    """Raise CaseError where a step is too long for all contacts at t = 0."""
     segment = group.segments[0]
-    contact, state = segment.terms.contact, taken(scene.state, group.members)
+    contact, state = segment.terms.contact, taken(system.state, group.members)
     assert contact is not None
-    depth = deepest_impact(contact, group.bodies, state, falling_speed(scene, segment.terms))
+    depth = deepest_impact(contact, group.bodies, state, falling_speed(system, segment.terms))
     rate = initial_contact_frequency(contact, state.com, state.q, depth)
     if segment.dt * rate > reach:
         reason = (
             f"the step of {segment.dt:.3g} s is above {reach / rate:.3g} s, where bodies like"
-            f" {scene.names[int(group.members[0])]} that touch at t = 0 grow without bound on all"
+            f" {system.names[int(group.members[0])]} that touch at t = 0 grow without bound on all"
             " their contacts together"
         )
         hint = (
@@ -345,7 +342,7 @@ def refuse_crowded(case: Case, scene: System, group: GroupPlan, reach: float) ->
             " contact.allow_unstable = true takes it all the same"
         )
         raise CaseError(
-            [problem_at(case, "run" if case.run.dt is None else "run.dt", reason, hint)]
+            [problem_at(system, "run" if system.run.dt is None else "run.dt", reason, hint)]
         )
 
 
@@ -376,22 +373,22 @@ def damped_share(contact: GroupContact) -> float:
     return 2.0 / (math.hypot(4.0 * ratio, 2.0) + 4.0 * ratio)
 
 
-def fastest_contact(scene: System, group: GroupPlan, segment: Segment) -> float:
+def fastest_contact(system: System, group: GroupPlan, segment: Segment) -> float:
     """Largest rate of a contact in a segment [rad/s]."""
-    contact, state = segment.terms.contact, taken(scene.state, group.members)
+    contact, state = segment.terms.contact, taken(system.state, group.members)
     assert contact is not None
-    fall = falling_speed(scene, segment.terms)
+    fall = falling_speed(system, segment.terms)
     return float(contact_rates(contact, group.bodies, state, fall).max())
 
 
 @np.errstate(over="ignore", divide="ignore")
-def rates(scene: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
+def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
     """Estimate of the fastest rate of each body of a group, (n,) [rad/s]: spin, forces, impulses.
 
     A torque without potential spins a body up while it lasts, by |τ| Δt / I; one without end counts
     up to `t_end`. Any torque makes a body at rest turn or swing at a rate of √(|τ| / I).
     """
-    bodies, state = group.bodies, taken(scene.state, group.members)
+    bodies, state = group.bodies, taken(system.state, group.members)
     spin = np.linalg.norm(omega_world(bodies, state), axis=0)
     inv_inertia = bodies.inv_inertia.max(axis=0)
     swing = np.zeros_like(spin)
@@ -413,17 +410,17 @@ def rates(scene: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
         if attraction is not None:
             swing = np.maximum(swing, attraction_rates(attraction, state.com))
         if segment.terms.contact is not None:
-            fall = falling_speed(scene, segment.terms)
+            fall = falling_speed(system, segment.terms)
             swing = np.maximum(swing, contact_rates(segment.terms.contact, bodies, state, fall))
     return np.asarray(np.maximum(spin, swing))
 
 
-def falling_speed(scene: System, terms: Terms) -> float:
-    """Speed [m/s] that bodies of a scene reach by falling through all of it."""
+def falling_speed(system: System, terms: Terms) -> float:
+    """Speed [m/s] that bodies reach by falling through all of a system."""
     if terms.gravity is None:
         return 0.0
     g = terms.gravity.acceleration
-    com = scene.state.com
+    com = system.state.com
     extent = com.max(axis=1) - com.min(axis=1)
     size = float(np.linalg.norm(g))
     lowest = np.abs(com).max(axis=1)  # the ground may lie at the origin
@@ -440,19 +437,19 @@ def contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: flo
     or reached by falling. Of a wall 1/M is 0, or that of its piston; the other body is the softest
     one of each material.
     """
-    scene, law = contact.model, contact.model.law
-    softness = bodies.inv_mass + softest_turning(scene.spheres, bodies.inv_inertia)
+    model, law = contact.model, contact.model.law
+    softness = bodies.inv_mass + softest_turning(model.spheres, bodies.inv_inertia)
     own = np.full(softness.size, -1)
-    own[scene.spheres.body] = scene.spheres.material
+    own[model.spheres.body] = model.spheres.material
     partner = softest_partners(contact, softness, own)
-    pair = scene.pair_of[own]  # of bodies that touch nothing any one: they have no partners
+    pair = model.pair_of[own]  # of bodies that touch nothing any one: they have no partners
     both = np.where(own[:, None] >= 0, softness[:, None] + partner, 0.0)
     shear = np.where(law.friction > 0.0, law.tangential_stiffness, 0.0)
     if law.hertz is None:
         k = (law.stiffness + shear)[pair]
         return np.asarray(np.sqrt(np.maximum(k * both, 0.0).max(axis=1)))
     speed = impact_speed(contact, bodies, state, fall)
-    K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(float(scene.spheres.radius.max()))
+    K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(float(model.spheres.radius.max()))
     share = 1.0 + 6.0 * (shear / np.maximum(law.stiffness, 1e-300))[pair]
     depth = (1.25 * speed**2 / np.maximum(K * both, 1e-300)) ** 0.4
     squared = np.where(K * both > 0.0, 1.5 * K * np.sqrt(depth) * share * both, 0.0)
@@ -476,8 +473,8 @@ def softest_turning(spheres: ContactSpheres, inv_inertia: Floats) -> Floats:
 
 def softest_partners(contact: GroupContact, softness: Floats, material: Ints) -> Floats:
     """Largest 1/m_eff [1/kg] of what each body may meet of each material; -inf: nothing, (n, k)."""
-    scene, walls = contact.model, contact.model.walls
-    partner = np.full((softness.size, len(scene.pair_of)), -np.inf)
+    model, walls = contact.model, contact.model.walls
+    partner = np.full((softness.size, len(model.pair_of)), -np.inf)
     for code in np.unique(material[material >= 0]).tolist():
         those = np.flatnonzero(material == code)
         softest = those[np.argmax(softness[those])]
@@ -486,8 +483,8 @@ def softest_partners(contact: GroupContact, softness: Floats, material: Ints) ->
     inverse = np.zeros(int(walls.wall.max(initial=-1)) + 1)
     if contact.pistons is not None:
         inverse[contact.pistons.wall] = 1.0 / contact.pistons.mass
-    for code in np.unique(scene.wall_material).tolist():
-        own = walls.wall[scene.wall_material == code]
+    for code in np.unique(model.wall_material).tolist():
+        own = walls.wall[model.wall_material == code]
         partner[:, code] = np.maximum(partner[:, code], inverse[own].max())
     return partner
 
@@ -505,9 +502,9 @@ def attraction_rates(attraction: Attraction, com: Floats) -> Floats:
     return found if which.size == n else np.full(n, found.max())
 
 
-def fastest_rate(scene: System, group: GroupPlan, t_end: float = 0.0) -> float:
+def fastest_rate(system: System, group: GroupPlan, t_end: float = 0.0) -> float:
     """Largest of the rates of a group [rad/s]."""
-    return float(rates(scene, group, t_end).max())
+    return float(rates(system, group, t_end).max())
 
 
 def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
@@ -524,21 +521,21 @@ def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
     return group._replace(segments=tuple(segments))
 
 
-def step_warnings(case: Case, scene: System, groups: tuple[GroupPlan, ...]) -> list[str]:
+def step_warnings(system: System, groups: tuple[GroupPlan, ...]) -> list[str]:
     """Warnings about steps that turn a body too far, now or by t_end, or let springs explode."""
     found: dict[str, tuple[float, str, float]] = {}
     for group in groups:
         stepped = [s for s in group.segments if has_step(s.method) and not is_adaptive(s.method)]
         if not stepped:
             continue
-        rate = fastest_rate(scene, group, case.run.t_end)
-        name = scene.names[int(group.members[0])]
+        rate = fastest_rate(system, group, system.run.t_end)
+        name = system.names[int(group.members[0])]
         for segment in stepped:
             method, turn = METHODS[segment.method], segment.dt * rate
-            limit = stable_step(scene, group, segment) if turn > method.stability_limit else np.inf
+            limit = stable_step(system, group, segment) if turn > method.stability_limit else np.inf
             contact = 0.0
             if segment.terms.contact is not None:
-                contact = fastest_contact(scene, group, segment)
+                contact = fastest_contact(system, group, segment)
             if segment.dt * contact > math.pi / STEPS_PER_CONTACT:
                 steps = math.pi / (segment.dt * contact)
                 reason = f"the step of {segment.dt:.6g} s is taken {steps:.2g} times in a contact"
@@ -554,9 +551,9 @@ def step_warnings(case: Case, scene: System, groups: tuple[GroupPlan, ...]) -> l
                 reason = f"the step of {segment.dt:.6g} s turns bodies like {name} by up to"
                 reason += f" {turn:.3g} rad"
                 found["turn"] = max(found.get("turn", (0.0, "", 0.0)), (turn, reason, rate))
-    key = "run" if case.run.dt is None else "run.dt"
+    key = "run" if system.run.dt is None else "run.dt"
     problems = [
-        problem_at(case, key, reason, f"advised: dt = {RADIANS_PER_STEP / rate:.3g} s or less")
+        problem_at(system, key, reason, f"advised: dt = {RADIANS_PER_STEP / rate:.3g} s or less")
         for _, reason, rate in found.values()
     ]
     return [as_warning(problem) for problem in problems]
@@ -567,11 +564,11 @@ def as_warning(problem: Problem) -> str:
     return str(problem).replace(": error: ", ": warning: ", 1)
 
 
-def stable_step(scene: System, group: GroupPlan, segment: Segment) -> float:
+def stable_step(system: System, group: GroupPlan, segment: Segment) -> float:
     """Longest step [s] with which the springs of a segment stay bounded at t = 0; inf: any."""
     everything = with_springs(segment.terms.links, segment.terms.loads, group.bodies)
     if not everything.first.size:
         return np.inf
-    state = taken(scene.state, group.members)
+    state = taken(system.state, group.members)
     rate = fastest_oscillation(everything, group.bodies, state.com, state.q)
     return float(METHODS[segment.method].stability_limit / rate) if rate > 0.0 else np.inf

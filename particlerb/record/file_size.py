@@ -4,22 +4,22 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.case.schema import Case
+from particlerb.model.system import System
 from particlerb.record.schema import CONTACT_FIELDS, FIELDS, WALLS
 
 SMALLEST_FILE: Final = 600_000  # bytes of a file of few bodies and frames
 
 
-def frames_at_most(case: Case) -> int:
+def frames_at_most(system: System) -> int:
     """Frames of a run, or a few more."""
-    return int(case.run.t_end / case.run.every) + 2
+    return int(system.run.t_end / system.run.every) + 2
 
 
-def estimated_size(case: Case, n_frames: int) -> int:
+def estimated_size(system: System, n_frames: int) -> int:
     """Size of the fields of a run on disk [bytes], without the small rest."""
-    item = np.dtype(case.output.dtype).itemsize
+    item = np.dtype(system.output.dtype).itemsize
     per_body = FIELDS | CONTACT_FIELDS
-    fields = case.output.fields
+    fields = system.output.fields
     width = sum(max(len(per_body[name].components), 1) for name in fields if name in per_body)
-    walls = 3 * sum(name in WALLS for name in fields) * len(case.wall)
-    return n_frames * (case.n_bodies * width * item + 8 * (21 + walls))
+    walls = 3 * sum(name in WALLS for name in fields) * len(system.wall)
+    return n_frames * (system.n_bodies * width * item + 8 * (21 + walls))

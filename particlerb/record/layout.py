@@ -7,9 +7,8 @@ import h5py
 import numpy as np
 
 import particlerb
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
 from particlerb.maths.vec3 import Floats
+from particlerb.model.system import System
 from particlerb.record import schema
 from particlerb.record.checksums import seal
 from particlerb.record.file_size import frames_at_most
@@ -28,7 +27,7 @@ SHOWN: Final = {  # what VTK shows of each body beside the recorded fields
 
 
 def lay_out(
-    file: h5py.File, case: Case, scene: System, parameters: Mapping[str, str], has_views: bool
+    file: h5py.File, system: System, parameters: Mapping[str, str], has_views: bool
 ) -> None:
     """Write all that a file without frames has.
 
@@ -36,22 +35,22 @@ def lay_out(
     ----------
     file : h5py.File
         Empty.
-    case, scene : Case, System
-        What is run, and the bodies.
+    system : System
+        What is run.
     parameters : mapping of str to str
         More texts for /parameters.
     has_views : bool
         Whether ParaView is to find the fields: in a file that others can open.
     """
-    n, fields = frames_at_most(case), case.output.fields
+    n, fields = frames_at_most(system), system.output.fields
     file.attrs["schema"] = np.array(schema.SCHEMA_VERSION, dtype=np.int32)
     write_h5md(file)
-    write_bodies(file, scene)
-    write_parameters(file, case, parameters)
+    write_bodies(file, system)
+    write_parameters(file, system, parameters)
     make_clock(file, n)
-    series, dtype = schema.series_of(fields), np.dtype(case.output.dtype)
+    series, dtype = schema.series_of(fields), np.dtype(system.output.dtype)
     if any(element.per == "wall" for element in series.values()):
-        write_walls(file, [wall.name for wall in case.wall])
+        write_walls(file, [wall.name for wall in system.wall])
     of_bodies = {}
     for path, element in series.items():
         if element.per == "body":
@@ -59,7 +58,7 @@ def lay_out(
         elif path != schema.TIME:
             make_series(file, path, element, np.dtype(np.float64), n)
     if schema.CONTACTS in fields:
-        make_contacts(file, dtype, n * case.n_bodies)
+        make_contacts(file, dtype, n * system.n_bodies)
     make_checksums(file, n)
     if has_views:
         create_vtkhdf(file, of_bodies, SHOWN, n)

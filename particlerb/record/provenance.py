@@ -15,17 +15,19 @@ import h5py
 import numpy as np
 
 import particlerb
-from particlerb.case.schema import Case
 from particlerb.case.source import Source
+from particlerb.case.to_system import to_case
 from particlerb.compiled.jit import source_hash
 from particlerb.files import Files
+from particlerb.model.system import System
 from particlerb.record.checked_reading import dataset_at, object_at, text_at, trajectory_errors
 from particlerb.record.checksums import seal
 from particlerb.record.schema import FILE_NAMES, FILES, PARAMETERS
 
 
-def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> None:
+def write_parameters(file: h5py.File, system: System, more: Mapping[str, str]) -> None:
     """Where the file comes from: enough to run it again."""
+    case = to_case(system)
     parameters = {
         "case": case.text,
         "case_resolved": case.model_dump_json(),
@@ -41,9 +43,9 @@ def write_parameters(file: h5py.File, case: Case, more: Mapping[str, str]) -> No
     write_files(file, case.source.files.contents)
 
 
-def replace_case(file: h5py.File, case: Case) -> None:
-    """Let the file say that its case is this one: the same with another end."""
-    write_text(file, "case_resolved", case.model_dump_json())
+def replace_case(file: h5py.File, system: System) -> None:
+    """Let the file say that its case is this one: that of the same system with another end."""
+    write_text(file, "case_resolved", to_case(system).model_dump_json())
     seal(file)
     file.flush()
 

@@ -13,11 +13,10 @@ import h5py
 import numpy as np
 from h5py import h5s
 
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
 from particlerb.contact.contact_output import ContactOutput
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, derived
+from particlerb.model.system import System
 from particlerb.record import schema
 from particlerb.record.checkpoint import write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
@@ -45,8 +44,8 @@ class Recorder:
     ----------
     path : Path or None
         Where; None keeps the file in memory.
-    case, scene : Case, System
-        What is run, and the bodies.
+    system : System
+        What is run.
     parameters : mapping of str to str
         More texts for /parameters: the plan in words, what is known of the accuracy.
     overwrite : bool
@@ -66,25 +65,24 @@ class Recorder:
     def __init__(
         self,
         path: Path | None,
-        case: Case,
-        scene: System,
+        system: System,
         parameters: Mapping[str, str],
         overwrite: bool = False,
     ) -> None:
-        with new_file(path, overwrite, case.output.durable) as output:
-            lay_out(output.file, case, scene, parameters, has_views=path is not None)
-            self.begin(output, case, scene)
+        with new_file(path, overwrite, system.output.durable) as output:
+            lay_out(output.file, system, parameters, has_views=path is not None)
+            self.begin(output, system)
             self.commit()
 
     @classmethod
-    def reopen(cls, path: Path, case: Case, scene: System, n_frames: int, known: int) -> Self:
+    def reopen(cls, path: Path, system: System, n_frames: int, known: int) -> Self:
         """Recorder of a file that has frames: what is appended again must be the same.
 
         Parameters
         ----------
         path : Path
             A file that no other process writes.
-        case, scene : Case, System
+        system : System
             As for a new file.
         n_frames : int
             Frames that lie behind the state that is carried on.
@@ -101,17 +99,17 @@ class Recorder:
             If it cannot be opened or written.
         """
         self = cls.__new__(cls)
-        output = OutputFile(path, WriterLock(path), "r+", case.output.durable)
+        output = OutputFile(path, WriterLock(path), "r+", system.output.durable)
         with output.writing():
-            self.begin(output, case, scene)
+            self.begin(output, system)
             self.n_committed, self.known = n_frames, known
             self.cut(known)
         return self
 
-    def begin(self, output: OutputFile, case: Case, scene: System) -> None:
+    def begin(self, output: OutputFile, system: System) -> None:
         """Begin with a file that `lay_out` has made."""
-        self.output, self.file, self.case, self.scene = output, output.file, case, scene
-        fields = case.output.fields
+        self.output, self.file, self.system = output, output.file, system
+        fields = system.output.fields
         self.step = self.file[f"{schema.TRAJECTORY}/step"]
         self.checksums = self.file[f"{schema.INTEGRITY}/{schema.CHECKSUM}"]
         paths = schema.series_of(fields)
@@ -138,7 +136,7 @@ class Recorder:
             dataset.resize(n, axis=0)
         if self.contacts is not None:
             self.contacts.cut(n)
-        resize_vtkhdf(self.file, self.of_bodies, frames_at_most(self.case))
+        resize_vtkhdf(self.file, self.of_bodies, frames_at_most(self.system))
 
     @property
     def n_frames(self) -> int:
@@ -192,9 +190,9 @@ class Recorder:
         touches: Sequence[ContactOutput],
     ) -> dict[str, Any]:
         """What the file gets of some frames, as it holds it, in the order of the checksums."""
-        fields = self.case.output.fields
-        found: dict[str, Any] = contact_values(fields, touches, len(self.scene.kind))
-        found |= fields_of(frames, rows, self.scene, self.of_bodies)
+        fields = self.system.output.fields
+        found: dict[str, Any] = contact_values(fields, touches, self.system.n_bodies)
+        found |= fields_of(frames, rows, self.system, self.of_bodies)
         values = {}
         for path, dataset in self.series.items():
             name = path.split("/")[-2]
@@ -299,7 +297,7 @@ def append_rows(dataset: h5py.Dataset, first: int, values: Rows) -> None:
 
 
 def fields_of(
-    frames: Frames, rows: Ints, scene: System, names: Mapping[str, Any]
+    frames: Frames, rows: Ints, system: System, names: Mapping[str, Any]
 ) -> dict[str, Floats]:
     """Arrays of the fields of some names, for some rows of the frames."""
     contiguous = len(rows) == rows[-1] - rows[0] + 1
@@ -307,7 +305,7 @@ def fields_of(
     arrays = {name: getattr(frames, name)[pick] for name in Frames._fields if name in names}
     if {"velocity", "angular_velocity"} & names.keys():
         arrays["velocity"], arrays["angular_velocity"] = derived(
-            scene.bodies,
+            system.bodies,
             frames.orientation[pick],
             frames.linear_momentum[pick],
             frames.angular_momentum[pick],

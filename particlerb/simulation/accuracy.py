@@ -19,11 +19,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.reader import problem_at
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
+from particlerb.case.source import problem_at
+from particlerb.model.system import System
 from particlerb.plan.describe import describe, group_name
-from particlerb.plan.remove_overlaps import assembled
+from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import (
     GroupPlan,
     Plan,
@@ -83,23 +82,23 @@ class Estimate(NamedTuple):
         return json.dumps({**record, "is_met": self.is_met, "groups": groups})
 
 
-def prepare_accurately(case: Case) -> Prepared:
-    """Bodies and plan of a case; with `run.accuracy`, method and step chosen and verified.
+def prepare_accurately(system: System) -> Prepared:
+    """Bodies and plan of a system; with `run.accuracy`, method and step chosen and verified.
 
     Raises
     ------
     CaseError
         With all problems that show here.
     """
-    if case.run.accuracy is None:
-        return prepare(case)
-    scene = assembled(case)
-    free = case.model_copy(update={"run": case.run.model_copy(update={"method": "auto"})})
-    plan = make_plan(free, scene)
-    found = [search(free, scene, group) for group in plan.groups]
+    if system.run.accuracy is None:
+        return prepare(system)
+    system = remove_overlaps(system)
+    free = system.with_run(method="auto")
+    plan = make_plan(free)
+    found = [search(free, group) for group in plan.groups]
     choice = [None if one is None else one.stepping for one in found]
-    chosen = with_choice(free, scene, plan, choice)
-    estimate = estimate_of(case, scene, chosen, found)
+    chosen = with_choice(free, plan, choice)
+    estimate = estimate_of(system, chosen, found)
     warnings = chosen.warnings
     if not estimate.is_met:
         worst = max(estimate.groups, key=lambda group: group[2])[0]
@@ -108,16 +107,16 @@ def prepare_accurately(case: Case) -> Prepared:
             f" for {worst}, it holds until {estimate.until:.6g} s"
         )
         hint = "rounding, or the scene itself, allows no more: ask for less, or run for less time"
-        problem = str(problem_at(case, "run.accuracy", reason, hint))
+        problem = str(problem_at(system, "run.accuracy", reason, hint))
         warnings = (*warnings, problem.replace(": error: ", ": warning: ", 1))
     chosen = Plan(chosen.groups, chosen.step, warnings)
-    text = describe(case, scene, chosen, estimate.text())
+    text = describe(system, chosen, estimate.text())
     stepping = json.dumps([None if one is None else one._asdict() for one in choice])
-    return Prepared(case, scene, chosen, text, {"accuracy": estimate.json(), "stepping": stepping})
+    return Prepared(system, chosen, text, {"accuracy": estimate.json(), "stepping": stepping})
 
 
-def prepare_again(case: Case, stepping: str | None) -> Prepared:
-    """The same for a case that has run: `stepping` is what was chosen for its accuracy.
+def prepare_again(system: System, stepping: str | None) -> Prepared:
+    """The same for a system that has run: `stepping` is what was chosen for its accuracy.
 
     Raises
     ------
@@ -127,33 +126,33 @@ def prepare_again(case: Case, stepping: str | None) -> Prepared:
         If `stepping` is not what `prepare_accurately` has given.
     """
     if stepping is None:
-        return prepare(case)
+        return prepare(system)
     choice = [None if one is None else Stepping(**one) for one in json.loads(stepping)]
-    scene = assembled(case)
-    free = case.model_copy(update={"run": case.run.model_copy(update={"method": "auto"})})
-    plan = with_choice(free, scene, make_plan(free, scene), choice)
-    return Prepared(case, scene, plan, describe(case, scene, plan))
+    system = remove_overlaps(system)
+    free = system.with_run(method="auto")
+    plan = with_choice(free, make_plan(free), choice)
+    return Prepared(system, plan, describe(system, plan))
 
 
-def estimate_of(case: Case, scene: System, plan: Plan, found: list[ChosenStep | None]) -> Estimate:
+def estimate_of(system: System, plan: Plan, found: list[ChosenStep | None]) -> Estimate:
     """Summary over all groups."""
     known = [(g, one) for g, one in zip(plan.groups, found, strict=True) if one is not None]
     return Estimate(
-        case.run.accuracy or 0.0,
+        system.run.accuracy or 0.0,
         max((one.error for _, one in known), default=0.0),
-        min((one.until for _, one in known), default=case.run.t_end),
-        tuple((group_name(scene, g.members), one.stepping, one.error) for g, one in known),
+        min((one.until for _, one in known), default=system.run.t_end),
+        tuple((group_name(system, g.members), one.stepping, one.error) for g, one in known),
         sum(one.bodies for _, one in known),
         sum(g.members.size for g, _ in known),
     )
 
 
-def search(case: Case, scene: System, group: GroupPlan) -> ChosenStep | None:
+def search(system: System, group: GroupPlan) -> ChosenStep | None:
     """Cheapest way to step a group; None where nothing of it is stepped before t_end."""
-    stepped = [s for s in group.segments if has_step(s.method) and s.start < case.run.t_end]
+    stepped = [s for s in group.segments if has_step(s.method) and s.start < system.run.t_end]
     if not stepped:
         return None
-    pilot = Pilot(case, scene, group)
+    pilot = Pilot(system, group)
     if any(s.terms.contact is not None for s in stepped):
         return by_energy(pilot, "strang")
     able = [name for name in RATIO if all(accepts(name, s.terms) for s in stepped)]
@@ -181,23 +180,23 @@ def by_energy(pilot: Pilot, method: str) -> ChosenStep:
     A pilot run, shorter than the run where that is dear, is repeated with half the step until the
     error of integration is small enough beside the energy that is turned over.
     """
-    case, n = pilot.case, pilot.which.size
+    system, n = pilot.system, pilot.which.size
     first = min(pilot.longest(1.0), 0.25 * min(pilot.lengths))
     reason = f"{method}, by the energy ledger of a pilot run"
-    stepping = Stepping(method, first, case.run.tolerance, reason)
+    stepping = Stepping(method, first, system.run.tolerance, reason)
     stepped_time = sum(pilot.lengths)
     share = min(1.0, DEAREST / pilot.cost(stepping, stepped_time / (0.05 * first), n))
-    times = share * np.linspace(0.0, case.run.t_end, MORE_TIMES + 1)[1:]
+    times = share * np.linspace(0.0, system.run.t_end, MORE_TIMES + 1)[1:]
     while True:
         plan = Plan((stepped_by(pilot.group, stepping),), "", ())
-        own = part(case, pilot.scene, plan, np.sort(pilot.group.members))
+        own = part(system, plan, np.sort(pilot.group.members))
         error = drifts(own, *states_at(own, times))[0]
         cost = pilot.cost(stepping, stepped_time / stepping.dt, n)
         pilot.spent += share * cost
         pilot.say_so(method)
         met = error <= ENOUGH * pilot.wanted
         if met or cost * share > DEAREST:
-            until = case.run.t_end if met else 0.0
+            until = system.run.t_end if met else 0.0
             return ChosenStep(stepping, float(error), until, n, cost, pilot.spent)
         promised = (SHARE * pilot.wanted / error) ** 0.5 if np.isfinite(error) else 0.1
         stepping = stepping._replace(dt=stepping.dt * min(max(promised, 0.1), 0.5))

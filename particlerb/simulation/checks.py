@@ -4,13 +4,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.case.placement import normalised, resolve_bodies
-from particlerb.case.schema import Case, CheckValue
-from particlerb.case.to_system import System, inertia_in_body
+from particlerb.case.placement import normalised
+from particlerb.case.schema import CheckValue
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
 from particlerb.model.comparison import CONJUGATE, angles
-from particlerb.model.state import Frames, State, kinetic_energy, multiplied, omega_world, turned
+from particlerb.model.state import (
+    Frames,
+    State,
+    inertia_in_body,
+    kinetic_energy,
+    multiplied,
+    omega_world,
+    turned,
+)
+from particlerb.model.system import System
 from particlerb.simulation.run import Outcome
 
 
@@ -29,57 +37,57 @@ class Result(NamedTuple):
         return self.error <= self.tolerance
 
 
-def results(case: Case, scene: System, outcome: Outcome) -> list[Result]:
-    """All checks of a case, limits of drift first."""
+def results(system: System, outcome: Outcome) -> list[Result]:
+    """All checks of a system, limits of drift first."""
     limits = [
         Result(name, "0", f"{value:.3g}", value, limit)
         for name, value, limit in (
-            ("energy_drift", outcome.drift.energy, case.check.energy_drift),
+            ("energy_drift", outcome.drift.energy, system.check.energy_drift),
             (
                 "linear_momentum_drift",
                 outcome.drift.linear_momentum,
-                case.check.linear_momentum_drift,
+                system.check.linear_momentum_drift,
             ),
             (
                 "angular_momentum_drift",
                 outcome.drift.angular_momentum,
-                case.check.angular_momentum_drift,
+                system.check.angular_momentum_drift,
             ),
         )
         if limit is not None
     ]
     frames = {probe.time: probe.frame for probe in outcome.probes}
     values = []
-    for check in case.check.value:
-        time = case.run.t_end if check.time is None else check.time
+    for check in system.check.value:
+        time = system.run.t_end if check.time is None else check.time
         values += [
-            value_result(check, time, scene, int(b), frames[time])
-            for b in resolve_bodies(case, check.body)
+            value_result(check, time, system, int(b), frames[time])
+            for b in system.names.find(check.body)
         ]
     return limits + values
 
 
-def value_result(check: CheckValue, time: float, scene: System, b: int, frames: Frames) -> Result:
+def value_result(check: CheckValue, time: float, system: System, b: int, frames: Frames) -> Result:
     """One expected value of one body."""
     expected = np.array(check.value, dtype=np.float64)
-    found = quantity(check, scene, b, frames)
+    found = quantity(check, system, b, frames)
     if check.quantity == "inertia" and expected.ndim == 1:
         expected = np.diag(expected)
     error = float(np.abs(found - expected).max())
     if check.quantity == "orientation":
         expected = normalised(expected)
-        error = float(angles(taken(scene.bodies, np.array([b])), expected[None], found[None])[0])
+        error = float(angles(taken(system.bodies, np.array([b])), expected[None], found[None])[0])
         found = found if found @ expected >= 0 else -found
     frame = f", {check.frame} frame" if check.frame == "body" else ""
     when = "" if check.quantity == "inertia" else f" at {time:.9g} s"
-    name = f"{check.quantity} of {scene.names[b]}{when}{frame}"
+    name = f"{check.quantity} of {system.names[b]}{when}{frame}"
     return Result(name, numbers(expected), numbers(found), error, check.tolerance)
 
 
-def quantity(check: CheckValue, scene: System, b: int, frames: Frames) -> Floats:
+def quantity(check: CheckValue, system: System, b: int, frames: Frames) -> Floats:
     """Value of a quantity of body b."""
     index = np.array([b])
-    bodies = taken(scene.bodies, index)
+    bodies = taken(system.bodies, index)
     position, orientation, linear, angular, _, _ = frames
     state = State(
         position[0, index].T,
@@ -90,7 +98,7 @@ def quantity(check: CheckValue, scene: System, b: int, frames: Frames) -> Floats
     if check.quantity == "kinetic_energy":
         return np.asarray(kinetic_energy(bodies, state)[0])
     if check.quantity == "inertia":
-        tensor = inertia_in_body(scene.bodies, b)
+        tensor = inertia_in_body(system.bodies, b)
         return tensor if check.frame == "body" else rotated(orientation[0, b], tensor)
     if check.quantity == "orientation":
         return np.asarray(orientation[0, b])

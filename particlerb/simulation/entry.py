@@ -7,6 +7,7 @@ from typing import Any
 
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
+from particlerb.case.to_system import to_system
 from particlerb.files import path_of
 from particlerb.record.trajectory import Trajectory, open_trajectory
 from particlerb.simulation.accuracy import prepare_accurately
@@ -52,7 +53,7 @@ def run(
         If the run fails; the frames until then are in the file.
     """
     path = None if output is None else path_of(output, "output")
-    prepared = prepare_accurately(load(case, overrides))
+    prepared = prepare_accurately(to_system(load(case, overrides)))
     outcome = run_prepared(prepared, path, overwrite)
     return open_trajectory(path) if path else Trajectory(outcome.file)
 

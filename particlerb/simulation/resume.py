@@ -13,8 +13,9 @@ import h5py
 import numpy as np
 
 from particlerb.case.reader import build
-from particlerb.case.schema import Case
+from particlerb.case.schema import Case, RunTable
 from particlerb.case.source import Source
+from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
 from particlerb.record.checked_reading import require_self_contained
@@ -27,15 +28,8 @@ from particlerb.record.vtkhdf import is_finished
 from particlerb.record.writer import Recorder
 from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_again
-from particlerb.simulation.run import (
-    Outcome,
-    Prepared,
-    Progress,
-    advance,
-    frame_count,
-    frame_times,
-    identity,
-)
+from particlerb.simulation.frame_times import frame_count, frame_times
+from particlerb.simulation.run import Outcome, Prepared, Progress, advance, identity
 
 UNVERIFIED = (
     "particlerb: warning: run.accuracy was verified until the earlier t_end only; method and step"
@@ -89,19 +83,19 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
         if text_in(file, "case_resolved") is None or text_in(file, "identity") is None:
             raise ResumeError(f"{path} does not say how it was made, so it cannot go on")
         source = stored_case(file)
-        case = case_of(source, t_end, threads)
-        prepared = prepare_again(case, text_in(file, "stepping"))
+        system = to_system(case_of(source, t_end, threads))
+        prepared = prepare_again(system, text_in(file, "stepping"))
         if identity(prepared) != text_in(file, "identity"):
             raise ResumeError(
                 f"{path}: its case gives other bodies or another plan than the run had: it was"
                 " changed in the file; run it anew"
             )
-        known = frames_that_stay(path, trajectory.time, case)
-        total = frame_count(case)
+        known = frames_that_stay(path, trajectory.time, system.run)
+        total = frame_count(system.run)
         if known == total and is_finished(file, n):
             raise ResumeError(
                 f"{path} has nothing left to do: all {n} frames until"
-                f" t = {case.run.t_end!r} s are there; --t-end prolongs the run"
+                f" t = {system.run.t_end!r} s are there; --t-end prolongs the run"
             )
         try:
             checkpoint = read_checkpoint(file) if n else None
@@ -110,9 +104,9 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
         start = checkpoint.n_frames if checkpoint else 0
         if start > known:
             raise ResumeError(f"{path}: the checkpoint lies behind the frames; run the case anew")
-    is_prolonged = source.raw["run"]["t_end"] != case.run.t_end
+    is_prolonged = source.raw["run"]["t_end"] != system.run.t_end
     warnings = prepared.plan.warnings
-    if is_prolonged and case.run.accuracy is not None:
+    if is_prolonged and system.run.accuracy is not None:
         warnings = (*warnings, UNVERIFIED)
     return Pending(path, prepared, checkpoint, start, known, total, is_prolonged, warnings)
 
@@ -128,18 +122,16 @@ def resume_pending(pending: Pending, progress: Progress = lambda n: None) -> Out
         As in `simulate.advance`.
     """
     path, prepared, checkpoint = pending.path, pending.prepared, pending.checkpoint
-    THREADS.use(prepared.case.run.threads)
+    THREADS.use(prepared.system.run.threads)
     try:
-        recorder = Recorder.reopen(
-            path, prepared.case, prepared.scene, pending.start, pending.known
-        )
+        recorder = Recorder.reopen(path, prepared.system, pending.start, pending.known)
     except InUseError:
         raise ResumeError(f"{path} is being written by another run") from None
     except DamagedError as error:
         raise ResumeError(str(error)) from None
     if pending.is_prolonged:
         with recorder.output.writing():
-            replace_case(recorder.file, prepared.case)
+            replace_case(recorder.file, prepared.system)
     return advance(prepared, recorder, checkpoint, progress)
 
 
@@ -184,19 +176,19 @@ def case_of(source: Source, t_end: float | None, threads: int | None) -> Case:
     return build(source._replace(raw=raw), ())
 
 
-def frames_that_stay(path: Path, times: Floats, case: Case) -> int:
-    """Number of frames that the case has too: not the one at an earlier t_end.
+def frames_that_stay(path: Path, times: Floats, run: RunTable) -> int:
+    """Number of frames that a run has too: not the one at an earlier t_end.
 
     Raises
     ------
     ResumeError
-        If the case ends before them.
+        If it ends before them.
     """
-    total = frame_count(case)
-    if len(times) > total or times[-1:].max(initial=0.0) > case.run.t_end:
+    total = frame_count(run)
+    if len(times) > total or times[-1:].max(initial=0.0) > run.t_end:
         raise ResumeError(
             f"{path} has frames until t = {float(times[-1])!r} s, and cannot end before them at"
-            f" t = {case.run.t_end!r} s"
+            f" t = {run.t_end!r} s"
         )
-    is_same = times == frame_times(case, 0, total)[: len(times)]
+    is_same = times == frame_times(run, 0, total)[: len(times)]
     return len(times) if is_same.all() else int(np.argmin(is_same))

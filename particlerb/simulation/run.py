@@ -6,9 +6,7 @@ in the motion, so a run can be prolonged, or recorded more finely, without chang
 """
 
 import hashlib
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from fractions import Fraction
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -16,8 +14,7 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
+from particlerb.case.to_system import to_case
 from particlerb.compiled.threads import THREADS
 from particlerb.contact.contact_output import ContactOutput
 from particlerb.integrators import METHODS
@@ -25,24 +22,20 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, State, as_frame, multiplied, room_for, turned_back
+from particlerb.model.system import System
 from particlerb.plan.describe import describe
-from particlerb.plan.remove_overlaps import assembled
+from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import GroupPlan, Plan, make_plan
 from particlerb.record.checkpoint import Checkpoint
 from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.rotors.rotor_class import ROD
+from particlerb.simulation.frame_times import Batch, batches
 from particlerb.simulation.group_run import TOUCHING, GroupRun, initial_energies, record_all
 from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
 from particlerb.stepping.sparse_contact import DiluteMotion
 
 FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
-BATCH_BYTES = 32_000_000  # of frames that are held before they are written
-BATCH_FRAMES = 1024
-BATCH_SECONDS = 0.5  # that a batch should take
-FIRST_BATCH = 1  # frames, before it is known how long one takes
-FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of its multiples
-EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
 ROD_ROUNDING = 1e-9  # share of L along a rod that exact drifts may leave
 ROD_ERROR = 0.2  # that other methods may leave: more is a torque about the axis, or no result
 
@@ -71,74 +64,42 @@ class Outcome(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """A case made ready to run."""
+    """A system made ready to run."""
 
-    case: Case
-    scene: System
+    system: System
     plan: Plan
     text: str  # the plan in words
     parameters: Mapping[str, str] = MappingProxyType({})  # more for /parameters of the file
 
 
-def prepare(case: Case) -> Prepared:
-    """Bodies and plan of a case.
+def prepare(system: System) -> Prepared:
+    """Bodies and plan of a system.
 
     Raises
     ------
     CaseError
         With all problems that show here.
     """
-    scene = assembled(case)
-    plan = make_plan(case, scene)
-    return Prepared(case, scene, plan, describe(case, scene, plan))
-
-
-def frame_count(case: Case) -> int:
-    """Number of frames: the multiples of run.every from 0, and t_end."""
-    every, t_end = case.run.every, case.run.t_end
-    last = int(t_end / every + FRAME_ROUNDING)
-    return last + (2 if t_end - last * every > FRAME_ROUNDING * every else 1)
-
-
-def frame_times(case: Case, first: int = 0, stop: int | None = None) -> Floats:
-    """Times [s] of all frames, or of those from `first` on and before `stop`."""
-    n = frame_count(case)
-    stop = n if stop is None else stop
-    times = multiples(case.run.every, first, stop)
-    if stop == n:
-        times[-1] = case.run.t_end
-    return times
-
-
-def multiples(every: float, first: int, stop: int) -> Floats:
-    """Multiples first .. stop - 1 of a number, as one would write them: 3 times 0.7 is 2.1.
-
-    The float 0.7 is a little less than 7/10; three times that may fall before an edge at 2.1 s.
-    """
-    k = np.arange(first, stop, dtype=np.float64)
-    decimal = Fraction(repr(every))
-    above, below = decimal.numerator, decimal.denominator
-    if max(above, below) > EXACT_INTEGERS:
-        return np.float64(every) * k
-    times: Floats = np.where(k * above <= EXACT_INTEGERS, k * above / below, every * k)
-    return times
+    system = remove_overlaps(system)
+    plan = make_plan(system)
+    return Prepared(system, plan, describe(system, plan))
 
 
 class Run:
-    """A prepared case on its way."""
+    """A prepared system on its way."""
 
     def __init__(self, prepared: Prepared) -> None:
-        case, self.scene, plan = prepared.case, prepared.scene, prepared.plan
-        self.gravity = np.array(case.gravity.acceleration if case.gravity else (0.0, 0.0, 0.0))
-        initial = as_frame(self.scene.bodies, self.scene.state)
+        self.system, plan = prepared.system, prepared.plan
+        self.gravity = self.system.acceleration
+        initial = as_frame(self.system.bodies, self.system.state)
         self.last = initial.last
         self.room = initial  # used again and again: fresh memory costs more than what fills it
-        self.rod_limit = rod_limits(plan, len(self.scene.kind))
+        self.rod_limit = rod_limits(plan, len(self.system.kind))
         self.travellers = [
-            GroupRun(group, State(*(a[:, group.members] for a in self.scene.state)))
+            GroupRun(group, State(*(a[:, group.members] for a in self.system.state)))
             for group in plan.groups
         ]
-        self.counted = counted(plan.groups, self.scene.bodies)
+        self.counted = counted(plan.groups, self.system.bodies)
         energies = initial_energies(self.travellers, initial)
         self.ledger = EnergyBalance(totals(initial, self.counted, self.gravity, *energies))
 
@@ -146,7 +107,7 @@ class Run:
         self.probes: list[Probe] = []
 
     def checkpoint(self) -> Saved:
-        """All that a run that goes on from here has to know, beside its case."""
+        """All that a run that goes on from here has to know, beside its system."""
         saved = {"last": self.last.copy()} | under("ledger", self.ledger.checkpoint())
         for k, traveller in enumerate(self.travellers):
             saved |= under(f"group.{k}", traveller.checkpoint())
@@ -184,7 +145,7 @@ class Run:
         before it, and the error says so. The next call writes over the frames.
         """
         if times.size > len(self.room.position):
-            self.room = room_for(times.size, len(self.scene.kind), self.last)
+            self.room = room_for(times.size, len(self.system.kind), self.last)
         frames = first_rows(self.room, times.size)
         frames.is_frame[:] = is_frame
         booked, energies = record_all(self.travellers, times, frames)
@@ -216,17 +177,17 @@ class Run:
                 continue
             finite = np.isfinite(values).all(axis=2)
             f = int(np.argmin(finite.all(axis=1)))
-            body = self.scene.names[int(np.argmin(finite[f]))]
+            body = self.system.names[int(np.argmin(finite[f]))]
             return f, RunError(
                 f"{name} of {body} is not finite at t = {float(times[f])!r} s: the step is too"
                 " long for this force, the body met a singular point of it, or a number is too"
                 " large for float64"
             )
-        rods = np.flatnonzero(self.scene.bodies.rotor_class == ROD)
+        rods = np.flatnonzero(self.system.bodies.rotor_class == ROD)
         if not self.spinning(rods, frames, -1).size:
             return times.size, None
         f = next(k for k in range(times.size) if self.spinning(rods, frames, k).size)
-        name = self.scene.names[int(self.spinning(rods, frames, f)[0])]
+        name = self.system.names[int(self.spinning(rods, frames, f)[0])]
         return f, RunError(
             f"{name} is a rod, and by t = {float(times[f])!r} s a torque has turned it about its"
             f" own axis, about which it has no inertia: {self.advice_for_rods()}"
@@ -245,7 +206,7 @@ class Run:
         """Those of the rods that have an angular momentum along their axis in frame f."""
         if not rods.size:
             return rods
-        q = multiplied(frames.orientation[f, rods].T, self.scene.bodies.rotor_frame[:, rods])
+        q = multiplied(frames.orientation[f, rods].T, self.system.bodies.rotor_frame[:, rods])
         m = turned_back(q, frames.angular_momentum[f, rods].T)
         axial: Ints = rods[np.abs(m[2]) > self.rod_limit[rods] * np.linalg.norm(m, axis=0)]
         return axial
@@ -267,7 +228,7 @@ def run_prepared(
     overwrite: bool = False,
     progress: Progress = lambda n: None,
 ) -> Outcome:
-    """Run a prepared case into a file.
+    """Run a prepared system into a file.
 
     Parameters
     ----------
@@ -289,10 +250,10 @@ def run_prepared(
     RunError
         If the run fails; the frames until then are committed.
     """
-    case, scene = prepared.case, prepared.scene
-    THREADS.use(case.run.threads)
+    system = prepared.system
+    THREADS.use(system.run.threads)
     own = {"plan": prepared.text, "identity": identity(prepared)}
-    recorder = Recorder(path, case, scene, {**own, **prepared.parameters}, overwrite)
+    recorder = Recorder(path, system, {**own, **prepared.parameters}, overwrite)
     return advance(prepared, recorder, None, progress)
 
 
@@ -302,7 +263,7 @@ def run_prepared(
 def advance(
     prepared: Prepared, recorder: Recorder, checkpoint: Checkpoint | None, progress: Progress
 ) -> Outcome:
-    """Run a prepared case to its end, from its start or from a checkpoint.
+    """Run a prepared system to its end, from its start or from a checkpoint.
 
     Raises
     ------
@@ -311,7 +272,6 @@ def advance(
     OSError, RunError
         As in `run_prepared`.
     """
-    case = prepared.case
     try:
         run = Run(prepared)
         if checkpoint is None:
@@ -321,7 +281,7 @@ def advance(
                 run.restore(checkpoint.n_frames, dict(checkpoint.arrays))
             except (LookupError, TypeError, ValueError) as reason:
                 raise RunError(f"the checkpoint does not fit: {reason}") from None
-        for batch in batches(case, run.n_frames):
+        for batch in batches(prepared.system, run.n_frames):
             rows, error = one_batch(run, recorder, batch)
             progress(rows)
             if error is not None:
@@ -341,7 +301,7 @@ def advance(
     return Outcome(run.ledger.drift(), tuple(run.probes), recorder.file, run.flown(), run.swing())
 
 
-def one_batch(run: "Run", recorder: Recorder, batch: "Batch") -> tuple[int, RunError | None]:
+def one_batch(run: "Run", recorder: Recorder, batch: Batch) -> tuple[int, RunError | None]:
     """Compute and append a batch; how many frames it had, and what was wrong behind them."""
     frames, entries, error = run.frames_at(batch.times, batch.is_frame)
     sound = len(frames.position)
@@ -355,10 +315,12 @@ def one_batch(run: "Run", recorder: Recorder, batch: "Batch") -> tuple[int, RunE
 
 
 def identity(prepared: Prepared) -> str:
-    """Hash of what decides the motion: the case without its end and threads, bodies, plan."""
-    case, scene, plan = prepared.case, prepared.scene, prepared.plan
-    found = hashlib.sha256(case.model_dump_json(exclude={"run": {"t_end", "threads"}}).encode())
-    for values in (*scene.bodies, *scene.state, *scene.particles, scene.kind):
+    """Hash of what decides the motion: the records without its end and threads, bodies, plan."""
+    system, plan = prepared.system, prepared.plan
+    found = hashlib.sha256(
+        to_case(system).model_dump_json(exclude={"run": {"t_end", "threads"}}).encode()
+    )
+    for values in (*system.bodies, *system.state, *system.particles, system.kind):
         found.update(np.ascontiguousarray(values).tobytes())
     for group in plan.groups:
         for s in group.segments:
@@ -374,54 +336,6 @@ def rod_limits(plan: Plan, n_bodies: int) -> Floats:
         if not all(METHODS[segment.method].keeps_rods for segment in group.segments):
             limits[group.members] = ROD_ERROR
     return limits
-
-
-def probe_times(case: Case) -> Floats:
-    """Times at which the checks want to know a value [s]."""
-    wanted = [case.run.t_end if v.time is None else v.time for v in case.check.value]
-    return np.unique(np.array(wanted, dtype=np.float64))
-
-
-class Batch(NamedTuple):
-    """Times that are computed together."""
-
-    times: Floats  # [s]
-    is_frame: Bools  # which are frames,
-    is_probe: Bools  # and which a check asks for
-    is_whole_end: bool  # whether it ends with the last frame that a longer run has as well
-    is_odd: bool  # whether it is the frame at t_end, which a longer run has not
-
-
-def batches(case: Case, done: int = 0) -> Iterator[Batch]:
-    """Times of a run, or of its rest behind some frames.
-
-    As many as fit into the cache and take about half a second, so that a long run is written,
-    shows progress and can be interrupted.
-    """
-    most = int(min(max(BATCH_BYTES // (case.n_bodies * 13 * 8), 1), BATCH_FRAMES))
-    n, whole = frame_count(case), whole_frames(case)
-    probes = probe_times(case)
-    if done:
-        probes = probes[probes > frame_times(case, done - 1, done)]
-    size = min(FIRST_BATCH, most)
-    while done < n:
-        stop = whole if done < whole else n
-        frames = frame_times(case, done, min(done + size, stop))
-        due, probes = probes[probes <= frames[-1]], probes[probes > frames[-1]]
-        times = np.union1d(frames, due)
-        start = time.monotonic()
-        done += len(frames)
-        given = np.isin(times, frames), np.isin(times, due)
-        yield Batch(times, *given, done == whole, done > whole)
-        share = BATCH_SECONDS / max(time.monotonic() - start, 1e-9)
-        size = int(min(max(size * min(share, 4.0), 1), most))
-
-
-def whole_frames(case: Case) -> int:
-    """Number of frames that a run to any later end has as well: all, or all but that at t_end."""
-    n = frame_count(case)
-    is_multiple = multiples(case.run.every, n - 1, n)[0] == case.run.t_end
-    return n if is_multiple else n - 1
 
 
 def first_rows(frames: Frames, n: int) -> Frames:

@@ -13,14 +13,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.problems import CaseError
-from particlerb.case.reader import problem_at
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
+from particlerb.case.source import problem_at
 from particlerb.integrators import METHODS
 from particlerb.integrators.dop853 import PACK
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import Frames
+from particlerb.model.system import System
 from particlerb.plan.describe import group_name
 from particlerb.plan.segments import GroupPlan, Stepping, has_step, is_adaptive, rates, stepped_by
 from particlerb.rotors.rotor_class import ASYMMETRIC
@@ -72,16 +71,16 @@ class ChosenStep(NamedTuple):
 class Pilot:
     """Some bodies of a group, to be moved with different methods and steps."""
 
-    def __init__(self, case: Case, scene: System, group: GroupPlan) -> None:
-        self.case, self.scene, self.group = case, scene, group
-        self.wanted, t_end = case.run.accuracy or 0.0, case.run.t_end
+    def __init__(self, system: System, group: GroupPlan) -> None:
+        self.system, self.group = system, group
+        self.wanted, t_end = system.run.accuracy or 0.0, system.run.t_end
         self.spent = 0.0  # ns, by the table
         self.start, self.has_said = time.monotonic(), False
-        self.rates = rates(scene, group, t_end)
+        self.rates = rates(system, group, t_end)
         self.rate = float(self.rates.max())
         if not np.isfinite(self.rate):
             reason = "no step can be chosen: a torque over a moment of inertia overflows"
-            raise CaseError([problem_at(case, "run.accuracy", reason, "give run.dt")])
+            raise CaseError([problem_at(system, "run.accuracy", reason, "give run.dt")])
         self.lengths = [
             min(s.stop, t_end) - s.start
             for s in group.segments
@@ -100,9 +99,9 @@ class Pilot:
     def take(self, which: Ints) -> None:
         """Let the pilot have these bodies of the group."""
         own = self.group.members[which]
-        self.which, self.state = which, taken(self.scene.state, own)
+        self.which, self.state = which, taken(self.system.state, own)
         self.own = chosen(self.group, which, np.arange(which.size))
-        self.size = self.scene.reach[self.scene.kind[own]]
+        self.size = self.system.reach[self.system.kind[own]]
 
     def longest(self, turn: float) -> float:
         """Step in which the fastest body turns so far, or the shortest segment [s]."""
@@ -110,7 +109,7 @@ class Pilot:
 
     def worst(self) -> Ints:
         """Bodies that are fastest, and those that err most with coarse steps."""
-        times = np.array([self.case.run.t_end])
+        times = np.array([self.system.run.t_end])
         coarse, fine = (
             self.poses(Stepping("strang", self.longest(turn), 0.0, ""), times)[0] for turn in COARSE
         )
@@ -131,7 +130,7 @@ class Pilot:
         """Tell, once, what takes so long."""
         if not self.has_said and time.monotonic() - self.start > SAY_SO:
             self.has_said = True
-            name = group_name(self.scene, self.group.members)
+            name = group_name(self.system, self.group.members)
             text = f"{name}: looking for method and step for run.accuracy, now with {method} ..."
             print(text, file=sys.stderr, flush=True)
 
@@ -188,7 +187,7 @@ class Ladder:
         self.pilot, self.name, self.method = pilot, name, METHODS[name]
         self.order = 1 if self.method.is_adaptive else self.method.order  # of the error
         self.goal = pilot.wanted * DEARER**-self.method.order
-        self.times = np.linspace(0.0, pilot.case.run.t_end, TIMES + 1)[1:]
+        self.times = np.linspace(0.0, pilot.system.run.t_end, TIMES + 1)[1:]
         self.tried: list[Tried] = []  # the coarsest first
         self.errors: list[float] = []  # of all but the finest, which stands for the truth
         self.apart: dict[tuple[float, float], float] = {}  # largest error between two settings
@@ -210,7 +209,7 @@ class Ladder:
         if self.method.is_adaptive:
             reason = f"{self.name}, by the error estimates of the bodies"
             return Stepping(self.name, self.pilot.longest(0.1), setting, reason)
-        instead = ", in place of run.dt" if self.pilot.case.run.dt is not None else ""
+        instead = ", in place of run.dt" if self.pilot.system.run.dt is not None else ""
         return Stepping(self.name, setting, 0.0, f"{self.name}, chosen for the accuracy{instead}")
 
     def climb(self) -> None:
@@ -379,14 +378,14 @@ class Ladder:
     def found(self, setting: float, error: float) -> ChosenStep:
         """What is known of a setting."""
         pilot, stepping = self.pilot, self.stepping(setting)
-        cost, until = self.cost_of(setting, pilot.group.members.size), pilot.case.run.t_end
+        cost, until = self.cost_of(setting, pilot.group.members.size), pilot.system.run.t_end
         if not error <= pilot.wanted:
             until = self.until(stepping)
         return ChosenStep(stepping, error, until, pilot.which.size, cost, pilot.spent)
 
     def until(self, stepping: Stepping) -> float:
         """Time until when what is wanted holds, where it does not to the end [s]."""
-        times = np.linspace(0.0, self.pilot.case.run.t_end, MORE_TIMES + 1)
+        times = np.linspace(0.0, self.pilot.system.run.t_end, MORE_TIMES + 1)
         found, _ = self.pilot.poses(stepping, times[1:])
         finest, _ = self.pilot.poses(self.stepping(self.tried[-1].setting), times[1:])
         holds = self.pilot.errors(times[1:], found, finest).max(axis=1) <= self.pilot.wanted

@@ -1,7 +1,7 @@
 """Runs without files, of some bodies of a plan: what studies compare and time.
 
 Bodies that do not act on each other move alike whether the others are there or not, so a study
-looks at a sample of a large scene. It takes whole packs, sixteen neighbours of a group, because
+looks at a sample of a large system. It takes whole packs, sixteen neighbours of a group, because
 those share the steps of adaptive methods; the pack of the fastest body is always among them. Bodies
 that act on each other are one pack.
 """
@@ -10,8 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.impulse import Impulse, apply_impulse
 from particlerb.integrators import METHODS
@@ -21,6 +19,7 @@ from particlerb.model.balance import EnergyBalance, totals
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.comparison import misfits
 from particlerb.model.state import Frames, State, as_frame, room_for
+from particlerb.model.system import System
 from particlerb.plan.segments import GroupPlan, Plan, has_step, is_adaptive, rates
 from particlerb.simulation.group_run import Energies, GroupRun, initial_energies, record_all
 from particlerb.simulation.run import counted
@@ -55,11 +54,11 @@ class Error(NamedTuple):
     position: float  # worst, relative to the larger of size and way of the body
 
 
-def sample(scene: System, plan: Plan, t_end: float, packs: int) -> Ints:
+def sample(system: System, plan: Plan, t_end: float, packs: int) -> Ints:
     """Bodies of so many packs at most, ascending: those of the fastest bodies, and others."""
     found: list[tuple[float, Ints]] = []
     for group in plan.groups:
-        rate = np.nan_to_num(rates(scene, group, t_end), posinf=np.inf)
+        rate = np.nan_to_num(rates(system, group, t_end), posinf=np.inf)
         if any(segment.terms.is_coupled for segment in group.segments):
             found.append((float(rate.max()), group.members))
             continue
@@ -72,18 +71,16 @@ def sample(scene: System, plan: Plan, t_end: float, packs: int) -> Ints:
     return np.sort(np.concatenate(chosen_packs))
 
 
-def part(case: Case, scene: System, plan: Plan, which: Ints) -> BodySubset:
+def part(system: System, plan: Plan, which: Ints) -> BodySubset:
     """Chosen bodies of a plan, ascending."""
-    gravity = np.array(case.gravity.acceleration if case.gravity else (0.0, 0.0, 0.0))
-    size = scene.reach[scene.kind[which]]
+    size = system.reach[system.kind[which]]
     groups = []
     for group in plan.groups:
         own = np.flatnonzero(np.isin(group.members, which))
         if own.size:
             groups.append(chosen(group, own, np.searchsorted(which, group.members[own])))
-    return BodySubset(
-        taken(scene.bodies, which), taken(scene.state, which), tuple(groups), size, gravity
-    )
+    bodies, state = taken(system.bodies, which), taken(system.state, which)
+    return BodySubset(bodies, state, tuple(groups), size, system.acceleration)
 
 
 def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:

@@ -15,12 +15,10 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.case.forces import PushTable
-from particlerb.case.placement import resolve_bodies
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import Frames, kinetic_energy, multiplied, omega_world, turned_back
+from particlerb.model.system import System
 from particlerb.simulation.trials import BodySubset, Error, errors
 from particlerb.studies.text import chosen_names
 
@@ -88,7 +86,7 @@ def engines(names: Sequence[str]) -> list[Engine]:
 GIVEN: Final = "other engines take gravity and constant pushes in the world frame only"
 
 
-def peer_scene(case: Case, scene: System) -> PeerScene:
+def peer_scene(system: System) -> PeerScene:
     """The scene in plain arrays.
 
     Raises
@@ -97,21 +95,20 @@ def peer_scene(case: Case, scene: System) -> PeerScene:
         If something acts that the adapters have no word for.
     """
     types = sys.modules[f"{adapters().__name__}.scene"]
-    bodies, state = scene.bodies, scene.state
-    if case.attraction is not None:
+    bodies, state = system.bodies, system.state
+    if system.attraction is not None:
         raise ValueError(GIVEN)
     pushes = []
-    for force in case.force:
+    for force in system.force:
         if not isinstance(force, PushTable) or force.frame != "world" or force.during is not None:
             raise ValueError(GIVEN)
-        for b in resolve_bodies(case, force.body).tolist():
+        for b in system.names.find(force.body).tolist():
             at = to_rotor(bodies.rotor_frame[:, b], force.at)
             pushes.append(types.Push(b, at, np.array(force.force)))
-    gravity = case.gravity.acceleration if case.gravity else (0.0, 0.0, 0.0)
     velocity, omega = state.p * bodies.inv_mass, omega_world(bodies, state)
     columns = (bodies.inertia, state.com, state.q, velocity, omega)
     rows = (np.ascontiguousarray(column.T) for column in columns)
-    return types.Scene(bodies.mass, *rows, np.array(gravity), tuple(pushes), case.run.t_end)
+    return types.Scene(bodies.mass, *rows, system.acceleration, tuple(pushes), system.run.t_end)
 
 
 def to_rotor(frame: Floats, vector: Sequence[float]) -> Floats:

@@ -19,12 +19,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.problems import CaseError
-from particlerb.case.schema import Case
 from particlerb.compiled.threads import THREADS
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, as_frame, omega_world
-from particlerb.plan.remove_overlaps import assembled
+from particlerb.model.system import System
+from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import (
     Plan,
     damped_share,
@@ -33,7 +33,7 @@ from particlerb.plan.segments import (
     is_adaptive,
     make_plan,
 )
-from particlerb.simulation.run import frame_count, frame_times
+from particlerb.simulation.frame_times import frame_count, frame_times
 from particlerb.simulation.trials import Error, drifts, errors, part, sample, seconds, states_at
 from particlerb.studies.peers import Engine, PeerScene, engines, peer_errors, peer_scene
 from particlerb.studies.text import chosen_names
@@ -119,18 +119,18 @@ class Reference(NamedTuple):
 
 
 def chart(
-    case: Case,
+    system: System,
     methods: Sequence[str] = (),
     peers: Sequence[str] = (),
     target: float | None = None,
     budget: float = 30.0,
     progress: Progress = lambda n: None,
 ) -> WorkPrecision:
-    """Measure the methods, and peers, on a case.
+    """Measure the methods, and peers, on a system.
 
     Parameters
     ----------
-    case : Case
+    system : System
         Its own method, step and accuracy do not matter.
     methods, peers : sequence of str
         Names; no methods: all. Peers are other engines, see `studies.peers`.
@@ -145,7 +145,7 @@ def chart(
     Raises
     ------
     CaseError
-        If the case cannot be run.
+        If it cannot be run.
     ValueError
         If there is no such method or peer.
     """
@@ -154,21 +154,22 @@ def chart(
     before = THREADS.count
     THREADS.use(1)
     try:
-        study = Study(case, budget)
+        study = Study(system, budget)
         points, left_out = study.points(names, rivals, budget, progress)
     finally:
         THREADS.use(before)
+    source = system.source.path
     return WorkPrecision(
-        case.title or (case.path.stem if case.path else "scene"),
-        len(study.scene.kind),
+        system.title or (source.stem if source else "scene"),
+        system.n_bodies,
         study.which.size,
-        case.run.t_end,
+        system.run.t_end,
         points,
         study.reference.what,
         study.reference.floor,
         left_out,
-        tuple((one.name, one.error) for one in case.chart.published),
-        target or (study.by_energy and case.check.energy_drift) or USUAL_ERROR,
+        tuple((one.name, one.error) for one in system.chart.published),
+        target or (study.by_energy and system.check.energy_drift) or USUAL_ERROR,
         ENERGY if study.by_energy else POSE,
     )
 
@@ -179,27 +180,26 @@ def curve_count(methods: Sequence[str], peers: Sequence[str]) -> int:
 
 
 class Study:
-    """A case with its reference, ready to be measured."""
+    """A system with its reference, ready to be measured."""
 
-    def __init__(self, case: Case, budget: float) -> None:
-        self.case = case
-        self.t_end = case.run.t_end
-        self.scene = assembled(case)
+    def __init__(self, system: System, budget: float) -> None:
+        self.system = remove_overlaps(system)
+        self.t_end = system.run.t_end
         auto = self.plan("auto")
         segments = [segment for group in auto.groups for segment in group.segments]
-        self.which: Ints = sample(self.scene, auto, self.t_end, SAMPLED)
-        self.rate = max(fastest_rate(self.scene, g, self.t_end) for g in auto.groups)
+        self.which: Ints = sample(self.system, auto, self.t_end, SAMPLED)
+        self.rate = max(fastest_rate(self.system, g, self.t_end) for g in auto.groups)
         self.is_free = not any(has_step(s.method) for s in segments)
         self.contacts = [(s.method, c) for s in segments if (c := s.terms.contact) is not None]
         self.by_energy = bool(self.contacts)
-        self.judged = part(case, self.scene, auto, self.which)
+        self.judged = part(self.system, auto, self.which)
         self.times = self.way_points()
         self.reference = self.find_reference(REFERENCE_SHARE * budget)
 
     def way_points(self) -> Floats:
         """Times at which runs are looked at [s]; where bodies touch, those of the case's frames."""
-        if self.by_energy and frame_count(self.case) - 1 <= MOST_FRAMES:
-            return frame_times(self.case, 1)
+        if self.by_energy and frame_count(self.system.run) - 1 <= MOST_FRAMES:
+            return frame_times(self.system.run, 1)
         n = MOST_FRAMES if self.by_energy else WAYPOINTS
         return np.linspace(0.0, self.t_end, n + 1)[1:]
 
@@ -208,8 +208,7 @@ class Study:
         changed: dict[str, object] = {"method": method, "accuracy": None, "dt": None}
         if step is not None:
             changed["tolerance" if is_adaptive(method) else "dt"] = step
-        run = self.case.run.model_copy(update=changed)
-        return make_plan(self.case.model_copy(update={"run": run}), self.scene)
+        return make_plan(self.system.with_run(**changed))
 
     def refusal(self, method: str) -> str:
         """Why a method cannot run the case; empty where it can."""
@@ -223,7 +222,7 @@ class Study:
     @cached_property
     def peer_scene(self) -> PeerScene:
         """The scene as other engines take it; ValueError where they cannot."""
-        return peer_scene(self.case, self.scene)
+        return peer_scene(self.system)
 
     def peer_refusal(self, engine: Engine) -> str:
         """Why an engine cannot run the case; empty where it can."""
@@ -236,7 +235,7 @@ class Study:
 
     def states(self, method: str, step: float | None) -> Frames:
         """States of the judged bodies at the way points."""
-        own = part(self.case, self.scene, self.plan(method, step), self.which)
+        own = part(self.system, self.plan(method, step), self.which)
         return states_at(own, self.times)[0]
 
     def difference(self, a: Frames, b: Frames) -> float:
@@ -247,11 +246,11 @@ class Study:
     def find_reference(self, budget: float) -> Reference:
         """Closed form, or two methods that agree."""
         if self.is_free:
-            spin = np.linalg.norm(omega_world(self.scene.bodies, self.scene.state), axis=0).max()
+            spin = np.linalg.norm(omega_world(self.system.bodies, self.system.state), axis=0).max()
             floor = ROUNDING * max(1.0, float(spin) * self.t_end)
             return Reference(self.states("auto", None), "the closed form", floor)
         if self.by_energy:
-            frames = as_frame(self.scene.bodies, self.scene.state)  # nothing is compared with it
+            frames = as_frame(self.system.bodies, self.system.state)  # nothing is compared with it
             return Reference(frames, "the energy balance", ROUNDING)
         oracle = self.states("dop853", FINEST_TOLERANCE)
         second = "rk4" if self.refusal("rkn6") else "rkn6"
@@ -339,8 +338,8 @@ class Study:
     def measured(self, method: str, step: float | None, repeats: int = REPEATS) -> Point:
         """One point."""
         plan = self.plan(method, step)
-        everyone = np.arange(len(self.scene.kind))
-        own = part(self.case, self.scene, plan, self.which)
+        everyone = np.arange(self.system.n_bodies)
+        own = part(self.system, plan, self.which)
         before = THREADS.busy
         frames, booked = states_at(own, self.times)
         spent = THREADS.busy - before
@@ -350,7 +349,7 @@ class Study:
         else:
             error = errors(own, self.times, frames, self.reference.frames)[-1]
         if spent < LONG or self.which.size < everyone.size:
-            whole = part(self.case, self.scene, plan, everyone)
+            whole = part(self.system, plan, everyone)
             times = [seconds(whole, self.t_end) for _ in range(repeats)]
             while repeats > 1 and sum(times) < FILLED and len(times) < MOST_REPEATS:
                 times.append(seconds(whole, self.t_end))
@@ -370,7 +369,7 @@ class Study:
                 results.append(engine.run(self.peer_scene, variant, step))
             spent = float(np.median([one.seconds for one in results]))
             error, energy, spin = peer_errors(
-                results[0], self.scene, self.which, self.judged, self.times, self.reference.frames
+                results[0], self.system, self.which, self.judged, self.times, self.reference.frames
             )
             yield Point(
                 variant, engine.name, step, engine.is_adaptive, spent, error, energy, spin,

@@ -54,7 +54,7 @@ def catch_up(run: Run, before: Run | None, frames: Floats, time: float) -> None:
         run.ledger.errors, run.ledger.scales = before.ledger.errors, before.ledger.scales
     if not fresh:
         return
-    room = room_for(min(CHUNK, max(frames.size, 1)), len(run.scene.kind), run.last)
+    room = room_for(min(CHUNK, max(frames.size, 1)), run.system.n_bodies, run.last)
     for lo in range(0, frames.size, CHUNK):
         times = frames[lo : lo + CHUNK]
         record_all(fresh, times, first_rows(room, times.size))

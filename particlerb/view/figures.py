@@ -11,11 +11,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System, inertia_in_body
+from particlerb.case.shapes import AnyShape, Box
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
-from particlerb.model.state import derived, turned_back
+from particlerb.model.state import derived, inertia_in_body, turned_back
+from particlerb.model.system import System
 from particlerb.view.forms import rotation_matrix
 from particlerb.view.session import AppliedPush
 
@@ -66,10 +66,10 @@ class BodyMotion(NamedTuple):
         return 0.5 * (linear + float(self.angular_momentum @ self.angular_velocity))
 
 
-def motion_of(scene: System, b: int, *state: Floats) -> BodyMotion:
+def motion_of(system: System, b: int, *state: Floats) -> BodyMotion:
     """Motion of body b from position, orientation and momenta of all bodies, (N, 3) and (N, 4)."""
     x, q, p, L = (np.array(values[b], dtype=np.float64) for values in state)
-    one = taken(scene.bodies, np.array([b]))
+    one = taken(system.bodies, np.array([b]))
     v, omega = derived(one, q[None, None], p[None, None], L[None, None])
     return BodyMotion(x, q, p, L, v[0, 0], omega[0, 0])
 
@@ -91,10 +91,10 @@ def euler_deg(q: Floats) -> Floats:
     return np.degrees([roll, pitch, yaw])
 
 
-def state_parts(scene: System, b: int, motion: BodyMotion) -> list[FigurePart]:
+def state_parts(system: System, b: int, motion: BodyMotion) -> list[FigurePart]:
     """Everything that is known of a body now."""
     q = motion.orientation
-    body = inertia_in_body(scene.bodies, b)
+    body = inertia_in_body(system.bodies, b)
     R = rotation_matrix(q)
     world = R @ body @ R.T
     spin = turned_back(q[:, None], motion.angular_velocity[:, None])[:, 0]
@@ -115,8 +115,8 @@ def state_parts(scene: System, b: int, motion: BodyMotion) -> list[FigurePart]:
         row("angular_momentum", "L  kg m²/s", motion.angular_momentum),
         row("kinetic_energy", "energy  J", [motion.kinetic_energy]),
     )
-    mass = (row("mass", "mass  kg", [scene.bodies.mass[b]]),)
-    principal = (row("moments", "principal", np.sort(scene.bodies.inertia[:, b])),)
+    mass = (row("mass", "mass  kg", [system.bodies.mass[b]]),)
+    principal = (row("moments", "principal", np.sort(system.bodies.inertia[:, b])),)
     return [
         FigurePart("where", where),
         FigurePart("how it moves", moves),
@@ -142,9 +142,7 @@ def push_part(applied: AppliedPush, drift: tuple[float, float] | None) -> Figure
     return FigurePart("last push", tuple(rows))
 
 
-def hand_part(
-    case: Case, scene: System, block: int, applied: AppliedPush, motion: BodyMotion
-) -> FigurePart:
+def hand_part(system: System, applied: AppliedPush, motion: BodyMotion) -> FigurePart:
     """The hand calculation of the paper beside the solver: I, ΔL = r × F Δt, ΔP = F Δt, ω = L/I.
 
     The lever arm is taken as it is at the start. A push turns the body away under it, so that the
@@ -154,11 +152,11 @@ def hand_part(
     J = np.array(push.vector) * (push.duration or 1.0)
     hand_L = applied.angular_momentum + np.cross(applied.lever, J)
     hand_P = applied.linear_momentum + J
-    mass = float(scene.bodies.mass[b])
+    mass = float(system.bodies.mass[b])
     rows: list[Row] = []
-    moments = hand_moments(case, block, mass)
+    moments = hand_moments(system.body[system.block[b]].shape, mass)
     if moments is not None:
-        rows += beside("I", "I  kg m²", moments, np.diag(inertia_in_body(scene.bodies, b)))
+        rows += beside("I", "I  kg m²", moments, np.diag(inertia_in_body(system.bodies, b)))
     rows += beside("L", "L  kg m²/s", hand_L, motion.angular_momentum)
     if moments is not None and np.ptp(moments) == 0.0:
         rows += beside("omega", "ω = L/I", hand_L / moments[0], motion.angular_velocity)
@@ -166,10 +164,9 @@ def hand_part(
     return FigurePart("by hand, and by the solver", tuple(rows))
 
 
-def hand_moments(case: Case, block: int, mass: float) -> Floats | None:
+def hand_moments(shape: AnyShape | None, mass: float) -> Floats | None:
     """Moments of a solid box M (b² + c²)/12, for a cube M a²/6 [kg m²]; None for other shapes."""
-    shape = case.body[block].shape
-    if shape is None or shape.type != "box":
+    if not isinstance(shape, Box):
         return None
     a, b, c = shape.size
     if a == b == c:

@@ -13,11 +13,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from particlerb.case.placement import normalised, quaternion_of_euler
-from particlerb.case.schema import Body, Case, Euler
-from particlerb.case.to_system import System
+from particlerb.case.schema import Body, Euler
+from particlerb.files import Files
 from particlerb.geometry.mesh import read_mesh, triangles_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import turned, turned_back
+from particlerb.model.system import System
 
 trimesh: Any = import_module("trimesh")  # untyped in parts
 
@@ -76,35 +77,34 @@ class Hit(NamedTuple):
 
 
 class Surfaces:
-    """Surfaces of all bodies of a scene."""
+    """Surfaces of all bodies of a system."""
 
-    def __init__(self, case: Case, scene: System) -> None:
-        self.case, self.scene = case, scene
+    def __init__(self, system: System) -> None:
+        self.system = system
         self.known: dict[int, Form] = {}
-        self.block = np.repeat(np.arange(len(case.body)), [body.count for body in case.body])
         self.layers: list[Layer] = []
-        self.reach: Floats = np.zeros(len(scene.kind))  # radius of a ball that holds each [m]
-        for i in range(len(case.body)):
-            own = np.flatnonzero(self.block == i)
-            kinds, of_body = np.unique(scene.kind[own], return_inverse=True)
+        self.reach: Floats = np.zeros(system.n_bodies)  # radius of a ball that holds each [m]
+        for i in range(len(system.body)):
+            own = np.flatnonzero(system.block == i)
+            kinds, of_body = np.unique(system.kind[own], return_inverse=True)
             self.reach[own] = np.array([self.form(kind).reach for kind in kinds])[of_body]
             if kinds.size == 1:
                 self.layers.append(Layer(self.form(kinds[0]).mesh, own, None, None))
             else:
-                axes = np.array([equal_ellipsoid(scene, b) for b in own.tolist()])
-                frame = scene.bodies.rotor_frame[:, own]
+                axes = np.array([equal_ellipsoid(system, b) for b in own.tolist()])
+                frame = system.bodies.rotor_frame[:, own]
                 self.layers.append(Layer(ball(1.0, own.size), own, frame, axes))
 
     def form(self, kind: int) -> Form:
         """Surface of a kind of body."""
         kind = int(kind)
         if kind not in self.known:
-            first = int(np.argmax(self.scene.kind == kind))
-            body = self.case.body[int(self.block[first])]
+            first = int(np.argmax(self.system.kind == kind))
+            body = self.system.body[self.system.block[first]]
             if body.count > 1 and body.shape is not None and body.shape.type == "cloud":
-                self.known[kind] = ellipsoid_form(self.scene, first)
+                self.known[kind] = ellipsoid_form(self.system, first)
             else:
-                self.known[kind] = form_of(self.case, self.scene, body, kind, body.count)
+                self.known[kind] = form_of(self.system, body, kind, body.count)
         return self.known[kind]
 
     def hit(self, position: Floats, q: Floats, origin: Floats, direction: Floats) -> Hit | None:
@@ -132,7 +132,7 @@ class Surfaces:
             turn = q[b][:, None]
             start = turned_back(turn, -away[b][:, None])[:, 0]
             way = turned_back(turn, direction[:, None])[:, 0]
-            found = meet(self.form(self.scene.kind[b]), start, way)
+            found = meet(self.form(self.system.kind[b]), start, way)
             if found is not None and (best is None or found[0] < best.distance):
                 best = Hit(b, start + found[0] * way, found[1], found[0])
         return best
@@ -189,16 +189,16 @@ def meet_ellipsoids(
     return [(float(t[k]), normal / np.linalg.norm(normal))]
 
 
-def form_of(case: Case, scene: System, body: Body, kind: int, copies: int) -> Form:
-    """Surface of the bodies of a [[body]] table."""
-    com = scene.properties.com[kind]
+def form_of(system: System, body: Body, kind: int, copies: int) -> Form:
+    """Surface of the bodies of a record."""
+    com = system.properties.com[kind]
     shapes = [(body.shape, np.eye(3), np.zeros(3))] if body.shape is not None else []
     for part in body.part:
         shapes.append((part.shape, rotation_of(part.orientation), np.array(part.position)))
-    forms = [solid(case, shape, R, place - com, copies) for shape, R, place in shapes]
+    forms = [solid(system.files, shape, R, place - com, copies) for shape, R, place in shapes]
     known = [form for form in forms if form is not None]
     if len(known) < len(forms):
-        return particles_form(scene, body, kind, copies)
+        return particles_form(system, body, kind, copies)
     return together(known)
 
 
@@ -208,12 +208,12 @@ def rotation_matrix(q: Floats) -> Floats:
 
 
 def rotation_of(given: Euler | tuple[float, ...]) -> Floats:
-    """Matrix (3, 3) of an orientation of a case."""
+    """Matrix (3, 3) of an orientation."""
     q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
     return rotation_matrix(normalised(q))
 
 
-def solid(case: Case, shape: Any, R: Floats, shift: Floats, copies: int) -> Form | None:
+def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> Form | None:
     """Surface of a shape where it stands in its body; None for loose particles."""
     kind, own = shape.type, shape
     round_axes: dict[str, Callable[[], Floats]] = {
@@ -230,7 +230,7 @@ def solid(case: Case, shape: Any, R: Floats, shift: Floats, copies: int) -> Form
             return Form(mesh, np.zeros((0, 3, 3)), shift[None], axes[None])
         return triangles(mesh)
     if kind == "mesh":
-        surface = read_mesh(case.file(own.file), own.scale)
+        surface = read_mesh(files.read(own.file), own.scale)
         return triangles(SurfaceMesh(surface.vertices, surface.faces).moved(R, shift))
     if kind == "points" and own.radius is not None and all(own.radius):
         return balls_of(np.array(own.position) @ R.T + shift, np.array(own.radius), copies)
@@ -271,10 +271,10 @@ def ball(radius: float, copies: int) -> SurfaceMesh:
     return as_mesh(trimesh.creation.icosphere(subdivisions=fineness, radius=radius), True)
 
 
-def particles_form(scene: System, body: Body, kind: int, copies: int) -> Form:
+def particles_form(system: System, body: Body, kind: int, copies: int) -> Form:
     """A body of loose particles: their balls; six particles with given moments as an octahedron."""
-    own = slice(scene.particles.offset[kind], scene.particles.offset[kind + 1])
-    place, radius = scene.particles.position[own], scene.particles.radius[own].copy()
+    own = slice(system.particles.offset[kind], system.particles.offset[kind + 1])
+    place, radius = system.particles.position[own], system.particles.radius[own].copy()
     if radius.any():
         place, radius = place[radius > 0.0], radius[radius > 0.0]
     extent = float(np.linalg.norm(place, axis=1).max())
@@ -289,19 +289,19 @@ def particles_form(scene: System, body: Body, kind: int, copies: int) -> Form:
     return form
 
 
-def equal_ellipsoid(scene: System, b: int) -> Floats:
+def equal_ellipsoid(system: System, b: int) -> Floats:
     """Semi-axes (3,) [m] of the solid ellipsoid with mass and moments of a body, rotor frame."""
-    inertia = scene.bodies.inertia[:, b]
-    squares = 2.5 * (inertia.sum() - 2.0 * inertia) / scene.bodies.mass[b]
+    inertia = system.bodies.inertia[:, b]
+    squares = 2.5 * (inertia.sum() - 2.0 * inertia) / system.bodies.mass[b]
     largest = max(float(squares.max()), np.finfo(np.float64).tiny)
     return np.asarray(np.sqrt(np.maximum(squares, 1e-4 * largest)))
 
 
-def ellipsoid_form(scene: System, b: int) -> Form:
+def ellipsoid_form(system: System, b: int) -> Form:
     """A body that shares its shape with no other, as the ellipsoid with its mass and moments."""
     unit = ball(1.0, MANY)
-    R = rotation_matrix(scene.bodies.rotor_frame[:, b])
-    mesh = unit._replace(vertices=unit.vertices * equal_ellipsoid(scene, b))
+    R = rotation_matrix(system.bodies.rotor_frame[:, b])
+    mesh = unit._replace(vertices=unit.vertices * equal_ellipsoid(system, b))
     return triangles(mesh.moved(R, np.zeros(3)))
 
 
@@ -331,10 +331,10 @@ def together(forms: Sequence[Form]) -> Form:
     return Form(mesh, *(np.concatenate([form[k] for form in forms]) for k in (1, 2, 3)))
 
 
-def walls_of(case: Case, size: float) -> list[SurfaceMesh]:
-    """Surfaces of the walls of a case, planes cut to a size [m]; world frame."""
+def walls_of(system: System, size: float) -> list[SurfaceMesh]:
+    """Surfaces of the walls, planes cut to a size [m]; world frame."""
     found: list[SurfaceMesh] = []
-    for wall in case.wall:
+    for wall in system.wall:
         if wall.type == "plane":
             z = np.array(wall.normal) / np.linalg.norm(wall.normal)
             x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
@@ -352,7 +352,7 @@ def walls_of(case: Case, size: float) -> list[SurfaceMesh]:
             made = trimesh.creation.cylinder(wall.radius, wall.length, sections=ROUND)
             mesh = as_mesh(made).moved(R, np.array(wall.centre))
         else:
-            vertices, faces = triangles_of(case.file(wall.file))
+            vertices, faces = triangles_of(system.files.read(wall.file))
             mesh = SurfaceMesh(wall.scale * vertices, faces)
             mesh = mesh.moved(rotation_of(wall.orientation), np.array(wall.position))
         found.append(mesh)

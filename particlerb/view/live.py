@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 import viser
 
-from particlerb.case.schema import Case
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import turned
+from particlerb.model.system import System
 from particlerb.view.arrows import Arrows
 from particlerb.view.controls import ALONG_VIEW, AXES, INTO_SURFACE, Controls
 from particlerb.view.figures import BodyMotion, hand_part, motion_of, push_part, state_parts
@@ -44,7 +44,7 @@ class Live(Page):
 
     Parameters
     ----------
-    case : Case
+    system : System
         What it starts with.
     server : ViserServer
         Fresh.
@@ -52,10 +52,10 @@ class Live(Page):
         Where a session is saved; a number is added where the file exists.
     """
 
-    def __init__(self, case: Case, server: viser.ViserServer, path: Path) -> None:
-        self.session, self.written = Session(case), 0
-        super().__init__(server, case, self.session.scene, path)
-        length = case.run.t_end
+    def __init__(self, system: System, server: viser.ViserServer, path: Path) -> None:
+        self.session, self.written = Session(system), 0
+        super().__init__(server, system, path)
+        length = system.run.t_end
         is_ours = COMFORTABLE[0] <= length <= COMFORTABLE[1]
         self.speed = 1.0 if is_ours else float(f"{length / WATCHED:.1g}")
         self.controls = Controls(self)
@@ -78,7 +78,7 @@ class Live(Page):
 
     def corner(self) -> Floats:
         """A point of the surface of the body that is looked at, far from its centre [m]."""
-        vertices = self.stage.surfaces.form(self.session.scene.kind[self.body]).mesh.vertices
+        vertices = self.stage.surfaces.form(self.session.system.kind[self.body]).mesh.vertices
         far: Floats = vertices[int(np.argmax(np.round((vertices**2).sum(axis=1), 12)))]
         return far
 
@@ -166,7 +166,7 @@ class Live(Page):
     def normal_at(self, b: int, at: Floats) -> Floats:
         """Outward normal where the ray from outside through a point meets body b, in its axes."""
         size = float(np.linalg.norm(at))
-        surface = self.stage.surfaces.form(self.session.scene.kind[b])
+        surface = self.stage.surfaces.form(self.session.system.kind[b])
         start = at * (3.0 * surface.reach / size) if size > 0.0 else at
         found = meet(surface, start, -at / size) if size > 0.0 else None
         if found is None:
@@ -270,11 +270,11 @@ class Live(Page):
         """Bring the page up to the state of the session."""
         session = self.session
         position, q, p, L, _, _ = session.frame
-        motion = motion_of(session.scene, self.body, position[0], q[0], p[0], L[0])
+        motion = motion_of(session.system, self.body, position[0], q[0], p[0], L[0])
         follow = self.body if self.controls.shown["follow"].value else None
         with self.server.atomic():
             self.stage.show(position[0], q[0], follow)
-            frame = session.scene.bodies.rotor_frame[:, self.body]
+            frame = session.system.bodies.rotor_frame[:, self.body]
             self.arrows.draw(session, motion, frame, self.arm)
         kinetic, total = session.entries.kinetic_energy[0], session.entries.energy[0]
         if not self.history or self.history[-1][0] != session.time:
@@ -292,11 +292,10 @@ class Live(Page):
     def write(self, motion: BodyMotion) -> None:
         """The table of numbers and the line of the clock."""
         session, b = self.session, self.body
-        parts = state_parts(session.scene, b, motion)
+        parts = state_parts(session.system, b, motion)
         pushes = [applied for applied in session.applied if applied.push.body == b]
         if pushes:
-            block = int(self.stage.surfaces.block[b])
-            hand = hand_part(session.case, session.scene, block, pushes[-1], motion)
+            hand = hand_part(session.system, pushes[-1], motion)
             parts = [hand, push_part(pushes[-1], self.drift(pushes[-1], motion)), *parts]
         self.write_numbers(parts)
         state = "running" if self.is_running else "paused"
@@ -318,9 +317,9 @@ class Live(Page):
         return (error - self.reference[0]) / energy, (size - self.reference[1]) / max(size, 1e-300)
 
 
-def rehearse(case: Case) -> None:
+def rehearse(system: System) -> None:
     """Go through a push and gravity once, so that no click waits for a compiler."""
-    session = Session(case)
+    session = Session(system)
     with contextlib.suppress(SessionError):
         for duration in (session.every * 1e-3, 0.0):
             session.apply(UserPush(0, (0.01, 0.02, 0.0), (1e-3, 2e-3, 3e-3), duration))

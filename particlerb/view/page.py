@@ -14,8 +14,7 @@ from typing import Any, Final
 import numpy as np
 import viser
 
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
+from particlerb.model.system import System
 from particlerb.view.figures import MOST_DIGITS, FigurePart, table
 from particlerb.view.forms import Hit
 from particlerb.view.server import finite
@@ -39,7 +38,7 @@ class Page:
     ----------
     server : ViserServer
         Fresh.
-    case, scene : Case, System
+    system : System
         Shapes and constants of the bodies.
     path : Path
         What is saved or sent takes its name.
@@ -51,14 +50,14 @@ class Page:
     digits: Any  # field that says how many
     numbers: Any  # field of the table
 
-    def __init__(self, server: viser.ViserServer, case: Case, scene: System, path: Path) -> None:
-        self.server, self.scene, self.path = server, scene, path
+    def __init__(self, server: viser.ViserServer, system: System, path: Path) -> None:
+        self.server, self.system, self.path = server, system, path
         self.commands: queue.SimpleQueue[tuple[Action, Any]] = queue.SimpleQueue()
         self.is_running, self.is_over = True, False
         self.rate = UPDATES  # updates per second
         self.message, self.is_refusal = "", False
-        self.stage = Stage(server, case, scene)
-        self.names = [str(name) for name in scene.names]  # checked, as those of a case are
+        self.stage = Stage(server, system)
+        self.names = [str(name) for name in system.names]  # checked, as those of a case are
         self.index = {name: b for b, name in enumerate(self.names)}
         self.body, self.speed, self.next_figures = 0, 1.0, 0.0
 

@@ -14,11 +14,11 @@ import numpy as np
 import viser
 
 from particlerb.case.problems import CaseError
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
+from particlerb.case.to_system import to_system
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import derived
-from particlerb.plan.remove_overlaps import assembled
+from particlerb.model.system import System
+from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.record.trajectory import Trajectory, TrajectoryError
 from particlerb.view.figures import motion_of, state_parts
 from particlerb.view.page import FIGURES, Page, note, write
@@ -42,8 +42,8 @@ class ReplayError(Exception):
     """A file that cannot be shown: why."""
 
 
-def scene_of(trajectory: Trajectory) -> tuple[Case, System]:
-    """Case and bodies of a file.
+def system_of(trajectory: Trajectory) -> System:
+    """System of a file.
 
     Raises
     ------
@@ -56,13 +56,12 @@ def scene_of(trajectory: Trajectory) -> tuple[Case, System]:
     if not trajectory.n_frames:
         raise ReplayError("the file has no frames")
     try:
-        case = trajectory.case
-        scene = assembled(case)
+        system = remove_overlaps(to_system(trajectory.case))
     except (CaseError, TrajectoryError) as error:
         raise ReplayError(f"its bodies cannot be made again: {error}") from None
-    if len(scene.kind) != trajectory.n_bodies:
-        raise ReplayError(f"its case has {len(scene.kind)} bodies, it {trajectory.n_bodies}")
-    return case, scene
+    if system.n_bodies != trajectory.n_bodies:
+        raise ReplayError(f"its case has {system.n_bodies} bodies, it {trajectory.n_bodies}")
+    return system
 
 
 class Replay(Page):
@@ -84,8 +83,7 @@ class Replay(Page):
     """
 
     def __init__(self, trajectory: Trajectory, server: viser.ViserServer, path: Path) -> None:
-        case, scene = scene_of(trajectory)
-        super().__init__(server, case, scene, path)
+        super().__init__(server, system_of(trajectory), path)
         self.trajectory, self.times = trajectory, trajectory.time
         self.frame, self.clock = -1, 0.0
         self.is_running = False
@@ -223,7 +221,7 @@ class Replay(Page):
             if self.range.get("shown") != (0.0, 0.0):
                 palette = np.array(COLOURS, dtype=np.uint8)
                 few = len(self.names) <= len(COLOURS)
-                which = np.arange(len(self.names)) if few else self.stage.surfaces.block
+                which = np.arange(len(self.names)) if few else self.system.block
                 self.stage.colour(palette[which % len(palette)])
                 self.range["shown"] = 0.0, 0.0
             return
@@ -239,7 +237,7 @@ class Replay(Page):
     def values(self, by: str, state: list[Floats]) -> Floats:
         """Speed [m/s] or kinetic energy [J] of all bodies."""
         _, q, p, L = state
-        v, omega = derived(self.scene.bodies, q[None], p[None], L[None])
+        v, omega = derived(self.system.bodies, q[None], p[None], L[None])
         if by == "speed":
             return np.asarray(np.linalg.norm(v[0], axis=1))
         return np.asarray(0.5 * ((p * v[0]).sum(axis=1) + (L * omega[0]).sum(axis=1)))
@@ -279,8 +277,8 @@ class Replay(Page):
         if not self.has_momenta:
             write(self.numbers, note("momenta were not recorded: see [output] fields"))
             return
-        motion = motion_of(self.scene, self.body, *self.state)
-        self.write_numbers(state_parts(self.scene, self.body, motion))
+        motion = motion_of(self.system, self.body, *self.state)
+        self.write_numbers(state_parts(self.system, self.body, motion))
 
 
 def film_forms() -> tuple[str, ...]:

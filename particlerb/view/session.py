@@ -19,15 +19,16 @@ import numpy as np
 
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
+from particlerb.case.to_system import with_records
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
 from particlerb.model.state import Frames, turned
+from particlerb.model.system import System
 from particlerb.plan.segments import Plan, Segment, has_step, is_adaptive, make_plan
 from particlerb.simulation.accuracy import prepare_accurately
-from particlerb.simulation.run import Prepared, Run, RunError, multiples
+from particlerb.simulation.frame_times import multiples
+from particlerb.simulation.run import Prepared, Run, RunError
 from particlerb.stepping.motion import MotionError
 from particlerb.view.catch_up import CHUNK, catch_up
 
@@ -68,28 +69,28 @@ class AppliedPush(NamedTuple):
 
 
 class Session:
-    """A case on its way, which pushes make longer.
+    """A system on its way, whose case pushes make longer.
 
     Parameters
     ----------
-    case : Case
+    system : System
         What starts the session. Its checks are left out: they are of another motion.
 
     Raises
     ------
     CaseError
-        If the case cannot be run.
+        If it cannot be run.
     """
 
-    def __init__(self, case: Case) -> None:
-        prepared = prepare_accurately(case)
-        THREADS.use(case.run.threads)
-        self.scene: System = prepared.scene
-        self.longest = 2.0 ** math.ceil(math.log2(LONGEST * case.run.t_end))
-        self.every = case.run.every
-        self.start = opening(case, prepared.plan, self.longest)
-        self.start_path = case.path
-        self.own_gravity = case.gravity is not None
+    def __init__(self, system: System) -> None:
+        prepared = prepare_accurately(system)
+        THREADS.use(system.run.threads)
+        self.system = prepared.system
+        self.longest = 2.0 ** math.ceil(math.log2(LONGEST * system.run.t_end))
+        self.every = system.run.every
+        self.start = opening(system, prepared.plan, self.longest)
+        self.start_path = system.source.path
+        self.own_gravity = system.gravity is not None
         self.places = decimals(0.02 * self.every)
         self.reset()
 
@@ -97,7 +98,7 @@ class Session:
     def reset(self) -> None:
         """Back to t = 0, without the pushes."""
         self.raw: dict[str, Any] = copy.deepcopy(self.start)
-        self.case, self.warnings, self.run = self.prepared()
+        self.system, self.warnings, self.run = self.prepared()
         self.time, self.next_frame = 0.0, 0
         self.applied: list[AppliedPush] = []
         self.has_gravity = self.own_gravity
@@ -105,11 +106,11 @@ class Session:
         self.frame, self.entries = self.computed_at(np.zeros(1), np.ones(1, dtype=np.bool_))
         self.next_frame = 1
 
-    def prepared(self) -> tuple[Case, tuple[str, ...], Run]:
-        """The case as it is now, what its plan warns of, and a run of it."""
-        case = load(self.raw)
-        plan = make_plan(case, self.scene)
-        return case, plan.warnings, Run(Prepared(case, self.scene, plan, ""))
+    def prepared(self) -> tuple[System, tuple[str, ...], Run]:
+        """The system as its case is now, what its plan warns of, and a run of it."""
+        system = with_records(self.system, load(self.raw))
+        plan = make_plan(system)
+        return system, plan.warnings, Run(Prepared(system, plan, ""))
 
     def advance(self, time: float) -> None:
         """Go on to a time [s]; frames of the case in between are taken as a batch run does.
@@ -171,7 +172,7 @@ class Session:
         if stop > self.longest or (stop == start and push.duration > 0.0):
             raise SessionError(f"a push of {push.duration!r} s from {start!r} s on is out of range")
         entry: dict[str, Any] = {
-            "body": self.scene.names[push.body],
+            "body": self.system.names[push.body],
             "at": [float(x) for x in push.at],
         }
         vector = [float(x) for x in push.vector]
@@ -197,7 +198,7 @@ class Session:
         """
         if on == self.has_gravity:
             return
-        self.advance(self.next_step(range(len(self.scene.kind))))
+        self.advance(self.next_step(range(self.system.n_bodies)))
         forces = copy.deepcopy(self.raw["force"])
         gravity_pushes: list[int] = []
         if self.gravity_pushes:
@@ -213,11 +214,10 @@ class Session:
 
     def weights(self, sign: float) -> list[dict[str, Any]]:
         """Pushes that stand for gravity, or take it away, from now on; one per [[body]]."""
-        gravity = self.case.gravity.acceleration if self.case.gravity else G
-        entries, first = [], 0
-        for body in self.case.body:
-            mass = self.scene.bodies.mass[first]
-            first += body.count
+        system, entries = self.system, []
+        gravity = system.gravity.acceleration if system.gravity else G
+        for body, first in zip(system.body, system.names.first[:-1], strict=True):
+            mass = system.bodies.mass[first]
             if not body.fixed and body.motion is None:
                 entries.append(
                     {
@@ -238,10 +238,10 @@ class Session:
         SessionError
             If there can be no such case; nothing has changed then.
         """
-        before = self.raw, self.case, self.warnings
+        before = self.raw, self.system, self.warnings
         self.raw = {**self.raw, "force": forces}
         try:
-            self.case, self.warnings, run = self.prepared()
+            self.system, self.warnings, run = self.prepared()
         except CaseError as error:
             self.raw = before[0]
             raise SessionError(error.problems[0].reason) from None
@@ -251,7 +251,7 @@ class Session:
             self.run = run
             self.frame, self.entries = self.computed_at(now, is_frame)
         except (SessionError, MotionError, RunError) as error:
-            self.raw, self.case, self.warnings = before
+            self.raw, self.system, self.warnings = before
             run = self.prepared()[2]
             catch_up(run, None, self.frame_times_until_now(), self.time)
             self.run = run
@@ -291,34 +291,34 @@ class Session:
         return round(time / quantum) * quantum
 
 
-def opening(case: Case, plan: Plan, longest: float) -> dict[str, Any]:
+def opening(system: System, plan: Plan, longest: float) -> dict[str, Any]:
     """Data of the case with which a session starts: its step written out, its checks left out."""
-    raw: dict[str, Any] = copy.deepcopy(dict(case.source.raw))
+    raw: dict[str, Any] = copy.deepcopy(dict(system.source.raw))
     for table in ("check", "chart"):
         raw.pop(table, None)
     run = {key: value for key, value in raw["run"].items() if key != "accuracy"}
     stepped = [s for group in plan.groups for s in group.segments if on_grid(s, longest)]
     if stepped:
-        shortest = min(*(s.dt for s in stepped), case.run.every / LEAST_STEPS_PER_FRAME)
+        shortest = min(*(s.dt for s in stepped), system.run.every / LEAST_STEPS_PER_FRAME)
         run["dt"] = 2.0 ** math.floor(math.log2(shortest))
-    elif case.run.dt is None:
-        run["dt"] = case.run.every / STEPS_PER_FRAME
+    elif system.run.dt is None:
+        run["dt"] = system.run.every / STEPS_PER_FRAME
     raw["run"] = {**run, "t_end": longest}
     raw["force"] = list(raw.get("force", []))
-    opened: dict[str, Any] = with_absolute_files(raw, case)
+    opened: dict[str, Any] = with_absolute_files(raw, system.files.folder)
     return opened
 
 
-def with_absolute_files(raw: Any, case: Case) -> Any:
+def with_absolute_files(raw: Any, folder: Path | None) -> Any:
     """Data in which every file is named by its full path, so that the case can lie anywhere."""
     if isinstance(raw, Mapping):
         return {
-            key: str(((case.source.files.folder or Path()) / value).absolute())
+            key: str(((folder or Path()) / value).absolute())
             if key == "file" and isinstance(value, str)
-            else with_absolute_files(value, case)
+            else with_absolute_files(value, folder)
             for key, value in raw.items()
         }
-    return [with_absolute_files(entry, case) for entry in raw] if isinstance(raw, list) else raw
+    return [with_absolute_files(entry, folder) for entry in raw] if isinstance(raw, list) else raw
 
 
 def decimals(time: float) -> int:

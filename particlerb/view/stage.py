@@ -11,10 +11,9 @@ from typing import Any, Final
 import numpy as np
 import viser
 
-from particlerb.case.schema import Case
-from particlerb.case.to_system import System
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import multiplied
+from particlerb.model.system import System
 from particlerb.view.forms import Surfaces, extent_of, walls_of
 
 Colour = tuple[int, int, int]
@@ -39,14 +38,14 @@ class Stage:
     ----------
     server : ViserServer
         What shows it.
-    case, scene : Case, System
+    system : System
         Shapes and constants of the bodies.
     """
 
-    def __init__(self, server: viser.ViserServer, case: Case, scene: System) -> None:
-        self.server, self.scene = server, scene
-        self.surfaces = Surfaces(case, scene)
-        position = scene.state.com.T
+    def __init__(self, server: viser.ViserServer, system: System) -> None:
+        self.server, self.system = server, system
+        self.surfaces = Surfaces(system)
+        position = system.state.com.T
         size = extent_of(position, self.surfaces.reach)
         self.unit = 1.0 if 0.05 < size < 50.0 else 10.0 ** round(math.log10(size))  # [m]
         self.size = size / self.unit
@@ -58,7 +57,7 @@ class Stage:
         self.layers = [self.add_layer(k) for k in range(len(self.surfaces.layers))]
         self.arrows: dict[str, Any] = {}
         self.trail = self.add_line("/trail", TRAIL)
-        self.furnish(case, size)
+        self.furnish(size)
         server.initial_camera.position = self.size * np.array(VIEW)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
 
@@ -91,10 +90,10 @@ class Stage:
             visible=False,
         )
 
-    def furnish(self, case: Case, size: float) -> None:
+    def furnish(self, size: float) -> None:
         """Walls, light and a grid below the bodies."""
         scene = self.server.scene
-        for k, mesh in enumerate(walls_of(case, size)):
+        for k, mesh in enumerate(walls_of(self.system, size)):
             scene.add_mesh_simple(
                 f"/fixed/walls/{k}",
                 (mesh.vertices - self.home) / self.unit,
@@ -104,7 +103,7 @@ class Stage:
                 side="double",
                 flat_shading=True,
             )
-        if not any(wall.type == "plane" for wall in case.wall):
+        if not any(wall.type == "plane" for wall in self.system.wall):
             low = self.position - self.surfaces.reach[:, None]
             floor = float((low[:, 2].min() - self.home[2]) / self.unit) - 0.35 * self.size
             scene.add_grid(

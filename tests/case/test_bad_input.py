@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from particlerb.case.reader import CaseError, Problem, load, parse
+from particlerb.case.to_system import to_system
 from particlerb.simulation.run import prepare
 
 GOOD = """\
@@ -1213,7 +1214,7 @@ def test_sizes_out_of_range_are_refused_or_run(shape, weight, size):
     text = f'run = {{t_end = 1, every = 1}}\n[[body]]\nname = "a"\nshape = {table}\n{weight}\n'
     found: list[str] = []
     try:
-        prepare(parse(text))
+        prepare(to_system(parse(text)))
     except CaseError as error:
         found = [problem.reason for problem in error.problems]
     assert not [why for why in found if "Numerical result" in why or "division" in why]
@@ -1239,7 +1240,7 @@ def test_a_softening_whose_square_overflows_is_no_attraction():
     body = '[[body]]\nshape = { type = "moments", inertia = [1, 2, 2] }\nmass = 1.0\n'
     a, b = f'{body}name = "a"\n', f'{body}name = "b"\nposition = [3, 0, 0]\n'
     text = f"run = {{t_end = 1, every = 1}}\nattraction = {{ softening = 1e200 }}\n{a}{b}"
-    prepare(parse(text))
+    prepare(to_system(parse(text)))
 
 
 def test_a_restitution_that_is_almost_nothing_is_a_large_damping():
@@ -1255,7 +1256,7 @@ mass = 1.0
 place = { type = "grid", spacing = 3.0 }
 """
     with pytest.raises(CaseError, match="dt"):
-        prepare(parse(text))
+        prepare(to_system(parse(text)))
 
 
 def message_of_file(path: Path) -> str:

@@ -7,8 +7,7 @@ import pytest
 
 from particlerb.case.coarse_lattice import coarse
 from particlerb.case.problems import CaseError
-from particlerb.case.reader import load
-from particlerb.case.to_system import assemble
+from particlerb.case.to_system import to_system
 from particlerb.cli import main
 
 LONG = {"type": "cylinder", "radius": 0.1, "height": 0.8}
@@ -36,14 +35,13 @@ SHARE = {  # moments per mass of the solids, from docs/bodies.md
 
 def told(case):
     """Warnings of a case."""
-    case = load(case)
-    return list(coarse(case, assemble(case)))
+    return list(coarse(to_system(case)))
 
 
 def errors(case):
     """Errors of the principal moments of a body of 2 kg, of those that are not zero."""
     shape = case["body"][0]["shape"]
-    moments = np.sort(assemble(load(case)).properties.moments[0]) / 2.0
+    moments = np.sort(to_system(case).properties.moments[0]) / 2.0
     ideal = np.array(SHARE[shape["type"]])
     return np.abs(moments / np.where(ideal > 0, ideal, 1.0) - 1.0)[ideal > 0]
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from particlerb.case.placement import Placement, grid_size, place, random_stream, resolve_bodies
+from particlerb.case.placement import Placement, grid_size, place, random_stream
 from particlerb.case.reader import load
 
 RANDOM = {
@@ -84,11 +84,10 @@ def test_each_purpose_has_a_stream_of_its_own(key):
 
 
 def test_streams_of_purposes_and_blocks_differ():
-    case = scene(block("a"), block("b"))
     purposes = ["place", "orientation", "velocity", "angular_velocity", "shape"]
-    first = {random_stream(case, b, p).integers(2**63) for b in (0, 1) for p in purposes}
+    first = {random_stream(0, b, p).integers(2**63) for b in (0, 1) for p in purposes}
     assert len(first) == 10
-    assert random_stream(case, 0, "shape").random() == random_stream(case, 0, "shape").random()
+    assert random_stream(7, 0, "shape").random() == random_stream(7, 0, "shape").random()
 
 
 def test_first_bodies_do_not_depend_on_how_many_follow():
@@ -208,11 +207,12 @@ def test_rows_from_python_are_taken_as_they_are():
 
 
 def test_names_of_forces_and_checks_are_found():
-    case = scene(block("a"), block("b", 3, **RANDOM), block("c c", 2, **RANDOM))
-    assert_array_equal(resolve_bodies(case, "a"), [0])
-    assert_array_equal(resolve_bodies(case, "b"), [1, 2, 3])
-    assert_array_equal(resolve_bodies(case, "c c[1]"), [5])
-    assert_array_equal(resolve_bodies(case, ("c c", "b[2]", "b", "a[0]")), [0, 1, 2, 3, 4, 5])
+    names = placed(block("a"), block("b", 3, **RANDOM), block("c c", 2, **RANDOM)).names
+    assert_array_equal(names.find("a"), [0])
+    assert_array_equal(names.find("b"), [1, 2, 3])
+    assert_array_equal(names.find("c c[1]"), [5])
+    assert_array_equal(names.find(("c c", "b[2]", "b", "a[0]")), [0, 1, 2, 3, 4, 5])
+    assert_array_equal(names.find_in_order(("b[2]", "a", "b[2]")), [3, 0, 3])
     for name in ("d", "b[3]", "b[-1]", "b[x]", ""):
         with pytest.raises(KeyError):
-            resolve_bodies(case, name)
+            names.find(name)

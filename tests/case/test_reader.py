@@ -14,7 +14,8 @@ from pydantic import ValidationError
 
 from particlerb.case.positions import extents
 from particlerb.case.problems import key_of, path_of
-from particlerb.case.reader import CaseError, load, parse, problem_at
+from particlerb.case.reader import CaseError, load, parse
+from particlerb.case.source import problem_at
 
 TEXT = """\
 title = "two cubes"   # a comment with "quotes" and [brackets]

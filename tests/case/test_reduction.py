@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.case.reader import load
 from particlerb.case.reduction import MANY
-from particlerb.case.to_system import assemble
+from particlerb.case.to_system import to_system
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.plan.describe import describe
 from particlerb.plan.segments import make_plan
@@ -25,70 +24,70 @@ SMALL = {"name": "small", "shape": {"type": "sphere", "radius": 0.5}, "mass": 1.
 CONTACT = {"stiffness": 1e5, "restitution": 0.5, "friction": 0.3}
 
 
-def scene_of(bodies, keeps_all=False, **more):
-    case = load({"run": {"t_end": 1e-3, "every": 1e-3}, "body": bodies} | more)
-    return case, assemble(case, keeps_all)
+def system_of(bodies, keeps_all=False, **more):
+    run = {"t_end": 1e-3, "every": 1e-3}
+    return to_system({"run": run, "body": bodies} | more, keeps_all)
 
 
-def kept(scene):
-    return np.diff(scene.particles.offset).tolist()
+def kept(system):
+    return np.diff(system.particles.offset).tolist()
 
 
-def agrees(scene, k):
+def agrees(system, k):
     """The kept particles of kind k have the mass properties of all."""
-    own = slice(scene.particles.offset[k], scene.particles.offset[k + 1])
+    own = slice(system.particles.offset[k], system.particles.offset[k + 1])
     offset = np.array([0, own.stop - own.start])
-    found = mass_properties(type(scene.particles)(*(a[own] for a in scene.particles[:3]), offset))
-    tensor = scene.properties.inertia_tensor[k]
-    assert found.mass[0] == pytest.approx(scene.properties.mass[k], rel=1e-15)
+    found = mass_properties(type(system.particles)(*(a[own] for a in system.particles[:3]), offset))
+    tensor = system.properties.inertia_tensor[k]
+    assert found.mass[0] == pytest.approx(system.properties.mass[k], rel=1e-15)
     assert np.abs(found.com[0]).max() < 1e-15
     assert np.abs(found.inertia_tensor[0] - tensor).max() < 1e-14 * np.trace(tensor)
 
 
 def test_a_large_free_body_keeps_six_points_and_its_motion():
-    case, scene = scene_of([BOX, SMALL | {"position": [9, 0, 0]}])
-    _, whole = scene_of([BOX, SMALL | {"position": [9, 0, 0]}], keeps_all=True)
-    assert kept(scene) == [6, 1]
-    assert kept(whole) == scene.summed.tolist() == [SIDE**3, 1]
-    agrees(scene, 0)
-    assert (scene.bodies.inertia == whole.bodies.inertia).all()
-    assert scene.reach.tolist() == whole.reach.tolist()
-    assert scene.reach[0] == pytest.approx(0.5 * (1 - 1 / SIDE) * np.sqrt(14))
-    text = describe(case, scene, make_plan(case, scene))
+    system = system_of([BOX, SMALL | {"position": [9, 0, 0]}])
+    whole = system_of([BOX, SMALL | {"position": [9, 0, 0]}], keeps_all=True)
+    assert kept(system) == [6, 1]
+    assert kept(whole) == system.summed.tolist() == [SIDE**3, 1]
+    agrees(system, 0)
+    assert (system.bodies.inertia == whole.bodies.inertia).all()
+    assert system.reach.tolist() == whole.reach.tolist()
+    assert system.reach[0] == pytest.approx(0.5 * (1 - 1 / SIDE) * np.sqrt(14))
+    text = describe(system, make_plan(system))
     assert "15626 in 2 sets, summed once" in text
     assert "of 15625 are kept 6 points a set: nothing touches or attracts them" in text
 
 
 def test_each_large_kind_has_points_of_its_own():
     flat = {"name": "flat", "shape": {"type": "box", "size": [5, 4, 1], "n": SIDE}, "mass": 7.0}
-    _, scene = scene_of([SMALL, BOX | {"position": [9, 0, 0]}, flat | {"position": [20, 0, 0]}])
-    assert kept(scene) == [1, 6, 6]
-    agrees(scene, 1)
-    agrees(scene, 2)
+    system = system_of([SMALL, BOX | {"position": [9, 0, 0]}, flat | {"position": [20, 0, 0]}])
+    assert kept(system) == [1, 6, 6]
+    agrees(system, 1)
+    agrees(system, 2)
 
 
 def test_contact_keeps_the_surface():
     bodies = [TOUCHED, SMALL]
-    case, scene = scene_of(bodies, contact=CONTACT)
-    assert kept(scene) == [7, 1]
-    agrees(scene, 0)
-    assert scene.particles.radius[:7].tolist() == [0.5] + [0.0] * 6
-    assert "1 that touch, and 6 points a set" in describe(case, scene, make_plan(case, scene))
+    system = system_of(bodies, contact=CONTACT)
+    assert kept(system) == [7, 1]
+    agrees(system, 0)
+    assert system.particles.radius[:7].tolist() == [0.5] + [0.0] * 6
+    assert "1 that touch, and 6 points a set" in describe(system, make_plan(system))
     untouched = [TOUCHED | {"contact": False}, SMALL]
-    assert kept(scene_of(untouched, contact=CONTACT)[1]) == [6, 1]
+    assert kept(system_of(untouched, contact=CONTACT)) == [6, 1]
 
 
 def test_attraction_and_charges_keep_all():
     apart = SMALL | {"position": [9, 0, 0]}
-    assert kept(scene_of([BOX, apart], attraction={"G": 1.0})[1]) == [SIDE**3, 1]
+    assert kept(system_of([BOX, apart], attraction={"G": 1.0})) == [SIDE**3, 1]
     field = {"type": "field", "body": "box", "field": [0, 0, 1.0], "charge": [1e-6] * SIDE**3}
-    assert kept(scene_of([BOX], force=[field])[1]) == [SIDE**3]
+    assert kept(system_of([BOX], force=[field])) == [SIDE**3]
 
 
 def test_small_kinds_stay_as_they_are():
     n = round(MANY ** (1 / 3)) - 1
     body = BOX | {"shape": BOX["shape"] | {"n": n}}
-    assert kept(scene_of([body])[1]) == [n**3]
+    assert kept(system_of([body])) == [n**3]
 
 
 def test_a_reduced_body_is_written_and_read_back(tmp_path):

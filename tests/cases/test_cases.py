@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.record.file_size import estimated_size
 from particlerb.rotors.rotor_class import NAMES
 
@@ -356,9 +357,9 @@ def test_some_clumps_tumble_as_an_independent_integrator_says(make):
 
 
 def test_the_clumps_take_the_stated_room_on_the_disk():
-    case = load(CASES / "ten_thousand_clumps.toml")
-    assert case.n_bodies == 10_000
-    assert estimated_size(case, 1001) == pytest.approx(1.05e9, rel=0.01)
+    system = to_system(CASES / "ten_thousand_clumps.toml")
+    assert system.n_bodies == 10_000
+    assert estimated_size(system, 1001) == pytest.approx(1.05e9, rel=0.01)
 
 
 # binary_asteroid ---------------------------------------------------------------------------------

@@ -579,7 +579,7 @@ def test_a_child_process_makes_its_own_threads():
 def test_the_size_that_is_told_and_what_info_tells(make, tmp_path, capsys, dtype, each):
     """Contacts, walls and kept files are listed; the file is as large as was said, or smaller."""
     from particlerb.case.output import FIELDS_OF_CONTACT
-    from particlerb.case.reader import load
+    from particlerb.case.to_system import to_system
     from particlerb.cli.run import size_text
 
     (tmp_path / "points.csv").write_text("0 0 0 1\n1 0 0 1\n0 1 0 1\n" + 200_000 * "#")
@@ -597,7 +597,7 @@ def test_the_size_that_is_told_and_what_info_tells(make, tmp_path, capsys, dtype
         wall=[make.plane()],
         output={"fields": fields, "dtype": dtype},
     )
-    told = size_text(load(case), tmp_path / "run.h5")
+    told = size_text(to_system(case), tmp_path / "run.h5")
     number, unit = re.search(r"about ([\d.]+) ([kM])B", told).groups()
     most = float(number) * {"k": 1e3, "M": 1e6}[unit]
     assert f" and {each} bytes for each contact in a frame, whose number is not known in" in told

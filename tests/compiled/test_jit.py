@@ -289,12 +289,11 @@ print(kernels.double(2.5), kernels.treble(1))
 
 def test_a_full_disk_is_not_blamed_on_the_case(make, monkeypatch):
     """Errors of files that the case does not name pass through as they are."""
-    from particlerb.case import to_system as scene
-    from particlerb.case.reader import load
+    from particlerb.case import to_system
 
     def fail(*arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(scene, "mass_properties", fail)
+    monkeypatch.setattr(to_system, "mass_properties", fail)
     with pytest.raises(OSError, match="No space left"):
-        scene.assemble(load(make.case(make.body())))
+        to_system.to_system(make.case(make.body()))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
 from particlerb.simulation.run import prepare
 from particlerb.stepping.begin import begin
@@ -58,8 +58,8 @@ def test_what_a_sliding_ball_loses_is_turned_over(make):
         "body": [ball],
         "wall": [make.plane()],
     }
-    prepared = prepare(load(case))
-    (group,), state = prepared.plan.groups, prepared.scene.state
+    prepared = prepare(to_system(case))
+    (group,), state = prepared.plan.groups, prepared.system.state
     motion = begin(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 1e-3, 0.0)
     motion.finish(2.0 * v / (7.0 * mu * 9.81) - 1e-3)
     assert motion.turned_over() == pytest.approx(m * v * v / 7.0, rel=1e-2)
@@ -79,8 +79,8 @@ def test_drift_is_judged_by_what_a_belt_gives_and_friction_takes(make):
         "body": [ball],
         "wall": [belt, stop],
     }
-    prepared = prepare(load(case))
-    (group,), state = prepared.plan.groups, prepared.scene.state
+    prepared = prepare(to_system(case))
+    (group,), state = prepared.plan.groups, prepared.system.state
     motion = begin(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 5e-4, 0.0)
     _, booked = motion.finish(1.0)
     assert motion.turned_over() > 4.0 * abs(booked[0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.simulation.run import prepare, run_prepared
 from particlerb.stepping import sparse_contact as dilute
 
@@ -57,7 +57,7 @@ def test_long_run_goes_on_where_a_short_one_ends(monkeypatch):
 @pytest.mark.compiled
 def test_share_of_steps_that_is_saved_is_told(monkeypatch):
     monkeypatch.setattr(dilute, "LEAST_BODIES", 10)
-    prepared = prepare(load(gas(4)))
+    prepared = prepare(to_system(gas(4)))
     assert "closed form where none is in reach" in prepared.text
     outcome = run_prepared(prepared, None)
     assert 0.1 < outcome.flown < 1.0
@@ -69,14 +69,14 @@ def test_dense_bodies_are_all_stepped(monkeypatch):
     dense = gas(3, t_end=0.02)
     dense["body"][0]["place"]["spacing"] = 0.38
     dense["body"][0]["velocity"] = {"random": 0.1}
-    assert run_prepared(prepare(load(dense)), None).flown == 0.0
+    assert run_prepared(prepare(to_system(dense)), None).flown == 0.0
 
 
 def test_only_bodies_under_nothing_but_gravity_fly():
     case = gas(7)
-    group = prepare(load(case)).plan.groups[0]
+    group = prepare(to_system(case)).plan.groups[0]
     assert dilute.can_fly(group.segments[0].terms, group.members.size)
     assert not dilute.can_fly(group.segments[0].terms, dilute.LEAST_BODIES - 1)
     case["force"] = [{"type": "drag", "body": "d", "translation": 0.1}]
-    group = prepare(load(case)).plan.groups[0]
+    group = prepare(to_system(case)).plan.groups[0]
     assert not dilute.can_fly(group.segments[0].terms, group.members.size)

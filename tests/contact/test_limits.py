@@ -8,7 +8,7 @@ import pytest
 
 import particlerb
 from particlerb.case.problems import CaseError
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.contact.restitution import damping_ratio
 from particlerb.integrators import METHODS
 from particlerb.plan.segments import STEPS_PER_CONTACT, softest_turning
@@ -32,20 +32,20 @@ RATE = math.sqrt(1e5)
 
 
 def test_step_is_chosen_by_the_contact():
-    (group,) = prepare(load(drop())).plan.groups
+    (group,) = prepare(to_system(drop())).plan.groups
     assert group.segments[0].dt == pytest.approx(0.05 / RATE)
 
 
 def test_unstable_step_is_refused_unless_allowed():
     with pytest.raises(CaseError, match=r"above 0\.00632 s, where a contact of bodies like ball"):
-        prepare(load(drop(1.001 * 2.0 / RATE, restitution=1.0)))
-    prepare(load(drop(0.999 * 2.0 / RATE, restitution=1.0)))
+        prepare(to_system(drop(1.001 * 2.0 / RATE, restitution=1.0)))
+    prepare(to_system(drop(0.999 * 2.0 / RATE, restitution=1.0)))
     ratio = damping_ratio(0.5, attract=False)
     damped = (math.sqrt(16.0 * ratio**2 + 4.0) - 4.0 * ratio) / RATE
     with pytest.raises(CaseError, match="grows without bound"):
-        prepare(load(drop(1.001 * damped)))
-    prepare(load(drop(0.999 * damped)))
-    assert prepare(load(drop(0.1, allow_unstable=True))).plan.warnings
+        prepare(to_system(drop(1.001 * damped)))
+    prepare(to_system(drop(0.999 * damped)))
+    assert prepare(to_system(drop(0.1, allow_unstable=True))).plan.warnings
 
 
 def cage(dt, height, gap=0.0, **contact) -> dict:
@@ -62,10 +62,10 @@ def test_all_contacts_of_a_body_at_the_start_limit_the_step():
     limit = 2.0 / math.sqrt(1e5 * (2.0 + 8.0 / 7.0))
     assert limit < 0.99 * 2.0 / (RATE * math.sqrt(9.0 / 7.0))  # that of a single contact
     with pytest.raises(CaseError, match=r"ball that touch at t = 0 grow without bound on all"):
-        prepare(load(cage(1.01 * limit, 0.1)))
-    prepare(load(cage(0.99 * limit, 0.1)))
-    prepare(load(cage(1.01 * limit, 0.1, gap=1e-3)))  # only the floor and the lid touch
-    prepare(load(cage(1.01 * limit, 0.1, allow_unstable=True)))
+        prepare(to_system(cage(1.01 * limit, 0.1)))
+    prepare(to_system(cage(0.99 * limit, 0.1)))
+    prepare(to_system(cage(1.01 * limit, 0.1, gap=1e-3)))  # only the floor and the lid touch
+    prepare(to_system(cage(1.01 * limit, 0.1, allow_unstable=True)))
 
 
 def rod(dt, height=0.5, count=1, **contact) -> dict:
@@ -81,13 +81,13 @@ def test_a_lone_body_is_limited_by_its_contact_with_walls():
     """1/m_eff = 1/M + a²/I: no push turns a rod about its own axis, where it is lightest."""
     limit = 2.0 / math.sqrt((1.0 + 0.5**2 / (0.25 + 0.4 * 0.1**2)) * 1e5)
     with pytest.raises(CaseError, match=r"above 0\.00449 s, where a contact of bodies like rod"):
-        prepare(load(rod(1.001 * limit)))
-    prepare(load(rod(0.999 * limit)))
+        prepare(to_system(rod(1.001 * limit)))
+    prepare(to_system(rod(0.999 * limit)))
     with pytest.raises(CaseError, match=r"above 0\.00317 s"):  # of rods on each other
-        prepare(load(rod(0.999 * limit, count=2)))
-    prepare(load(rod(0.999 * limit / math.sqrt(2.0), count=2)))
+        prepare(to_system(rod(0.999 * limit, count=2)))
+    prepare(to_system(rod(0.999 * limit / math.sqrt(2.0), count=2)))
     with pytest.raises(CaseError, match=r"above 0\.00396 s"):  # √(7/9): friction has a spring too
-        prepare(load(rod(0.999 * limit, friction=0.5)))
+        prepare(to_system(rod(0.999 * limit, friction=0.5)))
 
 
 @pytest.mark.compiled
@@ -120,20 +120,20 @@ def test_a_body_that_gets_too_many_contacts_on_the_way_ends_the_run(monkeypatch)
 
 def test_few_steps_in_a_contact_are_worth_a_warning():
     limit = math.pi / RATE / STEPS_PER_CONTACT
-    (warning,) = prepare(load(drop(1.1 * limit))).plan.warnings
+    (warning,) = prepare(to_system(drop(1.1 * limit))).plan.warnings
     assert "is taken 18 times in a contact of bodies like ball, and 20 make it accurate" in warning
-    assert not prepare(load(drop(0.9 * limit))).plan.warnings
+    assert not prepare(to_system(drop(0.9 * limit))).plan.warnings
 
 
 def test_rate_of_hertz_is_that_of_the_deepest_overlap():
     case = drop(1e-6, law="hertz")
     del case["contact"]["stiffness"]
     case["material"] = [{"name": "rubber", "young": 1e7, "poisson": 0.4}]
-    (group,) = prepare(load(case)).plan.groups
-    slow = particlerb.plan.segments.rates(prepare(load(case)).scene, group)[0]
+    (group,) = prepare(to_system(case)).plan.groups
+    slow = particlerb.plan.segments.rates(prepare(to_system(case)).system, group)[0]
     case["body"][0]["velocity"] = [0.0, 0.0, -20.0]
-    (group,) = prepare(load(case)).plan.groups
-    fast = particlerb.plan.segments.rates(prepare(load(case)).scene, group)[0]
+    (group,) = prepare(to_system(case)).plan.groups
+    fast = particlerb.plan.segments.rates(prepare(to_system(case)).system, group)[0]
     fall = math.sqrt(2.0 * 9.81 * 0.2)  # the ground may be as far away as the origin
     assert fast / slow == pytest.approx(((40.0 + fall) / fall) ** 0.2, rel=1e-12)
 
@@ -162,13 +162,13 @@ def test_relaxed_bodies_hardly_overlap():
     case = drop(1e-4, relax=True)
     case["wall"] = [{"name": "b", "type": "box", "lower": [-0.7] * 3, "upper": [0.7] * 3}]
     case["body"] = [{"name": "s", "shape": shape, "mass": 1.0, "count": 40, "place": place}]
-    x = prepare(load(case)).scene.state.com
+    x = prepare(to_system(case)).system.state.com
     apart = np.linalg.norm(x[:, :, None] - x[:, None], axis=0) + np.eye(40)
     assert 0.2 - 1.1e-4 < apart.min() < 0.2 + 1e-3
     assert np.abs(x).max() < 0.6 + 1.1e-4
     case["contact"]["relax"] = False
     with pytest.raises(CaseError, match="bodies overlap at t = 0"):
-        prepare(load(case))
+        prepare(to_system(case))
 
 
 def test_bodies_without_room_cannot_be_relaxed(monkeypatch):
@@ -179,7 +179,7 @@ def test_bodies_without_room_cannot_be_relaxed(monkeypatch):
     case["wall"] = [{"name": "b", "type": "box", "lower": [-0.2] * 3, "upper": [0.2] * 3}]
     case["body"] = [{"name": "s", "shape": shape, "mass": 1.0, "count": 30, "place": place}]
     with pytest.raises(CaseError, match="after 30 rounds of pushing them apart"):
-        prepare(load(case))
+        prepare(to_system(case))
 
 
 def block(edge=4, **contact) -> dict:
@@ -201,7 +201,7 @@ def block(edge=4, **contact) -> dict:
 
 def contact_in(case: dict):
     """Contact of the first segment, and the line of the plan about it."""
-    prepared = prepare(load(case))
+    prepared = prepare(to_system(case))
     (group,) = prepared.plan.groups
     return group.segments[0].terms.contact, prepared.text
 
@@ -253,8 +253,8 @@ def test_swing_of_a_cube_on_four_balls_has_the_stiffness_of_all(shear):
     case = drop(1e-4, tangential_stiffness=shear, overlap=1e-3, friction=0.5)
     shape = {"type": "points", "mass": 0.125, "radius": 0.1, "position": corners}
     case["body"] = [{"name": "cube", "shape": shape, "position": [0.0, 0.0, 0.2 - 1e-5]}]
-    prepared = prepare(load(case))
-    (group,), state = prepared.plan.groups, prepared.scene.state
+    prepared = prepare(to_system(case))
+    (group,), state = prepared.plan.groups, prepared.system.state
     motion = begin(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 1e-4, 0.0)
     motion.look(motion.values(0, 13))
     inertia = 8 * 0.125 * (0.02 + 0.4 * 0.01)

@@ -512,11 +512,12 @@ def check(data: bytes, plans: bool = True) -> str:
 def planned(case: "Case") -> None:
     """Place the bodies, make the plan and put it into words, as before the first step of a run."""
     from particlerb.case import coarse_lattice
+    from particlerb.case.to_system import to_system
     from particlerb.simulation.run import prepare
 
     coarse_lattice.MOST_PARTICLES = MOST  # lattices tried for advice: summed in plain Python
     with np.errstate(all="ignore"):  # kernels in plain Python warn where compiled ones do not
-        prepare(case)
+        prepare(to_system(case))
 
 
 def is_slender(shape: Any) -> bool:

@@ -101,7 +101,7 @@ def looked_at(path: Path) -> int:
     """Read what Python programs and the page of `view` read."""
     import particlerb
     from particlerb.record.trajectory import TrajectoryError
-    from particlerb.view.replay import ReplayError, scene_of
+    from particlerb.view.replay import ReplayError, system_of
 
     with contextlib.suppress(TrajectoryError), particlerb.open(path) as trajectory:
         reads = [
@@ -110,7 +110,7 @@ def looked_at(path: Path) -> int:
             lambda: trajectory.ledger,
             lambda: trajectory.contacts(0) if trajectory.n_frames else None,
             lambda: trajectory.wall_force,
-            lambda: scene_of(trajectory),
+            lambda: system_of(trajectory),
         ]
         for read in reads:
             with contextlib.suppress(TrajectoryError, ReplayError, KeyError, IndexError):

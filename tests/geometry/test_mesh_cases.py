@@ -9,7 +9,7 @@ from mesh_examples import box, icosahedron, joined
 
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.case.to_system import assemble
+from particlerb.case.to_system import to_system
 from particlerb.cli import main
 from particlerb.geometry.mesh import checked, mesh_solid
 from particlerb.plan.describe import describe
@@ -43,14 +43,14 @@ def case_of(**shape):
 
 def refusal(**shape):
     with pytest.raises(CaseError) as caught:
-        assemble(load(case_of(**shape)))
+        to_system(case_of(**shape))
     return [(problem.key, problem.reason) for problem in caught.value.problems]
 
 
 def test_every_arrangement_has_the_mass_of_the_mesh():
     solid = mesh_solid(checked(*icosahedron()))
     for how in ({}, {"arrangement": "cells", "n": 4}):
-        scene = assemble(load(case_of(type="mesh", file="icosahedron.ply", scale=0.5, **how)))
+        scene = to_system(case_of(type="mesh", file="icosahedron.ply", scale=0.5, **how))
         assert scene.properties.mass[0] == pytest.approx(2.0 * solid.volume / 8, rel=1e-6)
         moment = 2.0 * solid.inertia[0, 0] / 32
         assert scene.properties.moments[0] == pytest.approx(np.full(3, moment), rel=1e-6)
@@ -60,28 +60,27 @@ def test_a_path_is_relative_to_the_case(files, monkeypatch):
     text = '[run]\nt_end = 1\nevery = 1\n[[body]]\nname = "b"\nmass = 1.0\n'
     (files / "a.toml").write_text(text + 'shape = { type = "mesh", file = "box.ply" }\n')
     monkeypatch.chdir("/")
-    assert assemble(load(files / "a.toml")).properties.mass[0] == 1.0
+    assert to_system(files / "a.toml").properties.mass[0] == 1.0
 
 
 def test_a_part_may_be_a_mesh():
     part = {"shape": {"type": "mesh", "file": "box.ply"}, "mass": 3.0, "position": [1.0, 0.0, 0.0]}
     case = case_of() | {"body": [{"name": "b", "part": [part, {**part, "position": [-1, 0, 0]}]}]}
-    properties = assemble(load(case)).properties
+    properties = to_system(case).properties
     assert properties.mass[0] == pytest.approx(6.0, rel=1e-14)
     assert properties.moments[0] == pytest.approx([1.0, 7.0, 7.0], rel=1e-14)
 
 
 def test_the_plan_tells_what_was_tried_and_changed():
-    case = load(case_of(type="ball", radius=1.0, inertia_error=0.1))
-    scene = assemble(case)
-    lines = describe(case, scene, make_plan(case, scene)).splitlines()
+    system = to_system(case_of(type="ball", radius=1.0, inertia_error=0.1))
+    lines = describe(system, make_plan(system)).splitlines()
     own = [line for line in lines if line.startswith("  part ")]
     assert "as requested; tried:" in own[0]
     assert own[1].split()[1:] == ["n", "particles", "inertia", "com"]
     tried = [line.split() for line in own if line.split()[1].isdigit() and len(line.split()) == 5]
     assert float(tried[-1][3]) <= 0.1 < float(tried[-2][3])
     case = load(case_of(type="mesh", file="mixed.ply"))
-    assert assemble(case).notes == (("part", "turned round face 0"),)
+    assert to_system(case).notes == (("part", "turned round face 0"),)
 
 
 def test_mass_tells_what_was_tried_and_changed(files, capsys):

@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
 from particlerb.simulation.run import prepare
 from particlerb.stepping import pair_forces
@@ -527,7 +527,7 @@ def test_a_large_scene_has_the_same_bits_with_one_thread_as_with_two(make, metho
     case = make.case(body, **keys)
     one, two = (make.arrays(case, f"run.threads={n}") for n in (1, 2))
     assert same(bits(one), bits(two))
-    group = prepare(load(case)).plan.groups[0]
+    group = prepare(to_system(case)).plan.groups[0]
     assert PairForces(group.segments[0].terms, 64, False).is_large
 
 
@@ -596,7 +596,7 @@ def test_accuracy_is_met_by_bodies_that_attract_each_other(make, wanted):
 @pytest.mark.compiled
 def test_a_chart_of_bodies_that_attract_each_other_says_what_runs_by_hand_give(make):
     case = make.case(*DUMBBELLS, **PAIR)
-    drawn = chart(load(case), ("strang", "rkn6"), budget=1.0)
+    drawn = chart(to_system(case), ("strang", "rkn6"), budget=1.0)
     points = [p for p in drawn.points if p.step and not p.failure]
     assert {p.method for p in points} == {"strang", "rkn6"}
     for p in points[::4]:

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from particlerb.case.reader import load
-from particlerb.case.to_system import assemble
+from particlerb.case.to_system import to_system
 from particlerb.forces import Terms
 from particlerb.forces.gravity import UniformGravity
 from particlerb.forces.push import Push
@@ -97,7 +96,7 @@ def group_of(make, push=None, gravity=None, n=300):
         for name, inertia in (("a", (1, 2, 3)), ("s", (1, 1, 1.5)), ("p", (0, 0, 0)))
     ]
     flip = make.body("flip", (1, 2, 3), angular_velocity=[1e-9, 1.0, 1e-9])
-    scene = assemble(load(make.case(*blocks, flip)))
+    scene = to_system(make.case(*blocks, flip))
     members = np.arange(len(scene.kind))
     own = taken(scene.bodies, members)
     return Group(members, own, Terms(gravity, () if push is None else (push,))), scene.state

@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate._ivp import dop853_coefficients as hairer
 from scipy.spatial.transform import Rotation
 
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
 from particlerb.simulation.run import prepare
 from particlerb.stepping.begin import begin
@@ -239,9 +239,9 @@ def test_stages_of_dop853_are_those_of_its_textbook(make, acting):
     h = 0.125  # its multiples are exact, so that no step is cut
     force = FORCES[acting](make)
     case, body, y = scene(make, *TURNING["asymmetric"], force, method="dop853")
-    ready = prepare(load(case))
+    ready = prepare(to_system(case))
     group = ready.plan.groups[0].group(ready.plan.groups[0].segments[0])
-    motion = begin(METHODS["dop853"], group, ready.scene.state, 0.0, h, 1e9)
+    motion = begin(METHODS["dop853"], group, ready.system.state, 0.0, h, 1e9)
     frame = make.rotation(group.bodies.rotor_frame[:, 0])
     for k in range(STEPS):
         y = dop853(body, y, h)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, State, as_frame, kinetic_energy, omega_world
@@ -199,7 +199,7 @@ def entry(n=1, **values):
 
 def test_drift_of_a_scene_at_rest_is_zero(make):
     case = make.case(make.body(), make.body("point", [0, 0, 0]))
-    outcome = run_prepared(prepare(load(case)), None)
+    outcome = run_prepared(prepare(to_system(case)), None)
     outcome.file.close()
     assert outcome.drift == ConservationError(0.0, 0.0, 0.0)
 
@@ -262,7 +262,7 @@ def test_booked_momenta_are_taken_away(make):
 def test_a_missed_limit_of_drift_shows(make):
     """The drift that a run reports is the largest of its frames."""
     case = case_of(make, "push", dt=0.05, check={"energy_drift": 1e-15})
-    prepared = prepare(load(case))
+    prepared = prepare(to_system(case))
     outcome = run_prepared(prepared, None)
     observables = outcome.file["observables"]
     error = np.abs(observables["energy_error/value"][:]).max()
@@ -270,7 +270,7 @@ def test_a_missed_limit_of_drift_shows(make):
     work = np.abs(observables["work/value"][:]).max()
     outcome.file.close()
     assert outcome.drift.energy == pytest.approx(error / max(kinetic, work), rel=1e-12)
-    (limit,) = results(prepared.case, prepared.scene, outcome)
+    (limit,) = results(prepared.system, outcome)
     assert not limit.holds
     assert limit.error == outcome.drift.energy
 
@@ -279,5 +279,5 @@ def test_a_motion_straight_through_the_origin_has_no_drift_that_is_a_ratio_of_ro
     body = make.body(position=[1.0, 0.3, 0.1], velocity=[-1.0, -0.3, -0.1])
     spring = {"type": "spring", "body": "body", "anchor": [0, 0, 0], "stiffness": 2.0}
     case = make.case(body, force=[spring], dt=0.01, t_end=2.0)
-    drift = run_prepared(prepare(load(case)), None).drift
+    drift = run_prepared(prepare(to_system(case)), None).drift
     assert drift.angular_momentum < 1e-9

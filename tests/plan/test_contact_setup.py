@@ -10,7 +10,7 @@ import pytest
 
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load, parse
-from particlerb.case.to_system import assemble
+from particlerb.case.to_system import to_case, to_system
 from particlerb.contact.wall_motion import PrescribedMotion
 from particlerb.contact.walls import DISC, FACE, PLANE, RIM, SIDE
 from particlerb.plan.contact_setup import (
@@ -19,13 +19,8 @@ from particlerb.plan.contact_setup import (
 )
 
 
-def made(case):
-    case = load(case)
-    return case, assemble(case)
-
-
 def contact(case):
-    return contact_of(*made(case))
+    return contact_of(to_system(case))
 
 
 def problems(case):
@@ -103,23 +98,23 @@ def test_something_must_be_able_to_touch(make):
 
 def test_a_sphere_is_a_ball_of_one_particle(make):
     """I = 2/5 m R², m = ρ 4/3 π R³."""
-    case, scene = made(make.case(make.sphere(radius=0.5, mass=None, density=3.0)))
+    system = to_system(make.case(make.sphere(radius=0.5, mass=None, density=3.0)))
     mass = 3.0 * 4.0 / 3.0 * math.pi * 0.125
-    assert scene.bodies.mass == pytest.approx(mass, rel=1e-15)
-    assert scene.bodies.inertia[:, 0] == pytest.approx(0.4 * mass * 0.25, rel=1e-15)
-    assert scene.particles.radius.tolist() == [0.5]
-    again, _ = made(case.model_dump(mode="json"))
-    assert again.body == case.body
+    assert system.bodies.mass == pytest.approx(mass, rel=1e-15)
+    assert system.bodies.inertia[:, 0] == pytest.approx(0.4 * mass * 0.25, rel=1e-15)
+    assert system.particles.radius.tolist() == [0.5]
+    again = load(to_case(system).model_dump(mode="json"))
+    assert again.body == system.body
 
 
 def test_a_clump_of_spheres_has_their_inertia_and_radii(make):
     """Eight balls at (±a, ±a, ±a): I = 8 (2/5 m r² + 2 m a²)."""
     corners = [[0.1 * s for s in signs] for signs in itertools.product((-1, 1), repeat=3)]
     shape = {"type": "points", "position": corners, "mass": 1.0, "radius": 0.1}
-    _, scene = made(make.case({"name": "clump", "shape": shape}))
-    assert scene.bodies.mass.tolist() == [8.0]
-    assert scene.bodies.inertia[:, 0] == pytest.approx(8 * (0.4 * 0.01 + 2 * 0.01), rel=1e-15)
-    assert scene.particles.radius.tolist() == [0.1] * 8
+    system = to_system(make.case({"name": "clump", "shape": shape}))
+    assert system.bodies.mass.tolist() == [8.0]
+    assert system.bodies.inertia[:, 0] == pytest.approx(8 * (0.4 * 0.01 + 2 * 0.01), rel=1e-15)
+    assert system.particles.radius.tolist() == [0.1] * 8
 
 
 def test_parts_without_mass_are_surface_and_change_no_inertia(make):
@@ -128,13 +123,13 @@ def test_parts_without_mass_are_surface_and_change_no_inertia(make):
     points = {"type": "points", "position": [[1, 0, 0], [0, 5, 0]], "mass": 0, "radius": 0.1}
     case = make.case({"name": "plain", "part": [box]}, {"name": "b", "part": [box, sphere]})
     case["body"].append({"name": "c", "part": [box, {"shape": points}]})
-    resolved, scene = made(case)
-    assert scene.bodies.mass.tolist() == [6.0] * 3
-    assert (scene.bodies.inertia[:, 0] == scene.bodies.inertia.T).all()
-    assert scene.particles.radius.tolist() == [0.0] * 16 + [0.2] + [0.0] * 8 + [0.1] * 2
-    assert scene.particles.position[16] == pytest.approx([1, 2, 3], abs=1e-15)
-    again, _ = made(resolved.model_dump(mode="json"))
-    assert again.body == resolved.body
+    system = to_system(case)
+    assert system.bodies.mass.tolist() == [6.0] * 3
+    assert (system.bodies.inertia[:, 0] == system.bodies.inertia.T).all()
+    assert system.particles.radius.tolist() == [0.0] * 16 + [0.2] + [0.0] * 8 + [0.1] * 2
+    assert system.particles.position[16] == pytest.approx([1, 2, 3], abs=1e-15)
+    again = load(to_case(system).model_dump(mode="json"))
+    assert again.body == system.body
 
 
 # Numbers of pairs
@@ -491,11 +486,11 @@ def test_overlaps_are_those_of_every_pair_at_once(make):
     n = 40
     body = {"name": "c", "shape": shape, "count": n, "orientation": "random"}
     body["place"] = {"type": "random", "lower": [0, 0, 0], "upper": [2, 2, 2]}
-    case, scene = made(make.case(body, contact=make.hooke()))
-    local = scene.particles.position
-    q = make.rotation(orientations(scene).T)
-    points = [scene.state.com[:, b] + q[b].apply(local) for b in range(n)]
-    radius = scene.particles.radius
+    system = to_system(make.case(body, contact=make.hooke()))
+    local = system.particles.position
+    q = make.rotation(orientations(system).T)
+    points = [system.state.com[:, b] + q[b].apply(local) for b in range(n)]
+    radius = system.particles.radius
     deep = {}
     for a, b in itertools.combinations(range(n), 2):
         gap = np.linalg.norm(points[a][:, None] - points[b][None], axis=2)
@@ -503,18 +498,20 @@ def test_overlaps_are_those_of_every_pair_at_once(make):
         if depth > 0.0:
             deep[a, b] = depth
     with pytest.raises(CaseError) as caught:
-        contact_of(case, scene)
+        contact_of(system)
     worst = sorted(deep, key=lambda pair: -deep[pair])[:3]
     named = ", ".join(f"c[{a}] and c[{b}] by {deep[a, b]:.3g} m" for a, b in worst)
     reason = caught.value.problems[0].reason
     assert reason == f"bodies overlap at t = 0: {named}, and {len(deep) - 3} more"
 
 
-def orientations(scene):
+def orientations(system):
     """Body to world quaternions (4, n)."""
     from particlerb.model.state import multiplied
 
-    return multiplied(scene.state.q, scene.bodies.rotor_frame * np.array([[1.0], [-1], [-1], [-1]]))
+    return multiplied(
+        system.state.q, system.bodies.rotor_frame * np.array([[1.0], [-1], [-1], [-1]])
+    )
 
 
 BIN = {"type": "box", "name": "bin", "lower": [-1, -1, 0], "upper": [1, 1, 2]}
@@ -625,9 +622,9 @@ name = "b"
 shape = { type = "sphere", radius = 0.1 }
 mass = 1
 """
-    case = parse(text, tmp_path / "a.toml")
+    system = to_system(parse(text, tmp_path / "a.toml"))
     with pytest.raises(CaseError) as caught:
-        contact_of(case, assemble(case))
+        contact_of(system)
     (problem,) = caught.value.problems
     assert (problem.line, problem.source) == (12, "[[body]]")
     assert problem.reason == "bodies overlap at t = 0: a and b by 0.2 m"

@@ -8,9 +8,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from particlerb.case.problems import CaseError
-from particlerb.case.reader import load
-from particlerb.case.to_system import assemble
+from particlerb.case.to_system import to_system
 from particlerb.forces.links import WORLD
+from particlerb.forces.spring import places
 from particlerb.plan import links as pairs
 from particlerb.plan.case_forces import loads_of
 from particlerb.plan.links import (
@@ -22,7 +22,6 @@ from particlerb.plan.links import (
     links_of,
     near,
     particles_of,
-    places,
     tree_accuracy,
 )
 
@@ -30,13 +29,8 @@ ROD, POINT = [1.3, 1.3, 0.0], [0.0, 0.0, 0.0]
 NOBODY = np.zeros(0, dtype=np.int64)
 
 
-def made(case):
-    case = load(case)
-    return case, assemble(case)
-
-
 def links(case):
-    return links_of(*made(case))
+    return links_of(to_system(case))
 
 
 def pairs_of(link):
@@ -84,7 +78,7 @@ def test_ends_and_lengths_of_a_link_are_what_the_case_says(make):
 
 
 def test_only_springs_between_bodies_and_damped_ones_are_links_and_others_loads(make):
-    case, scene = made(
+    system = to_system(
         make.case(
             make.body("a"),
             make.body("b"),
@@ -97,9 +91,9 @@ def test_only_springs_between_bodies_and_damped_ones_are_links_and_others_loads(
             ],
         )
     )
-    assert [is_link(force) for force in case.force] == [False, True, True, False, True]
-    assert [link.number for link in links_of(case, scene)] == [1, 2, 4]
-    assert [one.number for one in loads_of(case, scene)] == [0, 3]
+    assert [is_link(force) for force in system.force] == [False, True, True, False, True]
+    assert [link.number for link in links_of(system)] == [1, 2, 4]
+    assert [one.number for one in loads_of(system)] == [0, 3]
 
 
 def test_a_damped_spring_to_the_world_has_its_anchor_at_the_other_end(make):
@@ -293,15 +287,15 @@ def test_a_spring_may_act_on_the_axis_of_a_rod(make):
 
 def test_all_bodies_attract_each_other_or_those_that_are_named(make):
     bodies = [row(make, 3), make.body("hub", position=[0, 5, 0])]
-    assert attracted(*made(make.case(*bodies))).tolist() == []
-    assert attracted(*made(make.case(*bodies, attraction={}))).tolist() == [0, 1, 2, 3]
+    assert attracted(to_system(make.case(*bodies))).tolist() == []
+    assert attracted(to_system(make.case(*bodies, attraction={}))).tolist() == [0, 1, 2, 3]
     some = {"body": ["hub", "bead[1]"]}
-    assert attracted(*made(make.case(*bodies, attraction=some))).tolist() == [1, 3]
+    assert attracted(to_system(make.case(*bodies, attraction=some))).tolist() == [1, 3]
 
 
 def test_a_tree_is_as_accurate_as_asked_or_ten_times_as_the_run(make):
     def accuracy(attraction, **run):
-        return tree_accuracy(load(make.case(row(make, 2), attraction=attraction, **run)))
+        return tree_accuracy(to_system(make.case(row(make, 2), attraction=attraction, **run)))
 
     assert accuracy({}) == 1e-4
     assert accuracy({}, accuracy=1e-3) == pytest.approx(1e-4)
@@ -316,12 +310,12 @@ def test_particles_of_bodies_are_where_their_bodies_have_put_them(make):
         {"name": "b", "shape": shapes[1], "mass": 1, "position": [0, 9, 0], "orientation": q},
         {"name": "c", "shape": shapes[0], "mass": 1, "position": [0, 0, 9], "orientation": q},
     ]
-    _, scene = made(make.case(*bodies))
-    index, owner = particles_of(scene, np.array([1, 2]))
+    system = to_system(make.case(*bodies))
+    index, owner = particles_of(system, np.array([1, 2]))
     assert owner.tolist() == [1] * 10 + [2] * 6
-    own = scene.particles.position[index]
+    own = system.particles.position[index]
     expected = make.rotation(q).apply(own) + np.array([[0, 9, 0]] * 10 + [[0, 0, 9]] * 6)
-    found = places(scene, owner, own.T).T
+    found = places(system, owner, own.T).T
     assert found == pytest.approx(expected, abs=1e-14)
 
 
@@ -337,14 +331,14 @@ def meeting(make, **attraction):
 
 
 def test_particles_of_two_bodies_at_one_place_need_a_softening(make):
-    case, scene = made(meeting(make))
-    (problem,) = coincident(case, scene)
+    system = to_system(meeting(make))
+    (problem,) = coincident(system)
     assert problem.key == "attraction"
     assert "a and b each have a particle at [1, 1, -1] m" in problem.reason
     assert "softening" in problem.hint
     for attraction in ({"softening": 0.1}, {"body": ["a", "c"]}):
-        assert coincident(*made(meeting(make, **attraction))) == []
-    assert coincident(*made(make.case(make.body()))) == []
+        assert coincident(to_system(meeting(make, **attraction))) == []
+    assert coincident(to_system(make.case(make.body()))) == []
 
 
 def test_particles_of_one_body_and_those_without_mass_may_be_at_one_place(make):
@@ -354,7 +348,7 @@ def test_particles_of_one_body_and_those_without_mass_may_be_at_one_place(make):
         {"name": "a", "shape": shape},
         {"name": "b", "shape": shell, "position": [1, 0, 0]},
     ]
-    assert coincident(*made(make.case(*bodies, attraction={}))) == []
+    assert coincident(to_system(make.case(*bodies, attraction={}))) == []
 
 
 # Who belongs together

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import particlerb
 from particlerb.case.problems import CaseError
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
 from particlerb.plan.segments import RADIANS_PER_STEP
 from particlerb.simulation.run import prepare
@@ -19,7 +19,7 @@ AT, FORCE = [0.4, -0.3, 0.2], [1.0, 2.0, -1.5]
 
 
 def plan_of(case):
-    return prepare(load(case)).plan
+    return prepare(to_system(case)).plan
 
 
 def levels(case):
@@ -58,7 +58,7 @@ def test_a_named_method_steps_all_that_rotates(make):
         [(0.0, inf, "exact")],
         [(0.0, 0.2, "strang"), (0.2, 0.5, "strang"), (0.5, inf, "strang")],
     ]
-    assert "driven by nothing, but the case names the method" in prepare(load(case)).text
+    assert "driven by nothing, but the case names the method" in prepare(to_system(case)).text
 
 
 @pytest.mark.parametrize("frame", ["world", "body"])
@@ -154,7 +154,7 @@ def test_a_step_that_is_too_long_warns(make):
 def lines(case):
     """Lines of the plan by their name; several under one name joined."""
     found = {}
-    for line in prepare(load(case)).text.splitlines():
+    for line in prepare(to_system(case)).text.splitlines():
         name, text = re.fullmatch(r"  (\S.*?)\s{2,}(\S.*)", line).groups()
         found[name] = found.get(name, "") + text + "\n"
     return found

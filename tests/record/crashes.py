@@ -45,8 +45,8 @@ HEAD = struct.Struct("<IIqqiIII")
 PAGE = 4096
 SECONDS = 120.0  # for one run, or one look at a state
 OFTEN = {  # a commit with a checkpoint behind every three frames
-    "particlerb.simulation.run.BATCH_FRAMES": 3,
-    "particlerb.simulation.run.BATCH_SECONDS": 1e9,
+    "particlerb.simulation.frame_times.BATCH_FRAMES": 3,
+    "particlerb.simulation.frame_times.BATCH_SECONDS": 1e9,
     "particlerb.record.writer.SECONDS_BETWEEN_COMMITS": -1.0,
     "particlerb.record.writer.SHARE_OF_CHECKPOINTS": 1e9,
     "particlerb.stepping.sparse_contact.LEAST_BODIES": 10,

@@ -20,11 +20,12 @@ import h5py
 from tqdm import tqdm
 
 import particlerb
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.record import writer
 from particlerb.record.checkpoint import read_checkpoint
 from particlerb.record.trajectory import Trajectory, TrajectoryError
 from particlerb.record.vtkhdf import is_finished
+from particlerb.simulation import frame_times
 from particlerb.simulation import run as simulate
 from particlerb.simulation.resume import ResumeError, look_at, resume_pending
 
@@ -97,14 +98,14 @@ class Found(NamedTuple):
 @contextlib.contextmanager
 def writing_all_the_time() -> Any:
     """Commits, and mostly checkpoints, after every few frames: a kill nearly always hits one."""
-    before = writer.SECONDS_BETWEEN_COMMITS, writer.SHARE_OF_CHECKPOINTS, simulate.BATCH_SECONDS
+    before = writer.SECONDS_BETWEEN_COMMITS, writer.SHARE_OF_CHECKPOINTS, frame_times.BATCH_SECONDS
     writer.SECONDS_BETWEEN_COMMITS, writer.SHARE_OF_CHECKPOINTS = -1.0, 0.5
-    simulate.BATCH_SECONDS = 0.002
+    frame_times.BATCH_SECONDS = 0.002
     try:
         yield
     finally:
         writer.SECONDS_BETWEEN_COMMITS, writer.SHARE_OF_CHECKPOINTS = before[:2]
-        simulate.BATCH_SECONDS = before[2]
+        frame_times.BATCH_SECONDS = before[2]
 
 
 def killed(work: Callable[[], object], after: float) -> bool:
@@ -143,7 +144,7 @@ def kill_runs(
     """Kill runs of a case, and half of the runs that go on with them; compare what is left."""
     rng, wrong, committed = random.Random(seed), [], []
     straight, path = folder / "straight.h5", folder / "killed.h5"
-    prepared = simulate.prepare(load(case))
+    prepared = simulate.prepare(to_system(case))
     with writing_all_the_time():
         simulate.run_prepared(prepared, straight)  # compiles
         start = time.monotonic()

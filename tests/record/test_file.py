@@ -236,10 +236,10 @@ def test_folders_of_the_output_are_made(make, tmp_path):
 WRITE = """
 import sys, particlerb
 from particlerb.record import writer
-from particlerb.simulation import run as simulate
+from particlerb.simulation import frame_times
 writer.SECONDS_BETWEEN_COMMITS = 0.0
-simulate.FIRST_BATCH = simulate.BATCH_FRAMES = 40
-simulate.BATCH_SECONDS = 1e9
+frame_times.FIRST_BATCH = frame_times.BATCH_FRAMES = 40
+frame_times.BATCH_SECONDS = 1e9
 shape = {"type": "moments", "inertia": [1.0, 2.0, 2.5]}
 body = {"name": "b", "shape": shape, "mass": 2.0, "count": 50, "velocity": [0.5, 0.0, -1.0],
     "place": {"type": "grid", "spacing": 1.0}, "angular_velocity": [1.0, 0.4, -0.7]}

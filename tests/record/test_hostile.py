@@ -445,9 +445,9 @@ def test_numbers_that_were_never_written_are_refused(copy):
 LIVE = """
 import sys, particlerb
 from particlerb.record import writer
-from particlerb.simulation import run as simulate
+from particlerb.simulation import frame_times
 writer.SECONDS_BETWEEN_COMMITS = 0.0
-simulate.BATCH_FRAMES, simulate.BATCH_SECONDS = 20, 1e9
+frame_times.BATCH_FRAMES, frame_times.BATCH_SECONDS = 20, 1e9
 shape = {"type": "moments", "inertia": [1.0, 2.0, 2.5]}
 body = {"name": "b", "shape": shape, "mass": 2.0, "count": 20, "velocity": [0.5, 0.0, -1.0],
     "place": {"type": "grid", "spacing": 1.0}, "angular_velocity": [1.0, 0.4, -0.7]}

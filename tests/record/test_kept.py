@@ -12,7 +12,7 @@ from particlerb.cli import main
 from particlerb.record.schema import SCHEMA_VERSION
 from particlerb.record.trajectory import TrajectoryError
 from particlerb.record.verify import verify
-from particlerb.view.replay import scene_of
+from particlerb.view.replay import system_of
 
 KEPT = sorted(Path(__file__).with_name("kept").glob("*.h5.xz"))
 
@@ -37,8 +37,7 @@ def test_a_kept_file_is_read(kept, tmp_path, capsys):
             if name != "contacts":
                 assert len(getattr(t, name)) == t.n_frames
         assert t.contacts(0).force.shape[1] == 3
-        _, scene = scene_of(t)
-        assert len(scene.kind) == t.n_bodies
+        assert system_of(t).n_bodies == t.n_bodies
         every = []
         t.file.visititems(lambda name, item: every.append(name) or is_read(item))
         assert len(every) > 50

@@ -127,15 +127,15 @@ def test_the_run_goes_on_and_repeats(moved):
 
 def test_it_is_shown_and_exported(moved):
     from particlerb.view.forms import form_of, walls_of
-    from particlerb.view.replay import scene_of
+    from particlerb.view.replay import system_of
 
     path, last = moved
     with particlerb.open(path) as t:
-        case, scene = scene_of(t)
-    forms = [form_of(case, scene, body, k, 1) for k, body in enumerate(case.body)]
+        system = system_of(t)
+    forms = [form_of(system, body, k, 1) for k, body in enumerate(system.body)]
     assert all(len(form.mesh.faces) for form in forms)
-    assert len(walls_of(case, 1.0)[0].faces) == 1
-    assert np.array_equal(scene.state.com.T[1:], [[0, 0, 3], [9, 0, 0]])
+    assert len(walls_of(system, 1.0)[0].faces) == 1
+    assert np.array_equal(system.state.com.T[1:], [[0, 0, 3], [9, 0, 0]])
     assert main(["export", str(path), "--to", "particles", "-o", "p.csv"]) == 0
     assert np.isfinite(last).all()
 
@@ -159,7 +159,7 @@ def name_other(path, old, new, kept=None):
 @pytest.mark.parametrize("name", ["/etc/passwd", "secret.csv", "../elsewhere/secret.csv", ""])
 def test_a_name_is_never_a_path(moved, name, capsys):
     """Also where such a file is there, and is just what the case would need."""
-    from particlerb.view.replay import ReplayError, scene_of
+    from particlerb.view.replay import ReplayError, system_of
 
     path, _ = moved
     path.with_name("secret.csv").write_text(DATA["tables/points.csv"])
@@ -169,7 +169,7 @@ def test_a_name_is_never_a_path(moved, name, capsys):
     assert ("with the case" if name else "empty") in capsys.readouterr().err
     with particlerb.open(path) as t:
         with pytest.raises(ReplayError):
-            scene_of(t)
+            system_of(t)
         with pytest.raises(TrajectoryError, match="its case is wrong"):
             _ = t.case
 
@@ -189,11 +189,11 @@ def test_nothing_but_the_file_is_opened(moved, make):
 import sys
 import particlerb
 from particlerb.simulation.resume import ResumeError
-from particlerb.view.replay import scene_of
+from particlerb.view.replay import system_of
 opened = []
 sys.addaudithook(lambda event, data: opened.append(str(data[0])) if event == "open" else None)
 with particlerb.open({str(path)!r}) as t:
-    assert scene_of(t)[0].n_bodies == 3
+    assert system_of(t).n_bodies == 3
 try:
     particlerb.resume({str(path)!r}, 0.03).close()
 except ResumeError as error:

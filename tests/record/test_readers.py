@@ -283,7 +283,7 @@ def test_every_reader_reads_a_file_that_has_not_ended(make, tmp_path, monkeypatc
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     from particlerb.record import writer
-    from particlerb.simulation import run as simulate
+    from particlerb.simulation import frame_times
 
     path, copy = tmp_path / "run.vtkhdf", tmp_path / "copy.vtkhdf"
     commit = writer.Recorder.commit
@@ -293,8 +293,8 @@ def test_every_reader_reads_a_file_that_has_not_ended(make, tmp_path, monkeypatc
         if 4 <= self.n_frames < 12:
             shutil.copy(path, copy)
 
-    monkeypatch.setattr(simulate, "FIRST_BATCH", 4)
-    monkeypatch.setattr(simulate, "BATCH_FRAMES", 4)
+    monkeypatch.setattr(frame_times, "FIRST_BATCH", 4)
+    monkeypatch.setattr(frame_times, "BATCH_FRAMES", 4)
     monkeypatch.setattr(writer, "SECONDS_BETWEEN_COMMITS", 0.0)
     monkeypatch.setattr(writer.Recorder, "commit", commit_and_copy)
     with particlerb.run(scene(make), path) as whole:

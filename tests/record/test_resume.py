@@ -12,12 +12,13 @@ from kills import SCENES as KILLED
 from kills import differences, kill_runs
 
 import particlerb
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.cli import main
 from particlerb.compiled.jit import config
 from particlerb.compiled.threads import THREADS
 from particlerb.record import provenance, writer, writer_lock
 from particlerb.record.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
+from particlerb.simulation import frame_times
 from particlerb.simulation import run as simulate
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.resume import ResumeError, look_at
@@ -46,8 +47,8 @@ def assert_same(path, straight):
 @pytest.fixture(autouse=True)
 def often(monkeypatch):
     """Commits after every three frames."""
-    monkeypatch.setattr(simulate, "BATCH_FRAMES", 3)
-    monkeypatch.setattr(simulate, "BATCH_SECONDS", 1e9)
+    monkeypatch.setattr(frame_times, "BATCH_FRAMES", 3)
+    monkeypatch.setattr(frame_times, "BATCH_SECONDS", 1e9)
     monkeypatch.setattr(writer, "SECONDS_BETWEEN_COMMITS", -1.0)
     monkeypatch.setattr(dilute, "LEAST_BODIES", 10)
 
@@ -67,7 +68,7 @@ def run_with_copies(case, path, monkeypatch, checkpoints):
     with monkeypatch.context() as patch:
         patch.setattr(writer, "SHARE_OF_CHECKPOINTS", 1e9)
         patch.setattr(writer.Recorder, "commit_if_due", copied)
-        simulate.run_prepared(prepare_accurately(load(case)), path)
+        simulate.run_prepared(prepare_accurately(to_system(case)), path)
     return left
 
 
@@ -349,7 +350,7 @@ def test_an_interrupted_run_goes_on(make, tmp_path, count):
                 ask_to_stop(2, None)
 
     with pytest.raises(KeyboardInterrupt), stoppable():
-        simulate.run_prepared(simulate.prepare(load(case)), path, progress=signalled)
+        simulate.run_prepared(simulate.prepare(to_system(case)), path, progress=signalled)
     assert not THREADS.is_ending
     assert not THREADS.is_stopping
     pending = look_at(path)
@@ -362,10 +363,10 @@ LIMITED = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 from particlerb import cli
-from particlerb.simulation import run as simulate
+from particlerb.simulation import frame_times
 from particlerb.record import writer
 writer.SECONDS_BETWEEN_COMMITS = -1.0
-simulate.BATCH_SECONDS = 0.0
+frame_times.BATCH_SECONDS = 0.0
 sys.argv[1:] = ["run", "a.toml", "-o", sys.argv[1], "-q"]
 cli.entry()
 """

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.case.reader import load
-from particlerb.case.to_system import assemble
+from particlerb.case.to_system import to_system
 from particlerb.model.state import as_frame, initial_state, omega_world
 from particlerb.record.trajectory import Trajectory, TrajectoryError
 
@@ -134,7 +133,7 @@ def test_state_and_back(make):
     """What the user gives, as a state, as a frame."""
     rng = np.random.default_rng(2)
     bodies = [odd_body(str(k)) for k in range(4)] + [make.body("m")]
-    scene = assemble(load(make.case(*bodies)))
+    scene = to_system(make.case(*bodies))
     q = rng.standard_normal((5, 4))
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     x, v, w = rng.standard_normal((3, 5, 3))

@@ -11,7 +11,7 @@ import pytest
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.plan.remove_overlaps import assembled
+from particlerb.case.to_system import to_system
 from particlerb.simulation.accuracy import prepare_accurately, search
 from particlerb.simulation.run import prepare
 from particlerb.simulation.step_ladder import LEAST, Pilot
@@ -108,7 +108,7 @@ def test_less_accuracy_takes_fewer_steps(make):
 
 def test_free_bodies_need_no_choice(make):
     prepared = prepare_accurately(
-        load(make.case(make.body(angular_velocity=[1, 2, 3]), accuracy=1e-9))
+        to_system(make.case(make.body(angular_velocity=[1, 2, 3]), accuracy=1e-9))
     )
     assert "nothing is stepped: closed form" in prepared.text
     assert json.loads(prepared.parameters["accuracy"])["is_met"]
@@ -123,7 +123,7 @@ def test_what_cannot_be_met_is_said_with_the_time_until_it_holds(make):
     top = make.push([0, 0, -30.0], [0, 0, 1])
     held = make.push([0, 0, 30.0])
     scene = make.case(body, force=[top, held], t_end=60.0, every=1.0)
-    prepared = prepare_accurately(load(scene | {"run": scene["run"] | {"accuracy": 1e-14}}))
+    prepared = prepare_accurately(to_system(scene | {"run": scene["run"] | {"accuracy": 1e-14}}))
     said = json.loads(prepared.parameters["accuracy"])
     assert not said["is_met"]
     assert 0.0 <= said["until"] < 60.0
@@ -216,10 +216,10 @@ def test_the_choice_knows_no_clock(make, monkeypatch):
     """With clocks that run backwards, or ahead by days, the choice is the same."""
     case = load(tops(make, 40, accuracy=1e-6))
     ticks = itertools.count()
-    expected = prepare_accurately(case).parameters
+    expected = prepare_accurately(to_system(case)).parameters
     for name in ("perf_counter", "monotonic", "process_time", "time"):
         monkeypatch.setattr(time, name, lambda: (-1.0) ** next(ticks) * 1e5 * next(ticks))
-    assert prepare_accurately(case).parameters == expected
+    assert prepare_accurately(to_system(case)).parameters == expected
 
 
 @pytest.mark.compiled
@@ -239,9 +239,9 @@ def test_a_body_that_becomes_the_hardest_later_is_looked_at(make):
     }
     sun = {"type": "central", "body": "planet", "mu": 1.0}
     scene = make.case(body, force=[sun], t_end=6.0, every=6.0)
-    case = load(scene, ["run.accuracy=1e-6"])
-    plan = prepare(load(scene)).plan
-    assert odd in Pilot(case, assembled(case), plan.groups[0]).which
+    system = to_system(load(scene, ["run.accuracy=1e-6"]))
+    plan = prepare(to_system(scene)).plan
+    assert odd in Pilot(system, plan.groups[0]).which
     true = make.arrays(scene, "run.method=dop853", "run.tolerance=1e-14")
     found = make.arrays(scene, "run.accuracy=1e-6")
     off = np.linalg.norm(found.position[-1] - true.position[-1], axis=1)
@@ -253,8 +253,8 @@ def test_a_body_that_becomes_the_hardest_later_is_looked_at(make):
 @pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])
 def test_a_search_costs_no_more_than_the_run(make, wanted):
     """In body-steps, weighed by the table of costs."""
-    case = load(tops(make, 2000, accuracy=wanted))
-    found = search(case, assembled(case), prepare(load(tops(make, 2000))).plan.groups[0])
+    system = to_system(tops(make, 2000, accuracy=wanted))
+    found = search(system, prepare(to_system(tops(make, 2000))).plan.groups[0])
     assert found.error <= wanted
     assert found.spent <= max(found.cost, LEAST)
 

@@ -6,6 +6,7 @@ import pytest
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 
 TOML = """
 [run]
@@ -129,8 +130,9 @@ def test_a_wrong_case_makes_no_file(make, tmp_path):
 def test_an_interrupted_run_keeps_its_frames(make, tmp_path):
     """Ctrl-C between two batches: the file holds what was appended."""
     from particlerb.simulation import run as simulate
+    from particlerb.simulation.frame_times import FIRST_BATCH
 
-    prepared = simulate.prepare(load(make.case(make.body(), t_end=200.0)))
+    prepared = simulate.prepare(to_system(make.case(make.body(), t_end=200.0)))
 
     def interrupt(frames):
         raise KeyboardInterrupt
@@ -138,8 +140,8 @@ def test_an_interrupted_run_keeps_its_frames(make, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         simulate.run_prepared(prepared, tmp_path / "a.h5", progress=interrupt)
     with particlerb.open(tmp_path / "a.h5") as t:
-        assert t.n_frames == simulate.FIRST_BATCH
-        assert t.time[-1] == (simulate.FIRST_BATCH - 1) / 10
+        assert t.n_frames == FIRST_BATCH
+        assert t.time[-1] == (FIRST_BATCH - 1) / 10
 
 
 # What is given wrongly

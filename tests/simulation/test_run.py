@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 import particlerb
 from particlerb.case.reader import load
-from particlerb.simulation.run import FRAME_ROUNDING, RunError, frame_times
+from particlerb.simulation.frame_times import FRAME_ROUNDING, frame_times
+from particlerb.simulation.run import RunError
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
 AT, FORCE = [0.4, -0.3, 0.2], [1.0, 2.0, -1.5]
@@ -55,16 +56,16 @@ def test_frames_are_decimal_multiples_and_t_end(make, every, digits, frames, res
     """k · every as one would write it: 3 · 0.7 is 2.1 and not the float before it."""
     step = Decimal(every).scaleb(-digits)
     t_end = float(step * frames + step * Decimal(str(rest)))
-    times = frame_times(load(make.case(make.body(), t_end=t_end, every=float(step))))
+    times = frame_times(load(make.case(make.body(), t_end=t_end, every=float(step))).run)
     expected = [float(step * k) for k in range(frames + 1)]
     assert times.tolist() == (expected if rest == 0 else [*expected, t_end])
 
 
 def test_frames_of_a_number_without_short_decimals(make):
-    times = frame_times(load(make.case(make.body(), t_end=1.0, every=1 / 3)))
+    times = frame_times(load(make.case(make.body(), t_end=1.0, every=1 / 3)).run)
     assert times.tolist() == [0.0, 1 / 3, 2 / 3, 1.0]
     nearly = load(make.case(make.body(), t_end=1.0, every=0.5 * (1 + 0.1 * FRAME_ROUNDING)))
-    assert frame_times(nearly)[-1] == 1.0
+    assert frame_times(nearly.run)[-1] == 1.0
 
 
 @pytest.mark.compiled

@@ -22,7 +22,7 @@ class FakePilot:
         self.wanted, self.laws, self.spent, self.steps = wanted, laws, 0.0, []
         self.rate, self.lengths, self.calm = 1.0, [T_END], 1.0
         self.which, self.group = np.arange(seen), SimpleNamespace(members=np.arange(bodies))
-        self.case = SimpleNamespace(run=SimpleNamespace(t_end=T_END, dt=None))
+        self.system = SimpleNamespace(run=SimpleNamespace(t_end=T_END, dt=None))
 
     def longest(self, turn):
         return min(turn, T_END)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.simulation.trials import Error
 from particlerb.studies.work_precision import (
     Point,
@@ -95,7 +96,7 @@ def tumbling(make):
     """Chart of a free body; short, for its numbers and not for its times."""
     body = make.body(angular_velocity=[0.5, 2.0, 0.3])
     return make.case(body, t_end=5.0, every=5.0), chart(
-        load(make.case(body, t_end=5.0, every=5.0)),
+        to_system(make.case(body, t_end=5.0, every=5.0)),
         ("exact", "strang", "rkn6", "rk4", "explicit_euler"),
         budget=2.0,
     )
@@ -155,7 +156,7 @@ def test_forced_scene_has_a_reference_of_two_methods_that_agree(make):
     case = make.case(
         make.body(angular_velocity=[1, 2, 0.5]), force=[push, drag], t_end=2.0, every=2.0
     )
-    found = chart(load(case), ("exact", "strang", "rkn6"), budget=2.0)
+    found = chart(to_system(case), ("exact", "strang", "rkn6"), budget=2.0)
     assert "dop853 with tolerance 1e-14, checked by rk4" in found.reference
     assert found.floor < 1e-10
     assert dict(found.left_out)["rkn6"] == "rkn6 does not accept what acts here: drag"
@@ -167,7 +168,7 @@ def test_a_large_scene_is_judged_by_a_sample_and_timed_as_a_whole(make):
     bodies = make.body(
         count=300, place={"type": "grid", "spacing": 2.0}, angular_velocity={"random": 1.0}
     )
-    found = chart(load(make.case(bodies)), ("strang",), budget=1.0)
+    found = chart(to_system(make.case(bodies)), ("strang",), budget=1.0)
     assert found.n_bodies == 300
     assert 64 <= found.n_sampled <= 128
     assert f"errors of {found.n_sampled} sampled bodies" in table(found)
@@ -180,7 +181,7 @@ def test_points_are_judged_by_where_they_are(make):
     body = {"name": "point", "shape": shape, "position": [1, 0, 0], "velocity": [0, 1, 0]}
     centre = {"type": "central", "body": "point", "mu": 1.0}
     case = make.case(body, force=[centre], t_end=6.0, every=6.0)
-    found = chart(load(case), ("strang", "explicit_euler"), target=1e-4, budget=2.0)
+    found = chart(to_system(case), ("strang", "explicit_euler"), target=1e-4, budget=2.0)
     euler = [p for p in found.points if p.method == "explicit_euler"]
     assert any(p.failure.startswith("position off by") for p in euler)
     assert frontier(found.points)[-1].method == "strang"
@@ -191,9 +192,9 @@ def test_points_are_judged_by_where_they_are(make):
 def test_names_that_are_none_are_refused(make):
     case = load(make.case(make.body()))
     with pytest.raises(ValueError, match="verlet: no such method; there are exact, strang"):
-        chart(case, ("verlet",))
+        chart(to_system(case), ("verlet",))
     with pytest.raises(ValueError, match="unity: no such peer; there are all, mujoco"):
-        chart(case, (), ("unity",))
+        chart(to_system(case), (), ("unity",))
 
 
 @pytest.mark.compiled
@@ -220,11 +221,11 @@ def test_peer_on_the_chart_has_the_errors_of_its_own_order(make):
         t_end=3.0,
         every=3.0,
     )
-    found = chart(load(case), ("dop853",), ("scipy",), budget=40.0)
+    found = chart(to_system(case), ("dop853",), ("scipy",), budget=40.0)
     theirs = [p for p in found.points if p.label == "SciPy DOP853"]
     assert min(p.error.worst for p in theirs) < 1e-10
     assert min(p.error.position for p in theirs) < 1e-12
     turning = make.case(make.body(), force=[make.torque([0, 0, 1])])
-    refused = chart(load(turning), ("dop853",), ("scipy",), budget=1.0)
+    refused = chart(to_system(turning), ("dop853",), ("scipy",), budget=1.0)
     (reason,) = [why for name, why in refused.left_out if name == "SciPy"]
     assert reason == "other engines take gravity and constant pushes in the world frame only"

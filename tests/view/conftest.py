@@ -150,12 +150,12 @@ def served(browser, make) -> Iterator[Served]:
 @pytest.fixture(scope="module")
 def open_cube(serve, tmp_path_factory) -> Iterator[Served]:
     """The page of the paper's cube."""
-    from particlerb.case.reader import load
+    from particlerb.case.to_system import to_system
     from particlerb.view.live import Live
 
-    case = load(Path(__file__).parents[2] / "cases" / "cube_at_rest.toml")
+    system = to_system(Path(__file__).parents[2] / "cases" / "cube_at_rest.toml")
     path = tmp_path_factory.mktemp("sessions") / "session.toml"
-    with serve(lambda server: Live(case, server, path)) as served:
+    with serve(lambda server: Live(system, server, path)) as served:
         yield served
 
 

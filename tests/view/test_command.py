@@ -31,7 +31,7 @@ def test_without_arguments_it_shows_the_cube_of_the_paper(served, capsys):
     ((page, access),) = served
     assert page.server.get_host() == access.host == "127.0.0.1"
     assert access.token
-    (cube,) = page.session.case.body
+    (cube,) = page.session.system.body
     assert (cube.mass, cube.shape.size) == (2.0, (1.0, 1.0, 1.0))
     assert not page.session.has_gravity
     assert not page.session.frame.position.any()

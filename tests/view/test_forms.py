@@ -5,9 +5,8 @@ import pytest
 
 pytest.importorskip("trimesh")
 
-from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.model.state import as_frame
-from particlerb.plan.remove_overlaps import assembled
 from particlerb.view.figures import FigurePart, Row, euler_deg, shown, table
 from particlerb.view.forms import Surfaces, equal_ellipsoid, walls_of
 
@@ -17,8 +16,7 @@ PLACE = {"place": {"type": "grid", "spacing": 3.0}}
 
 
 def surfaces(*bodies):
-    made = load({"run": {"t_end": 1.0, "every": 0.1}, "body": list(bodies)})
-    return Surfaces(made, assembled(made))
+    return Surfaces(to_system({"run": {"t_end": 1.0, "every": 0.1}, "body": list(bodies)}))
 
 
 def hit(which, origin, direction, position=(0.0, 0.0, 0.0), q=(1.0, 0.0, 0.0, 0.0)):
@@ -117,12 +115,12 @@ def test_a_mesh_and_spheres_are_shown_as_they_are(tmp_path):
 
 def test_a_cloud_of_many_kinds_is_shown_by_ellipsoids_with_its_moments(make):
     shape = {"type": "cloud", "n": 9, "radius": 1.0}
-    made = load(make.case({"name": "c", "shape": shape, "mass": 3.0, "count": 4} | PLACE))
-    scene = assembled(made)
-    axes = equal_ellipsoid(scene, 2)
+    body = {"name": "c", "shape": shape, "mass": 3.0, "count": 4}
+    system = to_system(make.case(body | PLACE))
+    axes = equal_ellipsoid(system, 2)
     moments = 3.0 / 5.0 * (np.sum(axes**2) - axes**2)
-    assert moments == pytest.approx(scene.bodies.inertia[:, 2], rel=1e-12)
-    assert len(Surfaces(made, scene).layers) == 1
+    assert moments == pytest.approx(system.bodies.inertia[:, 2], rel=1e-12)
+    assert len(Surfaces(system).layers) == 1
 
 
 def test_walls_lie_where_the_case_says(make):
@@ -132,7 +130,7 @@ def test_walls_lie_where_the_case_says(make):
         {"type": "cylinder", "name": "drum", "axis": [1, 0, 0], "radius": 0.5, "length": 4.0},
     ]
     contact = {"stiffness": 1e4, "restitution": 0.5, "friction": 0.1}
-    made = load(
+    made = to_system(
         make.case(make.sphere(position=[0.5, 1.0, 1.0]), wall=wall, contact=contact, dt=1e-3)
     )
     floor, room, drum = walls_of(made, 1.0)
@@ -161,8 +159,8 @@ def test_seventeen_digits_bring_back_every_float():
 
 def test_euler_angles_are_those_of_a_case(make):
     turned = BOX | {"orientation": {"euler_deg": [10.0, -20.0, 130.0]}}
-    scene = assembled(load(make.case(turned)))
-    q = as_frame(scene.bodies, scene.state).orientation[0, 0]
+    system = to_system(make.case(turned))
+    q = as_frame(system.bodies, system.state).orientation[0, 0]
     assert euler_deg(q) == pytest.approx([10.0, -20.0, 130.0], abs=1e-12)
 
 

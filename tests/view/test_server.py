@@ -18,6 +18,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.view.access import Access
 from particlerb.view.live import MOST_SAVED, Live
 from particlerb.view.messages import Sieve
@@ -34,7 +35,7 @@ def page(tmp_path_factory):
     case = load(CASES / "cube_at_rest.toml")
     access = Access()
     with listening(access, 8300) as server:
-        live = Live(case, server, tmp_path_factory.mktemp("s") / "session.toml")
+        live = Live(to_system(case), server, tmp_path_factory.mktemp("s") / "session.toml")
         live.is_running, live.token = False, access.token
         thread = threading.Thread(target=live.go, daemon=True)
         thread.start()

@@ -9,7 +9,8 @@ import pytest
 pytest.importorskip("tomlkit")
 
 import particlerb
-from particlerb.case.reader import load, parse
+from particlerb.case.reader import parse
+from particlerb.case.to_system import to_system
 from particlerb.view.recording import recorded
 from particlerb.view.session import Session, SessionError, UserPush
 
@@ -54,13 +55,13 @@ def marks_of(name):
 @pytest.fixture
 def session(make):
     """How to make a session of a scene."""
-    return lambda name="cube": Session(load(SCENES[name](make)))
+    return lambda name="cube": Session(to_system(SCENES[name](make)))
 
 
 def pushed(session, updates):
     """Three pushes and gravity on and off, looked at as often as asked."""
     step = session.every * 0.37
-    number = len(session.scene.kind) - 1
+    number = len(session.system.kind) - 1
     for k in range(12):
         start = k * step
         for u in range(1, updates + 1):
@@ -120,7 +121,7 @@ def test_impulse_of_the_paper(session):
 
 def test_push_of_the_paper_is_driven_and_then_in_closed_form(make):
     """L = ∫ r × F dt = 0.20100005 after 0.02 s: the arm turns while the push acts."""
-    session = Session(load(make.case(CUBE, t_end=2.0, dt=1e-5)))
+    session = Session(to_system(make.case(CUBE, t_end=2.0, dt=1e-5)))
     session.apply(UserPush(0, CORNER, UP, 0.02))
     segments = session.run.travellers[0].plan.segments
     assert [segment.method for segment in segments] == ["strang", "exact"]
@@ -168,7 +169,7 @@ def test_a_push_that_overflows_is_taken_back(session):
 
 def test_a_point_cannot_be_turned(make):
     point = {"name": "p", "shape": {"type": "points", "position": [[0, 0, 0]], "mass": [1.0]}}
-    session = Session(load(make.case(point)))
+    session = Session(to_system(make.case(point)))
     session.advance(0.1)
     with pytest.raises(SessionError, match="nothing can turn it"):
         session.apply(UserPush(0, (0.1, 0.0, 0.0), UP, 0.1))
@@ -192,7 +193,7 @@ def test_gravity_on_and_off_is_a_parabola(session):
 
 
 def test_gravity_of_a_case_can_be_switched_off(make):
-    session = Session(load(make.case(CUBE, gravity={"acceleration": [0.0, 0.0, -2.0]})))
+    session = Session(to_system(make.case(CUBE, gravity={"acceleration": [0.0, 0.0, -2.0]})))
     session.switch_gravity(False)
     session.advance(1.0)
     assert np.abs(session.frame.position).max() < 1e-15

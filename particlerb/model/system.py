@@ -1,0 +1,100 @@
+"""What is to be moved and all that acts on it: what the reader of a case makes, and Python too.
+
+A `System` holds two things. Records say what was asked for, under the names that their tables have
+in a case file: `system.body[0].shape`, `system.run.dt`, so that a message can name a record by its
+path. Arrays say what follows from them for each body: names, particles, constants, the state at
+t = 0. Nothing that takes a `System` knows whether there ever was a file.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple, Self
+
+import numpy as np
+
+from particlerb.files import Files
+from particlerb.geometry.mass_properties import MassProperties
+from particlerb.geometry.particles import Particles
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import Bodies
+from particlerb.model.names import BodyNames
+from particlerb.model.state import State
+
+if TYPE_CHECKING:
+    from particlerb.case.contact import AnyWall, ContactTable, Material
+    from particlerb.case.forces import AnyForce
+    from particlerb.case.output import ChartTable, Check, Output
+    from particlerb.case.schema import AttractionTable, Body, Gravity, RunTable
+    from particlerb.case.source import Source
+
+
+class System(NamedTuple):
+    """Bodies ready to move, and all that acts on them."""
+
+    # Records: what was asked for
+    title: str
+    run: RunTable
+    """How long, how often, by which method and step."""
+    body: tuple[Body, ...]
+    """Records of bodies, each of which stands for `count` of them."""
+    force: tuple[AnyForce, ...]
+    gravity: Gravity | None
+    attraction: AttractionTable | None
+    contact: ContactTable | None
+    """None: nothing touches."""
+    material: tuple[Material, ...]
+    wall: tuple[AnyWall, ...]
+    output: Output
+    """What is recorded."""
+    check: Check
+    """What must hold."""
+    chart: ChartTable
+    source: Source
+    """Where a problem of a record is found in a file, if there is one; the files it names."""
+
+    # Arrays: what follows for each body
+    names: BodyNames
+    """One per body."""
+    block: Ints
+    """Record of each body, shape (n_bodies,)."""
+    kind: Ints
+    """Kind of each body, shape (n_bodies,): bodies of a kind have the same particles."""
+    particles: Particles
+    """Of all kinds; positions in the body frame, from the centre of mass [m]."""
+    properties: MassProperties
+    """Of all kinds; com in the axes in which the shape is given."""
+    summed: Ints
+    """Particles that each kind was summed from, shape (n_kinds,); `particles` may hold fewer."""
+    reach: Floats
+    """Distance of the farthest of these from the com, its radius included [m], (n_kinds,)."""
+    bodies: Bodies
+    """Constants of all bodies."""
+    state: State
+    """At t = 0."""
+    notes: tuple[tuple[str, str], ...] = ()
+    """Name of a record and a line on how its shape became particles: what was tried, or changed."""
+
+    @property
+    def n_bodies(self) -> int:
+        """Number of bodies."""
+        return len(self.block)
+
+    @property
+    def acceleration(self) -> Floats:
+        """Of uniform gravity, shape (3,) [m/s²]; zero where there is none."""
+        return np.array(self.gravity.acceleration if self.gravity else (0.0, 0.0, 0.0))
+
+    @property
+    def files(self) -> Files:
+        """Files that the records name, by content."""
+        return self.source.files
+
+    def with_run(self, **changes: object) -> Self:
+        """The same system to be run in another way.
+
+        Parameters
+        ----------
+        changes : object
+            Keys of `run` with their new values, as `method="strang"`; they are not checked.
+        """
+        return self._replace(run=self.run.model_copy(update=changes))

@@ -1,0 +1,98 @@
+"""When a run looks at its bodies: frames, times of checks, and batches of both."""
+
+import time
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.case.schema import RunTable
+from particlerb.maths.vec3 import Bools, Floats
+from particlerb.model.system import System
+
+BATCH_BYTES = 32_000_000  # of frames that are held before they are written
+BATCH_FRAMES = 1024
+BATCH_SECONDS = 0.5  # that a batch should take
+FIRST_BATCH = 1  # frames, before it is known how long one takes
+FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of its multiples
+EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
+
+
+def frame_count(run: RunTable) -> int:
+    """Number of frames: the multiples of run.every from 0, and t_end."""
+    every, t_end = run.every, run.t_end
+    last = int(t_end / every + FRAME_ROUNDING)
+    return last + (2 if t_end - last * every > FRAME_ROUNDING * every else 1)
+
+
+def frame_times(run: RunTable, first: int = 0, stop: int | None = None) -> Floats:
+    """Times [s] of all frames, or of those from `first` on and before `stop`."""
+    n = frame_count(run)
+    stop = n if stop is None else stop
+    times = multiples(run.every, first, stop)
+    if stop == n:
+        times[-1] = run.t_end
+    return times
+
+
+def multiples(every: float, first: int, stop: int) -> Floats:
+    """Multiples first .. stop - 1 of a number, as one would write them: 3 times 0.7 is 2.1.
+
+    The float 0.7 is a little less than 7/10; three times that may fall before an edge at 2.1 s.
+    """
+    k = np.arange(first, stop, dtype=np.float64)
+    decimal = Fraction(repr(every))
+    above, below = decimal.numerator, decimal.denominator
+    if max(above, below) > EXACT_INTEGERS:
+        return np.float64(every) * k
+    times: Floats = np.where(k * above <= EXACT_INTEGERS, k * above / below, every * k)
+    return times
+
+
+def whole_frames(run: RunTable) -> int:
+    """Number of frames that a run to any later end has as well: all, or all but that at t_end."""
+    n = frame_count(run)
+    is_multiple = multiples(run.every, n - 1, n)[0] == run.t_end
+    return n if is_multiple else n - 1
+
+
+def probe_times(system: System) -> Floats:
+    """Times at which the checks want to know a value [s]."""
+    wanted = [system.run.t_end if v.time is None else v.time for v in system.check.value]
+    return np.unique(np.array(wanted, dtype=np.float64))
+
+
+class Batch(NamedTuple):
+    """Times that are computed together."""
+
+    times: Floats  # [s]
+    is_frame: Bools  # which are frames,
+    is_probe: Bools  # and which a check asks for
+    is_whole_end: bool  # whether it ends with the last frame that a longer run has as well
+    is_odd: bool  # whether it is the frame at t_end, which a longer run has not
+
+
+def batches(system: System, done: int = 0) -> Iterator[Batch]:
+    """Times of a run, or of its rest behind some frames.
+
+    As many as fit into the cache and take about half a second, so that a long run is written,
+    shows progress and can be interrupted.
+    """
+    most = int(min(max(BATCH_BYTES // (system.n_bodies * 13 * 8), 1), BATCH_FRAMES))
+    n, whole = frame_count(system.run), whole_frames(system.run)
+    probes = probe_times(system)
+    if done:
+        probes = probes[probes > frame_times(system.run, done - 1, done)]
+    size = min(FIRST_BATCH, most)
+    while done < n:
+        stop = whole if done < whole else n
+        frames = frame_times(system.run, done, min(done + size, stop))
+        due, probes = probes[probes <= frames[-1]], probes[probes > frames[-1]]
+        times = np.union1d(frames, due)
+        start = time.monotonic()
+        done += len(frames)
+        given = np.isin(times, frames), np.isin(times, due)
+        yield Batch(times, *given, done == whole, done > whole)
+        share = BATCH_SECONDS / max(time.monotonic() - start, 1e-9)
+        size = int(min(max(size * min(share, 4.0), 1), most))

@@ -1,0 +1,88 @@
+"""The system between cases and plans: what it holds, and that nothing behind it knows a case."""
+
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import particlerb
+from particlerb.case.reader import load, parse
+from particlerb.case.source import problem_at
+from particlerb.case.to_system import records, to_case, to_system, with_records
+from particlerb.model.names import BodyNames
+
+PACKAGE = Path(particlerb.__file__).parent
+CASES = sorted((PACKAGE.parent / "cases").glob("*.toml"))
+AUTHORS = {  # of cases: they read one, or write one
+    "__init__.py", "cli/bodies.py", "cli/common.py", "record/trajectory.py", "simulation/entry.py",
+    "simulation/resume.py",
+}  # fmt: skip
+
+
+def test_nothing_behind_the_system_knows_a_case():
+    behind = [path for path in PACKAGE.rglob("*.py") if path.parent.name != "case"]
+    knowing = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in behind
+        if re.search(r"^ *from particlerb\.case\.schema import .*\bCase\b", path.read_text(), re.M)
+    }
+    assert knowing == AUTHORS
+
+
+@pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
+def test_a_system_states_the_case_that_it_was_made_of(path):
+    case = load(path)
+    again = to_case(SimpleNamespace(**records(case)))  # without particles, which may take long
+    assert again.model_dump_json() == case.model_dump_json()
+    assert again.text == case.text
+
+
+def test_a_problem_is_found_in_the_file_of_its_record():
+    text = """[run]
+t_end = 1
+every = 1
+[[body]]
+name = "a"
+shape = { type = "sphere", radius = 0.1 }
+mass = 1
+"""
+    system = to_system(parse(text, Path("a.toml")))
+    problem = problem_at(system, "body[0].shape.radius", "is too large", "give less")
+    assert (problem.line, problem.column, problem.value) == (6, 37, "0.1")
+    assert str(problem).startswith("a.toml:6:37: error: body[0].shape.radius: is too large")
+
+
+def test_other_records_leave_bodies_where_they_are(make):
+    system = to_system(make.case(make.body("a", position=[1, 2, 3])))
+    moved = system._replace(state=system.state._replace(com=system.state.com + 1.0))
+    push = make.push([1, 0, 0], body="a")
+    other = with_records(moved, load(make.case(make.body("a", position=[1, 2, 3]), force=[push])))
+    assert len(other.force) == 1
+    assert other.state.com[:, 0].tolist() == [2.0, 3.0, 4.0]
+
+
+def test_a_driven_body_begins_where_its_oscillation_has_it(make):
+    swing = {"amplitude": [0.0, 0.0, 0.2], "frequency": 1.0, "phase": 0.5}
+    body = make.sphere("bat", position=[1, 2, 3], motion={"oscillation": swing})
+    system = to_system(make.case(body, make.sphere("b"), contact=make.hooke()))
+    assert system.state.com[:, 0] == pytest.approx([1, 2, 3 + 0.2 * np.sin(0.5)], rel=1e-15)
+
+
+def test_another_way_to_run_changes_nothing_else(make):
+    system = to_system(make.case(make.body(), gravity={"acceleration": [0, 0, -9]}))
+    other = system.with_run(method="rk4", dt=0.5)
+    assert (other.run.method, other.run.dt, system.run.method) == ("rk4", 0.5, "auto")
+    assert other.body == system.body
+    assert other.acceleration.tolist() == [0.0, 0.0, -9.0]
+
+
+def test_names_stand_for_bodies_in_the_order_in_which_they_are_given():
+    names = BodyNames([("a", 1), ("b", 3)])
+    assert list(names) == ["a", "b[0]", "b[1]", "b[2]"]
+    assert_array_equal(names.find(["b[1]", "a", "b[1]"]), [0, 2])
+    assert_array_equal(names.find_in_order(["b[1]", "a", "b[1]"]), [2, 0, 2])
+    with pytest.raises(KeyError):
+        names.find("b[3]")
