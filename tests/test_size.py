@@ -27,12 +27,9 @@ LONG_MODULES = {
     "particlerb/forces/attraction.py": 409,
     "particlerb/forces/gravity_tree/walk.py": 405,
     "particlerb/geometry/shapes.py": 415,
-    "particlerb/plan/contact_setup.py": 542,
     "particlerb/plan/links.py": 418,
-    "particlerb/plan/segments.py": 604,
     "particlerb/record/trajectory.py": 583,
     "particlerb/record/writer.py": 490,
-    "particlerb/simulation/run.py": 436,
     "particlerb/stepping/contact_run.py": 939,
     "particlerb/stepping/coupled.py": 429,
     "particlerb/view/live.py": 482,
@@ -48,7 +45,6 @@ LONG_FUNCTIONS = {
     "particlerb/contact/pair_force.py:touch_spheres": 64,
     "particlerb/forces/gravity_tree/walk.py:meet": 65,
     "particlerb/integrators/dop853.py:advance": 69,
-    "particlerb/plan/contact_setup.py:contact_of": 63,
     "particlerb/stepping/contact_run.py:advance_touching": 100,
 }
 """Lines at most of functions that are longer."""

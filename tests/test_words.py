@@ -54,7 +54,7 @@ EXCEPTIONS = {
     "particlerb/geometry/packing.py": 1,
     "particlerb/plan/describe.py": 4,
     "particlerb/plan/remove_overlaps.py": 1,
-    "particlerb/plan/segments.py": 2,
+    "particlerb/plan/stability.py": 1,
     "particlerb/record/checked_reading.py": 5,
     "particlerb/record/provenance.py": 2,
     "particlerb/record/schema.py": 2,

@@ -9,7 +9,7 @@ from particlerb.cli.common import DONE, Ending
 
 def mass_command(options: argparse.Namespace) -> int:
     """Print the mass properties of distinct bodies."""
-    from particlerb.plan.segments import RADIANS_PER_STEP
+    from particlerb.plan.time_step import RADIANS_PER_STEP
     from particlerb.studies.mass_report import record_of, text_of
 
     records = []

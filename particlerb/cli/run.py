@@ -263,7 +263,7 @@ def drift_text(outcome: "Outcome") -> str:
 
 def contact_warnings(prepared: "Prepared", outcome: "Outcome") -> list[str]:
     """Warning where bodies oscillated faster on several contacts than damped ones are stable."""
-    from particlerb.plan.segments import stable_turn
+    from particlerb.plan.stability import stable_turn
 
     limit = stable_turn(prepared.plan)
     if outcome.swing <= limit:
@@ -277,7 +277,7 @@ def contact_warnings(prepared: "Prepared", outcome: "Outcome") -> list[str]:
 
 def contact_text(frequency: float) -> str:
     """ω dt of bodies on all their contacts, and how many steps a contact takes."""
-    from particlerb.plan.segments import STEPS_PER_CONTACT
+    from particlerb.plan.stability import STEPS_PER_CONTACT
 
     steps = math.pi / frequency
     text = f"stiffest contact: ω dt = {frequency:.2g}, {steps:.3g} steps in a contact"

@@ -260,16 +260,16 @@ def contact_among(
     material = touching.wall_material[touching.walls.wall]
     law = law_of(touching)
     pair_of = np.arange(k * k).reshape(k, k)
-    skin = touching.skin or SKIN * float(radius.min())
+    skin = touching.record.skin or SKIN * float(radius.min())
     touchable = ContactModel(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
         drives_among(system, members, touching),
     )  # fmt: skip
     motions = motion_records(touching.motions)
     is_shown = any(name in FIELDS_OF_CONTACT for name in system.output.fields)
-    is_fixed, pistons = touching.skin is not None, touching.pistons
+    is_fixed, pistons = touching.record.skin is not None, touching.pistons
     left_out = int(may_touch.sum()) - owner.size
-    is_forced = touching.allow_unstable
+    is_forced = touching.record.allow_unstable
     return GroupContact(
         touchable, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced
     )
@@ -302,7 +302,7 @@ def reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
     """
     radius, offset = system.particles.radius, system.particles.offset
     found = radius > 0.0
-    if touching.relax:
+    if touching.record.relax:
         return found
     comes = np.unique(system.kind[touching.body])
     own = np.concatenate([radius[offset[kind] : offset[kind + 1]] for kind in comes])
@@ -319,7 +319,7 @@ def reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
 def law_of(touching: ContactSetup) -> Law:
     """Law with the numbers of all pairs of materials."""
     pairs = touching.pairs
-    is_hertz = touching.law == "hertz"
+    is_hertz = touching.record.law == "hertz"
     rolling = pairs.rolling_friction.ravel()
     return Law(
         (pairs.modulus if is_hertz else pairs.stiffness).ravel(),
@@ -329,7 +329,7 @@ def law_of(touching: ContactSetup) -> Law:
         pairs.friction.ravel(),
         rolling if rolling.any() else None,
         option(is_hertz),
-        option(touching.attract),
+        option(touching.record.attract),
     )
 
 

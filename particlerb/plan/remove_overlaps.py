@@ -17,7 +17,8 @@ from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import lengths
 from particlerb.model.system import System
-from particlerb.plan.contact_setup import ContactSetup, contact_of, spheres_of
+from particlerb.plan.contact_setup import ContactSetup, contact_of
+from particlerb.plan.initial_overlaps import spheres_of
 
 ROUNDS: Final = 2000  # at most
 LENGTHENED: Final = 1.5  # times the mean of all pushes on a body
@@ -52,7 +53,7 @@ def pushed_apart(system: System, contact: ContactSetup) -> Floats:
     com, moves = system.state.com.copy(), ~contact.fixed
     search, walls = SphereSearch(radius, body), WallSearch(contact.walls, radius)
     poses = poses_at(contact.motions, 0.0)
-    enough = max(LEFT * float(radius.min()), system.contact.overlap if system.contact else 0.0)
+    enough = max(LEFT * float(radius.min()), contact.record.overlap)
     deepest = np.inf
     for _ in range(ROUNDS):
         points = np.ascontiguousarray(place + (com - system.state.com)[:, body])

@@ -22,17 +22,10 @@ import numpy as np
 from particlerb.case.source import problem_at
 from particlerb.model.system import System
 from particlerb.plan.describe import describe, group_name
+from particlerb.plan.make_plan import make_plan, with_choice
 from particlerb.plan.remove_overlaps import remove_overlaps
-from particlerb.plan.segments import (
-    GroupPlan,
-    Plan,
-    Stepping,
-    accepts,
-    has_step,
-    make_plan,
-    stepped_by,
-    with_choice,
-)
+from particlerb.plan.segments import GroupPlan, Plan, accepts, has_step
+from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.simulation.run import Prepared, prepare
 from particlerb.simulation.step_ladder import (
     DEAREST,

@@ -24,8 +24,9 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, State, as_frame, multiplied, room_for, turned_back
 from particlerb.model.system import System
 from particlerb.plan.describe import describe
+from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
-from particlerb.plan.segments import GroupPlan, Plan, make_plan
+from particlerb.plan.segments import GroupPlan, Plan
 from particlerb.record.checkpoint import Checkpoint
 from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.rotors.rotor_class import ROD

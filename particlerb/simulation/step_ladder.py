@@ -21,7 +21,9 @@ from particlerb.model.bodies import taken
 from particlerb.model.state import Frames
 from particlerb.model.system import System
 from particlerb.plan.describe import group_name
-from particlerb.plan.segments import GroupPlan, Stepping, has_step, is_adaptive, rates, stepped_by
+from particlerb.plan.rates import rates
+from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
+from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.simulation.trials import chosen, poses, relative_misfits, ways
 from particlerb.stepping.pair_forces import cost_of

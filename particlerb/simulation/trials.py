@@ -20,7 +20,8 @@ from particlerb.model.bodies import Bodies, taken
 from particlerb.model.comparison import misfits
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.system import System
-from particlerb.plan.segments import GroupPlan, Plan, has_step, is_adaptive, rates
+from particlerb.plan.rates import rates
+from particlerb.plan.segments import GroupPlan, Plan, has_step, is_adaptive
 from particlerb.simulation.group_run import Energies, GroupRun, initial_energies, record_all
 from particlerb.simulation.run import counted
 from particlerb.stepping.begin import begin

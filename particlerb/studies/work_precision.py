@@ -24,15 +24,11 @@ from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, as_frame, omega_world
 from particlerb.model.system import System
+from particlerb.plan.make_plan import make_plan
+from particlerb.plan.rates import fastest_rate
 from particlerb.plan.remove_overlaps import remove_overlaps
-from particlerb.plan.segments import (
-    Plan,
-    damped_share,
-    fastest_rate,
-    has_step,
-    is_adaptive,
-    make_plan,
-)
+from particlerb.plan.segments import Plan, has_step, is_adaptive
+from particlerb.plan.stability import damped_share
 from particlerb.simulation.frame_times import frame_count, frame_times
 from particlerb.simulation.trials import Error, drifts, errors, part, sample, seconds, states_at
 from particlerb.studies.peers import Engine, PeerScene, engines, peer_errors, peer_scene

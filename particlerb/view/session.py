@@ -25,7 +25,8 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
 from particlerb.model.state import Frames, turned
 from particlerb.model.system import System
-from particlerb.plan.segments import Plan, Segment, has_step, is_adaptive, make_plan
+from particlerb.plan.make_plan import make_plan
+from particlerb.plan.segments import Plan, Segment, has_step, is_adaptive
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.frame_times import multiples
 from particlerb.simulation.run import Prepared, Run, RunError

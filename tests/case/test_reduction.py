@@ -8,7 +8,7 @@ from particlerb.case.reduction import MANY
 from particlerb.case.to_system import to_system
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.plan.describe import describe
-from particlerb.plan.segments import make_plan
+from particlerb.plan.make_plan import make_plan
 
 SIDE = 25  # 15 625 particles
 BOX = {"name": "box", "shape": {"type": "box", "size": [1, 2, 3], "n": SIDE}, "mass": 2.0}

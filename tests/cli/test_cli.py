@@ -629,7 +629,7 @@ def test_contacts_beyond_their_limit_are_a_warning(monkeypatch, swing, warns):
 
     from particlerb.cli.run import contact_warnings
 
-    monkeypatch.setattr("particlerb.plan.segments.stable_turn", lambda plan: 2.0)
+    monkeypatch.setattr("particlerb.plan.stability.stable_turn", lambda plan: 2.0)
     told = contact_warnings(SimpleNamespace(plan=None), SimpleNamespace(swing=swing))
     assert bool(told) == warns
     assert all("ω dt = 2.5: above 2 " in text and "divide run.dt by 1.2" in text for text in told)

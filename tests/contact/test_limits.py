@@ -11,7 +11,8 @@ from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.contact.restitution import damping_ratio
 from particlerb.integrators import METHODS
-from particlerb.plan.segments import STEPS_PER_CONTACT, softest_turning
+from particlerb.plan.rates import softest_turning
+from particlerb.plan.stability import STEPS_PER_CONTACT
 from particlerb.simulation.run import RunError, prepare
 from particlerb.stepping import contact_run as touching
 from particlerb.stepping.begin import begin
@@ -130,10 +131,10 @@ def test_rate_of_hertz_is_that_of_the_deepest_overlap():
     del case["contact"]["stiffness"]
     case["material"] = [{"name": "rubber", "young": 1e7, "poisson": 0.4}]
     (group,) = prepare(to_system(case)).plan.groups
-    slow = particlerb.plan.segments.rates(prepare(to_system(case)).system, group)[0]
+    slow = particlerb.plan.rates.rates(prepare(to_system(case)).system, group)[0]
     case["body"][0]["velocity"] = [0.0, 0.0, -20.0]
     (group,) = prepare(to_system(case)).plan.groups
-    fast = particlerb.plan.segments.rates(prepare(to_system(case)).system, group)[0]
+    fast = particlerb.plan.rates.rates(prepare(to_system(case)).system, group)[0]
     fall = math.sqrt(2.0 * 9.81 * 0.2)  # the ground may be as far away as the origin
     assert fast / slow == pytest.approx(((40.0 + fall) / fall) ** 0.2, rel=1e-12)
 

@@ -13,7 +13,7 @@ from particlerb.case.to_system import to_system
 from particlerb.cli import main
 from particlerb.geometry.mesh import checked, mesh_solid
 from particlerb.plan.describe import describe
-from particlerb.plan.segments import make_plan
+from particlerb.plan.make_plan import make_plan
 
 trimesh = pytest.importorskip("trimesh")
 

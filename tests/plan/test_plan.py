@@ -11,7 +11,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
-from particlerb.plan.segments import RADIANS_PER_STEP
+from particlerb.plan.time_step import RADIANS_PER_STEP
 from particlerb.simulation.run import prepare
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7]}

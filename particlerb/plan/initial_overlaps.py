@@ -1,0 +1,160 @@
+"""What is wrong with contact at t = 0: bodies that overlap, or lie beyond a wall.
+
+Overlaps are found with the search of the contacts themselves, so that no step is quadratic.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, PlaneWall
+from particlerb.case.placement import normalised
+from particlerb.case.problems import CaseError, Problem
+from particlerb.case.source import problem_at
+from particlerb.contact.sphere_search import neighbours
+from particlerb.contact.wall_motion import PrescribedMotion, poses_at
+from particlerb.contact.wall_search import WallSearch
+from particlerb.contact.walls import gaps
+from particlerb.forces.spring import places
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.state import lengths
+from particlerb.model.system import System
+from particlerb.plan.links import and_more, is_among, particles_of
+from particlerb.plan.wall_setup import middle
+
+if TYPE_CHECKING:
+    from particlerb.plan.contact_setup import ContactSetup
+
+ROUNDING: Final = 1e-9  # share of a radius, or of a coordinate, by which rounding may overlap
+MOST_NAMED: Final = 3  # overlaps that a message names
+APART: Final = "move them apart, say contact.relax = true, or allow it by contact.overlap"
+
+
+class SetupSpheres(NamedTuple):
+    """Particles with a radius of the bodies that may touch, at t = 0."""
+
+    place: Floats  # (3, n) [m], world frame
+    radius: Floats  # (n,) [m]
+    body: Ints  # (n,) body of the system
+
+
+def refuse_misplaced(system: System, contact: "ContactSetup") -> None:
+    """Raise CaseError with all that overlaps or lies beyond a wall at t = 0."""
+    spheres = spheres_of(system, contact)
+    wrong = [*beyond_walls(system, contact, spheres), *overlapping(system, contact, spheres)]
+    if wrong:
+        raise CaseError(wrong)
+
+
+def spheres_of(system: System, contact: "ContactSetup") -> SetupSpheres:
+    """Where the spheres of a system are at t = 0."""
+    index, owner = particles_of(system, contact.body)
+    solid = system.particles.radius[index] > 0.0
+    index, owner = index[solid], owner[solid]
+    place = places(system, owner, system.particles.position[index].T)
+    return SetupSpheres(np.ascontiguousarray(place), system.particles.radius[index], owner)
+
+
+def allowed(contact: "ContactSetup", spheres: SetupSpheres) -> float:
+    """Overlap that is no mistake [m]: what is allowed, or rounding."""
+    size = max(float(spheres.radius.max()), float(np.abs(spheres.place).max()))
+    return max(contact.record.overlap, ROUNDING * size)
+
+
+def overlapping(
+    system: System, contact: "ContactSetup", spheres: SetupSpheres
+) -> Iterator[Problem]:
+    """What is wrong with bodies that overlap: which, how deep, and how many."""
+    if contact.record.relax:
+        return
+    found = neighbours(spheres.place, spheres.radius, spheres.body, 0.0)
+    i, j = found.first, found.second
+    distance = lengths(spheres.place[:, j] - spheres.place[:, i])
+    depth = spheres.radius[i] + spheres.radius[j] - distance
+    a, b = spheres.body[i], spheres.body[j]
+    wrong = (depth > allowed(contact, spheres)) & ~(contact.fixed[a] & contact.fixed[b])
+    if not wrong.any():
+        return
+    a, b, depth = np.minimum(a, b)[wrong], np.maximum(a, b)[wrong], depth[wrong]
+    order = np.lexsort((-depth, b, a))
+    a, b, depth = a[order], b[order], depth[order]
+    first = np.concatenate([[True], (np.diff(a) != 0) | (np.diff(b) != 0)])
+    a, b, depth = a[first], b[first], depth[first]
+    named = np.argsort(-depth, kind="stable")[:MOST_NAMED]
+    which = ", ".join(
+        f"{system.names[int(a[k])]} and {system.names[int(b[k])]} by {depth[k]:.3g} m"
+        for k in named
+    )
+    reason = f"bodies overlap at t = 0: {which}{and_more(a.size - named.size)}"
+    yield problem_at(system, f"body[{system.block[b[named[0]]]}]", reason, APART)
+
+
+def beyond_walls(
+    system: System, contact: "ContactSetup", spheres: SetupSpheres
+) -> Iterator[Problem]:
+    """What is wrong with bodies that overlap a wall, or lie on its other side."""
+    moving = np.flatnonzero(~contact.fixed[spheres.body])
+    is_moving = is_among(spheres.body[moving], system)
+    depth = np.full((len(system.wall), len(system.kind)), -np.inf)
+    if not contact.record.relax:
+        poses = poses_at(contact.motions, 0.0)
+        i, p, _ = WallSearch(contact.walls, spheres.radius).pairs(spheres.place, poses, 0.0, moving)
+        gap = lengths(gaps(contact.walls, poses, spheres.place, i, p))
+        owner = (contact.walls.wall[p], spheres.body[i])
+        np.maximum.at(depth, owner, spheres.radius[i] - gap)
+    for number, table in enumerate(system.wall):
+        motion = contact.motions[number]
+        outside = (room_in(table, motion, system.state.com) <= 0.0) & is_moving
+        if outside.any():
+            yield outside_problem(system, number, np.flatnonzero(outside))
+        if not contact.record.relax:
+            room = room_in(table, motion, spheres.place[:, moving])
+            beyond = moving[room <= 0.0]
+            further = spheres.radius[beyond] - room[room <= 0.0]
+            np.maximum.at(depth[number], spheres.body[beyond], further)
+        wrong = np.flatnonzero((depth[number] > allowed(contact, spheres)) & ~outside)
+        if wrong.size:
+            named = wrong[np.argsort(-depth[number, wrong], kind="stable")[:MOST_NAMED]]
+            which = ", ".join(f"{system.names[int(b)]} by {depth[number, b]:.3g} m" for b in named)
+            more = and_more(wrong.size - named.size)
+            reason = f"overlaps bodies at t = 0: {which}{more}"
+            yield problem_at(system, f"wall[{number}]", reason, APART)
+
+
+def room_in(table: AnyWall, motion: PrescribedMotion, points: Floats) -> Floats:
+    """Distance of points (3, n) from the nearest face around them [m], negative beyond it.
+
+    Closed faces count as endless and open ones not at all. It is inf where points may be anywhere.
+    """
+    shift = math.sin(motion.phase) * np.array(motion.amplitude)
+    away = points - (np.array(middle(table)) + shift)[:, None]
+    if isinstance(table, PlaneWall):
+        return np.asarray(normalised(np.array(table.normal)) @ away)
+    if isinstance(table, BoxWall) and table.inside:
+        half = 0.5 * (np.array(table.upper) - np.array(table.lower))[:, None]
+        room = np.concatenate([half + away, half - away])
+        closed = [f"{sign}{axis}" not in table.open for sign in "-+" for axis in "xyz"]
+        return np.asarray(room[closed].min(axis=0))
+    if isinstance(table, CylinderWall) and table.inside:
+        axis = normalised(np.array(table.axis))
+        along = axis @ away
+        least = table.radius - lengths(away - axis[:, None] * along)
+        for end, sign in (("-", 1.0), ("+", -1.0)):
+            if end not in table.open:
+                least = np.minimum(least, 0.5 * table.length + sign * along)
+        return least
+    return np.full(points.shape[1], np.inf)
+
+
+def outside_problem(system: System, number: int, bodies: Ints) -> Problem:
+    """Bodies on the wrong side of a wall."""
+    listed = ", ".join(system.names[int(b)] for b in bodies[:MOST_NAMED])
+    more = and_more(max(bodies.size - MOST_NAMED, 0))
+    table, verb = system.wall[number], "is" if bodies.size == 1 else "are"
+    where, hint = f"outside the {table.type}", "move the wall or the body, or say inside = false"
+    if isinstance(table, PlaneWall):
+        where, hint = "behind the plane", "bodies are where the normal points"
+    reason = f"{listed}{more} {verb} {where} at t = 0"
+    return problem_at(system, f"wall[{number}]", reason, hint)

@@ -1,0 +1,83 @@
+"""From a system to a plan: what acts on whom and when, by which method, at which step, and why.
+
+Bodies with the same forces form a group. Its time is cut where a force starts or stops and where
+an impulse acts. What a system does not use is neither computed nor compiled, and the plan says so
+in words.
+"""
+
+from collections.abc import Sequence
+
+from particlerb.case.coarse_lattice import coarse
+from particlerb.case.problems import CaseError
+from particlerb.model.system import System
+from particlerb.plan.case_forces import impossible, loads_of
+from particlerb.plan.contact_setup import contact_of
+from particlerb.plan.groups import groups_of
+from particlerb.plan.links import coincident, links_of
+from particlerb.plan.segments import GroupPlan, Plan, cut_into_segments, refuse_method
+from particlerb.plan.stability import refuse_unstable
+from particlerb.plan.time_step import (
+    Stepping,
+    as_warning,
+    refuse_endless,
+    step,
+    step_reason,
+    step_warnings,
+    stepped_by,
+    with_steps,
+)
+
+
+def make_plan(system: System) -> Plan:
+    """Plan of a system.
+
+    Parameters
+    ----------
+    system : System
+        Bodies, and all that acts on them.
+
+    Raises
+    ------
+    CaseError
+        If a torque overflows or turns a body that cannot turn so, if the method does not accept a
+        force, or if no step can be chosen.
+    """
+    loads = loads_of(system)
+    links = links_of(system)
+    problems = impossible(system, loads) + coincident(system)
+    if problems:
+        raise CaseError(problems)
+    touching = contact_of(system)
+    grouped = groups_of(system, loads, links, touching)
+    cut = [cut_into_segments(system, group, touching) for group in grouped]
+    refuse_method(system, cut)
+    groups = tuple(with_steps(group, step(system, group)) for group in cut)
+    return checked(system, groups, [None] * len(groups))
+
+
+def with_choice(system: System, plan: Plan, choice: Sequence[Stepping | None]) -> Plan:
+    """Plan whose groups are stepped as chosen, where something is.
+
+    Raises
+    ------
+    CaseError
+        If a step is too short or too long.
+    """
+    groups = tuple(
+        group if chosen is None else stepped_by(group, chosen)
+        for group, chosen in zip(plan.groups, choice, strict=True)
+    )
+    return checked(system, groups, choice)
+
+
+def checked(
+    system: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
+) -> Plan:
+    """Plan of groups with steps, if these can be taken."""
+    refuse_endless(system, groups)
+    refuse_unstable(system, groups)
+    warnings = (
+        *(as_warning(problem) for problem in coarse(system)),
+        *step_warnings(system, groups),
+    )
+    return Plan(groups, step_reason(system, groups, choice), warnings)

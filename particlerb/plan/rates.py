@@ -1,0 +1,171 @@
+"""Estimates of how fast bodies turn and swing: what steps are chosen by, and judged by."""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from particlerb.contact.contact_model import ContactSpheres, GroupContact
+from particlerb.forces import Terms
+from particlerb.forces.attraction import Attraction, fastest_rates
+from particlerb.forces.links import link_rates
+from particlerb.forces.registry import term_of
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import Bodies, taken
+from particlerb.model.state import State, lengths, omega_world
+from particlerb.model.system import System
+from particlerb.plan.segments import GroupPlan, Segment
+
+MOST_LOOKED_AT: Final = 2000  # bodies whose nearest neighbours are looked for
+
+
+@np.errstate(over="ignore", divide="ignore")
+def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
+    """Estimate of the fastest rate of each body of a group, (n,) [rad/s]: spin, forces, impulses.
+
+    A torque without potential spins a body up while it lasts, by |τ| Δt / I; one without end counts
+    up to `t_end`. Any torque makes a body at rest turn or swing at a rate of √(|τ| / I).
+    """
+    bodies, state = group.bodies, taken(system.state, group.members)
+    spin = np.linalg.norm(omega_world(bodies, state), axis=0)
+    inv_inertia = bodies.inv_inertia.max(axis=0)
+    swing = np.zeros_like(spin)
+    for segment in group.segments:
+        for at, impulse, _ in segment.jumps:
+            spin = spin + lengths(at) * lengths(impulse) * inv_inertia
+        links, attraction = segment.terms.links, segment.terms.attraction
+        lasting, swinging, squares = np.zeros((3, spin.size))
+        for load in segment.terms.loads:
+            spinning, turning, squared, rate = term_of(load).rates(load, bodies, state)
+            lasting, swinging = lasting + spinning, swinging + turning
+            squares, swing = squares + squared, np.maximum(swing, rate)
+        length = (segment.stop if np.isfinite(segment.stop) else t_end) - segment.start
+        spin = spin + lasting * inv_inertia * max(length, 0.0)
+        swing = np.maximum(swing, np.sqrt((lasting + swinging) * inv_inertia))
+        swing = np.maximum(swing, np.sqrt(squares))
+        if links is not None:
+            swing = np.maximum(swing, link_rates(links))
+        if attraction is not None:
+            swing = np.maximum(swing, attraction_rates(attraction, state.com))
+        if segment.terms.contact is not None:
+            fall = falling_speed(system, segment.terms)
+            swing = np.maximum(swing, contact_rates(segment.terms.contact, bodies, state, fall))
+    return np.asarray(np.maximum(spin, swing))
+
+
+def fastest_rate(system: System, group: GroupPlan, t_end: float = 0.0) -> float:
+    """Largest of the rates of a group [rad/s]."""
+    return float(rates(system, group, t_end).max())
+
+
+def falling_speed(system: System, terms: Terms) -> float:
+    """Speed [m/s] that bodies reach by falling through all of a system."""
+    if terms.gravity is None:
+        return 0.0
+    g = terms.gravity.acceleration
+    com = system.state.com
+    extent = com.max(axis=1) - com.min(axis=1)
+    size = float(np.linalg.norm(g))
+    lowest = np.abs(com).max(axis=1)  # the ground may lie at the origin
+    return math.sqrt(2.0 * max(float(np.abs(g) @ np.maximum(extent, lowest)), 0.0)) if size else 0.0
+
+
+def attraction_rates(attraction: Attraction, com: Floats) -> Floats:
+    """Rates at which bodies would go round their nearest neighbours, (n,) [rad/s].
+
+    Of very many bodies some are looked at, and all others get the largest of these.
+    """
+    n = com.shape[1]
+    which = np.unique(np.linspace(0, n - 1, min(n, MOST_LOOKED_AT)).astype(np.int64))
+    owner = np.repeat(np.arange(n), np.diff(attraction.offset))
+    gm: Floats = np.bincount(owner, attraction.gm, n).astype(np.float64)
+    found = fastest_rates(gm, com, attraction.softening, which)
+    return found if which.size == n else np.full(n, found.max())
+
+
+def fastest_contact(system: System, group: GroupPlan, segment: Segment) -> float:
+    """Largest rate of a contact in a segment [rad/s]."""
+    contact, state = segment.terms.contact, taken(system.state, group.members)
+    assert contact is not None
+    fall = falling_speed(system, segment.terms)
+    return float(contact_rates(contact, group.bodies, state, fall).max())
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> Floats:
+    """Rate of the fastest contact of each body with another one or a wall, (n,) [rad/s].
+
+    ω² = k (1/m_eff) with 1/m_eff = Σ 1/M + (r×n)·I⁻¹(r×n) of both bodies, at the sphere and for
+    the normal where that is largest, and k with the tangential stiffness where there is friction;
+    for hertz k is that at the deepest overlap of an impact with the speed that is there at t = 0
+    or reached by falling. Of a wall 1/M is 0, or that of its piston; the other body is the softest
+    one of each material.
+    """
+    model, law = contact.model, contact.model.law
+    softness = bodies.inv_mass + softest_turning(model.spheres, bodies.inv_inertia)
+    own = np.full(softness.size, -1)
+    own[model.spheres.body] = model.spheres.material
+    partner = softest_partners(contact, softness, own)
+    pair = model.pair_of[own]  # of bodies that touch nothing any one: they have no partners
+    both = np.where(own[:, None] >= 0, softness[:, None] + partner, 0.0)
+    shear = np.where(law.friction > 0.0, law.tangential_stiffness, 0.0)
+    if law.hertz is None:
+        k = (law.stiffness + shear)[pair]
+        return np.asarray(np.sqrt(np.maximum(k * both, 0.0).max(axis=1)))
+    speed = impact_speed(contact, bodies, state, fall)
+    K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(float(model.spheres.radius.max()))
+    share = 1.0 + 6.0 * (shear / np.maximum(law.stiffness, 1e-300))[pair]
+    depth = (1.25 * speed**2 / np.maximum(K * both, 1e-300)) ** 0.4
+    squared = np.where(K * both > 0.0, 1.5 * K * np.sqrt(depth) * share * both, 0.0)
+    return np.asarray(np.sqrt(squared.max(axis=1)))
+
+
+def impact_speed(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> float:
+    """Speed [m/s] with which two may meet, by those at t = 0 and by falling."""
+    speed = np.linalg.norm(state.p * bodies.inv_mass, axis=0)
+    spin = np.linalg.norm(omega_world(bodies, state), axis=0)
+    return 2.0 * float((speed + spin * contact.max_arm).max()) + fall
+
+
+def deepest_impact(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> float:
+    """Deepest overlap [m] of an impact of the heaviest bodies of `hertz`; 0 for hooke."""
+    if contact.model.law.hertz is None:
+        return 0.0
+    K = (4.0 / 3.0) * float(contact.model.law.stiffness.max())
+    K *= math.sqrt(float(contact.model.spheres.radius.max()))
+    moving = bodies.inv_mass[bodies.inv_mass > 0.0]
+    speed = impact_speed(contact, bodies, state, fall)
+    return float((1.25 * speed**2 / (K * 2.0 * moving.min(initial=np.inf))) ** 0.4)
+
+
+def softest_turning(spheres: ContactSpheres, inv_inertia: Floats) -> Floats:
+    """Largest (r×n)·I⁻¹(r×n) [1/kg] over the spheres of each body and unit vectors n, (n,).
+
+    The larger eigenvalue of a matrix with two, as n along r gives 0: from its trace and the sum of
+    its principal minors.
+    """
+    (x, y, z), (a, b, c) = spheres.arm**2, inv_inertia[:, spheres.body]
+    trace = a * (y + z) + b * (x + z) + c * (x + y)
+    minors = (x + y + z) * (b * c * x + a * c * y + a * b * z)
+    largest = np.zeros(inv_inertia.shape[1])
+    root = np.sqrt(np.maximum(0.25 * trace**2 - minors, 0.0))
+    np.maximum.at(largest, spheres.body, 0.5 * trace + root)
+    return largest
+
+
+def softest_partners(contact: GroupContact, softness: Floats, material: Ints) -> Floats:
+    """Largest 1/m_eff [1/kg] of what each body may meet of each material; -inf: nothing, (n, k)."""
+    model, walls = contact.model, contact.model.walls
+    partner = np.full((softness.size, len(model.pair_of)), -np.inf)
+    for code in np.unique(material[material >= 0]).tolist():
+        those = np.flatnonzero(material == code)
+        softest = those[np.argmax(softness[those])]
+        partner[:, code] = softness[softest]
+        partner[softest, code] = softness[those[those != softest]].max(initial=-np.inf)
+    inverse = np.zeros(int(walls.wall.max(initial=-1)) + 1)
+    if contact.pistons is not None:
+        inverse[contact.pistons.wall] = 1.0 / contact.pistons.mass
+    for code in np.unique(model.wall_material).tolist():
+        own = walls.wall[model.wall_material == code]
+        partner[:, code] = np.maximum(partner[:, code], inverse[own].max())
+    return partner

@@ -1,0 +1,99 @@
+"""Steps above which a motion grows without bound: on contacts they are refused, on springs told."""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from particlerb.case.problems import CaseError
+from particlerb.case.source import problem_at
+from particlerb.contact.contact_frequency import initial_contact_frequency
+from particlerb.contact.contact_model import GroupContact
+from particlerb.forces.links import fastest_oscillation, with_springs
+from particlerb.integrators import METHODS
+from particlerb.model.bodies import taken
+from particlerb.model.system import System
+from particlerb.plan.rates import deepest_impact, falling_speed, fastest_contact
+from particlerb.plan.segments import GroupPlan, Plan, Segment
+
+STEPS_PER_CONTACT: Final = 20  # below which a contact is not accurate
+
+
+def refuse_unstable(system: System, groups: tuple[GroupPlan, ...]) -> None:
+    """Raise CaseError where a step is above the limit of contact, unless it is allowed.
+
+    That is the limit of a single contact of the outermost spheres, and of all contacts together
+    at t = 0.
+    """
+    if system.contact is None or system.contact.allow_unstable:
+        return
+    for group in groups:
+        for segment in group.segments:
+            if segment.terms.contact is None:
+                continue
+            like = f"bodies like {system.names[int(group.members[0])]}"
+            if segment is group.segments[0]:
+                rate = crowded_rate(system, group)
+                what = f"{like} that touch at t = 0 grow without bound on all their contacts"
+                refuse_above(system, segment, rate, f"where {what} together")
+            rate = fastest_contact(system, group, segment)
+            what = f"a contact of {like} grows without bound"
+            refuse_above(system, segment, rate, f"where {what}")
+
+
+def crowded_rate(system: System, group: GroupPlan) -> float:
+    """Rate of the fastest swing of bodies on all contacts with which they begin [rad/s]."""
+    terms, state = group.segments[0].terms, taken(system.state, group.members)
+    assert terms.contact is not None
+    fall = falling_speed(system, terms)
+    depth = deepest_impact(terms.contact, group.bodies, state, fall)
+    return initial_contact_frequency(terms.contact, state.com, state.q, depth)
+
+
+def refuse_above(system: System, segment: Segment, rate: float, where: str) -> None:
+    """Raise CaseError where the step of a segment is too long for contacts of a rate [rad/s]."""
+    assert segment.terms.contact is not None
+    reach = METHODS[segment.method].stability_limit * damped_share(segment.terms.contact)
+    if not segment.dt * rate > reach:
+        return
+    reason = f"the step of {segment.dt:.3g} s is above {reach / rate:.3g} s, {where}"
+    hint = (
+        f"dt = {math.pi / rate / STEPS_PER_CONTACT:.2g} s or less is accurate;"
+        " contact.allow_unstable = true takes it all the same"
+    )
+    raise CaseError([problem_at(system, step_key(system), reason, hint)])
+
+
+def step_key(system: System) -> str:
+    """Path of what a step is to be blamed on: that which was asked for, or the run."""
+    return "run" if system.run.dt is None else "run.dt"
+
+
+def damped_share(contact: GroupContact) -> float:
+    """Share of the limit of an undamped contact at which the most damped one stays at rest.
+
+    A dashpot that acts on the velocity carried on to the kick: ω h < √(16 ζ² + 4) - 4 ζ.
+    """
+    ratio = float(contact.model.law.damping_ratio.max(initial=0.0))
+    return 2.0 / (math.hypot(4.0 * ratio, 2.0) + 4.0 * ratio)
+
+
+def stable_turn(plan: Plan) -> float:
+    """Largest ω dt [rad] at which bodies stay at rest on several damped contacts."""
+    limits = [
+        METHODS[segment.method].stability_limit * damped_share(segment.terms.contact)
+        for group in plan.groups
+        for segment in group.segments
+        if segment.terms.contact is not None
+    ]
+    return min(limits, default=math.inf)
+
+
+def stable_step(system: System, group: GroupPlan, segment: Segment) -> float:
+    """Longest step [s] with which the springs of a segment stay bounded at t = 0; inf: any."""
+    everything = with_springs(segment.terms.links, segment.terms.loads, group.bodies)
+    if not everything.first.size:
+        return np.inf
+    state = taken(system.state, group.members)
+    rate = fastest_oscillation(everything, group.bodies, state.com, state.q)
+    return float(METHODS[segment.method].stability_limit / rate) if rate > 0.0 else np.inf

@@ -1,0 +1,152 @@
+"""The step of each group: the one that is asked for, or a share of the fastest rate; and why."""
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.case.problems import CaseError, Problem
+from particlerb.case.source import problem_at
+from particlerb.integrators import METHODS
+from particlerb.model.system import System
+from particlerb.plan.rates import fastest_contact, fastest_rate
+from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
+from particlerb.plan.stability import STEPS_PER_CONTACT, stable_step, step_key
+
+RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
+MOST_STEPS: Final = 2.0**53  # steps are counted in float64 where times are
+
+
+class Stepping(NamedTuple):
+    """How the driven segments of a group are stepped."""
+
+    method: str
+    dt: float  # [s]
+    tolerance: float
+    reason: str  # in words, for the plan
+
+
+def step(system: System, group: GroupPlan) -> float:
+    """Step of the stepped segments of a group [s]; 0 where it has none."""
+    if not any(has_step(segment.method) for segment in group.segments):
+        return 0.0
+    if system.run.dt is not None:
+        return system.run.dt
+    rate = fastest_rate(system, group)
+    if not np.isfinite(rate):
+        reason = "no step can be chosen: a torque over a moment of inertia overflows"
+        raise CaseError([problem_at(system, "run", reason, "give run.dt")])
+    return min(system.run.every, RADIANS_PER_STEP / rate) if rate > 0 else system.run.every
+
+
+def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
+    """Group whose stepped segments have a step that divides them evenly."""
+    segments = []
+    for segment in group.segments:
+        if has_step(segment.method):
+            length = segment.stop - segment.start
+            is_even = np.isinf(length) or is_adaptive(segment.method)
+            own = dt if is_even else length / np.ceil(length / dt * (1 - 1e-12))
+            segments.append(segment._replace(dt=float(own)))
+        else:
+            segments.append(segment)
+    return group._replace(segments=tuple(segments))
+
+
+def stepped_by(group: GroupPlan, chosen: Stepping) -> GroupPlan:
+    """Group whose stepped segments are stepped so."""
+    segments = tuple(
+        s._replace(method=chosen.method, tolerance=chosen.tolerance) if has_step(s.method) else s
+        for s in group.segments
+    )
+    return with_steps(group._replace(segments=segments), chosen.dt)
+
+
+def step_reason(
+    system: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
+) -> str:
+    """The steps in words, and why these."""
+    stepped = [
+        (group, chosen)
+        for group, chosen in zip(groups, choice, strict=True)
+        if any(has_step(segment.method) for segment in group.segments)
+    ]
+    if not stepped:
+        return "no step: nothing is stepped"
+    reasons = dict.fromkeys(chosen.reason for _, chosen in stepped if chosen is not None)
+    if reasons:
+        return "; ".join(reasons)
+    if all(is_adaptive(s.method) or not has_step(s.method) for g, _ in stepped for s in g.segments):
+        packs = "packs of sixteen bodies, and those that act on each other,"
+        return f"{packs} take their own, error {system.run.tolerance!r} in each"
+    if system.run.dt is not None:
+        return f"{system.run.dt!r} s, as the case says"
+    steps = {step(system, group) for group, _ in stepped}
+    rule = f"the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
+    if len(steps) > 1:
+        return f"{min(steps):.6g} s to {max(steps):.6g} s, for each group {rule}"
+    (dt,) = steps
+    rate = max(fastest_rate(system, group) for group, _ in stepped)
+    why = "run.every" if dt == system.run.every else f"{RADIANS_PER_STEP} / ({rate:.6g} rad/s)"
+    return f"{dt:.6g} s = {why}, {rule}"
+
+
+def refuse_endless(system: System, groups: tuple[GroupPlan, ...]) -> None:
+    """Raise CaseError where steps until t_end are more than can be counted."""
+    for group in groups:
+        for segment in group.segments:
+            length = min(segment.stop, system.run.t_end) - segment.start
+            if not has_step(segment.method) or length <= 0.0:
+                continue
+            step = segment.dt
+            if is_adaptive(segment.method):  # it will find a step of about a radian
+                step = 1.0 / max(fastest_rate(system, group, system.run.t_end), 1.0 / length)
+            if length > MOST_STEPS * step:
+                key = step_key(system)
+                reason = f"the step of {step:.3g} s would be taken {length / step:.3g}"
+                hint = "give a longer run.dt, or a smaller force"
+                raise CaseError([problem_at(system, key, f"{reason} times until t_end", hint)])
+
+
+def step_warnings(system: System, groups: tuple[GroupPlan, ...]) -> list[str]:
+    """Warnings about steps that turn a body too far, now or by t_end, or let springs explode."""
+    found: dict[str, tuple[float, str, float]] = {}
+    for group in groups:
+        stepped = [s for s in group.segments if has_step(s.method) and not is_adaptive(s.method)]
+        if not stepped:
+            continue
+        rate = fastest_rate(system, group, system.run.t_end)
+        name = system.names[int(group.members[0])]
+        for segment in stepped:
+            method, turn = METHODS[segment.method], segment.dt * rate
+            limit = stable_step(system, group, segment) if turn > method.stability_limit else np.inf
+            contact = 0.0
+            if segment.terms.contact is not None:
+                contact = fastest_contact(system, group, segment)
+            if segment.dt * contact > math.pi / STEPS_PER_CONTACT:
+                steps = math.pi / (segment.dt * contact)
+                reason = f"the step of {segment.dt:.6g} s is taken {steps:.2g} times in a contact"
+                reason += f" of bodies like {name}, and {STEPS_PER_CONTACT} make it accurate"
+                found["contact"] = max(found.get("contact", (0.0, "", 0.0)), (turn, reason, rate))
+            elif segment.dt > limit:
+                reason = (
+                    f"the step of {segment.dt:.6g} s is above the limit of {segment.method}: on the"
+                    f" springs of bodies like {name} it grows without bound above {limit:.6g} s"
+                )
+                found["limit"] = max(found.get("limit", (0.0, "", 0.0)), (turn, reason, rate))
+            elif turn > method.max_turn:
+                reason = f"the step of {segment.dt:.6g} s turns bodies like {name} by up to"
+                reason += f" {turn:.3g} rad"
+                found["turn"] = max(found.get("turn", (0.0, "", 0.0)), (turn, reason, rate))
+    key = step_key(system)
+    problems = [
+        problem_at(system, key, reason, f"advised: dt = {RADIANS_PER_STEP / rate:.3g} s or less")
+        for _, reason, rate in found.values()
+    ]
+    return [as_warning(problem) for problem in problems]
+
+
+def as_warning(problem: Problem) -> str:
+    """Text of what is no mistake, but hardly meant."""
+    return str(problem).replace(": error: ", ": warning: ", 1)

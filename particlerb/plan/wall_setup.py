@@ -1,0 +1,136 @@
+"""Walls as primitives, where their records put them, and how they move."""
+
+import numpy as np
+
+from particlerb.case.contact import (
+    AnyWall,
+    BoxWall,
+    CylinderWall,
+    MeshWall,
+    PlaneWall,
+    Prescribed,
+)
+from particlerb.case.placement import normalised, quaternion_of_euler
+from particlerb.case.problems import CaseError
+from particlerb.case.schema import Body, Euler
+from particlerb.case.source import problem_at
+from particlerb.contact.piston import Pistons
+from particlerb.contact.wall_motion import PrescribedMotion
+from particlerb.contact.wall_shapes import box, cylinder, plane, surface, unit
+from particlerb.contact.walls import Walls
+from particlerb.geometry.mesh import triangles_of
+from particlerb.maths.vec3 import Floats, Vec3
+from particlerb.model.state import turned
+from particlerb.model.system import System
+
+
+def wall_of(system: System, number: int, table: AnyWall) -> Walls:
+    """Primitives of a wall.
+
+    Raises
+    ------
+    CaseError
+        If its file cannot be read.
+    """
+    if isinstance(table, PlaneWall):
+        return plane(table.point, table.normal)
+    if isinstance(table, BoxWall):
+        return box(table.lower, table.upper, table.open)
+    if isinstance(table, CylinderWall):
+        caps = ("-" not in table.open, "+" not in table.open)
+        return cylinder(table.centre, table.axis, table.radius, table.length, caps)
+    return mesh_of(system, number, table)
+
+
+def mesh_of(system: System, number: int, table: MeshWall) -> Walls:
+    """Surface of the triangles of a file, where its record puts it.
+
+    Raises
+    ------
+    CaseError
+        If trimesh is not there, or cannot read the file, or finds no triangle in it.
+    """
+    key = f"wall[{number}].file"
+    try:
+        places, faces = triangles_of(system.files.read(table.file))
+        corners = places[faces]
+    except (ValueError, IndexError) as error:
+        raise CaseError([problem_at(system, key, str(error), "give an STL file")]) from None
+    if not corners.size:
+        reason = "has no triangle: it is empty, cut off, or no STL file"
+        raise CaseError([problem_at(system, key, reason, "write it again, as binary or ASCII STL")])
+    if not np.isfinite(corners).all():
+        reason = "has a corner that is not finite"
+        raise CaseError([problem_at(system, key, reason, "give an STL file")])
+    given = table.orientation
+    q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
+    vertices, own = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    turns = np.tile(normalised(q)[:, None], len(vertices))
+    vertices = turned(turns, table.scale * vertices.T).T + np.array(table.position)
+    made = surface(vertices, own.reshape(-1, 3))
+    if not made.kind.size:
+        raise CaseError(
+            [problem_at(system, key, "has no triangle with an area", "give an STL file")]
+        )
+    return made
+
+
+def middle(table: AnyWall) -> Vec3:
+    """Point of a wall about which it turns unless its record says otherwise [m]."""
+    if isinstance(table, PlaneWall):
+        return table.point
+    if isinstance(table, BoxWall):
+        x, y, z = (0.5 * (a + b) for a, b in zip(table.lower, table.upper, strict=True))
+        return x, y, z
+    return table.centre if isinstance(table, CylinderWall) else table.position
+
+
+def motion_of(motion: Prescribed | None, own: Vec3) -> PrescribedMotion:
+    """Motion about a centre, one's own where none is given."""
+    if motion is None:
+        return PrescribedMotion(own)
+    centre = own if motion.centre is None else motion.centre
+    swing = motion.oscillation
+    if swing is None:
+        return PrescribedMotion(centre, motion.velocity, motion.angular_velocity)
+    return PrescribedMotion(
+        centre,
+        motion.velocity,
+        motion.angular_velocity,
+        swing.amplitude,
+        swing.frequency,
+        swing.phase,
+    )
+
+
+def drive_of(body: Body, com: Floats) -> PrescribedMotion:
+    """Motion of a driven body whose centre of mass is at `com` at t = 0, where it may be displaced.
+
+    Its centre is where it is not.
+    """
+    motion = motion_of(body.motion, (0.0, 0.0, 0.0))
+    if body.motion is None or body.motion.centre is not None:
+        return motion
+    x, y, z = com - body.motion.shift
+    return motion._replace(centre=(x, y, z))
+
+
+def pistons_of(system: System) -> Pistons | None:
+    """Walls that slide, if there are any."""
+    wall = [w for w, table in enumerate(system.wall) if table.piston is not None]
+    given = [table.piston for table in system.wall if table.piston is not None]
+    if not given:
+        return None
+    of_wall = np.full(len(system.wall), -1)
+    of_wall[wall] = np.arange(len(wall))
+    axis = np.array([unit(one.axis) for one in given])
+    mass = np.array([one.mass for one in given])
+    return Pistons(
+        np.array(wall),
+        of_wall,
+        axis,
+        mass,
+        np.array([one.load for one in given]) + mass * (axis @ system.acceleration),
+        np.array([one.limits or (-np.inf, np.inf) for one in given]),
+        np.array([[0.0, one.velocity] for one in given]),
+    )
