@@ -1,13 +1,12 @@
 """From a case to a `System`: particles of every kind, constants, and the initial state.
 
-What lies behind this module knows of no case.
-
-Bodies of one [[body]] block are copies of one kind, so their particles are stored and summed once;
-only random clouds are a kind each. Spin that a body cannot have (of a point, about a rod's axis)
-is an error where the case gives it, and left out where it was drawn at random.
+What lies behind this module knows of no case. Bodies of the same shape, parts and mass are copies
+of one kind, whatever block they are of, so their particles are stored and summed once; only random
+clouds are a kind each. Spin that a body cannot have (of a point, about a rod's axis) is an error
+where the case gives it, and left out where it was drawn at random.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import partial
 from os import PathLike
 from typing import Any
@@ -125,23 +124,39 @@ def farthest(particles: Particles) -> Floats:
 
 
 def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProperties, Ints]:
-    """Particles of all kinds, their mass properties, and the first kind of each block."""
-    sets, properties, first, problems = [], [], [0], []
+    """Particles of all kinds, their mass properties, and the (first) kind of each block."""
+    sets, properties, first, problems = [], [], [], []
+    known: dict[tuple[object, ...], tuple[int, list[tuple[str, str]]]] = {}
+    n_kinds = 0
     for i, body in enumerate(case.body):
-        try:
-            sets.append(concatenate(list(particle_sets(case, i, body, notes))))
-            properties.append(mass_properties(sets[-1]))
-            refuse_underflow(properties[-1])
-            first.append(first[-1] + len(properties[-1].mass))
-        except (ValueError, ArithmeticError) as error:
-            key = f"body[{i}].shape" if body.shape is not None else f"body[{i}].part"
-            why = OUT_OF_RANGE if isinstance(error, ArithmeticError) else error
-            problems.append(problem_at(case, key, f"{body.name}: {why}"))
+        matter = (i if is_drawn(body) else -1, body.shape, body.part, body.mass, body.density)
+        if matter not in known:
+            try:
+                particles, lines = particle_sets(case, i, body)
+                found = mass_properties(particles)
+                refuse_underflow(found)
+            except (ValueError, ArithmeticError) as error:
+                key = f"body[{i}].shape" if body.shape is not None else f"body[{i}].part"
+                why = OUT_OF_RANGE if isinstance(error, ArithmeticError) else error
+                problems.append(problem_at(case, key, f"{body.name}: {why}"))
+                continue
+            sets.append(particles)
+            properties.append(found)
+            known[matter] = n_kinds, lines
+            n_kinds += len(found.mass)
+        kind, lines = known[matter]
+        first.append(kind)
+        notes += [(body.name + which, line) for which, line in lines]
     if problems:
         raise CaseError(problems)
-    arrays = zip(*properties, strict=True)
-    together = MassProperties(*(np.concatenate(array) for array in arrays))
-    return concatenate(sets), together, np.array(first[:-1])
+    together = MassProperties(*(np.concatenate(a) for a in zip(*properties, strict=True)))
+    return concatenate(sets), together, np.array(first)
+
+
+def is_drawn(body: Body) -> bool:
+    """Whether the particles of a block are drawn at random: then they are like no others."""
+    shapes_of = [body.shape, *(part.shape for part in body.part)]
+    return any(isinstance(shape, Cloud) for shape in shapes_of)
 
 
 def refuse_underflow(properties: MassProperties) -> None:
@@ -155,24 +170,22 @@ def refuse_underflow(properties: MassProperties) -> None:
         )
 
 
-def particle_sets(
-    case: Case, i: int, body: Body, notes: list[tuple[str, str]]
-) -> Iterator[Particles]:
-    """Particles of a block: one set, or one for each body where they are random clouds."""
+def particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tuple[str, str]]]:
+    """Particles of a block: one set, or one for each body where they are random clouds.
+
+    Also what is to be said of them: which part of the body, empty for the whole, and a line.
+    """
     if isinstance(body.shape, Cloud):
-        stream = random_stream(case.run.seed, i, "shape")
-        mass = body.mass or 0.0
-        for _ in range(body.count):
-            yield shapes.cloud(body.shape.n, body.shape.radius, mass, stream)
-    elif body.shape is not None:
-        filled = shape_particles(case.source.files, body.shape, body.mass, body.density)
-        notes += [(body.name, line) for line in filled.lines]
-        yield filled.particles
-    else:
-        parts = [part_particles(case.source.files, case.run.seed, i, part) for part in body.part]
-        for j, filled in enumerate(parts):
-            notes += [(f"{body.name}, part {j}", line) for line in filled.lines]
-        yield united(concatenate([filled.particles for filled in parts]))
+        stream, mass = random_stream(case.run.seed, i, "shape"), body.mass or 0.0
+        n, radius = body.shape.n, body.shape.radius
+        return concatenate([shapes.cloud(n, radius, mass, stream) for _ in range(body.count)]), []
+    files = case.source.files
+    if body.shape is not None:
+        filled = shape_particles(files, body.shape, body.mass, body.density)
+        return filled.particles, [("", line) for line in filled.lines]
+    parts = [part_particles(files, case.run.seed, i, part) for part in body.part]
+    lines = [(f", part {j}", line) for j, filled in enumerate(parts) for line in filled.lines]
+    return united(concatenate([filled.particles for filled in parts])), lines
 
 
 def part_particles(files: Files, seed: int, i: int, part: ShapePart) -> FilledShape:

@@ -66,7 +66,7 @@ def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[Named]
 
 
 def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
-    """Distinct kinds among the bodies of a case."""
+    """One body of each name and kind of a case."""
     import numpy as np
 
     from particlerb.case.matter import matter_of
@@ -85,13 +85,14 @@ def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
         raise Ending(f"{wanted}: no such body; bodies here: {known}") from None
     speed = np.linalg.norm(omega_world(system.bodies, system.state), axis=0)
     found = []
-    _, first = np.unique(system.kind[bodies], return_index=True)
-    for b in bodies[np.sort(first)]:
-        k = system.kind[b]
+    alike = np.stack([system.block[bodies], system.kind[bodies]])
+    _, first, which = np.unique(alike, axis=1, return_index=True, return_inverse=True)
+    for i in np.sort(first):
+        b, k = bodies[i], system.kind[bodies[i]]
         own = slice(system.particles.offset[k], system.particles.offset[k + 1])
         position, mass, radius = (array[own] for array in system.particles[:3])
         particles = one_kind(position + system.properties.com[k], mass, radius)
-        spin = float(speed[bodies][system.kind[bodies] == k].max())
+        spin = float(speed[bodies][which == which[i]].max())
         body = system.body[system.block[b]]
         notes = [line for name, line in system.notes if name.partition(", part ")[0] == body.name]
         matter = matter_of(system.files, body)._replace(notes=tuple(notes))

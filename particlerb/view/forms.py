@@ -104,7 +104,8 @@ class Surfaces:
             if body.count > 1 and body.shape is not None and body.shape.type == "cloud":
                 self.known[kind] = ellipsoid_form(self.system, first)
             else:
-                self.known[kind] = form_of(self.system, body, kind, body.count)
+                copies = int(np.count_nonzero(self.system.kind == kind))
+                self.known[kind] = form_of(self.system, body, kind, copies)
         return self.known[kind]
 
     def hit(self, position: Floats, q: Floats, origin: Floats, direction: Floats) -> Hit | None:

@@ -16,6 +16,7 @@ from particlerb.model.names import BodyNames
 
 PACKAGE = Path(particlerb.__file__).parent
 CASES = sorted((PACKAGE.parent / "cases").glob("*.toml"))
+GRID = {"place": {"type": "grid", "spacing": 9.0}}
 AUTHORS = {  # of cases: they read one, or write one
     "__init__.py", "cli/bodies.py", "cli/common.py", "record/trajectory.py", "simulation/entry.py",
     "simulation/resume.py",
@@ -86,3 +87,34 @@ def test_names_stand_for_bodies_in_the_order_in_which_they_are_given():
     assert_array_equal(names.find_in_order(["b[1]", "a", "b[1]"]), [2, 0, 2])
     with pytest.raises(KeyError):
         names.find("b[3]")
+
+
+def test_bodies_of_the_same_shape_and_mass_are_of_one_kind_in_whatever_block(make):
+    box = {"type": "box", "size": [1, 2, 3], "n": [1, 2, 3]}
+    cloud = {"type": "cloud", "n": 3, "radius": 1.0}
+    bodies = [
+        {
+            "name": "a",
+            "shape": box,
+            "mass": 1.0,
+            "count": 2,
+            "place": {"type": "grid", "spacing": 9},
+        },
+        {"name": "heavy", "shape": box, "mass": 2.0, "position": [0, 9, 0]},
+        {"name": "b", "shape": box, "mass": 1.0, "position": [0, 0, 9], "contact": False},
+        {"name": "part", "part": [{"shape": box, "mass": 1.0}], "position": [0, 0, 18]},
+        {"name": "again", "part": [{"shape": box, "mass": 1.0}], "position": [0, 0, 27]},
+        {"name": "c", "shape": cloud, "mass": 1.0, "position": [0, 0, 36]},
+        {"name": "d", "shape": cloud, "mass": 1.0, "position": [0, 0, 45]},
+    ]
+    system = to_system(make.case(*bodies))
+    assert system.kind.tolist() == [0, 0, 1, 0, 2, 2, 3, 4]
+    assert np.diff(system.particles.offset).tolist() == [6, 6, 6, 3, 3]
+    assert system.summed.tolist() == [6, 6, 6, 3, 3]
+
+
+def test_all_bodies_of_a_kind_are_told_what_was_done_to_their_shape(make):
+    shape = {"type": "ball", "radius": 1.0, "inertia_error": 0.1}
+    system = to_system(make.case(*({"name": k, "shape": shape, "mass": 1.0} for k in "ab")))
+    lines = [[line for name, line in system.notes if name == k] for k in "ab"]
+    assert lines[0] == lines[1] != []
