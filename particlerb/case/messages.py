@@ -30,7 +30,7 @@ from particlerb.case.schema import (
     RunTable,
     ShapePart,
 )
-from particlerb.case.shapes import SHAPES
+from particlerb.case.shapes import ALIASES, SHAPES
 from particlerb.case.values import Table
 
 TAGGED = {
@@ -205,7 +205,7 @@ def table_keys(path: Path, kind: str | None = None) -> tuple[str, ...]:
     """Keys of the table at a path; `kind` is its `type` where it has one."""
     name = next((part for part in reversed(path) if isinstance(part, str)), "")
     if name in FAMILIES:
-        family = FAMILIES[name]
+        family, kind = FAMILIES[name], ALIASES.get(kind or "", kind)
         return tuple(family[kind].model_fields) if kind and kind in family else tuple(family)
     if name in {"velocity", "angular_velocity"}:
         return ("body", "random")

@@ -20,7 +20,7 @@ from particlerb.case.raw import (
     number,
     tables,
 )
-from particlerb.case.shapes import SHAPES
+from particlerb.case.shapes import ALIASES, SHAPES, filling
 from particlerb.case.values import is_rows
 from particlerb.files import Files
 from particlerb.model.names import REFERENCE
@@ -260,18 +260,25 @@ def is_massless(table: Any) -> bool:
     shape = table.get("shape") if isinstance(table, dict) else None
     if not isinstance(shape, dict):
         return False
-    if shape.get("type") in ("sphere", "spheres"):
+    if is_surface(shape):
         return number(table, "mass") == 0.0
     masses = shape.get("mass") if shape.get("type") == "points" else None
     listed = masses if isinstance(masses, list) else [masses]
     return bool(listed) and all(number({"m": m}, "m") == 0.0 for m in listed)
 
 
+def is_surface(shape: dict[str, Any]) -> bool:
+    """Whether a shape can touch without having matter: a ball that nothing fills, or several."""
+    is_ball = shape.get("type") in ("ball", *ALIASES) and filling(shape) == "exact"
+    return is_ball or shape.get("type") == "spheres"
+
+
 def mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
     """Exactly one of mass and density, as far as the shape has a use for them."""
     shape = table.get("shape")
     kind = shape.get("type") if isinstance(shape, dict) else None
-    if not isinstance(shape, dict) or not isinstance(kind, str) or kind not in SHAPES:
+    kind = ALIASES.get(kind, kind) if isinstance(kind, str) else None
+    if not isinstance(shape, dict) or kind not in SHAPES:
         return
     allowed: tuple[str, ...] = getattr(SHAPES[kind], "weighed_by", ())
     if kind == "shell" and not given(shape, "inner_radius"):
@@ -282,7 +289,7 @@ def mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
         yield (*path, "density"), "given beside mass", "give one of `mass` and `density`"
     elif allowed and not given(table, "mass") and not given(table, "density"):
         yield (*path, "mass"), "missing", f"give {' or '.join(f'`{key}`' for key in allowed)}"
-    elif "part" in path and number(table, "mass") == 0.0 and kind not in ("sphere", "spheres"):
+    elif "part" in path and number(table, "mass") == 0.0 and not is_surface(shape):
         hint = "give `mass = 0` among the points" if kind == "points" else ""
         yield (*path, "mass"), "must be > 0 for all but spheres, got 0", hint
 

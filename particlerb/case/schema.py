@@ -23,7 +23,7 @@ from pydantic import (
 from particlerb.case.contact import ContactTable, Material, Prescribed, Wall, Yes
 from particlerb.case.forces import KIND, ORIGIN, AnyForce
 from particlerb.case.output import ChartTable, Check, CheckValue, Output
-from particlerb.case.shapes import Shape, Sphere, as_points
+from particlerb.case.shapes import Shape
 from particlerb.case.source import Source
 from particlerb.case.values import (
     Count,
@@ -222,19 +222,6 @@ class ShapePart(Table):
         IDENTITY, description="Shape to body axes: quaternion or { euler_deg = [..] }. [-]"
     )
 
-    @model_validator(mode="after")
-    def with_particles(self) -> Self:
-        """A sphere as the one particle that it is."""
-        return self.model_copy(update=particles_of(self))
-
-
-def particles_of(table: "ShapePart | Body") -> dict[str, Any]:
-    """Keys of a part or body in which a sphere has become one point with mass and radius."""
-    if not isinstance(table.shape, Sphere):
-        return {}
-    points = as_points(table.shape, table.mass, table.density)
-    return {"shape": points, "mass": None, "density": None}
-
 
 def plain_name(name: str) -> str:
     """Name that can be written in a file and does not look like a reference."""
@@ -275,11 +262,6 @@ class Body(Table):
     motion: Prescribed | None = Field(
         None, description="How it moves, whatever touches it; default: freely. [-]"
     )
-
-    @model_validator(mode="after")
-    def with_particles(self) -> Self:
-        """A sphere as the one particle that it is."""
-        return self.model_copy(update=particles_of(self))
 
     @property
     def is_held(self) -> bool:

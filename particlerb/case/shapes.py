@@ -5,11 +5,10 @@ Solids are centred at the origin of their axes unless said otherwise; those with
 along z. How a shape becomes particles is the business of `particlerb.bodies`.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from particlerb.case.values import (
     Count,
@@ -33,6 +32,7 @@ SHELL_N = "As for a ball; on a thin shell per quarter of a great circle. [-]"
 ARRANGEMENT = "A lattice, or the smallest exact set of particles. [-]"
 CURVED = "Whole cells, or cells weighted by their share inside. [-]"
 ROUND = "Whole cells, cells weighted by their share inside, or the smallest exact set. [-]"
+BALL = "One particle with the radius, whole cells, or cells weighted by their share inside. [-]"
 ENOUGH = "Chooses n: largest relative error of tensor and centre of mass. [-]"
 Share = Annotated[Positive, Field(lt=1.0)]
 Vertices = Annotated[tuple[Vector, Vector, Vector, Vector], entries(4, "corners")]
@@ -65,14 +65,28 @@ class Box(FilledTable):
 
 
 class Ball(FilledTable):
-    """Solid ball."""
+    """Solid ball, a single particle with its radius unless cells fill it; also called a sphere."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
-    type: Literal["ball"] = Field(description=KIND)
-    radius: Positive = Field(description="Radius. [m]")
+    type: Annotated[Literal["ball", "sphere"], AfterValidator(lambda word: "ball")] = Field(
+        description=KIND
+    )
+    radius: Positive = Field(description="Radius, of its matter and of its surface. [m]")
     n: Count = Field(10, description=ACROSS)
-    arrangement: RoundArrangement = Field("lattice", description=ROUND)
+    arrangement: RoundArrangement = Field("exact", description=BALL)
     inertia_error: Share | None = Field(None, description=ENOUGH)
+
+    @model_validator(mode="before")
+    @classmethod
+    def is_filled_where_it_says_how_finely(cls, raw: Any) -> Any:
+        """A lattice where there is an n, or an error that chooses it."""
+        return {**raw, "arrangement": filling(raw)} if isinstance(raw, Mapping) else raw
+
+
+def filling(ball: Mapping[str, Any]) -> Any:
+    """Arrangement of a ball in the data of a case."""
+    is_fine = any(ball.get(key) is not None for key in ("n", "inertia_error"))
+    return ball.get("arrangement", "lattice" if is_fine else "exact")
 
 
 class Shell(FilledTable):
@@ -181,14 +195,6 @@ class Rod(FilledTable):
     n: Count = Field(10, description="Particles along the rod. [-]")
     arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
     inertia_error: Share | None = Field(None, description=ENOUGH)
-
-
-class Sphere(Table):
-    """One solid ball that touches others: a single particle with this radius."""
-
-    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
-    type: Literal["sphere"] = Field(description=KIND)
-    radius: Positive = Field(description="Radius, of its matter and of its surface. [m]")
 
 
 def for_each(value: Any) -> Any:
@@ -367,18 +373,6 @@ class Cloud(Table):
     radius: Positive = Field(description="Radius of the ball. [m]")
 
 
-def as_points(sphere: Sphere, mass: float | None, density: float | None) -> PointsShape:
-    """The one particle of a sphere, of a mass or of a density [kg, kg/m³]."""
-    if mass is None:
-        cube = sphere.radius * sphere.radius * sphere.radius
-        mass = (density or 0.0) * 4.0 / 3.0 * math.pi * cube
-        if not math.isfinite(mass):
-            raise broken(f"is too large: a sphere of this density has mass {mass}", "shape.radius")
-    return PointsShape.model_construct(
-        type="points", position=((0.0, 0.0, 0.0),), mass=(mass,), radius=(sphere.radius,)
-    )
-
-
 def require_smaller(inner_radius: float, radius: float) -> None:
     """Require inner_radius < radius."""
     if inner_radius >= radius:
@@ -386,7 +380,7 @@ def require_smaller(inner_radius: float, radius: float) -> None:
 
 
 AnyShape = (
-    Box | Ball | Shell | Cylinder | Cone | Torus | Ellipsoid | Tetrahedron | Rod | Sphere
+    Box | Ball | Shell | Cylinder | Cone | Torus | Ellipsoid | Tetrahedron | Rod
     | PointsShape | SpheresShape | MeshShape | Moments | Cloud
 )  # fmt: skip
 Shape = Annotated[AnyShape, Field(discriminator="type")]
@@ -400,10 +394,10 @@ SHAPES: dict[str, type[Table]] = {
     "ellipsoid": Ellipsoid,
     "tetrahedron": Tetrahedron,
     "rod": Rod,
-    "sphere": Sphere,
     "points": PointsShape,
     "spheres": SpheresShape,
     "mesh": MeshShape,
     "moments": Moments,
     "cloud": Cloud,
 }
+ALIASES = {"sphere": "ball"}  # other words for them

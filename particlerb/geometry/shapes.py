@@ -137,8 +137,15 @@ def box(
 
 
 def ball(radius: float, mass: float, n: int = 10, arrangement: str = "lattice") -> Particles:
-    """Ball: n cells per diameter; exact: 6 particles at R √(3/5) on the axes, I = 2/5 M R²."""
-    return ellipsoid(np.full(3, positive("radius", radius)), mass, n, arrangement)
+    """Ball: n cells per diameter; exact: one solid particle of this radius, I = 2/5 M R².
+
+    The one particle may have mass 0: then it is surface without matter.
+    """
+    radius = float(positive("radius", radius))
+    if arrangement == "exact":
+        total = float(positive("mass", mass)) if mass else 0.0
+        return one_kind(np.zeros((1, 3)), total, radius)
+    return ellipsoid(np.full(3, radius), mass, n, arrangement)
 
 
 def ellipsoid(

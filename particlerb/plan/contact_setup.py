@@ -104,7 +104,7 @@ def without_radius(system: System) -> list[Problem]:
         for i, first in enumerate(system.names.first[:-1])
         if system.body[i].contact and largest[system.kind[first]] == 0.0
     ]
-    hint = 'take shape = { type = "sphere", .. }, give `points` a radius, or say contact = false'
+    hint = "take a `ball` without `n`, give `points` a radius, or say contact = false"
     reason = "no particle has a radius: nothing can touch this body"
     return [
         problem_at(system, f"body[{i}].{'part' if system.body[i].part else 'shape'}", reason, hint)

@@ -117,7 +117,7 @@ MISTAKES = [
         7,
         "body[0].shape.type",
         "unknown type 'bxo'",
-        'did you mean "box"? known: box, ball, shell, cylinder, cone, torus',
+        'did you mean "box"? known: box, ball, sphere, shell, cylinder, cone, torus',
     ),
     ('type = "box", ', "", 7, "body[0].shape.type", "missing", "known: box, ball"),
     (

@@ -92,7 +92,7 @@ def test_exact_set_has_the_tensor_of_the_solid(name):
     particles = getattr(shapes, name)(**parameters, mass=3.7, arrangement="exact")
     difference = tensor_of(particles) - 3.7 * np.diag(moments)
     assert np.abs(difference).max() <= 6 * U * 3.7 * max(moments)
-    assert len(particles.mass) == {"box": 8, "ball": 6, "ellipsoid": 6, "rod": 3}.get(name, 5)
+    assert len(particles.mass) == {"box": 8, "ball": 1, "ellipsoid": 6, "rod": 3}.get(name, 5)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 7, 10, 20])

@@ -71,7 +71,7 @@ def test_a_body_without_radius_is_named_and_told_what_to_do(make):
     )
     reason = "no particle has a radius: nothing can touch this body"
     assert [p[:2] for p in problems(case)] == [("body[1].shape", reason), ("body[2].part", reason)]
-    assert 'shape = { type = "sphere", .. }' in problems(case)[0][2]
+    assert "take a `ball` without `n`" in problems(case)[0][2]
 
 
 def test_something_must_be_able_to_touch(make):
@@ -627,3 +627,28 @@ mass = 1
     (problem,) = caught.value.problems
     assert (problem.line, problem.source) == (12, "[[body]]")
     assert problem.reason == "bodies overlap at t = 0: a and b by 0.2 m"
+
+
+def test_a_ball_and_a_sphere_are_one_shape_that_touches(make):
+    ball, sphere = ({"type": word, "radius": 0.5} for word in ("ball", "sphere"))
+    places = [[0, 0, 0.5], [0, 0, 1.5]]
+    bodies = [
+        {"name": shape["type"], "shape": shape, "density": 3.0, "position": place}
+        for shape, place in zip((ball, sphere), places, strict=True)
+    ]
+    system = to_system(make.case(*bodies, contact=make.hooke(), wall=[make.plane()]))
+    assert system.body[0].shape == system.body[1].shape
+    assert system.kind.tolist() == [0, 0]
+    assert contact_of(system).body.tolist() == [0, 1]
+    assert system.particles.radius.tolist() == [0.5]
+
+
+@pytest.mark.parametrize("filled", [{"n": 4}, {"inertia_error": 0.1}, {"arrangement": "cells"}])
+def test_a_ball_that_is_filled_has_particles_without_radius(make, filled):
+    body = {"name": "b", "shape": {"type": "ball", "radius": 0.5} | filled, "mass": 1.0}
+    system = to_system(make.case(body))
+    assert len(system.particles.radius) > 1
+    assert not system.particles.radius.any()
+    again = load(to_case(system).model_dump(mode="json"))
+    assert again.body == system.body
+    assert "nothing can touch this body" in only(make.case(body, contact=make.hooke()))[1]
