@@ -17,9 +17,6 @@ LINES_OF_CODE = 26180
 
 LONGEST_MODULE = 400
 LONG_MODULES = {
-    "particlerb/case/rules.py": 409,
-    "particlerb/case/schema.py": 498,
-    "particlerb/case/shapes.py": 409,
     "particlerb/contact/cell_grid.py": 430,
     "particlerb/contact/law.py": 457,
     "particlerb/contact/pair_force.py": 640,

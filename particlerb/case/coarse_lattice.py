@@ -10,8 +10,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from particlerb.case.bodies import Body
 from particlerb.case.problems import Problem
-from particlerb.case.schema import Body
 from particlerb.case.shapes import AnyShape
 from particlerb.case.source import problem_at
 from particlerb.case.to_system import part_particles, turn_of

@@ -19,6 +19,7 @@ from particlerb.case.values import (
     Table,
     Vector,
     broken,
+    by_type,
     entries,
 )
 
@@ -233,9 +234,4 @@ class MeshWall(Table):
 
 AnyWall = PlaneWall | BoxWall | CylinderWall | MeshWall
 Wall = Annotated[AnyWall, Field(discriminator="type")]
-WALLS: dict[str, type[Table]] = {
-    "plane": PlaneWall,
-    "box": BoxWall,
-    "cylinder": CylinderWall,
-    "mesh": MeshWall,
-}
+WALLS = by_type(AnyWall)

@@ -5,7 +5,7 @@ compiler. A new one is a class, and a member of `AnyForce`.
 """
 
 from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag
 
@@ -20,6 +20,7 @@ from particlerb.case.values import (
     Table,
     Vector,
     broken,
+    by_type,
     entries,
 )
 
@@ -224,6 +225,4 @@ AnyForce = (
     | CentralTable
     | MagnusTable
 )
-FORCES: dict[str, type[ForceTable]] = {
-    get_args(table.model_fields["type"].annotation)[0]: table for table in get_args(AnyForce)
-}
+FORCES: dict[str, type[ForceTable]] = by_type(AnyForce)

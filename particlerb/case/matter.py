@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.case.schema import Body, ShapePart
+from particlerb.case.bodies import Body, ShapePart
 from particlerb.case.shapes import Cloud, MeshShape, Moments, PointsShape, SpheresShape
 from particlerb.files import Files
 from particlerb.geometry.analytic import ANALYTIC, Analytic, volume

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from pydantic_core import ErrorDetails
 
+from particlerb.case.bodies import PLACES, Body, ShapePart
 from particlerb.case.contact import (
     WALLS,
     ContactTable,
@@ -16,22 +17,12 @@ from particlerb.case.contact import (
     Prescribed,
 )
 from particlerb.case.forces import FORCES
+from particlerb.case.output import Check, CheckValue, Output
 from particlerb.case.problems import Path, nearest, shown
-from particlerb.case.schema import (
-    PLACES,
-    AttractionTable,
-    Body,
-    Case,
-    Check,
-    CheckValue,
-    Euler,
-    Gravity,
-    Output,
-    RunTable,
-    ShapePart,
-)
+from particlerb.case.run import AttractionTable, Gravity, RunTable
+from particlerb.case.schema import Case
 from particlerb.case.shapes import ALIASES, SHAPES
-from particlerb.case.values import Table
+from particlerb.case.values import Euler, Table
 
 TAGGED = {
     "body": {"shape", "place", "position", "orientation", "velocity", "angular_velocity"},

@@ -9,16 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.case.schema import (
-    Case,
-    Euler,
-    GridPlacement,
-    InBody,
-    Motion,
-    NormalDistribution,
-    RandomBox,
-)
-from particlerb.case.values import FloatArray, IntArray
+from particlerb.case.bodies import GridPlacement, InBody, Motion, NormalDistribution, RandomBox
+from particlerb.case.schema import Case
+from particlerb.case.values import Euler, FloatArray, IntArray
 from particlerb.model.names import BodyNames
 
 PURPOSES = {"place": 0, "orientation": 1, "velocity": 2, "angular_velocity": 3, "shape": 4}

@@ -75,3 +75,10 @@ def out_of_place(path: Path, table: dict[str, Any], key: str, what: str) -> Iter
     """A point has no place beside something else; a resolved case states its default there."""
     if given(table, key) and not is_origin(table[key]):
         yield (*path, key), f"has no place beside {what}", "leave it out"
+
+
+def bases(names: Any) -> set[str]:
+    """Names of the blocks of bodies that are named."""
+    listed = names if isinstance(names, list) else [names]
+    found = (REFERENCE.fullmatch(name) for name in listed if isinstance(name, str))
+    return {match["name"] for match in found if match}

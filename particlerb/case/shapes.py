@@ -20,6 +20,7 @@ from particlerb.case.values import (
     Table,
     Vector,
     broken,
+    by_type,
     entries,
 )
 
@@ -384,20 +385,5 @@ AnyShape = (
     | PointsShape | SpheresShape | MeshShape | Moments | Cloud
 )  # fmt: skip
 Shape = Annotated[AnyShape, Field(discriminator="type")]
-SHAPES: dict[str, type[Table]] = {
-    "box": Box,
-    "ball": Ball,
-    "shell": Shell,
-    "cylinder": Cylinder,
-    "cone": Cone,
-    "torus": Torus,
-    "ellipsoid": Ellipsoid,
-    "tetrahedron": Tetrahedron,
-    "rod": Rod,
-    "points": PointsShape,
-    "spheres": SpheresShape,
-    "mesh": MeshShape,
-    "moments": Moments,
-    "cloud": Cloud,
-}
+SHAPES = by_type(AnyShape)
 ALIASES = {"sphere": "ball"}  # other words for them

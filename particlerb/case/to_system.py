@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from particlerb.case.bodies import Body, NormalDistribution, ShapePart
 from particlerb.case.matter import spheres_of
 from particlerb.case.placement import (
     Placement,
@@ -24,9 +25,10 @@ from particlerb.case.placement import (
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import load
 from particlerb.case.reduction import reduced
-from particlerb.case.schema import Body, Case, Euler, NormalDistribution, ShapePart
+from particlerb.case.schema import Case
 from particlerb.case.shapes import AnyShape, Cloud, MeshShape, PointsShape, SpheresShape
 from particlerb.case.source import problem_at
+from particlerb.case.values import Euler
 from particlerb.files import Files
 from particlerb.geometry import analytic, shapes
 from particlerb.geometry.fill import FilledShape, coarsest_within, mesh_particles

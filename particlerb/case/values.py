@@ -5,7 +5,7 @@ type here, so that the schema reads like the format. Field descriptions end with
 """
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, TypeAlias, cast
+from typing import Annotated, Any, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,11 @@ class Table(BaseModel):
     """A table of the case: frozen, unknown keys are errors, every number is finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def by_type(union: Any) -> dict[str, Any]:
+    """Tables of a union by their `type`; of several words by the first."""
+    return {get_args(table.model_fields["type"].annotation)[0]: table for table in get_args(union)}
 
 
 def broken(reason: str, key: str = "", hint: str = "") -> PydanticCustomError:

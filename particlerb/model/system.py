@@ -21,10 +21,11 @@ from particlerb.model.names import BodyNames
 from particlerb.model.state import State
 
 if TYPE_CHECKING:
+    from particlerb.case.bodies import Body
     from particlerb.case.contact import AnyWall, ContactTable, Material
     from particlerb.case.forces import AnyForce
     from particlerb.case.output import ChartTable, Check, Output
-    from particlerb.case.schema import AttractionTable, Body, Gravity, RunTable
+    from particlerb.case.run import AttractionTable, Gravity, RunTable
     from particlerb.case.source import Source
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from particlerb.case.bodies import Body
 from particlerb.case.contact import (
     AnyWall,
     BoxWall,
@@ -12,8 +13,8 @@ from particlerb.case.contact import (
 )
 from particlerb.case.placement import normalised, quaternion_of_euler
 from particlerb.case.problems import CaseError
-from particlerb.case.schema import Body, Euler
 from particlerb.case.source import problem_at
+from particlerb.case.values import Euler
 from particlerb.contact.piston import Pistons
 from particlerb.contact.wall_motion import PrescribedMotion
 from particlerb.contact.wall_shapes import box, cylinder, plane, surface, unit

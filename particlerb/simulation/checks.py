@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particlerb.case.output import CheckValue
 from particlerb.case.placement import normalised
-from particlerb.case.schema import CheckValue
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
 from particlerb.model.comparison import CONJUGATE, angles

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.case.schema import RunTable
+from particlerb.case.run import RunTable
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.system import System
 

@@ -13,7 +13,8 @@ import h5py
 import numpy as np
 
 from particlerb.case.reader import build
-from particlerb.case.schema import Case, RunTable
+from particlerb.case.run import RunTable
+from particlerb.case.schema import Case
 from particlerb.case.source import Source
 from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS

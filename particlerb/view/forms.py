@@ -12,8 +12,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from particlerb.case.bodies import Body
 from particlerb.case.placement import normalised, quaternion_of_euler
-from particlerb.case.schema import Body, Euler
+from particlerb.case.values import Euler
 from particlerb.files import Files
 from particlerb.geometry.mesh import read_mesh, triangles_of
 from particlerb.maths.vec3 import Floats, Ints

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from particlerb.case.bodies import PLACES
 from particlerb.case.contact import WALLS
 from particlerb.case.forces import FORCES
 from particlerb.case.reader import load
-from particlerb.case.schema import METHODS, PLACES, case_json_schema
+from particlerb.case.run import METHODS
+from particlerb.case.schema import case_json_schema
 from particlerb.case.shapes import SHAPES
 
 PAGE = Path(__file__).parents[2] / "docs" / "case.md"

@@ -1,0 +1,174 @@
+"""Bodies as types: what they are made of, how many there are, where, and how they move at first."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, model_validator
+
+from particlerb.case.contact import Prescribed, Yes
+from particlerb.case.shapes import Shape
+from particlerb.case.values import (
+    Count,
+    Counts,
+    Euler,
+    Name,
+    NonNegative,
+    OneOrientation,
+    Positive,
+    Quaternion,
+    Rows3,
+    Rows4,
+    Spacing,
+    Table,
+    Vector,
+    broken,
+    by_type,
+    is_rows,
+)
+
+KIND = "Kind of force or placement. [-]"
+ORIGIN = (0.0, 0.0, 0.0)
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
+
+class InBody(Table):
+    """Vector in the body's own axes."""
+
+    body: Vector = Field(description="Components in the body frame. [m/s or rad/s]")
+
+
+class NormalDistribution(Table):
+    """Normally distributed components, drawn for every body."""
+
+    random: NonNegative = Field(description="Standard deviation per component. [m/s or rad/s]")
+
+
+class GridPlacement(Table):
+    """Bodies on a grid, x fastest, centred at `origin`."""
+
+    type: Literal["grid"] = Field(description=KIND)
+    spacing: Spacing = Field(description="Distance between neighbours, one or per axis. [m]")
+    n: Counts | None = Field(None, description="Bodies per axis; default: nearly a cube. [-]")
+    origin: Vector = Field((0.0, 0.0, 0.0), description="Centre of the grid, world frame. [m]")
+
+
+class RandomBox(Table):
+    """Bodies anywhere in a box, uniformly."""
+
+    type: Literal["random"] = Field(description=KIND)
+    lower: Vector = Field(description="Lower corner, world frame. [m]")
+    upper: Vector = Field(description="Upper corner, world frame. [m]")
+
+    @model_validator(mode="after")
+    def is_ordered(self) -> Self:
+        """Require lower <= upper on each axis."""
+        if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
+            raise broken("must not be below lower on any axis", "upper")
+        return self
+
+
+def place_form(value: Any) -> str:
+    """Tag of a position: one for all bodies of the block, or rows."""
+    return "rows" if is_rows(value) else "vector"
+
+
+def orientation_form(value: Any) -> str:
+    """Tag of an orientation."""
+    if isinstance(value, (Mapping, BaseModel)):
+        return "euler"
+    if isinstance(value, str):
+        return "random"
+    return "rows" if is_rows(value) else "vector"
+
+
+def motion_form(value: Any) -> str:
+    """Tag of a velocity or angular velocity."""
+    if isinstance(value, (Mapping, BaseModel)):
+        is_spread = isinstance(value, NormalDistribution) or (
+            isinstance(value, Mapping) and "random" in value
+        )
+        return "random" if is_spread else "body"
+    return "rows" if is_rows(value) else "vector"
+
+
+Position = Annotated[
+    Annotated[Vector, Tag("vector")] | Annotated[Rows3, Tag("rows")],
+    Discriminator(place_form),
+]
+Orientation = Annotated[
+    Annotated[Quaternion, Tag("vector")]
+    | Annotated[Euler, Tag("euler")]
+    | Annotated[Literal["random"], Tag("random")]
+    | Annotated[Rows4, Tag("rows")],
+    Discriminator(orientation_form),
+]
+Motion = Annotated[
+    Annotated[Vector, Tag("vector")]
+    | Annotated[InBody, Tag("body")]
+    | Annotated[NormalDistribution, Tag("random")]
+    | Annotated[Rows3, Tag("rows")],
+    Discriminator(motion_form),
+]
+AnyPlace = GridPlacement | RandomBox
+Place = Annotated[AnyPlace, Field(discriminator="type")]
+PLACES = by_type(AnyPlace)
+
+
+class ShapePart(Table):
+    """One shape of a body that is put together from several."""
+
+    shape: Shape = Field(description="Table with `type` and the shape's keys. [-]")
+    mass: NonNegative | None = Field(
+        None, description="Mass; this or density; 0 for spheres that only touch. [kg]"
+    )
+    density: Positive | None = Field(None, description="Density; this or mass. [kg/m³]")
+    position: Vector = Field(ORIGIN, description="Of the shape's origin, in the body's axes. [m]")
+    orientation: OneOrientation = Field(
+        IDENTITY, description="Shape to body axes: quaternion or { euler_deg = [..] }. [-]"
+    )
+
+
+def plain_name(name: str) -> str:
+    """Name that can be written in a file and does not look like a reference."""
+    if not name.isprintable() or "[" in name or "]" in name:
+        raise broken("must be printable and without brackets")
+    return name
+
+
+class Body(Table):
+    """A body, or `count` bodies of the same kind."""
+
+    name: Annotated[Name, AfterValidator(plain_name)] = Field(description="Unique name. [-]")
+    shape: Shape | None = Field(None, description="Table with `type`; this or [[body.part]]. [-]")
+    part: tuple[ShapePart, ...] = Field((), description="Parts of the body; these or shape. [-]")
+    mass: Positive | None = Field(None, description="Mass of each body; this or density. [kg]")
+    density: Positive | None = Field(None, description="Density; this or mass. [kg/m³]")
+    count: Count = Field(1, description="Number of bodies. [-]")
+    place: Place | None = Field(None, description="Where many bodies are: grid or random. [-]")
+    position: Position = Field(
+        ORIGIN, description="Of the centre of mass, world frame; or a row per body. [m]"
+    )
+    orientation: Orientation = Field(
+        IDENTITY,
+        description="Quaternion w x y z, normalised when read; { euler_deg = [..] }; "
+        '"random"; or a row per body. [-]',
+    )
+    velocity: Motion = Field(
+        ORIGIN, description="World frame, { body = [..] }, { random = v }; or rows. [m/s]"
+    )
+    angular_velocity: Motion = Field(
+        ORIGIN, description="World frame, { body = [..] }, { random = v }; or rows. [rad/s]"
+    )
+    material: Name | None = Field(
+        None, description="Name of a [[material]]; default: the only one. [-]"
+    )
+    contact: Yes = Field(True, description="Whether it touches others where [contact] is. [-]")
+    fixed: Yes = Field(False, description="Whether it stays where it is: an obstacle. [-]")
+    motion: Prescribed | None = Field(
+        None, description="How it moves, whatever touches it; default: freely. [-]"
+    )
+
+    @property
+    def is_held(self) -> bool:
+        """Whether nothing can push it: it is fixed, or moves as prescribed."""
+        return self.fixed or self.motion is not None

@@ -1,0 +1,146 @@
+"""Rules of bodies that involve more than one key: matter, places, and what is held."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from particlerb.case.problems import Path
+from particlerb.case.raw import Finding, bases, given, is_origin, number, tables
+from particlerb.case.shapes import ALIASES, SHAPES, filling
+from particlerb.case.values import is_rows
+from particlerb.files import Files
+
+
+def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
+    """A body is one shape, or parts that carry the mass."""
+    if given(body, "part"):
+        for key in ("shape", "mass", "density"):
+            if given(body, key):
+                yield (*path, key), "has no place beside [[body.part]]", "give it with each part"
+        for j, part in tables(body, "part"):
+            yield from mass_rules((*path, "part", j), part)
+        parts = body["part"]
+        if isinstance(parts, list) and all(is_massless(part) for part in parts):
+            yield (*path, "part"), "no part has mass", "give one of them a `mass`"
+    elif not given(body, "shape"):
+        yield (*path, "shape"), "missing", "a body needs a `shape`, or [[body.part]]"
+    else:
+        yield from mass_rules(path, body)
+        if is_massless(body) and body["shape"]["type"] == "points":
+            yield (*path, "shape", "mass"), "must not all be zero", ""
+
+
+def is_massless(table: Any) -> bool:
+    """Whether a part only touches: spheres of mass 0, or points that have none."""
+    shape = table.get("shape") if isinstance(table, dict) else None
+    if not isinstance(shape, dict):
+        return False
+    if is_surface(shape):
+        return number(table, "mass") == 0.0
+    masses = shape.get("mass") if shape.get("type") == "points" else None
+    listed = masses if isinstance(masses, list) else [masses]
+    return bool(listed) and all(number({"m": m}, "m") == 0.0 for m in listed)
+
+
+def is_surface(shape: dict[str, Any]) -> bool:
+    """Whether a shape can touch without having matter: a ball that nothing fills, or several."""
+    is_ball = shape.get("type") in ("ball", *ALIASES) and filling(shape) == "exact"
+    return is_ball or shape.get("type") == "spheres"
+
+
+def mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
+    """Exactly one of mass and density, as far as the shape has a use for them."""
+    shape = table.get("shape")
+    kind = shape.get("type") if isinstance(shape, dict) else None
+    kind = ALIASES.get(kind, kind) if isinstance(kind, str) else None
+    if not isinstance(shape, dict) or kind not in SHAPES:
+        return
+    allowed: tuple[str, ...] = getattr(SHAPES[kind], "weighed_by", ())
+    if kind == "shell" and not given(shape, "inner_radius"):
+        allowed = ("mass",)
+    if given(table, "density") and "density" not in allowed:
+        yield (*path, "density"), f"a {kind} has no volume of its own", "give `mass`"
+    elif given(table, "density") and given(table, "mass"):
+        yield (*path, "density"), "given beside mass", "give one of `mass` and `density`"
+    elif allowed and not given(table, "mass") and not given(table, "density"):
+        yield (*path, "mass"), "missing", f"give {' or '.join(f'`{key}`' for key in allowed)}"
+    elif "part" in path and number(table, "mass") == 0.0 and not is_surface(shape):
+        hint = "give `mass = 0` among the points" if kind == "points" else ""
+        yield (*path, "mass"), "must be > 0 for all but spheres, got 0", hint
+
+
+def held_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterator[Finding]:
+    """A body that is fixed or driven is an obstacle of contact: it is not moved nor pulled."""
+    is_driven = isinstance(body.get("motion"), dict)
+    if body.get("fixed") is not True and not is_driven:
+        return
+    key, is_held = ("motion", "driven") if is_driven else ("fixed", "fixed")
+    if is_driven and body.get("fixed") is True:
+        yield (*path, "fixed"), "given beside motion", "give one of them"
+    if raw.get("contact") is None:
+        reason = f"a {is_held} body is an obstacle of [contact], which is not there"
+        yield (*path, key), reason, ""
+    if body.get("contact") is False:
+        reason = f"a {is_held} body that nothing touches has no effect"
+        yield (*path, "contact"), reason, "leave it out"
+    for key in ("velocity", "angular_velocity"):
+        if given(body, key) and not is_origin(body[key]):
+            reason = "a fixed body does not move"
+            reason = "a driven body has its velocities in motion" if is_driven else reason
+            yield (*path, key), reason, "leave it out"
+    name = body.get("name")
+    hint = f"leave the {is_held} body out; a spring has `anchor` for the world"
+    for i, force in tables(raw, "force"):
+        for key in ("body", "to"):
+            if isinstance(name, str) and name in bases(force.get(key)):
+                yield ("force", i, key), f"{name} is {is_held}: no force acts on it", hint
+    attraction = raw.get("attraction")
+    if isinstance(attraction, dict) and isinstance(name, str):
+        named = attraction.get("body")
+        if named is None or name in bases(named):
+            reason = f"{name} is {is_held}: it takes no part in attraction"
+            yield ("attraction", "body"), reason, "name the others"
+
+
+def many_bodies(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
+    """Positions of `count` bodies."""
+    count = body.get("count", 1)
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        return
+    for key in ("position", "orientation", "velocity", "angular_velocity"):
+        if is_rows(body.get(key)) and len(body[key]) != count:
+            yield (*path, key), f"must have count = {count} rows, has {len(body[key])}", ""
+    if given(body, "place"):
+        if given(body, "position") and not is_origin(body["position"]):
+            yield (*path, "position"), "given beside place", "give one of them"
+        yield from grid_rules((*path, "place"), body["place"], count)
+    elif count > 1 and not is_rows(body.get("position")):
+        hint = 'place = { type = "grid", spacing = 1.0 }, or type = "random"'
+        yield (*path, "place"), f"missing: count = {count} bodies need different positions", hint
+
+
+def grid_rules(path: Path, place: Any, count: int) -> Iterator[Finding]:
+    """A grid has room for all."""
+    n = place.get("n") if isinstance(place, dict) and place.get("type") == "grid" else None
+    are_counts = isinstance(n, list) and all(isinstance(k, int) and k > 0 for k in n)
+    if n and are_counts and math.prod(n) < count:
+        yield (*path, "n"), f"has room for {math.prod(n)} of {count} bodies", ""
+
+
+def shapes(path: Path, body: dict[str, Any], files: Files) -> Iterator[Finding]:
+    """Files that a shape names can be read."""
+    places = [(path, body), *(((*path, "part", j), part) for j, part in tables(body, "part"))]
+    for where, table in places:
+        shape = table.get("shape")
+        name = shape.get("file") if isinstance(shape, dict) else None
+        yield from file_rules((*where, "shape", "file"), name, files)
+
+
+def file_rules(path: Path, name: Any, files: Files) -> Iterator[Finding]:
+    """A file that is named can be read; from here on its content is that of the case."""
+    if not isinstance(name, str) or not name:
+        return
+    try:
+        files.read(name)
+    except ValueError as error:
+        yield path, str(error), ""
