@@ -45,7 +45,7 @@ from particlerb.geometry.particles import (
 )
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, bodies_of_kind
-from particlerb.model.state import initial_state, turned
+from particlerb.model.state import initial_state, rotate
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import POINT, ROD
 
@@ -206,7 +206,7 @@ def turn_of(part: ShapePart) -> Floats:
     """Rotation matrix (3, 3) from the axes of the shape of a part to those of its body."""
     given = part.orientation
     q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
-    return turned(np.tile(normalised(q)[:, None], 3), np.eye(3))
+    return rotate(np.tile(normalised(q)[:, None], 3), np.eye(3))
 
 
 def shape_particles(
@@ -257,7 +257,7 @@ def possible_spin(case: Case, placement: Placement, bodies: Bodies) -> Floats:
     q = np.ascontiguousarray(placement.orientation.T)
     axes = np.zeros((3, len(omega)))
     axes[2] = 1.0
-    axes = turned(q, turned(bodies.rotor_frame, axes)).T
+    axes = rotate(q, rotate(bodies.rotor_frame, axes)).T
     points, rods = bodies.rotor_class == POINT, bodies.rotor_class == ROD
     about = np.einsum("ij,ij->i", omega, axes)
     impossible = np.zeros_like(omega)

@@ -8,7 +8,7 @@ from particlerb.contact.contact_model import ContactList, ContactModel, Neighbou
 from particlerb.contact.piston import Pistons
 from particlerb.contact.records import Records, row3, row4
 from particlerb.maths.quaternion import matrix, turn, turn_back
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, subtract
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, cross, dot, subtract
 from particlerb.model.block import get, get3, put, put3
 from particlerb.model.load import FORCE, OTHER, OUTSIDE, POWER, TORQUE
 
@@ -86,7 +86,7 @@ def angular_acceleration(model: ContactModel, bodies: Records, b: int, torque: V
     inertia = model.inv_inertia
     R = matrix(row4(bodies.orientation, b))
     inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
-    return turn(R, multiplied3(inverse, turn_back(R, torque)))
+    return turn(R, component_product(inverse, turn_back(R, torque)))
 
 
 @lean_kernel

@@ -16,7 +16,7 @@ from particlerb.contact.wall_motion import motion_in, poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import turned, turned_back
+from particlerb.model.state import rotate, rotate_back
 
 ITERATIONS: Final = 20  # of the power method: within a few per cent
 TOUCHING: Final = 1e-6  # share of the smallest radius by which two that touch may be apart
@@ -76,7 +76,7 @@ def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, dep
     """
     model = contact.model
     spheres, near = model.spheres, TOUCHING * float(model.spheres.radius.min(initial=np.inf))
-    x = np.ascontiguousarray(com[:, spheres.body] + turned(q[:, spheres.body], spheres.arm))
+    x = np.ascontiguousarray(com[:, spheres.body] + rotate(q[:, spheres.body], spheres.arm))
     first, second, _ = neighbours(x, spheres.radius, spheres.body, near)
     away = x[:, second] - x[:, first]
     between = initial_springs(model, (first, second), False, x, away, depth)
@@ -159,7 +159,7 @@ def frequency_on(
                 F[c] += sign * np.bincount(body, f[c], n + 1)
                 tau[c] += sign * np.bincount(body, turning[c], n + 1)
         moved = model.inv_mass * F[:, :-1]
-        spun = turned(q, model.inv_inertia * turned_back(q, tau[:, :-1]))
+        spun = rotate(q, model.inv_inertia * rotate_back(q, tau[:, :-1]))
         given = (F[:, :-1] * moved).sum() + (tau[:, :-1] * spun).sum()  # u K M⁻¹ K u
         stored = (u * f).sum()
         squared = float(given / stored) if stored > 0.0 else 0.0

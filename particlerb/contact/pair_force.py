@@ -29,7 +29,16 @@ from particlerb.contact.law import (
 from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.records import Records, put_row3, put_row4, row3, row4
 from particlerb.maths.quaternion import matrix, turn, turn_back
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, scale, subtract
+from particlerb.maths.vec3 import (
+    Floats,
+    Vec3,
+    add_scaled,
+    component_product,
+    cross,
+    dot,
+    scale,
+    subtract,
+)
 from particlerb.model.block import COM, L, P, Q, get3, get4
 
 NOWHERE: Final = 1e100  # [m] where contacts act that have ended
@@ -89,7 +98,10 @@ def place_bodies(
             p = add_scaled(ahead, subtract(p, (last[0, b], last[1, b], last[2, b])), p)
             spin = add_scaled(ahead, subtract(spin, (last[3, b], last[4, b], last[5, b])), spin)
             inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
-            v, omega = scale(inv_mass[b], p), turn(R, multiplied3(inverse, turn_back(R, spin)))
+            v, omega = (
+                scale(inv_mass[b], p),
+                turn(R, component_product(inverse, turn_back(R, spin))),
+            )
         put_row3(bodies.position, b, x)
         put_row3(bodies.velocity, b, v)
         put_row3(bodies.angular_velocity, b, omega)
@@ -131,7 +143,7 @@ def inv_effective_mass(
     R = matrix(row4(bodies.orientation, b))
     lever = turn_back(R, cross(subtract(point, row3(bodies.position, b)), normal))
     inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
-    given: float = bodies.inv_mass[b] + dot(lever, multiplied3(inverse, lever))
+    given: float = bodies.inv_mass[b] + dot(lever, component_product(inverse, lever))
     return given
 
 

@@ -10,7 +10,7 @@ from particlerb.compiled.jit import inline
 from particlerb.contact.records import Records
 from particlerb.contact.wall_motion import motion_in, pose_at
 from particlerb.maths.quaternion import Quat, multiply, to_body, to_world
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, multiplied3
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, component_product, cross
 
 
 class PrescribedBodies(NamedTuple):
@@ -42,5 +42,5 @@ def prescribed_momenta(
 ) -> tuple[Vec3, Vec3]:
     """M v and I ω of prescribed body k."""
     inertia, mass = prescribed.inertia, prescribed.mass[k]
-    spin = multiplied3((inertia[0, k], inertia[1, k], inertia[2, k]), to_body(q, omega))
+    spin = component_product((inertia[0, k], inertia[1, k], inertia[2, k]), to_body(q, omega))
     return (mass * v[0], mass * v[1], mass * v[2]), to_world(q, spin)

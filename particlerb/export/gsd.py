@@ -17,7 +17,7 @@ import numpy as np
 from particlerb.export import Selection, gsd_hoomd, is_known, sphere_union
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies, taken
-from particlerb.model.state import multiplied, turned_back
+from particlerb.model.state import quaternion_product, rotate_back
 from particlerb.record.schema import FIELDS
 from particlerb.record.trajectory import Trajectory
 
@@ -60,7 +60,7 @@ def per_body(selection: Selection, bodies: Bodies, part: slice) -> dict[str, Flo
     known = {name for name in selection.fields if is_known(selection.trajectory, name)}
     position = selection.values("position", part)
     body_frame = selection.values("orientation", part)
-    q = np.stack([multiplied(frame.T, bodies.rotor_frame).T for frame in body_frame])
+    q = np.stack([quaternion_product(frame.T, bodies.rotor_frame).T for frame in body_frame])
     columns = {"position": position, "orientation": q}
     if known & {"velocity", "linear_momentum"}:
         columns["velocity"] = selection.values("velocity", part)
@@ -75,8 +75,8 @@ def per_body(selection: Selection, bodies: Bodies, part: slice) -> dict[str, Flo
 def momentum_quaternion(q: Floats, L: Floats) -> Floats:
     """HOOMD's p = 2 q (0, Rᵀ L), shapes (4, n) and (3, n)."""
     spin = np.zeros_like(q)
-    spin[1:] = turned_back(q, L)
-    return 2.0 * multiplied(q, spin)
+    spin[1:] = rotate_back(q, L)
+    return 2.0 * quaternion_product(q, spin)
 
 
 def box_edges(selection: Selection) -> list[float]:
@@ -105,7 +105,7 @@ def type_shape(trajectory: Trajectory, kind: int) -> dict[str, Any]:
     radius = radius[is_sphere]
     if 0 < radius.size <= MOST_SPHERES:
         frame = np.tile(trajectory.bodies.rotor_frame[:, body : body + 1], radius.size)
-        centres = turned_back(frame, particles.position[own][is_sphere].T).T
+        centres = rotate_back(frame, particles.position[own][is_sphere].T).T
         return sphere_union(centres, radius)
     a, b, c = ellipsoid(trajectory.bodies.inertia[:, body], float(trajectory.mass[body]))
     return {"type": "Ellipsoid", "a": a, "b": b, "c": c}

@@ -13,7 +13,7 @@ import numpy as np
 
 from particlerb.export import Selection, is_known
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import turned
+from particlerb.model.state import rotate
 from particlerb.record.layout import describe, make_clock, make_group, write_h5md
 from particlerb.record.schema import FIELDS, TRAJECTORY, frames_per_chunk
 from particlerb.record.vtkhdf import append_steps, create_vtkhdf
@@ -70,7 +70,7 @@ def states(selection: Selection, names: Sequence[str], part: slice) -> Iterator[
 def placed(state: tuple[Floats, ...], column: Ints, local: Floats) -> dict[str, Floats]:
     """Particles of one frame in the world: x + R r, and v + ω × R r."""
     x, q, *motion = state
-    arms = turned(q[column].T, local.T).T
+    arms = rotate(q[column].T, local.T).T
     found = {"position": x[column] + arms}
     if motion:
         v, omega = motion

@@ -28,7 +28,7 @@ from particlerb.maths.quaternion import Rows, turn, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import get, get3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, lengths, turned_back
+from particlerb.model.state import State, lengths, rotate_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import CentralTable
@@ -73,7 +73,7 @@ def central_work(central: Central, com: Floats, q: Floats, t: float = 0.0) -> Fl
     del t
     r = com - central.centre
     d = np.linalg.norm(r, axis=0)
-    m = turned_back(q, r / d)
+    m = rotate_back(q, r / d)
     near = central.inertia.sum(axis=0) - 3.0 * (m * m * central.inertia).sum(axis=0)
     work: Floats = central.mu * (central.mass / d + 0.5 * near / (d * d * d))
     return work

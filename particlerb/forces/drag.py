@@ -20,7 +20,7 @@ from particlerb.forces.kinds import (
     same_for_all,
 )
 from particlerb.maths.quaternion import Rows, turn, turn_back
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, multiplied3, subtract
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, subtract
 from particlerb.model.block import INV_INERTIA, get, get3, put
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State
@@ -39,7 +39,7 @@ class Drag(NamedTuple):
 @inline
 def angular_velocity(rows: Floats, b: int, R: Rows, L: Vec3) -> Vec3:
     """ω of body b, world frame [rad/s]."""
-    return turn(R, multiplied3(get3(rows, INV_INERTIA, b), turn_back(R, L)))
+    return turn(R, component_product(get3(rows, INV_INERTIA, b), turn_back(R, L)))
 
 
 @inline
@@ -76,8 +76,8 @@ def damp(
     decay, share = get(rows, first, b), get(rows, first + 4, b)
     kicked = subtract(p, p_old)
     p = add_scaled(decay, p_old, (share * kicked[0], share * kicked[1], share * kicked[2]))
-    m = multiplied3(get3(rows, first + 1, b), turn_back(R, L_old))
-    dm = multiplied3(get3(rows, first + 5, b), turn_back(R, subtract(L, L_old)))
+    m = component_product(get3(rows, first + 1, b), turn_back(R, L_old))
+    dm = component_product(get3(rows, first + 5, b), turn_back(R, subtract(L, L_old)))
     return p, turn(R, add_scaled(1.0, m, dm))
 
 

@@ -26,7 +26,7 @@ from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale
 from particlerb.model.block import get, get3, put3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, lengths, turned, turned_back
+from particlerb.model.state import State, lengths, rotate, rotate_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import UniformField
@@ -87,7 +87,7 @@ def field_work(field: RotatingField, com: Floats, q: Floats, t: float) -> Floats
     """-U, (n,) [J], at t [s]."""
     angle = field.rate * t
     E = field.along + np.cos(angle) * field.across + np.sin(angle) * field.ahead
-    return np.asarray(((field.charge * com + turned(q, field.moment)) * E).sum(axis=0))
+    return np.asarray(((field.charge * com + rotate(q, field.moment)) * E).sum(axis=0))
 
 
 def field_rates(field: RotatingField, bodies: Bodies, state: State) -> Rates:
@@ -142,7 +142,7 @@ def term_of(
 ) -> Push | RotatingField:
     """The force on the charge, and the moment as the lever of the field; or a field that turns."""
     del table
-    moment, E, charge = turned_back(bodies.rotor_frame, numbers[:3]), numbers[3:6], numbers[6]
+    moment, E, charge = rotate_back(bodies.rotor_frame, numbers[:3]), numbers[3:6], numbers[6]
     rate = lengths(numbers[7:10])
     if not rate.any():
         return Push(charge * E, (E[:, None] * moment).reshape(9, -1))

@@ -8,7 +8,7 @@ from particlerb.forces.kinds import Force, same_for_all
 from particlerb.forces.push import refuse_large
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, omega_world, turned, turned_back
+from particlerb.model.state import State, omega_world, rotate, rotate_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import ImpulseTable
@@ -29,8 +29,8 @@ def apply_impulse(impulse: Impulse, bodies: Bodies, state: State) -> tuple[State
     """
     at, J, follows = impulse
     if follows:
-        J = turned(state.q, J)
-    turn = np.cross(turned(state.q, at), J, axis=0)
+        J = rotate(state.q, J)
+    turn = np.cross(rotate(state.q, at), J, axis=0)
     after = state._replace(p=state.p + J, L=state.L + turn)
     velocity = 0.5 * bodies.inv_mass * (state.p + after.p)
     omega = 0.5 * (omega_world(bodies, state) + omega_world(bodies, after))
@@ -41,9 +41,9 @@ def apply_impulse(impulse: Impulse, bodies: Bodies, state: State) -> tuple[State
 
 def impulse_of(table: "ImpulseTable", numbers: Floats, bodies: Bodies) -> Impulse:
     """The impulse of a [[force]] on n bodies."""
-    arm, J = turned_back(bodies.rotor_frame, numbers[:3]), numbers[3:6]
+    arm, J = rotate_back(bodies.rotor_frame, numbers[:3]), numbers[3:6]
     follows = table.frame == "body"
-    J = turned_back(bodies.rotor_frame, J) if follows else J
+    J = rotate_back(bodies.rotor_frame, J) if follows else J
     return Impulse(arm, np.ascontiguousarray(J), follows)
 
 

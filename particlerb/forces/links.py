@@ -20,15 +20,15 @@ from particlerb.maths.vec3 import (
     Ints,
     Vec3,
     add_scaled,
+    component_product,
     cross,
     dot,
-    multiplied3,
     scale,
     subtract,
 )
 from particlerb.model.bodies import Bodies
 from particlerb.model.load import FORCE, OUTSIDE, POWER, TORQUE
-from particlerb.model.state import turned, turned_back
+from particlerb.model.state import rotate, rotate_back
 
 ITERATIONS: Final = 60  # of the power method
 TINY: Final = 1e-300  # keeps 1/l finite where a link has no length
@@ -101,7 +101,7 @@ def second_end(links: Links, y: Floats, s: int) -> End:
 @inline
 def velocity(links: Links, y: Floats, b: int, end: End) -> Vec3:
     """Velocity of the end on body b [m/s]."""
-    w = multiplied3(column3(links.inv_inertia, 0, b), turn_back(end.R, column3(y, 10, b)))
+    w = component_product(column3(links.inv_inertia, 0, b), turn_back(end.R, column3(y, 10, b)))
     return add_scaled(links.inv_mass[b], column3(y, 7, b), cross(turn(end.R, w), end.arm))
 
 
@@ -119,7 +119,7 @@ def rate(links: Links, y: Floats, s: int, ends: tuple[End, End], n: Vec3) -> flo
 def share(links: Links, b: int, end: End, n: Vec3) -> float:
     """1/M + (r × n)·I⁻¹(r × n) of one body [1/kg]."""
     m = turn_back(end.R, cross(end.arm, n))
-    turning = dot(m, multiplied3(column3(links.inv_inertia, 0, b), m))
+    turning = dot(m, component_product(column3(links.inv_inertia, 0, b), m))
     total: float = links.inv_mass[b] + turning
     return total
 
@@ -206,9 +206,9 @@ def damp_links(links: Links | None, y: Floats, load: Floats, dt: float, backward
 def spans(links: Links, com: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
     """From first to second point (3, s) [m], and both arms in world axes (3, s) [m]."""
     a, b = links.first, links.second
-    first = turned(q[:, a], links.first_at)
+    first = rotate(q[:, a], links.first_at)
     inside = b != WORLD
-    arm = np.where(inside, turned(q[:, b], links.second_at), 0.0)
+    arm = np.where(inside, rotate(q[:, b], links.second_at), 0.0)
     second = np.where(inside, com[:, b] + arm, links.second_at)
     return second - com[:, a] - first, first, arm
 
@@ -263,7 +263,7 @@ def fastest_oscillation(links: Links, bodies: Bodies, com: Floats, q: Floats) ->
         u -= v[:, ends[0]] + np.cross(w[:, ends[0]], first, axis=0)
         along = n * (n * u).sum(axis=0)
         f = links.stiffness * along + across * (u - along)
-        m = turned_back(q, w[:, :-1])
+        m = rotate_back(q, w[:, :-1])
         kinetic = (bodies.mass * v[:, :-1] ** 2).sum() + (bodies.inertia * m * m).sum()
         squared = float((u * f).sum() / kinetic) if kinetic > 0.0 else 0.0
         F, tau = np.zeros_like(v), np.zeros_like(w)
@@ -273,7 +273,7 @@ def fastest_oscillation(links: Links, bodies: Bodies, com: Floats, q: Floats) ->
                 turn_ = np.cross(arm, f, axis=0)[c]
                 tau[c] += sign * np.bincount(end, turn_, F.shape[1])
         v[:, :-1] = bodies.inv_mass * F[:, :-1]
-        w[:, :-1] = turned(q, bodies.inv_inertia * turned_back(q, tau[:, :-1]))
+        w[:, :-1] = rotate(q, bodies.inv_inertia * rotate_back(q, tau[:, :-1]))
         size = max(float(np.abs(v).max()), float(np.abs(w).max()))
         if not 0.0 < size < np.inf:
             return math.sqrt(squared)

@@ -26,7 +26,7 @@ from particlerb.maths.quaternion import Rows, turn
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
 from particlerb.model.block import get3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, lengths, turned_back
+from particlerb.model.state import State, lengths, rotate_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import ImpulseTable, PushTable
@@ -135,10 +135,10 @@ def push_at(vector: Floats, arm: Floats) -> Push:
 def term_of(table: "PushTable", numbers: Floats, bodies: Bodies, start: float) -> Push | Follower:
     """A push in the world, or a load that follows the body."""
     del start
-    arm, vector = turned_back(bodies.rotor_frame, numbers[:3]), numbers[3:6]
+    arm, vector = rotate_back(bodies.rotor_frame, numbers[:3]), numbers[3:6]
     if table.frame == "world":
         return push_at(vector, arm)
-    own = turned_back(bodies.rotor_frame, vector)
+    own = rotate_back(bodies.rotor_frame, vector)
     return Follower(own, np.cross(arm, own, axis=0))
 
 

@@ -14,7 +14,7 @@ from particlerb.maths.quaternion import Rows, turn
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import get, get3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, lengths, multiplied, turned, turned_back
+from particlerb.model.state import State, lengths, quaternion_product, rotate, rotate_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import SpringTable
@@ -49,7 +49,7 @@ KICK: Final = Kick("spring", 8, kick_spring, has_potential=True, is_many=True)
 
 def spring_energy(spring: Spring, com: Floats, q: Floats) -> Floats:
     """k (l - l₀)²/2, (n,) [J]."""
-    d = spring.anchor - com - turned(q, spring.at)
+    d = spring.anchor - com - rotate(q, spring.at)
     stretch = np.linalg.norm(d, axis=0) - spring.rest_length
     energy: Floats = 0.5 * spring.stiffness * stretch * stretch
     return energy
@@ -90,15 +90,15 @@ def places(system: "System", bodies: Ints, at: Floats | tuple[float, float, floa
     own = np.array(at, dtype=np.float64)
     own = np.tile(own[:, None], bodies.size) if own.ndim == 1 else own
     inverse = system.bodies.rotor_frame[:, bodies] * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-    q = multiplied(system.state.q[:, bodies], inverse)
-    place: Floats = system.state.com[:, bodies] + turned(q, own)
+    q = quaternion_product(system.state.q[:, bodies], inverse)
+    place: Floats = system.state.com[:, bodies] + rotate(q, own)
     return place
 
 
 def term_of(table: "SpringTable", numbers: Floats, bodies: Bodies, start: float) -> Spring:
     """One spring on each body."""
     del table, start
-    arm = turned_back(bodies.rotor_frame, numbers[:3])
+    arm = rotate_back(bodies.rotor_frame, numbers[:3])
     return Spring(arm, numbers[3:6], numbers[6], numbers[7])
 
 

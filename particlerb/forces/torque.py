@@ -14,7 +14,7 @@ from particlerb.maths.quaternion import Rows
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled
 from particlerb.model.block import get3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, lengths, turned_back
+from particlerb.model.state import State, lengths, rotate_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import TorqueTable
@@ -50,7 +50,7 @@ def term_of(
     del start
     if table.frame == "world":
         return Torque(numbers[3:6])
-    own = turned_back(bodies.rotor_frame, numbers[3:6])
+    own = rotate_back(bodies.rotor_frame, numbers[3:6])
     return Follower(np.zeros_like(own), own)
 
 

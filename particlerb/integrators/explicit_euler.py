@@ -21,7 +21,7 @@ from particlerb.integrators.slopes import (
 )
 from particlerb.integrators.stages import MovingBodies, loads, stage
 from particlerb.maths.quaternion import matrix, turn, turn_back
-from particlerb.maths.vec3 import add_scaled, cross, multiplied3
+from particlerb.maths.vec3 import add_scaled, component_product, cross
 from particlerb.model.block import INV_INERTIA, get3
 
 
@@ -36,7 +36,7 @@ def advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> Non
             R = matrix(y.q)
             slope, entry = slopes(acting, rows, b, y, R)
             m = turn_back(R, y.L)
-            w = multiplied3(get3(rows, INV_INERTIA, b), m)
+            w = component_product(get3(rows, INV_INERTIA, b), m)
             m = add_scaled(dt, add_scaled(1.0, turn_back(R, slope.L), cross(m, w)), m)
             after = on_sphere(add_pose(dt, slope, y))
             put_pose(rows, b, Pose(after.x, after.q, after.p, turn(matrix(after.q), m)))

@@ -8,7 +8,7 @@ integration alone. Where nobody asks (`books` is None), the compiler leaves all 
 from particlerb.compiled.jit import Flag, inline
 from particlerb.forces.kernels import Entry
 from particlerb.maths.quaternion import Rows, turn_back
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, subtract
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, cross, dot, subtract
 from particlerb.model.block import BOOKED, INV_INERTIA, INV_MASS, get, get3, put
 
 
@@ -30,7 +30,7 @@ def kick_entry(
     linear = dot(add_scaled(1.0, old[0], new[0]), subtract(new[0], middle[0]))
     both = turn_back(R, add_scaled(1.0, old[1], new[1]))
     change = turn_back(R, subtract(new[1], middle[1]))
-    angular = dot(both, multiplied3(get3(rows, INV_INERTIA, b), change))
+    angular = dot(both, component_product(get3(rows, INV_INERTIA, b), change))
     work = 0.5 * (linear * get(rows, INV_MASS, b) + angular)
     dp = subtract(new[0], old[0])
     return work, dp, add_scaled(1.0, subtract(new[1], old[1]), cross(x, dp))

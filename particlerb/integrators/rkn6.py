@@ -23,7 +23,7 @@ from particlerb.integrators.kick import kick_body
 from particlerb.integrators.method import Method
 from particlerb.integrators.stages import MovingBodies, loads, stage
 from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, multiplied3, scale
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, dot, scale
 from particlerb.model.block import (
     COM,
     INV_INERTIA,
@@ -109,7 +109,7 @@ def body_momentum(rows: Floats, b: int) -> Vec3:
 def fastest_turn(rows: Floats, n: int) -> float:
     """Largest |ω| of a block at the beginning of a step [rad/s]; 0 where it is not finite."""
     for b in range(n):
-        w = multiplied3(get3(rows, INV_INERTIA, b), body_momentum(rows, b))
+        w = component_product(get3(rows, INV_INERTIA, b), body_momentum(rows, b))
         put(rows, RATE, b, dot(w, w))
     largest = 0.0
     for b in range(n):

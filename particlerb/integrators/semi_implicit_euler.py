@@ -33,9 +33,9 @@ from particlerb.maths.quaternion import (
 from particlerb.maths.vec3 import (
     Vec3,
     add_scaled,
+    component_product,
     cross,
     dot,
-    multiplied3,
     scale,
 )
 from particlerb.model.block import INV_INERTIA, INV_MASS, get, get3
@@ -79,7 +79,7 @@ def kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> No
             entry = kick_entry(rows, b, y.x, R, (y.p, y.L), middle, (p, L))
             entry = less_internal(acting.pair, acting.contact, rows, b, y.x, dt, entry)
             book(books, rows, b, 1.0, with_power(acting.clock, acting, rows, b, y.x, R, dt, entry))
-            w = gyroscopic(multiplied3(inverse, turn_back(R, L)), inverse, dt)
+            w = gyroscopic(component_product(inverse, turn_back(R, L)), inverse, dt)
             q = normalised(add_scaled4(dt, times_vector(y.q, scale(0.5, w)), y.q))
             m = (
                 (w[0] / inverse[0], w[1] / inverse[1], w[2] / inverse[2])

@@ -21,9 +21,9 @@ from particlerb.maths.vec3 import (
     Floats,
     Vec3,
     add_scaled,
+    component_product,
     cross,
     dot,
-    multiplied3,
     scale,
     subtract,
 )
@@ -77,7 +77,7 @@ def on_sphere(y: Pose) -> Pose:
 def slopes(acting: Acting, rows: Floats, b: int, y: Pose, R: Rows) -> tuple[Pose, Entry]:
     """Slopes of body b in a state with the attitude R, and the rates of what it books."""
     m = turn_back(R, y.L)
-    w = multiplied3(get3(rows, INV_INERTIA, b), m)
+    w = component_product(get3(rows, INV_INERTIA, b), m)
     v = scale(get(rows, INV_MASS, b), y.p)
     F, tau, own_force, own_torque = load_at(acting, rows, b, y.x, R, y.p, y.L)
     power = dot(subtract(F, own_force), v) + dot(turn_back(R, subtract(tau, own_torque)), w)

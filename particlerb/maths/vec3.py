@@ -34,7 +34,7 @@ def scale(a: float, x: Vec3) -> Vec3:
 
 
 @inline
-def multiplied3(x: Vec3, y: Vec3) -> Vec3:
+def component_product(x: Vec3, y: Vec3) -> Vec3:
     """Component by component; a diagonal tensor times a vector."""
     return x[0] * y[0], x[1] * y[1], x[2] * y[2]
 

@@ -47,7 +47,7 @@ def as_frame(bodies: Bodies, state: State) -> Frames:
     """One state of all bodies as a frame."""
     com, q, p, L = state
     inverse = bodies.rotor_frame * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-    orientation = multiplied(q, inverse).T[None].copy()
+    orientation = quaternion_product(q, inverse).T[None].copy()
     rows = (com.T[None].copy(), orientation, p.T[None].copy(), L.T[None].copy())
     return Frames(*rows, orientation[0].copy(), np.ones(1, dtype=np.bool_))
 
@@ -80,7 +80,7 @@ def store_frame(
                 last[i, k] = sign * value
 
 
-def multiplied(a: Floats, b: Floats) -> Floats:
+def quaternion_product(a: Floats, b: Floats) -> Floats:
     """Product a b of quaternions, shapes (4, n)."""
     return np.stack(
         [
@@ -92,16 +92,16 @@ def multiplied(a: Floats, b: Floats) -> Floats:
     )
 
 
-def turned(q: Floats, v: Floats) -> Floats:
+def rotate(q: Floats, v: Floats) -> Floats:
     """R v: vectors (3, n) of the rotating frame in the world frame."""
     t = 2 * np.cross(q[1:], v, axis=0)
     result: Floats = v + q[0] * t + np.cross(q[1:], t, axis=0)
     return result
 
 
-def turned_back(q: Floats, v: Floats) -> Floats:
+def rotate_back(q: Floats, v: Floats) -> Floats:
     """Rᵀ v: vectors (3, n) of the world frame in the rotating frame."""
-    return turned(q * np.array([[1.0], [-1.0], [-1.0], [-1.0]]), v)
+    return rotate(q * np.array([[1.0], [-1.0], [-1.0], [-1.0]]), v)
 
 
 def lengths(vectors: Floats) -> Floats:
@@ -127,25 +127,25 @@ def initial_state(
     orientation : ndarray, shape (n, 4)
         Unit quaternions, scalar first, body frame to world.
     """
-    q = multiplied(np.ascontiguousarray(orientation.T), bodies.rotor_frame)
+    q = quaternion_product(np.ascontiguousarray(orientation.T), bodies.rotor_frame)
     q /= np.sqrt((q * q).sum(axis=0))
-    omega = turned_back(q, np.ascontiguousarray(angular_velocity.T))
+    omega = rotate_back(q, np.ascontiguousarray(angular_velocity.T))
     return State(
         np.ascontiguousarray(position.T, dtype=np.float64),
         q,
         np.ascontiguousarray(bodies.mass * velocity.T),
-        turned(q, bodies.inertia * omega),
+        rotate(q, bodies.inertia * omega),
     )
 
 
 def omega_world(bodies: Bodies, state: State) -> Floats:
     """Angular velocity R I⁻¹ Rᵀ L, (3, n) [rad/s]; zero for points."""
-    return turned(state.q, bodies.inv_inertia * turned_back(state.q, state.L))
+    return rotate(state.q, bodies.inv_inertia * rotate_back(state.q, state.L))
 
 
 def kinetic_energy(bodies: Bodies, state: State) -> Floats:
     """|p|²/2M + ½ Σ m_k² / I_k with m = Rᵀ L, (n,) [J]."""
-    m = turned_back(state.q, state.L)
+    m = rotate_back(state.q, state.L)
     energy: Floats = 0.5 * (
         (state.p * state.p).sum(axis=0) * bodies.inv_mass + (m * m * bodies.inv_inertia).sum(axis=0)
     )
@@ -155,7 +155,7 @@ def kinetic_energy(bodies: Bodies, state: State) -> Floats:
 def inertia_in_body(bodies: Bodies, b: int) -> Floats:
     """Inertia tensor (3, 3) [kg m²] of body b about its com, in the body frame."""
     frame = np.tile(bodies.rotor_frame[:, b : b + 1], 3)
-    R = turned(frame, np.eye(3))
+    R = rotate(frame, np.eye(3))
     tensor: Floats = (R * bodies.inertia[:, b]) @ R.T
     return tensor
 
@@ -180,7 +180,7 @@ def derived(
     velocity = linear_momentum * bodies.inv_mass[:, None]
     omega = np.empty_like(angular_momentum, dtype=np.float64)
     for f in range(len(orientation)):
-        q = multiplied(orientation[f].T, bodies.rotor_frame)
+        q = quaternion_product(orientation[f].T, bodies.rotor_frame)
         L = np.ascontiguousarray(angular_momentum[f].T)
-        omega[f] = turned(q, bodies.inv_inertia * turned_back(q, L)).T
+        omega[f] = rotate(q, bodies.inv_inertia * rotate_back(q, L)).T
     return velocity, omega

@@ -18,7 +18,7 @@ from particlerb.forces.kinds import ForceError
 from particlerb.forces.registry import force_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
-from particlerb.model.state import lengths, turned_back
+from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.plan.links import AXIAL_ROUNDING, is_link
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
@@ -169,7 +169,7 @@ def turning_part(load: ResolvedForce, bodies: Bodies, q: Floats) -> tuple[Floats
     is_torque = force_of(load.force).is_torque
     given = np.array(load.numbers[3:6] if is_torque else load.numbers[:3])[:, None]
     in_world = is_torque and getattr(load.force, "frame", "body") == "world"
-    turn = turned_back(q if in_world else bodies.rotor_frame, np.tile(given, bodies.mass.size))
+    turn = rotate_back(q if in_world else bodies.rotor_frame, np.tile(given, bodies.mass.size))
     axial = np.abs(turn[2]) if is_torque else np.hypot(turn[0], turn[1])
     size = lengths(turn)
     return size, np.where(bodies.rotor_class == POINT, size, axial)

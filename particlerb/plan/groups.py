@@ -27,7 +27,7 @@ from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import force_of
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import turned_back
+from particlerb.model.state import rotate_back
 from particlerb.model.system import System
 from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce, acting_terms
 from particlerb.plan.contact_setup import ContactSetup
@@ -205,8 +205,8 @@ def links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
     return Links(
         first,
         second,
-        np.ascontiguousarray(turned_back(frame[:, first], first_at)),
-        np.ascontiguousarray(np.where(inside, turned_back(frame[:, second], second_at), second_at)),
+        np.ascontiguousarray(rotate_back(frame[:, first], first_at)),
+        np.ascontiguousarray(np.where(inside, rotate_back(frame[:, second], second_at), second_at)),
         stiffness,
         np.concatenate([link.rest_length for link in links]),
         damping if damping.any() else None,
@@ -227,7 +227,7 @@ def attraction_among(system: System, members: Ints, bodies: Bodies) -> Attractio
     position: Floats = np.ascontiguousarray(system.particles.position[index].T)
     mass = system.particles.mass[index]
     return Attraction(
-        np.ascontiguousarray(turned_back(bodies.rotor_frame[:, owner], position)),
+        np.ascontiguousarray(rotate_back(bodies.rotor_frame[:, owner], position)),
         mass,
         system.attraction.G * mass,
         np.searchsorted(owner, np.arange(members.size + 1)),
@@ -251,7 +251,7 @@ def contact_among(
     np.maximum.at(reach, owner, np.sqrt((place * place).sum(axis=0)))
     k = len(touching.materials)
     spheres = ContactSpheres(
-        np.ascontiguousarray(turned_back(bodies.rotor_frame[:, owner], place)),
+        np.ascontiguousarray(rotate_back(bodies.rotor_frame[:, owner], place)),
         radius,
         owner,
         touching.material[members][owner],

@@ -16,7 +16,7 @@ from particlerb.case.source import problem_at
 from particlerb.forces.links import WORLD
 from particlerb.forces.spring import places
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.state import lengths, turned_back
+from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
@@ -200,7 +200,7 @@ def misplaced_ends(system: System, link: Link) -> list[Problem]:
             continue
         index = np.unique(ends)
         index = index[np.isin(system.bodies.rotor_class[index], (POINT, ROD))]
-        arm = turned_back(
+        arm = rotate_back(
             system.bodies.rotor_frame[:, index], np.tile(np.array(at)[:, None], index.size)
         )
         is_point = system.bodies.rotor_class[index] == POINT

@@ -21,7 +21,7 @@ from particlerb.contact.wall_shapes import box, cylinder, plane, surface, unit
 from particlerb.contact.walls import Walls
 from particlerb.geometry.mesh import triangles_of
 from particlerb.maths.vec3 import Floats, Vec3
-from particlerb.model.state import turned
+from particlerb.model.state import rotate
 from particlerb.model.system import System
 
 
@@ -67,7 +67,7 @@ def mesh_of(system: System, number: int, table: MeshWall) -> Walls:
     q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
     vertices, own = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     turns = np.tile(normalised(q)[:, None], len(vertices))
-    vertices = turned(turns, table.scale * vertices.T).T + np.array(table.position)
+    vertices = rotate(turns, table.scale * vertices.T).T + np.array(table.position)
     made = surface(vertices, own.reshape(-1, 3))
     if not made.kind.size:
         raise CaseError(

@@ -16,7 +16,7 @@ from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.balance import Entries
 from particlerb.model.bodies import Bodies, made_of, taken
-from particlerb.model.state import derived, turned, turned_back
+from particlerb.model.state import derived, rotate, rotate_back
 from particlerb.record import schema
 from particlerb.record.checked_reading import (
     TrajectoryError,
@@ -106,8 +106,8 @@ class Trajectory(FrameReader):
         L = self.read("angular_momentum", bodies=body).T
         one = taken(self.bodies, np.array([body]))
         frame = np.repeat(one.rotor_frame, n, axis=1)
-        m = turned_back(frame, turned_back(q, L))
-        omega: Floats = turned(frame, one.inv_inertia * m).T
+        m = rotate_back(frame, rotate_back(q, L))
+        omega: Floats = rotate(frame, one.inv_inertia * m).T
         return omega
 
     def momentum_sizes(self) -> tuple[float, float]:
@@ -282,7 +282,7 @@ class Trajectory(FrameReader):
         local = self.particles.position[row]
         q = self.read("orientation", slice(k, k + 1))[0]
         x = self.read("position", slice(k, k + 1))[0]
-        positions: Floats = x[body] + turned(q[body].T, local.T).T
+        positions: Floats = x[body] + rotate(q[body].T, local.T).T
         return positions
 
     @cached_property

@@ -23,7 +23,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, multiplied3, scale
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, cross, dot, scale
 
 Cubic: TypeAlias = tuple[Vec3, Vec3, Vec3]  # coefficients of N, H, N², NH, H², N³, N²H, NH², H³
 LONGEST_PIECE: Final = 0.8  # rad that one map may turn
@@ -110,11 +110,11 @@ def iterations_of(turn: float) -> int:
 @inline
 def first_guess(m: Vec3, a: Vec3, s: Cubic, d: Cubic) -> tuple[Vec3, Vec3, Vec3]:
     """u, f and a first guess of (x, y, z); m and a are h m/I₁ and I₁/I, without dimension."""
-    N, H = 0.5 * dot(m, m), 0.5 * dot(m, multiplied3(a, m))
+    N, H = 0.5 * dot(m, m), 0.5 * dot(m, component_product(a, m))
     size, added = 1.0 + polynomial(s, N, H), polynomial(d, N, H)
     b = (size * a[0] + added, size * a[1] + added, size * a[2] + added)
     inverse = 1.0 / (b[0] * b[1] * b[2])
-    u = scale(0.5, multiplied3(m, b))
+    u = scale(0.5, component_product(m, b))
     f = (
         (b[2] - b[1]) * (b[0] * b[0]) * inverse,
         (b[0] - b[2]) * (b[1] * b[1]) * inverse,

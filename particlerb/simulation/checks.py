@@ -14,9 +14,9 @@ from particlerb.model.state import (
     State,
     inertia_in_body,
     kinetic_energy,
-    multiplied,
     omega_world,
-    turned,
+    quaternion_product,
+    rotate,
 )
 from particlerb.model.system import System
 from particlerb.simulation.run import Outcome
@@ -91,7 +91,7 @@ def quantity(check: CheckValue, system: System, b: int, frames: Frames) -> Float
     position, orientation, linear, angular, _, _ = frames
     state = State(
         position[0, index].T,
-        multiplied(orientation[0, index].T, bodies.rotor_frame),
+        quaternion_product(orientation[0, index].T, bodies.rotor_frame),
         linear[0, index].T,
         angular[0, index].T,
     )
@@ -111,13 +111,13 @@ def quantity(check: CheckValue, system: System, b: int, frames: Frames) -> Float
     }
     vector = vectors[check.quantity]
     if check.frame == "body":
-        vector = turned(orientation[0, index].T * CONJUGATE, vector)
+        vector = rotate(orientation[0, index].T * CONJUGATE, vector)
     return vector[:, 0]
 
 
 def rotated(q: Floats, tensor: Floats) -> Floats:
     """R T Rᵀ."""
-    R = turned(np.tile(q[:, None], 3), np.eye(3))
+    R = rotate(np.tile(q[:, None], 3), np.eye(3))
     result: Floats = R @ tensor @ R.T
     return result
 

@@ -10,7 +10,7 @@ from particlerb.forces import energy_of_loads, has_energy
 from particlerb.forces.impulse import apply_impulse
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
-from particlerb.model.state import Frames, State, multiplied
+from particlerb.model.state import Frames, State, quaternion_product
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.stepping.begin import begin
 from particlerb.stepping.contact_run import TouchingMotion
@@ -160,7 +160,7 @@ class GroupRun:
     def pose(self, frames: Frames, row: int) -> tuple[Floats, Floats]:
         """Centres of mass (3, n) and orientations of the rotor frames (4, n) in a frame."""
         own = self.plan.members
-        q = multiplied(frames.orientation[row, own].T, self.plan.bodies.rotor_frame)
+        q = quaternion_product(frames.orientation[row, own].T, self.plan.bodies.rotor_frame)
         return frames.position[row, own].T, q
 
 

@@ -21,7 +21,14 @@ from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import Frames, State, as_frame, multiplied, room_for, turned_back
+from particlerb.model.state import (
+    Frames,
+    State,
+    as_frame,
+    quaternion_product,
+    room_for,
+    rotate_back,
+)
 from particlerb.model.system import System
 from particlerb.plan.describe import describe
 from particlerb.plan.make_plan import make_plan
@@ -207,8 +214,10 @@ class Run:
         """Those of the rods that have an angular momentum along their axis in frame f."""
         if not rods.size:
             return rods
-        q = multiplied(frames.orientation[f, rods].T, self.system.bodies.rotor_frame[:, rods])
-        m = turned_back(q, frames.angular_momentum[f, rods].T)
+        q = quaternion_product(
+            frames.orientation[f, rods].T, self.system.bodies.rotor_frame[:, rods]
+        )
+        m = rotate_back(q, frames.angular_momentum[f, rods].T)
         axial: Ints = rods[np.abs(m[2]) > self.rod_limit[rods] * np.linalg.norm(m, axis=0)]
         return axial
 

@@ -103,7 +103,7 @@ from particlerb.model.load import CONTACT_ROWS
 from particlerb.model.state import Frames, State
 from particlerb.stepping.loop import PAUSE, Recording, Schedule, store_blocks
 from particlerb.stepping.motion import Group, MotionError
-from particlerb.stepping.saved_arrays import Saved, filled, flat, under, within
+from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 from particlerb.stepping.stepped_motion import SteppedMotion
 
 NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
@@ -817,7 +817,7 @@ class TouchingMotion(SteppedMotion):
         """Lists with what contacts keep, the poses that they were made at, and their skin."""
         saved = super().checkpoint()
         for name, value in (("memory", self.memory), ("place", self.place), ("lists", self.lists)):
-            saved |= under(name, flat(value))
+            saved |= under(name, to_arrays(value))
         for k, (keys, rows, _) in enumerate(self.kept):
             saved |= {f"keys.{k}": keys.copy(), f"rows.{k}": rows.copy()}
         way = np.array([self.farthest, self.made, self.contact.skin])
@@ -831,9 +831,9 @@ class TouchingMotion(SteppedMotion):
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         super().restore(saved)
-        self.memory = filled(self.memory, within("memory", saved))
-        self.place = filled(self.place, within("place", saved))
-        self.lists = filled(self.lists, within("lists", saved))
+        self.memory = from_arrays(self.memory, within("memory", saved))
+        self.place = from_arrays(self.place, within("place", saved))
+        self.lists = from_arrays(self.lists, within("lists", saved))
         spheres, walls = self.lists.spheres.history, self.lists.walls.history
         self.kept = (
             ContactHistory(saved["keys.0"], saved["rows.0"], to_floats(spheres)),

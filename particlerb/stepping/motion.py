@@ -15,7 +15,7 @@ from particlerb.compiled.jit import flag
 from particlerb.forces import Terms, force_of_loads, is_constant, terms_on, work_of_potentials
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
-from particlerb.model.state import Frames, State, multiplied
+from particlerb.model.state import Frames, State, quaternion_product
 from particlerb.stepping.saved_arrays import Saved, under, within
 
 
@@ -137,7 +137,7 @@ class WorkAccount:
         own, frame = self.group.members, self.group.bodies.rotor_frame
         given = np.empty((elapsed.size, 7))
         for k, row in enumerate(rows):
-            q = multiplied(np.ascontiguousarray(frames.orientation[row, own].T), frame)
+            q = quaternion_product(np.ascontiguousarray(frames.orientation[row, own].T), frame)
             com, L = frames.position[row, own].T, frames.angular_momentum[row, own].T
             given[k] = self.of_state(float(elapsed[k]), com, q, L, sums[row])
         return given

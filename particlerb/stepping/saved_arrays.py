@@ -27,7 +27,7 @@ def within(name: str, saved: Mapping[str, Any]) -> Saved:
     return {key[len(start) :]: value for key, value in saved.items() if key.startswith(start)}
 
 
-def flat(values: Any) -> Saved:
+def to_arrays(values: Any) -> Saved:
     """Arrays of a NamedTuple of arrays, numbers, such tuples and None, by the names of fields.
 
     Records become rows of floats.
@@ -35,7 +35,7 @@ def flat(values: Any) -> Saved:
     saved: Saved = {}
     for name, value in values._asdict().items():
         if hasattr(value, "_fields"):
-            saved |= under(name, flat(value))
+            saved |= under(name, to_arrays(value))
         elif isinstance(value, Records):
             saved[name] = to_floats(value).copy()
         elif value is not None:
@@ -43,13 +43,13 @@ def flat(values: Any) -> Saved:
     return saved
 
 
-def filled(like: Tuple, saved: Mapping[str, Any]) -> Tuple:
-    """NamedTuple of the same types with the arrays and numbers that `flat` has given."""
+def from_arrays(like: Tuple, saved: Mapping[str, Any]) -> Tuple:
+    """NamedTuple of the same types with the arrays and numbers that `to_arrays` has given."""
     fields: Any = like
     values = {}
     for name, value in fields._asdict().items():
         if hasattr(value, "_fields"):
-            values[name] = filled(value, within(name, saved))
+            values[name] = from_arrays(value, within(name, saved))
         elif isinstance(value, (bool, int, float)):
             values[name] = type(value)(saved[name])
         elif isinstance(value, Records):

@@ -38,11 +38,11 @@ from particlerb.forces import Terms, terms_on
 from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import taken
-from particlerb.model.state import Frames, State, turned
+from particlerb.model.state import Frames, State, rotate
 from particlerb.stepping.contact_run import TouchingMotion, is_due, lost_pair
 from particlerb.stepping.free_motion import FreeMotion
 from particlerb.stepping.motion import CompositeMotion, Group, Motion, MotionError
-from particlerb.stepping.saved_arrays import Saved, filled, flat, under, within
+from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 
 LEAST_BODIES: Final = 300  # below, to begin an interval costs more than to step all
 MOST_STEPS: Final = 2048  # of an interval
@@ -278,7 +278,7 @@ class DiluteMotion:
         if not self.watch_of_flights.is_due(n, scene.walls.kind.size, work):
             return
         (com, q, p, L), spheres = self.state, scene.spheres
-        x = com[:, spheres.body] + turned(q[:, spheres.body], spheres.arm)
+        x = com[:, spheres.body] + rotate(q[:, spheres.body], spheres.arm)
         turning = np.sqrt((L**2).sum(axis=0)) * scene.inv_inertia.max(axis=0)
         bodies = WatchedBodies(
             np.ascontiguousarray(np.vstack([x, spheres.radius]).T),
@@ -340,9 +340,9 @@ class DiluteMotion:
 
     def checkpoint(self) -> Saved:
         """The state at the start of the interval, and who is stepped in it: it is taken again."""
-        saved = under("state", flat(self.state))
+        saved = under("state", to_arrays(self.state))
         for k, one in enumerate(self.kept or ()):
-            saved |= under(f"kept.{k}", flat(one))
+            saved |= under(f"kept.{k}", to_arrays(one))
         saved |= {"active": self.active.copy(), "booked": self.booked.copy()}
         counts = np.array([self.done, self.steps, self.saved, self.all_steps, self.count])
         extremes = np.array([self.skin, self.turnover, self.swing])
@@ -351,7 +351,7 @@ class DiluteMotion:
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
-        self.state = filled(self.state, within("state", saved))
+        self.state = from_arrays(self.state, within("state", saved))
         kept = [within(f"kept.{k}", saved) for k in range(2)]
         self.kept = (ContactHistory(**kept[0]), ContactHistory(**kept[1])) if kept[0] else None
         self.active, self.booked = saved["active"], saved["booked"]

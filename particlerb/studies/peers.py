@@ -17,7 +17,13 @@ import numpy as np
 from particlerb.case.forces import PushTable
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
-from particlerb.model.state import Frames, kinetic_energy, multiplied, omega_world, turned_back
+from particlerb.model.state import (
+    Frames,
+    kinetic_energy,
+    omega_world,
+    quaternion_product,
+    rotate_back,
+)
 from particlerb.model.system import System
 from particlerb.simulation.trials import BodySubset, Error, errors
 from particlerb.studies.text import chosen_names
@@ -113,7 +119,7 @@ def peer_scene(system: System) -> PeerScene:
 
 def to_rotor(frame: Floats, vector: Sequence[float]) -> Floats:
     """A vector of the body frame in the rotor frame."""
-    return turned_back(frame[:, None], np.array(vector)[:, None])[:, 0]
+    return rotate_back(frame[:, None], np.array(vector)[:, None])[:, 0]
 
 
 def peer_errors(
@@ -125,7 +131,7 @@ def peer_errors(
     """
     bodies = taken(scene.bodies, which)
     inverse = bodies.rotor_frame * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-    orientation = multiplied(np.ascontiguousarray(result.orientation[which].T), inverse).T
+    orientation = quaternion_product(np.ascontiguousarray(result.orientation[which].T), inverse).T
 
     position, turned = (
         np.repeat(column[None], times.size, axis=0)

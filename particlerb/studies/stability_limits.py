@@ -18,7 +18,7 @@ from particlerb.forces.links import Links
 from particlerb.forces.spring import Spring
 from particlerb.integrators.rkn6 import DRIFTS, KICKS
 from particlerb.maths.vec3 import Bools, Floats
-from particlerb.model.state import State, turned_back
+from particlerb.model.state import State, rotate_back
 from particlerb.rotors.moser_veselov import modified_inertia
 from particlerb.studies.stability_runs import (
     ACCURATE,
@@ -98,7 +98,7 @@ def tops(omega: Floats, stiffness: Floats) -> StabilityScene:
     """
     n = stiffness.size
     hook = np.tile([[0.0], [0.0], [-1.0]], (1, n))
-    own = turned_back(bodies_of(np.tile(MOMENTS, (n, 1))).rotor_frame, hook)
+    own = rotate_back(bodies_of(np.tile(MOMENTS, (n, 1))).rotor_frame, hook)
     spring = Spring(own, hook, stiffness, np.zeros(n))
     return scene(MOMENTS, omega, Terms(loads=(spring,)), mass=1e20)
 
@@ -153,7 +153,7 @@ def gain(method: str, z: float, steps: int = 20) -> float:
 def top_gain(method: str, z: float) -> float:
     """Factor of a small |ω⊥|² of a symmetric top, I = (1, 1, 1.5), hω₃ = z, per step, less 1."""
     top = scene(np.array([1.0, 1.0, 1.5]), np.array([[1e-4 * z, 0.0, z]]))
-    return growth(method, top, lambda _, s: (turned_back(s.q, s.L)[:2] ** 2).sum())
+    return growth(method, top, lambda _, s: (rotate_back(s.q, s.L)[:2] ** 2).sum())
 
 
 def turn_in_a_step(method: str, z: float) -> float:

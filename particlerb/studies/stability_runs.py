@@ -20,7 +20,7 @@ from particlerb.model.state import (
     State,
     initial_state,
     kinetic_energy,
-    multiplied,
+    quaternion_product,
     room_for,
 )
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, SYMMETRIC
@@ -147,7 +147,7 @@ def states(moved: StabilityScene, frames: Frames) -> Iterator[State]:
     """The states of frames, one after the other."""
     x, q, p, L = frames[:4]
     for f in range(len(x)):
-        yield State(x[f].T, multiplied(q[f].T, moved.bodies.rotor_frame), p[f].T, L[f].T)
+        yield State(x[f].T, quaternion_product(q[f].T, moved.bodies.rotor_frame), p[f].T, L[f].T)
 
 
 def energy(moved: StabilityScene, state: State) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from particlerb.case.shapes import AnyShape, Box
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
-from particlerb.model.state import derived, inertia_in_body, turned_back
+from particlerb.model.state import derived, inertia_in_body, rotate_back
 from particlerb.model.system import System
 from particlerb.view.forms import rotation_matrix
 from particlerb.view.session import AppliedPush
@@ -97,7 +97,7 @@ def state_parts(system: System, b: int, motion: BodyMotion) -> list[FigurePart]:
     body = inertia_in_body(system.bodies, b)
     R = rotation_matrix(q)
     world = R @ body @ R.T
-    spin = turned_back(q[:, None], motion.angular_velocity[:, None])[:, 0]
+    spin = rotate_back(q[:, None], motion.angular_velocity[:, None])[:, 0]
 
     def tensor(key: str, values: Floats) -> tuple[Row, ...]:
         return tuple(row(f"{key}-{k}", "xyz"[k], values[k]) for k in range(3))

@@ -18,7 +18,7 @@ from particlerb.case.values import Euler
 from particlerb.files import Files
 from particlerb.geometry.mesh import read_mesh, triangles_of
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import turned, turned_back
+from particlerb.model.state import rotate, rotate_back
 from particlerb.model.system import System
 
 trimesh: Any = import_module("trimesh")  # untyped in parts
@@ -132,8 +132,8 @@ class Surfaces:
             if best is not None and along[b] - self.reach[b] > best.distance:
                 break
             turn = q[b][:, None]
-            start = turned_back(turn, -away[b][:, None])[:, 0]
-            way = turned_back(turn, direction[:, None])[:, 0]
+            start = rotate_back(turn, -away[b][:, None])[:, 0]
+            way = rotate_back(turn, direction[:, None])[:, 0]
             found = meet(self.form(self.system.kind[b]), start, way)
             if found is not None and (best is None or found[0] < best.distance):
                 best = Hit(b, start + found[0] * way, found[1], found[0])
@@ -206,7 +206,7 @@ def form_of(system: System, body: Body, kind: int, copies: int) -> Form:
 
 def rotation_matrix(q: Floats) -> Floats:
     """Matrix (3, 3) of a unit quaternion: its columns are the body's axes in the world."""
-    return turned(np.tile(q[:, None], 3), np.eye(3))
+    return rotate(np.tile(q[:, None], 3), np.eye(3))
 
 
 def rotation_of(given: Euler | tuple[float, ...]) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 import viser
 
 from particlerb.maths.vec3 import Floats
-from particlerb.model.state import turned
+from particlerb.model.state import rotate
 from particlerb.model.system import System
 from particlerb.view.arrows import Arrows
 from particlerb.view.controls import ALONG_VIEW, AXES, INTO_SURFACE, Controls
@@ -145,7 +145,7 @@ class Live(Page):
 
     def in_world_axes(self, b: int, vector: Floats) -> Floats:
         """A vector of the axes of body b, in those of the world."""
-        return turned(self.session.frame.orientation[0, b][:, None], vector[:, None])[:, 0]
+        return rotate(self.session.frame.orientation[0, b][:, None], vector[:, None])[:, 0]
 
     def push_at_point(self, event: Any) -> None:
         """Push the body that is looked at, at the point of the field."""

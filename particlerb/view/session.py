@@ -23,7 +23,7 @@ from particlerb.case.to_system import with_records
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
-from particlerb.model.state import Frames, turned
+from particlerb.model.state import Frames, rotate
 from particlerb.model.system import System
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.segments import Plan, Segment, has_step, is_adaptive
@@ -182,7 +182,7 @@ class Session:
         else:
             entry = {"type": "push", **entry, "force": vector, "during": [start, stop]}
         _, orientation, p, L, _, _ = self.frame
-        lever = turned(orientation[0, push.body][:, None], np.array(push.at)[:, None])[:, 0]
+        lever = rotate(orientation[0, push.body][:, None], np.array(push.at)[:, None])[:, 0]
         momenta = p[0, push.body].copy(), L[0, push.body].copy()
         applied = AppliedPush(push, start, stop, lever, *momenta)
         self.continue_with([*self.raw["force"], entry])

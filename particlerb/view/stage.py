@@ -12,7 +12,7 @@ import numpy as np
 import viser
 
 from particlerb.maths.vec3 import Floats
-from particlerb.model.state import multiplied
+from particlerb.model.state import quaternion_product
 from particlerb.model.system import System
 from particlerb.view.forms import Surfaces, extent_of, walls_of
 
@@ -139,7 +139,7 @@ class Stage:
         for layer, handle in zip(self.surfaces.layers, self.layers, strict=True):
             turn = q[layer.body]
             if layer.turn is not None:
-                turn = multiplied(turn.T, layer.turn).T
+                turn = quaternion_product(turn.T, layer.turn).T
             handle.batched_positions = shown[layer.body].astype(np.float32)
             handle.batched_wxyzs = turn.astype(np.float32)
         place = tuple(((self.home - self.origin) / self.unit).tolist())

@@ -10,7 +10,7 @@ from particlerb.case.problems import CaseError
 from particlerb.forces.impulse import Impulse, apply_impulse
 from particlerb.forces.push import lever_work
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, kinetic_energy, turned
+from particlerb.model.state import State, kinetic_energy, rotate
 
 START = {"orientation": [0.8, 0.0, 0.6, 0.0], "angular_velocity": [1.0, 0.4, -0.7]}
 TENSOR = np.diag([1.0, 2.0, 2.5])
@@ -112,7 +112,7 @@ def test_lever_work_is_the_potential_of_the_push(force, at, a, axis):
         return (new / np.linalg.norm(new))[:, None]
 
     slope = (lever_work(lever, turned_by(h)) - lever_work(lever, turned_by(-h))) / (2 * h)
-    torque = np.cross(turned(q[:, None], at[:, None])[:, 0], force)
+    torque = np.cross(rotate(q[:, None], at[:, None])[:, 0], force)
     # h² |axis|³ of the difference itself, and rounding of 1e-16 · 12 N m / h
     assert slope[0] == pytest.approx(torque @ axis, abs=1e-8)
 
@@ -141,8 +141,8 @@ def test_work_of_an_impulse_is_the_change_of_kinetic_energy(J, at, seed, follows
     assert booked[1:4] == pytest.approx((after.p - p)[:, 0], abs=1e-14)
     orbit = np.cross(com[:, 0], (after.p - p)[:, 0])
     assert booked[4:7] == pytest.approx(orbit + (after.L - L)[:, 0], abs=1e-13)
-    world = turned(state.q, J[:, None]) if follows else J[:, None]
-    turn = np.cross(turned(state.q, at[:, None])[:, 0], world[:, 0])
+    world = rotate(state.q, J[:, None]) if follows else J[:, None]
+    turn = np.cross(rotate(state.q, at[:, None])[:, 0], world[:, 0])
     assert (after.L - L)[:, 0] == pytest.approx(turn, abs=1e-13)
     assert (after.com == com).all()
     assert (after.q == state.q).all()

@@ -506,9 +506,9 @@ def test_overlaps_are_those_of_every_pair_at_once(make):
 
 def orientations(system):
     """Body to world quaternions (4, n)."""
-    from particlerb.model.state import multiplied
+    from particlerb.model.state import quaternion_product
 
-    return multiplied(
+    return quaternion_product(
         system.state.q, system.bodies.rotor_frame * np.array([[1.0], [-1], [-1], [-1]])
     )
 

@@ -23,7 +23,7 @@ from particlerb.simulation import run as simulate
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.resume import ResumeError, look_at
 from particlerb.stepping import sparse_contact as dilute
-from particlerb.stepping.saved_arrays import filled, flat
+from particlerb.stepping.saved_arrays import from_arrays, to_arrays
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
 DOWN = {"acceleration": [0.0, 0.0, -9.81]}
@@ -433,7 +433,7 @@ def test_tuples_of_arrays_come_back_as_they_were():
         none: Any
 
     value = Outer(Inner(np.arange(3), 4), np.eye(2), None)
-    again = filled(value, {k: np.array(v) for k, v in flat(value).items()})
+    again = from_arrays(value, {k: np.array(v) for k, v in to_arrays(value).items()})
     assert isinstance(again.inner.count, int)
     assert (again.inner.a == value.inner.a).all()
     assert (again.b == value.b).all()
