@@ -52,20 +52,16 @@ EXCEPTIONS = {
     "particlerb/geometry/fill.py": 1,
     "particlerb/geometry/mesh.py": 1,
     "particlerb/geometry/packing.py": 1,
-    "particlerb/plan/describe.py": 4,
     "particlerb/plan/remove_overlaps.py": 1,
     "particlerb/plan/stability.py": 1,
     "particlerb/record/checked_reading.py": 5,
     "particlerb/record/provenance.py": 2,
     "particlerb/record/schema.py": 2,
-    "particlerb/record/target.py": 2,
-    "particlerb/record/trajectory.py": 3,
     "particlerb/record/verify.py": 2,
     "particlerb/simulation/accuracy.py": 3,
     "particlerb/simulation/resume.py": 4,
     "particlerb/stepping/contact_run.py": 3,
     "particlerb/view/access.py": 1,
-    "particlerb/view/live.py": 1,
 }
 """Idioms that a file still has, at most: numbers that may only shrink."""
 

@@ -30,7 +30,7 @@ def describe(system: System, plan: Plan, accuracy: str = "") -> str:
         ("contact", contact_line(system, plan)),
         ("step", plan.step),
         *([("accuracy", accuracy)] if accuracy else []),
-        ("ledger", ledger_line(plan)),
+        ("energy balance", balance_line(plan)),
     ]
     for group in plan.groups[:GROUPS_SHOWN]:
         lines += [(group_name(system, group.members), text) for text in segment_lines(group)]
@@ -122,16 +122,16 @@ def any_flies(plan: Plan) -> bool:
     )
 
 
-def ledger_line(plan: Plan) -> str:
-    """What booking costs."""
+def balance_line(plan: Plan) -> str:
+    """How the work of forces is found, for the energy balance."""
     stepped = [s for group in plan.groups for s in group.segments if has_step(s.method)]
     if not all(has_potential(segment.terms) for segment in stepped):
-        return "work and impulses booked step by step: a force without potential acts"
+        return "work and impulses summed step by step: a force without potential acts"
     if any(TIME in needs for s in stepped for needs in needs_of(s.terms).values()):
-        return "work from potentials and their change with time; impulses booked step by step"
+        return "work from potentials and their change with time; impulses summed step by step"
     if not all(is_constant(segment.terms) for segment in stepped):
-        return "work from potentials; impulses booked step by step: a force is not constant"
-    return "booked in closed form: every force has a potential, kicks pay nothing for it"
+        return "work from potentials; impulses summed step by step: a force is not constant"
+    return "work and impulses in closed form: every force has a potential"
 
 
 def group_name(system: System, index: Ints) -> str:

@@ -36,7 +36,7 @@ def output_path(path: Path, overwrite: bool) -> Path:
             ) from None
     except NotADirectoryError:
         wrong = next(parent for parent in path.parents if parent.exists())
-        raise NotADirectoryError(f"{path} cannot be made: {wrong} is no folder") from None
+        raise NotADirectoryError(f"{path} cannot be made: {wrong} is not a folder") from None
     except OSError as error:
         if error.errno != errno.ELOOP:
             raise
@@ -45,7 +45,7 @@ def output_path(path: Path, overwrite: bool) -> Path:
         if stat.S_ISDIR(mode):
             raise FileExistsError(f"{path} is a folder: name a file with -o")
         if not stat.S_ISREG(mode):
-            raise FileExistsError(f"{path} is no regular file, and stays: name a file with -o")
+            raise FileExistsError(f"{path} is not a regular file, and stays: name a file with -o")
         if not overwrite:
             raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
     return Path(os.path.realpath(path))

@@ -333,7 +333,7 @@ def open_trajectory(path: str | Path) -> Trajectory:
     if not path_of(path, "what is opened").exists():
         raise FileNotFoundError(f"{path}: no such file")
     if not Path(path).is_file():
-        raise TrajectoryError(f"{path} is no regular file")  # a pipe would wait for ever
+        raise TrajectoryError(f"{path} is not a regular file")  # a pipe would wait for ever
     return patiently(path, lambda: trajectory_in(path))
 
 

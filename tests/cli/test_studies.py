@@ -101,7 +101,7 @@ def test_accuracy_beyond_reach_is_a_warning_and_an_error_where_strict(here, caps
     ("output", "message"),
     [
         (".", ". is a folder: name files with -o"),
-        ("top.toml/chart", "top.toml is no folder"),
+        ("top.toml/chart", "top.toml is not a folder"),
         ("a" * 300 + "/chart", "cannot be made"),
     ],
 )

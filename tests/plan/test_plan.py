@@ -168,7 +168,7 @@ def test_plan_gives_a_reason_for_what_is_left_out(make):
         assert text[kind] == f"off: no [[force]] of type {kind}\n"
     assert text["contact"] == "off: no particle has a radius\n"
     assert text["step"] == "no step: nothing is stepped\n"
-    assert text["ledger"].startswith("booked in closed form: every force has a potential")
+    assert text["energy balance"].strip().endswith("every force has a potential")
     assert text["body"] == "0 s on: free, closed form, no step (nothing acts)\n"
     zero = lines(make.case(make.body(), gravity={"acceleration": [0, 0, 0]}))
     assert zero["gravity"] == "off: no [gravity], or zero\n"
@@ -189,7 +189,7 @@ def test_plan_gives_a_reason_for_what_is_done(make):
     assert text["push"] == "on: 3 of them\n"
     assert text["contact"] == "off: no [contact]; radii add to the inertia tensor only\n"
     assert text["step"] == "0.1 s, as the case says\n"
-    assert "step by step: a force without potential acts" in text["ledger"]
+    assert "step by step: a force without potential acts" in text["energy balance"]
     assert text["body"].splitlines() == [
         "0 s to 0.2 s: free, closed form, no step (gravity through the centre of mass: a parabola)",
         "0.2 s to 0.5 s: driven by gravity and push, strang, 3 steps of 0.1 s",

@@ -1,4 +1,4 @@
-"""Where files are written: behind links, and never in the place of what is no regular file."""
+"""Where files are written: behind links, and never in the place of what is not a regular file."""
 
 import os
 import shutil
@@ -54,13 +54,13 @@ def place(made, tmp_path, monkeypatch):
 
 
 STAYS = {
-    "/dev/null": "is no regular file",
-    "to_device": "is no regular file",
-    "pipe": "is no regular file",
-    "to_pipe": "is no regular file",
+    "/dev/null": "is not a regular file",
+    "to_device": "is not a regular file",
+    "pipe": "is not a regular file",
+    "to_pipe": "is not a regular file",
     "circle": "leads in a circle",
     "folder": "is a folder",
-    "folder/target/new": "folder/target is no folder",
+    "folder/target/new": "folder/target is not a folder",
 }
 
 
@@ -112,7 +112,7 @@ def test_studies_and_sessions_ask(place, capsys):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = str(free.getsockname()[1])
     assert main(["view", "a.toml", "-o", "a.svg", "--port", port]) == 2
-    assert capsys.readouterr().err.count("a.svg is no regular file") == 2
+    assert capsys.readouterr().err.count("a.svg is not a regular file") == 2
 
 
 def test_a_run_does_not_replace_its_case(place, capsys):
@@ -127,6 +127,6 @@ def test_a_pipe_is_no_file_to_read(place, command, capsys):
     os.mkfifo("pipe.h5")
     more = ["--to", "csv"] if command == "export" else []
     assert main([command, "pipe.h5", *more]) == 2
-    assert "pipe.h5 is no regular file" in capsys.readouterr().err
-    with pytest.raises(TrajectoryError, match="no regular file"):
+    assert "pipe.h5 is not a regular file" in capsys.readouterr().err
+    with pytest.raises(TrajectoryError, match="not a regular file"):
         particlerb.open("pipe.h5")

@@ -187,7 +187,7 @@ def test_a_file_that_is_no_hdf5(tmp_path, content):
 
 
 def test_a_folder(tmp_path):
-    with pytest.raises(TrajectoryError, match="is no regular file"):
+    with pytest.raises(TrajectoryError, match="is not a regular file"):
         particlerb.open(tmp_path)
 
 

@@ -209,7 +209,7 @@ def test_files_that_are_none(tmp_path):
         particlerb.resume(tmp_path / "none.h5")
     (tmp_path / "text.h5").write_text("text")
     folder, text = (
-        (tmp_path, "is no regular file"),
+        (tmp_path, "is not a regular file"),
         (tmp_path / "text.h5", "is not a readable HDF5"),
     )
     for path, reason in (folder, text):
