@@ -27,8 +27,8 @@ from particlerb.case.values import (
 )
 
 KIND = "Kind of force or placement. [-]"
-ORIGIN = (0.0, 0.0, 0.0)
-IDENTITY = (1.0, 0.0, 0.0, 0.0)
+_ORIGIN = (0.0, 0.0, 0.0)
+_IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
 class InBody(Table):
@@ -67,12 +67,12 @@ class RandomBox(Table):
         return self
 
 
-def place_form(value: Any) -> str:
+def _place_form(value: Any) -> str:
     """Tag of a position: one for all bodies of the block, or rows."""
     return "rows" if is_rows(value) else "vector"
 
 
-def orientation_form(value: Any) -> str:
+def _orientation_form(value: Any) -> str:
     """Tag of an orientation."""
     if isinstance(value, (Mapping, BaseModel)):
         return "euler"
@@ -81,7 +81,7 @@ def orientation_form(value: Any) -> str:
     return "rows" if is_rows(value) else "vector"
 
 
-def motion_form(value: Any) -> str:
+def _motion_form(value: Any) -> str:
     """Tag of a velocity or angular velocity."""
     if isinstance(value, (Mapping, BaseModel)):
         is_spread = isinstance(value, NormalDistribution) or (
@@ -91,27 +91,27 @@ def motion_form(value: Any) -> str:
     return "rows" if is_rows(value) else "vector"
 
 
-Position = Annotated[
+_Position = Annotated[
     Annotated[Vector, Tag("vector")] | Annotated[Rows3, Tag("rows")],
-    Discriminator(place_form),
+    Discriminator(_place_form),
 ]
-Orientation = Annotated[
+_Orientation = Annotated[
     Annotated[Quaternion, Tag("vector")]
     | Annotated[Euler, Tag("euler")]
     | Annotated[Literal["random"], Tag("random")]
     | Annotated[Rows4, Tag("rows")],
-    Discriminator(orientation_form),
+    Discriminator(_orientation_form),
 ]
 Motion = Annotated[
     Annotated[Vector, Tag("vector")]
     | Annotated[InBody, Tag("body")]
     | Annotated[NormalDistribution, Tag("random")]
     | Annotated[Rows3, Tag("rows")],
-    Discriminator(motion_form),
+    Discriminator(_motion_form),
 ]
-AnyPlace = GridPlacement | RandomBox
-Place = Annotated[AnyPlace, Field(discriminator="type")]
-PLACES = by_type(AnyPlace)
+_AnyPlace = GridPlacement | RandomBox
+_Place = Annotated[_AnyPlace, Field(discriminator="type")]
+PLACES = by_type(_AnyPlace)
 
 
 class ShapePart(Table):
@@ -122,13 +122,13 @@ class ShapePart(Table):
         None, description="Mass; this or density; 0 for spheres that only touch. [kg]"
     )
     density: Positive | None = Field(None, description="Density; this or mass. [kg/m³]")
-    position: Vector = Field(ORIGIN, description="Of the shape's origin, in the body's axes. [m]")
+    position: Vector = Field(_ORIGIN, description="Of the shape's origin, in the body's axes. [m]")
     orientation: OneOrientation = Field(
-        IDENTITY, description="Shape to body axes: quaternion or { euler_deg = [..] }. [-]"
+        _IDENTITY, description="Shape to body axes: quaternion or { euler_deg = [..] }. [-]"
     )
 
 
-def plain_name(name: str) -> str:
+def _plain_name(name: str) -> str:
     """Name that can be written in a file and does not look like a reference."""
     if not name.isprintable() or "[" in name or "]" in name:
         raise broken("must be printable and without brackets")
@@ -138,26 +138,26 @@ def plain_name(name: str) -> str:
 class Body(Table):
     """A body, or `count` bodies of the same kind."""
 
-    name: Annotated[Name, AfterValidator(plain_name)] = Field(description="Unique name. [-]")
+    name: Annotated[Name, AfterValidator(_plain_name)] = Field(description="Unique name. [-]")
     shape: Shape | None = Field(None, description="Table with `type`; this or [[body.part]]. [-]")
     part: tuple[ShapePart, ...] = Field((), description="Parts of the body; these or shape. [-]")
     mass: Positive | None = Field(None, description="Mass of each body; this or density. [kg]")
     density: Positive | None = Field(None, description="Density; this or mass. [kg/m³]")
     count: Count = Field(1, description="Number of bodies. [-]")
-    place: Place | None = Field(None, description="Where many bodies are: grid or random. [-]")
-    position: Position = Field(
-        ORIGIN, description="Of the centre of mass, world frame; or a row per body. [m]"
+    place: _Place | None = Field(None, description="Where many bodies are: grid or random. [-]")
+    position: _Position = Field(
+        _ORIGIN, description="Of the centre of mass, world frame; or a row per body. [m]"
     )
-    orientation: Orientation = Field(
-        IDENTITY,
+    orientation: _Orientation = Field(
+        _IDENTITY,
         description="Quaternion w x y z, normalised when read; { euler_deg = [..] }; "
         '"random"; or a row per body. [-]',
     )
     velocity: Motion = Field(
-        ORIGIN, description="World frame, { body = [..] }, { random = v }; or rows. [m/s]"
+        _ORIGIN, description="World frame, { body = [..] }, { random = v }; or rows. [m/s]"
     )
     angular_velocity: Motion = Field(
-        ORIGIN, description="World frame, { body = [..] }, { random = v }; or rows. [rad/s]"
+        _ORIGIN, description="World frame, { body = [..] }, { random = v }; or rows. [rad/s]"
     )
     material: Name | None = Field(
         None, description="Name of a [[material]]; default: the only one. [-]"

@@ -18,37 +18,37 @@ def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
             if given(body, key):
                 yield (*path, key), "has no place beside [[body.part]]", "give it with each part"
         for j, part in tables(body, "part"):
-            yield from mass_rules((*path, "part", j), part)
+            yield from _mass_rules((*path, "part", j), part)
         parts = body["part"]
-        if isinstance(parts, list) and all(is_massless(part) for part in parts):
+        if isinstance(parts, list) and all(_is_massless(part) for part in parts):
             yield (*path, "part"), "no part has mass", "give one of them a `mass`"
     elif not given(body, "shape"):
         yield (*path, "shape"), "missing", "a body needs a `shape`, or [[body.part]]"
     else:
-        yield from mass_rules(path, body)
-        if is_massless(body) and body["shape"]["type"] == "points":
+        yield from _mass_rules(path, body)
+        if _is_massless(body) and body["shape"]["type"] == "points":
             yield (*path, "shape", "mass"), "must not all be zero", ""
 
 
-def is_massless(table: Any) -> bool:
+def _is_massless(table: Any) -> bool:
     """Whether a part only touches: spheres of mass 0, or points that have none."""
     shape = table.get("shape") if isinstance(table, dict) else None
     if not isinstance(shape, dict):
         return False
-    if is_surface(shape):
+    if _is_surface(shape):
         return number(table, "mass") == 0.0
     masses = shape.get("mass") if shape.get("type") == "points" else None
     listed = masses if isinstance(masses, list) else [masses]
     return bool(listed) and all(number({"m": m}, "m") == 0.0 for m in listed)
 
 
-def is_surface(shape: dict[str, Any]) -> bool:
+def _is_surface(shape: dict[str, Any]) -> bool:
     """Whether a shape can touch without having matter: a ball that nothing fills, or several."""
     is_ball = shape.get("type") in ("ball", *ALIASES) and filling(shape) == "exact"
     return is_ball or shape.get("type") == "spheres"
 
 
-def mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
+def _mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
     """Exactly one of mass and density, as far as the shape has a use for them."""
     shape = table.get("shape")
     kind = shape.get("type") if isinstance(shape, dict) else None
@@ -64,7 +64,7 @@ def mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
         yield (*path, "density"), "given beside mass", "give one of `mass` and `density`"
     elif allowed and not given(table, "mass") and not given(table, "density"):
         yield (*path, "mass"), "missing", f"give {' or '.join(f'`{key}`' for key in allowed)}"
-    elif "part" in path and number(table, "mass") == 0.0 and not is_surface(shape):
+    elif "part" in path and number(table, "mass") == 0.0 and not _is_surface(shape):
         hint = "give `mass = 0` among the points" if kind == "points" else ""
         yield (*path, "mass"), "must be > 0 for all but spheres, got 0", hint
 
@@ -113,13 +113,13 @@ def many_bodies(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
     if given(body, "place"):
         if given(body, "position") and not is_origin(body["position"]):
             yield (*path, "position"), "given beside place", "give one of them"
-        yield from grid_rules((*path, "place"), body["place"], count)
+        yield from _grid_rules((*path, "place"), body["place"], count)
     elif count > 1 and not is_rows(body.get("position")):
         hint = 'place = { type = "grid", spacing = 1.0 }, or type = "random"'
         yield (*path, "place"), f"missing: count = {count} bodies need different positions", hint
 
 
-def grid_rules(path: Path, place: Any, count: int) -> Iterator[Finding]:
+def _grid_rules(path: Path, place: Any, count: int) -> Iterator[Finding]:
     """A grid has room for all."""
     n = place.get("n") if isinstance(place, dict) and place.get("type") == "grid" else None
     are_counts = isinstance(n, list) and all(isinstance(k, int) and k > 0 for k in n)

@@ -23,18 +23,18 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
-TOLERATED: Final = 0.01  # of a principal moment
-ROUNDING: Final = 1e-9  # a lattice of 10 cells in a row is off by 1 % to rounding
+_TOLERATED: Final = 0.01  # of a principal moment
+_ROUNDING: Final = 1e-9  # a lattice of 10 cells in a row is off by 1 % to rounding
 MOST_PARTICLES: Final = 100_000  # of a lattice that is tried for advice,
-MOST_CELLS: Final = 200  # and along its largest extent
-FINER: Final = 1.1  # ratio of the numbers of cells that are tried
-EXACT: Final = {  # arrangement with exactly the tensor of the solid
+_MOST_CELLS: Final = 200  # and along its largest extent
+_FINER: Final = 1.1  # ratio of the numbers of cells that are tried
+_EXACT: Final = {  # arrangement with exactly the tensor of the solid
     **dict.fromkeys(("box", "ball", "ellipsoid", "rod", "tetrahedron"), "exact"),
     **dict.fromkeys(("shell", "cylinder", "cone", "torus"), "cells"),
 }
 
 
-class Ideal(NamedTuple):
+class _Ideal(NamedTuple):
     """What a shape of a body would be without error, in the body's axes."""
 
     mass: float  # [kg]
@@ -48,13 +48,13 @@ def coarse(system: System) -> Iterator[Problem]:
     Where a shape says `inertia_error` only a change of the rotor class is told.
     """
     for i, body in enumerate(system.body):
-        filled = [shape for _, shape in shapes_of(body) if is_lattice(shape)]
+        filled = [shape for _, shape in _shapes_of(body) if _is_lattice(shape)]
         if not filled:
             continue
         k = int(system.kind[system.names.first[i]])
         try:
             with np.errstate(all="ignore"):
-                ideal = ideal_moments(system, i, body)
+                ideal = _ideal_moments(system, i, body)
         except (ArithmeticError, np.linalg.LinAlgError):
             continue  # powers of its sizes are no numbers: nothing to compare with
         moments = np.sort(system.properties.moments[k])
@@ -62,9 +62,9 @@ def coarse(system: System) -> Iterator[Problem]:
         off[ideal == 0.0] = 0.0
         worst = int(np.argmax(np.abs(off)))
         code = int(system.properties.rotor_class[k])
-        is_changed = code == POINT or (code == ROD and ideal[0] > TOLERATED * moments[0])
+        is_changed = code == POINT or (code == ROD and ideal[0] > _TOLERATED * moments[0])
         is_asked = all(getattr(shape, "inertia_error", None) is not None for shape in filled)
-        is_off = abs(off[worst]) > TOLERATED * (1.0 + ROUNDING)
+        is_off = abs(off[worst]) > _TOLERATED * (1.0 + _ROUNDING)
         if not is_changed and (is_asked or not is_off):
             continue
         count = int(system.summed[k])
@@ -75,44 +75,44 @@ def coarse(system: System) -> Iterator[Problem]:
             side = "above" if off[worst] > 0.0 else "below"
             reason = f"{which} has a principal moment {abs(100 * off[worst]):.3g} % {side} that"
             reason += " of the solid"
-        key, shape = worst_shape(body)
-        yield problem_at(system, f"body[{i}].{key}", reason, advice(shape))
+        key, shape = _worst_shape(body)
+        yield problem_at(system, f"body[{i}].{key}", reason, _advice(shape))
 
 
-def shapes_of(body: Body) -> list[tuple[str, AnyShape]]:
+def _shapes_of(body: Body) -> list[tuple[str, AnyShape]]:
     """Shapes of a body, with their keys in its table."""
     if body.shape is not None:
         return [("shape", body.shape)]
     return [(f"part[{j}].shape", part.shape) for j, part in enumerate(body.part)]
 
 
-def is_lattice(shape: AnyShape) -> bool:
+def _is_lattice(shape: AnyShape) -> bool:
     """Whether a shape is a solid that whole cells fill."""
     return shape.type in ANALYTIC and getattr(shape, "arrangement", "") == "lattice"
 
 
-def size_of(shape: AnyShape) -> dict[str, object]:
+def _size_of(shape: AnyShape) -> dict[str, object]:
     """Lengths of a shape, by name."""
     return shape.model_dump(exclude={"type", "n", "arrangement", "inertia_error"})
 
 
-def cells_of(shape: AnyShape) -> Any:
+def _cells_of(shape: AnyShape) -> Any:
     """Cells along the largest extent of a lattice; three numbers of a box."""
     return shape.model_dump(include={"n"})["n"]
 
 
-def solid_of(shape: AnyShape) -> Analytic:
+def _solid_of(shape: AnyShape) -> Analytic:
     """Solid that a lattice fills."""
-    return ANALYTIC[shape.type](**size_of(shape))
+    return ANALYTIC[shape.type](**_size_of(shape))
 
 
-def ideal_moments(system: System, i: int, body: Body) -> Floats:
+def _ideal_moments(system: System, i: int, body: Body) -> Floats:
     """Principal moments of a body whose lattices are solids, ascending, (3,) [kg m²]."""
     if body.shape is not None:
         mass = body.mass
         if mass is None:
-            mass = (body.density or 0.0) * volume(body.shape.type, size_of(body.shape))
-        return np.asarray(np.linalg.eigvalsh(mass * solid_of(body.shape).tensor))
+            mass = (body.density or 0.0) * volume(body.shape.type, _size_of(body.shape))
+        return np.asarray(np.linalg.eigvalsh(mass * _solid_of(body.shape).tensor))
     parts = []
     for part in body.part:
         particles = part_particles(system.files, system.run.seed, i, part).particles
@@ -120,10 +120,10 @@ def ideal_moments(system: System, i: int, body: Body) -> Floats:
             continue
         made = mass_properties(particles)
         mass, com, tensor = float(made.mass[0]), made.com[0], made.inertia_tensor[0]
-        if is_lattice(part.shape):
-            R, solid = turn_of(part), solid_of(part.shape)
+        if _is_lattice(part.shape):
+            R, solid = turn_of(part), _solid_of(part.shape)
             com, tensor = R @ solid.com + part.position, mass * (R @ solid.tensor @ R.T)
-        parts.append(Ideal(mass, com, tensor))
+        parts.append(_Ideal(mass, com, tensor))
     centre = sum(p.mass * p.com for p in parts) / sum(p.mass for p in parts)
     total = np.zeros((3, 3))
     for mass, com, tensor in parts:
@@ -132,38 +132,40 @@ def ideal_moments(system: System, i: int, body: Body) -> Floats:
     return np.asarray(np.linalg.eigvalsh(total))
 
 
-def worst_shape(body: Body) -> tuple[str, AnyShape]:
+def _worst_shape(body: Body) -> tuple[str, AnyShape]:
     """Lattice of a body that is farthest from its solid, with its key."""
-    lattices = [(key, shape) for key, shape in shapes_of(body) if is_lattice(shape)]
-    return max(lattices, key=lambda one: error_of(one[1], particles_of(one[1], cells_of(one[1]))))
+    lattices = [(key, shape) for key, shape in _shapes_of(body) if _is_lattice(shape)]
+    return max(
+        lattices, key=lambda one: _error_of(one[1], _particles_of(one[1], _cells_of(one[1])))
+    )
 
 
-def particles_of(shape: AnyShape, n: object) -> Particles:
+def _particles_of(shape: AnyShape, n: object) -> Particles:
     """Lattice of a shape, of 1 kg."""
-    made: Particles = getattr(shapes, shape.type)(**size_of(shape), mass=1.0, n=n)
+    made: Particles = getattr(shapes, shape.type)(**_size_of(shape), mass=1.0, n=n)
     return made
 
 
-def error_of(shape: AnyShape, particles: Particles) -> float:
+def _error_of(shape: AnyShape, particles: Particles) -> float:
     """Largest relative error of a principal moment of a lattice."""
-    ideal = np.linalg.eigvalsh(solid_of(shape).tensor)
+    ideal = np.linalg.eigvalsh(_solid_of(shape).tensor)
     moments = np.sort(mass_properties(particles).moments[0])
     some = ideal > 0.0
     return float(np.abs(moments[some] / ideal[some] - 1.0).max(initial=0.0))
 
 
-def advice(shape: AnyShape) -> str:
+def _advice(shape: AnyShape) -> str:
     """What would do: a finer lattice if there is one that is not too large, and the exact set."""
-    n, found = int(np.max(cells_of(shape))), ""
-    while not found and n < MOST_CELLS:
-        n = max(n + 1, round(FINER * n))
+    n, found = int(np.max(_cells_of(shape))), ""
+    while not found and n < _MOST_CELLS:
+        n = max(n + 1, round(_FINER * n))
         try:
-            particles = particles_of(shape, n)
+            particles = _particles_of(shape, n)
         except ValueError:  # no cell is inside
             continue
         if len(particles.mass) > MOST_PARTICLES:
             break
-        if error_of(shape, particles) <= TOLERATED * (1.0 + ROUNDING):
-            found = f"n = {n} is within {100 * TOLERATED:g} %; "
-    exact = f'arrangement = "{EXACT[shape.type]}" has exactly the moments of the solid'
+        if _error_of(shape, particles) <= _TOLERATED * (1.0 + _ROUNDING):
+            found = f"n = {n} is within {100 * _TOLERATED:g} %; "
+    exact = f'arrangement = "{_EXACT[shape.type]}" has exactly the moments of the solid'
     return f"{found}{exact}"

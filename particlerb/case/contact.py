@@ -24,21 +24,21 @@ from particlerb.case.values import (
 )
 
 Yes = Annotated[bool, Strict()]
-Share = Annotated[NonNegative, Field(le=1.0)]
-Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
-End = Literal["-", "+"]
-ORIGIN = (0.0, 0.0, 0.0)
-STIFFNESS = "Normal stiffness, hooke. [N/m]"
-TANGENTIAL = "Tangential stiffness, hooke; default: 2/7 of the normal one. [N/m]"
-RESTITUTION = "Speed after over speed before a central impact, 0 to 1. [-]"
-FRICTION = "Coefficient of sliding friction. [-]"
-ROLLING = "Coefficient of rolling friction; default: 0. [-]"
+_Share = Annotated[NonNegative, Field(le=1.0)]
+_Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
+_End = Literal["-", "+"]
+_ORIGIN = (0.0, 0.0, 0.0)
+_STIFFNESS = "Normal stiffness, hooke. [N/m]"
+_TANGENTIAL = "Tangential stiffness, hooke; default: 2/7 of the normal one. [N/m]"
+_RESTITUTION = "Speed after over speed before a central impact, 0 to 1. [-]"
+_FRICTION = "Coefficient of sliding friction. [-]"
+_ROLLING = "Coefficient of rolling friction; default: 0. [-]"
 KIND = "Kind of wall. [-]"
 NAME = "Unique name. [-]"
-MATERIAL = "Name of a [[material]]; default: the only one. [-]"
-INSIDE = "Whether all bodies are inside at t = 0, or anywhere. [-]"
-MOTION = "How it moves; default: not at all. [-]"
-PISTON = "How it slides under a load; default: it does not. [-]"
+_MATERIAL = "Name of a [[material]]; default: the only one. [-]"
+_INSIDE = "Whether all bodies are inside at t = 0, or anywhere. [-]"
+_MOTION = "How it moves; default: not at all. [-]"
+_PISTON = "How it slides under a load; default: it does not. [-]"
 
 
 class Material(Table):
@@ -57,22 +57,22 @@ class Pair(Table):
     materials: Annotated[tuple[Name, Name], entries(2, "names")] = Field(
         description="Names of the two. [-]"
     )
-    stiffness: Positive | None = Field(None, description=STIFFNESS)
-    tangential_stiffness: NonNegative | None = Field(None, description=TANGENTIAL)
-    restitution: Share | None = Field(None, description=RESTITUTION)
-    friction: NonNegative | None = Field(None, description=FRICTION)
-    rolling_friction: NonNegative | None = Field(None, description=ROLLING)
+    stiffness: Positive | None = Field(None, description=_STIFFNESS)
+    tangential_stiffness: NonNegative | None = Field(None, description=_TANGENTIAL)
+    restitution: _Share | None = Field(None, description=_RESTITUTION)
+    friction: NonNegative | None = Field(None, description=_FRICTION)
+    rolling_friction: NonNegative | None = Field(None, description=_ROLLING)
 
 
 class ContactTable(Table):
     """Contact between bodies and with walls; without this table nothing touches."""
 
     law: Literal["hooke", "hertz"] = Field("hooke", description="Force by overlap. [-]")
-    stiffness: Positive | None = Field(None, description=STIFFNESS)
-    tangential_stiffness: NonNegative | None = Field(None, description=TANGENTIAL)
-    restitution: Share | None = Field(None, description=RESTITUTION)
-    friction: NonNegative | None = Field(None, description=FRICTION)
-    rolling_friction: NonNegative | None = Field(None, description=ROLLING)
+    stiffness: Positive | None = Field(None, description=_STIFFNESS)
+    tangential_stiffness: NonNegative | None = Field(None, description=_TANGENTIAL)
+    restitution: _Share | None = Field(None, description=_RESTITUTION)
+    friction: NonNegative | None = Field(None, description=_FRICTION)
+    rolling_friction: NonNegative | None = Field(None, description=_ROLLING)
     attract: Yes = Field(False, description="Whether damping may pull. [-]")
     skin: Positive | None = Field(
         None, description="Distance up to which pairs are kept; default: chosen. [m]"
@@ -101,8 +101,8 @@ class Oscillation(Table):
 class Prescribed(Table):
     """Motion of a wall or a body, whatever touches it: it turns about a centre that moves."""
 
-    velocity: Vector = Field(ORIGIN, description="Of the centre, world frame. [m/s]")
-    angular_velocity: Vector = Field(ORIGIN, description="World frame. [rad/s]")
+    velocity: Vector = Field(_ORIGIN, description="Of the centre, world frame. [m/s]")
+    angular_velocity: Vector = Field(_ORIGIN, description="World frame. [rad/s]")
     centre: Vector | None = Field(
         None, description="Point of the axis at t = 0, world frame; default: its own. [m]"
     )
@@ -114,7 +114,7 @@ class Prescribed(Table):
     def shift(self) -> tuple[float, float, float]:
         """Displacement at t = 0 by the phase of the oscillation, world frame [m]."""
         if self.oscillation is None:
-            return ORIGIN
+            return _ORIGIN
         x, y, z = self.oscillation.amplitude
         phase = math.sin(self.oscillation.phase)
         return phase * x, phase * y, phase * z
@@ -134,14 +134,14 @@ def once(faces: tuple[str, ...]) -> tuple[str, ...]:
     return faces
 
 
-Direction = Annotated[Vector, AfterValidator(direction)]
+_Direction = Annotated[Vector, AfterValidator(direction)]
 
 
 class Piston(Table):
     """A wall with a mass that slides along an axis: under a load, its weight and contacts."""
 
     mass: Positive = Field(description="Mass, which is pulled by [gravity] as well. [kg]")
-    axis: Direction = Field(description="Along which it slides, world frame, of any length. [-]")
+    axis: _Direction = Field(description="Along which it slides, world frame, of any length. [-]")
     load: Real = Field(0.0, description="Constant force along the axis. [N]")
     velocity: Real = Field(0.0, description="Along the axis, at t = 0. [m/s]")
     limits: Annotated[tuple[Real, Real], entries(2)] | None = Field(
@@ -162,11 +162,11 @@ class PlaneWall(Table):
 
     type: Literal["plane"] = Field(description=KIND)
     name: Name = Field(description=NAME)
-    point: Vector = Field(ORIGIN, description="Any of its points, world frame. [m]")
-    normal: Direction = Field(description="Towards the bodies, of any length. [-]")
-    material: Name | None = Field(None, description=MATERIAL)
-    motion: Prescribed | None = Field(None, description=MOTION)
-    piston: Piston | None = Field(None, description=PISTON)
+    point: Vector = Field(_ORIGIN, description="Any of its points, world frame. [m]")
+    normal: _Direction = Field(description="Towards the bodies, of any length. [-]")
+    material: Name | None = Field(None, description=_MATERIAL)
+    motion: Prescribed | None = Field(None, description=_MOTION)
+    piston: Piston | None = Field(None, description=_PISTON)
 
 
 class BoxWall(Table):
@@ -176,13 +176,13 @@ class BoxWall(Table):
     name: Name = Field(description=NAME)
     lower: Vector = Field(description="Lower corner, world frame. [m]")
     upper: Vector = Field(description="Upper corner, world frame. [m]")
-    open: Annotated[tuple[Face, ...], AfterValidator(once)] = Field(
+    open: Annotated[tuple[_Face, ...], AfterValidator(once)] = Field(
         (), description="Faces that are not there. [-]"
     )
-    inside: Yes = Field(True, description=INSIDE)
-    material: Name | None = Field(None, description=MATERIAL)
-    motion: Prescribed | None = Field(None, description=MOTION)
-    piston: Piston | None = Field(None, description=PISTON)
+    inside: Yes = Field(True, description=_INSIDE)
+    material: Name | None = Field(None, description=_MATERIAL)
+    motion: Prescribed | None = Field(None, description=_MOTION)
+    piston: Piston | None = Field(None, description=_PISTON)
 
     @model_validator(mode="after")
     def is_box(self) -> Self:
@@ -202,17 +202,17 @@ class CylinderWall(Table):
 
     type: Literal["cylinder"] = Field(description=KIND)
     name: Name = Field(description=NAME)
-    centre: Vector = Field(ORIGIN, description="Middle of its axis, world frame. [m]")
-    axis: Direction = Field((0.0, 0.0, 1.0), description="Along the axis, of any length. [-]")
+    centre: Vector = Field(_ORIGIN, description="Middle of its axis, world frame. [m]")
+    axis: _Direction = Field((0.0, 0.0, 1.0), description="Along the axis, of any length. [-]")
     radius: Positive = Field(description="Inner radius. [m]")
     length: Positive = Field(description="Between the ends. [m]")
-    open: Annotated[tuple[End, ...], AfterValidator(once)] = Field(
+    open: Annotated[tuple[_End, ...], AfterValidator(once)] = Field(
         (), description="Ends that are not there: against the axis (-), along it (+). [-]"
     )
-    inside: Yes = Field(True, description=INSIDE)
-    material: Name | None = Field(None, description=MATERIAL)
-    motion: Prescribed | None = Field(None, description=MOTION)
-    piston: Piston | None = Field(None, description=PISTON)
+    inside: Yes = Field(True, description=_INSIDE)
+    material: Name | None = Field(None, description=_MATERIAL)
+    motion: Prescribed | None = Field(None, description=_MOTION)
+    piston: Piston | None = Field(None, description=_PISTON)
 
 
 class MeshWall(Table):
@@ -222,14 +222,14 @@ class MeshWall(Table):
     name: Name = Field(description=NAME)
     file: Name = Field(description="STL file, relative to the folder of the case. [-]")
     scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
-    position: Vector = Field(ORIGIN, description="Of the file's origin, world frame. [m]")
+    position: Vector = Field(_ORIGIN, description="Of the file's origin, world frame. [m]")
     orientation: OneOrientation = Field(
         (1.0, 0.0, 0.0, 0.0),
         description="File to world axes: quaternion or { euler_deg = [..] }. [-]",
     )
-    material: Name | None = Field(None, description=MATERIAL)
-    motion: Prescribed | None = Field(None, description=MOTION)
-    piston: Piston | None = Field(None, description=PISTON)
+    material: Name | None = Field(None, description=_MATERIAL)
+    motion: Prescribed | None = Field(None, description=_MOTION)
+    piston: Piston | None = Field(None, description=_PISTON)
 
 
 AnyWall = PlaneWall | BoxWall | CylinderWall | MeshWall

@@ -25,9 +25,9 @@ from particlerb.case.values import (
 )
 
 KIND = "Kind of force or placement. [-]"
-FRAME = "Axes of the vector: world or body. [-]"
+_FRAME = "Axes of the vector: world or body. [-]"
 BODIES = "Name of a [[body]] block, of one body as name[3], or a list of such names. [-]"
-ORIGIN = (0.0, 0.0, 0.0)
+_ORIGIN = (0.0, 0.0, 0.0)
 
 
 class ForceTable(Table):
@@ -46,14 +46,14 @@ class ForceTable(Table):
         yield from ()
 
 
-def is_interval(value: tuple[float, float]) -> tuple[float, float]:
+def _is_interval(value: tuple[float, float]) -> tuple[float, float]:
     """Require t0 < t1."""
     if value[0] >= value[1]:
         raise broken(f"must start before it ends, got [{value[0]!r}, {value[1]!r}]")
     return value
 
 
-During = Annotated[tuple[NonNegative, NonNegative], entries(2), AfterValidator(is_interval)]
+During = Annotated[tuple[NonNegative, NonNegative], entries(2), AfterValidator(_is_interval)]
 
 
 class PushTable(ForceTable):
@@ -61,9 +61,9 @@ class PushTable(ForceTable):
 
     type: Literal["push"] = Field(description=KIND)
     body: Names = Field(description=BODIES)
-    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
+    at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
     force: Vector = Field(description="Force. [N]")
-    frame: Frame = Field("world", description=FRAME)
+    frame: Frame = Field("world", description=_FRAME)
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
@@ -73,7 +73,7 @@ class TorqueTable(ForceTable):
     type: Literal["torque"] = Field(description=KIND)
     body: Names = Field(description=BODIES)
     torque: Vector = Field(description="Torque. [N m]")
-    frame: Frame = Field("world", description=FRAME)
+    frame: Frame = Field("world", description=_FRAME)
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
@@ -82,9 +82,9 @@ class ImpulseTable(ForceTable):
 
     type: Literal["impulse"] = Field(description=KIND)
     body: Names = Field(description=BODIES)
-    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
+    at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
     impulse: Vector = Field(description="Impulse. [N s]")
-    frame: Frame = Field("world", description=FRAME)
+    frame: Frame = Field("world", description=_FRAME)
     time: NonNegative = Field(description="When, at most t_end. [s]")
 
 
@@ -98,23 +98,23 @@ class DragTable(ForceTable):
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
-def rest_form(value: Any) -> str:
+def _rest_form(value: Any) -> str:
     """Tag of a rest length."""
     return "word" if isinstance(value, str) else "number"
 
 
-def charge_form(value: Any) -> str:
+def _charge_form(value: Any) -> str:
     """Tag of a charge: one, or one per particle."""
     return "list" if isinstance(value, (list, tuple)) else "number"
 
 
-RestLength = Annotated[
+_RestLength = Annotated[
     Annotated[NonNegative, Tag("number")] | Annotated[Literal["initial"], Tag("word")],
-    Discriminator(rest_form),
+    Discriminator(_rest_form),
 ]
-Charge = Annotated[
+_Charge = Annotated[
     Annotated[Real, Tag("number")] | Annotated[tuple[Real, ...], Field(min_length=1), Tag("list")],
-    Discriminator(charge_form),
+    Discriminator(_charge_form),
 ]
 
 
@@ -123,20 +123,20 @@ class SpringTable(ForceTable):
 
     type: Literal["spring"] = Field(description=KIND)
     body: Names = Field(description=BODIES)
-    at: Vector = Field(ORIGIN, description="Point, body frame, from the centre of mass. [m]")
+    at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
     anchor: Vector | None = Field(
         None, description="The other end, world frame; this, or to or reach. [m]"
     )
     to: Names | None = Field(
         None, description="Bodies at the other end: one for each, one for all, or by reach. [-]"
     )
-    to_at: Vector = Field(ORIGIN, description="Point of the other body, in its body frame. [m]")
+    to_at: Vector = Field(_ORIGIN, description="Point of the other body, in its body frame. [m]")
     reach: Positive | None = Field(
         None, description="Ties every pair of points that are at most this far apart at t = 0. [m]"
     )
     stiffness: Positive = Field(description="Stiffness k. [N/m]")
     damping: NonNegative = Field(0.0, description="Damping c along the spring. [N s/m]")
-    rest_length: RestLength = Field(
+    rest_length: _RestLength = Field(
         0.0, description='Length l₀ without force; "initial": as long as it is at t = 0. [m]'
     )
     during: During | None = Field(None, description="Start and end; default: always. [s]")
@@ -174,13 +174,13 @@ class UniformField(ForceTable):
     type: Literal["field"] = Field(description=KIND)
     body: Names = Field(description=BODIES)
     field: Vector = Field(description="Field E, world frame. [V/m; T for a magnetic dipole]")
-    charge: Charge = Field(
+    charge: _Charge = Field(
         0.0, description="Charge q of the body, or a list with one per particle. [C]"
     )
-    at: Vector = Field(ORIGIN, description="Where a single charge sits, body frame. [m]")
-    dipole: Vector = Field(ORIGIN, description="Dipole d, body frame. [C m; A m²]")
+    at: Vector = Field(_ORIGIN, description="Where a single charge sits, body frame. [m]")
+    dipole: Vector = Field(_ORIGIN, description="Dipole d, body frame. [C m; A m²]")
     angular_velocity: Vector = Field(
-        ORIGIN, description="Rate at which E turns from t = 0 on, world frame. [rad/s]"
+        _ORIGIN, description="Rate at which E turns from t = 0 on, world frame. [rad/s]"
     )
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
@@ -201,7 +201,7 @@ class CentralTable(ForceTable):
 
     type: Literal["central"] = Field(description=KIND)
     body: Names = Field(description=BODIES)
-    centre: Vector = Field(ORIGIN, description="Where the centre is, world frame. [m]")
+    centre: Vector = Field(_ORIGIN, description="Where the centre is, world frame. [m]")
     mu: Positive = Field(description="G times the mass of the centre. [m³/s²]")
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 

@@ -41,12 +41,12 @@ class Matter(NamedTuple):
 def matter_of(files: Files, body: Body) -> Matter:
     """Matter of the bodies of a record; `files` has what it names."""
     if body.shape is None:
-        volumes = [matter_of_shape(files, part).volume for part in body.part]
+        volumes = [_matter_of_shape(files, part).volume for part in body.part]
         return Matter(None if None in volumes else math.fsum(v for v in volumes if v is not None))
-    return matter_of_shape(files, body)
+    return _matter_of_shape(files, body)
 
 
-def matter_of_shape(files: Files, table: Body | ShapePart) -> Matter:
+def _matter_of_shape(files: Files, table: Body | ShapePart) -> Matter:
     """Matter of a shape on its own."""
     shape = table.shape
     if isinstance(shape, SpheresShape):

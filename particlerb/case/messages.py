@@ -24,12 +24,12 @@ from particlerb.case.schema import Case
 from particlerb.case.shapes import ALIASES, SHAPES
 from particlerb.case.values import Euler, Table
 
-TAGGED = {
+_TAGGED = {
     "body": {"shape", "place", "position", "orientation", "velocity", "angular_velocity"},
     "force": {"rest_length", "charge"},
     "wall": {"orientation"},
 }
-KINDS = {
+_KINDS = {
     "bool_type": "must be true or false",
     "float_type": "must be a number",
     "int_type": "must be a whole number",
@@ -39,10 +39,10 @@ KINDS = {
     "model_type": "must be a table",
     "model_attributes_type": "must be a table",
 }
-EMPTY = ("string_too_short", "too_short")
-BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"),
+_EMPTY = ("string_too_short", "too_short")
+_BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"),
           "less_than": ("<", "lt"), "less_than_equal": ("<=", "le")}  # fmt: skip
-WORDS: dict[type, str] = {
+_WORDS: dict[type, str] = {
     bool: "true or false", str: "a text", list: "a list", tuple: "a list", dict: "a table",
     int: "a whole number", float: "a number", type(None): "nothing",
 }  # fmt: skip
@@ -59,7 +59,7 @@ class Complaint(NamedTuple):
 
 def complaints(raw: Any, errors: Sequence[ErrorDetails]) -> list[Complaint]:
     """All errors of a validation."""
-    return [complaint(raw, error) for error in errors if not is_follow_up(error)]
+    return [_complaint(raw, error) for error in errors if not _is_follow_up(error)]
 
 
 def without_typos(found: Sequence[Complaint]) -> list[Complaint]:
@@ -72,31 +72,31 @@ def without_typos(found: Sequence[Complaint]) -> list[Complaint]:
     return [one for one in found if one.reason != "missing" or one.path not in meant]
 
 
-def is_follow_up(error: ErrorDetails) -> bool:
+def _is_follow_up(error: ErrorDetails) -> bool:
     """Whether a list is called too short only because its entries are wrong."""
     return error["type"] == "too_short" and bool(error["input"])
 
 
-def complaint(raw: Any, error: ErrorDetails) -> Complaint:
+def _complaint(raw: Any, error: ErrorDetails) -> Complaint:
     """One error of pydantic."""
-    path = path_in(raw, error["loc"])
+    path = _path_in(raw, error["loc"])
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
     if kind == "extra_forbidden":
-        keys = table_keys(path[:-1], type_of(raw, path[:-1]))
+        keys = _table_keys(path[:-1], _type_of(raw, path[:-1]))
         return Complaint(path, "unknown key", nearest(str(path[-1]), keys, "keys here"), True)
     if kind == "missing":
-        keys = table_keys(path[:-1], type_of(raw, path[:-1]))
+        keys = _table_keys(path[:-1], _type_of(raw, path[:-1]))
         return Complaint(path, "missing", f"keys here: {', '.join(keys)}" if keys else "")
     if kind == "rule":
         path = (*path, context["key"]) if context["key"] else path
         return Complaint(path, error["msg"], context["hint"] or forms(path))
     if kind in {"union_tag_invalid", "union_tag_not_found"}:
-        return type_complaint(path, context)
+        return _type_complaint(path, context)
     if kind in {"literal_error", "choice"}:
         known = re.findall(r"'([^']*)'", context["expected"])
         hint = forms(path) or nearest(str(value), known)
         return Complaint(path, f"unknown: {shown(value)}", hint)
-    return Complaint(path, reason_of(kind, context, value) or error["msg"])
+    return Complaint(path, _reason_of(kind, context, value) or error["msg"])
 
 
 def forms(path: Path) -> str:
@@ -109,9 +109,9 @@ def forms(path: Path) -> str:
     return ""
 
 
-def type_complaint(path: Path, context: dict[str, Any]) -> Complaint:
+def _type_complaint(path: Path, context: dict[str, Any]) -> Complaint:
     """A `type` that is missing or that no shape, force, placement or wall has."""
-    keys = table_keys(path)
+    keys = _table_keys(path)
     if "tag" not in context:
         return Complaint((*path, "type"), "missing", f"known: {', '.join(keys)}")
     known = re.findall(r"'([^']*)'", context["expected_tags"])
@@ -119,31 +119,31 @@ def type_complaint(path: Path, context: dict[str, Any]) -> Complaint:
     return Complaint((*path, "type"), f"unknown type {shown(tag)}", nearest(tag, known))
 
 
-def reason_of(kind: str, context: dict[str, Any], value: Any) -> str:
+def _reason_of(kind: str, context: dict[str, Any], value: Any) -> str:
     """Reason for the kinds of error that numbers and texts have."""
-    if kind in BOUNDS:
-        sign, bound = BOUNDS[kind]
+    if kind in _BOUNDS:
+        sign, bound = _BOUNDS[kind]
         limit = f"{context[bound]:g}" if isinstance(context[bound], float) else context[bound]
         return f"must be {sign} {limit}, got {shown(value)}"
     if kind == "finite_number":
         return f"must be finite, got {shown(value)}"
-    if kind in EMPTY:
+    if kind in _EMPTY:
         return "must not be empty"
-    return f"{KINDS[kind]}, got {described(value)}" if kind in KINDS else ""
+    return f"{_KINDS[kind]}, got {_described(value)}" if kind in _KINDS else ""
 
 
-def described(value: Any) -> str:
+def _described(value: Any) -> str:
     """Kind of a value, and the value itself where it is short."""
-    word = WORDS.get(type(value), type(value).__name__)
+    word = _WORDS.get(type(value), type(value).__name__)
     return word if isinstance(value, (list, tuple, dict, type(None))) else f"{word}: {shown(value)}"
 
 
-def path_in(raw: Any, loc: tuple[int | str, ...]) -> Path:
+def _path_in(raw: Any, loc: tuple[int | str, ...]) -> Path:
     """Path in the data: pydantic's location without the tags of unions and invented indices."""
     path: list[int | str] = []
     node, was_tag = raw, False
     for part in loc:
-        if isinstance(part, str) and not was_tag and path and is_tagged(path):
+        if isinstance(part, str) and not was_tag and path and _is_tagged(path):
             was_tag = True
             continue
         was_tag = False
@@ -154,10 +154,10 @@ def path_in(raw: Any, loc: tuple[int | str, ...]) -> Path:
     return tuple(path)
 
 
-def is_tagged(path: list[int | str]) -> bool:
+def _is_tagged(path: list[int | str]) -> bool:
     """Whether pydantic puts the tag of a union after this path."""
     is_kind = len(path) == 2 and path[0] in {"force", "wall"} and isinstance(path[1], int)
-    return is_kind or path[-1] in TAGGED.get(str(path[0]), ())
+    return is_kind or path[-1] in _TAGGED.get(str(path[0]), ())
 
 
 def child(node: Any, part: int | str) -> Any:
@@ -168,7 +168,7 @@ def child(node: Any, part: int | str) -> Any:
     return node[part] if is_there else None
 
 
-def type_of(raw: Any, path: Path) -> Any:
+def _type_of(raw: Any, path: Path) -> Any:
     """The `type` of a table; None where it has none."""
     for part in path:
         raw = child(raw, part)
@@ -176,13 +176,13 @@ def type_of(raw: Any, path: Path) -> Any:
     return kind if isinstance(kind, str) else None
 
 
-FAMILIES: dict[str, Mapping[str, type[Table]]] = {
+_FAMILIES: dict[str, Mapping[str, type[Table]]] = {
     "shape": SHAPES,
     "place": PLACES,
     "force": FORCES,
     "wall": WALLS,
 }
-TABLES: dict[str, type[Table]] = {
+_TABLES: dict[str, type[Table]] = {
     "": Case, "run": RunTable, "gravity": Gravity, "attraction": AttractionTable, "body": Body,
     "part": ShapePart,
     "output": Output, "check": Check, "value": CheckValue, "orientation": Euler,
@@ -192,12 +192,12 @@ TABLES: dict[str, type[Table]] = {
 }  # fmt: skip
 
 
-def table_keys(path: Path, kind: str | None = None) -> tuple[str, ...]:
+def _table_keys(path: Path, kind: str | None = None) -> tuple[str, ...]:
     """Keys of the table at a path; `kind` is its `type` where it has one."""
     name = next((part for part in reversed(path) if isinstance(part, str)), "")
-    if name in FAMILIES:
-        family, kind = FAMILIES[name], ALIASES.get(kind or "", kind)
+    if name in _FAMILIES:
+        family, kind = _FAMILIES[name], ALIASES.get(kind or "", kind)
         return tuple(family[kind].model_fields) if kind and kind in family else tuple(family)
     if name in {"velocity", "angular_velocity"}:
         return ("body", "random")
-    return tuple(TABLES[name].model_fields) if name in TABLES else ()
+    return tuple(_TABLES[name].model_fields) if name in _TABLES else ()

@@ -14,8 +14,8 @@ from particlerb.case.values import (
     broken,
 )
 
-FRAME = "Axes of the vector: world or body. [-]"
-FieldName = Literal[
+_FRAME = "Axes of the vector: world or body. [-]"
+_FieldName = Literal[
     "position",
     "orientation",
     "linear_momentum",
@@ -32,10 +32,10 @@ FieldName = Literal[
 ]
 FIELDS_OF_WALLS = ("wall_force", "wall_torque", "wall_position", "wall_velocity")
 FIELDS_OF_CONTACT = ("contacts", "contact_number", "contact_overlap", *FIELDS_OF_WALLS)
-FIELDS: tuple[FieldName, ...] = ("position", "orientation", "linear_momentum", "angular_momentum")
+FIELDS: tuple[_FieldName, ...] = ("position", "orientation", "linear_momentum", "angular_momentum")
 
 
-def are_unique(fields: tuple[FieldName, ...]) -> tuple[FieldName, ...]:
+def _are_unique(fields: tuple[_FieldName, ...]) -> tuple[_FieldName, ...]:
     """Require each field once."""
     if len(set(fields)) < len(fields):
         raise broken("must not repeat a name")
@@ -45,7 +45,7 @@ def are_unique(fields: tuple[FieldName, ...]) -> tuple[FieldName, ...]:
 class Output(Table):
     """What the trajectory file holds."""
 
-    fields: Annotated[tuple[FieldName, ...], Field(min_length=1), AfterValidator(are_unique)] = (
+    fields: Annotated[tuple[_FieldName, ...], Field(min_length=1), AfterValidator(_are_unique)] = (
         Field(FIELDS, description="Recorded in each frame. [-]")
     )
     dtype: Literal["float64", "float32"] = Field(
@@ -56,7 +56,7 @@ class Output(Table):
     )
 
 
-Quantity = Literal[
+_Quantity = Literal[
     "position",
     "orientation",
     "velocity",
@@ -66,19 +66,19 @@ Quantity = Literal[
     "kinetic_energy",
     "inertia",
 ]
-EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
+_EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
     "orientation": ((4,),),
     "kinetic_energy": ((),),
     "inertia": ((3,), (3, 3)),
 }
-FRAMELESS = ("position", "orientation", "kinetic_energy")
+_FRAMELESS = ("position", "orientation", "kinetic_energy")
 
 
-def shape_of(value: Any) -> tuple[int, ...] | None:
+def _shape_of(value: Any) -> tuple[int, ...] | None:
     """Shape of nested tuples; None where they are ragged."""
     if not isinstance(value, tuple):
         return ()
-    inner = {shape_of(entry) for entry in value}
+    inner = {_shape_of(entry) for entry in value}
     if len(inner) > 1 or None in inner:
         return None
     return (len(value), *(inner.pop() or ())) if inner else (0,)
@@ -88,8 +88,8 @@ class CheckValue(Table):
     """A value that the run must reach."""
 
     body: Name = Field(description="Name of a [[body]] block, or of one body as name[3]. [-]")
-    quantity: Quantity = Field(description="What is compared. [-]")
-    frame: Frame = Field("world", description=FRAME)
+    quantity: _Quantity = Field(description="What is compared. [-]")
+    frame: Frame = Field("world", description=_FRAME)
     time: NonNegative | None = Field(None, description="When; default: t_end. [s]")
     value: Numbers = Field(description="Expected number or list. [SI unit of the quantity]")
     tolerance: NonNegative = Field(description="Largest allowed difference. [SI unit, or rad]")
@@ -97,15 +97,15 @@ class CheckValue(Table):
     @model_validator(mode="after")
     def has_right_length(self) -> Self:
         """Require as many numbers as the quantity has."""
-        shape = shape_of(self.value)
-        allowed = EXPECTED_SHAPES.get(self.quantity, ((3,),))
+        shape = _shape_of(self.value)
+        allowed = _EXPECTED_SHAPES.get(self.quantity, ((3,),))
         if shape not in allowed:
             wanted = {(): "one number", (3, 3): "3 x 3 numbers"}
             words = " or ".join(wanted.get(s) or f"{s[0]} numbers" for s in allowed)
             raise broken(f"{self.quantity} needs {words}", "value")
         if self.quantity == "orientation" and not any(self.value):
             raise broken("must not be zero: it is no orientation", "value")
-        if self.frame == "body" and self.quantity in FRAMELESS:
+        if self.frame == "body" and self.quantity in _FRAMELESS:
             raise broken(f"{self.quantity} is not given in the body frame", "frame")
         return self
 

@@ -14,7 +14,7 @@ from particlerb.case.schema import Case
 from particlerb.case.values import Euler, FloatArray, IntArray
 from particlerb.model.names import BodyNames
 
-PURPOSES = {"place": 0, "orientation": 1, "velocity": 2, "angular_velocity": 3, "shape": 4}
+_PURPOSES = {"place": 0, "orientation": 1, "velocity": 2, "angular_velocity": 3, "shape": 4}
 
 
 class Placement(NamedTuple):
@@ -51,8 +51,8 @@ def place(case: Case) -> Placement:
         own = slice(first[i], first[i + 1])
         position[own] = positions(case, i)
         orientation[own] = q = orientations(case, i)
-        velocity[own] = vectors(case, i, "velocity", body.velocity, q)
-        angular_velocity[own] = vectors(case, i, "angular_velocity", body.angular_velocity, q)
+        velocity[own] = _vectors(case, i, "velocity", body.velocity, q)
+        angular_velocity[own] = _vectors(case, i, "angular_velocity", body.angular_velocity, q)
     return Placement(block, position, orientation, velocity, angular_velocity, names)
 
 
@@ -66,9 +66,9 @@ def random_stream(seed: int, block: int, purpose: str) -> np.random.Generator:
     block : int
         Index of the [[body]] table.
     purpose : str
-        A key of `PURPOSES`; "shape" is for particles drawn at random.
+        A key of `_PURPOSES`; "shape" is for particles drawn at random.
     """
-    entropy = np.random.SeedSequence([seed, block, PURPOSES[purpose]])
+    entropy = np.random.SeedSequence([seed, block, _PURPOSES[purpose]])
     return np.random.default_rng(entropy)
 
 
@@ -99,12 +99,12 @@ def grid(place: GridPlacement, count: int) -> FloatArray:
 
 def grid_size(count: int) -> tuple[int, int, int]:
     """Nearly cubic numbers of points per axis with room for all: x >= y >= z."""
-    nx = ceil_root(count, 3)
-    ny = ceil_root(-(-count // nx), 2)
+    nx = _ceil_root(count, 3)
+    ny = _ceil_root(-(-count // nx), 2)
     return nx, ny, -(-count // (nx * ny))
 
 
-def ceil_root(value: int, degree: int) -> int:
+def _ceil_root(value: int, degree: int) -> int:
     """Smallest integer whose power is not below the value."""
     root = max(1, int(float(value) ** (1 / degree)) - 1)
     while root**degree < value:
@@ -118,7 +118,7 @@ def orientations(case: Case, block: int) -> FloatArray:
     if isinstance(body.orientation, Euler):
         return quaternion_of_euler(body.orientation.euler_deg)
     if isinstance(body.orientation, str):
-        return random_quaternions(random_stream(case.run.seed, block, "orientation"), body.count)
+        return _random_quaternions(random_stream(case.run.seed, block, "orientation"), body.count)
     return normalised(np.asarray(body.orientation, dtype=np.float64))
 
 
@@ -144,7 +144,7 @@ def quaternion_of_euler(euler_deg: Sequence[float]) -> FloatArray:
     )
 
 
-def random_quaternions(stream: np.random.Generator, count: int) -> FloatArray:
+def _random_quaternions(stream: np.random.Generator, count: int) -> FloatArray:
     """Uniform rotations: normal components, normalised; shape (count, 4).
 
     References
@@ -154,7 +154,7 @@ def random_quaternions(stream: np.random.Generator, count: int) -> FloatArray:
     return normalised(stream.standard_normal((count, 4)))
 
 
-def vectors(case: Case, block: int, key: str, motion: Motion, q: FloatArray) -> FloatArray:
+def _vectors(case: Case, block: int, key: str, motion: Motion, q: FloatArray) -> FloatArray:
     """Velocities or angular velocities of a block, world frame, shape (count, 3) or (3,)."""
     if isinstance(motion, NormalDistribution):
         drawn = random_stream(case.run.seed, block, key).standard_normal(
@@ -162,11 +162,11 @@ def vectors(case: Case, block: int, key: str, motion: Motion, q: FloatArray) -> 
         )
         return motion.random * drawn
     if isinstance(motion, InBody):
-        return to_world(q, np.array(motion.body))
+        return _to_world(q, np.array(motion.body))
     return np.asarray(motion, dtype=np.float64)
 
 
-def to_world(q: FloatArray, v: FloatArray) -> FloatArray:
+def _to_world(q: FloatArray, v: FloatArray) -> FloatArray:
     """R v = v + w t + u × t with u = (x, y, z), t = 2 u × v; q of shape (..., 4)."""
     w, u = q[..., :1], q[..., 1:]
     t = 2.0 * np.cross(u, v)

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 
 from particlerb.case.problems import Path
 
-TOKEN = re.compile(
+_TOKEN = re.compile(
     r"""(?P<skip>[ \t\r]+|\#[^\n]*)
       | (?P<newline>\n)
       | (?P<string>\"{3}(?:\\.|[^\\])*?\"{3}(?!\") | '{3}.*?'{3}(?!')
@@ -19,12 +19,12 @@ TOKEN = re.compile(
       | (?P<bare>[^\s\[\]{}=,.\#"']+|.)""",
     re.VERBOSE | re.DOTALL,
 )
-AFTER_VALUE = {",", "]", "}"}
-ESCAPE = re.compile(r'\\(u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|[btnfr"\\])')
-ESCAPED = {"b": "\b", "t": "\t", "n": "\n", "f": "\f", "r": "\r"}
+_AFTER_VALUE = {",", "]", "}"}
+_ESCAPE = re.compile(r'\\(u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|[btnfr"\\])')
+_ESCAPED = {"b": "\b", "t": "\t", "n": "\n", "f": "\f", "r": "\r"}
 
 
-class Token(NamedTuple):
+class _Token(NamedTuple):
     """Piece of the text, from `start` to `end`."""
 
     kind: str
@@ -33,23 +33,23 @@ class Token(NamedTuple):
     end: int
 
 
-Range: TypeAlias = tuple[int, int]
+_Range: TypeAlias = tuple[int, int]
 
 
 class Extent(NamedTuple):
     """Where an entry stands: start and end of its key, start and end of its value."""
 
-    key: Range
-    value: Range
+    key: _Range
+    value: _Range
 
 
-class Scanner:
+class _Scanner:
     """Walks through the tokens once and fills `extents`."""
 
     def __init__(self, text: str) -> None:
         self.extents: dict[Path, Extent] = {}
         self.lengths: dict[Path, int] = {}
-        self.tokens = [*tokens(text), Token("end", "", len(text), len(text))]
+        self.tokens = [*tokens(text), _Token("end", "", len(text), len(text))]
         self.at = 0
 
     def scan(self) -> dict[Path, Extent]:
@@ -64,11 +64,11 @@ class Scanner:
                 self.entry(table)
         return self.extents
 
-    def peek(self) -> Token:
+    def peek(self) -> _Token:
         """Next token."""
         return self.tokens[self.at]
 
-    def take(self) -> Token:
+    def take(self) -> _Token:
         """Next token, consumed; the end is never passed."""
         token = self.tokens[self.at]
         self.at = min(self.at + 1, len(self.tokens) - 1)
@@ -100,7 +100,7 @@ class Scanner:
         self.note((*array, index), extent, extent)
         return (*array, index)
 
-    def resolve(self, parts: Path, extent: Range) -> Path:
+    def resolve(self, parts: Path, extent: _Range) -> Path:
         """Path of a dotted name, with the index of the latest table where it is an array."""
         path: Path = ()
         for part in parts:
@@ -116,7 +116,7 @@ class Scanner:
         while self.peek().kind != "end" and self.peek().text != stop:
             token = self.take()
             if token.kind == "string":
-                parts.append(unquoted(token.text))
+                parts.append(_unquoted(token.text))
             elif token.kind == "bare":
                 parts.append(token.text)
         return tuple(parts)
@@ -132,7 +132,7 @@ class Scanner:
         path = (*table, *parts)
         self.note(path, (start, end), self.value(path))
 
-    def value(self, path: Path) -> Range:
+    def value(self, path: Path) -> _Range:
         """Extent of a value; those inside it are noted on the way."""
         token = self.peek()
         if token.text == "[":
@@ -140,11 +140,11 @@ class Scanner:
         if token.text == "{":
             return self.inline_table(path)
         end = token.end
-        while self.peek().kind not in {"end", "newline"} and self.peek().text not in AFTER_VALUE:
+        while self.peek().kind not in {"end", "newline"} and self.peek().text not in _AFTER_VALUE:
             end = self.take().end
         return token.start, end
 
-    def array(self, path: Path) -> Range:
+    def array(self, path: Path) -> _Range:
         """`[a, b, ...]`, each entry noted with its index."""
         start = self.take().start
         index = 0
@@ -160,7 +160,7 @@ class Scanner:
             self.note((*path, index), extent, extent)
             index += 1
 
-    def inline_table(self, path: Path) -> Range:
+    def inline_table(self, path: Path) -> _Range:
         """`{ key = value, ... }`."""
         start = self.take().start
         while True:
@@ -173,28 +173,28 @@ class Scanner:
                 continue
             self.entry(path)
 
-    def note(self, path: Path, key: Range, value: Range) -> None:
+    def note(self, path: Path, key: _Range, value: _Range) -> None:
         """Keep the first position of a path."""
         self.extents.setdefault(path, Extent(key, value))
 
 
-def tokens(text: str) -> Iterator[Token]:
+def tokens(text: str) -> Iterator[_Token]:
     """Tokens of the text without blanks and comments."""
-    for match in TOKEN.finditer(text):
+    for match in _TOKEN.finditer(text):
         if match.lastgroup != "skip":
-            yield Token(match.lastgroup or "", match.group(), match.start(), match.end())
+            yield _Token(match.lastgroup or "", match.group(), match.start(), match.end())
 
 
-def unquoted(text: str) -> str:
+def _unquoted(text: str) -> str:
     """Content of a quoted key."""
     if text.startswith("'"):
         return text[1:-1]
-    return ESCAPE.sub(lambda m: escaped(m.group(1)), text[1:-1])
+    return _ESCAPE.sub(lambda m: _escaped(m.group(1)), text[1:-1])
 
 
-def escaped(code: str) -> str:
+def _escaped(code: str) -> str:
     """Character that a backslash escape stands for."""
-    return chr(int(code[1:], 16)) if code[0] in "uU" else ESCAPED.get(code, code)
+    return chr(int(code[1:], 16)) if code[0] in "uU" else _ESCAPED.get(code, code)
 
 
 def extents(text: str) -> dict[Path, Extent]:
@@ -211,6 +211,6 @@ def extents(text: str) -> dict[Path, Extent]:
         Path -> Extent. A `[table]` has its header as key and value, and so has an implicit one.
     """
     try:
-        return Scanner(text).scan()
+        return _Scanner(text).scan()
     except (RecursionError, IndexError):  # nested deeper than Python goes: messages without lines
         return {}

@@ -25,9 +25,9 @@ from particlerb.files import Files
 
 __all__ = ["CaseError", "Problem", "load", "parse"]
 
-LARGEST_FILE = 64 * 2**20
-MOST_PROBLEMS = 100
-PLAIN_WORDS = {
+_LARGEST_FILE = 64 * 2**20
+_MOST_PROBLEMS = 100
+_PLAIN_WORDS = {
     "Invalid value": "this is no TOML value: text needs quotes, numbers none",
     "Expected '=' after a key": "a key needs a `=` and a value",
     "Expected newline or end": "more on this line than one `key = value`",
@@ -103,7 +103,7 @@ def parse(text: str, path: FilePath | None = None, overrides: Sequence[str] = ()
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise CaseError([syntax_problem(text, path, str(error))]) from None
+        raise CaseError([_syntax_problem(text, path, str(error))]) from None
     except RecursionError:
         raise CaseError([file_problem(path, "is nested too deeply")]) from None
     except ValueError as error:  # a number of thousands of digits, an impossible date
@@ -120,8 +120,8 @@ def read_text(path: FilePath) -> str:
         if path.is_dir():
             raise CaseError([file_problem(path, "is a folder, not a case file")])
         if not path.is_file():
-            raise CaseError([missing_file(path)])
-        if path.stat().st_size > LARGEST_FILE:
+            raise CaseError([_missing_file(path)])
+        if path.stat().st_size > _LARGEST_FILE:
             raise CaseError([file_problem(path, "is larger than 64 MiB", "put particles in CSV")])
         raw = path.read_bytes()
     except (OSError, ValueError) as error:
@@ -137,7 +137,7 @@ def read_text(path: FilePath) -> str:
         raise CaseError([found._replace(line=line, column=column)]) from None
 
 
-def missing_file(path: FilePath) -> Problem:
+def _missing_file(path: FilePath) -> Problem:
     """A file that is not there, with the nearest name that is."""
     if path.exists():
         return file_problem(path, "is not a regular file")
@@ -147,13 +147,13 @@ def missing_file(path: FilePath) -> Problem:
     return file_problem(path, "there is no such file", nearest(path.name, known))
 
 
-def syntax_problem(text: str, path: FilePath | None, message: str) -> Problem:
+def _syntax_problem(text: str, path: FilePath | None, message: str) -> Problem:
     """Broken TOML, with tomllib's position and plain words."""
     lines = text.replace("\r\n", "\n").split("\n")
     match = re.search(r"\(at line (\d+), column (\d+)\)", message)
     line, column = (int(match[1]), int(match[2])) if match else (len(lines), len(lines[-1]) + 1)
     words = re.sub(r" \(at .*\)$", "", message, flags=re.DOTALL)
-    plain_words = next((v for k, v in PLAIN_WORDS.items() if words.startswith(k)), None)
+    plain_words = next((v for k, v in _PLAIN_WORDS.items() if words.startswith(k)), None)
     problem = file_problem(path, f"broken TOML: {plain_words or words}")
     return problem._replace(line=line, column=column, source=lines[line - 1])
 
@@ -169,19 +169,19 @@ def build(source: Source, overrides: Sequence[str]) -> Case:
         except ValidationError as error:
             found = complaints(raw, error.errors(include_url=False)) + found
         if found:
-            raise CaseError(located(source, without_typos(found)))
+            raise CaseError(_located(source, without_typos(found)))
     except RecursionError:
         raise CaseError([file_problem(source.path, "is nested too deeply")]) from None
     case._source = source
     return case
 
 
-def located(source: Source, found: Sequence[Complaint]) -> list[Problem]:
+def _located(source: Source, found: Sequence[Complaint]) -> list[Problem]:
     """Complaints with their places in the file, each once, and not more than can be read."""
     once = list({(key_of(one.path), one.reason): one for one in found}.values())
     locator = Locator(source)
-    problems = [locator.problem(*one) for one in once[:MOST_PROBLEMS]]
-    if len(once) > MOST_PROBLEMS:
-        reason = f"{len(once) - MOST_PROBLEMS} more problems are not shown"
+    problems = [locator.problem(*one) for one in once[:_MOST_PROBLEMS]]
+    if len(once) > _MOST_PROBLEMS:
+        reason = f"{len(once) - _MOST_PROBLEMS} more problems are not shown"
         problems.append(file_problem(source.path, reason))
     return problems

@@ -50,7 +50,7 @@ def reduced(
         if count[k] <= MANY or heavy[k] or 2 * np.count_nonzero(surface) > count[k]:
             sets.append(whole)
             continue
-        matter = points_for(properties, k)
+        matter = _points_for(properties, k)
         if surface.any():
             shell = one_kind(position[surface], 0.0, radius[surface])
             matter = united(concatenate([shell, matter]))
@@ -58,7 +58,7 @@ def reduced(
     return concatenate(sets)
 
 
-def points_for(properties: MassProperties, k: int) -> Particles:
+def _points_for(properties: MassProperties, k: int) -> Particles:
     """Six points with the mass and tensor of a kind, about its com at the origin."""
     mass = float(properties.mass[k])
     per_mass: Floats = properties.inertia_tensor[k] / mass

@@ -22,20 +22,20 @@ from particlerb.case.raw import (
 from particlerb.files import Files
 from particlerb.model.names import REFERENCE
 
-MOST_FRAMES = 10**9
+_MOST_FRAMES = 10**9
 
 
 def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
     """All broken rules of a case."""
     yield from times(raw)
     yield from names(raw)
-    yield from references(raw)
+    yield from _references(raw)
     for i, force in tables(raw, "force"):
-        table = table_of(force)
+        table = _table_of(force)
         if table is not None:
             yield from table.rules(("force", i), force, members(raw))
-    yield from attraction_rules(raw.get("attraction"), members(raw))
-    yield from contact_rules(raw)
+    yield from _attraction_rules(raw.get("attraction"), members(raw))
+    yield from _contact_rules(raw)
     for i, body in tables(raw, "body"):
         yield from body_rules(("body", i), body)
         yield from held_rules(("body", i), body, raw)
@@ -45,7 +45,7 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
         yield from file_rules(("wall", i, "file"), wall.get("file"), files)
 
 
-def table_of(force: dict[str, Any]) -> type[ForceTable] | None:
+def _table_of(force: dict[str, Any]) -> type[ForceTable] | None:
     """Table of a [[force]] by its type; None where there is none of that name."""
     kind = force.get("type")
     return FORCES.get(kind) if isinstance(kind, str) else None
@@ -59,8 +59,8 @@ def times(raw: dict[str, Any]) -> Iterator[Finding]:
         return
     if every is not None and every > t_end:
         yield ("run", "every"), f"must be <= run.t_end = {t_end!r}, got {every!r}", ""
-    if every is not None and every > 0 and t_end > every * MOST_FRAMES:
-        yield ("run", "every"), f"makes more than {MOST_FRAMES:.0e} frames", "take a longer time"
+    if every is not None and every > 0 and t_end > every * _MOST_FRAMES:
+        yield ("run", "every"), f"makes more than {_MOST_FRAMES:.0e} frames", "take a longer time"
     for i, force in tables(raw, "force"):
         during = force.get("during")
         if isinstance(during, list) and during:
@@ -89,14 +89,14 @@ def names(raw: dict[str, Any]) -> Iterator[Finding]:
                     yield (kind, i, "name"), f'"{name}" is the name of {first[name]} already', ""
 
 
-def references(raw: dict[str, Any]) -> Iterator[Finding]:
+def _references(raw: dict[str, Any]) -> Iterator[Finding]:
     """Forces and checks name bodies that are there."""
     counts: dict[str, Any] = {}
     for _, body in tables(raw, "body"):
         if isinstance(body.get("name"), str):
             counts.setdefault(body["name"], body.get("count", 1))
     for i, force in tables(raw, "force"):
-        for key in (table_of(force) or ForceTable).names_bodies:
+        for key in (_table_of(force) or ForceTable).names_bodies:
             yield from reference(("force", i, key), force.get(key), counts)
     if isinstance(raw.get("attraction"), dict):
         yield from reference(("attraction", "body"), raw["attraction"].get("body"), counts)
@@ -123,7 +123,7 @@ def reference(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Findin
         yield path, f'there is no body "{value}"', f"{match['name']}[0] to [{count - 1}] exist"
 
 
-def attraction_rules(table: Any, known: dict[str, range]) -> Iterator[Finding]:
+def _attraction_rules(table: Any, known: dict[str, range]) -> Iterator[Finding]:
     """Two bodies at least attract each other, and what a tree sums as one is said once."""
     if not isinstance(table, dict):
         return
@@ -136,13 +136,13 @@ def attraction_rules(table: Any, known: dict[str, range]) -> Iterator[Finding]:
         yield key, "needs two bodies at least, has one", "name more of them, or leave this out"
 
 
-def contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
+def _contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """Walls and numbers of contact have a use, and materials that are named are there."""
     contact = raw.get("contact")
     if contact is None:
         for i, _ in tables(raw, "wall")[:1]:
             yield ("wall", i), "nothing touches a wall without [contact]", "add [contact]"
-    yield from output_rules(raw)
+    yield from _output_rules(raw)
     known = [one["name"] for _, one in tables(raw, "material") if isinstance(one.get("name"), str)]
     for kind in ("body", "wall"):
         for i, table in tables(raw, kind):
@@ -157,12 +157,12 @@ def contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
         if len(listed) == 2 and first.setdefault(frozenset(listed), i) != i:
             reason = f"this pair is contact.pair[{first[frozenset(listed)]}] already"
             yield (*path, "materials"), reason, "name every pair once"
-        yield from number_rules(path, pair, contact)
+        yield from _number_rules(path, pair, contact)
     if isinstance(contact, dict):
-        yield from number_rules(("contact",), contact, contact)
+        yield from _number_rules(("contact",), contact, contact)
 
 
-def output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
+def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """What is to be recorded of contacts and walls is there."""
     output = raw.get("output")
     fields = output.get("fields") if isinstance(output, dict) else None
@@ -181,7 +181,7 @@ def material(path: Path, name: Any, known: list[str]) -> Iterator[Finding]:
         yield path, f'there is no material "{name}"', hint
 
 
-def number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[Finding]:
+def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[Finding]:
     """The law has a use for a number, and there is a damping for a restitution."""
     if contact.get("law") == "hertz":
         for key in ("stiffness", "tangential_stiffness"):

@@ -8,7 +8,7 @@ from particlerb.case.values import Count, Names, NonNegative, Positive, Table, V
 from particlerb.model.method_names import METHOD_NAMES
 
 METHODS = ("auto", *METHOD_NAMES)
-NEWTON = 6.67430e-11  # G [m³/(kg s²)], CODATA 2018
+_NEWTON = 6.67430e-11  # G [m³/(kg s²)], CODATA 2018
 
 
 class RunTable(Table):
@@ -45,7 +45,7 @@ class Gravity(Table):
 class AttractionTable(Table):
     """Newton's attraction between the particles of different bodies."""
 
-    G: Positive = Field(NEWTON, description="Constant of gravitation; CODATA 2018. [m³/(kg s²)]")
+    G: Positive = Field(_NEWTON, description="Constant of gravitation; CODATA 2018. [m³/(kg s²)]")
     softening: NonNegative = Field(
         0.0, description="Length ε of the potential -G m m' / √(d² + ε²). [m]"
     )

@@ -24,18 +24,18 @@ from particlerb.case.values import (
     entries,
 )
 
-Arrangement = Literal["lattice", "exact"]
-CurvedArrangement = Literal["lattice", "cells"]
-RoundArrangement = Literal["lattice", "cells", "exact"]
+_Arrangement = Literal["lattice", "exact"]
+_CurvedArrangement = Literal["lattice", "cells"]
+_RoundArrangement = Literal["lattice", "cells", "exact"]
 KIND = "Kind of shape. [-]"
-ACROSS = "Particles along the largest extent of the lattice. [-]"
-SHELL_N = "As for a ball; on a thin shell per quarter of a great circle. [-]"
-ARRANGEMENT = "A lattice, or the smallest exact set of particles. [-]"
-CURVED = "Whole cells, or cells weighted by their share inside. [-]"
-ROUND = "Whole cells, cells weighted by their share inside, or the smallest exact set. [-]"
-BALL = "One particle with the radius, whole cells, or cells weighted by their share inside. [-]"
-ENOUGH = "Chooses n: largest relative error of tensor and centre of mass. [-]"
-Share = Annotated[Positive, Field(lt=1.0)]
+_ACROSS = "Particles along the largest extent of the lattice. [-]"
+_SHELL_N = "As for a ball; on a thin shell per quarter of a great circle. [-]"
+_ARRANGEMENT = "A lattice, or the smallest exact set of particles. [-]"
+_CURVED = "Whole cells, or cells weighted by their share inside. [-]"
+_ROUND = "Whole cells, cells weighted by their share inside, or the smallest exact set. [-]"
+_BALL = "One particle with the radius, whole cells, or cells weighted by their share inside. [-]"
+_ENOUGH = "Chooses n: largest relative error of tensor and centre of mass. [-]"
+_Share = Annotated[Positive, Field(lt=1.0)]
 Vertices = Annotated[tuple[Vector, Vector, Vector, Vector], entries(4, "corners")]
 
 
@@ -61,8 +61,8 @@ class Box(FilledTable):
     type: Literal["box"] = Field(description=KIND)
     size: Lengths = Field(description="Edge lengths. [m]")
     n: Resolution = Field((10, 10, 10), description="Particles per edge. [-]")
-    arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
-    inertia_error: Share | None = Field(None, description=ENOUGH)
+    arrangement: _Arrangement = Field("lattice", description=_ARRANGEMENT)
+    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
 
 class Ball(FilledTable):
@@ -73,9 +73,9 @@ class Ball(FilledTable):
         description=KIND
     )
     radius: Positive = Field(description="Radius, of its matter and of its surface. [m]")
-    n: Count = Field(10, description=ACROSS)
-    arrangement: RoundArrangement = Field("exact", description=BALL)
-    inertia_error: Share | None = Field(None, description=ENOUGH)
+    n: Count = Field(10, description=_ACROSS)
+    arrangement: _RoundArrangement = Field("exact", description=_BALL)
+    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
     @model_validator(mode="before")
     @classmethod
@@ -99,15 +99,15 @@ class Shell(FilledTable):
     inner_radius: Positive | None = Field(
         None, description="Inner radius; left out: a thin shell. [m]"
     )
-    n: Count = Field(10, description=SHELL_N)
-    arrangement: CurvedArrangement = Field("lattice", description=CURVED)
-    inertia_error: Share | None = Field(None, description=ENOUGH)
+    n: Count = Field(10, description=_SHELL_N)
+    arrangement: _CurvedArrangement = Field("lattice", description=_CURVED)
+    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
     @model_validator(mode="after")
     def is_hollow(self) -> Self:
         """Require the inner radius below the outer one."""
         if self.inner_radius is not None:
-            require_smaller(self.inner_radius, self.radius)
+            _require_smaller(self.inner_radius, self.radius)
         elif self.arrangement == "cells":
             raise broken("a thin shell has no cells", "arrangement", "leave it out: it is exact")
         return self
@@ -121,14 +121,14 @@ class Cylinder(FilledTable):
     radius: Positive = Field(description="Outer radius. [m]")
     height: Positive = Field(description="Height along z. [m]")
     inner_radius: NonNegative = Field(0.0, description="Radius of the bore. [m]")
-    n: Count = Field(10, description=ACROSS)
-    arrangement: CurvedArrangement = Field("lattice", description=CURVED)
-    inertia_error: Share | None = Field(None, description=ENOUGH)
+    n: Count = Field(10, description=_ACROSS)
+    arrangement: _CurvedArrangement = Field("lattice", description=_CURVED)
+    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
     @model_validator(mode="after")
     def has_wall(self) -> Self:
         """Require the bore below the outer radius."""
-        require_smaller(self.inner_radius, self.radius)
+        _require_smaller(self.inner_radius, self.radius)
         return self
 
 
@@ -139,9 +139,9 @@ class Cone(FilledTable):
     type: Literal["cone"] = Field(description=KIND)
     radius: Positive = Field(description="Radius of the base. [m]")
     height: Positive = Field(description="Height along z. [m]")
-    n: Count = Field(10, description=ACROSS)
-    arrangement: CurvedArrangement = Field("lattice", description=CURVED)
-    inertia_error: Share | None = Field(None, description=ENOUGH)
+    n: Count = Field(10, description=_ACROSS)
+    arrangement: _CurvedArrangement = Field("lattice", description=_CURVED)
+    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
 
 class Torus(FilledTable):
@@ -151,9 +151,9 @@ class Torus(FilledTable):
     type: Literal["torus"] = Field(description=KIND)
     major_radius: Positive = Field(description="Distance of the tube's centre from the axis. [m]")
     minor_radius: Positive = Field(description="Radius of the tube. [m]")
-    n: Count = Field(10, description=ACROSS)
-    arrangement: CurvedArrangement = Field("lattice", description=CURVED)
-    inertia_error: Share | None = Field(None, description=ENOUGH)
+    n: Count = Field(10, description=_ACROSS)
+    arrangement: _CurvedArrangement = Field("lattice", description=_CURVED)
+    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
     @model_validator(mode="after")
     def does_not_overlap(self) -> Self:
@@ -172,9 +172,9 @@ class Ellipsoid(FilledTable):
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["ellipsoid"] = Field(description=KIND)
     semi_axes: Lengths = Field(description="Half of the lengths along x, y, z. [m]")
-    n: Count = Field(10, description=ACROSS)
-    arrangement: RoundArrangement = Field("lattice", description=ROUND)
-    inertia_error: Share | None = Field(None, description=ENOUGH)
+    n: Count = Field(10, description=_ACROSS)
+    arrangement: _RoundArrangement = Field("lattice", description=_ROUND)
+    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
 
 class Tetrahedron(Table):
@@ -184,7 +184,7 @@ class Tetrahedron(Table):
     type: Literal["tetrahedron"] = Field(description=KIND)
     vertices: Vertices = Field(description="The four corners. [m]")
     n: Count = Field(10, description="Particles per edge. [-]")
-    arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
+    arrangement: _Arrangement = Field("lattice", description=_ARRANGEMENT)
 
 
 class Rod(FilledTable):
@@ -194,28 +194,28 @@ class Rod(FilledTable):
     type: Literal["rod"] = Field(description=KIND)
     length: Positive = Field(description="Length along z. [m]")
     n: Count = Field(10, description="Particles along the rod. [-]")
-    arrangement: Arrangement = Field("lattice", description=ARRANGEMENT)
-    inertia_error: Share | None = Field(None, description=ENOUGH)
+    arrangement: _Arrangement = Field("lattice", description=_ARRANGEMENT)
+    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
 
-def for_each(value: Any) -> Any:
+def _for_each(value: Any) -> Any:
     """One number, or a number for each particle; `PointsShape` makes a list of both."""
     return value
 
 
-Each = Annotated[
+_Each = Annotated[
     tuple[NonNegative, ...],
-    BeforeValidator(for_each, NonNegative | tuple[NonNegative, ...]),
+    BeforeValidator(_for_each, NonNegative | tuple[NonNegative, ...]),
 ]
 
 
-PositiveEach = Annotated[
+_PositiveEach = Annotated[
     tuple[Positive, ...],
-    BeforeValidator(for_each, Positive | tuple[Positive, ...]),
+    BeforeValidator(_for_each, Positive | tuple[Positive, ...]),
 ]
 
 
-def repeated_for_each(raw: Any, keys: tuple[str, ...]) -> Any:
+def _repeated_for_each(raw: Any, keys: tuple[str, ...]) -> Any:
     """Data of a shape in which a single number has become one for each position."""
     position = raw.get("position") if isinstance(raw, Mapping) else None
     if not isinstance(position, (list, tuple)):
@@ -228,7 +228,7 @@ def repeated_for_each(raw: Any, keys: tuple[str, ...]) -> Any:
     return {**raw, **single}
 
 
-def is_in_file(shape: "PointsShape | SpheresShape", lists: tuple[str, ...]) -> bool:
+def _is_in_file(shape: "PointsShape | SpheresShape", lists: tuple[str, ...]) -> bool:
     """Whether particles come from a file; then no list is given beside it."""
     if shape.file is None:
         return False
@@ -238,7 +238,7 @@ def is_in_file(shape: "PointsShape | SpheresShape", lists: tuple[str, ...]) -> b
     return True
 
 
-def require_length(shape: "PointsShape | SpheresShape", key: str, length: int) -> None:
+def _require_length(shape: "PointsShape | SpheresShape", key: str, length: int) -> None:
     """Require as many entries as there are positions."""
     entries = getattr(shape, key)
     if entries is not None and len(entries) != length:
@@ -253,8 +253,8 @@ class PointsShape(Table):
     position: tuple[Vector, ...] | None = Field(
         None, description="Positions in the body's axes. [m]"
     )
-    mass: Each | None = Field(None, description="Masses, or that of every particle. [kg]")
-    radius: Each | None = Field(
+    mass: _Each | None = Field(None, description="Masses, or that of every particle. [kg]")
+    radius: _Each | None = Field(
         None, description="Radii, or that of every particle; 0 is a point mass. [m]"
     )
     file: Name | None = Field(
@@ -265,19 +265,19 @@ class PointsShape(Table):
     @classmethod
     def repeats_numbers(cls, raw: Any) -> Any:
         """One mass or radius for all particles, as a list."""
-        return repeated_for_each(raw, ("mass", "radius"))
+        return _repeated_for_each(raw, ("mass", "radius"))
 
     @model_validator(mode="after")
     def has_one_source(self) -> Self:
         """Require either lists of equal length with a positive total mass, or a file."""
-        if is_in_file(self, ("position", "mass", "radius")):
+        if _is_in_file(self, ("position", "mass", "radius")):
             return self
         if not self.position:
             raise broken("has no particles", "position", "give `position` and `mass`, or a `file`")
         if self.mass is None:
             raise broken("particles need a mass each", "mass")
         for key in ("mass", "radius"):
-            require_length(self, key, len(self.position))
+            _require_length(self, key, len(self.position))
         self.check_masses()
         self.check_places()
         return self
@@ -311,7 +311,7 @@ class SpheresShape(Table):
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["spheres"] = Field(description=KIND)
     position: tuple[Vector, ...] | None = Field(None, description="Centres in the body's axes. [m]")
-    radius: PositiveEach | None = Field(None, description="Radii, or that of every sphere. [m]")
+    radius: _PositiveEach | None = Field(None, description="Radii, or that of every sphere. [m]")
     file: Name | None = Field(
         None, description="Text or CSV file with columns x, y, z, r. [m / scale]"
     )
@@ -324,12 +324,12 @@ class SpheresShape(Table):
     @classmethod
     def repeats_numbers(cls, raw: Any) -> Any:
         """One radius for all spheres, as a list."""
-        return repeated_for_each(raw, ("radius",))
+        return _repeated_for_each(raw, ("radius",))
 
     @model_validator(mode="after")
     def has_one_source(self) -> Self:
         """Require either lists of equal length, or a file."""
-        if is_in_file(self, ("position", "radius")):
+        if _is_in_file(self, ("position", "radius")):
             return self
         if not self.position:
             raise broken("has no spheres", "position", "give `position` and `radius`, or a `file`")
@@ -337,7 +337,7 @@ class SpheresShape(Table):
             raise broken("spheres need a radius each", "radius")
         if "scale" in self.model_fields_set:
             raise broken("is for spheres from a `file`", "scale", "positions and radii are in m")
-        require_length(self, "radius", len(self.position))
+        _require_length(self, "radius", len(self.position))
         return self
 
 
@@ -352,7 +352,7 @@ class MeshShape(FilledTable):
         "exact", description="Six particles, weighted cells, or spheres inside to touch with. [-]"
     )
     n: Count = Field(10, description="Cells along the largest extent, or spheres. [-]")
-    inertia_error: Share | None = Field(None, description=ENOUGH)
+    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
 
 class Moments(Table):
@@ -374,7 +374,7 @@ class Cloud(Table):
     radius: Positive = Field(description="Radius of the ball. [m]")
 
 
-def require_smaller(inner_radius: float, radius: float) -> None:
+def _require_smaller(inner_radius: float, radius: float) -> None:
     """Require inner_radius < radius."""
     if inner_radius >= radius:
         raise broken(f"must be < radius = {radius!r}, got {inner_radius!r}", "inner_radius")

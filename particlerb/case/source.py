@@ -22,7 +22,7 @@ class Source(NamedTuple):
     """That the case names."""
 
 
-class HasSource(Protocol):
+class _HasSource(Protocol):
     """A case, or the system that was made of it."""
 
     @property
@@ -30,7 +30,7 @@ class HasSource(Protocol):
         """Where it comes from."""
 
 
-def problem_at(described: HasSource, key: str, reason: str, hint: str = "") -> Problem:
+def problem_at(described: _HasSource, key: str, reason: str, hint: str = "") -> Problem:
     """Problem that a later stage has found; with its place in the file, if there is one.
 
     Parameters
@@ -54,7 +54,7 @@ class Locator:
 
     def problem(self, path: Path, reason: str, hint: str = "", at_key: bool = False) -> Problem:
         """Problem at a path: its value, or its key, or the table where it is missing."""
-        value = value_at(self.source.raw, path)
+        value = _value_at(self.source.raw, path)
         for override in self.source.overridden:
             if path[: len(override)] == override:
                 name = "--set " + ".".join(map(str, override))
@@ -94,7 +94,7 @@ def file_problem(path: FilePath | None, reason: str, hint: str = "") -> Problem:
     return Problem(str(path) if path else "case", None, None, "", "", reason, hint)
 
 
-def value_at(raw: Any, path: Path) -> str:
+def _value_at(raw: Any, path: Path) -> str:
     """Value at a path, shortened; empty where there is none."""
     for part in path:
         try:

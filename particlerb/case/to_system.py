@@ -49,9 +49,9 @@ from particlerb.model.state import initial_state, rotate
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import POINT, ROD
 
-SMALLEST = 1e-307  # mass [kg] or moment of inertia [kg m²]
-OUT_OF_RANGE = "its volume or moment of inertia is out of the range of float64"
-SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its rounding
+_SMALLEST = 1e-307  # mass [kg] or moment of inertia [kg m²]
+_OUT_OF_RANGE = "its volume or moment of inertia is out of the range of float64"
+_SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its rounding
 
 
 def to_system(
@@ -76,9 +76,9 @@ def to_system(
     placement = place(case)
     notes: list[tuple[str, str]] = []
     particles, properties, first_kind = kinds(case, notes)
-    kind = kinds_of_bodies(case, placement, first_kind)
+    kind = _kinds_of_bodies(case, placement, first_kind)
     bodies = bodies_of_kind(properties, kind)
-    omega = possible_spin(case, placement, bodies)
+    omega = _possible_spin(case, placement, bodies)
     position = placement.position
     for i, body in enumerate(case.body):
         if body.motion is not None:
@@ -131,15 +131,15 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
     known: dict[tuple[object, ...], tuple[int, list[tuple[str, str]]]] = {}
     n_kinds = 0
     for i, body in enumerate(case.body):
-        matter = (i if is_drawn(body) else -1, body.shape, body.part, body.mass, body.density)
+        matter = (i if _is_drawn(body) else -1, body.shape, body.part, body.mass, body.density)
         if matter not in known:
             try:
-                particles, lines = particle_sets(case, i, body)
+                particles, lines = _particle_sets(case, i, body)
                 found = mass_properties(particles)
-                refuse_underflow(found)
+                _refuse_underflow(found)
             except (ValueError, ArithmeticError) as error:
                 key = f"body[{i}].shape" if body.shape is not None else f"body[{i}].part"
-                why = OUT_OF_RANGE if isinstance(error, ArithmeticError) else error
+                why = _OUT_OF_RANGE if isinstance(error, ArithmeticError) else error
                 problems.append(problem_at(case, key, f"{body.name}: {why}"))
                 continue
             sets.append(particles)
@@ -155,24 +155,24 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
     return concatenate(sets), together, np.array(first)
 
 
-def is_drawn(body: Body) -> bool:
+def _is_drawn(body: Body) -> bool:
     """Whether the particles of a block are drawn at random: then they are like no others."""
     shapes_of = [body.shape, *(part.shape for part in body.part)]
     return any(isinstance(shape, Cloud) for shape in shapes_of)
 
 
-def refuse_underflow(properties: MassProperties) -> None:
+def _refuse_underflow(properties: MassProperties) -> None:
     """Raise ValueError where 1 / M or 1 / I would overflow."""
     sizes = np.append(properties.mass, properties.moments)
     sizes = sizes[sizes > 0.0]
-    if sizes.min(initial=1.0) < SMALLEST:
+    if sizes.min(initial=1.0) < _SMALLEST:
         raise ValueError(
             f"mass or moment of inertia {float(sizes.min())!r} is too small: its inverse is too"
             " large for float64"
         )
 
 
-def particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tuple[str, str]]]:
+def _particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tuple[str, str]]]:
     """Particles of a block: one set, or one for each body where they are random clouds.
 
     Also what is to be said of them: which part of the body, empty for the whole, and a line.
@@ -183,7 +183,7 @@ def particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tuple
         return concatenate([shapes.cloud(n, radius, mass, stream) for _ in range(body.count)]), []
     files = case.source.files
     if body.shape is not None:
-        filled = shape_particles(files, body.shape, body.mass, body.density)
+        filled = _shape_particles(files, body.shape, body.mass, body.density)
         return filled.particles, [("", line) for line in filled.lines]
     parts = [part_particles(files, case.run.seed, i, part) for part in body.part]
     lines = [(f", part {j}", line) for j, filled in enumerate(parts) for line in filled.lines]
@@ -197,7 +197,7 @@ def part_particles(files: Files, seed: int, i: int, part: ShapePart) -> FilledSh
         mass = part.mass or 0.0
         filled = FilledShape(shapes.cloud(part.shape.n, part.shape.radius, mass, stream))
     else:
-        filled = shape_particles(files, part.shape, part.mass, part.density)
+        filled = _shape_particles(files, part.shape, part.mass, part.density)
     placed = transformed(filled.particles, turn_of(part), part.position)
     return filled._replace(particles=placed)
 
@@ -209,7 +209,7 @@ def turn_of(part: ShapePart) -> Floats:
     return rotate(np.tile(normalised(q)[:, None], 3), np.eye(3))
 
 
-def shape_particles(
+def _shape_particles(
     files: Files, shape: AnyShape, mass: float | None, density: float | None
 ) -> FilledShape:
     """Particles of a shape in its own axes, and what is to be said of them."""
@@ -236,7 +236,7 @@ def shape_particles(
     return coarsest_within(shape.type, size, wanted, lambda n: particles_of(n=n))
 
 
-def kinds_of_bodies(case: Case, placement: Placement, first_kind: Ints) -> Ints:
+def _kinds_of_bodies(case: Case, placement: Placement, first_kind: Ints) -> Ints:
     """Kind of each body."""
     kind = first_kind[placement.block]
     for i, body in enumerate(case.body):
@@ -245,7 +245,7 @@ def kinds_of_bodies(case: Case, placement: Placement, first_kind: Ints) -> Ints:
     return np.asarray(kind, dtype=np.int64)
 
 
-def possible_spin(case: Case, placement: Placement, bodies: Bodies) -> Floats:
+def _possible_spin(case: Case, placement: Placement, bodies: Bodies) -> Floats:
     """Angular velocities without what points and rods cannot have.
 
     Raises
@@ -269,15 +269,15 @@ def possible_spin(case: Case, placement: Placement, bodies: Bodies) -> Floats:
         own = placement.block == i
         if isinstance(body.angular_velocity, NormalDistribution):
             continue
-        wrong = np.flatnonzero(own & (size > SPIN_ROUNDING * total))
+        wrong = np.flatnonzero(own & (size > _SPIN_ROUNDING * total))
         if len(wrong):
-            problems.append(spin_problem(case, i, int(wrong[0]), placement, bodies, about))
+            problems.append(_spin_problem(case, i, int(wrong[0]), placement, bodies, about))
     if problems:
         raise CaseError(problems)
     return np.asarray(omega - impossible)
 
 
-def spin_problem(
+def _spin_problem(
     case: Case, i: int, b: int, placement: Placement, bodies: Bodies, about: Floats
 ) -> Problem:
     """What is wrong with the spin of body b, in full precision."""

@@ -70,7 +70,7 @@ def one_of(choices: tuple[str, ...]) -> AfterValidator:
     return AfterValidator(check)
 
 
-def repeated(value: Any) -> Any:
+def _repeated(value: Any) -> Any:
     """Three times the same number where one is given."""
     return [value] * 3 if isinstance(value, (int, float, str)) else value
 
@@ -112,19 +112,19 @@ def is_rows(value: Any) -> bool:
     return isinstance(value, list) and bool(value) and isinstance(value[0], (list, tuple))
 
 
-def nonzero(value: tuple[float, ...]) -> tuple[float, ...]:
+def _nonzero(value: tuple[float, ...]) -> tuple[float, ...]:
     """Quaternion that can be normalised."""
     if not any(value):
         raise broken("must not be zero: it is no orientation", hint="no turn is [1, 0, 0, 0]")
     return value
 
 
-def nested_numbers(value: Any) -> Any:
+def _nested_numbers(value: Any) -> Any:
     """A number, a list of numbers or a list of such lists; lists become tuples."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, (list, tuple)):
-        return tuple(nested_numbers(entry) for entry in value)
+        return tuple(_nested_numbers(entry) for entry in value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise broken("must be a number or a list of numbers")
     try:
@@ -161,17 +161,17 @@ Names = Annotated[tuple[Name, ...], Field(min_length=1), BeforeValidator(alone, 
 
 Vector = Annotated[tuple[Real, Real, Real], entries(3)]
 Lengths = Annotated[tuple[Positive, Positive, Positive], entries(3)]
-Spacing = Annotated[Lengths, BeforeValidator(repeated, Positive | Lengths)]
+Spacing = Annotated[Lengths, BeforeValidator(_repeated, Positive | Lengths)]
 Counts = Annotated[tuple[Count, Count, Count], entries(3)]
-Resolution = Annotated[Counts, BeforeValidator(repeated, Count | Counts)]
-Quaternion = Annotated[tuple[Real, Real, Real, Real], entries(4), AfterValidator(nonzero)]
+Resolution = Annotated[Counts, BeforeValidator(_repeated, Count | Counts)]
+Quaternion = Annotated[tuple[Real, Real, Real, Real], entries(4), AfterValidator(_nonzero)]
 Numbers = Annotated[
     Any,
-    PlainValidator(nested_numbers, json_schema_input_type=float | list[float] | list[list[float]]),
+    PlainValidator(_nested_numbers, json_schema_input_type=float | list[float] | list[list[float]]),
 ]
-AS_LISTS = PlainSerializer(lambda array: array.tolist(), return_type=list, when_used="json")
-Rows3 = Annotated[FloatArray, rows(3), AS_LISTS]
-Rows4 = Annotated[FloatArray, rows(4), AS_LISTS]
+_AS_LISTS = PlainSerializer(lambda array: array.tolist(), return_type=list, when_used="json")
+Rows3 = Annotated[FloatArray, rows(3), _AS_LISTS]
+Rows4 = Annotated[FloatArray, rows(4), _AS_LISTS]
 Frame = Literal["world", "body"]
 
 
@@ -181,12 +181,12 @@ class Euler(Table):
     euler_deg: Vector = Field(description="Roll, pitch, yaw; intrinsic z-y-x. [°]")
 
 
-def turn_form(value: Any) -> str:
+def _turn_form(value: Any) -> str:
     """Tag of the orientation of a part."""
     return "euler" if isinstance(value, (Mapping, BaseModel)) else "vector"
 
 
 OneOrientation = Annotated[
     Annotated[Quaternion, Tag("vector")] | Annotated[Euler, Tag("euler")],
-    Discriminator(turn_form),
+    Discriminator(_turn_form),
 ]

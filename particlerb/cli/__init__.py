@@ -33,14 +33,14 @@ from particlerb.cli.show import (
 from particlerb.cli.studies import chart_command, converge_command, stability_command
 from particlerb.cli.view import view_command
 
-EPILOG = """\
+_EPILOG = """\
 CASE is a TOML file, or the name of one in ./cases or among the examples (`cases` lists them).
 `python -m particlerb CASE` is short for `run CASE`.
 exit codes: 0 done, 1 the run failed, 2 wrong usage or case, 3 a [check] was missed, 130 interrupted
 """
 
 
-class Command(NamedTuple):
+class _Command(NamedTuple):
     """One command."""
 
     add_options: Callable[[argparse.ArgumentParser], None]
@@ -49,31 +49,33 @@ class Command(NamedTuple):
 
 
 COMMANDS: Final = {
-    "run": Command(arguments.add_run, run_command, "run a case into an HDF5 file"),
-    "resume": Command(arguments.add_resume, resume_command, "continue a run that was stopped"),
-    "check": Command(arguments.add_check, check_command, "print the plan of a case, without a run"),
-    "mass": Command(arguments.add_mass, mass_command, "mass properties of bodies"),
-    "info": Command(arguments.add_info, info_command, "what a trajectory file holds"),
-    "plot": Command(arguments.add_plot, plot_command, "picture of a trajectory or its contacts"),
-    "export": Command(arguments.add_export, export_command, "write files for other programs"),
-    "view": Command(arguments.add_view, view_command, "push a case, or play a file, in a browser"),
-    "chart": Command(arguments.add_chart, chart_command, "what accuracy costs, for every method"),
-    "stability": Command(arguments.add_stability, stability_command, "where each method fails"),
-    "converge": Command(
+    "run": _Command(arguments.add_run, run_command, "run a case into an HDF5 file"),
+    "resume": _Command(arguments.add_resume, resume_command, "continue a run that was stopped"),
+    "check": _Command(
+        arguments.add_check, check_command, "print the plan of a case, without a run"
+    ),
+    "mass": _Command(arguments.add_mass, mass_command, "mass properties of bodies"),
+    "info": _Command(arguments.add_info, info_command, "what a trajectory file holds"),
+    "plot": _Command(arguments.add_plot, plot_command, "picture of a trajectory or its contacts"),
+    "export": _Command(arguments.add_export, export_command, "write files for other programs"),
+    "view": _Command(arguments.add_view, view_command, "push a case, or play a file, in a browser"),
+    "chart": _Command(arguments.add_chart, chart_command, "what accuracy costs, for every method"),
+    "stability": _Command(arguments.add_stability, stability_command, "where each method fails"),
+    "converge": _Command(
         arguments.add_converge, converge_command, "how many particles a body needs"
     ),
-    "cases": Command(arguments.add_none, cases_command, "list the example cases"),
-    "methods": Command(arguments.add_none, methods_command, "list the integrators"),
-    "schema": Command(arguments.add_none, schema_command, "JSON schema of a case file"),
+    "cases": _Command(arguments.add_none, cases_command, "list the example cases"),
+    "methods": _Command(arguments.add_none, methods_command, "list the integrators"),
+    "schema": _Command(arguments.add_none, schema_command, "JSON schema of a case file"),
 }
 
 
-def parser() -> argparse.ArgumentParser:
+def _parser() -> argparse.ArgumentParser:
     """All commands and their options."""
     top = argparse.ArgumentParser(
         prog="python -m particlerb",
         description="Many rigid bodies built from mass particles.",
-        epilog=EPILOG,
+        epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"particlerb {particlerb.__version__}")
@@ -90,28 +92,28 @@ def main(words: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks Σ shows ? and goes on
             stream.reconfigure(errors="replace")
-    top = parser()
+    top = _parser()
     if words and words[0] not in (*COMMANDS, "-h", "--help", "--version"):
         words.insert(0, "run")
     try:
         options = top.parse_args(words)
         return COMMANDS[options.command].run(options)
     except Ending as error:
-        return complain(str(error), error.code)
+        return _complain(str(error), error.code)
     except KeyboardInterrupt:
-        return complain("interrupted", INTERRUPTED)
+        return _complain("interrupted", INTERRUPTED)
     except BrokenPipeError:  # the reader of stdout went away, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except MemoryError:
-        return complain("out of memory: fewer bodies or particles would fit", FAILED)
+        return _complain("out of memory: fewer bodies or particles would fit", FAILED)
     except OSError as error:
-        return complain(str(error), FAILED)
+        return _complain(str(error), FAILED)
 
 
 def entry() -> NoReturn:
     """Run the command of this process and end it; SIGTERM ends it as Ctrl-C does."""
-    warnings.showwarning = show_warning
+    warnings.showwarning = _show_warning
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     if wants_guard(sys.argv[1:]):
@@ -119,7 +121,7 @@ def entry() -> NoReturn:
     sys.exit(main())
 
 
-def show_warning(
+def _show_warning(
     message: Warning | str,
     category: type[Warning],
     filename: str,
@@ -132,7 +134,7 @@ def show_warning(
     print(f"particlerb: warning: {message}", file=sys.stderr)
 
 
-def complain(message: str, code: int) -> int:
+def _complain(message: str, code: int) -> int:
     """Print a message to stderr."""
     text = message if ": error:" in message else f"particlerb: {message}"
     print(tamed(text), file=sys.stderr)

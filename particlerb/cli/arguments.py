@@ -3,9 +3,9 @@
 import argparse
 from typing import Final
 
-BODY_FILE: Final = "a case; a table x y z m [r] of points, x y z r of spheres; STL, OBJ, PLY"
+_BODY_FILE: Final = "a case; a table x y z m [r] of points, x y z r of spheres; STL, OBJ, PLY"
 
-Parser = argparse.ArgumentParser
+_Parser = argparse.ArgumentParser
 
 
 # Types of values
@@ -32,7 +32,7 @@ def port(text: str) -> int:
     return value
 
 
-def frame_slice(text: str) -> slice:
+def _frame_slice(text: str) -> slice:
     """Slice from a text as Python writes it: 10, 0:100, ::10, -1."""
     wrong = argparse.ArgumentTypeError(f"must be first:stop:stride, got {text or 'nothing'}")
     parts = [part.strip() for part in text.split(":")]
@@ -52,28 +52,28 @@ def frame_slice(text: str) -> slice:
 # What several commands take
 
 
-def add_flag(command: Parser, *names: str, help: str) -> None:
+def _add_flag(command: _Parser, *names: str, help: str) -> None:
     """Add an option without a value."""
     command.add_argument(*names, action="store_true", help=help)
 
 
-def add_list(command: Parser, name: str, help: str) -> None:
+def _add_list(command: _Parser, name: str, help: str) -> None:
     """Add an option of names between commas."""
     command.add_argument(name, type=names, default=[], metavar="A,B", help=help)
 
 
-def add_json(command: Parser, help: str = "machine-readable result") -> None:
+def _add_json(command: _Parser, help: str = "machine-readable result") -> None:
     """Add --json."""
-    add_flag(command, "--json", help=help)
+    _add_flag(command, "--json", help=help)
 
 
-def add_output(command: Parser, metavar: str, help: str, what: str = "an existing file") -> None:
+def _add_output(command: _Parser, metavar: str, help: str, what: str = "an existing file") -> None:
     """Add where to write, and whether over a file that is there."""
     command.add_argument("-o", "--output", metavar=metavar, help=help)
-    add_flag(command, "--overwrite", help=f"replace {what}")
+    _add_flag(command, "--overwrite", help=f"replace {what}")
 
 
-def add_overrides(command: Parser) -> None:
+def _add_overrides(command: _Parser) -> None:
     """Add the option that changes a case."""
     command.add_argument(
         "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE",
@@ -81,27 +81,27 @@ def add_overrides(command: Parser) -> None:
     )  # fmt: skip
 
 
-def add_threads(command: Parser) -> None:
+def _add_threads(command: _Parser) -> None:
     """Add --threads."""
     command.add_argument("--threads", type=int, metavar="N", help="default: all cores")
 
 
-def add_case(command: Parser) -> None:
+def _add_case(command: _Parser) -> None:
     """Add options of all commands that read a case."""
     command.add_argument("case", metavar="CASE")
-    add_overrides(command)
-    add_json(command)
+    _add_overrides(command)
+    _add_json(command)
 
 
-def add_plan(command: Parser) -> None:
+def _add_plan(command: _Parser) -> None:
     """Add options of the commands that make a plan."""
-    add_threads(command)
-    add_flag(command, "--strict", help="warnings are errors")
+    _add_threads(command)
+    _add_flag(command, "--strict", help="warnings are errors")
 
 
-def add_matter(command: Parser) -> None:
+def _add_matter(command: _Parser) -> None:
     """Add options of the commands that read bodies: of a case, or one from a file of its own."""
-    add_overrides(command)
+    _add_overrides(command)
     file = command.add_argument_group("for a body in a table or mesh")
     amount = file.add_mutually_exclusive_group()
     amount.add_argument("--mass", type=positive, metavar="KG", help="of the body")
@@ -111,9 +111,9 @@ def add_matter(command: Parser) -> None:
     file.add_argument("--scale", type=positive, metavar="M", help="unit of length; default: 1 m")
 
 
-def add_study(command: Parser, budget: float | None = None) -> None:
+def _add_study(command: _Parser, budget: float | None = None) -> None:
     """Add options of all studies."""
-    add_output(command, "NAME", "of the CSV, PNG and SVG files", "existing files")
+    _add_output(command, "NAME", "of the CSV, PNG and SVG files", "existing files")
     if budget is not None:
         command.add_argument(
             "--budget", type=positive, default=budget, metavar="SECONDS",
@@ -124,88 +124,88 @@ def add_study(command: Parser, budget: float | None = None) -> None:
 # The commands
 
 
-def add_none(command: Parser) -> None:
+def add_none(command: _Parser) -> None:
     """Add nothing."""
 
 
-def add_run(run: Parser) -> None:
+def add_run(run: _Parser) -> None:
     """Add options of `run`."""
-    add_case(run)
-    add_plan(run)
-    add_output(run, "FILE", "default: output/<case>.h5")
-    add_flag(run, "-q", "--quiet", help="print the checks only")
+    _add_case(run)
+    _add_plan(run)
+    _add_output(run, "FILE", "default: output/<case>.h5")
+    _add_flag(run, "-q", "--quiet", help="print the checks only")
 
 
-def add_resume(resume: Parser) -> None:
+def add_resume(resume: _Parser) -> None:
     """Add options of `resume`."""
     resume.add_argument("file", metavar="FILE", help="of the run; it grows")
     resume.add_argument(
         "--t-end", type=positive, metavar="SECONDS", help="where to end; default: as its case says"
     )
-    add_json(resume)
-    add_plan(resume)
-    add_flag(resume, "-q", "--quiet", help="print the checks only")
+    _add_json(resume)
+    _add_plan(resume)
+    _add_flag(resume, "-q", "--quiet", help="print the checks only")
 
 
-def add_check(check: Parser) -> None:
+def add_check(check: _Parser) -> None:
     """Add options of `check`."""
-    add_case(check)
-    add_plan(check)
+    _add_case(check)
+    _add_plan(check)
 
 
-def add_mass(mass: Parser) -> None:
+def add_mass(mass: _Parser) -> None:
     """Add options of `mass`."""
-    mass.add_argument("file", metavar="FILE", help=BODY_FILE)
+    mass.add_argument("file", metavar="FILE", help=_BODY_FILE)
     mass.add_argument("body", nargs="?", metavar="BODY", help="of a case; default: all")
-    add_matter(mass)
+    _add_matter(mass)
     mass.add_argument("--spin", type=positive, metavar="RAD/S", help="to advise a step for")
-    add_json(mass)
+    _add_json(mass)
 
 
-def add_info(info: Parser) -> None:
+def add_info(info: _Parser) -> None:
     """Add options of `info`."""
     info.add_argument("file", metavar="FILE")
-    add_json(info, "machine-readable")
-    add_flag(info, "--verify", help="whether it is whole; exit 1 if not")
+    _add_json(info, "machine-readable")
+    _add_flag(info, "--verify", help="whether it is whole; exit 1 if not")
 
 
-def add_plot(plot: Parser) -> None:
+def add_plot(plot: _Parser) -> None:
     """Add options of `plot`."""
     plot.add_argument("file", metavar="FILE")
-    add_output(plot, "PICTURE", "default: FILE with .png", "an existing picture")
+    _add_output(plot, "PICTURE", "default: FILE with .png", "an existing picture")
     plot.add_argument(
         "--body",
         metavar="NAME",
         help="body whose angular velocity is drawn; default: the fastest to spin",
     )
-    add_flag(plot, "--contacts", help="force chains in the last frame, if it has contacts")
+    _add_flag(plot, "--contacts", help="force chains in the last frame, if it has contacts")
 
 
-def add_export(export: Parser) -> None:
+def add_export(export: _Parser) -> None:
     """Add options of `export`."""
-    export.add_argument("file", metavar="FILE", help=f"a trajectory; or bodies: {BODY_FILE}")
+    export.add_argument("file", metavar="FILE", help=f"a trajectory; or bodies: {_BODY_FILE}")
     export.add_argument(
         "--to", required=True, metavar="FORMAT",
         help="a trajectory: gsd, csv, particles, lammps, npz; bodies: lammps, mjcf, yade, gsd",
     )  # fmt: skip
-    add_matter(export)
-    add_output(export, "FILE", "default: the input's name")
-    add_list(export, "--bodies", "bodies or blocks; default: all")
+    _add_matter(export)
+    _add_output(export, "FILE", "default: the input's name")
+    _add_list(export, "--bodies", "bodies or blocks; default: all")
     export.add_argument(
-        "--frames", type=frame_slice, default=slice(None), metavar="A:B:C",
+        "--frames", type=_frame_slice, default=slice(None), metavar="A:B:C",
         help="from A before B, every C-th; a number alone is one frame; default: all",
     )  # fmt: skip
-    add_list(export, "--fields", "default: all recorded, in csv of bodies")
+    _add_list(export, "--fields", "default: all recorded, in csv of bodies")
 
 
-def add_view(view: Parser) -> None:
+def add_view(view: _Parser) -> None:
     """Add options of `view`."""
     view.add_argument(
         "case", nargs="?", default="cube_at_rest", metavar="CASE|FILE",
         help="a case to push, or a trajectory file to play; default: the paper's cube",
     )  # fmt: skip
-    add_overrides(view)
-    add_threads(view)
+    _add_overrides(view)
+    _add_threads(view)
     view.add_argument("--port", type=port, default=8080, help="default: %(default)s")
     view.add_argument(
         "--host", default="127.0.0.1",
@@ -216,33 +216,33 @@ def add_view(view: Parser) -> None:
         help="a name by which the page may be called too, as behind a tunnel or proxy; repeatable",
     )  # fmt: skip
     no_token = "let in every program of those who reach the port, without the token of the address"
-    add_flag(view, "--no-token", help=no_token)
+    _add_flag(view, "--no-token", help=no_token)
     saved = "of a saved session; output/<case>_session.toml"
     view.add_argument("-o", "--output", metavar="FILE", help=saved)
 
 
-def add_chart(chart: Parser) -> None:
+def add_chart(chart: _Parser) -> None:
     """Add options of `chart`."""
-    add_case(chart)
-    add_list(chart, "--methods", "default: all")
-    add_list(chart, "--peers", "engines, or all")
+    _add_case(chart)
+    _add_list(chart, "--methods", "default: all")
+    _add_list(chart, "--peers", "engines, or all")
     chart.add_argument(
         "--error", type=positive, metavar="RAD",
         help="error to advise for; default: 1e-6, for contact the energy_drift of the case",
     )  # fmt: skip
-    add_study(chart, 30.0)
+    _add_study(chart, 30.0)
 
 
-def add_stability(stability: Parser) -> None:
+def add_stability(stability: _Parser) -> None:
     """Add options of `stability`."""
-    add_list(stability, "--methods", "default: all")
-    add_study(stability, 240.0)
+    _add_list(stability, "--methods", "default: all")
+    _add_study(stability, 240.0)
 
 
-def add_converge(converge: Parser) -> None:
+def add_converge(converge: _Parser) -> None:
     """Add options of `converge`."""
     converge.add_argument("shapes", nargs="*", metavar="SHAPE", help="default: all")
     converge.add_argument(
         "--most", type=int, default=1_000_000, metavar="N", help="particles of a shape at most"
     )
-    add_study(converge)
+    _add_study(converge)

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from particlerb.geometry.mass_properties import MassProperties
     from particlerb.geometry.particles import Particles
 
-TABLES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
-MESHES: Final = (".stl", ".obj", ".ply")
-HDF5: Final = b"\x89HDF\r\n\x1a\n"
-UNWEIGHED: Final = 1.0  # [kg/m³] density of a file that says none, and no option either
+_TABLES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
+_MESHES: Final = (".stl", ".obj", ".ply")
+_HDF5: Final = b"\x89HDF\r\n\x1a\n"
+_UNWEIGHED: Final = 1.0  # [kg/m³] density of a file that says none, and no option either
 
 
-class Named(NamedTuple):
+class _Named(NamedTuple):
     """One kind of body."""
 
     name: str
@@ -35,19 +35,19 @@ class Named(NamedTuple):
 def holds_bodies(name: str) -> bool:
     """Whether a file is a case, a table or a mesh, rather than a trajectory."""
     path = Path(name)
-    return path.suffix.lower() in (".toml", "", *READERS) and not is_hdf5(path)
+    return path.suffix.lower() in (".toml", "", *_READERS) and not is_hdf5(path)
 
 
 def is_hdf5(path: Path) -> bool:
     """Whether a file says that it is HDF5."""
     try:
         with path.open("rb") as file:
-            return file.read(len(HDF5)) == HDF5
+            return file.read(len(_HDF5)) == _HDF5
     except OSError:
         return False
 
 
-def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[Named]:
+def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[_Named]:
     """Kinds of bodies of a command line: of its file, or the wanted one.
 
     Raises
@@ -56,16 +56,16 @@ def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[Named]
         If the file or the body is wrong, or options do not go with it.
     """
     path = find_case(options.file, options.commands)
-    if path.suffix.lower() in READERS:
-        return [body_of_file(path, wanted, options)]
+    if path.suffix.lower() in _READERS:
+        return [_body_of_file(path, wanted, options)]
     for option in ("mass", "density", "scale", "spin"):
         if getattr(options, option, None) is not None:
             raise Ending(f"--{option}: a case says it itself; change it with --set")
     options.case = options.file
-    return bodies_of_case(read_case(options), wanted)
+    return _bodies_of_case(read_case(options), wanted)
 
 
-def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
+def _bodies_of_case(case: "Case", wanted: str | None) -> list[_Named]:
     """One body of each name and kind of a case."""
     import numpy as np
 
@@ -96,11 +96,13 @@ def bodies_of_case(case: "Case", wanted: str | None) -> list[Named]:
         body = system.body[system.block[b]]
         notes = [line for name, line in system.notes if name.partition(", part ")[0] == body.name]
         matter = matter_of(system.files, body)._replace(notes=tuple(notes))
-        found.append(Named(system.names[b], particles, of_kind(system.properties, k), matter, spin))
+        found.append(
+            _Named(system.names[b], particles, of_kind(system.properties, k), matter, spin)
+        )
     return found
 
 
-def body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) -> Named:
+def _body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) -> _Named:
     """The one body of a file."""
     from particlerb.geometry.mass_properties import mass_properties
 
@@ -109,9 +111,9 @@ def body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) ->
     if options.overrides:
         raise Ending("--set: only a case has keys")
     try:
-        particles, matter = READERS[path.suffix.lower()](path, options)
+        particles, matter = _READERS[path.suffix.lower()](path, options)
         spin = getattr(options, "spin", None) or 0.0
-        return Named(path.stem, particles, mass_properties(particles), matter, spin)
+        return _Named(path.stem, particles, mass_properties(particles), matter, spin)
     except OSError as error:
         raise Ending(f"{path}: {error.strerror or error}") from None
     except ValueError as error:
@@ -119,7 +121,7 @@ def body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) ->
         raise Ending(message if str(path) in message else f"{path}: {message}") from None
 
 
-def table_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Matter]":
+def _table_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Matter]":
     """Points or spheres of a table."""
     from particlerb.case.matter import Matter, matter_of_spheres
     from particlerb.geometry.overlapping_spheres import spheres
@@ -134,13 +136,13 @@ def table_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Mat
         points = points._replace(position=points.position * scale, radius=points.radius * scale)
         return points if options.mass is None else scaled_to_mass(points, options.mass), Matter()
     centre, radius = (array * scale for array in read_spheres(path))
-    return spheres(centre, radius, *amount(options)), matter_of_spheres(centre, radius)
+    return spheres(centre, radius, *_amount(options)), matter_of_spheres(centre, radius)
 
 
-def amount(options: argparse.Namespace) -> tuple[float | None, float | None]:
+def _amount(options: argparse.Namespace) -> tuple[float | None, float | None]:
     """Mass and density of uniform matter, one of them given."""
     if options.mass is None and options.density is None:
-        return None, UNWEIGHED
+        return None, _UNWEIGHED
     return options.mass, options.density
 
 
@@ -151,10 +153,10 @@ def mesh_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Matt
     from particlerb.geometry.mesh import read_mesh
 
     mesh = read_mesh(path, options.scale or 1.0)
-    return mesh_particles(mesh, *amount(options)).particles, matter_of_mesh(mesh)
+    return mesh_particles(mesh, *_amount(options)).particles, matter_of_mesh(mesh)
 
 
-READERS: Final[dict[str, Callable[[Path, argparse.Namespace], "tuple[Particles, Matter]"]]] = {
-    **dict.fromkeys(TABLES, table_body),
-    **dict.fromkeys(MESHES, mesh_body),
+_READERS: Final[dict[str, Callable[[Path, argparse.Namespace], "tuple[Particles, Matter]"]]] = {
+    **dict.fromkeys(_TABLES, _table_body),
+    **dict.fromkeys(_MESHES, mesh_body),
 }

@@ -15,28 +15,28 @@ if TYPE_CHECKING:
 
 DONE: Final = 0
 FAILED: Final = 1
-WRONG: Final = 2
+_WRONG: Final = 2
 MISSED: Final = 3
 INTERRUPTED: Final = 130
 PICTURES: Final = (".png", ".svg", ".pdf")
-CONTROLS: Final = dict.fromkeys((*range(32), *range(127, 160)), "�")
+_CONTROLS: Final = dict.fromkeys((*range(32), *range(127, 160)), "�")
 
 
 class Ending(Exception):  # noqa: N818
     """One message with which a command ends, and its exit code; by default wrong usage."""
 
-    def __init__(self, message: str, code: int = WRONG) -> None:
+    def __init__(self, message: str, code: int = _WRONG) -> None:
         super().__init__(message)
         self.code = code
 
 
 def tamed(text: str) -> str:
     """Text of a file that no terminal takes for an order: lines and tabs stay."""
-    return text.translate(CONTROLS | {ord(c): c for c in "\n\t"})
+    return text.translate(_CONTROLS | {ord(c): c for c in "\n\t"})
 
 
 @contextlib.contextmanager
-def ending(*errors: type[Exception], code: int = WRONG) -> Iterator[None]:
+def ending(*errors: type[Exception], code: int = _WRONG) -> Iterator[None]:
     """End the command with the message of an error of these kinds; by default wrong usage."""
     try:
         yield

@@ -14,15 +14,15 @@ from particlerb.studies.text import count_of
 def export_command(options: argparse.Namespace) -> int:
     """`export`: bodies, or frames and fields of a trajectory, in another format."""
     if holds_bodies(options.file):
-        return export_of_bodies(options)
+        return _export_of_bodies(options)
     for option in ("mass", "density", "scale", "overrides"):
         if getattr(options, option):
             word = "set" if option == "overrides" else option
             raise Ending(f"--{word}: {options.file} is a trajectory, this is for bodies")
-    return export_trajectory(options)
+    return _export_trajectory(options)
 
 
-def export_of_bodies(options: argparse.Namespace) -> int:
+def _export_of_bodies(options: argparse.Namespace) -> int:
     """Export bodies of a case, or the body of a file."""
     from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies, file_name
 
@@ -39,7 +39,7 @@ def export_of_bodies(options: argparse.Namespace) -> int:
         for body in named_bodies(options, name)
     ]
     stem = file_name(found[0].name if len(found) == 1 else Path(options.file).stem)
-    path = export_path(options, Path(stem + BODY_FORMATS[options.to].suffix))
+    path = _export_path(options, Path(stem + BODY_FORMATS[options.to].suffix))
     if options.to == "lammps":
         to_write(path.with_suffix(".rigid"), options.overwrite, Path(options.file))
     with writing(path):
@@ -48,7 +48,7 @@ def export_of_bodies(options: argparse.Namespace) -> int:
     return DONE
 
 
-def export_trajectory(options: argparse.Namespace) -> int:
+def _export_trajectory(options: argparse.Namespace) -> int:
     """Export what was chosen of a trajectory file."""
     from particlerb.export import FORMATS, export
 
@@ -56,14 +56,14 @@ def export_trajectory(options: argparse.Namespace) -> int:
         raise Ending(f"--to {options.to}: trajectories become {', '.join(FORMATS)}")
     source = Path(options.file)
     named = source.with_name(f"{source.stem}_particles") if options.to == "particles" else source
-    path = export_path(options, named.with_suffix(FORMATS[options.to][0]))
+    path = _export_path(options, named.with_suffix(FORMATS[options.to][0]))
     with opened(options.file) as trajectory, readable(), writing(path):
         n = export(trajectory, path, options.to, options.bodies, options.frames, options.fields)
     print(f"written: {path} ({count_of(n, 'frame')})")
     return DONE
 
 
-def export_path(options: argparse.Namespace, default: Path) -> Path:
+def _export_path(options: argparse.Namespace, default: Path) -> Path:
     """File to write, which is neither the input nor, unless told, an existing one."""
     path = Path(options.output or default)
     to_write(path, options.overwrite, Path(options.file))

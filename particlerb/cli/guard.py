@@ -17,7 +17,7 @@ from particlerb.cli.common import FAILED, INTERRUPTED, Ending
 
 GUARDED: Final = ("info", "plot", "export")
 MARK: Final = "PARTICLERB_IS_GUARDED"
-SECONDS_TO_END: Final = 2.0
+_SECONDS_TO_END: Final = 2.0
 SECONDS_TO_LOOK: Final = 10  # of the processor: a file has some hundred objects
 
 
@@ -35,7 +35,7 @@ def guarded(words: Sequence[str]) -> int:
         except KeyboardInterrupt:
             try:
                 process.terminate()  # Ctrl-C was sent to the other process too, SIGTERM was not
-                process.wait(SECONDS_TO_END)
+                process.wait(_SECONDS_TO_END)
             except subprocess.TimeoutExpired:
                 process.kill()
             return INTERRUPTED

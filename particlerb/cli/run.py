@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 def run_command(options: argparse.Namespace) -> int:
     """`run`: the plan, the run, the checks."""
     prepared = prepared_case(options)
-    path = output_path(options, prepared.system)
-    warn(options, disk_warnings(prepared.system, path))
+    path = _output_path(options, prepared.system)
+    warn(options, _disk_warnings(prepared.system, path))
     if not (options.quiet or options.json):
         title = prepared.system.title or path.stem
         print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
@@ -47,8 +47,10 @@ def run_command(options: argparse.Namespace) -> int:
     def run(progress: "Progress") -> "Outcome":
         return run_prepared(prepared, path, options.overwrite, progress)
 
-    outcome = execute(run, path, options, frame_count(prepared.system.run), before=number_of(path))
-    return conclude(prepared, outcome, path, options)
+    outcome = _execute(
+        run, path, options, frame_count(prepared.system.run), before=_number_of(path)
+    )
+    return _conclude(prepared, outcome, path, options)
 
 
 def resume_command(options: argparse.Namespace) -> int:
@@ -65,7 +67,7 @@ def resume_command(options: argparse.Namespace) -> int:
         raise Ending(str(error)) from None
     warn(options, list(pending.warnings))
     system, start = pending.prepared.system, pending.start
-    warn(options, disk_warnings(system, path, pending.known))
+    warn(options, _disk_warnings(system, path, pending.known))
     if not (options.quiet or options.json):
         again = f", the last {pending.known - start} of them to be computed again"
         print(
@@ -78,13 +80,13 @@ def resume_command(options: argparse.Namespace) -> int:
         return resume_pending(pending, progress)
 
     try:
-        outcome = execute(run, path, options, pending.total, start)
+        outcome = _execute(run, path, options, pending.total, start)
     except ResumeError as error:
         raise Ending(str(error)) from None
-    return conclude(pending.prepared, outcome, path, options)
+    return _conclude(pending.prepared, outcome, path, options)
 
 
-def conclude(
+def _conclude(
     prepared: "Prepared", outcome: "Outcome", path: Path, options: argparse.Namespace
 ) -> int:
     """Print what came out; the exit code."""
@@ -97,13 +99,13 @@ def conclude(
         if checks:
             print(f"checks\n{table(checks)}\n")
         if not options.quiet:
-            print(drift_text(outcome))
+            print(_drift_text(outcome))
             print(f"written: {path}")
     warn(options, contact_warnings(prepared, outcome))
     return DONE if all(check.holds for check in checks) else MISSED
 
 
-def output_path(options: argparse.Namespace, system: "System") -> Path:
+def _output_path(options: argparse.Namespace, system: "System") -> Path:
     """File of a run, which may be written."""
     source = system.source.path
     stem = source.stem if source else "run"
@@ -112,13 +114,13 @@ def output_path(options: argparse.Namespace, system: "System") -> Path:
     return path
 
 
-def disk_warnings(system: "System", path: Path, done: int = 0) -> list[str]:
+def _disk_warnings(system: "System", path: Path, done: int = 0) -> list[str]:
     """Warning where what is left to write, behind some frames, would not fit on the disk."""
     from particlerb.record.file_size import SMALLEST_FILE, estimated_size
     from particlerb.simulation.frame_times import frame_count
 
     size = estimated_size(system, frame_count(system.run) - done) + SMALLEST_FILE
-    free = free_bytes(path)
+    free = _free_bytes(path)
     if size <= free:
         return []
     return [
@@ -127,7 +129,7 @@ def disk_warnings(system: "System", path: Path, done: int = 0) -> list[str]:
     ]
 
 
-def free_bytes(path: Path) -> int:
+def _free_bytes(path: Path) -> int:
     """Room on the disk of a file that need not be there yet."""
     import shutil
 
@@ -152,10 +154,10 @@ def size_text(system: "System", path: Path) -> str:
         text += (
             f" and {each} bytes for each contact in a frame, whose number is not known in advance"
         )
-    return f"{text}; {amount(free_bytes(path))} are free"
+    return f"{text}; {amount(_free_bytes(path))} are free"
 
 
-def execute(
+def _execute(
     run: "Callable[[Progress], Outcome]",
     path: Path,
     options: argparse.Namespace,
@@ -223,7 +225,7 @@ def ask_to_stop(number: int, frame: object) -> None:
     signal.signal(number, signal.default_int_handler)
 
 
-def number_of(path: Path) -> int | None:
+def _number_of(path: Path) -> int | None:
     """Number of a file on its disk; None where there is none."""
     return path.stat().st_ino if path.exists() else None
 
@@ -233,7 +235,7 @@ def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
     from particlerb.record.schema import CHECKPOINT
     from particlerb.record.trajectory import TrajectoryError, open_trajectory
 
-    if number_of(path) in (None, before):
+    if _number_of(path) in (None, before):
         return "no file was written"
     try:
         with open_trajectory(path) as trajectory:
@@ -246,7 +248,7 @@ def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
         return f"what is in {path} cannot be read now: {error}"
 
 
-def drift_text(outcome: "Outcome") -> str:
+def _drift_text(outcome: "Outcome") -> str:
     """Conservation errors in a line; before it what contacts asked for, and what was saved."""
     energy, linear, angular = outcome.drift
     lines = [

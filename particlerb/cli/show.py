@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from particlerb.record.trajectory import Trajectory
     from particlerb.record.verify import Finding
 
-LONGEST_TEXT: Final = 10_000
-PLOTTED: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
-CHAINS: Final = ("position", "orientation", "contacts")
+_LONGEST_TEXT: Final = 10_000
+_PLOTTED: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
+_CHAINS: Final = ("position", "orientation", "contacts")
 
 
 def info_command(options: argparse.Namespace) -> int:
     """`info`: what a file holds and where it comes from; with --verify, whether it is whole."""
     with opened(options.file) as trajectory, readable():
-        facts, texts = facts_of(trajectory), texts_of(trajectory)
+        facts, texts = _facts_of(trajectory), _texts_of(trajectory)
         findings = []
         if options.verify:
             from particlerb.record.verify import verify
@@ -42,17 +42,17 @@ def info_command(options: argparse.Namespace) -> int:
         print(json.dumps({**facts, **texts, **verified}))
         return DONE if is_whole else FAILED
     for name, value in facts.items():
-        print(f"{name:<13} {tamed(text_of(name, value))}")
+        print(f"{name:<13} {tamed(_text_of(name, value))}")
     for name, value in texts.items():
         words = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-        print(f"\n{name}\n{tamed(shortened(words.rstrip())) or '(none)'}")
+        print(f"\n{name}\n{tamed(_shortened(words.rstrip())) or '(none)'}")
     if options.verify:
-        print(f"\nverified\n{tamed(findings_text(findings))}")
+        print(f"\nverified\n{tamed(_findings_text(findings))}")
         print(f"{options.file} is {'whole' if is_whole else 'DAMAGED'}")
     return DONE if is_whole else FAILED
 
 
-def facts_of(trajectory: "Trajectory") -> dict[str, Any]:
+def _facts_of(trajectory: "Trajectory") -> dict[str, Any]:
     """What can be said in a line."""
     from particlerb.record.schema import CONTACTS
 
@@ -73,19 +73,19 @@ def facts_of(trajectory: "Trajectory") -> dict[str, Any]:
     }
 
 
-def texts_of(trajectory: "Trajectory") -> dict[str, Any]:
+def _texts_of(trajectory: "Trajectory") -> dict[str, Any]:
     """What takes many lines."""
     return {name: trajectory.parameter(name) for name in ("plan", "case", "case_resolved")}
 
 
-def shortened(words: str) -> str:
+def _shortened(words: str) -> str:
     """A text that may be long, as far as one reads it."""
-    if len(words) <= LONGEST_TEXT:
+    if len(words) <= _LONGEST_TEXT:
         return words
-    return f"{words[:LONGEST_TEXT]}\n... ({len(words)} characters; --json prints all)"
+    return f"{words[:_LONGEST_TEXT]}\n... ({len(words)} characters; --json prints all)"
 
 
-def findings_text(findings: "list[Finding]") -> str:
+def _findings_text(findings: "list[Finding]") -> str:
     """Findings in lines."""
     return "\n".join(
         f"  {'ok' if finding.is_whole else 'NOT OK':<7}{finding.what:<15}{finding.words}"
@@ -93,7 +93,7 @@ def findings_text(findings: "list[Finding]") -> str:
     )
 
 
-def text_of(name: str, value: Any) -> str:
+def _text_of(name: str, value: Any) -> str:
     """A fact in words."""
     if name == "size":
         return amount(value)
@@ -109,7 +109,7 @@ def plot_command(options: argparse.Namespace) -> int:
         to_write(path, options.overwrite, Path(options.file))
         names = list(trajectory.names)
         recorded = [*trajectory.fields, *trajectory.contact_fields]
-        wanted = CHAINS if options.contacts else PLOTTED
+        wanted = _CHAINS if options.contacts else _PLOTTED
         lacking = [field for field in wanted if field not in recorded]
         if lacking:
             raise Ending(f"{options.file} lacks {', '.join(lacking)}: see [output] fields")

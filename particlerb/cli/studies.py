@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from particlerb.cli.common import DONE, Ending, ending, read_case, to_write
 
 
-class Shown(NamedTuple):
+class _Shown(NamedTuple):
     """How a study runs, and how its result is told and drawn."""
 
     total: Callable[[], int]
@@ -30,7 +30,7 @@ def chart_command(options: argparse.Namespace) -> int:
 
     case = read_case(options)
     asked = options.methods, options.peers
-    study = Shown(
+    study = _Shown(
         lambda: work_precision.curve_count(*asked),
         "curve",
         lambda tick: work_precision.chart(
@@ -47,7 +47,7 @@ def stability_command(options: argparse.Namespace) -> int:
     from particlerb.studies import stability, stability_table
     from particlerb.studies.charts.stability import draw_stability
 
-    study = Shown(
+    study = _Shown(
         lambda: stability.n_tasks(options.methods),
         "map",
         lambda tick: stability.stability(options.methods, options.budget, tick),
@@ -62,7 +62,7 @@ def converge_command(options: argparse.Namespace) -> int:
     from particlerb.studies import convergence
     from particlerb.studies.charts.convergence import draw_convergence
 
-    study = Shown(
+    study = _Shown(
         lambda: len(convergence.arrangements(options.shapes)),
         "shape",
         lambda tick: convergence.converge(options.shapes, options.most, tick),
@@ -72,13 +72,13 @@ def converge_command(options: argparse.Namespace) -> int:
     return show(options, "converge", study)
 
 
-def show(options: argparse.Namespace, stem: str, study: Shown) -> int:
+def show(options: argparse.Namespace, stem: str, study: _Shown) -> int:
     """Run a study with a progress bar, print its table, write its rows and pictures."""
     from tqdm import tqdm
 
     from particlerb.case.problems import CaseError
 
-    paths = outputs(options, stem)
+    paths = _outputs(options, stem)
     with (
         ending(CaseError, ValueError),
         tqdm(total=study.total(), unit=study.unit, disable=None, delay=0.5) as bar,
@@ -94,7 +94,7 @@ def show(options: argparse.Namespace, stem: str, study: Shown) -> int:
     return DONE
 
 
-def outputs(options: argparse.Namespace, stem: str) -> list[Path]:
+def _outputs(options: argparse.Namespace, stem: str) -> list[Path]:
     """Files that a study writes: CSV, PNG and SVG of one name; none may exist unless told.
 
     What stands in the way is found now, and not after the study.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from particlerb.view.page import Page
 
 FILES: Final = (".h5", ".hdf5", ".vtkhdf")
-MISSING: Final = 'the browser scene needs viser: pip install "particlerb[view]"'
+_MISSING: Final = 'the browser scene needs viser: pip install "particlerb[view]"'
 
 
 def view_command(options: argparse.Namespace) -> int:
@@ -26,7 +26,7 @@ def view_command(options: argparse.Namespace) -> int:
         from particlerb.view.access import Access, AccessError
         from particlerb.view.server import listening
     except ImportError:
-        raise Ending(MISSING, FAILED) from None
+        raise Ending(_MISSING, FAILED) from None
     try:
         access = Access(options.host, options.hosts, not options.no_token)
     except ValueError as error:
@@ -46,7 +46,7 @@ def view_command(options: argparse.Namespace) -> int:
     is_file = Path(options.case).suffix.lower() in FILES
     try:
         with listening(access, options.port) as server:
-            return play(options, server, access) if is_file else push(options, server, access)
+            return _play(options, server, access) if is_file else push(options, server, access)
     except AccessError as error:
         raise Ending(str(error), FAILED) from None
 
@@ -74,7 +74,7 @@ def push(options: argparse.Namespace, server: object, access: "Access") -> int:
     return DONE
 
 
-def play(options: argparse.Namespace, server: object, access: "Access") -> int:
+def _play(options: argparse.Namespace, server: object, access: "Access") -> int:
     """Serve a file."""
     from particlerb.view.replay import Replay, ReplayError
 

@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from particlerb.compiled.jit import config, inline, kernel
 from particlerb.compiled.threads import THREADS
 
-LINE: Final = 16  # numbers of two lines of the cache: nobody writes beside what others look at
-ARRIVED: Final = 0  # how often somebody has come to a meeting
-OVER: Final = LINE  # whether nobody waits any more
-PATIENCE: Final = 1000  # times to ask before others are let run
+_LINE: Final = 16  # numbers of two lines of the cache: nobody writes beside what others look at
+_ARRIVED: Final = 0  # how often somebody has come to a meeting
+_OVER: Final = _LINE  # whether nobody waits any more
+_PATIENCE: Final = 1000  # times to ask before others are let run
 Result = TypeVar("Result")
 
 
@@ -44,39 +44,41 @@ class Team(NamedTuple):
 
 # What Numba lacks
 
-lowered: Callable[[Any], Any] = intrinsic  # its stub counts the first parameter among the arguments
+_lowered: Callable[[Any], Any] = (
+    intrinsic  # its stub counts the first parameter among the arguments
+)
 
 
-@lowered
-def add_atomically(context: Any, array: Any, at: Any, value: Any) -> Any:
+@_lowered
+def _add_atomically(context: Any, array: Any, at: Any, value: Any) -> Any:
     """array[at] += value in one go, in an order that is the same for all; the value before."""
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = pointer_to(target, builder, signature, arguments)
+        pointer = _pointer_to(target, builder, signature, arguments)
         return builder.atomic_rmw("add", pointer, arguments[2], "seq_cst")
 
     return types.int64(array, types.int64, types.int64), generate
 
 
-@lowered
-def read_atomically(context: Any, array: Any, at: Any) -> Any:
+@_lowered
+def _read_atomically(context: Any, array: Any, at: Any) -> Any:
     """array[at], with all that was written before it was."""
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = pointer_to(target, builder, signature, arguments)
+        pointer = _pointer_to(target, builder, signature, arguments)
         return builder.load_atomic(pointer, "seq_cst", 8)
 
     return types.int64(array, types.int64), generate
 
 
-def pointer_to(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+def _pointer_to(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     """Pointer to an element of an array, the first two arguments."""
     proxy: Any = cgutils.create_struct_proxy
     array = proxy(signature.args[0])(target, builder, arguments[0])
     return builder.gep(array.data, [arguments[1]])
 
 
-give_way: Any = types.ExternalFunction(
+_give_way: Any = types.ExternalFunction(
     "SwitchToThread" if os.name == "nt" else "sched_yield", types.int32()
 )
 
@@ -90,11 +92,11 @@ def meet(team: Team) -> None:
     size, _, arrivals, _ = team
     if size == 1:
         return
-    due, asked = (add_atomically(arrivals, ARRIVED, 1) // size + 1) * size, 0
-    while read_atomically(arrivals, ARRIVED) < due and read_atomically(arrivals, OVER) == 0:
+    due, asked = (_add_atomically(arrivals, _ARRIVED, 1) // size + 1) * size, 0
+    while _read_atomically(arrivals, _ARRIVED) < due and _read_atomically(arrivals, _OVER) == 0:
         asked += 1
-        if asked > PATIENCE:
-            give_way()
+        if asked > _PATIENCE:
+            _give_way()
 
 
 @kernel
@@ -108,7 +110,7 @@ def largest(team: Team, x: float, y: float, z: float) -> tuple[float, float, flo
         return x, y, z
     wishes[rank, 0], wishes[rank, 1], wishes[rank, 2] = x, y, z
     meet(team)
-    if read_atomically(team.arrivals, OVER) != 0:
+    if _read_atomically(team.arrivals, _OVER) != 0:
         return np.inf, np.inf, np.inf
     for k in range(team.size):
         x, y, z = max(x, wishes[k, 0]), max(y, wishes[k, 1]), max(z, wishes[k, 2])
@@ -125,7 +127,7 @@ def share_of(team: Team, first: int, end: int) -> tuple[int, int]:
 # Who runs
 
 
-ALONE: Final = Team(1, 0, np.zeros(2 * LINE, dtype=np.int64), np.zeros((1, LINE)))
+ALONE: Final = Team(1, 0, np.zeros(2 * _LINE, dtype=np.int64), np.zeros((1, _LINE)))
 TOGETHER: Final = threading.Lock()
 
 
@@ -144,22 +146,22 @@ def together(kernel: Callable[[Team], Result], most: int) -> Result:
     has_lock = size > 1 and TOGETHER.acquire(blocking=False)
     start = time.perf_counter()
     try:
-        return enter_all(kernel, size) if has_lock else kernel(ALONE)
+        return _enter_all(kernel, size) if has_lock else kernel(ALONE)
     finally:
         THREADS.busy += time.perf_counter() - start
         if has_lock:
             TOGETHER.release()
 
 
-def enter_all(kernel: Callable[[Team], Result], size: int) -> Result:
+def _enter_all(kernel: Callable[[Team], Result], size: int) -> Result:
     """Do the work of `together`."""
-    arrivals, wishes = np.zeros(2 * LINE, dtype=np.int64), np.zeros((size, LINE))
+    arrivals, wishes = np.zeros(2 * _LINE, dtype=np.int64), np.zeros((size, _LINE))
 
     def enter(rank: int) -> Result:
         try:
             return kernel(Team(size, rank, arrivals, wishes))
         except BaseException:
-            arrivals[OVER] = 1
+            arrivals[_OVER] = 1
             raise
 
     others = []
@@ -167,7 +169,7 @@ def enter_all(kernel: Callable[[Team], Result], size: int) -> Result:
         others += [THREADS.workers.submit(enter, rank) for rank in range(1, size)]
         result = enter(0)
     except BaseException:  # perhaps an interrupt before this thread has entered
-        arrivals[OVER] = 1
+        arrivals[_OVER] = 1
         raise
     finally:
         wait(others)

@@ -30,11 +30,11 @@ from numba.core import caching
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
 Flag: TypeAlias = int | None  # PRESENT, or None: types of their own, so that Numba leaves code out
-PRESENT: Final = 1
+_PRESENT: Final = 1
 
-PACKAGE = Path(__file__).parents[1]
+_PACKAGE = Path(__file__).parents[1]
 FOLDERS_KEPT = 6  # compiled code of earlier sources: switching between two versions stays warm
-FLAGS: dict[str, Any] = {
+_FLAGS: dict[str, Any] = {
     "error_model": "numpy",  # 1 / 0 is inf: a branch for ZeroDivisionError would stop vectorising
     "fastmath": {"contract"},  # a b + c in one rounding; nothing that changes what NaN means
 }
@@ -48,8 +48,8 @@ class CacheWarning(RuntimeWarning):
 def source_hash() -> str:
     """Hash of everything that decides what the compiler makes: sources, flags, versions."""
     digest = hashlib.sha256()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        digest.update(path.relative_to(PACKAGE).as_posix().encode())
+    for path in sorted(_PACKAGE.rglob("*.py")):
+        digest.update(path.relative_to(_PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
     flags = {k: v for k, v in os.environ.items() if k.startswith("NUMBA_")}
     flags.pop("NUMBA_CACHE_DIR", None)
@@ -61,15 +61,15 @@ def source_hash() -> str:
 def cache_root() -> Path:
     """Folder of the user's caches that can be written; a private temporary one otherwise."""
     try:
-        root = user_caches() / "particlerb"
+        root = _user_caches() / "particlerb"
         root.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=root):
             return root
     except (OSError, RuntimeError):  # RuntimeError: nobody knows where home is
-        return private_temporary_root()
+        return _private_temporary_root()
 
 
-def user_caches() -> Path:
+def _user_caches() -> Path:
     """Folder for caches that the user, or the system, has chosen."""
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(chosen)
@@ -78,7 +78,7 @@ def user_caches() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
-def private_temporary_root() -> Path:
+def _private_temporary_root() -> Path:
     """Temporary folder that belongs to this user alone: compiled code is loaded from it."""
     user = os.getuid() if hasattr(os, "getuid") else 0
     root = Path(tempfile.gettempdir()) / f"particlerb-{user}"
@@ -99,12 +99,12 @@ def cache_folder() -> Path:
     with contextlib.suppress(OSError):  # said where the first kernel is to be kept
         if not folder.exists():
             folder.mkdir(parents=True, exist_ok=True)
-            prune(root, folder)
+            _prune(root, folder)
         os.utime(folder)  # now in use: the oldest are pruned first
     return folder
 
 
-def prune(root: Path, folder: Path) -> None:
+def _prune(root: Path, folder: Path) -> None:
     """Delete the folders that were not used for longest; another process may do so too."""
     used: list[tuple[float, Path]] = []
     for other in root.iterdir():
@@ -127,7 +127,7 @@ def warn_once(folder: str) -> None:
     warnings.warn(CacheWarning(f"{text}; NUMBA_CACHE_DIR names another folder"), stacklevel=2)
 
 
-class CheckedFiles(caching.IndexDataCacheFile):
+class _CheckedFiles(caching.IndexDataCacheFile):
     """Numba's files of a kernel, an index and its data, each with the SHA-256 of its content.
 
     Data also name what they are for: two processes may have chosen the same name at once.
@@ -168,13 +168,13 @@ class CheckedFiles(caching.IndexDataCacheFile):
         return None
 
 
-class KernelCache(caching.FunctionCache):
+class _KernelCache(caching.FunctionCache):
     """Numba's cache of a kernel, that never ends a run."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         stamp = self._impl.locator.get_source_stamp()
-        self._cache_file = CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
+        self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Compiled code of a signature; None where there is none that can be used."""
@@ -197,7 +197,7 @@ def keep(dispatcher: Any) -> None:
     before = config.CACHE_DIR
     config.CACHE_DIR = CACHE_FOLDER  # read while a cache is made, and for our code only
     try:
-        cache = KernelCache(dispatcher.py_func)
+        cache = _KernelCache(dispatcher.py_func)
     except (OSError, RuntimeError):  # RuntimeError: there is no place for it
         warn_once(CACHE_FOLDER)
         return
@@ -215,7 +215,7 @@ def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Fu
     def decorate(function: Function) -> Function:
         if CACHE_FOLDER is None:
             return function
-        dispatcher = numba.njit(**FLAGS, **options)(function)
+        dispatcher = numba.njit(**_FLAGS, **options)(function)
         if cache:
             keep(dispatcher)
         return cast(Function, dispatcher)
@@ -245,7 +245,7 @@ def kernel_from(template: Function, name: str, **names: Any) -> Function:
 
 def flag(is_present: bool) -> Flag:
     """What a kernel takes for something that is present or absent all the time."""
-    return PRESENT if is_present else None
+    return _PRESENT if is_present else None
 
 
 def in_python(function: Function, **names: Any) -> Function:

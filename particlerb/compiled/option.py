@@ -7,9 +7,9 @@ types: each choice has machine code of its own, without a branch. Test it with `
 from typing import Final, TypeAlias
 
 Option: TypeAlias = int | None
-ON: Final = 1
+_ON: Final = 1
 
 
 def option(is_on: bool) -> Option:
     """ON or None."""
-    return ON if is_on else None
+    return _ON if is_on else None

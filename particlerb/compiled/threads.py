@@ -15,15 +15,15 @@ Result = TypeVar("Result")
 
 BLOCK: Final = 256  # bodies a kernel takes at a time: its rows fit into the first levels of cache
 LEAST_WORK: Final = 20_000  # body-steps or body-frames below which a second thread does not pay
-SHARES: Final = 4  # ranges per thread at most, so that a slow thread is made up for
-SHARE_WORK: Final = 50_000  # body-steps or body-frames of a range: well above what a call costs
+_SHARES: Final = 4  # ranges per thread at most, so that a slow thread is made up for
+_SHARE_WORK: Final = 50_000  # body-steps or body-frames of a range: well above what a call costs
 
 
-class Threads:
+class _Threads:
     """The threads of this process."""
 
     def __init__(self) -> None:
-        self.count = available()
+        self.count = _available()
         self.pool: ThreadPoolExecutor | None = None
         self.is_ending = False  # set by a signal: the run ends behind the frame it is at
         self.is_stopping = False  # set by a second one: the next call raises KeyboardInterrupt
@@ -31,7 +31,7 @@ class Threads:
 
     def use(self, count: int | None) -> None:
         """Use so many threads from now on; None for all cores."""
-        wanted = available() if count is None else count
+        wanted = _available() if count is None else count
         if wanted != self.count and self.pool is not None:
             self.pool.shutdown()
             self.pool = None
@@ -96,7 +96,7 @@ class Threads:
         if self.count == 1 or units == 1 or work < LEAST_WORK:
             kernel(0, units)
             return
-        pieces = min(SHARES * self.count, max(self.count, work // SHARE_WORK))
+        pieces = min(_SHARES * self.count, max(self.count, work // _SHARE_WORK))
         size = -(-units // pieces)
         ranges = [(lo, min(lo + size, units)) for lo in range(0, units, size)]
         futures = [self.workers.submit(kernel, *own) for own in ranges]
@@ -109,14 +109,14 @@ class Threads:
             wait(futures)
 
 
-def available() -> int:
+def _available() -> int:
     """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-THREADS: Final = Threads()
+THREADS: Final = _Threads()
 if hasattr(os, "register_at_fork"):  # a child has none of its parent's threads
 
     def forget_pool() -> None:

@@ -13,7 +13,7 @@ from particlerb.model.block import get, get3, put, put3
 from particlerb.model.load import FORCE, OTHER, OUTSIDE, POWER, TORQUE
 
 
-class BodyLoad(NamedTuple):
+class _BodyLoad(NamedTuple):
     """What the contacts of a body do to it, world axes."""
 
     force: Vec3  # [N] elastic
@@ -29,19 +29,19 @@ class BodyLoad(NamedTuple):
 
 
 @lean
-def add_contact(
+def _add_contact(
     rolling: Floats | None,
     forces: Records,
     c: int,
     sign: float,
     x: Vec3,
     is_outside: bool,
-    load: BodyLoad,
-) -> BodyLoad:
+    load: _BodyLoad,
+) -> _BodyLoad:
     """Add contact c to the load of a body at x; of the opposite sign where it is the second."""
     F, tau, rest, turning, world, about, power, correction, correction_torque, gross = load
     elastic, other, point = row3(forces.elastic, c), row3(forces.other, c), row3(forces.point, c)
-    arm, resistance = subtract(point, x), rolling_torque_of(rolling, forces, c)
+    arm, resistance = subtract(point, x), _rolling_torque_of(rolling, forces, c)
     F, rest = add_scaled(sign, elastic, F), add_scaled(sign, other, rest)
     torque, time = cross(arm, elastic), sign * forces.correction_time[c]
     tau = add_scaled(sign, torque, tau)
@@ -55,25 +55,25 @@ def add_contact(
         power += forces.boundary_power[c]
     if sign > 0.0:
         gross += forces.gross_power[c]
-    return BodyLoad(
+    return _BodyLoad(
         F, tau, rest, turning, world, about, power, correction, correction_torque, gross
     )
 
 
 @lean
-def add_correction(forces: Records, c: int, arm: Vec3, load: BodyLoad) -> BodyLoad:
+def _add_correction(forces: Records, c: int, arm: Vec3, load: _BodyLoad) -> _BodyLoad:
     """Add the correction impulse of a wall contact; `arm` to the centre of the sphere [m]."""
     F, tau, rest, turning, world, about, power, correction, correction_torque, gross = load
     impulse = row3(forces.correction_impulse, c)
     correction = add_scaled(1.0, impulse, correction)
     correction_torque = add_scaled(1.0, cross(arm, impulse), correction_torque)
-    return BodyLoad(
+    return _BodyLoad(
         F, tau, rest, turning, world, about, power, correction, correction_torque, gross
     )
 
 
 @lean
-def rolling_torque_of(rolling: Floats | None, forces: Records, c: int) -> Vec3:
+def _rolling_torque_of(rolling: Floats | None, forces: Records, c: int) -> Vec3:
     """Torque of contact c against rolling, if anything resists."""
     if rolling is None:
         return 0.0, 0.0, 0.0
@@ -81,7 +81,7 @@ def rolling_torque_of(rolling: Floats | None, forces: Records, c: int) -> Vec3:
 
 
 @lean
-def angular_acceleration(model: ContactModel, bodies: Records, b: int, torque: Vec3) -> Vec3:
+def _angular_acceleration(model: ContactModel, bodies: Records, b: int, torque: Vec3) -> Vec3:
     """I⁻¹ τ of body b, world axes [rad/s²]."""
     inertia = model.inv_inertia
     R = matrix(row4(bodies.orientation, b))
@@ -125,35 +125,35 @@ def collect_loads(
         b = lo + k
         x = row3(bodies.position, b)
         zero, touches = (0.0, 0.0, 0.0), False
-        load = BodyLoad(zero, zero, zero, zero, zero, zero, 0.0, zero, zero, 0.0)
+        load = _BodyLoad(zero, zero, zero, zero, zero, zero, 0.0, zero, zero, 0.0)
         if bodies.inv_mass[b] > 0.0:  # not held
-            touches, load = load_of(model, workspace, lists, b, x, load)
+            touches, load = _load_of(model, workspace, lists, b, x, load)
         F, tau, rest, turning, world, about, power, correction, correction_torque, gross = load
         if touches:
-            spun = angular_acceleration(model, bodies, b, turning)
+            spun = _angular_acceleration(model, bodies, b, turning)
             correction = add_scaled(later, get3(rows, steady, k), correction)
             lost = bodies.inv_mass[b] * dot(rest, correction) + dot(spun, correction_torque)
             power -= 0.25 * lost
         if span > 0.0:
             workspace.gross_work[b] += span * gross
-        add_to(rows, at + FORCE, k, F)
-        add_to(rows, at + TORQUE, k, tau)
-        add_to(rows, at + OTHER, k, rest)
-        add_to(rows, at + OTHER + 3, k, turning)
-        add_to(rows, at + OUTSIDE, k, world)
-        add_to(rows, at + OUTSIDE + 3, k, about)
+        _add_to(rows, at + FORCE, k, F)
+        _add_to(rows, at + TORQUE, k, tau)
+        _add_to(rows, at + OTHER, k, rest)
+        _add_to(rows, at + OTHER + 3, k, turning)
+        _add_to(rows, at + OUTSIDE, k, world)
+        _add_to(rows, at + OUTSIDE + 3, k, about)
         put(rows, at + POWER, k, get(rows, at + POWER, k) + power)
 
 
 @lean
-def load_of(
+def _load_of(
     model: ContactModel,
     workspace: Workspace,
     lists: NeighbourLists,
     b: int,
     x: Vec3,
-    load: BodyLoad,
-) -> tuple[bool, BodyLoad]:
+    load: _BodyLoad,
+) -> tuple[bool, _BodyLoad]:
     """Whether body b at x touches anything, and what its contacts do to it."""
     spheres, walls, (offset, entry), (wall_offset, wall_entry), _ = lists
     body, bodies, rolling = model.spheres.body, workspace.bodies, model.law.rolling
@@ -166,14 +166,14 @@ def load_of(
             touches = True
             partner = body[spheres.second[c]] if sign > 0.0 else body[spheres.first[c]]
             is_outside = bodies.inv_mass[partner] == 0.0
-            load = add_contact(rolling, spheres.forces, c, sign, x, is_outside, load)
+            load = _add_contact(rolling, spheres.forces, c, sign, x, is_outside, load)
     for k in range(wall_offset[b], wall_offset[b + 1]):
         c = wall_entry[k]
         if walls.active[c]:
             touches = True
-            load = add_contact(rolling, walls.forces, c, 1.0, x, True, load)
+            load = _add_contact(rolling, walls.forces, c, 1.0, x, True, load)
             arm = subtract(row3(workspace.xyzr, walls.first[c]), x)
-            load = add_correction(walls.forces, c, arm, load)
+            load = _add_correction(walls.forces, c, arm, load)
     return touches, load
 
 
@@ -213,7 +213,7 @@ def load_pistons(
 
 
 @lean
-def add_to(rows: Floats, at: int, b: int, v: Vec3) -> None:
+def _add_to(rows: Floats, at: int, b: int, v: Vec3) -> None:
     """Add to the vector of body b from row `at` on."""
     put3(rows, at, b, add_scaled(1.0, v, get3(rows, at, b)))
 

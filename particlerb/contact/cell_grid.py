@@ -22,9 +22,9 @@ from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, load3, rows3, subtr
 from particlerb.model.block import unsigned
 
 UNIT: Final = 1024  # spheres a kernel takes at a time
-WRITE_AHEAD: Final = 8  # candidates written at a time, more than most runs have
-PAIR_BITS: Final = 32  # numbers of spheres are below 2^31
-LOWER_BITS: Final = (1 << PAIR_BITS) - 1
+_WRITE_AHEAD: Final = 8  # candidates written at a time, more than most runs have
+_PAIR_BITS: Final = 32  # numbers of spheres are below 2^31
+_LOWER_BITS: Final = (1 << _PAIR_BITS) - 1
 
 
 class PairList(NamedTuple):
@@ -79,11 +79,11 @@ class FoundPairs(NamedTuple):
 @inline
 def pair_key(i: int, j: int) -> int:
     """Number of a pair, ascending if the pairs are."""
-    return (i << PAIR_BITS) | j
+    return (i << _PAIR_BITS) | j
 
 
 @inline
-def cell_at(d: Vec3, per_metre: float, stride: tuple[int, int], n: int, is_dense: bool) -> int:
+def _cell_at(d: Vec3, per_metre: float, stride: tuple[int, int], n: int, is_dense: bool) -> int:
     """Number, within its level, of the cell of a point at d from the origin.
 
     Arrays that enter a function in a loop are counted there, by all threads in one place: so this
@@ -124,7 +124,7 @@ def number_cells(
         k = level[i]
         base, stride = cells[k], (strides[k, 0], strides[k, 1])
         d, n = subtract(load3(rows, i), zero), cells[k + 1] - base
-        cell[at] = base + cell_at(d, per_metre[k], stride, n, is_dense[k])
+        cell[at] = base + _cell_at(d, per_metre[k], stride, n, is_dense[k])
 
 
 @kernel
@@ -158,7 +158,7 @@ def place_sorted(
 
 
 @inline
-def run_of_cells(
+def _run_of_cells(
     middle: int, column: int, stride: tuple[int, int], n: int, same_level: bool
 ) -> tuple[int, int]:
     """First cell of one of 9 columns around the middle, and how many are looked at: 3, or 2."""
@@ -200,21 +200,21 @@ def find_neighbours(
                 base, n = cells[level], cells[level + 1] - cells[level]
                 a, b = strides[level, 0], strides[level, 1]
                 d = (x - x0, y - y0, z - z0)
-                middle = cell_at(d, per_metre[level], (a, b), n, is_dense[level])
+                middle = _cell_at(d, per_metre[level], (a, b), n, is_dense[level])
                 same_level = level == finest
                 for column in range(4 if same_level else 0, 9):
-                    c, left = run_of_cells(middle, column, (a, b), n, same_level)
+                    c, left = _run_of_cells(middle, column, (a, b), n, same_level)
                     while left > 0:  # twice, where a run goes on at the first cell
                         stop = min(c + left, n)
                         lo, hi = begin[base + c], begin[base + stop]
                         if same_level and c == middle:
                             lo = here + 1
                         left, c = left - (stop - c), 0
-                        if k + (hi - lo) + WRITE_AHEAD > end:
-                            lost += hi - lo + WRITE_AHEAD
+                        if k + (hi - lo) + _WRITE_AHEAD > end:
+                            lost += hi - lo + _WRITE_AHEAD
                             hi = lo
-                        for some in range(lo, hi, WRITE_AHEAD):
-                            for other in range(WRITE_AHEAD):
+                        for some in range(lo, hi, _WRITE_AHEAD):
+                            for other in range(_WRITE_AHEAD):
                                 pair[unsigned(k + some - lo + other)] = some + other
                         k += hi - lo
                 last_one, k = k, k0
@@ -238,13 +238,13 @@ def sort_by_first(found: FoundPairs, start: Ints, second: Ints) -> None:
     start[:] = 0
     for unit in range(count.size):
         for at in range(unit * capacity, unit * capacity + count[unit]):
-            start[(pair[at] >> PAIR_BITS) + 2] += 1
+            start[(pair[at] >> _PAIR_BITS) + 2] += 1
     for i in range(2, start.size):
         start[i] += start[i - 1]
     for unit in range(count.size):
         for at in range(unit * capacity, unit * capacity + count[unit]):
-            i = pair[at] >> PAIR_BITS
-            second[start[i + 1]] = pair[at] & LOWER_BITS
+            i = pair[at] >> _PAIR_BITS
+            second[start[i + 1]] = pair[at] & _LOWER_BITS
             start[i + 1] += 1
 
 

@@ -18,11 +18,11 @@ from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import rotate, rotate_back
 
-ITERATIONS: Final = 20  # of the power method: within a few per cent
-TOUCHING: Final = 1e-6  # share of the smallest radius by which two that touch may be apart
+_ITERATIONS: Final = 20  # of the power method: within a few per cent
+_TOUCHING: Final = 1e-6  # share of the smallest radius by which two that touch may be apart
 
 
-class Springs(NamedTuple):
+class _Springs(NamedTuple):
     """Contacts as springs between points of two bodies; body n is the world."""
 
     first: Ints  # (m,)
@@ -33,7 +33,7 @@ class Springs(NamedTuple):
     shear: Floats  # (m,) [N/m] across it
 
 
-def contact_springs(model: ContactModel, contacts: ContactList, are_walls: bool) -> Springs:
+def _contact_springs(model: ContactModel, contacts: ContactList, are_walls: bool) -> _Springs:
     """Contacts that press."""
     elastic = contacts.forces.elastic.T
     size = np.linalg.norm(elastic, axis=0)
@@ -47,7 +47,7 @@ def contact_springs(model: ContactModel, contacts: ContactList, are_walls: bool)
 def springs(
     model: ContactModel, pairs: tuple[Ints, Ints], are_walls: bool, point: Floats, normal: Floats,
     depth: Floats,
-) -> Springs:  # fmt: skip
+) -> _Springs:  # fmt: skip
     """Springs of pairs of spheres, or of spheres with primitives of walls, at their overlaps."""
     (i, j), spheres, law = pairs, model.spheres, model.law
     second = np.full(i.size, model.inv_mass.size) if are_walls else spheres.body[j]
@@ -60,7 +60,7 @@ def springs(
         R = R if are_walls else R * spheres.radius[j] / (R + spheres.radius[j])
         root = np.sqrt(R * depth)
         k, shear = 2.0 * k * root, 8.0 * shear * root
-    return Springs(spheres.body[i], second, point, normal, k, shear)
+    return _Springs(spheres.body[i], second, point, normal, k, shear)
 
 
 def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, depth: float) -> float:
@@ -75,31 +75,31 @@ def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, dep
         Overlap that decides how stiff `hertz` is, if two do not overlap by more.
     """
     model = contact.model
-    spheres, near = model.spheres, TOUCHING * float(model.spheres.radius.min(initial=np.inf))
+    spheres, near = model.spheres, _TOUCHING * float(model.spheres.radius.min(initial=np.inf))
     x = np.ascontiguousarray(com[:, spheres.body] + rotate(q[:, spheres.body], spheres.arm))
     first, second, _ = neighbours(x, spheres.radius, spheres.body, near)
     away = x[:, second] - x[:, first]
-    between = initial_springs(model, (first, second), False, x, away, depth)
+    between = _initial_springs(model, (first, second), False, x, away, depth)
     motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
     poses = poses_at(motions, 0.0)
     first, second, _ = WallSearch(model.walls, spheres.radius).pairs(x, poses, near)
     away = -gaps(model.walls, poses, x, first, second)
-    outside = initial_springs(model, (first, second), True, x, away, depth)
-    return frequency_on(model, com, q, (between, outside))
+    outside = _initial_springs(model, (first, second), True, x, away, depth)
+    return _frequency_on(model, com, q, (between, outside))
 
 
-def initial_springs(
+def _initial_springs(
     model: ContactModel,
     pairs: tuple[Ints, Ints],
     are_walls: bool,
     x: Floats,
     away: Floats,
     depth: float,
-) -> Springs:
+) -> _Springs:
     """Springs between spheres at x and what lies `away` from their centres."""
     radius, distance = model.spheres.radius, np.sqrt((away**2).sum(axis=0))
     touching = radius[pairs[0]] + (0.0 if are_walls else radius[pairs[1]])
-    touches = distance <= (1.0 + TOUCHING) * touching  # of an edge nothing may face the sphere
+    touches = distance <= (1.0 + _TOUCHING) * touching  # of an edge nothing may face the sphere
     pairs = pairs[0][touches], pairs[1][touches]
     away, distance, touching = away[:, touches], distance[touches], touching[touches]
     normal = away / np.where(distance > 0.0, distance, 1.0)
@@ -125,12 +125,12 @@ def contact_frequency(
     float
         Rayleigh's quotient: at most the true one. 0 where nothing presses.
     """
-    parts = contact_springs(model, spheres, False), contact_springs(model, walls, True)
-    return frequency_on(model, com, q, parts)
+    parts = _contact_springs(model, spheres, False), _contact_springs(model, walls, True)
+    return _frequency_on(model, com, q, parts)
 
 
-def frequency_on(
-    model: ContactModel, com: Floats, q: Floats, parts: tuple[Springs, Springs]
+def _frequency_on(
+    model: ContactModel, com: Floats, q: Floats, parts: tuple[_Springs, _Springs]
 ) -> float:
     """Fastest frequency of bodies on springs between each other, and to walls [rad/s]."""
     first, second, point, normal, k, shear = (
@@ -145,7 +145,7 @@ def frequency_on(
     ]
     v, w = np.random.default_rng(0).standard_normal((2, 3, n + 1))
     squared = 0.0
-    for _ in range(ITERATIONS):
+    for _ in range(_ITERATIONS):
         v[:, :-1] *= model.inv_mass > 0.0
         w[:, :-1] *= model.inv_mass > 0.0
         v[:, -1], w[:, -1] = 0.0, 0.0  # the world

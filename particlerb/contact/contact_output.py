@@ -14,7 +14,7 @@ from particlerb.contact.records import Records
 from particlerb.contact.wall_motion import PrescribedMotion, poses_at
 from particlerb.maths.vec3 import Floats, Ints
 
-NOBODY: Final = -1
+_NOBODY: Final = -1
 
 
 class ContactOutput(NamedTuple):
@@ -93,7 +93,7 @@ def contact_rows(
     forces: Any = contacts.forces[active]  # records
     xyzr = workspace.xyzr[i]
     overlap = 2.0 * (xyzr[:, 3] - np.sqrt(((forces.point - xyzr[:, :3]) ** 2).sum(axis=1)))
-    first, nobody = members[model.spheres.body[i]], np.full(i.size, NOBODY)
+    first, nobody = members[model.spheres.body[i]], np.full(i.size, _NOBODY)
     force = forces.elastic + forces.other
     torque = np.zeros((i.size, 3)) if model.law.rolling is None else forces.rolling_torque
     if are_walls:
@@ -113,14 +113,14 @@ def contact_rows(
 def contact_numbers(contacts: ContactOutput, n_bodies: int) -> Ints:
     """Contacts of each body, (n_bodies,), those with walls among them."""
     both = contacts.body.reshape(-1)
-    return np.bincount(both[both != NOBODY], minlength=n_bodies)
+    return np.bincount(both[both != _NOBODY], minlength=n_bodies)
 
 
 def largest_overlaps(contacts: ContactOutput, n_bodies: int) -> Floats:
     """Largest overlap of each body, (n_bodies,) [m]; 0 where it contacts nothing."""
     largest = np.zeros(n_bodies)
     for side in contacts.body.T:
-        is_body = side != NOBODY
+        is_body = side != _NOBODY
         np.maximum.at(largest, side[is_body], contacts.overlap[is_body])
     return largest
 
@@ -128,7 +128,7 @@ def largest_overlaps(contacts: ContactOutput, n_bodies: int) -> Floats:
 def wall_loads(contacts: ContactOutput) -> tuple[Floats, Floats]:
     """Force [N] on each wall, and torque [N m] about its centre, (n_walls, 3); world axes."""
     force, torque = np.zeros((2, *contacts.centre.shape))
-    on_wall = contacts.wall != NOBODY
+    on_wall = contacts.wall != _NOBODY
     wall, pressed = contacts.wall[on_wall], -contacts.force[on_wall]
     arm = contacts.point[on_wall] - contacts.centre[wall]
     np.add.at(force, wall, pressed)

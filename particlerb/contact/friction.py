@@ -52,14 +52,14 @@ def rotated_spring(spring: Vec3, normal: Vec3) -> Vec3:
 
 
 @inline
-def limited(force: Vec3, limit: float) -> Vec3:
+def _limited(force: Vec3, limit: float) -> Vec3:
     """Force of at most this size."""
     square = dot(force, force)
     return scale(limit / math.sqrt(square), force) if square > limit * limit else force
 
 
 @inline
-def spring_and_slider(
+def _spring_and_slider(
     state: ContactState,
     stiffness: tuple[float, float, float],
     c: float,
@@ -75,9 +75,9 @@ def spring_and_slider(
     f = scale(k, spring)
     if k_before < k:
         f = add_scaled(k_mean * elapsed, v, scale(k_before, add_scaled(-elapsed, v, spring)))
-    f = limited(f, limit)
+    f = _limited(f, limit)
     cut_spring = scale(1.0 / k, f) if k > 0.0 else (0.0, 0.0, 0.0)
-    return limited(add_scaled(c, v, f), limit), cut_spring
+    return _limited(add_scaled(c, v, f), limit), cut_spring
 
 
 @inline
@@ -102,7 +102,7 @@ def friction_force(
     limit = law.friction[pair] * max(normal.force, 0.0)
     c = law.tangential_damping[pair] * normal.damping
     stiffness = tangential_stiffness(law, pair, state)
-    force, spring = spring_and_slider(state, stiffness, c, limit, spring, dt)
+    force, spring = _spring_and_slider(state, stiffness, c, limit, spring, dt)
     return scale(-1.0, force), spring
 
 
@@ -141,5 +141,5 @@ def rolling_torque(
     stiffness = tangential_stiffness(law, pair, state)
     c = law.tangential_damping[pair] * normal.damping
     limit = rolling[pair] * max(normal.force, 0.0)
-    force, spring = spring_and_slider(rolling_state, stiffness, c, limit, spring, dt)
+    force, spring = _spring_and_slider(rolling_state, stiffness, c, limit, spring, dt)
     return scale(-R, force), spring

@@ -10,11 +10,11 @@ from particlerb.contact.neighbour_list import incidence
 from particlerb.contact.sphere_search import SphereSearch
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, add_scaled, subtract
 
-SMALLEST_PATCH: Final = 1.0 / 64  # half of the side, on a cube of side 2
+_SMALLEST_PATCH: Final = 1.0 / 64  # half of the side, on a cube of side 2
 
 
 @inline
-def on_unit_sphere(face: int, u: float, v: float) -> Vec3:
+def _on_unit_sphere(face: int, u: float, v: float) -> Vec3:
     """Direction of a point of the cube's face: (±1, u, v) in turn, of length 1."""
     w = 1.0 if face < 3 else -1.0
     f = 1.0 / math.sqrt(1.0 + u * u + v * v)
@@ -26,7 +26,7 @@ def on_unit_sphere(face: int, u: float, v: float) -> Vec3:
 
 
 @inline
-def largest_cover(x: Vec3, spheres: Floats, near: Ints, lo: int, hi: int, depth: float) -> float:
+def _largest_cover(x: Vec3, spheres: Floats, near: Ints, lo: int, hi: int, depth: float) -> float:
     """How deep x is inside the deepest of some balls that are smaller by `depth` [m]."""
     best = -math.inf
     for k in range(lo, hi):
@@ -37,7 +37,7 @@ def largest_cover(x: Vec3, spheres: Floats, near: Ints, lo: int, hi: int, depth:
 
 
 @kernel
-def find_outer(
+def _find_outer(
     spheres: Floats, offset: Ints, near: Ints, depth: float, stack: Floats, is_outer: Bools
 ) -> None:
     """Write which spheres are not covered: see `outer_spheres`.
@@ -67,18 +67,18 @@ def find_outer(
             left -= 1
             face, u, v = int(stack[left, 0]), stack[left, 1], stack[left, 2]
             half = 0.5 * stack[left, 3]
-            middle, size = on_unit_sphere(face, u + half, v + half), 0.0
+            middle, size = _on_unit_sphere(face, u + half, v + half), 0.0
             for corner in range(4):
-                end = on_unit_sphere(
+                end = _on_unit_sphere(
                     face, u + 2.0 * half * (corner // 2), v + 2.0 * half * (corner % 2)
                 )
                 d = subtract(end, middle)
                 size = max(size, math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]))
             at = add_scaled(R - 0.5 * depth, middle, x)
-            cover = largest_cover(at, spheres, near, lo, hi, depth)
+            cover = _largest_cover(at, spheres, near, lo, hi, depth)
             if cover >= R * size + 0.5 * depth:
                 continue
-            if half < SMALLEST_PATCH or cover < -0.5 * depth:
+            if half < _SMALLEST_PATCH or cover < -0.5 * depth:
                 is_outer[i] = True
                 continue
             for part in range(4):
@@ -112,5 +112,5 @@ def outer_spheres(position: Floats, radius: Floats, smallest: float, depth: floa
     near = np.where(entry >= 0, second[entry], first[~entry])
     spheres = np.column_stack([position.T, contact_distance])
     is_outer, stack = np.ones(n, dtype=np.bool_), np.empty((6 + 3 * 32, 4))
-    find_outer(spheres, offset, near, depth, stack, is_outer)
+    _find_outer(spheres, offset, near, depth, stack, is_outer)
     return is_outer

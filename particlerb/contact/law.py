@@ -39,8 +39,8 @@ from particlerb.compiled.option import Option
 from particlerb.maths.vec3 import Floats, Vec3
 
 TANGENTIAL_DAMPING: Final = 0.5  # χ unless said otherwise, as in LAMMPS
-ROOT5: Final = math.sqrt(5.0)
-SERIES_FROM: Final = 8.0  # half steps inside the contact: a series gives the mean
+_ROOT5: Final = math.sqrt(5.0)
+_SERIES_FROM: Final = 8.0  # half steps inside the contact: a series gives the mean
 
 
 class Law(NamedTuple):
@@ -90,7 +90,7 @@ def share_of_step(delta: float, half: float) -> float:
 
 
 @inline
-def fourth_root(x: float) -> float:
+def _fourth_root(x: float) -> float:
     """x^{1/4}, 0 for x < 0."""
     return math.sqrt(math.sqrt(x)) if x > 0.0 else 0.0
 
@@ -139,8 +139,8 @@ def normal_force(
     half = 0.25 * (before + after) * abs(state.overlap_rate)
     middle = state.overlap + 0.25 * (after - before) * state.overlap_rate
     if law.hertz is None:
-        return hooke_force(law, pair, state, middle, half)
-    return hertz_force(law, pair, state, middle, half)
+        return _hooke_force(law, pair, state, middle, half)
+    return _hertz_force(law, pair, state, middle, half)
 
 
 @inline
@@ -151,11 +151,11 @@ def damping_coefficient(law: Law, pair: int, inv_effective_mass: float, r_eff: f
     if law.hertz is None:
         return 2.0 * ratio * math.sqrt(stiffness / inv_effective_mass)
     K = (4.0 / 3.0) * stiffness * math.sqrt(r_eff)
-    return ROOT5 * ratio * math.sqrt(K / inv_effective_mass)
+    return _ROOT5 * ratio * math.sqrt(K / inv_effective_mass)
 
 
 @inline
-def hooke_force(
+def _hooke_force(
     law: Law, pair: int, state: ContactState, middle: float, half: float
 ) -> NormalForce:
     """Mean over the overlaps middle ± half."""
@@ -178,7 +178,7 @@ def hooke_force(
 
 
 @inline
-def hertz_force(
+def _hertz_force(
     law: Law, pair: int, state: ContactState, middle: float, half: float
 ) -> NormalForce:
     """Mean over the overlaps middle ± half."""
@@ -187,7 +187,7 @@ def hertz_force(
     K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(state.r_eff)
     c = state.damping
     above, below = middle + half, max(middle - half, 0.0)
-    if middle >= SERIES_FROM * half:
+    if middle >= _SERIES_FROM * half:
         root = math.sqrt(middle)
         square = half / middle * (half / middle)
         elastic = K * middle * root * (1.0 + square * (0.125 + 0.0046875 * square))
@@ -197,14 +197,14 @@ def hertz_force(
         high, low = above * math.sqrt(above), below * math.sqrt(below)
         elastic = 0.2 * K * (above * high - below * low) / half
         stiffness = 0.5 * K * (high - low) / half
-        mean = 0.4 * (above * fourth_root(above) - below * fourth_root(below)) / half
+        mean = 0.4 * (above * _fourth_root(above) - below * _fourth_root(below)) / half
     force, slope = elastic + c * mean * state.overlap_rate, c * mean
     if law.attract is None and state.overlap_rate < 0.0 and force < stiffness * half:
         least = max(math.pow(-c * state.overlap_rate / K, 0.8), below)  # released there
         force = slope = 0.0
         if least < above:
             spring = above * above * math.sqrt(above) - least * least * math.sqrt(least)
-            slope = 0.4 * c * (above * fourth_root(above) - least * fourth_root(least)) / half
+            slope = 0.4 * c * (above * _fourth_root(above) - least * _fourth_root(least)) / half
             force = 0.2 * K * spring / half + slope * state.overlap_rate
     _, energy = normal_spring(law, pair, state.overlap, state.r_eff)
     return NormalForce(force, elastic, energy, slope, stiffness)

@@ -23,13 +23,13 @@ from particlerb.contact.walls import (
 )
 from particlerb.maths.vec3 import Bools, Floats, Ints, dot, load3, rows3, subtract
 
-BODIES_PER_LOOK: Final = 256
+_BODIES_PER_LOOK: Final = 256
 MAX_SHARE: Final = 0.01  # of the time, that looking may take
-NS_PER_LOOK: Final = 2e5  # roughly, without comparisons
-NS_PER_PAIR: Final = 3.5  # of bodies or spheres that are compared
-NS_PER_WALL_PAIR: Final = 30.0  # of a body and a primitive of a wall that are compared
-STEPS: Final = 2.0  # in which two may have come to overlap since the last evaluation
-MIN_OVERLAP: Final = 1e-3  # in the smaller radius: less is none yet
+_NS_PER_LOOK: Final = 2e5  # roughly, without comparisons
+_NS_PER_PAIR: Final = 3.5  # of bodies or spheres that are compared
+_NS_PER_WALL_PAIR: Final = 30.0  # of a body and a primitive of a wall that are compared
+_STEPS: Final = 2.0  # in which two may have come to overlap since the last evaluation
+_MIN_OVERLAP: Final = 1e-3  # in the smaller radius: less is none yet
 
 
 class WatchedBodies(NamedTuple):
@@ -56,7 +56,7 @@ class Missed(NamedTuple):
 
 
 @inline
-def has_contact(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) -> bool:
+def _has_contact(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) -> bool:
     """Whether a contact acts between two spheres."""
     a, contacts, (offset, entry) = spheres.body[i], lists.spheres, lists.of_spheres
     is_active = False
@@ -70,7 +70,7 @@ def has_contact(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) 
 
 
 @inline
-def has_wall_contact(model: ContactModel, lists: NeighbourLists, i: int, p: int) -> bool:
+def _has_wall_contact(model: ContactModel, lists: NeighbourLists, i: int, p: int) -> bool:
     """Whether primitive p is in the list of sphere i, and one of its wall acts."""
     contacts, (offset, entry) = lists.walls, lists.of_walls
     a, wall = model.spheres.body[i], model.walls.wall
@@ -84,7 +84,7 @@ def has_wall_contact(model: ContactModel, lists: NeighbourLists, i: int, p: int)
 
 
 @kernel
-def missed_pairs(
+def _missed_pairs(
     model: ContactModel,
     lists: NeighbourLists,
     bodies: WatchedBodies,
@@ -114,14 +114,14 @@ def missed_pairs(
                 for j in range(offset[b], offset[b + 1]):
                     compared += 1
                     overlap = xyzr[i, 3] + xyzr[j, 3] - length(subtract(row3(xyzr, j), x_i))
-                    least = MIN_OVERLAP * min(xyzr[i, 3], xyzr[j, 3]) + STEPS * dt * comes
-                    if overlap > max(least, depth) and not has_contact(spheres, lists, i, j):
+                    least = _MIN_OVERLAP * min(xyzr[i, 3], xyzr[j, 3]) + _STEPS * dt * comes
+                    if overlap > max(least, depth) and not _has_contact(spheres, lists, i, j):
                         depth, body, other = overlap, min(a, b), max(a, b)
     return Missed(depth, body, other, compared)
 
 
 @kernel
-def missed_walls(
+def _missed_walls(
     model: ContactModel,
     lists: NeighbourLists,
     bodies: WatchedBodies,
@@ -152,8 +152,8 @@ def missed_walls(
                 gap, moving = gap_and_velocity(walls, poses, p, x_i)
                 comes = length(subtract(v_a, moving)) + extra[a] + extra_speeds[w]
                 comes += bound[a] * turning[a]
-                least, overlap = MIN_OVERLAP * radius + STEPS * dt * comes, radius - length(gap)
-                if overlap > max(least, depth) and not has_wall_contact(model, lists, i, p):
+                least, overlap = _MIN_OVERLAP * radius + _STEPS * dt * comes, radius - length(gap)
+                if overlap > max(least, depth) and not _has_wall_contact(model, lists, i, p):
                     depth, body, other = overlap, a, ~w
     return Missed(depth, body, other, compared)
 
@@ -191,10 +191,10 @@ class Watch:
     ) -> Missed:
         """The deepest overlap of the bodies whose turn it is at which nothing acts."""
         n, n_primitives = bodies.bounding_radius.size, model.walls.kind.size
-        which = (self.next + np.arange(min(n, BODIES_PER_LOOK))) % n
+        which = (self.next + np.arange(min(n, _BODIES_PER_LOOK))) % n
         self.next = (self.next + which.size) % n
-        missed = missed_pairs(model, lists, bodies, dt, which, Missed(0.0, 0, 0, 0))
-        missed = missed_walls(model, lists, bodies, poses, extra_speeds, dt, which, missed)
+        missed = _missed_pairs(model, lists, bodies, dt, which, Missed(0.0, 0, 0, 0))
+        missed = _missed_walls(model, lists, bodies, poses, extra_speeds, dt, which, missed)
         self.price = price_of(n, n_primitives, missed.compared)
         self.credit -= self.price
         return missed
@@ -202,8 +202,8 @@ class Watch:
 
 def price_of(n: int, n_primitives: int, compared: int) -> float:
     """Time of a look [ns], roughly."""
-    each = NS_PER_PAIR * n + NS_PER_WALL_PAIR * n_primitives
-    return NS_PER_LOOK + min(n, BODIES_PER_LOOK) * each + NS_PER_PAIR * compared
+    each = _NS_PER_PAIR * n + _NS_PER_WALL_PAIR * n_primitives
+    return _NS_PER_LOOK + min(n, _BODIES_PER_LOOK) * each + _NS_PER_PAIR * compared
 
 
 def bounding_radii(spheres: ContactSpheres, n: int) -> Floats:

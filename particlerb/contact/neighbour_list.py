@@ -27,7 +27,7 @@ class Incidence(NamedTuple):
 
 
 @kernel
-def sort_contacts(first_body: Ints, second_body: Ints, offset: Ints, entry: Indices) -> None:
+def _sort_contacts(first_body: Ints, second_body: Ints, offset: Ints, entry: Indices) -> None:
     """Sort contacts by body, ascending within: a counting sort of both sides."""
     offset[:] = 0
     for k in range(first_body.size):
@@ -57,7 +57,7 @@ def incidence(first_body: Ints, second_body: Ints, n_bodies: int) -> Incidence:
     """
     offset = np.empty(n_bodies + 2, dtype=np.int64)
     entry = np.empty(first_body.size + int((second_body >= 0).sum()), dtype=np.int32)
-    THREADS.alone(sort_contacts, first_body, second_body, offset, entry)
+    THREADS.alone(_sort_contacts, first_body, second_body, offset, entry)
     return Incidence(offset[:-1], entry)
 
 
@@ -129,12 +129,12 @@ def order_contacts(
                     shell[k] = 0
         new.keys[k], new.rows[k] = key, row
     if wall.size > 0:
-        keep_together(firsts, seconds, wall, shell)
-    sort_into_shells(pairs, shell, old, new, first, second, ends)
+        _keep_together(firsts, seconds, wall, shell)
+    _sort_into_shells(pairs, shell, old, new, first, second, ends)
 
 
 @inline
-def sort_into_shells(
+def _sort_into_shells(
     pairs: tuple[Ints, Ints],
     shell: Ints,
     old: ContactHistory,
@@ -161,7 +161,7 @@ def sort_into_shells(
 
 
 @inline
-def keep_together(firsts: Ints, seconds: Ints, wall: Ints, shell: Ints) -> None:
+def _keep_together(firsts: Ints, seconds: Ints, wall: Ints, shell: Ints) -> None:
     """Put what is of one sphere and one wall into the same shell."""
     begin = 0
     for k in range(1, firsts.size + 1):

@@ -41,8 +41,8 @@ from particlerb.maths.vec3 import (
 )
 from particlerb.model.block import COM, L, P, Q, get3, get4
 
-NOWHERE: Final = 1e100  # [m] where contacts act that have ended
-MAX_OVERLAP: Final = 1.0  # overlap of two spheres, in the smaller radius, that no contact may have
+_NOWHERE: Final = 1e100  # [m] where contacts act that have ended
+_MAX_OVERLAP: Final = 1.0  # overlap of two spheres, in the smaller radius, that no contact may have
 ZERO: Final = (0.0, 0.0, 0.0)
 
 
@@ -176,7 +176,7 @@ def end_contact(rolling: Floats | None, contacts: ContactList, c: int) -> None:
     if rolling is not None:
         put_row3(history.rolling_spring, c, ZERO)
     put_row3(forces.elastic, c, ZERO)
-    put_row3(forces.point, c, (NOWHERE, 0.0, 0.0))
+    put_row3(forces.point, c, (_NOWHERE, 0.0, 0.0))
     contacts.active[c] = False
 
 
@@ -209,7 +209,7 @@ def contact_force(on: Evaluation, pair: int, c: int, now: Collision) -> None:
     put_row3(forces.elastic, c, scale(-elastic, normal))
     put_row3(forces.other, c, other)
     put_row3(forces.point, c, now.point)
-    resist_rolling(law.rolling, on, pair, c, state, now, pressed)
+    _resist_rolling(law.rolling, on, pair, c, state, now, pressed)
     forces.elastic_energy[c] = pressed.energy
     forces.correction_time[c] = correction_time(pressed, state, before, after)
     power = -elastic * dot(normal, now.boundary_velocity)
@@ -220,7 +220,7 @@ def contact_force(on: Evaluation, pair: int, c: int, now: Collision) -> None:
 
 
 @lean
-def resist_rolling(
+def _resist_rolling(
     rolling: Floats | None,
     on: Evaluation,
     pair: int,
@@ -281,15 +281,15 @@ def sphere_contact_forces(
         far = stretch * touching + margin  # for all bodies, without reading these
         is_far = square >= far * far
         if not is_far and square >= touching * touching:
-            is_far = not comes_near(bodies, body[i], body[j], square, touching, longer)
+            is_far = not _comes_near(bodies, body[i], body[j], square, touching, longer)
         if not is_far:
-            sphere_pair_force(on, c, d)
+            _sphere_pair_force(on, c, d)
         elif active[c]:
             end_contact(model.law.rolling, contacts, c)
 
 
 @lean
-def sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
+def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
     """Forces of contact c between two spheres, d [m] from centre to centre."""
     model, workspace, contacts = on.model, on.workspace, on.contacts
     i, j = contacts.first[c], contacts.second[c]
@@ -309,7 +309,7 @@ def sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
         inv_mass = inv_effective_mass(model, bodies, a, point, normal)
         inv_mass += inv_effective_mass(model, bodies, b, point, normal)
         begin_contact(on, pair, c, inv_mass, r_eff)
-    if overlap > MAX_OVERLAP * min(r_i, r_j):
+    if overlap > _MAX_OVERLAP * min(r_i, r_j):
         note_overlap(on, overlap, min(r_i, r_j), a)
     now = Collision(overlap, normal, point, subtract(v_a, v_b), omega, boundary, r_eff)
     contact_force(on, pair, c, now)
@@ -328,7 +328,7 @@ def boundary_velocity(
 
 
 @lean
-def comes_near(
+def _comes_near(
     bodies: Records, a: int, b: int, square: float, touching: float, longer: float
 ) -> bool:
     """Whether two spheres that do not touch do so within half of the longer drift around now.

@@ -12,7 +12,7 @@ from particlerb.compiled.jit import lean
 from particlerb.maths.quaternion import Quat
 from particlerb.maths.vec3 import Floats, Vec3
 
-FLOAT: Final = np.float64
+_FLOAT: Final = np.float64
 
 
 class Records(np.ndarray[Any, np.dtype[Any]]):
@@ -29,7 +29,7 @@ class Records(np.ndarray[Any, np.dtype[Any]]):
 
 def record(base: np.dtype[Any] | None = None, **sizes: int) -> np.dtype[Any]:
     """Type of a record: the fields of another one, and numbers (size 1) and vectors by name."""
-    own = [(name, FLOAT) if n == 1 else (name, FLOAT, n) for name, n in sizes.items()]
+    own = [(name, _FLOAT) if n == 1 else (name, _FLOAT, n) for name, n in sizes.items()]
     return np.dtype([*(base.descr if base is not None else ()), *own])
 
 
@@ -45,14 +45,14 @@ BODY: Final = record(
 )
 
 # What a contact remembers from instant to instant
-HISTORY: Final = record(
+_HISTORY: Final = record(
     spring=3,  # [m] tangential
     overlap=1,  # [m] at the instant before
     normal_force=1,  # [N] at the instant before
     inv_effective_mass=1,  # [1/kg] where it began, 0 where the contact is not active
     damping=1,  # see `law.damping_coefficient`
 )
-ROLLING_HISTORY: Final = record(HISTORY, rolling_spring=3)  # [m]
+_ROLLING_HISTORY: Final = record(_HISTORY, rolling_spring=3)  # [m]
 
 # Forces of a contact on its first body, world axes
 FORCES: Final = record(
@@ -67,7 +67,7 @@ FORCES: Final = record(
 ROLLING_FORCES: Final = record(FORCES, rolling_torque=3)  # [N m]
 
 # Beside the forces of a contact with a wall
-WALL_POINT: Final = {
+_WALL_POINT: Final = {
     "correction_impulse": 3,  # [N s] elastic forces of a piece times correction times
     "count": 1,  # how often the primitive's nearest point counts: see `walls.euler_count`
     "is_nearest": 1,  # whether that point is nearer to the sphere than all around it
@@ -105,18 +105,18 @@ PISTON: Final = record(
 
 def history_record(with_rolling: bool) -> np.dtype[Any]:
     """Record of what a contact remembers."""
-    return ROLLING_HISTORY if with_rolling else HISTORY
+    return _ROLLING_HISTORY if with_rolling else _HISTORY
 
 
 def forces_record(with_rolling: bool, with_wall: bool) -> np.dtype[Any]:
     """Record of the forces of a contact between spheres, or with a wall."""
     forces = ROLLING_FORCES if with_rolling else FORCES
-    return record(forces, **WALL_POINT) if with_wall else forces
+    return record(forces, **_WALL_POINT) if with_wall else forces
 
 
 def columns_of(dtype: np.dtype[Any]) -> int:
     """How many numbers a record has."""
-    return dtype.itemsize // np.dtype(FLOAT).itemsize
+    return dtype.itemsize // np.dtype(_FLOAT).itemsize
 
 
 def zero_records(dtype: np.dtype[Any], *shape: int) -> Records:
@@ -126,7 +126,7 @@ def zero_records(dtype: np.dtype[Any], *shape: int) -> Records:
 
 def to_floats(records: Records) -> Floats:
     """Records (n,) as rows of numbers (n, ..), in the same memory."""
-    return np.asarray(records).view(FLOAT).reshape(*records.shape, columns_of(records.dtype))
+    return np.asarray(records).view(_FLOAT).reshape(*records.shape, columns_of(records.dtype))
 
 
 def from_floats(rows: Floats, dtype: np.dtype[Any]) -> Records:

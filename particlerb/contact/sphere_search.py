@@ -26,11 +26,11 @@ from particlerb.contact.cell_grid import (
 from particlerb.maths.vec3 import Floats, Ints
 
 COST: Final = 15  # body-steps that finding the neighbours of a sphere takes
-MAX_CELLS: Final = 4  # per sphere: beyond, cells are numbered modulo a prime
-MIN_CELLS: Final = 64
-INITIAL_CAPACITY: Final = 8  # neighbours per sphere that fit at first
-MAX_LEVELS: Final = 40  # anything smaller than the largest sphere by 2^40 is as good as a point
-CELL_ROUNDING: Final = 2.0**-50  # of the number of a cell, relative
+_MAX_CELLS: Final = 4  # per sphere: beyond, cells are numbered modulo a prime
+_MIN_CELLS: Final = 64
+_INITIAL_CAPACITY: Final = 8  # neighbours per sphere that fit at first
+_MAX_LEVELS: Final = 40  # anything smaller than the largest sphere by 2^40 is as good as a point
+_CELL_ROUNDING: Final = 2.0**-50  # of the number of a cell, relative
 
 
 class SphereSearch:
@@ -54,7 +54,7 @@ class SphereSearch:
         np.maximum.at(self.widest, level, 2.0 * radius)
         self.everyone = np.arange(n)
         self.population = np.bincount(level, minlength=self.n_levels)
-        self.capacity = INITIAL_CAPACITY * UNIT
+        self.capacity = _INITIAL_CAPACITY * UNIT
         self.integers: dict[str, Ints] = {}
         self.xyzr = np.zeros((n, 4))
         self.is_odd = False
@@ -134,12 +134,12 @@ class SphereSearch:
         extent = corners[1] - corners[0]
         width = self.widest + skin
         width = np.maximum(
-            width + CELL_ROUNDING * (extent.max() + width), np.finfo(np.float64).tiny
+            width + _CELL_ROUNDING * (extent.max() + width), np.finfo(np.float64).tiny
         )
         strides, cells = np.zeros((self.n_levels, 2), dtype=np.int64), [0]
         is_dense = np.zeros(self.n_levels, dtype=np.bool_)
         for level, population in enumerate(self.population):
-            most = MAX_CELLS * int(population) + MIN_CELLS
+            most = _MAX_CELLS * int(population) + _MIN_CELLS
             shape = np.floor(extent / width[level]) + 3.0  # one more on each side
             if shape.prod() <= most:
                 _, b, c = shape.astype(np.int64)
@@ -171,7 +171,7 @@ def levels_of(radius: Floats) -> Ints:
         return np.zeros(radius.size, dtype=np.int64)
     _, exponent = np.frexp(radius / largest)  # the share is in [2^(e - 1), 2^e)
     height = np.where(radius == largest, 0, exponent).astype(np.int64)
-    height = np.maximum(np.where(radius == 0.0, -MAX_LEVELS, height), -MAX_LEVELS)
+    height = np.maximum(np.where(radius == 0.0, -_MAX_LEVELS, height), -_MAX_LEVELS)
     level: Ints = np.unique(height, return_inverse=True)[1]
     return level
 

@@ -55,10 +55,10 @@ from particlerb.contact.walls import PLANE, length, wall_velocity
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import Vec3, add_scaled, cross, dot, scale, subtract
 
-MAX_OVERLAP: Final = 0.8  # with a thin wall, in radii: beyond 1 it pushes to its other side
+_MAX_OVERLAP: Final = 0.8  # with a thin wall, in radii: beyond 1 it pushes to its other side
 
 
-class Survey(NamedTuple):
+class _Survey(NamedTuple):
     """What there is around a sphere at a wall."""
 
     n_nearest: int  # how many points are nearer than all around them
@@ -69,13 +69,13 @@ class Survey(NamedTuple):
 
 
 @lean
-def one_norm(v: Vec3) -> float:
+def _one_norm(v: Vec3) -> float:
     """|v₁| + |v₂| + |v₃|: at least the length, and without a root."""
     return abs(v[0]) + abs(v[1]) + abs(v[2])
 
 
 @lean
-def end_of(model: ContactModel, contacts: ContactList, first: int, most: int) -> int:
+def _end_of(model: ContactModel, contacts: ContactList, first: int, most: int) -> int:
     """Where contacts end that are of the same sphere and the same wall as the first."""
     wall, c = model.walls.wall, first + 1
     sphere, w = contacts.first[first], wall[contacts.second[first]]
@@ -85,16 +85,16 @@ def end_of(model: ContactModel, contacts: ContactList, first: int, most: int) ->
 
 
 @lean
-def sphere_at_wall(on: Evaluation, c: int, end: int) -> SphereAtWall:
+def _sphere_at_wall(on: Evaluation, c: int, end: int) -> SphereAtWall:
     """The sphere and the wall of contacts c to end."""
     spheres, walls, contacts = on.model.spheres, on.model.walls, on.contacts
     xyzr, bodies, poses = on.workspace.xyzr, on.workspace.bodies, on.workspace.poses
     i, w = contacts.first[c], walls.wall[contacts.second[c]]
     a, x, radius = spheres.body[i], row3(xyzr, i), xyzr[i, 3]
     d, q = subtract(x, row3(poses.position, w)), row4(poses.orientation, w)
-    arm = one_norm(subtract(x, row3(bodies.position, a))) + 2.0 * radius
-    speed = bodies.speed[a] + bodies.angular_speed[a] * arm + one_norm(row3(poses.velocity, w))
-    speed += one_norm(row3(poses.angular_velocity, w)) * (one_norm(d) + 2.0 * radius)
+    arm = _one_norm(subtract(x, row3(bodies.position, a))) + 2.0 * radius
+    speed = bodies.speed[a] + bodies.angular_speed[a] * arm + _one_norm(row3(poses.velocity, w))
+    speed += _one_norm(row3(poses.angular_velocity, w)) * (_one_norm(d) + 2.0 * radius)
     displacement = max(on.before, on.after) * speed
     return SphereAtWall(c, end, x, to_body(q, d), q, radius, a, w, displacement)
 
@@ -117,18 +117,18 @@ def wall_contact_forces(
     on = Evaluation(model, workspace, contacts, before, after, rank)
     least, c, end, most = bounds
     if least < c < end:
-        c = end_of(model, contacts, c - 1, end)
+        c = _end_of(model, contacts, c - 1, end)
     while c < end:
-        until = end_of(model, contacts, c, most)
-        at = sphere_at_wall(on, c, until)
-        around = survey(on, at)
+        until = _end_of(model, contacts, c, most)
+        at = _sphere_at_wall(on, c, until)
+        around = _survey(on, at)
         c, nearest = until, around.last_nearest
         is_same = around.n_active == 1 and around.n_nearest == 1 and contacts.active[nearest]
         if (around.n_active == 0 or is_same) and around.n_others == 0 and around.n_nearest <= 1:
             if around.n_nearest == 1:
                 gap = to_world(at.q, around.gap)
                 piece = WallPiece(nearest, 1, gap, gap, gap, 0.0, at.radius - length(gap), False)
-                piece_forces(on, at, piece)
+                _piece_forces(on, at, piece)
             continue
         write_points(on, at)
         join_pieces(contacts, at)
@@ -136,13 +136,13 @@ def wall_contact_forces(
         while root >= 0:
             piece = piece_at(on, at, root)
             hand_over_history(on, at, root, piece.nearest)
-            piece_forces(on, at, piece)
+            _piece_forces(on, at, piece)
             root = next_piece(contacts, at)
         end_leftovers(on, at)
 
 
 @lean
-def survey(on: Evaluation, at: SphereAtWall) -> Survey:
+def _survey(on: Evaluation, at: SphereAtWall) -> _Survey:
     """What there is around a sphere."""
     nearest, others, active, last, gap = 0, 0, 0, -1, at.y
     for c in range(at.first, at.end):
@@ -152,11 +152,11 @@ def survey(on: Evaluation, at: SphereAtWall) -> Survey:
         elif count != 0:
             others += 1
         active += 1 if on.contacts.active[c] else 0
-    return Survey(nearest, others, active, last, gap)
+    return _Survey(nearest, others, active, last, gap)
 
 
 @lean
-def velocity_of_wall(poses: Records, w: int, x: Vec3, gap: Vec3, point: Vec3) -> Vec3:
+def _velocity_of_wall(poses: Records, w: int, x: Vec3, gap: Vec3, point: Vec3) -> Vec3:
     """Velocity of a wall [m/s] at a point at a gap below a centre x."""
     omega = row3(poses.angular_velocity, w)
     foot = subtract(subtract(x, row3(poses.position, w)), gap)
@@ -165,7 +165,7 @@ def velocity_of_wall(poses: Records, w: int, x: Vec3, gap: Vec3, point: Vec3) ->
 
 
 @lean
-def piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
+def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
     """Find the forces of a piece; end its contact if it is out of reach."""
     model, contacts = on.model, on.contacts
     bodies, poses = on.workspace.bodies, on.workspace.poses
@@ -174,7 +174,7 @@ def piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
     overlap = radius - distance
     normal = scale(-1.0 / distance, gap) if distance > 0.0 else (0.0, 0.0, 1.0)
     point = add_scaled(radius - 0.5 * overlap, normal, x)
-    moving = velocity_of_wall(poses, w, x, gap, point)
+    moving = _velocity_of_wall(poses, w, x, gap, point)
     relative = subtract(velocity_at(bodies, a, point), moving)
     omega = subtract(row3(bodies.angular_velocity, a), row3(poses.angular_velocity, w))
     if overlap <= -0.5 * max(on.before, on.after) * abs(dot(relative, normal)):
@@ -189,7 +189,7 @@ def piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
         inv_mass += dot(normal, row3(poses.piston_axis, w)) ** 2
         begin_contact(on, pair, c, inv_mass, radius)
     is_thin = model.walls.kind[primitive] != PLANE
-    if piece.is_too_weak or (piece.overlap > MAX_OVERLAP * radius and is_thin):
+    if piece.is_too_weak or (piece.overlap > _MAX_OVERLAP * radius and is_thin):
         note_overlap(on, piece.overlap, radius, a)
     now = Collision(overlap, normal, point, relative, omega, moving, radius)
     contact_force(on, pair, c, now)

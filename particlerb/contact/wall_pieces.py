@@ -30,8 +30,8 @@ from particlerb.contact.walls import (
 from particlerb.maths.quaternion import Quat, to_world
 from particlerb.maths.vec3 import Vec3, add_scaled, dot, scale, subtract
 
-HANDLED: Final = -1.0  # piece of points that have been dealt with
-MIN_RING_SHARE: Final = 0.25  # of its hardest part, that a ring has to press with
+_HANDLED: Final = -1.0  # piece of points that have been dealt with
+_MIN_RING_SHARE: Final = 0.25  # of its hardest part, that a ring has to press with
 
 
 class SphereAtWall(NamedTuple):
@@ -85,7 +85,9 @@ def write_points(on: Evaluation, at: SphereAtWall) -> None:
 
 
 @lean
-def outside_cap(contacts: ContactList, at: SphereAtWall, c: int, away: Vec3, slack: float) -> float:
+def _outside_cap(
+    contacts: ContactList, at: SphereAtWall, c: int, away: Vec3, slack: float
+) -> float:
     """How far a point of the wall is outside of the cap around the nearest point of contact c [m].
 
     The cap is what the sphere cuts out of the plane there; negative inside.
@@ -108,13 +110,13 @@ def join_pieces(contacts: ContactList, at: SphereAtWall) -> None:
             away, least, best = row3(forces.gap, e), float(at.end), math.inf
             for c in range(at.first, at.end):
                 if forces.is_nearest[c] > 0.0:
-                    out = max(outside_cap(contacts, at, c, away, 0.0), 0.0)
+                    out = max(_outside_cap(contacts, at, c, away, 0.0), 0.0)
                     if out < best or (out == best and forces.piece[c] < least):
                         least, best = forces.piece[c], out
             forces.piece[e] = least
             for c in range(at.first, at.end):
                 is_other = forces.is_nearest[c] > 0.0 and forces.piece[c] != least
-                if is_other and outside_cap(contacts, at, c, away, 0.0) <= 0.0:
+                if is_other and _outside_cap(contacts, at, c, away, 0.0) <= 0.0:
                     forces.piece[c] = least
                     changes += 1
 
@@ -129,7 +131,7 @@ def next_piece(contacts: ContactList, at: SphereAtWall) -> int:
 
 
 @lean
-def approach_velocity(workspace: Workspace, at: SphereAtWall) -> Vec3:
+def _approach_velocity(workspace: Workspace, at: SphereAtWall) -> Vec3:
     """Velocity of the centre of a sphere relative to the wall there [m/s]."""
     d = subtract(at.x, row3(workspace.poses.position, at.wall))
     moving = wall_velocity(workspace.poses, at.wall, d)
@@ -147,7 +149,7 @@ def piece_at(on: Evaluation, at: SphereAtWall, root: int) -> WallPiece:
     material = model.spheres.material[contacts.first[root]]
     pair = model.pair_of[material, model.wall_material[contacts.second[root]]]
     first, n_points, total, pushes, hardest = root, 0, 0.0, 0.0, 0.0
-    v, force, elastic, impulse = approach_velocity(on.workspace, at), ZERO, ZERO, ZERO
+    v, force, elastic, impulse = _approach_velocity(on.workspace, at), ZERO, ZERO, ZERO
     energy, least = 0.0, math.inf
     for c in range(at.first, at.end):
         count, away = points.count[c], row3(points.gap, c)
@@ -170,7 +172,7 @@ def piece_at(on: Evaluation, at: SphereAtWall, root: int) -> WallPiece:
     if n_points > 1 and size > 0.0:
         overlap = overlap_of(law, pair, length(force), radius)
         gap = scale(max(radius - overlap, NEAR) / size, elastic)
-    is_too_weak = total <= 0.0 and pushes < MIN_RING_SHARE * hardest
+    is_too_weak = total <= 0.0 and pushes < _MIN_RING_SHARE * hardest
     return WallPiece(first, n_points, gap, elastic, impulse, energy, radius - least, is_too_weak)
 
 
@@ -184,22 +186,22 @@ def hand_over_history(on: Evaluation, at: SphereAtWall, root: int, to: int) -> N
     history, active, pieces = contacts.history, contacts.active, contacts.forces.piece
     source = -1
     for c in range(at.first, at.end):
-        is_one = active[c] and belongs_to(on, at, c, root)
+        is_one = active[c] and _belongs_to(on, at, c, root)
         if is_one and (source < 0 or history.normal_force[c] > history.normal_force[source]):
             source = c
     if source >= 0 and source != to:
         history[to] = history[source]
         active[to] = True
     for c in range(at.first, at.end):
-        if c != to and active[c] and belongs_to(on, at, c, root):
+        if c != to and active[c] and _belongs_to(on, at, c, root):
             end_contact(rolling, contacts, c)
     for c in range(at.first, at.end):
         if pieces[c] == root:
-            pieces[c] = HANDLED
+            pieces[c] = _HANDLED
 
 
 @lean
-def belongs_to(on: Evaluation, at: SphereAtWall, c: int, root: int) -> bool:
+def _belongs_to(on: Evaluation, at: SphereAtWall, c: int, root: int) -> bool:
     """Whether contact c is of a piece, or has been where the piece is now."""
     contacts, points, walls = on.contacts, on.contacts.forces, on.model.walls
     if points.count[c] != 0.0:
@@ -208,7 +210,7 @@ def belongs_to(on: Evaluation, at: SphereAtWall, c: int, root: int) -> bool:
     away, belongs = to_world(at.q, subtract(at.y, nearest(one, at.y))), False
     for m in range(at.first, at.end):
         if points.is_nearest[m] > 0.0 and points.piece[m] == root:
-            belongs = belongs or outside_cap(contacts, at, m, away, at.displacement) <= 0.0
+            belongs = belongs or _outside_cap(contacts, at, m, away, at.displacement) <= 0.0
     return belongs
 
 

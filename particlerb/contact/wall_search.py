@@ -24,12 +24,12 @@ from particlerb.contact.walls import (
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, load3, rows3, subtract
 
 COST: Final = 4  # body-steps that finding what is near a sphere takes
-MAX_CELLS: Final = 8  # per primitive
-CELLS_PER_SPHERE: Final = 0.25  # more: most of a wide heap is far from all walls
-MIN_CELLS: Final = 512
+_MAX_CELLS: Final = 8  # per primitive
+_CELLS_PER_SPHERE: Final = 0.25  # more: most of a wide heap is far from all walls
+_MIN_CELLS: Final = 512
 
 
-class WallLists(NamedTuple):
+class _WallLists(NamedTuple):
     """Primitives of each wall that a sphere may touch, by the cell of its centre.
 
     The first list of a wall is for all centres, the others are those of its cells.
@@ -44,8 +44,8 @@ class WallLists(NamedTuple):
 
 
 @kernel
-def list_primitives(
-    walls: Walls, lists: WallLists, corners: Ints, cutoff: float, is_counting: bool
+def _list_primitives(
+    walls: Walls, lists: _WallLists, corners: Ints, cutoff: float, is_counting: bool
 ) -> None:
     """Count, or write, the primitives within the cutoff of each cell.
 
@@ -79,7 +79,7 @@ def list_primitives(
 
 
 @inline
-def list_of(x: Vec3, zero: Vec3, per_metre: float, shape: tuple[int, int, int], first: int) -> int:
+def _list_of(x: Vec3, zero: Vec3, per_metre: float, shape: tuple[int, int, int], first: int) -> int:
     """List of the cell of a centre; -1 outside of all cells."""
     i, j, k = subtract(x, zero)
     i, j, k = math.floor(i * per_metre), math.floor(j * per_metre), math.floor(k * per_metre)
@@ -89,9 +89,9 @@ def list_of(x: Vec3, zero: Vec3, per_metre: float, shape: tuple[int, int, int], 
 
 
 @kernel
-def find_candidates(
+def _find_candidates(
     walls: Walls,
-    lists: WallLists,
+    lists: _WallLists,
     poses: Records,
     points: Floats,
     cutoff: Floats,
@@ -117,7 +117,7 @@ def find_candidates(
         for w in range(per_metre.size):
             x = in_frame_of(poses, w, load3(centres, i))
             shape_w = (shape[w, 0], shape[w, 1], shape[w, 2])
-            cell = list_of(x, row3(origin, w), per_metre[w], shape_w, first[w])
+            cell = _list_of(x, row3(origin, w), per_metre[w], shape_w, first[w])
             for one in (first[w], cell):
                 for k in range(begin[max(one, 0)], begin[one + 1]):
                     p = entry[k]
@@ -194,12 +194,12 @@ class WallSearch:
             return PairList(self.everyone[:0], self.everyone[:0], start)
         if cutoff.max() > self.cutoff:
             self.cutoff = float(cutoff.max())
-            self.lists = lists_of(walls, self.cutoff, int(CELLS_PER_SPHERE * n))
+            self.lists = lists_of(walls, self.cutoff, int(_CELLS_PER_SPHERE * n))
         lists = self.lists
 
         def visit(pairs: PairList, is_counting: bool) -> None:
             spread(
-                lambda lo, hi: find_candidates(
+                lambda lo, hi: _find_candidates(
                     walls, lists, poses, points, cutoff, which, pairs, is_counting, lo, hi
                 ),
                 which.size,
@@ -215,7 +215,7 @@ class WallSearch:
         return pairs
 
 
-def lists_of(walls: Walls, cutoff: float, more: int = 0) -> WallLists:
+def lists_of(walls: Walls, cutoff: float, more: int = 0) -> _WallLists:
     """Lists for centres within the cutoff [m] of primitives; `more` cells for many spheres."""
     lower, upper = bounding_boxes(walls)
     n_walls = int(walls.wall.max(initial=-1)) + 1
@@ -229,7 +229,7 @@ def lists_of(walls: Walls, cutoff: float, more: int = 0) -> WallLists:
         low, high = lower[which] - cutoff, upper[which] + cutoff
         origin[w] = low.min(axis=0)
         extent = high.max(axis=0) - origin[w]
-        cells = MAX_CELLS * which.size + MIN_CELLS + more
+        cells = _MAX_CELLS * which.size + _MIN_CELLS + more
         width[w] = max(np.cbrt(extent.prod() / cells), 2.0 * cutoff)
         shape[w] = np.floor(extent / width[w]) + 1
         corners[which, :3] = (low - origin[w]) / width[w]
@@ -237,11 +237,11 @@ def lists_of(walls: Walls, cutoff: float, more: int = 0) -> WallLists:
         corners[which, 3:] = np.minimum(corners[which, 3:], shape[w] - 1)
     first = np.concatenate([[0], np.cumsum(shape.prod(axis=1) + 1)])
     begin = np.zeros(first[-1] + 2, dtype=np.int64)
-    lists = WallLists(origin, 1.0 / width, shape, first, begin, np.zeros(0, dtype=np.int64))
-    list_primitives(walls, lists, corners, cutoff, True)
+    lists = _WallLists(origin, 1.0 / width, shape, first, begin, np.zeros(0, dtype=np.int64))
+    _list_primitives(walls, lists, corners, cutoff, True)
     np.cumsum(begin, out=begin)
     lists = lists._replace(entry=np.empty(begin[-1], dtype=np.int64))
-    list_primitives(walls, lists, corners, cutoff, False)
+    _list_primitives(walls, lists, corners, cutoff, False)
     return lists
 
 

@@ -8,12 +8,12 @@ import numpy as np
 from particlerb.contact.walls import DISC, EDGE, FACE, PLANE, RIM, SIDE, VERTEX, Walls
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
-COPLANAR: Final = 1e-6  # sine of the angle between faces of one plane: STL has single precision
+_COPLANAR: Final = 1e-6  # sine of the angle between faces of one plane: STL has single precision
 
 
 def joined(walls: Sequence[Walls]) -> Walls:
     """Several walls as one set, numbered in this order."""
-    parts, before = [wall_of([], [])], 0
+    parts, before = [_wall_of([], [])], 0
     for number, part in enumerate(walls):
         parameter = part.parameter.copy()
         parameter[(part.kind == EDGE) | (part.kind == VERTEX), 6:8] += before
@@ -23,7 +23,7 @@ def joined(walls: Sequence[Walls]) -> Walls:
     return Walls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
-def wall_of(kinds: Sequence[int], parameters: Sequence[Sequence[float]]) -> Walls:
+def _wall_of(kinds: Sequence[int], parameters: Sequence[Sequence[float]]) -> Walls:
     """Wall of primitives that need no neighbours."""
     parameter = np.zeros((len(kinds), 12))
     for row, values in zip(parameter, parameters, strict=True):
@@ -34,7 +34,7 @@ def wall_of(kinds: Sequence[int], parameters: Sequence[Sequence[float]]) -> Wall
 
 def plane(point: Sequence[float], normal: Sequence[float]) -> Walls:
     """Infinite plane; bodies are on the side of its normal."""
-    return wall_of([PLANE], [[*point, *unit(normal)]])
+    return _wall_of([PLANE], [[*point, *unit(normal)]])
 
 
 def unit(vector: Sequence[float]) -> Floats:
@@ -70,10 +70,10 @@ def cylinder(
             parameters.append([*end, *n, radius])
         kinds.append(RIM)
         parameters.append([*end, *(sign * n), radius, float(is_closed)])
-    return wall_of(kinds, parameters)
+    return _wall_of(kinds, parameters)
 
 
-FACES_OF_BOX: Final = {
+_FACES_OF_BOX: Final = {
     "-x": (0, 1, 3, 2),
     "+x": (4, 5, 7, 6),
     "-y": (0, 1, 5, 4),
@@ -99,13 +99,13 @@ def box(lower: Sequence[float], upper: Sequence[float], open_faces: Sequence[str
         Of "-x", "+x", "-y", "+y", "-z", "+z".
     """
     corners = np.array([lower, upper], dtype=np.float64)
-    vertices = np.array([[corners[i, 0], corners[j, 1], corners[k, 2]] for i, j, k in BITS])
-    faces = [face for name, face in FACES_OF_BOX.items() if name not in open_faces]
+    vertices = np.array([[corners[i, 0], corners[j, 1], corners[k, 2]] for i, j, k in _BITS])
+    faces = [face for name, face in _FACES_OF_BOX.items() if name not in open_faces]
     triangles = [three for a, b, c, d in faces for three in ((a, b, c), (a, c, d))]
     return surface(vertices, np.array(triangles))
 
 
-BITS: Final = tuple(np.ndindex(2, 2, 2))
+_BITS: Final = tuple(np.ndindex(2, 2, 2))
 
 
 def surface(vertices: Floats, triangles: Ints) -> Walls:
@@ -131,23 +131,23 @@ def surface(vertices: Floats, triangles: Ints) -> Walls:
         faces[:, [[0, 1], [1, 2], [0, 2]]].reshape(-1, 2), axis=0, return_inverse=True
     )
     edge = edge.reshape(-1, 3)
-    is_smooth = smoothed(normal, area, edge, ends, faces, places)
-    edges = edge_primitives(places, faces, normal, edge, ends, is_smooth)
-    corners = vertex_primitives(places, faces, ends, is_smooth)
+    is_smooth = _smoothed(normal, area, edge, ends, faces, places)
+    edges = _edge_primitives(places, faces, normal, edge, ends, is_smooth)
+    corners = _vertex_primitives(places, faces, ends, is_smooth)
     a, b, c = (places[faces[:, k]] for k in range(3))
     normal *= np.sign(np.einsum("ij,ij->i", np.cross(b - a, c - a), normal))[:, None]
     parameter = np.concatenate([places[faces].reshape(-1, 9), normal], axis=1)
     kind = np.full(len(faces), FACE)
-    return joined_in_one([Walls(kind, parameter, kind * 0, np.zeros((0, 3))), edges, corners])
+    return _joined_in_one([Walls(kind, parameter, kind * 0, np.zeros((0, 3))), edges, corners])
 
 
-def joined_in_one(parts: Sequence[Walls]) -> Walls:
+def _joined_in_one(parts: Sequence[Walls]) -> Walls:
     """Parts of the same wall."""
     walls = joined(parts)
     return walls._replace(wall=np.zeros_like(walls.wall))
 
 
-def smoothed(
+def _smoothed(
     normal: Floats, area: Floats, edge: Ints, ends: Ints, faces: Ints, places: Floats
 ) -> Bools:
     """Whether an edge lies within a plane, (n_edges,); faces of a plane get the same normal.
@@ -160,7 +160,7 @@ def smoothed(
     pairs = np.flatnonzero(count == 2)
     one, other = order[at[pairs]], order[at[pairs] + 1]
     left, right = one // 3, other // 3
-    is_flat = np.linalg.norm(np.cross(normal[left], normal[right]), axis=1) < COPLANAR
+    is_flat = np.linalg.norm(np.cross(normal[left], normal[right]), axis=1) < _COPLANAR
     third = [faces[f].sum(axis=1) - ends[pairs].sum(axis=1) for f in (left, right)]
     along = places[ends[pairs, 1]] - places[ends[pairs, 0]]
     turn = [
@@ -187,7 +187,7 @@ def smoothed(
     return is_smooth
 
 
-def edge_primitives(
+def _edge_primitives(
     places: Floats, faces: Ints, normal: Floats, edge: Ints, ends: Ints, is_smooth: Bools
 ) -> Walls:
     """Edges that do not lie within a plane, each with the normals of the faces that meet there.
@@ -210,7 +210,7 @@ def edge_primitives(
     return Walls(kind, parameter, kind * 0, np.sign(turn)[:, None] * normal[face])
 
 
-def vertex_primitives(places: Floats, faces: Ints, ends: Ints, is_smooth: Bools) -> Walls:
+def _vertex_primitives(places: Floats, faces: Ints, ends: Ints, is_smooth: Bools) -> Walls:
     """Vertices that do not lie within a plane, each with the other ends of its edges, and faces.
 
     A face is a row of two numbers: which of these ends are its other two vertices.

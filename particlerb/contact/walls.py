@@ -46,7 +46,7 @@ RIM: Final = 6  # centre of the circle, axis outwards, radius, whether a disc cl
 
 FAR: Final = 1e100  # [m] gap of a centre to a primitive that has no point nearest to it
 NEAR: Final = 1e-100  # [m] gap of a centre that is behind a plane: it is pushed to the front
-TILT: Final = (0.5377, 0.8339, 0.1239)  # a centre just above an edge counts as moved that way
+_TILT: Final = (0.5377, 0.8339, 0.1239)  # a centre just above an edge counts as moved that way
 
 
 class Walls(NamedTuple):
@@ -62,13 +62,13 @@ class Walls(NamedTuple):
 
 
 @inline
-def nearest_on_plane(p: Vec3, n: Vec3, x: Vec3) -> Vec3:
+def _nearest_on_plane(p: Vec3, n: Vec3, x: Vec3) -> Vec3:
     """Point of a plane through p with unit normal n."""
     return add_scaled(-dot(subtract(x, p), n), n, x)
 
 
 @inline
-def nearest_on_segment(a: Vec3, b: Vec3, x: Vec3) -> Vec3:
+def _nearest_on_segment(a: Vec3, b: Vec3, x: Vec3) -> Vec3:
     """Point between a and b."""
     ab = subtract(b, a)
     t = dot(subtract(x, a), ab) / dot(ab, ab)
@@ -104,7 +104,7 @@ def nearest_on_triangle(a: Vec3, b: Vec3, c: Vec3, x: Vec3) -> Vec3:  # noqa: PL
 
 
 @inline
-def radial(c: Vec3, axis: Vec3, x: Vec3) -> tuple[float, float, Vec3]:
+def _radial(c: Vec3, axis: Vec3, x: Vec3) -> tuple[float, float, Vec3]:
     """Height along the axis through c, distance from it, and the unit vector away from it.
 
     On the axis itself, where all points of a circle are equally near, it is any across.
@@ -121,23 +121,23 @@ def radial(c: Vec3, axis: Vec3, x: Vec3) -> tuple[float, float, Vec3]:
 
 
 @inline
-def nearest_on_cylinder(c: Vec3, axis: Vec3, radius: float, half: float, x: Vec3) -> Vec3:
+def _nearest_on_cylinder(c: Vec3, axis: Vec3, radius: float, half: float, x: Vec3) -> Vec3:
     """Point of the side of a cylinder, ends at ± half from its centre c."""
-    z, _, away = radial(c, axis, x)
+    z, _, away = _radial(c, axis, x)
     return add_scaled(radius, away, add_scaled(min(max(z, -half), half), axis, c))
 
 
 @inline
-def nearest_on_disc(c: Vec3, axis: Vec3, radius: float, x: Vec3) -> Vec3:
+def _nearest_on_disc(c: Vec3, axis: Vec3, radius: float, x: Vec3) -> Vec3:
     """Point of a disc."""
-    _, rho, away = radial(c, axis, x)
+    _, rho, away = _radial(c, axis, x)
     return add_scaled(min(rho, radius), away, c)
 
 
 # A primitive and a centre
 
 
-class Primitive(NamedTuple):
+class _Primitive(NamedTuple):
     """Numbers of one primitive: arrays that enter a function in a loop are counted there."""
 
     kind: int
@@ -148,11 +148,11 @@ class Primitive(NamedTuple):
 
 
 @lean
-def primitive_at(kind: Ints, rows: Floats, p: int) -> Primitive:
+def primitive_at(kind: Ints, rows: Floats, p: int) -> _Primitive:
     """Primitive p, from the kinds and parameters of `Walls`."""
     a, b = (rows[p, 0], rows[p, 1], rows[p, 2]), (rows[p, 3], rows[p, 4], rows[p, 5])
     c, n = (rows[p, 6], rows[p, 7], rows[p, 8]), (rows[p, 9], rows[p, 10], rows[p, 11])
-    return Primitive(kind[p], a, b, c, n)
+    return _Primitive(kind[p], a, b, c, n)
 
 
 @lean
@@ -162,26 +162,26 @@ def length(v: Vec3) -> float:
 
 
 @inline
-def nearest(one: Primitive, x: Vec3) -> Vec3:  # noqa: PLR0911
+def nearest(one: _Primitive, x: Vec3) -> Vec3:  # noqa: PLR0911
     """Point of a primitive nearest to x, whatever its neighbours are; wall's frame."""
     kind, a, b, c, _ = one
     if kind == PLANE:
-        return nearest_on_plane(a, b, x)
+        return _nearest_on_plane(a, b, x)
     if kind == FACE:
         return nearest_on_triangle(a, b, c, x)
     if kind == EDGE:
-        return nearest_on_segment(a, b, x)
+        return _nearest_on_segment(a, b, x)
     if kind == VERTEX:
         return a
     if kind == SIDE:
-        return nearest_on_cylinder(a, b, c[0], c[1], x)
+        return _nearest_on_cylinder(a, b, c[0], c[1], x)
     if kind == DISC:
-        return nearest_on_disc(a, b, c[0], x)
-    return nearest_on_cylinder(a, b, c[0], 0.0, x)
+        return _nearest_on_disc(a, b, c[0], x)
+    return _nearest_on_cylinder(a, b, c[0], 0.0, x)
 
 
 @inline
-def squared_distance(one: Primitive, x: Vec3) -> float:
+def squared_distance(one: _Primitive, x: Vec3) -> float:
     """Square of the distance from a primitive [m²], behind a plane 0."""
     if one.kind == PLANE and dot(subtract(x, one.a), one.b) < 0.0:
         return 0.0
@@ -194,17 +194,17 @@ def side(a: Vec3, b: Vec3, n: Vec3, x: Vec3) -> float:
     """(b - a) × (x - a) · n: positive to the left of a to b, seen against n; never zero."""
     ab = subtract(b, a)
     value = dot(cross(ab, subtract(x, a)), n)
-    return value if value != 0.0 else dot(cross(ab, TILT), n)
+    return value if value != 0.0 else dot(cross(ab, _TILT), n)
 
 
 @inline
-def is_over_face(a: Vec3, b: Vec3, c: Vec3, n: Vec3, x: Vec3) -> bool:
+def _is_over_face(a: Vec3, b: Vec3, c: Vec3, n: Vec3, x: Vec3) -> bool:
     """Whether x is above or below a triangle, which is to the left of a to b seen against n."""
     return side(a, b, n, x) > 0.0 and side(b, c, n, x) > 0.0 and side(a, c, n, x) < 0.0
 
 
 @lean
-def count_at_edge(a: Vec3, b: Vec3, around: Floats, lo: int, hi: int, x: Vec3) -> tuple[int, bool]:
+def _count_at_edge(a: Vec3, b: Vec3, around: Floats, lo: int, hi: int, x: Vec3) -> tuple[int, bool]:
     """`euler_count` of an edge: the faces that x is beyond, but for all but one that meet there."""
     ab = subtract(b, a)
     if dot(subtract(x, a), ab) <= 0.0 or dot(subtract(x, b), ab) >= 0.0:
@@ -216,7 +216,7 @@ def count_at_edge(a: Vec3, b: Vec3, around: Floats, lo: int, hi: int, x: Vec3) -
 
 
 @lean
-def count_at_vertex(
+def _count_at_vertex(
     a: Vec3, around: Floats, lo: int, middle: int, hi: int, x: Vec3
 ) -> tuple[int, bool]:
     """`euler_count` of a vertex: 1, less edges that come nearer, and faces between two of them."""
@@ -234,7 +234,7 @@ def count_at_vertex(
 
 
 @lean
-def euler_count(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
+def euler_count(one: _Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
     """How often a point of a primitive counts, and whether it is nearer to x than all around it.
 
     1 where a sphere around x that grows meets a new piece of the wall there, -1 where two of its
@@ -242,14 +242,14 @@ def euler_count(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
     """
     kind, a, b, c, n = one
     if kind == FACE:
-        return (1, True) if is_over_face(a, b, c, n, x) else (0, False)
+        return (1, True) if _is_over_face(a, b, c, n, x) else (0, False)
     if kind == EDGE:
-        return count_at_edge(a, b, around, int(c[0]), int(c[1]), x)
+        return _count_at_edge(a, b, around, int(c[0]), int(c[1]), x)
     if kind == VERTEX:
-        return count_at_vertex(a, around, int(c[0]), int(c[1]), int(c[2]), x)
+        return _count_at_vertex(a, around, int(c[0]), int(c[1]), int(c[2]), x)
     is_opposite = True
     if kind != PLANE:
-        z, rho, _ = radial(a, b, x)
+        z, rho, _ = _radial(a, b, x)
         if kind == SIDE:
             is_opposite = abs(z) <= c[1]
         elif kind == DISC:
@@ -260,7 +260,7 @@ def euler_count(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
 
 
 @lean
-def gap_vector(one: Primitive, x: Vec3) -> Vec3:
+def gap_vector(one: _Primitive, x: Vec3) -> Vec3:
     """Vector to x from the nearest point of a primitive, of a face from that of its plane."""
     if one.kind == PLANE:
         return scale(max(dot(subtract(x, one.a), one.b), NEAR), one.b)
@@ -316,12 +316,12 @@ def gap_and_velocity(walls: Walls, poses: Records, p: int, x: Vec3) -> tuple[Vec
 def gaps(walls: Walls, poses: Records, points: Floats, which: Ints, primitive: Ints) -> Floats:
     """Vectors from primitives of walls to some of the points (3, n), (3, m) [m]; FAR: has none."""
     gap = np.empty((3, which.size))
-    find_gaps(walls, poses, points, which, primitive, gap)
+    _find_gaps(walls, poses, points, which, primitive, gap)
     return gap
 
 
 @kernel
-def find_gaps(
+def _find_gaps(
     walls: Walls, poses: Records, points: Floats, which: Ints, primitive: Ints, gap: Floats
 ) -> None:
     """Write what `gaps` returns."""

@@ -29,7 +29,7 @@ FORMATS: Final = {  # name: suffix of its files, and what it is, in words
     "lammps": (".lammpstrj", "text dump of LAMMPS, one atom per body; OVITO, VMD"),
     "npz": (".npz", "NumPy arrays"),
 }
-DERIVED: Final = {
+_DERIVED: Final = {
     "velocity": ("linear_momentum",),
     "angular_velocity": ("orientation", "angular_momentum"),
 }
@@ -136,11 +136,11 @@ def export(
     if to not in FORMATS:
         raise ExportError(f"{to}: no such format; there are {', '.join(FORMATS)}")
     writer = import_module(f"particlerb.export.{to}")
-    names = chosen_fields(trajectory, writer.HOLDS, fields, to)
+    names = _chosen_fields(trajectory, writer.HOLDS, fields, to)
     selection = Selection(
         trajectory,
-        chosen_frames(trajectory, frames),
-        chosen_bodies(trajectory, bodies),
+        _chosen_frames(trajectory, frames),
+        _chosen_bodies(trajectory, bodies),
         tuple(name for name in names if name in FIELDS or name in CONTACT_FIELDS),
         tuple(name for name in names if name in WALLS),
         CONTACTS in names,
@@ -150,13 +150,13 @@ def export(
     lacking = [name for name in writer.NEEDS if not is_known(trajectory, name)]
     if lacking:
         raise ExportError(f"{to} needs {', '.join(lacking)}, not recorded: see [output] fields")
-    with appearing(path) as unfinished:
+    with _appearing(path) as unfinished:
         writer.write(selection, unfinished)
     return len(selection.frames)
 
 
 @contextlib.contextmanager
-def appearing(path: Path) -> Iterator[Path]:
+def _appearing(path: Path) -> Iterator[Path]:
     """Give a file to write, which becomes the one at the path when it is whole."""
     path = output_path(path, overwrite=True)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -168,7 +168,7 @@ def appearing(path: Path) -> Iterator[Path]:
         unfinished.unlink(missing_ok=True)
 
 
-def chosen_fields(
+def _chosen_fields(
     trajectory: Trajectory, held: Collection[str], asked: Sequence[str], to: str
 ) -> list[str]:
     """Fields that were asked for, or all recorded, of those that a format holds, in fixed order."""
@@ -185,10 +185,10 @@ def chosen_fields(
 def is_known(trajectory: Trajectory, name: str) -> bool:
     """Whether a field was recorded or follows from what was."""
     recorded = trajectory.fields
-    return name in recorded or all(part in recorded for part in DERIVED.get(name, (name,)))
+    return name in recorded or all(part in recorded for part in _DERIVED.get(name, (name,)))
 
 
-def chosen_frames(trajectory: Trajectory, frames: slice) -> range:
+def _chosen_frames(trajectory: Trajectory, frames: slice) -> range:
     """Numbers of frames."""
     if frames.step is not None and frames.step < 1:
         raise ExportError(f"frames must go forward, got a stride of {frames.step}")
@@ -198,7 +198,7 @@ def chosen_frames(trajectory: Trajectory, frames: slice) -> range:
     return chosen
 
 
-def chosen_bodies(trajectory: Trajectory, asked: Sequence[str]) -> Ints:
+def _chosen_bodies(trajectory: Trajectory, asked: Sequence[str]) -> Ints:
     """Numbers of the bodies of some names, ascending; a block's name stands for all its bodies."""
     if not asked:
         return np.arange(trajectory.n_bodies)

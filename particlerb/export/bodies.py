@@ -25,7 +25,7 @@ from particlerb.model.bodies import quaternions
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 COMMENT: Final = "made by particlerb; SI units"
-SMALLEST: Final = 1e-6  # diameter of a point in LAMMPS, of the size of its body
+_SMALLEST: Final = 1e-6  # diameter of a point in LAMMPS, of the size of its body
 
 
 class Exported(NamedTuple):
@@ -38,7 +38,7 @@ class Exported(NamedTuple):
     """Arrays of length one, in the same axes."""
 
 
-class Carriers(NamedTuple):
+class _Carriers(NamedTuple):
     """Particles that another code holds as the body."""
 
     position: Floats  # (n, 3) [m], axes in which the body was given
@@ -46,7 +46,7 @@ class Carriers(NamedTuple):
     radius: Floats  # (n,) [m], 0 for points
 
 
-def carriers(body: Exported) -> Carriers:
+def carriers(body: Exported) -> _Carriers:
     """Spheres of a body, or its masses where it has no radius.
 
     Spheres without mass, whose matter is elsewhere, share the body's by their volume: other codes
@@ -59,10 +59,10 @@ def carriers(body: Exported) -> Carriers:
     if not (mass > 0.0).all() or (radius.any() and not np.isclose(mass.sum(), total, rtol=1e-12)):
         weight = radius**3
         mass = total * weight / weight.sum()
-    return Carriers(position, mass, radius)
+    return _Carriers(position, mass, radius)
 
 
-def in_principal_axes(body: Exported, position: Floats) -> Floats:
+def _in_principal_axes(body: Exported, position: Floats) -> Floats:
     """Positions (n, 3) [m] from the com, in the principal axes."""
     local: Floats = (position - body.properties.com[0]) @ body.properties.axes[0]
     return local
@@ -92,7 +92,7 @@ def export_bodies(bodies: Sequence[Exported], path: Path, to: str) -> list[Path]
         If a file cannot be written.
     """
     if to == "gsd":
-        write_gsd(bodies, path)
+        _write_gsd(bodies, path)
         return [path]
     written: list[Path] = []
     for suffix, text in BODY_FORMATS[to].write(bodies).items():
@@ -108,7 +108,7 @@ def numbers(*values: Any) -> str:
     return " ".join(repr(float(value)) for value in flat.reshape(-1))
 
 
-def six(tensor: Floats) -> Floats:
+def _six(tensor: Floats) -> Floats:
     """xx yy zz xy xz yz."""
     return tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
@@ -121,7 +121,7 @@ def only(bodies: Sequence[Exported], to: str) -> Exported:
     return bodies[0]
 
 
-def refuse_degenerate(body: Exported, to: str, *classes: int) -> None:
+def _refuse_degenerate(body: Exported, to: str, *classes: int) -> None:
     """ExportError for a body without extent in a code that does not have such."""
     code = int(body.properties.rotor_class[0])
     if code in classes:
@@ -137,12 +137,12 @@ def lammps(bodies: Sequence[Exported]) -> dict[str, str]:
     are there from the start need the infile, which holds for a body that stands as in the file.
     """
     body = only(bodies, "lammps")
-    refuse_degenerate(body, "fix rigid", POINT)
+    _refuse_degenerate(body, "fix rigid", POINT)
     mass, com, _, moments, axes, _ = (array[0] for array in body.properties)
     own = carriers(body)
-    place = in_principal_axes(body, own.position)
+    place = _in_principal_axes(body, own.position)
     reach = np.linalg.norm(place, axis=1).max()
-    diameter = np.where(own.radius > 0.0, 2.0 * own.radius, SMALLEST * reach)
+    diameter = np.where(own.radius > 0.0, 2.0 * own.radius, _SMALLEST * reach)
     columns = {
         "Coords": map(numbers, place),
         "Types": ["1"] * len(place),
@@ -180,11 +180,11 @@ def mjcf(bodies: Sequence[Exported]) -> dict[str, str]:
     root.append(ET.Comment(f" {COMMENT} "))
     world = ET.SubElement(root, "worldbody")
     for body in bodies:
-        refuse_degenerate(body, "MuJoCo", POINT, ROD)
+        _refuse_degenerate(body, "MuJoCo", POINT, ROD)
         mass, com, tensor, *_ = (array[0] for array in body.properties)
         element = ET.SubElement(world, "body", name=body.name)
         ET.SubElement(element, "freejoint")
-        tensor_text = numbers(six(tensor))
+        tensor_text = numbers(_six(tensor))
         inertial = {"pos": numbers(com), "mass": numbers(mass), "fullinertia": tensor_text}
         ET.SubElement(element, "inertial", inertial)
         own = carriers(body)
@@ -219,12 +219,12 @@ def yade(bodies: Sequence[Exported]) -> dict[str, str]:
             f"# com {numbers(com)}  (as given)",
             "# set both after loading: O.bodies[id].state.mass = mass, .state.inertia = inertia",
         ]
-        local = in_principal_axes(body, own.position)
+        local = _in_principal_axes(body, own.position)
         lines += [f"{numbers(p, r)} {k}" for p, r in zip(local, own.radius, strict=True)]
     return {".txt": "\n".join(lines) + "\n"}
 
 
-def write_gsd(bodies: Sequence[Exported], path: Path) -> None:
+def _write_gsd(bodies: Sequence[Exported], path: Path) -> None:
     """One frame with one particle per body, turned to its principal axes; float64 in the log."""
     hoomd = gsd_hoomd()
     frame = hoomd.Frame()
@@ -234,7 +234,7 @@ def write_gsd(bodies: Sequence[Exported], path: Path) -> None:
     )
     own.N, own.typeid = len(bodies), np.arange(len(bodies))
     own.types = [body.name for body in bodies]
-    own.type_shapes = [shape_of(body) for body in bodies]
+    own.type_shapes = [_shape_of(body) for body in bodies]
     own.mass, own.moment_inertia = mass, moments
     own.position, own.orientation = com, quaternions(axes)
     reach = max(float(np.abs(body.particles.position).max()) for body in bodies)
@@ -245,15 +245,15 @@ def write_gsd(bodies: Sequence[Exported], path: Path) -> None:
         file.append(frame)
 
 
-def shape_of(body: Exported) -> dict[str, Any]:
+def _shape_of(body: Exported) -> dict[str, Any]:
     """Shape of a body for OVITO; none where it has no radius."""
     own = carriers(body)
     return (
-        sphere_union(in_principal_axes(body, own.position), own.radius) if own.radius.any() else {}
+        sphere_union(_in_principal_axes(body, own.position), own.radius) if own.radius.any() else {}
     )
 
 
-class Format(NamedTuple):
+class _Format(NamedTuple):
     """One format of bodies."""
 
     suffix: str
@@ -261,10 +261,10 @@ class Format(NamedTuple):
 
 
 BODY_FORMATS: Final = {
-    "lammps": Format(".mol", lammps),
-    "mjcf": Format(".xml", mjcf),
-    "yade": Format(".txt", yade),
-    "gsd": Format(".gsd", lambda _: {}),
+    "lammps": _Format(".mol", lammps),
+    "mjcf": _Format(".xml", mjcf),
+    "yade": _Format(".txt", yade),
+    "gsd": _Format(".gsd", lambda _: {}),
 }
 
 

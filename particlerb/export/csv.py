@@ -13,10 +13,10 @@ from particlerb.record.trajectory import Trajectory
 
 NEEDS: Final = ()
 HOLDS: Final = (*FIELDS, *CONTACT_FIELDS, *WALLS, CONTACTS)
-COMPONENTS: Final = {
+_COMPONENTS: Final = {
     name: element.components for name, element in (FIELDS | CONTACT_FIELDS | WALLS).items()
 }
-OF_CONTACT: Final = ["body", "other", "wall", *(
+_OF_CONTACT: Final = ["body", "other", "wall", *(
     f"{name}_{letter}" for name in ("point", "force") for letter in "xyz"
 ), "overlap"]  # fmt: skip
 
@@ -34,16 +34,16 @@ def write(selection: Selection, path: Path) -> None:
         raise ExportError("csv has rows of bodies, of walls, or of contacts: ask for one sort")
     trajectory = selection.trajectory
     if selection.has_contacts:
-        header, rows = OF_CONTACT, of_contacts(selection)
+        header, rows = _OF_CONTACT, _of_contacts(selection)
     elif selection.walls:
         labels = list(enumerate(trajectory.wall_names))
         parts = selection.portions(len(labels))
         header = ["wall", "name", *columns(selection.walls)]
-        rows = labelled(trajectory, parts, labels, selection.walls, trajectory.of_walls)
+        rows = _labelled(trajectory, parts, labels, selection.walls, trajectory.of_walls)
     else:
         labels = [(int(b), trajectory.names[b]) for b in selection.bodies]
         header = ["body", "name", *columns(selection.fields)]
-        rows = labelled(
+        rows = _labelled(
             trajectory, selection.portions(), labels, selection.fields, selection.values
         )
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -57,11 +57,11 @@ def columns(names: tuple[str, ...]) -> list[str]:
     return [
         f"{name}_{letter}" if letter else name
         for name in names
-        for letter in COMPONENTS[name] or ("",)
+        for letter in _COMPONENTS[name] or ("",)
     ]
 
 
-def labelled(
+def _labelled(
     trajectory: Trajectory,
     parts: Iterator[slice],
     labels: list[tuple[int, str]],
@@ -79,7 +79,7 @@ def labelled(
                 yield (frame, t, *label, *chain.from_iterable(row))
 
 
-def of_contacts(selection: Selection) -> Iterator[tuple[Any, ...]]:
+def _of_contacts(selection: Selection) -> Iterator[tuple[Any, ...]]:
     """Rows of contacts: two bodies, or a body and a wall; -1 stands for what it is not."""
     times = selection.trajectory.time
     for frame in selection.frames:

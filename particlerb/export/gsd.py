@@ -23,9 +23,9 @@ from particlerb.record.trajectory import Trajectory
 
 NEEDS: Final = ("position", "orientation")
 HOLDS: Final = tuple(FIELDS)
-MOST_SPHERES: Final = 1000  # of one shape
-THINNEST: Final = 0.02  # axis of an ellipsoid, of its longest: rods and points are to be seen
-ROOM: Final = 1.01  # of the box, times the positions
+_MOST_SPHERES: Final = 1000  # of one shape
+_THINNEST: Final = 0.02  # axis of an ellipsoid, of its longest: rods and points are to be seen
+_ROOM: Final = 1.01  # of the box, times the positions
 
 
 def write(selection: Selection, path: Path) -> None:
@@ -34,12 +34,12 @@ def write(selection: Selection, path: Path) -> None:
     trajectory = selection.trajectory
     bodies = taken(trajectory.bodies, selection.bodies)
     kinds, types = np.unique(trajectory.kind[selection.bodies], return_inverse=True)
-    edges = box_edges(selection)
-    names = [type_name(trajectory, int(kind)) for kind in kinds]
-    shapes = [type_shape(trajectory, int(kind)) for kind in kinds]
+    edges = _box_edges(selection)
+    names = [_type_name(trajectory, int(kind)) for kind in kinds]
+    shapes = [_type_shape(trajectory, int(kind)) for kind in kinds]
     with hoomd.open(path, "w") as file:
         for part in selection.portions():
-            columns = per_body(selection, bodies, part)
+            columns = _per_body(selection, bodies, part)
             for row, number in enumerate(range(trajectory.n_frames)[part]):
                 frame = hoomd.Frame()
                 frame.configuration.step = number
@@ -55,7 +55,7 @@ def write(selection: Selection, path: Path) -> None:
                 file.append(frame)
 
 
-def per_body(selection: Selection, bodies: Bodies, part: slice) -> dict[str, Floats]:
+def _per_body(selection: Selection, bodies: Bodies, part: slice) -> dict[str, Floats]:
     """Columns of some frames, each (T, n, ...)."""
     known = {name for name in selection.fields if is_known(selection.trajectory, name)}
     position = selection.values("position", part)
@@ -67,28 +67,28 @@ def per_body(selection: Selection, bodies: Bodies, part: slice) -> dict[str, Flo
     if "angular_momentum" in known:
         L = selection.values("angular_momentum", part)
         columns["angmom"] = np.stack(
-            [momentum_quaternion(a.T, b.T).T for a, b in zip(q, L, strict=True)]
+            [_momentum_quaternion(a.T, b.T).T for a, b in zip(q, L, strict=True)]
         )
     return columns
 
 
-def momentum_quaternion(q: Floats, L: Floats) -> Floats:
+def _momentum_quaternion(q: Floats, L: Floats) -> Floats:
     """HOOMD's p = 2 q (0, Rᵀ L), shapes (4, n) and (3, n)."""
     spin = np.zeros_like(q)
     spin[1:] = rotate_back(q, L)
     return 2.0 * quaternion_product(q, spin)
 
 
-def box_edges(selection: Selection) -> list[float]:
+def _box_edges(selection: Selection) -> list[float]:
     """Edges of a box about the origin that holds all positions."""
     reach = np.zeros(3)
     for part in selection.portions():
         reach = np.maximum(reach, np.abs(selection.values("position", part)).max(axis=(0, 1)))
     reach = np.where(reach > 0.0, reach, max(float(reach.max()), 1.0))
-    return (2.0 * ROOM * reach).tolist()  # type: ignore[no-any-return]
+    return (2.0 * _ROOM * reach).tolist()  # type: ignore[no-any-return]
 
 
-def type_name(trajectory: Trajectory, kind: int) -> str:
+def _type_name(trajectory: Trajectory, kind: int) -> str:
     """Name of the block of the first body of a kind; HOOMD wants each once."""
     body = int(np.argmax(trajectory.kind == kind))
     name = trajectory.names[body]
@@ -96,14 +96,14 @@ def type_name(trajectory: Trajectory, kind: int) -> str:
     return name if alone else name.rpartition("[")[0] or name
 
 
-def type_shape(trajectory: Trajectory, kind: int) -> dict[str, Any]:
+def _type_shape(trajectory: Trajectory, kind: int) -> dict[str, Any]:
     """What OVITO shows of a kind, in the principal frame."""
     particles = trajectory.particles
     own = slice(particles.offset[kind], particles.offset[kind + 1])
     radius, body = particles.radius[own], int(np.argmax(trajectory.kind == kind))
     is_sphere = radius > 0.0  # beside these, points without a radius carry matter
     radius = radius[is_sphere]
-    if 0 < radius.size <= MOST_SPHERES:
+    if 0 < radius.size <= _MOST_SPHERES:
         frame = np.tile(trajectory.bodies.rotor_frame[:, body : body + 1], radius.size)
         centres = rotate_back(frame, particles.position[own][is_sphere].T).T
         return sphere_union(centres, radius)
@@ -115,4 +115,4 @@ def ellipsoid(moments: Floats, mass: float) -> list[float]:
     """Semi-axes [m] of the solid ellipsoid with these principal moments: I1 = m (b² + c²) / 5."""
     squares = 2.5 / mass * (moments.sum() - 2.0 * moments)
     axes = np.sqrt(np.maximum(squares, 0.0))
-    return np.maximum(axes, THINNEST * (axes.max() or 1.0)).tolist()  # type: ignore[no-any-return]
+    return np.maximum(axes, _THINNEST * (axes.max() or 1.0)).tolist()  # type: ignore[no-any-return]

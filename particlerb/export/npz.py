@@ -49,10 +49,10 @@ def write(selection: Selection, path: Path) -> None:
             values = trajectory.of_walls(name)[selection.frames]
             add(archive, name, values.shape, values.dtype, [values])
         if selection.has_contacts:
-            add_contacts(archive, selection)
+            _add_contacts(archive, selection)
 
 
-def add_contacts(archive: zipfile.ZipFile, selection: Selection) -> None:
+def _add_contacts(archive: zipfile.ZipFile, selection: Selection) -> None:
     """Add the contacts of all frames, column by column."""
     counts = [len(selection.contacts(frame).wall) for frame in selection.frames]
     offset = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])

@@ -20,13 +20,13 @@ from particlerb.record.vtkhdf import append_steps, create_vtkhdf
 
 NEEDS: Final = ("position", "orientation")
 HOLDS: Final = tuple(FIELDS)
-UNITS: Final = {"position": "m", "velocity": "m s-1"}
+_UNITS: Final = {"position": "m", "velocity": "m s-1"}
 
 
 def write(selection: Selection, path: Path) -> None:
     """Write positions, and velocities v + ω × r where they are asked for and known."""
     trajectory, n_frames = selection.trajectory, len(selection.frames)
-    body, row = chosen_particles(selection)
+    body, row = _chosen_particles(selection)
     particles = trajectory.particles
     moves = {"linear_momentum", "velocity"} & set(selection.fields)
     spins = is_known(trajectory, "angular_velocity")
@@ -78,7 +78,7 @@ def placed(state: tuple[Floats, ...], column: Ints, local: Floats) -> dict[str, 
     return found
 
 
-def chosen_particles(selection: Selection) -> tuple[Ints, Ints]:
+def _chosen_particles(selection: Selection) -> tuple[Ints, Ints]:
     """Body of each particle of the chosen bodies, and its row in the table of particles."""
     body, row = selection.trajectory.constituents
     chosen = np.isin(body, selection.bodies)
@@ -94,5 +94,5 @@ def element(
     shape = (len(step), n, 3)
     chunks = (min(frames_per_chunk(n, 3, 8, len(step)), len(step)), n, 3)
     value = own.create_dataset("value", shape, "f8", chunks=chunks, fillvalue=np.nan)
-    describe(value, UNITS[name], "of each particle, world frame")
+    describe(value, _UNITS[name], "of each particle, world frame")
     return value

@@ -63,7 +63,7 @@ def summed(loads: list[Any]) -> tuple[Any, ...]:
     return tuple(found)
 
 
-def parts_of(terms: Terms) -> list[tuple[Kick, Floats]]:
+def _parts_of(terms: Terms) -> list[tuple[Kick, Floats]]:
     """Numbers of all loads and gravity, and the kick that takes them."""
     parts = [] if terms.gravity is None else parts_of_gravity(terms.gravity)
     for load in terms.loads:
@@ -75,7 +75,7 @@ def rows_of_terms(terms: Terms) -> list[tuple[int, Floats]]:
     """Parameters of the terms, and the rows of a block where they go."""
     parts: dict[int, Floats] = {}
     apart: list[tuple[Kick, Floats]] = []
-    for kick, values in parts_of(terms):
+    for kick, values in _parts_of(terms):
         if kick.is_many:
             apart.append((kick, values))
             continue
@@ -90,7 +90,7 @@ def rows_of_terms(terms: Terms) -> list[tuple[int, Floats]]:
 
 def acting_of(terms: Terms) -> Acting:
     """What a kernel is to be compiled for."""
-    names = [kick.name for kick, _ in parts_of(terms)]
+    names = [kick.name for kick, _ in _parts_of(terms)]
     acting = [kick for kick in KICKS if kick.name in names]
 
     def tag(kick: Kick) -> int | tuple[int, ...] | None:
@@ -121,13 +121,13 @@ def terms_on(terms: Terms, which: Ints) -> Terms:
 
 def row_count(terms: Terms) -> int:
     """Rows of a block with these terms."""
-    return MANY + sum(kick.rows for kick, _ in parts_of(terms) if kick.is_many)
+    return MANY + sum(kick.rows for kick, _ in _parts_of(terms) if kick.is_many)
 
 
 def has_potential(terms: Terms) -> bool:
     """Whether every force has one: then energy needs no booking on the way."""
     damped = terms.links is not None and terms.links.damping is not None
-    others = all(kick.has_potential for kick, _ in parts_of(terms))
+    others = all(kick.has_potential for kick, _ in _parts_of(terms))
     return others and not damped and terms.contact is None
 
 
@@ -137,7 +137,7 @@ def is_constant(terms: Terms) -> bool:
     Forces between bodies do not change the sums that are booked, as long as those from outside are
     uniform gravity alone.
     """
-    if not has_potential(terms) or not all(kick.is_steady for kick, _ in parts_of(terms)):
+    if not has_potential(terms) or not all(kick.is_steady for kick, _ in _parts_of(terms)):
         return False
     reaches_out = terms.links is not None and bool((terms.links.second == WORLD).any())
     return not reaches_out and not (terms.is_coupled and terms.loads)

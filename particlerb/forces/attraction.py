@@ -40,8 +40,8 @@ from particlerb.maths.vec3 import (
 from particlerb.model.block import LINE, aligned_zeros
 
 TILE: Final = 256  # targets at a time: their places and fields stay in the first level of cache
-PAIRS: Final = 64  # take as long as a step of a body, the unit of work in `threads`
-SEED: Final = 0x5FE2220000000000  # less half the bits of x: those of about x^{-1/2}
+_PAIRS: Final = 64  # take as long as a step of a body, the unit of work in `threads`
+_SEED: Final = 0x5FE2220000000000  # less half the bits of x: those of about x^{-1/2}
 
 
 class Attraction(NamedTuple):
@@ -82,31 +82,31 @@ def tiles_of(n_points: int) -> int:
 # Powers of a squared distance
 
 
-def seed_in_python(x: float) -> float:
+def _seed_in_python(x: float) -> float:
     """About x^{-1/2}."""
-    bits = SEED - (struct.unpack("<q", struct.pack("<d", x))[0] >> 1)
+    bits = _SEED - (struct.unpack("<q", struct.pack("<d", x))[0] >> 1)
     return cast(float, struct.unpack("<d", struct.pack("<q", bits))[0])
 
 
-def seed_instruction(typing: Any, x: Any) -> Any:
+def _seed_instruction(typing: Any, x: Any) -> Any:
     """About x^{-1/2} of a normal x > 0: the bits of a double are, roughly, its logarithm."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         integer = context.get_value_type(types.int64)
         bits = builder.lshr(builder.bitcast(arguments[0], integer), integer(1))
-        return builder.bitcast(builder.sub(integer(SEED), bits), arguments[0].type)
+        return builder.bitcast(builder.sub(integer(_SEED), bits), arguments[0].type)
 
     return types.float64(types.float64), generate
 
 
 seed = cast(
     Callable[[float], float],
-    seed_in_python if config.DISABLE_JIT else intrinsic(seed_instruction),
+    _seed_in_python if config.DISABLE_JIT else intrinsic(_seed_instruction),
 )
 
 
 @inline
-def rough_inverse_root(x: float) -> float:
+def _rough_inverse_root(x: float) -> float:
     """x^{-1/2} to 2.1e-5, of a normal x > 0, without the slow instructions √ and /.
 
     With y = seed(x) the product z = x y² is within [0.633, 0.720] for every x; there z² - 2.2533 z
@@ -121,7 +121,7 @@ def rough_inverse_root(x: float) -> float:
 @inline
 def inverse_root(x: float) -> float:
     """x^{-1/2}: with 1 - e = x y² it is y (1 - e)^{-1/2}, by the series in e, |e| < 4.1e-5."""
-    y = rough_inverse_root(x)
+    y = _rough_inverse_root(x)
     e = 1.0 - x * (y * y)
     return y + y * (e * (0.5 + e * (0.375 + e * 0.3125)))
 
@@ -132,7 +132,7 @@ def inverse_cube(size: float, x: float) -> float:
 
     The factors with `size` are those of a source, computed once for all its targets.
     """
-    y = rough_inverse_root(x)
+    y = _rough_inverse_root(x)
     square = y * y
     e = 1.0 - x * square
     return y * square * (size + e * (1.5 * size + e * (1.875 * size + e * (2.1875 * size))))
@@ -183,7 +183,9 @@ def place_points(attraction: Attraction, work: Work, y: Floats, first: int, last
 
 
 @inline
-def add_source(x: Vec3, gm: float, softening: float, targets: Rows3, fields: Rows3, n: int) -> None:
+def _add_source(
+    x: Vec3, gm: float, softening: float, targets: Rows3, fields: Rows3, n: int
+) -> None:
     """Add the field of a source at x to that at n targets."""
     for i in range(n):
         d = subtract(x, load3(targets, i))
@@ -192,7 +194,7 @@ def add_source(x: Vec3, gm: float, softening: float, targets: Rows3, fields: Row
 
 
 @inline
-def add_near_source(
+def _add_near_source(
     x: Vec3, gm: float, own: int, softening: float, targets: Rows3, fields: Rows3, bodies: Ints
 ) -> None:
     """Add the field of a source at x to that at targets, except those of its own body."""
@@ -221,13 +223,13 @@ def pull(attraction: Attraction, work: Work, first: int, last: int) -> None:
             fields[0][i], fields[1][i], fields[2][i] = 0.0, 0.0, 0.0
         before, after = offset[body[lo]], offset[body[hi - 1] + 1]
         for j in range(before):
-            add_source(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
+            _add_source(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
         if body[lo] != body[hi - 1]:
             for j in range(before, after):
                 x = load3(sources, j)
-                add_near_source(x, gm[j], body[j], softening, targets, fields, bodies)
+                _add_near_source(x, gm[j], body[j], softening, targets, fields, bodies)
         for j in range(after, n):
-            add_source(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
+            _add_source(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
 
 
 @kernel
@@ -240,7 +242,7 @@ def attract(attraction: Attraction, work: Work, first: int, last: int) -> None:
 
 
 @inline
-def collect(attraction: Attraction, work: Work, load: Floats, first: int, last: int) -> None:
+def _collect(attraction: Attraction, work: Work, load: Floats, first: int, last: int) -> None:
     """Add force and torque of bodies first to last: Σ m g and Σ R r × m g.
 
     Parameters
@@ -268,8 +270,8 @@ def collect(attraction: Attraction, work: Work, load: Floats, first: int, last: 
 
 @kernel
 def add_attraction(attraction: Attraction, work: Work, load: Floats, first: int, last: int) -> None:
-    """Add force and torque of bodies first to last: see `collect`."""
-    collect(attraction, work, load, first, last)
+    """Add force and torque of bodies first to last: see `_collect`."""
+    _collect(attraction, work, load, first, last)
 
 
 @kernel
@@ -282,21 +284,21 @@ def attraction_loads(attraction: Attraction, work: Work, y: Floats, load: Floats
     n_bodies, n = attraction.offset.size - 1, attraction.mass.size
     place(attraction, work, y, 0, n_bodies)
     pull(attraction, work, 0, (n + TILE - 1) // TILE)
-    collect(attraction, work, load, 0, n_bodies)
+    _collect(attraction, work, load, 0, n_bodies)
 
 
 def spread_loads(attraction: Attraction, work: Work, y: Floats, load: Floats) -> None:
     """Add the loads on all bodies at y, tiles spread over the threads; same bits."""
     n_bodies = attraction.offset.size - 1
     THREADS.alone(place_points, attraction, work, y, 0, n_bodies)
-    spread_tiles(lambda first, last: attract(attraction, work, first, last), attraction)
+    _spread_tiles(lambda first, last: attract(attraction, work, first, last), attraction)
     THREADS.alone(add_attraction, attraction, work, load, 0, n_bodies)
 
 
-def spread_tiles(part: Callable[[int, int], object], attraction: Attraction) -> None:
+def _spread_tiles(part: Callable[[int, int], object], attraction: Attraction) -> None:
     """Call part(first, last) for ranges of tiles that cover all particles."""
     n = attraction.mass.size
-    THREADS.share(part, tiles_of(n), n * n // PAIRS)
+    THREADS.share(part, tiles_of(n), n * n // _PAIRS)
 
 
 # Energy
@@ -343,7 +345,7 @@ def potential_energy(attraction: Attraction, work: Work, y: Floats) -> float:
     """U of all pairs of different bodies [J] at y, (13, n_bodies); tiles spread over threads."""
     THREADS.alone(place_points, attraction, work, y, 0, attraction.offset.size - 1)
     sums = np.zeros(tiles_of(attraction.mass.size))
-    spread_tiles(
+    _spread_tiles(
         lambda first, last: attraction_potential(attraction, work, first, last, sums), attraction
     )
     return math.fsum(sums)
@@ -353,7 +355,7 @@ def potential_energy(attraction: Attraction, work: Work, y: Floats) -> float:
 
 
 @kernel
-def raise_squared_rates(
+def _raise_squared_rates(
     gm_body: Floats, com: Floats, softening: float, which: Ints, chosen: Floats, squares: Floats
 ) -> None:
     """Raise `squares` to max_b (G M_a + G M_b)/(d² + ε²)^{3/2} [1/s²] of the chosen bodies a.
@@ -405,5 +407,5 @@ def fastest_rates(gm_body: Floats, com: Floats, softening: float, which: Ints) -
     """
     chosen = np.ascontiguousarray(np.vstack([com[:, which], gm_body[which]]))
     squares = np.zeros(which.size)
-    THREADS.alone(raise_squared_rates, gm_body, com, softening, which, chosen, squares)
+    THREADS.alone(_raise_squared_rates, gm_body, com, softening, which, chosen, squares)
     return np.sqrt(squares)

@@ -44,7 +44,7 @@ class Central(NamedTuple):
 
 
 @inline
-def kick_central(
+def _kick_central(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + F dt,  L + τ dt."""
@@ -64,8 +64,8 @@ def kick_central(
     return add_scaled(dt, force, p), add_scaled(dt, torque, L)
 
 
-KICK: Final = Kick("central", 8, kick_central, has_potential=True, is_many=True)
-FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
+KICK: Final = Kick("central", 8, _kick_central, has_potential=True, is_many=True)
+_FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
 
 
 def central_work(central: Central, com: Floats, q: Floats, t: float = 0.0) -> Floats:
@@ -79,20 +79,20 @@ def central_work(central: Central, com: Floats, q: Floats, t: float = 0.0) -> Fl
     return work
 
 
-def central_rates(central: Central, bodies: Bodies, state: State) -> Rates:
+def _central_rates(central: Central, bodies: Bodies, state: State) -> Rates:
     """√3 of the rate of a circular orbit: the fastest libration of a rod."""
     del bodies
     distance = lengths(state.com - central.centre)
     return Rates(rate=np.sqrt(3.0 * central.mu / distance) / distance)
 
 
-def term_of(table: "CentralTable", numbers: Floats, bodies: Bodies, start: float) -> Central:
+def _term_of(table: "CentralTable", numbers: Floats, bodies: Bodies, start: float) -> Central:
     """One centre for each body."""
     del table, start
     return Central(numbers[:3], numbers[3], bodies.mass, bodies.inertia)
 
 
-def refuse_centre(table: "CentralTable", numbers: Floats, com: Floats) -> None:
+def _refuse_centre(table: "CentralTable", numbers: Floats, com: Floats) -> None:
     """Raise ForceError where a body starts in the centre."""
     del table
     there = np.flatnonzero(~(com - numbers[:3]).any(axis=0))
@@ -102,8 +102,8 @@ def refuse_centre(table: "CentralTable", numbers: Floats, com: Floats) -> None:
 
 
 FORCE: Final = Force(
-    same_for_all(lambda table: (*table.centre, table.mu)), term_of, nowhere=FAR,
-    check=refuse_centre,
+    same_for_all(lambda table: (*table.centre, table.mu)), _term_of, nowhere=_FAR,
+    check=_refuse_centre,
 )  # fmt: skip
 KICKS: Final = (KICK,)
-TERMS: Final = (Term(Central, "central field", KICK, central_rates, central_work),)
+TERMS: Final = (Term(Central, "central field", KICK, _central_rates, central_work),)

@@ -25,8 +25,8 @@ from particlerb.model.block import INV_INERTIA, get, get3, put
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State
 
-DRAG_ROWS: Final = 2
-DECAY_ROWS: Final = 9  # of the exact flow: four factors for p and L, four for what is added; h
+_DRAG_ROWS: Final = 2
+_DECAY_ROWS: Final = 9  # of the exact flow: four factors for p and L, four for what is added; h
 
 
 class Drag(NamedTuple):
@@ -43,7 +43,7 @@ def angular_velocity(rows: Floats, b: int, R: Rows, L: Vec3) -> Vec3:
 
 
 @inline
-def drag_load(
+def _drag_load(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3, F: Vec3, tau: Vec3
 ) -> Momenta:
     """F - γ p,  τ - c_r ω."""
@@ -52,17 +52,17 @@ def drag_load(
 
 
 @inline
-def prepare_decay(rows: Floats, at: int, n: int, dt: float) -> None:
+def _prepare_decay(rows: Floats, at: int, n: int, dt: float) -> None:
     """Factors of the exact flow over dt, in the rows after those of the drag."""
-    if get(rows, at + DRAG_ROWS + 8, 0) == dt:
+    if get(rows, at + _DRAG_ROWS + 8, 0) == dt:
         return
-    put(rows, at + DRAG_ROWS + 8, 0, dt)
+    put(rows, at + _DRAG_ROWS + 8, 0, dt)
     for b in range(n):
         rate, rotation = get(rows, at, b), get(rows, at + 1, b)
         inverse = get3(rows, INV_INERTIA, b)
         for k in range(4):
             x = rate * dt if k == 0 else rotation * inverse[max(k - 1, 0)] * dt
-            first = at + DRAG_ROWS + k
+            first = at + _DRAG_ROWS + k
             put(rows, first, b, np.exp(-x))
             put(rows, first + 4, b, -np.expm1(-x) / x if x > 0.0 else 1.0)
 
@@ -72,7 +72,7 @@ def damp(
     rows: Floats, at: int, b: int, R: Rows, p_old: Vec3, L_old: Vec3, p: Vec3, L: Vec3
 ) -> Momenta:
     """Exact flow: p and L are p_old and L_old with the kicks of all other forces."""
-    first = at + DRAG_ROWS
+    first = at + _DRAG_ROWS
     decay, share = get(rows, first, b), get(rows, first + 4, b)
     kicked = subtract(p, p_old)
     p = add_scaled(decay, p_old, (share * kicked[0], share * kicked[1], share * kicked[2]))
@@ -81,10 +81,12 @@ def damp(
     return p, turn(R, add_scaled(1.0, m, dm))
 
 
-KICK: Final = Kick("drag", DRAG_ROWS + DECAY_ROWS, load=drag_load, damp=damp, prepare=prepare_decay)
+KICK: Final = Kick(
+    "drag", _DRAG_ROWS + _DECAY_ROWS, load=_drag_load, damp=damp, prepare=_prepare_decay
+)
 
 
-def drag_rates(drag: Drag, bodies: Bodies, state: State) -> Rates:
+def _drag_rates(drag: Drag, bodies: Bodies, state: State) -> Rates:
     """The faster of the decays of p and L."""
     del state
     return Rates(rate=np.maximum(drag.rate, drag.rotation * bodies.inv_inertia.max(axis=0)))
@@ -95,4 +97,4 @@ FORCE: Final = Force(
     lambda _, numbers, bodies, start: Drag(numbers[0] * bodies.inv_mass, numbers[1]),
 )
 KICKS: Final = (KICK,)
-TERMS: Final = (Term(Drag, "drag", KICK, drag_rates),)
+TERMS: Final = (Term(Drag, "drag", KICK, _drag_rates),)

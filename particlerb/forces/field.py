@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from particlerb.case.forces import UniformField
     from particlerb.model.system import System
 
-MOMENT_ROUNDING: Final = 1e-14  # share of a moment of charges that is its rounding
+_MOMENT_ROUNDING: Final = 1e-14  # share of a moment of charges that is its rounding
 
 
-class RotatingField(NamedTuple):
+class _RotatingField(NamedTuple):
     """Parameters of the term for n bodies."""
 
     along: Floats  # (3, n) part of E along Ω, world frame
@@ -46,58 +46,58 @@ class RotatingField(NamedTuple):
     charge: Floats  # (n,)
 
 
-FIELD: Final = 14  # first row after the parameters: E now, and its rate of change
-CHANGE: Final = 17
+_FIELD: Final = 14  # first row after the parameters: E now, and its rate of change
+_CHANGE: Final = 17
 
 
 @inline
-def turn_field(rows: Floats, at: int, b: int, t: float) -> None:
+def _turn_field(rows: Floats, at: int, b: int, t: float) -> None:
     """Set E and Ω × E to the time t."""
     rate = get(rows, at + 9, b)
     cos, sin, sign = cos_sin_half_turns(rate * t)
     across, ahead = scale(sign, get3(rows, at + 3, b)), scale(sign, get3(rows, at + 6, b))
     now = add_scaled(sin, ahead, add_scaled(cos, across, get3(rows, at, b)))
-    put3(rows, at + FIELD, b, now)
-    put3(rows, at + CHANGE, b, scale(rate, add_scaled(cos, ahead, scale(-sin, across))))
+    put3(rows, at + _FIELD, b, now)
+    put3(rows, at + _CHANGE, b, scale(rate, add_scaled(cos, ahead, scale(-sin, across))))
 
 
 @inline
-def kick_field(
+def _kick_field(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + q E dt,  L + (R m) × E dt."""
-    E, moment = get3(rows, at + FIELD, b), turn(R, get3(rows, at + 10, b))
+    E, moment = get3(rows, at + _FIELD, b), turn(R, get3(rows, at + 10, b))
     return add_scaled(dt * get(rows, at + 13, b), E, p), add_scaled(dt, cross(moment, E), L)
 
 
 @inline
-def field_power(rows: Floats, at: int, b: int, x: Vec3, R: Rows, power: float) -> float:
+def _field_power(rows: Floats, at: int, b: int, x: Vec3, R: Rows, power: float) -> float:
     """∂U/∂t = -(q x + R m)·(Ω × E)."""
     moment = turn(R, get3(rows, at + 10, b))
-    return power - dot(add_scaled(get(rows, at + 13, b), x, moment), get3(rows, at + CHANGE, b))
+    return power - dot(add_scaled(get(rows, at + 13, b), x, moment), get3(rows, at + _CHANGE, b))
 
 
 KICK: Final = Kick(
-    "rotating_field", 20, kick_field, has_potential=True, is_many=True, at_time=turn_field,
-    power=field_power,
+    "rotating_field", 20, _kick_field, has_potential=True, is_many=True, at_time=_turn_field,
+    power=_field_power,
 )  # fmt: skip
 
 
-def field_work(field: RotatingField, com: Floats, q: Floats, t: float) -> Floats:
+def _field_work(field: _RotatingField, com: Floats, q: Floats, t: float) -> Floats:
     """-U, (n,) [J], at t [s]."""
     angle = field.rate * t
     E = field.along + np.cos(angle) * field.across + np.sin(angle) * field.ahead
     return np.asarray(((field.charge * com + rotate(q, field.moment)) * E).sum(axis=0))
 
 
-def field_rates(field: RotatingField, bodies: Bodies, state: State) -> Rates:
+def _field_rates(field: _RotatingField, bodies: Bodies, state: State) -> Rates:
     """The torque about which a body swings, and the turn of the field."""
     del bodies, state
     strength = np.hypot(lengths(field.along), lengths(field.across))
     return Rates(turning=lengths(field.moment) * strength, rate=field.rate)
 
 
-@np.errstate(over="ignore")  # `refuse_large` finds what is
+@np.errstate(over="ignore")  # `_refuse_large` finds what is
 def resolve(
     table: "UniformField", members: Ints, system: "System"
 ) -> list[tuple[Ints, tuple[float, ...]]]:
@@ -109,7 +109,7 @@ def resolve(
     if not isinstance(table.charge, tuple):
         moment = table.charge * np.array(table.at) + table.dipole
         return [(members, (*moment.tolist(), *table.field, table.charge, *table.angular_velocity))]
-    refuse_count(table.charge, members, system)
+    _refuse_count(table.charge, members, system)
     resolved: list[tuple[Ints, tuple[float, ...]]] = []
     kinds = system.kind[members]
     q = np.array(table.charge)
@@ -118,7 +118,7 @@ def resolve(
         r = system.particles.position[own]  # with the rounding of places in the axes of the shape
         size = np.abs(q) @ (lengths(r.T) + lengths(system.properties.com[kind]))
         moment = q @ r
-        if lengths(moment) <= MOMENT_ROUNDING * size:
+        if lengths(moment) <= _MOMENT_ROUNDING * size:
             moment = np.zeros(3)
         moment = moment + table.dipole
         numbers = (*moment.tolist(), *table.field, float(q.sum()), *table.angular_velocity)
@@ -126,7 +126,7 @@ def resolve(
     return resolved
 
 
-def refuse_count(charges: tuple[float, ...], members: Ints, system: "System") -> None:
+def _refuse_count(charges: tuple[float, ...], members: Ints, system: "System") -> None:
     """Raise ForceError where a list of charges does not have one for each particle."""
     count = np.diff(system.particles.offset)[system.kind[members]]
     if (count == len(charges)).all():
@@ -137,9 +137,9 @@ def refuse_count(charges: tuple[float, ...], members: Ints, system: "System") ->
     raise ForceError("charge", reason, hint, b)
 
 
-def term_of(
+def _term_of(
     table: "UniformField", numbers: Floats, bodies: Bodies, start: float
-) -> Push | RotatingField:
+) -> Push | _RotatingField:
     """The force on the charge, and the moment as the lever of the field; or a field that turns."""
     del table
     moment, E, charge = rotate_back(bodies.rotor_frame, numbers[:3]), numbers[3:6], numbers[6]
@@ -150,12 +150,12 @@ def term_of(
     along = axis * (axis * E).sum(axis=0)
     across, ahead = E - along, np.cross(axis, E, axis=0)
     cos, sin = np.cos(rate * start), np.sin(rate * start)
-    return RotatingField(
+    return _RotatingField(
         along, cos * across + sin * ahead, cos * ahead - sin * across, rate, moment, charge
     )
 
 
-def refuse_large(table: "UniformField", numbers: Floats, com: Floats) -> None:
+def _refuse_large(table: "UniformField", numbers: Floats, com: Floats) -> None:
     """Raise ForceError where the force or the torque is beyond float64."""
     del com
     moment, size = float(np.abs(numbers[:3]).max()), float(np.abs(numbers[3:6]).max())
@@ -173,6 +173,6 @@ def turning(table: "UniformField", is_point: bool) -> tuple[str, str]:
     return by_its_arm(table, is_point)
 
 
-FORCE: Final = Force(resolve, term_of, has_arm=True, check=refuse_large, turning=turning)
+FORCE: Final = Force(resolve, _term_of, has_arm=True, check=_refuse_large, turning=turning)
 KICKS: Final = (KICK,)
-TERMS: Final = (Term(RotatingField, "rotating field", KICK, field_rates, field_work),)
+TERMS: Final = (Term(_RotatingField, "rotating field", KICK, _field_rates, _field_work),)

@@ -39,7 +39,7 @@ def apply_impulse(impulse: Impulse, bodies: Bodies, state: State) -> tuple[State
     return after, np.array([work, *J.sum(axis=1), *about_origin.sum(axis=1)])
 
 
-def impulse_of(table: "ImpulseTable", numbers: Floats, bodies: Bodies) -> Impulse:
+def _impulse_of(table: "ImpulseTable", numbers: Floats, bodies: Bodies) -> Impulse:
     """The impulse of a [[force]] on n bodies."""
     arm, J = rotate_back(bodies.rotor_frame, numbers[:3]), numbers[3:6]
     follows = table.frame == "body"
@@ -48,6 +48,6 @@ def impulse_of(table: "ImpulseTable", numbers: Floats, bodies: Bodies) -> Impuls
 
 
 FORCE: Final = Force(
-    same_for_all(lambda table: (*table.at, *table.impulse)), jump=impulse_of, has_arm=True,
+    same_for_all(lambda table: (*table.at, *table.impulse)), jump=_impulse_of, has_arm=True,
     check=refuse_large,
 )  # fmt: skip

@@ -19,8 +19,8 @@ from particlerb.model.block import get, get3, put
 from particlerb.model.load import OTHER, OUTSIDE, POWER
 from particlerb.model.load import TORQUE as PAIR_TORQUE
 
-ZERO: Final = (0.0, 0.0, 0.0)
-POSE: Final = "b, x, R, dt, p, L"  # arguments of a kick
+_ZERO: Final = (0.0, 0.0, 0.0)
+_POSE: Final = "b, x, R, dt, p, L"  # arguments of a kick
 Entry: TypeAlias = tuple[
     float, Vec3, Vec3
 ]  # work, impulse, angular impulse: stepping/external_work.py
@@ -72,7 +72,7 @@ def count(tags: tuple[int, ...] | None) -> int:
     return len(tags)
 
 
-class Family(NamedTuple):
+class _Family(NamedTuple):
     """A function that calls those of some kicks, one after the other."""
 
     name: str
@@ -82,7 +82,7 @@ class Family(NamedTuple):
     last: str = ""  # lines at the end
 
 
-def source_of(family: Family, kicks: Iterable[Kick]) -> str:
+def _source_of(family: _Family, kicks: Iterable[Kick]) -> str:
     """Source of a family: a function for each kick, left out if None, and one that calls all."""
     parts, calls = [], []
     result = f"return {family.changed}" if family.changed else "return"
@@ -96,13 +96,13 @@ def source_of(family: Family, kicks: Iterable[Kick]) -> str:
             step = f"for k in range(len(tag)):\n        {step}"
         parts.append(f"@inline\n{head}    {step}\n    {result}\n")
         tag = f"acting.loads[{KICKS.index(kick)}]"
-        step = f"{own}({tag}, rows, {first_row(kick)}, {family.given})"
+        step = f"{own}({tag}, rows, {_first_row(kick)}, {family.given})"
         calls.append(f"{family.changed} = {step}" if family.changed else step)
     body = "\n    ".join([*calls, *([family.last] if family.last else []), result])
     return "\n\n".join([*parts, f"def {family.name}(acting, rows, {family.given}):\n    {body}\n"])
 
 
-def first_row(kick: Kick) -> str:
+def _first_row(kick: Kick) -> str:
     """First row of a kick, as source: constant for a kernel."""
     if not kick.is_many:
         return str(FIRST[kick.name])
@@ -112,61 +112,61 @@ def first_row(kick: Kick) -> str:
     )
 
 
-def made(family: Family, kicks: Iterable[Kick]) -> Callable[..., Any]:
+def made(family: _Family, kicks: Iterable[Kick]) -> Callable[..., Any]:
     """Compile a family of those kicks that have its hook."""
     able = [kick for kick in kicks if getattr(kick, family.hook) is not None]
     names: dict[str, Any] = {
         "inline": inline, "kick_pair": kick_pair, "count": count, "PAIR": PAIR, "OTHER": OTHER,
         **{f"{kick.name}_{family.hook}": getattr(kick, family.hook) for kick in able},
     }  # fmt: skip
-    source, file = source_of(family, able), f"<{family.name} of {len(able)} forces>"
+    source, file = _source_of(family, able), f"<{family.name} of {len(able)} forces>"
     linecache.cache[file] = len(source), None, source.splitlines(True), file  # for tracebacks
     exec(compile(source, file, "exec"), names)
     function: Callable[..., Any] = inline(names[family.name])
     return function
 
 
-PAIR_KICK: Final = "p, L = kick_pair(acting.{}, rows, {}, b, dt, p, L)"
+_PAIR_KICK: Final = "p, L = kick_pair(acting.{}, rows, {}, b, dt, p, L)"
 kick_potential: Callable[..., Momenta] = made(
-    Family("kick_potential", "push", POSE, "p, L", PAIR_KICK.format("pair", "PAIR")),
+    _Family("kick_potential", "push", _POSE, "p, L", _PAIR_KICK.format("pair", "PAIR")),
     [kick for kick in KICKS if kick.has_potential],
 )
 """(acting, rows, b, x, R, dt, p, L): momenta after dt of the forces that have a potential."""
 kick_others: Callable[..., Momenta] = made(
-    Family("kick_others", "push", POSE, "p, L", PAIR_KICK.format("contact", "PAIR + OTHER")),
+    _Family("kick_others", "push", _POSE, "p, L", _PAIR_KICK.format("contact", "PAIR + OTHER")),
     [kick for kick in KICKS if not kick.has_potential],
 )
 """(acting, rows, b, x, R, dt, p, L): momenta after dt of those without, that know no velocities."""
 load_of_velocity: Callable[..., Momenta] = made(
-    Family("load_of_velocity", "load", "b, x, R, p, L, F, tau", "F, tau"), KICKS
+    _Family("load_of_velocity", "load", "b, x, R, p, L, F, tau", "F, tau"), KICKS
 )
 """(acting, rows, b, x, R, p, L, F, tau): F and τ with what depends on velocities added."""
-flow_in: Callable[..., Momenta] = made(Family("flow_in", "flow", "b, R, dt, p, L", "p, L"), KICKS)
+flow_in: Callable[..., Momenta] = made(_Family("flow_in", "flow", "b, R, dt, p, L", "p, L"), KICKS)
 """(acting, rows, b, R, dt, p, L): momenta after the flows of such forces, one after the other."""
 flow_out: Callable[..., Momenta] = made(
-    Family("flow_out", "flow", "b, R, dt, p, L", "p, L"), KICKS[::-1]
+    _Family("flow_out", "flow", "b, R, dt, p, L", "p, L"), KICKS[::-1]
 )
 """The same in the other order: both in turn, about a kick, are symmetric."""
 damp: Callable[..., Momenta] = made(
-    Family("damp", "damp", "b, R, p_old, L_old, p, L", "p, L"), KICKS
+    _Family("damp", "damp", "b, R, p_old, L_old, p, L", "p, L"), KICKS
 )
 """(acting, rows, b, R, p_old, L_old, p, L): momenta after a kick with drag in it."""
-prepare_kick: Callable[..., None] = made(Family("prepare_kick", "prepare", "n, dt"), KICKS)
+prepare_kick: Callable[..., None] = made(_Family("prepare_kick", "prepare", "n, dt"), KICKS)
 """(acting, rows, n, dt): before a block is kicked over dt."""
-at_time: Callable[..., None] = made(Family("at_time", "at_time", "b, t"), KICKS)
+at_time: Callable[..., None] = made(_Family("at_time", "at_time", "b, t"), KICKS)
 add_power: Callable[..., float] = made(
-    Family("add_power", "power", "b, x, R, power", "power"), KICKS
+    _Family("add_power", "power", "b, x, R, power", "power"), KICKS
 )
 
 
 @inline
 def set_time(acting: Acting, rows: Floats, n: int, t: float) -> None:
     """Begin a step of a block at a time [s] since the segment began."""
-    start_clock(acting.clock, acting, rows, n, t)
+    _start_clock(acting.clock, acting, rows, n, t)
 
 
 @inline
-def start_clock(clock: int | None, acting: Acting, rows: Floats, n: int, t: float) -> None:
+def _start_clock(clock: int | None, acting: Acting, rows: Floats, n: int, t: float) -> None:
     """The same, where something depends on time."""
     if clock is None:
         return
@@ -198,7 +198,7 @@ def load_at(
     acting: Acting, rows: Floats, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """Force and torque of all terms, and the part of both that has a potential."""
-    own_force, own_torque = kick_potential(acting, rows, b, x, R, 1.0, ZERO, ZERO)
+    own_force, own_torque = kick_potential(acting, rows, b, x, R, 1.0, _ZERO, _ZERO)
     F, tau = kick_others(acting, rows, b, x, R, 1.0, own_force, own_torque)
     F, tau = load_of_velocity(acting, rows, b, x, R, p, L, F, tau)
     return F, tau, own_force, own_torque

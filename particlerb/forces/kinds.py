@@ -23,8 +23,8 @@ VELOCITY: Final = "velocity"  # with the velocities,
 TIME: Final = "time"  # or with the time; and
 BODIES: Final = "bodies"  # what bodies do to each other from afar,
 CONTACT: Final = "contact"  # or where they touch
-LARGEST: Final = float(np.finfo(np.float64).max)
-NOTHING: Final = np.zeros(())
+_LARGEST: Final = float(np.finfo(np.float64).max)
+_NOTHING: Final = np.zeros(())
 Momenta: TypeAlias = tuple[Vec3, Vec3]
 
 
@@ -81,10 +81,10 @@ class Kick(NamedTuple):
 class Rates(NamedTuple):
     """What a term does to the default step; arrays (n,)."""
 
-    spinning: Floats = NOTHING  # [N m] torque without a potential: it spins a body up
-    turning: Floats = NOTHING  # [N m] torque of another kind, about which a body swings
-    squared: Floats = NOTHING  # [1/s²] ω² of an oscillation; those of all terms add up
-    rate: Floats = NOTHING  # [rad/s] of anything else
+    spinning: Floats = _NOTHING  # [N m] torque without a potential: it spins a body up
+    turning: Floats = _NOTHING  # [N m] torque of another kind, about which a body swings
+    squared: Floats = _NOTHING  # [1/s²] ω² of an oscillation; those of all terms add up
+    rate: Floats = _NOTHING  # [rad/s] of anything else
 
 
 class Term(NamedTuple):
@@ -154,5 +154,5 @@ def same_for_all(numbers: Callable[[Any], tuple[float, ...]]) -> Callable[..., A
 
 def refuse_overflow(what: str, key: str, arm: float, size: float, load: str = "torque") -> None:
     """Raise ForceError where the product of an arm and a size is beyond float64."""
-    if not 2.0 * arm * size < LARGEST:
+    if not 2.0 * arm * size < _LARGEST:
         raise ForceError(key, f"{what} {size!r} give a {load} beyond the range of float64")

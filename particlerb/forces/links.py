@@ -30,8 +30,8 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.load import FORCE, OUTSIDE, POWER, TORQUE
 from particlerb.model.state import rotate, rotate_back
 
-ITERATIONS: Final = 60  # of the power method
-TINY: Final = 1e-300  # keeps 1/l finite where a link has no length
+_ITERATIONS: Final = 60  # of the power method
+_TINY: Final = 1e-300  # keeps 1/l finite where a link has no length
 WORLD: Final = -1  # stands for the second body of a link to a point of the world
 
 
@@ -50,13 +50,13 @@ class Links(NamedTuple):
 
 
 @inline
-def column3(rows: Floats, at: int, b: int) -> Vec3:
+def _column3(rows: Floats, at: int, b: int) -> Vec3:
     """Vector of body b from row `at` on."""
     return rows[at, b], rows[at + 1, b], rows[at + 2, b]
 
 
 @inline
-def add_column3(rows: Floats, at: int, b: int, a: float, v: Vec3) -> None:
+def _add_column3(rows: Floats, at: int, b: int, a: float, v: Vec3) -> None:
     """Add a v to the vector of body b."""
     rows[at, b] += a * v[0]
     rows[at + 1, b] += a * v[1]
@@ -70,7 +70,7 @@ def attitude(y: Floats, b: int) -> Rows:
     return matrix(q)
 
 
-class End(NamedTuple):
+class _End(NamedTuple):
     """One end of a link."""
 
     arm: Vec3  # [m] from the centre of mass, world axes
@@ -79,34 +79,34 @@ class End(NamedTuple):
 
 
 @inline
-def first_end(links: Links, y: Floats, s: int) -> End:
+def _first_end(links: Links, y: Floats, s: int) -> _End:
     """End of link s on its first body."""
     a = links.first[s]
     R = attitude(y, a)
-    arm = turn(R, column3(links.first_at, 0, s))
-    return End(arm, add_scaled(1.0, column3(y, 0, a), arm), R)
+    arm = turn(R, _column3(links.first_at, 0, s))
+    return _End(arm, add_scaled(1.0, _column3(y, 0, a), arm), R)
 
 
 @inline
-def second_end(links: Links, y: Floats, s: int) -> End:
+def _second_end(links: Links, y: Floats, s: int) -> _End:
     """End of link s on its second body, or in the world."""
-    b, at = links.second[s], column3(links.second_at, 0, s)
+    b, at = links.second[s], _column3(links.second_at, 0, s)
     if b == WORLD:
-        return End((0.0, 0.0, 0.0), at, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+        return _End((0.0, 0.0, 0.0), at, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
     R = attitude(y, b)
     arm = turn(R, at)
-    return End(arm, add_scaled(1.0, column3(y, 0, b), arm), R)
+    return _End(arm, add_scaled(1.0, _column3(y, 0, b), arm), R)
 
 
 @inline
-def velocity(links: Links, y: Floats, b: int, end: End) -> Vec3:
+def velocity(links: Links, y: Floats, b: int, end: _End) -> Vec3:
     """Velocity of the end on body b [m/s]."""
-    w = component_product(column3(links.inv_inertia, 0, b), turn_back(end.R, column3(y, 10, b)))
-    return add_scaled(links.inv_mass[b], column3(y, 7, b), cross(turn(end.R, w), end.arm))
+    w = component_product(_column3(links.inv_inertia, 0, b), turn_back(end.R, _column3(y, 10, b)))
+    return add_scaled(links.inv_mass[b], _column3(y, 7, b), cross(turn(end.R, w), end.arm))
 
 
 @inline
-def rate(links: Links, y: Floats, s: int, ends: tuple[End, End], n: Vec3) -> float:
+def rate(links: Links, y: Floats, s: int, ends: tuple[_End, _End], n: Vec3) -> float:
     """How fast link s grows [m/s]."""
     a, b = links.first[s], links.second[s]
     v: float = -dot(n, velocity(links, y, a, ends[0]))
@@ -116,16 +116,16 @@ def rate(links: Links, y: Floats, s: int, ends: tuple[End, End], n: Vec3) -> flo
 
 
 @inline
-def share(links: Links, b: int, end: End, n: Vec3) -> float:
+def share(links: Links, b: int, end: _End, n: Vec3) -> float:
     """1/M + (r × n)·I⁻¹(r × n) of one body [1/kg]."""
     m = turn_back(end.R, cross(end.arm, n))
-    turning = dot(m, component_product(column3(links.inv_inertia, 0, b), m))
+    turning = dot(m, component_product(_column3(links.inv_inertia, 0, b), m))
     total: float = links.inv_mass[b] + turning
     return total
 
 
 @inline
-def inverse_mass(links: Links, s: int, ends: tuple[End, End], n: Vec3) -> float:
+def _inverse_mass(links: Links, s: int, ends: tuple[_End, _End], n: Vec3) -> float:
     """1/m_eff of link s along n [1/kg]."""
     w = share(links, links.first[s], ends[0], n)
     if links.second[s] != WORLD:
@@ -149,9 +149,9 @@ def link_loads(links: Links | None, y: Floats, load: Floats, with_dashpots: bool
         return
     for s in range(links.first.size):
         a, b = links.first[s], links.second[s]
-        ends = first_end(links, y, s), second_end(links, y, s)
+        ends = _first_end(links, y, s), _second_end(links, y, s)
         d = subtract(ends[1].point, ends[0].point)
-        inverse = 1.0 / math.sqrt(dot(d, d) + TINY)
+        inverse = 1.0 / math.sqrt(dot(d, d) + _TINY)
         size = links.stiffness[s] * (1.0 - links.rest_length[s] * inverse)
         c = coefficient(links.damping, s)
         if with_dashpots and c > 0.0:
@@ -159,14 +159,14 @@ def link_loads(links: Links | None, y: Floats, load: Floats, with_dashpots: bool
             size += c * v * inverse
             load[POWER, a] -= c * v * v
         force = scale(size, d)
-        add_column3(load, FORCE, a, 1.0, force)
-        add_column3(load, TORQUE, a, 1.0, cross(ends[0].arm, force))
+        _add_column3(load, FORCE, a, 1.0, force)
+        _add_column3(load, TORQUE, a, 1.0, cross(ends[0].arm, force))
         if b == WORLD:
-            add_column3(load, OUTSIDE, a, 1.0, force)
-            add_column3(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, force))
+            _add_column3(load, OUTSIDE, a, 1.0, force)
+            _add_column3(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, force))
         else:
-            add_column3(load, FORCE, b, -1.0, force)
-            add_column3(load, TORQUE, b, -1.0, cross(ends[1].arm, force))
+            _add_column3(load, FORCE, b, -1.0, force)
+            _add_column3(load, TORQUE, b, -1.0, cross(ends[1].arm, force))
 
 
 @kernel
@@ -184,26 +184,26 @@ def damp_links(links: Links | None, y: Floats, load: Floats, dt: float, backward
         if c == 0.0:
             continue
         a, b = links.first[s], links.second[s]
-        ends = first_end(links, y, s), second_end(links, y, s)
+        ends = _first_end(links, y, s), _second_end(links, y, s)
         d = subtract(ends[1].point, ends[0].point)
-        n = scale(1.0 / math.sqrt(dot(d, d) + TINY), d)
-        v, w = rate(links, y, s, ends, n), inverse_mass(links, s, ends, n)
+        n = scale(1.0 / math.sqrt(dot(d, d) + _TINY), d)
+        v, w = rate(links, y, s, ends, n), _inverse_mass(links, s, ends, n)
         if not w > 0.0:
             continue
         given = -math.expm1(-c * w * dt) * v / w
         impulse = scale(given, n)
         load[POWER, a] += given * (0.5 * given * w - v)
-        add_column3(y, 7, a, 1.0, impulse)
-        add_column3(y, 10, a, 1.0, cross(ends[0].arm, impulse))
+        _add_column3(y, 7, a, 1.0, impulse)
+        _add_column3(y, 10, a, 1.0, cross(ends[0].arm, impulse))
         if b == WORLD:
-            add_column3(load, OUTSIDE, a, 1.0, impulse)
-            add_column3(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, impulse))
+            _add_column3(load, OUTSIDE, a, 1.0, impulse)
+            _add_column3(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, impulse))
         else:
-            add_column3(y, 7, b, -1.0, impulse)
-            add_column3(y, 10, b, -1.0, cross(ends[1].arm, impulse))
+            _add_column3(y, 7, b, -1.0, impulse)
+            _add_column3(y, 10, b, -1.0, cross(ends[1].arm, impulse))
 
 
-def spans(links: Links, com: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
+def _spans(links: Links, com: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
     """From first to second point (3, s) [m], and both arms in world axes (3, s) [m]."""
     a, b = links.first, links.second
     first = rotate(q[:, a], links.first_at)
@@ -215,7 +215,7 @@ def spans(links: Links, com: Floats, q: Floats) -> tuple[Floats, Floats, Floats]
 
 def link_energy(links: Links, com: Floats, q: Floats) -> float:
     """Σ k (l - l₀)²/2 [J]."""
-    stretch = np.linalg.norm(spans(links, com, q)[0], axis=0) - links.rest_length
+    stretch = np.linalg.norm(_spans(links, com, q)[0], axis=0) - links.rest_length
     return float((0.5 * links.stiffness * stretch * stretch).sum())
 
 
@@ -247,7 +247,7 @@ def fastest_oscillation(links: Links, bodies: Bodies, com: Floats, q: Floats) ->
     Along a link the stiffness is k, across it k (1 - l₀/l) where that is positive. Rayleigh's
     quotient never exceeds the true ω², and is within a per cent of it.
     """
-    d, first, second = spans(links, com, q)
+    d, first, second = _spans(links, com, q)
     length = np.linalg.norm(d, axis=0)
     n = np.divide(d, length, out=np.zeros_like(d), where=length > 0.0)
     across = 1.0 - np.divide(
@@ -257,7 +257,7 @@ def fastest_oscillation(links: Links, bodies: Bodies, com: Floats, q: Floats) ->
     ends = links.first, np.where(links.second == WORLD, com.shape[1], links.second)
     v, w = np.random.default_rng(0).standard_normal((2, 3, com.shape[1] + 1))
     squared = 0.0
-    for _ in range(ITERATIONS):
+    for _ in range(_ITERATIONS):
         v[:, -1], w[:, -1] = 0.0, 0.0  # the world
         u = v[:, ends[1]] + np.cross(w[:, ends[1]], second, axis=0)
         u -= v[:, ends[0]] + np.cross(w[:, ends[0]], first, axis=0)

@@ -28,14 +28,14 @@ from particlerb.model.state import State, lengths, omega_world
 from particlerb.rotors.symmetric_split import turn_by
 
 
-class Magnus(NamedTuple):
+class _Magnus(NamedTuple):
     """Parameters of the term for n bodies."""
 
     share: Floats  # (n,), c/M
 
 
 @inline
-def magnus_load(
+def _magnus_load(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3, F: Vec3, tau: Vec3
 ) -> Momenta:
     """F + c ω × v."""
@@ -43,23 +43,23 @@ def magnus_load(
 
 
 @inline
-def magnus_flow(rows: Floats, at: int, b: int, R: Rows, dt: float, p: Vec3, L: Vec3) -> Momenta:
+def _magnus_flow(rows: Floats, at: int, b: int, R: Rows, dt: float, p: Vec3, L: Vec3) -> Momenta:
     """p turned about ω by c |ω| dt/M; up to a whole turn."""
     half = scale(0.5 * dt * get(rows, at, b), angular_velocity(rows, b, R, L))
     return to_world(turn_by(half, (1.0, 0.0, 0.0, 0.0)), p), L
 
 
-KICK: Final = Kick("magnus", 1, load=magnus_load, flow=magnus_flow)
+KICK: Final = Kick("magnus", 1, load=_magnus_load, flow=_magnus_flow)
 
 
-def magnus_rates(magnus: Magnus, bodies: Bodies, state: State) -> Rates:
+def _magnus_rates(magnus: _Magnus, bodies: Bodies, state: State) -> Rates:
     """The rate at which the way turns."""
     return Rates(rate=np.abs(magnus.share) * lengths(omega_world(bodies, state)))
 
 
 FORCE: Final = Force(
     same_for_all(lambda table: (table.coefficient,)),
-    lambda _, numbers, bodies, start: Magnus(numbers[0] * bodies.inv_mass),
+    lambda _, numbers, bodies, start: _Magnus(numbers[0] * bodies.inv_mass),
 )
 KICKS: Final = (KICK,)
-TERMS: Final = (Term(Magnus, "Magnus lift", KICK, magnus_rates),)
+TERMS: Final = (Term(_Magnus, "Magnus lift", KICK, _magnus_rates),)

@@ -47,7 +47,7 @@ class Follower(NamedTuple):
 
 
 @inline
-def kick_force(
+def _kick_force(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + F dt, with F constant in the world: pushes and gravity."""
@@ -55,7 +55,7 @@ def kick_force(
 
 
 @inline
-def kick_lever(
+def _kick_lever(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """L + axial(R T) dt."""
@@ -70,7 +70,7 @@ def kick_lever(
 
 
 @inline
-def kick_follower(
+def _kick_follower(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + R F dt,  L + R τ dt."""
@@ -79,15 +79,15 @@ def kick_follower(
 
 
 FORCE_KICK: Final = Kick(
-    "force", 3, kick_force, has_potential=True, is_steady=True, is_uniform=True
+    "force", 3, _kick_force, has_potential=True, is_steady=True, is_uniform=True
 )
-LEVER_KICK: Final = Kick("lever", 9, kick_lever, has_potential=True, is_steady=True)
-FOLLOWER_KICK: Final = Kick("follower", 6, kick_follower)
+_LEVER_KICK: Final = Kick("lever", 9, _kick_lever, has_potential=True, is_steady=True)
+_FOLLOWER_KICK: Final = Kick("follower", 6, _kick_follower)
 
 
-def parts_of_push(push: Push) -> list[tuple[Kick, Floats]]:
+def _parts_of_push(push: Push) -> list[tuple[Kick, Floats]]:
     """Rows of the force and of the lever, as far as they are there."""
-    parts = (FORCE_KICK, push.force), (LEVER_KICK, push.lever)
+    parts = (FORCE_KICK, push.force), (_LEVER_KICK, push.lever)
     return [(kick, values) for kick, values in parts if values.any()]
 
 
@@ -109,40 +109,40 @@ def lever_work(lever: Floats, q: Floats) -> Floats:
     return np.asarray(trace)
 
 
-def push_work(push: Push, com: Floats, q: Floats, t: float) -> Floats:
+def _push_work(push: Push, com: Floats, q: Floats, t: float) -> Floats:
     """F·x + tr(R T), (n,) [J]: what the forces have done, up to a constant."""
     del t
     return np.asarray(lever_work(push.lever, q) + (push.force * com).sum(axis=0))
 
 
-def push_rates(push: Push, bodies: Bodies, state: State) -> Rates:
+def _push_rates(push: Push, bodies: Bodies, state: State) -> Rates:
     """The torque about which a body swings."""
     del bodies, state
     return Rates(turning=lengths(push.lever))
 
 
-def follower_rates(follower: Follower, bodies: Bodies, state: State) -> Rates:
+def _follower_rates(follower: Follower, bodies: Bodies, state: State) -> Rates:
     """The torque that spins a body up."""
     del bodies, state
     return Rates(spinning=lengths(follower.torque))
 
 
-def push_at(vector: Floats, arm: Floats) -> Push:
+def _push_at(vector: Floats, arm: Floats) -> Push:
     """A force (3, n) [N], world frame, at points (3, n) [m], rotor frame."""
     return Push(vector, (vector[:, None] * arm).reshape(9, -1))  # [j, l] = F_j r_l
 
 
-def term_of(table: "PushTable", numbers: Floats, bodies: Bodies, start: float) -> Push | Follower:
+def _term_of(table: "PushTable", numbers: Floats, bodies: Bodies, start: float) -> Push | Follower:
     """A push in the world, or a load that follows the body."""
     del start
     arm, vector = rotate_back(bodies.rotor_frame, numbers[:3]), numbers[3:6]
     if table.frame == "world":
-        return push_at(vector, arm)
+        return _push_at(vector, arm)
     own = rotate_back(bodies.rotor_frame, vector)
     return Follower(own, np.cross(arm, own, axis=0))
 
 
-def arm_and_force(table: "PushTable") -> tuple[float, ...]:
+def _arm_and_force(table: "PushTable") -> tuple[float, ...]:
     """The point and the force."""
     return (*table.at, *table.force)
 
@@ -154,9 +154,9 @@ def refuse_large(table: "PushTable | ImpulseTable", numbers: Floats, com: Floats
     refuse_overflow(f"arm {arm!r} m and {table.type}", "at", arm, size)
 
 
-FORCE: Final = Force(same_for_all(arm_and_force), term_of, has_arm=True, check=refuse_large)
-KICKS: Final = (FORCE_KICK, LEVER_KICK, FOLLOWER_KICK)
+FORCE: Final = Force(same_for_all(_arm_and_force), _term_of, has_arm=True, check=refuse_large)
+KICKS: Final = (FORCE_KICK, _LEVER_KICK, _FOLLOWER_KICK)
 TERMS: Final = (
-    Term(Push, "push", FORCE_KICK, push_rates, push_work, split=parts_of_push),
-    Term(Follower, "load fixed in the body", FOLLOWER_KICK, follower_rates),
+    Term(Push, "push", FORCE_KICK, _push_rates, _push_work, split=_parts_of_push),
+    Term(Follower, "load fixed in the body", _FOLLOWER_KICK, _follower_rates),
 )

@@ -30,26 +30,26 @@ def complete(kick: Kick) -> Kick:
     return kick
 
 
-MODULES: Final[dict[str, ModuleType]] = {
+_MODULES: Final[dict[str, ModuleType]] = {
     name: import_module(f"particlerb.forces.{name}") for name in TABLES
 }
-FORCES: Final[dict[str, Force]] = {name: module.FORCE for name, module in MODULES.items()}
+FORCES: Final[dict[str, Force]] = {name: module.FORCE for name, module in _MODULES.items()}
 KICKS: Final[tuple[Kick, ...]] = tuple(
-    complete(kick) for module in MODULES.values() for kick in getattr(module, "KICKS", ())
+    complete(kick) for module in _MODULES.values() for kick in getattr(module, "KICKS", ())
 )
 TERMS: Final[dict[type[Any], Term]] = {
-    term.parameters: term for module in MODULES.values() for term in getattr(module, "TERMS", ())
+    term.parameters: term for module in _MODULES.values() for term in getattr(module, "TERMS", ())
 }
-SINGLE: Final = tuple(kick for kick in KICKS if not kick.is_many)
+_SINGLE: Final = tuple(kick for kick in KICKS if not kick.is_many)
 MANY_KICKS: Final = tuple(kick for kick in KICKS if kick.is_many)
 
 # Rows of a block: those of the kicks that a body has once, its clock, the load of other bodies,
 # and then the others, as many times as they act.
 FIRST: Final[dict[str, int]] = {
-    kick.name: LOADS + sum(before.rows for before in SINGLE[:k]) for k, kick in enumerate(SINGLE)
+    kick.name: LOADS + sum(before.rows for before in _SINGLE[:k]) for k, kick in enumerate(_SINGLE)
 }
 STEADY: Final = FIRST[FORCE_KICK.name]  # force that is constant in the world, gravity's among it
-CLOCK: Final = LOADS + sum(kick.rows for kick in SINGLE)  # time since the segment began [s]
+CLOCK: Final = LOADS + sum(kick.rows for kick in _SINGLE)  # time since the segment began [s]
 PAIR: Final = CLOCK + 1  # rows of model/load.py
 MANY: Final = PAIR + CONTACT_ROWS
 STAGE: Final = 1024  # rows from here on, after all loads, are room for a method's stages

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from particlerb.case.forces import SpringTable
     from particlerb.model.system import System
 
-TINY: Final = 1e-300  # keeps 1/l finite where the spring has no length
+_TINY: Final = 1e-300  # keeps 1/l finite where the spring has no length
 
 
 class Spring(NamedTuple):
@@ -33,21 +33,21 @@ class Spring(NamedTuple):
 
 
 @inline
-def kick_spring(
+def _kick_spring(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + F dt,  L + (R r) × F dt."""
     arm = turn(R, get3(rows, at, b))
     d = subtract(subtract(get3(rows, at + 3, b), x), arm)
     stiffness, rest = get(rows, at + 6, b), get(rows, at + 7, b)
-    force = scale(stiffness * (1.0 - rest / np.sqrt(dot(d, d) + TINY)), d)
+    force = scale(stiffness * (1.0 - rest / np.sqrt(dot(d, d) + _TINY)), d)
     return add_scaled(dt, force, p), add_scaled(dt, cross(arm, force), L)
 
 
-KICK: Final = Kick("spring", 8, kick_spring, has_potential=True, is_many=True)
+KICK: Final = Kick("spring", 8, _kick_spring, has_potential=True, is_many=True)
 
 
-def spring_energy(spring: Spring, com: Floats, q: Floats) -> Floats:
+def _spring_energy(spring: Spring, com: Floats, q: Floats) -> Floats:
     """k (l - l₀)²/2, (n,) [J]."""
     d = spring.anchor - com - rotate(q, spring.at)
     stretch = np.linalg.norm(d, axis=0) - spring.rest_length
@@ -55,7 +55,7 @@ def spring_energy(spring: Spring, com: Floats, q: Floats) -> Floats:
     return energy
 
 
-def spring_rates(spring: Spring, bodies: Bodies, state: State) -> Rates:
+def _spring_rates(spring: Spring, bodies: Bodies, state: State) -> Rates:
     """k (1/M + r²/I) with the smallest moment."""
     del state
     softness = bodies.inv_mass + lengths(spring.at) ** 2 * bodies.inv_inertia.max(axis=0)
@@ -95,13 +95,13 @@ def places(system: "System", bodies: Ints, at: Floats | tuple[float, float, floa
     return place
 
 
-def term_of(table: "SpringTable", numbers: Floats, bodies: Bodies, start: float) -> Spring:
+def _term_of(table: "SpringTable", numbers: Floats, bodies: Bodies, start: float) -> Spring:
     """One spring on each body."""
     del table, start
     arm = rotate_back(bodies.rotor_frame, numbers[:3])
     return Spring(arm, numbers[3:6], numbers[6], numbers[7])
 
 
-FORCE: Final = Force(resolve, term_of, has_arm=True)
+FORCE: Final = Force(resolve, _term_of, has_arm=True)
 KICKS: Final = (KICK,)
-TERMS: Final = (Term(Spring, "spring", KICK, spring_rates, energy=spring_energy),)
+TERMS: Final = (Term(Spring, "spring", KICK, _spring_rates, energy=_spring_energy),)

@@ -27,23 +27,23 @@ class Torque(NamedTuple):
 
 
 @inline
-def kick_torque(
+def _kick_torque(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """L + τ dt."""
     return p, add_scaled(dt, get3(rows, at, b), L)
 
 
-KICK: Final = Kick("torque", 3, kick_torque)
+KICK: Final = Kick("torque", 3, _kick_torque)
 
 
-def torque_rates(term: Torque, bodies: Bodies, state: State) -> Rates:
+def _torque_rates(term: Torque, bodies: Bodies, state: State) -> Rates:
     """The torque that spins a body up."""
     del bodies, state
     return Rates(spinning=lengths(term.torque))
 
 
-def term_of(
+def _term_of(
     table: "TorqueTable", numbers: Floats, bodies: Bodies, start: float
 ) -> Torque | Follower:
     """A torque in the world, or one that follows the body."""
@@ -61,8 +61,8 @@ def turning(table: "TorqueTable", is_point: bool) -> tuple[str, str]:
 
 
 FORCE: Final = Force(
-    same_for_all(lambda table: (0.0, 0.0, 0.0, *table.torque)), term_of, is_torque=True,
+    same_for_all(lambda table: (0.0, 0.0, 0.0, *table.torque)), _term_of, is_torque=True,
     turning=turning,
 )  # fmt: skip
 KICKS: Final = (KICK,)
-TERMS: Final = (Term(Torque, "torque", KICK, torque_rates),)
+TERMS: Final = (Term(Torque, "torque", KICK, _torque_rates),)

@@ -28,9 +28,9 @@ from particlerb.maths.vec3 import (
 )
 
 SAME: Final = 1e-14  # caps this close are one; circles that overlap by so little only touch
-TURN: Final = 2.0 * math.pi
+_TURN: Final = 2.0 * math.pi
 
-Circle: TypeAlias = tuple[Vec3, Vec3, Vec3, float, float, float]  # u, e1, e2, h, 1 − h, radius
+_Circle: TypeAlias = tuple[Vec3, Vec3, Vec3, float, float, float]  # u, e1, e2, h, 1 − h, radius
 
 
 class Caps(NamedTuple):
@@ -81,7 +81,7 @@ def caps_of(centre: Floats, radius: Floats, others: Ints, i: int, same: float) -
 
 
 @inline
-def meeting(caps: Caps, a: int, b: int, same: float) -> tuple[int, Vec3, Vec3]:
+def _meeting(caps: Caps, a: int, b: int, same: float) -> tuple[int, Vec3, Vec3]:
     """How the circles of two caps a < b lie: 0 they cross, in two points; else bits who is covered.
 
     1: circle a lies in cap b; 2: circle b lies in cap a; 4 neither; 3 both. With v the part of u_b
@@ -113,14 +113,14 @@ def meeting(caps: Caps, a: int, b: int, same: float) -> tuple[int, Vec3, Vec3]:
 
 
 @inline
-def azimuth(caps: Caps, k: int, p: Vec3) -> float:
+def _azimuth(caps: Caps, k: int, p: Vec3) -> float:
     """Angle of a point on circle k, from 0 to 2π."""
     t = math.atan2(dot(row3(caps.e2, k), p), dot(row3(caps.e1, k), p))
-    return t if t >= 0.0 else t + TURN
+    return t if t >= 0.0 else t + _TURN
 
 
 @kernel
-def covered(caps: Caps, k: int, begin: Floats, end: Floats, same: float) -> int:
+def _covered(caps: Caps, k: int, begin: Floats, end: Floats, same: float) -> int:
     """Write the angles of circle k that other caps cover; their number, −1 for all of the circle.
 
     Intervals do not go across the angle 0, and are in no order.
@@ -129,17 +129,17 @@ def covered(caps: Caps, k: int, begin: Floats, end: Floats, same: float) -> int:
     for j in range(len(caps.height)):
         if j == k:
             continue
-        code, p, q = meeting(caps, min(j, k), max(j, k), same)
+        code, p, q = _meeting(caps, min(j, k), max(j, k), same)
         if code & (1 if k < j else 2):
             return -1
         if code != 0:
             continue
         if k > j:
             p, q = q, p
-        t0, t1 = azimuth(caps, k, p), azimuth(caps, k, q)
+        t0, t1 = _azimuth(caps, k, p), _azimuth(caps, k, q)
         begin[count], end[count] = t0, t1
         if t0 > t1:
-            end[count] = TURN
+            end[count] = _TURN
             count += 1
             begin[count], end[count] = 0.0, t1
         count += 1
@@ -153,12 +153,12 @@ def exposed_arcs(caps: Caps, same: float) -> Floats:
     arcs, m = np.empty((8 * n + 8, 3)), 0
     begin, end = np.empty(2 * n + 2), np.empty(2 * n + 2)
     for k in range(n):
-        count = covered(caps, k, begin, end, same)
+        count = _covered(caps, k, begin, end, same)
         if count < 0:
             continue
         order, reached = np.argsort(begin[:count]), 0.0
         for at in range(count + 1):
-            stop = begin[order[at]] if at < count else TURN
+            stop = begin[order[at]] if at < count else _TURN
             if stop > reached:
                 if m == len(arcs):
                     arcs = np.concatenate((arcs, np.empty_like(arcs)))
@@ -170,14 +170,14 @@ def exposed_arcs(caps: Caps, same: float) -> Floats:
 
 
 @inline
-def circle(caps: Caps, k: int) -> Circle:
+def circle(caps: Caps, k: int) -> _Circle:
     """Circle k."""
     frame = row3(caps.axis, k), row3(caps.e1, k), row3(caps.e2, k)
     return (*frame, caps.height[k], caps.depth[k], caps.radius[k])
 
 
 @inline
-def point(c: Circle, t: float) -> Vec3:
+def point(c: _Circle, t: float) -> Vec3:
     """Point of a circle, h u + s (e1 cos t + e2 sin t)."""
     u, e1, e2, h, _, s = c
     return add_scaled(s * math.sin(t), e2, add_scaled(s * math.cos(t), e1, scale(h, u)))

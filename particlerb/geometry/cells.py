@@ -21,9 +21,11 @@ from particlerb.geometry.solid import symmetric
 from particlerb.maths.vec3 import Floats, Ints
 
 FULL: Final = np.array([1, 1 / 2, 1 / 2, 1 / 2, 1 / 3, 1 / 3, 1 / 3, 1 / 4, 1 / 4, 1 / 4])
-EMPTY: Final = 1e-10  # share of a cell below which it holds nothing but rounding
+_EMPTY: Final = 1e-10  # share of a cell below which it holds nothing but rounding
 CORNERS: Final = 12  # of a triangle cut by six planes: nine at most
-THIN: Final = 1e-9  # variance of particles over that of the matter, below which they lie in a plane
+_THIN: Final = (
+    1e-9  # variance of particles over that of the matter, below which they lie in a plane
+)
 
 Layer = tuple[int, Floats]
 
@@ -82,13 +84,13 @@ def cut_mesh(vertices: Floats, faces: Ints, grid: Lattice) -> Iterator[Layer]:
     work = np.empty((4, 3, CORNERS))
     for i in range(nx):
         sums, above = np.zeros((ny, nz, 10)), np.zeros((ny, nz, 6))
-        add_faces(corner, face[order[bounds[i] : bounds[i + 1]]], i, sums, above, work)
-        add_below(sums, above)
+        _add_faces(corner, face[order[bounds[i] : bounds[i + 1]]], i, sums, above, work)
+        _add_below(sums, above)
         yield i, sums
 
 
 @kernel
-def add_faces(
+def _add_faces(
     corner: Floats, chosen: Ints, i: int, sums: Floats, above: Floats, work: Floats
 ) -> None:
     """Cut faces, in units of cells, at the planes of layer i and add their pieces."""
@@ -115,7 +117,7 @@ def add_faces(
                 shift(piece, n_row, 2, k)
                 n_piece = cut(piece, cut(piece, n_row, 2, 0.0, 1.0, rest), 2, 1.0, -1.0, rest)
                 if n_piece >= 3:
-                    add_piece(piece, n_piece, sums[j, k], above[j, k])
+                    _add_piece(piece, n_piece, sums[j, k], above[j, k])
 
 
 @inline
@@ -173,7 +175,7 @@ def cut(polygon: Floats, n: int, axis: int, at: float, side: float, rest: Floats
 
 
 @inline
-def add_at(sums: Floats, above: Floats, weight: float, u: float, v: float, w: float) -> None:
+def _add_at(sums: Floats, above: Floats, weight: float, u: float, v: float, w: float) -> None:
     """Add one node of a piece: the column below it in its cell, and its area for those below."""
     wu, wv = weight * u, weight * v
     sums[0] += weight * w
@@ -195,7 +197,7 @@ def add_at(sums: Floats, above: Floats, weight: float, u: float, v: float, w: fl
 
 
 @inline
-def add_piece(polygon: Floats, n: int, sums: Floats, above: Floats) -> None:
+def _add_piece(polygon: Floats, n: int, sums: Floats, above: Floats) -> None:
     """Integrate the columns below a polygon; exact, as nothing is above the third degree.
 
     Rule of seven nodes in each triangle: corners 1/20, middles of sides 2/15, centroid 9/20.
@@ -208,18 +210,18 @@ def add_piece(polygon: Floats, n: int, sums: Floats, above: Floats) -> None:
         if area == 0.0:
             continue
         tip, side, middle = area * (1 / 20), area * (2 / 15), area * (9 / 20)
-        add_at(sums, above, tip, u0, v0, w0)
-        add_at(sums, above, tip, u1, v1, w1)
-        add_at(sums, above, tip, u2, v2, w2)
-        add_at(sums, above, side, 0.5 * (u0 + u1), 0.5 * (v0 + v1), 0.5 * (w0 + w1))
-        add_at(sums, above, side, 0.5 * (u1 + u2), 0.5 * (v1 + v2), 0.5 * (w1 + w2))
-        add_at(sums, above, side, 0.5 * (u2 + u0), 0.5 * (v2 + v0), 0.5 * (w2 + w0))
+        _add_at(sums, above, tip, u0, v0, w0)
+        _add_at(sums, above, tip, u1, v1, w1)
+        _add_at(sums, above, tip, u2, v2, w2)
+        _add_at(sums, above, side, 0.5 * (u0 + u1), 0.5 * (v0 + v1), 0.5 * (w0 + w1))
+        _add_at(sums, above, side, 0.5 * (u1 + u2), 0.5 * (v1 + v2), 0.5 * (w1 + w2))
+        _add_at(sums, above, side, 0.5 * (u2 + u0), 0.5 * (v2 + v0), 0.5 * (w2 + w0))
         u, v, w = (u0 + u1 + u2) * (1 / 3), (v0 + v1 + v2) * (1 / 3), (w0 + w1 + w2) * (1 / 3)
-        add_at(sums, above, middle, u, v, w)
+        _add_at(sums, above, middle, u, v, w)
 
 
 @kernel
-def add_below(sums: Floats, above: Floats) -> None:
+def _add_below(sums: Floats, above: Floats) -> None:
     """Add to every cell the columns of full height below pieces that lie above it."""
     for j in range(sums.shape[0]):
         s0 = s1 = s2 = s3 = s4 = s5 = 0.0
@@ -263,7 +265,7 @@ def pieces(layers: Iterable[Layer], grid: Lattice) -> Pieces:
     """Shares and centroids of the cells that are not empty."""
     cells, shares, centroids, spread = [], [], [], np.zeros(6)
     for i, sums in layers:
-        chosen = np.argwhere(sums[:, :, 0] > EMPTY)
+        chosen = np.argwhere(sums[:, :, 0] > _EMPTY)
         held = sums[chosen[:, 0], chosen[:, 1]]
         share = held[:, 0]
         mean = np.clip(held[:, 1:4] / share[:, None], 0.0, 1.0)
@@ -309,12 +311,12 @@ def cell_particles(layers: Iterable[Layer], grid: Lattice, mass: float) -> Parti
     com += weight @ r  # what rounding has left
     r -= weight @ r
     second = (weight[:, None] * r).T @ r
-    if np.linalg.eigvalsh(second)[0] <= THIN * np.trace(second + lacking):
+    if np.linalg.eigvalsh(second)[0] <= _THIN * np.trace(second + lacking):
         raise ValueError("the cells lie in a plane: raise n")
-    return one_kind(com + r @ least_move(second, second + lacking), weight * mass)
+    return one_kind(com + r @ _least_move(second, second + lacking), weight * mass)
 
 
-def least_move(second: Floats, wanted: Floats) -> Floats:
+def _least_move(second: Floats, wanted: Floats) -> Floats:
     """Symmetric A with A C A = W, of `second` C: C^(-1/2) (C^(1/2) W C^(1/2))^(1/2) C^(-1/2)."""
     values, vectors = np.linalg.eigh(second)
     root = (vectors * np.sqrt(values)) @ vectors.T

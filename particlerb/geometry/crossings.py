@@ -27,9 +27,9 @@ from particlerb.maths.vec3 import (
     subtract,
 )
 
-MOST = 1000  # pairs that are told
+_MOST = 1000  # pairs that are told
 
-Triangle = tuple[Vec3, Vec3, Vec3]
+_Triangle = tuple[Vec3, Vec3, Vec3]
 
 
 def crossings(vertices: Floats, faces: Ints, nearness: float) -> tuple[Ints, Floats]:
@@ -45,15 +45,15 @@ def crossings(vertices: Floats, faces: Ints, nearness: float) -> tuple[Ints, Flo
     axis = int(np.argmax(np.ptp(vertices, axis=0)))
     order = np.argsort(corner[:, :, axis].min(axis=1), kind="stable")
     low, high = corner.min(axis=1)[order], corner.max(axis=1)[order]
-    pairs, points = np.empty((MOST, 2), dtype=np.int64), np.empty((MOST, 3))
-    found = sweep(vertices, faces[order], low, high, axis, nearness, pairs, points)
+    pairs, points = np.empty((_MOST, 2), dtype=np.int64), np.empty((_MOST, 3))
+    found = _sweep(vertices, faces[order], low, high, axis, nearness, pairs, points)
     pairs = np.sort(order[pairs[:found]], axis=1)
     by_face = np.lexsort((pairs[:, 1], pairs[:, 0]))
     return pairs[by_face], points[:found][by_face]
 
 
 @kernel
-def sweep(
+def _sweep(
     vertices: Floats,
     faces: Ints,
     low: Floats,
@@ -75,7 +75,7 @@ def sweep(
                 apart |= low[j, k] > high[i, k] or low[i, k] > high[j, k]
             if apart:
                 continue
-            meets, x, y, z = cross_at(vertices, faces[i], faces[j], nearness, polygon, clipped)
+            meets, x, y, z = _cross_at(vertices, faces[i], faces[j], nearness, polygon, clipped)
             if meets:
                 pairs[found, 0], pairs[found, 1] = i, j
                 points[found, 0], points[found, 1], points[found, 2] = x, y, z
@@ -86,20 +86,20 @@ def sweep(
 
 
 @inline
-def normal(t: Triangle) -> Vec3:
+def normal(t: _Triangle) -> Vec3:
     """Unit normal."""
     n = cross(subtract(t[1], t[0]), subtract(t[2], t[0]))
     return divide(n, norm(n))
 
 
 @inline
-def corners(vertices: Floats, face: Ints) -> Triangle:
+def corners(vertices: Floats, face: Ints) -> _Triangle:
     """Corners of a face."""
     return row3(vertices, face[0]), row3(vertices, face[1]), row3(vertices, face[2])
 
 
 @inline
-def along_line(t: Triangle, line: Vec3, origin: Vec3) -> Vec3:
+def _along_line(t: _Triangle, line: Vec3, origin: Vec3) -> Vec3:
     """Coordinates of the corners of a triangle along a line."""
     a, b, c = subtract(t[0], origin), subtract(t[1], origin), subtract(t[2], origin)
     return dot(line, a), dot(line, b), dot(line, c)
@@ -115,7 +115,7 @@ def height(vertices: Floats, v: int, face: Ints, n: Vec3, foot: Vec3, nearness: 
 
 
 @inline
-def heights(
+def _heights(
     vertices: Floats, other: Ints, face: Ints, n: Vec3, foot: Vec3, nearness: float
 ) -> Vec3:
     """The same of the corners of another face."""
@@ -141,37 +141,37 @@ def interval(along: Vec3, above: Vec3) -> tuple[float, float]:
 
 
 @inline
-def straddles(above: Vec3) -> bool:
+def _straddles(above: Vec3) -> bool:
     """Whether corners lie on both sides."""
     return min(above[0], above[1], above[2]) < 0.0 < max(above[0], above[1], above[2])
 
 
 @kernel
-def cross_at(
+def _cross_at(
     vertices: Floats, f: Ints, g: Ints, nearness: float, polygon: Floats, clipped: Floats
 ) -> tuple[bool, float, float, float]:
     """Whether two faces cross, and a point where."""
     p, q = corners(vertices, f), corners(vertices, g)
     m, n = normal(p), normal(q)
-    over_p = heights(vertices, g, f, m, p[0], nearness)
+    over_p = _heights(vertices, g, f, m, p[0], nearness)
     if over_p == (0.0, 0.0, 0.0) and dot(m, n) > 0.0:
-        return covers(p, q, m, nearness, polygon, clipped)
-    over_q = heights(vertices, f, g, n, q[0], nearness)
+        return _covers(p, q, m, nearness, polygon, clipped)
+    over_q = _heights(vertices, f, g, n, q[0], nearness)
     line = cross(m, n)
     size = norm(line)
-    if not straddles(over_p) or not straddles(over_q) or size == 0.0:
+    if not _straddles(over_p) or not _straddles(over_q) or size == 0.0:
         return False, 0.0, 0.0, 0.0
     line = divide(line, size)
-    along_p, along_q = along_line(p, line, p[0]), along_line(q, line, p[0])
+    along_p, along_q = _along_line(p, line, p[0]), _along_line(q, line, p[0])
     low_p, high_p = interval(along_p, over_q)
     low_q, high_q = interval(along_q, over_p)
     low, high = max(low_p, low_q), min(high_p, high_q)
-    x, y, z = edge_point(p, along_p, over_q, 0.5 * (low + high), line)
+    x, y, z = _edge_point(p, along_p, over_q, 0.5 * (low + high), line)
     return high - low > nearness, x, y, z
 
 
 @inline
-def edge_point(p: Triangle, along: Vec3, above: Vec3, t: float, line: Vec3) -> Vec3:
+def _edge_point(p: _Triangle, along: Vec3, above: Vec3, t: float, line: Vec3) -> Vec3:
     """Point of the line at t: from where one edge of a triangle meets it, onwards."""
     for k in range(3):
         m = (k + 1) % 3
@@ -183,8 +183,8 @@ def edge_point(p: Triangle, along: Vec3, above: Vec3, t: float, line: Vec3) -> V
 
 
 @kernel
-def covers(
-    p: Triangle, q: Triangle, n: Vec3, nearness: float, polygon: Floats, clipped: Floats
+def _covers(
+    p: _Triangle, q: _Triangle, n: Vec3, nearness: float, polygon: Floats, clipped: Floats
 ) -> tuple[bool, float, float, float]:
     """Whether triangles of one plane with normal n have a common area, and its middle.
 

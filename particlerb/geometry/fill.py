@@ -26,12 +26,12 @@ from particlerb.geometry.solid import UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Floats
 
 MOST_PARTICLES: Final = 1_000_000
-MOST_SPHERES: Final = 1000
-FINER: Final = 1.2  # ratio of the numbers of cells that are tried one after the other
-MORE: Final = 1.5  # and of the numbers of spheres
+_MOST_SPHERES: Final = 1000
+_FINER: Final = 1.2  # ratio of the numbers of cells that are tried one after the other
+_MORE: Final = 1.5  # and of the numbers of spheres
 
 
-class Trial(NamedTuple):
+class _Trial(NamedTuple):
     """A set that was tried."""
 
     n: int
@@ -52,7 +52,7 @@ class FilledShape(NamedTuple):
     """Particles, and what was tried on the way to them."""
 
     particles: Particles
-    trials: tuple[Trial, ...] = ()
+    trials: tuple[_Trial, ...] = ()
     notes: tuple[str, ...] = ()
     """What was changed in a mesh, in words."""
 
@@ -66,7 +66,7 @@ class FilledShape(NamedTuple):
         return [*self.notes, head, *table(self.trials)]
 
 
-def table(trials: Sequence[Trial]) -> list[str]:
+def table(trials: Sequence[_Trial]) -> list[str]:
     """Lines of a table of trials, its head first."""
     has_volume = math.isfinite(trials[0].volume_error)
     volume = [f"{'volume':>10}"] if has_volume else []
@@ -121,33 +121,35 @@ def coarsest_within(
     ValueError
         If a million particles are too few; with the table of what was tried.
     """
-    return first_below(ANALYTIC[shape](**size), wanted, make)
+    return _first_below(ANALYTIC[shape](**size), wanted, make)
 
 
-def first_below(analytic: Analytic, wanted: float, make: Callable[[int], Particles]) -> FilledShape:
+def _first_below(
+    analytic: Analytic, wanted: float, make: Callable[[int], Particles]
+) -> FilledShape:
     """Try n = 1, 2, ... and, from 5 on, a fifth more each time."""
-    trials: list[Trial] = []
+    trials: list[_Trial] = []
     n, refusal = 1, None
     while True:
         try:
             particles = make(n)
-            made = Trial(n, len(particles.mass), *errors(particles, analytic))
+            made = _Trial(n, len(particles.mass), *errors(particles, analytic))
         except ValueError as error:  # none of the cells is inside, or all lie in a plane
             if trials:
                 raise
             refusal = error
-            if n > FINER**20:
+            if n > _FINER**20:
                 raise refusal from None
         else:
             trials.append(made)
             if made.error <= wanted:
                 return FilledShape(particles, tuple(trials))
-            if made.particles * FINER**3 > MOST_PARTICLES:
-                raise ValueError(missed(wanted, trials))
-        n = max(n + 1, round(FINER * n))
+            if made.particles * _FINER**3 > MOST_PARTICLES:
+                raise ValueError(_missed(wanted, trials))
+        n = max(n + 1, round(_FINER * n))
 
 
-def missed(wanted: float, trials: Sequence[Trial]) -> str:
+def _missed(wanted: float, trials: Sequence[_Trial]) -> str:
     """What was tried in vain."""
     return "\n".join(
         [
@@ -201,35 +203,35 @@ def mesh_particles(
     if arrangement == "exact":
         return FilledShape(equimomental_points(solid, total), (), mesh.notes)
     if arrangement == "cells":
-        make = partial(mesh_cells, mesh, total)
+        make = partial(_mesh_cells, mesh, total)
         if inertia_error is None:
             return FilledShape(make(n), (), mesh.notes)
         analytic = Analytic(solid.com, solid.inertia / solid.volume)
-        return first_below(analytic, inertia_error, make)._replace(notes=mesh.notes)
+        return _first_below(analytic, inertia_error, make)._replace(notes=mesh.notes)
     if arrangement != "spheres":
         raise ValueError(f"arrangement is {arrangement!r}: exact, cells or spheres is needed")
-    filled = spheres_in(mesh, solid, total, n, inertia_error)
+    filled = _spheres_in(mesh, solid, total, n, inertia_error)
     return filled._replace(notes=mesh.notes)
 
 
-def mesh_cells(mesh: TriangleMesh, mass: float, n: int) -> Particles:
+def _mesh_cells(mesh: TriangleMesh, mass: float, n: int) -> Particles:
     """Particles of cells of a mesh, n along its largest extent."""
     grid = grid_over(mesh.vertices.min(axis=0), mesh.vertices.max(axis=0), n)
     return cell_particles(cut_mesh(mesh.vertices, mesh.faces, grid), grid, mass)
 
 
-def spheres_in(
+def _spheres_in(
     mesh: TriangleMesh, solid: UniformSolid, mass: float, n: int, inertia_error: float | None
 ) -> FilledShape:
     """Inscribed spheres without mass, and six particles with all of it."""
     analytic = Analytic(solid.com, solid.inertia / solid.volume)
 
-    def trial(count: int) -> Trial:
+    def trial(count: int) -> _Trial:
         union = union_solid(found.centre[:count], found.radius[:count])
         off = differences(union.com, union.inertia / union.volume, analytic)
-        return Trial(count, count + 6, *off, union.volume / solid.volume - 1.0)
+        return _Trial(count, count + 6, *off, union.volume / solid.volume - 1.0)
 
-    def filled(count: int, trials: Sequence[Trial]) -> FilledShape:
+    def filled(count: int, trials: Sequence[_Trial]) -> FilledShape:
         surface = one_kind(found.centre[:count], 0.0, found.radius[:count])
         made = united(concatenate([surface, equimomental_points(solid, mass)]))
         return FilledShape(made, tuple(trials))
@@ -242,13 +244,13 @@ def spheres_in(
                 " some 40 000 cells: lower n"
             )
         return filled(n, ())
-    trials: list[Trial] = []
+    trials: list[_Trial] = []
     count = 1
     while count <= len(found.radius):
         trials.append(trial(count))
         if trials[-1].error <= inertia_error:
             return filled(count, trials)
-        count = max(count + 1, round(MORE * count))
-        if count > len(found.radius) and len(found.radius) < MOST_SPHERES:
-            found = packing(mesh, min(4 * count, MOST_SPHERES))
-    raise ValueError(missed(inertia_error, trials))
+        count = max(count + 1, round(_MORE * count))
+        if count > len(found.radius) and len(found.radius) < _MOST_SPHERES:
+            found = packing(mesh, min(4 * count, _MOST_SPHERES))
+    raise ValueError(_missed(inertia_error, trials))

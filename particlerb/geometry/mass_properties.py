@@ -1,7 +1,7 @@
 """Mass, centre of mass, inertia tensor, principal frame and rotor class of particle sets.
 
 Read in this order: `MassProperties`; `mass_properties`, which calls geometry/sums.py;
-`principal_frames`, which decides the rotor class and builds the axes with NumPy over all kinds at
+`_principal_frames`, which decides the rotor class and builds the axes with NumPy over all kinds at
 once. Formulas are numbered in docs/bodies.md.
 
 Nothing here has an absolute threshold. A kind is scaled by powers of two, exactly, to extent and
@@ -18,8 +18,8 @@ from particlerb.geometry.sums import sums_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
 
-ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # 1.8e-15: sums, coordinates, eigenvalues
-TIE = 0.999  # components this close to the largest count as equal when an axis takes its sign
+_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # 1.8e-15: sums, coordinates, eigenvalues
+_TIE = 0.999  # components this close to the largest count as equal when an axis takes its sign
 
 
 class MassProperties(NamedTuple):
@@ -88,8 +88,8 @@ def mass_properties(particles: Particles) -> MassProperties:
     with np.errstate(all="ignore"):  # underflow, and the ratios of points: 0 / 0
         sums, exponent = sums_of(particles)
         mass, com, second = sums[:, 0], sums[:, 1:4], sums[:, 4:10]
-        tensor = inertia_tensors(second, sums[:, 10])
-        moments, axes, rotor_class = principal_frames(mass, com, tensor)
+        tensor = _inertia_tensors(second, sums[:, 10])
+        moments, axes, rotor_class = _principal_frames(mass, com, tensor)
         length, inertia = exponent[:, 0], exponent[:, 1] + 2 * exponent[:, 0]
         properties = MassProperties(
             np.ldexp(mass, exponent[:, 1]),
@@ -104,7 +104,7 @@ def mass_properties(particles: Particles) -> MassProperties:
     return properties
 
 
-def inertia_tensors(second: Floats, balls: Floats) -> Floats:
+def _inertia_tensors(second: Floats, balls: Floats) -> Floats:
     """I = (tr C + B) 1 − C from C = Σ m r rᵀ, shape (n, 6), and B = Σ (2/5) m radius², (n,)."""
     xx, yy, zz, xy, xz, yz = second.T
     rows = [(yy + zz + balls, -xy, -xz), (-xy, xx + zz + balls, -yz), (-xz, -yz, xx + yy + balls)]
@@ -128,17 +128,17 @@ def ratios(mass: Floats, com: Floats, tensor: Floats, moments: Floats) -> Ratios
         moments[:, 0] / largest,
         (moments[:, 1] - moments[:, 0]) / largest,
         (largest - moments[:, 1]) / largest,
-        ROUNDING + (ROUNDING * offset) ** 2,
-        ROUNDING * (1.0 + offset),
+        _ROUNDING + (_ROUNDING * offset) ** 2,
+        _ROUNDING * (1.0 + offset),
     )
 
 
-def rotor_classes(ratio: Ratios) -> Ints:
+def _rotor_classes(ratio: Ratios) -> Ints:
     """Class of every kind, shape (n,): the first that holds of point, rod, sphere, symmetric."""
     gap = np.minimum(ratio.lower_gap, ratio.upper_gap)
     return np.select(
         [
-            ROUNDING * ratio.offset >= 1.0,  # g <= ε |com|: the particles coincide
+            _ROUNDING * ratio.offset >= 1.0,  # g <= ε |com|: the particles coincide
             ratio.smallest <= ratio.zero_below,
             ratio.lower_gap + ratio.upper_gap <= ratio.equal_below,
             gap <= ratio.equal_below,
@@ -148,14 +148,14 @@ def rotor_classes(ratio: Ratios) -> Ints:
     ).astype(np.int64)
 
 
-def unique_axis(ratio: Ratios, rotor_class: Ints) -> Ints:
+def _unique_axis(ratio: Ratios, rotor_class: Ints) -> Ints:
     """Column of the axis whose moment differs from two equal ones, shape (n,); -1 for none."""
     last = (rotor_class == SYMMETRIC) & (ratio.lower_gap <= ratio.upper_gap)
     first = (rotor_class == ROD) | (rotor_class == SYMMETRIC)
     return np.select([last, first], [2, 0], default=-1).astype(np.int64)
 
 
-def equalised(moments: Floats, rotor_class: Ints, unique: Ints) -> Floats:
+def _equalised(moments: Floats, rotor_class: Ints, unique: Ints) -> Floats:
     """Ascending moments (n, 3), equal or zero to the bit where the class says so."""
     result = np.maximum(moments, 0.0)
     mean = 0.5 * (result[:, :2] + result[:, 1:])
@@ -170,7 +170,7 @@ def equalised(moments: Floats, rotor_class: Ints, unique: Ints) -> Floats:
 # Principal frames
 
 
-def principal_frames(mass: Floats, com: Floats, tensor: Floats) -> tuple[Floats, Floats, Ints]:
+def _principal_frames(mass: Floats, com: Floats, tensor: Floats) -> tuple[Floats, Floats, Ints]:
     """Moments (n, 3), right-handed axes in columns (n, 3, 3) and classes (n,) of tensors (n, 3, 3).
 
     Diagonal to rounding: the given axes, permuted, and the diagonal itself. Sphere and point: the
@@ -180,15 +180,15 @@ def principal_frames(mass: Floats, com: Floats, tensor: Floats) -> tuple[Floats,
     """
     moments, axes = eigen_systems(tensor)
     ratio = ratios(mass, com, tensor, moments)
-    rotor_class = rotor_classes(ratio)
-    unique = unique_axis(ratio, rotor_class)
+    rotor_class = _rotor_classes(ratio)
+    unique = _unique_axis(ratio, rotor_class)
     first, last, general = unique == 0, unique == 2, rotor_class == ASYMMETRIC
 
     axes[(rotor_class == POINT) | (rotor_class == SPHERE)] = np.eye(3)
-    axes[first] = frames_about(axes[first, :, 0])
-    axes[last] = np.roll(frames_about(axes[last, :, 2]), -1, axis=2)
-    axes[general] = right_handed(axes[general])
-    return equalised(moments, rotor_class, unique), axes, rotor_class
+    axes[first] = _frames_about(axes[first, :, 0])
+    axes[last] = np.roll(_frames_about(axes[last, :, 2]), -1, axis=2)
+    axes[general] = _right_handed(axes[general])
+    return _equalised(moments, rotor_class, unique), axes, rotor_class
 
 
 def eigen_systems(tensor: Floats) -> tuple[Floats, Floats]:
@@ -199,16 +199,16 @@ def eigen_systems(tensor: Floats) -> tuple[Floats, Floats]:
     """
     diagonal = np.diagonal(tensor, axis1=1, axis2=2)
     off_diagonal = np.abs(tensor[:, [0, 0, 1], [1, 2, 2]]).max(axis=1)
-    oblique = off_diagonal > ROUNDING * diagonal.max(axis=1)
+    oblique = off_diagonal > _ROUNDING * diagonal.max(axis=1)
     order = np.argsort(diagonal, axis=1, kind="stable")
     values = np.take_along_axis(diagonal, order, axis=1)
     vectors = np.swapaxes(np.eye(3)[order], 1, 2).copy()
     if oblique.any():
-        values[oblique], vectors[oblique] = polished(tensor[oblique])
+        values[oblique], vectors[oblique] = _polished(tensor[oblique])
     return values, vectors
 
 
-def polished(tensor: Floats) -> tuple[Floats, Floats]:
+def _polished(tensor: Floats) -> tuple[Floats, Floats]:
     """Eigen system of LAPACK with orthonormal vectors and values from Rayleigh quotients.
 
     Source: one Newton-Schulz step V (3 − VᵀV)/2, Higham, Functions of Matrices, 2008, ch. 8.
@@ -224,34 +224,34 @@ def polished(tensor: Floats) -> tuple[Floats, Floats]:
     )
 
 
-def positive_direction(vector: Floats) -> tuple[Floats, Ints]:
+def _positive_direction(vector: Floats) -> tuple[Floats, Ints]:
     """±vector (n, 3) whose largest component is positive, and the index (n,) of that component.
 
-    The first component within `TIE` of the largest decides, so that (1, −1, 0)/√2 does not turn
+    The first component within `_TIE` of the largest decides, so that (1, −1, 0)/√2 does not turn
     round with the rounding.
     """
     size = np.abs(vector)
-    largest = np.argmax(size >= TIE * size.max(axis=1, keepdims=True), axis=1)
+    largest = np.argmax(size >= _TIE * size.max(axis=1, keepdims=True), axis=1)
     sign = np.sign(np.take_along_axis(vector, largest[:, None], axis=1))
     return vector * sign + 0.0, largest
 
 
-def frames_about(axis: Floats) -> Floats:
+def _frames_about(axis: Floats) -> Floats:
     """Frames (u, a, b) in columns, shape (n, 3, 3), about unit vectors (n, 3), reproducible.
 
     u = ±axis, its largest component k positive; a is the given axis k + 1 projected on the plane
     of the equal moments; b = u × a. For an axis along e_k these are the given axes themselves.
     """
-    u, k = positive_direction(axis)
+    u, k = _positive_direction(axis)
     e = np.eye(3)[(k + 1) % 3]
     a = e - u * np.sum(u * e, axis=1, keepdims=True)
     a /= np.linalg.norm(a, axis=1, keepdims=True)
     return np.stack([u, a, np.cross(u, a)], axis=2) + 0.0
 
 
-def right_handed(axes: Floats) -> Floats:
+def _right_handed(axes: Floats) -> Floats:
     """Frames (n, 3, 3): columns positive along their largest component, the last by det = +1."""
-    first, second = positive_direction(axes[:, :, 0])[0], positive_direction(axes[:, :, 1])[0]
+    first, second = _positive_direction(axes[:, :, 0])[0], _positive_direction(axes[:, :, 1])[0]
     last = axes[:, :, 2]
     hand = np.sign(np.sum(np.cross(first, second) * last, axis=1, keepdims=True))
     return np.stack([first, second, last * hand + 0.0], axis=2)

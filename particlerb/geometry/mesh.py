@@ -25,16 +25,16 @@ from particlerb.geometry.solid import UniformSolid
 from particlerb.geometry.winding import oriented, windings
 from particlerb.maths.vec3 import Floats, Ints
 
-SUFFIXES: Final = (".stl", ".obj", ".ply")
-FLAT: Final = 1e-12  # height over longest side of a face whose corners lie on one line
-TOUCHING: Final = 1e-12  # of the size: as near as this, faces touch and do not cross
-ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)
-COARSE: Final = 8  # cells along the largest extent, to find matter that counts twice
-MISCOUNTED: Final = 1e-6  # of a cell
-MOST_NAMED: Final = 3  # places in a message
-MOST_COMPARED: Final = 500  # vertices of open edges, to find two that were meant to be one
-NEARLY_ONE: Final = 1e-3  # of the size
-PIP: Final = 'pip install "particlerb[mesh]"'
+_SUFFIXES: Final = (".stl", ".obj", ".ply")
+_FLAT: Final = 1e-12  # height over longest side of a face whose corners lie on one line
+_TOUCHING: Final = 1e-12  # of the size: as near as this, faces touch and do not cross
+_ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)
+_COARSE: Final = 8  # cells along the largest extent, to find matter that counts twice
+_MISCOUNTED: Final = 1e-6  # of a cell
+_MOST_NAMED: Final = 3  # places in a message
+_MOST_COMPARED: Final = 500  # vertices of open edges, to find two that were meant to be one
+_NEARLY_ONE: Final = 1e-3  # of the size
+_PIP: Final = 'pip install "particlerb[mesh]"'
 
 
 class TriangleMesh(NamedTuple):
@@ -68,8 +68,8 @@ def read_mesh(file: str | Path | File, scale: float = 1.0) -> TriangleMesh:
         As `triangles_of`, `checked`.
     """
     name = file.name if isinstance(file, File) else str(file)
-    if PurePath(name).suffix.lower() not in SUFFIXES:
-        raise ValueError(f"{name} is no mesh: its name must end with {', '.join(SUFFIXES)}")
+    if PurePath(name).suffix.lower() not in _SUFFIXES:
+        raise ValueError(f"{name} is no mesh: its name must end with {', '.join(_SUFFIXES)}")
     try:
         vertices, faces = triangles_of(content(file))
         return checked(scale * vertices, faces)
@@ -90,7 +90,7 @@ def triangles_of(file: File) -> tuple[Floats, Ints]:
     try:
         trimesh: Any = import_module("trimesh")
     except ImportError:
-        raise ValueError(f"reading it needs trimesh: {PIP}") from None
+        raise ValueError(f"reading it needs trimesh: {_PIP}") from None
     kind = PurePath(file.name).suffix.lower().removeprefix(".")
     try:
         loaded = trimesh.load_mesh(
@@ -140,45 +140,45 @@ def checked(vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
     number, notes = np.arange(len(triangle)), []
     collapsed = (triangle == np.roll(triangle, 1, axis=1)).any(axis=1)
     if collapsed.any():
-        notes.append(f"left out {faces_text(number[collapsed])} with two equal corners")
+        notes.append(f"left out {_faces_text(number[collapsed])} with two equal corners")
         triangle, number = triangle[~collapsed], number[~collapsed]
     if len(triangle) == 0:
         raise ValueError("it has zero volume: every face has two equal corners")
-    refuse_flat(corner, triangle, number)
-    refuse_open(corner, triangle, number)
-    refuse_crossings(corner, triangle, number)
-    triangle, turned = outward(corner, triangle, number)
+    _refuse_flat(corner, triangle, number)
+    _refuse_open(corner, triangle, number)
+    _refuse_crossings(corner, triangle, number)
+    triangle, turned = _outward(corner, triangle, number)
     refuse_miscounted(corner, triangle)
     return TriangleMesh(corner, triangle, (*notes, *turned))
 
 
-def faces_text(numbers: Ints) -> str:
+def _faces_text(numbers: Ints) -> str:
     """`face 3`, `faces 3, 4`, `faces 3, 4, 5, ... (12 in all)`."""
-    listed = ", ".join(str(number) for number in numbers[:MOST_NAMED].tolist())
-    rest = f", ... ({len(numbers)} in all)" if len(numbers) > MOST_NAMED else ""
+    listed = ", ".join(str(number) for number in numbers[:_MOST_NAMED].tolist())
+    rest = f", ... ({len(numbers)} in all)" if len(numbers) > _MOST_NAMED else ""
     return f"face{'s' if len(numbers) > 1 else ''} {listed}{rest}"
 
 
-def point_text(point: Floats) -> str:
+def _point_text(point: Floats) -> str:
     """Coordinates in a message."""
     return "(" + ", ".join(f"{x:.9g}" for x in point.tolist()) + ") m"
 
 
-def refuse_flat(vertices: Floats, faces: Ints, number: Ints) -> None:
+def _refuse_flat(vertices: Floats, faces: Ints, number: Ints) -> None:
     """Refuse faces without area."""
     corner = vertices[faces]
     sides = corner - np.roll(corner, 1, axis=1)
     longest = (sides**2).sum(axis=2).max(axis=1)
     area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    flat = np.flatnonzero(area <= FLAT * longest)
+    flat = np.flatnonzero(area <= _FLAT * longest)
     if len(flat):
         raise ValueError(
-            f"{faces_text(number[flat])}: the corners lie on one line, the first at "
-            + ", ".join(point_text(point) for point in corner[flat[0]])
+            f"{_faces_text(number[flat])}: the corners lie on one line, the first at "
+            + ", ".join(_point_text(point) for point in corner[flat[0]])
         )
 
 
-def refuse_open(vertices: Floats, faces: Ints, number: Ints) -> None:
+def _refuse_open(vertices: Floats, faces: Ints, number: Ints) -> None:
     """Refuse edges of an odd number of faces."""
     edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     unique, first, count = np.unique(edges, axis=0, return_index=True, return_counts=True)
@@ -186,53 +186,53 @@ def refuse_open(vertices: Floats, faces: Ints, number: Ints) -> None:
     if not len(odd):
         return
     places = [
-        f"edge {point_text(vertices[unique[e, 0]])} to {point_text(vertices[unique[e, 1]])}"
+        f"edge {_point_text(vertices[unique[e, 0]])} to {_point_text(vertices[unique[e, 1]])}"
         f" of face {number[first[e] // 3]} has {count[e]} face{'s' if count[e] > 1 else ''}"
-        for e in odd[:MOST_NAMED]
+        for e in odd[:_MOST_NAMED]
     ]
-    rest = f"; ... {len(odd)} edges in all" if len(odd) > MOST_NAMED else ""
+    rest = f"; ... {len(odd)} edges in all" if len(odd) > _MOST_NAMED else ""
     raise ValueError(
         f"it is open: {'; '.join(places)}{rest}; two faces are needed at each: "
-        + remedy(vertices, np.unique(unique[odd]))
+        + _remedy(vertices, np.unique(unique[odd]))
     )
 
 
-def remedy(vertices: Floats, rim: Ints) -> str:
+def _remedy(vertices: Floats, rim: Ints) -> str:
     """What closes a mesh whose open edges end at these vertices: joining them, or more faces."""
-    some = vertices[rim[:MOST_COMPARED]]
+    some = vertices[rim[:_MOST_COMPARED]]
     apart = np.linalg.norm(some[:, None] - some, axis=2)
     np.fill_diagonal(apart, np.inf)
     i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
-    if apart[i, j] > NEARLY_ONE * np.ptp(vertices, axis=0).max():
+    if apart[i, j] > _NEARLY_ONE * np.ptp(vertices, axis=0).max():
         return "close the hole where the mesh was made, or try trimesh.repair.fill_holes"
     return (
-        f"vertices {point_text(some[i])} and {point_text(some[j])} are {apart[i, j]:.3g} m apart,"
+        f"vertices {_point_text(some[i])} and {_point_text(some[j])} are {apart[i, j]:.3g} m apart,"
         " and only equal ones are one: join such vertices where the mesh was made, or with"
         " merge_vertices of trimesh"
     )
 
 
-def refuse_crossings(vertices: Floats, faces: Ints, number: Ints) -> None:
+def _refuse_crossings(vertices: Floats, faces: Ints, number: Ints) -> None:
     """Refuse faces that cross each other, or that cover each other and face the same way."""
     size = np.ptp(vertices, axis=0).max()
-    nearness = max(TOUCHING * size, 16 * np.finfo(np.float64).eps * np.abs(vertices).max())
+    nearness = max(_TOUCHING * size, 16 * np.finfo(np.float64).eps * np.abs(vertices).max())
     pairs, points = crossings(vertices, faces, nearness)
     if len(pairs):
         places = [
-            f"face {number[i]} and face {number[j]} at {point_text(point)}"
-            for (i, j), point in zip(pairs[:MOST_NAMED], points, strict=False)
+            f"face {number[i]} and face {number[j]} at {_point_text(point)}"
+            for (i, j), point in zip(pairs[:_MOST_NAMED], points, strict=False)
         ]
-        rest = f"; ... {len(pairs)} pairs in all" if len(pairs) > MOST_NAMED else ""
+        rest = f"; ... {len(pairs)} pairs in all" if len(pairs) > _MOST_NAMED else ""
         raise ValueError(f"it intersects itself: {'; '.join(places)}{rest}")
 
 
-def outward(vertices: Floats, faces: Ints, number: Ints) -> tuple[Ints, Sequence[str]]:
+def _outward(vertices: Floats, faces: Ints, number: Ints) -> tuple[Ints, Sequence[str]]:
     """Faces oriented so that matter is inside, and what was turned round for it."""
     part, flipped, torn = oriented(faces)
     if torn >= 0:
         raise ValueError(
             f"it cannot be oriented: its faces have no two sides, near face {number[torn]} at "
-            + point_text(vertices[faces[torn]].mean(axis=0))
+            + _point_text(vertices[faces[torn]].mean(axis=0))
         )
     faces = np.where(flipped[:, None], faces[:, ::-1], faces)
     signs = np.array([sign(vertices, faces[part == p]) for p in range(part.max() + 1)])
@@ -246,50 +246,50 @@ def outward(vertices: Floats, faces: Ints, number: Ints) -> tuple[Ints, Sequence
     if (wrong & ~turns).any():
         first = np.flatnonzero(part == np.argmax(wrong & ~turns))[0]
         raise ValueError(
-            f"the part of face {number[first]} at {point_text(vertices[faces[first]].mean(axis=0))}"
-            " lies inside another and is oriented like it: its matter would count twice; a cavity"
-            " is oriented the other way"
+            f"the part of face {number[first]} at"
+            f" {_point_text(vertices[faces[first]].mean(axis=0))} lies inside another and is"
+            " oriented like it: its matter would count twice; a cavity is oriented the other way"
         )
     turned = flipped ^ turns[part]
     if not turned.any():
         return np.ascontiguousarray(faces), ()
     faces = np.where(turns[part][:, None], faces[:, ::-1], faces)
     all_of_them = "all faces: the mesh was inside out"
-    note = f"turned round {all_of_them if turned.all() else faces_text(number[turned])}"
+    note = f"turned round {all_of_them if turned.all() else _faces_text(number[turned])}"
     return np.ascontiguousarray(faces), (note,)
 
 
 def refuse_miscounted(vertices: Floats, faces: Ints) -> None:
     """Refuse surfaces that wind round matter more than once, or the wrong way.
 
-    Parts that touch along edges are one here, so that `outward` cannot tell them apart: a few cells
-    must be empty, full, or between.
+    Parts that touch along edges are one here, so that `_outward` cannot tell them apart: a few
+    cells must be empty, full, or between.
     """
-    grid = grid_over(vertices.min(axis=0), vertices.max(axis=0), COARSE)
+    grid = grid_over(vertices.min(axis=0), vertices.max(axis=0), _COARSE)
     for i, sums in cut_mesh(vertices, faces, grid):
         share = sums[:, :, 0]
         off = np.maximum(share - 1.0, -share)
         j, k = np.unravel_index(int(np.argmax(off)), off.shape)
-        if off[j, k] > MISCOUNTED:
+        if off[j, k] > _MISCOUNTED:
             centre = grid.lower + (np.array([i, j, k]) + 0.5) * grid.spacing
             raise ValueError(
-                f"matter near {point_text(centre)} counts {share[j, k]:.3g} times: parts that touch"
-                " are oriented against each other, or lie in each other"
+                f"matter near {_point_text(centre)} counts {share[j, k]:.3g} times: parts that"
+                " touch are oriented against each other, or lie in each other"
             )
 
 
 def sign(vertices: Floats, faces: Ints) -> int:
     """+1 for faces that look outward, -1 inward, 0 for what has no volume but rounding."""
-    volume = tetrahedra(vertices[faces] - vertices[faces[0, 0]])
+    volume = _tetrahedra(vertices[faces] - vertices[faces[0, 0]])
     total = math.fsum(volume)
-    is_zero = abs(total) <= ROUNDING * math.fsum(np.abs(volume))
+    is_zero = abs(total) <= _ROUNDING * math.fsum(np.abs(volume))
     return 0 if is_zero else int(math.copysign(1.0, total))
 
 
 # Integrals
 
 
-def tetrahedra(corner: Floats) -> Floats:
+def _tetrahedra(corner: Floats) -> Floats:
     """Signed volumes, (m,), of the tetrahedra of the origin and faces with corners (m, 3, 3)."""
     a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
     volume: Floats = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
@@ -309,7 +309,7 @@ def mesh_solid(mesh: TriangleMesh) -> UniformSolid:
     origin = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     unit = 2.0 ** np.ceil(np.log2(np.abs(mesh.vertices - origin).max()))
     corner = (mesh.vertices[mesh.faces] - origin) / unit
-    weight = tetrahedra(corner)
+    weight = _tetrahedra(corner)
     total = corner.sum(axis=1)
     volume = math.fsum(weight)
     com = np.array([math.fsum(weight * total[:, k]) for k in range(3)]) / (4.0 * volume)
@@ -320,5 +320,5 @@ def mesh_solid(mesh: TriangleMesh) -> UniformSolid:
             mean = math.fsum(weight * products) / (20.0 * volume)
             second[i, j] = second[j, i] = mean - com[i] * com[j]
     inertia = (np.trace(second) * np.eye(3) - second) * volume
-    lost = ROUNDING * math.fsum(np.abs(weight)) / volume
+    lost = _ROUNDING * math.fsum(np.abs(weight)) / volume
     return UniformSolid(volume * unit**3, origin + com * unit, inertia * unit**5, lost)

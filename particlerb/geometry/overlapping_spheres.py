@@ -17,13 +17,13 @@ from particlerb.geometry.solid import UniformSolid, equimomental_points, symmetr
 from particlerb.geometry.union import neighbours, union
 from particlerb.maths.vec3 import Floats, Ints
 
-Overlap: TypeAlias = Literal["exact", "sum", "error"]
-TOUCHING: Final = 1e-12  # overlap, of the sum of the radii, that is rounding of a touch
-EPSILON: Final = float(np.finfo(np.float64).eps)
-HUGE: Final = 1e50  # [m] the largest radius lies between this and its inverse
+_Overlap: TypeAlias = Literal["exact", "sum", "error"]
+_TOUCHING: Final = 1e-12  # overlap, of the sum of the radii, that is rounding of a touch
+_EPSILON: Final = float(np.finfo(np.float64).eps)
+_HUGE: Final = 1e50  # [m] the largest radius lies between this and its inverse
 
 
-class Overlaps(NamedTuple):
+class _Overlaps(NamedTuple):
     """How deep spheres lie in each other."""
 
     pairs: int
@@ -37,7 +37,7 @@ def spheres(
     radius: ArrayLike,
     mass: float | None = None,
     density: float | None = None,
-    overlap: Overlap = "exact",
+    overlap: _Overlap = "exact",
 ) -> Particles:
     """Particles of a body of uniform spheres.
 
@@ -64,7 +64,7 @@ def spheres(
         If not exactly one of mass and density is given and positive, a number is not finite, a
         radius not positive, there is no sphere, or spheres overlap and must not.
     """
-    centre, R = checked(position, radius)
+    centre, R = _checked(position, radius)
     amount = mass if density is None else density
     if amount is None or (mass is not None and density is not None) or not 0 <= amount < math.inf:
         raise ValueError(f"mass {mass} and density {density}: one of them, positive, is needed")
@@ -83,16 +83,16 @@ def spheres(
     return united(concatenate([surface, matter]))
 
 
-def checked(position: ArrayLike, radius: ArrayLike) -> tuple[Floats, Floats]:
+def _checked(position: ArrayLike, radius: ArrayLike) -> tuple[Floats, Floats]:
     """Centres (n, 3) and radii (n,) as float64; ValueError where they are no spheres."""
     given = one_kind(position, 1.0, radius)
     if not (given.radius > 0.0).all():
         i = int(np.argmin(given.radius > 0.0))
         raise ValueError(f"radius of sphere {i} is {given.radius[i]}: positive is needed")
     largest = float(given.radius.max())
-    if not 1.0 / HUGE < largest < HUGE:
+    if not 1.0 / _HUGE < largest < _HUGE:
         raise ValueError(
-            f"the largest radius is {largest} m: {1.0 / HUGE:.0e} to {HUGE:.0e} is needed, as its"
+            f"the largest radius is {largest} m: {1.0 / _HUGE:.0e} to {_HUGE:.0e} is needed, as its"
             " fifth power must be a number"
         )
     return given.position, given.radius
@@ -115,7 +115,7 @@ def union_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
     ----------
     Derived in docs/mass_properties.md.
     """
-    centre, R = checked(position, radius)
+    centre, R = _checked(position, radius)
     unit = math.ldexp(1.0, math.frexp(float(R.max()))[1])
     weight = (R / unit) ** 3
     origin = weight @ centre / weight.sum()
@@ -125,22 +125,22 @@ def union_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
     second = symmetric(found.second) - found.volume * np.outer(com, com)
     inertia = np.trace(second) * np.eye(3) - second
     extent = float((np.linalg.norm(c, axis=1) + R / unit).max())
-    error = (found.gap + EPSILON * found.area) * extent / (3.0 * found.volume)
+    error = (found.gap + _EPSILON * found.area) * extent / (3.0 * found.volume)
     return UniformSolid(found.volume * unit**3, origin + com * unit, inertia * unit**5, error)
 
 
 def plain_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
     """The sum over all spheres, as if no two of them overlapped."""
-    centre, R = checked(position, radius)
+    centre, R = _checked(position, radius)
     volume = 4.0 / 3.0 * math.pi * R**3
     total = math.fsum(volume)
     com = volume @ centre / total
     r = centre - com
     second = (r.T * volume) @ r + 0.2 * (volume @ R**2) * np.eye(3)
-    return UniformSolid(total, com, np.trace(second) * np.eye(3) - second, len(R) * EPSILON)
+    return UniformSolid(total, com, np.trace(second) * np.eye(3) - second, len(R) * _EPSILON)
 
 
-def overlaps(centre: Floats, radius: Floats) -> Overlaps:
+def overlaps(centre: Floats, radius: Floats) -> _Overlaps:
     """Overlapping pairs, of which touching ones are none."""
     start, other = neighbours(centre, radius)
     hidden = np.flatnonzero(start[:-1] < 0)
@@ -148,16 +148,16 @@ def overlaps(centre: Floats, radius: Floats) -> Overlaps:
     first = np.repeat(np.arange(len(radius)), np.diff(begin))
     depth = radius[first] + radius[other]
     depth -= np.linalg.norm(centre[first] - centre[other], axis=1)
-    is_deep = (first < other) & (depth > TOUCHING * (radius[first] + radius[other]))
+    is_deep = (first < other) & (depth > _TOUCHING * (radius[first] + radius[other]))
     pairs, depth = np.stack([first, other])[:, is_deep], depth[is_deep]
     n_pairs = len(depth) + len(hidden)
     if len(hidden) or not n_pairs:
-        return Overlaps(n_pairs, (-1, -1), 0.0, hidden)
+        return _Overlaps(n_pairs, (-1, -1), 0.0, hidden)
     k = int(np.argmax(depth / np.minimum(radius[pairs[0]], radius[pairs[1]])))
-    return Overlaps(n_pairs, (int(pairs[0, k]), int(pairs[1, k])), float(depth[k]), hidden)
+    return _Overlaps(n_pairs, (int(pairs[0, k]), int(pairs[1, k])), float(depth[k]), hidden)
 
 
-def refusal(centre: Floats, radius: Floats, found: Overlaps) -> str:
+def refusal(centre: Floats, radius: Floats, found: _Overlaps) -> str:
     """What overlaps, for the message."""
     if found.hidden.size:
         i = int(found.hidden[0])

@@ -5,7 +5,7 @@ the cells of a grid, the one that holds most matter which no sphere holds yet co
 the first k of a packing are the packing of k. This greedy cover holds at least 1 − 1/e of what the
 best k spheres of the grid would (Nemhauser, Wolsey, Fisher, Math. Programming 14, 265, 1978).
 
-Read in this order: `packing`; `near_faces` and `sweep_distance`, the distance of every cell from
+Read in this order: `packing`; `_near_faces` and `_sweep_distance`, the distance of every cell from
 the surface; `cover`, which takes sphere after sphere.
 """
 
@@ -21,15 +21,15 @@ from particlerb.geometry.mesh import TriangleMesh, mesh_solid
 from particlerb.geometry.winding import solid_angle
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, corner3, dot, subtract
 
-HOLDING: Final = 40_000  # cells that hold matter, about: how finely centres are tried
-CELLS: Final = 4_000_000  # of the whole grid at most: a thin body that lies askew has many empty
-SMALLEST: Final = 0.25  # radius in units of a cell, below which spheres are of no use
-SWEEPS: Final = 2  # in each of the eight directions
-GROWTH: Final = 5  # halvings of the step by which a sphere is moved to grow
-GAIN: Final = 0.55  # of a step that a radius must grow by; towards the ridge of a corner, 1/√3
+_HOLDING: Final = 40_000  # cells that hold matter, about: how finely centres are tried
+_CELLS: Final = 4_000_000  # of the whole grid at most: a thin body that lies askew has many empty
+_SMALLEST: Final = 0.25  # radius in units of a cell, below which spheres are of no use
+_SWEEPS: Final = 2  # in each of the eight directions
+_GROWTH: Final = 5  # halvings of the step by which a sphere is moved to grow
+_GAIN: Final = 0.55  # of a step that a radius must grow by; towards the ridge of a corner, 1/√3
 
 
-class Packing(NamedTuple):
+class _Packing(NamedTuple):
     """Inscribed spheres, the most useful first."""
 
     centre: Floats
@@ -38,7 +38,7 @@ class Packing(NamedTuple):
     """[m], shape (k,)."""
 
 
-def packing(mesh: TriangleMesh, most: int) -> Packing:
+def packing(mesh: TriangleMesh, most: int) -> _Packing:
     """Spheres in a mesh, `most` of them, or fewer where no more find room in the grid.
 
     Parameters
@@ -54,7 +54,7 @@ def packing(mesh: TriangleMesh, most: int) -> Packing:
     """
     lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     extent = upper - lower
-    finest = max(mesh_solid(mesh).volume / HOLDING, math.prod(extent) / CELLS)
+    finest = max(mesh_solid(mesh).volume / _HOLDING, math.prod(extent) / _CELLS)
     grid = grid_over(lower, upper, math.ceil(extent.max() / math.cbrt(finest)))
     held = pieces(cut_mesh(mesh.vertices, mesh.faces, grid), grid)
     cell = tuple(held.cell.T)
@@ -63,39 +63,39 @@ def packing(mesh: TriangleMesh, most: int) -> Packing:
     corner = np.ascontiguousarray(mesh.vertices[mesh.faces])
     nearest = np.full(grid.counts, -1, dtype=np.int64)
     squared = np.full(grid.counts, np.inf)
-    near_faces(corner, share, centroid, grid.lower, grid.spacing, nearest, squared)
-    for turn in range(8 * SWEEPS):
+    _near_faces(corner, share, centroid, grid.lower, grid.spacing, nearest, squared)
+    for turn in range(8 * _SWEEPS):
         signs = 1 - 2 * (turn & 1), 1 - (turn & 2), 1 - (turn & 4) // 2
-        sweep_distance(corner, share, centroid, signs, nearest, squared)
+        _sweep_distance(corner, share, centroid, signs, nearest, squared)
     centre, radius = np.empty((most, 3)), np.empty(most)
     point = np.ascontiguousarray(np.concatenate([held.centroid.T, held.share[None]]))
     step = float(grid.spacing.min())
     found = cover(corner, point, squared[cell], step, centre, radius)
     if found == 0:
         raise ValueError("no sphere finds room in the mesh: it is thinner than a cell of the grid")
-    return Packing(centre[:found].copy(), radius[:found].copy())
+    return _Packing(centre[:found].copy(), radius[:found].copy())
 
 
 # Distance from the surface
 
 
 @inline
-def clamped(x: float) -> float:
+def _clamped(x: float) -> float:
     """x between 0 and 1."""
     return min(max(x, 0.0), 1.0)
 
 
 @inline
-def off_segment(p: Vec3, a: Vec3, b: Vec3) -> float:
+def _off_segment(p: Vec3, a: Vec3, b: Vec3) -> float:
     """Square of the distance of a point from a segment."""
     d, r = subtract(b, a), subtract(p, a)
-    t = clamped(dot(r, d) / dot(d, d))
+    t = _clamped(dot(r, d) / dot(d, d))
     e = add_scaled(-t, d, r)
     return dot(e, e)
 
 
 @kernel
-def off_triangle(p: Vec3, corner: Floats, f: int) -> float:
+def _off_triangle(p: Vec3, corner: Floats, f: int) -> float:
     """Square of the distance of a point from a face."""
     a, b, c = corner3(corner, f, 0), corner3(corner, f, 1), corner3(corner, f, 2)
     ab, ac, ap = subtract(b, a), subtract(c, a), subtract(p, a)
@@ -106,17 +106,17 @@ def off_triangle(p: Vec3, corner: Floats, f: int) -> float:
     if s >= 0.0 and t >= 0.0 and s + t <= 1.0:
         e = add_scaled(-t, ac, add_scaled(-s, ab, ap))
         return dot(e, e)
-    return min(off_segment(p, a, b), off_segment(p, b, c), off_segment(p, c, a))
+    return min(_off_segment(p, a, b), _off_segment(p, b, c), _off_segment(p, c, a))
 
 
 @inline
-def point_of(centroid: Floats, i: int, j: int, k: int) -> Vec3:
+def _point_of(centroid: Floats, i: int, j: int, k: int) -> Vec3:
     """Centroid of the matter in a cell."""
     return centroid[i, j, k, 0], centroid[i, j, k, 1], centroid[i, j, k, 2]
 
 
 @kernel
-def near_faces(
+def _near_faces(
     corner: Floats,
     share: Floats,
     centroid: Floats,
@@ -138,19 +138,19 @@ def near_faces(
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
                     if share[i, j, k] > 0.0:
-                        d = off_triangle(point_of(centroid, i, j, k), corner, f)
+                        d = _off_triangle(_point_of(centroid, i, j, k), corner, f)
                         if d < squared[i, j, k]:
                             squared[i, j, k], nearest[i, j, k] = d, f
 
 
 @inline
-def ascending(n: int, sign: int) -> range:
+def _ascending(n: int, sign: int) -> range:
     """0 to n − 1, or the other way round where sign is -1."""
     return range(0 if sign > 0 else n - 1, n if sign > 0 else -1, sign)
 
 
 @kernel
-def sweep_distance(
+def _sweep_distance(
     corner: Floats,
     share: Floats,
     centroid: Floats,
@@ -167,17 +167,17 @@ def sweep_distance(
     """
     si, sj, sk = signs
     ni, nj, nk = share.shape
-    for i in ascending(ni, si):
-        for j in ascending(nj, sj):
-            for k in ascending(nk, sk):
+    for i in _ascending(ni, si):
+        for j in _ascending(nj, sj):
+            for k in _ascending(nk, sk):
                 if share[i, j, k] == 0.0:
                     continue
-                p = point_of(centroid, i, j, k)
+                p = _point_of(centroid, i, j, k)
                 for a, b, c in ((i - si, j, k), (i, j - sj, k), (i, j, k - sk)):
                     if 0 <= a < ni and 0 <= b < nj and 0 <= c < nk:
                         f = nearest[a, b, c]
                         if f >= 0 and f != nearest[i, j, k]:
-                            d = off_triangle(p, corner, f)
+                            d = _off_triangle(p, corner, f)
                             if d < squared[i, j, k]:
                                 squared[i, j, k], nearest[i, j, k] = d, f
 
@@ -186,7 +186,7 @@ def sweep_distance(
 
 
 @inline
-def matter_within(p: Vec3, r: float, free: Floats, n_free: int) -> float:
+def _matter_within(p: Vec3, r: float, free: Floats, n_free: int) -> float:
     """Matter within r of a point, of the first n_free cells that are free: x, y, z, share."""
     held, square = 0.0, r * r
     for m in range(n_free):
@@ -209,16 +209,16 @@ def without(p: Vec3, r: float, free: Floats, n_free: int) -> int:
 
 
 @inline
-def clearance(p: Vec3, corner: Floats, near: Ints, n_near: int) -> float:
+def _clearance(p: Vec3, corner: Floats, near: Ints, n_near: int) -> float:
     """Distance of a point from the first n_near of some faces."""
     squared = math.inf
     for m in range(n_near):
-        squared = min(squared, off_triangle(p, corner, near[m]))
+        squared = min(squared, _off_triangle(p, corner, near[m]))
     return math.sqrt(squared)
 
 
 @kernel
-def grown(p: Vec3, r: float, step: float, corner: Floats, near: Ints) -> tuple[Vec3, float]:
+def _grown(p: Vec3, r: float, step: float, corner: Floats, near: Ints) -> tuple[Vec3, float]:
     """Move a sphere within its cell, of size `step`, to the ridge of the distance: it grows.
 
     A ridge that the grid misses would otherwise cost every sphere there a part of its radius.
@@ -226,10 +226,10 @@ def grown(p: Vec3, r: float, step: float, corner: Floats, near: Ints) -> tuple[V
     n_near, size, start = 0, 0.5 * step, p
     reach = r + 2.0 * step
     for f in range(len(corner)):
-        if off_triangle(p, corner, f) <= reach * reach:
+        if _off_triangle(p, corner, f) <= reach * reach:
             near[n_near] = f
             n_near += 1
-    for _ in range(GROWTH):
+    for _ in range(_GROWTH):
         for a in range(-1, 2):
             for b in range(-1, 2):
                 for c in range(-1, 2):
@@ -241,8 +241,8 @@ def grown(p: Vec3, r: float, step: float, corner: Floats, near: Ints) -> tuple[V
                     d = subtract(q, start)
                     if dot(d, d) > 0.75 * step * step:
                         continue
-                    wider = clearance(q, corner, near, n_near)
-                    if wider >= r + GAIN * size:
+                    wider = _clearance(q, corner, near, n_near)
+                    if wider >= r + _GAIN * size:
                         p, r = q, wider
         size *= 0.5
     return p, r
@@ -274,7 +274,7 @@ def cover(
     queue = [(0.0, -1, 0)]
     for index in range(len(squared)):
         d = squared[index]
-        if math.isfinite(d) and d > (SMALLEST * step) ** 2:
+        if math.isfinite(d) and d > (_SMALLEST * step) ** 2:
             queue.append((-5.0 * d * math.sqrt(d) / step**3 - 1.0, index, -1))
     heapq.heapify(queue)
     found = 0
@@ -285,21 +285,21 @@ def cover(
         p = point[0, index], point[1, index], point[2, index]
         r = math.sqrt(squared[index])
         if known != found:
-            held = matter_within(p, r, free, n_free)
+            held = _matter_within(p, r, free, n_free)
             if held > 0.0:
                 heapq.heappush(queue, (-held, index, found))
             continue
         exact = squared[index]
         for f in range(len(corner)):
-            exact = min(exact, off_triangle(p, corner, f))
+            exact = min(exact, _off_triangle(p, corner, f))
         if exact < squared[index]:
             squared[index] = exact
-            if exact > (SMALLEST * step) ** 2:
+            if exact > (_SMALLEST * step) ** 2:
                 heapq.heappush(queue, (gain, index, -1))
             continue
         if not solid_angle(corner, point[:3, index].copy()) > 2.0 * math.pi:
             continue
-        p, r = grown(p, r, step, corner, near)
+        p, r = _grown(p, r, step, corner, near)
         n_free = without(p, r, free, n_free)
         centre[found, 0], centre[found, 1], centre[found, 2] = p
         radius[found] = r

@@ -18,12 +18,12 @@ from particlerb.geometry.particles import Particles, one_kind
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 COMMENT: Final = re.compile(r"[#%].*")
-NUMBER: Final = re.compile(r"[+-]?\.?\d")
-OTHER_NAMES: Final = {"mass": "m", "radius": "r"}
-NOT_NEGATIVE: Final = ("m", "r")
+_NUMBER: Final = re.compile(r"[+-]?\.?\d")
+_OTHER_NAMES: Final = {"mass": "m", "radius": "r"}
+_NOT_NEGATIVE: Final = ("m", "r")
 
 
-class Columns(NamedTuple):
+class _Columns(NamedTuple):
     """What a kind of file holds."""
 
     required: tuple[str, ...]
@@ -35,8 +35,8 @@ class Columns(NamedTuple):
         return ", ".join([*self.required, *(f"[{name}]" for name in self.optional)])
 
 
-POINTS: Final = Columns(("x", "y", "z", "m"), ("r",))
-SPHERES: Final = Columns(("x", "y", "z", "r"), ())
+POINTS: Final = _Columns(("x", "y", "z", "m"), ("r",))
+SPHERES: Final = _Columns(("x", "y", "z", "r"), ())
 
 
 class Lines(NamedTuple):
@@ -74,10 +74,10 @@ def read_points(file: str | Path | File) -> Particles:
         values, no number, a number not finite, a negative mass or radius, no rows, no mass, two
         masses or two balls at one place.
     """
-    table = read_table(content(file), POINTS)
+    table = _read_table(content(file), POINTS)
     mass, radius = table.column["m"], table.column.get("r", np.zeros(len(table.line)))
     for is_matter in (mass > 0.0, radius > 0.0):
-        refuse_twins(table.position, np.asarray(is_matter), table)
+        _refuse_twins(table.position, np.asarray(is_matter), table)
     if not mass.any():
         raise ValueError(f"{table.path}: no mass: all values of m are 0")
     return one_kind(table.position, mass, radius)
@@ -93,7 +93,7 @@ def read_spheres(file: str | Path | File) -> tuple[Floats, Floats]:
     ValueError
         As `read_points`; a radius has to be positive.
     """
-    table = read_table(content(file), SPHERES)
+    table = _read_table(content(file), SPHERES)
     radius = table.column["r"]
     if not (radius > 0.0).all():
         i = int(np.argmin(radius > 0.0))
@@ -102,7 +102,7 @@ def read_spheres(file: str | Path | File) -> tuple[Floats, Floats]:
     return table.position, radius
 
 
-def columns_of(file: str | Path | File) -> Columns:
+def columns_of(file: str | Path | File) -> _Columns:
     """Kind of a file by its header, or by its number of columns: four are x y z r.
 
     Raises
@@ -110,13 +110,13 @@ def columns_of(file: str | Path | File) -> Columns:
     FileNotFoundError, ValueError
         As `read_points`.
     """
-    cells = lines_of(content(file))[0][1]
-    if is_header(cells):
+    cells = _lines_of(content(file))[0][1]
+    if _is_header(cells):
         return POINTS if {"m", "mass"} & {cell.lower() for cell in cells} else SPHERES
     return POINTS if len(cells) == len(POINTS.required) + 1 else SPHERES
 
 
-def lines_of(file: File) -> list[tuple[int, list[str]]]:
+def _lines_of(file: File) -> list[tuple[int, list[str]]]:
     """Cells of the lines that are neither blank nor comments, with their numbers."""
     try:
         text = file.data.decode("utf-8-sig")
@@ -139,18 +139,18 @@ def split(content: str) -> list[str]:
     return content.split()
 
 
-def is_header(cells: Sequence[str]) -> bool:
+def _is_header(cells: Sequence[str]) -> bool:
     """Whether a first line names columns: it has x, y or z, and no number."""
     return bool({"x", "y", "z"} & {cell.lower() for cell in cells}) and not any(
-        NUMBER.match(cell) for cell in cells
+        _NUMBER.match(cell) for cell in cells
     )
 
 
-def read_table(file: File, columns: Columns) -> Lines:
+def _read_table(file: File, columns: _Columns) -> Lines:
     """Table of a file; see `read_points`."""
-    lines, path = lines_of(file), file.name
+    lines, path = _lines_of(file), file.name
     first, cells = lines[0]
-    if is_header(cells):
+    if _is_header(cells):
         names = header(cells, columns, f"{path}:{first}")
         lines = lines[1:]
         if not lines:
@@ -162,9 +162,9 @@ def read_table(file: File, columns: Columns) -> Lines:
     return Lines(column, np.array([number for number, _ in lines]), path)
 
 
-def header(cells: Sequence[str], columns: Columns, where: str) -> list[str]:
+def header(cells: Sequence[str], columns: _Columns, where: str) -> list[str]:
     """Names of the columns; ValueError for a missing, unknown or repeated one."""
-    names = [OTHER_NAMES.get(cell.lower(), cell.lower()) for cell in cells]
+    names = [_OTHER_NAMES.get(cell.lower(), cell.lower()) for cell in cells]
     if missing := [name for name in columns.required if name not in names]:
         raise ValueError(f"{where}: column {', '.join(missing)} is missing; found {names}")
     known = (*columns.required, *columns.optional)
@@ -183,7 +183,7 @@ def numbers(lines: Sequence[tuple[int, list[str]]], names: Sequence[str], path: 
     except ValueError:
         is_whole = False
     if is_whole and np.isfinite(table).all():
-        low = [table[:, k].min() >= 0.0 for k, name in enumerate(names) if name in NOT_NEGATIVE]
+        low = [table[:, k].min() >= 0.0 for k, name in enumerate(names) if name in _NOT_NEGATIVE]
         if all(low):
             return table
     return np.array([row(cells, names, f"{path}:{number}") for number, cells in lines])
@@ -201,16 +201,16 @@ def row(cells: Sequence[str], names: Sequence[str], where: str) -> list[float]:
             raise ValueError(f"{where}: {name} = {cell!r} is not a number") from None
         if not math.isfinite(value):
             raise ValueError(f"{where}: {name} = {cell} is not finite")
-        if name in NOT_NEGATIVE and value < 0.0:
+        if name in _NOT_NEGATIVE and value < 0.0:
             raise ValueError(f"{where}: {name} = {cell} is negative")
         values.append(value)
     return values
 
 
-def refuse_twins(position: Floats, chosen: Bools, table: Lines) -> None:
+def _refuse_twins(position: Floats, chosen: Bools, table: Lines) -> None:
     """ValueError if two of the chosen particles are at one place."""
     index = np.flatnonzero(chosen)
-    pair = twins(position[index])
+    pair = _twins(position[index])
     if pair is not None:
         a, b = sorted(int(index[k]) for k in pair)
         raise ValueError(
@@ -219,7 +219,7 @@ def refuse_twins(position: Floats, chosen: Bools, table: Lines) -> None:
         )
 
 
-def twins(position: Floats) -> tuple[int, int] | None:
+def _twins(position: Floats) -> tuple[int, int] | None:
     """Two points (n, 3) with equal coordinates; None if there are none."""
     order = np.lexsort(position.T)
     same = np.flatnonzero((np.diff(position[order], axis=0) == 0.0).all(axis=1))

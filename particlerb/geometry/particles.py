@@ -53,14 +53,14 @@ def one_kind(position: ArrayLike, mass: ArrayLike, radius: ArrayLike | None = No
     p = np.array(position, dtype=np.float64, order="C")
     if p.ndim != 2 or p.shape[1] != 3 or len(p) == 0:
         raise ValueError(f"position has shape {p.shape}, not (n, 3) with n of 1 or more")
-    m = per_particle("mass", mass, len(p))
-    r = per_particle("radius", 0.0 if radius is None else radius, len(p))
+    m = _per_particle("mass", mass, len(p))
+    r = _per_particle("radius", 0.0 if radius is None else radius, len(p))
     if not np.isfinite(p).all():
         raise ValueError(f"position of particle {np.argmin(np.isfinite(p).all(axis=1))} not finite")
     return Particles(p, m, r, np.array([0, len(p)], dtype=np.int64))
 
 
-def per_particle(name: str, value: ArrayLike, n: int) -> Floats:
+def _per_particle(name: str, value: ArrayLike, n: int) -> Floats:
     """Array of n finite values of 0 or more, from n values or one; ValueError names the first."""
     given = np.asarray(value, dtype=np.float64)
     if given.shape not in {(), (n,)}:

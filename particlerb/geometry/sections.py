@@ -17,9 +17,9 @@ from particlerb.geometry.cells import Layer, cell_particles, grid_over
 from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
-Moments = tuple[float, float, float, float, float, float]
+_Moments = tuple[float, float, float, float, float, float]
 
 
 class Profile(NamedTuple):
@@ -58,7 +58,7 @@ def ring(slenderness: float) -> Profile:
     return Profile(np.array([c, a, 0.0]), np.array([c, -a, 0.0]), 0.0, True)
 
 
-def radii_at(profile: Profile, z: Floats, cosine: Floats) -> tuple[Floats, Floats]:
+def _radii_at(profile: Profile, z: Floats, cosine: Floats) -> tuple[Floats, Floats]:
     """Outer and inner radius of the sections at heights z, with cos θ = √(1 − z²)."""
     outer = profile.outer[0] + profile.outer[1] * cosine + profile.outer[2] * z
     inner = profile.inner[0] + profile.inner[1] * cosine + profile.inner[2] * z
@@ -101,19 +101,19 @@ def cut_sections(profile: Profile, counts: tuple[int, int, int]) -> Iterator[Lay
         low, high = (2.0 * k - nz) / nz, (2.0 * k + 2.0 - nz) / nz
         ends = np.unique([low, *breaks[(breaks > low) & (breaks < high)], high])
         sums = np.zeros((nx, ny, 10))
-        z, weight, cosine = nodes_between(ends, profile.is_round)
-        outer, inner = radii_at(profile, z, cosine)
-        add_sections(outer, inner, 0.5 * nz * (z - low), 0.5 * nz * weight, sums)
+        z, weight, cosine = _nodes_between(ends, profile.is_round)
+        outer, inner = _radii_at(profile, z, cosine)
+        _add_sections(outer, inner, 0.5 * nz * (z - low), 0.5 * nz * weight, sums)
         yield k, sums
 
 
-def nodes_between(ends: Floats, is_round: bool) -> tuple[Floats, Floats, Floats]:
+def _nodes_between(ends: Floats, is_round: bool) -> tuple[Floats, Floats, Floats]:
     """Heights, weights and cos θ of Gauss's rule between ascending heights."""
     if is_round:
         ends = np.arcsin(ends)
     middle, half = 0.5 * (ends[1:] + ends[:-1]), 0.5 * (ends[1:] - ends[:-1])
-    z = (middle[:, None] + half[:, None] * NODES).ravel()
-    weight = np.outer(half, WEIGHTS).ravel()
+    z = (middle[:, None] + half[:, None] * _NODES).ravel()
+    weight = np.outer(half, _WEIGHTS).ravel()
     if is_round:
         cosine = np.cos(z)
         return np.sin(z), weight * cosine, cosine
@@ -121,7 +121,7 @@ def nodes_between(ends: Floats, is_round: bool) -> tuple[Floats, Floats, Floats]
 
 
 @kernel
-def add_sections(
+def _add_sections(
     outer: Floats, inner: Floats, height: Floats, weight: Floats, sums: Floats
 ) -> None:
     """Add sections of a layer at heights in it from 0 to 1, with weights that sum to 1."""
@@ -132,9 +132,9 @@ def add_sections(
             y1, y2 = (2.0 * j - ny) / ny, (2.0 * j + 2.0 - ny) / ny
             cell = sums[i, j]
             for s in range(len(outer)):
-                a, ax, ay, axx, ayy, axy = disc_in(x1, x2, y1, y2, outer[s])
+                a, ax, ay, axx, ayy, axy = _disc_in(x1, x2, y1, y2, outer[s])
                 if inner[s] > 0.0:
-                    b, bx, by, bxx, byy, bxy = disc_in(x1, x2, y1, y2, inner[s])
+                    b, bx, by, bxx, byy, bxy = _disc_in(x1, x2, y1, y2, inner[s])
                     a, ax, ay = a - b, ax - bx, ay - by
                     axx, ayy, axy = axx - bxx, ayy - byy, axy - bxy
                 if a == 0.0:
@@ -153,7 +153,7 @@ def add_sections(
 
 
 @inline
-def disc_in(x1: float, x2: float, y1: float, y2: float, r: float) -> Moments:
+def _disc_in(x1: float, x2: float, y1: float, y2: float, r: float) -> _Moments:
     """Moments 1, u, v, uu, vv, uv of a disc about the origin over a cell, in its coordinates."""
     near_x, near_y = max(x1, -x2, 0.0), max(y1, -y2, 0.0)
     if near_x * near_x + near_y * near_y >= r * r:
@@ -165,7 +165,7 @@ def disc_in(x1: float, x2: float, y1: float, y2: float, r: float) -> Moments:
 
 
 @kernel
-def part_of_disc(x1: float, x2: float, y1: float, y2: float, r: float) -> Moments:
+def part_of_disc(x1: float, x2: float, y1: float, y2: float, r: float) -> _Moments:
     """The same for a cell that the circle cuts: strips between its crossings with the sides."""
     dx, dy = x2 - x1, y2 - y1
     left, right = max(x1, -r), min(x2, r)
@@ -199,7 +199,9 @@ def part_of_disc(x1: float, x2: float, y1: float, y2: float, r: float) -> Moment
 
 
 @kernel
-def strip(p: float, q: float, level: float, side: float, r: float, x0: float, y0: float) -> Moments:
+def strip(
+    p: float, q: float, level: float, side: float, r: float, x0: float, y0: float
+) -> _Moments:
     """Moments about (x0, y0) of the matter above y0, from x = p to q, below a level or an arc.
 
     Below the level where `side` is 0, else below y = ±√(r² − x²); integrands 1, x, y, xx, yy, xy.
@@ -210,8 +212,8 @@ def strip(p: float, q: float, level: float, side: float, r: float, x0: float, y0
     if side != 0.0:
         first, last = math.asin(max(p / r, -1.0)), math.asin(min(q / r, 1.0))
     middle, half = 0.5 * (first + last), 0.5 * (last - first)
-    for s in range(len(NODES)):
-        at, weight = middle + half * NODES[s], half * WEIGHTS[s]
+    for s in range(len(_NODES)):
+        at, weight = middle + half * _NODES[s], half * _WEIGHTS[s]
         x, h = at - x0, level - y0
         if side != 0.0:
             cosine = math.cos(at)

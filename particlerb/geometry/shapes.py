@@ -26,9 +26,9 @@ from particlerb.maths.vec3 import Floats
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])  # six unit vectors: +x +y +z -x -y -z
 CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-TRIANGLE_ROUNDING = 8 * np.finfo(np.float64).eps  # of I_max: moments that come out of a sum
+_TRIANGLE_ROUNDING = 8 * np.finfo(np.float64).eps  # of I_max: moments that come out of a sum
 
-Inside = Callable[[Floats, Floats, Floats], NDArray[np.bool_]]
+_Inside = Callable[[Floats, Floats, Floats], NDArray[np.bool_]]
 
 
 # Lattices
@@ -44,14 +44,14 @@ def positive(name: str, value: ArrayLike, shape: tuple[int, ...] = ()) -> Floats
     return array
 
 
-def at_least(name: str, n: int, least: int) -> int:
+def _at_least(name: str, n: int, least: int) -> int:
     """n as an int; ValueError if it is no whole number or below the least."""
     if not math.isfinite(n) or int(n) != n or n < least:
         raise ValueError(f"{name} is {n}: a whole number of {least} or more is needed")
     return int(n)
 
 
-def cell_centres(n: int) -> Floats:
+def _cell_centres(n: int) -> Floats:
     """Centres of n equal cells of [-1, 1]: (2i + 1 − n) / n, antisymmetric to the bit."""
     return (2.0 * np.arange(n) + (1.0 - n)) / n
 
@@ -61,7 +61,7 @@ def equal(position: Floats, mass: float) -> Particles:
     return one_kind(position, positive("mass", mass) / len(position))
 
 
-def lattice(name: str, half_size: Floats, mass: float, n: int, inside: Inside) -> Particles:
+def lattice(name: str, half_size: Floats, mass: float, n: int, inside: _Inside) -> Particles:
     """Equal particles in the cell centres inside a shape.
 
     Parameters
@@ -81,8 +81,8 @@ def lattice(name: str, half_size: Floats, mass: float, n: int, inside: Inside) -
         If no cell centre lies inside.
     """
     share = half_size / half_size.max()
-    counts = np.maximum(1, np.rint(at_least("n", n, 1) * share)).astype(np.int64)
-    centres = [cell_centres(int(count)) for count in counts]
+    counts = np.maximum(1, np.rint(_at_least("n", n, 1) * share)).astype(np.int64)
+    centres = [_cell_centres(int(count)) for count in counts]
     with np.errstate(over="ignore"):  # of a tube that is nothing beside its ring
         chosen = np.argwhere(inside(*np.ix_(*centres)))
     if len(chosen) == 0:
@@ -97,13 +97,13 @@ def filled(
     mass: float,
     n: int,
     arrangement: str,
-    inside: Inside,
+    inside: _Inside,
     profile: Profile,
 ) -> Particles:
     """Particles of a lattice as in `lattice`, or of cells; `profile` as in `geometry.sections`."""
     one_of(arrangement, "lattice", "cells")
     if arrangement == "cells":
-        cells = at_least("n", n, 2)
+        cells = _at_least("n", n, 2)
         return section_particles(profile, half_size, float(positive("mass", mass)), cells)
     return lattice(name, half_size, mass, n, inside)
 
@@ -131,8 +131,8 @@ def box(
         return equal(CORNERS * half_size / math.sqrt(3.0), mass)
     if np.shape(n) not in {(), (3,)}:
         raise ValueError(f"n is {n}: one number or three")
-    counts = [at_least("n", k, 1) for k in np.broadcast_to(n, (3,)).tolist()]
-    grid = np.meshgrid(*(cell_centres(count) for count in counts), indexing="ij")
+    counts = [_at_least("n", k, 1) for k in np.broadcast_to(n, (3,)).tolist()]
+    grid = np.meshgrid(*(_cell_centres(count) for count in counts), indexing="ij")
     return equal(np.stack(grid, axis=-1).reshape(-1, 3) * half_size, mass)
 
 
@@ -194,7 +194,7 @@ def shell(
             hollow(share),
         )
     one_of(arrangement, "lattice")
-    slope = np.tan(0.25 * math.pi * cell_centres(at_least("n", n, 1)))
+    slope = np.tan(0.25 * math.pi * _cell_centres(_at_least("n", n, 1)))
     u, v = (axis.ravel() for axis in np.meshgrid(slope, slope, indexing="ij"))
     distance = np.sqrt(1.0 + (u * u + v * v))
     face = np.stack([np.ones_like(u) / distance, u / distance, v / distance], axis=1) * R
@@ -293,7 +293,7 @@ def rod(length: float, mass: float, n: int = 10, arrangement: str = "lattice") -
     """
     one_of(arrangement, "lattice", "exact")
     L, exact = positive("length", length), arrangement == "exact"
-    z = np.array([-1.0, 0.0, 1.0]) if exact else cell_centres(at_least("n", n, 1))
+    z = np.array([-1.0, 0.0, 1.0]) if exact else _cell_centres(_at_least("n", n, 1))
     position = np.outer(z * (0.5 * L), [0.0, 0.0, 1.0])
     if exact:
         return one_kind(position, positive("mass", mass) * np.array([1 / 6, 4 / 6, 1 / 6]))
@@ -319,7 +319,7 @@ def tetrahedron(
         share = np.array([1 / 20, 1 / 20, 1 / 20, 1 / 20, 4 / 5])
         centroid = corner.mean(axis=0, keepdims=True)
         return one_kind(np.concatenate([corner, centroid]), positive("mass", mass) * share)
-    s = at_least("n", n, 2) - 1
+    s = _at_least("n", n, 2) - 1
     i, j, k = (axis.ravel() for axis in np.indices((s + 1, s + 1, s + 1)))
     index = np.stack([i, j, k, s - i - j - k], axis=1)[i + j + k <= s]
     spread = math.sqrt(s * (s + 4.0))
@@ -350,7 +350,7 @@ def moments(inertia: ArrayLike, mass: float) -> Particles:
         raise ValueError(f"inertia is {given.tolist()}: three finite numbers are needed")
     others = np.roll(given, -1) + np.roll(given, -2)
     excess = others - given
-    if (excess < -TRIANGLE_ROUNDING * given.max()).any():
+    if (excess < -_TRIANGLE_ROUNDING * given.max()).any():
         k = int(np.argmin(excess))
         raise ValueError(
             f"inertia {given.tolist()}: moment {k + 1} = {float(given[k])!r} exceeds the sum of the"
@@ -365,7 +365,7 @@ def moments(inertia: ArrayLike, mass: float) -> Particles:
 
 def cloud(n: int, radius: float, mass: float, rng: np.random.Generator) -> Particles:
     """n equal particles, independent and uniform in a ball: r = R u^(1/3), direction at random."""
-    direction = rng.standard_normal((at_least("n", n, 1), 3))
+    direction = rng.standard_normal((_at_least("n", n, 1), 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     distance = float(positive("radius", radius)) * np.cbrt(rng.random((n, 1)))
     return equal(direction * distance, mass)

@@ -18,38 +18,38 @@ from particlerb.compiled.threads import THREADS
 from particlerb.geometry.particles import Particles, check, refuse
 from particlerb.maths.vec3 import Bools, Floats, Ints, add_scaled, dot
 
-Sum: TypeAlias = tuple[float, float]
+_Sum: TypeAlias = tuple[float, float]
 
-LANES: Final = 16
-CHUNK: Final = 16384  # particles that are summed by one thread without a stop
-SAMPLE: Final = 128  # particles of a kind from which origin and scale are guessed
-NEAR: Final = 1 / 4  # |com|² over the square of the size up to which the origin stays where it is
-GOLDEN: Final = 0.6180339887498949
-PASSES: Final = 3  # readings of a kind at most
-SPARE: Final = (
+_LANES: Final = 16
+_CHUNK: Final = 16384  # particles that are summed by one thread without a stop
+_SAMPLE: Final = 128  # particles of a kind from which origin and scale are guessed
+_NEAR: Final = 1 / 4  # |com|² over the square of the size up to which the origin stays where it is
+_GOLDEN: Final = 0.6180339887498949
+_PASSES: Final = 3  # readings of a kind at most
+_SPARE: Final = (
     200  # powers of two between the scale guessed and the largest value that are harmless
 )
-SUMS: Final = 11  # M, Σ m r (3), Σ m r rᵀ (xx yy zz xy xz yz), Σ (2/5) m radius²
-LOW: Final = SUMS  # rows of rounding errors
-EXTENT: Final = 2 * SUMS  # largest coordinate or radius of what has mass
-HEAVIEST: Final = EXTENT + 1
-LEAST: Final = EXTENT + 2  # smallest mass or radius: below 0 is an error
-BAD: Final = EXTENT + 3  # 0, or NaN where a number is not finite
-ROWS: Final = EXTENT + 4
-X: Final = ROWS  # rows of the group at hand: r, mass, radius
-BUFFER: Final = (ROWS + 5) * LANES
+_SUMS: Final = 11  # M, Σ m r (3), Σ m r rᵀ (xx yy zz xy xz yz), Σ (2/5) m radius²
+_LOW: Final = _SUMS  # rows of rounding errors
+_EXTENT: Final = 2 * _SUMS  # largest coordinate or radius of what has mass
+_HEAVIEST: Final = _EXTENT + 1
+LEAST: Final = _EXTENT + 2  # smallest mass or radius: below 0 is an error
+_BAD: Final = _EXTENT + 3  # 0, or NaN where a number is not finite
+_ROWS: Final = _EXTENT + 4
+X: Final = _ROWS  # rows of the group at hand: r, mass, radius
+_BUFFER: Final = (_ROWS + 5) * _LANES
 
-unsigned: Any = int if config.DISABLE_JIT else np.uint64
+_unsigned: Any = int if config.DISABLE_JIT else np.uint64
 
 
-class Sums(NamedTuple):
+class _Sums(NamedTuple):
     """Scaled sums of kinds: lengths in units of 2^exponent[:, 0], masses of 2^exponent[:, 1]."""
 
     moments: Floats  # (n, SUMS) about the com but for column 1 to 3, which are the com
     exponent: Ints  # (n, 2)
 
 
-def sums_of(particles: Particles) -> Sums:
+def sums_of(particles: Particles) -> _Sums:
     """Sums of every kind.
 
     Raises
@@ -64,46 +64,46 @@ def sums_of(particles: Particles) -> Sums:
     n = len(count)
     origin, exponent = np.empty((n, 3)), np.empty((n, 2), dtype=np.int64)
     arrays = (np.ascontiguousarray(position).reshape(-1), mass, radius)
-    guess(*arrays, offset, origin, exponent)
-    moments, kinds = np.empty((n, SUMS)), np.arange(n)
-    for remaining in range(PASSES - 1, -1, -1):
-        chunks = chunks_of(offset, kinds)
-        rows = np.empty((len(chunks), ROWS))
+    _guess(*arrays, offset, origin, exponent)
+    moments, kinds = np.empty((n, _SUMS)), np.arange(n)
+    for remaining in range(_PASSES - 1, -1, -1):
+        chunks = _chunks_of(offset, kinds)
+        rows = np.empty((len(chunks), _ROWS))
 
         def work(first: int, last: int, chunks: Ints = chunks, rows: Floats = rows) -> None:
-            sum_chunks(*arrays, chunks, origin, exponent, rows, first, last)
+            _sum_chunks(*arrays, chunks, origin, exponent, rows, first, last)
 
         THREADS.share(work, len(chunks), int(count[kinds].sum()) // 16)
-        has_mass = np.bincount(chunks[:, 0], rows[:, HEAVIEST], n)[kinds] > 0.0
-        if not (has_mass.all() and (rows[:, LEAST] >= 0.0).all() and (rows[:, BAD] == 0.0).all()):
+        has_mass = np.bincount(chunks[:, 0], rows[:, _HEAVIEST], n)[kinds] > 0.0
+        if not (has_mass.all() and (rows[:, LEAST] >= 0.0).all() and (rows[:, _BAD] == 0.0).all()):
             check(particles)
         again = np.zeros(n, dtype=np.bool_)
         join(chunks, rows, origin, exponent, moments, again)
         kinds = np.flatnonzero(again)
         if remaining == 0 or kinds.size == 0:
             break
-    return Sums(moments, exponent)
+    return _Sums(moments, exponent)
 
 
-def chunks_of(offset: Ints, kinds: Ints) -> Ints:
+def _chunks_of(offset: Ints, kinds: Ints) -> Ints:
     """Kind, first and last particle (excluded) of chunks of the given kinds, (n, 3)."""
-    count = -(-(offset[kinds + 1] - offset[kinds]) // CHUNK)
+    count = -(-(offset[kinds + 1] - offset[kinds]) // _CHUNK)
     kind = np.repeat(kinds, count)
     first = np.arange(len(kind)) - np.repeat(np.cumsum(count) - count, count)
-    low = offset[kind] + first * CHUNK
-    return np.stack([kind, low, np.minimum(low + CHUNK, offset[kind + 1])], axis=1)
+    low = offset[kind] + first * _CHUNK
+    return np.stack([kind, low, np.minimum(low + _CHUNK, offset[kind + 1])], axis=1)
 
 
 @inline
-def sampled(lo: int, n: int, s: int) -> int:
+def _sampled(lo: int, n: int, s: int) -> int:
     """Number s of a sample that follows no period of the list; all of a short list, in order."""
-    if n <= SAMPLE:
+    if n <= _SAMPLE:
         return lo + s
-    return lo + int(n * ((s * GOLDEN) % 1.0))
+    return lo + int(n * ((s * _GOLDEN) % 1.0))
 
 
 @kernel
-def guess(
+def _guess(
     place: Floats, mass: Floats, radius: Floats, offset: Ints, origin: Floats, exponent: Ints
 ) -> None:
     """Origin (scaled) and scales of every kind from a sample.
@@ -113,21 +113,21 @@ def guess(
     """
     for k in range(len(offset) - 1):
         lo, n = offset[k], offset[k + 1] - offset[k]
-        taken = min(n, SAMPLE)
+        taken = min(n, _SAMPLE)
         extent = heaviest = 0.0
         for s in range(taken):
-            i = sampled(lo, n, s)
+            i = _sampled(lo, n, s)
             if mass[i] > 0.0:
                 heaviest = max(heaviest, mass[i])
                 extent = max(extent, abs(place[3 * i]), abs(place[3 * i + 1]))
                 extent = max(extent, abs(place[3 * i + 2]), radius[i])
-        exponent[k, 0], exponent[k, 1] = power_above(extent), power_above(heaviest)
+        exponent[k, 0], exponent[k, 1] = _power_above(extent), _power_above(heaviest)
         per_length = math.ldexp(1.0, -int(exponent[k, 0]))
         per_mass = math.ldexp(1.0, -int(exponent[k, 1]))
         M = far = 0.0
         c = (0.0, 0.0, 0.0)
         for s in range(taken):
-            i = sampled(lo, n, s)
+            i = _sampled(lo, n, s)
             m = mass[i] * per_mass
             p = (place[3 * i], place[3 * i + 1], place[3 * i + 2])
             p = (p[0] * per_length, p[1] * per_length, p[2] * per_length)
@@ -137,13 +137,13 @@ def guess(
         per_mass = 1.0 / M if M > 0.0 else 0.0
         c = (c[0] * per_mass, c[1] * per_mass, c[2] * per_mass)
         offset_squared = dot(c, c)
-        is_off = offset_squared > NEAR * (far * per_mass - offset_squared)
+        is_off = offset_squared > _NEAR * (far * per_mass - offset_squared)
         for axis in range(3):
             origin[k, axis] = c[axis] if is_off and offset_squared < math.inf else 0.0
 
 
 @inline
-def power_above(value: float) -> int:
+def _power_above(value: float) -> int:
     """Power of two above a number, −1000 at least; 0 of what is no number."""
     return max(math.frexp(value)[1], -1000) if value < math.inf else 0
 
@@ -154,12 +154,12 @@ def power_above(value: float) -> int:
 @inline
 def at(row: int, lane: int) -> int:
     """Index of a lane in a row: unsigned, so that Numba asks not whether it is negative."""
-    index: int = unsigned(row * LANES + lane)
+    index: int = _unsigned(row * _LANES + lane)
     return index
 
 
 @inline
-def add(total: Sum, term: float) -> Sum:
+def add(total: _Sum, term: float) -> _Sum:
     """total + term with the rounding error carried along, whichever of the two is larger.
 
     Source: two-sum, Knuth, The Art of Computer Programming 2, 3rd ed., 4.2.2, theorem B.
@@ -173,8 +173,8 @@ def add(total: Sum, term: float) -> Sum:
 @inline
 def put(lanes: Floats, row: int, lane: int, term: float) -> None:
     """Add a term to a sum of one lane."""
-    high, low = add((lanes[at(row, lane)], lanes[at(LOW + row, lane)]), term)
-    lanes[at(row, lane)], lanes[at(LOW + row, lane)] = high, low
+    high, low = add((lanes[at(row, lane)], lanes[at(_LOW + row, lane)]), term)
+    lanes[at(row, lane)], lanes[at(_LOW + row, lane)] = high, low
 
 
 @inline
@@ -182,11 +182,11 @@ def load(
     lanes: Floats, lane: int, x: float, y: float, z: float, m: float, r: float, units: Floats
 ) -> None:
     """Write one particle into its lane: scaled, from the origin; note its size and faults."""
-    lanes[at(BAD, lane)] += ((x - x) + (y - y)) + ((z - z) + (m - m)) + (r - r)
+    lanes[at(_BAD, lane)] += ((x - x) + (y - y)) + ((z - z) + (m - m)) + (r - r)
     lanes[at(LEAST, lane)] = min(lanes[at(LEAST, lane)], m, r)
-    lanes[at(HEAVIEST, lane)] = max(lanes[at(HEAVIEST, lane)], m)
+    lanes[at(_HEAVIEST, lane)] = max(lanes[at(_HEAVIEST, lane)], m)
     size = max(abs(x), abs(y), abs(z), r) if m > 0.0 else 0.0
-    lanes[at(EXTENT, lane)] = max(lanes[at(EXTENT, lane)], size)
+    lanes[at(_EXTENT, lane)] = max(lanes[at(_EXTENT, lane)], size)
     lanes[at(X, lane)] = x * units[0] - units[2]
     lanes[at(X + 1, lane)] = y * units[0] - units[3]
     lanes[at(X + 2, lane)] = z * units[0] - units[4]
@@ -195,9 +195,9 @@ def load(
 
 
 @inline
-def add_group(lanes: Floats) -> None:
+def _add_group(lanes: Floats) -> None:
     """Add the particles of all lanes to the sums."""
-    for lane in range(LANES):
+    for lane in range(_LANES):
         m, x = lanes[at(X + 3, lane)], lanes[at(X, lane)]
         y, z, r = lanes[at(X + 1, lane)], lanes[at(X + 2, lane)], lanes[at(X + 4, lane)]
         mx, my, mz = m * x, m * y, m * z
@@ -215,7 +215,7 @@ def add_group(lanes: Floats) -> None:
 
 
 @kernel
-def sum_chunks(
+def _sum_chunks(
     place: Floats,
     mass: Floats,
     radius: Floats,
@@ -227,39 +227,39 @@ def sum_chunks(
     last: int,
 ) -> None:
     """Sums of the chunks first to last, high parts, then low parts, and what was noted."""
-    lanes, units = np.empty(BUFFER), np.empty(5)
+    lanes, units = np.empty(_BUFFER), np.empty(5)
     for c in range(first, last):
         k, lo, hi = chunks[c]
         units[0] = math.ldexp(1.0, -int(exponent[k, 0]))
         units[1] = math.ldexp(1.0, -int(exponent[k, 1]))
         units[2], units[3], units[4] = origin[k, 0], origin[k, 1], origin[k, 2]
         lanes[:] = 0.0
-        whole = lo + (hi - lo) // LANES * LANES
-        for start in range(lo, whole, LANES):
-            x = place[3 * start : 3 * (start + LANES)]
-            m, r = mass[start : start + LANES], radius[start : start + LANES]
-            for lane in range(LANES):
-                i = unsigned(3 * lane)
-                j = unsigned(lane)
-                load(lanes, lane, x[i], x[i + unsigned(1)], x[i + unsigned(2)], m[j], r[j], units)
-            add_group(lanes)
+        whole = lo + (hi - lo) // _LANES * _LANES
+        for start in range(lo, whole, _LANES):
+            x = place[3 * start : 3 * (start + _LANES)]
+            m, r = mass[start : start + _LANES], radius[start : start + _LANES]
+            for lane in range(_LANES):
+                i = _unsigned(3 * lane)
+                j = _unsigned(lane)
+                load(lanes, lane, x[i], x[i + _unsigned(1)], x[i + _unsigned(2)], m[j], r[j], units)
+            _add_group(lanes)
         if whole < hi:
-            lanes[X * LANES :] = 0.0
+            lanes[X * _LANES :] = 0.0
             for lane in range(hi - whole):
                 i = whole + lane
                 x0, y0, z0 = place[3 * i], place[3 * i + 1], place[3 * i + 2]
                 load(lanes, lane, x0, y0, z0, mass[i], radius[i], units)
-            add_group(lanes)
-        rows[c, :EXTENT] = 0.0
-        for lane in range(LANES):  # rows inside: additions that need not wait for each other
-            for row in range(SUMS):
-                total = add((rows[c, row], rows[c, LOW + row]), lanes[row * LANES + lane])
-                rows[c, row], rows[c, LOW + row] = add(total, lanes[(LOW + row) * LANES + lane])
-        for row in range(EXTENT, ROWS):
+            _add_group(lanes)
+        rows[c, :_EXTENT] = 0.0
+        for lane in range(_LANES):  # rows inside: additions that need not wait for each other
+            for row in range(_SUMS):
+                total = add((rows[c, row], rows[c, _LOW + row]), lanes[row * _LANES + lane])
+                rows[c, row], rows[c, _LOW + row] = add(total, lanes[(_LOW + row) * _LANES + lane])
+        for row in range(_EXTENT, _ROWS):
             value = 0.0
-            for lane in range(LANES):
-                found = lanes[row * LANES + lane]
-                if row == BAD:
+            for lane in range(_LANES):
+                found = lanes[row * _LANES + lane]
+                if row == _BAD:
                     value += found
                 else:
                     value = min(value, found) if row == LEAST else max(value, found)
@@ -277,13 +277,13 @@ def join(
     """
     c = 0
     while c < len(chunks):
-        k, total, extent, heaviest = chunks[c, 0], np.zeros((SUMS, 2)), 0.0, 0.0
+        k, total, extent, heaviest = chunks[c, 0], np.zeros((_SUMS, 2)), 0.0, 0.0
         while c < len(chunks) and chunks[c, 0] == k:
-            for row in range(SUMS):
+            for row in range(_SUMS):
                 high, low = add((total[row, 0], total[row, 1]), rows[c, row])
-                total[row, 0], total[row, 1] = add((high, low), rows[c, LOW + row])
-            extent = max(extent, rows[c, EXTENT])
-            heaviest = max(heaviest, rows[c, HEAVIEST])
+                total[row, 0], total[row, 1] = add((high, low), rows[c, _LOW + row])
+            extent = max(extent, rows[c, _EXTENT])
+            heaviest = max(heaviest, rows[c, _HEAVIEST])
             c += 1
         M = total[0, 0] + total[0, 1]
         d = (total[1:4, 0] + total[1:4, 1]) / M
@@ -291,8 +291,8 @@ def join(
         for row, (a, b) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
             moments[k, 4 + row] = total[4 + row, 0] + (total[4 + row, 1] - M * d[a] * d[b])
         moments[k, 10] = total[10, 0] + total[10, 1]
-        e_length, e_mass = power_above(extent), power_above(heaviest)
-        is_far = abs(e_length - exponent[k, 0]) > SPARE or abs(e_mass - exponent[k, 1]) > SPARE
+        e_length, e_mass = _power_above(extent), _power_above(heaviest)
+        is_far = abs(e_length - exponent[k, 0]) > _SPARE or abs(e_mass - exponent[k, 1]) > _SPARE
         spread = moments[k, 4] + moments[k, 5] + moments[k, 6]
         off = M * (d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
         if is_far:

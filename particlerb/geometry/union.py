@@ -29,16 +29,16 @@ from particlerb.geometry.caps import (
 )
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, cross, dot, norm, row3, subtract
 
-PIECE: Final = 0.5 * math.pi  # [rad] an arc is integrated in pieces of at most this
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)  # of cubic trigonometric terms: 3e-17
-COARSEST: Final = 1e-9  # as far as this is raised where the edge of a patch does not close
-GAP: Final = 1e-12  # length [of the radius] that counts as no gap in the edge of a patch
-NEARLY: Final = 1e-6  # solid angle below which all or nothing of a sphere may be exposed
-WORK_PER_SPHERE: Final = 200  # in the units of threads.LEAST_WORK
+_PIECE: Final = 0.5 * math.pi  # [rad] an arc is integrated in pieces of at most this
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)  # of cubic trigonometric terms: 3e-17
+_COARSEST: Final = 1e-9  # as far as this is raised where the edge of a patch does not close
+_GAP: Final = 1e-12  # length [of the radius] that counts as no gap in the edge of a patch
+_NEARLY: Final = 1e-6  # solid angle below which all or nothing of a sphere may be exposed
+_WORK_PER_SPHERE: Final = 200  # in the units of threads.LEAST_WORK
 COLUMNS: Final = 15  # volume, first (3), second (6) moments, vector area (3), area, gap
 
 
-class Union(NamedTuple):
+class _Union(NamedTuple):
     """Moments of a union of balls of density 1."""
 
     volume: float
@@ -48,7 +48,7 @@ class Union(NamedTuple):
     gap: float  # |∮ n dA|, and the gaps in the edges of patches: 0 but for rounding
 
 
-def union(centre: Floats, radius: Floats) -> Union:
+def union(centre: Floats, radius: Floats) -> _Union:
     """Moments of the union of balls about the origin of their centres.
 
     Parameters
@@ -63,16 +63,16 @@ def union(centre: Floats, radius: Floats) -> Union:
     c, R = np.ascontiguousarray(centre), np.ascontiguousarray(radius)
 
     def work(first: int, last: int) -> None:
-        patches(c, R, start, other, NODES, WEIGHTS, APEXES, rows, first, last)
+        patches(c, R, start, other, _NODES, _WEIGHTS, _APEXES, rows, first, last)
 
-    THREADS.share(work, len(radius), WORK_PER_SPHERE * len(radius))
+    THREADS.share(work, len(radius), _WORK_PER_SPHERE * len(radius))
     sums = np.array([math.fsum(column) for column in rows.T])
     gap = math.hypot(*sums[10:13]) + sums[14]
-    return Union(float(sums[0]), sums[1:4], sums[4:10], float(sums[13]), float(gap))
+    return _Union(float(sums[0]), sums[1:4], sums[4:10], float(sums[13]), float(gap))
 
 
 # Directions for the apex of the triangles: the one farthest from the edge's antipode is taken.
-APEXES: Final = np.array(
+_APEXES: Final = np.array(
     [
         [math.sqrt(1.0 - z * z) * math.cos(a), math.sqrt(1.0 - z * z) * math.sin(a), z]
         for k in range(12)
@@ -101,7 +101,7 @@ def neighbours(centre: Floats, radius: Floats) -> tuple[Ints, Ints]:
     order = np.argsort(low, kind="stable")
     hidden = np.zeros(len(radius), dtype=np.bool_)
     arrays = (centre, radius, low, order, hidden)
-    hide(*arrays, along)
+    _hide(*arrays, along)
     count = np.zeros(len(radius) + 1, dtype=np.int64)
     pairs(*arrays, along, count, np.empty(0, dtype=np.int64))
     start = np.concatenate([[0], np.cumsum(count[:-1])]).astype(np.int64)
@@ -112,7 +112,7 @@ def neighbours(centre: Floats, radius: Floats) -> tuple[Ints, Ints]:
 
 
 @kernel
-def hide(
+def _hide(
     centre: Floats, radius: Floats, low: Floats, order: Ints, hidden: Bools, along: int
 ) -> None:
     """Mark the balls that lie inside another one, |d| <= R_j − R_i to rounding."""
@@ -188,23 +188,23 @@ def patches(
             caps = caps_of(centre, radius, other[start[i] : stop], i, same)
             arcs = exposed_arcs(caps, same)
             gap = open_by(caps, arcs)
-            if gap <= GAP or same >= COARSEST:
+            if gap <= _GAP or same >= _COARSEST:
                 break
             same *= 10.0
         c = (centre[i, 0], centre[i, 1], centre[i, 2])
-        add_patch(caps, arcs, c, radius[i], nodes, weights, apexes, rows[i])
-        rows[i, 14] = gap * radius[i] * radius[i] if gap > GAP else 0.0
+        _add_patch(caps, arcs, c, radius[i], nodes, weights, apexes, rows[i])
+        rows[i, 14] = gap * radius[i] * radius[i] if gap > _GAP else 0.0
 
 
 @kernel
-def best_apex(caps: Caps, arcs: Floats, apexes: Floats) -> int:
+def _best_apex(caps: Caps, arcs: Floats, apexes: Floats) -> int:
     """Number of the apex whose antipode is farthest from the ends of arcs."""
     best, farthest = 0, -1.0
     for a in range(len(apexes)):
         nearest = 2.0
         for m in range(len(arcs)):
             c = circle(caps, int(arcs[m, 0]))
-            pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / PIECE))
+            pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / _PIECE))
             for piece in range(pieces + 1):
                 t = arcs[m, 1] + (arcs[m, 2] - arcs[m, 1]) * piece / pieces
                 nearest = min(nearest, 1.0 + dot(row3(apexes, a), point(c, t)))
@@ -214,7 +214,7 @@ def best_apex(caps: Caps, arcs: Floats, apexes: Floats) -> int:
 
 
 @inline
-def triangle(a: Vec3, p: Vec3, q: Vec3) -> float:
+def _triangle(a: Vec3, p: Vec3, q: Vec3) -> float:
     """Signed solid angle of a spherical triangle, −2π to 2π.
 
     Source: Van Oosterom, Strackee, IEEE Trans. Biomed. Eng. 30, 125 (1983), equation 8.
@@ -223,7 +223,7 @@ def triangle(a: Vec3, p: Vec3, q: Vec3) -> float:
 
 
 @kernel
-def add_patch(
+def _add_patch(
     caps: Caps,
     arcs: Floats,
     c: Vec3,
@@ -238,7 +238,7 @@ def add_patch(
     With ∫ Y = −1/(l (l + 1)) ∮ ∂Y/∂ν for a harmonic Y of degree l, ν = (u − h n) / s pointing out
     of the patch: N = ∫ n, T = ∫ n nᵀ and U = ∫ n nᵀ (c · n) from A = ∫ 1.
     """
-    A = solid_angle(caps, arcs, apexes)
+    A = _solid_angle(caps, arcs, apexes)
     N, K, W = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
     cc = np.array(c)
     for m in range(len(arcs)):
@@ -246,7 +246,7 @@ def add_patch(
         own = circle(caps, k)
         u, h = caps.axis[k], caps.height[k]
         cu = dot(c, own[0])
-        pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / PIECE))
+        pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / _PIECE))
         half = 0.5 * (arcs[m, 2] - arcs[m, 1]) / pieces
         for piece in range(pieces):
             middle = arcs[m, 1] + (2 * piece + 1) * half
@@ -286,7 +286,7 @@ def add_patch(
 
 
 @kernel
-def solid_angle(caps: Caps, arcs: Floats, apexes: Floats) -> float:
+def _solid_angle(caps: Caps, arcs: Floats, apexes: Floats) -> float:
     """Solid angle ∫ 1 of what the caps leave, from its edge.
 
     The edge, run with the caps on the left, encloses what the triangles (apex, p, q) and the
@@ -295,21 +295,21 @@ def solid_angle(caps: Caps, arcs: Floats, apexes: Floats) -> float:
     """
     if len(arcs) == 0:
         return 4.0 * math.pi if len(caps.height) == 0 else 0.0
-    a = row3(apexes, best_apex(caps, arcs, apexes))
+    a = row3(apexes, _best_apex(caps, arcs, apexes))
     covered = 0.0
     for m in range(len(arcs)):
         c = circle(caps, int(arcs[m, 0]))
         h, depth = c[3], c[4]
-        pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / PIECE))
+        pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / _PIECE))
         step = (arcs[m, 2] - arcs[m, 1]) / pieces
         for piece in range(pieces):
             p, q = point(c, arcs[m, 1] + piece * step), point(c, arcs[m, 1] + (piece + 1) * step)
             chord = 2.0 * math.atan2(depth * math.sin(step), 1.0 + h + depth * math.cos(step))
-            covered += triangle(a, p, q) + depth * step - chord
+            covered += _triangle(a, p, q) + depth * step - chord
     whole = 4.0 * math.pi
     A = -covered - whole * math.floor(-covered / whole)
-    if NEARLY < A < whole - NEARLY:
+    if _NEARLY < A < whole - _NEARLY:
         return A
-    rest = A - whole if A > NEARLY else A  # from −NEARLY to NEARLY
-    is_bare = 2.0 * math.pi * caps.depth.max() <= 2.0 * NEARLY
+    rest = A - whole if A > _NEARLY else A  # from −NEARLY to NEARLY
+    is_bare = 2.0 * math.pi * caps.depth.max() <= 2.0 * _NEARLY
     return whole + min(rest, 0.0) if is_bare else max(rest, 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 from particlerb.compiled.jit import kernel
 from particlerb.maths.vec3 import Bools, Floats, Ints, corner3, cross, dot, norm, subtract
 
-ON_FACE = 1e-9  # height of a point over a face, relative: it has no winding number there
+_ON_FACE = 1e-9  # height of a point over a face, relative: it has no winding number there
 
 
 def oriented(faces: Ints) -> tuple[Ints, Bools, int]:
@@ -42,7 +42,7 @@ def oriented(faces: Ints) -> tuple[Ints, Bools, int]:
     begin = np.flatnonzero(is_first)
     count = np.diff(np.append(begin, 3 * m))
     pair = np.stack([begin, begin + 1])[:, count == 2]
-    many = [meetings(np.arange(b, b + n), forward[b : b + n])
+    many = [_meetings(np.arange(b, b + n), forward[b : b + n])
             for b, n in zip(begin[count > 2], count[count > 2], strict=True)]  # fmt: skip
     pair = np.concatenate([pair, *many], axis=1)
     one, other, same = face[pair[0]], face[pair[1]], forward[pair[0]] == forward[pair[1]]
@@ -51,14 +51,14 @@ def oriented(faces: Ints) -> tuple[Ints, Bools, int]:
     offset = np.searchsorted(source[by_source], np.arange(m + 1))
     neighbour = np.concatenate([other, one])[by_source]
     part, flipped = np.full(m, -1), np.zeros(m, dtype=np.bool_)
-    torn = int(spread_sides(offset, neighbour, np.tile(same, 2)[by_source], part, flipped))
+    torn = int(_spread_sides(offset, neighbour, np.tile(same, 2)[by_source], part, flipped))
     if torn >= 0:
         return part, flipped, torn
     more = 2 * np.bincount(part, weights=flipped) > np.bincount(part)
     return part, flipped ^ more[part], torn
 
 
-def meetings(index: Ints, forward: Bools) -> Ints:
+def _meetings(index: Ints, forward: Bools) -> Ints:
     """Pairs, (2, k), of the faces at an edge: of opposite directions as far as there are such."""
     ahead, back = index[forward], index[~forward]
     n = min(len(ahead), len(back))
@@ -69,7 +69,7 @@ def meetings(index: Ints, forward: Bools) -> Ints:
 
 
 @kernel
-def spread_sides(offset: Ints, neighbour: Ints, differs: Bools, part: Ints, flipped: Bools) -> int:
+def _spread_sides(offset: Ints, neighbour: Ints, differs: Bools, part: Ints, flipped: Bools) -> int:
     """Fill `part` (-1 at first) and `flipped` from neighbour to neighbour; a torn face or -1."""
     waiting = np.empty(len(part), dtype=np.int64)
     n_parts = 0
@@ -131,7 +131,7 @@ def solid_angle(corner: Floats, point: Floats) -> float:
         a, b, c = norm(r0), norm(r1), norm(r2)
         triple = dot(r0, cross(r1, r2))
         below = a * b * c + dot(r0, r1) * c + dot(r1, r2) * a + dot(r2, r0) * b
-        if below <= 0.0 and abs(triple) <= ON_FACE * a * b * c:
+        if below <= 0.0 and abs(triple) <= _ON_FACE * a * b * c:
             return math.nan
         total += 2.0 * math.atan2(triple, below)
     return total

@@ -32,10 +32,10 @@ from particlerb.model.block import (
     put4,
 )
 
-SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
-GROW: Final = 5.0
-SAFETY: Final = 0.9
-ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of what a step computes
+_SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
+_GROW: Final = 5.0
+_SAFETY: Final = 0.9
+_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of what a step computes
 LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any more
 ALONE: Final = 13  # numbers of a body: x, q, p, L; what it books follows where it books
 
@@ -141,7 +141,7 @@ def moved(w: int, y: Floats, new: Floats, b: int) -> float:
 
 
 @inline
-def largest_moment(rows: Floats, b: int) -> float:
+def _largest_moment(rows: Floats, b: int) -> float:
     """Largest principal moment of body b [kg m²]; 0 for a point."""
     least = np.inf
     for inverse in get3(rows, INV_INERTIA, b):
@@ -152,7 +152,7 @@ def largest_moment(rows: Floats, b: int) -> float:
 
 
 @inline
-def scales_of(
+def _scales_of(
     rows: Floats, w: int, y: Floats, new: Floats, b: int, h: float, tolerance: float
 ) -> tuple[float, float, float, float]:
     """What errors of x, q, p and L of body b are relative to.
@@ -161,8 +161,8 @@ def scales_of(
     comes to rest all of these are rounding, of positions and so of the forces that hold it: none
     is taken for smaller than what rounding makes of it in a step.
     """
-    noise = ROUNDING / tolerance
-    mass, moment = 1.0 / get(rows, INV_MASS, b), largest_moment(rows, b)
+    noise = _ROUNDING / tolerance
+    mass, moment = 1.0 / get(rows, INV_MASS, b), _largest_moment(rows, b)
     size = math.sqrt(moment / mass)
     way = max(moved(w, y, new, b), size, noise * larger(w, y, new, 0, 3, b))
     p = max(
@@ -200,7 +200,7 @@ def errors_of(
     worst = 0.0
     for b in range(n):
         sum5, sum3 = 0.0, 0.0
-        scales = scales_of(rows, w, y, new, b, h, tolerance)
+        scales = _scales_of(rows, w, y, new, b, h, tolerance)
         for (lo, hi), scale in zip(((0, 3), (3, 7), (7, 10), (10, 13)), scales):  # noqa: B905
             for c in range(lo, hi):
                 e5, e3 = five[c * w + b], three[c * w + b]
@@ -230,12 +230,12 @@ def normalise(values: Floats, n: int, w: int) -> None:
 def factor_of(error: float) -> float:
     """By how much the next step is longer than the one with this error over the tolerance."""
     if error == 0.0:
-        return GROW
+        return _GROW
     if not error < np.inf:
-        return SHRINK
-    most = GROW if error < 1.0 else 1.0
-    factor: float = SAFETY * error ** (-1.0 / 8.0)
-    return max(SHRINK, min(most, factor))
+        return _SHRINK
+    most = _GROW if error < 1.0 else 1.0
+    factor: float = _SAFETY * error ** (-1.0 / 8.0)
+    return max(_SHRINK, min(most, factor))
 
 
 @kernel

@@ -14,11 +14,11 @@ import numpy as np
 
 from particlerb.maths.vec3 import Floats
 
-Entries = tuple[tuple[int, int, float], ...]
+_Entries = tuple[tuple[int, int, float], ...]
 STAGES: Final = 16
 
 
-def table(shape: tuple[int, int], entries: Entries) -> Floats:
+def table(shape: tuple[int, int], entries: _Entries) -> Floats:
     """Array with these entries."""
     values = np.zeros(shape)
     for i, j, value in entries:

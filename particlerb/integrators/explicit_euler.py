@@ -26,7 +26,7 @@ from particlerb.model.block import INV_INERTIA, get3
 
 
 @stage
-def advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def _advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """All slopes at the beginning; the rotor's momentum in its own axes."""
     acting, books = moving.acting, moving.books
     for k in range(first, last):
@@ -47,7 +47,7 @@ def advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> Non
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning."""
     loads(moving)
-    advance_rates(moving, first, last, dt)
+    _advance_rates(moving, first, last, dt)
 
 
 METHOD: Final = Method(

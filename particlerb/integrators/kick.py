@@ -23,7 +23,7 @@ from particlerb.model.block import COM, L, P, Q, get3, get4, put3
 
 
 @inline
-def with_flow(
+def _with_flow(
     flow: Flag, rows: Floats, b: int, x: Vec3, R: Rows, old: tuple[Vec3, Vec3],
     new: tuple[Vec3, Vec3], entry: Entry,
 ) -> Entry:  # fmt: skip
@@ -49,8 +49,8 @@ def kick_body(
     put3(rows, P, b, p)
     put3(rows, L, b, L_new)
     entry = kick_entry(rows, b, x, R, first, middle, last)
-    entry = with_flow(acting.flow, rows, b, x, R, old, first, entry)
-    entry = with_flow(acting.flow, rows, b, x, R, last, (p, L_new), entry)
+    entry = _with_flow(acting.flow, rows, b, x, R, old, first, entry)
+    entry = _with_flow(acting.flow, rows, b, x, R, last, (p, L_new), entry)
     entry = with_power(acting.clock, acting, rows, b, x, R, dt, entry)
     book(books, rows, b, 1.0, less_internal(acting.pair, acting.contact, rows, b, x, dt, entry))
     return p, L_new, R

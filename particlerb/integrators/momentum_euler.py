@@ -18,7 +18,7 @@ from particlerb.maths.quaternion import matrix
 
 
 @stage
-def advance_momenta(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def _advance_momenta(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """One slope, at the beginning."""
     acting, books = moving.acting, moving.books
     for k in range(first, last):
@@ -34,7 +34,7 @@ def advance_momenta(moving: MovingBodies, first: int, last: int, dt: float) -> N
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning."""
     loads(moving)
-    advance_momenta(moving, first, last, dt)
+    _advance_momenta(moving, first, last, dt)
 
 
 METHOD: Final = Method(

@@ -29,14 +29,14 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.block import SCRATCH, get, get3, get4, put, put3, put4
 from particlerb.model.load import STATE_ROWS
 
-WEIGHTS: Final = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)  # of the slopes
-NEXT: Final = (0.5, 0.5, 1.0, 0.0)  # where the next slope is taken, in steps
-WHERE: Final = (0.0, 0.5, 0.5, 1.0)  # each slope is taken, in steps
-LENGTH: Final = SCRATCH  # row of |q| there
+_WEIGHTS: Final = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)  # of the slopes
+_NEXT: Final = (0.5, 0.5, 1.0, 0.0)  # where the next slope is taken, in steps
+_WHERE: Final = (0.0, 0.5, 0.5, 1.0)  # each slope is taken, in steps
+_LENGTH: Final = SCRATCH  # row of |q| there
 
 
 @stage
-def four_slopes(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def _four_slopes(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """Four slopes, weighed 1 : 2 : 2 : 1."""
     acting, books = moving.acting, moving.books
     third, sixth = dt * (1.0 / 3.0), dt * (1.0 / 6.0)
@@ -64,7 +64,7 @@ def four_slopes(moving: MovingBodies, first: int, last: int, dt: float) -> None:
 
 
 @inline
-def pose_at(rows: Floats, at: int, b: int) -> Pose:
+def _pose_at(rows: Floats, at: int, b: int) -> Pose:
     """State of body b from row `at` on."""
     return Pose(
         get3(rows, at, b), get4(rows, at + 3, b), get3(rows, at + 7, b), get3(rows, at + 10, b)
@@ -72,7 +72,7 @@ def pose_at(rows: Floats, at: int, b: int) -> Pose:
 
 
 @inline
-def put_pose_at(rows: Floats, at: int, b: int, y: Pose) -> None:
+def _put_pose_at(rows: Floats, at: int, b: int, y: Pose) -> None:
     """Write the state of body b."""
     put3(rows, at, b, y.x)
     put4(rows, at + 3, b, y.q)
@@ -81,7 +81,7 @@ def put_pose_at(rows: Floats, at: int, b: int, y: Pose) -> None:
 
 
 @stage
-def one_slope(moving: MovingBodies, first: int, last: int, k: int, dt: float) -> None:
+def _one_slope(moving: MovingBodies, first: int, last: int, k: int, dt: float) -> None:
     """One slope, where bodies act on each other: the next needs those of all before it.
 
     The state at the beginning, and the sum so far, are in the rows STAGE; those of the state have
@@ -94,34 +94,34 @@ def one_slope(moving: MovingBodies, first: int, last: int, k: int, dt: float) ->
             y = pose(rows, b)
             R = matrix(y.q)
             if k > 0:
-                stretch = get(rows, LENGTH, b) - 1.0
+                stretch = get(rows, _LENGTH, b) - 1.0
                 y = Pose(y.x, add_scaled4(stretch, y.q, y.q), y.p, y.L)
-            shift_time(acting, rows, b, WHERE[k] * dt)
+            shift_time(acting, rows, b, _WHERE[k] * dt)
             slope, entry = slopes(acting, rows, b, y, R)
             if k == 0:
-                put_pose_at(rows, STAGE, b, y)
-                put_pose_at(rows, STAGE + STATE_ROWS, b, y)
-            start, total = pose_at(rows, STAGE, b), pose_at(rows, STAGE + STATE_ROWS, b)
-            total = add_pose(WEIGHTS[k] * dt, slope, total)
-            put_pose_at(rows, STAGE + STATE_ROWS, b, total)
-            after = total if k == 3 else add_pose(NEXT[k] * dt, slope, start)
-            put(rows, LENGTH, b, length(after.q))
+                _put_pose_at(rows, STAGE, b, y)
+                _put_pose_at(rows, STAGE + STATE_ROWS, b, y)
+            start, total = _pose_at(rows, STAGE, b), _pose_at(rows, STAGE + STATE_ROWS, b)
+            total = add_pose(_WEIGHTS[k] * dt, slope, total)
+            _put_pose_at(rows, STAGE + STATE_ROWS, b, total)
+            after = total if k == 3 else add_pose(_NEXT[k] * dt, slope, start)
+            put(rows, _LENGTH, b, length(after.q))
             put_pose(rows, b, on_sphere(after))
-            book(books, rows, b, WEIGHTS[k] * dt, entry)
+            book(books, rows, b, _WEIGHTS[k] * dt, entry)
 
 
 @splice
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """All slopes of one body after the other."""
-    four_slopes(moving, first, last, dt)
+    _four_slopes(moving, first, last, dt)
 
 
 @splice
 def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One slope of all bodies after the other."""
-    for k in range(len(WEIGHTS)):
+    for k in range(len(_WEIGHTS)):
         loads(moving)
-        one_slope(moving, first, last, k, dt)
+        _one_slope(moving, first, last, k, dt)
 
 
 METHOD: Final = Method(

@@ -78,75 +78,75 @@ DRIFTS: Final = (
     0.290553797799558,
     0.123229775946271,
 )
-BEFORE: Final = tuple(sum(DRIFTS[:k], 0.0) for k in range(len(DRIFTS)))  # where each kick is made
+_BEFORE: Final = tuple(sum(DRIFTS[:k], 0.0) for k in range(len(DRIFTS)))  # where each kick is made
 CLOSING_KICK: Final = KICKS[0]
-U: Final = SCRATCH  # of the Moser-Veselov map: u, f, and the solution
+_U: Final = SCRATCH  # of the Moser-Veselov map: u, f, and the solution
 F: Final = SCRATCH + 3
-V: Final = SCRATCH + 6
-RATE: Final = SCRATCH + 9
+_V: Final = SCRATCH + 6
+_RATE: Final = SCRATCH + 9
 
 
-def maps_of(turn: float) -> float:
+def _maps_of(turn: float) -> float:
     """Moser-Veselov maps per drift of a step in which a body turns so far [rad], about."""
     largest = max(turn / LONGEST_PIECE, 1.0 / LARGEST_SHARE)
     return sum(max(1.0, abs(share) * largest) for share in DRIFTS) / len(DRIFTS)
 
 
 @inline
-def fly(rows: Floats, b: int, dt: float) -> None:
+def _fly(rows: Floats, b: int, dt: float) -> None:
     """x + p dt/M of body b."""
     x, p = get3(rows, COM, b), get3(rows, P, b)
     put3(rows, COM, b, add_scaled(dt * get(rows, INV_MASS, b), p, x))
 
 
 @inline
-def body_momentum(rows: Floats, b: int) -> Vec3:
+def _body_momentum(rows: Floats, b: int) -> Vec3:
     """Rᵀ L of body b."""
     return turn_back(matrix(get4(rows, Q, b)), get3(rows, L, b))
 
 
 @inline
-def fastest_turn(rows: Floats, n: int) -> float:
+def _fastest_turn(rows: Floats, n: int) -> float:
     """Largest |ω| of a block at the beginning of a step [rad/s]; 0 where it is not finite."""
     for b in range(n):
-        w = component_product(get3(rows, INV_INERTIA, b), body_momentum(rows, b))
-        put(rows, RATE, b, dot(w, w))
+        w = component_product(get3(rows, INV_INERTIA, b), _body_momentum(rows, b))
+        put(rows, _RATE, b, dot(w, w))
     largest = 0.0
     for b in range(n):
-        largest = max(largest, get(rows, RATE, b))
+        largest = max(largest, get(rows, _RATE, b))
     return math.sqrt(largest) if largest < np.inf else 0.0
 
 
 @inline
-def cubic(rows: Floats, at: int, b: int) -> Cubic:
+def _cubic(rows: Floats, at: int, b: int) -> Cubic:
     """Nine coefficients of body b."""
     return get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
 
 
 @inline
-def start_map(rows: Floats, b: int, m: Vec3, dt: float) -> None:
+def _start_map(rows: Floats, b: int, m: Vec3, dt: float) -> None:
     """Modified inertia and a first guess for body b with the momentum m in its own axes."""
-    s, d = cubic(rows, ROTOR + 4, b), cubic(rows, ROTOR + 13, b)
+    s, d = _cubic(rows, ROTOR + 4, b), _cubic(rows, ROTOR + 13, b)
     turn = scale(dt * get(rows, ROTOR + 3, b), m)
     u, f, v = first_guess(turn, get3(rows, ROTOR, b), s, d)
-    put3(rows, U, b, u)
+    put3(rows, _U, b, u)
     put3(rows, F, b, f)
-    put3(rows, V, b, v)
+    put3(rows, _V, b, v)
 
 
 @inline
-def finish_map(rows: Floats, n: int, iterations: int) -> None:
+def _finish_map(rows: Floats, n: int, iterations: int) -> None:
     """Solve the map of a block, and turn its bodies."""
     for _ in range(iterations - 1):
         for b in range(n):
-            put3(rows, V, b, newton(get3(rows, U, b), get3(rows, F, b), get3(rows, V, b)))
+            put3(rows, _V, b, newton(get3(rows, _U, b), get3(rows, F, b), get3(rows, _V, b)))
     for b in range(n):
-        x, y, z = newton(get3(rows, U, b), get3(rows, F, b), get3(rows, V, b))
+        x, y, z = newton(get3(rows, _U, b), get3(rows, F, b), get3(rows, _V, b))
         put4(rows, Q, b, normalised(multiply(get4(rows, Q, b), (1.0, x, y, z))))
 
 
 @inline
-def drift_asymmetric(
+def _drift_asymmetric(
     kind: Flag, moving: MovingBodies, first: int, last: int, k: int, kick_dt: float, dt: float
 ) -> None:
     """Kick, and drift k, of asymmetric bodies, as long as the fastest of a block asks for."""
@@ -156,24 +156,24 @@ def drift_asymmetric(
     for block in range(first, min(last, moving.layout.asymmetric)):
         rows, n = moving.blocks[block], moving.layout.size[block]
         if k == 0:
-            put(rows, RATE, 0, fastest_turn(rows, n))
-        turn = abs(drift_dt) * get(rows, RATE, 0)
+            put(rows, _RATE, 0, _fastest_turn(rows, n))
+        turn = abs(drift_dt) * get(rows, _RATE, 0)
         pieces = pieces_of(turn, abs(DRIFTS[k]))
         iterations = iterations_of(turn / pieces)
         for b in range(n):
-            shift_time(moving.acting, rows, b, BEFORE[k] * dt)
+            shift_time(moving.acting, rows, b, _BEFORE[k] * dt)
             _, L_b, R = kick_body(moving.acting, moving.books, rows, b, kick_dt)
-            fly(rows, b, drift_dt)
-            start_map(rows, b, turn_back(R, L_b), drift_dt / pieces)
-        finish_map(rows, n, iterations)
+            _fly(rows, b, drift_dt)
+            _start_map(rows, b, turn_back(R, L_b), drift_dt / pieces)
+        _finish_map(rows, n, iterations)
         for _ in range(pieces - 1):
             for b in range(n):
-                start_map(rows, b, body_momentum(rows, b), drift_dt / pieces)
-            finish_map(rows, n, iterations)
+                _start_map(rows, b, _body_momentum(rows, b), drift_dt / pieces)
+            _finish_map(rows, n, iterations)
 
 
 @inline
-def drift_symmetric(
+def _drift_symmetric(
     kind: Flag, moving: MovingBodies, first: int, last: int, k: int, kick_dt: float, dt: float
 ) -> None:
     """Kick, and drift k, of bodies whose drift has a closed form."""
@@ -182,21 +182,21 @@ def drift_symmetric(
     for block in range(max(first, moving.layout.asymmetric), last):
         rows = moving.blocks[block]
         for b in range(moving.layout.size[block]):
-            shift_time(moving.acting, rows, b, BEFORE[k] * dt)
+            shift_time(moving.acting, rows, b, _BEFORE[k] * dt)
             kick_body(moving.acting, moving.books, rows, b, kick_dt)
-            fly(rows, b, DRIFTS[k] * dt)
+            _fly(rows, b, DRIFTS[k] * dt)
             q = get4(rows, Q, b)
-            m = body_momentum(rows, b)
+            m = _body_momentum(rows, b)
             put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), DRIFTS[k] * dt))
 
 
 @stage
-def kick_and_drift(
+def _kick_and_drift(
     moving: MovingBodies, first: int, last: int, k: int, kick_dt: float, dt: float
 ) -> None:
     """A kick, and drift k of a step dt."""
-    drift_asymmetric(moving.rotors.asymmetric, moving, first, last, k, kick_dt, dt)
-    drift_symmetric(moving.rotors.symmetric, moving, first, last, k, kick_dt, dt)
+    _drift_asymmetric(moving.rotors.asymmetric, moving, first, last, k, kick_dt, dt)
+    _drift_symmetric(moving.rotors.symmetric, moving, first, last, k, kick_dt, dt)
 
 
 @splice
@@ -205,7 +205,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     for k in range(len(DRIFTS)):
         loads(moving)
         kick_dt = KICKS[k] * dt if k > 0 else CLOSING_KICK * dt + open_kick
-        kick_and_drift(moving, first, last, k, kick_dt, dt)
+        _kick_and_drift(moving, first, last, k, kick_dt, dt)
 
 
 METHOD: Final = Method(
@@ -222,5 +222,5 @@ METHOD: Final = Method(
     closing_kick=CLOSING_KICK,
     step=step,
     rotor_constants=modified_inertia,
-    asymmetric_cost=maps_of,
+    asymmetric_cost=_maps_of,
 )

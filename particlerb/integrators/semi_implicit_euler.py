@@ -42,7 +42,7 @@ from particlerb.model.block import INV_INERTIA, INV_MASS, get, get3
 
 
 @inline
-def gyroscopic(w: Vec3, inverse: Vec3, dt: float) -> Vec3:
+def _gyroscopic(w: Vec3, inverse: Vec3, dt: float) -> Vec3:
     """One Newton step for I (ω⁺ - ω) + h ω⁺ × I ω⁺ = 0; ω and I = 1/inverse in the rotor frame.
 
     Moments count in units of the first. Points have inverse = 0 and no spin: any I serves them.
@@ -63,7 +63,7 @@ def gyroscopic(w: Vec3, inverse: Vec3, dt: float) -> Vec3:
 
 
 @stage
-def kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def _kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """Momenta by the forces, rates by the gyroscopic term, then the pose by both."""
     acting, books = moving.acting, moving.books
     for k in range(first, last):
@@ -79,7 +79,7 @@ def kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> No
             entry = kick_entry(rows, b, y.x, R, (y.p, y.L), middle, (p, L))
             entry = less_internal(acting.pair, acting.contact, rows, b, y.x, dt, entry)
             book(books, rows, b, 1.0, with_power(acting.clock, acting, rows, b, y.x, R, dt, entry))
-            w = gyroscopic(component_product(inverse, turn_back(R, L)), inverse, dt)
+            w = _gyroscopic(component_product(inverse, turn_back(R, L)), inverse, dt)
             q = normalised(add_scaled4(dt, times_vector(y.q, scale(0.5, w)), y.q))
             m = (
                 (w[0] / inverse[0], w[1] / inverse[1], w[2] / inverse[2])
@@ -94,7 +94,7 @@ def kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> No
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning."""
     loads(moving)
-    kick_and_drift(moving, first, last, dt)
+    _kick_and_drift(moving, first, last, dt)
 
 
 METHOD: Final = Method(

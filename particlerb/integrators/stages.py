@@ -21,8 +21,8 @@ from particlerb.model.block import BOOKED, P, get, put
 from particlerb.model.load import LOAD_ROWS, POWER, STATE_ROWS
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-MOMENTA: Final = 7  # row of a state from which on p and L are
-STAGES: Final[dict[int, Callable[..., None]]] = {}  # kernels that are spread, by id of the stage
+_MOMENTA: Final = 7  # row of a state from which on p and L are
+_STAGES: Final[dict[int, Callable[..., None]]] = {}  # kernels that are spread, by id of the stage
 
 
 class Layout(NamedTuple):
@@ -71,7 +71,7 @@ class MovingBodies(NamedTuple):
 def stage(function: Function) -> Function:
     """Compile a stage `(moving, first, last, ...)` whose blocks have nothing to do with others."""
     inlined = inline(function)
-    STAGES[id(inlined)] = kernel(function)
+    _STAGES[id(inlined)] = kernel(function)
     return inlined
 
 
@@ -79,12 +79,12 @@ def over_threads(function: Function, **names: Any) -> Function:
     """A function made of stages, as Python that spreads each of them over threads."""
     plain = getattr(function, "py_func", function)
     for name, value in plain.__globals__.items():
-        if id(value) in STAGES:
-            names.setdefault(name, partial(spread_stage, STAGES[id(value)]))
+        if id(value) in _STAGES:
+            names.setdefault(name, partial(_spread_stage, _STAGES[id(value)]))
     return in_python(function, **names)
 
 
-def spread_stage(
+def _spread_stage(
     kernel: Callable[..., None], moving: MovingBodies, first: int, last: int, *others: Any
 ) -> None:
     """Call a stage for shares of the blocks."""
@@ -106,7 +106,7 @@ def gather_block(rows: Floats, y: Floats, lo: int, n: int) -> None:
 
 
 @inline
-def gather(blocks: Floats, layout: Layout, y: Floats) -> None:
+def _gather(blocks: Floats, layout: Layout, y: Floats) -> None:
     """States of all blocks, into y (13, n)."""
     for k in range(layout.first.size):
         gather_block(blocks[k], y, layout.first[k], layout.size[k])
@@ -129,7 +129,7 @@ def scatter(values: Floats, blocks: Floats, layout: Layout, at: int, first: int)
 
 
 @inline
-def attraction_into(
+def _attraction_into(
     attraction: Attraction | None, work: Work | None, y: Floats, load: Floats
 ) -> None:
     """Add the loads of a direct sum, if there is one."""
@@ -161,16 +161,16 @@ def pair_loads(
     """
     clear(load)
     link_loads(links, y, load, with_dashpots)
-    attraction_into(attraction, work, y, load)
+    _attraction_into(attraction, work, y, load)
 
 
 @inline
-def put_pair_loads(pairs: PairTerms | None, blocks: Floats, layout: Layout) -> None:
+def _put_pair_loads(pairs: PairTerms | None, blocks: Floats, layout: Layout) -> None:
     """Loads of all bodies at their poses of now, if any acts on another."""
     if pairs is None:
         return
     links, attraction, work, with_dashpots, y, load, _ = pairs
-    gather(blocks, layout, y)
+    _gather(blocks, layout, y)
     pair_loads(links, attraction, work, with_dashpots, y, load)
     scatter(load, blocks, layout, PAIR, 0)
 
@@ -178,13 +178,13 @@ def put_pair_loads(pairs: PairTerms | None, blocks: Floats, layout: Layout) -> N
 @splice
 def loads(moving: MovingBodies) -> None:
     """Write what bodies do to each other into their rows PAIR."""
-    put_pair_loads(moving.pairs, moving.blocks, moving.layout)
+    _put_pair_loads(moving.pairs, moving.blocks, moving.layout)
 
 
 @kernel
 def gather_states(moving: MovingBodies, y: Floats) -> None:
-    """`gather`, for loops that run as Python."""
-    gather(moving.blocks, moving.layout, y)
+    """`_gather`, for loops that run as Python."""
+    _gather(moving.blocks, moving.layout, y)
 
 
 @kernel
@@ -226,10 +226,10 @@ def damp(
     if dashpots is None or pairs is None:
         return
     links, _, _, _, y, _, booked = pairs
-    gather(blocks, layout, y)
+    _gather(blocks, layout, y)
     clear(booked)
     damp_links(links, y, booked, dt, backwards)
-    scatter(y, blocks, layout, P, MOMENTA)
+    scatter(y, blocks, layout, P, _MOMENTA)
     for k in range(layout.first.size):
         rows, lo = blocks[k], layout.first[k]
         for c in range(LOAD_ROWS - POWER):

@@ -1,7 +1,7 @@
 """Numbers of 32 digits as unevaluated sums (high, low) of two doubles.
 
 For differences that cancel while a body is prepared: the separatrix discriminant of a free body
-loses in doubles every digit that its angular momentum still has. `fused` is the one rounding of
+loses in doubles every digit that its angular momentum still has. `_fused` is the one rounding of
 a b + c that everything rests on; it is an instruction of its own, so that no compiler setting can
 change it.
 
@@ -18,19 +18,19 @@ from numba.extending import intrinsic
 from particlerb.compiled.jit import config, inline
 from particlerb.maths.vec3 import Vec3
 
-DoubleDouble: TypeAlias = tuple[float, float]
-DoubleDouble3: TypeAlias = tuple[DoubleDouble, DoubleDouble, DoubleDouble]
-SPLIT = 134217729.0  # 2²⁷ + 1
+_DoubleDouble: TypeAlias = tuple[float, float]
+_DoubleDouble3: TypeAlias = tuple[_DoubleDouble, _DoubleDouble, _DoubleDouble]
+_SPLIT = 134217729.0  # 2²⁷ + 1
 
 
-def split(a: float) -> DoubleDouble:
+def split(a: float) -> _DoubleDouble:
     """Two halves of 26 bits with a = high + low (Veltkamp)."""
-    scaled = SPLIT * a
+    scaled = _SPLIT * a
     high = scaled - (scaled - a)
     return high, a - high
 
 
-def fused_in_python(a: float, b: float, c: float) -> float:
+def _fused_in_python(a: float, b: float, c: float) -> float:
     """a b + c with the product exact (Dekker), so that a b - round(a b) is exact as well."""
     product = a * b
     (a1, a2), (b1, b2) = split(a), split(b)
@@ -38,7 +38,7 @@ def fused_in_python(a: float, b: float, c: float) -> float:
     return (product + c) + rest
 
 
-def fused_instruction(typing: Any, a: Any, b: Any, c: Any) -> Any:
+def _fused_instruction(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """a b + c in one rounding: LLVM's fma, which vectorises."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -47,14 +47,14 @@ def fused_instruction(typing: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-fused = cast(
+_fused = cast(
     Callable[[float, float, float], float],
-    fused_in_python if config.DISABLE_JIT else intrinsic(fused_instruction),
+    _fused_in_python if config.DISABLE_JIT else intrinsic(_fused_instruction),
 )
 
 
 @inline
-def two_sum(a: float, b: float) -> DoubleDouble:
+def two_sum(a: float, b: float) -> _DoubleDouble:
     """a + b without error (Knuth)."""
     s = a + b
     c = s - a
@@ -62,21 +62,21 @@ def two_sum(a: float, b: float) -> DoubleDouble:
 
 
 @inline
-def two_product(a: float, b: float) -> DoubleDouble:
+def two_product(a: float, b: float) -> _DoubleDouble:
     """a b without error."""
     product = a * b
-    return product, fused(a, b, -product)
+    return product, _fused(a, b, -product)
 
 
 @inline
-def renormalise(high: float, low: float) -> DoubleDouble:
+def renormalise(high: float, low: float) -> _DoubleDouble:
     """high + low, its low part at most half an ulp; needs |high| >= |low| or high = 0."""
     s = high + low
     return s, low - (s - high)
 
 
 @inline
-def add(x: DoubleDouble, y: DoubleDouble) -> DoubleDouble:
+def add(x: _DoubleDouble, y: _DoubleDouble) -> _DoubleDouble:
     """x + y, error below 2⁻¹⁰⁵ of the result also where it cancels (accurate addition)."""
     s, e = two_sum(x[0], y[0])
     t, f = two_sum(x[1], y[1])
@@ -85,57 +85,57 @@ def add(x: DoubleDouble, y: DoubleDouble) -> DoubleDouble:
 
 
 @inline
-def times(x: DoubleDouble, a: float) -> DoubleDouble:
+def times(x: _DoubleDouble, a: float) -> _DoubleDouble:
     """x a, relative error below 2⁻¹⁰⁴."""
     high, low = two_product(x[0], a)
-    return renormalise(high, fused(x[1], a, low))
+    return renormalise(high, _fused(x[1], a, low))
 
 
 @inline
-def multiply(x: DoubleDouble, y: DoubleDouble) -> DoubleDouble:
+def multiply(x: _DoubleDouble, y: _DoubleDouble) -> _DoubleDouble:
     """x y, relative error below 2⁻¹⁰³."""
     high, low = two_product(x[0], y[0])
     return renormalise(high, low + (x[0] * y[1] + x[1] * y[0]))
 
 
 @inline
-def reciprocal(x: DoubleDouble) -> DoubleDouble:
+def reciprocal(x: _DoubleDouble) -> _DoubleDouble:
     """1 / x, relative error below 2⁻¹⁰⁰: one Newton step on the quotient of doubles."""
     r = 1.0 / x[0]
-    error = fused(-x[1], r, fused(-x[0], r, 1.0))
+    error = _fused(-x[1], r, _fused(-x[0], r, 1.0))
     return renormalise(r, r * error)
 
 
 @inline
-def minus(x: DoubleDouble) -> DoubleDouble:
+def minus(x: _DoubleDouble) -> _DoubleDouble:
     """-x."""
     return -x[0], -x[1]
 
 
 @inline
-def cross_part(a: float, b: float, c: float, d: float) -> DoubleDouble:
+def _cross_part(a: float, b: float, c: float, d: float) -> _DoubleDouble:
     """a b - c d."""
     return add(two_product(a, b), two_product(-c, d))
 
 
 @inline
-def cross_part_wide(a: float, b: DoubleDouble, c: float, d: DoubleDouble) -> DoubleDouble:
+def _cross_part_wide(a: float, b: _DoubleDouble, c: float, d: _DoubleDouble) -> _DoubleDouble:
     """a b - c d with b and d of 32 digits."""
     return add(times(b, a), times(d, -c))
 
 
 @inline
-def to_body(q: tuple[float, float, float, float], v: Vec3) -> DoubleDouble3:
+def to_body(q: tuple[float, float, float, float], v: Vec3) -> _DoubleDouble3:
     """Rᵀ v for the rotation of q / |q|: v + w t + u × t, u = (-x, -y, -z), t = 2 u × v / |q|²."""
     w, x, y, z = q[0], -q[1], -q[2], -q[3]
     norm = add(add(two_product(w, w), two_product(x, x)), add(two_product(y, y), two_product(z, z)))
     inv = reciprocal((0.5 * norm[0], 0.5 * norm[1]))
-    t1 = multiply(inv, cross_part(y, v[2], z, v[1]))
-    t2 = multiply(inv, cross_part(z, v[0], x, v[2]))
-    t3 = multiply(inv, cross_part(x, v[1], y, v[0]))
-    turned1 = add(times(t1, w), cross_part_wide(y, t3, z, t2))
-    turned2 = add(times(t2, w), cross_part_wide(z, t1, x, t3))
-    turned3 = add(times(t3, w), cross_part_wide(x, t2, y, t1))
+    t1 = multiply(inv, _cross_part(y, v[2], z, v[1]))
+    t2 = multiply(inv, _cross_part(z, v[0], x, v[2]))
+    t3 = multiply(inv, _cross_part(x, v[1], y, v[0]))
+    turned1 = add(times(t1, w), _cross_part_wide(y, t3, z, t2))
+    turned2 = add(times(t2, w), _cross_part_wide(z, t1, x, t3))
+    turned3 = add(times(t3, w), _cross_part_wide(x, t2, y, t1))
     return (
         add((v[0], 0.0), turned1),
         add((v[1], 0.0), turned2),

@@ -29,7 +29,7 @@ class Landen(NamedTuple):
 
 
 @inline
-def next_modulus(k: float, kc: float) -> tuple[float, float]:
+def _next_modulus(k: float, kc: float) -> tuple[float, float]:
     """k₁ = k²/(1 + k′)² and k₁′ = 2√k′/(1 + k′)."""
     inv = 1.0 / (1.0 + kc)
     return (k * inv) * (k * inv), 2.0 * math.sqrt(kc) * inv
@@ -47,17 +47,17 @@ def nome(k: float, kc: float) -> float:
 @inline
 def landen(k: float, kc: float) -> Landen:
     """Descend from the modulus k = √(1 - k′²), k′ >= 0.17; the nome of k₁ is q²."""
-    k1, kc1 = next_modulus(k, kc)
-    k2, kc2 = next_modulus(k1, kc1)
-    k3, kc3 = next_modulus(k2, kc2)
-    k4, kc4 = next_modulus(k3, kc3)
-    k5, _ = next_modulus(k4, kc4)
+    k1, kc1 = _next_modulus(k, kc)
+    k2, kc2 = _next_modulus(k1, kc1)
+    k3, kc3 = _next_modulus(k2, kc2)
+    k4, kc4 = _next_modulus(k3, kc3)
+    k5, _ = _next_modulus(k4, kc4)
     period = (1.0 + k1) * (1.0 + k2) * (1.0 + k3) * (1.0 + k4) * (1.0 + k5)
     return Landen(k1, k2, k3, k4, k5, period, nome(k1, kc1))
 
 
 @inline
-def descend(k1: float, s: float, c: float) -> tuple[float, float]:
+def _descend(k1: float, s: float, c: float) -> tuple[float, float]:
     """(sn, cn) of the modulus before one step into those after it, modulus k₁ (DLMF 22.7.2)."""
     other = 1.0 - k1
     root = math.sqrt(other * other + 4.0 * k1 * (c * c))
@@ -69,17 +69,17 @@ def descend(k1: float, s: float, c: float) -> tuple[float, float]:
 @inline
 def phase(chain: Landen, s: float, c: float) -> tuple[float, float]:
     """Sine and cosine of πu/2K from sn u and cn u."""
-    s, c = descend(chain.k1, s, c)
-    s, c = descend(chain.k2, s, c)
-    s, c = descend(chain.k3, s, c)
-    s, c = descend(chain.k4, s, c)
-    s, c = descend(chain.k5, s, c)
+    s, c = _descend(chain.k1, s, c)
+    s, c = _descend(chain.k2, s, c)
+    s, c = _descend(chain.k3, s, c)
+    s, c = _descend(chain.k4, s, c)
+    s, c = _descend(chain.k5, s, c)
     inv = 1.0 / math.sqrt(s * s + c * c)
     return s * inv, c * inv
 
 
 @inline
-def descend_imaginary(k1: float, t: float) -> float:
+def _descend_imaginary(k1: float, t: float) -> float:
     """The same step for sn(iv) = i t: t₁ = 2t/(1 + k₁ + √((1 + k₁)² + 4 k₁ t²))."""
     sum1 = 1.0 + k1
     return 2.0 * t / (sum1 + math.sqrt(sum1 * sum1 + (4.0 * k1 * t) * t))
@@ -88,8 +88,8 @@ def descend_imaginary(k1: float, t: float) -> float:
 @inline
 def imaginary_phase(chain: Landen, t: float) -> float:
     """Return sinh(πv/2K) from t = sn(iv)/i = sn(v, k′)/cn(v, k′) >= 0."""
-    t = descend_imaginary(chain.k1, t)
-    t = descend_imaginary(chain.k2, t)
-    t = descend_imaginary(chain.k3, t)
-    t = descend_imaginary(chain.k4, t)
-    return descend_imaginary(chain.k5, t)
+    t = _descend_imaginary(chain.k1, t)
+    t = _descend_imaginary(chain.k2, t)
+    t = _descend_imaginary(chain.k3, t)
+    t = _descend_imaginary(chain.k4, t)
+    return _descend_imaginary(chain.k5, t)

@@ -82,17 +82,17 @@ def to_body(q: Quat, v: Vec3) -> Vec3:
 @inline
 def matrix(q: Quat) -> Rows:
     """Rows of the rotation matrix R of a unit quaternion; cheaper than `to_world` from three on."""
-    return scaled_matrix(q, 2.0)
+    return _scaled_matrix(q, 2.0)
 
 
 @inline
 def matrix_along(q: Quat) -> Rows:
     """Rows of the rotation matrix of q/|q|, for any q but 0."""
-    return scaled_matrix(q, 2.0 / (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]))
+    return _scaled_matrix(q, 2.0 / (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]))
 
 
 @inline
-def scaled_matrix(q: Quat, double: float) -> Rows:
+def _scaled_matrix(q: Quat, double: float) -> Rows:
     """Rows of the rotation matrix of q/|q|, with double = 2/|q|²."""
     w, x, y, z = q
     x2, y2, z2 = double * x, double * y, double * z

@@ -13,18 +13,18 @@ from numba.extending import intrinsic
 
 from particlerb.compiled.jit import config, inline
 
-INV_PI = 0.3183098861837907
-PI_HIGH = 3.141592651605606  # the first 29 bits of π: a product with an integer below 2²⁴ is exact
-PI_LOW = 1.984187159361081e-09  # π - PI_HIGH
+_INV_PI = 0.3183098861837907
+_PI_HIGH = 3.141592651605606  # the first 29 bits of π: a product with an integer below 2²⁴ is exact
+_PI_LOW = 1.984187159361081e-09  # π - PI_HIGH
 PI = 3.141592653589793
-HALF_PI = 1.5707963267948966
-INV_LOG2 = 1.4426950408889634
-SQRT2 = 1.4142135623730951
-LOG2_HIGH = 0.6931471787393093  # log 2 to 29 bits, and the rest
-LOG2_LOW = 1.8206359985041462e-09
-LOWEST = -700.0  # exp(LOWEST) is 1e-304
-ROUNDING = 6755399441055744.0  # 1.5 · 2⁵²: adding and subtracting it rounds to an integer
-TWO_52_BITS = 0x4330000000000000  # bits of 2⁵²: an integer below 2⁵² added to them gives that sum
+_HALF_PI = 1.5707963267948966
+_INV_LOG2 = 1.4426950408889634
+_SQRT2 = 1.4142135623730951
+_LOG2_HIGH = 0.6931471787393093  # log 2 to 29 bits, and the rest
+_LOG2_LOW = 1.8206359985041462e-09
+_LOWEST = -700.0  # exp(LOWEST) is 1e-304
+_ROUNDING = 6755399441055744.0  # 1.5 · 2⁵²: adding and subtracting it rounds to an integer
+_TWO_52_BITS = 0x4330000000000000  # bits of 2⁵²: an integer below 2⁵² added to them gives that sum
 
 
 @inline
@@ -33,8 +33,8 @@ def reduce_modulo_pi(x: float) -> tuple[float, float]:
 
     The error of r is that of one rounding of r for |x| < 2²⁴ π; beyond, it grows like x's own.
     """
-    n = (x * INV_PI + ROUNDING) - ROUNDING
-    return (x - n * PI_HIGH) - n * PI_LOW, n
+    n = (x * _INV_PI + _ROUNDING) - _ROUNDING
+    return (x - n * _PI_HIGH) - n * _PI_LOW, n
 
 
 @inline
@@ -74,8 +74,8 @@ def half_turns(x: float) -> tuple[float, float]:
     A phase too large to have a meaningful angle gets one all the same.
     """
     r, n = reduce_modulo_pi(x)
-    r = max(-HALF_PI, min(HALF_PI, r))  # in this order: a NaN turns into a number
-    odd = n - 2.0 * ((0.5 * n + ROUNDING) - ROUNDING)
+    r = max(-_HALF_PI, min(_HALF_PI, r))  # in this order: a NaN turns into a number
+    odd = n - 2.0 * ((0.5 * n + _ROUNDING) - _ROUNDING)
     return r, 1.0 if odd * odd < 0.5 else -1.0
 
 
@@ -112,12 +112,12 @@ def angle_of(cos: float, sin: float) -> float:
     return angle if cos >= 0.0 else supplement
 
 
-def power_of_two_in_python(rounded: float) -> float:
+def _power_of_two_in_python(rounded: float) -> float:
     """2ⁿ of n + ROUNDING."""
-    return math.ldexp(1.0, int(rounded - ROUNDING))
+    return math.ldexp(1.0, int(rounded - _ROUNDING))
 
 
-def power_of_two_instruction(typing: Any, rounded: Any) -> Any:
+def _power_of_two_instruction(typing: Any, rounded: Any) -> Any:
     """2ⁿ of n + ROUNDING: the last bits of that sum are n, shifted into the exponent."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -129,19 +129,19 @@ def power_of_two_instruction(typing: Any, rounded: Any) -> Any:
     return types.float64(types.float64), generate
 
 
-power_of_two = cast(
+_power_of_two = cast(
     Callable[[float], float],
-    power_of_two_in_python if config.DISABLE_JIT else intrinsic(power_of_two_instruction),
+    _power_of_two_in_python if config.DISABLE_JIT else intrinsic(_power_of_two_instruction),
 )
 
 
 @inline
 def decay(x: float) -> float:
     """Return exp x for x <= 0; below LOWEST it is exp(LOWEST), that is as good as zero."""
-    x = x if x > LOWEST else LOWEST
-    rounded = x * INV_LOG2 + ROUNDING
-    n = rounded - ROUNDING
-    y = (x - n * LOG2_HIGH) - n * LOG2_LOW
+    x = x if x > _LOWEST else _LOWEST
+    rounded = x * _INV_LOG2 + _ROUNDING
+    n = rounded - _ROUNDING
+    y = (x - n * _LOG2_HIGH) - n * _LOG2_LOW
     exp = 2.09215799649503e-09
     exp = exp * y + 2.5114869528657765e-08
     exp = exp * y + 2.7557251904174915e-07
@@ -155,21 +155,21 @@ def decay(x: float) -> float:
     exp = exp * y + 0.5
     exp = exp * y + 1.0
     exp = exp * y + 1.0
-    return exp * power_of_two(rounded)
+    return exp * _power_of_two(rounded)
 
 
-def exponent_in_python(x: float) -> float:
+def _exponent_in_python(x: float) -> float:
     """Floor of log₂ x."""
     return math.frexp(x)[1] - 1.0
 
 
-def exponent_instruction(typing: Any, x: Any) -> Any:
+def _exponent_instruction(typing: Any, x: Any) -> Any:
     """Floor of log₂ x of a normal x > 0: the exponent bits, as a double."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         integer = context.get_value_type(types.int64)
         bits = builder.lshr(builder.bitcast(arguments[0], integer), integer(52))
-        double = builder.bitcast(builder.add(bits, integer(TWO_52_BITS)), arguments[0].type)
+        double = builder.bitcast(builder.add(bits, integer(_TWO_52_BITS)), arguments[0].type)
         return builder.fsub(double, arguments[0].type(2.0**52 + 1023.0))
 
     return types.float64(types.float64), generate
@@ -177,7 +177,7 @@ def exponent_instruction(typing: Any, x: Any) -> Any:
 
 exponent = cast(
     Callable[[float], float],
-    exponent_in_python if config.DISABLE_JIT else intrinsic(exponent_instruction),
+    _exponent_in_python if config.DISABLE_JIT else intrinsic(_exponent_instruction),
 )
 
 
@@ -185,8 +185,8 @@ exponent = cast(
 def logarithm(x: float) -> float:
     """Return log x for a normal x > 0: n log 2 + 2 artanh s with |s| <= 0.1716."""
     n = exponent(x)
-    mantissa = x * power_of_two(ROUNDING - n)
-    large = mantissa > SQRT2
+    mantissa = x * _power_of_two(_ROUNDING - n)
+    large = mantissa > _SQRT2
     n = n + 1.0 if large else n
     mantissa = 0.5 * mantissa if large else mantissa
     s = (mantissa - 1.0) / (mantissa + 1.0)
@@ -199,4 +199,4 @@ def logarithm(x: float) -> float:
     series = series * y + 0.3999999999930234
     series = series * y + 0.6666666666666765
     series = series * y + 2.0
-    return n * LOG2_HIGH + (s * series + n * LOG2_LOW)
+    return n * _LOG2_HIGH + (s * series + n * _LOG2_LOW)

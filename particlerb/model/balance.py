@@ -30,11 +30,11 @@ from particlerb.maths.vec3 import (
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames
 
-N_TOTALS = 10
-NEAR = 1e-6  # share of |x| |p| that an angular momentum is never judged below: x × p rounds
+_N_TOTALS = 10
+_NEAR = 1e-6  # share of |x| |p| that an angular momentum is never judged below: x × p rounds
 
 
-class Totals(NamedTuple):
+class _Totals(NamedTuple):
     """Sums over all bodies, per frame."""
 
     kinetic_energy: Floats  # (T,) [J]
@@ -46,7 +46,7 @@ class Totals(NamedTuple):
 
 
 @inline
-def load_rows(frames: Frames, f: int, lo: int, mass: Floats, local: Floats, n: int) -> None:
+def _load_rows(frames: Frames, f: int, lo: int, mass: Floats, local: Floats, n: int) -> None:
     """Copy x, p, L, q of n bodies of a frame into rows, so that what follows fills SIMD lanes.
 
     Momenta of bodies without mass, which are held, do not count.
@@ -63,7 +63,7 @@ def load_rows(frames: Frames, f: int, lo: int, mass: Floats, local: Floats, n: i
 
 
 @inline
-def momenta_rows(
+def _momenta_rows(
     x: Rows3, p: Rows3, L: Rows3, mass: Floats, inv_mass: Floats, g: Vec3, out: Floats
 ) -> None:
     """½ p²/M, -M g·x, x × p + L, |p|, |x × p| + |L| of each body, into rows 0, 1, 5..9."""
@@ -77,12 +77,12 @@ def momenta_rows(
         potential[b] = -mass[b] * dot(g, x_b)
         store3(H, b, add_scaled(1.0, orbit, L_b))
         size[b] = np.sqrt(dot(p_b, p_b))
-        reach = NEAR * np.sqrt(dot(x_b, x_b) * dot(p_b, p_b))  # straight through the origin
+        reach = _NEAR * np.sqrt(dot(x_b, x_b) * dot(p_b, p_b))  # straight through the origin
         spin[b] = np.sqrt(dot(L_b, L_b)) + np.sqrt(dot(orbit, orbit)) + reach
 
 
 @inline
-def add_turning(q: Rows4, L: Rows3, frame: Rows4, inverse: Rows3, kinetic: Floats) -> None:
+def _add_turning(q: Rows4, L: Rows3, frame: Rows4, inverse: Rows3, kinetic: Floats) -> None:
     """Add ½ Σ m_k² / I_k of each body, with m = L in the rotor frame."""
     for b in range(kinetic.size):
         m = to_body(load4(frame, b), to_body(load4(q, b), load3(L, b)))
@@ -91,29 +91,29 @@ def add_turning(q: Rows4, L: Rows3, frame: Rows4, inverse: Rows3, kinetic: Float
 
 
 @kernel
-def sum_blocks(
+def _sum_blocks(
     frames: Frames, bodies: Bodies, gravity: Floats, sums: Floats, first: int, last: int
 ) -> None:
     """Sums over some blocks of bodies, for all frames, into sums (T, blocks, 10)."""
     mass, inv_mass, _, inv_inertia, rotor_frame, _ = bodies
     g = (gravity[0], gravity[1], gravity[2])
-    local, out = np.empty((13, BLOCK)), np.empty((N_TOTALS, BLOCK))
+    local, out = np.empty((13, BLOCK)), np.empty((_N_TOTALS, BLOCK))
     for k in range(first, last):
         lo, hi = k * BLOCK, min((k + 1) * BLOCK, mass.size)
         n = hi - lo
         x, p, L = rows3(local[0:3], 0, n), rows3(local[3:6], 0, n), rows3(local[6:9], 0, n)
         q, frame = rows4(local[9:13], 0, n), rows4(rotor_frame, lo, hi)
         for f in range(sums.shape[0]):
-            load_rows(frames, f, lo, mass, local, n)
-            momenta_rows(x, p, L, mass[lo:hi], inv_mass[lo:hi], g, out)
-            add_turning(q, L, frame, rows3(inv_inertia, lo, hi), out[0, :n])
+            _load_rows(frames, f, lo, mass, local, n)
+            _momenta_rows(x, p, L, mass[lo:hi], inv_mass[lo:hi], g, out)
+            _add_turning(q, L, frame, rows3(inv_inertia, lo, hi), out[0, :n])
             for c in range(3):
                 for b in range(n):
                     out[2 + c, b] = local[3 + c, b]
-            for c in range(N_TOTALS):
+            for c in range(_N_TOTALS):
                 sums[f, k, c] = 0.0
             for b in range(n):
-                for c in range(N_TOTALS):
+                for c in range(_N_TOTALS):
                     sums[f, k, c] += out[c, b]
 
 
@@ -123,7 +123,7 @@ def totals(
     gravity: Floats,
     potential: Floats | float = 0.0,
     kinetic: Floats | float = 0.0,
-) -> Totals:
+) -> _Totals:
     """Totals of frames.
 
     Parameters
@@ -138,10 +138,10 @@ def totals(
         Kinetic energy of pistons [J].
     """
     n, n_frames = bodies.mass.size, len(frames.position)
-    blocks = np.empty((n_frames, -(-n // BLOCK), N_TOTALS))
-    THREADS.spread(partial(sum_blocks, frames, bodies, gravity, blocks), n, n * n_frames)
+    blocks = np.empty((n_frames, -(-n // BLOCK), _N_TOTALS))
+    THREADS.spread(partial(_sum_blocks, frames, bodies, gravity, blocks), n, n * n_frames)
     sums = blocks.sum(axis=1)
-    return Totals(
+    return _Totals(
         sums[:, 0] + kinetic,
         sums[:, 1] + potential,
         sums[:, 2:5],
@@ -176,7 +176,7 @@ class ConservationError(NamedTuple):
 class EnergyBalance:
     """Books a run from its initial totals on."""
 
-    def __init__(self, initial: Totals) -> None:
+    def __init__(self, initial: _Totals) -> None:
         self.energy = float(initial.kinetic_energy[0] + initial.potential_energy[0])
         self.linear = initial.linear_momentum[0].copy()
         self.angular = initial.angular_momentum[0].copy()
@@ -195,13 +195,13 @@ class EnergyBalance:
         self.energy, self.linear, self.angular = float(initial[0]), *np.split(initial[1:7], 2)
         self.errors, self.scales = saved["errors"], saved["scales"]
 
-    def widen(self, now: Totals, work: Floats, gross: float) -> None:
+    def widen(self, now: _Totals, work: Floats, gross: float) -> None:
         """Let the scales grow with what is turned over."""
         energies = np.r_[np.maximum(now.kinetic_energy, np.abs(work)), gross]
         sizes = (energies, now.momentum_size, now.spin_size)
         self.scales = np.maximum(self.scales, [size.max(initial=0.0) for size in sizes])
 
-    def enter(self, now: Totals, booked: Floats, gross: float = 0.0) -> Entries:
+    def enter(self, now: _Totals, booked: Floats, gross: float = 0.0) -> Entries:
         """Entries of some frames.
 
         Parameters

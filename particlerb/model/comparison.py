@@ -18,7 +18,7 @@ CONJUGATE = np.array([[1.0], [-1.0], [-1.0], [-1.0]])
 
 
 @inline
-def angle_between(code: int, frame: Quat, a: Quat, b: Quat) -> float:
+def _angle_between(code: int, frame: Quat, a: Quat, b: Quat) -> float:
     """Angle between two orientations of a body of a rotor class [rad]."""
     if code == POINT:
         return 0.0
@@ -42,7 +42,7 @@ def compare(
             frame = (rotor_frame[0, b], rotor_frame[1, b], rotor_frame[2, b], rotor_frame[3, b])
             expected = (q[k, b, 0], q[k, b, 1], q[k, b, 2], q[k, b, 3])
             found = (r[k, b, 0], r[k, b, 1], r[k, b, 2], r[k, b, 3])
-            angle[k, b] = angle_between(rotor_class[b], frame, expected, found)
+            angle[k, b] = _angle_between(rotor_class[b], frame, expected, found)
             off = (y[k, b, 0] - x[k, b, 0], y[k, b, 1] - x[k, b, 1], y[k, b, 2] - x[k, b, 2])
             distance[k, b] = math.sqrt(dot(off, off))
 

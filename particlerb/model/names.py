@@ -7,7 +7,7 @@ from typing import TypeAlias, overload
 import numpy as np
 from numpy.typing import NDArray
 
-Ints: TypeAlias = NDArray[np.int64]
+_Ints: TypeAlias = NDArray[np.int64]
 
 REFERENCE = re.compile(r"(?P<name>[^\[\]]+)(?:\[(?P<index>\d{1,10})\])?", re.ASCII)
 """All bodies of a record, or one of them: `clump`, `clump[3]`."""
@@ -25,7 +25,7 @@ class BodyNames(Sequence[str]):
     def __init__(self, records: Iterable[tuple[str, int]]) -> None:
         self.records = list(records)
         counts = [0, *(count for _, count in self.records)]
-        self.first: Ints = np.cumsum(np.array(counts, dtype=np.int64))  # and how many there are
+        self.first: _Ints = np.cumsum(np.array(counts, dtype=np.int64))  # and how many there are
         self._number = {name: i for i, (name, _) in enumerate(self.records)}
 
     def __len__(self) -> int:
@@ -53,7 +53,7 @@ class BodyNames(Sequence[str]):
             else:
                 yield from (f"{name}[{k}]" for k in range(count))
 
-    def find(self, names: str | Sequence[str]) -> Ints:
+    def find(self, names: str | Sequence[str]) -> _Ints:
         """Indices of the bodies that are named, ascending and each once, shape (n,).
 
         Parameters
@@ -68,12 +68,12 @@ class BodyNames(Sequence[str]):
         """
         return np.unique(self.find_in_order(names))
 
-    def find_in_order(self, names: str | Sequence[str]) -> Ints:
+    def find_in_order(self, names: str | Sequence[str]) -> _Ints:
         """Indices of the bodies as they are named: in this order, and as often; else as `find`."""
         listed = [names] if isinstance(names, str) else names
         return np.concatenate([self._find_one(name) for name in listed])
 
-    def _find_one(self, name: str) -> Ints:
+    def _find_one(self, name: str) -> _Ints:
         match = REFERENCE.fullmatch(name)
         if match is None or match["name"] not in self._number:
             raise KeyError(name)

@@ -67,7 +67,7 @@ def loads_of(system: System) -> list[ResolvedForce]:
         try:
             found = force_of(force).resolve(force, members, system)
         except ForceError as error:
-            problems.append(problem_of(system, number, members, error))
+            problems.append(_problem_of(system, number, members, error))
             continue
         loads += [ResolvedForce(number, force, *one) for one in found]
     if problems:
@@ -75,7 +75,7 @@ def loads_of(system: System) -> list[ResolvedForce]:
     return loads
 
 
-def problem_of(system: System, number: int, members: Ints, error: ForceError) -> Problem:
+def _problem_of(system: System, number: int, members: Ints, error: ForceError) -> Problem:
     """What is wrong with a [[force]], in the words of its file."""
     reason = error.reason.replace("{name}", system.names[int(members[error.body])])
     return problem_at(system, f"force[{number}].{error.key}", reason, error.hint)
@@ -83,7 +83,7 @@ def problem_of(system: System, number: int, members: Ints, error: ForceError) ->
 
 def impossible(system: System, loads: list[ResolvedForce]) -> list[Problem]:
     """What is wrong with forces where the bodies are, and with torques that they cannot follow."""
-    checks = refused, impossible_torques
+    checks = refused, _impossible_torques
     return [p for check in checks for load in loads for p in check(system, load)]
 
 
@@ -95,17 +95,17 @@ def refused(system: System, load: ResolvedForce) -> list[Problem]:
     try:
         check(load.force, np.array(load.numbers)[:, None], system.state.com[:, load.members])
     except ForceError as error:
-        return [problem_of(system, load.number, load.members, error)]
+        return [_problem_of(system, load.number, load.members, error)]
     return []
 
 
 def acts(form: AnyForce, start: float) -> bool:
     """Whether a lasting force acts in the segment that begins at `start`."""
     during = getattr(form, "during", None)
-    return not is_impulse(form) and (during is None or during[0] <= start < during[1])
+    return not _is_impulse(form) and (during is None or during[0] <= start < during[1])
 
 
-def is_impulse(form: AnyForce) -> bool:
+def _is_impulse(form: AnyForce) -> bool:
     """Whether a force acts at one instant."""
     return force_of(form).term is None
 
@@ -137,7 +137,7 @@ def jumps_at(forces: list[Forces], bodies: Bodies, start: float) -> tuple[Impuls
     )
 
 
-def impossible_torques(system: System, load: ResolvedForce) -> list[Problem]:
+def _impossible_torques(system: System, load: ResolvedForce) -> list[Problem]:
     """What is wrong with a force that turns a point, or a rod about its own axis."""
     cannot = np.isin(system.bodies.rotor_class[load.members], (POINT, ROD))
     index = load.members[cannot]
@@ -145,7 +145,7 @@ def impossible_torques(system: System, load: ResolvedForce) -> list[Problem]:
     if not index.size or not (kind.has_arm or kind.is_torque):
         return []
     bodies, state = taken(system.bodies, index), taken(system.state, index)
-    size, axial = turning_part(load, bodies, state.q)
+    size, axial = _turning_part(load, bodies, state.q)
     wrong = np.flatnonzero(axial > AXIAL_ROUNDING * np.maximum(size, 1e-300))
     if not wrong.size:
         return []
@@ -160,7 +160,7 @@ def impossible_torques(system: System, load: ResolvedForce) -> list[Problem]:
     return [problem_at(system, f"force[{load.number}].{key}", reason, hint)]
 
 
-def turning_part(load: ResolvedForce, bodies: Bodies, q: Floats) -> tuple[Floats, Floats]:
+def _turning_part(load: ResolvedForce, bodies: Bodies, q: Floats) -> tuple[Floats, Floats]:
     """Size of what turns these points and rods, and its part that they cannot follow, (n,) each.
 
     For a force at a point it is the lever arm and not the torque: an arm along a rod never turns

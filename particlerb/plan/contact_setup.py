@@ -55,7 +55,7 @@ def contact_of(system: System) -> ContactSetup | None:
     if system.contact is None:
         return None
     names = [material.name for material in system.material] or [""]
-    problems = [*without_radius(system), *without_material(system, names)]
+    problems = [*_without_radius(system), *_without_material(system, names)]
     codes = {name: k for k, name in enumerate(names)}
     code = np.array([codes.get(body.material or names[0], 0) for body in system.body])
     touches = np.array([body.contact for body in system.body])
@@ -72,9 +72,9 @@ def contact_of(system: System) -> ContactSetup | None:
     wall_material = np.array(
         [codes.get(w.material or names[0], 0) for w in system.wall], dtype=np.int64
     )
-    can_meet = meetings(len(names), material, fixed, wall_material)
+    can_meet = _meetings(len(names), material, fixed, wall_material)
     if not problems and not can_meet.any():
-        problems.append(nothing_meets(system))
+        problems.append(_nothing_meets(system))
     pairs, missing = pairs_of(system, system.contact, names, can_meet)
     if problems or missing:
         raise CaseError([*problems, *missing])
@@ -96,7 +96,7 @@ def contact_of(system: System) -> ContactSetup | None:
     return contact
 
 
-def without_radius(system: System) -> list[Problem]:
+def _without_radius(system: System) -> list[Problem]:
     """What is wrong with bodies of which no particle has a radius."""
     largest = np.maximum.reduceat(system.particles.radius, system.particles.offset[:-1])
     bare = [
@@ -112,7 +112,7 @@ def without_radius(system: System) -> list[Problem]:
     ]
 
 
-def without_material(system: System, names: Sequence[str]) -> list[Problem]:
+def _without_material(system: System, names: Sequence[str]) -> list[Problem]:
     """What is wrong with bodies and walls that do not say which of several materials they have."""
     if len(names) == 1:
         return []
@@ -126,7 +126,7 @@ def without_material(system: System, names: Sequence[str]) -> list[Problem]:
     ]
 
 
-def meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints) -> Bools:
+def _meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints) -> Bools:
     """Which pairs of materials can meet, (k, k).
 
     Parameters
@@ -148,7 +148,7 @@ def meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints) -> Boo
     return np.asarray(met | met.T)
 
 
-def nothing_meets(system: System) -> Problem:
+def _nothing_meets(system: System) -> Problem:
     """A system in which contact is on and has no effect."""
     reason = "nothing can touch: this takes two bodies, or a body and a wall, of which one can move"
     return problem_at(system, "contact", reason, "add a [[wall]] or a body, or leave [contact] out")

@@ -13,41 +13,41 @@ from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adap
 from particlerb.rotors.rotor_class import NAMES
 from particlerb.stepping.sparse_contact import can_fly
 
-GROUPS_SHOWN = 20
-SEGMENTS_SHOWN = 12
-RUNS_SHOWN = 4
+_GROUPS_SHOWN = 20
+_SEGMENTS_SHOWN = 12
+_RUNS_SHOWN = 4
 
 
 def describe(system: System, plan: Plan, accuracy: str = "") -> str:
     """Text of a plan, with what is known of its accuracy."""
     lines = [
-        ("bodies", bodies_line(system)),
-        ("particles", particles_line(system)),
+        ("bodies", _bodies_line(system)),
+        ("particles", _particles_line(system)),
         *system.notes,
-        ("gravity", gravity_line(system)),
-        ("attraction", attraction_line(system, plan)),
-        *((kind, force_line(system, kind)) for kind in FORCES),
-        ("contact", contact_line(system, plan)),
+        ("gravity", _gravity_line(system)),
+        ("attraction", _attraction_line(system, plan)),
+        *((kind, _force_line(system, kind)) for kind in FORCES),
+        ("contact", _contact_line(system, plan)),
         ("step", plan.step),
         *([("accuracy", accuracy)] if accuracy else []),
-        ("energy balance", balance_line(plan)),
+        ("energy balance", _balance_line(plan)),
     ]
-    for group in plan.groups[:GROUPS_SHOWN]:
-        lines += [(group_name(system, group.members), text) for text in segment_lines(group)]
-    if len(plan.groups) > GROUPS_SHOWN:
-        lines.append(("...", f"and {len(plan.groups) - GROUPS_SHOWN} more groups of bodies"))
+    for group in plan.groups[:_GROUPS_SHOWN]:
+        lines += [(group_name(system, group.members), text) for text in _segment_lines(group)]
+    if len(plan.groups) > _GROUPS_SHOWN:
+        lines.append(("...", f"and {len(plan.groups) - _GROUPS_SHOWN} more groups of bodies"))
     width = min(44, max(len(name) for name, _ in lines))
     return "\n".join(f"  {name:<{width}}  {text}" for name, text in lines)
 
 
-def bodies_line(system: System) -> str:
+def _bodies_line(system: System) -> str:
     """How many bodies of which rotor class."""
     counts = np.bincount(system.bodies.rotor_class, minlength=len(NAMES))
     classes = ", ".join(f"{n} {name}" for n, name in zip(counts, NAMES, strict=True) if n)
     return f"{len(system.kind)}: {classes}"
 
 
-def particles_line(system: System) -> str:
+def _particles_line(system: System) -> str:
     """How many particles were summed, how many are kept, and why."""
     kinds = len(system.particles.offset) - 1
     sets = "one set" if kinds == 1 else f"{kinds} sets"
@@ -63,14 +63,14 @@ def particles_line(system: System) -> str:
     return f"{line}; of {system.summed[is_reduced].sum()} are kept {rest}6 points a set: {why}"
 
 
-def gravity_line(system: System) -> str:
+def _gravity_line(system: System) -> str:
     """Whether there is gravity."""
     if system.gravity is None or not any(system.gravity.acceleration):
         return "off: no [gravity], or zero"
     return f"on: {vector(system.gravity.acceleration)} m/s²"
 
 
-def attraction_line(system: System, plan: Plan) -> str:
+def _attraction_line(system: System, plan: Plan) -> str:
     """Whether bodies attract each other, and how it is summed."""
     if system.attraction is None:
         return "off: no [attraction]"
@@ -88,13 +88,13 @@ def vector(values: Sequence[float]) -> str:
     return "(" + ", ".join(f"{value:.9g}" for value in values) + ")"
 
 
-def force_line(system: System, kind: str) -> str:
+def _force_line(system: System, kind: str) -> str:
     """Whether there are forces of a kind."""
     count = sum(force.type == kind for force in system.force)
     return f"on: {count} of them" if count else f"off: no [[force]] of type {kind}"
 
 
-def contact_line(system: System, plan: Plan) -> str:
+def _contact_line(system: System, plan: Plan) -> str:
     """What may touch, by which law, or why nothing touches."""
     found = [s.terms.contact for g in plan.groups for s in g.segments if s.terms.contact]
     if system.contact is not None and found:
@@ -102,18 +102,18 @@ def contact_line(system: System, plan: Plan) -> str:
         what = f"{spheres} spheres and {walls} walls, {system.contact.law}"
         if found[0].n_interior:
             what += f", {found[0].n_interior} spheres inside that nothing can reach left out"
-        return f"on: {what}, pairs kept within {found[0].skin:.3g} m{flying(plan)}"
+        return f"on: {what}, pairs kept within {found[0].skin:.3g} m{_flying(plan)}"
     if not system.particles.radius.any():
         return "off: no particle has a radius"
     return "off: no [contact]; radii add to the inertia tensor only"
 
 
-def flying(plan: Plan) -> str:
+def _flying(plan: Plan) -> str:
     """Whether bodies with nothing in reach fly in closed form."""
-    return ", closed form where none is in reach" if any_flies(plan) else ""
+    return ", closed form where none is in reach" if _any_flies(plan) else ""
 
 
-def any_flies(plan: Plan) -> bool:
+def _any_flies(plan: Plan) -> bool:
     """Whether a group of touching bodies may do so."""
     return any(
         segment.terms.contact is not None and can_fly(segment.terms, group.members.size)
@@ -122,7 +122,7 @@ def any_flies(plan: Plan) -> bool:
     )
 
 
-def balance_line(plan: Plan) -> str:
+def _balance_line(plan: Plan) -> str:
     """How the work of forces is found, for the energy balance."""
     stepped = [s for group in plan.groups for s in group.segments if has_step(s.method)]
     if not all(has_potential(segment.terms) for segment in stepped):
@@ -141,39 +141,39 @@ def group_name(system: System, index: Ints) -> str:
     breaks = np.flatnonzero(np.diff(index) > 1)
     first, last = index[np.r_[0, breaks + 1]], index[np.r_[breaks, index.size - 1]]
     runs = [f"{a}-{b}" if a < b else f"{a}" for a, b in zip(first, last, strict=True)]
-    more = f", ... ({index.size})" if len(runs) > RUNS_SHOWN else ""
-    return "bodies " + ", ".join(runs[:RUNS_SHOWN]) + more
+    more = f", ... ({index.size})" if len(runs) > _RUNS_SHOWN else ""
+    return "bodies " + ", ".join(runs[:_RUNS_SHOWN]) + more
 
 
-def segment_lines(group: GroupPlan) -> list[str]:
+def _segment_lines(group: GroupPlan) -> list[str]:
     """One line per segment, of the first ones and the last."""
-    lines = [segment_line(segment) for segment in group.segments[:SEGMENTS_SHOWN]]
-    left = len(group.segments) - SEGMENTS_SHOWN
+    lines = [_segment_line(segment) for segment in group.segments[:_SEGMENTS_SHOWN]]
+    left = len(group.segments) - _SEGMENTS_SHOWN
     if left > 1:
         lines.append(f"and {left - 1} more segments")
     if left > 0:
-        lines.append(segment_line(group.segments[-1]))
+        lines.append(_segment_line(group.segments[-1]))
     return lines
 
 
-def segment_line(segment: Segment) -> str:
+def _segment_line(segment: Segment) -> str:
     """When, how, why."""
     until = "on" if np.isinf(segment.stop) else f"to {segment.stop:.9g} s"
     when = f"{segment.start:.9g} s {until}"
     start = f"after {len(segment.jumps)} impulse(s), " if segment.jumps else ""
     if not has_step(segment.method):
-        return f"{when}: {start}free, closed form, no step ({free_reason(segment.terms)})"
+        return f"{when}: {start}free, closed form, no step ({_free_reason(segment.terms)})"
     if is_adaptive(segment.method):
-        driver = f"{driving(segment.terms)}, {segment.method}"
+        driver = f"{_driving(segment.terms)}, {segment.method}"
         return f"{when}: {start}{driver}, tolerance {segment.tolerance:.3g}"
     steps = (segment.stop - segment.start) / segment.dt
     count = f"{round(steps)} steps of " if np.isfinite(steps) else "steps of "
-    return f"{when}: {start}{driving(segment.terms)}, {segment.method}, " + (
+    return f"{when}: {start}{_driving(segment.terms)}, {segment.method}, " + (
         f"{count}{segment.dt:.6g} s"
     )
 
 
-def free_reason(terms: Terms) -> str:
+def _free_reason(terms: Terms) -> str:
     """Why a segment is free."""
     acting = words_of(terms)
     if not acting:
@@ -181,7 +181,7 @@ def free_reason(terms: Terms) -> str:
     return f"{' and '.join(acting)} through the centre of mass: a parabola"
 
 
-def driving(terms: Terms) -> str:
+def _driving(terms: Terms) -> str:
     """How the terms that act make bodies move, and their names."""
     acting = words_of(terms)
     outside = f"driven by {' and '.join(acting)}" if acting else ""

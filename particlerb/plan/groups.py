@@ -35,7 +35,7 @@ from particlerb.plan.links import Link, attracted, components, particles_of, tre
 from particlerb.rotors.rotor_class import ASYMMETRIC
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
-DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet
+_DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet
 
 
 class BodyGroup(NamedTuple):
@@ -61,7 +61,7 @@ def groups_of(
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
     groups = [
         BodyGroup(members, forces, [], False, False)
-        for members, forces in groups_alone(system, loads, bound)
+        for members, forces in _groups_alone(system, loads, bound)
     ]
     label = components(len(system.kind), list(links), heavy, solid)
     for members in clusters(system, loads, links, label, bound):
@@ -70,11 +70,11 @@ def groups_of(
         inside = [within(link, own) for link in links if own[link.first].any()]
         attracts = bool(heavy.size) and bool(own[heavy[0]])
         touches = bool(solid.size) and bool(own[solid[0]])
-        groups.append(BodyGroup(members, aligned(loads, members), inside, attracts, touches))
+        groups.append(BodyGroup(members, _aligned(loads, members), inside, attracts, touches))
     return sorted(groups, key=lambda group: int(group.members.min()))
 
 
-def groups_alone(
+def _groups_alone(
     system: System, loads: Sequence[ResolvedForce], bound: Ints
 ) -> list[tuple[Ints, list[Forces]]]:
     """Bodies that no other body acts on, with forces of the same forms, and these forces."""
@@ -142,7 +142,7 @@ def within(link: Link, own: Bools) -> Link:
     )
 
 
-def aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
+def _aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
     """Forces on the bodies of a cluster; those that act on some only are zero on the others."""
     place = {b: i for i, b in enumerate(members.tolist())}
     found: dict[tuple[object, ...], list[tuple[Forces, Bools]]] = {}
@@ -177,17 +177,17 @@ def terms_of(
     """Terms of a group while these of its forces and links act, in the segment from `start` on."""
     terms = acting_terms(system, bodies, forces, start)
     if links:
-        terms = terms._replace(links=links_among(group.members, bodies, links))
+        terms = terms._replace(links=_links_among(group.members, bodies, links))
     if group.attracts:
-        attraction = attraction_among(system, group.members, bodies)
+        attraction = _attraction_among(system, group.members, bodies)
         angle = opening_angle(system, attraction.mass.size)
         terms = terms._replace(attraction=attraction, opening_angle=angle)
     if group.touches and touching is not None:
-        terms = terms._replace(contact=contact_among(system, group.members, bodies, touching))
+        terms = terms._replace(contact=_contact_among(system, group.members, bodies, touching))
     return terms
 
 
-def links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
+def _links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
     """Links of a group, with its own numbers and in rotor frames."""
     place = np.full(int(members.max()) + 1, WORLD)
     place[members] = np.arange(members.size)
@@ -215,7 +215,7 @@ def links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
     )
 
 
-def attraction_among(system: System, members: Ints, bodies: Bodies) -> Attraction:
+def _attraction_among(system: System, members: Ints, bodies: Bodies) -> Attraction:
     """Particles with mass of all that attracts in a group, in rotor frames."""
     assert system.attraction is not None
     index, _ = particles_of(system, members)
@@ -235,7 +235,7 @@ def attraction_among(system: System, members: Ints, bodies: Bodies) -> Attractio
     )
 
 
-def contact_among(
+def _contact_among(
     system: System, members: Ints, bodies: Bodies, touching: ContactSetup
 ) -> GroupContact:
     """Spheres, law and walls of a group."""
@@ -243,7 +243,7 @@ def contact_among(
     counts = np.diff(system.particles.offset)[system.kind[members]]
     owner = np.repeat(np.arange(members.size), counts)
     may_touch = (system.particles.radius[index] > 0.0) & (touching.material[members][owner] >= 0)
-    takes_part = may_touch & reachable(system, members, touching)[index]
+    takes_part = may_touch & _reachable(system, members, touching)[index]
     index, owner = index[takes_part], owner[takes_part]
     place = np.ascontiguousarray(system.particles.position[index].T)
     radius = system.particles.radius[index]
@@ -258,12 +258,12 @@ def contact_among(
         np.searchsorted(owner, np.arange(members.size + 1)),
     )
     material = touching.wall_material[touching.walls.wall]
-    law = law_of(touching)
+    law = _law_of(touching)
     pair_of = np.arange(k * k).reshape(k, k)
     skin = touching.record.skin or SKIN * float(radius.min())
     touchable = ContactModel(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
-        drives_among(system, members, touching),
+        _drives_among(system, members, touching),
     )  # fmt: skip
     motions = motion_records(touching.motions)
     is_shown = any(name in FIELDS_OF_CONTACT for name in system.output.fields)
@@ -275,7 +275,7 @@ def contact_among(
     )
 
 
-def drives_among(system: System, members: Ints, touching: ContactSetup) -> PrescribedBodies | None:
+def _drives_among(system: System, members: Ints, touching: ContactSetup) -> PrescribedBodies | None:
     """Bodies of a group that move as prescribed, if there are any."""
     which = np.flatnonzero(np.isin(members, touching.driven))
     if not which.size:
@@ -295,7 +295,7 @@ def drives_among(system: System, members: Ints, touching: ContactSetup) -> Presc
     )
 
 
-def reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
+def _reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
     """Whether something can touch each particle of the kinds of these bodies, (n_particles,).
 
     What starts overlapping, to be pushed apart, may be anywhere: then all can be reached.
@@ -311,12 +311,12 @@ def reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
         solid = offset[kind] + np.flatnonzero(found[offset[kind] : offset[kind + 1]])
         if solid.size > 1:
             place = np.ascontiguousarray(system.particles.position[solid].T)
-            depth = DEEPEST * float(radius[solid].min())
+            depth = _DEEPEST * float(radius[solid].min())
             found[solid] = outer_spheres(place, radius[solid], smallest, depth)
     return found
 
 
-def law_of(touching: ContactSetup) -> Law:
+def _law_of(touching: ContactSetup) -> Law:
     """Law with the numbers of all pairs of materials."""
     pairs = touching.pairs
     is_hertz = touching.record.law == "hertz"

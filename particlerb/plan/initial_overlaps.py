@@ -27,12 +27,12 @@ from particlerb.plan.wall_setup import middle
 if TYPE_CHECKING:
     from particlerb.plan.contact_setup import ContactSetup
 
-ROUNDING: Final = 1e-9  # share of a radius, or of a coordinate, by which rounding may overlap
-MOST_NAMED: Final = 3  # overlaps that a message names
-APART: Final = "move them apart, say contact.relax = true, or allow it by contact.overlap"
+_ROUNDING: Final = 1e-9  # share of a radius, or of a coordinate, by which rounding may overlap
+_MOST_NAMED: Final = 3  # overlaps that a message names
+_APART: Final = "move them apart, say contact.relax = true, or allow it by contact.overlap"
 
 
-class SetupSpheres(NamedTuple):
+class _SetupSpheres(NamedTuple):
     """Particles with a radius of the bodies that may touch, at t = 0."""
 
     place: Floats  # (3, n) [m], world frame
@@ -43,28 +43,28 @@ class SetupSpheres(NamedTuple):
 def refuse_misplaced(system: System, contact: "ContactSetup") -> None:
     """Raise CaseError with all that overlaps or lies beyond a wall at t = 0."""
     spheres = spheres_of(system, contact)
-    wrong = [*beyond_walls(system, contact, spheres), *overlapping(system, contact, spheres)]
+    wrong = [*_beyond_walls(system, contact, spheres), *_overlapping(system, contact, spheres)]
     if wrong:
         raise CaseError(wrong)
 
 
-def spheres_of(system: System, contact: "ContactSetup") -> SetupSpheres:
+def spheres_of(system: System, contact: "ContactSetup") -> _SetupSpheres:
     """Where the spheres of a system are at t = 0."""
     index, owner = particles_of(system, contact.body)
     solid = system.particles.radius[index] > 0.0
     index, owner = index[solid], owner[solid]
     place = places(system, owner, system.particles.position[index].T)
-    return SetupSpheres(np.ascontiguousarray(place), system.particles.radius[index], owner)
+    return _SetupSpheres(np.ascontiguousarray(place), system.particles.radius[index], owner)
 
 
-def allowed(contact: "ContactSetup", spheres: SetupSpheres) -> float:
+def _allowed(contact: "ContactSetup", spheres: _SetupSpheres) -> float:
     """Overlap that is no mistake [m]: what is allowed, or rounding."""
     size = max(float(spheres.radius.max()), float(np.abs(spheres.place).max()))
-    return max(contact.record.overlap, ROUNDING * size)
+    return max(contact.record.overlap, _ROUNDING * size)
 
 
-def overlapping(
-    system: System, contact: "ContactSetup", spheres: SetupSpheres
+def _overlapping(
+    system: System, contact: "ContactSetup", spheres: _SetupSpheres
 ) -> Iterator[Problem]:
     """What is wrong with bodies that overlap: which, how deep, and how many."""
     if contact.record.relax:
@@ -74,7 +74,7 @@ def overlapping(
     distance = lengths(spheres.place[:, j] - spheres.place[:, i])
     depth = spheres.radius[i] + spheres.radius[j] - distance
     a, b = spheres.body[i], spheres.body[j]
-    wrong = (depth > allowed(contact, spheres)) & ~(contact.fixed[a] & contact.fixed[b])
+    wrong = (depth > _allowed(contact, spheres)) & ~(contact.fixed[a] & contact.fixed[b])
     if not wrong.any():
         return
     a, b, depth = np.minimum(a, b)[wrong], np.maximum(a, b)[wrong], depth[wrong]
@@ -82,17 +82,17 @@ def overlapping(
     a, b, depth = a[order], b[order], depth[order]
     first = np.concatenate([[True], (np.diff(a) != 0) | (np.diff(b) != 0)])
     a, b, depth = a[first], b[first], depth[first]
-    named = np.argsort(-depth, kind="stable")[:MOST_NAMED]
+    named = np.argsort(-depth, kind="stable")[:_MOST_NAMED]
     which = ", ".join(
         f"{system.names[int(a[k])]} and {system.names[int(b[k])]} by {depth[k]:.3g} m"
         for k in named
     )
     reason = f"bodies overlap at t = 0: {which}{and_more(a.size - named.size)}"
-    yield problem_at(system, f"body[{system.block[b[named[0]]]}]", reason, APART)
+    yield problem_at(system, f"body[{system.block[b[named[0]]]}]", reason, _APART)
 
 
-def beyond_walls(
-    system: System, contact: "ContactSetup", spheres: SetupSpheres
+def _beyond_walls(
+    system: System, contact: "ContactSetup", spheres: _SetupSpheres
 ) -> Iterator[Problem]:
     """What is wrong with bodies that overlap a wall, or lie on its other side."""
     moving = np.flatnonzero(~contact.fixed[spheres.body])
@@ -106,24 +106,24 @@ def beyond_walls(
         np.maximum.at(depth, owner, spheres.radius[i] - gap)
     for number, table in enumerate(system.wall):
         motion = contact.motions[number]
-        outside = (room_in(table, motion, system.state.com) <= 0.0) & is_moving
+        outside = (_room_in(table, motion, system.state.com) <= 0.0) & is_moving
         if outside.any():
-            yield outside_problem(system, number, np.flatnonzero(outside))
+            yield _outside_problem(system, number, np.flatnonzero(outside))
         if not contact.record.relax:
-            room = room_in(table, motion, spheres.place[:, moving])
+            room = _room_in(table, motion, spheres.place[:, moving])
             beyond = moving[room <= 0.0]
             further = spheres.radius[beyond] - room[room <= 0.0]
             np.maximum.at(depth[number], spheres.body[beyond], further)
-        wrong = np.flatnonzero((depth[number] > allowed(contact, spheres)) & ~outside)
+        wrong = np.flatnonzero((depth[number] > _allowed(contact, spheres)) & ~outside)
         if wrong.size:
-            named = wrong[np.argsort(-depth[number, wrong], kind="stable")[:MOST_NAMED]]
+            named = wrong[np.argsort(-depth[number, wrong], kind="stable")[:_MOST_NAMED]]
             which = ", ".join(f"{system.names[int(b)]} by {depth[number, b]:.3g} m" for b in named)
             more = and_more(wrong.size - named.size)
             reason = f"overlaps bodies at t = 0: {which}{more}"
-            yield problem_at(system, f"wall[{number}]", reason, APART)
+            yield problem_at(system, f"wall[{number}]", reason, _APART)
 
 
-def room_in(table: AnyWall, motion: PrescribedMotion, points: Floats) -> Floats:
+def _room_in(table: AnyWall, motion: PrescribedMotion, points: Floats) -> Floats:
     """Distance of points (3, n) from the nearest face around them [m], negative beyond it.
 
     Closed faces count as endless and open ones not at all. It is inf where points may be anywhere.
@@ -148,10 +148,10 @@ def room_in(table: AnyWall, motion: PrescribedMotion, points: Floats) -> Floats:
     return np.full(points.shape[1], np.inf)
 
 
-def outside_problem(system: System, number: int, bodies: Ints) -> Problem:
+def _outside_problem(system: System, number: int, bodies: Ints) -> Problem:
     """Bodies on the wrong side of a wall."""
-    listed = ", ".join(system.names[int(b)] for b in bodies[:MOST_NAMED])
-    more = and_more(max(bodies.size - MOST_NAMED, 0))
+    listed = ", ".join(system.names[int(b)] for b in bodies[:_MOST_NAMED])
+    more = and_more(max(bodies.size - _MOST_NAMED, 0))
     table, verb = system.wall[number], "is" if bodies.size == 1 else "are"
     where, hint = f"outside the {table.type}", "move the wall or the body, or say inside = false"
     if isinstance(table, PlaneWall):

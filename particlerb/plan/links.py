@@ -20,16 +20,16 @@ from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
-REACH_ROUNDING: Final = 1e-9  # share by which a pair may be further apart than reach
+_REACH_ROUNDING: Final = 1e-9  # share by which a pair may be further apart than reach
 AXIAL_ROUNDING: Final = 1e-12  # share of an arm across a rod that is its rounding
 MOST_SPRINGS: Final = 10_000_000  # of one [[force]]
 MOST_AT_ONCE: Final = 1_000_000  # pairs that are looked at together
-MOST_SOUGHT: Final = 30_000_000  # pairs that are looked at for the distance in a message
-SHARE_OF_RUN: Final = 0.1  # of run.accuracy that a tree may take
-TREE_ACCURACY: Final = 1e-4  # of a tree where the case asks for none
+_MOST_SOUGHT: Final = 30_000_000  # pairs that are looked at for the distance in a message
+_SHARE_OF_RUN: Final = 0.1  # of run.accuracy that a tree may take
+_TREE_ACCURACY: Final = 1e-4  # of a tree where the case asks for none
 
 
-NOBODY: Final = np.zeros(0, dtype=np.int64)
+_NOBODY: Final = np.zeros(0, dtype=np.int64)
 
 
 class Link(NamedTuple):
@@ -70,18 +70,18 @@ def links_of(system: System) -> list[Link]:
         if not is_link(force) or not isinstance(force, SpringTable):
             continue
         try:
-            link = link_of(system, number, force)
+            link = _link_of(system, number, force)
         except CaseError as error:
             problems += error.problems
             continue
-        problems += misplaced_ends(system, link)
+        problems += _misplaced_ends(system, link)
         links.append(link)
     if problems:
         raise CaseError(problems)
     return links
 
 
-def link_of(system: System, number: int, force: SpringTable) -> Link:
+def _link_of(system: System, number: int, force: SpringTable) -> Link:
     """Springs of one [[force]].
 
     Raises
@@ -93,9 +93,9 @@ def link_of(system: System, number: int, force: SpringTable) -> Link:
         first = system.names.find(force.body)
         second = np.full_like(first, WORLD)
     elif force.reach is not None:
-        first, second = pairs_in_reach(system, number, force)
+        first, second = _pairs_in_reach(system, number, force)
     else:
-        first, second = pairs_as_named(system, number, force)
+        first, second = _pairs_as_named(system, number, force)
     first_at = np.tile(np.array(force.at)[:, None], first.size)
     end = force.to_at if force.anchor is None else force.anchor
     second_at = np.tile(np.array(end)[:, None], second.size)
@@ -108,7 +108,7 @@ def link_of(system: System, number: int, force: SpringTable) -> Link:
     return Link(number, force, first, second, first_at, second_at, rest_length)
 
 
-def pairs_as_named(system: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
+def _pairs_as_named(system: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
     """Body after body of `body` and `to`, or one with each of the others.
 
     Raises
@@ -143,7 +143,7 @@ def and_more(count: int) -> str:
     return f", and {count} more" if count else ""
 
 
-def pairs_in_reach(system: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
+def _pairs_in_reach(system: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
     """Every pair of different bodies whose points are near each other at t = 0, sorted.
 
     Where both points are the same one of the body frame, a pair is taken once.
@@ -163,7 +163,7 @@ def pairs_in_reach(system: System, number: int, force: SpringTable) -> tuple[Int
     here, there = places(system, first, force.at), places(system, second, force.to_at)
     is_first, is_second = is_among(first, system), is_among(second, system)
     found, count = [], 0
-    for i, j, _ in near(here, there, reach * (1.0 + REACH_ROUNDING)):
+    for i, j, _ in near(here, there, reach * (1.0 + _REACH_ROUNDING)):
         a, b = first[i], second[j]
         wanted = a != b
         if force.at == force.to_at:
@@ -174,7 +174,7 @@ def pairs_in_reach(system: System, number: int, force: SpringTable) -> tuple[Int
             reason = f"ties more than {MOST_SPRINGS:.0e} pairs"
             raise CaseError([problem_at(system, key, reason, "give a shorter reach")])
     if not count:
-        closest = nearest_distance(first, second, here, there, reach)
+        closest = _nearest_distance(first, second, here, there, reach)
         reason = f"no two points are that near: the nearest are {closest:.6g} m apart"
         raise CaseError([problem_at(system, key, reason, "give a longer reach")])
     a, b = np.concatenate(found, axis=1)
@@ -189,7 +189,7 @@ def is_among(bodies: Ints, system: System) -> Bools:
     return mask
 
 
-def misplaced_ends(system: System, link: Link) -> list[Problem]:
+def _misplaced_ends(system: System, link: Link) -> list[Problem]:
     """What is wrong with ends that would turn a point, or a rod about its own axis."""
     problems = []
     for key, ends, at in (
@@ -241,7 +241,7 @@ def tree_accuracy(system: System) -> float:
     """Error of accelerations that a tree may make, rms, relative."""
     if system.attraction is not None and system.attraction.accuracy is not None:
         return system.attraction.accuracy
-    return TREE_ACCURACY if system.run.accuracy is None else SHARE_OF_RUN * system.run.accuracy
+    return _TREE_ACCURACY if system.run.accuracy is None else _SHARE_OF_RUN * system.run.accuracy
 
 
 def coincident(system: System) -> list[Problem]:
@@ -287,7 +287,7 @@ def particles_of(system: System, bodies: Ints) -> tuple[Ints, Ints]:
 # Who belongs together
 
 
-def components(n_bodies: int, links: list[Link], attracted: Ints, touching: Ints = NOBODY) -> Ints:
+def components(n_bodies: int, links: list[Link], attracted: Ints, touching: Ints = _NOBODY) -> Ints:
     """Label of each body, (n_bodies,): the first body of all those that forces between tie to it.
 
     Parameters
@@ -378,7 +378,9 @@ def chunks(count: Ints) -> Iterator[tuple[int, int]]:
         lo = hi
 
 
-def nearest_distance(first: Ints, second: Ints, here: Floats, there: Floats, reach: float) -> float:
+def _nearest_distance(
+    first: Ints, second: Ints, here: Floats, there: Floats, reach: float
+) -> float:
     """Distance of the nearest points of different bodies [m], all further apart than `reach`.
 
     Among very many at about the same distance it is that of the first MOST_SOUGHT pairs.
@@ -390,6 +392,6 @@ def nearest_distance(first: Ints, second: Ints, here: Floats, there: Floats, rea
             others = distance[first[i] != second[j]]
             found = min(found, float(others.min(initial=np.inf)))
             sought += i.size
-            if sought > MOST_SOUGHT and np.isfinite(found):
+            if sought > _MOST_SOUGHT and np.isfinite(found):
                 break
     return found

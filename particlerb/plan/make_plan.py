@@ -52,7 +52,7 @@ def make_plan(system: System) -> Plan:
     cut = [cut_into_segments(system, group, touching) for group in grouped]
     refuse_method(system, cut)
     groups = tuple(with_steps(group, step(system, group)) for group in cut)
-    return checked(system, groups, [None] * len(groups))
+    return _checked(system, groups, [None] * len(groups))
 
 
 def with_choice(system: System, plan: Plan, choice: Sequence[Stepping | None]) -> Plan:
@@ -67,10 +67,10 @@ def with_choice(system: System, plan: Plan, choice: Sequence[Stepping | None]) -
         group if chosen is None else stepped_by(group, chosen)
         for group, chosen in zip(plan.groups, choice, strict=True)
     )
-    return checked(system, groups, choice)
+    return _checked(system, groups, choice)
 
 
-def checked(
+def _checked(
     system: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
 ) -> Plan:
     """Plan of groups with steps, if these can be taken."""

@@ -20,7 +20,7 @@ from particlerb.contact.restitution import (
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.system import System
 
-TANGENTIAL: Final = 2.0 / 7.0  # default tangential over normal stiffness
+_TANGENTIAL: Final = 2.0 / 7.0  # default tangential over normal stiffness
 
 
 class MaterialPairs(NamedTuple):
@@ -48,30 +48,30 @@ def pairs_of(
     problems: list[Problem] = []
     is_hertz = table.law == "hertz"
     if is_hertz:
-        problems += without_moduli(system, can_meet)
+        problems += _without_moduli(system, can_meet)
     for a, b in np.argwhere(np.triu(can_meet)).tolist():
         number, pair = own.get(frozenset((names[a], names[b])), (-1, None))
         needed = ["restitution", "friction"] + ([] if is_hertz else ["stiffness"])
-        missing = [key for key in needed if number_of(table, pair, key) is None]
+        missing = [key for key in needed if _number_of(table, pair, key) is None]
         if missing:
-            problems += [missing_number(system, names, a, b, number, missing)]
+            problems += [_missing_number(system, names, a, b, number, missing)]
             continue
         for key in (*needed, "rolling_friction"):
-            both(getattr(pairs, key), a, b, number_of(table, pair, key) or 0.0)
+            _both(getattr(pairs, key), a, b, _number_of(table, pair, key) or 0.0)
         ratio = damping_ratio(float(pairs.restitution[a, b]), table.attract)
-        both(pairs.damping_ratio, a, b, ratio)
+        _both(pairs.damping_ratio, a, b, ratio)
         if is_hertz:
             continue
-        tangential = number_of(table, pair, "tangential_stiffness")
+        tangential = _number_of(table, pair, "tangential_stiffness")
         if tangential is None:
-            tangential = TANGENTIAL * float(pairs.stiffness[a, b])
-        both(pairs.tangential_stiffness, a, b, tangential)
+            tangential = _TANGENTIAL * float(pairs.stiffness[a, b])
+        _both(pairs.tangential_stiffness, a, b, tangential)
     if is_hertz and not problems:
-        add_moduli(system, pairs)
+        _add_moduli(system, pairs)
     return pairs, problems
 
 
-def number_of(table: ContactTable, pair: Pair | None, key: str) -> float | None:
+def _number_of(table: ContactTable, pair: Pair | None, key: str) -> float | None:
     """Number of a pair, its own or that of all pairs."""
     value: float | None = None if pair is None else getattr(pair, key)
     if value is None:
@@ -79,12 +79,12 @@ def number_of(table: ContactTable, pair: Pair | None, key: str) -> float | None:
     return value
 
 
-def both(array: Floats, a: int, b: int, value: float) -> None:
+def _both(array: Floats, a: int, b: int, value: float) -> None:
     """Write a number of a pair, which has no first."""
     array[a, b] = array[b, a] = value
 
 
-def missing_number(
+def _missing_number(
     system: System, names: Sequence[str], a: int, b: int, number: int, missing: Sequence[str]
 ) -> Problem:
     """Numbers that a pair needs and that are nowhere given."""
@@ -101,7 +101,7 @@ def missing_number(
     return problem_at(system, "contact.pair", reason, f"{hint}, or give {listed} in [contact]")
 
 
-def without_moduli(system: System, can_meet: Bools) -> list[Problem]:
+def _without_moduli(system: System, can_meet: Bools) -> list[Problem]:
     """What hertz lacks: materials that can touch, with both of their constants."""
     if not system.material:
         reason = "hertz needs a [[material]] with `young` and `poisson`"
@@ -114,7 +114,7 @@ def without_moduli(system: System, can_meet: Bools) -> list[Problem]:
     ]
 
 
-def add_moduli(system: System, pairs: MaterialPairs) -> None:
+def _add_moduli(system: System, pairs: MaterialPairs) -> None:
     """Write E* and G* of all pairs that can meet."""
     for a, b in np.argwhere(pairs.can_meet).tolist():
         one, other = system.material[a], system.material[b]

@@ -16,7 +16,7 @@ from particlerb.model.state import State, lengths, omega_world
 from particlerb.model.system import System
 from particlerb.plan.segments import GroupPlan, Segment
 
-MOST_LOOKED_AT: Final = 2000  # bodies whose nearest neighbours are looked for
+_MOST_LOOKED_AT: Final = 2000  # bodies whose nearest neighbours are looked for
 
 
 @np.errstate(over="ignore", divide="ignore")
@@ -46,10 +46,10 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
         if links is not None:
             swing = np.maximum(swing, link_rates(links))
         if attraction is not None:
-            swing = np.maximum(swing, attraction_rates(attraction, state.com))
+            swing = np.maximum(swing, _attraction_rates(attraction, state.com))
         if segment.terms.contact is not None:
             fall = falling_speed(system, segment.terms)
-            swing = np.maximum(swing, contact_rates(segment.terms.contact, bodies, state, fall))
+            swing = np.maximum(swing, _contact_rates(segment.terms.contact, bodies, state, fall))
     return np.asarray(np.maximum(spin, swing))
 
 
@@ -70,13 +70,13 @@ def falling_speed(system: System, terms: Terms) -> float:
     return math.sqrt(2.0 * max(float(np.abs(g) @ np.maximum(extent, lowest)), 0.0)) if size else 0.0
 
 
-def attraction_rates(attraction: Attraction, com: Floats) -> Floats:
+def _attraction_rates(attraction: Attraction, com: Floats) -> Floats:
     """Rates at which bodies would go round their nearest neighbours, (n,) [rad/s].
 
     Of very many bodies some are looked at, and all others get the largest of these.
     """
     n = com.shape[1]
-    which = np.unique(np.linspace(0, n - 1, min(n, MOST_LOOKED_AT)).astype(np.int64))
+    which = np.unique(np.linspace(0, n - 1, min(n, _MOST_LOOKED_AT)).astype(np.int64))
     owner = np.repeat(np.arange(n), np.diff(attraction.offset))
     gm: Floats = np.bincount(owner, attraction.gm, n).astype(np.float64)
     found = fastest_rates(gm, com, attraction.softening, which)
@@ -88,11 +88,11 @@ def fastest_contact(system: System, group: GroupPlan, segment: Segment) -> float
     contact, state = segment.terms.contact, taken(system.state, group.members)
     assert contact is not None
     fall = falling_speed(system, segment.terms)
-    return float(contact_rates(contact, group.bodies, state, fall).max())
+    return float(_contact_rates(contact, group.bodies, state, fall).max())
 
 
 @np.errstate(invalid="ignore", divide="ignore")
-def contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> Floats:
+def _contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> Floats:
     """Rate of the fastest contact of each body with another one or a wall, (n,) [rad/s].
 
     ω² = k (1/m_eff) with 1/m_eff = Σ 1/M + (r×n)·I⁻¹(r×n) of both bodies, at the sphere and for
@@ -105,14 +105,14 @@ def contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: flo
     softness = bodies.inv_mass + softest_turning(model.spheres, bodies.inv_inertia)
     own = np.full(softness.size, -1)
     own[model.spheres.body] = model.spheres.material
-    partner = softest_partners(contact, softness, own)
+    partner = _softest_partners(contact, softness, own)
     pair = model.pair_of[own]  # of bodies that touch nothing any one: they have no partners
     both = np.where(own[:, None] >= 0, softness[:, None] + partner, 0.0)
     shear = np.where(law.friction > 0.0, law.tangential_stiffness, 0.0)
     if law.hertz is None:
         k = (law.stiffness + shear)[pair]
         return np.asarray(np.sqrt(np.maximum(k * both, 0.0).max(axis=1)))
-    speed = impact_speed(contact, bodies, state, fall)
+    speed = _impact_speed(contact, bodies, state, fall)
     K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(float(model.spheres.radius.max()))
     share = 1.0 + 6.0 * (shear / np.maximum(law.stiffness, 1e-300))[pair]
     depth = (1.25 * speed**2 / np.maximum(K * both, 1e-300)) ** 0.4
@@ -120,7 +120,7 @@ def contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: flo
     return np.asarray(np.sqrt(squared.max(axis=1)))
 
 
-def impact_speed(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> float:
+def _impact_speed(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> float:
     """Speed [m/s] with which two may meet, by those at t = 0 and by falling."""
     speed = np.linalg.norm(state.p * bodies.inv_mass, axis=0)
     spin = np.linalg.norm(omega_world(bodies, state), axis=0)
@@ -134,7 +134,7 @@ def deepest_impact(contact: GroupContact, bodies: Bodies, state: State, fall: fl
     K = (4.0 / 3.0) * float(contact.model.law.stiffness.max())
     K *= math.sqrt(float(contact.model.spheres.radius.max()))
     moving = bodies.inv_mass[bodies.inv_mass > 0.0]
-    speed = impact_speed(contact, bodies, state, fall)
+    speed = _impact_speed(contact, bodies, state, fall)
     return float((1.25 * speed**2 / (K * 2.0 * moving.min(initial=np.inf))) ** 0.4)
 
 
@@ -153,7 +153,7 @@ def softest_turning(spheres: ContactSpheres, inv_inertia: Floats) -> Floats:
     return largest
 
 
-def softest_partners(contact: GroupContact, softness: Floats, material: Ints) -> Floats:
+def _softest_partners(contact: GroupContact, softness: Floats, material: Ints) -> Floats:
     """Largest 1/m_eff [1/kg] of what each body may meet of each material; -inf: nothing, (n, k)."""
     model, walls = contact.model, contact.model.walls
     partner = np.full((softness.size, len(model.pair_of)), -np.inf)

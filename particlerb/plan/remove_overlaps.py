@@ -21,8 +21,8 @@ from particlerb.plan.contact_setup import ContactSetup, contact_of
 from particlerb.plan.initial_overlaps import spheres_of
 
 ROUNDS: Final = 2000  # at most
-LENGTHENED: Final = 1.5  # times the mean of all pushes on a body
-LEFT: Final = 1e-3  # overlap that may be left, in units of the smallest radius
+_LENGTHENED: Final = 1.5  # times the mean of all pushes on a body
+_LEFT: Final = 1e-3  # overlap that may be left, in units of the smallest radius
 
 
 def remove_overlaps(system: System) -> System:
@@ -37,10 +37,10 @@ def remove_overlaps(system: System) -> System:
         return system
     contact = contact_of(system)
     assert contact is not None
-    return system._replace(state=system.state._replace(com=pushed_apart(system, contact)))
+    return system._replace(state=system.state._replace(com=_pushed_apart(system, contact)))
 
 
-def pushed_apart(system: System, contact: ContactSetup) -> Floats:
+def _pushed_apart(system: System, contact: ContactSetup) -> Floats:
     """Centres of mass (3, n_bodies) [m] with which hardly anything overlaps.
 
     Raises
@@ -53,7 +53,7 @@ def pushed_apart(system: System, contact: ContactSetup) -> Floats:
     com, moves = system.state.com.copy(), ~contact.fixed
     search, walls = SphereSearch(radius, body), WallSearch(contact.walls, radius)
     poses = poses_at(contact.motions, 0.0)
-    enough = max(LEFT * float(radius.min()), contact.record.overlap)
+    enough = max(_LEFT * float(radius.min()), contact.record.overlap)
     deepest = np.inf
     for _ in range(ROUNDS):
         points = np.ascontiguousarray(place + (com - system.state.com)[:, body])
@@ -77,6 +77,6 @@ def pushed_apart(system: System, contact: ContactSetup) -> Floats:
         counts = np.maximum(np.bincount(bodies, minlength=moves.size), 1)
         for c in range(3):
             total = np.bincount(bodies, pushes[c], moves.size)
-            com[c] += LENGTHENED * total / counts * moves
+            com[c] += _LENGTHENED * total / counts * moves
     reason = f"bodies still overlap by {deepest:.3g} m after {ROUNDS} rounds of pushing them apart"
     raise CaseError([problem_at(system, "contact.relax", reason, "give them more room")])

@@ -64,19 +64,19 @@ def cut_into_segments(system: System, group: BodyGroup, touching: ContactSetup |
     members, forces = group.members, group.forces
     bodies = taken(system.bodies, members)
     if touching is not None:
-        bodies = held(bodies, touching.fixed[members])
+        bodies = _held(bodies, touching.fixed[members])
     segments = []
     for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
         acting = [force for force in forces if acts(force.form, start)]
         links = [link for link in group.links if acts(link.force, start)]
         terms = terms_of(system, group, bodies, acting, links, touching, start)
         jumps = jumps_at(forces, bodies, start)
-        method = chosen_method(system.run.method, bodies, terms)
+        method = _chosen_method(system.run.method, bodies, terms)
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, system.run.tolerance))
     return GroupPlan(members, bodies, tuple(segments))
 
 
-def held(bodies: Bodies, fixed: Bools) -> Bodies:
+def _held(bodies: Bodies, fixed: Bools) -> Bodies:
     """Bodies of which some do not move, whatever acts on them."""
     moves = ~fixed
     return bodies._replace(
@@ -86,7 +86,7 @@ def held(bodies: Bodies, fixed: Bools) -> Bodies:
     )
 
 
-def refused_terms(method: str, terms: Terms) -> list[str]:
+def _refused_terms(method: str, terms: Terms) -> list[str]:
     """Names of the terms that need more than a method takes into account."""
     able = METHODS[method].accepts
     return sorted(name for name, needs in needs_of(terms).items() if not needs <= able)
@@ -94,7 +94,7 @@ def refused_terms(method: str, terms: Terms) -> list[str]:
 
 def accepts(method: str, terms: Terms) -> bool:
     """Whether a method can integrate under these terms."""
-    return not refused_terms(method, terms)
+    return not _refused_terms(method, terms)
 
 
 def has_step(method: str) -> bool:
@@ -107,7 +107,7 @@ def is_adaptive(method: str) -> bool:
     return bool(METHODS[method].is_adaptive)
 
 
-def chosen_method(named: str, bodies: Bodies, terms: Terms) -> str:
+def _chosen_method(named: str, bodies: Bodies, terms: Terms) -> str:
     """Name of the method of a segment: a named one steps whatever rotates, `auto` does not."""
     is_free = accepts("exact", terms)
     if named == "auto":
@@ -120,7 +120,7 @@ def refuse_method(system: System, groups: list[GroupPlan]) -> None:
     """Raise CaseError where a method was asked for and a force acts that it does not accept."""
     for group in groups:
         for segment in group.segments:
-            refused = refused_terms(segment.method, segment.terms)
+            refused = _refused_terms(segment.method, segment.terms)
             if not refused:
                 continue
             acting = ", ".join(refused)

@@ -33,15 +33,15 @@ def refuse_unstable(system: System, groups: tuple[GroupPlan, ...]) -> None:
                 continue
             like = f"bodies like {system.names[int(group.members[0])]}"
             if segment is group.segments[0]:
-                rate = crowded_rate(system, group)
+                rate = _crowded_rate(system, group)
                 what = f"{like} that touch at t = 0 grow without bound on all their contacts"
-                refuse_above(system, segment, rate, f"where {what} together")
+                _refuse_above(system, segment, rate, f"where {what} together")
             rate = fastest_contact(system, group, segment)
             what = f"a contact of {like} grows without bound"
-            refuse_above(system, segment, rate, f"where {what}")
+            _refuse_above(system, segment, rate, f"where {what}")
 
 
-def crowded_rate(system: System, group: GroupPlan) -> float:
+def _crowded_rate(system: System, group: GroupPlan) -> float:
     """Rate of the fastest swing of bodies on all contacts with which they begin [rad/s]."""
     terms, state = group.segments[0].terms, taken(system.state, group.members)
     assert terms.contact is not None
@@ -50,7 +50,7 @@ def crowded_rate(system: System, group: GroupPlan) -> float:
     return initial_contact_frequency(terms.contact, state.com, state.q, depth)
 
 
-def refuse_above(system: System, segment: Segment, rate: float, where: str) -> None:
+def _refuse_above(system: System, segment: Segment, rate: float, where: str) -> None:
     """Raise CaseError where the step of a segment is too long for contacts of a rate [rad/s]."""
     assert segment.terms.contact is not None
     reach = METHODS[segment.method].stability_limit * damped_share(segment.terms.contact)

@@ -15,7 +15,7 @@ from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
 from particlerb.plan.stability import STEPS_PER_CONTACT, stable_step, step_key
 
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
-MOST_STEPS: Final = 2.0**53  # steps are counted in float64 where times are
+_MOST_STEPS: Final = 2.0**53  # steps are counted in float64 where times are
 
 
 class Stepping(NamedTuple):
@@ -102,7 +102,7 @@ def refuse_endless(system: System, groups: tuple[GroupPlan, ...]) -> None:
             step = segment.dt
             if is_adaptive(segment.method):  # it will find a step of about a radian
                 step = 1.0 / max(fastest_rate(system, group, system.run.t_end), 1.0 / length)
-            if length > MOST_STEPS * step:
+            if length > _MOST_STEPS * step:
                 key = step_key(system)
                 reason = f"the step of {step:.3g} s would be taken {length / step:.3g}"
                 hint = "give a longer run.dt, or a smaller force"

@@ -40,10 +40,10 @@ def wall_of(system: System, number: int, table: AnyWall) -> Walls:
     if isinstance(table, CylinderWall):
         caps = ("-" not in table.open, "+" not in table.open)
         return cylinder(table.centre, table.axis, table.radius, table.length, caps)
-    return mesh_of(system, number, table)
+    return _mesh_of(system, number, table)
 
 
-def mesh_of(system: System, number: int, table: MeshWall) -> Walls:
+def _mesh_of(system: System, number: int, table: MeshWall) -> Walls:
     """Surface of the triangles of a file, where its record puts it.
 
     Raises

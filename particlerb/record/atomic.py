@@ -29,15 +29,15 @@ import numpy as np
 from particlerb.record.writer_lock import InUseError, WriterLock
 
 PAGE: Final = 4096  # bytes that a disk writes as one
-MOST_NEW: Final = 2048  # new pages that wait in memory
-FOOTER: Final = struct.Struct("<16sQ32s")  # of a record: mark, number of pages, SHA-256
+_MOST_NEW: Final = 2048  # new pages that wait in memory
+_FOOTER: Final = struct.Struct("<16sQ32s")  # of a record: mark, number of pages, SHA-256
 MARK: Final = b"particlerb pages"
-NUMBER: Final = 8  # bytes of the number of a page
+_NUMBER: Final = 8  # bytes of the number of a page
 VERSION_0: Final = b"\x89HDF\r\n\x1a\n\0"  # how a superblock of version 0 begins, as h5py has it,
 SUPERBLOCK: Final = 96  # bytes of it,
 END: Final = 40  # and where in it the end of the file stands, as a plain number
 
-Buffer = bytes | bytearray | memoryview
+_Buffer = bytes | bytearray | memoryview
 
 
 class AtomicFile:
@@ -69,7 +69,7 @@ class AtomicFile:
         self.place = 0  # of the next read or write
         self.new: dict[int, bytearray] = {}  # pages behind those that were committed
         self.changed = {k: bytearray(page) for k, page in left_over(self.descriptor).items()}
-        self.committed = pages_in(self.end())
+        self.committed = _pages_in(self.end())
         self.failure: tuple[int | None, str | None, str] | None = None
         self.seconds = 0.0
 
@@ -120,11 +120,11 @@ class AtomicFile:
         if len(view) < PAGE or start < self.committed * PAGE:
             self.remember(start, view)
         else:
-            for number in range(start // PAGE, pages_in(stop)) if self.new else ():
+            for number in range(start // PAGE, _pages_in(stop)) if self.new else ():
                 if number in self.new:
                     self.put_new(number * PAGE, self.new.pop(number))
             self.put_new(start, view)
-        if len(self.new) > MOST_NEW:
+        if len(self.new) > _MOST_NEW:
             self.put_all_new()
         return len(view)
 
@@ -146,7 +146,7 @@ class AtomicFile:
             self.put_new(place, data)
         self.new = {}
 
-    def put_new(self, place: int, data: Buffer) -> None:
+    def put_new(self, place: int, data: _Buffer) -> None:
         """Write what is new into the file; HDF5 does not learn of a failure, `commit` does."""
         if self.failure is None:
             with contextlib.suppress(OSError), self.blaming():
@@ -183,7 +183,7 @@ class AtomicFile:
         if self.committed and not self.changed:
             return
         end = self.end()
-        behind = max(pages_in(end), self.committed) * PAGE
+        behind = max(_pages_in(end), self.committed) * PAGE
         with self.blaming():
             os.ftruncate(self.descriptor, behind)
             self.sync()
@@ -191,7 +191,7 @@ class AtomicFile:
                 put(self.descriptor, behind, record(behind, self.changed))
                 self.sync()
             self.settle()
-        self.committed = pages_in(end)
+        self.committed = _pages_in(end)
 
     def settle(self) -> None:
         """Put the changed pages in their places, and cut off the record that has them."""
@@ -261,7 +261,7 @@ def finish(path: Path) -> None:
         AtomicFile(lock, path).settle()
 
 
-def pages_in(size: int) -> int:
+def _pages_in(size: int) -> int:
     """Pages that so many bytes lie in."""
     return -(-size // PAGE)
 
@@ -276,7 +276,7 @@ def pieces(place: int, size: int) -> Iterator[tuple[int, int, int, int]]:
         start = stop
 
 
-def runs(pages: Mapping[int, Buffer]) -> Iterator[tuple[int, bytes]]:
+def runs(pages: Mapping[int, _Buffer]) -> Iterator[tuple[int, bytes]]:
     """Places and bytes of pages that follow each other; the superblock comes last."""
     numbers = enumerate(sorted(pages))
     found = [[number for _, number in run] for _, run in groupby(numbers, lambda k: k[1] - k[0])]
@@ -293,7 +293,7 @@ def fill(descriptor: int, place: int, view: memoryview) -> None:
         place, view = place + done, view[done or len(view) :]
 
 
-def put(descriptor: int, place: int, data: Buffer) -> None:
+def put(descriptor: int, place: int, data: _Buffer) -> None:
     """Write bytes into a file."""
     view = memoryview(data)
     while view:
@@ -301,34 +301,34 @@ def put(descriptor: int, place: int, data: Buffer) -> None:
         place, view = place + done, view[done:]
 
 
-def record(place: int, pages: Mapping[int, Buffer]) -> bytes:
+def record(place: int, pages: Mapping[int, _Buffer]) -> bytes:
     """Record of some pages, to be put at a place, where `left_over` finds it."""
     numbers = sorted(pages)
     content = b"".join(pages[number] for number in numbers)
     content += np.array(numbers, dtype=np.uint64).tobytes()
-    return content + FOOTER.pack(MARK, len(numbers), hash_of(place, content))
+    return content + _FOOTER.pack(MARK, len(numbers), _hash_of(place, content))
 
 
-def hash_of(place: int, content: Buffer) -> bytes:
+def _hash_of(place: int, content: _Buffer) -> bytes:
     """SHA-256 of a record at a place."""
     found = hashlib.sha256(place.to_bytes(8, "little"))
     found.update(content)
     return found.digest()
 
 
-def left_over(descriptor: int) -> dict[int, Buffer]:
+def left_over(descriptor: int) -> dict[int, _Buffer]:
     """Pages in the record at the end of a file; none where none is there, or not all of it."""
     size = os.fstat(descriptor).st_size
-    footer = os.pread(descriptor, FOOTER.size, max(size - FOOTER.size, 0))
-    if len(footer) < FOOTER.size or not footer.startswith(MARK):
+    footer = os.pread(descriptor, _FOOTER.size, max(size - _FOOTER.size, 0))
+    if len(footer) < _FOOTER.size or not footer.startswith(MARK):
         return {}
-    _, n, digest = FOOTER.unpack(footer)
-    place = size - FOOTER.size - n * (PAGE + NUMBER)
+    _, n, digest = _FOOTER.unpack(footer)
+    place = size - _FOOTER.size - n * (PAGE + _NUMBER)
     if place < 0:
         return {}
-    content = memoryview(bytearray(n * (PAGE + NUMBER)))
+    content = memoryview(bytearray(n * (PAGE + _NUMBER)))
     fill(descriptor, place, content)
     numbers = np.frombuffer(content[n * PAGE :], dtype=np.uint64).tolist()
-    if hash_of(place, content) != digest or max(numbers, default=0) * PAGE >= place:
+    if _hash_of(place, content) != digest or max(numbers, default=0) * PAGE >= place:
         return {}
     return {number: content[k * PAGE :][:PAGE] for k, number in enumerate(numbers)}

@@ -18,12 +18,12 @@ from h5py import h5a, h5d, h5l, h5z
 
 from particlerb.record.atomic import to_read
 
-FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
-LAYOUTS: Final = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
-LARGEST_ATTRIBUTE: Final = 65536  # bytes
-BEST_DEFLATE: Final = 1032  # bytes that one byte can become at most
+_FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
+_LAYOUTS: Final = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
+_LARGEST_ATTRIBUTE: Final = 65536  # bytes
+_BEST_DEFLATE: Final = 1032  # bytes that one byte can become at most
 SECONDS_OF_PATIENCE: Final = 2.0
-SECONDS_AT_REST: Final = 0.5  # without a write: what fails now fails for good
+_SECONDS_AT_REST: Final = 0.5  # without a write: what fails now fails for good
 PAUSE: Final = 0.01
 FAULTS: Final = (
     OSError,
@@ -85,7 +85,7 @@ def patiently(path: str | Path | None, read: Callable[[], Result]) -> Result:
     """
     start = time.monotonic()
     while True:
-        is_last = time.monotonic() - start > SECONDS_OF_PATIENCE or not has_just_changed(path)
+        is_last = time.monotonic() - start > SECONDS_OF_PATIENCE or not _has_just_changed(path)
         try:
             return read()
         except TrajectoryError:
@@ -94,10 +94,10 @@ def patiently(path: str | Path | None, read: Callable[[], Result]) -> Result:
         time.sleep(PAUSE)
 
 
-def has_just_changed(path: str | Path | None) -> bool:
+def _has_just_changed(path: str | Path | None) -> bool:
     """Whether a file was written a moment ago."""
     try:
-        return path is not None and abs(time.time() - os.stat(path).st_mtime) < SECONDS_AT_REST
+        return path is not None and abs(time.time() - os.stat(path).st_mtime) < _SECONDS_AT_REST
     except OSError:
         return False
 
@@ -153,12 +153,12 @@ def object_at(file: h5py.File, path: str) -> Any:
 def require_own_storage(file: h5py.File, dataset: h5py.Dataset, path: str) -> None:
     """Raise ValueError unless the numbers lie in this file, and there can be as many."""
     properties = dataset.id.get_create_plist()
-    if properties.get_layout() not in LAYOUTS or properties.get_external_count():
+    if properties.get_layout() not in _LAYOUTS or properties.get_external_count():
         raise ValueError(f"{path} lies in another file")
     filters = [properties.get_filter(k)[0] for k in range(properties.get_nfilters())]
-    if any(code not in FILTERS for code in filters):
+    if any(code not in _FILTERS for code in filters):
         raise ValueError(f"{path} is packed by a filter that is not known here")
-    room = file.id.get_filesize() * (BEST_DEFLATE if filters else 1)
+    room = file.id.get_filesize() * (_BEST_DEFLATE if filters else 1)
     if dataset.size * dataset.dtype.itemsize > room:
         raise ValueError(f"{path} is larger than the file")
 
@@ -178,7 +178,7 @@ def require_self_contained(file: h5py.File) -> None:
             wrong.append(f"{name} is a link to elsewhere")
 
     def look_at_object(name: str, found: Any) -> None:
-        if isinstance(found, h5py.Dataset) and not lies_inside(found):
+        if isinstance(found, h5py.Dataset) and not _lies_inside(found):
             wrong.append(f"{name} lies in another file")
 
     with trajectory_errors(file):
@@ -188,7 +188,7 @@ def require_self_contained(file: h5py.File) -> None:
             raise ValueError(wrong[0])
 
 
-def lies_inside(dataset: h5py.Dataset) -> bool:
+def _lies_inside(dataset: h5py.Dataset) -> bool:
     """Whether the numbers of a dataset, or those that it is a view of, lie in its file."""
     if dataset.is_virtual:
         return all(source.file_name == "." for source in dataset.virtual_sources())
@@ -230,7 +230,7 @@ def attribute(place: Any, name: str, kinds: str) -> Any:
     dtype = found.dtype
     if dtype.kind not in kinds or dtype.hasobject or len(found.shape) > 1:
         raise ValueError(f"{name} has the type {dtype}")
-    if int(np.prod(found.shape)) * dtype.itemsize > LARGEST_ATTRIBUTE:
+    if int(np.prod(found.shape)) * dtype.itemsize > _LARGEST_ATTRIBUTE:
         raise ValueError(f"{name} is too large")
     values = np.empty(found.shape, dtype)
     found.read(values)

@@ -24,8 +24,8 @@ from particlerb.record.checked_reading import (
     trajectory_errors,
 )
 
-LARGEST_CHUNK = 2**20  # bytes of a slot that lie together
-SMALLEST_CHUNK = 2**9
+_LARGEST_CHUNK = 2**20  # bytes of a slot that lie together
+_SMALLEST_CHUNK = 2**9
 
 
 class CheckpointError(Exception):
@@ -40,7 +40,7 @@ class Checkpoint(NamedTuple):
     digest: str  # SHA-256 of the bytes in the slot
 
 
-class Slot(NamedTuple):
+class _Slot(NamedTuple):
     """Content of a slot as it is in a file."""
 
     name: str
@@ -50,28 +50,28 @@ class Slot(NamedTuple):
     stored: str  # and as it was when that was written
 
 
-def packed(arrays: Mapping[str, Any]) -> bytes:
+def _packed(arrays: Mapping[str, Any]) -> bytes:
     """Bytes of an archive of arrays: the same for the same arrays."""
     archive = io.BytesIO()
     np.savez(archive, **arrays)
     return archive.getvalue()
 
 
-def unpacked(content: bytes) -> dict[str, Any]:
+def _unpacked(content: bytes) -> dict[str, Any]:
     """Arrays of an archive."""
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
         return {name: archive[name] for name in archive.files}
 
 
-def make_slots(file: h5py.File, size: int) -> None:
+def _make_slots(file: h5py.File, size: int) -> None:
     """Make both slots, empty, for contents of about so many bytes."""
     group = file.create_group(schema.CHECKPOINT)
     size = 2 ** (size - 1).bit_length()
-    chunks = (min(max(size, SMALLEST_CHUNK), LARGEST_CHUNK),)
+    chunks = (min(max(size, _SMALLEST_CHUNK), _LARGEST_CHUNK),)
     for name in schema.SLOTS:
         slot = group.create_dataset(name, (0,), "u1", maxshape=(None,), chunks=chunks)
         slot.attrs[schema.SLOT_FRAMES] = np.int64(0)
-        slot.attrs[schema.SLOT_DIGEST] = np.bytes_(digest_of(b""))
+        slot.attrs[schema.SLOT_DIGEST] = np.bytes_(_digest_of(b""))
     group.attrs[schema.CURRENT] = np.int64(0)
 
 
@@ -80,28 +80,28 @@ def put(slot: h5py.Dataset, n_frames: int, content: bytes) -> None:
     slot.resize((len(content),))
     slot[:] = np.frombuffer(content, dtype=np.uint8)
     slot.attrs.modify(schema.SLOT_FRAMES, np.int64(n_frames))
-    slot.attrs.modify(schema.SLOT_DIGEST, np.bytes_(digest_of(content)))
+    slot.attrs.modify(schema.SLOT_DIGEST, np.bytes_(_digest_of(content)))
 
 
-def digest_of(content: bytes) -> str:
+def _digest_of(content: bytes) -> str:
     """Hash of the bytes of a slot."""
     return hashlib.sha256(content).hexdigest()
 
 
 def write_checkpoint(file: h5py.File, n_frames: int, arrays: Mapping[str, Any]) -> int:
     """Write the slot that does not count; return its number, for `CURRENT` at the next commit."""
-    content = packed(arrays)
+    content = _packed(arrays)
     other = 0
     if schema.CHECKPOINT in file:
         other = 1 - int(file[schema.CHECKPOINT].attrs[schema.CURRENT])
     else:
-        make_slots(file, len(content))
+        _make_slots(file, len(content))
     group = file[schema.CHECKPOINT]
     put(group[schema.SLOTS[other]], n_frames, content)
     return other
 
 
-def slot_in(file: h5py.File, is_before: bool) -> Slot:
+def slot_in(file: h5py.File, is_before: bool) -> _Slot:
     """The slot that counts, or the one before, of a file that is not trusted.
 
     Raises
@@ -115,8 +115,8 @@ def slot_in(file: h5py.File, is_before: bool) -> Slot:
         slot = dataset_at(file, f"{schema.CHECKPOINT}/{name}", "u", (None,))
         content = slot[:].tobytes()
         stored = bytes(attribute(slot, schema.SLOT_DIGEST, "S")).decode(errors="replace")
-        return Slot(
-            name, integer_attribute(slot, schema.SLOT_FRAMES), content, digest_of(content), stored
+        return _Slot(
+            name, integer_attribute(slot, schema.SLOT_FRAMES), content, _digest_of(content), stored
         )
 
 
@@ -143,6 +143,6 @@ def read_checkpoint(file: h5py.File) -> Checkpoint:
     else:
         raise CheckpointError(reason)
     try:
-        return Checkpoint(slot.n_frames, unpacked(slot.content), slot.digest)
+        return Checkpoint(slot.n_frames, _unpacked(slot.content), slot.digest)
     except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{file.filename}: the checkpoint cannot be read: {error}") from None

@@ -19,13 +19,13 @@ from particlerb.record.vtkhdf import TOPOLOGY
 
 Words = NDArray[np.uint64]
 
-ODD: Final = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio
+_ODD: Final = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio
 
 
 @lru_cache(maxsize=16)
 def factors(n: int) -> Words:
     """(2 k + 1) ODD mod 2^64 for k < n: all odd, so that no changed bit cancels."""
-    return (2 * np.arange(n, dtype=np.uint64) + np.uint64(1)) * np.uint64(ODD)
+    return (2 * np.arange(n, dtype=np.uint64) + np.uint64(1)) * np.uint64(_ODD)
 
 
 def frame_checksums(n_frames: int, elements: Iterable[NDArray[np.generic]]) -> Words:
@@ -46,7 +46,7 @@ def frame_checksums(n_frames: int, elements: Iterable[NDArray[np.generic]]) -> W
     for values in elements:
         word = np.uint32 if values.itemsize == 4 else np.uint64
         words: Any = np.ascontiguousarray(values).reshape(n_frames, -1).view(word)
-        total = total * np.uint64(ODD) + words @ factors(words.shape[1])
+        total = total * np.uint64(_ODD) + words @ factors(words.shape[1])
     return total
 
 
@@ -68,13 +68,13 @@ def list_checksums(columns: Iterable[NDArray[np.generic]], ends: NDArray[np.int6
         width = math.prod(values.shape[1:])
         words: Any = np.ascontiguousarray(values).reshape(len(row), width).view(word)
         k = row[:, None] * np.uint64(width) + np.arange(width, dtype=np.uint64)
-        weight = (np.uint64(2) * k + np.uint64(1)) * np.uint64(ODD)
+        weight = (np.uint64(2) * k + np.uint64(1)) * np.uint64(_ODD)
         sums = np.concatenate([np.zeros(1, np.uint64), np.cumsum((words * weight).sum(axis=1))])
-        total = total * np.uint64(ODD) + sums[ends] - sums[ends - counts]
+        total = total * np.uint64(_ODD) + sums[ends] - sums[ends - counts]
     return total
 
 
-def unchanging(file: h5py.File) -> list[str]:
+def _unchanging(file: h5py.File) -> list[str]:
     """Paths of all datasets of a file that do not change in time."""
     paths = [*schema.STATIC, *schema.AXES, f"{schema.TRAJECTORY}/body"]
     paths += [path for path in (schema.WALL_NAMES, schema.WALL_NUMBERS) if path in file]
@@ -88,7 +88,7 @@ def unchanging(file: h5py.File) -> list[str]:
 def digest(file: h5py.File) -> str:
     """SHA-256 of all that does not change in time: tables and texts."""
     found = hashlib.sha256()
-    for path in unchanging(file):
+    for path in _unchanging(file):
         dataset = object_at(file, path)
         require_own_storage(file, dataset, path)
         value = dataset[()]

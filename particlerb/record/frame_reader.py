@@ -127,7 +127,7 @@ class FrameReader:
                 if bodies == slice(None):
                     found: Floats = values[lo:hi:stride]
                 else:
-                    found = without_cache(values)[lo:hi:stride, bodies]
+                    found = _without_cache(values)[lo:hi:stride, bodies]
                 if not np.isfinite(found).all():
                     raise ValueError(f"{path} has entries that are not finite")
             return found
@@ -225,7 +225,7 @@ class FrameReader:
         return [name.decode(errors="replace") for name in names]
 
 
-def without_cache(values: h5py.Dataset) -> h5py.Dataset:
+def _without_cache(values: h5py.Dataset) -> h5py.Dataset:
     """The same dataset; where a chunk is one frame, a few of its numbers are read, and not all."""
     if values.chunks is None or values.chunks[0] > 1:
         return values

@@ -15,10 +15,10 @@ from particlerb.record.file_size import frames_at_most
 from particlerb.record.provenance import write_parameters
 from particlerb.record.vtkhdf import create_vtkhdf
 
-THINNEST: Final = 0.02  # edge of a glyph, of the longest one: rods and points are to be seen
-SCALE_OF: Final = {"body": f"{schema.TRAJECTORY}/body", "wall": schema.WALL_NUMBERS}
-CONTACTS_PER_CHUNK: Final = 64, 8192  # at least, at most
-SHOWN: Final = {  # what VTK shows of each body beside the recorded fields
+_THINNEST: Final = 0.02  # edge of a glyph, of the longest one: rods and points are to be seen
+_SCALE_OF: Final = {"body": f"{schema.TRAJECTORY}/body", "wall": schema.WALL_NUMBERS}
+_CONTACTS_PER_CHUNK: Final = 64, 8192  # at least, at most
+_SHOWN: Final = {  # what VTK shows of each body beside the recorded fields
     "id": f"{schema.TRAJECTORY}/id",
     "mass": f"{schema.TRAJECTORY}/mass",
     "extent": f"{schema.TRAJECTORY}/extent",
@@ -45,23 +45,23 @@ def lay_out(
     n, fields = frames_at_most(system), system.output.fields
     file.attrs["schema"] = np.array(schema.SCHEMA_VERSION, dtype=np.int32)
     write_h5md(file)
-    write_bodies(file, system)
+    _write_bodies(file, system)
     write_parameters(file, system, parameters)
     make_clock(file, n)
     series, dtype = schema.series_of(fields), np.dtype(system.output.dtype)
     if any(element.per == "wall" for element in series.values()):
-        write_walls(file, [wall.name for wall in system.wall])
+        _write_walls(file, [wall.name for wall in system.wall])
     of_bodies = {}
     for path, element in series.items():
         if element.per == "body":
-            of_bodies[path.split("/")[-2]] = make_series(file, path, element, dtype, n)
+            of_bodies[path.split("/")[-2]] = _make_series(file, path, element, dtype, n)
         elif path != schema.TIME:
-            make_series(file, path, element, np.dtype(np.float64), n)
+            _make_series(file, path, element, np.dtype(np.float64), n)
     if schema.CONTACTS in fields:
-        make_contacts(file, dtype, n * system.n_bodies)
-    make_checksums(file, n)
+        _make_contacts(file, dtype, n * system.n_bodies)
+    _make_checksums(file, n)
     if has_views:
-        create_vtkhdf(file, of_bodies, SHOWN, n)
+        create_vtkhdf(file, of_bodies, _SHOWN, n)
     file.attrs[schema.COMMITTED] = np.int64(0)
     seal(file)
 
@@ -85,7 +85,7 @@ def make_group(file: h5py.File) -> h5py.Group:
     return group
 
 
-def write_bodies(file: h5py.File, scene: System) -> None:
+def _write_bodies(file: h5py.File, scene: System) -> None:
     """What does not change: box, dimension scales, masses, particles."""
     trajectory = make_group(file)
     n = len(scene.kind)
@@ -129,7 +129,7 @@ def extents(scene: System) -> Floats:
     edges = 2.0 * np.maximum.reduceat(reach, particles.offset[:-1], axis=0)
     longest = edges.max(axis=1, keepdims=True)
     longest[longest == 0.0] = longest.max() or 1.0
-    thick: Floats = np.maximum(edges, THINNEST * longest)[scene.kind]
+    thick: Floats = np.maximum(edges, _THINNEST * longest)[scene.kind]
     return thick
 
 
@@ -152,7 +152,7 @@ def make_clock(file: h5py.File, n_frames: int) -> tuple[h5py.Dataset, h5py.Datas
     return step, clock
 
 
-def make_checksums(file: h5py.File, n_frames: int) -> h5py.Dataset:
+def _make_checksums(file: h5py.File, n_frames: int) -> h5py.Dataset:
     """Checksums of the frames."""
     group, clock = file.create_group(schema.INTEGRITY), file[schema.TIME]
     chunks = (schema.rows_per_chunk(n_frames),)
@@ -163,13 +163,13 @@ def make_checksums(file: h5py.File, n_frames: int) -> h5py.Dataset:
     return checksums
 
 
-def make_series(
+def _make_series(
     file: h5py.File, path: str, element: schema.Element, dtype: "np.dtype[Any]", n_frames: int
 ) -> h5py.Dataset:
     """One H5MD element: step, time, and an empty value that can grow."""
     group, clock = file.require_group(path.removesuffix("/value")), file[schema.TIME]
     group["step"], group["time"] = file[f"{schema.TRAJECTORY}/step"], clock
-    scales = [file[SCALE_OF[element.per]]] if element.per else []
+    scales = [file[_SCALE_OF[element.per]]] if element.per else []
     if element.per == "wall":
         group["wall"] = scales[0]  # netCDF looks for scales in this group and those above
     if element.components:
@@ -191,7 +191,7 @@ def make_series(
     return value
 
 
-def write_walls(file: h5py.File, names: Sequence[str]) -> None:
+def _write_walls(file: h5py.File, names: Sequence[str]) -> None:
     """Names of the walls, and their dimension scale."""
     file[schema.WALL_NAMES] = np.array([name.encode() for name in names])
     file[schema.WALL_NAMES].attrs["meaning"] = "of each wall"
@@ -200,12 +200,12 @@ def write_walls(file: h5py.File, names: Sequence[str]) -> None:
     file[schema.WALL_NAMES].dims[0].attach_scale(file[schema.WALL_NUMBERS])
 
 
-def make_contacts(file: h5py.File, dtype: "np.dtype[Any]", n_expected: int) -> None:
+def _make_contacts(file: h5py.File, dtype: "np.dtype[Any]", n_expected: int) -> None:
     """Empty columns for the contacts of all frames, of which about so many are expected.
 
     What is no integer has the given type.
     """
-    rows = int(np.clip(n_expected, *CONTACTS_PER_CHUNK))
+    rows = int(np.clip(n_expected, *_CONTACTS_PER_CHUNK))
     group = file.create_group(schema.CONTACTS)
     group["step"], group["time"] = file[f"{schema.TRAJECTORY}/step"], file[schema.TIME]
     for name, column in schema.COLUMNS.items():

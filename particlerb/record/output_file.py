@@ -16,7 +16,7 @@ from particlerb.record.checked_reading import FAULTS, reason_of
 from particlerb.record.output_path import output_path
 from particlerb.record.writer_lock import WriterLock
 
-NUMBERS = itertools.count()  # of the files in memory
+_NUMBERS = itertools.count()  # of the files in memory
 
 
 class DamagedError(OSError):
@@ -51,7 +51,7 @@ class OutputFile:
         self.path, self.is_from_before, self.is_broken = path, mode == "r+", False
         self.disk: AtomicFile | None = None
         if path is None or lock is None:
-            name = f"memory-{next(NUMBERS)}.h5"  # HDF5 tells files in memory apart by their names
+            name = f"memory-{next(_NUMBERS)}.h5"  # HDF5 tells files in memory apart by their names
             self.file = h5py.File(name, "w", driver="core", backing_store=False)
             return
         try:
@@ -137,13 +137,13 @@ def new_file(path: Path | None, overwrite: bool, is_durable: bool) -> Iterator[O
             yield output
             new.replace(place)
             if is_durable:
-                sync_folder(place.parent)
+                _sync_folder(place.parent)
     except BaseException:
         new.unlink(missing_ok=True)
         raise
 
 
-def sync_folder(path: Path) -> None:
+def _sync_folder(path: Path) -> None:
     """Wait until the disk has the names in a folder."""
     descriptor = os.open(path, os.O_RDONLY)
     try:

@@ -40,7 +40,7 @@ def write_parameters(file: h5py.File, system: System, more: Mapping[str, str]) -
     for name, words in parameters.items():
         write_text(file, name, words)
     file[f"{PARAMETERS}/seed"] = case.run.seed
-    write_files(file, case.source.files.contents)
+    _write_files(file, case.source.files.contents)
 
 
 def replace_case(file: h5py.File, system: System) -> None:
@@ -50,7 +50,7 @@ def replace_case(file: h5py.File, system: System) -> None:
     file.flush()
 
 
-def write_files(file: h5py.File, contents: Mapping[str, bytes]) -> None:
+def _write_files(file: h5py.File, contents: Mapping[str, bytes]) -> None:
     """Keep what the case reads: each content once, under its SHA-256, and a table of the names."""
     hashes = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
     if hashes:
@@ -77,7 +77,7 @@ def stored_names(file: h5py.File) -> dict[str, str]:
         return hashes
 
 
-def stored_files(file: h5py.File) -> dict[str, bytes]:
+def _stored_files(file: h5py.File) -> dict[str, bytes]:
     """Contents of these files, by their names in the case.
 
     Raises
@@ -107,7 +107,7 @@ def stored_case(file: h5py.File) -> Source:
         if not isinstance(raw, dict):
             raise ValueError("its case is no table")
     place = text_at(file, f"{PARAMETERS}/case_path")
-    files = Files(contents=stored_files(file))
+    files = Files(contents=_stored_files(file))
     toml = text_at(file, f"{PARAMETERS}/case")
     return Source(toml, Path(place) if place else None, raw, files=files)
 

@@ -32,7 +32,7 @@ SLOT_DIGEST: Final = "sha256"  # and the hash of its bytes
 COMMITTED: Final = "n_frames"  # root attribute: frames that are wholly on disk
 FEWEST_IN_CHUNK: Final = 64  # frames, where a run has fewer: it may be prolonged
 MOST_IN_CHUNK: Final = 1024
-BYTES_OF_CHUNK: Final = 262144  # that are aimed at
+_BYTES_OF_CHUNK: Final = 262144  # that are aimed at
 
 
 class Element(NamedTuple):
@@ -114,7 +114,7 @@ def series_of(fields: Collection[str]) -> dict[str, Element]:
     }
 
 
-class FixedDataset(NamedTuple):
+class _FixedDataset(NamedTuple):
     """One dataset that does not change in time."""
 
     units: str
@@ -122,7 +122,7 @@ class FixedDataset(NamedTuple):
     frame: str = "-"
 
 
-class Column(NamedTuple):
+class _Column(NamedTuple):
     """One property of all contacts of all frames, frame after frame."""
 
     width: int  # numbers of a contact; 0 is a scalar
@@ -132,39 +132,39 @@ class Column(NamedTuple):
 
 
 CONTACTS: Final = "contacts"
-COLUMNS: Final[dict[str, Column]] = {
-    "body": Column(2, "1", "the two bodies; the second is -1 where it is a wall", is_count=True),
-    "wall": Column(0, "1", "number of the wall; -1 where the second is a body", is_count=True),
-    "point": Column(3, "m", "where the force acts, world frame"),
-    "force": Column(3, "N", "on the first body, world frame; the second feels the opposite"),
-    "overlap": Column(0, "m", "of the two particles, or of the particle and the wall"),
+COLUMNS: Final[dict[str, _Column]] = {
+    "body": _Column(2, "1", "the two bodies; the second is -1 where it is a wall", is_count=True),
+    "wall": _Column(0, "1", "number of the wall; -1 where the second is a body", is_count=True),
+    "point": _Column(3, "m", "where the force acts, world frame"),
+    "force": _Column(3, "N", "on the first body, world frame; the second feels the opposite"),
+    "overlap": _Column(0, "m", "of the two particles, or of the particle and the wall"),
 }
 OFFSET: Final = f"{CONTACTS}/offset"  # contacts of frame f are offset[f] to offset[f + 1]
 WALL_NAMES: Final = "walls/names"
 WALL_NUMBERS: Final = "walls/wall"
 
 
-STATIC: Final[dict[str, FixedDataset]] = {
-    f"{TRAJECTORY}/id": FixedDataset("1", "number of the body"),
-    f"{TRAJECTORY}/mass": FixedDataset("kg", "of each body"),
-    f"{TRAJECTORY}/moment_inertia": FixedDataset(
+STATIC: Final[dict[str, _FixedDataset]] = {
+    f"{TRAJECTORY}/id": _FixedDataset("1", "number of the body"),
+    f"{TRAJECTORY}/mass": _FixedDataset("kg", "of each body"),
+    f"{TRAJECTORY}/moment_inertia": _FixedDataset(
         "kg m2", "principal moments, in the order of the rotor frame", "rotor"
     ),
-    f"{TRAJECTORY}/extent": FixedDataset(
+    f"{TRAJECTORY}/extent": _FixedDataset(
         "m", "edges of a box about the centre of mass that holds all particles, for glyphs", "body"
     ),
-    f"{BODIES}/names": FixedDataset("1", "of each body"),
-    f"{BODIES}/kind": FixedDataset("1", "kind of each body: which set of particles it is made of"),
-    f"{BODIES}/rotor_class": FixedDataset(
+    f"{BODIES}/names": _FixedDataset("1", "of each body"),
+    f"{BODIES}/kind": _FixedDataset("1", "kind of each body: which set of particles it is made of"),
+    f"{BODIES}/rotor_class": _FixedDataset(
         "1", "0 point, 1 rod, 2 sphere, 3 symmetric, 4 asymmetric"
     ),
-    f"{BODIES}/rotor_frame": FixedDataset(
+    f"{BODIES}/rotor_frame": _FixedDataset(
         "1", "unit quaternion, scalar first, rotor frame to body frame", "rotor to body"
     ),
-    f"{BODIES}/particles/position": FixedDataset("m", "from the centre of mass", "body"),
-    f"{BODIES}/particles/mass": FixedDataset("kg", "of each particle"),
-    f"{BODIES}/particles/radius": FixedDataset("m", "0 is a point mass"),
-    f"{BODIES}/particles/offset": FixedDataset(
+    f"{BODIES}/particles/position": _FixedDataset("m", "from the centre of mass", "body"),
+    f"{BODIES}/particles/mass": _FixedDataset("kg", "of each particle"),
+    f"{BODIES}/particles/radius": _FixedDataset("m", "0 is a point mass"),
+    f"{BODIES}/particles/offset": _FixedDataset(
         "1", "kind k owns particles offset[k] to offset[k + 1]"
     ),
 }
@@ -177,5 +177,5 @@ def rows_per_chunk(n_frames: int) -> int:
 
 def frames_per_chunk(n_bodies: int, components: int, item: int, n_frames: int) -> int:
     """Frames in one chunk of a field of bodies: about 256 KiB, at least one frame."""
-    fitting = BYTES_OF_CHUNK // (n_bodies * max(components, 1) * item)
+    fitting = _BYTES_OF_CHUNK // (n_bodies * max(components, 1) * item)
     return min(max(fitting, 1), rows_per_chunk(n_frames))

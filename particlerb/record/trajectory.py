@@ -42,7 +42,7 @@ class Contacts(NamedTuple):
     overlap: Floats  # (m,) [m]
 
 
-JSON_TEXTS = ("case_resolved", "versions")
+_JSON_TEXTS = ("case_resolved", "versions")
 
 
 class Trajectory(FrameReader):
@@ -299,7 +299,7 @@ class Trajectory(FrameReader):
         if name == "seed":
             return int(self.table(f"{schema.PARAMETERS}/seed", "iu", ()))
         words = text_at(self.file, f"{schema.PARAMETERS}/{name}")
-        if name not in JSON_TEXTS:
+        if name not in _JSON_TEXTS:
             return words
         with trajectory_errors(self.file):
             return json.loads(words)
@@ -334,10 +334,10 @@ def open_trajectory(path: str | Path) -> Trajectory:
         raise FileNotFoundError(f"{path}: no such file")
     if not Path(path).is_file():
         raise TrajectoryError(f"{path} is not a regular file")  # a pipe would wait for ever
-    return patiently(path, lambda: trajectory_in(path))
+    return patiently(path, lambda: _trajectory_in(path))
 
 
-def trajectory_in(path: str | Path) -> Trajectory:
+def _trajectory_in(path: str | Path) -> Trajectory:
     """Trajectory in a file, which is closed again where there is none."""
     file = open_file(path)
     try:

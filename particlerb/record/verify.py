@@ -25,13 +25,13 @@ from particlerb.record.checkpoint import slot_in
 from particlerb.record.checksums import digest, frame_checksums, list_checksums
 from particlerb.record.trajectory import Trajectory
 
-STATE: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
-SUMMED: Final = {  # what is summed again, and the size of what is summed
+_STATE: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
+_SUMMED: Final = {  # what is summed again, and the size of what is summed
     "kinetic_energy": "kinetic_energy",
     "linear_momentum": "momentum_size",
     "angular_momentum": "spin_size",
 }
-ROUNDING: Final = {"f8": 1e-11, "f4": 1e-5}  # of sums, relative to the size of what is summed
+_ROUNDING: Final = {"f8": 1e-11, "f4": 1e-5}  # of sums, relative to the size of what is summed
 
 
 class Finding(NamedTuple):
@@ -42,7 +42,7 @@ class Finding(NamedTuple):
     words: str
 
 
-class Flaw(Exception):  # noqa: N818
+class _Flaw(Exception):  # noqa: N818
     """Something in the file is not as it was written: what."""
 
 
@@ -60,24 +60,24 @@ def verify(trajectory: Trajectory) -> list[Finding]:
         One for each kind of check, in a fixed order.
     """
     looks: dict[str, Callable[[Trajectory], str]] = {
-        "tables, texts": verify_tables,
-        "times": verify_times,
-        "checksums": verify_checksums,
-        "energy balance": verify_balance,
-        "frames": verify_frames,
-        "steps for VTK": verify_steps,
-        "checkpoint": verify_checkpoint,
+        "tables, texts": _verify_tables,
+        "times": _verify_times,
+        "checksums": _verify_checksums,
+        "energy balance": _verify_balance,
+        "frames": _verify_frames,
+        "steps for VTK": _verify_steps,
+        "checkpoint": _verify_checkpoint,
     }
     found = []
     for what, look in looks.items():
         try:
             found.append(Finding(what, True, look(trajectory)))
-        except (Flaw, TrajectoryError) as flaw:
+        except (_Flaw, TrajectoryError) as flaw:
             found.append(Finding(what, False, str(flaw)))
     return found
 
 
-def verify_tables(trajectory: Trajectory) -> str:
+def _verify_tables(trajectory: Trajectory) -> str:
     """Compare the digest of what does not change."""
     for table in ("bodies", "names", "particles"):
         getattr(trajectory, table)  # with its types and shapes
@@ -86,23 +86,23 @@ def verify_tables(trajectory: Trajectory) -> str:
         stored = bytes(attribute(place, "digest", "S")).decode(errors="replace")
         now = digest(trajectory.file)
     if now != stored:
-        raise Flaw(f"have the digest {now[:12]}…, written was {stored[:12]}…")
+        raise _Flaw(f"have the digest {now[:12]}…, written was {stored[:12]}…")
     return f"digest {now[:12]}… is that written"
 
 
-def verify_times(trajectory: Trajectory) -> str:
+def _verify_times(trajectory: Trajectory) -> str:
     """Require steps 0, 1, 2, … at ascending times."""
     n, time = trajectory.n_frames, trajectory.time
     step = dataset_at(trajectory.file, f"{schema.TRAJECTORY}/step", "i", (None,))
     with trajectory_errors(trajectory.file):
         if not np.array_equal(step[:n], np.arange(n)):
-            raise Flaw("steps do not count the frames")
+            raise _Flaw("steps do not count the frames")
     if (np.diff(time) <= 0.0).any():
-        raise Flaw(f"do not ascend after frame {int(np.argmax(np.diff(time) <= 0.0))}")
+        raise _Flaw(f"do not ascend after frame {int(np.argmax(np.diff(time) <= 0.0))}")
     return f"{n}, ascending"
 
 
-def verify_checksums(trajectory: Trajectory) -> str:
+def _verify_checksums(trajectory: Trajectory) -> str:
     """Compute the checksum of every frame again."""
     n = trajectory.n_frames
     stored = dataset_at(trajectory.file, f"{schema.INTEGRITY}/checksum", "u", (None,))
@@ -116,60 +116,60 @@ def verify_checksums(trajectory: Trajectory) -> str:
         with trajectory_errors(trajectory.file):
             written = stored[part]
         if len(written) != size:
-            raise Flaw(f"end before frame {n - 1}")
+            raise _Flaw(f"end before frame {n - 1}")
         differ = np.flatnonzero(written != frame_checksums(size, values))
         wrong += (part.start + differ).tolist()
     if wrong:
         rest = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
-        raise Flaw(f"frame {', '.join(map(str, wrong[:3]))}{rest} differ from what was written")
+        raise _Flaw(f"frame {', '.join(map(str, wrong[:3]))}{rest} differ from what was written")
     return f"of {n} frames are those written"
 
 
-def verify_balance(trajectory: Trajectory) -> str:
+def _verify_balance(trajectory: Trajectory) -> str:
     """Sum energy and momenta of the frames again, and compare with the recorded balance."""
-    balance(trajectory)
-    lacking = [name for name in STATE if name not in trajectory.fields]
+    _balance(trajectory)
+    lacking = [name for name in _STATE if name not in trajectory.fields]
     if lacking:
         return f"closes; not summed again, {', '.join(lacking)} was not recorded"
     worst = 0.0
     for part in trajectory.portions():
-        worst = max(worst, summed_again(trajectory, part))
+        worst = max(worst, _summed_again(trajectory, part))
     return f"closes; summed again from the frames it differs by {worst:.1g} at most"
 
 
-def balance(trajectory: Trajectory) -> None:
+def _balance(trajectory: Trajectory) -> None:
     """Require that energy is the sum of its parts, and energy - work - energy_error constant."""
     kinetic, potential, energy, work, error = (
         trajectory.observable(name)
         for name in ("kinetic_energy", "potential_energy", "energy", "work", "energy_error")
     )
     size = sum(float(np.abs(part).max(initial=0.0)) for part in (kinetic, potential, work))
-    if (np.abs(energy - kinetic - potential) > ROUNDING["f8"] * size).any():
-        raise Flaw("energy is not the sum of its parts")
+    if (np.abs(energy - kinetic - potential) > _ROUNDING["f8"] * size).any():
+        raise _Flaw("energy is not the sum of its parts")
     initial = energy - work - error
-    if initial.size and np.ptp(initial) > ROUNDING["f8"] * size:
-        raise Flaw("energy, work and energy_error do not balance")
+    if initial.size and np.ptp(initial) > _ROUNDING["f8"] * size:
+        raise _Flaw("energy, work and energy_error do not balance")
 
 
-def summed_again(trajectory: Trajectory, part: slice) -> float:
+def _summed_again(trajectory: Trajectory, part: slice) -> float:
     """Largest difference between observables and the sums of some frames, relative."""
-    values = {name: trajectory.read(name, part) for name in STATE}
+    values = {name: trajectory.read(name, part) for name in _STATE}
     precise = values["position"].dtype == np.float64
-    x, q, p, L = (np.ascontiguousarray(values[name], dtype=np.float64) for name in STATE)
+    x, q, p, L = (np.ascontiguousarray(values[name], dtype=np.float64) for name in _STATE)
     n_frames = len(x)
     frames = Frames(x, q, p, L, q[-1].copy(), np.ones(n_frames, dtype=np.bool_))
     now = totals(frames, counted(trajectory), np.zeros(3))
     worst = 0.0
-    for name, size in SUMMED.items():
+    for name, size in _SUMMED.items():
         difference = trajectory.observable(name, part) - getattr(now, name)
-        if name == "kinetic_energy" and has_pistons(trajectory):  # theirs is in the balance too
+        if name == "kinetic_energy" and _has_pistons(trajectory):  # theirs is in the balance too
             difference = np.minimum(difference, 0.0)
         difference = np.abs(difference).reshape(n_frames, -1).max(axis=1)
         largest = getattr(now, size).max(initial=0.0)
         share = float(difference.max(initial=0.0)) / (largest or 1.0)
-        if share > ROUNDING["f8" if precise else "f4"]:
+        if share > _ROUNDING["f8" if precise else "f4"]:
             frame = int(np.argmax(difference)) + (part.start or 0)
-            raise Flaw(f"{name} of frame {frame} is not the sum over its bodies")
+            raise _Flaw(f"{name} of frame {frame} is not the sum over its bodies")
         worst = max(worst, share)
     return worst
 
@@ -191,13 +191,13 @@ def counted(trajectory: Trajectory) -> Bodies:
     )
 
 
-def has_pistons(trajectory: Trajectory) -> bool:
+def _has_pistons(trajectory: Trajectory) -> bool:
     """Whether walls of the case slide."""
     with trajectory_errors(trajectory.file):
         return any(wall.get("piston") for wall in trajectory.parameter("case_resolved")["wall"])
 
 
-def verify_frames(trajectory: Trajectory) -> str:
+def _verify_frames(trajectory: Trajectory) -> str:
     """Require unit quaternions."""
     if "orientation" not in trajectory.fields:
         return "no orientations"
@@ -205,12 +205,12 @@ def verify_frames(trajectory: Trajectory) -> str:
     for part in trajectory.portions():
         size = np.linalg.norm(trajectory.read("orientation", part), axis=2)
         worst = max(worst, float(np.abs(size - 1.0).max(initial=0.0)))
-    if worst > ROUNDING["f4"]:
-        raise Flaw(f"an orientation is no rotation: |q| - 1 = {worst:.1g}")
+    if worst > _ROUNDING["f4"]:
+        raise _Flaw(f"an orientation is no rotation: |q| - 1 = {worst:.1g}")
     return f"all orientations are rotations, |q| - 1 = {worst:.1g} at most"
 
 
-def verify_steps(trajectory: Trajectory) -> str:
+def _verify_steps(trajectory: Trajectory) -> str:
     """Require that VTK counts the same frames at the same times."""
     with trajectory_errors(trajectory.file):
         if schema.VTKHDF not in trajectory.file:
@@ -224,11 +224,11 @@ def verify_steps(trajectory: Trajectory) -> str:
         starts = np.arange(trajectory.n_frames) * trajectory.n_bodies
         same = same and np.array_equal(first[: trajectory.n_frames], starts)
     if counted < trajectory.n_frames or not same:
-        raise Flaw(f"{counted} steps differ from {trajectory.n_frames} frames")
+        raise _Flaw(f"{counted} steps differ from {trajectory.n_frames} frames")
     return f"{counted}"
 
 
-def verify_checkpoint(trajectory: Trajectory) -> str:
+def _verify_checkpoint(trajectory: Trajectory) -> str:
     """Compute the hash of the state from which the run can go on."""
     with trajectory_errors(trajectory.file):
         if schema.CHECKPOINT not in trajectory.file:
@@ -236,10 +236,10 @@ def verify_checkpoint(trajectory: Trajectory) -> str:
     slots = [slot_in(trajectory.file, is_before) for is_before in (True, False)]
     for slot in slots:
         if slot.digest != slot.stored:
-            raise Flaw(
+            raise _Flaw(
                 f"in slot {slot.name} has the hash {slot.digest[:12]}…, written was"
                 f" {slot.stored[:12]}…"
             )
     if slots[-1].n_frames > trajectory.n_frames:
-        raise Flaw(f"lies behind frame {slots[-1].n_frames - 1}, of {trajectory.n_frames}")
+        raise _Flaw(f"lies behind frame {slots[-1].n_frames - 1}, of {trajectory.n_frames}")
     return f"behind {slots[-1].n_frames} frames, hash {slots[-1].digest[:12]}… is that written"

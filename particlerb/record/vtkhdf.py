@@ -18,16 +18,16 @@ from h5py import h5d, h5p, h5s
 from particlerb.maths.vec3 import Floats
 from particlerb.record.schema import VTKHDF, rows_per_chunk
 
-CELLS: Final = ("Vertices", "Lines", "Polygons", "Strips")
+_CELLS: Final = ("Vertices", "Lines", "Polygons", "Strips")
 TOPOLOGY: Final = (
     f"{VTKHDF}/NumberOfPoints",
     *(
         f"{VTKHDF}/{cells}/{name}"
-        for cells in CELLS
+        for cells in _CELLS
         for name in ("NumberOfCells", "NumberOfConnectivityIds", "Offsets", "Connectivity")
     ),
 )  # what is written once
-POINTS: Final = "position"  # the field that says where the points are
+_POINTS: Final = "position"  # the field that says where the points are
 
 
 def create_vtkhdf(
@@ -46,15 +46,15 @@ def create_vtkhdf(
     n_frames : int
         Frames that the file may come to hold; `resize_vtkhdf` changes it.
     """
-    if POINTS not in fields:
+    if _POINTS not in fields:
         return
-    n = fields[POINTS].shape[1]
+    n = fields[_POINTS].shape[1]
     root = file.create_group(VTKHDF)
     root.attrs["Version"] = np.array([2, 0], dtype=np.int64)
     root.attrs.create("Type", b"PolyData", dtype=h5py.string_dtype("ascii", 8))
     root["NumberOfPoints"] = np.array([n])
-    for name in CELLS:
-        count = n if name == CELLS[0] else 0
+    for name in _CELLS:
+        count = n if name == _CELLS[0] else 0
         cells = root.create_group(name)
         cells["NumberOfCells"] = cells["NumberOfConnectivityIds"] = np.array([count])
         cells["Offsets"] = np.arange(count + 1)
@@ -69,8 +69,8 @@ def create_vtkhdf(
     steps.create_dataset("PointOffsets", (0,), "i8", **growing)
     constant(steps, "PartOffsets", 0)
     constant(steps, "NumberOfParts", 1)
-    constant(steps, "CellOffsets", 0, len(CELLS))
-    constant(steps, "ConnectivityIdOffsets", 0, len(CELLS))
+    constant(steps, "CellOffsets", 0, len(_CELLS))
+    constant(steps, "ConnectivityIdOffsets", 0, len(_CELLS))
     offsets = steps.create_group("PointDataOffsets")
     for name in static:
         constant(offsets, name, 0)
@@ -95,7 +95,7 @@ def resize_vtkhdf(file: h5py.File, fields: Mapping[str, h5py.Dataset], n_frames:
     for dataset in (*(steps[name] for name in names), *offsets):
         dataset.resize(n_frames, axis=0)
     for name, values in fields.items():
-        group, own = (root, "Points") if name == POINTS else (root["PointData"], name)
+        group, own = (root, "Points") if name == _POINTS else (root["PointData"], name)
         if own in group:
             if len(group[own]) == n_frames * values.shape[1]:
                 continue

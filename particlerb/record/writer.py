@@ -30,7 +30,7 @@ from particlerb.record.writer_lock import WriterLock
 SECONDS_BETWEEN_COMMITS = 1.0
 SHARE_OF_CHECKPOINTS = 0.02  # of the time of a run that may go into them
 
-Rows = Floats | Ints | Words
+_Rows = Floats | Ints | Words
 
 
 class OtherFrameError(Exception):
@@ -122,7 +122,7 @@ class Recorder:
         self.contacts = ContactList(self.file) if schema.CONTACTS in fields else None
         self.n_committed = 0
         # Of frames that are not committed, how many lie before them, and their small arrays.
-        self.pending: list[tuple[int, dict[str, Rows]]] = []
+        self.pending: list[tuple[int, dict[str, _Rows]]] = []
         self.known = 0  # frames that were there before
         self.slot: int | None = None  # of the checkpoint, that counts from the next commit on
         self.last_commit = self.last_checkpoint = time.monotonic()
@@ -171,10 +171,10 @@ class Recorder:
             new = slice(self.recognise(n, sums), None)
             if not len(sums[new]):
                 return
-            small: dict[str, Rows] = {f"{schema.INTEGRITY}/{schema.CHECKSUM}": sums[new]}
+            small: dict[str, _Rows] = {f"{schema.INTEGRITY}/{schema.CHECKSUM}": sums[new]}
             for path, dataset in self.series.items():
                 if schema.SERIES[path].per == "body":
-                    append_rows(dataset, self.n_frames, values[path][new])
+                    _append_rows(dataset, self.n_frames, values[path][new])
                 else:
                     small[path] = values[path][new]
             if self.contacts is not None:
@@ -192,7 +192,7 @@ class Recorder:
         """What the file gets of some frames, as it holds it, in the order of the checksums."""
         fields = self.system.output.fields
         found: dict[str, Any] = contact_values(fields, touches, self.system.n_bodies)
-        found |= fields_of(frames, rows, self.system, self.of_bodies)
+        found |= _fields_of(frames, rows, self.system, self.of_bodies)
         values = {}
         for path, dataset in self.series.items():
             name = path.split("/")[-2]
@@ -262,8 +262,8 @@ class Recorder:
         for path in self.pending[0][1] if self.pending else ():
             values = np.concatenate([part[path] for _, part in self.pending])
             # The offset of contacts has one entry more than there are frames.
-            append_rows(self.file[path], first + (path == schema.OFFSET), values)
-        append_rows(self.step, first, np.arange(first, n))
+            _append_rows(self.file[path], first + (path == schema.OFFSET), values)
+        _append_rows(self.step, first, np.arange(first, n))
         append_steps(self.file, first, self.series[schema.TIME][first:n])
         self.file.attrs.modify(schema.COMMITTED, np.int64(n))
         if self.slot is not None:
@@ -280,7 +280,7 @@ class Recorder:
             self.output.close()
 
 
-def append_rows(dataset: h5py.Dataset, first: int, values: Rows) -> None:
+def _append_rows(dataset: h5py.Dataset, first: int, values: _Rows) -> None:
     """Append values from row `first` on; a row that is a chunk goes straight to the file.
 
     By HDF5's own calls: h5py takes longer to find out what a slice means than HDF5 to write it.
@@ -296,7 +296,7 @@ def append_rows(dataset: h5py.Dataset, first: int, values: Rows) -> None:
     dataset.id.write(h5s.create_simple(shape), place, np.ascontiguousarray(values))
 
 
-def fields_of(
+def _fields_of(
     frames: Frames, rows: Ints, system: System, names: Mapping[str, Any]
 ) -> dict[str, Floats]:
     """Arrays of the fields of some names, for some rows of the frames."""

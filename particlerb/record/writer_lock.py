@@ -16,8 +16,8 @@ try:
 except ImportError:  # not a POSIX system
     fcntl = None  # type: ignore[assignment]
 
-FAR = 2**62  # byte that is locked
-BUSY = (errno.EACCES, errno.EAGAIN)
+_FAR = 2**62  # byte that is locked
+_BUSY = (errno.EACCES, errno.EAGAIN)
 
 
 class InUseError(OSError):
@@ -58,11 +58,11 @@ class WriterLock:
         command = getattr(fcntl, "F_OFD_SETLK", None)
         if command is None:
             return False
-        request = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, FAR, 1, 0)
+        request = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, _FAR, 1, 0)
         try:
             fcntl.fcntl(self.descriptor, command, request)
         except OSError as error:
-            if error.errno in BUSY:
+            if error.errno in _BUSY:
                 raise
             return False  # a file system without locks
         return True

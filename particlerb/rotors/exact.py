@@ -35,11 +35,11 @@ from particlerb.rotors.theta import (
     theta_local,
 )
 
-BLOCK = 256
-CROSSOVER = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
-SMALLEST = 1e-290
-EXPONENT_BITS = 0x7FF0000000000000
-spliced = compile_with(inline="always")  # used once: not compiled apart from its caller
+_BLOCK = 256
+_CROSSOVER = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
+_SMALLEST = 1e-290
+_EXPONENT_BITS = 0x7FF0000000000000
+_spliced = compile_with(inline="always")  # used once: not compiled apart from its caller
 
 
 class SteadyTurn(NamedTuple):
@@ -86,8 +86,8 @@ class HyperbolicTurn(NamedTuple):
 Turn: TypeAlias = SteadyTurn | ThetaTurn | HyperbolicTurn
 
 
-@spliced
-def steady_rows(turn: SteadyTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
+@_spliced
+def _steady_rows(turn: SteadyTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
     """q(t) of steadily turning bodies."""
     axis, start = rows3(turn.axis, lo, hi), rows4(turn.start, lo, hi)
     world, body = turn.clock[0, lo:hi], turn.clock[1, lo:hi]
@@ -100,34 +100,34 @@ def steady_rows(turn: SteadyTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
 
 
 @inline
-def frame_rows(right: Bytes, lo: int, hi: int) -> tuple[Bytes, Bytes, Bytes, Bytes]:
+def _frame_rows(right: Bytes, lo: int, hi: int) -> tuple[Bytes, Bytes, Bytes, Bytes]:
     """Rows of P between two bodies."""
     return right[0, lo:hi], right[1, lo:hi], right[2, lo:hi], right[3, lo:hi]
 
 
 @inline
-def load_frame(rows: tuple[Bytes, Bytes, Bytes, Bytes], b: int) -> Quat:
+def _load_frame(rows: tuple[Bytes, Bytes, Bytes, Bytes], b: int) -> Quat:
     """P of body b."""
     return float(rows[0][b]), float(rows[1][b]), float(rows[2][b]), float(rows[3][b])
 
 
-@spliced
-def theta_rows(turn: ThetaTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
+@_spliced
+def _theta_rows(turn: ThetaTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
     """q(t) = Q_L g(t) P of asymmetric bodies, (11)."""
     start, rate, nu = rows3(turn.clock, lo, hi)
-    left, right = rows4(turn.left, lo, hi), frame_rows(turn.right, lo, hi)
+    left, right = rows4(turn.left, lo, hi), _frame_rows(turn.right, lo, hi)
     series = rows3(turn.series, lo, hi)
     for b in range(hi - lo):
         of = ThetaCoefficients(*load3(series, b))
         local = theta_local(start[b] + rate[b] * t, of)
-        store4(q, b, oriented(load4(left, b), nu[b] * t, local, load_frame(right, b)))
+        store4(q, b, oriented(load4(left, b), nu[b] * t, local, _load_frame(right, b)))
 
 
-@spliced
-def hyperbolic_rows(turn: HyperbolicTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
+@_spliced
+def _hyperbolic_rows(turn: HyperbolicTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
     """q(t) = Q_L g(t) P of bodies near the separatrix."""
     start, rate, nu = rows3(turn.clock, lo, hi)
-    left, right = rows4(turn.left, lo, hi), frame_rows(turn.right, lo, hi)
+    left, right = rows4(turn.left, lo, hi), _frame_rows(turn.right, lo, hi)
     fall, r, s, kappa = rows4(turn.scale, lo, hi)
     phase = turn.scale[4, lo:hi]
     cos03, sin03 = rows4(turn.cosines, lo, hi), rows4(turn.sines, lo, hi)
@@ -145,7 +145,7 @@ def hyperbolic_rows(turn: HyperbolicTurn, t: float, lo: int, hi: int, q: Rows4) 
             (d[0], d[1], d[2], d[3], sin4[b], sin5[b]),
         )
         local, delta = near_local(start[b] + rate[b] * t, of)
-        store4(q, b, oriented(load4(left, b), nu[b] * t + delta, local, load_frame(right, b)))
+        store4(q, b, oriented(load4(left, b), nu[b] * t + delta, local, _load_frame(right, b)))
 
 
 @inline
@@ -164,11 +164,11 @@ def turn_block(
     a type.
     """
     if steady is not None:
-        steady_rows(steady, t, lo, hi, q)
+        _steady_rows(steady, t, lo, hi, q)
     if theta is not None:
-        theta_rows(theta, t, lo, hi, q)
+        _theta_rows(theta, t, lo, hi, q)
     if hyperbolic is not None:
-        hyperbolic_rows(hyperbolic, t, lo, hi, q)
+        _hyperbolic_rows(hyperbolic, t, lo, hi, q)
 
 
 @kernel
@@ -181,8 +181,8 @@ def turn_all(
 ) -> None:
     """`turn_block` for every block."""
     n = q.shape[1]
-    for lo in range(0, n, BLOCK):
-        hi = min(lo + BLOCK, n)
+    for lo in range(0, n, _BLOCK):
+        hi = min(lo + _BLOCK, n)
         turn_block(steady, theta, hyperbolic, t, lo, hi, rows4(q, lo, hi))
 
 
@@ -224,11 +224,11 @@ def prepare(
         Indices of bodies and their constants in that order; each body is in exactly one.
     """
     inertia, q, L = (np.ascontiguousarray(a, dtype=np.float64) for a in (inertia, q, L))
-    units = np.stack([inverse_power_of_two(inertia), inverse_power_of_two(L)])
+    units = np.stack([_inverse_power_of_two(inertia), _inverse_power_of_two(L)])
     modulus = np.full(rotor_class.size, -1.0)
     if (which := np.flatnonzero(rotor_class == ASYMMETRIC)).size:
         THREADS.alone(moduli, inertia, q, L, units, which, modulus)
-    is_steady, is_theta = modulus < 0.0, modulus >= CROSSOVER
+    is_steady, is_theta = modulus < 0.0, modulus >= _CROSSOVER
     groups: list[tuple[Ints, Turn]] = []
     if (which := np.flatnonzero(is_theta)).size:
         table, right = np.empty((THETA_ROWS, which.size)), np.empty((4, which.size), np.int8)
@@ -242,7 +242,7 @@ def prepare(
         groups.append((which, HyperbolicTurn(clock, left, right, *rest)))
     if (which := np.flatnonzero(is_steady)).size:
         table = np.empty((STEADY_ROWS, which.size))
-        inverse = steady_inverse(inertia[:, which], rotor_class[which], modulus[which])
+        inverse = _steady_inverse(inertia[:, which], rotor_class[which], modulus[which])
         THREADS.alone(steady_table, inverse, q, L, which, table)
         groups.append((which, SteadyTurn(*split(table, 3, 2, 4))))
     return groups
@@ -253,14 +253,14 @@ def split(table: Floats, *counts: int) -> list[Floats]:
     return np.split(table, np.cumsum(counts)[:-1])
 
 
-def inverse_power_of_two(vectors: Floats) -> Floats:
+def _inverse_power_of_two(vectors: Floats) -> Floats:
     """1 / the largest power of two in the largest component of each (3, n) vector."""
-    largest = np.maximum(np.abs(vectors).max(axis=0), SMALLEST)
-    exponent: Floats = (largest.view(np.int64) & EXPONENT_BITS).view(np.float64)
+    largest = np.maximum(np.abs(vectors).max(axis=0), _SMALLEST)
+    exponent: Floats = (largest.view(np.int64) & _EXPONENT_BITS).view(np.float64)
     return 1.0 / exponent
 
 
-def steady_inverse(inertia: Floats, rotor_class: NDArray[np.integer], modulus: Floats) -> Floats:
+def _steady_inverse(inertia: Floats, rotor_class: NDArray[np.integer], modulus: Floats) -> Floats:
     """1/I of the turn about L and 1/I3 - 1/I1 of that about rotor axis 3, (2, n) [1/(kg m²)].
 
     Of an asymmetric body that spins about a principal axis, I is the moment of that axis.

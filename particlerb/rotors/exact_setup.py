@@ -28,16 +28,16 @@ from particlerb.rotors.theta import (
     twist,
 )
 
-BLOCK = 1 if config.DISABLE_JIT else 128
-INPUTS = 11  # rows: I (3), q (4), L (3), rate
+_BLOCK = 1 if config.DISABLE_JIT else 128
+_INPUTS = 11  # rows: I (3), q (4), L (3), rate
 STEADY_ROWS, THETA_ROWS, NEAR_ROWS = 9, 10, 24
 Pair: TypeAlias = tuple[float, float]
 Bytes: TypeAlias = NDArray[np.int8]
-spliced = compile_with(inline="always")  # copied into the caller before it is compiled
+_spliced = compile_with(inline="always")  # copied into the caller before it is compiled
 
 
 @inline
-def ordered(x: Pair, y: Pair) -> tuple[Pair, Pair]:
+def _ordered(x: Pair, y: Pair) -> tuple[Pair, Pair]:
     """The pair with the smaller first entry first."""
     swap = x[0] > y[0]
     return (
@@ -47,11 +47,11 @@ def ordered(x: Pair, y: Pair) -> tuple[Pair, Pair]:
 
 
 @inline
-def complementary_modulus(inertia: Vec3, m: Vec3) -> float:
+def _complementary_modulus(inertia: Vec3, m: Vec3) -> float:
     """k′² in doubles, (3); -1, -2, -3 for a spin about axis 1, 2, 3 exactly, -1 for a sphere."""
-    x, y = ordered((inertia[0], m[0] * m[0]), (inertia[1], m[1] * m[1]))
-    y, z = ordered(y, (inertia[2], m[2] * m[2]))
-    x, y = ordered(x, y)
+    x, y = _ordered((inertia[0], m[0] * m[0]), (inertia[1], m[1] * m[1]))
+    y, z = _ordered(y, (inertia[2], m[2] * m[2]))
+    x, y = _ordered(x, y)
     d12, d13, d23 = y[0] - x[0], z[0] - x[0], z[0] - y[0]
     D = z[1] * (d23 / z[0]) - x[1] * (d12 / x[0])
     above = (x[1] * (d13 / x[0]) + y[1] * (d23 / y[0])) * d12
@@ -66,15 +66,15 @@ def complementary_modulus(inertia: Vec3, m: Vec3) -> float:
 
 @kernel
 def moduli(inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, out: Floats) -> None:
-    """`complementary_modulus` of bodies `which`."""
-    s = np.empty((INPUTS + 1, BLOCK))
-    for lo in range(0, which.size, BLOCK):
-        hi = min(lo + BLOCK, which.size)
+    """`_complementary_modulus` of bodies `which`."""
+    s = np.empty((_INPUTS + 1, _BLOCK))
+    for lo in range(0, which.size, _BLOCK):
+        hi = min(lo + _BLOCK, which.size)
         fill(inertia, q, L, units, which, lo, hi, s)
-        moment, turn, momentum, result = rows_3(s, 0), rows_4(s, 3), rows_3(s, 7), s[INPUTS]
-        for b in range(BLOCK):
+        moment, turn, momentum, result = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[_INPUTS]
+        for b in range(_BLOCK):
             m = dd.to_body(load4(turn, b), load3(momentum, b))
-            result[b] = complementary_modulus(load3(moment, b), (m[0][0], m[1][0], m[2][0]))
+            result[b] = _complementary_modulus(load3(moment, b), (m[0][0], m[1][0], m[2][0]))
         for b in range(hi - lo):
             out[which[lo + b]] = result[b]
 
@@ -91,7 +91,7 @@ def fill(
     s: Floats,
 ) -> None:
     """Copy bodies which[lo:hi] into the first rows of a scratch block; the last one fills it up."""
-    for b in range(BLOCK):
+    for b in range(_BLOCK):
         j = which[min(lo + b, hi - 1)]
         for i in range(3):
             s[i, b] = inertia[i, j] * units[0, j]
@@ -102,32 +102,32 @@ def fill(
 
 
 @kernel
-def drain(s: Floats, lo: int, hi: int, table: Floats, frame: Bytes) -> None:
+def _drain(s: Floats, lo: int, hi: int, table: Floats, frame: Bytes) -> None:
     """Copy the results of a block into their places."""
     for i in range(table.shape[0]):
         for b in range(hi - lo):
-            table[i, lo + b] = s[INPUTS + 4 + i, b]
+            table[i, lo + b] = s[_INPUTS + 4 + i, b]
     for i in range(4):
         for b in range(hi - lo):
-            frame[i, lo + b] = s[INPUTS + i, b]
+            frame[i, lo + b] = s[_INPUTS + i, b]
 
 
 @inline
-def world_factor(q: Quat, local: Quat, frame: Quat) -> Quat:
+def _world_factor(q: Quat, local: Quat, frame: Quat) -> Quat:
     """Q_L / |P|, so that Q_L g P is q at t = 0 though P is not of length 1."""
     left = multiply(q, conjugate(multiply(local, frame)))
     inv = 1.0 / math.sqrt(square(left) * square(frame))
     return left[0] * inv, left[1] * inv, left[2] * inv, left[3] * inv
 
 
-@spliced
-def rows_3(s: Floats, i: int) -> tuple[Floats, Floats, Floats]:
+@_spliced
+def _rows_3(s: Floats, i: int) -> tuple[Floats, Floats, Floats]:
     """Three rows of a scratch block."""
     return s[i], s[i + 1], s[i + 2]
 
 
-@spliced
-def rows_4(s: Floats, i: int) -> tuple[Floats, Floats, Floats, Floats]:
+@_spliced
+def _rows_4(s: Floats, i: int) -> tuple[Floats, Floats, Floats, Floats]:
     """Four rows of a scratch block."""
     return s[i], s[i + 1], s[i + 2], s[i + 3]
 
@@ -143,22 +143,22 @@ def theta_table(
     right: Bytes,
 ) -> None:
     """Constants of ThetaTurn: right, and in one table clock, left, series."""
-    s = np.empty((INPUTS + 4 + THETA_ROWS, BLOCK))
-    for lo in range(0, which.size, BLOCK):
-        hi = min(lo + BLOCK, which.size)
+    s = np.empty((_INPUTS + 4 + THETA_ROWS, _BLOCK))
+    for lo in range(0, which.size, _BLOCK):
+        hi = min(lo + _BLOCK, which.size)
         fill(inertia, q, L, units, which, lo, hi, s)
-        moment, turn, momentum, rate = rows_3(s, 0), rows_4(s, 3), rows_3(s, 7), s[10]
-        frame, clock, left, series = rows_4(s, 11), rows_3(s, 15), rows_4(s, 18), rows_3(s, 22)
-        for b in range(BLOCK):
+        moment, turn, momentum, rate = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[10]
+        frame, clock, left, series = _rows_4(s, 11), _rows_3(s, 15), _rows_4(s, 18), _rows_3(s, 22)
+        for b in range(_BLOCK):
             q_b = load4(turn, b)
             body = reduce(load3(moment, b), q_b, load3(momentum, b))
             time, of = theta_constants(body)
             local = theta_local(time.start, of)
             store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))
-            store4(left, b, world_factor(q_b, local, body.frame))
+            store4(left, b, _world_factor(q_b, local, body.frame))
             store4(frame, b, body.frame)
             store3(series, b, of)
-        drain(s, lo, hi, table, right)
+        _drain(s, lo, hi, table, right)
 
 
 @kernel
@@ -172,21 +172,21 @@ def near_table(
     right: Bytes,
 ) -> None:
     """Constants of HyperbolicTurn: right, and in one table clock, left, scale, cosines, sines."""
-    s = np.empty((INPUTS + 4 + NEAR_ROWS, BLOCK))
-    for lo in range(0, which.size, BLOCK):
-        hi = min(lo + BLOCK, which.size)
+    s = np.empty((_INPUTS + 4 + NEAR_ROWS, _BLOCK))
+    for lo in range(0, which.size, _BLOCK):
+        hi = min(lo + _BLOCK, which.size)
         fill(inertia, q, L, units, which, lo, hi, s)
-        moment, turn, momentum, rate = rows_3(s, 0), rows_4(s, 3), rows_3(s, 7), s[10]
-        frame, clock, left = rows_4(s, 11), rows_3(s, 15), rows_4(s, 18)
-        scale, phase = rows_4(s, 22), s[26]
-        cosines, sines = (rows_3(s, 27), rows_3(s, 30)), (rows_3(s, 33), rows_3(s, 36))
-        for b in range(BLOCK):
+        moment, turn, momentum, rate = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[10]
+        frame, clock, left = _rows_4(s, 11), _rows_3(s, 15), _rows_4(s, 18)
+        scale, phase = _rows_4(s, 22), s[26]
+        cosines, sines = (_rows_3(s, 27), _rows_3(s, 30)), (_rows_3(s, 33), _rows_3(s, 36))
+        for b in range(_BLOCK):
             q_b = load4(turn, b)
             body = reduce(load3(moment, b), q_b, load3(momentum, b))
             time, of = near_constants(body)
             local, delta = near_local(time.start, of)
             store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))
-            store4(left, b, twist(world_factor(q_b, local, body.frame), -delta))
+            store4(left, b, twist(_world_factor(q_b, local, body.frame), -delta))
             store4(frame, b, body.frame)
             store4(scale, b, (of.fall, of.r, of.s, of.kappa))
             phase[b] = of.turn
@@ -194,7 +194,7 @@ def near_table(
             store3(cosines[1], b, of.cosines[3:])
             store3(sines[0], b, of.sines[:3])
             store3(sines[1], b, of.sines[3:])
-        drain(s, lo, hi, table, right)
+        _drain(s, lo, hi, table, right)
 
 
 @kernel

@@ -14,11 +14,11 @@ from particlerb.maths.quaternion import Quat, multiply
 from particlerb.maths.trig import cos_sinc, reduce_modulo_pi
 from particlerb.maths.vec3 import Vec3, dot, scale
 
-QUARTER_TURN_SQUARED = 2.4674011002723395  # (π/2)²
+_QUARTER_TURN_SQUARED = 2.4674011002723395  # (π/2)²
 
 
 @inline
-def turn_about_1(half_angle: float, m: Vec3, q: Quat) -> tuple[Vec3, Quat]:
+def _turn_about_1(half_angle: float, m: Vec3, q: Quat) -> tuple[Vec3, Quat]:
     """Turn a body about its axis 1: new body components of a world vector m, new orientation."""
     x, _ = reduce_modulo_pi(half_angle)
     c, s = cos_sinc(x * x)
@@ -35,7 +35,7 @@ def turn_about_1(half_angle: float, m: Vec3, q: Quat) -> tuple[Vec3, Quat]:
 
 
 @inline
-def turn_about_3(half_angle: float, m: Vec3, q: Quat) -> tuple[Vec3, Quat]:
+def _turn_about_3(half_angle: float, m: Vec3, q: Quat) -> tuple[Vec3, Quat]:
     """Turn a body about its axis 3: new body components of a world vector m, new orientation."""
     x, _ = reduce_modulo_pi(half_angle)
     c, s = cos_sinc(x * x)
@@ -58,7 +58,7 @@ def turn_by(half: Vec3, q: Quat) -> Quat:
     Through half that angle: no root and no division. For |half| <= π, a whole turn; larger
     angles are cut to it, so that q stays a rotation where a step is far too long.
     """
-    c, s = cos_sinc(min(0.25 * dot(half, half), QUARTER_TURN_SQUARED))
+    c, s = cos_sinc(min(0.25 * dot(half, half), _QUARTER_TURN_SQUARED))
     v = scale(c * s, half)
     return multiply(q, (2 * c * c - 1, v[0], v[1], v[2]))
 
@@ -74,8 +74,8 @@ def normalised(q: Quat) -> Quat:
 def symmetric_split(q: Quat, m: Vec3, a: Vec3, dt: float) -> Quat:
     """Orientation after dt; m = Rᵀ L in the rotor frame, a = 1/I with a[0], a[1] closest."""
     k = 0.25 * dt * (a[0] - a[1])
-    m, q = turn_about_1(k * m[0], m, q)
+    m, q = _turn_about_1(k * m[0], m, q)
     q = turn_by(scale(0.5 * dt * a[1], m), q)
-    m, q = turn_about_3(0.5 * dt * (a[2] - a[1]) * m[2], m, q)
-    _, q = turn_about_1(k * m[0], m, q)
+    m, q = _turn_about_3(0.5 * dt * (a[2] - a[1]) * m[2], m, q)
+    _, q = _turn_about_1(k * m[0], m, q)
     return normalised(q)

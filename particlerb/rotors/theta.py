@@ -16,11 +16,11 @@ from particlerb.maths.trig import PI, angle_of, cos_sin_half_turns, decay, half_
 from particlerb.maths.vec3 import Vec3
 
 TINY = 1e-300  # added to positive denominators that underflow can make zero
-Axis: TypeAlias = tuple[float, float, float]  # moment; component of L in 32 digits: high, low
-Six: TypeAlias = tuple[float, float, float, float, float, float]
+_Axis: TypeAlias = tuple[float, float, float]  # moment; component of L in 32 digits: high, low
+_Six: TypeAlias = tuple[float, float, float, float, float, float]
 
 
-class Reduced(NamedTuple):
+class _Reduced(NamedTuple):
     """A body in the form of the theory."""
 
     m: Vec3
@@ -77,12 +77,12 @@ class NearCoefficients(NamedTuple):
     kappa: float
     turn: float
     """Phase per x, 2sη/π."""
-    cosines: Six
+    cosines: _Six
     """cos η, r cos 3η, r⁴ cos 5η, r⁹ cos 7η, r² cos 3η, r⁶ cos 5η."""
-    sines: Six
+    sines: _Six
 
 
-class Clock(NamedTuple):
+class _Clock(NamedTuple):
     """x = start + rate t; common phase nu t."""
 
     start: float
@@ -91,7 +91,7 @@ class Clock(NamedTuple):
 
 
 @inline
-def exchange(x: Axis, y: Axis, swap: bool) -> tuple[Axis, Axis]:
+def _exchange(x: _Axis, y: _Axis, swap: bool) -> tuple[_Axis, _Axis]:
     """(x, y) -> (y, -x), a quarter turn."""
     return (
         (y[0] if swap else x[0], y[1] if swap else x[1], y[2] if swap else x[2]),
@@ -100,7 +100,7 @@ def exchange(x: Axis, y: Axis, swap: bool) -> tuple[Axis, Axis]:
 
 
 @inline
-def discriminant(a: Axis, b: Axis, c: Axis) -> float:
+def _discriminant(a: _Axis, b: _Axis, c: _Axis) -> float:
     """Lc² (Ic - Ib) Ia - La² (Ib - Ia) Ic in 32 digits: the sign of (2)."""
     upper, lower = (c[1], c[2]), (a[1], a[2])
     upper = dd.times(dd.multiply(dd.multiply(upper, upper), dd.two_sum(c[0], -b[0])), a[0])
@@ -109,31 +109,31 @@ def discriminant(a: Axis, b: Axis, c: Axis) -> float:
 
 
 @inline
-def sort_axes(a: Axis, b: Axis, c: Axis) -> tuple[Axis, Axis, Axis, Quat]:
+def _sort_axes(a: _Axis, b: _Axis, c: _Axis) -> tuple[_Axis, _Axis, _Axis, Quat]:
     """Axes by rising moment, and the (unnormalised) product of the quarter turns that do it."""
     swap = a[0] > b[0]
-    a, b = exchange(a, b, swap)
+    a, b = _exchange(a, b, swap)
     frame = (1.0, 0.0, 0.0, -1.0 if swap else 0.0)
     swap = b[0] > c[0]
-    b, c = exchange(b, c, swap)
+    b, c = _exchange(b, c, swap)
     frame = multiply((1.0, -1.0 if swap else 0.0, 0.0, 0.0), frame)
     swap = a[0] > b[0]
-    a, b = exchange(a, b, swap)
+    a, b = _exchange(a, b, swap)
     return a, b, c, multiply((1.0, 0.0, 0.0, -1.0 if swap else 0.0), frame)
 
 
 @inline
-def reduce(inertia: Vec3, q: Quat, L: Vec3) -> Reduced:
+def reduce(inertia: Vec3, q: Quat, L: Vec3) -> _Reduced:
     """Sort the axes, choose axis 3, measure the distance from the separatrix: (2), (3)."""
     m = dd.to_body(q, L)
-    a, b, c, frame = sort_axes(
+    a, b, c, frame = _sort_axes(
         (inertia[0], m[0][0], m[0][1]),
         (inertia[1], m[1][0], m[1][1]),
         (inertia[2], m[2][0], m[2][1]),
     )
-    D = discriminant(a, b, c)
+    D = _discriminant(a, b, c)
     swap = D < 0.0 or (D == 0.0 and c[0] - b[0] <= b[0] - a[0])
-    a, c = exchange(a, c, swap)
+    a, c = _exchange(a, c, swap)
     frame = multiply((1.0, 0.0, 1.0 if swap else 0.0, 0.0), frame)
     flip = c[1] < 0.0
     sign = -1.0 if flip else 1.0
@@ -142,7 +142,7 @@ def reduce(inertia: Vec3, q: Quat, L: Vec3) -> Reduced:
     inside = (a[1] * a[1] * d13 / a[0] + b[1] * b[1] * d23 / b[0]) * d12
     outside = abs(D) / (a[0] * c[0]) * d13
     inv = 1.0 / (inside + outside + TINY)
-    return Reduced(
+    return _Reduced(
         (a[1], sign * b[1], sign * c[1]),
         (a[0], b[0], c[0]),
         d12,
@@ -162,7 +162,7 @@ def square(q: Quat) -> float:
 
 
 @inline
-def unit2(s: float, c: float) -> tuple[float, float]:
+def _unit2(s: float, c: float) -> tuple[float, float]:
     """(s, c) made a unit vector; (0, 1) if both are zero."""
     largest = max(abs(s), abs(c))
     inv = 1.0 / max(largest, TINY)
@@ -172,7 +172,7 @@ def unit2(s: float, c: float) -> tuple[float, float]:
 
 
 @inline
-def rates(body: Reduced) -> Rates:
+def rates(body: _Reduced) -> Rates:
     """Amplitudes, rates and initial sn, cn: (3), (4)."""
     m1, m2, m3 = body.m
     I1, I2, I3 = body.inertia
@@ -184,14 +184,14 @@ def rates(body: Reduced) -> Rates:
     A3 = math.sqrt(m3 * m3 + m2 * m2 * gamma)
     G = math.sqrt(m1 * m1 + m2 * m2 + m3 * m3)
     root = math.sqrt(sigma)
-    sn, cn = unit2(body.s * m2 * root, m1)  # both times A1
+    sn, cn = _unit2(body.s * m2 * root, m1)  # both times A1
     ratio = A1 / (G + A3)
     base = 0.5 * (A3 / I3 + ratio * A1 / I1)
     return Rates(lam, base, ratio, sn, cn, root, math.sqrt(gamma))
 
 
 @inline
-def theta_at_zero(q: float, S: float) -> Vec3:
+def _theta_at_zero(q: float, S: float) -> Vec3:
     """Of nome q and S = sinh b: θ₄(ib), its derivative by b, θ₁(ib) / (2 i q^¼ S).
 
     X and Z are 2qⁿ cosh 2nb and 2qⁿ sinh 2nb, which stay below 1 where cosh 2nb overflows.
@@ -212,15 +212,15 @@ def theta_at_zero(q: float, S: float) -> Vec3:
 
 
 @inline
-def theta_constants(body: Reduced) -> tuple[Clock, ThetaCoefficients]:
+def theta_constants(body: _Reduced) -> tuple[_Clock, ThetaCoefficients]:
     """Constants for K′ >= K/2, all of them algebraic but the angle x at t = 0: (8) to (10)."""
     rate = rates(body)
     chain = landen(body.k, body.kc)
     sin_x, cos_x = phase(chain, rate.sn, rate.cn)
     S = imaginary_phase(chain, rate.root_sigma / max(rate.root_gamma, TINY)) + TINY
-    theta4, slope, theta1 = theta_at_zero(chain.nome_squared, S)
+    theta4, slope, theta1 = _theta_at_zero(chain.nome_squared, S)
     x_rate = rate.lam / chain.period
-    clock = Clock(angle_of(cos_x, sin_x), x_rate, rate.base - body.s * x_rate * slope / theta4)
+    clock = _Clock(angle_of(cos_x, sin_x), x_rate, rate.base - body.s * x_rate * slope / theta4)
     root = max(math.sqrt(chain.nome_squared), 0.25 * chain.k1)  # k₁/4 where the square underflows
     kappa = rate.ratio * theta4 / (theta1 * S)
     return clock, ThetaCoefficients(
@@ -275,7 +275,7 @@ def oriented(left: Quat, phase: float, local: Quat, right: Quat) -> Quat:
 
 
 @inline
-def near_constants(body: Reduced) -> tuple[Clock, NearCoefficients]:
+def near_constants(body: _Reduced) -> tuple[_Clock, NearCoefficients]:
     """Constants for K′ < K/2, (15): nome and moduli are those of the complementary modulus."""
     rate = rates(body)
     chain = landen(body.kc, body.k)
@@ -304,7 +304,7 @@ def near_constants(body: Reduced) -> tuple[Clock, NearCoefficients]:
     omega = lam / fall
     turn = 2.0 * body.s * eta / PI
     nu = rate.base + 0.5 * body.s * lam * num / den - turn * omega
-    return Clock(x, omega, nu), NearCoefficients(
+    return _Clock(x, omega, nu), NearCoefficients(
         fall,
         r,
         body.s,

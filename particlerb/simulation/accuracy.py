@@ -39,10 +39,10 @@ from particlerb.simulation.step_ladder import (
 )
 from particlerb.simulation.trials import drifts, part, states_at
 
-SHARE: Final = 0.3  # of the wanted error of the energy that a step is chosen for
+_SHARE: Final = 0.3  # of the wanted error of the energy that a step is chosen for
 
 
-class Estimate(NamedTuple):
+class _Estimate(NamedTuple):
     """What can be said of a run with `run.accuracy`."""
 
     wanted: float
@@ -91,7 +91,7 @@ def prepare_accurately(system: System) -> Prepared:
     found = [search(free, group) for group in plan.groups]
     choice = [None if one is None else one.stepping for one in found]
     chosen = with_choice(free, plan, choice)
-    estimate = estimate_of(system, chosen, found)
+    estimate = _estimate_of(system, chosen, found)
     warnings = chosen.warnings
     if not estimate.is_met:
         worst = max(estimate.groups, key=lambda group: group[2])[0]
@@ -127,10 +127,10 @@ def prepare_again(system: System, stepping: str | None) -> Prepared:
     return Prepared(system, plan, describe(system, plan))
 
 
-def estimate_of(system: System, plan: Plan, found: list[ChosenStep | None]) -> Estimate:
+def _estimate_of(system: System, plan: Plan, found: list[ChosenStep | None]) -> _Estimate:
     """Summary over all groups."""
     known = [(g, one) for g, one in zip(plan.groups, found, strict=True) if one is not None]
-    return Estimate(
+    return _Estimate(
         system.run.accuracy or 0.0,
         max((one.error for _, one in known), default=0.0),
         min((one.until for _, one in known), default=system.run.t_end),
@@ -191,5 +191,5 @@ def by_energy(pilot: Pilot, method: str) -> ChosenStep:
         if met or cost * share > DEAREST:
             until = system.run.t_end if met else 0.0
             return ChosenStep(stepping, float(error), until, n, cost, pilot.spent)
-        promised = (SHARE * pilot.wanted / error) ** 0.5 if np.isfinite(error) else 0.1
+        promised = (_SHARE * pilot.wanted / error) ** 0.5 if np.isfinite(error) else 0.1
         stepping = stepping._replace(dt=stepping.dt * min(max(promised, 0.1), 0.5))

@@ -61,13 +61,13 @@ def results(system: System, outcome: Outcome) -> list[Result]:
     for check in system.check.value:
         time = system.run.t_end if check.time is None else check.time
         values += [
-            value_result(check, time, system, int(b), frames[time])
+            _value_result(check, time, system, int(b), frames[time])
             for b in system.names.find(check.body)
         ]
     return limits + values
 
 
-def value_result(check: CheckValue, time: float, system: System, b: int, frames: Frames) -> Result:
+def _value_result(check: CheckValue, time: float, system: System, b: int, frames: Frames) -> Result:
     """One expected value of one body."""
     expected = np.array(check.value, dtype=np.float64)
     found = quantity(check, system, b, frames)
@@ -99,7 +99,7 @@ def quantity(check: CheckValue, system: System, b: int, frames: Frames) -> Float
         return np.asarray(kinetic_energy(bodies, state)[0])
     if check.quantity == "inertia":
         tensor = inertia_in_body(system.bodies, b)
-        return tensor if check.frame == "body" else rotated(orientation[0, b], tensor)
+        return tensor if check.frame == "body" else _rotated(orientation[0, b], tensor)
     if check.quantity == "orientation":
         return np.asarray(orientation[0, b])
     vectors = {
@@ -115,7 +115,7 @@ def quantity(check: CheckValue, system: System, b: int, frames: Frames) -> Float
     return vector[:, 0]
 
 
-def rotated(q: Floats, tensor: Floats) -> Floats:
+def _rotated(q: Floats, tensor: Floats) -> Floats:
     """R T Rᵀ."""
     R = rotate(np.tile(q[:, None], 3), np.eye(3))
     result: Floats = R @ tensor @ R.T

@@ -11,12 +11,12 @@ from particlerb.case.run import RunTable
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.system import System
 
-BATCH_BYTES = 32_000_000  # of frames that are held before they are written
+_BATCH_BYTES = 32_000_000  # of frames that are held before they are written
 BATCH_FRAMES = 1024
 BATCH_SECONDS = 0.5  # that a batch should take
 FIRST_BATCH = 1  # frames, before it is known how long one takes
 FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of its multiples
-EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
+_EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
 
 
 def frame_count(run: RunTable) -> int:
@@ -44,20 +44,20 @@ def multiples(every: float, first: int, stop: int) -> Floats:
     k = np.arange(first, stop, dtype=np.float64)
     decimal = Fraction(repr(every))
     above, below = decimal.numerator, decimal.denominator
-    if max(above, below) > EXACT_INTEGERS:
+    if max(above, below) > _EXACT_INTEGERS:
         return np.float64(every) * k
-    times: Floats = np.where(k * above <= EXACT_INTEGERS, k * above / below, every * k)
+    times: Floats = np.where(k * above <= _EXACT_INTEGERS, k * above / below, every * k)
     return times
 
 
-def whole_frames(run: RunTable) -> int:
+def _whole_frames(run: RunTable) -> int:
     """Number of frames that a run to any later end has as well: all, or all but that at t_end."""
     n = frame_count(run)
     is_multiple = multiples(run.every, n - 1, n)[0] == run.t_end
     return n if is_multiple else n - 1
 
 
-def probe_times(system: System) -> Floats:
+def _probe_times(system: System) -> Floats:
     """Times at which the checks want to know a value [s]."""
     wanted = [system.run.t_end if v.time is None else v.time for v in system.check.value]
     return np.unique(np.array(wanted, dtype=np.float64))
@@ -79,9 +79,9 @@ def batches(system: System, done: int = 0) -> Iterator[Batch]:
     As many as fit into the cache and take about half a second, so that a long run is written,
     shows progress and can be interrupted.
     """
-    most = int(min(max(BATCH_BYTES // (system.n_bodies * 13 * 8), 1), BATCH_FRAMES))
-    n, whole = frame_count(system.run), whole_frames(system.run)
-    probes = probe_times(system)
+    most = int(min(max(_BATCH_BYTES // (system.n_bodies * 13 * 8), 1), BATCH_FRAMES))
+    n, whole = frame_count(system.run), _whole_frames(system.run)
+    probes = _probe_times(system)
     if done:
         probes = probes[probes > frame_times(system.run, done - 1, done)]
     size = min(FIRST_BATCH, most)

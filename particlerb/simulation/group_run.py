@@ -19,7 +19,7 @@ from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved, under, within
 from particlerb.stepping.sparse_contact import DiluteMotion
 
-STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
+_STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
 TOUCHING = (TouchingMotion, DiluteMotion)  # motions that know the elastic energy of contacts
 
 
@@ -56,7 +56,7 @@ class GroupRun:
         self.number = int(saved["number"])
         if self.number:
             self.before, self.turnover = saved["before"], float(saved["turnover"])
-            self.first = State(*np.split(saved["first"], STATE_SPLITS))
+            self.first = State(*np.split(saved["first"], _STATE_SPLITS))
             self.pairs = self.pair_forces()
             self.motion = self.set_off()
         self.motion.restore(within("motion", saved))

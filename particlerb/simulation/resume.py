@@ -32,18 +32,18 @@ from particlerb.simulation.accuracy import prepare_again
 from particlerb.simulation.frame_times import frame_count, frame_times
 from particlerb.simulation.run import Outcome, Prepared, Progress, advance, identity
 
-UNVERIFIED = (
+_UNVERIFIED = (
     "particlerb: warning: run.accuracy was verified until the earlier t_end only; method and step"
     " stay as they were chosen"
 )
-DECIDES = ("particlerb", "sources", "python", "numpy", "numba")  # what may change the bits
+_DECIDES = ("particlerb", "sources", "python", "numpy", "numba")  # what may change the bits
 
 
 class ResumeError(Exception):
     """A run that cannot be gone on with: why, and what would be right."""
 
 
-class Pending(NamedTuple):
+class _Pending(NamedTuple):
     """A run that can be gone on with."""
 
     path: Path
@@ -56,7 +56,7 @@ class Pending(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def look_at(path: Path, t_end: float | None = None, threads: int | None = None) -> Pending:
+def look_at(path: Path, t_end: float | None = None, threads: int | None = None) -> _Pending:
     """What there is to do for a file; it is only read.
 
     Parameters
@@ -80,18 +80,18 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
     with open_trajectory(path) as trajectory:
         file, n = trajectory.file, trajectory.n_frames
         require_self_contained(file)
-        refuse_other_version(path, text_in(file, "versions"), text_in(file, "git_revision"))
-        if text_in(file, "case_resolved") is None or text_in(file, "identity") is None:
+        _refuse_other_version(path, _text_in(file, "versions"), _text_in(file, "git_revision"))
+        if _text_in(file, "case_resolved") is None or _text_in(file, "identity") is None:
             raise ResumeError(f"{path} does not say how it was made, so it cannot go on")
         source = stored_case(file)
-        system = to_system(case_of(source, t_end, threads))
-        prepared = prepare_again(system, text_in(file, "stepping"))
-        if identity(prepared) != text_in(file, "identity"):
+        system = to_system(_case_of(source, t_end, threads))
+        prepared = prepare_again(system, _text_in(file, "stepping"))
+        if identity(prepared) != _text_in(file, "identity"):
             raise ResumeError(
                 f"{path}: its case gives other bodies or another plan than the run had: it was"
                 " changed in the file; run it anew"
             )
-        known = frames_that_stay(path, trajectory.time, system.run)
+        known = _frames_that_stay(path, trajectory.time, system.run)
         total = frame_count(system.run)
         if known == total and is_finished(file, n):
             raise ResumeError(
@@ -108,11 +108,11 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
     is_prolonged = source.raw["run"]["t_end"] != system.run.t_end
     warnings = prepared.plan.warnings
     if is_prolonged and system.run.accuracy is not None:
-        warnings = (*warnings, UNVERIFIED)
-    return Pending(path, prepared, checkpoint, start, known, total, is_prolonged, warnings)
+        warnings = (*warnings, _UNVERIFIED)
+    return _Pending(path, prepared, checkpoint, start, known, total, is_prolonged, warnings)
 
 
-def resume_pending(pending: Pending, progress: Progress = lambda n: None) -> Outcome:
+def resume_pending(pending: _Pending, progress: Progress = lambda n: None) -> Outcome:
     """Go on with a run.
 
     Raises
@@ -136,7 +136,7 @@ def resume_pending(pending: Pending, progress: Progress = lambda n: None) -> Out
     return advance(prepared, recorder, checkpoint, progress)
 
 
-def text_in(file: h5py.File, name: str) -> str | None:
+def _text_in(file: h5py.File, name: str) -> str | None:
     """Text of /parameters; None where there is none."""
     try:
         value = file[f"{PARAMETERS}/{name}"][()]
@@ -145,7 +145,7 @@ def text_in(file: h5py.File, name: str) -> str | None:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else None
 
 
-def refuse_other_version(path: Path, stored: str | None, revision: str | None) -> None:
+def _refuse_other_version(path: Path, stored: str | None, revision: str | None) -> None:
     """Raise ResumeError where other versions have made the file."""
     try:
         made: Any = json.loads(stored or "")
@@ -154,7 +154,7 @@ def refuse_other_version(path: Path, stored: str | None, revision: str | None) -
     if not isinstance(made, dict):
         raise ResumeError(f"{path} does not say which versions have made it, so it cannot go on")
     now = versions()
-    for name in DECIDES:
+    for name in _DECIDES:
         if name in made and name in now and made[name] == now[name]:
             continue
         if name == "sources":
@@ -168,7 +168,7 @@ def refuse_other_version(path: Path, stored: str | None, revision: str | None) -
         )
 
 
-def case_of(source: Source, t_end: float | None, threads: int | None) -> Case:
+def _case_of(source: Source, t_end: float | None, threads: int | None) -> Case:
     """Case of a file, with another end or other threads if they are given."""
     given = {"t_end": t_end, "threads": threads}
     changes = {key: value for key, value in given.items() if value is not None}
@@ -177,7 +177,7 @@ def case_of(source: Source, t_end: float | None, threads: int | None) -> Case:
     return build(source._replace(raw=raw), ())
 
 
-def frames_that_stay(path: Path, times: Floats, run: RunTable) -> int:
+def _frames_that_stay(path: Path, times: Floats, run: RunTable) -> int:
     """Number of frames that a run has too: not the one at an earlier t_end.
 
     Raises

@@ -43,9 +43,9 @@ from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
 from particlerb.stepping.sparse_contact import DiluteMotion
 
-FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
-ROD_ROUNDING = 1e-9  # share of L along a rod that exact drifts may leave
-ROD_ERROR = 0.2  # that other methods may leave: more is a torque about the axis, or no result
+_FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
+_ROD_ROUNDING = 1e-9  # share of L along a rod that exact drifts may leave
+_ROD_ERROR = 0.2  # that other methods may leave: more is a torque about the axis, or no result
 
 Progress = Callable[[int], object]
 
@@ -54,7 +54,7 @@ class RunError(Exception):
     """A run that failed: what, where, when."""
 
 
-class Probe(NamedTuple):
+class _Probe(NamedTuple):
     """State of all bodies at a time that a check asks for."""
 
     time: float
@@ -65,7 +65,7 @@ class Outcome(NamedTuple):
     """What a run leaves beside its file."""
 
     drift: ConservationError
-    probes: tuple[Probe, ...]
+    probes: tuple[_Probe, ...]
     file: h5py.File  # closed, or open if it is in memory
     flown: float | None = None  # share of body-steps that closed forms saved; None: not known
     swing: float = 0.0  # [rad] per step, the fastest of bodies on all contacts that was seen
@@ -102,7 +102,7 @@ class Run:
         initial = as_frame(self.system.bodies, self.system.state)
         self.last = initial.last
         self.room = initial  # used again and again: fresh memory costs more than what fills it
-        self.rod_limit = rod_limits(plan, len(self.system.kind))
+        self.rod_limit = _rod_limits(plan, len(self.system.kind))
         self.travellers = [
             GroupRun(group, State(*(a[:, group.members] for a in self.system.state)))
             for group in plan.groups
@@ -112,7 +112,7 @@ class Run:
         self.ledger = EnergyBalance(totals(initial, self.counted, self.gravity, *energies))
 
         self.n_frames = 0  # that lie behind
-        self.probes: list[Probe] = []
+        self.probes: list[_Probe] = []
 
     def checkpoint(self) -> Saved:
         """All that a run that goes on from here has to know, beside its system."""
@@ -120,7 +120,7 @@ class Run:
         for k, traveller in enumerate(self.travellers):
             saved |= under(f"group.{k}", traveller.checkpoint())
         for k, probe in enumerate(self.probes):
-            saved |= {f"probe.{k}.{name}": getattr(probe.frame, name) for name in FIELDS_OF_STATES}
+            saved |= {f"probe.{k}.{name}": getattr(probe.frame, name) for name in _FIELDS_OF_STATES}
         return saved | {"probes": np.array([probe.time for probe in self.probes])}
 
     def restore(self, n_frames: int, saved: Saved) -> None:
@@ -131,9 +131,9 @@ class Run:
         for k, traveller in enumerate(self.travellers):
             traveller.restore(within(f"group.{k}", saved))
         for k, time_ in enumerate(saved["probes"].tolist()):
-            x, q, p, L = (saved[f"probe.{k}.{name}"] for name in FIELDS_OF_STATES)
+            x, q, p, L = (saved[f"probe.{k}.{name}"] for name in _FIELDS_OF_STATES)
             frame = Frames(x, q, p, L, self.last, np.zeros(1, dtype=np.bool_))
-            self.probes.append(Probe(time_, frame))
+            self.probes.append(_Probe(time_, frame))
 
     def flown(self) -> float | None:
         """Share of body-steps of touching bodies that were saved by closed forms."""
@@ -178,7 +178,7 @@ class Run:
 
         Where all totals are finite, so are the states; the reverse does not hold, squares overflow.
         """
-        names = () if is_finite else FIELDS_OF_STATES
+        names = () if is_finite else _FIELDS_OF_STATES
         for name in names:
             values = getattr(frames, name)
             if np.isfinite(values[-1]).all():  # what is not finite stays so
@@ -292,7 +292,7 @@ def advance(
             except (LookupError, TypeError, ValueError) as reason:
                 raise RunError(f"the checkpoint does not fit: {reason}") from None
         for batch in batches(prepared.system, run.n_frames):
-            rows, error = one_batch(run, recorder, batch)
+            rows, error = _one_batch(run, recorder, batch)
             progress(rows)
             if error is not None:
                 raise error
@@ -311,7 +311,7 @@ def advance(
     return Outcome(run.ledger.drift(), tuple(run.probes), recorder.file, run.flown(), run.swing())
 
 
-def one_batch(run: "Run", recorder: Recorder, batch: Batch) -> tuple[int, RunError | None]:
+def _one_batch(run: "Run", recorder: Recorder, batch: Batch) -> tuple[int, RunError | None]:
     """Compute and append a batch; how many frames it had, and what was wrong behind them."""
     frames, entries, error = run.frames_at(batch.times, batch.is_frame)
     sound = len(frames.position)
@@ -319,7 +319,7 @@ def one_batch(run: "Run", recorder: Recorder, batch: Batch) -> tuple[int, RunErr
     if rows.size:
         recorder.append(batch.times[rows], frames, rows, entries, run.touches(rows))
     for row in np.flatnonzero(batch.is_probe[:sound]):
-        run.probes.append(Probe(float(batch.times[row]), one_row(frames, int(row))))
+        run.probes.append(_Probe(float(batch.times[row]), _one_row(frames, int(row))))
     run.n_frames += rows.size
     return rows.size, error
 
@@ -339,12 +339,12 @@ def identity(prepared: Prepared) -> str:
     return found.hexdigest()
 
 
-def rod_limits(plan: Plan, n_bodies: int) -> Floats:
+def _rod_limits(plan: Plan, n_bodies: int) -> Floats:
     """Share of L along its axis with which each body, were it a rod, is taken to turn about it."""
-    limits = np.full(n_bodies, ROD_ROUNDING)
+    limits = np.full(n_bodies, _ROD_ROUNDING)
     for group in plan.groups:
         if not all(METHODS[segment.method].keeps_rods for segment in group.segments):
-            limits[group.members] = ROD_ERROR
+            limits[group.members] = _ROD_ERROR
     return limits
 
 
@@ -354,7 +354,7 @@ def first_rows(frames: Frames, n: int) -> Frames:
     return Frames(position[:n], orientation[:n], p[:n], L[:n], last, is_frame[:n])
 
 
-def one_row(frames: Frames, row: int) -> Frames:
+def _one_row(frames: Frames, row: int) -> Frames:
     """Copy of one row of the frames."""
     position, orientation, p, L = (a[row : row + 1].copy() for a in frames[:4])
     return Frames(position, orientation, p, L, frames.last, frames.is_frame[row : row + 1])

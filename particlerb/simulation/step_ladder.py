@@ -29,34 +29,34 @@ from particlerb.simulation.trials import chosen, poses, relative_misfits, ways
 from particlerb.stepping.pair_forces import cost_of
 
 FIRST_TURN: Final = {"strang": 0.5, "rkn6": 4.0, "rk4": 0.5}  # rad of the first step that is tried
-FIRST_WANTED: Final = 1e-3  # for this accuracy, by half of the order for others
-FIRST_TOLERANCE: Final = 0.01  # that is tried, in units of the accuracy,
-COARSEST, FINEST = 1e-3, 1e-14  # and its limits
-CRUDE: Final = 1e-5  # accuracy below which a method of order 2 is no rival
-ADAPTED: Final = 4.0  # rad of a step with a tolerance of 1, about,
-LONGER: Final = 10.0  # and how many times longer steps may be later than at t = 0
+_FIRST_WANTED: Final = 1e-3  # for this accuracy, by half of the order for others
+_FIRST_TOLERANCE: Final = 0.01  # that is tried, in units of the accuracy,
+_COARSEST, _FINEST = 1e-3, 1e-14  # and its limits
+_CRUDE: Final = 1e-5  # accuracy below which a method of order 2 is no rival
+_ADAPTED: Final = 4.0  # rad of a step with a tolerance of 1, about,
+_LONGER: Final = 10.0  # and how many times longer steps may be later than at t = 0
 RATIO: Final = {"strang": 2.0, "rkn6": 1.6, "rk4": 1.8, "dop853": 30.0}  # of settings compared
-DEARER: Final = 1.25  # a run may be than one whose error on the pilot is just what is wanted
-PILOT: Final = 32  # bodies that are looked at, at most:
-FASTEST: Final = 8  # these by their rates at t = 0, the others by their errors at
-COARSE: Final = (1.5, 0.75)  # rad of a step of strang
+_DEARER: Final = 1.25  # a run may be than one whose error on the pilot is just what is wanted
+_PILOT: Final = 32  # bodies that are looked at, at most:
+_FASTEST: Final = 8  # these by their rates at t = 0, the others by their errors at
+_COARSE: Final = (1.5, 0.75)  # rad of a step of strang
 TIMES: Final = 8  # that are looked at; the largest error counts
-LAST: Final = 3  # at so many of them: at a single one it may pass through 0
+_LAST: Final = 3  # at so many of them: at a single one it may pass through 0
 MORE_TIMES: Final = 32  # that are looked at where an accuracy is not met
 LEAST: Final = 1e6  # ns that may be spent on a search, whatever the run takes
 DEAREST: Final = 5e9  # ns that a trial may take
-MOST_TRIALS: Final = 24  # of a method
-REGULAR: Final = 0.1  # errors below it follow the order of a method,
-PRUDENT: Final = 2  # order by which the finest of two runs is better, at most
-ORDERLY: Final = (0.75, 1.75)  # within these shares of it
-NEAR: Final = 1.5  # ratio of costs between which nothing else is looked for
-NOISE: Final = 1e-13  # no error below it is foretold
+_MOST_TRIALS: Final = 24  # of a method
+_REGULAR: Final = 0.1  # errors below it follow the order of a method,
+_PRUDENT: Final = 2  # order by which the finest of two runs is better, at most
+_ORDERLY: Final = (0.75, 1.75)  # within these shares of it
+_NEAR: Final = 1.5  # ratio of costs between which nothing else is looked for
+_NOISE: Final = 1e-13  # no error below it is foretold
 ENOUGH: Final = 0.6  # of what is wanted, where errors are seen and not foretold
-MOST_GROWTH: Final = 5  # of the setting, in powers of it
-FURTHER: Final = 300.0  # ratio of errors beyond what was tried, where a run would be too dear
-TINY: Final = 1e-300  # in place of errors of 0
-FEW: Final = 12  # bodies that cost as much as one, in the lanes of a register
-SAY_SO: Final = 2.0  # s after which a search says what it does
+_MOST_GROWTH: Final = 5  # of the setting, in powers of it
+_FURTHER: Final = 300.0  # ratio of errors beyond what was tried, where a run would be too dear
+_TINY: Final = 1e-300  # in place of errors of 0
+_FEW: Final = 12  # bodies that cost as much as one, in the lanes of a register
+_SAY_SO: Final = 2.0  # s after which a search says what it does
 
 
 class ChosenStep(NamedTuple):
@@ -94,9 +94,9 @@ class Pilot:
         self.gone: tuple[Frames | None, Floats] = (None, np.empty(0))  # ways of the last reference
         self.take(np.arange(group.members.size))
         self.calm = 1.0  # steps that the whole group takes beside the pilot, where it adapts them
-        if self.which.size > PILOT and not self.is_coupled:
+        if self.which.size > _PILOT and not self.is_coupled:
             self.take(self.worst())
-            self.calm = per_pack(self.rates) / per_pack(self.rates[self.which])
+            self.calm = _per_pack(self.rates) / _per_pack(self.rates[self.which])
 
     def take(self, which: Ints) -> None:
         """Let the pilot have these bodies of the group."""
@@ -113,12 +113,13 @@ class Pilot:
         """Bodies that are fastest, and those that err most with coarse steps."""
         times = np.array([self.system.run.t_end])
         coarse, fine = (
-            self.poses(Stepping("strang", self.longest(turn), 0.0, ""), times)[0] for turn in COARSE
+            self.poses(Stepping("strang", self.longest(turn), 0.0, ""), times)[0]
+            for turn in _COARSE
         )
         error = self.errors(times, coarse, fine)[0]
-        fastest = np.argsort(-self.rates, kind="stable")[:FASTEST]
+        fastest = np.argsort(-self.rates, kind="stable")[:_FASTEST]
         error[fastest] = np.inf
-        return np.sort(np.argsort(-error, kind="stable")[:PILOT])
+        return np.sort(np.argsort(-error, kind="stable")[:_PILOT])
 
     def poses(self, stepping: Stepping, times: Floats) -> tuple[Frames, float]:
         """States at some times, and the steps of the whole run that were taken until the last."""
@@ -130,7 +131,7 @@ class Pilot:
 
     def say_so(self, method: str) -> None:
         """Tell, once, what takes so long."""
-        if not self.has_said and time.monotonic() - self.start > SAY_SO:
+        if not self.has_said and time.monotonic() - self.start > _SAY_SO:
             self.has_said = True
             name = group_name(self.system, self.group.members)
             text = f"{name}: looking for method and step for run.accuracy, now with {method} ..."
@@ -151,7 +152,7 @@ class Pilot:
     def cost(self, stepping: Stepping, steps: float, n: int) -> float:
         """Time that n bodies of the group take for so many steps, by the table [ns]."""
         method = METHODS[stepping.method]
-        lanes = max(n, FEW)
+        lanes = max(n, _FEW)
         if method.is_adaptive and n > 1 and not self.is_coupled:
             lanes = -(-n // PACK) * PACK
         each = method.cost
@@ -164,17 +165,17 @@ class Pilot:
 def candidates(pilot: Pilot, able: list[str]) -> list[str]:
     """Methods worth a trial, of those that accept the forces."""
     outdone = {"rk4"} if "rkn6" in able else set()
-    if pilot.wanted < CRUDE and {"rkn6", "rk4"} & set(able):
+    if pilot.wanted < _CRUDE and {"rkn6", "rk4"} & set(able):
         outdone.add("strang")
     return [name for name in RATIO if name in able and name not in outdone]
 
 
-def per_pack(rates: Floats) -> float:
+def _per_pack(rates: Floats) -> float:
     """Mean over packs of the largest rate."""
     return float(np.mean(np.maximum.reduceat(rates, np.arange(0, rates.size, PACK))))
 
 
-class Tried(NamedTuple):
+class _Tried(NamedTuple):
     """One run of the pilot."""
 
     setting: float
@@ -188,9 +189,9 @@ class Ladder:
     def __init__(self, pilot: Pilot, name: str) -> None:
         self.pilot, self.name, self.method = pilot, name, METHODS[name]
         self.order = 1 if self.method.is_adaptive else self.method.order  # of the error
-        self.goal = pilot.wanted * DEARER**-self.method.order
+        self.goal = pilot.wanted * _DEARER**-self.method.order
         self.times = np.linspace(0.0, pilot.system.run.t_end, TIMES + 1)[1:]
-        self.tried: list[Tried] = []  # the coarsest first
+        self.tried: list[_Tried] = []  # the coarsest first
         self.errors: list[float] = []  # of all but the finest, which stands for the truth
         self.apart: dict[tuple[float, float], float] = {}  # largest error between two settings
         self.setting, self.is_verified = 0.0, False
@@ -201,10 +202,10 @@ class Ladder:
 
         Where that is dearer than another method it is not even compiled.
         """
-        turn = LONGER * ADAPTED * self.pilot.wanted ** (1.0 / self.method.order)
+        turn = _LONGER * _ADAPTED * self.pilot.wanted ** (1.0 / self.method.order)
         steps = self.pilot.rate * sum(self.pilot.lengths) / turn
         n = self.pilot.group.members.size
-        return max(self.pilot.cost(self.stepping(COARSEST), steps, n), LEAST)
+        return max(self.pilot.cost(self.stepping(_COARSEST), steps, n), LEAST)
 
     def stepping(self, setting: float) -> Stepping:
         """How bodies are stepped with a setting."""
@@ -229,12 +230,12 @@ class Ladder:
 
     def try_out(self, setting: float) -> None:
         """Move the pilot with a setting."""
-        self.tried.append(Tried(setting, *self.pilot.poses(self.stepping(setting), self.times)))
+        self.tried.append(_Tried(setting, *self.pilot.poses(self.stepping(setting), self.times)))
         self.tried.sort(key=lambda one: -one.setting)
 
     def look(self) -> None:
         """Compare all that was tried with the finest: which setting would do, and is it sure."""
-        finest, order = self.tried[-1], min(self.order, PRUDENT)
+        finest, order = self.tried[-1], min(self.order, _PRUDENT)
         self.errors = [
             self.between(one, finest) / (1.0 - (finest.setting / one.setting) ** order)
             for one in self.tried[:-1]
@@ -247,13 +248,13 @@ class Ladder:
             self.is_lost()
             or following in [one.setting for one in self.tried]
             or self.cost_of(following, self.pilot.which.size) > DEAREST
-            or len(self.tried) == MOST_TRIALS
+            or len(self.tried) == _MOST_TRIALS
         ):
             self.cost = math.inf
 
-    def between(self, one: Tried, other: Tried) -> float:
+    def between(self, one: _Tried, other: _Tried) -> float:
         """Largest error of a run beside another, at the last times."""
-        key, last = (one.setting, other.setting), slice(TIMES - LAST, TIMES)
+        key, last = (one.setting, other.setting), slice(TIMES - _LAST, TIMES)
         if key not in self.apart:
             errors = self.pilot.errors(self.times, one.frames, other.frames, last)
             self.apart[key] = float(errors.max())
@@ -272,7 +273,7 @@ class Ladder:
         last, ratio = self.tried[-2].setting, RATIO[self.name]
         before = [e for e, t in zip(self.errors, self.tried, strict=False) if t.setting > last]
         far = [t.setting for t in self.tried if t.setting >= 0.99 * ratio**2 * last]
-        return bool(far) and before[len(far) - 1] < min(REGULAR, 2.0 * self.errors[-1])
+        return bool(far) and before[len(far) - 1] < min(_REGULAR, 2.0 * self.errors[-1])
 
     def promising(self) -> tuple[float, bool]:
         """Setting for the wanted error by what was tried, and whether that is sure."""
@@ -281,18 +282,18 @@ class Ladder:
         met = next((k for k in range(len(errors)) if max(errors[k:]) <= self.goal), None)
         if met is None:
             setting, error = settings[-2], errors[-1]
-            if error > REGULAR:
+            if error > _REGULAR:
                 return settings[-1] / ratio, False
             best = setting * (self.goal / error) ** (1.0 / self.order)
             is_near = best > setting / self.near and best >= settings[-1]
-            if best > setting * FURTHER ** (-1.0 / self.order):
+            if best > setting * _FURTHER ** (-1.0 / self.order):
                 is_near |= not self.affords(best / ratio, best)
-            is_near &= self.goal > NOISE and len(errors) > 1
+            is_near &= self.goal > _NOISE and len(errors) > 1
             return best, is_near and self.is_orderly(len(errors) - 2)
-        setting, error = settings[met], max(errors[met], TINY)
+        setting, error = settings[met], max(errors[met], _TINY)
         if met == 0:
-            longest = self.pilot.longest(math.inf) if self.is_stepped else COARSEST
-            growth = min((self.goal / error) ** (1.0 / self.order), self.near**MOST_GROWTH)
+            longest = self.pilot.longest(math.inf) if self.is_stepped else _COARSEST
+            growth = min((self.goal / error) ** (1.0 / self.order), self.near**_MOST_GROWTH)
             longer = min(setting * growth, longest)
             is_sure = longer <= self.near**0.5 * setting
             return setting if is_sure else longer, is_sure
@@ -313,7 +314,7 @@ class Ladder:
     @property
     def near(self) -> float:
         """Ratio of settings whose costs are as 1 to NEAR."""
-        return float(NEAR ** (self.method.order / self.order))
+        return float(_NEAR ** (self.method.order / self.order))
 
     @property
     def error(self) -> float:
@@ -323,11 +324,11 @@ class Ladder:
 
     def is_orderly(self, k: int) -> bool:
         """Whether the error falls from run k to the next as the order of the method says."""
-        if not self.errors[k] < REGULAR:
+        if not self.errors[k] < _REGULAR:
             return False
-        fallen = math.log(max(self.errors[k], TINY) / max(self.errors[k + 1], TINY))
+        fallen = math.log(max(self.errors[k], _TINY) / max(self.errors[k + 1], _TINY))
         order = fallen / math.log(self.tried[k].setting / self.tried[k + 1].setting)
-        return ORDERLY[0] * self.order <= order <= ORDERLY[1] * self.order
+        return _ORDERLY[0] * self.order <= order <= _ORDERLY[1] * self.order
 
     def affords(self, setting: float, best: float) -> bool:
         """Whether a run with a setting leaves the search shorter than the run with the best."""
@@ -348,14 +349,14 @@ class Ladder:
         if not self.affords(wanted, self.setting):
             wanted = max(self.setting * ratio, finest / ratio**1.5)
         wanted = min(wanted, finest / ratio)
-        return wanted if self.is_stepped else max(wanted, FINEST)
+        return wanted if self.is_stepped else max(wanted, _FINEST)
 
     def first_setting(self) -> float:
         """Setting to begin with: coarser than what most scenes need, since such runs are short."""
         wanted = self.pilot.wanted
         if not self.is_stepped:
-            return min(max(FIRST_TOLERANCE * wanted, FINEST), COARSEST)
-        share = (wanted / FIRST_WANTED) ** (0.5 / self.order)
+            return min(max(_FIRST_TOLERANCE * wanted, _FINEST), _COARSEST)
+        share = (wanted / _FIRST_WANTED) ** (0.5 / self.order)
         return self.pilot.longest(share * FIRST_TURN[self.name])
 
     def cost_of(self, setting: float, n: int) -> float:

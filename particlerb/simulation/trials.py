@@ -38,7 +38,7 @@ class BodySubset(NamedTuple):
     gravity: Floats  # (3,) [m/s²]
 
 
-class Books(NamedTuple):
+class _Books(NamedTuple):
     """What a ledger needs beside the frames of a run."""
 
     given: Floats  # (T, 7) work, impulse, angular impulse
@@ -104,7 +104,7 @@ def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def states_at(part: BodySubset, times: Floats) -> tuple[Frames, Books]:
+def states_at(part: BodySubset, times: Floats) -> tuple[Frames, _Books]:
     """Frames at ascending times, and what was booked until then."""
     initial = as_frame(part.bodies, part.state)
     frames = room_for(times.size, part.bodies.mass.size, initial.last)
@@ -112,7 +112,7 @@ def states_at(part: BodySubset, times: Floats) -> tuple[Frames, Books]:
     first = initial_energies(travellers, initial)
     given, later = record_all(travellers, times, frames)
     gross = sum(traveller.turned_over() for traveller in travellers)
-    return frames, Books(given, first, later, gross)
+    return frames, _Books(given, first, later, gross)
 
 
 def seconds(part: BodySubset, t_end: float) -> float:
@@ -123,7 +123,7 @@ def seconds(part: BodySubset, t_end: float) -> float:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def drifts(part: BodySubset, frames: Frames, books: Books) -> tuple[float, float]:
+def drifts(part: BodySubset, frames: Frames, books: _Books) -> tuple[float, float]:
     """Largest errors of energy and of angular momentum, relative as in the ledger of a run."""
     initial = as_frame(part.bodies, part.state)
     bodies = counted(part.groups, part.bodies)
@@ -156,7 +156,7 @@ def poses(group: GroupPlan, state: State, times: Floats) -> tuple[Frames, float]
         motion: Any = begin(
             method, group.group(segment), state, segment.start, segment.dt, tolerance
         )
-        forget_accounts(motion)
+        _forget_accounts(motion)
         rows = np.arange(done, np.searchsorted(times, segment.stop, side="left"))
         adapts, before = is_adaptive(segment.method), segment.start
         for own in np.split(rows, rows.size) if adapts and rows.size else [rows]:
@@ -178,7 +178,7 @@ def poses(group: GroupPlan, state: State, times: Floats) -> tuple[Frames, float]
     return frames, float(steps)
 
 
-def forget_accounts(motion: Any) -> None:
+def _forget_accounts(motion: Any) -> None:
     """Let a motion, and its parts, not sum up what forces give."""
     for one in (
         [own for _, own in motion.parts] if isinstance(motion, CompositeMotion) else [motion]

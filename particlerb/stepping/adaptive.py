@@ -47,7 +47,7 @@ NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in betw
 
 
 @inline
-def take_pack(blocks: Floats, pack: int, n: int, w: int, rows: Floats, y: Floats) -> None:
+def _take_pack(blocks: Floats, pack: int, n: int, w: int, rows: Floats, y: Floats) -> None:
     """Bring the bodies of a pack to the first lanes of rows, and their vectors to y."""
     block, first = pack * PACK // BLOCK, pack * PACK % BLOCK
     source = blocks[block]
@@ -60,7 +60,7 @@ def take_pack(blocks: Floats, pack: int, n: int, w: int, rows: Floats, y: Floats
 
 
 @inline
-def give_pack(y: Floats, w: int, blocks: Floats, pack: int, n: int) -> None:
+def _give_pack(y: Floats, w: int, blocks: Floats, pack: int, n: int) -> None:
     """Write the vectors of a pack back."""
     block, first = pack * PACK // BLOCK, pack * PACK % BLOCK
     target = blocks[block]
@@ -100,7 +100,7 @@ def advance(
     for pack in range(first * BLOCK // PACK, min(last * BLOCK // PACK, packs)):
         lo = pack * PACK
         n = min(members.size - lo, PACK)
-        take_pack(blocks, pack, n, w, rows, y)
+        _take_pack(blocks, pack, n, w, rows, y)
         t, h = clock[0, pack], clock[1, pack]
         h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h, tolerance)
         is_dense = False
@@ -138,7 +138,7 @@ def advance(
                 break
             t = stop if h >= stop - t else t + h
         clock[0, pack], clock[1, pack] = t, h
-        give_pack(y, w, blocks, pack, n)
+        _give_pack(y, w, blocks, pack, n)
 
 
 class AdaptiveRun:

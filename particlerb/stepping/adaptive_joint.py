@@ -52,7 +52,7 @@ from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 
 
-class JointWorkspace(NamedTuple):
+class _JointWorkspace(NamedTuple):
     """Vectors of all bodies, (blocks, size * w) each."""
 
     y: Floats
@@ -66,7 +66,7 @@ class JointWorkspace(NamedTuple):
 
 
 @kernel
-def spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
+def _spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
     """Vectors into states (13, n), with |q| = 1."""
     for k in range(layout.first.size):
         lo = layout.first[k]
@@ -79,7 +79,7 @@ def spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
 
 
 @kernel
-def slopes_of_blocks(
+def _slopes_of_blocks(
     acting: Acting,
     books: Flag,
     blocks: Floats,
@@ -95,7 +95,7 @@ def slopes_of_blocks(
         take_slopes(acting, books, blocks[k], layout.size[k], w, t, y[k], own[k])
 
 
-def joint_slopes(
+def _joint_slopes(
     acting: Acting,
     books: Flag,
     blocks: Floats,
@@ -108,34 +108,34 @@ def joint_slopes(
 ) -> None:
     """Slopes of all bodies in the states y at a time [s] since the segment began."""
     links, attraction, work, with_dashpots, states, load, _ = pairs
-    spread_out(y, layout, w, states)
+    _spread_out(y, layout, w, states)
     pair_loads(links, attraction, work, with_dashpots, states, load)
     scatter(load, blocks, layout, PAIR, 0)
-    slopes_of_blocks(acting, books, blocks, layout, w, t, y, slope)
+    _slopes_of_blocks(acting, books, blocks, layout, w, t, y, slope)
 
 
 @kernel
-def add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
+def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
     """State where the slope of a stage is taken."""
     new[:] = y
     add_rows(h, A[stage], K, stage, new.reshape(new.size))
 
 
-def joint_stages(
+def _joint_stages(
     acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
-    room: JointWorkspace,
+    room: _JointWorkspace,
     new: Floats, t: float, h: float, i: int, j: int,
 ) -> None:  # fmt: skip
     """Slopes of the stages i .. j - 1 of a step h from t; `new` is the state of the last one."""
     for stage in range(i, j):
-        add_stages(h, stage, room.K, room.y, new)
+        _add_stages(h, stage, room.K, room.y, new)
         now = t + NODES[stage] * h
-        joint_slopes(acting, books, blocks, layout, pairs, room.width, now, new, room.K[stage])
+        _joint_slopes(acting, books, blocks, layout, pairs, room.width, now, new, room.K[stage])
 
 
 @kernel
-def joint_error(
-    blocks: Floats, layout: Layout, room: JointWorkspace, h: float, tolerance: float
+def _joint_error(
+    blocks: Floats, layout: Layout, room: _JointWorkspace, h: float, tolerance: float
 ) -> float:
     """Largest error of a step over the tolerance, of the bodies that are numbers."""
     y, new, _, five, three, K, errors, w = room
@@ -150,14 +150,14 @@ def joint_error(
 
 
 @kernel
-def normalise_blocks(values: Floats, layout: Layout, w: int) -> None:
+def _normalise_blocks(values: Floats, layout: Layout, w: int) -> None:
     """Make |q| = 1."""
     for k in range(layout.first.size):
         normalise(values[k], layout.size[k], w)
 
 
 @kernel
-def give_up(layout: Layout, room: JointWorkspace) -> None:
+def _give_up(layout: Layout, room: _JointWorkspace) -> None:
     """Make bodies NaN whose error no step is short enough for."""
     for k in range(layout.first.size):
         for b in range(layout.size[k]):
@@ -166,28 +166,28 @@ def give_up(layout: Layout, room: JointWorkspace) -> None:
                     room.y[k, c * room.width + b] = np.nan
 
 
-def find_joint_step(
+def _find_joint_step(
     acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
-    room: JointWorkspace,
+    room: _JointWorkspace,
     t: float, h: float, tolerance: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Longest step up to h that is accurate, and the one to try after it; see `find_step`."""
-    joint_slopes(acting, books, blocks, layout, pairs, room.width, t, room.y, room.K[0])
+    _joint_slopes(acting, books, blocks, layout, pairs, room.width, t, room.y, room.K[0])
     longest = h
     while True:
-        joint_stages(acting, books, blocks, layout, pairs, room, room.new, t, h, 1, 13)
-        error = joint_error(blocks, layout, room, h, tolerance)
+        _joint_stages(acting, books, blocks, layout, pairs, room, room.new, t, h, 1, 13)
+        error = _joint_error(blocks, layout, room, h, tolerance)
         if error < 1.0:
-            normalise_blocks(room.new, layout, room.width)
+            _normalise_blocks(room.new, layout, room.width)
             return h, h * factor_of(error)
         h *= factor_of(error)
         if not h > LEAST_STEP * t:
             h = longest
-            give_up(layout, room)
+            _give_up(layout, room)
 
 
 @kernel
-def interpolate_blocks(layout: Layout, room: JointWorkspace, h: float, share: float) -> None:
+def _interpolate_blocks(layout: Layout, room: _JointWorkspace, h: float, share: float) -> None:
     """State at a share of a step, into `out`."""
     y, new, out, _, _, K, _, w = room
     own = K.reshape((K.shape[0], y.shape[0], y.shape[1]))
@@ -197,8 +197,8 @@ def interpolate_blocks(layout: Layout, room: JointWorkspace, h: float, share: fl
 
 
 @kernel
-def store_blocks(
-    layout: Layout, room: JointWorkspace, rotor_frame: Floats, members: Ints, frames: Frames,
+def _store_blocks(
+    layout: Layout, room: _JointWorkspace, rotor_frame: Floats, members: Ints, frames: Frames,
     sums: Floats, f: int,
 ) -> None:  # fmt: skip
     """Write `out` into frame f."""
@@ -218,7 +218,7 @@ def store_blocks(
 
 def advance_joint(
     acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
-    room: JointWorkspace,
+    room: _JointWorkspace,
     clock: Floats, tolerance: float, times: Floats, index: Ints, until: float, stop: float,
     rotor_frame: Floats, members: Ints, frames: Frames, sums: Floats,
 ) -> None:  # fmt: skip
@@ -228,31 +228,31 @@ def advance_joint(
     """
     y, new, out = room.y, room.new, room.out
     t, h = clock[0], clock[1]
-    h, h_next = find_joint_step(acting, books, blocks, layout, pairs, room, t, h, tolerance)
+    h, h_next = _find_joint_step(acting, books, blocks, layout, pairs, room, t, h, tolerance)
     is_dense = False
     for f in range(times.size):
         while times[f] > t + h:
             t += h
             y[:] = new
-            h, h_next = find_joint_step(
+            h, h_next = _find_joint_step(
                 acting, books, blocks, layout, pairs, room, t, h_next, tolerance
             )
             is_dense = False
         out[:] = y
         if times[f] > t or not h > 0.0:
             if not is_dense:
-                joint_stages(acting, books, blocks, layout, pairs, room, out, t, h, 13, STAGES)
+                _joint_stages(acting, books, blocks, layout, pairs, room, out, t, h, 13, STAGES)
                 is_dense = True
-            interpolate_blocks(layout, room, h, (times[f] - t) / h)
-        store_blocks(layout, room, rotor_frame, members, frames, sums, index[f])
+            _interpolate_blocks(layout, room, h, (times[f] - t) / h)
+        _store_blocks(layout, room, rotor_frame, members, frames, sums, index[f])
     while t + h < until:
         t += h
         y[:] = new
-        h, h_next = find_joint_step(
+        h, h_next = _find_joint_step(
             acting, books, blocks, layout, pairs, room, t, h_next, tolerance
         )
     while t < stop < np.inf:  # the last step may have to be cut again
-        h, h_next = find_joint_step(
+        h, h_next = _find_joint_step(
             acting, books, blocks, layout, pairs, room, t, min(stop - t, h), tolerance
         )
         y[:] = new
@@ -264,7 +264,7 @@ def advance_joint(
 
 def family(make: Callable[..., Callable[..., Any]], **names: Any) -> Callable[..., None]:
     """`advance_joint` and what it calls, made anew with other globals."""
-    for function in (joint_slopes, joint_stages, find_joint_step, advance_joint):
+    for function in (_joint_slopes, _joint_stages, _find_joint_step, advance_joint):
         names[function.__name__] = make(function, **names)
     advance: Callable[..., None] = names["advance_joint"]
     return advance
@@ -296,21 +296,21 @@ class JointMotion(AdaptiveRun):
         self.room = self.make_room(ALONE if self.account.books is None else CHANGING)
         self.clock = np.array([0.0, first_step])
         self.cost = method.cost * n + method.evaluations * self.forces.cost
-        take_blocks(self.blocks, self.layout, self.room)
+        _take_blocks(self.blocks, self.layout, self.room)
 
-    def make_room(self, size: int) -> JointWorkspace:
+    def make_room(self, size: int) -> _JointWorkspace:
         """Vectors of `size` numbers for each body."""
         width = int(self.layout.size[0])
         shape = (len(self.blocks), size * width)
         y, new, out, five, three = (np.zeros(shape) for _ in range(5))
         K = np.zeros((STAGES, shape[0] * shape[1]))
-        return JointWorkspace(
+        return _JointWorkspace(
             y, new, out, five, three, K, np.zeros((len(self.blocks), width)), width
         )
 
     def write_back(self) -> None:
         """Bring the vectors back to the blocks."""
-        give_blocks(self.blocks, self.layout, self.room)
+        _give_blocks(self.blocks, self.layout, self.room)
 
     def checkpoint(self) -> Saved:
         """States at the start of the step, when that is, and how long the step is."""
@@ -337,7 +337,7 @@ class JointMotion(AdaptiveRun):
 
 
 @kernel
-def take_blocks(blocks: Floats, layout: Layout, room: JointWorkspace) -> None:
+def _take_blocks(blocks: Floats, layout: Layout, room: _JointWorkspace) -> None:
     """Bring the states of all blocks into vectors."""
     w = room.width
     for k in range(layout.first.size):
@@ -347,7 +347,7 @@ def take_blocks(blocks: Floats, layout: Layout, room: JointWorkspace) -> None:
 
 
 @kernel
-def give_blocks(blocks: Floats, layout: Layout, room: JointWorkspace) -> None:
+def _give_blocks(blocks: Floats, layout: Layout, room: _JointWorkspace) -> None:
     """Write the vectors back."""
     w = room.width
     for k in range(layout.first.size):

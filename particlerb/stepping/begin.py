@@ -42,14 +42,14 @@ def begin(
         touching = DiluteMotion if can_fly(group.terms, group.members.size) else TouchingMotion
         return touching(method, group, state, start, dt)
     parts: list[tuple[Ints, Motion]] = []
-    for which in parts_of(method, group):
+    for which in _parts_of(method, group):
         part = group if which.size == group.members.size else part_of(group, which)
         own = state if part is group else taken(state, which)
         parts.append((which, SteppedMotion(method, part, own, start, dt)))
     return parts[0][1] if len(parts) == 1 else CompositeMotion(tuple(parts))
 
 
-def parts_of(method: Method, group: Group) -> list[Ints]:
+def _parts_of(method: Method, group: Group) -> list[Ints]:
     """Bodies that share a kernel: those of one kind of rotor, if the method asks for it."""
     everyone = np.arange(group.members.size)
     if group.terms.is_coupled or method.rotor_constants is None:

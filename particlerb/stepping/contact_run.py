@@ -106,22 +106,22 @@ from particlerb.stepping.motion import Group, MotionError
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 from particlerb.stepping.stepped_motion import SteppedMotion
 
-NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
+_NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
 WORTH_THREADS: Final = 6e4  # ns of a step from which on a second thread pays for its start
-FEW_STEPS: Final = 64  # for which lists are made at least where walls move slowly,
-LONGEST: Final = 4096  # and at most: new lists are when swings are looked at
-TO_MAKE: Final = 4e5  # ns of new lists, roughly,
-TO_MAKE_SPHERE: Final = 150.0  # and for each sphere;
-TO_USE: Final = 6.0  # of a pair in a step
+_FEW_STEPS: Final = 64  # for which lists are made at least where walls move slowly,
+_LONGEST: Final = 4096  # and at most: new lists are when swings are looked at
+_TO_MAKE: Final = 4e5  # ns of new lists, roughly,
+_TO_MAKE_SPHERE: Final = 150.0  # and for each sphere;
+_TO_USE: Final = 6.0  # of a pair in a step
 STABLE: Final = 2.0  # largest ω dt of a piston, and of bodies on undamped contacts
-WIDEN: Final = 1.25  # of the skin, or its narrowing
-WORTH: Final = 0.02  # share of the steps' time below which new lists need not be fewer
-WIDEST: Final = 4.0  # skin, in sizes of the scene: all pairs are in the lists long before
-LOOKS: Final = 256  # lists from look to look at how fast the bodies swing
-SLACK: Final = 0.8  # of half the skin, with which lists are made anew: a frame may lie ahead
+_WIDEN: Final = 1.25  # of the skin, or its narrowing
+_WORTH: Final = 0.02  # share of the steps' time below which new lists need not be fewer
+_WIDEST: Final = 4.0  # skin, in sizes of the scene: all pairs are in the lists long before
+_LOOKS: Final = 256  # lists from look to look at how fast the bodies swing
+_SLACK: Final = 0.8  # of half the skin, with which lists are made anew: a frame may lie ahead
 
 
-class StepMemory(NamedTuple):
+class _StepMemory(NamedTuple):
     """What an evaluation knows of those before."""
 
     last: Floats  # (6, n) momenta of the drift before the last kick
@@ -131,7 +131,7 @@ class StepMemory(NamedTuple):
     slides: Records  # (k,) PISTON: the first thread's
 
 
-class LoopPosition(NamedTuple):
+class _LoopPosition(NamedTuple):
     """Where the loop is."""
 
     stop: int  # of the schedule
@@ -142,7 +142,7 @@ class LoopPosition(NamedTuple):
     reached: float = 0.0  # [m] how far spheres have come, at most, since the lists were made
 
 
-class Copies(NamedTuple):
+class _Copies(NamedTuple):
     """What is kept while a partial step goes to a frame."""
 
     blocks: Floats
@@ -156,11 +156,11 @@ class Copies(NamedTuple):
 
 
 @kernel
-def place_blocks(
+def _place_blocks(
     moving: MovingBodies,
     contact: GroupContact,
     room: Workspace,
-    memory: StepMemory,
+    memory: _StepMemory,
     time: float,
     ahead: float,
     team: Team,
@@ -169,17 +169,17 @@ def place_blocks(
 
     It is further than half the skin where lists are used up because something else has moved.
     """
-    allowance, way, v, w = 0.5 * SLACK * contact.skin, 0.0, 0.0, 0.0
+    allowance, way, v, w = 0.5 * _SLACK * contact.skin, 0.0, 0.0, 0.0
     blocks, layout = moving.blocks, moving.layout
     first, end = share_of(team, 0, len(blocks))
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
-        put_driven(contact.model.prescribed, memory.start + time, False, rows, lo, n)
+        _put_driven(contact.model.prescribed, memory.start + time, False, rows, lo, n)
         way = max(way, farthest(memory.then, rows, contact.max_arm, lo, n))
         place_bodies(contact.model, room, rows, memory.last, ahead, lo, n)
         speeds = max_speeds(room.bodies, lo, lo + n)
         v, w = max(v, speeds[0]), max(w, speeds[1])
-        gather_pairs(moving.pairs, rows, lo, n)
+        _gather_pairs(moving.pairs, rows, lo, n)
     if team.rank == 0:
         put_poses(contact.motions, memory.start + time, room.poses)
         place_pistons(contact.pistons, memory.slides, ahead, room.poses)
@@ -189,27 +189,27 @@ def place_blocks(
 
 
 @inline
-def gather_pairs(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> None:
+def _gather_pairs(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> None:
     """Bring states of a block to where forces without touching are evaluated, if there are any."""
     if pairs is not None:
         gather_block(rows, pairs.y, lo, n)
 
 
 @inline
-def scatter_pairs(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> None:
+def _scatter_pairs(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> None:
     """Write these forces into the rows of a block."""
     if pairs is not None:
         scatter_block(pairs.load, rows, PAIR, 0, lo, n)
 
 
 @inline
-def are_used_up(contact: GroupContact, memory: StepMemory, time: float, way: float) -> bool:
+def _are_used_up(contact: GroupContact, memory: _StepMemory, time: float, way: float) -> bool:
     """Whether lists have to be made anew."""
-    return way > 0.5 * SLACK * contact.skin or time >= memory.until
+    return way > 0.5 * _SLACK * contact.skin or time >= memory.until
 
 
 @inline
-def reach_of(
+def _reach_of(
     lists: NeighbourLists, way: float, v: float, w: float, before: float, after: float
 ) -> float:
     """How far a point of a body has come since the lists were made, or comes about now [m]."""
@@ -217,7 +217,7 @@ def reach_of(
 
 
 @inline
-def put_driven(
+def _put_driven(
     drives: PrescribedBodies | None, t: float, with_momenta: bool, rows: Floats, lo: int, n: int
 ) -> None:
     """Write driven bodies into their block, with velocities or, as others are there, momenta."""
@@ -277,7 +277,7 @@ def touch(
 
 
 @kernel
-def load_blocks(
+def _load_blocks(
     moving: MovingBodies,
     scene: ContactModel,
     room: Workspace,
@@ -294,7 +294,7 @@ def load_blocks(
         for c in range(CONTACT_ROWS):
             for b in range(n):
                 put(rows, PAIR + c, b, 0.0)
-        scatter_pairs(moving.pairs, rows, lo, n)
+        _scatter_pairs(moving.pairs, rows, lo, n)
         collect_loads(scene, room, lists, rows, PAIR, STEADY, lo, n, later, span)
 
 
@@ -316,18 +316,18 @@ def remember(blocks: Floats, layout: Layout, last: Floats, team: Team) -> None:
 def save(
     blocks: Floats,
     layout: Layout,
-    memory: StepMemory,
+    memory: _StepMemory,
     lists: NeighbourLists,
-    saved: Copies,
+    saved: _Copies,
     team: Team,
 ) -> None:
     """Copy what a partial step changes."""
     first, end = share_of(team, 0, len(blocks))
     for k in range(first, end):
         copy_changing(blocks[k], saved.blocks[k], layout.size[k])
-    copy_rows(memory.last, saved.last, team)
-    copy_records(lists.spheres.history, saved.spheres, team)
-    copy_records(lists.walls.history, saved.walls, team)
+    _copy_rows(memory.last, saved.last, team)
+    _copy_records(lists.spheres.history, saved.spheres, team)
+    _copy_records(lists.walls.history, saved.walls, team)
     if team.rank == 0:
         for k in range(memory.slides.size):
             saved.slides[k] = memory.slides[k]
@@ -338,9 +338,9 @@ def save(
 def restore(
     blocks: Floats,
     layout: Layout,
-    memory: StepMemory,
+    memory: _StepMemory,
     lists: NeighbourLists,
-    saved: Copies,
+    saved: _Copies,
     team: Team,
 ) -> None:
     """Go back to what was saved; contacts that keep something act, so that they may forget it."""
@@ -348,19 +348,19 @@ def restore(
     first, end = share_of(team, 0, len(blocks))
     for k in range(first, end):
         copy_changing(saved.blocks[k], blocks[k], layout.size[k])
-    copy_rows(saved.last, memory.last, team)
-    copy_records(saved.spheres, lists.spheres.history, team)
-    copy_records(saved.walls, lists.walls.history, team)
+    _copy_rows(saved.last, memory.last, team)
+    _copy_records(saved.spheres, lists.spheres.history, team)
+    _copy_records(saved.walls, lists.walls.history, team)
     if team.rank == 0:
         for k in range(memory.slides.size):
             memory.slides[k] = saved.slides[k]
-    recall(lists.spheres, team)
-    recall(lists.walls, team)
+    _recall(lists.spheres, team)
+    _recall(lists.walls, team)
     meet(team)
 
 
 @inline
-def copy_rows(source: Floats, target: Floats, team: Team) -> None:
+def _copy_rows(source: Floats, target: Floats, team: Team) -> None:
     """Copy rows of an array."""
     first, end = share_of(team, 0, source.shape[0])
     for i in range(first, end):
@@ -369,7 +369,7 @@ def copy_rows(source: Floats, target: Floats, team: Team) -> None:
 
 
 @inline
-def copy_records(source: Records, target: Records, team: Team) -> None:
+def _copy_records(source: Records, target: Records, team: Team) -> None:
     """Copy records of an array."""
     first, end = share_of(team, 0, source.size)
     for i in range(first, end):
@@ -377,7 +377,7 @@ def copy_records(source: Records, target: Records, team: Team) -> None:
 
 
 @inline
-def recall(contacts: ContactList, team: Team) -> None:
+def _recall(contacts: ContactList, team: Team) -> None:
     """Let contacts that keep something act, so that they forget it where they have ended."""
     first, end = share_of(team, 0, contacts.active.size)
     for c in range(first, end):
@@ -420,20 +420,20 @@ def kick_then_drift(
     drift(moving, first, last, dt)
 
 
-def advance_touching(  # noqa: PLR0912, PLR0915
+def _advance_touching(  # noqa: PLR0912, PLR0915
     moving: MovingBodies,
     contact: GroupContact,
     room: Workspace,
     lists: NeighbourLists,
-    memory: StepMemory,
+    memory: _StepMemory,
     schedule: Schedule,
-    place: LoopPosition,
+    place: _LoopPosition,
     recording: Recording,
     elastic: Floats,
     pressed: Records,
-    saved: Copies,
+    saved: _Copies,
     team: Team,
-) -> LoopPosition:
+) -> _LoopPosition:
     """Take a group through a schedule until its lists have to be made anew; where it is then."""
     dt, _, steps, partial_steps, frame = schedule
     blocks, layout = moving.blocks, moving.layout
@@ -452,10 +452,10 @@ def advance_touching(  # noqa: PLR0912, PLR0915
             ahead = open_kick / last_kick if last_kick > 0.0 else 0.0
             v, w = 0.0, 0.0
             if h > 0.0:
-                way, v, w = place_blocks(moving, contact, room, memory, time, ahead, team)
-                if are_used_up(contact, memory, time, way):
-                    return LoopPosition(s, i, time, open_kick, last_kick, reached)
-                reached = max(reached, reach_of(lists, way, v, w, before, h))
+                way, v, w = _place_blocks(moving, contact, room, memory, time, ahead, team)
+                if _are_used_up(contact, memory, time, way):
+                    return _LoopPosition(s, i, time, open_kick, last_kick, reached)
+                reached = max(reached, _reach_of(lists, way, v, w, before, h))
             if i == steps[s]:
                 save(blocks, layout, memory, lists, saved, team)
                 open_on_grid, kick_on_grid = open_kick, last_kick
@@ -468,7 +468,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
                 meet(team)
                 last_kick, later = open_kick + CLOSING_KICK * h, h - before
                 span = last_kick if i < steps[s] else 0.0
-                load_blocks(moving, contact.model, room, lists, later, span, team)
+                _load_blocks(moving, contact.model, room, lists, later, span, team)
                 if team.rank == 0:
                     load_pistons(pistons, slides, lists.walls, contact.model, later)
                     kick_pistons(pistons, slides, open_kick, CLOSING_KICK * h, True)
@@ -482,14 +482,14 @@ def advance_touching(  # noqa: PLR0912, PLR0915
         if frame[s] != PAUSE and open_kick > 0.0:
             before = open_kick / CLOSING_KICK
             ahead = open_kick / last_kick if last_kick > 0.0 else 0.0
-            way, v, w = place_blocks(moving, contact, room, memory, now, ahead, team)
-            reached = max(reached, reach_of(lists, way, v, w, before, 0.0))
+            way, v, w = _place_blocks(moving, contact, room, memory, now, ahead, team)
+            reached = max(reached, _reach_of(lists, way, v, w, before, 0.0))
             flow_together(moving.dashpots, moving, open_kick, True, team)
             if team.rank == 0:
                 other_loads(moving.pairs)
             touch(contact, room, lists, before, 0.0, v, w, reached, team)
             meet(team)
-            load_blocks(moving, contact.model, room, lists, -before, 0.0, team)
+            _load_blocks(moving, contact.model, room, lists, -before, 0.0, team)
             set_times(moving, first, end, now)
             kick(moving, first, end, open_kick)
             if team.rank == 0:
@@ -499,7 +499,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
             for k in range(first, end):
                 t = memory.start + now
                 lo, n = layout.first[k], layout.size[k]
-                put_driven(contact.model.prescribed, t, True, blocks[k], lo, n)
+                _put_driven(contact.model.prescribed, t, True, blocks[k], lo, n)
         if frame[s] >= 0:
             if team.rank == 0:
                 elastic[frame[s]] = stored_energy(lists.spheres) + stored_energy(lists.walls)
@@ -509,7 +509,7 @@ def advance_touching(  # noqa: PLR0912, PLR0915
             restore(blocks, layout, memory, lists, saved, team)
             open_kick, last_kick = open_on_grid, kick_on_grid
         begin = 0
-    return LoopPosition(steps.size, 0, time, open_kick, last_kick, reached)
+    return _LoopPosition(steps.size, 0, time, open_kick, last_kick, reached)
 
 
 @inline
@@ -521,12 +521,12 @@ def other_loads(pairs: PairTerms | None) -> None:
     pair_loads(links, attraction, work, with_dashpots, y, load)
 
 
-compiled = kernel(advance_touching)
+compiled = kernel(_advance_touching)
 
 
 def is_due(count: int) -> bool:
     """Whether to look at how fast the bodies swing: often at first, then now and then."""
-    return count % LOOKS == 0 or count & (count - 1) == 0
+    return count % _LOOKS == 0 or count & (count - 1) == 0
 
 
 def lost_pair(found: Missed, members: Ints, time: float, skin: float) -> str:
@@ -540,7 +540,7 @@ def lost_pair(found: Missed, members: Ints, time: float, skin: float) -> str:
     )
 
 
-def one_by_one(schedule: Schedule) -> Iterator[Schedule]:
+def _one_by_one(schedule: Schedule) -> Iterator[Schedule]:
     """The stops of a schedule, each as a schedule."""
     done = schedule.steps_before
     for k, steps in enumerate(schedule.steps.tolist()):
@@ -582,9 +582,9 @@ class TouchingMotion(SteppedMotion):
         spheres = contact.model.spheres
         n, n_spheres = group.members.size, spheres.radius.size
         super().__init__(method, group, state, start, dt)
-        cost = method.cost + NANOSECONDS_PER_SPHERE * n_spheres / n
-        self.to_make, self.to_step = TO_MAKE + TO_MAKE_SPHERE * n_spheres, cost * n  # [ns]
-        self.cost += NANOSECONDS_PER_SPHERE * n_spheres
+        cost = method.cost + _NANOSECONDS_PER_SPHERE * n_spheres / n
+        self.to_make, self.to_step = _TO_MAKE + _TO_MAKE_SPHERE * n_spheres, cost * n  # [ns]
+        self.cost += _NANOSECONDS_PER_SPHERE * n_spheres
         self.contact = contact
         self.search = SphereSearch(spheres.radius, spheres.body)
         self.radius = np.full(n, np.inf)
@@ -596,8 +596,8 @@ class TouchingMotion(SteppedMotion):
         self.room = Workspace(xyzr, poses, bodies, np.zeros((len(self.blocks), 3)), np.zeros(n))
         y = np.vstack(state)
         slides = initial_piston_state(contact.pistons)
-        self.memory = StepMemory(y[7:].copy(), y[:7].copy(), start, np.inf, slides)
-        self.place = LoopPosition(0, 0, 0.0, 0.0, 0.0)
+        self.memory = _StepMemory(y[7:].copy(), y[:7].copy(), start, np.inf, slides)
+        self.place = _LoopPosition(0, 0, 0.0, 0.0, 0.0)
         self.bound = bounding_radii(spheres, n)
         corners = np.abs(contact.model.walls.parameter[:, :3]).max(initial=0.0)
         self.extent = math.sqrt(3.0) * float(corners) + float(spheres.radius.max())
@@ -611,7 +611,7 @@ class TouchingMotion(SteppedMotion):
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
         self.primitives = np.arange(contact.model.walls.kind.size)
         self.kept = kept or (empty_history(contact.model.law.rolling is not None),) * 2
-        is_worth_it = NANOSECONDS_PER_SPHERE * n_spheres > WORTH_THREADS
+        is_worth_it = _NANOSECONDS_PER_SPHERE * n_spheres > WORTH_THREADS
         self.threads = len(self.blocks) if is_worth_it else 1
         self.make_lists()
         self.elastic = self.energy()
@@ -711,19 +711,19 @@ class TouchingMotion(SteppedMotion):
         skin = self.contact.skin
         if steps > 0 and not self.contact.is_skin_fixed:
             n_pairs = self.lists.spheres.first.size + self.lists.walls.first.size
-            to_use = TO_USE * n_pairs * steps
+            to_use = _TO_USE * n_pairs * steps
             has_moved = self.place.time < self.memory.until
             has_moved = (
                 has_moved or wall_displacement(self.motions, 2 * steps * self.dt, reach) > skin
             )
-            is_worth_it = self.to_make > WORTH * steps * self.to_step
+            is_worth_it = self.to_make > _WORTH * steps * self.to_step
             if self.to_make <= to_use:
-                skin = max(skin / WIDEN, self.least_skin)
-            elif has_moved and is_worth_it and steps < LONGEST:
-                skin *= WIDEN
+                skin = max(skin / _WIDEN, self.least_skin)
+            elif has_moved and is_worth_it and steps < _LONGEST:
+                skin *= _WIDEN
         places = self.room.xyzr[:, :3], self.room.poses.position
         farthest = sum(float(np.abs(x).max(initial=0.0)) for x in places)
-        widest = WIDEST * 2.0 * (math.sqrt(3.0) * farthest + self.extent)
+        widest = _WIDEST * 2.0 * (math.sqrt(3.0) * farthest + self.extent)
         self.contact = self.contact._replace(skin=min(skin, widest))
 
     def refuse_tunnelling(self, y: Floats) -> None:
@@ -775,10 +775,10 @@ class TouchingMotion(SteppedMotion):
 
         Up to twice the steps that the last ones have lasted, and no farther than the skin.
         """
-        steps, skin = min(max(FEW_STEPS, 2 * lasted), LONGEST), self.contact.skin
+        steps, skin = min(max(_FEW_STEPS, 2 * lasted), _LONGEST), self.contact.skin
         sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
         if not to_floats(self.contact.motions)[:, 3:].any():
-            return LONGEST * self.dt, sliding
+            return _LONGEST * self.dt, sliding
         reach = [far + skin for far in reach]  # as bodies move
         while steps > 1 and wall_displacement(self.motions, steps * self.dt, reach) > skin:
             steps //= 2
@@ -860,9 +860,9 @@ class TouchingMotion(SteppedMotion):
         return float(stored_energy(lists.spheres) + stored_energy(lists.walls))
 
     def put_places(self, ahead: float) -> tuple[float, float, float]:
-        """Place bodies and walls at the time of now; see `place_blocks`."""
+        """Place bodies and walls at the time of now; see `_place_blocks`."""
         moving = self.moving._replace(pairs=None)
-        return place_blocks(
+        return _place_blocks(
             moving, self.contact, self.room, self.memory, self.place.time, ahead, ALONE
         )
 
@@ -897,7 +897,7 @@ class TouchingMotion(SteppedMotion):
         if not self.contact.with_output:
             self.run_through(schedule, recording)
             return
-        for stop in one_by_one(schedule):
+        for stop in _one_by_one(schedule):
             self.run_through(stop, recording)
             row = int(stop.frame[0])
             if row >= 0:
@@ -919,10 +919,10 @@ class TouchingMotion(SteppedMotion):
     def run_through(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule, with new lists where they are used up."""
         forces = self.forces
-        spread: Callable[..., LoopPosition] | None = None
+        spread: Callable[..., _LoopPosition] | None = None
         if forces is not None and forces.is_large:
             spread = over_threads(
-                advance_touching,
+                _advance_touching,
                 other_loads=lambda _: forces.evaluate(),
                 flow_together=over_threads(flow_together),
                 kick_then_drift=over_threads(
@@ -931,7 +931,7 @@ class TouchingMotion(SteppedMotion):
             )
         while True:
             kept = self.lists.spheres.history, self.lists.walls.history, self.memory.slides
-            saved = Copies(self.saved, np.empty_like(self.memory.last), *map(np.empty_like, kept))
+            saved = _Copies(self.saved, np.empty_like(self.memory.last), *map(np.empty_like, kept))
             through = partial(
                 spread or compiled, self.moving, self.contact, self.room, self.lists,
                 self.memory, schedule, self.place, recording, self.energies, self.slides, saved,

@@ -27,7 +27,7 @@ from particlerb.rotors.exact import (
 from particlerb.stepping.motion import Group, constant_force, force_of
 from particlerb.stepping.saved_arrays import Saved
 
-Part: TypeAlias = tuple[
+_Part: TypeAlias = tuple[
     State,
     Floats,
     Floats,
@@ -39,7 +39,7 @@ Part: TypeAlias = tuple[
 
 
 @inline
-def parabola(
+def _parabola(
     start: Rows3, p0: Rows3, force: Rows3, inv_mass: Floats, t: float, com: Rows3, p: Rows3
 ) -> None:
     """x = x₀ + (p₀ t + F t²/2)/M,  p = p₀ + F t."""
@@ -51,7 +51,7 @@ def parabola(
 
 
 @kernel
-def fly_blocks(
+def _fly_blocks(
     state: State,
     force: Floats,
     inv_mass: Floats,
@@ -76,7 +76,7 @@ def fly_blocks(
         F, frame = rows3(force, lo, hi), rows4(rotor_frame, lo, hi)
         for f in range(times.size):
             turn_block(steady, theta, hyperbolic, times[f], lo, hi, q)
-            parabola(start, p0, F, inv_mass[lo:hi], times[f], com, p)
+            _parabola(start, p0, F, inv_mass[lo:hi], times[f], com, p)
             store_frame(frames, rows[f], members[lo:hi], frame, com, q, p, L)
 
 
@@ -91,7 +91,7 @@ class FreeMotion:
         self.turns = prepare(bodies.inertia, bodies.rotor_class, state.q, state.L)
         self.parts = [self.part(which, turn) for which, turn in self.turns]
 
-    def part(self, which: Ints, turn: Turn) -> Part:
+    def part(self, which: Ints, turn: Turn) -> _Part:
         """Arguments of the kernel for the bodies of one kind of turn."""
         bodies = self.group.bodies
         return (
@@ -108,7 +108,7 @@ class FreeMotion:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         elapsed = times - self.start
         for (which, _), part in zip(self.turns, self.parts, strict=True):
-            fly = partial(fly_blocks, *part, elapsed, rows, self.group.members[which], frames)
+            fly = partial(_fly_blocks, *part, elapsed, rows, self.group.members[which], frames)
             THREADS.spread(fly, which.size, which.size * times.size)
         return self.constant.booked(elapsed)
 

@@ -31,7 +31,7 @@ from particlerb.stepping.pair_forces import PairForces
 
 PAUSE: Final = -1  # a stop without a frame: the host asks for progress and interrupts
 CLOSE: Final = -2  # the end of the segment: make the open kick
-TIME_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of a time that is a sum of steps
+_TIME_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of a time that is a sum of steps
 
 
 class Schedule(NamedTuple):
@@ -54,14 +54,14 @@ class Recording(NamedTuple):
 
 
 @kernel
-def save_blocks(moving: MovingBodies, first: int, last: int, saved: Floats) -> None:
+def _save_blocks(moving: MovingBodies, first: int, last: int, saved: Floats) -> None:
     """Copy what a partial step changes."""
     for k in range(first, last):
         copy_changing(moving.blocks[k], saved[k], moving.layout.size[k])
 
 
 @kernel
-def restore_blocks(moving: MovingBodies, first: int, last: int, saved: Floats) -> None:
+def _restore_blocks(moving: MovingBodies, first: int, last: int, saved: Floats) -> None:
     """Go back to what was saved."""
     for k in range(first, last):
         copy_changing(saved[k], moving.blocks[k], moving.layout.size[k])
@@ -114,7 +114,7 @@ def advance(
                 if i == steps[s]:
                     if frame[s] < 0:
                         break
-                    save_blocks(moving, lo, hi, saved)
+                    _save_blocks(moving, lo, hi, saved)
                     h, open_on_grid = partial[s], open_kick
                 if h > 0.0:
                     set_times(moving, lo, hi, step_number * dt)
@@ -126,11 +126,11 @@ def advance(
                 close(moving, lo, hi, open_kick)
             if frame[s] >= 0:
                 store_blocks(moving, lo, hi, recording, frame[s])
-                restore_blocks(moving, lo, hi, saved)
+                _restore_blocks(moving, lo, hi, saved)
                 open_kick = open_on_grid
 
 
-def step_of(method: Method, is_coupled: bool) -> Step:
+def _step_of(method: Method, is_coupled: bool) -> Step:
     """Step of a method that has one."""
     chosen = method.coupled_step if is_coupled else None
     chosen = chosen or method.step
@@ -142,7 +142,7 @@ def step_of(method: Method, is_coupled: bool) -> Step:
 def compiled_loop(method: Method, is_coupled: bool) -> Callable[..., None]:
     """The loop with the step of a method, compiled."""
     name = f"{method.name}_coupled" if is_coupled else method.name
-    chosen = step_of(method, is_coupled)
+    chosen = _step_of(method, is_coupled)
     return kernel_from(advance, name, step=chosen, CLOSING_KICK=method.closing_kick)
 
 
@@ -158,7 +158,7 @@ def loop_over_threads(method: Method, forces: PairForces) -> Callable[..., None]
         forces.evaluate()
         scatter_loads(moving, forces.pairs.load)
 
-    chosen = over_threads(step_of(method, True), loads=loads)
+    chosen = over_threads(_step_of(method, True), loads=loads)
     closing = over_threads(close, loads=loads)
     return over_threads(advance, step=chosen, close=closing, CLOSING_KICK=method.closing_kick)
 
@@ -169,6 +169,6 @@ def grid_position(elapsed: Floats, dt: float, start: float = 0.0) -> tuple[Ints,
     Times since the start are differences, and round like what they are differences of.
     """
     nearest = np.rint(elapsed / dt)
-    on_grid = np.abs(elapsed - nearest * dt) <= TIME_ROUNDING * (np.abs(elapsed) + abs(start))
+    on_grid = np.abs(elapsed - nearest * dt) <= _TIME_ROUNDING * (np.abs(elapsed) + abs(start))
     steps = np.where(on_grid, nearest, np.floor(elapsed / dt))
     return steps.astype(np.int64), np.where(on_grid, 0.0, elapsed - steps * dt)

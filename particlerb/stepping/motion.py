@@ -47,7 +47,7 @@ class Motion(Protocol):
         """Go on, bit for bit, from what a motion has saved that began at the same state."""
 
 
-class ConstantForce(NamedTuple):
+class _ConstantForce(NamedTuple):
     """Sums that give the booking of a force that is constant in the world, in closed form.
 
     With x = x₀ + v t + a t²/2: ∫ F·v dt = F·(v t + a t²/2), ∫ x × F dt = x₀ × F t + v × F t²/2,
@@ -74,11 +74,11 @@ def force_of(group: Group) -> tuple[Floats, Floats]:
     return pushed, pushed + gravity.mass * gravity.acceleration[:, None]
 
 
-def constant_force(group: Group, state: State) -> ConstantForce:
+def constant_force(group: Group, state: State) -> _ConstantForce:
     """Sums over a group whose force is constant, from its state at the beginning."""
     pushed, force = force_of(group)
     velocity = state.p * group.bodies.inv_mass
-    return ConstantForce(
+    return _ConstantForce(
         np.array([(pushed * velocity).sum(), 0.5 * (pushed * force * group.bodies.inv_mass).sum()]),
         force.sum(axis=1),
         np.stack(
@@ -106,7 +106,7 @@ class WorkAccount:
         self.is_kept = True
 
     @cached_property
-    def constant(self) -> ConstantForce:
+    def constant(self) -> _ConstantForce:
         """What a constant force gives."""
         return constant_force(self.group, self.first)
 

@@ -18,10 +18,10 @@ from particlerb.integrators.stages import PairTerms
 from particlerb.maths.vec3 import Floats
 from particlerb.model.load import LOAD_ROWS, STATE_ROWS
 
-NANOSECONDS_PER_PAIR: Final = 0.4  # of the direct sum, roughly, for one of the two
-NANOSECONDS_PER_LINK: Final = 15.0
-NANOSECONDS_TO_CALL: Final = 150.0
-NANOSECONDS_IN_TREE: Final = 5000.0  # per particle
+_NANOSECONDS_PER_PAIR: Final = 0.4  # of the direct sum, roughly, for one of the two
+_NANOSECONDS_PER_LINK: Final = 15.0
+_NANOSECONDS_TO_CALL: Final = 150.0
+_NANOSECONDS_IN_TREE: Final = 5000.0  # per particle
 WORTH_THREADS: Final = 1e6  # ns of an evaluation from which on threads pay for their start
 
 
@@ -30,12 +30,12 @@ def cost_of(terms: Terms) -> float:
     links, attraction = terms.links, terms.attraction
     if not terms.is_coupled:
         return 0.0
-    cost = NANOSECONDS_TO_CALL
+    cost = _NANOSECONDS_TO_CALL
     if links is not None:
-        cost += NANOSECONDS_PER_LINK * links.first.size
+        cost += _NANOSECONDS_PER_LINK * links.first.size
     if attraction is not None:
         n = float(attraction.mass.size)
-        cost += NANOSECONDS_IN_TREE * n if terms.opening_angle else NANOSECONDS_PER_PAIR * n * n
+        cost += _NANOSECONDS_IN_TREE * n if terms.opening_angle else _NANOSECONDS_PER_PAIR * n * n
     return cost
 
 

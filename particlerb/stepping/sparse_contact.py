@@ -45,14 +45,14 @@ from particlerb.stepping.motion import CompositeMotion, Group, Motion, MotionErr
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 
 LEAST_BODIES: Final = 300  # below, to begin an interval costs more than to step all
-MOST_STEPS: Final = 2048  # of an interval
-TO_BEGIN: Final = 15.0  # steps of a body that beginning an interval costs, for every body
-GROW: Final = 1.3  # of the skin, or its shrinking
-PRUDENCE: Final = 0.5  # of half the skin that bodies may use up if nothing accelerates them
-DENSE: Final = 0.6  # share of active bodies from which on all are stepped,
-DENSE_STEPS: Final = 512  # for so many steps
+_MOST_STEPS: Final = 2048  # of an interval
+_TO_BEGIN: Final = 15.0  # steps of a body that beginning an interval costs, for every body
+_GROW: Final = 1.3  # of the skin, or its shrinking
+_PRUDENCE: Final = 0.5  # of half the skin that bodies may use up if nothing accelerates them
+_DENSE: Final = 0.6  # share of active bodies from which on all are stepped,
+_DENSE_STEPS: Final = 512  # for so many steps
 
-Keeps: TypeAlias = (
+_Keeps: TypeAlias = (
     tuple[ContactHistory, ContactHistory] | None
 )  # contacts between spheres, and with walls
 
@@ -65,11 +65,11 @@ def can_fly(terms: Terms, n: int) -> bool:
     return n >= LEAST_BODIES and not is_moved and not others
 
 
-class Interval:
+class _Interval:
     """Bodies of a group during some steps: those that are stepped, and those that fly."""
 
     def __init__(
-        self, parent: "DiluteMotion", state: State, start: float, active: Bools, kept: Keeps
+        self, parent: "DiluteMotion", state: State, start: float, active: Bools, kept: _Keeps
     ) -> None:
         stepped, flying = np.flatnonzero(active), np.flatnonzero(~active)
         self.motions: list[tuple[Ints, Motion]] = []
@@ -100,7 +100,7 @@ class Interval:
         """Gross work of contacts since the start [J]."""
         return 0.0 if self.touching is None else self.touching.turned_over()
 
-    def kept(self) -> Keeps:
+    def kept(self) -> _Keeps:
         """What contacts keep at the end."""
         return None if self.touching is None else self.touching.kept
 
@@ -152,13 +152,13 @@ class DiluteMotion:
         self.touches: dict[int, ContactOutput] = {}
         self.state = state
         # at the end of the interval
-        self.next: tuple[State, Floats, Keeps, float, Watch] | None = None
+        self.next: tuple[State, Floats, _Keeps, float, Watch] | None = None
         self.turnover = 0.0  # [J] gross work of contacts until the interval
         self.done, self.steps = 0, 0
         self.booked = np.zeros(7)
-        self.kept: Keeps = None
+        self.kept: _Keeps = None
         self.active = np.ones(group.members.size, dtype=np.bool_)
-        self.shown: Interval | None = None
+        self.shown: _Interval | None = None
         self.swing, self.count = 0.0, 0  # [rad/s] as of `TouchingMotion`; intervals
         self.saved, self.all_steps = 0, 0  # body-steps that were saved, and all
         self.plan()
@@ -197,9 +197,9 @@ class DiluteMotion:
         speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * contact.model.inv_mass
         v = float(speed.max())
         g = 0.0 if gravity is None else float(np.linalg.norm(gravity.acceleration))
-        way = PRUDENCE * 0.5 * self.skin
+        way = _PRUDENCE * 0.5 * self.skin
         longest = 2.0 * way / (v + np.sqrt(v * v + 2.0 * g * way)) if v + g > 0.0 else np.inf
-        return int(np.clip(longest / self.dt, 1, MOST_STEPS))
+        return int(np.clip(longest / self.dt, 1, _MOST_STEPS))
 
     def plan(self) -> None:
         """Find the next interval: how long, who is stepped, and, if some fly, where it ends."""
@@ -208,9 +208,9 @@ class DiluteMotion:
         y = np.vstack(self.state)
         while True:
             self.active = self.within_skin(y, steps)
-            if steps == 1 or self.active.mean() > DENSE:
+            if steps == 1 or self.active.mean() > _DENSE:
                 self.active[:] = True
-                steps = DENSE_STEPS
+                steps = _DENSE_STEPS
                 self.shown = self.interval()
                 break
             interval = self.interval()
@@ -228,10 +228,10 @@ class DiluteMotion:
         """Skin of the next interval, by what this one costs."""
         n, active = self.active.size, int(self.active.sum())
         if active < n:
-            is_short = self.steps < MOST_STEPS and TO_BEGIN * n > self.steps * active
-            self.skin *= GROW if is_short else 1.0 / GROW
+            is_short = self.steps < _MOST_STEPS and _TO_BEGIN * n > self.steps * active
+            self.skin *= _GROW if is_short else 1.0 / _GROW
         else:
-            self.skin /= GROW
+            self.skin /= _GROW
         self.skin = max(self.skin, 2.0 * self.contact.skin)
         self.all_steps += self.steps * n
         self.saved += self.steps * (n - active)
@@ -250,9 +250,9 @@ class DiluteMotion:
             found[own] = True
         return found
 
-    def interval(self) -> Interval:
+    def interval(self) -> _Interval:
         """The interval that begins now."""
-        return Interval(self, self.state, self.time(self.done), self.active, self.kept)
+        return _Interval(self, self.state, self.time(self.done), self.active, self.kept)
 
     def cross(self) -> None:
         """Go to the end of the interval."""
@@ -274,7 +274,7 @@ class DiluteMotion:
     def keep_watch(self) -> None:
         """Raise MotionError where one that has flown overlaps something; now and then."""
         scene, n, now = self.contact.model, self.active.size, self.time(self.done)
-        work = self.method.cost * (TO_BEGIN * n + self.steps * float(self.active.sum()))
+        work = self.method.cost * (_TO_BEGIN * n + self.steps * float(self.active.sum()))
         if not self.watch_of_flights.is_due(n, scene.walls.kind.size, work):
             return
         (com, q, p, L), spheres = self.state, scene.spheres

@@ -44,10 +44,10 @@ from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
-STAGE_ROWS: Final = 2 * STATE_ROWS  # for methods that keep a state and a sum of slopes
+_STAGE_ROWS: Final = 2 * STATE_ROWS  # for methods that keep a state and a sum of slopes
 
 
-def layout_of(is_asymmetric: Bools) -> Layout:
+def _layout_of(is_asymmetric: Bools) -> Layout:
     """Blocks for bodies of which the asymmetric ones come first and have blocks of their own."""
     n, asymmetric = is_asymmetric.size, int(is_asymmetric.sum())
     assert is_asymmetric[:asymmetric].all()
@@ -56,7 +56,7 @@ def layout_of(is_asymmetric: Bools) -> Layout:
     return Layout(first, ends - first, -(-asymmetric // BLOCK))
 
 
-def pairs_of(method: Method, terms: Terms, n: int) -> PairForces | None:
+def _pairs_of(method: Method, terms: Terms, n: int) -> PairForces | None:
     """Forces between bodies that do not touch; None where there are none."""
     if terms.links is None and terms.attraction is None:
         return None
@@ -69,10 +69,10 @@ class SteppedMotion:
     def __init__(self, method: Method, group: Group, state: State, start: float, dt: float) -> None:
         self.method, self.group, self.start, self.dt = method, group, start, dt
         terms, n = group.terms, group.members.size
-        self.forces = pairs_of(method, terms, n)
+        self.forces = _pairs_of(method, terms, n)
         is_asymmetric = group.bodies.rotor_class == ASYMMETRIC
         has_own_blocks = terms.is_coupled or method.rotor_constants is not None
-        self.layout = layout_of(is_asymmetric & has_own_blocks)
+        self.layout = _layout_of(is_asymmetric & has_own_blocks)
         full = self.layout.size.tolist()
         self.slots = np.concatenate([k * BLOCK + np.arange(m) for k, m in enumerate(full)])
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
@@ -83,7 +83,7 @@ class SteppedMotion:
             rotor = np.zeros((len(own), n))
             rotor[:, is_asymmetric] = own
             parts.append((ROTOR, rotor))
-        n_rows = STAGE + STAGE_ROWS if terms.is_coupled else row_count(terms)
+        n_rows = STAGE + _STAGE_ROWS if terms.is_coupled else row_count(terms)
         assert row_count(terms) <= STAGE
         spaced = [(at, self.spaced(values)) for at, values in parts]
         self.blocks = in_blocks(len(full) * BLOCK, n_rows, spaced)

@@ -26,15 +26,15 @@ from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.studies.text import aligned, chosen_names
 
-MOST: Final = 1_000_000  # particles of the finest lattice
-FEWEST: Final = 1000  # with fewer, some curves have too few n to say anything
+_MOST: Final = 1_000_000  # particles of the finest lattice
+_FEWEST: Final = 1000  # with fewer, some curves have too few n to say anything
 WANTED: Final = (1e-2, 1e-3, 1e-4)  # errors that the table asks for
-FINEST_CELLS: Final = 32  # as every n is exact
-NEAR: Final = 1.25  # n and m are neighbours if neither exceeds the other by this factor
-CLEAN: Final = 1.02  # largest factor between the errors and a power of n that is called an order
-ROUNDING: Final = 1e-13  # of sums and of integrals over cells
-ENOUGH: Final = 8  # errors, over a factor of 4 in n, before anything is called an order
-EXPLANATION: Final = """\
+_FINEST_CELLS: Final = 32  # as every n is exact
+_NEAR: Final = 1.25  # n and m are neighbours if neither exceeds the other by this factor
+_CLEAN: Final = 1.02  # largest factor between the errors and a power of n that is called an order
+_ROUNDING: Final = 1e-13  # of sums and of integrals over cells
+_ENOUGH: Final = 8  # errors, over a factor of 4 in n, before anything is called an order
+_EXPLANATION: Final = """\
 tried: every n whose set has at most {most} particles, of cells up to n = {cells}
 error: of the tensor, spectral norm, relative; of the com in radii of gyration if larger
 no order: lowest, median and highest error of these n
@@ -45,7 +45,7 @@ no order: lowest, median and highest error of these n
 # Examples
 
 
-class ReferenceSolid(NamedTuple):
+class _ReferenceSolid(NamedTuple):
     """A solid of the study: how to fill it, and what it should then be."""
 
     shape: str
@@ -71,23 +71,23 @@ class ReferenceSolid(NamedTuple):
 
 
 CORNERS: Final = ((0.0, 0.0, 0.0), (1.0, 0.1, 0.0), (0.2, 0.8, 0.1), (0.3, 0.2, 0.9))
-SOLIDS: Final[dict[str, ReferenceSolid]] = {
-    "box": ReferenceSolid("box", {"size": (1.0, 0.8, 0.5)}, ("exact",)),
-    "rod": ReferenceSolid("rod", {"length": 1.0}, ("exact",)),
-    "tetrahedron": ReferenceSolid("tetrahedron", {"vertices": CORNERS}, ("exact",), finest=100),
-    "thin_shell": ReferenceSolid("shell", {"radius": 0.5}, coarsest=1, finest=100),
-    "ball": ReferenceSolid("ball", {"radius": 0.5}, ("cells", "exact")),
-    "ellipsoid": ReferenceSolid("ellipsoid", {"semi_axes": (0.5, 0.35, 0.25)}, ("cells", "exact")),
-    "shell": ReferenceSolid("shell", {"radius": 0.5, "inner_radius": 0.3}, ("cells",)),
-    "cylinder": ReferenceSolid("cylinder", {"radius": 0.25, "height": 0.75}, ("cells",)),
-    "tube": ReferenceSolid(
+SOLIDS: Final[dict[str, _ReferenceSolid]] = {
+    "box": _ReferenceSolid("box", {"size": (1.0, 0.8, 0.5)}, ("exact",)),
+    "rod": _ReferenceSolid("rod", {"length": 1.0}, ("exact",)),
+    "tetrahedron": _ReferenceSolid("tetrahedron", {"vertices": CORNERS}, ("exact",), finest=100),
+    "thin_shell": _ReferenceSolid("shell", {"radius": 0.5}, coarsest=1, finest=100),
+    "ball": _ReferenceSolid("ball", {"radius": 0.5}, ("cells", "exact")),
+    "ellipsoid": _ReferenceSolid("ellipsoid", {"semi_axes": (0.5, 0.35, 0.25)}, ("cells", "exact")),
+    "shell": _ReferenceSolid("shell", {"radius": 0.5, "inner_radius": 0.3}, ("cells",)),
+    "cylinder": _ReferenceSolid("cylinder", {"radius": 0.25, "height": 0.75}, ("cells",)),
+    "tube": _ReferenceSolid(
         "cylinder",
         {"radius": 0.25, "height": 0.75, "inner_radius": 0.15},
         ("cells",),
         coarsest=3,
     ),
-    "cone": ReferenceSolid("cone", {"radius": 0.25, "height": 0.75}, ("cells",)),
-    "torus": ReferenceSolid("torus", {"major_radius": 0.5, "minor_radius": 0.2}, ("cells",)),
+    "cone": _ReferenceSolid("cone", {"radius": 0.25, "height": 0.75}, ("cells",)),
+    "torus": _ReferenceSolid("torus", {"major_radius": 0.5, "minor_radius": 0.2}, ("cells",)),
 }
 
 
@@ -126,7 +126,7 @@ class Convergence(NamedTuple):
 
 def converge(
     shapes: Sequence[str] = (),
-    most: int = MOST,
+    most: int = _MOST,
     progress: Callable[[int], object] = lambda _: None,
 ) -> Convergence:
     """Errors of the summed mass properties for every n, from the coarsest lattice on.
@@ -145,8 +145,8 @@ def converge(
     ValueError
         If a shape has no analytic tensor here, or `most` is below 1000.
     """
-    if most < FEWEST:
-        raise ValueError(f"most is {most}: {FEWEST} particles or more are needed")
+    if most < _FEWEST:
+        raise ValueError(f"most is {most}: {_FEWEST} particles or more are needed")
     curves = []
     for name, arrangement in arrangements(shapes):
         curves.append(curve_of(name, arrangement, most))
@@ -168,19 +168,19 @@ def curve_of(name: str, arrangement: str, most: int) -> Curve:
     solid = SOLIDS[name]
     rows = [
         (n, len(particles.mass), *errors(solid, particles))
-        for n, particles in sets(solid, arrangement, most)
+        for n, particles in _sets(solid, arrangement, most)
     ]
     n, number, tensor, com = zip(*rows, strict=True)
     counts = np.array(n, dtype=np.int64), np.array(number, dtype=np.int64)
     return Curve(name, arrangement, *counts, np.array(tensor), np.array(com))
 
 
-def sets(solid: ReferenceSolid, arrangement: str, most: int) -> Iterator[tuple[int, Particles]]:
+def _sets(solid: _ReferenceSolid, arrangement: str, most: int) -> Iterator[tuple[int, Particles]]:
     """n and the particles of every set of a curve, one after the other: they are large."""
     if arrangement == "exact":
         yield 0, solid.filled(arrangement="exact")
         return
-    limit = FINEST_CELLS if arrangement == "cells" else solid.finest
+    limit = _FINEST_CELLS if arrangement == "cells" else solid.finest
     finest = int(min(limit, 2.0 * math.cbrt(most)))
     for n in range(solid.coarsest, finest + 1):
         particles = solid.filled(n=n, arrangement=arrangement)
@@ -189,7 +189,7 @@ def sets(solid: ReferenceSolid, arrangement: str, most: int) -> Iterator[tuple[i
         yield n, particles
 
 
-def errors(solid: ReferenceSolid, particles: Particles) -> tuple[float, float]:
+def errors(solid: _ReferenceSolid, particles: Particles) -> tuple[float, float]:
     """Error of the tensor and of the com of particles."""
     return fill.errors(particles, solid.analytic)
 
@@ -197,7 +197,7 @@ def errors(solid: ReferenceSolid, particles: Particles) -> tuple[float, float]:
 # What a curve says
 
 
-class ErrorSpread(NamedTuple):
+class _ErrorSpread(NamedTuple):
     """Errors among neighbouring n, arrays over n of a curve, shape (k,)."""
 
     lowest: Floats
@@ -205,7 +205,7 @@ class ErrorSpread(NamedTuple):
     highest: Floats
 
 
-class Need(NamedTuple):
+class _Need(NamedTuple):
     """Particles for a wanted error."""
 
     n: int
@@ -218,7 +218,7 @@ class Need(NamedTuple):
 
 def is_exact(curve: Curve) -> bool:
     """Whether nothing is left but rounding, for every n."""
-    return bool((curve.error <= ROUNDING).all())
+    return bool((curve.error <= _ROUNDING).all())
 
 
 def order(curve: Curve) -> float:
@@ -227,22 +227,22 @@ def order(curve: Curve) -> float:
     A straight line through log errors, by least squares; 8 errors over a factor of 4 in n at least.
     """
     n, error = curve.n, curve.error
-    if len(n) < ENOUGH or n[-1] < 4 * n[0] or not (error > ROUNDING).all():
+    if len(n) < _ENOUGH or n[-1] < 4 * n[0] or not (error > _ROUNDING).all():
         return math.nan
     slope, height = np.polyfit(np.log(n), np.log(error), 1)
     distance = np.abs(np.log(error) - (slope * np.log(n) + height)).max()
-    return -float(slope) if distance <= math.log(CLEAN) else math.nan
+    return -float(slope) if distance <= math.log(_CLEAN) else math.nan
 
 
-def spread(curve: Curve) -> ErrorSpread:
+def spread(curve: Curve) -> _ErrorSpread:
     """Lowest, median and highest error among the n' with n/1.25 <= n' <= 1.25 n that were tried.
 
     Neighbours hold both even n, with the com in a corner of four cells, and odd n, with the com in
     the centre of one: the two places that a centred lattice can have.
     """
     n, error = curve.n, curve.error
-    near = [error[(n >= m / NEAR) & (n <= NEAR * m)] for m in n]
-    return ErrorSpread(*(np.array([f(e) for e in near]) for f in (np.min, np.median, np.max)))
+    near = [error[(n >= m / _NEAR) & (n <= _NEAR * m)] for m in n]
+    return _ErrorSpread(*(np.array([f(e) for e in near]) for f in (np.min, np.median, np.max)))
 
 
 def settled(curve: Curve) -> Floats:
@@ -258,17 +258,17 @@ def is_confirmed(curve: Curve) -> Bools:
     """
     if is_exact(curve) or math.isfinite(order(curve)):
         return np.ones(len(curve.n), dtype=np.bool_)
-    return np.asarray(NEAR * curve.n <= curve.n[-1])
+    return np.asarray(_NEAR * curve.n <= curve.n[-1])
 
 
-def needed(curve: Curve, wanted: float) -> Need:
+def needed(curve: Curve, wanted: float) -> _Need:
     """Smallest n from which on every n that was tried has at most the wanted error."""
-    below = settled(curve) <= wanted + ROUNDING
+    below = settled(curve) <= wanted + _ROUNDING
     holds = np.flatnonzero(below & is_confirmed(curve))
     if len(holds):
-        return Need(int(curve.n[holds[0]]), int(curve.particles[holds[0]]), True)
+        return _Need(int(curve.n[holds[0]]), int(curve.particles[holds[0]]), True)
     k = np.flatnonzero(~below)[-1]
-    return Need(int(curve.n[k]), int(curve.particles[k]), False)
+    return _Need(int(curve.n[k]), int(curve.particles[k]), False)
 
 
 # Text and rows
@@ -278,15 +278,20 @@ def table(convergence: Convergence) -> str:
     """What the study found, a line per curve: law of the error, n and particles for some errors."""
     head = ("shape", "arrangement", "error", *(f"{wanted:g}" for wanted in WANTED))
     rows = [
-        (c.shape, c.arrangement, law_text(c), *(need_text(needed(c, wanted)) for wanted in WANTED))
+        (
+            c.shape,
+            c.arrangement,
+            _law_text(c),
+            *(_need_text(needed(c, wanted)) for wanted in WANTED),
+        )
         for c in convergence.curves
     ]
-    return f"{aligned([head, *rows])}\n\n" + EXPLANATION.format(
-        most=convergence.most, cells=FINEST_CELLS
+    return f"{aligned([head, *rows])}\n\n" + _EXPLANATION.format(
+        most=convergence.most, cells=_FINEST_CELLS
     )
 
 
-def law_text(curve: Curve) -> str:
+def _law_text(curve: Curve) -> str:
     """Rounding, an order, or the spread over the finest n."""
     if is_exact(curve):
         worst = curve.error.max()
@@ -294,12 +299,12 @@ def law_text(curve: Curve) -> str:
     p = order(curve)
     if math.isfinite(p):
         return f"1/n^{p:.2f}"
-    k = int(np.searchsorted(NEAR * curve.n, curve.n[-1], side="right")) - 1
+    k = int(np.searchsorted(_NEAR * curve.n, curve.n[-1], side="right")) - 1
     numbers = " ".join(f"{values[k]:.0e}" for values in spread(curve))
-    return f"no order: {numbers} for n {math.ceil(curve.n[k] / NEAR)}-{curve.n[-1]}"
+    return f"no order: {numbers} for n {math.ceil(curve.n[k] / _NEAR)}-{curve.n[-1]}"
 
 
-def need_text(need: Need) -> str:
+def _need_text(need: _Need) -> str:
     """`n: particles`, or `> n: particles` of what is too few."""
     n = f"{need.n}: " if need.n else ""
     return ("" if need.is_reached else "> ") + f"{n}{need.particles}"

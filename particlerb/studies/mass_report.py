@@ -24,9 +24,9 @@ from particlerb.maths.vec3 import Floats
 from particlerb.rotors.rotor_class import NAMES, POINT
 from particlerb.studies.text import count_of
 
-UNIT_ROUNDOFF: Final = 2.0**-53
-LARGEST_DEFICIT: Final = 64 * UNIT_ROUNDOFF  # of I3: below 0 by so much is rounding
-PER_CENT: Final = 100.0
+_UNIT_ROUNDOFF: Final = 2.0**-53
+_LARGEST_DEFICIT: Final = 64 * _UNIT_ROUNDOFF  # of I3: below 0 by so much is rounding
+_PER_CENT: Final = 100.0
 
 
 def record_of(
@@ -63,10 +63,10 @@ def record_of(
     """
     mass, com, tensor, moments, axes, code = (array[k] for array in properties)
     excess = float(moments[0] + moments[1] - moments[2])
-    if moments[0] < 0.0 or excess < -LARGEST_DEFICIT * moments[2]:
+    if moments[0] < 0.0 or excess < -_LARGEST_DEFICIT * moments[2]:
         raise ValueError(f"{name}: {impossible(moments)}")
-    ratio = {key: float(value[0]) for key, value in ratios_of(properties, k)._asdict().items()}
-    rounding = rounding_error(0.0 if code == POINT else ratio["offset"])
+    ratio = {key: float(value[0]) for key, value in _ratios_of(properties, k)._asdict().items()}
+    rounding = _rounding_error(0.0 if code == POINT else ratio["offset"])
     return {
         "name": name,
         "particles": n_particles,
@@ -75,7 +75,7 @@ def record_of(
         "density": None if matter.volume is None else float(mass) / matter.volume,
         "com": com.tolist(),
         "inertia_tensor": tensor.tolist(),
-        "inertia_about_origin": about_origin(mass, com, tensor).tolist(),
+        "inertia_about_origin": _about_origin(mass, com, tensor).tolist(),
         "moments": moments.tolist(),
         "axes": axes.tolist(),
         "radii_of_gyration": np.sqrt(moments / mass).tolist(),
@@ -83,33 +83,33 @@ def record_of(
         "rotor_class": NAMES[int(code)],
         "ratios": ratio,
         "error": max(rounding, matter.error),
-        "solid": solid_record(com, tensor / mass, matter.solid),
-        "plain_sum": plain_record(matter, float(mass)),
+        "solid": _solid_record(com, tensor / mass, matter.solid),
+        "plain_sum": _plain_record(matter, float(mass)),
         "spin": spin,
         "advised_step": radians_per_step / spin if spin > 0.0 else None,
         "notes": list(matter.notes),
     }
 
 
-def rounding_error(offset: float) -> float:
+def _rounding_error(offset: float) -> float:
     """Relative error of sums about the com, which lies so many radii of gyration off the origin."""
-    return UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))
+    return _UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))
 
 
-def about_origin(mass: float, com: Floats, tensor: Floats) -> Floats:
+def _about_origin(mass: float, com: Floats, tensor: Floats) -> Floats:
     """Tensor about the origin: I + m (c² 1 − c cᵀ)."""
     shifted: Floats = tensor + mass * (com @ com * np.eye(3) - np.outer(com, com))
     return shifted
 
 
-def ratios_of(properties: MassProperties, k: int) -> Ratios:
+def _ratios_of(properties: MassProperties, k: int) -> Ratios:
     """Ratios that decided the rotor class of kind k."""
     mass, com, tensor, *_ = of_kind(properties, k)
     with np.errstate(all="ignore"):
         return ratios(mass, com, tensor, eigen_systems(tensor)[0])
 
 
-def solid_record(com: Floats, tensor: Floats, solid: Analytic | None) -> dict[str, float] | None:
+def _solid_record(com: Floats, tensor: Floats, solid: Analytic | None) -> dict[str, float] | None:
     """How far particles are from the solid that they stand for: shares of its tensor and size."""
     if solid is None:
         return None
@@ -117,7 +117,7 @@ def solid_record(com: Floats, tensor: Floats, solid: Analytic | None) -> dict[st
     return {"inertia_error": inertia_error, "com_error": com_error}
 
 
-def plain_record(matter: Matter, mass: float) -> dict[str, Any] | None:
+def _plain_record(matter: Matter, mass: float) -> dict[str, Any] | None:
     """The sum over spheres beside their union, of the same density; None without spheres."""
     plain, exact = matter.plain, matter.exact
     if plain is None or exact is None:
@@ -128,8 +128,8 @@ def plain_record(matter: Matter, mass: float) -> dict[str, Any] | None:
         "mass": density * plain.volume,
         "com": plain.com.tolist(),
         "inertia_tensor": (density * plain.inertia).tolist(),
-        "mass_per_cent": PER_CENT * (plain.volume / exact.volume - 1.0),
-        "moments_per_cent": (PER_CENT * (moments[0] / moments[1] - 1.0)).tolist(),
+        "mass_per_cent": _PER_CENT * (plain.volume / exact.volume - 1.0),
+        "moments_per_cent": (_PER_CENT * (moments[0] / moments[1] - 1.0)).tolist(),
         "com_distance": float(np.linalg.norm(plain.com - exact.com)),
     }
 
@@ -152,16 +152,16 @@ def text_of(record: dict[str, Any]) -> str:
         ("triangle inequality", f"I1 + I2 − I3 = {excess} kg m² (0 or more, to rounding)"),
         ("rotor class", f"{record['rotor_class']}: {reason(record)}"),
         ("error of the sums", f"{record['error']:.2g} of mass and trace of the tensor, estimated"),
-        *solid_rows(record["solid"]),
-        *plain_rows(record["plain_sum"]),
-        ("step", step_text(record)),
+        *_solid_rows(record["solid"]),
+        *_plain_rows(record["plain_sum"]),
+        ("step", _step_text(record)),
         *(("" if k else "particles", note) for k, note in enumerate(record["notes"])),
     ]
     head = f"{record['name']}: {record['rotor_class']}, {count_of(record['particles'], 'particle')}"
     return "\n".join([head, *(f"  {name:<19}  {text}" for name, text in rows)])
 
 
-def solid_rows(solid: dict[str, float] | None) -> list[tuple[str, str]]:
+def _solid_rows(solid: dict[str, float] | None) -> list[tuple[str, str]]:
     """What a staircase of particles costs."""
     if solid is None:
         return []
@@ -170,7 +170,7 @@ def solid_rows(solid: dict[str, float] | None) -> list[tuple[str, str]]:
     return [("beside the solid", text)]
 
 
-def plain_rows(plain: dict[str, Any] | None) -> list[tuple[str, str]]:
+def _plain_rows(plain: dict[str, Any] | None) -> list[tuple[str, str]]:
     """What a sum that counts overlaps twice would have been."""
     if plain is None:
         return []
@@ -181,7 +181,7 @@ def plain_rows(plain: dict[str, Any] | None) -> list[tuple[str, str]]:
     ]
 
 
-def step_text(record: dict[str, Any]) -> str:
+def _step_text(record: dict[str, Any]) -> str:
     """Advice for a stepping method."""
     advice = "it does not spin: any"
     if record["advised_step"] is not None:

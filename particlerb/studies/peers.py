@@ -47,7 +47,7 @@ class Engine(NamedTuple):
 
 
 @cache
-def adapters() -> ModuleType:
+def _adapters() -> ModuleType:
     """The package of adapters, from the repository or the installed copy.
 
     Raises
@@ -81,7 +81,7 @@ def engines(names: Sequence[str]) -> list[Engine]:
     """
     if not names:
         return []
-    known = adapters().ENGINES
+    known = _adapters().ENGINES
     asked = chosen_names(names, ("all", *known), "peer")
     modules = [known[name]() for name in (known if "all" in asked else asked)]
     return [
@@ -89,7 +89,7 @@ def engines(names: Sequence[str]) -> list[Engine]:
     ]
 
 
-GIVEN: Final = "other engines take gravity and constant pushes in the world frame only"
+_GIVEN: Final = "other engines take gravity and constant pushes in the world frame only"
 
 
 def peer_scene(system: System) -> PeerScene:
@@ -100,16 +100,16 @@ def peer_scene(system: System) -> PeerScene:
     ValueError
         If something acts that the adapters have no word for.
     """
-    types = sys.modules[f"{adapters().__name__}.scene"]
+    types = sys.modules[f"{_adapters().__name__}.scene"]
     bodies, state = system.bodies, system.state
     if system.attraction is not None:
-        raise ValueError(GIVEN)
+        raise ValueError(_GIVEN)
     pushes = []
     for force in system.force:
         if not isinstance(force, PushTable) or force.frame != "world" or force.during is not None:
-            raise ValueError(GIVEN)
+            raise ValueError(_GIVEN)
         for b in system.names.find(force.body).tolist():
-            at = to_rotor(bodies.rotor_frame[:, b], force.at)
+            at = _to_rotor(bodies.rotor_frame[:, b], force.at)
             pushes.append(types.Push(b, at, np.array(force.force)))
     velocity, omega = state.p * bodies.inv_mass, omega_world(bodies, state)
     columns = (bodies.inertia, state.com, state.q, velocity, omega)
@@ -117,7 +117,7 @@ def peer_scene(system: System) -> PeerScene:
     return types.Scene(bodies.mass, *rows, system.acceleration, tuple(pushes), system.run.t_end)
 
 
-def to_rotor(frame: Floats, vector: Sequence[float]) -> Floats:
+def _to_rotor(frame: Floats, vector: Sequence[float]) -> Floats:
     """A vector of the body frame in the rotor frame."""
     return rotate_back(frame[:, None], np.array(vector)[:, None])[:, 0]
 

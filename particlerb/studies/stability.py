@@ -39,16 +39,16 @@ from particlerb.studies.stability_runs import (
 )
 from particlerb.studies.text import chosen_names
 
-BUDGET: Final = 240.0  # [s] of two cores for all methods, without compilation
-LONGER: Final = 100  # a drift has so many times the turns of a map
+_BUDGET: Final = 240.0  # [s] of two cores for all methods, without compilation
+_LONGER: Final = 100  # a drift has so many times the turns of a map
 PACES: Final = np.geomspace(0.02, 4.0, 40)  # h|ω| of the rows of a map
-TOLERANCES: Final = np.geomspace(1e-12, 1e-2, 11)  # in their place for adaptive methods
+_TOLERANCES: Final = np.geomspace(1e-12, 1e-2, 11)  # in their place for adaptive methods
 COLUMNS: Final = 33  # of a map, with the default budget
-ADAPTIVE_COLUMNS: Final = 13
-MOST_COLUMNS: Final = 99  # two families are one block of bodies
-LEAST_PACE: Final = {"rkn6": 0.1}  # below, a row costs as much as all others
-DRIFT_PACE: Final = 0.25  # h|ω| of a drift
-DRIFT_PACES: Final = {"rkn6": 0.5}  # where it is another: eleven kicks, and errors above rounding
+_ADAPTIVE_COLUMNS: Final = 13
+_MOST_COLUMNS: Final = 99  # two families are one block of bodies
+_LEAST_PACE: Final = {"rkn6": 0.1}  # below, a row costs as much as all others
+_DRIFT_PACE: Final = 0.25  # h|ω| of a drift
+_DRIFT_PACES: Final = {"rkn6": 0.5}  # where it is another: eleven kicks, and errors above rounding
 FREE: Final = "free body"
 
 
@@ -73,28 +73,28 @@ class Map(NamedTuple):
     """Shape (r, c)."""
 
 
-def paces(method: str) -> Floats:
+def _paces(method: str) -> Floats:
     """Rows of the maps of a method."""
     if METHODS[method].is_adaptive:
-        return TOLERANCES
+        return _TOLERANCES
     if not METHODS[method].order:
         return np.zeros(1)
-    return PACES[LEAST_PACE.get(method, 0.0) <= PACES]
+    return PACES[_LEAST_PACE.get(method, 0.0) <= PACES]
 
 
-def columns_of(method: str, budget: float) -> int:
+def _columns_of(method: str, budget: float) -> int:
     """Columns of the maps of a method: an odd number, so that one is on the separatrix."""
-    most = ADAPTIVE_COLUMNS if METHODS[method].is_adaptive else COLUMNS
-    return min(max(int(most * budget / BUDGET) // 2 * 2 + 1, 5), MOST_COLUMNS)
+    most = _ADAPTIVE_COLUMNS if METHODS[method].is_adaptive else COLUMNS
+    return min(max(int(most * budget / _BUDGET) // 2 * 2 + 1, 5), _MOST_COLUMNS)
 
 
-def maps_of(method: str, columns: int, rows: Sequence[StabilityOutcome]) -> list[Map]:
+def _maps_of(method: str, columns: int, rows: Sequence[StabilityOutcome]) -> list[Map]:
     """Maps of a method from its rows."""
     maps = []
     for k, (family, make) in enumerate(FAMILIES.items()):
         own = slice(k * columns, (k + 1) * columns)
         parts = (np.array([values[own] for values in column]) for column in zip(*rows, strict=True))
-        maps.append(Map(method, family, paces(method), make(columns)[0], *parts))
+        maps.append(Map(method, family, _paces(method), make(columns)[0], *parts))
     return maps
 
 
@@ -125,36 +125,36 @@ class EnergyDrift(NamedTuple):
 
 def free_bodies() -> StabilityScene:
     """Eight bodies, I = (1, 2, 3), that spin about different axes with 1 rad/s."""
-    return scene(MOMENTS, eight_spins())
+    return scene(MOMENTS, _eight_spins())
 
 
-def heavy_tops() -> StabilityScene:
+def _heavy_tops() -> StabilityScene:
     """The same in a field that would let them librate with Ω = 0.3 rad/s about axis 1."""
-    return tops(eight_spins(), np.full(8, 0.1))
+    return tops(_eight_spins(), np.full(8, 0.1))
 
 
-def sprung_bodies() -> StabilityScene:
+def _sprung_bodies() -> StabilityScene:
     """The same, each hung up at one of its points by a spring, 1 m off the other end: chaotic."""
     at = np.tile([[0.3], [0.2], [0.4]], (1, 8))
     spring = Spring(at, np.zeros((3, 8)), np.full(8, 0.25), np.zeros(8))
-    return scene(MOMENTS, eight_spins(), Terms(loads=(spring,)), (1.0, 0.0, 0.0))
+    return scene(MOMENTS, _eight_spins(), Terms(loads=(spring,)), (1.0, 0.0, 0.0))
 
 
-def eight_spins() -> Floats:
+def _eight_spins() -> Floats:
     """Angular velocities of 1 rad/s about different axes, (8, 3)."""
     return unit_vectors(8, seed=3)
 
 
 MOTIONS: Final = {
     FREE: free_bodies,
-    "top in a field": heavy_tops,
-    "body on a spring": sprung_bodies,
+    "top in a field": _heavy_tops,
+    "body on a spring": _sprung_bodies,
 }
 
 
 def drift_of(method: str, motion: str, turns: float) -> EnergyDrift:
     """Errors of one method and motion over many turns."""
-    moved, pace = MOTIONS[motion](), DRIFT_PACES.get(method, DRIFT_PACE)
+    moved, pace = MOTIONS[motion](), _DRIFT_PACES.get(method, _DRIFT_PACE)
     times = sampling(pace, turns)
     frames = history(moved, method, pace, times, chunks=50)
     error = energy_errors(moved, frames)
@@ -191,12 +191,12 @@ class Stability(NamedTuple):
     drifts: tuple[EnergyDrift, ...]
 
 
-Key = tuple[str, ...]
+_Key = tuple[str, ...]
 
 
 def stability(
     methods: Sequence[str] = (),
-    budget: float = BUDGET,
+    budget: float = _BUDGET,
     progress: Callable[[int], object] = lambda _: None,
     turns: float = TURNS,
 ) -> Stability:
@@ -221,42 +221,44 @@ def stability(
     """
     if not budget > 0.0:
         raise ValueError(f"budget is {budget}: it must be positive")
-    tasks = tasks_of(methods, budget, turns)
-    done = dict(zip(tasks, in_parallel(list(tasks.values()), progress), strict=True))
+    tasks = _tasks_of(methods, budget, turns)
+    done = dict(zip(tasks, _in_parallel(list(tasks.values()), progress), strict=True))
     maps: list[Map] = []
     for method in chosen_names(methods, tuple(METHODS), "method"):
         rows = [value for key, value in done.items() if key[:2] == ("row", method)]
-        maps += maps_of(method, columns_of(method, budget), rows)
+        maps += _maps_of(method, _columns_of(method, budget), rows)
     limits = [one for key, value in done.items() if key[0] == "limits" for one in value]
     drifts = [value for key, value in done.items() if key[0] == "drift"]
     return Stability(turns, tuple(maps), tuple(limits), tuple(drifts))
 
 
-def tasks_of(
-    methods: Sequence[str], budget: float = BUDGET, turns: float = TURNS
-) -> dict[Key, Callable[[], Any]]:
+def _tasks_of(
+    methods: Sequence[str], budget: float = _BUDGET, turns: float = TURNS
+) -> dict[_Key, Callable[[], Any]]:
     """What there is to do, the longest first."""
     names = chosen_names(methods, tuple(METHODS), "method")
     stepped = [name for name in names if name in LIMITS]
-    tasks: dict[Key, Callable[[], Any]] = {
-        ("drift", name, motion): partial(drift_of, name, motion, LONGER * turns)
+    tasks: dict[_Key, Callable[[], Any]] = {
+        ("drift", name, motion): partial(drift_of, name, motion, _LONGER * turns)
         for motion in reversed(MOTIONS)
         for name in stepped
     }
     tasks |= {("limits", name): partial(limits_of, name) for name in stepped}
     return tasks | {
-        ("row", name, repr(pace)): partial(row_of, name, pace, columns_of(name, budget), turns)
+        ("row", name, repr(pace)): partial(row_of, name, pace, _columns_of(name, budget), turns)
         for name in names
-        for pace in paces(name).tolist()
+        for pace in _paces(name).tolist()
     }
 
 
 def n_tasks(methods: Sequence[str] = ()) -> int:
     """Number of steps of the progress."""
-    return len(tasks_of(methods))
+    return len(_tasks_of(methods))
 
 
-def in_parallel(tasks: Sequence[Callable[[], Any]], progress: Callable[[int], object]) -> list[Any]:
+def _in_parallel(
+    tasks: Sequence[Callable[[], Any]], progress: Callable[[int], object]
+) -> list[Any]:
     """Results of all tasks, in their order; kernels run without the interpreter's lock."""
     with ThreadPoolExecutor(THREADS.count) as pool:
         futures = [pool.submit(task) for task in tasks]

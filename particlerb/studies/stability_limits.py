@@ -34,7 +34,7 @@ from particlerb.studies.stability_runs import (
     unit_vectors,
 )
 
-LINGERING: Final = 100_000  # steps where growth sets in slowly beyond the limit
+_LINGERING: Final = 100_000  # steps where growth sets in slowly beyond the limit
 
 
 # Measured
@@ -68,7 +68,7 @@ def points(stiffness: Floats, rate: Floats | None = None) -> StabilityScene:
     return moved
 
 
-def oscillators(z: Floats, zeta: float = 0.0) -> StabilityScene:
+def _oscillators(z: Floats, zeta: float = 0.0) -> StabilityScene:
     """Points with hω = z for h = 1 s, and with drag 2ζω."""
     return points(z * z, 2.0 * zeta * z if zeta else None)
 
@@ -103,12 +103,12 @@ def tops(omega: Floats, stiffness: Floats) -> StabilityScene:
     return scene(MOMENTS, omega, Terms(loads=(spring,)), mass=1e20)
 
 
-def pendulums(z: Floats) -> StabilityScene:
+def _pendulums(z: Floats) -> StabilityScene:
     """Tops that librate about axis 1 with hΩ = z for h = 1 s, by 1e-6 rad/s: Ω² = k/I₁."""
     return tops(np.tile([1e-6, 0.0, 0.0], (z.size, 1)), z * z)
 
 
-def is_bounded(method: str, moved: StabilityScene, steps: int) -> Bools:
+def _is_bounded(method: str, moved: StabilityScene, steps: int) -> Bools:
     """Whether so many steps of 1 s leave momenta below 1e6 and tilts below 1e-3."""
     frames = history(moved, method, 1.0, np.rint(steps * np.linspace(0.125, 1.0, 8)))
     p, tilt = np.abs(frames.linear_momentum[..., 0]), np.abs(frames.orientation[..., 1])
@@ -125,7 +125,7 @@ def limit(
     """Smallest z with an unbounded motion, by bisection, 128 at a time; inf if none is."""
     for k in range(3):
         z = np.linspace(low, high, 129)[1:]
-        bounded = is_bounded(method, make(z), steps).reshape(-1, z.size).all(axis=0)
+        bounded = _is_bounded(method, make(z), steps).reshape(-1, z.size).all(axis=0)
         if bounded.all():
             return math.inf if k == 0 else high
         first = int(bounded.argmin())
@@ -147,16 +147,16 @@ def growth(
 
 def gain(method: str, z: float, steps: int = 20) -> float:
     """Factor of the energy of an oscillator with hω = z per step, less 1."""
-    return growth(method, oscillators(np.array([z])), lambda *one: energy(*one)[0], steps)
+    return growth(method, _oscillators(np.array([z])), lambda *one: energy(*one)[0], steps)
 
 
-def top_gain(method: str, z: float) -> float:
+def _top_gain(method: str, z: float) -> float:
     """Factor of a small |ω⊥|² of a symmetric top, I = (1, 1, 1.5), hω₃ = z, per step, less 1."""
     top = scene(np.array([1.0, 1.0, 1.5]), np.array([[1e-4 * z, 0.0, z]]))
     return growth(method, top, lambda _, s: (rotate_back(s.q, s.L)[:2] ** 2).sum())
 
 
-def turn_in_a_step(method: str, z: float) -> float:
+def _turn_in_a_step(method: str, z: float) -> float:
     """Angle [rad] by which a step with hω = z turns a body about its axis 3."""
     moved = scene(MOMENTS, np.array([[0.0, 0.0, z]]))
     w, *axis = history(moved, method, 1.0, np.array([1.0])).orientation[0, 0]
@@ -183,7 +183,7 @@ def damped_splitting(zeta: float) -> float:
     return z
 
 
-def rk4_factor(z: complex) -> complex:
+def _rk4_factor(z: complex) -> complex:
     """1 + z + z²/2 + z³/6 + z⁴/24."""
     return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
 
@@ -207,7 +207,7 @@ def splitting_limit(kicks: Sequence[float], drifts: Sequence[float]) -> float:
     return float(z[beyond.argmax()])
 
 
-def resonance(z: float) -> float:
+def _resonance(z: float) -> float:
     """Energy per step of rkn6, less 1, of an oscillator with hω = z where it is not bounded."""
     half = abs(float(half_trace(KICKS, DRIFTS, np.array([z]))[0]))
     return math.expm1(2.0 * math.acosh(half))
@@ -244,7 +244,7 @@ def plain_map(inertia: Floats, omega: Floats, sweeps: int = 3000) -> tuple[Float
     return v, change
 
 
-def steady_limit() -> float:
+def _steady_limit() -> float:
     """Smallest turn [rad] about axis 3 that the plain map misses by more than 2 %."""
     turn = np.linspace(0.5, 3.0, 1001)
     spins = turn[:, None] * np.array([0.0, 0.0, 1.0])
@@ -253,7 +253,7 @@ def steady_limit() -> float:
     return float(turn[missed.argmax()])
 
 
-def tumbling_limit() -> float:
+def _tumbling_limit() -> float:
     """Smallest h|ω| for which the plain fixed point of some of 200 spins has not converged."""
     turn = np.linspace(0.5, 3.0, 251)
     spins = (turn[:, None, None] * unit_vectors(200, seed=1)).reshape(-1, 3)
@@ -262,7 +262,7 @@ def tumbling_limit() -> float:
     return float(turn[missed.argmax()])
 
 
-def cut_limit(pace: float = 64.0) -> float:
+def _cut_limit(pace: float = 64.0) -> float:
     """Inf if `rkn6`, which cuts long turns, stays accurate at this step; else the step."""
     rows = row_of("rkn6", pace, 5, TURNS)
     return math.inf if (rows.verdict == ACCURATE).all() else pace
@@ -271,7 +271,7 @@ def cut_limit(pace: float = 64.0) -> float:
 # All of them
 
 
-class LimitCase(NamedTuple):
+class _LimitCase(NamedTuple):
     """A limit of a method: what theory says, and how to measure it."""
 
     name: str
@@ -280,93 +280,93 @@ class LimitCase(NamedTuple):
     """Of a method."""
 
 
-def undamped(theory: float, **libration: Any) -> Iterator[LimitCase]:
+def undamped(theory: float, **libration: Any) -> Iterator[_LimitCase]:
     """Oscillator, two bodies, and libration with its arguments of `limit`, if it has any."""
-    yield LimitCase("oscillator: largest hω", theory, partial(limit, make=oscillators))
-    yield LimitCase("two bodies on a spring: largest hω", theory, partial(limit, make=pairs))
+    yield _LimitCase("oscillator: largest hω", theory, partial(limit, make=_oscillators))
+    yield _LimitCase("two bodies on a spring: largest hω", theory, partial(limit, make=pairs))
     if libration:
-        measure = partial(limit, make=pendulums, **libration)
-        yield LimitCase("libration: largest hΩ", theory, measure)
+        measure = partial(limit, make=_pendulums, **libration)
+        yield _LimitCase("libration: largest hΩ", theory, measure)
 
 
-def damped(theory: Callable[[float], float], *zetas: float) -> Iterator[LimitCase]:
+def damped(theory: Callable[[float], float], *zetas: float) -> Iterator[_LimitCase]:
     """Oscillators with drag."""
     for zeta in zetas:
-        measure = partial(limit, make=partial(oscillators, zeta=zeta), steps=LINGERING)
-        yield LimitCase(f"damped, ζ = {zeta}: largest hω", theory(zeta), measure)
+        measure = partial(limit, make=partial(_oscillators, zeta=zeta), steps=_LINGERING)
+        yield _LimitCase(f"damped, ζ = {zeta}: largest hω", theory(zeta), measure)
 
 
-def drag_alone(theory: float, **search: Any) -> LimitCase:
+def _drag_alone(theory: float, **search: Any) -> _LimitCase:
     """Points without a spring, with hγ = z for h = 1 s."""
     measure = partial(limit, make=lambda z: points(np.zeros_like(z), z), **search)
-    return LimitCase("drag alone: largest hγ", theory, measure)
+    return _LimitCase("drag alone: largest hγ", theory, measure)
 
 
-def energy_factors(theory: Callable[[float], float], *z: float, **steps: Any) -> list[LimitCase]:
+def _energy_factors(theory: Callable[[float], float], *z: float, **steps: Any) -> list[_LimitCase]:
     """Energy of an oscillator per step."""
     name = "energy per step - 1 at hω = {}"
-    return [LimitCase(name.format(one), theory(one), partial(gain, z=one, **steps)) for one in z]
+    return [_LimitCase(name.format(one), theory(one), partial(gain, z=one, **steps)) for one in z]
 
 
-def symmetric_top(theory: float) -> LimitCase:
+def _symmetric_top(theory: float) -> _LimitCase:
     """|ω⊥|² per step with hω₃ = 0.2."""
     name = "symmetric top: |ω⊥|² per step - 1, hλ = 0.1"
-    return LimitCase(name, theory, partial(top_gain, z=0.2))
+    return _LimitCase(name, theory, partial(_top_gain, z=0.2))
 
 
-QUATERNION: Final = LimitCase(
-    "turn of a step with hω = 1", 2.0 * math.atan(0.5), partial(turn_in_a_step, z=1.0)
+_QUATERNION: Final = _LimitCase(
+    "turn of a step with hω = 1", 2.0 * math.atan(0.5), partial(_turn_in_a_step, z=1.0)
 )
 """A step q + ½ h q ω, normalised, turns by 2 atan(hω/2)."""
 
 
-def strang() -> Iterator[LimitCase]:
+def strang() -> Iterator[_LimitCase]:
     """Störmer-Verlet for translation; drag as an exact flow."""
     yield from undamped(2.0, steps=300)
     yield from damped(damped_splitting, 0.5, 1.0)
-    yield drag_alone(math.inf, high=1e3)
+    yield _drag_alone(math.inf, high=1e3)
 
 
-def rkn6() -> Iterator[LimitCase]:
+def rkn6() -> Iterator[_LimitCase]:
     """Eleven kicks and drifts; the Moser-Veselov map without and with cutting."""
     yield from undamped(splitting_limit(KICKS, DRIFTS), low=8.5, high=9.5, steps=60)
-    yield from energy_factors(resonance, 3.14188, steps=30_000)
-    yield LimitCase("plain map, steady: largest turn", 0.5 * math.pi, lambda _: steady_limit())
-    yield LimitCase("plain map, (1, 2, 3): largest h|ω|", math.nan, lambda _: tumbling_limit())
-    yield LimitCase("map cut in pieces: largest h|ω|", math.inf, lambda _: cut_limit())
+    yield from _energy_factors(_resonance, 3.14188, steps=30_000)
+    yield _LimitCase("plain map, steady: largest turn", 0.5 * math.pi, lambda _: _steady_limit())
+    yield _LimitCase("plain map, (1, 2, 3): largest h|ω|", math.nan, lambda _: _tumbling_limit())
+    yield _LimitCase("map cut in pieces: largest h|ω|", math.inf, lambda _: _cut_limit())
 
 
-def rk4() -> Iterator[LimitCase]:
+def rk4() -> Iterator[_LimitCase]:
     """The imaginary and the real axis of the stability region."""
     yield from undamped(math.sqrt(8.0), steps=300)
-    yield from energy_factors(lambda z: -(z**6) / 72.0 + z**8 / 576.0, 0.5, 1.0, 2.0)
-    yield drag_alone(root(lambda z: rk4_factor(-z).real - 1.0, 1.0, 4.0), steps=LINGERING)
+    yield from _energy_factors(lambda z: -(z**6) / 72.0 + z**8 / 576.0, 0.5, 1.0, 2.0)
+    yield _drag_alone(root(lambda z: _rk4_factor(-z).real - 1.0, 1.0, 4.0), steps=_LINGERING)
 
 
-def semi_implicit_euler() -> Iterator[LimitCase]:
+def semi_implicit_euler() -> Iterator[_LimitCase]:
     """Velocities first, drag at the old velocity; backward Euler for the gyroscopic term."""
     yield from undamped(2.0)
     yield from damped(damped_semi_implicit, 0.2, 0.5, 1.0)
-    yield drag_alone(2.0, steps=LINGERING)
-    yield symmetric_top(1.0 / (1.0 + 0.1**2) - 1.0)
-    yield QUATERNION
+    yield _drag_alone(2.0, steps=_LINGERING)
+    yield _symmetric_top(1.0 / (1.0 + 0.1**2) - 1.0)
+    yield _QUATERNION
 
 
-def explicit_euler(top: float = 0.1**2) -> Iterator[LimitCase]:
+def explicit_euler(top: float = 0.1**2) -> Iterator[_LimitCase]:
     """Rates at the old state: those of the body."""
-    yield from energy_factors(lambda z: z**2, 0.1, 1.0)
+    yield from _energy_factors(lambda z: z**2, 0.1, 1.0)
     yield from damped(lambda zeta: 2.0 * zeta, 0.2, 0.5)
-    yield drag_alone(2.0, steps=LINGERING)
-    yield QUATERNION
-    yield symmetric_top(top)
+    yield _drag_alone(2.0, steps=_LINGERING)
+    yield _QUATERNION
+    yield _symmetric_top(top)
 
 
-def momentum_euler() -> Iterator[LimitCase]:
+def momentum_euler() -> Iterator[_LimitCase]:
     """L as a variable: a step turns L in the body by 2 atan(½h|ω|) about ω, and |L| stays."""
     return explicit_euler(1.5 * (1.5 - 1.0) * 0.2**2 / (1.0 + 0.1**2))
 
 
-LIMITS: Final[dict[str, Callable[[], Iterator[LimitCase]]]] = {
+LIMITS: Final[dict[str, Callable[[], Iterator[_LimitCase]]]] = {
     case.__name__: case
     for case in (strang, rkn6, rk4, semi_implicit_euler, explicit_euler, momentum_euler)
 }

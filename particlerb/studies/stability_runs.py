@@ -28,15 +28,15 @@ from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import Group
 
 TURNS: Final = 1e4  # of each body of a map
-EVERY: Final = 0.25  # [s] grid of the times of methods without a step of their own
+_EVERY: Final = 0.25  # [s] grid of the times of methods without a step of their own
 SMALL: Final = 1e-3  # relative error of the energy up to which a run is called accurate
 LARGE: Final = 0.1
-GROWTH: Final = 1.5  # of the worst error from the first half of a run to the second
-ROUNDING: Final = 1e-10  # a worst error below is not called growing: sums of rounding errors grow
+_GROWTH: Final = 1.5  # of the worst error from the first half of a run to the second
+_ROUNDING: Final = 1e-10  # a worst error below is not called growing: sums of rounding errors grow
 MOMENTS: Final = np.array([1.0, 2.0, 3.0])  # [kg m²] of bodies where the shape does not matter
-NEEDLE: Final = 0.05  # side ratio of the thinnest plate, and thickness of the needle
+_NEEDLE: Final = 0.05  # side ratio of the thinnest plate, and thickness of the needle
 
-UPRIGHT: Final = (1.0, 0.0, 0.0, 0.0)
+_UPRIGHT: Final = (1.0, 0.0, 0.0, 0.0)
 VERDICTS: Final = (
     "accurate",
     "accurate so far, growing",
@@ -97,7 +97,7 @@ def scene(
     n = len(omega)
     bodies = bodies_of(np.broadcast_to(inertia, (n, 3)), mass)
     com = np.tile(np.array(position), (n, 1))
-    state = initial_state(bodies, com, np.tile(UPRIGHT, (n, 1)), np.zeros((n, 3)), omega)
+    state = initial_state(bodies, com, np.tile(_UPRIGHT, (n, 1)), np.zeros((n, 3)), omega)
     return StabilityScene(bodies, terms or Terms(), state)
 
 
@@ -124,7 +124,7 @@ def history(
     n = moved.bodies.mass.size
     group = Group(np.arange(n), moved.bodies, moved.terms)
     motion = begin(METHODS[method], group, moved.state, 0.0, dt, tolerance)
-    frames = room_for(times.size, n, np.tile(UPRIGHT, (n, 1)))
+    frames = room_for(times.size, n, np.tile(_UPRIGHT, (n, 1)))
     for array in frames[:4]:
         array[:] = np.nan
     for rows in np.array_split(np.arange(times.size), chunks):
@@ -192,7 +192,7 @@ def outcome(times: Floats, errors: Floats) -> StabilityOutcome:
     errors = np.where(np.isfinite(errors), errors, np.inf)
     first = errors[times <= 0.5 * times[-1]].max(axis=0)
     worst = errors.max(axis=0)
-    grows = (worst > GROWTH * first) & (worst > ROUNDING)
+    grows = (worst > _GROWTH * first) & (worst > _ROUNDING)
     small = worst <= SMALL
     verdict = np.select(
         [np.isinf(worst), grows & small, grows, small],
@@ -212,9 +212,9 @@ def plates(columns: int) -> tuple[Floats, Floats, Floats]:
 
     Side ratio b/a (0: the needle), moments (r², 1, 1 + r²), and a spin with equal components.
     """
-    ratio = np.linspace(NEEDLE, 1.0, columns - 1)
+    ratio = np.linspace(_NEEDLE, 1.0, columns - 1)
     flat = np.stack([ratio**2, np.ones(columns - 1), 1.0 + ratio**2], axis=1)
-    inertia = np.vstack([[NEEDLE**2, 1.0, 1.0], flat])
+    inertia = np.vstack([[_NEEDLE**2, 1.0, 1.0], flat])
     omega = np.full((columns, 3), 1.0 / math.sqrt(3.0))
     return np.append(0.0, ratio), inertia, omega
 
@@ -234,8 +234,8 @@ def starts(columns: int) -> tuple[Floats, Floats, Floats]:
     return across, np.tile(MOMENTS, (columns, 1)), omega
 
 
-Family = Callable[[int], tuple[Floats, Floats, Floats]]
-FAMILIES: Final[dict[str, Family]] = {"shape": plates, "start": starts}
+_Family = Callable[[int], tuple[Floats, Floats, Floats]]
+FAMILIES: Final[dict[str, _Family]] = {"shape": plates, "start": starts}
 
 
 def row_of(method: str, pace: float, columns: int, turns: float) -> StabilityOutcome:
@@ -245,7 +245,7 @@ def row_of(method: str, pace: float, columns: int, turns: float) -> StabilityOut
     )
     free = scene(inertia, omega)
     is_stepped = METHODS[method].order and not METHODS[method].is_adaptive
-    dt = pace if is_stepped else EVERY
+    dt = pace if is_stepped else _EVERY
     times = sampling(dt, turns)
     frames = history(free, method, dt, times, pace, chunks=20)
     return outcome(times, energy_errors(free, frames))

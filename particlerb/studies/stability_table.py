@@ -19,10 +19,10 @@ from particlerb.studies.stability_limits import Limit
 from particlerb.studies.stability_runs import LARGE, SMALL, VERDICTS
 from particlerb.studies.text import aligned
 
-LIMIT_HEAD: Final = ("method", "limit", "theory", "measured", "difference")
-DRIFT_HEAD: Final = ("method", "motion", "h|ω|", "energy error", "exponent", "|L| error")
-MAP_HEAD: Final = ("method", "map", "below 1e-3", "below 0.1", "10 % off after", "what happens")
-EXPLANATION: Final = """\
+_LIMIT_HEAD: Final = ("method", "limit", "theory", "measured", "difference")
+_DRIFT_HEAD: Final = ("method", "motion", "h|ω|", "energy error", "exponent", "|L| error")
+_MAP_HEAD: Final = ("method", "map", "below 1e-3", "below 0.1", "10 % off after", "what happens")
+_EXPLANATION: Final = """\
 limit: steps from which on a linear motion grows, or factors of one step, beside closed forms
 exponent: p of (largest energy error until t) ∝ t^p over the last decade of the turns, and
   its spread over 8 bodies; 0 bounded, 1/2 sum of rounding errors, 1 drift
@@ -35,16 +35,16 @@ def table(study: Stability) -> str:
     """Limits beside theory, drift, and for each map how far it is accurate and what comes then."""
     parts = []
     if study.limits:
-        parts.append(aligned([LIMIT_HEAD, *map(limit_row, study.limits)]))
+        parts.append(aligned([_LIMIT_HEAD, *map(_limit_row, study.limits)]))
     if study.drifts:
-        parts.append(aligned([DRIFT_HEAD, *map(drift_row, study.drifts)]))
-    parts.append(aligned([MAP_HEAD, *map(map_row, study.maps)]))
-    return "\n\n".join([*parts, EXPLANATION])
+        parts.append(aligned([_DRIFT_HEAD, *map(_drift_row, study.drifts)]))
+    parts.append(aligned([_MAP_HEAD, *map(_map_row, study.maps)]))
+    return "\n\n".join([*parts, _EXPLANATION])
 
 
-def limit_row(one: Limit) -> tuple[str, ...]:
+def _limit_row(one: Limit) -> tuple[str, ...]:
     """Texts of a limit."""
-    return one.method, one.name, number(one.theory), number(one.measured), percent(one.difference)
+    return one.method, one.name, number(one.theory), number(one.measured), _percent(one.difference)
 
 
 def number(value: float) -> str:
@@ -52,12 +52,12 @@ def number(value: float) -> str:
     return "none" if math.isinf(value) else "-" if math.isnan(value) else f"{value:.6g}"
 
 
-def percent(value: float) -> str:
+def _percent(value: float) -> str:
     """Per cent of a difference."""
     return "-" if math.isnan(value) else f"{100.0 * value:.3f} %"
 
 
-def drift_row(drift: EnergyDrift) -> tuple[str, ...]:
+def _drift_row(drift: EnergyDrift) -> tuple[str, ...]:
     """Texts of a drift."""
     p, spread = growth_exponent(drift)
     found = f"{drift.largest[-1]:.1e}", f"{p:.2f} ± {spread:.2f}"
@@ -68,7 +68,7 @@ def drift_row(drift: EnergyDrift) -> tuple[str, ...]:
     return drift.method, drift.motion, f"{drift.pace:g}", *found, spin
 
 
-def map_row(one: Map) -> tuple[str, ...]:
+def _map_row(one: Map) -> tuple[str, ...]:
     """Texts of a map."""
     if not one.pace.any():
         worst = f"no step; worst error {one.error.max():.0e}"
@@ -76,10 +76,10 @@ def map_row(one: Map) -> tuple[str, ...]:
     first = one.turns[0].min()
     steps = (f"{largest_pace(one, error):.2g}" for error in (SMALL, LARGE))
     lost = f"{first:.2g} turns" if math.isfinite(first) else "-"
-    return one.method, one.family, *steps, lost, what_happens(one)
+    return one.method, one.family, *steps, lost, _what_happens(one)
 
 
-def what_happens(one: Map) -> str:
+def _what_happens(one: Map) -> str:
     """Verdicts in the order in which they set in."""
     found = sorted(onsets(one).items(), key=lambda item: item[1])
     if not found:
@@ -87,7 +87,7 @@ def what_happens(one: Map) -> str:
     return "; ".join(f"{name} from {pace:.2g}" for name, pace in found)
 
 
-CSV_HEAD: Final = (
+_CSV_HEAD: Final = (
     "kind", "method", "name", "pace", "across", "energy_error", "verdict", "turns", "theory",
     "measured",
 )  # fmt: skip
@@ -99,7 +99,7 @@ def csv_rows(study: Stability) -> Iterator[Sequence[object]]:
     `pace` is h|ω| [rad] or the tolerance, `across` the side ratio or 2HI₂/L², `turns` those until
     the energy was off by 10 % (maps), or passed (drift).
     """
-    yield CSV_HEAD
+    yield _CSV_HEAD
     for one in study.maps:
         for (r, c), error in np.ndenumerate(one.error):
             place = float(one.pace[r]), float(one.across[c])

@@ -34,23 +34,23 @@ from particlerb.simulation.trials import Error, drifts, errors, part, sample, se
 from particlerb.studies.peers import Engine, PeerScene, engines, peer_errors, peer_scene
 from particlerb.studies.text import chosen_names
 
-REPEATS: Final = 5  # at least,
-LEAST_POINTS: Final = 3  # of a curve, unless the next takes twice the time that there is
-LONG: Final = 0.5  # s; but none of a run that takes longer, which is disturbed less
-MOST_REPEATS: Final = 41
-FILLED: Final = 0.02  # s that the repeats of a short run should fill: longer than a time slice
-LOST: Final = 1.0  # rad: an orientation that is off by more says nothing
+_REPEATS: Final = 5  # at least,
+_LEAST_POINTS: Final = 3  # of a curve, unless the next takes twice the time that there is
+_LONG: Final = 0.5  # s; but none of a run that takes longer, which is disturbed less
+_MOST_REPEATS: Final = 41
+_FILLED: Final = 0.02  # s that the repeats of a short run should fill: longer than a time slice
+_LOST: Final = 1.0  # rad: an orientation that is off by more says nothing
 FIRST_TURN: Final = 20.0  # rad of the longest step that is tried: a drift in closed form bears it
-FIRST_CONTACT: Final = 0.5  # of the stability limit of contacts, for the longest step
-USUAL_ERROR: Final = 1e-6
-MOST_FRAMES: Final = 2000  # at which the energy of contact is looked at
-SAMPLED: Final = 8  # packs of sixteen bodies that are judged
-WAYPOINTS: Final = 32  # times at which the path of a body is summed up
-COARSEST_TOLERANCE: Final = 1e-3
-FINEST_TOLERANCE: Final = 1e-14
-REFERENCE_SHARE: Final = 0.25  # of the time that may be spent
-ROUNDING: Final = float(np.finfo(np.float64).eps)
-NICE: Final = (5.0, 2.0, 1.0)
+_FIRST_CONTACT: Final = 0.5  # of the stability limit of contacts, for the longest step
+_USUAL_ERROR: Final = 1e-6
+_MOST_FRAMES: Final = 2000  # at which the energy of contact is looked at
+_SAMPLED: Final = 8  # packs of sixteen bodies that are judged
+_WAYPOINTS: Final = 32  # times at which the path of a body is summed up
+_COARSEST_TOLERANCE: Final = 1e-3
+_FINEST_TOLERANCE: Final = 1e-14
+_REFERENCE_SHARE: Final = 0.25  # of the time that may be spent
+_ROUNDING: Final = float(np.finfo(np.float64).eps)
+_NICE: Final = (5.0, 2.0, 1.0)
 
 Progress = Callable[[int], object]
 
@@ -80,7 +80,7 @@ class Point(NamedTuple):
 
 
 POSE: Final = "error at t_end: orientation [rad], or position, relative"
-ENERGY: Final = "conservation error of the energy, relative"
+_ENERGY: Final = "conservation error of the energy, relative"
 
 
 class WorkPrecision(NamedTuple):
@@ -106,7 +106,7 @@ class WorkPrecision(NamedTuple):
     """What the error is."""
 
 
-class Reference(NamedTuple):
+class _Reference(NamedTuple):
     """What errors are measured against."""
 
     frames: Frames
@@ -165,8 +165,8 @@ def chart(
         study.reference.floor,
         left_out,
         tuple((one.name, one.error) for one in system.chart.published),
-        target or (study.by_energy and system.check.energy_drift) or USUAL_ERROR,
-        ENERGY if study.by_energy else POSE,
+        target or (study.by_energy and system.check.energy_drift) or _USUAL_ERROR,
+        _ENERGY if study.by_energy else POSE,
     )
 
 
@@ -183,20 +183,20 @@ class Study:
         self.t_end = system.run.t_end
         auto = self.plan("auto")
         segments = [segment for group in auto.groups for segment in group.segments]
-        self.which: Ints = sample(self.system, auto, self.t_end, SAMPLED)
+        self.which: Ints = sample(self.system, auto, self.t_end, _SAMPLED)
         self.rate = max(fastest_rate(self.system, g, self.t_end) for g in auto.groups)
         self.is_free = not any(has_step(s.method) for s in segments)
         self.contacts = [(s.method, c) for s in segments if (c := s.terms.contact) is not None]
         self.by_energy = bool(self.contacts)
         self.judged = part(self.system, auto, self.which)
         self.times = self.way_points()
-        self.reference = self.find_reference(REFERENCE_SHARE * budget)
+        self.reference = self.find_reference(_REFERENCE_SHARE * budget)
 
     def way_points(self) -> Floats:
         """Times at which runs are looked at [s]; where bodies touch, those of the case's frames."""
-        if self.by_energy and frame_count(self.system.run) - 1 <= MOST_FRAMES:
+        if self.by_energy and frame_count(self.system.run) - 1 <= _MOST_FRAMES:
             return frame_times(self.system.run, 1)
-        n = MOST_FRAMES if self.by_energy else WAYPOINTS
+        n = _MOST_FRAMES if self.by_energy else _WAYPOINTS
         return np.linspace(0.0, self.t_end, n + 1)[1:]
 
     def plan(self, method: str, step: float | None = None) -> Plan:
@@ -239,16 +239,16 @@ class Study:
         last = errors(self.judged, self.times, a, b)[-1]
         return max(last.worst, last.position)
 
-    def find_reference(self, budget: float) -> Reference:
+    def find_reference(self, budget: float) -> _Reference:
         """Closed form, or two methods that agree."""
         if self.is_free:
             spin = np.linalg.norm(omega_world(self.system.bodies, self.system.state), axis=0).max()
-            floor = ROUNDING * max(1.0, float(spin) * self.t_end)
-            return Reference(self.states("auto", None), "the closed form", floor)
+            floor = _ROUNDING * max(1.0, float(spin) * self.t_end)
+            return _Reference(self.states("auto", None), "the closed form", floor)
         if self.by_energy:
             frames = as_frame(self.system.bodies, self.system.state)  # nothing is compared with it
-            return Reference(frames, "the energy balance", ROUNDING)
-        oracle = self.states("dop853", FINEST_TOLERANCE)
+            return _Reference(frames, "the energy balance", _ROUNDING)
+        oracle = self.states("dop853", _FINEST_TOLERANCE)
         second = "rk4" if self.refusal("rkn6") else "rkn6"
         step = self.first_step()
         self.states(second, step)  # compile
@@ -261,14 +261,16 @@ class Study:
             stays = stays + 1 if found[-1] > 0.5 * min(found[:-1]) and found[-1] < 1e-6 else 0
         # where the difference no longer falls it is noise: the larger of two neighbours counts
         floor = min(map(max, pairwise(found[1:]))) if len(found) > 3 else found[-1]
-        what = f"dop853 with tolerance {FINEST_TOLERANCE:g}, checked by {second} with shorter steps"
-        return Reference(oracle, what, floor)
+        what = (
+            f"dop853 with tolerance {_FINEST_TOLERANCE:g}, checked by {second} with shorter steps"
+        )
+        return _Reference(oracle, what, floor)
 
     # Steps
 
     def first_step(self) -> float:
         """Longest step that is worth a trial [s]."""
-        first = FIRST_CONTACT * self.contact_limit() if self.by_energy else FIRST_TURN
+        first = _FIRST_CONTACT * self.contact_limit() if self.by_energy else FIRST_TURN
         return min(first / self.rate, 0.5 * self.t_end) if self.rate > 0.0 else 0.5 * self.t_end
 
     def contact_limit(self) -> float:
@@ -282,8 +284,8 @@ class Study:
         """Ever shorter steps, or smaller tolerances, that one would write down."""
         if not is_adaptive(method):
             return nice_steps(self.first_step())
-        decades = round(math.log10(COARSEST_TOLERANCE / FINEST_TOLERANCE))
-        return (float(f"{COARSEST_TOLERANCE * 10.0**-k:.0e}") for k in range(decades + 1))
+        decades = round(math.log10(_COARSEST_TOLERANCE / _FINEST_TOLERANCE))
+        return (float(f"{_COARSEST_TOLERANCE * 10.0**-k:.0e}") for k in range(decades + 1))
 
     # Measurements
 
@@ -299,7 +301,7 @@ class Study:
                 for variant in engine.variants
             ]
         curves = sum(not reason for _, reason, _ in contenders)
-        share = (1.0 - REFERENCE_SHARE) * budget / max(curves, 1)
+        share = (1.0 - _REFERENCE_SHARE) * budget / max(curves, 1)
         points: list[Point] = []
         left_out = {}
         for name, reason, curve in contenders:
@@ -324,14 +326,14 @@ class Study:
             if not point.failure:
                 stays = stays + 1 if point.size > 0.7 * best else 0
                 best = min(best, point.size)
-            runs = 1 + (0 if point.seconds > LONG else REPEATS)
+            runs = 1 + (0 if point.seconds > _LONG else _REPEATS)
             is_done = best < 3.0 * self.reference.floor or (stays > 1 and best < 1e-3)
             ahead = 2.2 * runs * point.seconds
-            is_curve = n_points >= LEAST_POINTS or ahead > 2.0 * budget
+            is_curve = n_points >= _LEAST_POINTS or ahead > 2.0 * budget
             if is_done or (is_curve and spent + ahead > budget):
                 return
 
-    def measured(self, method: str, step: float | None, repeats: int = REPEATS) -> Point:
+    def measured(self, method: str, step: float | None, repeats: int = _REPEATS) -> Point:
         """One point."""
         plan = self.plan(method, step)
         everyone = np.arange(self.system.n_bodies)
@@ -344,10 +346,10 @@ class Study:
             error = Error(energy, energy, 0.0)
         else:
             error = errors(own, self.times, frames, self.reference.frames)[-1]
-        if spent < LONG or self.which.size < everyone.size:
+        if spent < _LONG or self.which.size < everyone.size:
             whole = part(self.system, plan, everyone)
             times = [seconds(whole, self.t_end) for _ in range(repeats)]
-            while repeats > 1 and sum(times) < FILLED and len(times) < MOST_REPEATS:
+            while repeats > 1 and sum(times) < _FILLED and len(times) < _MOST_REPEATS:
                 times.append(seconds(whole, self.t_end))
             spent = float(np.median(times))
         is_tolerance = has_step(method) and is_adaptive(method)
@@ -361,7 +363,7 @@ class Study:
         for rung in engine.variants[variant]:
             step = rung if engine.is_adaptive else min(rung / self.rate, 0.5 * self.t_end)
             results = [engine.run(self.peer_scene, variant, step)]
-            while len(results) < REPEATS and time.monotonic() - start < budget:
+            while len(results) < _REPEATS and time.monotonic() - start < budget:
                 results.append(engine.run(self.peer_scene, variant, step))
             spent = float(np.median([one.seconds for one in results]))
             error, energy, spin = peer_errors(
@@ -379,16 +381,16 @@ def failure(error: Error) -> str:
     """Why a run with this error says nothing; empty where it does."""
     if not math.isfinite(error.worst) or not math.isfinite(error.position):
         return "NaN or infinite"
-    if error.position > LOST:
+    if error.position > _LOST:
         return f"position off by {error.position:.2g} times the size or path of the body"
-    return f"orientation off by {error.worst:.2g} rad" if error.worst > LOST else ""
+    return f"orientation off by {error.worst:.2g} rad" if error.worst > _LOST else ""
 
 
 def nice_steps(longest: float) -> Iterator[float]:
     """Steps 5, 2, 1 times a power of ten, descending from the longest."""
     exponent = math.floor(math.log10(longest))
     for power in range(exponent, exponent - 16, -1):
-        for digit in NICE:
+        for digit in _NICE:
             step = float(f"{digit:.0f}e{power}")
             if step <= longest:
                 yield step

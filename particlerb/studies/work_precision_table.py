@@ -9,13 +9,13 @@ from particlerb.studies.work_precision import POSE, Point, WorkPrecision
 def frontier(points: Sequence[Point]) -> list[Point]:
     """Points of our own that no other of them beats in both time and error, by rising time."""
     front: list[Point] = []
-    for point in sorted((p for p in points if not p.failure and not p.engine), key=fast_first):
+    for point in sorted((p for p in points if not p.failure and not p.engine), key=_fast_first):
         if not front or point.size < front[-1].size:
             front.append(point)
     return front
 
 
-def fast_first(point: Point) -> tuple[float, float]:
+def _fast_first(point: Point) -> tuple[float, float]:
     """Order of points by time, then by error."""
     return point.seconds, point.size
 
@@ -23,7 +23,7 @@ def fast_first(point: Point) -> tuple[float, float]:
 def cheapest(points: Sequence[Point], target: float) -> Point | None:
     """Our own point of least time whose error is small enough."""
     good = [p for p in points if not p.engine and not p.failure and p.size <= target]
-    return min(good, key=fast_first, default=None)
+    return min(good, key=_fast_first, default=None)
 
 
 def advice(found: WorkPrecision) -> str:

@@ -25,11 +25,11 @@ import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-LOCAL: Final = "127.0.0.1"
-EVERYWHERE: Final = ("0.0.0.0", "::", "")
-AUTHORITY: Final = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(?::([0-9]{1,5}))?")
-LARGEST_MESSAGE: Final = 8 * 2**20  # bytes: a picture of a frame
-PATIENCE: Final = 5.0  # [s] that an answer to ourselves may take
+_LOCAL: Final = "127.0.0.1"
+_EVERYWHERE: Final = ("0.0.0.0", "::", "")
+_AUTHORITY: Final = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(?::([0-9]{1,5}))?")
+_LARGEST_MESSAGE: Final = 8 * 2**20  # bytes: a picture of a frame
+_PATIENCE: Final = 5.0  # [s] that an answer to ourselves may take
 POLICY: Final = "; ".join([
     "default-src 'none'",
     "script-src 'unsafe-inline' 'unsafe-eval'",  # viser's page unpacks itself
@@ -51,19 +51,19 @@ HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-FOREIGN: Final = "particlerb.invalid"  # no machine has this name: RFC 2606
+_FOREIGN: Final = "particlerb.invalid"  # no machine has this name: RFC 2606
 
-Hook = Callable[[ServerConnection, Request], Awaitable[Response | None] | Response | None]
-Handler = Callable[[ServerConnection], Awaitable[None]]
+_Hook = Callable[[ServerConnection, Request], Awaitable[Response | None] | Response | None]
+_Handler = Callable[[ServerConnection], Awaitable[None]]
 Message = str | bytes
-START: Final = threading.Lock()  # one server at a time passes through here
+_START: Final = threading.Lock()  # one server at a time passes through here
 
 
 class AccessError(Exception):
     """A server that lets in whom it should not: why."""
 
 
-class Authority(NamedTuple):
+class _Authority(NamedTuple):
     """A host, and the port if one is named."""
 
     name: str  # lower case; an address as `ipaddress` writes it
@@ -77,9 +77,9 @@ class Authority(NamedTuple):
         return None
 
 
-def authority(text: str) -> Authority | None:
+def authority(text: str) -> _Authority | None:
     """What a Host header or an origin names; None where it names nothing, or oddly."""
-    found = AUTHORITY.fullmatch(text.lower())
+    found = _AUTHORITY.fullmatch(text.lower())
     if found is None:
         return None
     name, port = found[1], found[2]
@@ -94,10 +94,10 @@ def authority(text: str) -> Authority | None:
             name = name.removesuffix(".")  # the name of the root
     except ValueError:
         return None
-    return Authority(name, None if port is None else int(port)) if name else None
+    return _Authority(name, None if port is None else int(port)) if name else None
 
 
-def origin_of(text: str) -> Authority | None:
+def _origin_of(text: str) -> _Authority | None:
     """Host and port of an origin, the port of its scheme if none is named; None for `null`."""
     scheme, mark, rest = text.partition("://")
     ports = {"http": 80, "https": 443}
@@ -126,7 +126,7 @@ class Access:
     """
 
     def __init__(
-        self, host: str = LOCAL, names: Iterable[str] = (), with_token: bool = True
+        self, host: str = _LOCAL, names: Iterable[str] = (), with_token: bool = True
     ) -> None:
         self.host = host
         self.token = secrets.token_hex(24) if with_token else ""
@@ -155,14 +155,14 @@ class Access:
     @property
     def is_everywhere(self) -> bool:
         """Whether it is served on all addresses of this machine."""
-        return self.host in EVERYWHERE
+        return self.host in _EVERYWHERE
 
     @property
     def probe(self) -> str:
         """An address by which this machine reaches the page."""
         if not self.is_everywhere:
             return self.host
-        return "::1" if self.host == "::" else LOCAL
+        return "::1" if self.host == "::" else _LOCAL
 
     def addresses(self) -> list[str]:
         """Where a browser finds the page: on this machine, and from others if they reach it."""
@@ -188,7 +188,7 @@ class Access:
         host = authority(hosts[0]) if len(hosts) == 1 else None
         if host is None or not self.is_ours(host):
             return "this host is not known here: `view --allow-host NAME` makes it known"
-        if len(origins) > 1 or (origins and not self.is_same(origin_of(origins[0]), host)):
+        if len(origins) > 1 or (origins and not self.is_same(_origin_of(origins[0]), host)):
             return "a page of another origin may not ask"
         fields = self.fields(request)
         if fields is None or not request.path.startswith("/"):
@@ -197,13 +197,13 @@ class Access:
             return "the token is missing: open the address that `particlerb view` has printed"
         return ""
 
-    def is_ours(self, host: Authority) -> bool:
+    def is_ours(self, host: _Authority) -> bool:
         """Whether a host is this one. An address is: no name server turns it to another."""
         if host.name in self.own or host.name in self.named:
             return True
         return host.address is not None and (host.address.is_loopback or not self.is_local)
 
-    def is_same(self, origin: Authority | None, host: Authority) -> bool:
+    def is_same(self, origin: _Authority | None, host: _Authority) -> bool:
         """Whether an origin is that of our page: host and port, or a name that was allowed.
 
         A proxy may have put its own name for ours in the place of the host.
@@ -236,12 +236,12 @@ class Access:
             for part in line.split(";")
         ]
         given = fields or [value for name, _, value in pairs if name == self.cookie]
-        same = [hmac.compare_digest(coded(value), coded(self.token)) for value in given]
+        same = [hmac.compare_digest(_coded(value), _coded(self.token)) for value in given]
         return any(same)
 
     # The place at which they are asked
 
-    def answer(self, hook: Hook | None) -> Hook:
+    def answer(self, hook: _Hook | None) -> _Hook:
         """What `websockets` asks before it opens a socket, in front of what viser gave to it."""
 
         async def process_request(
@@ -280,16 +280,16 @@ class Access:
         """
         serve: Any = websockets.asyncio.server.serve
 
-        def guarded(handler: Handler, *arguments: Any, **options: Any) -> Any:
+        def guarded(handler: _Handler, *arguments: Any, **options: Any) -> Any:
             options["process_request"] = self.answer(options.get("process_request"))
-            options["max_size"] = LARGEST_MESSAGE
+            options["max_size"] = _LARGEST_MESSAGE
 
             async def heard(connection: ServerConnection) -> None:
-                await handler(Sifting(connection, sifted))  # type: ignore[arg-type]
+                await handler(_Sifting(connection, sifted))  # type: ignore[arg-type]
 
             return serve(heard, *arguments, **options)
 
-        with START:
+        with _START:
             websockets.asyncio.server.serve = guarded  # type: ignore[assignment, misc]
             try:
                 yield
@@ -306,13 +306,13 @@ class Access:
         """
         ours = urlsplit(self.address_at(self.probe)).netloc
         query = f"?token={self.token}" if self.token else ""
-        foreign = {"Origin": f"http://{FOREIGN}"}, {"Host": f"{FOREIGN}:{self.port}"}
+        foreign = {"Origin": f"http://{_FOREIGN}"}, {"Host": f"{_FOREIGN}:{self.port}"}
         refused = [({"Host": ours, **headers}, query) for headers in foreign]
         if self.token:
             refused.append(({"Host": ours}, ""))
         wanted = [(headers, target, (403, 403)) for headers, target in refused]
         for headers, target, codes in (*wanted, ({"Host": ours}, query, (200, 101))):
-            found = self.status(headers, target), self.status({**headers, **UPGRADE}, target)
+            found = self.status(headers, target), self.status({**headers, **_UPGRADE}, target)
             if found != codes:
                 raise AccessError(
                     f"viser {viser.__version__} does not let the page be guarded: a request with"
@@ -322,7 +322,7 @@ class Access:
 
     def status(self, headers: dict[str, str], target: str) -> int:
         """Code with which a request is answered."""
-        line = http.client.HTTPConnection(self.probe, self.port, timeout=PATIENCE)
+        line = http.client.HTTPConnection(self.probe, self.port, timeout=_PATIENCE)
         try:
             line.putrequest("GET", f"/{target}", skip_host=True, skip_accept_encoding=True)
             for name, value in headers.items():
@@ -335,7 +335,7 @@ class Access:
             line.close()
 
 
-class Sifting:
+class _Sifting:
     """A connection whose messages are looked at before viser gets them."""
 
     def __init__(
@@ -355,7 +355,7 @@ class Sifting:
                 return found
 
 
-UPGRADE: Final = {
+_UPGRADE: Final = {
     "Connection": "Upgrade",
     "Upgrade": "websocket",
     "Sec-WebSocket-Version": "13",
@@ -364,6 +364,6 @@ UPGRADE: Final = {
 }
 
 
-def coded(text: str) -> bytes:
+def _coded(text: str) -> bytes:
     """Bytes of a header."""
     return text.encode("utf-8", "surrogateescape")

@@ -11,8 +11,8 @@ from particlerb.view.forms import rotation_matrix
 from particlerb.view.session import Session
 from particlerb.view.stage import Stage
 
-MOST_POINTS: Final = 600  # of a trail
-NONE: Final = np.zeros((0, 3))
+_MOST_POINTS: Final = 600  # of a trail
+_NONE: Final = np.zeros((0, 3))
 
 
 class Arrows:
@@ -30,7 +30,7 @@ class Arrows:
 
     def __init__(self, stage: Stage, shown: dict[str, Any]) -> None:
         self.stage, self.shown = stage, shown
-        self.trail: deque[Floats] = deque(maxlen=MOST_POINTS)
+        self.trail: deque[Floats] = deque(maxlen=_MOST_POINTS)
         self.forget()
 
     def forget(self) -> None:
@@ -47,18 +47,18 @@ class Arrows:
         self.draw_rate("L", motion.angular_momentum, 1.5, motion.position)
         stage = self.stage
         axes = (R @ rotation_matrix(rotor_frame)).T * 0.85 * stage.size
-        stage.point("axes", motion.position, axes if self.shown["axes"].value else NONE, 0.5)
+        stage.point("axes", motion.position, axes if self.shown["axes"].value else _NONE, 0.5)
         gap = 0.005 * stage.size * stage.unit
         if not self.trail or np.linalg.norm(place - self.trail[-1]) > gap:
             self.trail.append(place)
-        stage.draw_trail(np.array(self.trail) if self.shown["trail"].value else NONE)
+        stage.draw_trail(np.array(self.trail) if self.shown["trail"].value else _NONE)
 
     def draw_force(self, session: Session, place: Floats) -> None:
         """The last force, at its point; it stays where it was when the push has ended."""
         stage = self.stage
         applied = session.applied[-1] if session.applied else None
         if applied is None or not self.shown["force"].value:
-            stage.point("force", place, NONE)
+            stage.point("force", place, _NONE)
         elif session.time <= applied.stop or "force" not in stage.arrows or not self.trail:
             F = np.array(applied.push.vector)
             length = 0.8 * stage.size * F / np.linalg.norm(F)
@@ -70,4 +70,4 @@ class Arrows:
         largest = self.largest[name] = max(self.largest[name], size)
         arrow = reach * self.stage.size * value / max(largest, 1e-300)
         is_shown = self.shown[name].value and size > 1e-12 * largest
-        self.stage.point(name, place, arrow[None] if is_shown else NONE, 1.3 - 0.4 * reach)
+        self.stage.point(name, place, arrow[None] if is_shown else _NONE, 1.3 - 0.4 * reach)

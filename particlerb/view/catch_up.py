@@ -25,7 +25,7 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def continues(traveller: GroupRun, plan: GroupPlan, time: float) -> bool:
+def _continues(traveller: GroupRun, plan: GroupPlan, time: float) -> bool:
     """Whether a group that went on by its old plan until a time has gone on by the new one."""
     n = traveller.number + 1
     was, now = traveller.plan.segments[:n], plan.segments[:n]
@@ -44,7 +44,7 @@ def catch_up(run: Run, before: Run | None, frames: Floats, time: float) -> None:
     fresh = []
     for k, traveller in enumerate(run.travellers):
         old = known.get(traveller.plan.members.tobytes())
-        if before and old and continues(old, traveller.plan, time):
+        if before and old and _continues(old, traveller.plan, time):
             old.plan = traveller.plan
             run.travellers[k] = old
             run.last[old.plan.members] = before.last[old.plan.members]

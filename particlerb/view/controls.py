@@ -6,17 +6,17 @@ import numpy as np
 
 from particlerb.view.page import Page
 
-DIRECTIONS: Final = (
+_DIRECTIONS: Final = (
     "along the view", "into the surface", "+x", "-x", "+y", "-y", "+z", "-z",
 )  # fmt: skip
-ALONG_VIEW, INTO_SURFACE = DIRECTIONS[:2]
+ALONG_VIEW, INTO_SURFACE = _DIRECTIONS[:2]
 AXES: Final = {
     sign + axis: tuple((1.0 if sign == "+" else -1.0) * (k == i) for i in range(3))
     for sign in "+-"
     for k, axis in enumerate("xyz")
 }
-COLOURS: Final = ("#d1495b", "#2e8b57", "#1f6fb5")
-SHOWN: Final = {"force": "last force", "omega": "ω", "L": "L", "axes": "principal axes",
+_COLOURS: Final = ("#d1495b", "#2e8b57", "#1f6fb5")
+_SHOWN: Final = {"force": "last force", "omega": "ω", "L": "L", "axes": "principal axes",
                 "trail": "trail of the point"}  # fmt: skip
 
 
@@ -30,7 +30,7 @@ class Controls:
         self.run = gui.add_button_group("time", ["run / pause", "step", "reset"])
         page.add_speed_field()
         with gui.add_folder("show", expand_by_default=False):
-            self.shown = {key: gui.add_checkbox(label, True) for key, label in SHOWN.items()}
+            self.shown = {key: gui.add_checkbox(label, True) for key, label in _SHOWN.items()}
             self.shown["follow"] = gui.add_checkbox("camera stays on the body", False)
         self.rates = chart(gui, "ω of the body, world axes  rad/s", ("x", "y", "z"))
         self.energy = chart(gui, "energy of the scene  J", ("kinetic", "total"))
@@ -49,7 +49,7 @@ class Controls:
                 False,
                 hint="the impulse force × duration at one instant, as in the paper",
             )
-            self.direction = gui.add_dropdown("direction", DIRECTIONS)
+            self.direction = gui.add_dropdown("direction", _DIRECTIONS)
             self.point = gui.add_text(
                 "point [m]", "0.2, 0.2, -0.5", hint="in the body, from the centre of mass"
             )
@@ -66,7 +66,7 @@ def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:
     empty = tuple(np.zeros(1) for _ in range(len(labels) + 1))
     lines = [
         {"label": label, "stroke": colour, "width": 1.5}
-        for label, colour in zip(labels, COLOURS, strict=False)
+        for label, colour in zip(labels, _COLOURS, strict=False)
     ]
     return gui.add_uplot(
         empty,

@@ -20,9 +20,9 @@ from particlerb.view.forms import rotation_matrix
 from particlerb.view.session import AppliedPush
 
 MOST_DIGITS: Final = 17  # that a float64 needs to be told from all others
-NARROW: Final = 6  # digits up to which three numbers stand side by side
-MORE: Final = "…"
-STYLE: Final = """<style>
+_NARROW: Final = 6  # digits up to which three numbers stand side by side
+_MORE: Final = "…"
+_STYLE: Final = """<style>
 .pb{font:11.5px/1.5 ui-monospace,SFMono-Regular,Menlo,Consolas,monospace}
 .pb{color:#1b1f24;padding:0 14px 8px 8px}
 .pb b{font:600 13px system-ui,sans-serif}
@@ -79,7 +79,7 @@ def shown(value: float, digits: int) -> str:
     if value == 0.0:
         return "0"  # of either sign
     rounded = f"{value:#.{digits}g}"  # with the zeros that are digits too
-    return repr(value) if float(rounded) == value else f"{rounded}{MORE}"
+    return repr(value) if float(rounded) == value else f"{rounded}{_MORE}"
 
 
 def euler_deg(q: Floats) -> Floats:
@@ -154,7 +154,7 @@ def hand_part(system: System, applied: AppliedPush, motion: BodyMotion) -> Figur
     hand_P = applied.linear_momentum + J
     mass = float(system.bodies.mass[b])
     rows: list[Row] = []
-    moments = hand_moments(system.body[system.block[b]].shape, mass)
+    moments = _hand_moments(system.body[system.block[b]].shape, mass)
     if moments is not None:
         rows += beside("I", "I  kg m²", moments, np.diag(inertia_in_body(system.bodies, b)))
     rows += beside("L", "L  kg m²/s", hand_L, motion.angular_momentum)
@@ -164,7 +164,7 @@ def hand_part(system: System, applied: AppliedPush, motion: BodyMotion) -> Figur
     return FigurePart("by hand, and by the solver", tuple(rows))
 
 
-def hand_moments(shape: AnyShape | None, mass: float) -> Floats | None:
+def _hand_moments(shape: AnyShape | None, mass: float) -> Floats | None:
     """Moments of a solid box M (b² + c²)/12, for a cube M a²/6 [kg m²]; None for other shapes."""
     if not isinstance(shape, Box):
         return None
@@ -191,21 +191,21 @@ def row(key: str, label: str, values: Iterable[float]) -> Row:
 
 def table(title: str, parts: Iterable[FigurePart], digits: int) -> str:
     """HTML of quantities; the numbers of each lie in elements that carry its key."""
-    lines = [STYLE, f'<div class="pb" style="display:block"><b>{html.escape(title)}</b>']
+    lines = [_STYLE, f'<div class="pb" style="display:block"><b>{html.escape(title)}</b>']
     for part in parts:
         lines.append(f"<h4>{html.escape(part.title)}</h4>")
-        lines += [html_row(one, 2 if one.key.startswith("diff") else digits) for one in part.rows]
+        lines += [_html_row(one, 2 if one.key.startswith("diff") else digits) for one in part.rows]
     return "".join([*lines, "</div>"])
 
 
-def html_row(one: Row, digits: int) -> str:
+def _html_row(one: Row, digits: int) -> str:
     """One quantity: side by side while there is room, else one below the other."""
-    texts = [shown(value, digits).replace(MORE, f"<i>{MORE}</i>") for value in one.values]
-    if digits > NARROW:
+    texts = [shown(value, digits).replace(_MORE, f"<i>{_MORE}</i>") for value in one.values]
+    if digits > _NARROW:
         texts = ["<br>".join(texts)]
     begins = ' class="t"' if one.key.startswith("hand_") else ""
     is_long = len(texts) > 3
     label = f"<u{' class=s' if is_long else ''}>{html.escape(one.label)}</u>"
     cells = "".join(f'<span data-key="{one.key}">{text}</span>' for text in texts)
-    empty = "<span></span>" * (3 - len(texts)) if digits <= NARROW else ""
+    empty = "<span></span>" * (3 - len(texts)) if digits <= _NARROW else ""
     return f"<div{begins}>{label}{cells}{empty}</div>"

@@ -23,12 +23,12 @@ from particlerb.model.system import System
 
 trimesh: Any = import_module("trimesh")  # untyped in parts
 
-MARKER: Final = 0.08  # radius of a particle without one, in units of the body's extent
-THICKNESS: Final = 0.02  # of a rod, in units of its length
-PLANE: Final = 2.0  # size of a plane that is shown, in units of the scene
-MANY: Final = 10_000  # copies of which each is coarse
-ROUND: Final = 48  # facets around a cylinder
-PARALLEL: Final = 1e-14  # |det| of a ray beside a triangle, relative
+_MARKER: Final = 0.08  # radius of a particle without one, in units of the body's extent
+_THICKNESS: Final = 0.02  # of a rod, in units of its length
+_PLANE: Final = 2.0  # size of a plane that is shown, in units of the scene
+_MANY: Final = 10_000  # copies of which each is coarse
+_ROUND: Final = 48  # facets around a cylinder
+_PARALLEL: Final = 1e-14  # |det| of a ray beside a triangle, relative
 
 
 class SurfaceMesh(NamedTuple):
@@ -43,7 +43,7 @@ class SurfaceMesh(NamedTuple):
         return self._replace(vertices=self.vertices @ R.T + shift)
 
 
-class Form(NamedTuple):
+class _Form(NamedTuple):
     """Surface of one kind of body."""
 
     mesh: SurfaceMesh  # what is shown
@@ -59,7 +59,7 @@ class Form(NamedTuple):
         return float(max(far, balls.max(initial=0.0)))
 
 
-class Layer(NamedTuple):
+class _Layer(NamedTuple):
     """Copies of one mesh, one on each of some bodies: drawn together."""
 
     mesh: SurfaceMesh
@@ -82,28 +82,28 @@ class Surfaces:
 
     def __init__(self, system: System) -> None:
         self.system = system
-        self.known: dict[int, Form] = {}
-        self.layers: list[Layer] = []
+        self.known: dict[int, _Form] = {}
+        self.layers: list[_Layer] = []
         self.reach: Floats = np.zeros(system.n_bodies)  # radius of a ball that holds each [m]
         for i in range(len(system.body)):
             own = np.flatnonzero(system.block == i)
             kinds, of_body = np.unique(system.kind[own], return_inverse=True)
             self.reach[own] = np.array([self.form(kind).reach for kind in kinds])[of_body]
             if kinds.size == 1:
-                self.layers.append(Layer(self.form(kinds[0]).mesh, own, None, None))
+                self.layers.append(_Layer(self.form(kinds[0]).mesh, own, None, None))
             else:
                 axes = np.array([equal_ellipsoid(system, b) for b in own.tolist()])
                 frame = system.bodies.rotor_frame[:, own]
-                self.layers.append(Layer(ball(1.0, own.size), own, frame, axes))
+                self.layers.append(_Layer(ball(1.0, own.size), own, frame, axes))
 
-    def form(self, kind: int) -> Form:
+    def form(self, kind: int) -> _Form:
         """Surface of a kind of body."""
         kind = int(kind)
         if kind not in self.known:
             first = int(np.argmax(self.system.kind == kind))
             body = self.system.body[self.system.block[first]]
             if body.count > 1 and body.shape is not None and body.shape.type == "cloud":
-                self.known[kind] = ellipsoid_form(self.system, first)
+                self.known[kind] = _ellipsoid_form(self.system, first)
             else:
                 copies = int(np.count_nonzero(self.system.kind == kind))
                 self.known[kind] = form_of(self.system, body, kind, copies)
@@ -140,14 +140,14 @@ class Surfaces:
         return best
 
 
-def meet(form: Form, start: Floats, way: Floats) -> tuple[float, Floats] | None:
+def meet(form: _Form, start: Floats, way: Floats) -> tuple[float, Floats] | None:
     """Distance to the first point of a form in front of a ray, and the outward normal there."""
-    found = [*meet_triangles(form.corners, start, way)]
-    found += meet_ellipsoids(form.centre, form.semi_axes, start, way)
+    found = [*_meet_triangles(form.corners, start, way)]
+    found += _meet_ellipsoids(form.centre, form.semi_axes, start, way)
     return min(found, key=lambda one: one[0], default=None)
 
 
-def meet_triangles(corners: Floats, start: Floats, way: Floats) -> list[tuple[float, Floats]]:
+def _meet_triangles(corners: Floats, start: Floats, way: Floats) -> list[tuple[float, Floats]]:
     """Nearest triangle that a ray meets from either side, its normal against the ray.
 
     Source: Möller and Trumbore, J. Graphics Tools 2, 21 (1997).
@@ -163,7 +163,7 @@ def meet_triangles(corners: Floats, start: Floats, way: Floats) -> list[tuple[fl
         q = np.cross(s, edge_1)
         u, v = np.einsum("ij,ij->i", s, p) / det, (q @ way) / det
         t = np.einsum("ij,ij->i", edge_2, q) / det
-        inside = (np.abs(det) > PARALLEL * scale) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
+        inside = (np.abs(det) > _PARALLEL * scale) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
     if not inside.any():
         return []
     k = int(np.argmin(np.where(inside, t, np.inf)))
@@ -172,7 +172,7 @@ def meet_triangles(corners: Floats, start: Floats, way: Floats) -> list[tuple[fl
     return [(float(t[k]), -normal if normal @ way > 0.0 else normal)]
 
 
-def meet_ellipsoids(
+def _meet_ellipsoids(
     centre: Floats, semi_axes: Floats, start: Floats, way: Floats
 ) -> list[tuple[float, Floats]]:
     """Nearest ellipsoid that a ray meets from outside."""
@@ -191,16 +191,16 @@ def meet_ellipsoids(
     return [(float(t[k]), normal / np.linalg.norm(normal))]
 
 
-def form_of(system: System, body: Body, kind: int, copies: int) -> Form:
+def form_of(system: System, body: Body, kind: int, copies: int) -> _Form:
     """Surface of the bodies of a record."""
     com = system.properties.com[kind]
     shapes = [(body.shape, np.eye(3), np.zeros(3))] if body.shape is not None else []
     for part in body.part:
-        shapes.append((part.shape, rotation_of(part.orientation), np.array(part.position)))
+        shapes.append((part.shape, _rotation_of(part.orientation), np.array(part.position)))
     forms = [solid(system.files, shape, R, place - com, copies) for shape, R, place in shapes]
     known = [form for form in forms if form is not None]
     if len(known) < len(forms):
-        return particles_form(system, body, kind, copies)
+        return _particles_form(system, body, kind, copies)
     return together(known)
 
 
@@ -209,13 +209,13 @@ def rotation_matrix(q: Floats) -> Floats:
     return rotate(np.tile(q[:, None], 3), np.eye(3))
 
 
-def rotation_of(given: Euler | tuple[float, ...]) -> Floats:
+def _rotation_of(given: Euler | tuple[float, ...]) -> Floats:
     """Matrix (3, 3) of an orientation."""
     q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
     return rotation_matrix(normalised(q))
 
 
-def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> Form | None:
+def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _Form | None:
     """Surface of a shape where it stands in its body; None for loose particles."""
     kind, own = shape.type, shape
     round_axes: dict[str, Callable[[], Floats]] = {
@@ -229,59 +229,59 @@ def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> Fo
         mesh = mesh._replace(vertices=mesh.vertices * axes).moved(R, shift)
         is_aligned = np.ptp(axes) == 0.0 or np.array_equal(R, np.eye(3))
         if is_aligned:
-            return Form(mesh, np.zeros((0, 3, 3)), shift[None], axes[None])
+            return _Form(mesh, np.zeros((0, 3, 3)), shift[None], axes[None])
         return triangles(mesh)
     if kind == "mesh":
         surface = read_mesh(files.read(own.file), own.scale)
         return triangles(SurfaceMesh(surface.vertices, surface.faces).moved(R, shift))
     if kind == "points" and own.radius is not None and all(own.radius):
-        return balls_of(np.array(own.position) @ R.T + shift, np.array(own.radius), copies)
+        return _balls_of(np.array(own.position) @ R.T + shift, np.array(own.radius), copies)
     made: dict[str, Callable[[], Any]] = {
         "box": lambda: trimesh.creation.box(extents=own.size),
-        "cylinder": lambda: hollow(own.radius, own.inner_radius, own.height),
-        "cone": lambda: trimesh.creation.cone(own.radius, own.height, sections=ROUND),
+        "cylinder": lambda: _hollow(own.radius, own.inner_radius, own.height),
+        "cone": lambda: trimesh.creation.cone(own.radius, own.height, sections=_ROUND),
         "torus": lambda: trimesh.creation.torus(own.major_radius, own.minor_radius),
         "tetrahedron": lambda: trimesh.convex.convex_hull(np.array(own.vertices)),
-        "rod": lambda: trimesh.creation.cylinder(THICKNESS * own.length, own.length, sections=12),
+        "rod": lambda: trimesh.creation.cylinder(_THICKNESS * own.length, own.length, sections=12),
     }
     return (
-        triangles(as_mesh(made[kind](), kind == "torus").moved(R, shift)) if kind in made else None
+        triangles(_as_mesh(made[kind](), kind == "torus").moved(R, shift)) if kind in made else None
     )
 
 
-def hollow(radius: float, inner: float, height: float) -> Any:
+def _hollow(radius: float, inner: float, height: float) -> Any:
     """Cylinder about z, with or without a bore."""
     if inner > 0.0:
-        return trimesh.creation.annulus(inner, radius, height, sections=ROUND)
-    return trimesh.creation.cylinder(radius, height, sections=ROUND)
+        return trimesh.creation.annulus(inner, radius, height, sections=_ROUND)
+    return trimesh.creation.cylinder(radius, height, sections=_ROUND)
 
 
-def as_mesh(made: Any, is_smooth: bool = False) -> SurfaceMesh:
+def _as_mesh(made: Any, is_smooth: bool = False) -> SurfaceMesh:
     """Triangles of trimesh."""
     return SurfaceMesh(np.array(made.vertices, dtype=np.float64), np.array(made.faces), is_smooth)
 
 
-def triangles(mesh: SurfaceMesh) -> Form:
+def triangles(mesh: SurfaceMesh) -> _Form:
     """Form that a ray meets where its triangles are."""
     none = np.zeros((0, 3))
-    return Form(mesh, mesh.vertices[mesh.faces], none, none)
+    return _Form(mesh, mesh.vertices[mesh.faces], none, none)
 
 
 def ball(radius: float, copies: int) -> SurfaceMesh:
     """Ball of as many triangles as the number of copies allows."""
     fineness = 4 if copies <= 10 else 3 if copies <= 200 else 2 if copies <= 2000 else 1
-    return as_mesh(trimesh.creation.icosphere(subdivisions=fineness, radius=radius), True)
+    return _as_mesh(trimesh.creation.icosphere(subdivisions=fineness, radius=radius), True)
 
 
-def particles_form(system: System, body: Body, kind: int, copies: int) -> Form:
+def _particles_form(system: System, body: Body, kind: int, copies: int) -> _Form:
     """A body of loose particles: their balls; six particles with given moments as an octahedron."""
     own = slice(system.particles.offset[kind], system.particles.offset[kind + 1])
     place, radius = system.particles.position[own], system.particles.radius[own].copy()
     if radius.any():
         place, radius = place[radius > 0.0], radius[radius > 0.0]
     extent = float(np.linalg.norm(place, axis=1).max())
-    radius[radius == 0.0] = MARKER * extent if extent > 0.0 else 1.0
-    form = balls_of(place, radius, copies)
+    radius[radius == 0.0] = _MARKER * extent if extent > 0.0 else 1.0
+    form = _balls_of(place, radius, copies)
     if body.shape is not None and body.shape.type == "moments":
         axes = np.abs(place).max(axis=0) * 0.999
         corners = np.concatenate([np.diag(axes), -np.diag(axes)])
@@ -299,25 +299,25 @@ def equal_ellipsoid(system: System, b: int) -> Floats:
     return np.asarray(np.sqrt(np.maximum(squares, 1e-4 * largest)))
 
 
-def ellipsoid_form(system: System, b: int) -> Form:
+def _ellipsoid_form(system: System, b: int) -> _Form:
     """A body that shares its shape with no other, as the ellipsoid with its mass and moments."""
-    unit = ball(1.0, MANY)
+    unit = ball(1.0, _MANY)
     R = rotation_matrix(system.bodies.rotor_frame[:, b])
     mesh = unit._replace(vertices=unit.vertices * equal_ellipsoid(system, b))
     return triangles(mesh.moved(R, np.zeros(3)))
 
 
-def balls_of(place: Floats, radius: Floats, copies: int) -> Form:
+def _balls_of(place: Floats, radius: Floats, copies: int) -> _Form:
     """Balls as one form."""
     unit = ball(1.0, copies * len(place))
     meshes = [
         unit._replace(vertices=r * unit.vertices + x) for x, r in zip(place, radius, strict=True)
     ]
-    mesh = joined(meshes)
-    return Form(mesh, np.zeros((0, 3, 3)), place, np.tile(radius[:, None], 3))
+    mesh = _joined(meshes)
+    return _Form(mesh, np.zeros((0, 3, 3)), place, np.tile(radius[:, None], 3))
 
 
-def joined(meshes: Sequence[SurfaceMesh]) -> SurfaceMesh:
+def _joined(meshes: Sequence[SurfaceMesh]) -> SurfaceMesh:
     """Several meshes as one."""
     shift = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
     faces = [mesh.faces + n for mesh, n in zip(meshes, shift[:-1], strict=True)]
@@ -325,12 +325,12 @@ def joined(meshes: Sequence[SurfaceMesh]) -> SurfaceMesh:
     return SurfaceMesh(vertices, np.concatenate(faces), all(mesh.is_smooth for mesh in meshes))
 
 
-def together(forms: Sequence[Form]) -> Form:
+def together(forms: Sequence[_Form]) -> _Form:
     """Several forms as one."""
     if len(forms) == 1:
         return forms[0]
-    mesh = joined([form.mesh for form in forms])
-    return Form(mesh, *(np.concatenate([form[k] for form in forms]) for k in (1, 2, 3)))
+    mesh = _joined([form.mesh for form in forms])
+    return _Form(mesh, *(np.concatenate([form[k] for form in forms]) for k in (1, 2, 3)))
 
 
 def walls_of(system: System, size: float) -> list[SurfaceMesh]:
@@ -341,22 +341,22 @@ def walls_of(system: System, size: float) -> list[SurfaceMesh]:
             z = np.array(wall.normal) / np.linalg.norm(wall.normal)
             x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
             x = x / np.linalg.norm(x)
-            y, half = np.cross(z, x), 0.5 * PLANE * size
+            y, half = np.cross(z, x), 0.5 * _PLANE * size
             corners = [a * half * x + b * half * y for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
             mesh = SurfaceMesh(np.array(corners) + wall.point, np.array([[0, 1, 2], [0, 2, 3]]))
         elif wall.type == "box":
             lower, upper = np.array(wall.lower), np.array(wall.upper)
-            mesh = as_mesh(trimesh.creation.box(extents=upper - lower))
+            mesh = _as_mesh(trimesh.creation.box(extents=upper - lower))
             mesh = mesh.moved(np.eye(3), 0.5 * (lower + upper))
         elif wall.type == "cylinder":
             axis = np.array(wall.axis) / np.linalg.norm(wall.axis)
             R = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], axis)[:3, :3]
-            made = trimesh.creation.cylinder(wall.radius, wall.length, sections=ROUND)
-            mesh = as_mesh(made).moved(R, np.array(wall.centre))
+            made = trimesh.creation.cylinder(wall.radius, wall.length, sections=_ROUND)
+            mesh = _as_mesh(made).moved(R, np.array(wall.centre))
         else:
             vertices, faces = triangles_of(system.files.read(wall.file))
             mesh = SurfaceMesh(wall.scale * vertices, faces)
-            mesh = mesh.moved(rotation_of(wall.orientation), np.array(wall.position))
+            mesh = mesh.moved(_rotation_of(wall.orientation), np.array(wall.position))
         found.append(mesh)
     return found
 

@@ -31,11 +31,11 @@ from particlerb.view.session import (
     decimals,
 )
 
-CHARTS: Final = 0.25  # [s] between two charts
-BUSY: Final = 0.05  # [s] that one update may compute
-MOST_POINTS: Final = 600  # of a chart
-COMFORTABLE: Final = (1.0, 60.0)  # [s] that a case lasts whose clock runs as ours does
-WATCHED: Final = 20.0  # [s] in which any other case is over
+_CHARTS: Final = 0.25  # [s] between two charts
+_BUSY: Final = 0.05  # [s] that one update may compute
+_MOST_POINTS: Final = 600  # of a chart
+_COMFORTABLE: Final = (1.0, 60.0)  # [s] that a case lasts whose clock runs as ours does
+_WATCHED: Final = 20.0  # [s] in which any other case is over
 MOST_SAVED: Final = 100  # sessions that are written before a new start
 
 
@@ -56,8 +56,8 @@ class Live(Page):
         self.session, self.written = Session(system), 0
         super().__init__(server, system, path)
         length = system.run.t_end
-        is_ours = COMFORTABLE[0] <= length <= COMFORTABLE[1]
-        self.speed = 1.0 if is_ours else float(f"{length / WATCHED:.1g}")
+        is_ours = _COMFORTABLE[0] <= length <= _COMFORTABLE[1]
+        self.speed = 1.0 if is_ours else float(f"{length / _WATCHED:.1g}")
         self.controls = Controls(self)
         self.arrows = Arrows(self.stage, self.controls.shown)
         self.controls.gravity.value = self.session.has_gravity
@@ -72,7 +72,7 @@ class Live(Page):
         self.saved = self.session.raw["force"]  # what need not be saved
         self.arm = self.corner()
         self.arrows.forget()
-        self.history: deque[tuple[float, ...]] = deque(maxlen=MOST_POINTS)
+        self.history: deque[tuple[float, ...]] = deque(maxlen=_MOST_POINTS)
         self.reference: tuple[float, float] | None = None  # energy error, |L| after the push
         self.next_figures = self.next_charts = 0.0
 
@@ -250,8 +250,8 @@ class Live(Page):
     def advance(self, elapsed: float) -> None:
         """Let the motion go on for some seconds of the clock on the wall."""
         wanted = elapsed * self.speed
-        if self.cost * wanted > BUSY:
-            wanted = BUSY / self.cost
+        if self.cost * wanted > _BUSY:
+            wanted = _BUSY / self.cost
         self.clock += wanted
         places = decimals(min(0.02 * self.session.every, wanted))
         target = round(self.clock, places)
@@ -284,7 +284,7 @@ class Live(Page):
             self.next_figures = now + FIGURES
             self.write(motion)
         if now >= self.next_charts and len(self.history) > 1:
-            self.next_charts = now + CHARTS
+            self.next_charts = now + _CHARTS
             columns = np.array(self.history).T.copy()
             self.controls.rates.data = tuple(columns[:4])
             self.controls.energy.data = (columns[0], columns[4], columns[5])

@@ -12,58 +12,58 @@ from typing import Annotated, Any, Final
 import msgspec
 import viser
 
-LONGEST_TEXT: Final = 300  # characters of a field
-LARGEST_NUMBER: Final = 1e30  # of a camera or a ray, in units of the page
-MOST_PIXELS: Final = 4_000_000  # of a picture
-MOST_BYTES: Final = 10_000  # of a message that is no picture
+_LONGEST_TEXT: Final = 300  # characters of a field
+_LARGEST_NUMBER: Final = 1e30  # of a camera or a ray, in units of the page
+_MOST_PIXELS: Final = 4_000_000  # of a picture
+_MOST_BYTES: Final = 10_000  # of a message that is no picture
 
 Pair = tuple[float, float]
-Triple = tuple[float, float, float]
-Pixels = Annotated[int, msgspec.Meta(ge=0, le=100_000)]
-Word = Annotated[str, msgspec.Meta(max_length=100)]
+_Triple = tuple[float, float, float]
+_Pixels = Annotated[int, msgspec.Meta(ge=0, le=100_000)]
+_Word = Annotated[str, msgspec.Meta(max_length=100)]
 
 
-class Camera(msgspec.Struct, forbid_unknown_fields=True, tag="ViewerCameraMessage"):
+class _Camera(msgspec.Struct, forbid_unknown_fields=True, tag="ViewerCameraMessage"):
     """Where someone looks from."""
 
     wxyz: tuple[float, float, float, float]
-    position: Triple
+    position: _Triple
     fov: float
     near: float
     far: float
-    image_height: Pixels
-    image_width: Pixels
-    look_at: Triple
-    up_direction: Triple
+    image_height: _Pixels
+    image_width: _Pixels
+    look_at: _Triple
+    up_direction: _Triple
 
 
-class Click(msgspec.Struct, forbid_unknown_fields=True, tag="SceneNodeClickMessage"):
+class _Click(msgspec.Struct, forbid_unknown_fields=True, tag="SceneNodeClickMessage"):
     """A ray through a body."""
 
-    name: Word
+    name: _Word
     instance_index: Annotated[int, msgspec.Meta(ge=0, lt=2**31)] | None
-    ray_origin: Triple
-    ray_direction: Triple
+    ray_origin: _Triple
+    ray_direction: _Triple
     screen_pos: Pair
-    modifier: Word | None = None
-    owner: Word = ""
+    modifier: _Word | None = None
+    owner: _Word = ""
 
 
 class Update(msgspec.Struct, forbid_unknown_fields=True, tag="GuiUpdateMessage"):
     """What a field or a button says."""
 
-    uuid: Word
-    updates: dict[Word, Any]
+    uuid: _Word
+    updates: dict[_Word, Any]
 
 
-class Picture(msgspec.Struct, forbid_unknown_fields=True, tag="GetRenderResponseMessage"):
+class _Picture(msgspec.Struct, forbid_unknown_fields=True, tag="GetRenderResponseMessage"):
     """What someone sees."""
 
     payload: bytes
-    render_uuid: Word
+    render_uuid: _Word
 
 
-MESSAGES: Final = msgspec.msgpack.Decoder(Camera | Click | Update | Picture)
+_MESSAGES: Final = msgspec.msgpack.Decoder(_Camera | _Click | Update | _Picture)
 
 
 class Sieve:
@@ -77,30 +77,30 @@ class Sieve:
         if self.server is None or isinstance(raw, str):
             return None
         try:
-            message = MESSAGES.decode(raw)
-            if not (isinstance(message, Picture) or len(raw) <= MOST_BYTES):
+            message = _MESSAGES.decode(raw)
+            if not (isinstance(message, _Picture) or len(raw) <= _MOST_BYTES):
                 return None
             return msgspec.msgpack.encode(message) if self.takes(message) else None
         except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError):
             return None
 
-    def takes(self, message: Camera | Click | Update | Picture) -> bool:
+    def takes(self, message: _Camera | _Click | Update | _Picture) -> bool:
         """Whether the values of a message can be, for what is on the page."""
         match message:
-            case Picture():
-                return is_picture(message.payload)
+            case _Picture():
+                return _is_picture(message.payload)
             case Update():
                 return self.takes_update(message)
-            case Click():
+            case _Click():
                 assert self.server is not None
                 return (
-                    are_numbers((*message.ray_origin, *message.ray_direction, *message.screen_pos))
+                    _are_numbers((*message.ray_origin, *message.ray_direction, *message.screen_pos))
                     and any(message.ray_direction)
                     and self.server.scene.get_handle_by_name(message.name) is not None
                 )
-        return are_numbers(
+        return _are_numbers(
             (*message.wxyz, *message.position, *message.look_at, *message.up_direction)
-        ) and are_numbers((message.fov, message.near, message.far))
+        ) and _are_numbers((message.fov, message.near, message.far))
 
     def takes_update(self, message: Update) -> bool:
         """Whether a field is there and can have this value, and nothing but a value is set."""
@@ -111,7 +111,7 @@ class Sieve:
         value = message.updates["value"]
         match field:
             case viser.GuiTextHandle():
-                return isinstance(value, str) and len(value) <= LONGEST_TEXT
+                return isinstance(value, str) and len(value) <= _LONGEST_TEXT
             case viser.GuiCheckboxHandle() | viser.GuiButtonHandle():
                 return isinstance(value, bool)
             case viser.GuiDropdownHandle() | viser.GuiButtonGroupHandle():
@@ -125,17 +125,17 @@ class Sieve:
         return False
 
 
-def are_numbers(values: tuple[float, ...]) -> bool:
+def _are_numbers(values: tuple[float, ...]) -> bool:
     """Whether all are finite and of a size that a screen can have to do with."""
-    return all(math.isfinite(value) and abs(value) <= LARGEST_NUMBER for value in values)
+    return all(math.isfinite(value) and abs(value) <= _LARGEST_NUMBER for value in values)
 
 
-def is_picture(data: bytes) -> bool:
+def _is_picture(data: bytes) -> bool:
     """Whether these are the bytes of a JPEG of a size that was asked for; only its head is read."""
     from PIL import Image
 
     try:
         with Image.open(io.BytesIO(data), formats=("JPEG",)) as image:
-            return 0 < image.width * image.height <= MOST_PIXELS
+            return 0 < image.width * image.height <= _MOST_PIXELS
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
         return False

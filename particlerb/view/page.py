@@ -23,12 +23,12 @@ from particlerb.view.stage import Stage
 
 UPDATES: Final = 60.0  # per second
 FIGURES: Final = 0.1  # [s] between two tables of numbers
-LONGEST_UPDATE: Final = 0.1  # [s] that an update goes on at most
-MOST_WAITING: Final = 1000  # clicks and changes that wait to be dealt with
-MOST_LISTED: Final = 60  # bodies among which one chooses from a list
-FASTEST: Final = 1e15  # simulated seconds per second, not reached
+_LONGEST_UPDATE: Final = 0.1  # [s] that an update goes on at most
+_MOST_WAITING: Final = 1000  # clicks and changes that wait to be dealt with
+_MOST_LISTED: Final = 60  # bodies among which one chooses from a list
+_FASTEST: Final = 1e15  # simulated seconds per second, not reached
 
-Action = Callable[[Any], object]
+_Action = Callable[[Any], object]
 
 
 class Page:
@@ -52,7 +52,7 @@ class Page:
 
     def __init__(self, server: viser.ViserServer, system: System, path: Path) -> None:
         self.server, self.system, self.path = server, system, path
-        self.commands: queue.SimpleQueue[tuple[Action, Any]] = queue.SimpleQueue()
+        self.commands: queue.SimpleQueue[tuple[_Action, Any]] = queue.SimpleQueue()
         self.is_running, self.is_over = True, False
         self.rate = UPDATES  # updates per second
         self.message, self.is_refusal = "", False
@@ -70,7 +70,7 @@ class Page:
     def add_body_field(self, **keys: Any) -> None:
         """The field that says which body is looked at."""
         gui: Any = self.server.gui
-        if len(self.names) <= MOST_LISTED:
+        if len(self.names) <= _MOST_LISTED:
             self.body_field = gui.add_dropdown("body", self.names, **keys)
         else:
             self.body_field = gui.add_text("body", self.names[0], hint="name, as clump[3]")
@@ -83,11 +83,11 @@ class Page:
 
     # The thread
 
-    def later(self, action: Action) -> Callable[[Any], Any]:
+    def later(self, action: _Action) -> Callable[[Any], Any]:
         """A callback that leaves an action to the thread that computes."""
 
         async def put(event: Any) -> None:
-            if self.commands.qsize() < MOST_WAITING:
+            if self.commands.qsize() < _MOST_WAITING:
                 self.commands.put((action, event))
 
         return put
@@ -122,10 +122,10 @@ class Page:
                 break
             self.attempt(action, event)
         if self.is_running:
-            self.attempt(self.advance, min(elapsed, LONGEST_UPDATE))
+            self.attempt(self.advance, min(elapsed, _LONGEST_UPDATE))
         self.show(time.monotonic())
 
-    def attempt(self, action: Action, argument: Any) -> None:
+    def attempt(self, action: _Action, argument: Any) -> None:
         """Do something that may be refused, and say why on the page."""
         try:
             action(argument)
@@ -154,7 +154,7 @@ class Page:
         """Take the speed of the field, if it is one."""
         del event
         speed = finite(self.speed_field.value, "speed")
-        if not 0.0 < speed < FASTEST:
+        if not 0.0 < speed < _FASTEST:
             raise ValueError(f"speed must be positive, got {speed!r}")
         self.speed = speed
         self.say("")

@@ -8,7 +8,7 @@ import tomlkit
 import particlerb
 from particlerb.view.session import Session
 
-NEAREST: Final = 80  # characters of a title that is quoted
+_NEAREST: Final = 80  # characters of a title that is quoted
 
 
 def recorded(session: Session) -> str:
@@ -37,7 +37,7 @@ def recorded(session: Session) -> str:
     document = tomlkit.document()
     for line in header(session, t_end):
         document.add(tomlkit.comment(line) if line else tomlkit.nl())
-    document.add("title", tomlkit.item(f"Session: {title[:NEAREST]}"))
+    document.add("title", tomlkit.item(f"Session: {title[:_NEAREST]}"))
     for key in ("run", *(key for key in raw if key != "run")):
         document.add(key, tomlkit.item(raw[key]))
     return tomlkit.dumps(document)

@@ -24,18 +24,18 @@ from particlerb.view.figures import motion_of, state_parts
 from particlerb.view.page import FIGURES, Page, note, write
 from particlerb.view.stage import COLOURS
 
-COLOURED_BY: Final = ("body", "speed", "energy")
-WATCHED: Final = 15.0  # [s] in which a file is played
+_COLOURED_BY: Final = ("body", "speed", "energy")
+_WATCHED: Final = 15.0  # [s] in which a file is played
 PICTURE: Final = (1280, 720)  # width and height of pictures
-MOST_PICTURES: Final = 300  # of a film
-FILM_RATE: Final = 25  # pictures per second
-PATIENCE: Final = 60.0  # [s] that a browser may take for a picture
-VIRIDIS: Final = np.array([
+_MOST_PICTURES: Final = 300  # of a film
+_FILM_RATE: Final = 25  # pictures per second
+_PATIENCE: Final = 60.0  # [s] that a browser may take for a picture
+_VIRIDIS: Final = np.array([
     (68, 1, 84), (72, 40, 120), (62, 74, 137), (49, 104, 142), (38, 130, 142), (31, 158, 137),
     (53, 183, 121), (109, 205, 89), (180, 222, 44), (253, 231, 37),
 ])  # fmt: skip
-NEEDED: Final = ("position", "orientation")
-MOMENTA: Final = ("linear_momentum", "angular_momentum")
+_NEEDED: Final = ("position", "orientation")
+_MOMENTA: Final = ("linear_momentum", "angular_momentum")
 
 
 class ReplayError(Exception):
@@ -50,7 +50,7 @@ def system_of(trajectory: Trajectory) -> System:
     ReplayError
         If fields or files are missing.
     """
-    lacking = [name for name in NEEDED if name not in trajectory.fields]
+    lacking = [name for name in _NEEDED if name not in trajectory.fields]
     if lacking:
         raise ReplayError(f"the file lacks {', '.join(lacking)}: see [output] fields")
     if not trajectory.n_frames:
@@ -90,8 +90,8 @@ class Replay(Page):
         self.is_new = True
         self.followed: int | None = None
         length = float(self.times[-1] - self.times[0])
-        self.speed = float(f"{max(length, 1e-300) / WATCHED:.2g}") or 1.0
-        self.has_momenta = set(MOMENTA) <= set(trajectory.fields)
+        self.speed = float(f"{max(length, 1e-300) / _WATCHED:.2g}") or 1.0
+        self.has_momenta = set(_MOMENTA) <= set(trajectory.fields)
         self.range: dict[str, tuple[float, float]] = {}
         self.make_controls()
         self.look_at_frame(0)
@@ -105,7 +105,7 @@ class Replay(Page):
         self.run = gui.add_button_group("time", ["play / pause", "back", "next"])
         self.slider = gui.add_slider("frame", 0, max(last, 1), 1, 0, visible=last > 0)
         self.add_speed_field()
-        by = COLOURED_BY if self.has_momenta else COLOURED_BY[:1]
+        by = _COLOURED_BY if self.has_momenta else _COLOURED_BY[:1]
         self.coloured = gui.add_dropdown("colour by", by)
         self.add_body_field()
         self.follow = gui.add_checkbox("camera stays on the body", False)
@@ -155,7 +155,7 @@ class Replay(Page):
         """Send the browser a PNG of what it shows."""
         import imageio.v3 as imageio
 
-        image = rendered(event)
+        image = _rendered(event)
         data = imageio.imwrite("<bytes>", image, extension=".png")
         name = f"{self.path.stem}_{self.frame}.png"
         event.client.send_file_download(name, data, save_immediately=True)
@@ -169,17 +169,19 @@ class Replay(Page):
         if form not in film_forms():
             raise ValueError(f"a film is one of {', '.join(film_forms())}")
         was, self.is_running = self.frame, False
-        n = min(len(self.times), MOST_PICTURES)
+        n = min(len(self.times), _MOST_PICTURES)
         frames = np.unique(np.linspace(0, len(self.times) - 1, n).astype(int))
         room = io.BytesIO()
         how: dict[str, Any] = {"format": form}
-        how |= {"fps": FILM_RATE} if form == "mp4" else {"duration": 1000.0 / FILM_RATE, "loop": 0}
+        how |= (
+            {"fps": _FILM_RATE} if form == "mp4" else {"duration": 1000.0 / _FILM_RATE, "loop": 0}
+        )
         with imageio.get_writer(room, **how) as film:
             for k in frames.tolist():
                 self.look_at_frame(k)
                 self.say(f"film: frame {k} of {len(self.times)}")
                 self.show(time.monotonic())
-                film.append_data(rendered(event)[..., :3])
+                film.append_data(_rendered(event)[..., :3])
         name = f"{self.path.stem}.{form}"
         event.client.send_file_download(name, room.getvalue(), save_immediately=True)
         self.look_at_frame(was)
@@ -210,14 +212,14 @@ class Replay(Page):
 
     def state_at(self, k: int) -> list[Floats]:
         """Position and orientation of all bodies in a frame, and both momenta if recorded."""
-        names = (*NEEDED, *MOMENTA) if self.has_momenta else NEEDED
+        names = (*_NEEDED, *_MOMENTA) if self.has_momenta else _NEEDED
         rows = [self.trajectory.read(name, slice(k, k + 1))[0] for name in names]
         return [np.asarray(row, dtype=np.float64) for row in rows]
 
     def paint(self) -> None:
         """Colours of all bodies by what the field says."""
         by = str(self.coloured.value)
-        if by == "body" or by not in COLOURED_BY or not self.has_momenta:
+        if by == "body" or by not in _COLOURED_BY or not self.has_momenta:
             if self.range.get("shown") != (0.0, 0.0):
                 palette = np.array(COLOURS, dtype=np.uint8)
                 few = len(self.names) <= len(COLOURS)
@@ -230,8 +232,8 @@ class Replay(Page):
             self.range[by] = self.extremes(by)
         low, high = self.range["shown"] = self.range[by]
         share = np.clip((values - low) / max(high - low, 1e-300), 0.0, 1.0)
-        anchors = np.linspace(0.0, 1.0, len(VIRIDIS))
-        channels = [np.interp(share, anchors, channel) for channel in VIRIDIS.T]
+        anchors = np.linspace(0.0, 1.0, len(_VIRIDIS))
+        channels = [np.interp(share, anchors, channel) for channel in _VIRIDIS.T]
         self.stage.colour(np.stack(channels, axis=1).astype(np.uint8))
 
     def values(self, by: str, state: list[Floats]) -> Floats:
@@ -267,7 +269,7 @@ class Replay(Page):
         low, high = self.range.get("shown", (0.0, 0.0))
         if high > low:
             unit = "m/s" if self.coloured.value == "speed" else "J"
-            colours = ",".join(f"rgb({r},{g},{b})" for r, g, b in VIRIDIS.tolist())
+            colours = ",".join(f"rgb({r},{g},{b})" for r, g, b in _VIRIDIS.tolist())
             status += (
                 f'<div style="height:8px;background:linear-gradient(90deg,{colours})"></div>'
                 f'<div style="display:flex;justify-content:space-between">'
@@ -287,13 +289,13 @@ def film_forms() -> tuple[str, ...]:
     return ("mp4", "gif") if has_mp4 else ("gif",)
 
 
-def rendered(event: Any) -> Any:
+def _rendered(event: Any) -> Any:
     """Picture of the scene as the browser that asked shows it, (h, w, 3 or 4) of 0 to 255."""
     client = getattr(event, "client", None)
     if client is None:
         raise ValueError("the browser that asked is gone")
     width, height = PICTURE
     try:
-        return client.get_render(height, width, transport_format="jpeg", timeout=PATIENCE)
+        return client.get_render(height, width, transport_format="jpeg", timeout=_PATIENCE)
     except (TimeoutError, RuntimeError) as error:
         raise ValueError(f"the browser sent no picture: {error}") from None

@@ -25,7 +25,7 @@ def listening(access: Access, port: int) -> Iterator[viser.ViserServer]:
     AccessError
         If it lets in whom `access` does not.
     """
-    refuse_foreign(access.host)
+    _refuse_foreign(access.host)
     sieve = Sieve()
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a broken message ends its sender
     with (
@@ -46,7 +46,7 @@ def listening(access: Access, port: int) -> Iterator[viser.ViserServer]:
             server.stop()
 
 
-def refuse_foreign(host: str) -> None:
+def _refuse_foreign(host: str) -> None:
     """Raise OSError where this machine has no such address: a thread of viser would not say so."""
     try:
         family, kind, _, _, place = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]

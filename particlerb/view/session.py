@@ -33,10 +33,10 @@ from particlerb.simulation.run import Prepared, Run, RunError
 from particlerb.stepping.motion import MotionError
 from particlerb.view.catch_up import CHUNK, catch_up
 
-STEPS_PER_FRAME: Final = 5000  # of a push on bodies that are free otherwise, per run.every
-LEAST_STEPS_PER_FRAME: Final = 32  # of bodies that are stepped all the time
-LONGEST: Final = 1000.0  # length of a session over t_end of its case, at least
-TRIES: Final = 64  # steps of the grid on which a push might start
+_STEPS_PER_FRAME: Final = 5000  # of a push on bodies that are free otherwise, per run.every
+_LEAST_STEPS_PER_FRAME: Final = 32  # of bodies that are stepped all the time
+_LONGEST: Final = 1000.0  # length of a session over t_end of its case, at least
+_TRIES: Final = 64  # steps of the grid on which a push might start
 G: Final = (0.0, 0.0, -9.81)  # [m/s²] that is switched on where a case has no gravity
 
 
@@ -87,7 +87,7 @@ class Session:
         prepared = prepare_accurately(system)
         THREADS.use(system.run.threads)
         self.system = prepared.system
-        self.longest = 2.0 ** math.ceil(math.log2(LONGEST * system.run.t_end))
+        self.longest = 2.0 ** math.ceil(math.log2(_LONGEST * system.run.t_end))
         self.every = system.run.every
         self.start = opening(system, prepared.plan, self.longest)
         self.start_path = system.source.path
@@ -269,7 +269,7 @@ class Session:
         return [
             traveller.segment
             for traveller in self.run.travellers
-            if on_grid(traveller.segment, self.longest)
+            if _on_grid(traveller.segment, self.longest)
             and np.isin(chosen, traveller.plan.members).any()
         ]
 
@@ -280,9 +280,9 @@ class Session:
             return self.time
         longest = max(grids, key=lambda segment: segment.dt)
         first = math.ceil((self.time - longest.start) / longest.dt)
-        for n in range(first, first + TRIES):
+        for n in range(first, first + _TRIES):
             time = longest.start + n * longest.dt
-            if time >= self.time and all(divides(segment, time) for segment in grids):
+            if time >= self.time and all(_divides(segment, time) for segment in grids):
                 return time
         return self.time  # their steps are laid anew
 
@@ -298,28 +298,28 @@ def opening(system: System, plan: Plan, longest: float) -> dict[str, Any]:
     for table in ("check", "chart"):
         raw.pop(table, None)
     run = {key: value for key, value in raw["run"].items() if key != "accuracy"}
-    stepped = [s for group in plan.groups for s in group.segments if on_grid(s, longest)]
+    stepped = [s for group in plan.groups for s in group.segments if _on_grid(s, longest)]
     if stepped:
-        shortest = min(*(s.dt for s in stepped), system.run.every / LEAST_STEPS_PER_FRAME)
+        shortest = min(*(s.dt for s in stepped), system.run.every / _LEAST_STEPS_PER_FRAME)
         run["dt"] = 2.0 ** math.floor(math.log2(shortest))
     elif system.run.dt is None:
-        run["dt"] = system.run.every / STEPS_PER_FRAME
+        run["dt"] = system.run.every / _STEPS_PER_FRAME
     raw["run"] = {**run, "t_end": longest}
     raw["force"] = list(raw.get("force", []))
-    opened: dict[str, Any] = with_absolute_files(raw, system.files.folder)
+    opened: dict[str, Any] = _with_absolute_files(raw, system.files.folder)
     return opened
 
 
-def with_absolute_files(raw: Any, folder: Path | None) -> Any:
+def _with_absolute_files(raw: Any, folder: Path | None) -> Any:
     """Data in which every file is named by its full path, so that the case can lie anywhere."""
     if isinstance(raw, Mapping):
         return {
             key: str(((folder or Path()) / value).absolute())
             if key == "file" and isinstance(value, str)
-            else with_absolute_files(value, folder)
+            else _with_absolute_files(value, folder)
             for key, value in raw.items()
         }
-    return [with_absolute_files(entry, folder) for entry in raw] if isinstance(raw, list) else raw
+    return [_with_absolute_files(entry, folder) for entry in raw] if isinstance(raw, list) else raw
 
 
 def decimals(time: float) -> int:
@@ -327,13 +327,13 @@ def decimals(time: float) -> int:
     return max(0, math.ceil(-math.log10(time)))
 
 
-def on_grid(segment: Segment, longest: float) -> bool:
+def _on_grid(segment: Segment, longest: float) -> bool:
     """Whether a segment that outlasts the session is stepped on a grid."""
     method = segment.method
     return segment.stop >= longest and has_step(method) and not is_adaptive(method)
 
 
-def divides(segment: Segment, time: float) -> bool:
+def _divides(segment: Segment, time: float) -> bool:
     """Whether steps of the same length lead from the start of a segment to a time; see `plan`."""
     length = time - segment.start
     steps = math.ceil(length / segment.dt * (1 - 1e-12))

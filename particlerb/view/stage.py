@@ -16,19 +16,19 @@ from particlerb.model.state import quaternion_product
 from particlerb.model.system import System
 from particlerb.view.forms import Surfaces, extent_of, walls_of
 
-Colour = tuple[int, int, int]
-COLOURS: Final[tuple[Colour, ...]] = (
+_Colour = tuple[int, int, int]
+COLOURS: Final[tuple[_Colour, ...]] = (
     (245, 124, 20), (58, 123, 191), (70, 160, 90), (196, 78, 82), (129, 102, 178),
     (140, 110, 80), (218, 139, 195), (120, 130, 140), (190, 180, 50), (60, 180, 190),
 )  # fmt: skip
-WALL: Final[Colour] = (176, 184, 192)
-ARROWS: Final[dict[str, Colour]] = {
+_WALL: Final[_Colour] = (176, 184, 192)
+_ARROWS: Final[dict[str, _Colour]] = {
     "force": (214, 39, 40), "omega": (31, 119, 180), "L": (148, 60, 189),
     "axes": (90, 98, 106),
 }  # fmt: skip
-TRAIL: Final[Colour] = (20, 20, 20)
-LIGHT: Final = 0.8, 2.0  # of the sky and of the sun
-VIEW: Final = (1.15, -1.85, 1.1)  # where the camera stands at first, in sizes of the scene
+_TRAIL: Final[_Colour] = (20, 20, 20)
+_LIGHT: Final = 0.8, 2.0  # of the sky and of the sun
+_VIEW: Final = (1.15, -1.85, 1.1)  # where the camera stands at first, in sizes of the scene
 
 
 class Stage:
@@ -56,9 +56,9 @@ class Stage:
         self.fixed = server.scene.add_frame("/fixed", show_axes=False)
         self.layers = [self.add_layer(k) for k in range(len(self.surfaces.layers))]
         self.arrows: dict[str, Any] = {}
-        self.trail = self.add_line("/trail", TRAIL)
+        self.trail = self.add_line("/trail", _TRAIL)
         self.furnish(size)
-        server.initial_camera.position = self.size * np.array(VIEW)
+        server.initial_camera.position = self.size * np.array(_VIEW)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
 
     def add_layer(self, k: int) -> Any:
@@ -79,7 +79,7 @@ class Stage:
             receive_shadow=False,
         )
 
-    def add_line(self, name: str, colour: Colour) -> Any:
+    def add_line(self, name: str, colour: _Colour) -> Any:
         """A line without points yet."""
         return self.server.scene.add_line_segments(
             name,
@@ -98,7 +98,7 @@ class Stage:
                 f"/fixed/walls/{k}",
                 (mesh.vertices - self.home) / self.unit,
                 mesh.faces,
-                color=WALL,
+                color=_WALL,
                 opacity=0.35,
                 side="double",
                 flat_shading=True,
@@ -118,9 +118,9 @@ class Stage:
                 section_color=(218, 222, 227),
             )
         scene.configure_default_lights(enabled=False)
-        scene.add_light_hemisphere("/lights/sky", intensity=LIGHT[0])
+        scene.add_light_hemisphere("/lights/sky", intensity=_LIGHT[0])
         scene.add_light_directional(
-            "/lights/sun", intensity=LIGHT[1], position=(3.0, -1.2, 5.0), cast_shadow=True
+            "/lights/sun", intensity=_LIGHT[1], position=(3.0, -1.2, 5.0), cast_shadow=True
         )
 
     def show(self, position: Floats, q: Floats, follow: int | None = None) -> None:
@@ -164,26 +164,26 @@ class Stage:
         handle = self.arrows.get(name)
         if not len(vectors):
             if handle is not None:
-                show_if(handle, False)
+                _show_if(handle, False)
             return
         first = np.tile(self.on_page(start), (len(vectors), 1))
         points = np.stack([first, first + vectors], axis=1).astype(np.float32)
         if handle is None:
             r = 0.018 * self.size * thickness
             self.arrows[name] = self.server.scene.add_arrows(
-                f"/arrows/{name}", points, linear(ARROWS[name]),
+                f"/arrows/{name}", points, linear(_ARROWS[name]),
                 shaft_radius=r, head_radius=2.4 * r, head_length=6.0 * r,
             )  # fmt: skip
             return
         handle.points = points
-        show_if(handle, True)
+        _show_if(handle, True)
 
     def draw_trail(self, places: Floats) -> None:
         """A line through places (n, 3) [m]."""
         if len(places) > 1:
             shown = self.on_page(places).astype(np.float32)
             self.trail.points = np.stack([shown[:-1], shown[1:]], axis=1)
-        show_if(self.trail, len(places) > 1)
+        _show_if(self.trail, len(places) > 1)
 
     def clickable(self, callback: Any) -> None:
         """Call back with the event of every click on a body."""
@@ -191,7 +191,7 @@ class Stage:
             handle.on_click(callback)
 
 
-def show_if(handle: Any, is_visible: bool) -> None:
+def _show_if(handle: Any, is_visible: bool) -> None:
     """Show or hide something; the browser hears of it only where that is new."""
     if handle.visible != is_visible:
         handle.visible = is_visible

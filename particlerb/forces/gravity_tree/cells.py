@@ -75,7 +75,7 @@ def room_for_nodes(n: int) -> Nodes:
 
 
 @inline
-def swap(items: tuple[Floats, Ints, Ints], i: int, j: int) -> None:
+def _swap(items: tuple[Floats, Ints, Ints], i: int, j: int) -> None:
     """Exchange two items."""
     place, order, weight = items
     for k in range(3):
@@ -92,11 +92,11 @@ def select(items: tuple[Floats, Ints, Ints], axis: int, lo: int, hi: int, middle
     while lo < hi:
         m = (lo + hi) // 2
         if x[m] < x[lo]:
-            swap(items, m, lo)
+            _swap(items, m, lo)
         if x[hi] < x[lo]:
-            swap(items, hi, lo)
+            _swap(items, hi, lo)
         if x[hi] < x[m]:
-            swap(items, hi, m)
+            _swap(items, hi, m)
         pivot = x[m]
         i, j = lo, hi
         while i <= j:
@@ -105,7 +105,7 @@ def select(items: tuple[Floats, Ints, Ints], axis: int, lo: int, hi: int, middle
             while x[j] > pivot:
                 j -= 1
             if i <= j:
-                swap(items, i, j)
+                _swap(items, i, j)
                 i += 1
                 j -= 1
         if middle <= j:
@@ -117,7 +117,7 @@ def select(items: tuple[Floats, Ints, Ints], axis: int, lo: int, hi: int, middle
 
 
 @inline
-def longest_side(place: Floats, lo: int, hi: int) -> int:
+def _longest_side(place: Floats, lo: int, hi: int) -> int:
     """Axis along which items lo to hi are furthest apart."""
     axis, longest = 0, -1.0
     for k in range(3):
@@ -131,7 +131,7 @@ def longest_side(place: Floats, lo: int, hi: int) -> int:
 
 
 @inline
-def middle_of(lo: int, hi: int, points: int) -> int:
+def _middle_of(lo: int, hi: int, points: int) -> int:
     """Where to split: nearly in halves, so that buckets become full if bodies are alike."""
     full = max(1, LANES * (hi - lo) // points)
     buckets = -(-(hi - lo) // full)
@@ -139,7 +139,7 @@ def middle_of(lo: int, hi: int, points: int) -> int:
 
 
 @inline
-def graft(kinds: Nodes, lo: int, hi: int, b: int, k: int, placed: int, nodes: Nodes) -> int:
+def _graft(kinds: Nodes, lo: int, hi: int, b: int, k: int, placed: int, nodes: Nodes) -> int:
     """Copy the tree of body b to node k on; return the number of nodes after it."""
     for j in range(hi - lo):
         second = kinds.second[lo + j]
@@ -187,15 +187,15 @@ def grow(
         body[k] = order[lo] if hi - lo == 1 else -1
         count += 1
         if points > LANES and hi - lo > 1:
-            middle = middle_of(lo, hi, points)
-            select(items, longest_side(place, lo, hi), lo, hi, middle)
+            middle = _middle_of(lo, hi, points)
+            select(items, _longest_side(place, lo, hi), lo, hi, middle)
             stack[0, top], stack[1, top], stack[2, top] = middle, hi, k
             stack[0, top + 1], stack[1, top + 1], stack[2, top + 1] = lo, middle, -1
             top += 2
             continue
         if points > LANES:
             b = order[lo]
-            count = graft(kinds, node_offset[b], node_offset[b + 1], b, k, placed, nodes)
+            count = _graft(kinds, node_offset[b], node_offset[b + 1], b, k, placed, nodes)
         placed += points
     for k in range(count - 1, -1, -1):
         end[k] = end[second[k]] if second[k] > 0 else k + 1
@@ -247,7 +247,7 @@ def place_points(
 
 
 @inline
-def centre_of(mass: Floats, place: Floats, lo: int, hi: int) -> Vec3:
+def _centre_of(mass: Floats, place: Floats, lo: int, hi: int) -> Vec3:
     """Centre of mass of particles; that of massless ones is the first."""
     X, total = (0.0, 0.0, 0.0), 0.0
     o = (place[0, lo], place[1, lo], place[2, lo])
@@ -286,7 +286,7 @@ def load_lanes(rows: Floats, points: TreePoints, X: Vec3, lo: int, hi: int) -> N
 
 
 @inline
-def halves_centre(cells: Cells, one: int, other: int) -> Vec3:
+def _halves_centre(cells: Cells, one: int, other: int) -> Vec3:
     """Centre of mass of two cells."""
     ball, m, n = cells.ball, cells.moment[one, 0], cells.moment[other, 0]
     s = n / (m + n) if m + n > 0.0 else 0.0
@@ -310,12 +310,12 @@ def fill_cells(
         for i in range(TERMS):
             moment[k, i] = 0.0
         if second[k] > 0:
-            X = halves_centre(cells, k + 1, second[k])
+            X = _halves_centre(cells, k + 1, second[k])
             for half in (k + 1, second[k]):
                 s = (ball[half, 0] - X[0], ball[half, 1] - X[1], ball[half, 2] - X[2])
                 add_shifted_moments(s, moment[half], powers, moment[k])
         else:
-            X = centre_of(points.mass, points.place, lo, hi)
+            X = _centre_of(points.mass, points.place, lo, hi)
             load_lanes(rows, points, X, lo, hi)
             add_particle_moments(rows, moment[k])
         ball[k, 0], ball[k, 1], ball[k, 2] = X

@@ -19,11 +19,11 @@ from particlerb.compiled.jit import config, inline
 from particlerb.maths.vec3 import Floats
 
 LANES: Final = 16  # particles of a bucket, and cells that are summed over at a time
-REGISTER: Final = 8  # numbers of a SIMD register; LLVM takes several where they are smaller
-FMA: Final = ("contract",)  # a b + c in one rounding
+_REGISTER: Final = 8  # numbers of a SIMD register; LLVM takes several where they are smaller
+_FMA: Final = ("contract",)  # a b + c in one rounding
 
-Summing: TypeAlias = Callable[[Floats, Floats], None]
-unsigned: Any = int if config.DISABLE_JIT else np.uint64
+_Summing: TypeAlias = Callable[[Floats, Floats], None]
+_unsigned: Any = int if config.DISABLE_JIT else np.uint64
 
 
 class Product(NamedTuple):
@@ -40,7 +40,7 @@ class Product(NamedTuple):
 @inline
 def at(row: int, lane: int) -> int:
     """Place in the buffer: unsigned, so that Numba asks not whether it is negative."""
-    index: int = unsigned(row * LANES + lane)
+    index: int = _unsigned(row * LANES + lane)
     return index
 
 
@@ -48,7 +48,7 @@ def at(row: int, lane: int) -> int:
 def clear(rows: Floats, first: int, last: int) -> None:
     """Write zeros into rows."""
     for i in range(first * LANES, last * LANES):
-        rows[unsigned(i)] = 0.0
+        rows[_unsigned(i)] = 0.0
 
 
 @inline
@@ -63,7 +63,7 @@ def lane_sum(rows: Floats, row: int) -> float:
     return total
 
 
-def sums_of(products: Sequence[Product], kept: range) -> Summing:
+def sums_of(products: Sequence[Product], kept: range) -> _Summing:
     """Function of a buffer and a list of numbers that takes all products, one after another.
 
     Parameters
@@ -74,7 +74,7 @@ def sums_of(products: Sequence[Product], kept: range) -> Summing:
         Rows that are written; others that are summed into have no defined values afterwards.
     """
     if config.DISABLE_JIT:
-        return in_python(products)
+        return _in_python(products)
 
     @intrinsic
     def sums(typing: Any, rows: Any, numbers: Any) -> Any:
@@ -83,27 +83,27 @@ def sums_of(products: Sequence[Product], kept: range) -> Summing:
                 context.make_array(kind)(context, builder, value).data
                 for kind, value in zip(signature.args, arguments, strict=True)
             ]
-            groups = ir.Constant(types_of(context), LANES // REGISTER)
+            groups = ir.Constant(_types_of(context), LANES // _REGISTER)
             with cgutils.for_range(builder, groups) as loop:
-                Lanes(builder, arrays, loop.index).take(products, kept)
+                _Lanes(builder, arrays, loop.index).take(products, kept)
             return context.get_dummy_value()
 
         return types.void(rows, numbers), generate
 
-    return cast(Summing, sums)
+    return cast(_Summing, sums)
 
 
-def types_of(context: Any) -> Any:
+def _types_of(context: Any) -> Any:
     """LLVM's type of an index."""
     return context.get_value_type(types.intp)
 
 
-class Lanes:
+class _Lanes:
     """Instructions for a register of lanes."""
 
     def __init__(self, builder: Any, arrays: Sequence[Any], group: Any) -> None:
         self.builder, self.arrays, self.group = builder, arrays, group
-        self.vector = ir.VectorType(ir.DoubleType(), REGISTER)
+        self.vector = ir.VectorType(ir.DoubleType(), _REGISTER)
         self.rows: dict[int, Any] = {}
         self.numbers: dict[int, Any] = {}
 
@@ -118,17 +118,19 @@ class Lanes:
         """Value that the row will have."""
         value = self.row(product.b)
         if product.factor != 1.0:
-            factor = ir.Constant(self.vector, [product.factor] * REGISTER)
-            value = self.builder.fmul(value, factor, flags=FMA)
+            factor = ir.Constant(self.vector, [product.factor] * _REGISTER)
+            value = self.builder.fmul(value, factor, flags=_FMA)
         if product.a >= 0:
-            value = self.builder.fmul(self.row(product.a), value, flags=FMA)
+            value = self.builder.fmul(self.row(product.a), value, flags=_FMA)
         if product.number >= 0:
-            value = self.builder.fmul(self.number(product.number), value, flags=FMA)
-        return self.builder.fadd(self.row(product.out), value, flags=FMA) if product.adds else value
+            value = self.builder.fmul(self.number(product.number), value, flags=_FMA)
+        return (
+            self.builder.fadd(self.row(product.out), value, flags=_FMA) if product.adds else value
+        )
 
     def address(self, row: int) -> Any:
         """Where the lanes of a row are."""
-        place = self.builder.mul(self.group, self.group.type(REGISTER))
+        place = self.builder.mul(self.group, self.group.type(_REGISTER))
         place = self.builder.add(place, self.group.type(row * LANES))
         pointer = self.builder.gep(self.arrays[0], [place])
         return self.builder.bitcast(pointer, self.vector.as_pointer())
@@ -147,12 +149,12 @@ class Lanes:
             one = self.builder.insert_element(
                 ir.Constant(self.vector, ir.Undefined), self.builder.load(pointer), zero
             )
-            mask = ir.Constant(ir.VectorType(ir.IntType(32), REGISTER), [0] * REGISTER)
+            mask = ir.Constant(ir.VectorType(ir.IntType(32), _REGISTER), [0] * _REGISTER)
             self.numbers[k] = self.builder.shuffle_vector(one, one, mask)
         return self.numbers[k]
 
 
-def in_python(products: Sequence[Product]) -> Summing:
+def _in_python(products: Sequence[Product]) -> _Summing:
     """The same, for plain Python."""
 
     def sums(rows: Floats, numbers: Floats) -> None:

@@ -31,91 +31,91 @@ from particlerb.maths.vec3 import Floats, Ints, Vec3
 
 ORDER: Final = 5  # p: the fastest for errors of 1e-3 to 1e-4; 7 is, by a fifth, for 1e-5
 
-Index: TypeAlias = tuple[int, int, int]
+_Index: TypeAlias = tuple[int, int, int]
 
 
-def indices(order: int) -> list[Index]:
+def indices(order: int) -> list[_Index]:
     """Multi-indices up to an order, lower orders first."""
     side = range(order + 1)
     every = itertools.product(side, side, side)
     return sorted([i for i in every if sum(i) <= order], key=lambda i: (sum(i), *(-k for k in i)))
 
 
-def plus(a: Index, b: Index) -> Index:
+def plus(a: _Index, b: _Index) -> _Index:
     """a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-UNITS: Final[tuple[Index, ...]] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-OWN: Final = indices(ORDER)  # of moments and fields
-AT: Final = {index: k for k, index in enumerate(OWN)}
-TERMS: Final = len(OWN)
+_UNITS: Final[tuple[_Index, ...]] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+_OWN: Final = indices(ORDER)  # of moments and fields
+_AT: Final = {index: k for k, index in enumerate(_OWN)}
+TERMS: Final = len(_OWN)
 
 
-def step_down(index: Index) -> tuple[int, Index]:
+def _step_down(index: _Index) -> tuple[int, _Index]:
     """An axis in which an index is not zero but smallest, and the index less one there."""
     axis = min((k for k in range(3) if index[k]), key=lambda k: index[k])
-    unit = UNITS[axis]
+    unit = _UNITS[axis]
     return axis, (index[0] - unit[0], index[1] - unit[1], index[2] - unit[2])
 
 
 # Rows of the buffer. The derivatives of φ need the functions g_n = (2n - 1)!! (-1)^n/d^{2n+1}, with
 # d² = r² + ε²: D^n_{α+e} = r_e D^{n+1}_α + α_e D^{n+1}_{α-e} and D^n_0 = g_n give D_α = D^0_α.
 
-TOWER: Final = [(n, i) for i in indices(ORDER + 1) for n in range(ORDER + 2 - sum(i))]
+_TOWER: Final = [(n, i) for i in indices(ORDER + 1) for n in range(ORDER + 2 - sum(i))]
 PLACE: Final = 0  # of R, or of a particle from the centre of its cell
 MASS: Final = 3
 FIELD: Final = 4  # acceleration of particles
 OWNER: Final = 7  # body of a particle
 MOMENT: Final = 8  # (-1)^{|β|} m_β, or a^α/α!
 LOCAL: Final = MOMENT + TERMS
-MIXED: Final = LOCAL + TERMS
-DERIVATIVE: Final = MIXED + TERMS
-ROWS: Final = DERIVATIVE + len(TOWER)
-D_AT: Final = {key: DERIVATIVE + k for k, key in enumerate(TOWER)}
+_MIXED: Final = LOCAL + TERMS
+_DERIVATIVE: Final = _MIXED + TERMS
+ROWS: Final = _DERIVATIVE + len(_TOWER)
+_D_AT: Final = {key: _DERIVATIVE + k for k, key in enumerate(_TOWER)}
 
 
-def derivatives() -> list[Product]:
+def _derivatives() -> list[Product]:
     """D^n_{α+e} of all orders from D^n_0 and r, the lower orders first."""
     products = []
-    for n, i in TOWER[ORDER + 2 :]:
-        axis, less = step_down(i)
-        out, first = D_AT[n, i], D_AT[n + 1, less]
+    for n, i in _TOWER[ORDER + 2 :]:
+        axis, less = _step_down(i)
+        out, first = _D_AT[n, i], _D_AT[n + 1, less]
         products.append(Product(out, first, PLACE + axis, adds=False))
         if less[axis]:
-            unit = UNITS[axis]
+            unit = _UNITS[axis]
             twice = (less[0] - unit[0], less[1] - unit[1], less[2] - unit[2])
-            products.append(Product(out, D_AT[n + 1, twice], factor=float(less[axis])))
+            products.append(Product(out, _D_AT[n + 1, twice], factor=float(less[axis])))
     return products
 
 
 def fields() -> list[Product]:
     """L_α += D_{α+β} (-1)^{|β|} m_β; there are no moments of first order."""
     return [
-        Product(LOCAL + AT[a], D_AT[0, plus(a, b)], MOMENT + AT[b])
-        for a in OWN
-        for b in OWN
-        if plus(a, b) in AT and sum(b) != 1
+        Product(LOCAL + _AT[a], _D_AT[0, plus(a, b)], MOMENT + _AT[b])
+        for a in _OWN
+        for b in _OWN
+        if plus(a, b) in _AT and sum(b) != 1
     ]
 
 
-def point_fields() -> list[Product]:
+def _point_fields() -> list[Product]:
     """L_0 and L_e alone, at a point: there |β| goes up to p for both."""
     return [
-        Product(LOCAL + AT[a], D_AT[0, plus(a, b)], MOMENT + AT[b])
-        for a in OWN[:4]
-        for b in OWN
+        Product(LOCAL + _AT[a], _D_AT[0, plus(a, b)], MOMENT + _AT[b])
+        for a in _OWN[:4]
+        for b in _OWN
         if sum(b) != 1
     ]
 
 
-def mixtures() -> list[Product]:
+def _mixtures() -> list[Product]:
     """Q_γ of order p; the moments of A, over m₀, are the list of numbers."""
     products, begun = [], set()
-    for a, b in itertools.product(OWN, OWN):
+    for a, b in itertools.product(_OWN, _OWN):
         if sum(a) + sum(b) == ORDER and sum(a) != 1 and sum(b) != 1:
-            out = MIXED + AT[plus(a, b)]
-            products.append(Product(out, MOMENT + AT[b], number=AT[a], adds=out in begun))
+            out = _MIXED + _AT[plus(a, b)]
+            products.append(Product(out, MOMENT + _AT[b], number=_AT[a], adds=out in begun))
             begun.add(out)
     return products
 
@@ -123,41 +123,43 @@ def mixtures() -> list[Product]:
 def whole() -> list[Product]:
     """L_e += D_{γ+e} Q_γ."""
     return [
-        Product(LOCAL + AT[unit], D_AT[0, plus(i, unit)], MIXED + AT[i])
-        for unit in UNITS
-        for i in OWN
+        Product(LOCAL + _AT[unit], _D_AT[0, plus(i, unit)], _MIXED + _AT[i])
+        for unit in _UNITS
+        for i in _OWN
         if sum(i) == ORDER
     ]
 
 
-def particle_powers() -> list[Product]:
+def _particle_powers() -> list[Product]:
     """Rows a^α/α! of particles at a."""
     return [
-        Product(MOMENT + AT[i], MOMENT + AT[less], PLACE + axis, factor=1.0 / i[axis], adds=False)
-        for i in OWN[1:]
-        for axis, less in [step_down(i)]
+        Product(MOMENT + _AT[i], MOMENT + _AT[less], PLACE + axis, factor=1.0 / i[axis], adds=False)
+        for i in _OWN[1:]
+        for axis, less in [_step_down(i)]
     ]
 
 
-def particle_fields() -> list[Product]:
+def _particle_fields() -> list[Product]:
     """Σ L_{α+e} a^α/α!, with L as the list of numbers."""
     return [
-        Product(FIELD + axis, MOMENT + AT[i], number=AT[plus(i, unit)])
-        for axis, unit in enumerate(UNITS)
-        for i in OWN
+        Product(FIELD + axis, MOMENT + _AT[i], number=_AT[plus(i, unit)])
+        for axis, unit in enumerate(_UNITS)
+        for i in _OWN
         if sum(i) < ORDER
     ]
 
 
-def masses() -> list[Product]:
+def _masses() -> list[Product]:
     """m a^α/α!."""
     return [Product(MOMENT + k, MOMENT + k, MASS, adds=False) for k in range(TERMS)]
 
 
-sum_far = sums_of([*derivatives(), *fields(), *mixtures(), *whole()], range(LOCAL, LOCAL + TERMS))
-sum_far_at_point = sums_of([*derivatives(), *point_fields()], range(LOCAL, LOCAL + 4))
-sum_moments = sums_of([*particle_powers(), *masses()], range(MOMENT, MOMENT + TERMS))
-sum_fields = sums_of([*particle_powers(), *particle_fields()], range(FIELD, FIELD + 3))
+_sum_far = sums_of(
+    [*_derivatives(), *fields(), *_mixtures(), *whole()], range(LOCAL, LOCAL + TERMS)
+)
+_sum_far_at_point = sums_of([*_derivatives(), *_point_fields()], range(LOCAL, LOCAL + 4))
+_sum_moments = sums_of([*_particle_powers(), *_masses()], range(MOMENT, MOMENT + TERMS))
+_sum_fields = sums_of([*_particle_powers(), *_particle_fields()], range(FIELD, FIELD + 3))
 
 
 # From cell to cell
@@ -168,49 +170,49 @@ def table(rows: list[tuple[int, ...]]) -> Ints:
     return np.array(rows, dtype=np.int64)
 
 
-POWERS: Final = table(
-    [(AT[i], AT[less], axis, i[axis]) for i in OWN[1:] for axis, less in [step_down(i)]]
+_POWERS: Final = table(
+    [(_AT[i], _AT[less], axis, i[axis]) for i in _OWN[1:] for axis, less in [_step_down(i)]]
 )  # a^{α+e}/(α+e)! = a^α/α! a_e/(α_e + 1): rows α + e and α, axis, divisor
-SHIFTS: Final = table(
-    [(AT[a], AT[b], AT[plus(a, b)]) for a in OWN for b in OWN if plus(a, b) in AT]
+_SHIFTS: Final = table(
+    [(_AT[a], _AT[b], _AT[plus(a, b)]) for a in _OWN for b in _OWN if plus(a, b) in _AT]
 )  # all α, β, α + β of order p at most
-SIGNS: Final = np.array([(-1.0) ** sum(i) for i in OWN])
+SIGNS: Final = np.array([(-1.0) ** sum(i) for i in _OWN])
 
 
 @inline
-def fill_powers(s: Vec3, powers: Floats) -> None:
+def _fill_powers(s: Vec3, powers: Floats) -> None:
     """Write s^α/α!."""
     powers[0] = 1.0
-    for k in range(POWERS.shape[0]):
-        out, less, axis, divisor = POWERS[k]
+    for k in range(_POWERS.shape[0]):
+        out, less, axis, divisor = _POWERS[k]
         powers[out] = powers[less] * s[axis] / divisor
 
 
 @inline
 def add_shifted_moments(s: Vec3, moment: Floats, powers: Floats, total: Floats) -> None:
     """Add moments about a centre at s: m_{α+β} += s^α/α! m_β."""
-    fill_powers(s, powers)
-    for k in range(SHIFTS.shape[0]):
-        total[SHIFTS[k, 2]] += powers[SHIFTS[k, 0]] * moment[SHIFTS[k, 1]]
+    _fill_powers(s, powers)
+    for k in range(_SHIFTS.shape[0]):
+        total[_SHIFTS[k, 2]] += powers[_SHIFTS[k, 0]] * moment[_SHIFTS[k, 1]]
 
 
 @inline
 def add_shifted_field(s: Vec3, field: Floats, powers: Floats, total: Floats) -> None:
     """Add a field, seen from s: L_β += L_{α+β} s^α/α!."""
-    fill_powers(s, powers)
-    for k in range(SHIFTS.shape[0]):
-        total[SHIFTS[k, 1]] += powers[SHIFTS[k, 0]] * field[SHIFTS[k, 2]]
+    _fill_powers(s, powers)
+    for k in range(_SHIFTS.shape[0]):
+        total[_SHIFTS[k, 1]] += powers[_SHIFTS[k, 0]] * field[_SHIFTS[k, 2]]
 
 
 @inline
-def begin_derivatives(rows: Floats, softening: float) -> None:
+def _begin_derivatives(rows: Floats, softening: float) -> None:
     """Write g_n(R)."""
     for i in range(LANES):
         x, y, z = rows[at(PLACE, i)], rows[at(PLACE + 1, i)], rows[at(PLACE + 2, i)]
         inverse = inverse_root(x * x + (y * y + (z * z + softening)))
         square, g = inverse * inverse, inverse
         for n in range(ORDER + 2):
-            rows[at(DERIVATIVE + n, i)] = g
+            rows[at(_DERIVATIVE + n, i)] = g
             g *= -(2.0 * n + 1.0) * square
 
 
@@ -227,22 +229,22 @@ def add_far(rows: Floats, scaled: Floats, softening: float) -> None:
     softening : float [m²]
         ε².
     """
-    begin_derivatives(rows, softening)
-    sum_far(rows, scaled)
+    _begin_derivatives(rows, softening)
+    _sum_far(rows, scaled)
 
 
 @inline
 def add_far_to_point(rows: Floats, scaled: Floats, softening: float) -> None:
     """The same for L_0 and L_e of a single particle; `scaled` is not used."""
-    begin_derivatives(rows, softening)
-    sum_far_at_point(rows, scaled)
+    _begin_derivatives(rows, softening)
+    _sum_far_at_point(rows, scaled)
 
 
 # From particles to cell and back
 
 
 @inline
-def begin_powers(rows: Floats) -> None:
+def _begin_powers(rows: Floats) -> None:
     """Write a^0."""
     for i in range(LANES):
         rows[at(MOMENT, i)] = 1.0
@@ -251,8 +253,8 @@ def begin_powers(rows: Floats) -> None:
 @inline
 def add_particle_moments(rows: Floats, moment: Floats) -> None:
     """Add m a^α/α! of particles at a of mass m, zero in lanes without one."""
-    begin_powers(rows)
-    sum_moments(rows, moment)
+    _begin_powers(rows)
+    _sum_moments(rows, moment)
     for k in range(TERMS):
         moment[k] += lane_sum(rows, MOMENT + k)
 
@@ -260,5 +262,5 @@ def add_particle_moments(rows: Floats, moment: Floats) -> None:
 @inline
 def add_particle_fields(rows: Floats, field: Floats) -> None:
     """Add the acceleration Σ L_{α+e} a^α/α! of particles at a to the rows of fields."""
-    begin_powers(rows)
-    sum_fields(rows, field)
+    _begin_powers(rows)
+    _sum_fields(rows, field)

@@ -38,11 +38,11 @@ from particlerb.forces.gravity_tree.walk import RANGES, Scratch, walk
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import aligned_zeros
 
-PIECES: Final = 64  # parts of the walk that are shared out
-LEAST_PIECE: Final = 1024  # particles of a part: well above what its way from the root costs
-POINT_WORK: Final = 32  # body-steps that a particle in the tree takes as long as
+_PIECES: Final = 64  # parts of the walk that are shared out
+_LEAST_PIECE: Final = 1024  # particles of a part: well above what its way from the root costs
+_POINT_WORK: Final = 32  # body-steps that a particle in the tree takes as long as
 BREAK_EVEN: Final = 8_000  # particles from which on it is faster than a direct sum, at 1e-4
-WORST: Final = 0.1  # error of the worst scene over θ^{p+1}; measured by benchmarks/attraction.py
+_WORST: Final = 0.1  # error of the worst scene over θ^{p+1}; measured by benchmarks/attraction.py
 
 
 def angle_for(accuracy: float) -> float:
@@ -50,10 +50,10 @@ def angle_for(accuracy: float) -> float:
 
     The error, √(Σ |Δa|²/Σ |a|²) over bodies, is WORST θ^{p+1} at most in all scenes measured.
     """
-    return min(1.0, float(np.exp(np.log(accuracy / WORST) / (ORDER + 1))))
+    return min(1.0, float(np.exp(np.log(accuracy / _WORST) / (ORDER + 1))))
 
 
-def tree_of_each(arm: Floats, offset: Ints) -> tuple[Ints, list[Nodes]]:
+def _tree_of_each(arm: Floats, offset: Ints) -> tuple[Ints, list[Nodes]]:
     """Order of the particles, and the trees of bodies of more than LANES of them."""
     order, trees = np.arange(arm.shape[1]), []
     none, stack = room_for_nodes(0), np.zeros((5, 2 * DEEPEST), dtype=np.int64)
@@ -71,9 +71,9 @@ def tree_of_each(arm: Floats, offset: Ints) -> tuple[Ints, list[Nodes]]:
     return order, trees
 
 
-def kinds_of(attraction: Attraction) -> Kinds:
+def _kinds_of(attraction: Attraction) -> Kinds:
     """Bring the particles of each body into the order of its own tree."""
-    order, trees = tree_of_each(attraction.arm, attraction.offset)
+    order, trees = _tree_of_each(attraction.arm, attraction.offset)
     sizes = [tree.second.size for tree in trees]
     joined = Nodes(*(np.concatenate(rows) for rows in zip(*trees, strict=True)))
     arm = np.ascontiguousarray(attraction.arm[:, order])
@@ -95,7 +95,7 @@ class Tree:
             θ: cells meet as a whole if both seen from the other's centre appear smaller; see
             `angle_for`.
         """
-        self.kinds, self.angle, self.softening = kinds_of(attraction), angle, attraction.softening
+        self.kinds, self.angle, self.softening = _kinds_of(attraction), angle, attraction.softening
         n_bodies, n_points = attraction.offset.size - 1, attraction.mass.size
         self.gravitation = float(attraction.gm.sum() / attraction.mass.sum())
         n_nodes = 2 * n_bodies + self.kinds.nodes.second.size
@@ -152,7 +152,7 @@ class Tree:
             start, stop = int(pieces[first]), int(pieces[last])
             walk(tree, self.scratch(), square, self.softening, start, stop)
 
-        THREADS.share(part, pieces.size - 1, POINT_WORK * self.points.mass.size)
+        THREADS.share(part, pieces.size - 1, _POINT_WORK * self.points.mass.size)
 
     def grow(self, y: Floats) -> None:
         """Write nodes and places of particles."""
@@ -179,7 +179,7 @@ class Tree:
     def pieces(self) -> Ints:
         """First cells of the parts of the walk, and the number of cells; not of threads."""
         nodes, count = self.nodes, self.count
-        most = max(LEAST_PIECE, self.points.mass.size // PIECES)
+        most = max(_LEAST_PIECE, self.points.mass.size // _PIECES)
         size = nodes.last[:count] - nodes.first[:count]
         is_piece = (size <= most) | (nodes.second[:count] == 0)
         starts, k = [], 0

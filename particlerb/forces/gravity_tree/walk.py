@@ -1,7 +1,7 @@
 """The walk down a tree of cells that finds the field in each of them: see tree.py.
 
 A cell carries a list of the others that it still has to meet. Each is met as a whole, or particle
-by particle, or one of the two is split, as `encounter` says; it says the same of A and B as of B
+by particle, or one of the two is split, as `_encounter` says; it says the same of A and B as of B
 and A, so that A meets B where B meets A. A bucket can be split too, into its particles, which are
 cells with the numbers `second.size` on. Where a bucket lies far out among few and looks upon very
 many, as in a halo, its own size would otherwise make it meet all of them one by one.
@@ -30,12 +30,12 @@ from particlerb.forces.gravity_tree.multipole import (
 from particlerb.maths.vec3 import Floats, Ints, Vec3, subtract
 
 RANGES: Final = 128  # of particles that are waited for
-MANY: Final = 256  # particles from which on a larger bucket that sees them is split
-Ball: TypeAlias = tuple[float, float, float, float, float, float]
-WHOLE: Final = 0
-NEAR: Final = 1
-SPLIT_A: Final = 2
-SPLIT_B: Final = 3
+_MANY: Final = 256  # particles from which on a larger bucket that sees them is split
+_Ball: TypeAlias = tuple[float, float, float, float, float, float]
+_WHOLE: Final = 0
+_NEAR: Final = 1
+_SPLIT_A: Final = 2
+_SPLIT_B: Final = 3
 
 
 class Scratch(NamedTuple):
@@ -56,23 +56,23 @@ class Scratch(NamedTuple):
 
 
 @inline
-def encounter(a: Ball, b: Ball, is_later: bool, square: float) -> int:
+def _encounter(a: _Ball, b: _Ball, is_later: bool, square: float) -> int:
     """How cells A and B, A later than B or not, meet at θ²: the same if they are exchanged."""
     dx, dy, dz = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     if 2.0 * (a[3] * a[3] + b[3] * b[3]) < square * (dx * dx + (dy * dy + dz * dz)):
-        return WHOLE
+        return _WHOLE
     is_end, is_other_end = a[5] > 0.0, b[5] > 0.0
     if is_end and is_other_end:
-        return NEAR
+        return _NEAR
     if is_end:
-        return SPLIT_A if a[3] > b[3] and b[4] > MANY else SPLIT_B
+        return _SPLIT_A if a[3] > b[3] and b[4] > _MANY else _SPLIT_B
     if is_other_end:
-        return SPLIT_B if b[3] > a[3] and a[4] > MANY else SPLIT_A
-    return SPLIT_B if b[3] > a[3] or (b[3] == a[3] and is_later) else SPLIT_A
+        return _SPLIT_B if b[3] > a[3] and a[4] > _MANY else _SPLIT_A
+    return _SPLIT_B if b[3] > a[3] or (b[3] == a[3] and is_later) else _SPLIT_A
 
 
 @inline
-def load_far(cells: Cells, X: Vec3, far: Ints, count: int, rows: Floats) -> None:
+def _load_far(cells: Cells, X: Vec3, far: Ints, count: int, rows: Floats) -> None:
     """Put cells into lanes, seen from X; lanes without one have no mass."""
     ball, moment, _ = cells
     for i in range(LANES):
@@ -91,7 +91,7 @@ def load_far(cells: Cells, X: Vec3, far: Ints, count: int, rows: Floats) -> None
 
 
 @kernel
-def meet_far(
+def _meet_far(
     cells: Cells,
     X: Vec3,
     far: Ints,
@@ -101,12 +101,12 @@ def meet_far(
     scaled: Floats,
 ) -> None:
     """Add the fields of some cells to that of a cell at X, given its moments over its mass."""
-    load_far(cells, X, far, count, rows)
+    _load_far(cells, X, far, count, rows)
     add_far(rows, scaled, eps2)
 
 
 @kernel
-def meet_far_point(
+def _meet_far_point(
     cells: Cells,
     X: Vec3,
     far: Ints,
@@ -116,12 +116,12 @@ def meet_far_point(
     scaled: Floats,
 ) -> None:
     """Add the fields of some cells to that at a point."""
-    load_far(cells, X, far, count, rows)
+    _load_far(cells, X, far, count, rows)
     add_far_to_point(rows, scaled, eps2)
 
 
 @kernel
-def pull_by(
+def _pull_by(
     place: Floats, mass: Floats, ranges: Ints, count: int, eps2: float, near: Floats
 ) -> None:
     """Add the field of ranges of particles to that of a bucket, and their potential's depth."""
@@ -141,7 +141,7 @@ def pull_by(
 
 
 @kernel
-def pull_each_other(points: TreePoints, lo: int, hi: int, eps2: float, near: Floats) -> None:
+def _pull_each_other(points: TreePoints, lo: int, hi: int, eps2: float, near: Floats) -> None:
     """Add the field of a bucket's own particles, those of the same body left out."""
     for j in range(lo, hi):
         x, y, z, m = points.place[0, j], points.place[1, j], points.place[2, j], points.mass[j]
@@ -160,14 +160,14 @@ def pull_each_other(points: TreePoints, lo: int, hi: int, eps2: float, near: Flo
 
 
 @inline
-def meet_itself(
+def _meet_itself(
     nodes: Nodes, points: TreePoints, A: int, tail: int, eps2: float, scratch: Scratch
 ) -> int:
     """Let the parts of a cell meet each other, unless all are of one body."""
     if nodes.body[A] >= 0:
         return tail
     if nodes.second[A] == 0:
-        pull_each_other(points, nodes.first[A], nodes.last[A], eps2, scratch.near)
+        _pull_each_other(points, nodes.first[A], nodes.last[A], eps2, scratch.near)
         return tail
     scratch.meets[tail], scratch.meets[tail + 1] = A + 1, nodes.second[A]
     return tail + 2
@@ -207,25 +207,25 @@ def meet(
             top -= 1
             B = stack[2, top]
             if A == B:
-                tail = meet_itself(nodes, points, A, tail, eps2, scratch)
+                tail = _meet_itself(nodes, points, A, tail, eps2, scratch)
                 continue
             b = (ball[B, 0], ball[B, 1], ball[B, 2], ball[B, 3], ball[B, 4], ball[B, 5])
-            how = encounter(a, b, A > B, square)
-            if how == WHOLE:
+            how = _encounter(a, b, A > B, square)
+            if how == _WHOLE:
                 far[n_far] = B
                 n_far += 1
                 if n_far == LANES:
-                    meet_far(cells, X, far, n_far, eps2, rows, scaled)
+                    _meet_far(cells, X, far, n_far, eps2, rows, scaled)
                     n_far = 0
-            elif how == NEAR:
+            elif how == _NEAR:
                 j = B - second.size
                 ranges[2 * n_near] = j if j >= 0 else first[B]
                 ranges[2 * n_near + 1] = j + 1 if j >= 0 else last[B]
                 n_near += 1
                 if n_near == RANGES:
-                    pull_by(place, mass, ranges, n_near, eps2, near)
+                    _pull_by(place, mass, ranges, n_near, eps2, near)
                     n_near = 0
-            elif how == SPLIT_A:
+            elif how == _SPLIT_A:
                 meets[tail] = B
                 tail += 1
             elif second[B] > 0:
@@ -235,14 +235,14 @@ def meet(
                 for j in range(first[B], last[B]):
                     stack[2, top] = second.size + j
                     top += 1
-    pull_by(place, mass, ranges, n_near, eps2, near)
+    _pull_by(place, mass, ranges, n_near, eps2, near)
     if n_far > 0:
-        meet_far(cells, X, far, n_far, eps2, rows, scaled)
+        _meet_far(cells, X, far, n_far, eps2, rows, scaled)
     return tail
 
 
 @kernel
-def pull_lane(
+def _pull_lane(
     place: Floats, mass: Floats, lo: int, hi: int, eps2: float, near: Floats, lane: int
 ) -> None:
     """Add the field of particles to that of one of a bucket."""
@@ -258,7 +258,7 @@ def pull_lane(
 
 
 @kernel
-def meet_point(
+def _meet_point(
     tree: tuple[Nodes, TreePoints, Cells],
     scratch: Scratch,
     i: int,
@@ -283,20 +283,20 @@ def meet_point(
             top -= 1
             B = stack[2, top]
             b = (ball[B, 0], ball[B, 1], ball[B, 2], ball[B, 3], ball[B, 4], ball[B, 5])
-            how = encounter(a, b, A > B, square)
-            if how == WHOLE:
+            how = _encounter(a, b, A > B, square)
+            if how == _WHOLE:
                 far[n_far] = B
                 n_far += 1
                 if n_far == LANES:
-                    meet_far_point(cells, X, far, n_far, eps2, rows, scaled)
+                    _meet_far_point(cells, X, far, n_far, eps2, rows, scaled)
                     n_far = 0
-            elif how == NEAR:
-                pull_lane(place, mass, first[B], last[B], eps2, near, lane)
+            elif how == _NEAR:
+                _pull_lane(place, mass, first[B], last[B], eps2, near, lane)
             else:
                 stack[2, top], stack[2, top + 1] = second[B], B + 1
                 top += 2
     if n_far > 0:
-        meet_far_point(cells, X, far, n_far, eps2, rows, scaled)
+        _meet_far_point(cells, X, far, n_far, eps2, rows, scaled)
     near[at(MASS, lane)] += lane_sum(rows, LOCAL)
     for k in range(3):
         near[at(FIELD + k, lane)] += lane_sum(rows, LOCAL + 1 + k)
@@ -306,7 +306,7 @@ def meet_point(
 
 
 @inline
-def load_bucket(points: TreePoints, lo: int, hi: int, near: Floats) -> None:
+def _load_bucket(points: TreePoints, lo: int, hi: int, near: Floats) -> None:
     """Put the particles of a bucket into lanes, without a field."""
     load_lanes(near, points, (0.0, 0.0, 0.0), lo, hi)
     for i in range(LANES):
@@ -315,7 +315,7 @@ def load_bucket(points: TreePoints, lo: int, hi: int, near: Floats) -> None:
 
 
 @inline
-def store_fields(
+def _store_fields(
     points: TreePoints, X: Vec3, lo: int, hi: int, local: Floats, scratch: Scratch
 ) -> float:
     """Write the fields at the particles of a bucket; return the depth of what it meets nearby."""
@@ -332,7 +332,7 @@ def store_fields(
 
 
 @inline
-def sum_local(
+def _sum_local(
     cells: Cells, A: int, scratch: Scratch, inherited: Floats, local: Floats, parent: int
 ) -> float:
     """Write the field in A, from what it has met and from its parent's; return the depth of A."""
@@ -386,11 +386,11 @@ def walk(
         for k in range(TERMS):
             scratch.scaled[k] = m[k] / m[0] if m[0] > 0.0 else 0.0
         if second[A] == 0:
-            load_bucket(points, first[A], last[A], near)
+            _load_bucket(points, first[A], last[A], near)
         lists = (bounds[level], bounds[level + 1])
         tail = meet(tree, scratch, A, lists, square, eps2)
         parent = path[level - 1] if level > 0 else -1
-        depth = sum_local(cells, A, scratch, local[level], local[level + 1], parent)
+        depth = _sum_local(cells, A, scratch, local[level], local[level + 1], parent)
         if second[A] > 0:
             path[level], bounds[level + 2] = A, tail
             stack[0, top], stack[0, top + 1] = second[A], A + 1
@@ -399,7 +399,7 @@ def walk(
         else:
             if tail > lists[1]:
                 for i in range(first[A], last[A]):
-                    meet_point(tree, scratch, i, i - first[A], (lists[1], tail), square, eps2)
+                    _meet_point(tree, scratch, i, i - first[A], (lists[1], tail), square, eps2)
             X = (cells.ball[A, 0], cells.ball[A, 1], cells.ball[A, 2])
-            depth += store_fields(points, X, first[A], last[A], local[level + 1], scratch)
+            depth += _store_fields(points, X, first[A], last[A], local[level + 1], scratch)
         cells.energy[A] = -0.5 * depth

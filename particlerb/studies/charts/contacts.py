@@ -12,9 +12,9 @@ from particlerb.record.trajectory import Contacts, Trajectory
 from particlerb.studies.charts.style import COLOURS, INK, bare
 from particlerb.studies.text import count_of
 
-WIDTH = 11.0  # inches, of the picture
-WIDEST = 4.0  # points, of the strongest force
-WEAK, STRONG = "#9aa5b1", COLOURS[1]
+_WIDTH = 11.0  # inches, of the picture
+_WIDEST = 4.0  # points, of the strongest force
+_WEAK, _STRONG = "#9aa5b1", COLOURS[1]
 BODY = "#eceff2"
 
 
@@ -37,16 +37,16 @@ def draw_contacts(trajectory: Trajectory, path: Path, frame: int = -1) -> None:
     k = range(trajectory.n_frames)[frame]
     x = trajectory.read("position", slice(k, k + 1))[0]
     contacts = trajectory.contacts(k)
-    shown = axes_of(trajectory, x)
+    shown = _axes_of(trajectory, x)
     centres = trajectory.particle_positions(k)[:, shown]
     radii = trajectory.particles.radius[trajectory.constituents[1]]
     width, height = np.ptp(centres, axis=0) + 2.0 * radii.max()
-    size = WIDTH, float(np.clip(WIDTH * height / width + 1.4, 2.6, 9.0))
+    size = _WIDTH, float(np.clip(_WIDTH * height / width + 1.4, 2.6, 9.0))
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot()
-    draw_particles(axes, centres, radii)
+    _draw_particles(axes, centres, radii)
     if contacts.wall.size:
-        draw_forces(axes, x[:, shown], contacts, shown)
+        _draw_forces(axes, x[:, shown], contacts, shown)
     axes.set_aspect("equal")
     axes.autoscale_view()
     across, up = ("xyz"[c] for c in shown)
@@ -59,7 +59,7 @@ def draw_contacts(trajectory: Trajectory, path: Path, frame: int = -1) -> None:
     figure.savefig(path, dpi=130)
 
 
-def axes_of(trajectory: Trajectory, x: Floats) -> list[int]:
+def _axes_of(trajectory: Trajectory, x: Floats) -> list[int]:
     """Axes of the picture, across and up: up is that along which gravity is largest, else z."""
     gravity = trajectory.parameter("case_resolved")["gravity"]
     g = np.abs(gravity["acceleration"]) if gravity else np.zeros(3)
@@ -69,7 +69,7 @@ def axes_of(trajectory: Trajectory, x: Floats) -> list[int]:
     return [max(level, key=lambda c: float(extent[c])), up]
 
 
-def draw_particles(axes: Axes, centres: Floats, radii: Floats) -> None:
+def _draw_particles(axes: Axes, centres: Floats, radii: Floats) -> None:
     """Outlines of particles, in the units of the axes."""
     width = 2.0 * radii
     circles = EllipseCollection(
@@ -81,7 +81,7 @@ def draw_particles(axes: Axes, centres: Floats, radii: Floats) -> None:
     axes.update_datalim([low, high])
 
 
-def draw_forces(axes: Axes, com: Floats, contacts: Contacts, shown: list[int]) -> None:
+def _draw_forces(axes: Axes, com: Floats, contacts: Contacts, shown: list[int]) -> None:
     """Lines of contacts; those above the mean force in colour, the strongest last."""
     force = np.linalg.norm(contacts.force, axis=1)
     order = np.argsort(force)
@@ -91,8 +91,8 @@ def draw_forces(axes: Axes, com: Floats, contacts: Contacts, shown: list[int]) -
     force = force[order]
     chains = LineCollection(
         list(np.stack([com[first], ends], axis=1)[order]),
-        linewidths=np.maximum(WIDEST * force / (force.max() or 1.0), 0.2),
-        colors=np.where(force > force.mean(), STRONG, WEAK).tolist(),
+        linewidths=np.maximum(_WIDEST * force / (force.max() or 1.0), 0.2),
+        colors=np.where(force > force.mean(), _STRONG, _WEAK).tolist(),
         capstyle="round",
     )
     axes.add_collection(chains)

@@ -34,14 +34,14 @@ from particlerb.studies.convergence import (
     spread,
 )
 
-SMOOTH, EXACT = COLOURS[0], COLOURS[2]
-CURVED = (COLOURS[1], "#df65b0", "#8c564b", "#b8860b", "#7b3294", "#555555", "#b2182b")
-WIDEST = 60.0  # right edge, in units of the largest number of particles: room for names
-NAMES_AT = 1.6  # where names begin, in the same units
-SHORT = 0.01  # a curve that ends before this has its name where it ends
-BOTTOM, LOWEST = 5e-5, 5e-7  # lowest errors shown, left and right
+_SMOOTH, _EXACT = COLOURS[0], COLOURS[2]
+_CURVED = (COLOURS[1], "#df65b0", "#8c564b", "#b8860b", "#7b3294", "#555555", "#b2182b")
+_WIDEST = 60.0  # right edge, in units of the largest number of particles: room for names
+_NAMES_AT = 1.6  # where names begin, in the same units
+_SHORT = 0.01  # a curve that ends before this has its name where it ends
+_BOTTOM, _LOWEST = 5e-5, 5e-7  # lowest errors shown, left and right
 FLOOR = 1e-17  # where an error of 0 is drawn
-FINE_TICKS = ["0", "$10^{-16}$", "$10^{-14}$", "$10^{-12}$"]
+_FINE_TICKS = ["0", "$10^{-16}$", "$10^{-14}$", "$10^{-12}$"]
 
 
 def draw_convergence(convergence: Convergence, path: Path) -> None:
@@ -52,27 +52,27 @@ def draw_convergence(convergence: Convergence, path: Path) -> None:
     figure.suptitle("How many particles a body needs", color=INK, fontsize=14)
     most = convergence.most
     if not rough:
-        draw_exact(figure.subplots(), exact, most)
+        _draw_exact(figure.subplots(), exact, most)
     else:
         colours = colours_of(rough)
         left, right = figure.subfigures(1, 2, squeeze=False, wspace=0.02)[0]
         if exact:
             above, below = left.subplots(2, 1, sharex=True, height_ratios=(4.6, 1.4))
-            draw_settled(above, rough, colours, most)
+            _draw_settled(above, rough, colours, most)
             above.set_xlabel("")
-            draw_exact(below, exact, most)
+            _draw_exact(below, exact, most)
         else:
-            draw_settled(left.subplots(), rough, colours, most)
+            _draw_settled(left.subplots(), rough, colours, most)
         needs = {curve.shape: int(curve.particles[0]) for curve in exact}
-        draw_lattices(right, rough, colours, needs)
+        _draw_lattices(right, rough, colours, needs)
     figure.savefig(path, dpi=110)
 
 
 def colours_of(curves: Sequence[Curve]) -> dict[str, str]:
     """One colour for all that has an order, a tint each for what has none."""
     curved = [curve.shape for curve in curves if math.isnan(order(curve))]
-    tints = {name: CURVED[k % len(CURVED)] for k, name in enumerate(curved)}
-    return {curve.shape: tints.get(curve.shape, SMOOTH) for curve in curves}
+    tints = {name: _CURVED[k % len(_CURVED)] for k, name in enumerate(curved)}
+    return {curve.shape: tints.get(curve.shape, _SMOOTH) for curve in curves}
 
 
 def title(curve: Curve) -> str:
@@ -90,11 +90,11 @@ def finish(axes: Axes, heading: str = "", **settings: object) -> None:
 # Left: error against the total number of particles
 
 
-def draw_settled(axes: Axes, curves: Sequence[Curve], colours: dict[str, str], most: int) -> None:
+def _draw_settled(axes: Axes, curves: Sequence[Curve], colours: dict[str, str], most: int) -> None:
     """The error that neither this set nor any larger one that was tried exceeds."""
     ends = []
     for curve in curves:
-        shown = is_confirmed(curve) & (settled(curve) >= BOTTOM)
+        shown = is_confirmed(curve) & (settled(curve) >= _BOTTOM)
         if not shown.any():
             continue
         number, error = curve.particles[shown], settled(curve)[shown]
@@ -103,30 +103,30 @@ def draw_settled(axes: Axes, curves: Sequence[Curve], colours: dict[str, str], m
         ends.append((float(number[-1]), float(error[-1]), title(curve), colours[curve.shape]))
     finish(
         axes, "error that no larger lattice exceeds", xlabel="particles in total",
-        ylabel="relative error of tensor or com", xlim=(1.0, WIDEST * most), ylim=(BOTTOM, 1.0),
+        ylabel="relative error of tensor or com", xlim=(1.0, _WIDEST * most), ylim=(_BOTTOM, 1.0),
     )  # fmt: skip
-    name_ends(axes, ends, most, gap=0.16)
+    _name_ends(axes, ends, most, gap=0.16)
     axes.hlines(WANTED, 1.0, most, color=INK, lw=0.8, ls=":")
 
 
-def name_ends(axes: Axes, ends: Sequence[CurveEnd], most: int, gap: float) -> None:
+def _name_ends(axes: Axes, ends: Sequence[CurveEnd], most: int, gap: float) -> None:
     """Names at the right; those of curves that end early where these end."""
-    is_far = [end[0] > SHORT * most for end in ends]
+    is_far = [end[0] > _SHORT * most for end in ends]
     name_curves(axes, [end for end, far in zip(ends, is_far, strict=True) if far],
-                NAMES_AT * most, gap)  # fmt: skip
+                _NAMES_AT * most, gap)  # fmt: skip
     for x, y, name, colour in (end for end, far in zip(ends, is_far, strict=True) if not far):
         axes.annotate(name, (x, y), (6, 6), textcoords="offset points", color=colour)
 
 
-def draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
+def _draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
     """Sets with the tensor of the solid: a mark with a name, or a line where every n is one."""
     marks = sorted((c for c in curves if len(c.n) == 1), key=lambda curve: curve.particles[0])
     for k, curve in enumerate(marks):
         number, error = int(curve.particles[0]), max(float(curve.error[0]), FLOOR)
-        axes.plot(number, error, "o", color=EXACT, ms=5)
+        axes.plot(number, error, "o", color=_EXACT, ms=5)
         axes.annotate(
-            f"{title(curve)} {number}", (number, error), (0.02 + 0.19 * k, 0.84), color=EXACT,
-            textcoords="axes fraction", arrowprops={"arrowstyle": "-", "color": EXACT, "lw": 0.6},
+            f"{title(curve)} {number}", (number, error), (0.02 + 0.19 * k, 0.84), color=_EXACT,
+            textcoords="axes fraction", arrowprops={"arrowstyle": "-", "color": _EXACT, "lw": 0.6},
         )  # fmt: skip
     cells = [c for c in curves if c.arrangement == "cells"]
     lines = [([c], f"{title(c)}, any n") for c in curves if len(c.n) > 1 and c not in cells]
@@ -138,21 +138,21 @@ def draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
         worst = max(FLOOR, *(float(curve.error.max()) for curve in together))
         first = min(int(curve.particles[0]) for curve in together)
         last = max(int(curve.particles[-1]) for curve in together)
-        axes.plot([first, last], [worst, worst], color=EXACT, lw=1.8)
-        ends.append((float(last), worst, name, EXACT))
+        axes.plot([first, last], [worst, worst], color=_EXACT, lw=1.8)
+        ends.append((float(last), worst, name, _EXACT))
     finish(
         axes, "exact sets: only rounding is left", xlabel="particles in total",
-        xlim=(1.0, WIDEST * most), ylim=(FLOOR / 2, 1e-12),
+        xlim=(1.0, _WIDEST * most), ylim=(FLOOR / 2, 1e-12),
     )  # fmt: skip
-    name_ends(axes, ends, most, gap=0.8)
-    axes.set_yticks([FLOOR, 1e-16, 1e-14, 1e-12], FINE_TICKS)
+    _name_ends(axes, ends, most, gap=0.8)
+    axes.set_yticks([FLOOR, 1e-16, 1e-14, 1e-12], _FINE_TICKS)
     axes.tick_params(axis="y", which="minor", left=False)
 
 
 # Right: every lattice that was tried, against particles per edge
 
 
-def draw_lattices(
+def _draw_lattices(
     figure: SubFigure, curves: Sequence[Curve], colours: dict[str, str], exact: dict[str, int]
 ) -> None:
     """One panel per shape, the numbers of particles in it, that of an exact set too."""
@@ -160,8 +160,8 @@ def draw_lattices(
     rows = math.ceil(len(curves) / columns)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes, curve in zip(panels.flat, curves, strict=False):
-        draw_lattice(axes, curve, colours[curve.shape])
-        write_inside(axes, 0.03, 0.03, needs_text(curve, exact.get(curve.shape)), fontsize=7,
+        _draw_lattice(axes, curve, colours[curve.shape])
+        write_inside(axes, 0.03, 0.03, _needs_text(curve, exact.get(curve.shape)), fontsize=7,
                      family="monospace", color=INK, va="bottom", linespacing=1.25)  # fmt: skip
     for axes in panels.flat[len(curves) :]:
         axes.remove()
@@ -172,7 +172,7 @@ def draw_lattices(
     figure.supxlabel("particles per edge, n", fontsize=10)
 
 
-def draw_lattice(axes: Axes, curve: Curve, colour: str) -> None:
+def _draw_lattice(axes: Axes, curve: Curve, colour: str) -> None:
     """Every error, the band and the median of neighbouring n, and 1/n² to compare with."""
     lowest, median, highest = spread(curve)
     axes.plot(curve.n, curve.n**-2.0, color=INK, lw=0.9, ls=":", zorder=3)
@@ -180,11 +180,11 @@ def draw_lattice(axes: Axes, curve: Curve, colour: str) -> None:
     if math.isnan(order(curve)):
         axes.fill_between(curve.n, lowest, highest, color=colour, alpha=0.2, lw=0)
         axes.plot(curve.n, median, color=colour, lw=1.6)
-    finish(axes, ylim=(LOWEST, 1.0))
+    finish(axes, ylim=(_LOWEST, 1.0))
     write_inside(axes, 0.98, 0.97, title(curve), ha="right", va="top", color=colour)
 
 
-def needs_text(curve: Curve, exact: int | None) -> str:
+def _needs_text(curve: Curve, exact: int | None) -> str:
     """Particles for each wanted error, and those of an exact set."""
     rows = [("error", "particles")]
     for wanted in WANTED:

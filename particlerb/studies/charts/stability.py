@@ -40,7 +40,7 @@ from particlerb.studies.stability_limits import Limit
 from particlerb.studies.stability_runs import SMALL, UNSOLVABLE, VERDICTS
 from particlerb.studies.stability_table import number
 
-TINTS: Final = ("#9fd8b4", "#f3e9a2", "#79b4dd", "#e8823a", "#4a4a4a")  # of VERDICTS
+_TINTS: Final = ("#9fd8b4", "#f3e9a2", "#79b4dd", "#e8823a", "#4a4a4a")  # of VERDICTS
 MEANING: Final = {
     "accurate": "accurate: energy within 0.1 %, no growth",
     "accurate so far,\ngrowing": "accurate so far, but the error grows",
@@ -49,12 +49,12 @@ MEANING: Final = {
     "NaN or\ninfinite": "not solvable: NaN or infinite",
 }
 """Of the verdicts: words in a map, and in the legend."""
-LEVELS: Final = (-9.0, -6.0, -3.0, -1.0)  # decades of the lines of equal error
-STEPS: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
-STARTS: Final = {2.0 / 3.0: "axis of\nlargest", 1.0: "separa-\ntrix", 2.0: "axis of\nsmallest"}
+_LEVELS: Final = (-9.0, -6.0, -3.0, -1.0)  # decades of the lines of equal error
+_STEPS: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
+_STARTS: Final = {2.0 / 3.0: "axis of\nlargest", 1.0: "separa-\ntrix", 2.0: "axis of\nsmallest"}
 FLOOR: Final = 1e-17  # lowest error drawn
-BOTTOM, TOP = 1e-15, 30.0  # of the drift
-LEFT_FREE: Final = 3e-8  # between the curves of rkn6 and of all others: where runs end is named
+_BOTTOM, _TOP = 1e-15, 30.0  # of the drift
+_LEFT_FREE: Final = 3e-8  # between the curves of rkn6 and of all others: where runs end is named
 
 
 def draw_stability(study: Stability, path: Path) -> None:
@@ -68,46 +68,48 @@ def draw_stability(study: Stability, path: Path) -> None:
         f"Where each method fails: energy of free bodies over {turns} turns", fontsize=16
     )
     rows = figure.subfigures(2 if has_limits else 1, 1, squeeze=False)[:, 0]
-    draw_maps(rows[0], study, methods)
+    _draw_maps(rows[0], study, methods)
     if has_limits:
         left, right = rows[1].subfigures(1, 2, squeeze=False)[0]
-        draw_limits(left, study.limits)
-        draw_drifts(right, study.drifts)
+        _draw_limits(left, study.limits)
+        _draw_drifts(right, study.drifts)
     figure.savefig(path, dpi=100)
 
 
 # Maps
 
 
-def draw_maps(figure: SubFigure, study: Stability, methods: Sequence[str]) -> None:
+def _draw_maps(figure: SubFigure, study: Stability, methods: Sequence[str]) -> None:
     """A column per method, a row per family."""
     families = list(dict.fromkeys(one.family for one in study.maps))
     panels = figure.subplots(len(families), len(methods), squeeze=False)
     for one in study.maps:
         axes = panels[families.index(one.family), methods.index(one.method)]
-        draw_map(axes, one)
+        _draw_map(axes, one)
         if is_tolerance(one):
             continue
         if one.method == methods[0]:
             axes.set_ylabel("h |ω|  [rad per step]", fontsize=11)
         if one.method == methods[-1]:
-            mark_steps_per_turn(axes)
+            _mark_steps_per_turn(axes)
     for axes, method in zip(panels[0], methods, strict=True):
-        axes.set_title(spoken(method), color=METHOD_COLOURS[method], fontsize=13, pad=20)
-        write_inside(axes, 0.5, 1.03, headline(study, method), ha="center", va="bottom", fontsize=9)
+        axes.set_title(_spoken(method), color=METHOD_COLOURS[method], fontsize=13, pad=20)
+        write_inside(
+            axes, 0.5, 1.03, _headline(study, method), ha="center", va="bottom", fontsize=9
+        )
     patches = [
         Patch(facecolor=tint, edgecolor=INK, lw=0.5, label=text)
-        for tint, text in zip(TINTS, MEANING.values(), strict=True)
+        for tint, text in zip(_TINTS, MEANING.values(), strict=True)
     ]
     figure.legend(handles=patches, loc="outside upper center", ncols=5, frameon=False, fontsize=11)
 
 
-def spoken(method: str) -> str:
+def _spoken(method: str) -> str:
     """Name of a method in words."""
     return method.replace("_", " ")
 
 
-def headline(study: Stability, method: str) -> str:
+def _headline(study: Stability, method: str) -> str:
     """How far a method is accurate, over all its maps."""
     own = [one for one in study.maps if one.method == method]
     if not own[0].pace.any():
@@ -121,33 +123,33 @@ def headline(study: Stability, method: str) -> str:
     return f"within 0.1 % up to {what} = {pace:.2g}"
 
 
-def draw_map(axes: Axes, one: Map) -> None:
+def _draw_map(axes: Axes, one: Map) -> None:
     """Colours of the verdicts, lines of equal error, names of the regions."""
     columns = np.arange(one.across.size + 1) - 0.5
     norm = BoundaryNorm(np.arange(len(VERDICTS) + 1) - 0.5, len(VERDICTS))
-    edges = edges_of(one.pace) if one.pace.size > 1 else np.array([STEPS[0], STEPS[-1]])
-    axes.pcolormesh(columns, edges, one.verdict, cmap=ListedColormap(TINTS), norm=norm)
+    edges = _edges_of(one.pace) if one.pace.size > 1 else np.array([_STEPS[0], _STEPS[-1]])
+    axes.pcolormesh(columns, edges, one.verdict, cmap=ListedColormap(_TINTS), norm=norm)
     axes.set_yscale("log")
     if one.pace.any():
-        draw_levels(axes, one)
-        name_regions(axes, one)
+        _draw_levels(axes, one)
+        _name_regions(axes, one)
     else:
         text = f"closed form:\nno step\n\nworst error\n{one.error.max():.0e}"
         write_inside(axes, 0.5, 0.5, text, ha="center", va="center", fontsize=11)
-    mark_across(axes, one)
-    mark_pace(axes, one)
+    _mark_across(axes, one)
+    _mark_pace(axes, one)
 
 
-def edges_of(pace: Floats) -> Floats:
+def _edges_of(pace: Floats) -> Floats:
     """Edges of cells on a logarithmic axis."""
     half = math.sqrt(pace[1] / pace[0])
     return np.append(pace / half, pace[-1] * half)
 
 
-def draw_levels(axes: Axes, one: Map) -> None:
+def _draw_levels(axes: Axes, one: Map) -> None:
     """Lines of equal worst energy error, where it is finite."""
     height = np.log10(np.clip(one.error, FLOOR, 1e3))
-    levels = [level for level in LEVELS if height.min() < level < height.max()]
+    levels = [level for level in _LEVELS if height.min() < level < height.max()]
     if not levels or (one.verdict == UNSOLVABLE).all():
         return
     lines = axes.contour(
@@ -157,7 +159,7 @@ def draw_levels(axes: Axes, one: Map) -> None:
     axes.clabel(lines, fmt=lambda level: f"1e{level:.0f}", fontsize=8)
 
 
-def name_regions(axes: Axes, one: Map) -> None:
+def _name_regions(axes: Axes, one: Map) -> None:
     """The word of each verdict in the widest place of its region, and how soon all is lost."""
     for k, word in enumerate(MEANING):
         place = widest(one.verdict == k)
@@ -165,8 +167,8 @@ def name_regions(axes: Axes, one: Map) -> None:
             continue
         axes.text(
             place[1], one.pace[place[0]], word, ha="center", va="center", fontsize=10,
-            weight="bold", color=ink_on(k),
-            bbox={"facecolor": TINTS[k], "edgecolor": "none", "alpha": 0.75, "pad": 1.5},
+            weight="bold", color=_ink_on(k),
+            bbox={"facecolor": _TINTS[k], "edgecolor": "none", "alpha": 0.75, "pad": 1.5},
         )  # fmt: skip
     if largest_pace(one, SMALL) > 0.0 or is_tolerance(one):
         return
@@ -174,10 +176,10 @@ def name_regions(axes: Axes, one: Map) -> None:
         turns, verdict = one.turns[row], int(one.verdict[row].max())
         text = f"energy off by 10 %\nafter {turns.min():.2g} turns or more"
         axes.text((one.across.size - 1) / 2, one.pace[row], text, ha="center", va="center",
-                  fontsize=9, color=ink_on(verdict))  # fmt: skip
+                  fontsize=9, color=_ink_on(verdict))  # fmt: skip
 
 
-def ink_on(verdict: int) -> str:
+def _ink_on(verdict: int) -> str:
     """Colour of words on a tint."""
     return "white" if verdict == UNSOLVABLE else "black"
 
@@ -204,7 +206,7 @@ def widest(region: Bools) -> tuple[int, int] | None:
     return int(r), int(c)
 
 
-def mark_across(axes: Axes, one: Map) -> None:
+def _mark_across(axes: Axes, one: Map) -> None:
     """What the columns are."""
     axes.xaxis.set_minor_locator(NullLocator())
     x = np.arange(one.across.size, dtype=float)
@@ -213,33 +215,33 @@ def mark_across(axes: Axes, one: Map) -> None:
         axes.set_xticks(at, ["needle", "plate\n1 : 4", "plate\n1 : 2", "disc"], fontsize=9)
         axes.set_xlabel("shape of the body")
         return
-    at = np.interp(list(STARTS), one.across, x).tolist()
-    axes.set_xticks(at, list(STARTS.values()), fontsize=9)
+    at = np.interp(list(_STARTS), one.across, x).tolist()
+    axes.set_xticks(at, list(_STARTS.values()), fontsize=9)
     axes.axvline(at[1], color=INK, lw=0.8, ls=":")
     axes.set_xlabel("start, I = (1, 2, 3)")
 
 
-def mark_pace(axes: Axes, one: Map) -> None:
+def _mark_pace(axes: Axes, one: Map) -> None:
     """Ticks of the steps, and of the steps per turn; or of the tolerances."""
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_minor_formatter(NullFormatter())
     if is_tolerance(one):
         axes.set_ylabel("tolerance")
         return
-    axes.set_ylim(STEPS[0], STEPS[-1])
-    axes.yaxis.set_major_locator(FixedLocator(STEPS))
+    axes.set_ylim(_STEPS[0], _STEPS[-1])
+    axes.yaxis.set_major_locator(FixedLocator(_STEPS))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    missing = one.pace[0] / STEPS[0] if one.pace.any() else 1.0
+    missing = one.pace[0] / _STEPS[0] if one.pace.any() else 1.0
     if missing > 2.0:
-        height = 0.5 * math.log(missing) / math.log(STEPS[-1] / STEPS[0])
+        height = 0.5 * math.log(missing) / math.log(_STEPS[-1] / _STEPS[0])
         text = "not run: small steps\nof this method\ncost too much"
         write_inside(axes, 0.5, height, text, ha="center", va="center", fontsize=8, color=INK)
 
 
-def mark_steps_per_turn(axes: Axes) -> None:
+def _mark_steps_per_turn(axes: Axes) -> None:
     """Steps per turn, at the right."""
     right = axes.secondary_yaxis("right")
-    right.set_yticks(STEPS, [f"{round(2.0 * math.pi / step, 1):.3g}" for step in STEPS])
+    right.set_yticks(_STEPS, [f"{round(2.0 * math.pi / step, 1):.3g}" for step in _STEPS])
     right.yaxis.set_minor_locator(NullLocator())
     right.set_ylabel("steps per turn")
 
@@ -247,7 +249,7 @@ def mark_steps_per_turn(axes: Axes) -> None:
 # Limits
 
 
-def draw_limits(figure: SubFigure, limits: Sequence[Limit]) -> None:
+def _draw_limits(figure: SubFigure, limits: Sequence[Limit]) -> None:
     """Each limit: its distance from theory in per cent, and both figures in words."""
     axes = figure.subplots()
     figures: dict[str, Any] = {"va": "center", "family": "monospace", "fontsize": 8.5}
@@ -257,7 +259,7 @@ def draw_limits(figure: SubFigure, limits: Sequence[Limit]) -> None:
         colour = METHOD_COLOURS[one.method]
         if math.isfinite(one.theory):
             axes.plot(100.0 * (one.measured / one.theory - 1.0), y, "o", color=colour, ms=6)
-        name = f"{spoken(one.method)}: {one.name.replace(': largest', ',')}"
+        name = f"{_spoken(one.method)}: {one.name.replace(': largest', ',')}"
         write_beside(axes, -0.02, y, name, ha="right", va="center", fontsize=9, color=colour)
         text = f"{number(one.theory):>12} {number(one.measured):>12}"
         write_beside(axes, 1.02, y, text, **figures)
@@ -273,7 +275,7 @@ def draw_limits(figure: SubFigure, limits: Sequence[Limit]) -> None:
 # Drift
 
 
-def draw_drifts(figure: SubFigure, drifts: Sequence[EnergyDrift]) -> None:
+def _draw_drifts(figure: SubFigure, drifts: Sequence[EnergyDrift]) -> None:
     """Energy error against time: one panel per motion."""
     panels = figure.subplots(len(MOTIONS), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, motion in zip(panels, MOTIONS, strict=True):
@@ -281,18 +283,18 @@ def draw_drifts(figure: SubFigure, drifts: Sequence[EnergyDrift]) -> None:
         longest = max(one.turns[-1] for one in own)
         finish_panel(
             axes, f"{motion}, eight starts: every sample (dots), largest until then (line)",
-            xscale="log", yscale="log", xlim=(0.1, 300.0 * longest), ylim=(BOTTOM, TOP),
+            xscale="log", yscale="log", xlim=(0.1, 300.0 * longest), ylim=(_BOTTOM, _TOP),
             xticks=[10.0**k for k in range(-1, round(math.log10(longest)) + 1)],
             ylabel="|E/E₀ − 1|",
         )  # fmt: skip
         axes.xaxis.set_minor_locator(NullLocator())
         for drift in own:
-            draw_drift(axes, drift)
-        name_drifts(axes, own)
+            _draw_drift(axes, drift)
+        _name_drifts(axes, own)
     panels[-1].set_xlabel("turns")
 
 
-def draw_drift(axes: Axes, drift: EnergyDrift) -> None:
+def _draw_drift(axes: Axes, drift: EnergyDrift) -> None:
     """Samples of the worst body, and the running maximum; where it ends if it ends."""
     colour = METHOD_COLOURS[drift.method]
     is_finite = np.isfinite(drift.largest)
@@ -300,17 +302,17 @@ def draw_drift(axes: Axes, drift: EnergyDrift) -> None:
     axes.plot(turns, np.maximum(worst, FLOOR), ".", color=colour, ms=2.5, alpha=0.5)
     axes.plot(turns, np.maximum(drift.largest[is_finite], FLOOR), color=colour, lw=1.8)
     if not is_finite.all():
-        text = f"{spoken(drift.method)}, h|ω| = {drift.pace:g}: NaN after {turns[-1]:.1g} turns"
-        axes.text(turns[-1], LEFT_FREE, text, color=colour, va="center")
+        text = f"{_spoken(drift.method)}, h|ω| = {drift.pace:g}: NaN after {turns[-1]:.1g} turns"
+        axes.text(turns[-1], _LEFT_FREE, text, color=colour, va="center")
 
 
-def name_drifts(axes: Axes, drifts: Sequence[EnergyDrift]) -> None:
+def _name_drifts(axes: Axes, drifts: Sequence[EnergyDrift]) -> None:
     """Names and exponents at the ends of the curves that do not break off."""
     ends = []
     for drift in (one for one in drifts if np.isfinite(one.largest).all()):
         end, exponent = float(drift.largest[-1]), abs(growth_exponent(drift)[0])
-        text = f"{spoken(drift.method)}, h|ω| = {drift.pace:g}: ∝ t^{exponent:.2f}"
-        level = min(max(end, BOTTOM), TOP)
+        text = f"{_spoken(drift.method)}, h|ω| = {drift.pace:g}: ∝ t^{exponent:.2f}"
+        level = min(max(end, _BOTTOM), _TOP)
         ends.append((float(drift.turns[-1]), level, text, METHOD_COLOURS[drift.method]))
     if ends:
         name_curves(axes, ends, 1.6 * ends[0][0], gap=1.8)

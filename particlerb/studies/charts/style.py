@@ -56,7 +56,7 @@ def write_inside(axes: Axes, x: float, y: float, text: str, **style: Any) -> Non
 def name_curves(axes: Axes, ends: Sequence[CurveEnd], x: float, gap: float) -> None:
     """Write names at x beside the ends of curves on a logarithmic axis, `gap` decades apart."""
     ordered = sorted(ends, key=lambda end: end[1])
-    levels = spread_apart(np.log10([end[1] for end in ordered]), gap)
+    levels = _spread_apart(np.log10([end[1] for end in ordered]), gap)
     for (last, y, name, colour), level in zip(ordered, levels, strict=True):
         axes.annotate(
             name, (last, y), (x, 10.0**level), color=colour, va="center",
@@ -64,7 +64,7 @@ def name_curves(axes: Axes, ends: Sequence[CurveEnd], x: float, gap: float) -> N
         )  # fmt: skip
 
 
-def spread_apart(level: Floats, gap: float) -> Floats:
+def _spread_apart(level: Floats, gap: float) -> Floats:
     """Ascending levels moved apart to this gap, as far up as down."""
     steps = gap * np.arange(len(level))
     rising = np.maximum.accumulate(level - steps)

@@ -13,7 +13,7 @@ from particlerb.record.trajectory import Trajectory
 from particlerb.studies.charts.style import COLOURS, INK, finish_panel, write_beside
 from particlerb.studies.text import count_of
 
-PATHS = 12  # bodies whose trajectories are drawn
+_PATHS = 12  # bodies whose trajectories are drawn
 
 
 def draw_trajectory(trajectory: Trajectory, path: Path, body: int | None = None) -> None:
@@ -29,20 +29,20 @@ def draw_trajectory(trajectory: Trajectory, path: Path, body: int | None = None)
         Index of the body whose angular velocity and axis are drawn; default: the fastest to spin.
     """
     if body is None:
-        body = fastest(trajectory)
+        body = _fastest(trajectory)
     figure = Figure(figsize=(11, 7.2), layout="constrained")
     grid = figure.add_gridspec(2, 2)
     title = trajectory.parameter("case_resolved")["title"] or Path(trajectory.file.filename).name
     counts = f"{count_of(trajectory.n_bodies, 'body', 'bodies')}, {trajectory.n_frames} frames"
     figure.suptitle(f"{title}   ({counts})", color=INK)
-    draw_paths(figure.add_subplot(grid[0, 0], projection="3d"), trajectory, body)
-    draw_angular_velocity(figure.add_subplot(grid[0, 1]), trajectory, body)
-    draw_axis(figure.add_subplot(grid[1, 0]), trajectory, body)
-    draw_conservation_errors(figure.add_subplot(grid[1, 1]), trajectory)
+    _draw_paths(figure.add_subplot(grid[0, 0], projection="3d"), trajectory, body)
+    _draw_angular_velocity(figure.add_subplot(grid[0, 1]), trajectory, body)
+    _draw_axis(figure.add_subplot(grid[1, 0]), trajectory, body)
+    _draw_conservation_errors(figure.add_subplot(grid[1, 1]), trajectory)
     figure.savefig(path, dpi=130)
 
 
-def fastest(trajectory: Trajectory) -> int:
+def _fastest(trajectory: Trajectory) -> int:
     """Body with the largest angular velocity in the last frame."""
     last = slice(trajectory.n_frames - 1, trajectory.n_frames)
     momenta = trajectory.read("angular_momentum", last)
@@ -50,10 +50,10 @@ def fastest(trajectory: Trajectory) -> int:
     return int(np.argmax(np.linalg.norm(omega[0], axis=1)))
 
 
-def draw_paths(axes: Axes3D, trajectory: Trajectory, body: int) -> None:
+def _draw_paths(axes: Axes3D, trajectory: Trajectory, body: int) -> None:
     """Trajectories of some bodies; where none moves, that of a point of one body."""
     n, name = trajectory.n_bodies, trajectory.names[body]
-    shown = np.unique(np.append(np.linspace(0, n - 1, min(n, PATHS)).astype(int), body))
+    shown = np.unique(np.append(np.linspace(0, n - 1, min(n, _PATHS)).astype(int), body))
     position = trajectory.read("position")[:, shown]
     if np.ptp(position, axis=0).max() > 0.0:
         for k, b in enumerate(shown):
@@ -66,14 +66,14 @@ def draw_paths(axes: Axes3D, trajectory: Trajectory, body: int) -> None:
         points = position.reshape(-1, 3)
     else:
         centre = position[0, int(np.flatnonzero(shown == body)[0])]
-        points = centre + reach_of(trajectory, body) * axis_of(trajectory, body)
+        points = centre + _reach_of(trajectory, body) * _axis_of(trajectory, body)
         axes.plot(*points.T, lw=0.9, color=COLOURS[1])
         title = f"path of the end of the x axis of {name}, whose centre of mass is at rest"
     axes.set_title(title, fontsize=10)
-    set_equal_scale(axes, points)
+    _set_equal_scale(axes, points)
 
 
-def set_equal_scale(axes: Axes3D, points: Floats) -> None:
+def _set_equal_scale(axes: Axes3D, points: Floats) -> None:
     """Give all three axes the same scale, and none less than a third of the longest."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = np.maximum(high - low, (high - low).max() / 3.0) / 2.0
@@ -85,7 +85,7 @@ def set_equal_scale(axes: Axes3D, points: Floats) -> None:
     axes.locator_params(nbins=4)
 
 
-def reach_of(trajectory: Trajectory, body: int) -> float:
+def _reach_of(trajectory: Trajectory, body: int) -> float:
     """Distance of the farthest particle of a body from its centre [m]; 1 for a point."""
     particles, kind = trajectory.particles, trajectory.kind[body]
     own = particles.position[particles.offset[kind] : particles.offset[kind + 1]]
@@ -93,13 +93,13 @@ def reach_of(trajectory: Trajectory, body: int) -> float:
     return farthest or 1.0
 
 
-def axis_of(trajectory: Trajectory, body: int) -> Floats:
+def _axis_of(trajectory: Trajectory, body: int) -> Floats:
     """The body's x axis in the world, (T, 3)."""
     w, x, y, z = trajectory.read("orientation", bodies=body).T
     return np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
 
 
-def draw_angular_velocity(axes: Axes, trajectory: Trajectory, body: int) -> None:
+def _draw_angular_velocity(axes: Axes, trajectory: Trajectory, body: int) -> None:
     """Angular velocity of one body in its own axes."""
     omega, time = trajectory.omega_body(body), trajectory.time
     for k, letter in enumerate("xyz"):
@@ -108,16 +108,16 @@ def draw_angular_velocity(axes: Axes, trajectory: Trajectory, body: int) -> None
     finish(axes, f"angular velocity of {trajectory.names[body]}, body frame", "ω [rad/s]")
 
 
-def draw_axis(axes: Axes, trajectory: Trajectory, body: int) -> None:
+def _draw_axis(axes: Axes, trajectory: Trajectory, body: int) -> None:
     """Where the body's x axis points."""
-    axis = axis_of(trajectory, body)
+    axis = _axis_of(trajectory, body)
     for k, letter in enumerate("xyz"):
         axes.plot(trajectory.time, axis[:, k], color=COLOURS[k], lw=1.3, label=letter)
     axes.set_ylim(-1.08, 1.08)
     finish(axes, f"x axis of {trajectory.names[body]} in the world", "direction cosine")
 
 
-def draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
+def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
     """Largest errors of integration so far, relative to what is turned over."""
     ledger = trajectory.ledger
     linear, angular = trajectory.momentum_sizes()

@@ -21,8 +21,8 @@ from particlerb.studies.text import count_of
 from particlerb.studies.work_precision import Point, WorkPrecision
 from particlerb.studies.work_precision_table import advice, cheapest, duration, frontier
 
-PEER: Final = "#9aa5b1"
-LOST: Final = 2.0 * math.pi  # rad: where runs that failed are put
+_PEER: Final = "#9aa5b1"
+_LOST: Final = 2.0 * math.pi  # rad: where runs that failed are put
 
 
 def draw_chart(chart: WorkPrecision, path: Path) -> None:
@@ -30,7 +30,7 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     figure = Figure(figsize=(10.5, 6.8), layout="constrained")
     axes = figure.add_subplot()
     curves = [list(own) for _, own in groupby(chart.points, lambda p: p.label)]
-    ends = [end for points in curves if (end := draw_curve(axes, points, chart.floor))]
+    ends = [end for points in curves if (end := _draw_curve(axes, points, chart.floor))]
     front = frontier(chart.points)
     axes.plot(
         [p.seconds for p in front], [height(p, chart.floor) for p in front],
@@ -42,10 +42,10 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
         ylabel=f"largest {chart.measure}   (better below)",
     )  # fmt: skip
     axes.set_title(advice(chart), fontsize=11, loc="left", color=INK, fontweight="bold")
-    label_curves(axes, ends)
-    mark_levels(axes, chart)
-    mark_failures(axes, chart.points)
-    mark_cheapest(axes, chart)
+    _label_curves(axes, ends)
+    _mark_levels(axes, chart)
+    _mark_failures(axes, chart.points)
+    _mark_cheapest(axes, chart)
     bodies = count_of(chart.n_bodies, "body", "bodies")
     figure.suptitle(
         f"{chart.title}   ({bodies} to t = {chart.t_end:.6g} s, one thread)",
@@ -59,15 +59,15 @@ def height(point: Point, floor: float) -> float:
     return max(point.size, 0.5 * floor)
 
 
-def draw_curve(axes: Axes, points: list[Point], floor: float) -> CurveEnd | None:
+def _draw_curve(axes: Axes, points: list[Point], floor: float) -> CurveEnd | None:
     """Draw one curve, crosses for failed points; None where all failed."""
     first = points[0]
-    colour = PEER if first.engine else METHOD_COLOURS.get(first.method, INK)
+    colour = _PEER if first.engine else METHOD_COLOURS.get(first.method, INK)
     style, size, width = ("--", 3.2, 1.1) if first.engine else ("-", 4.5, 1.8)
     marker, size = ("D", 9) if len(points) == 1 else ("o", size)
     failed = [p.seconds for p in points if p.failure]
     good = [(p.seconds, height(p, floor)) for p in points if not p.failure]
-    axes.plot(failed, [LOST] * len(failed), "x", ms=6, mew=1.4, color=colour, clip_on=False)
+    axes.plot(failed, [_LOST] * len(failed), "x", ms=6, mew=1.4, color=colour, clip_on=False)
     if not good:
         return None
     x, y = zip(*good, strict=True)
@@ -84,7 +84,7 @@ def limits(chart: WorkPrecision) -> dict[str, Any]:
     return {"ylim": (max(low, 1e-18), 20.0), "xlim": (min(times) / 2.0, right)}
 
 
-def label_curves(axes: Axes, ends: list[CurveEnd]) -> None:
+def _label_curves(axes: Axes, ends: list[CurveEnd]) -> None:
     """Write the name of each curve at its end; names that would overlap are moved apart."""
     low, high = np.log10(axes.get_ylim())
     left, right = np.log10(axes.get_xlim())
@@ -110,7 +110,7 @@ def together(published: tuple[tuple[str, float], ...]) -> list[tuple[str, float]
     return lines
 
 
-def mark_levels(axes: Axes, chart: WorkPrecision) -> None:
+def _mark_levels(axes: Axes, chart: WorkPrecision) -> None:
     """Mark the target error, the limit of the reference, and published errors."""
     axes.axhspan(axes.get_ylim()[0], chart.floor, color="#eeeeee", zorder=0)
     write_beside(axes, 0.995, chart.floor, "limit of the reference", fontsize=8, color="#777777",
@@ -124,19 +124,19 @@ def mark_levels(axes: Axes, chart: WorkPrecision) -> None:
                      va="bottom")  # fmt: skip
 
 
-def mark_failures(axes: Axes, points: Sequence[Point]) -> None:
+def _mark_failures(axes: Axes, points: Sequence[Point]) -> None:
     """Draw the line of failed runs, with the names of methods that always fail."""
     failed = {p.label for p in points if p.failure}
     if not failed:
         return
     throughout = sorted(failed - {p.label for p in points if not p.failure})
     words = f"; at every step: {', '.join(throughout)}" if throughout else ""
-    axes.axhline(LOST, color="#cc3333", lw=0.8)
-    write_beside(axes, 0.005, LOST * 1.15, f"× failed: error above 1, or NaN{words}", fontsize=8,
+    axes.axhline(_LOST, color="#cc3333", lw=0.8)
+    write_beside(axes, 0.005, _LOST * 1.15, f"× failed: error above 1, or NaN{words}", fontsize=8,
                  color="#cc3333", va="bottom")  # fmt: skip
 
 
-def mark_cheapest(axes: Axes, chart: WorkPrecision) -> None:
+def _mark_cheapest(axes: Axes, chart: WorkPrecision) -> None:
     """Circle the cheapest run that reaches the target error."""
     best = cheapest(chart.points, chart.target)
     if best is None:
