@@ -64,7 +64,8 @@ def scene(make, folder, **keys):
     (folder / "points.csv").write_text(TABLE)
     points = {"type": "points", "file": str(folder / "points.csv")}
     through = {"contact": False} if "contact" in keys else {}
-    bodies = [make.body(name, **through) for name in "abcd"]  # six particles each
+    masses = {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0}  # of different kinds, six particles each
+    bodies = [make.body(name, mass=mass, **through) for name, mass in masses.items()]
     bodies.append(make.body("e", shape=points, count=4, place={"type": "grid", "spacing": 2.0}))
     return make.case(*bodies, **keys)
 
