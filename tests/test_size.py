@@ -12,7 +12,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 26601
+LINES_OF_CODE = 26599
 """At most, of the package; 19 000 are the aim."""
 
 LONGEST_MODULE = 400
@@ -27,7 +27,7 @@ LONGEST_FUNCTION = 60
 LONG_FUNCTIONS = {
     "particlerb/forces/gravity_tree/walk.py:meet": 65,
     "particlerb/stepping/adaptive.py:advance": 69,
-    "particlerb/stepping/contact_run.py:advance_touching": 90,
+    "particlerb/stepping/contact_run.py:_advance_touching": 90,
 }
 """Lines at most of functions that are longer."""
 

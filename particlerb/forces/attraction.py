@@ -183,9 +183,7 @@ def place_points(attraction: Attraction, work: Work, y: Floats, first: int, last
 
 
 @inline
-def _add_source(
-    x: Vec3, gm: float, softening: float, targets: Rows3, fields: Rows3, n: int
-) -> None:
+def _add_field(x: Vec3, gm: float, softening: float, targets: Rows3, fields: Rows3, n: int) -> None:
     """Add the field of a source at x to that at n targets."""
     for i in range(n):
         d = subtract(x, load3(targets, i))
@@ -223,13 +221,13 @@ def pull(attraction: Attraction, work: Work, first: int, last: int) -> None:
             fields[0][i], fields[1][i], fields[2][i] = 0.0, 0.0, 0.0
         before, after = offset[body[lo]], offset[body[hi - 1] + 1]
         for j in range(before):
-            _add_source(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
+            _add_field(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
         if body[lo] != body[hi - 1]:
             for j in range(before, after):
                 x = load3(sources, j)
                 _add_near_source(x, gm[j], body[j], softening, targets, fields, bodies)
         for j in range(after, n):
-            _add_source(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
+            _add_field(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
 
 
 @kernel
