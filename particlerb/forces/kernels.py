@@ -23,7 +23,7 @@ _ZERO: Final = (0.0, 0.0, 0.0)
 _POSE: Final = "b, x, R, dt, p, L"  # arguments of a kick
 Entry: TypeAlias = tuple[
     float, Vec3, Vec3
-]  # work, impulse, angular impulse: stepping/external_work.py
+]  # work, impulse, angular impulse: integrators/external_work.py
 
 
 class Acting(NamedTuple):
