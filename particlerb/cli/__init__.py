@@ -70,7 +70,7 @@ COMMANDS: Final = {
 }
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
     """All commands and their options."""
     top = argparse.ArgumentParser(
         prog="python -m particlerb",
@@ -92,7 +92,7 @@ def main(words: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks Σ shows ? and goes on
             stream.reconfigure(errors="replace")
-    top = _parser()
+    top = parser()
     if words and words[0] not in (*COMMANDS, "-h", "--help", "--version"):
         words.insert(0, "run")
     try:
@@ -113,7 +113,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def entry() -> NoReturn:
     """Run the command of this process and end it; SIGTERM ends it as Ctrl-C does."""
-    warnings.showwarning = _show_warning
+    warnings.showwarning = show_warning
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     if wants_guard(sys.argv[1:]):
@@ -121,7 +121,7 @@ def entry() -> NoReturn:
     sys.exit(main())
 
 
-def _show_warning(
+def show_warning(
     message: Warning | str,
     category: type[Warning],
     filename: str,

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 _MOMENT_ROUNDING: Final = 1e-14  # share of a moment of charges that is its rounding
 
 
-class _RotatingField(NamedTuple):
+class RotatingField(NamedTuple):
     """Parameters of the term for n bodies."""
 
     along: Floats  # (3, n) part of E along Ω, world frame
@@ -83,14 +83,14 @@ KICK: Final = Kick(
 )  # fmt: skip
 
 
-def _field_work(field: _RotatingField, com: Floats, q: Floats, t: float) -> Floats:
+def _field_work(field: RotatingField, com: Floats, q: Floats, t: float) -> Floats:
     """-U, (n,) [J], at t [s]."""
     angle = field.rate * t
     E = field.along + np.cos(angle) * field.across + np.sin(angle) * field.ahead
     return np.asarray(((field.charge * com + rotate(q, field.moment)) * E).sum(axis=0))
 
 
-def _field_rates(field: _RotatingField, bodies: Bodies, state: State) -> Rates:
+def _field_rates(field: RotatingField, bodies: Bodies, state: State) -> Rates:
     """The torque about which a body swings, and the turn of the field."""
     del bodies, state
     strength = np.hypot(lengths(field.along), lengths(field.across))
@@ -139,7 +139,7 @@ def _refuse_count(charges: tuple[float, ...], members: Ints, system: "System") -
 
 def _term_of(
     table: "UniformField", numbers: Floats, bodies: Bodies, start: float
-) -> Push | _RotatingField:
+) -> Push | RotatingField:
     """The force on the charge, and the moment as the lever of the field; or a field that turns."""
     del table
     moment, E, charge = rotate_back(bodies.rotor_frame, numbers[:3]), numbers[3:6], numbers[6]
@@ -150,7 +150,7 @@ def _term_of(
     along = axis * (axis * E).sum(axis=0)
     across, ahead = E - along, np.cross(axis, E, axis=0)
     cos, sin = np.cos(rate * start), np.sin(rate * start)
-    return _RotatingField(
+    return RotatingField(
         along, cos * across + sin * ahead, cos * ahead - sin * across, rate, moment, charge
     )
 
@@ -175,4 +175,4 @@ def turning(table: "UniformField", is_point: bool) -> tuple[str, str]:
 
 FORCE: Final = Force(resolve, _term_of, has_arm=True, check=_refuse_large, turning=turning)
 KICKS: Final = (KICK,)
-TERMS: Final = (Term(_RotatingField, "rotating field", KICK, _field_rates, _field_work),)
+TERMS: Final = (Term(RotatingField, "rotating field", KICK, _field_rates, _field_work),)

@@ -28,7 +28,7 @@ from particlerb.model.state import State, lengths, omega_world
 from particlerb.rotors.symmetric_split import turn_by
 
 
-class _Magnus(NamedTuple):
+class Magnus(NamedTuple):
     """Parameters of the term for n bodies."""
 
     share: Floats  # (n,), c/M
@@ -52,14 +52,14 @@ def _magnus_flow(rows: Floats, at: int, b: int, R: Rows, dt: float, p: Vec3, L: 
 KICK: Final = Kick("magnus", 1, load=_magnus_load, flow=_magnus_flow)
 
 
-def _magnus_rates(magnus: _Magnus, bodies: Bodies, state: State) -> Rates:
+def _magnus_rates(magnus: Magnus, bodies: Bodies, state: State) -> Rates:
     """The rate at which the way turns."""
     return Rates(rate=np.abs(magnus.share) * lengths(omega_world(bodies, state)))
 
 
 FORCE: Final = Force(
     same_for_all(lambda table: (table.coefficient,)),
-    lambda _, numbers, bodies, start: _Magnus(numbers[0] * bodies.inv_mass),
+    lambda _, numbers, bodies, start: Magnus(numbers[0] * bodies.inv_mass),
 )
 KICKS: Final = (KICK,)
-TERMS: Final = (Term(_Magnus, "Magnus lift", KICK, _magnus_rates),)
+TERMS: Final = (Term(Magnus, "Magnus lift", KICK, _magnus_rates),)

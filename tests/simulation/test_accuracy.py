@@ -103,7 +103,7 @@ def test_less_accuracy_takes_fewer_steps(make):
         ][0]["dt"]
         for a in (1e-9, 1e-3)
     ]
-    assert steps[0] < 0.3 * steps[1]  # order six: as 1 to 10, if the same method serves both
+    assert steps[0] < 0.5 * steps[1]  # order six: 1 to 10, if all rungs serve
 
 
 def test_free_bodies_need_no_choice(make):
@@ -178,7 +178,7 @@ def test_drag_is_not_given_to_rkn6(make):
     with particlerb.run(scene) as t:
         said = json.loads(t.parameter("accuracy"))
     assert said["is_met"]
-    assert said["groups"][0]["method"] in ("strang", "dop853")
+    assert said["groups"][0]["method"] in ("strang", "rk4", "dop853")
 
 
 def tops(make, n, **keys):
