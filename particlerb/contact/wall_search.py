@@ -24,6 +24,7 @@ from particlerb.contact.walls import (
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, load3, rows3, subtract
 
 COST: Final = 4  # body-steps that finding what is near a sphere takes
+_MAX_SHARE: Final = 64  # largest number of cells of a flat or thin wall, over that of a compact one
 _MAX_CELLS: Final = 8  # per primitive
 _CELLS_PER_SPHERE: Final = 0.25  # more: most of a wide heap is far from all walls
 _MIN_CELLS: Final = 512
@@ -231,6 +232,8 @@ def lists_of(walls: Walls, cutoff: float, more: int = 0) -> _WallLists:
         extent = high.max(axis=0) - origin[w]
         cells = _MAX_CELLS * which.size + _MIN_CELLS + more
         width[w] = max(np.cbrt(extent.prod() / cells), 2.0 * cutoff)
+        while (np.floor(extent / width[w]) + 1.0).prod() > _MAX_SHARE * cells:  # a long thin wall
+            width[w] *= 2.0
         shape[w] = np.floor(extent / width[w]) + 1
         corners[which, :3] = (low - origin[w]) / width[w]
         corners[which, 3:] = (high - origin[w]) / width[w]

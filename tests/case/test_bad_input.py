@@ -1333,3 +1333,14 @@ def test_mutated_cases_end_in_a_plan_or_one_message():
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 escapes" in done.stdout
     assert "planned" in done.stdout
+
+
+def test_a_very_long_wall_has_no_more_cells_than_memory():
+    """The cube root of its volume would ask for 1e68 of them."""
+    text = """
+run = { t_end = 1.0, every = 0.5, dt = 1e-3 }
+contact = { stiffness = 1e4, restitution = 0.8, friction = 0.3 }
+wall = [{ type = "cylinder", name = "w", radius = 1.0, length = 2.4e101, open = ["+"] }]
+body = [{ name = "a", shape = { type = "sphere", radius = 0.2 }, mass = 1.0 }]
+"""
+    prepare(to_system(parse(text)))
