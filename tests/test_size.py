@@ -12,7 +12,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 26602
+LINES_OF_CODE = 26596
 """At most, of the package; 19 000 are the aim."""
 
 LONGEST_MODULE = 400

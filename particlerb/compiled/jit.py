@@ -29,7 +29,7 @@ from numba.core import caching
 
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
-Flag: TypeAlias = int | None  # PRESENT, or None: types of their own, so that Numba leaves code out
+Flag: TypeAlias = int | None  # 1, or None: types of their own, so that Numba leaves code out
 _PRESENT: Final = 1
 
 _PACKAGE = Path(__file__).parents[1]

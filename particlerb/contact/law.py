@@ -34,8 +34,7 @@ Ai, Chen, Rotter and Ooi, Powder Technology 206, 269 (2011), rolling.
 import math
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import inline
-from particlerb.compiled.option import Option
+from particlerb.compiled.jit import Flag, inline
 from particlerb.maths.vec3 import Floats, Vec3
 
 TANGENTIAL_DAMPING: Final = 0.5  # χ unless said otherwise, as in LAMMPS
@@ -52,8 +51,8 @@ class Law(NamedTuple):
     tangential_damping: Floats  # (n_pairs,) χ, tangential damping in units of the normal one
     friction: Floats  # (n_pairs,) μ
     rolling: Floats | None  # (n_pairs,) μ_r; None: nothing resists rolling
-    hertz: Option  # None: hooke
-    attract: Option  # None: the normal force is never negative
+    hertz: Flag  # None: hooke
+    attract: Flag  # None: the normal force is never negative
 
 
 class ContactState(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.output import FIELDS_OF_CONTACT
-from particlerb.compiled.option import option
+from particlerb.compiled.jit import flag
 from particlerb.contact.contact_model import ContactModel, ContactSpheres, GroupContact
 from particlerb.contact.interior_spheres import outer_spheres
 from particlerb.contact.law import TANGENTIAL_DAMPING, Law
@@ -328,8 +328,8 @@ def _law_of(touching: ContactSetup) -> Law:
         np.full(rolling.size, TANGENTIAL_DAMPING),
         pairs.friction.ravel(),
         rolling if rolling.any() else None,
-        option(is_hertz),
-        option(touching.record.attract),
+        flag(is_hertz),
+        flag(touching.record.attract),
     )
 
 

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
-from particlerb.compiled.jit import inline, kernel
-from particlerb.compiled.option import option
+from particlerb.compiled.jit import flag, inline, kernel
 from particlerb.contact import friction, law
 from particlerb.contact import restitution as closed
 from particlerb.contact.friction import friction_force, rolling_torque, rotated_spring
@@ -40,7 +39,7 @@ def law_of(stiffness, tangential, e, mu, rolling=None, is_hertz=False, attract=F
     ratio, chi = closed.damping_ratio(e, attract), law.TANGENTIAL_DAMPING
     rolling = None if rolling is None else np.array([rolling])
     parameters = one(stiffness, tangential, ratio, chi, mu)
-    return law.Law(*parameters, rolling, option(is_hertz), option(attract))
+    return law.Law(*parameters, rolling, flag(is_hertz), flag(attract))
 
 
 def hooke_law(e=0.5, mu=0.0, rolling=None, attract=False):
