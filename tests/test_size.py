@@ -13,7 +13,10 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
 LINES_OF_CODE = 26596
-"""At most, of the package; 19 000 are the aim."""
+"""At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
+
+BUDGETS = {"closed forms under force": 600, "joints": 1500, "tables of forces": 120}
+"""Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 
 LONGEST_MODULE = 400
 LONG_MODULES = {
@@ -80,7 +83,8 @@ def assert_at_most(found: dict[str, int], limit: int, exceptions: dict[str, int]
 
 def test_the_package_is_no_larger_than_before():
     lines = sum(code_lines(path.read_text()) for path in PACKAGE)
-    assert lines <= LINES_OF_CODE, f"{lines} lines of code: unify before you add"
+    allowed = LINES_OF_CODE + sum(BUDGETS.values())
+    assert lines <= allowed, f"{lines} lines of code, {allowed} allowed: unify before you add"
 
 
 def test_modules_are_short():
