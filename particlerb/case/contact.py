@@ -28,17 +28,9 @@ _Share = Annotated[NonNegative, Field(le=1.0)]
 _Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 _End = Literal["-", "+"]
 _ORIGIN = (0.0, 0.0, 0.0)
-_STIFFNESS = "Normal stiffness, hooke. [N/m]"
-_TANGENTIAL = "Tangential stiffness, hooke; default: 2/7 of the normal one. [N/m]"
-_RESTITUTION = "Speed after over speed before a central impact, 0 to 1. [-]"
-_FRICTION = "Coefficient of sliding friction. [-]"
-_ROLLING = "Coefficient of rolling friction; default: 0. [-]"
 KIND = "Kind of wall. [-]"
 NAME = "Unique name. [-]"
-_MATERIAL = "Name of a [[material]]; default: the only one. [-]"
 _INSIDE = "Whether all bodies are inside at t = 0, or anywhere. [-]"
-_MOTION = "How it moves; default: not at all. [-]"
-_PISTON = "How it slides under a load; default: it does not. [-]"
 
 
 class Material(Table):
@@ -51,28 +43,34 @@ class Material(Table):
     )
 
 
-class Pair(Table):
+class ContactNumbers(Table):
+    """Numbers of a contact, of one pair of materials or of all."""
+
+    stiffness: Positive | None = Field(None, description="Normal stiffness, hooke. [N/m]")
+    tangential_stiffness: NonNegative | None = Field(
+        None, description="Tangential stiffness, hooke; default: 2/7 of the normal one. [N/m]"
+    )
+    restitution: _Share | None = Field(
+        None, description="Speed after over speed before a central impact, 0 to 1. [-]"
+    )
+    friction: NonNegative | None = Field(None, description="Coefficient of sliding friction. [-]")
+    rolling_friction: NonNegative | None = Field(
+        None, description="Coefficient of rolling friction; default: 0. [-]"
+    )
+
+
+class Pair(ContactNumbers):
     """Numbers of the contact between two materials, or of one with itself."""
 
     materials: Annotated[tuple[Name, Name], entries(2, "names")] = Field(
         description="Names of the two. [-]"
     )
-    stiffness: Positive | None = Field(None, description=_STIFFNESS)
-    tangential_stiffness: NonNegative | None = Field(None, description=_TANGENTIAL)
-    restitution: _Share | None = Field(None, description=_RESTITUTION)
-    friction: NonNegative | None = Field(None, description=_FRICTION)
-    rolling_friction: NonNegative | None = Field(None, description=_ROLLING)
 
 
-class ContactTable(Table):
+class ContactTable(ContactNumbers):
     """Contact between bodies and with walls; without this table nothing touches."""
 
     law: Literal["hooke", "hertz"] = Field("hooke", description="Force by overlap. [-]")
-    stiffness: Positive | None = Field(None, description=_STIFFNESS)
-    tangential_stiffness: NonNegative | None = Field(None, description=_TANGENTIAL)
-    restitution: _Share | None = Field(None, description=_RESTITUTION)
-    friction: NonNegative | None = Field(None, description=_FRICTION)
-    rolling_friction: NonNegative | None = Field(None, description=_ROLLING)
     attract: Yes = Field(False, description="Whether damping may pull. [-]")
     skin: Positive | None = Field(
         None, description="Distance up to which pairs are kept; default: chosen. [m]"
@@ -157,32 +155,38 @@ class Piston(Table):
         return self
 
 
-class PlaneWall(Table):
+class WallTable(Table):
+    """What all walls share."""
+
+    type: str = Field(description=KIND)
+    name: Name = Field(description=NAME)
+    material: Name | None = Field(
+        None, description="Name of a [[material]]; default: the only one. [-]"
+    )
+    motion: Prescribed | None = Field(None, description="How it moves; default: not at all. [-]")
+    piston: Piston | None = Field(
+        None, description="How it slides under a load; default: it does not. [-]"
+    )
+
+
+class PlaneWall(WallTable):
     """A plane; bodies are on the side to which its normal points."""
 
     type: Literal["plane"] = Field(description=KIND)
-    name: Name = Field(description=NAME)
     point: Vector = Field(_ORIGIN, description="Any of its points, world frame. [m]")
     normal: _Direction = Field(description="Towards the bodies, of any length. [-]")
-    material: Name | None = Field(None, description=_MATERIAL)
-    motion: Prescribed | None = Field(None, description=_MOTION)
-    piston: Piston | None = Field(None, description=_PISTON)
 
 
-class BoxWall(Table):
+class BoxWall(WallTable):
     """A box along the axes of the world, thin faces of which some may be open."""
 
     type: Literal["box"] = Field(description=KIND)
-    name: Name = Field(description=NAME)
     lower: Vector = Field(description="Lower corner, world frame. [m]")
     upper: Vector = Field(description="Upper corner, world frame. [m]")
     open: Annotated[tuple[_Face, ...], AfterValidator(once)] = Field(
         (), description="Faces that are not there. [-]"
     )
     inside: Yes = Field(True, description=_INSIDE)
-    material: Name | None = Field(None, description=_MATERIAL)
-    motion: Prescribed | None = Field(None, description=_MOTION)
-    piston: Piston | None = Field(None, description=_PISTON)
 
     @model_validator(mode="after")
     def is_box(self) -> Self:
@@ -197,11 +201,10 @@ class BoxWall(Table):
         return self
 
 
-class CylinderWall(Table):
+class CylinderWall(WallTable):
     """A cylinder, a thin tube with ends of which some may be open."""
 
     type: Literal["cylinder"] = Field(description=KIND)
-    name: Name = Field(description=NAME)
     centre: Vector = Field(_ORIGIN, description="Middle of its axis, world frame. [m]")
     axis: _Direction = Field((0.0, 0.0, 1.0), description="Along the axis, of any length. [-]")
     radius: Positive = Field(description="Inner radius. [m]")
@@ -210,16 +213,12 @@ class CylinderWall(Table):
         (), description="Ends that are not there: against the axis (-), along it (+). [-]"
     )
     inside: Yes = Field(True, description=_INSIDE)
-    material: Name | None = Field(None, description=_MATERIAL)
-    motion: Prescribed | None = Field(None, description=_MOTION)
-    piston: Piston | None = Field(None, description=_PISTON)
 
 
-class MeshWall(Table):
+class MeshWall(WallTable):
     """A thin surface of triangles from a file, which trimesh reads."""
 
     type: Literal["mesh"] = Field(description=KIND)
-    name: Name = Field(description=NAME)
     file: Name = Field(description="STL file, relative to the folder of the case. [-]")
     scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
     position: Vector = Field(_ORIGIN, description="Of the file's origin, world frame. [m]")
@@ -227,9 +226,6 @@ class MeshWall(Table):
         (1.0, 0.0, 0.0, 0.0),
         description="File to world axes: quaternion or { euler_deg = [..] }. [-]",
     )
-    material: Name | None = Field(None, description=_MATERIAL)
-    motion: Prescribed | None = Field(None, description=_MOTION)
-    piston: Piston | None = Field(None, description=_PISTON)
 
 
 AnyWall = PlaneWall | BoxWall | CylinderWall | MeshWall

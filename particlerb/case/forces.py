@@ -26,12 +26,15 @@ from particlerb.case.values import (
 
 KIND = "Kind of force or placement. [-]"
 _FRAME = "Axes of the vector: world or body. [-]"
-BODIES = "Name of a [[body]] block, of one body as name[3], or a list of such names. [-]"
+_BODIES = "Name of a [[body]] block, of one body as name[3], or a list of such names. [-]"
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
 class ForceTable(Table):
     """What all tables of [[force]] share."""
+
+    type: str = Field(description=KIND)
+    body: Names = Field(description=_BODIES)
 
     names_bodies: ClassVar[tuple[str, ...]] = ("body",)
 
@@ -56,46 +59,45 @@ def _is_interval(value: tuple[float, float]) -> tuple[float, float]:
 During = Annotated[tuple[NonNegative, NonNegative], entries(2), AfterValidator(_is_interval)]
 
 
-class PushTable(ForceTable):
+class LastingForceTable(ForceTable):
+    """What all share that act for a time."""
+
+    during: During | None = Field(None, description="Start and end; default: always. [s]")
+
+
+class PushTable(LastingForceTable):
     """A constant force at a point of the body that stays on that point while the body turns."""
 
     type: Literal["push"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
     at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
     force: Vector = Field(description="Force. [N]")
     frame: Frame = Field("world", description=_FRAME)
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
-class TorqueTable(ForceTable):
+class TorqueTable(LastingForceTable):
     """A constant torque."""
 
     type: Literal["torque"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
     torque: Vector = Field(description="Torque. [N m]")
     frame: Frame = Field("world", description=_FRAME)
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
 class ImpulseTable(ForceTable):
     """A jump of the momenta at one instant: P += J, L += r × J."""
 
     type: Literal["impulse"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
     at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
     impulse: Vector = Field(description="Impulse. [N s]")
     frame: Frame = Field("world", description=_FRAME)
     time: NonNegative = Field(description="When, at most t_end. [s]")
 
 
-class DragTable(ForceTable):
+class DragTable(LastingForceTable):
     """Linear drag: F = -c v and τ = -c_r ω."""
 
     type: Literal["drag"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
     translation: NonNegative = Field(0.0, description="Coefficient c. [N s/m]")
     rotation: NonNegative = Field(0.0, description="Coefficient c_r. [N m s/rad]")
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
 def _rest_form(value: Any) -> str:
@@ -118,11 +120,10 @@ _Charge = Annotated[
 ]
 
 
-class SpringTable(ForceTable):
+class SpringTable(LastingForceTable):
     """A spring from a point of the body to the world or another body: F = k (l - l₀) + c dl/dt."""
 
     type: Literal["spring"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
     at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
     anchor: Vector | None = Field(
         None, description="The other end, world frame; this, or to or reach. [m]"
@@ -139,7 +140,6 @@ class SpringTable(ForceTable):
     rest_length: _RestLength = Field(
         0.0, description='Length l₀ without force; "initial": as long as it is at t = 0. [m]'
     )
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
 
     names_bodies: ClassVar[tuple[str, ...]] = ("body", "to")
 
@@ -168,11 +168,10 @@ class SpringTable(ForceTable):
             yield (*path, "to"), reason, hint
 
 
-class UniformField(ForceTable):
+class UniformField(LastingForceTable):
     """A uniform field that acts on charges and on a dipole of the body: Σ q E and d × E."""
 
     type: Literal["field"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
     field: Vector = Field(description="Field E, world frame. [V/m; T for a magnetic dipole]")
     charge: _Charge = Field(
         0.0, description="Charge q of the body, or a list with one per particle. [C]"
@@ -182,7 +181,6 @@ class UniformField(ForceTable):
     angular_velocity: Vector = Field(
         _ORIGIN, description="Rate at which E turns from t = 0 on, world frame. [rad/s]"
     )
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
 
     @property
     def needs_particles(self) -> bool:
@@ -196,23 +194,19 @@ class UniformField(ForceTable):
             yield from out_of_place(path, raw, "at", "a charge for each particle")
 
 
-class CentralTable(ForceTable):
+class CentralTable(LastingForceTable):
     """Attraction by a fixed centre, inverse-square, with its gravity-gradient torque."""
 
     type: Literal["central"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
     centre: Vector = Field(_ORIGIN, description="Where the centre is, world frame. [m]")
     mu: Positive = Field(description="G times the mass of the centre. [m³/s²]")
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
-class MagnusTable(ForceTable):
+class MagnusTable(LastingForceTable):
     """Magnus lift of a spinning body: F = c ω × v."""
 
     type: Literal["magnus"] = Field(description=KIND)
-    body: Names = Field(description=BODIES)
     coefficient: Real = Field(description="Coefficient c. [kg/rad]")
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
 
 
 AnyForce = (

@@ -25,22 +25,30 @@ from particlerb.case.values import (
 )
 
 _Arrangement = Literal["lattice", "exact"]
-_CurvedArrangement = Literal["lattice", "cells"]
 _RoundArrangement = Literal["lattice", "cells", "exact"]
 KIND = "Kind of shape. [-]"
 _ACROSS = "Particles along the largest extent of the lattice. [-]"
 _SHELL_N = "As for a ball; on a thin shell per quarter of a great circle. [-]"
 _ARRANGEMENT = "A lattice, or the smallest exact set of particles. [-]"
-_CURVED = "Whole cells, or cells weighted by their share inside. [-]"
 _ROUND = "Whole cells, cells weighted by their share inside, or the smallest exact set. [-]"
 _BALL = "One particle with the radius, whole cells, or cells weighted by their share inside. [-]"
-_ENOUGH = "Chooses n: largest relative error of tensor and centre of mass. [-]"
 _Share = Annotated[Positive, Field(lt=1.0)]
 Vertices = Annotated[tuple[Vector, Vector, Vector, Vector], entries(4, "corners")]
 
 
-class FilledTable(Table):
+class ShapeTable(Table):
+    """What all shapes share."""
+
+    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
+    type: str = Field(description=KIND)
+
+
+class FilledTable(ShapeTable):
     """A shape that cells fill: how finely is said once."""
+
+    inertia_error: _Share | None = Field(
+        None, description="Chooses n: largest relative error of tensor and centre of mass. [-]"
+    )
 
     @model_validator(mode="after")
     def says_once_how_fine(self) -> Self:
@@ -54,28 +62,33 @@ class FilledTable(Table):
         return self
 
 
+class CurvedTable(FilledTable):
+    """A curved shape without an exact set."""
+
+    n: Count = Field(10, description=_ACROSS)
+    arrangement: Literal["lattice", "cells"] = Field(
+        "lattice", description="Whole cells, or cells weighted by their share inside. [-]"
+    )
+
+
 class Box(FilledTable):
     """Solid box."""
 
-    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["box"] = Field(description=KIND)
     size: Lengths = Field(description="Edge lengths. [m]")
     n: Resolution = Field((10, 10, 10), description="Particles per edge. [-]")
     arrangement: _Arrangement = Field("lattice", description=_ARRANGEMENT)
-    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
 
 class Ball(FilledTable):
     """Solid ball, a single particle with its radius unless cells fill it; also called a sphere."""
 
-    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Annotated[Literal["ball", "sphere"], AfterValidator(lambda word: "ball")] = Field(
         description=KIND
     )
     radius: Positive = Field(description="Radius, of its matter and of its surface. [m]")
     n: Count = Field(10, description=_ACROSS)
     arrangement: _RoundArrangement = Field("exact", description=_BALL)
-    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
     @model_validator(mode="before")
     @classmethod
@@ -90,18 +103,15 @@ def filling(ball: Mapping[str, Any]) -> Any:
     return ball.get("arrangement", "lattice" if is_fine else "exact")
 
 
-class Shell(FilledTable):
+class Shell(CurvedTable):
     """Hollow ball; without `inner_radius` an infinitely thin one, which has no density."""
 
-    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["shell"] = Field(description=KIND)
     radius: Positive = Field(description="Outer radius. [m]")
     inner_radius: Positive | None = Field(
         None, description="Inner radius; left out: a thin shell. [m]"
     )
     n: Count = Field(10, description=_SHELL_N)
-    arrangement: _CurvedArrangement = Field("lattice", description=_CURVED)
-    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
     @model_validator(mode="after")
     def is_hollow(self) -> Self:
@@ -113,17 +123,13 @@ class Shell(FilledTable):
         return self
 
 
-class Cylinder(FilledTable):
+class Cylinder(CurvedTable):
     """Solid or hollow cylinder about z."""
 
-    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["cylinder"] = Field(description=KIND)
     radius: Positive = Field(description="Outer radius. [m]")
     height: Positive = Field(description="Height along z. [m]")
     inner_radius: NonNegative = Field(0.0, description="Radius of the bore. [m]")
-    n: Count = Field(10, description=_ACROSS)
-    arrangement: _CurvedArrangement = Field("lattice", description=_CURVED)
-    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
     @model_validator(mode="after")
     def has_wall(self) -> Self:
@@ -132,28 +138,20 @@ class Cylinder(FilledTable):
         return self
 
 
-class Cone(FilledTable):
+class Cone(CurvedTable):
     """Solid cone about z, base at z = 0, apex at z = height."""
 
-    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["cone"] = Field(description=KIND)
     radius: Positive = Field(description="Radius of the base. [m]")
     height: Positive = Field(description="Height along z. [m]")
-    n: Count = Field(10, description=_ACROSS)
-    arrangement: _CurvedArrangement = Field("lattice", description=_CURVED)
-    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
 
-class Torus(FilledTable):
+class Torus(CurvedTable):
     """Solid torus about z."""
 
-    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["torus"] = Field(description=KIND)
     major_radius: Positive = Field(description="Distance of the tube's centre from the axis. [m]")
     minor_radius: Positive = Field(description="Radius of the tube. [m]")
-    n: Count = Field(10, description=_ACROSS)
-    arrangement: _CurvedArrangement = Field("lattice", description=_CURVED)
-    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
     @model_validator(mode="after")
     def does_not_overlap(self) -> Self:
@@ -169,18 +167,15 @@ class Torus(FilledTable):
 class Ellipsoid(FilledTable):
     """Solid ellipsoid."""
 
-    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["ellipsoid"] = Field(description=KIND)
     semi_axes: Lengths = Field(description="Half of the lengths along x, y, z. [m]")
     n: Count = Field(10, description=_ACROSS)
     arrangement: _RoundArrangement = Field("lattice", description=_ROUND)
-    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
 
-class Tetrahedron(Table):
+class Tetrahedron(ShapeTable):
     """Solid tetrahedron."""
 
-    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["tetrahedron"] = Field(description=KIND)
     vertices: Vertices = Field(description="The four corners. [m]")
     n: Count = Field(10, description="Particles per edge. [-]")
@@ -195,7 +190,6 @@ class Rod(FilledTable):
     length: Positive = Field(description="Length along z. [m]")
     n: Count = Field(10, description="Particles along the rod. [-]")
     arrangement: _Arrangement = Field("lattice", description=_ARRANGEMENT)
-    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
 
 def _for_each(value: Any) -> Any:
@@ -245,7 +239,7 @@ def _require_length(shape: "PointsShape | SpheresShape", key: str, length: int) 
         raise broken(f"must have {length} entries like position, has {len(entries)}", key)
 
 
-class PointsShape(Table):
+class PointsShape(ShapeTable):
     """Particles given one by one, here or in a CSV file; their masses are the body's."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ()
@@ -305,10 +299,9 @@ class PointsShape(Table):
                 raise broken(f"particle {i} has neither mass nor radius", "mass")
 
 
-class SpheresShape(Table):
+class SpheresShape(ShapeTable):
     """Union of overlapping spheres of uniform matter, given here or in a file."""
 
-    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["spheres"] = Field(description=KIND)
     position: tuple[Vector, ...] | None = Field(None, description="Centres in the body's axes. [m]")
     radius: _PositiveEach | None = Field(None, description="Radii, or that of every sphere. [m]")
@@ -344,7 +337,6 @@ class SpheresShape(Table):
 class MeshShape(FilledTable):
     """Uniform matter inside a closed surface of triangles from a file, which trimesh reads."""
 
-    weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
     type: Literal["mesh"] = Field(description=KIND)
     file: Name = Field(description="STL, OBJ or PLY file, relative to the folder of the case. [-]")
     scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
@@ -352,10 +344,9 @@ class MeshShape(FilledTable):
         "exact", description="Six particles, weighted cells, or spheres inside to touch with. [-]"
     )
     n: Count = Field(10, description="Cells along the largest extent, or spheres. [-]")
-    inertia_error: _Share | None = Field(None, description=_ENOUGH)
 
 
-class Moments(Table):
+class Moments(ShapeTable):
     """Six equal particles with exactly these principal moments about the body's axes."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
@@ -365,7 +356,7 @@ class Moments(Table):
     )
 
 
-class Cloud(Table):
+class Cloud(ShapeTable):
     """Equal particles at random in a ball, drawn anew for every body."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass",)

@@ -126,7 +126,7 @@ MISTAKES = [
         7,
         "body[0].shape.sizes",
         "unknown key",
-        'did you mean "size"? keys here: type, size, n, arrangement',
+        'did you mean "size"? keys here: type, inertia_error, size, n',
     ),
     (
         "size = [1.0, 1.0, 1.0]",
@@ -482,7 +482,7 @@ BETWEEN = [
         "names 3 bodies, `body` 4: they make no pairs",
         "name equal numbers, or one for all; or give `reach`",
     ),
-    ("field", "", "field", "missing", "keys here: type, body, field, charge, at, dipole, angular"),
+    ("field", "", "field", "missing", "keys here: type, body, during, field, charge, at, dipole"),
     ("field", "fild = [0, 0, 1]", "fild", "unknown key", 'did you mean "field"?'),
     ("field", "field = [0, 1]", "field", "must have 3 entries, has 2", ""),
     ("field", "field = [0, 0, 1]\ndipole = 2", "dipole", "must be a list of 3 numbers", ""),
@@ -640,7 +640,7 @@ OF_CONTACT = [
         "fricton = 0.3",
         "contact.pair[0].fricton",
         "unknown key",
-        'did you mean "friction"? keys here: materials, stiffness',
+        'did you mean "friction"? keys here: stiffness, tangential_stiffness',
     ),
     (
         "friction = 0.3",
@@ -755,7 +755,7 @@ OF_CONTACT = [
         "nrmal = [0, 0, 1]",
         "wall[0].nrmal",
         "unknown key",
-        'did you mean "normal"? keys here: type, name, point, normal',
+        'did you mean "normal"? keys here: type, name, material, motion, piston, point, normal',
     ),
     (
         "normal = [0, 0, 1]",
@@ -829,7 +829,13 @@ OF_CONTACT = [
         "unknown: '+z'",
         "known: -, +",
     ),
-    ("length = 1\n", "", "wall[2].length", "missing", "keys here: type, name, centre, axis"),
+    (
+        "length = 1\n",
+        "",
+        "wall[2].length",
+        "missing",
+        "keys here: type, name, material, motion, piston, centre, axis",
+    ),
     ("length = 1\n", "length = 1\ninside = 1\n", "wall[2].inside", "must be true or false", ""),
     (
         "radius = 1\n",
