@@ -15,7 +15,7 @@ from typing import Final
 
 from particlerb.cli.common import FAILED, INTERRUPTED, Ending
 
-GUARDED: Final = ("info", "plot", "export")
+GUARDED: Final = ("info", "plot", "export", "resume")
 MARK: Final = "PARTICLERB_IS_GUARDED"
 _SECONDS_TO_END: Final = 2.0
 SECONDS_TO_LOOK: Final = 10  # of the processor: a file has some hundred objects
@@ -27,7 +27,11 @@ def wants_guard(words: Sequence[str]) -> bool:
 
 
 def guarded(words: Sequence[str]) -> int:
-    """Run a command line in a process of its own; return its exit code."""
+    """Run a command line in a process of its own; return its exit code.
+
+    An interrupt goes on to that process. `resume` has its time to keep its frames, and ends at once
+    at the second one.
+    """
     command = [sys.executable, "-m", "particlerb", *words]
     with subprocess.Popen(command, env=os.environ | {MARK: "1"}) as process:
         try:
@@ -35,13 +39,13 @@ def guarded(words: Sequence[str]) -> int:
         except KeyboardInterrupt:
             try:
                 process.terminate()  # Ctrl-C was sent to the other process too, SIGTERM was not
-                process.wait(_SECONDS_TO_END)
-            except subprocess.TimeoutExpired:
+                process.wait(None if words[0] == "resume" else _SECONDS_TO_END)
+            except (KeyboardInterrupt, subprocess.TimeoutExpired):
                 process.kill()
             return INTERRUPTED
     if code >= 0:
         return code
-    reason = f"HDF5 crashed reading it (signal {-code})"
+    reason = f"HDF5 crashed on it (signal {-code})"
     file = next((word for word in words[1:] if not word.startswith("-")), "the file")
     print(f"particlerb: {file} is damaged: {reason}", file=sys.stderr)
     return FAILED

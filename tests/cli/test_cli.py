@@ -440,8 +440,19 @@ def frames_in(path):
 def test_an_interrupt_keeps_the_frames_and_is_exit_code_130(here, number):
     long = CUBE.replace("t_end = 1.0", "t_end = 1e4").replace("every = 0.25", "every = 1e-3")
     Path("cube.toml").write_text(long)
+    first, err = interrupted(number, "cube.toml", "-o", "long.h5")
+    assert "frames are kept in long.h5" in err
+    more, err = interrupted(number, "resume", "long.h5", above=first)
+    assert f"{more} frames are kept in long.h5" in err
+    with h5py.File("long.h5") as file:
+        assert file.attrs["n_frames"] == more
+        assert len(file["particles/trajectory/time"]) == more
+
+
+def interrupted(number, *words, above=1):
+    """Frames of long.h5, and what a command says that gets a signal when there are more of them."""
     run = subprocess.Popen(
-        [sys.executable, "-m", "particlerb", "cube.toml", "-o", "long.h5"],
+        [sys.executable, "-m", "particlerb", *words],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
@@ -449,7 +460,7 @@ def test_an_interrupt_keeps_the_frames_and_is_exit_code_130(here, number):
     )
     try:
         deadline = time.monotonic() + 60
-        while not Path("long.h5").exists() or frames_in("long.h5") < 2:
+        while not Path("long.h5").exists() or frames_in("long.h5") <= above:
             assert time.monotonic() < deadline
             time.sleep(0.05)
         run.send_signal(number)
@@ -458,12 +469,8 @@ def test_an_interrupt_keeps_the_frames_and_is_exit_code_130(here, number):
         run.kill()
     assert run.returncode == 130
     assert "interrupted" in err
-    assert "frames are kept in long.h5" in err
     assert "Traceback" not in err
-    with h5py.File("long.h5") as file:
-        n = int(file.attrs["n_frames"])
-        assert n > 0
-        assert len(file["particles/trajectory/time"]) == n
+    return frames_in("long.h5"), err
 
 
 def test_sigterm_ends_every_command_with_130(monkeypatch, capsys):

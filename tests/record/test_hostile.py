@@ -380,17 +380,15 @@ def test_a_crash_of_hdf5_is_a_message(tmp_path, monkeypatch, capfd):
         (tmp_path / "python").chmod(0o755)
         assert guard.guarded(["info", "run.h5"]) == code
     err = capfd.readouterr().err
-    assert "particlerb: run.h5 is damaged: HDF5 crashed reading it (signal 11)" in err
+    assert "particlerb: run.h5 is damaged: HDF5 crashed on it (signal 11)" in err
 
 
 def test_the_guard_is_for_commands_that_read_files(monkeypatch):
     from particlerb.cli import guard
 
     monkeypatch.delenv(guard.MARK, raising=False)
-    assert [guard.wants_guard([word]) for word in ("info", "plot", "export", "run")] == [
-        True,
-        True,
-        True,
+    assert [guard.wants_guard([word]) for word in (*guard.GUARDED, "run")] == [
+        *(True for _ in guard.GUARDED),
         False,
     ]
     monkeypatch.setenv(guard.MARK, "1")
