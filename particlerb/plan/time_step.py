@@ -99,12 +99,13 @@ def refuse_endless(system: System, groups: tuple[GroupPlan, ...]) -> None:
             length = min(segment.stop, system.run.t_end) - segment.start
             if not has_step(segment.method) or length <= 0.0:
                 continue
-            step = segment.dt
+            rate = 1.0 / segment.dt if segment.dt > 0.0 else math.inf
             if is_adaptive(segment.method):  # it will find a step of about a radian
-                step = 1.0 / max(fastest_rate(system, group, system.run.t_end), 1.0 / length)
-            if length > _MOST_STEPS * step:
+                rate = max(fastest_rate(system, group, system.run.t_end), 1.0 / length)
+            steps = length * rate
+            if steps > _MOST_STEPS:
                 key = step_key(system)
-                reason = f"the step of {step:.3g} s would be taken {length / step:.3g}"
+                reason = f"the step of {1.0 / rate:.3g} s would be taken {steps:.3g}"
                 hint = "give a longer run.dt, or a smaller force"
                 raise CaseError([problem_at(system, key, f"{reason} times until t_end", hint)])
 

@@ -1265,6 +1265,17 @@ place = { type = "grid", spacing = 3.0 }
         prepare(to_system(parse(text)))
 
 
+def test_a_rate_without_bound_is_a_step_of_nothing():
+    """The moment of the push overflows as it is squared."""
+    text = """
+run = { t_end = 3.0, every = 0.5, method = "dop853", dt = 0.01 }
+body = [{ name = "a", shape = { type = "moments", inertia = [1, 2, 2] }, mass = 1.0 }]
+force = [{ type = "push", body = "a", at = [-1e174, 1e5, 0.0], force = [-0.5, 0.1, 1.0] }]
+"""
+    with pytest.raises(CaseError, match="would be taken inf times"):
+        prepare(to_system(parse(text)))
+
+
 def message_of_file(path: Path) -> str:
     with pytest.raises(CaseError) as caught:
         load(path)
