@@ -14,24 +14,13 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import Final, NamedTuple, NoReturn, TextIO
 
 import particlerb
 from particlerb.cli import arguments
-from particlerb.cli.common import DONE, FAILED, INTERRUPTED, Ending, tamed
-from particlerb.cli.export import export_command
+from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, Ending, tamed
 from particlerb.cli.guard import guarded, wants_guard
-from particlerb.cli.mass import mass_command
-from particlerb.cli.run import check_command, resume_command, run_command
-from particlerb.cli.show import (
-    cases_command,
-    info_command,
-    methods_command,
-    plot_command,
-    schema_command,
-)
-from particlerb.cli.studies import chart_command, converge_command, stability_command
-from particlerb.cli.view import view_command
 
 _EPILOG = """\
 CASE is a TOML file, or the name of one in ./cases or among the examples (`cases` lists them).
@@ -43,30 +32,27 @@ exit codes: 0 done, 1 the run failed, 2 wrong usage or case, 3 a [check] was mis
 class _Command(NamedTuple):
     """One command."""
 
+    module: str
+    """Of this package; its function `<name>_command` runs it. Imported when it is called."""
     add_options: Callable[[argparse.ArgumentParser], None]
-    run: Callable[[argparse.Namespace], int]
     help: str
 
 
 COMMANDS: Final = {
-    "run": _Command(arguments.add_run, run_command, "run a case into an HDF5 file"),
-    "resume": _Command(arguments.add_resume, resume_command, "continue a run that was stopped"),
-    "check": _Command(
-        arguments.add_check, check_command, "print the plan of a case, without a run"
-    ),
-    "mass": _Command(arguments.add_mass, mass_command, "mass properties of bodies"),
-    "info": _Command(arguments.add_info, info_command, "what a trajectory file holds"),
-    "plot": _Command(arguments.add_plot, plot_command, "picture of a trajectory or its contacts"),
-    "export": _Command(arguments.add_export, export_command, "write files for other programs"),
-    "view": _Command(arguments.add_view, view_command, "push a case, or play a file, in a browser"),
-    "chart": _Command(arguments.add_chart, chart_command, "what accuracy costs, for every method"),
-    "stability": _Command(arguments.add_stability, stability_command, "where each method fails"),
-    "converge": _Command(
-        arguments.add_converge, converge_command, "how many particles a body needs"
-    ),
-    "cases": _Command(arguments.add_none, cases_command, "list the example cases"),
-    "methods": _Command(arguments.add_none, methods_command, "list the integrators"),
-    "schema": _Command(arguments.add_none, schema_command, "JSON schema of a case file"),
+    "run": _Command("run", arguments.add_run, "run a case into an HDF5 file"),
+    "resume": _Command("run", arguments.add_resume, "continue a run that was stopped"),
+    "check": _Command("run", arguments.add_check, "print the plan of a case, without a run"),
+    "mass": _Command("mass", arguments.add_mass, "mass properties of bodies"),
+    "info": _Command("show", arguments.add_info, "what a trajectory file holds"),
+    "plot": _Command("show", arguments.add_plot, "picture of a trajectory or its contacts"),
+    "export": _Command("export", arguments.add_export, "write files for other programs"),
+    "view": _Command("view", arguments.add_view, "push a case, or play a file, in a browser"),
+    "chart": _Command("studies", arguments.add_chart, "what accuracy costs, for every method"),
+    "stability": _Command("studies", arguments.add_stability, "where each method fails"),
+    "converge": _Command("studies", arguments.add_converge, "how many particles a body needs"),
+    "cases": _Command("lists", arguments.add_none, "list the example cases"),
+    "methods": _Command("lists", arguments.add_none, "list the integrators"),
+    "schema": _Command("lists", arguments.add_none, "JSON schema of a case file"),
 }
 
 
@@ -97,7 +83,9 @@ def main(words: Sequence[str] | None = None) -> int:
         words.insert(0, "run")
     try:
         options = top.parse_args(words)
-        return COMMANDS[options.command].run(options)
+        module = import_module(f"particlerb.cli.{COMMANDS[options.command].module}")
+        code: int = getattr(module, f"{options.command}_command")(options)
+        return code
     except Ending as error:
         return _complain(str(error), error.code)
     except KeyboardInterrupt:

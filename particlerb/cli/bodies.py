@@ -3,15 +3,23 @@
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from particlerb.cli.common import Ending, ending, find_case, read_case
+import numpy as np
 
-if TYPE_CHECKING:
-    from particlerb.case.matter import Matter
-    from particlerb.case.schema import Case
-    from particlerb.geometry.mass_properties import MassProperties
-    from particlerb.geometry.particles import Particles
+from particlerb.case.matter import Matter, matter_of, matter_of_mesh, matter_of_spheres
+from particlerb.case.problems import CaseError
+from particlerb.case.schema import Case
+from particlerb.case.to_system import to_system
+from particlerb.cli.common import find_case, read_case
+from particlerb.cli.endings import Ending, ending
+from particlerb.geometry.fill import mesh_particles
+from particlerb.geometry.mass_properties import MassProperties, mass_properties, of_kind
+from particlerb.geometry.mesh import read_mesh
+from particlerb.geometry.overlapping_spheres import spheres
+from particlerb.geometry.particle_files import POINTS, columns_of, read_points, read_spheres
+from particlerb.geometry.particles import Particles, one_kind, scaled_to_mass
+from particlerb.model.state import omega_world
 
 _TABLES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
 _MESHES: Final = (".stl", ".obj", ".ply")
@@ -23,11 +31,11 @@ class _Named(NamedTuple):
     """One kind of body."""
 
     name: str
-    particles: "Particles"
+    particles: Particles
     """All of this kind, in the axes in which they are given."""
-    properties: "MassProperties"
+    properties: MassProperties
     """Arrays of length one."""
-    matter: "Matter"
+    matter: Matter
     spin: float
     """[rad/s], the fastest of the bodies of this kind."""
 
@@ -65,17 +73,8 @@ def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[_Named
     return _bodies_of_case(read_case(options), wanted)
 
 
-def _bodies_of_case(case: "Case", wanted: str | None) -> list[_Named]:
+def _bodies_of_case(case: Case, wanted: str | None) -> list[_Named]:
     """One body of each name and kind of a case."""
-    import numpy as np
-
-    from particlerb.case.matter import matter_of
-    from particlerb.case.problems import CaseError
-    from particlerb.case.to_system import to_system
-    from particlerb.geometry.mass_properties import of_kind
-    from particlerb.geometry.particles import one_kind
-    from particlerb.model.state import omega_world
-
     with ending(CaseError):
         system = to_system(case, keeps_all=True)
     try:
@@ -104,8 +103,6 @@ def _bodies_of_case(case: "Case", wanted: str | None) -> list[_Named]:
 
 def _body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) -> _Named:
     """The one body of a file."""
-    from particlerb.geometry.mass_properties import mass_properties
-
     if wanted is not None:
         raise Ending(f"{wanted}: {path} is one body; only a case has names")
     if options.overrides:
@@ -121,13 +118,8 @@ def _body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) -
         raise Ending(message if str(path) in message else f"{path}: {message}") from None
 
 
-def _table_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Matter]":
+def _table_body(path: Path, options: argparse.Namespace) -> tuple[Particles, Matter]:
     """Points or spheres of a table."""
-    from particlerb.case.matter import Matter, matter_of_spheres
-    from particlerb.geometry.overlapping_spheres import spheres
-    from particlerb.geometry.particle_files import POINTS, columns_of, read_points, read_spheres
-    from particlerb.geometry.particles import scaled_to_mass
-
     scale = options.scale or 1.0
     if columns_of(path) is POINTS:
         if options.density is not None:
@@ -146,17 +138,13 @@ def _amount(options: argparse.Namespace) -> tuple[float | None, float | None]:
     return options.mass, options.density
 
 
-def mesh_body(path: Path, options: argparse.Namespace) -> "tuple[Particles, Matter]":
+def mesh_body(path: Path, options: argparse.Namespace) -> tuple[Particles, Matter]:
     """A closed mesh, as six points with its exact mass properties."""
-    from particlerb.case.matter import matter_of_mesh
-    from particlerb.geometry.fill import mesh_particles
-    from particlerb.geometry.mesh import read_mesh
-
     mesh = read_mesh(path, options.scale or 1.0)
     return mesh_particles(mesh, *_amount(options)).particles, matter_of_mesh(mesh)
 
 
-_READERS: Final[dict[str, Callable[[Path, argparse.Namespace], "tuple[Particles, Matter]"]]] = {
+_READERS: Final[dict[str, Callable[[Path, argparse.Namespace], tuple[Particles, Matter]]]] = {
     **dict.fromkeys(_TABLES, _table_body),
     **dict.fromkeys(_MESHES, mesh_body),
 }

@@ -4,10 +4,15 @@ The kind of the input decides: a case, a table or a mesh holds bodies, all else 
 """
 
 import argparse
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
 from particlerb.cli.bodies import holds_bodies, named_bodies
-from particlerb.cli.common import DONE, Ending, opened, readable, to_write, writing
+from particlerb.cli.common import opened, readable, to_write
+from particlerb.cli.endings import DONE, FAILED, Ending, ending
+from particlerb.export import FORMATS, ExportError, export
+from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies, file_name
 from particlerb.studies.text import count_of
 
 
@@ -24,8 +29,6 @@ def export_command(options: argparse.Namespace) -> int:
 
 def _export_of_bodies(options: argparse.Namespace) -> int:
     """Export bodies of a case, or the body of a file."""
-    from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies, file_name
-
     if options.to not in BODY_FORMATS:
         raise Ending(
             f"--to {options.to}: bodies become {', '.join(BODY_FORMATS)}; for other formats `run`"
@@ -42,7 +45,7 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
     path = _export_path(options, Path(stem + BODY_FORMATS[options.to].suffix))
     if options.to == "lammps":
         to_write(path.with_suffix(".rigid"), options.overwrite, Path(options.file))
-    with writing(path):
+    with _writing(path):
         written = export_bodies(found, path, options.to)
     print(f"written: {', '.join(map(str, written))}")
     return DONE
@@ -50,14 +53,12 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
 
 def _export_trajectory(options: argparse.Namespace) -> int:
     """Export what was chosen of a trajectory file."""
-    from particlerb.export import FORMATS, export
-
     if options.to not in FORMATS:
         raise Ending(f"--to {options.to}: trajectories become {', '.join(FORMATS)}")
     source = Path(options.file)
     named = source.with_name(f"{source.stem}_particles") if options.to == "particles" else source
     path = _export_path(options, named.with_suffix(FORMATS[options.to][0]))
-    with opened(options.file) as trajectory, readable(), writing(path):
+    with opened(options.file) as trajectory, readable(), _writing(path):
         n = export(trajectory, path, options.to, options.bodies, options.frames, options.fields)
     print(f"written: {path} ({count_of(n, 'frame')})")
     return DONE
@@ -68,3 +69,13 @@ def _export_path(options: argparse.Namespace, default: Path) -> Path:
     path = Path(options.output or default)
     to_write(path, options.overwrite, Path(options.file))
     return path
+
+
+@contextlib.contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """End the command where an export is not possible, or its file cannot be written."""
+    with ending(ExportError):
+        try:
+            yield
+        except OSError as error:
+            raise Ending(f"cannot write {path}: {error.strerror or error}", FAILED) from None

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from particlerb.cli.common import FAILED, INTERRUPTED, Ending
+from particlerb.cli.endings import FAILED, INTERRUPTED, Ending
 
 GUARDED: Final = ("info", "plot", "export", "resume")
 MARK: Final = "PARTICLERB_IS_GUARDED"

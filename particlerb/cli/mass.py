@@ -4,14 +4,13 @@ import argparse
 import json
 
 from particlerb.cli.bodies import named_bodies
-from particlerb.cli.common import DONE, Ending
+from particlerb.cli.endings import DONE, Ending
+from particlerb.plan.time_step import RADIANS_PER_STEP
+from particlerb.studies.mass_report import record_of, text_of
 
 
 def mass_command(options: argparse.Namespace) -> int:
     """Print the mass properties of distinct bodies."""
-    from particlerb.plan.time_step import RADIANS_PER_STEP
-    from particlerb.studies.mass_report import record_of, text_of
-
     records = []
     for body in named_bodies(options, options.body):
         known = body.name, body.properties, 0, len(body.particles.mass), body.matter, body.spin

@@ -5,46 +5,65 @@ import contextlib
 import json
 import math
 import shlex
+import shutil
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from particlerb.cli.common import (
-    DONE,
-    FAILED,
-    INTERRUPTED,
-    MISSED,
-    Ending,
-    amount,
-    prepared_case,
-    tamed,
-    to_write,
-    warn,
-)
+import numpy as np
+from tqdm import tqdm
+
+from particlerb.case.problems import CaseError
+from particlerb.case.to_system import to_system
+from particlerb.cli.common import amount, read_case, to_write
+from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.cli.guard import probe
+from particlerb.compiled.threads import THREADS
+from particlerb.model.system import System
+from particlerb.plan.stability import STEPS_PER_CONTACT, stable_turn
+from particlerb.record.file_size import SMALLEST_FILE, estimated_size
+from particlerb.record.output_file import DamagedError
+from particlerb.record.schema import CHECKPOINT, COLUMNS, CONTACTS
+from particlerb.record.trajectory import TrajectoryError, open_trajectory
+from particlerb.record.writer_lock import InUseError
+from particlerb.simulation.accuracy import prepare_accurately
+from particlerb.simulation.checks import Result, results, table
+from particlerb.simulation.frame_times import frame_count
+from particlerb.simulation.resume import ResumeError, look_at, resume_pending
+from particlerb.simulation.run import Outcome, Prepared, Progress, RunError, run_prepared
 
-if TYPE_CHECKING:
-    from particlerb.model.system import System
-    from particlerb.simulation.checks import Result
-    from particlerb.simulation.run import Outcome, Prepared, Progress
+
+def _prepared_case(options: argparse.Namespace) -> Prepared:
+    """System of a case, made ready to run."""
+    case = read_case(options)
+    with ending(CaseError):
+        prepared = prepare_accurately(to_system(case))
+    _warn(options, prepared.plan.warnings)
+    return prepared
+
+
+def _warn(options: argparse.Namespace, warnings: Sequence[str]) -> None:
+    """Print warnings; with --strict they end the program."""
+    for warning in warnings:
+        print(warning, file=sys.stderr)
+    if warnings and options.strict:
+        raise Ending("--strict: a warning is an error")
 
 
 def run_command(options: argparse.Namespace) -> int:
     """`run`: the plan, the run, the checks."""
-    prepared = prepared_case(options)
+    prepared = _prepared_case(options)
     path = _output_path(options, prepared.system)
-    warn(options, _disk_warnings(prepared.system, path))
+    _warn(options, _disk_warnings(prepared.system, path))
     if not (options.quiet or options.json):
         title = prepared.system.title or path.stem
         print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
         print(f"  file: {size_text(prepared.system, path)}\n", flush=True)
-    from particlerb.simulation.frame_times import frame_count
-    from particlerb.simulation.run import run_prepared
 
-    def run(progress: "Progress") -> "Outcome":
+    def run(progress: Progress) -> Outcome:
         return run_prepared(prepared, path, options.overwrite, progress)
 
     outcome = _execute(
@@ -55,19 +74,15 @@ def run_command(options: argparse.Namespace) -> int:
 
 def resume_command(options: argparse.Namespace) -> int:
     """`resume`: go on with the run of a file."""
-    from particlerb.case.problems import CaseError
-    from particlerb.record.trajectory import TrajectoryError
-    from particlerb.simulation.resume import ResumeError, look_at, resume_pending
-
     path = Path(options.file)
     probe(path)
     try:
         pending = look_at(path, options.t_end, options.threads)
     except (CaseError, ResumeError, TrajectoryError, FileNotFoundError) as error:
         raise Ending(str(error)) from None
-    warn(options, list(pending.warnings))
+    _warn(options, list(pending.warnings))
     system, start = pending.prepared.system, pending.start
-    warn(options, _disk_warnings(system, path, pending.known))
+    _warn(options, _disk_warnings(system, path, pending.known))
     if not (options.quiet or options.json):
         again = f", the last {pending.known - start} of them to be computed again"
         print(
@@ -76,7 +91,7 @@ def resume_command(options: argparse.Namespace) -> int:
             flush=True,
         )
 
-    def run(progress: "Progress") -> "Outcome":
+    def run(progress: Progress) -> Outcome:
         return resume_pending(pending, progress)
 
     try:
@@ -86,12 +101,8 @@ def resume_command(options: argparse.Namespace) -> int:
     return _conclude(pending.prepared, outcome, path, options)
 
 
-def _conclude(
-    prepared: "Prepared", outcome: "Outcome", path: Path, options: argparse.Namespace
-) -> int:
+def _conclude(prepared: Prepared, outcome: Outcome, path: Path, options: argparse.Namespace) -> int:
     """Print what came out; the exit code."""
-    from particlerb.simulation.checks import results, table
-
     checks = results(prepared.system, outcome)
     if options.json:
         print(json.dumps(summary(path, outcome, checks)))
@@ -101,11 +112,11 @@ def _conclude(
         if not options.quiet:
             print(_drift_text(outcome))
             print(f"written: {path}")
-    warn(options, contact_warnings(prepared, outcome))
+    _warn(options, contact_warnings(prepared, outcome))
     return DONE if all(check.holds for check in checks) else MISSED
 
 
-def _output_path(options: argparse.Namespace, system: "System") -> Path:
+def _output_path(options: argparse.Namespace, system: System) -> Path:
     """File of a run, which may be written."""
     source = system.source.path
     stem = source.stem if source else "run"
@@ -114,11 +125,8 @@ def _output_path(options: argparse.Namespace, system: "System") -> Path:
     return path
 
 
-def _disk_warnings(system: "System", path: Path, done: int = 0) -> list[str]:
+def _disk_warnings(system: System, path: Path, done: int = 0) -> list[str]:
     """Warning where what is left to write, behind some frames, would not fit on the disk."""
-    from particlerb.record.file_size import SMALLEST_FILE, estimated_size
-    from particlerb.simulation.frame_times import frame_count
-
     size = estimated_size(system, frame_count(system.run) - done) + SMALLEST_FILE
     free = _free_bytes(path)
     if size <= free:
@@ -131,20 +139,12 @@ def _disk_warnings(system: "System", path: Path, done: int = 0) -> list[str]:
 
 def _free_bytes(path: Path) -> int:
     """Room on the disk of a file that need not be there yet."""
-    import shutil
-
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     return shutil.disk_usage(folder).free
 
 
-def size_text(system: "System", path: Path) -> str:
+def size_text(system: System, path: Path) -> str:
     """File, frames and size of a run, and the room that there is."""
-    import numpy as np
-
-    from particlerb.record.file_size import SMALLEST_FILE, estimated_size
-    from particlerb.record.schema import COLUMNS, CONTACTS
-    from particlerb.simulation.frame_times import frame_count
-
     n = frame_count(system.run)
     size = estimated_size(system, n) + SMALLEST_FILE + sum(map(len, system.files.contents.values()))
     text = f"{path}, {n} frames, about {amount(size)}"
@@ -158,23 +158,17 @@ def size_text(system: "System", path: Path) -> str:
 
 
 def _execute(
-    run: "Callable[[Progress], Outcome]",
+    run: Callable[[Progress], Outcome],
     path: Path,
     options: argparse.Namespace,
     total: int,
     done: int = 0,
     before: int | None = None,
-) -> "Outcome":
+) -> Outcome:
     """Run with a progress bar; an interrupt or a failure says what was kept, and how to go on.
 
     `before` is the number of a file that is there and is to be replaced.
     """
-    from tqdm import tqdm
-
-    from particlerb.record.output_file import DamagedError
-    from particlerb.record.writer_lock import InUseError
-    from particlerb.simulation.run import RunError
-
     silent = True if options.quiet else None
     bar = tqdm(total=total, initial=done, unit="frame", disable=silent, delay=0.5)
     try:
@@ -196,8 +190,6 @@ def _execute(
 @contextlib.contextmanager
 def stoppable() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM end a run; what ignored them goes on doing so."""
-    from particlerb.compiled.threads import THREADS
-
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {n: signal.getsignal(n) for n in numbers if signal.getsignal(n) != signal.SIG_IGN}
     if threading.current_thread() is not threading.main_thread():
@@ -215,7 +207,6 @@ def stoppable() -> Iterator[None]:
 def ask_to_stop(number: int, frame: object) -> None:
     """End the run behind the frame that is computed; the second time, behind the kernel."""
     del frame
-    from particlerb.compiled.threads import THREADS
 
     if not THREADS.is_ending:
         THREADS.is_ending = True
@@ -232,9 +223,6 @@ def _number_of(path: Path) -> int | None:
 
 def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
     """What is left in a file after a run that did not end, and how to go on with it."""
-    from particlerb.record.schema import CHECKPOINT
-    from particlerb.record.trajectory import TrajectoryError, open_trajectory
-
     if _number_of(path) in (None, before):
         return "no file was written"
     try:
@@ -248,7 +236,7 @@ def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
         return f"what is in {path} cannot be read now: {error}"
 
 
-def _drift_text(outcome: "Outcome") -> str:
+def _drift_text(outcome: Outcome) -> str:
     """Conservation errors in a line; before it what contacts asked for, and what was saved."""
     energy, linear, angular = outcome.drift
     lines = [
@@ -263,10 +251,8 @@ def _drift_text(outcome: "Outcome") -> str:
     return "\n".join(lines)
 
 
-def contact_warnings(prepared: "Prepared", outcome: "Outcome") -> list[str]:
+def contact_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
     """Warning where bodies oscillated faster on several contacts than damped ones are stable."""
-    from particlerb.plan.stability import stable_turn
-
     limit = stable_turn(prepared.plan)
     if outcome.swing <= limit:
         return []
@@ -279,14 +265,12 @@ def contact_warnings(prepared: "Prepared", outcome: "Outcome") -> list[str]:
 
 def contact_text(frequency: float) -> str:
     """ω dt of bodies on all their contacts, and how many steps a contact takes."""
-    from particlerb.plan.stability import STEPS_PER_CONTACT
-
     steps = math.pi / frequency
     text = f"stiffest contact: ω dt = {frequency:.2g}, {steps:.3g} steps in a contact"
     return text if steps >= STEPS_PER_CONTACT else f"{text}; {STEPS_PER_CONTACT} are accurate"
 
 
-def summary(path: Path, outcome: "Outcome", checks: "list[Result]") -> dict[str, Any]:
+def summary(path: Path, outcome: Outcome, checks: list[Result]) -> dict[str, Any]:
     """Result of a run for machines."""
     return {
         "file": str(path),
@@ -298,7 +282,7 @@ def summary(path: Path, outcome: "Outcome", checks: "list[Result]") -> dict[str,
 
 def check_command(options: argparse.Namespace) -> int:
     """`check`: the plan without a run."""
-    prepared = prepared_case(options)
+    prepared = _prepared_case(options)
     if options.json:
         print(json.dumps({"plan": prepared.text, "warnings": prepared.plan.warnings}))
     else:

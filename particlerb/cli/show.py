@@ -4,23 +4,13 @@ import argparse
 import difflib
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from particlerb.cli.common import (
-    DONE,
-    FAILED,
-    PICTURES,
-    Ending,
-    amount,
-    opened,
-    readable,
-    tamed,
-    to_write,
-)
-
-if TYPE_CHECKING:
-    from particlerb.record.trajectory import Trajectory
-    from particlerb.record.verify import Finding
+from particlerb.cli.common import PICTURES, amount, opened, readable, to_write
+from particlerb.cli.endings import DONE, FAILED, Ending, tamed
+from particlerb.record.schema import CONTACTS
+from particlerb.record.trajectory import Trajectory
+from particlerb.record.verify import Finding, verify
 
 _LONGEST_TEXT: Final = 10_000
 _PLOTTED: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
@@ -33,8 +23,6 @@ def info_command(options: argparse.Namespace) -> int:
         facts, texts = _facts_of(trajectory), _texts_of(trajectory)
         findings = []
         if options.verify:
-            from particlerb.record.verify import verify
-
             findings = verify(trajectory)
     is_whole = all(finding.is_whole for finding in findings)
     if options.json:
@@ -52,10 +40,8 @@ def info_command(options: argparse.Namespace) -> int:
     return DONE if is_whole else FAILED
 
 
-def _facts_of(trajectory: "Trajectory") -> dict[str, Any]:
+def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
     """What can be said in a line."""
-    from particlerb.record.schema import CONTACTS
-
     case = trajectory.parameter("case_resolved")
     has_contacts = CONTACTS in trajectory.contact_fields
     return {
@@ -73,7 +59,7 @@ def _facts_of(trajectory: "Trajectory") -> dict[str, Any]:
     }
 
 
-def _texts_of(trajectory: "Trajectory") -> dict[str, Any]:
+def _texts_of(trajectory: Trajectory) -> dict[str, Any]:
     """What takes many lines."""
     return {name: trajectory.parameter(name) for name in ("plan", "case", "case_resolved")}
 
@@ -85,7 +71,7 @@ def _shortened(words: str) -> str:
     return f"{words[:_LONGEST_TEXT]}\n... ({len(words)} characters; --json prints all)"
 
 
-def _findings_text(findings: "list[Finding]") -> str:
+def _findings_text(findings: list[Finding]) -> str:
     """Findings in lines."""
     return "\n".join(
         f"  {'ok' if finding.is_whole else 'NOT OK':<7}{finding.what:<15}{finding.words}"
@@ -130,47 +116,4 @@ def plot_command(options: argparse.Namespace) -> int:
 
             draw_trajectory(trajectory, path, names.index(options.body) if options.body else None)
     print(f"written: {path}")
-    return DONE
-
-
-def cases_command(options: argparse.Namespace) -> int:
-    """`cases`: the examples, each with its title."""
-    del options
-    import tomllib
-
-    from particlerb.case.named import case_folders
-
-    shown: dict[str, str] = {}
-    for folder in case_folders():
-        for path in sorted(folder.glob("*.toml")):
-            try:
-                title = str(tomllib.loads(path.read_text(encoding="utf-8")).get("title", ""))
-            except (tomllib.TOMLDecodeError, UnicodeDecodeError):
-                title = "(not readable)"
-            shown.setdefault(path.stem, title)
-    width = max(map(len, shown), default=0)
-    for name in sorted(shown):
-        print(f"{name:<{width}}  {shown[name]}")
-    return DONE
-
-
-def methods_command(options: argparse.Namespace) -> int:
-    """`methods`: the integrators."""
-    del options
-    from particlerb.integrators import METHODS
-
-    width = max(map(len, METHODS))
-    default = "closed form where a body is free, strang where a force drives it (default)"
-    print(f"{'auto':<{width}}  {default}")
-    for name, method in METHODS.items():
-        print(f"{name:<{width}}  {method.summary}")
-    return DONE
-
-
-def schema_command(options: argparse.Namespace) -> int:
-    """`schema`: JSON schema of a case file."""
-    del options
-    from particlerb.case.schema import case_json_schema
-
-    print(json.dumps(case_json_schema(), indent=2, ensure_ascii=False))
     return DONE

@@ -7,7 +7,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from particlerb.cli.common import DONE, Ending, ending, read_case, to_write
+from tqdm import tqdm
+
+from particlerb.case.problems import CaseError
+from particlerb.case.to_system import to_system
+from particlerb.cli.common import read_case, to_write
+from particlerb.cli.endings import DONE, Ending, ending
 
 
 class _Shown(NamedTuple):
@@ -24,7 +29,6 @@ class _Shown(NamedTuple):
 
 def chart_command(options: argparse.Namespace) -> int:
     """`chart`: error against time for all methods on a case."""
-    from particlerb.case.to_system import to_system
     from particlerb.studies import work_precision, work_precision_table
     from particlerb.studies.charts.work_precision import draw_chart
 
@@ -74,10 +78,6 @@ def converge_command(options: argparse.Namespace) -> int:
 
 def show(options: argparse.Namespace, stem: str, study: _Shown) -> int:
     """Run a study with a progress bar, print its table, write its rows and pictures."""
-    from tqdm import tqdm
-
-    from particlerb.case.problems import CaseError
-
     paths = _outputs(options, stem)
     with (
         ending(CaseError, ValueError),

@@ -7,7 +7,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from particlerb.cli.common import DONE, FAILED, Ending, ending, opened, read_case, to_write
+from particlerb.case.problems import CaseError
+from particlerb.case.to_system import to_system
+from particlerb.cli.common import opened, read_case, to_write
+from particlerb.cli.endings import DONE, FAILED, Ending, ending
 from particlerb.cli.guard import probe
 
 if TYPE_CHECKING:
@@ -53,8 +56,6 @@ def view_command(options: argparse.Namespace) -> int:
 
 def push(options: argparse.Namespace, server: object, access: "Access") -> int:
     """Serve a case."""
-    from particlerb.case.problems import CaseError
-    from particlerb.case.to_system import to_system
     from particlerb.view.live import Live, rehearse
 
     case = read_case(options)

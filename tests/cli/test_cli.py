@@ -480,7 +480,7 @@ def test_sigterm_ends_every_command_with_130(monkeypatch, capsys):
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(60)
 
-    monkeypatch.setitem(cli.COMMANDS, "cases", cli.COMMANDS["cases"]._replace(run=wait))
+    monkeypatch.setattr("particlerb.cli.lists.cases_command", wait)
     monkeypatch.setattr("sys.argv", ["particlerb", "cases"])
     before = signal.getsignal(signal.SIGTERM)
     try:
@@ -636,7 +636,7 @@ def test_contacts_beyond_their_limit_are_a_warning(monkeypatch, swing, warns):
 
     from particlerb.cli.run import contact_warnings
 
-    monkeypatch.setattr("particlerb.plan.stability.stable_turn", lambda plan: 2.0)
+    monkeypatch.setattr("particlerb.cli.run.stable_turn", lambda plan: 2.0)
     told = contact_warnings(SimpleNamespace(plan=None), SimpleNamespace(swing=swing))
     assert bool(told) == warns
     assert all("ω dt = 2.5: above 2 " in text and "divide run.dt by 1.2" in text for text in told)

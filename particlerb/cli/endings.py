@@ -1,0 +1,34 @@
+"""How a command ends: exit codes, and the one message of what went wrong. Imports nothing heavy."""
+
+import contextlib
+from collections.abc import Iterator
+from typing import Final
+
+DONE: Final = 0
+FAILED: Final = 1
+_WRONG: Final = 2
+MISSED: Final = 3
+INTERRUPTED: Final = 130
+_CONTROLS: Final = dict.fromkeys((*range(32), *range(127, 160)), "�")
+
+
+class Ending(Exception):  # noqa: N818
+    """One message with which a command ends, and its exit code; by default wrong usage."""
+
+    def __init__(self, message: str, code: int = _WRONG) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+@contextlib.contextmanager
+def ending(*errors: type[Exception], code: int = _WRONG) -> Iterator[None]:
+    """End the command with the message of an error of these kinds; by default wrong usage."""
+    try:
+        yield
+    except errors as error:
+        raise Ending(str(error), code) from None
+
+
+def tamed(text: str) -> str:
+    """Text of a file that no terminal takes for an order: lines and tabs stay."""
+    return text.translate(_CONTROLS | {ord(c): c for c in "\n\t"})

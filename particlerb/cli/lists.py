@@ -1,0 +1,47 @@
+"""Commands that list what there is: cases, methods, the schema of a case."""
+
+import argparse
+import json
+import tomllib
+
+from particlerb.case.named import case_folders
+from particlerb.cli.endings import DONE
+
+
+def cases_command(options: argparse.Namespace) -> int:
+    """`cases`: the examples, each with its title."""
+    del options
+    shown: dict[str, str] = {}
+    for folder in case_folders():
+        for path in sorted(folder.glob("*.toml")):
+            try:
+                title = str(tomllib.loads(path.read_text(encoding="utf-8")).get("title", ""))
+            except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+                title = "(not readable)"
+            shown.setdefault(path.stem, title)
+    width = max(map(len, shown), default=0)
+    for name in sorted(shown):
+        print(f"{name:<{width}}  {shown[name]}")
+    return DONE
+
+
+def methods_command(options: argparse.Namespace) -> int:
+    """`methods`: the integrators."""
+    del options
+    from particlerb.integrators import METHODS
+
+    width = max(map(len, METHODS))
+    default = "closed form where a body is free, strang where a force drives it (default)"
+    print(f"{'auto':<{width}}  {default}")
+    for name, method in METHODS.items():
+        print(f"{name:<{width}}  {method.summary}")
+    return DONE
+
+
+def schema_command(options: argparse.Namespace) -> int:
+    """`schema`: JSON schema of a case file."""
+    del options
+    from particlerb.case.schema import case_json_schema
+
+    print(json.dumps(case_json_schema(), indent=2, ensure_ascii=False))
+    return DONE
