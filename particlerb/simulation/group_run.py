@@ -14,7 +14,7 @@ from particlerb.model.state import Frames, State, quaternion_product
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.stepping.begin import begin
 from particlerb.stepping.contact_run import TouchingMotion
-from particlerb.stepping.motion import Group, Motion
+from particlerb.stepping.motion import Motion
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved, under, within
 from particlerb.stepping.sparse_contact import DiluteMotion
@@ -92,17 +92,11 @@ class GroupRun:
     def set_off(self) -> Motion:
         """Motion of this segment from its first state."""
         segment = self.segment
-        method, tolerance = METHODS[segment.method], segment.tolerance
-        return begin(method, self.group(), self.first, segment.start, segment.dt, tolerance)
-
-    def group(self) -> Group:
-        """What the method needs for this segment; pistons go on from where they are."""
-        group = self.plan.group(self.segment)
-        before, contact = getattr(self, "motion", None), group.terms.contact
-        if not isinstance(before, TouchingMotion) or contact is None:
-            return group
-        contact = contact._replace(pistons=before.onwards())
-        return group._replace(terms=group.terms._replace(contact=contact))
+        method, group = METHODS[segment.method], self.plan.group(segment)
+        before = getattr(self, "motion", None)
+        return begin(
+            method, group, self.first, segment.start, segment.dt, segment.tolerance, before
+        )
 
     def cross(self) -> None:
         """Go from this segment into the next.

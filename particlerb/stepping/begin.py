@@ -17,7 +17,13 @@ from particlerb.stepping.stepped_motion import SteppedMotion
 
 
 def begin(
-    method: Method, group: Group, state: State, start: float, dt: float, tolerance: float
+    method: Method,
+    group: Group,
+    state: State,
+    start: float,
+    dt: float,
+    tolerance: float,
+    before: Motion | None = None,
 ) -> Motion:
     """Set off from a state at a time [s].
 
@@ -32,6 +38,8 @@ def begin(
         The step; the first one to try of an adaptive method.
     tolerance : float
         Of an adaptive method, relative.
+    before : Motion, optional
+        Of the segment before: what contacts keep, and pistons, go on from there.
     """
     if method.order == 0:
         return FreeMotion(group, state, start)
@@ -40,7 +48,11 @@ def begin(
         return adaptive(method, group, state, start, dt, tolerance)
     if group.terms.contact is not None:
         touching = DiluteMotion if can_fly(group.terms, group.members.size) else TouchingMotion
-        return touching(method, group, state, start, dt)
+        if not isinstance(before, TouchingMotion | DiluteMotion):
+            return touching(method, group, state, start, dt)
+        contact = group.terms.contact._replace(pistons=before.onwards())
+        group = group._replace(terms=group.terms._replace(contact=contact))
+        return touching(method, group, state, start, dt, kept=before.kept)
     parts: list[tuple[Ints, Motion]] = []
     for which in _parts_of(method, group):
         part = group if which.size == group.members.size else part_of(group, which)

@@ -121,7 +121,7 @@ class DiluteMotion:
 
     Parameters
     ----------
-    method, group, state, start, dt :
+    method, group, state, start, dt, kept :
         As for `TouchingMotion`.
     """
 
@@ -132,6 +132,7 @@ class DiluteMotion:
         state: State,
         start: float,
         dt: float,
+        kept: _Keeps = None,
     ) -> None:
         contact = group.terms.contact
         assert contact is not None
@@ -145,7 +146,7 @@ class DiluteMotion:
         self.walls = WallSearch(contact.model.walls, self.bound)
         self.no_reach = np.zeros(n)  # a sphere around a body does not move when it turns
         self.wall_motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
-        whole = TouchingMotion(method, group, state, start, dt)
+        whole = TouchingMotion(method, group, state, start, dt, kept=kept)
         self.nothing = all_inactive(whole.lists)
         self.elastic, self.energies = whole.elastic, np.zeros(0)
         self.at_rest, self.kinetic = 0.0, np.zeros(0)  # [J] of pistons, of which there are none
@@ -156,7 +157,7 @@ class DiluteMotion:
         self.turnover = 0.0  # [J] gross work of contacts until the interval
         self.done, self.steps = 0, 0
         self.booked = np.zeros(7)
-        self.kept: _Keeps = None
+        self.kept = kept
         self.active = np.ones(group.members.size, dtype=np.bool_)
         self.shown: _Interval | None = None
         self.swing, self.count = 0.0, 0  # [rad/s] as of `TouchingMotion`; intervals
@@ -336,7 +337,11 @@ class DiluteMotion:
             self.cross()
         shown = self.shown or self.interval()
         state, given = shown.together.finish(stop)
+        self.kept = shown.kept()
         return state, self.booked + given
+
+    def onwards(self) -> None:
+        """Pistons as the next segment finds them: there are none."""
 
     def checkpoint(self) -> Saved:
         """The state at the start of the interval, and who is stepped in it: it is taken again."""
