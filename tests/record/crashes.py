@@ -38,6 +38,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
+from particlerb.cli import guard
+
 OPEN, WRITE, TRUNCATE, ALLOCATE, RENAME, UNLINK, SYNC, LINK, MARK = range(1, 10)
 NAMES = ("", "open", "write", "truncate", "allocate", "rename", "unlink", "sync", "link")
 HOWS = ("once", "always", "short", "full")
@@ -323,7 +325,7 @@ class Session:
         words = [sys.executable, __file__, "--serve", str(shim), json.dumps(dict(settings))]
         self.server = subprocess.Popen(
             words,
-            env=os.environ | {"LD_PRELOAD": str(shim)},
+            env=os.environ | {"LD_PRELOAD": str(shim), guard.MARK: "1"},  # one process
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
