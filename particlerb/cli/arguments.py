@@ -164,7 +164,8 @@ def add_mass(mass: _Parser) -> None:
 
 def add_info(info: _Parser) -> None:
     """Add options of `info`."""
-    info.add_argument("file", metavar="FILE")
+    info.add_argument("file", metavar="FILE", nargs="?")
+    _add_flag(info, "--machine", help="this machine, and what is compiled for it; takes no FILE")
     _add_json(info, "machine-readable")
     _add_flag(info, "--verify", help="whether it is whole; exit 1 if not")
 

@@ -8,6 +8,9 @@ from typing import Any, Final
 
 from particlerb.cli.common import PICTURES, amount, opened, readable, to_write
 from particlerb.cli.endings import DONE, FAILED, Ending, tamed
+from particlerb.compiled.jit import CACHE_FOLDER
+from particlerb.compiled.vector_width import machine
+from particlerb.record.provenance import versions
 from particlerb.record.schema import CONTACTS
 from particlerb.record.trajectory import Trajectory
 from particlerb.record.verify import Finding, verify
@@ -19,6 +22,11 @@ _CHAINS: Final = ("position", "orientation", "contacts")
 
 def info_command(options: argparse.Namespace) -> int:
     """`info`: what a file holds and where it comes from; with --verify, whether it is whole."""
+    if options.machine == (options.file is not None):
+        raise Ending("info takes a FILE, or --machine")
+    if options.machine:
+        print(json.dumps(_this_machine()) if options.json else _lines_of(_this_machine()))
+        return DONE
     with opened(options.file) as trajectory, readable():
         facts, texts = _facts_of(trajectory), _texts_of(trajectory)
         findings = []
@@ -29,8 +37,7 @@ def info_command(options: argparse.Namespace) -> int:
         verified = {"findings": [f._asdict() for f in findings]} if options.verify else {}
         print(json.dumps({**facts, **texts, **verified}))
         return DONE if is_whole else FAILED
-    for name, value in facts.items():
-        print(f"{name:<13} {tamed(_text_of(name, value))}")
+    print(_lines_of(facts))
     for name, value in texts.items():
         words = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         print(f"\n{name}\n{tamed(_shortened(words.rstrip())) or '(none)'}")
@@ -38,6 +45,20 @@ def info_command(options: argparse.Namespace) -> int:
         print(f"\nverified\n{tamed(_findings_text(findings))}")
         print(f"{options.file} is {'whole' if is_whole else 'DAMAGED'}")
     return DONE if is_whole else FAILED
+
+
+def _lines_of(facts: dict[str, Any]) -> str:
+    """Facts in lines."""
+    return "\n".join(f"{name:<13} {tamed(_text_of(name, value))}" for name, value in facts.items())
+
+
+def _this_machine() -> dict[str, Any]:
+    """What results and speed may depend on here."""
+    return {
+        "machine": machine(),
+        "versions": versions(),
+        "compiled code": CACHE_FOLDER or "(plain Python: NUMBA_DISABLE_JIT)",
+    }
 
 
 def _facts_of(trajectory: Trajectory) -> dict[str, Any]:

@@ -27,6 +27,8 @@ from typing import Any, Final, TypeAlias, TypeVar, cast
 import numba
 from numba.core import caching
 
+from particlerb.compiled.vector_width import compiler_options
+
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
 Flag: TypeAlias = int | None  # 1, or None: types of their own, so that Numba leaves code out
@@ -215,7 +217,7 @@ def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Fu
     def decorate(function: Function) -> Function:
         if CACHE_FOLDER is None:
             return function
-        dispatcher = numba.njit(**_FLAGS, **options)(function)
+        dispatcher = numba.njit(**_FLAGS, **compiler_options(), **options)(function)
         if cache:
             keep(dispatcher)
         return cast(Function, dispatcher)

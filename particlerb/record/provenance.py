@@ -18,6 +18,7 @@ import particlerb
 from particlerb.case.source import Source
 from particlerb.case.to_system import to_case
 from particlerb.compiled.jit import source_hash
+from particlerb.compiled.vector_width import machine
 from particlerb.files import Files
 from particlerb.model.system import System
 from particlerb.record.checked_reading import dataset_at, object_at, text_at, trajectory_errors
@@ -34,7 +35,7 @@ def write_parameters(file: h5py.File, system: System, more: Mapping[str, str]) -
         **more,
         "versions": json.dumps(versions()),
         "case_path": str(case.path.absolute()) if case.path else "",
-        "machine": f"{platform.machine()} {platform.system()} {platform.release()}",
+        "machine": machine(),
         "git_revision": git_revision(),
     }
     for name, words in parameters.items():
