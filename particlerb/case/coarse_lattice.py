@@ -11,12 +11,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from particlerb.case.bodies import Body
+from particlerb.case.matter import size_of, solid_of
 from particlerb.case.problems import Problem
 from particlerb.case.shapes import AnyShape
 from particlerb.case.source import problem_at
 from particlerb.case.to_system import part_particles, turn_of
 from particlerb.geometry import shapes
-from particlerb.geometry.analytic import ANALYTIC, Analytic, volume
+from particlerb.geometry.analytic import ANALYTIC
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats
@@ -91,19 +92,9 @@ def _is_lattice(shape: AnyShape) -> bool:
     return shape.type in ANALYTIC and getattr(shape, "arrangement", "") == "lattice"
 
 
-def _size_of(shape: AnyShape) -> dict[str, object]:
-    """Lengths of a shape, by name."""
-    return shape.model_dump(exclude={"type", "n", "arrangement", "inertia_error"})
-
-
 def _cells_of(shape: AnyShape) -> Any:
     """Cells along the largest extent of a lattice; three numbers of a box."""
     return shape.model_dump(include={"n"})["n"]
-
-
-def _solid_of(shape: AnyShape) -> Analytic:
-    """Solid that a lattice fills."""
-    return ANALYTIC[shape.type](**_size_of(shape))
 
 
 def _ideal_moments(system: System, i: int, body: Body) -> Floats:
@@ -111,8 +102,8 @@ def _ideal_moments(system: System, i: int, body: Body) -> Floats:
     if body.shape is not None:
         mass = body.mass
         if mass is None:
-            mass = (body.density or 0.0) * volume(body.shape.type, _size_of(body.shape))
-        return np.asarray(np.linalg.eigvalsh(mass * _solid_of(body.shape).tensor))
+            mass = (body.density or 0.0) * solid_of(body.shape).volume
+        return np.asarray(np.linalg.eigvalsh(mass * solid_of(body.shape).tensor))
     parts = []
     for part in body.part:
         particles = part_particles(system.files, system.run.seed, i, part).particles
@@ -121,7 +112,7 @@ def _ideal_moments(system: System, i: int, body: Body) -> Floats:
         made = mass_properties(particles)
         mass, com, tensor = float(made.mass[0]), made.com[0], made.inertia_tensor[0]
         if _is_lattice(part.shape):
-            R, solid = turn_of(part), _solid_of(part.shape)
+            R, solid = turn_of(part), solid_of(part.shape)
             com, tensor = R @ solid.com + part.position, mass * (R @ solid.tensor @ R.T)
         parts.append(_Ideal(mass, com, tensor))
     centre = sum(p.mass * p.com for p in parts) / sum(p.mass for p in parts)
@@ -142,13 +133,13 @@ def _worst_shape(body: Body) -> tuple[str, AnyShape]:
 
 def _particles_of(shape: AnyShape, n: object) -> Particles:
     """Lattice of a shape, of 1 kg."""
-    made: Particles = getattr(shapes, shape.type)(**_size_of(shape), mass=1.0, n=n)
+    made: Particles = getattr(shapes, shape.type)(**size_of(shape), mass=1.0, n=n)
     return made
 
 
 def _error_of(shape: AnyShape, particles: Particles) -> float:
     """Largest relative error of a principal moment of a lattice."""
-    ideal = np.linalg.eigvalsh(_solid_of(shape).tensor)
+    ideal = np.linalg.eigvalsh(solid_of(shape).tensor)
     moments = np.sort(mass_properties(particles).moments[0])
     some = ideal > 0.0
     return float(np.abs(moments[some] / ideal[some] - 1.0).max(initial=0.0))

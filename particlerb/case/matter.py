@@ -6,14 +6,15 @@ spheres, what a sum over them would have given instead.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from particlerb.case.bodies import Body, ShapePart
-from particlerb.case.shapes import Cloud, MeshShape, Moments, PointsShape, SpheresShape
+from particlerb.case.shapes import AnyShape, Cloud, MeshShape, Moments, PointsShape, SpheresShape
 from particlerb.files import Files
-from particlerb.geometry.analytic import ANALYTIC, Analytic, volume
+from particlerb.geometry.analytic import ANALYTIC, Analytic
+from particlerb.geometry.fill import per_mass
 from particlerb.geometry.mesh import TriangleMesh, mesh_solid, read_mesh
 from particlerb.geometry.overlapping_spheres import overlaps, plain_solid, union_solid
 from particlerb.geometry.particle_files import read_spheres
@@ -56,19 +57,24 @@ def _matter_of_shape(files: Files, table: Body | ShapePart) -> Matter:
         return matter_of_mesh(read_mesh(files.read(shape.file), shape.scale))
     if shape is None or isinstance(shape, (PointsShape, Cloud, Moments)):
         return Matter()
-    size = shape.model_dump(exclude={"type", "n", "arrangement", "inertia_error"})
-    solid = ANALYTIC[shape.type](**size) if shape.type in ANALYTIC else None
-    try:
-        return Matter(volume(shape.type, size), solid=solid)
-    except ValueError:
-        return Matter(solid=solid)
+    solid = solid_of(shape)
+    return Matter(None if math.isnan(solid.volume) else solid.volume, solid=solid)
+
+
+def size_of(shape: AnyShape) -> dict[str, Any]:
+    """Lengths of a solid, by name."""
+    return shape.model_dump(exclude={"type", "n", "arrangement", "inertia_error"})
+
+
+def solid_of(shape: AnyShape) -> Analytic:
+    """What integration says of the solid that a shape names."""
+    return ANALYTIC[shape.type](**size_of(shape))
 
 
 def matter_of_mesh(mesh: TriangleMesh) -> Matter:
     """Matter of a closed mesh."""
     solid = mesh_solid(mesh)
-    per_mass = Analytic(solid.com, solid.inertia / solid.volume)
-    return Matter(solid.volume, solid.error, solid=per_mass, notes=mesh.notes)
+    return Matter(solid.volume, solid.error, solid=per_mass(solid), notes=mesh.notes)
 
 
 def spheres_of(files: Files, shape: SpheresShape) -> tuple[Floats, Floats]:

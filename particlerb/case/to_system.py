@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from particlerb.case.bodies import Body, NormalDistribution, ShapePart
-from particlerb.case.matter import spheres_of
+from particlerb.case.matter import solid_of, spheres_of
 from particlerb.case.placement import (
     Placement,
     normalised,
@@ -30,7 +30,7 @@ from particlerb.case.shapes import AnyShape, Cloud, MeshShape, PointsShape, Sphe
 from particlerb.case.source import problem_at
 from particlerb.case.values import Euler
 from particlerb.files import Files
-from particlerb.geometry import analytic, shapes
+from particlerb.geometry import shapes
 from particlerb.geometry.fill import FilledShape, coarsest_within, mesh_particles
 from particlerb.geometry.mass_properties import MassProperties, mass_properties
 from particlerb.geometry.mesh import read_mesh
@@ -227,13 +227,12 @@ def _shape_particles(
         return mesh_particles(mesh, mass, density, *how)
     parameters = shape.model_dump(exclude={"type", "inertia_error"})
     if mass is None:
-        mass = (density or 0.0) * analytic.volume(shape.type, parameters)
+        mass = (density or 0.0) * solid_of(shape).volume
     particles_of = partial(getattr(shapes, shape.type), **parameters, mass=mass)
     wanted = getattr(shape, "inertia_error", None)
     if wanted is None:
         return FilledShape(particles_of())
-    size = {key: parameters[key] for key in parameters.keys() - {"n", "arrangement"}}
-    return coarsest_within(shape.type, size, wanted, lambda n: particles_of(n=n))
+    return coarsest_within(solid_of(shape), wanted, lambda n: particles_of(n=n))
 
 
 def _kinds_of_bodies(case: Case, placement: Placement, first_kind: Ints) -> Ints:

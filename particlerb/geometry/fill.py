@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.geometry.analytic import ANALYTIC, Analytic
+from particlerb.geometry.analytic import Analytic
 from particlerb.geometry.cells import cell_particles, cut_mesh, grid_over
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.mesh import TriangleMesh, mesh_solid
@@ -104,14 +104,16 @@ def differences(com: Floats, tensor: Floats, analytic: Analytic) -> tuple[float,
 
 
 def coarsest_within(
-    shape: str, size: dict[str, object], wanted: float, make: Callable[[int], Particles]
+    analytic: Analytic, wanted: float, make: Callable[[int], Particles]
 ) -> FilledShape:
-    """Coarsest set that was tried of an analytic shape with at most the wanted error.
+    """Coarsest set that was tried of a solid with at most the wanted error.
+
+    Tried are n = 1, 2, ... and, from 5 on, a fifth more each time.
 
     Parameters
     ----------
-    shape, size : str, dict
-        Key of `geometry.analytic.ANALYTIC`, and the arguments.
+    analytic : Analytic
+        Of the solid.
     wanted : float
     make : callable
         Particles for n; ValueError where n is too small.
@@ -121,13 +123,6 @@ def coarsest_within(
     ValueError
         If a million particles are too few; with the table of what was tried.
     """
-    return _first_below(ANALYTIC[shape](**size), wanted, make)
-
-
-def _first_below(
-    analytic: Analytic, wanted: float, make: Callable[[int], Particles]
-) -> FilledShape:
-    """Try n = 1, 2, ... and, from 5 on, a fifth more each time."""
     trials: list[_Trial] = []
     n, refusal = 1, None
     while True:
@@ -161,6 +156,11 @@ def _missed(wanted: float, trials: Sequence[_Trial]) -> str:
 
 
 # Meshes
+
+
+def per_mass(solid: UniformSolid) -> Analytic:
+    """What is compared of a solid."""
+    return Analytic(solid.com, solid.inertia / solid.volume, solid.volume)
 
 
 def mesh_particles(
@@ -206,8 +206,8 @@ def mesh_particles(
         make = partial(_mesh_cells, mesh, total)
         if inertia_error is None:
             return FilledShape(make(n), (), mesh.notes)
-        analytic = Analytic(solid.com, solid.inertia / solid.volume)
-        return _first_below(analytic, inertia_error, make)._replace(notes=mesh.notes)
+        analytic = per_mass(solid)
+        return coarsest_within(analytic, inertia_error, make)._replace(notes=mesh.notes)
     if arrangement != "spheres":
         raise ValueError(f"arrangement is {arrangement!r}: exact, cells or spheres is needed")
     filled = _spheres_in(mesh, solid, total, n, inertia_error)
@@ -224,7 +224,7 @@ def _spheres_in(
     mesh: TriangleMesh, solid: UniformSolid, mass: float, n: int, inertia_error: float | None
 ) -> FilledShape:
     """Inscribed spheres without mass, and six particles with all of it."""
-    analytic = Analytic(solid.com, solid.inertia / solid.volume)
+    analytic = per_mass(solid)
 
     def trial(count: int) -> _Trial:
         union = union_solid(found.centre[:count], found.radius[:count])

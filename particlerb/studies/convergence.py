@@ -167,7 +167,7 @@ def curve_of(name: str, arrangement: str, most: int) -> Curve:
     """Errors of one solid filled in one way, of sets with at most this many particles."""
     solid = SOLIDS[name]
     rows = [
-        (n, len(particles.mass), *errors(solid, particles))
+        (n, len(particles.mass), *fill.errors(particles, solid.analytic))
         for n, particles in _sets(solid, arrangement, most)
     ]
     n, number, tensor, com = zip(*rows, strict=True)
@@ -187,11 +187,6 @@ def _sets(solid: _ReferenceSolid, arrangement: str, most: int) -> Iterator[tuple
         if len(particles.mass) > most:
             return
         yield n, particles
-
-
-def errors(solid: _ReferenceSolid, particles: Particles) -> tuple[float, float]:
-    """Error of the tensor and of the com of particles."""
-    return fill.errors(particles, solid.analytic)
 
 
 # What a curve says

@@ -268,7 +268,7 @@ def test_a_body_of_spheres_has_the_mass_of_the_mesh():
 
 def test_stop_rule_takes_the_first_that_is_good_enough():
     size = {"radius": 1.0}
-    filled = coarsest_within("ball", size, 0.02, lambda n: shapes.ball(1.0, 5.0, n))
+    filled = coarsest_within(ANALYTIC["ball"](**size), 0.02, lambda n: shapes.ball(1.0, 5.0, n))
     errors_found = [trial.error for trial in filled.trials]
     assert errors_found[-1] <= 0.02 < min(errors_found[:-1])
     last = filled.trials[-1]
@@ -284,7 +284,7 @@ def test_stop_rule_that_is_not_met_shows_what_was_tried(monkeypatch):
     with pytest.raises(
         ValueError, match=r"inertia_error = 1e-09 is not met; the best .*\n +n"
     ) as e:
-        coarsest_within("ball", {"radius": 1.0}, 1e-9, lambda n: shapes.ball(1.0, 1.0, n))
+        coarsest_within(ANALYTIC["ball"](1.0), 1e-9, lambda n: shapes.ball(1.0, 1.0, n))
     assert len(str(e.value).splitlines()) > 5
 
 
