@@ -142,14 +142,13 @@ def plain_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
 
 def overlaps(centre: Floats, radius: Floats) -> _Overlaps:
     """Overlapping pairs, of which touching ones are none."""
-    start, other = neighbours(centre, radius)
-    hidden = np.flatnonzero(start[:-1] < 0)
-    begin = np.where(start < 0, -1 - start, start)
-    first = np.repeat(np.arange(len(radius)), np.diff(begin))
-    depth = radius[first] + radius[other]
-    depth -= np.linalg.norm(centre[first] - centre[other], axis=1)
-    is_deep = (first < other) & (depth > _TOUCHING * (radius[first] + radius[other]))
-    pairs, depth = np.stack([first, other])[:, is_deep], depth[is_deep]
+    cover = neighbours(centre, radius)
+    hidden = np.flatnonzero(cover.hidden)
+    pairs = np.stack([np.repeat(np.arange(len(radius)), np.diff(cover.start)), cover.other])
+    both = radius[pairs].sum(axis=0)
+    depth = both - np.linalg.norm(centre[pairs[0]] - centre[pairs[1]], axis=1)
+    is_deep = (pairs[0] < pairs[1]) & (depth > _TOUCHING * both)
+    pairs, depth = pairs[:, is_deep], depth[is_deep]
     n_pairs = len(depth) + len(hidden)
     if len(hidden) or not n_pairs:
         return _Overlaps(n_pairs, (-1, -1), 0.0, hidden)

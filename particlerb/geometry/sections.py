@@ -15,7 +15,7 @@ import numpy as np
 from particlerb.compiled.jit import inline, kernel
 from particlerb.geometry.cells import Layer, cell_particles, grid_over
 from particlerb.geometry.particles import Particles
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Bools, Floats
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
@@ -37,6 +37,18 @@ class Profile(NamedTuple):
     is_round: bool
     """Whether √(1 − z²) occurs: heights are then integrated over arcsin z."""
 
+    def radii(self, z: Floats, cosine: Floats) -> tuple[Floats, Floats]:
+        """Inner and outer radius of the sections at heights z, with cos θ = √(1 − z²)."""
+        inner, outer = (a + b * cosine + c * z for a, b, c in (self.inner, self.outer))
+        ball = np.sqrt(np.maximum(self.hole**2 - z * z, 0.0))
+        return np.maximum(inner, ball), outer
+
+    def inside(self, x: Floats, y: Floats, z: Floats) -> Bools:
+        """Whether points of the cube are inside."""
+        inner, outer = self.radii(z, np.sqrt(1.0 - z * z))
+        square = x * x + y * y
+        return (inner * inner <= square) & (square <= outer * outer)
+
 
 BALL: Final = Profile(np.array([0.0, 1.0, 0.0]), np.zeros(3), 0.0, True)
 CONE: Final = Profile(np.array([0.5, 0.0, -0.5]), np.zeros(3), 0.0, False)
@@ -56,14 +68,6 @@ def ring(slenderness: float) -> Profile:
     """A torus; minor over major radius."""
     c, a = 1.0 / (1.0 + slenderness), slenderness / (1.0 + slenderness)
     return Profile(np.array([c, a, 0.0]), np.array([c, -a, 0.0]), 0.0, True)
-
-
-def _radii_at(profile: Profile, z: Floats, cosine: Floats) -> tuple[Floats, Floats]:
-    """Outer and inner radius of the sections at heights z, with cos θ = √(1 − z²)."""
-    outer = profile.outer[0] + profile.outer[1] * cosine + profile.outer[2] * z
-    inner = profile.inner[0] + profile.inner[1] * cosine + profile.inner[2] * z
-    ball = np.sqrt(np.maximum(profile.hole**2 - z * z, 0.0))
-    return outer, np.maximum(inner, ball)
 
 
 def section_particles(profile: Profile, half_size: Floats, mass: float, n: int) -> Particles:
@@ -102,7 +106,7 @@ def cut_sections(profile: Profile, counts: tuple[int, int, int]) -> Iterator[Lay
         ends = np.unique([low, *breaks[(breaks > low) & (breaks < high)], high])
         sums = np.zeros((nx, ny, 10))
         z, weight, cosine = _nodes_between(ends, profile.is_round)
-        outer, inner = _radii_at(profile, z, cosine)
+        inner, outer = profile.radii(z, cosine)
         _add_sections(outer, inner, 0.5 * nz * (z - low), 0.5 * nz * weight, sums)
         yield k, sums
 

@@ -15,20 +15,26 @@ tensor of the solid.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from particlerb.geometry.particles import Particles, one_kind
-from particlerb.geometry.sections import BALL, CONE, Profile, hollow, ring, section_particles, tube
+from particlerb.geometry.sections import (
+    BALL,
+    CONE,
+    Profile,
+    hollow,
+    ring,
+    section_particles,
+    tube,
+)
 from particlerb.maths.vec3 import Floats
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])  # six unit vectors: +x +y +z -x -y -z
 CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _TRIANGLE_ROUNDING = 8 * np.finfo(np.float64).eps  # of I_max: moments that come out of a sum
-
-_Inside = Callable[[Floats, Floats, Floats], NDArray[np.bool_]]
 
 
 # Lattices
@@ -61,8 +67,10 @@ def equal(position: Floats, mass: float) -> Particles:
     return one_kind(position, positive("mass", mass) / len(position))
 
 
-def lattice(name: str, half_size: Floats, mass: float, n: int, inside: _Inside) -> Particles:
-    """Equal particles in the cell centres inside a shape.
+def filled(
+    name: str, half_size: Floats, mass: float, n: int, arrangement: str, profile: Profile
+) -> Particles:
+    """Particles of cells, or equal ones in the cell centres inside a shape.
 
     Parameters
     ----------
@@ -72,40 +80,27 @@ def lattice(name: str, half_size: Floats, mass: float, n: int, inside: _Inside) 
     mass : float [kg]
     n : int
         Cells along the largest extent.
-    inside : callable
-        Says for x, y, z in units of `half_size`, each between -1 and 1, what is inside.
+    arrangement : {"lattice", "cells"}
+    profile : Profile
+        The shape in its bounding box.
 
     Raises
     ------
     ValueError
-        If no cell centre lies inside.
+        If no cell centre lies inside, or the arrangement is another.
     """
-    share = half_size / half_size.max()
-    counts = np.maximum(1, np.rint(_at_least("n", n, 1) * share)).astype(np.int64)
-    centres = [_cell_centres(int(count)) for count in counts]
-    with np.errstate(over="ignore"):  # of a tube that is nothing beside its ring
-        chosen = np.argwhere(inside(*np.ix_(*centres)))
-    if len(chosen) == 0:
-        raise ValueError(f"{name}: none of the cell centres for n = {n} lies inside; raise n")
-    position = np.stack([centres[k][chosen[:, k]] * half_size[k] for k in range(3)], axis=1)
-    return equal(position, mass)
-
-
-def filled(
-    name: str,
-    half_size: Floats,
-    mass: float,
-    n: int,
-    arrangement: str,
-    inside: _Inside,
-    profile: Profile,
-) -> Particles:
-    """Particles of a lattice as in `lattice`, or of cells; `profile` as in `geometry.sections`."""
     one_of(arrangement, "lattice", "cells")
     if arrangement == "cells":
         cells = _at_least("n", n, 2)
         return section_particles(profile, half_size, float(positive("mass", mass)), cells)
-    return lattice(name, half_size, mass, n, inside)
+    share = half_size / half_size.max()
+    counts = np.maximum(1, np.rint(_at_least("n", n, 1) * share)).astype(np.int64)
+    centres = [_cell_centres(int(count)) for count in counts]
+    chosen = np.argwhere(profile.inside(*np.ix_(*centres)))
+    if len(chosen) == 0:
+        raise ValueError(f"{name}: none of the cell centres for n = {n} lies inside; raise n")
+    position = np.stack([centres[k][chosen[:, k]] * half_size[k] for k in range(3)], axis=1)
+    return equal(position, mass)
 
 
 def one_of(arrangement: str, *known: str) -> None:
@@ -155,15 +150,7 @@ def ellipsoid(
     half_size = positive("semi_axes", semi_axes, (3,))
     if arrangement == "exact":
         return equal(AXES * half_size * math.sqrt(0.6), mass)
-    return filled(
-        "ellipsoid",
-        half_size,
-        mass,
-        n,
-        arrangement,
-        lambda x, y, z: x * x + y * y + z * z <= 1.0,
-        BALL,
-    )
+    return filled("ellipsoid", half_size, mass, n, arrangement, BALL)
 
 
 def shell(
@@ -183,16 +170,7 @@ def shell(
     R = positive("radius", radius)
     if inner_radius is not None:
         share = float(inner("inner_radius", inner_radius, float(R)) / R)
-        hole = share**2
-        return filled(
-            "shell",
-            np.full(3, R),
-            mass,
-            n,
-            arrangement,
-            lambda x, y, z: (hole <= x * x + y * y + z * z) & (x * x + y * y + z * z <= 1.0),
-            hollow(share),
-        )
+        return filled("shell", np.full(3, R), mass, n, arrangement, hollow(share))
     one_of(arrangement, "lattice")
     slope = np.tan(0.25 * math.pi * _cell_centres(_at_least("n", n, 1)))
     u, v = (axis.ravel() for axis in np.meshgrid(slope, slope, indexing="ij"))
@@ -223,16 +201,7 @@ def cylinder(
     """
     R, h = float(positive("radius", radius)), float(positive("height", height))
     bore = inner("inner_radius", inner_radius, R) / R
-    hole = bore**2
-    return filled(
-        "cylinder",
-        np.array([R, R, 0.5 * h]),
-        mass,
-        n,
-        arrangement,
-        lambda x, y, z: (hole <= x * x + y * y) & (x * x + y * y <= 1.0) & (np.abs(z) <= 1.0),
-        tube(bore),
-    )
+    return filled("cylinder", np.array([R, R, 0.5 * h]), mass, n, arrangement, tube(bore))
 
 
 def cone(
@@ -244,15 +213,7 @@ def cone(
     """
     R, h = float(positive("radius", radius)), float(positive("height", height))
     half_size = np.array([R, R, 0.5 * h])
-    particles = filled(
-        "cone",
-        half_size,
-        mass,
-        n,
-        arrangement,
-        lambda x, y, z: x * x + y * y <= (0.5 - 0.5 * z) ** 2,
-        CONE,
-    )
+    particles = filled("cone", half_size, mass, n, arrangement, CONE)
     return particles._replace(position=particles.position + np.array([0.0, 0.0, 0.5 * h]))
 
 
@@ -267,23 +228,11 @@ def torus(
 
     The solid has I_z = M (c² + 3a²/4) and I_x = M (c²/2 + 5a²/8). ValueError unless a <= c.
     """
-    c, a = (
-        float(positive("major_radius", major_radius)),
-        float(positive("minor_radius", minor_radius)),
-    )
+    c = float(positive("major_radius", major_radius))
+    a = float(positive("minor_radius", minor_radius))
     if a > c:
         raise ValueError(f"minor_radius {a} exceeds major_radius {c}: no ring")
-    outer = c + a
-    half_size = np.array([outer, outer, a])
-    return filled(
-        "torus",
-        half_size,
-        mass,
-        n,
-        arrangement,
-        lambda x, y, z: ((np.hypot(x, y) - c / outer) * (outer / a)) ** 2 + z * z <= 1.0,
-        ring(a / c),
-    )
+    return filled("torus", np.array([c + a, c + a, a]), mass, n, arrangement, ring(a / c))
 
 
 def rod(length: float, mass: float, n: int = 10, arrangement: str = "lattice") -> Particles:

@@ -38,6 +38,16 @@ _WORK_PER_SPHERE: Final = 200  # in the units of threads.LEAST_WORK
 COLUMNS: Final = 15  # volume, first (3), second (6) moments, vector area (3), area, gap
 
 
+# Directions for the apex of the triangles: the one farthest from the edge's antipode is taken.
+_APEXES: Final = np.array(
+    [
+        [math.sqrt(1.0 - z * z) * math.cos(a), math.sqrt(1.0 - z * z) * math.sin(a), z]
+        for k in range(12)
+        for z, a in [((2 * k + 1.0) / 12.0 - 1.0, 0.7 + 2.399963229728653 * k)]
+    ]
+)
+
+
 class _Union(NamedTuple):
     """Moments of a union of balls of density 1."""
 
@@ -58,12 +68,12 @@ def union(centre: Floats, radius: Floats) -> _Union:
     radius : ndarray, shape (n,)
         Positive.
     """
-    start, other = neighbours(centre, radius)
+    cover = neighbours(centre, radius)
     rows = np.zeros((len(radius), COLUMNS))
     c, R = np.ascontiguousarray(centre), np.ascontiguousarray(radius)
 
     def work(first: int, last: int) -> None:
-        patches(c, R, start, other, _NODES, _WEIGHTS, _APEXES, rows, first, last)
+        patches(c, R, cover, rows, first, last)
 
     THREADS.share(work, len(radius), _WORK_PER_SPHERE * len(radius))
     sums = np.array([math.fsum(column) for column in rows.T])
@@ -71,95 +81,61 @@ def union(centre: Floats, radius: Floats) -> _Union:
     return _Union(float(sums[0]), sums[1:4], sums[4:10], float(sums[13]), float(gap))
 
 
-# Directions for the apex of the triangles: the one farthest from the edge's antipode is taken.
-_APEXES: Final = np.array(
-    [
-        [math.sqrt(1.0 - z * z) * math.cos(a), math.sqrt(1.0 - z * z) * math.sin(a), z]
-        for k in range(12)
-        for z, a in [((2 * k + 1.0) / 12.0 - 1.0, 0.7 + 2.399963229728653 * k)]
-    ]
-)
-
-
 # Who covers whom
 
 
-def neighbours(centre: Floats, radius: Floats) -> tuple[Ints, Ints]:
-    """Overlapping balls of each ball: other[start[i]:start[i + 1]]; start[i] < 0 for hidden ones.
+class Cover(NamedTuple):
+    """Balls that overlap each ball, but for hidden ones, which have none and cover none."""
 
-    A ball inside another one is hidden and nobody's neighbour; of identical balls all but the
-    first are. Found by a sweep along the longest axis.
+    start: Ints  # (n + 1,) those of ball i are other[start[i]:start[i + 1]]
+    other: Ints  # (two for each pair,)
+    hidden: Bools  # (n,) inside another ball; of identical ones all but the first
 
-    Returns
-    -------
-    start : ndarray, shape (n + 1,)
-        −1 − position for a hidden ball, whose list is empty.
-    other : ndarray, shape (number of pairs · 2,)
+
+def neighbours(centre: Floats, radius: Floats) -> Cover:
+    """Who covers whom."""
+    (i, j), distance = _overlapping_pairs(centre, radius)
+    large = np.where((radius[i] > radius[j]) | ((radius[i] == radius[j]) & (i < j)), i, j)
+    small = i + j - large
+    hidden = np.zeros(len(radius), dtype=np.bool_)
+    hidden[small[distance <= (radius[large] - radius[small]) + SAME * radius[large]]] = True
+    shown = ~(hidden[i] | hidden[j])
+    one, other = np.stack([i, j, j, i])[:, shown].reshape(2, -1)
+    order = np.lexsort((np.tile(np.arange(len(one) // 2), 2), one))
+    start = np.searchsorted(one[order], np.arange(len(radius) + 1))
+    return Cover(start, other[order], hidden)
+
+
+def _overlapping_pairs(centre: Floats, radius: Floats) -> tuple[Ints, Floats]:
+    """Pairs of balls that overlap, (2, k), and their distances, (k,); nested ones are pairs too.
+
+    Found by a sweep along the longest axis.
     """
     along = int(np.argmax(np.ptp(centre, axis=0)))
-    low = np.ascontiguousarray(centre[:, along] - radius)
+    low = centre[:, along] - radius
     order = np.argsort(low, kind="stable")
-    hidden = np.zeros(len(radius), dtype=np.bool_)
-    arrays = (centre, radius, low, order, hidden)
-    _hide(*arrays, along)
-    count = np.zeros(len(radius) + 1, dtype=np.int64)
-    pairs(*arrays, along, count, np.empty(0, dtype=np.int64))
-    start = np.concatenate([[0], np.cumsum(count[:-1])]).astype(np.int64)
-    other = np.empty(int(start[-1]), dtype=np.int64)
-    pairs(*arrays, along, start[:-1].copy(), other)
-    start[:-1][hidden] = -1 - start[:-1][hidden]
-    return start, other
+    c, R = np.ascontiguousarray(centre[order]), np.ascontiguousarray(radius[order])
+    n_pairs = _sweep(c, R, along, np.empty((2, 0), dtype=np.int64))
+    pairs = np.empty((2, n_pairs), dtype=np.int64)
+    _sweep(c, R, along, pairs)
+    i, j = order[pairs]
+    return np.stack([i, j]), np.linalg.norm(centre[j] - centre[i], axis=1)
 
 
 @kernel
-def _hide(
-    centre: Floats, radius: Floats, low: Floats, order: Ints, hidden: Bools, along: int
-) -> None:
-    """Mark the balls that lie inside another one, |d| <= R_j − R_i to rounding."""
-    n = len(order)
-    for a in range(n):
-        i = order[a]
+def _sweep(centre: Floats, radius: Floats, along: int, pairs: Ints) -> int:
+    """Write the pairs of balls in the order of their lowest points, or only count them."""
+    found = 0
+    for i in range(len(radius)):
         top = centre[i, along] + radius[i]
-        for b in range(a + 1, n):
-            j = order[b]
-            if low[j] > top:
+        for j in range(i + 1, len(radius)):
+            if centre[j, along] - radius[j] > top:
                 break
-            d = norm(subtract(row3(centre, j), row3(centre, i)))
-            large, small = (i, j) if (radius[i], -i) > (radius[j], -j) else (j, i)
-            if d <= (radius[large] - radius[small]) + SAME * radius[large]:
-                hidden[small] = True
-
-
-@kernel
-def pairs(
-    centre: Floats,
-    radius: Floats,
-    low: Floats,
-    order: Ints,
-    hidden: Bools,
-    along: int,
-    at: Ints,
-    other: Ints,
-) -> None:
-    """Write both ends of each overlapping pair at other[at[i]] and advance at[i]; or only count."""
-    n, writes = len(order), len(other) > 0
-    for a in range(n):
-        i = order[a]
-        if hidden[i]:
-            continue
-        top = centre[i, along] + radius[i]
-        for b in range(a + 1, n):
-            j = order[b]
-            if low[j] > top:
-                break
-            if (
-                not hidden[j]
-                and norm(subtract(row3(centre, j), row3(centre, i))) < radius[i] + radius[j]
-            ):
-                if writes:
-                    other[at[i]], other[at[j]] = j, i
-                at[i] += 1
-                at[j] += 1
+            if norm(subtract(row3(centre, j), row3(centre, i))) < radius[i] + radius[j]:
+                if pairs.shape[1] > 0:
+                    pairs[0, found], pairs[1, found] = i, j
+                found += 1
+    return found
 
 
 # One sphere
@@ -167,47 +143,37 @@ def pairs(
 
 @kernel
 def patches(
-    centre: Floats,
-    radius: Floats,
-    start: Ints,
-    other: Ints,
-    nodes: Floats,
-    weights: Floats,
-    apexes: Floats,
-    rows: Floats,
-    first: int,
-    last: int,
+    centre: Floats, radius: Floats, cover: Cover, rows: Floats, first: int, last: int
 ) -> None:
     """Write what the exposed parts of the spheres first to last add to the moments."""
     for i in range(first, last):
-        if start[i] < 0:
+        if cover.hidden[i]:
             continue
-        stop = start[i + 1] if start[i + 1] >= 0 else -1 - start[i + 1]
-        same = SAME
+        others, same = cover.other[cover.start[i] : cover.start[i + 1]], SAME
         while True:
-            caps = caps_of(centre, radius, other[start[i] : stop], i, same)
+            caps = caps_of(centre, radius, others, i, same)
             arcs = exposed_arcs(caps, same)
             gap = open_by(caps, arcs)
             if gap <= _GAP or same >= _COARSEST:
                 break
             same *= 10.0
         c = (centre[i, 0], centre[i, 1], centre[i, 2])
-        _add_patch(caps, arcs, c, radius[i], nodes, weights, apexes, rows[i])
+        _add_patch(caps, arcs, c, radius[i], rows[i])
         rows[i, 14] = gap * radius[i] * radius[i] if gap > _GAP else 0.0
 
 
 @kernel
-def _best_apex(caps: Caps, arcs: Floats, apexes: Floats) -> int:
+def _best_apex(caps: Caps, arcs: Floats) -> int:
     """Number of the apex whose antipode is farthest from the ends of arcs."""
     best, farthest = 0, -1.0
-    for a in range(len(apexes)):
+    for a in range(len(_APEXES)):
         nearest = 2.0
         for m in range(len(arcs)):
             c = circle(caps, int(arcs[m, 0]))
             pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / _PIECE))
             for piece in range(pieces + 1):
                 t = arcs[m, 1] + (arcs[m, 2] - arcs[m, 1]) * piece / pieces
-                nearest = min(nearest, 1.0 + dot(row3(apexes, a), point(c, t)))
+                nearest = min(nearest, 1.0 + dot(row3(_APEXES, a), point(c, t)))
         if nearest > farthest:
             best, farthest = a, nearest
     return best
@@ -223,22 +189,13 @@ def _triangle(a: Vec3, p: Vec3, q: Vec3) -> float:
 
 
 @kernel
-def _add_patch(
-    caps: Caps,
-    arcs: Floats,
-    c: Vec3,
-    R: float,
-    nodes: Floats,
-    weights: Floats,
-    apexes: Floats,
-    row: Floats,
-) -> None:
+def _add_patch(caps: Caps, arcs: Floats, c: Vec3, R: float, row: Floats) -> None:
     """Moments of the exposed part of one sphere with centre c and radius R.
 
     With ∫ Y = −1/(l (l + 1)) ∮ ∂Y/∂ν for a harmonic Y of degree l, ν = (u − h n) / s pointing out
     of the patch: N = ∫ n, T = ∫ n nᵀ and U = ∫ n nᵀ (c · n) from A = ∫ 1.
     """
-    A = _solid_angle(caps, arcs, apexes)
+    A = _solid_angle(caps, arcs)
     N, K, W = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
     cc = np.array(c)
     for m in range(len(arcs)):
@@ -250,8 +207,8 @@ def _add_patch(
         half = 0.5 * (arcs[m, 2] - arcs[m, 1]) / pieces
         for piece in range(pieces):
             middle = arcs[m, 1] + (2 * piece + 1) * half
-            for g in range(len(nodes)):
-                weight, n = half * weights[g], point(own, middle + half * nodes[g])
+            for g in range(len(_NODES)):
+                weight, n = half * _WEIGHTS[g], point(own, middle + half * _NODES[g])
                 cn = dot(c, n)
                 for a in range(3):
                     N[a] += weight * (u[a] - h * n[a])
@@ -286,7 +243,7 @@ def _add_patch(
 
 
 @kernel
-def _solid_angle(caps: Caps, arcs: Floats, apexes: Floats) -> float:
+def _solid_angle(caps: Caps, arcs: Floats) -> float:
     """Solid angle ∫ 1 of what the caps leave, from its edge.
 
     The edge, run with the caps on the left, encloses what the triangles (apex, p, q) and the
@@ -295,7 +252,7 @@ def _solid_angle(caps: Caps, arcs: Floats, apexes: Floats) -> float:
     """
     if len(arcs) == 0:
         return 4.0 * math.pi if len(caps.height) == 0 else 0.0
-    a = row3(apexes, _best_apex(caps, arcs, apexes))
+    a = row3(_APEXES, _best_apex(caps, arcs))
     covered = 0.0
     for m in range(len(arcs)):
         c = circle(caps, int(arcs[m, 0]))

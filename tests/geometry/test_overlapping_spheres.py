@@ -183,7 +183,7 @@ def test_a_surface_that_does_not_close_is_part_of_the_error(monkeypatch, lost):
 
     def spoilt(*arguments):
         patches(*arguments)
-        rows = arguments[7]
+        rows = arguments[3]
         rows[0, lost] += 1e-3
 
     centre, radius = np.array([[0.0, 0, 0], [0.7, 0.1, 0.2]]), np.array([1.0, 0.6])
