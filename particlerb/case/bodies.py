@@ -22,7 +22,6 @@ from particlerb.case.values import (
     Table,
     Vector,
     broken,
-    by_type,
     is_rows,
 )
 
@@ -109,9 +108,8 @@ Motion = Annotated[
     | Annotated[Rows3, Tag("rows")],
     Discriminator(_motion_form),
 ]
-_AnyPlace = GridPlacement | RandomBox
-_Place = Annotated[_AnyPlace, Field(discriminator="type")]
-PLACES = by_type(_AnyPlace)
+AnyPlace = GridPlacement | RandomBox
+_Place = Annotated[AnyPlace, Field(discriminator="type")]
 
 
 class ShapePart(Table):

@@ -19,7 +19,6 @@ from particlerb.case.values import (
     Table,
     Vector,
     broken,
-    by_type,
     entries,
 )
 
@@ -230,4 +229,3 @@ class MeshWall(WallTable):
 
 AnyWall = PlaneWall | BoxWall | CylinderWall | MeshWall
 Wall = Annotated[AnyWall, Field(discriminator="type")]
-WALLS = by_type(AnyWall)

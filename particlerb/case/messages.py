@@ -1,34 +1,17 @@
 """Pydantic's errors in the words of a case: (path, reason, hint, whether the key is to blame)."""
 
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from functools import reduce
+from types import NoneType, UnionType
+from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
 
 from pydantic_core import ErrorDetails
 
-from particlerb.case.bodies import PLACES, Body, ShapePart
-from particlerb.case.contact import (
-    WALLS,
-    ContactTable,
-    Material,
-    Oscillation,
-    Pair,
-    Piston,
-    Prescribed,
-)
-from particlerb.case.forces import FORCES
-from particlerb.case.output import Check, CheckValue, Output
 from particlerb.case.problems import Path, nearest, shown
-from particlerb.case.run import AttractionTable, Gravity, RunTable
 from particlerb.case.schema import Case
-from particlerb.case.shapes import ALIASES, SHAPES
-from particlerb.case.values import Euler, Table
+from particlerb.case.values import Table
 
-_TAGGED = {
-    "body": {"shape", "place", "position", "orientation", "velocity", "angular_velocity"},
-    "force": {"rest_length", "charge"},
-    "wall": {"orientation"},
-}
 _KINDS = {
     "bool_type": "must be true or false",
     "float_type": "must be a number",
@@ -82,16 +65,16 @@ def _complaint(raw: Any, error: ErrorDetails) -> Complaint:
     path = _path_in(raw, error["loc"])
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
     if kind == "extra_forbidden":
-        keys = _table_keys(path[:-1], _type_of(raw, path[:-1]))
+        keys = _table_keys(raw, path[:-1])
         return Complaint(path, "unknown key", nearest(str(path[-1]), keys, "keys here"), True)
     if kind == "missing":
-        keys = _table_keys(path[:-1], _type_of(raw, path[:-1]))
+        keys = _table_keys(raw, path[:-1])
         return Complaint(path, "missing", f"keys here: {', '.join(keys)}" if keys else "")
     if kind == "rule":
         path = (*path, context["key"]) if context["key"] else path
         return Complaint(path, error["msg"], context["hint"] or forms(path))
     if kind in {"union_tag_invalid", "union_tag_not_found"}:
-        return _type_complaint(path, context)
+        return _type_complaint(raw, path, context)
     if kind in {"literal_error", "choice"}:
         known = re.findall(r"'([^']*)'", context["expected"])
         hint = forms(path) or nearest(str(value), known)
@@ -109,9 +92,9 @@ def forms(path: Path) -> str:
     return ""
 
 
-def _type_complaint(path: Path, context: dict[str, Any]) -> Complaint:
+def _type_complaint(raw: Any, path: Path, context: dict[str, Any]) -> Complaint:
     """A `type` that is missing or that no shape, force, placement or wall has."""
-    keys = _table_keys(path)
+    keys = _table_keys(raw, path)
     if "tag" not in context:
         return Complaint((*path, "type"), "missing", f"known: {', '.join(keys)}")
     known = re.findall(r"'([^']*)'", context["expected_tags"])
@@ -140,24 +123,18 @@ def _described(value: Any) -> str:
 
 def _path_in(raw: Any, loc: tuple[int | str, ...]) -> Path:
     """Path in the data: pydantic's location without the tags of unions and invented indices."""
-    path: list[int | str] = []
+    path: Path = ()
     node, was_tag = raw, False
     for part in loc:
-        if isinstance(part, str) and not was_tag and path and _is_tagged(path):
-            was_tag = True
+        is_tag = isinstance(part, str) and not was_tag and len(_types_at(raw, path)) > 1
+        was_tag = is_tag
+        if is_tag:
             continue
-        was_tag = False
         if isinstance(part, int) and not isinstance(node, (list, tuple)):
             break
         node = child(node, part)
-        path.append(part)
-    return tuple(path)
-
-
-def _is_tagged(path: list[int | str]) -> bool:
-    """Whether pydantic puts the tag of a union after this path."""
-    is_kind = len(path) == 2 and path[0] in {"force", "wall"} and isinstance(path[1], int)
-    return is_kind or path[-1] in _TAGGED.get(str(path[0]), ())
+        path = (*path, part)
+    return path
 
 
 def child(node: Any, part: int | str) -> Any:
@@ -168,36 +145,41 @@ def child(node: Any, part: int | str) -> Any:
     return node[part] if is_there else None
 
 
-def _type_of(raw: Any, path: Path) -> Any:
-    """The `type` of a table; None where it has none."""
+def _alternatives(annotation: Any) -> list[Any]:
+    """Types that a value may have, or each entry of it where it is a list of any length."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin in (Union, UnionType):
+        return [one for part in parts if part is not NoneType for one in _alternatives(part)]
+    is_list = origin is tuple and parts[1:] == (...,)
+    return _alternatives(parts[0]) if is_list or origin is Annotated else [annotation]
+
+
+def _types_at(raw: Any, path: Path) -> list[Any]:
+    """Types that the entry at a path may have."""
+    types, node = [Case], raw
     for part in path:
-        raw = child(raw, part)
-    kind = raw.get("type") if isinstance(raw, dict) else None
-    return kind if isinstance(kind, str) else None
+        if isinstance(part, str):
+            fields = [t.model_fields[part] for t in _tables(types, node) if part in t.model_fields]
+            types = _alternatives(fields[0].annotation) if fields else []
+        node = child(node, part)
+    return types
 
 
-_FAMILIES: dict[str, Mapping[str, type[Table]]] = {
-    "shape": SHAPES,
-    "place": PLACES,
-    "force": FORCES,
-    "wall": WALLS,
-}
-_TABLES: dict[str, type[Table]] = {
-    "": Case, "run": RunTable, "gravity": Gravity, "attraction": AttractionTable, "body": Body,
-    "part": ShapePart,
-    "output": Output, "check": Check, "value": CheckValue, "orientation": Euler,
-    "contact": ContactTable, "pair": Pair, "material": Material, "motion": Prescribed,
-    "piston": Piston,
-    "oscillation": Oscillation,
-}  # fmt: skip
+def _tables(types: Sequence[Any], node: Any) -> list[type[Table]]:
+    """Tables among some types; the one that the `type` of the data names, where it names one."""
+    found = [one for one in types if isinstance(one, type) and issubclass(one, Table)]
+    kind = node.get("type") if isinstance(node, dict) else None
+    return [table for table in found if kind in _names_of(table)] or found
 
 
-def _table_keys(path: Path, kind: str | None = None) -> tuple[str, ...]:
-    """Keys of the table at a path; `kind` is its `type` where it has one."""
-    name = next((part for part in reversed(path) if isinstance(part, str)), "")
-    if name in _FAMILIES:
-        family, kind = _FAMILIES[name], ALIASES.get(kind or "", kind)
-        return tuple(family[kind].model_fields) if kind and kind in family else tuple(family)
-    if name in {"velocity", "angular_velocity"}:
-        return ("body", "random")
-    return tuple(_TABLES[name].model_fields) if name in _TABLES else ()
+def _names_of(table: type[Table]) -> tuple[str, ...]:
+    """What a table may be called by its `type`; nothing where it has none."""
+    return get_args(table.model_fields["type"].annotation) if "type" in table.model_fields else ()
+
+
+def _table_keys(raw: Any, path: Path) -> tuple[str, ...]:
+    """Keys of the table at a path; names of tables where it may be several."""
+    tables = _tables(_types_at(raw, path), reduce(child, path, raw))
+    names = [_names_of(table)[0] for table in tables if _names_of(table)]
+    keys = names if len(names) > 1 else [key for table in tables for key in table.model_fields]
+    return tuple(keys)

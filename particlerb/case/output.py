@@ -12,30 +12,19 @@ from particlerb.case.values import (
     Positive,
     Table,
     broken,
+    one_of,
 )
 
 _FRAME = "Axes of the vector: world or body. [-]"
-_FieldName = Literal[
-    "position",
-    "orientation",
-    "linear_momentum",
-    "angular_momentum",
-    "velocity",
-    "angular_velocity",
-    "contacts",
-    "contact_number",
-    "contact_overlap",
-    "wall_force",
-    "wall_torque",
-    "wall_position",
-    "wall_velocity",
-]
+FIELDS = ("position", "orientation", "linear_momentum", "angular_momentum")
+_OF_BODIES = (*FIELDS, "velocity", "angular_velocity")
 FIELDS_OF_WALLS = ("wall_force", "wall_torque", "wall_position", "wall_velocity")
 FIELDS_OF_CONTACT = ("contacts", "contact_number", "contact_overlap", *FIELDS_OF_WALLS)
-FIELDS: tuple[_FieldName, ...] = ("position", "orientation", "linear_momentum", "angular_momentum")
+_FieldName = Annotated[str, one_of(*_OF_BODIES, *FIELDS_OF_CONTACT)]
+_Quantity = Annotated[str, one_of(*_OF_BODIES, "kinetic_energy", "inertia")]
 
 
-def _are_unique(fields: tuple[_FieldName, ...]) -> tuple[_FieldName, ...]:
+def _are_unique(fields: tuple[str, ...]) -> tuple[str, ...]:
     """Require each field once."""
     if len(set(fields)) < len(fields):
         raise broken("must not repeat a name")
@@ -56,16 +45,6 @@ class Output(Table):
     )
 
 
-_Quantity = Literal[
-    "position",
-    "orientation",
-    "velocity",
-    "angular_velocity",
-    "linear_momentum",
-    "angular_momentum",
-    "kinetic_energy",
-    "inertia",
-]
 _EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
     "orientation": ((4,),),
     "kinetic_energy": ((),),

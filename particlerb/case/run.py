@@ -16,10 +16,8 @@ class RunTable(Table):
 
     t_end: Positive = Field(description="Time at the end. [s]")
     every: Positive = Field(description="Time between frames, at most t_end. [s]")
-    method: Annotated[str, Strict(), one_of(METHODS)] = Field(
-        "auto",
-        description="auto, or a name from `particlerb methods`. [-]",
-        json_schema_extra={"enum": list(METHODS)},
+    method: Annotated[str, one_of(*METHODS)] = Field(
+        "auto", description="auto, or a name from `particlerb methods`. [-]"
     )
     dt: Positive | None = Field(None, description="Step of stepping methods; default: chosen. [s]")
     tolerance: Annotated[Positive, Field(ge=1e-14, le=0.1)] = Field(

@@ -58,16 +58,16 @@ def entries(length: int, of: str = "numbers") -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def one_of(choices: tuple[str, ...]) -> AfterValidator:
+def one_of(*choices: str) -> PlainValidator:
     """Word out of a list that is kept as a constant rather than as a type."""
 
-    def check(value: str) -> str:
-        if value not in choices:
+    def check(value: Any) -> str:
+        if not isinstance(value, str) or value not in choices:
             expected = ", ".join(f"'{choice}'" for choice in choices)
             raise PydanticCustomError("choice", "unknown", {"expected": expected})
         return value
 
-    return AfterValidator(check)
+    return PlainValidator(check, json_schema_input_type=Literal[choices])
 
 
 def _repeated(value: Any) -> Any:

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from particlerb.case.bodies import PLACES
-from particlerb.case.contact import WALLS
+from particlerb.case.bodies import AnyPlace
+from particlerb.case.contact import AnyWall
 from particlerb.case.forces import FORCES
 from particlerb.case.reader import load
 from particlerb.case.run import METHODS
 from particlerb.case.schema import case_json_schema
 from particlerb.case.shapes import SHAPES
+from particlerb.case.values import by_type
 
 PAGE = Path(__file__).parents[2] / "docs" / "case.md"
 SCHEMA = case_json_schema()
@@ -29,13 +30,13 @@ HEADINGS = {
     "orientation = { euler_deg = [..] }": "Euler",
     "velocity, angular_velocity = { body = [..] }": "InBody",
     "velocity, angular_velocity = { random = v }": "NormalDistribution",
-    **{f"place: {name}": model.__name__ for name, model in PLACES.items()},
+    **{f"place: {name}": model.__name__ for name, model in by_type(AnyPlace).items()},
     **{f"shape: {name}": model.__name__ for name, model in SHAPES.items()},
     **{f"force: {name}": model.__name__ for name, model in FORCES.items()},
     "[contact]": "ContactTable",
     "[[contact.pair]]": "Pair",
     "[[material]]": "Material",
-    **{f"wall: {name}": model.__name__ for name, model in WALLS.items()},
+    **{f"wall: {name}": model.__name__ for name, model in by_type(AnyWall).items()},
     "motion of a wall or a body": "Prescribed",
     "oscillation of a wall or a body": "Oscillation",
     "piston of a wall": "Piston",
