@@ -31,6 +31,8 @@ from particlerb.model.state import Frames, as_frame
 from particlerb.model.system import System
 from particlerb.record.atomic import AtomicFile
 from particlerb.record.checksums import frame_checksums
+from particlerb.record.layout import tables_of
+from particlerb.record.provenance import texts_of
 from particlerb.record.schema import frames_per_chunk, rows_per_chunk
 from particlerb.record.writer import Recorder
 
@@ -70,7 +72,8 @@ def with_recorder(
     """Seconds for the recorder."""
     given, entries = batch_of(system, batch)
     start = time.perf_counter()
-    recorder = Recorder(path, system, {}, overwrite=True)
+    content = tables_of(system) | texts_of(system, {})
+    recorder = Recorder(path, system, content, overwrite=True)
     for lo in range(0, frames, batch):
         rows = np.arange(min(batch, frames - lo))
         recorder.append(lo + rows.astype(float), given, rows, entries)

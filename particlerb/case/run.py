@@ -9,6 +9,7 @@ from particlerb.model.method_names import METHOD_NAMES
 
 METHODS = ("auto", *METHOD_NAMES)
 _NEWTON = 6.67430e-11  # G [m³/(kg s²)], CODATA 2018
+FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of its multiples
 
 
 class RunTable(Table):
@@ -32,6 +33,13 @@ class RunTable(Table):
         0, description="Seed of all random numbers. [-]"
     )
     threads: Count | None = Field(None, description="Threads; default: all cores. [-]")
+
+
+def frame_count(run: RunTable) -> int:
+    """Number of frames: the multiples of run.every from 0, and t_end."""
+    every, t_end = run.every, run.t_end
+    last = int(t_end / every + FRAME_ROUNDING)
+    return last + (2 if t_end - last * every > FRAME_ROUNDING * every else 1)
 
 
 class Gravity(Table):

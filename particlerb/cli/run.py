@@ -17,6 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 from particlerb.case.problems import CaseError
+from particlerb.case.run import frame_count
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import amount, read_case, to_write
 from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
@@ -31,7 +32,6 @@ from particlerb.record.trajectory import TrajectoryError, open_trajectory
 from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.checks import Result, results, table
-from particlerb.simulation.frame_times import frame_count
 from particlerb.simulation.resume import ResumeError, look_at, resume_pending
 from particlerb.simulation.run import Outcome, Prepared, Progress, RunError, run_prepared
 

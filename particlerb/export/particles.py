@@ -4,19 +4,21 @@ Particles stand body after body, in each in the order of its kind. ParaView show
 (3D Glyphs, scaled by `diameter`), MDAnalysis and VMD as atoms.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import h5py
 import numpy as np
+from h5py import h5d
 
 from particlerb.export import Selection, is_known
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import rotate
-from particlerb.record.layout import describe, make_clock, make_group, write_h5md
-from particlerb.record.schema import FIELDS, TRAJECTORY, frames_per_chunk
-from particlerb.record.vtkhdf import append_steps, create_vtkhdf
+from particlerb.record.hdf5 import describe, growing, put
+from particlerb.record.layout import link_clock, make_box, make_clock, write_h5md
+from particlerb.record.schema import FIELDS, STEP, TIME, TRAJECTORY, frames_per_chunk
+from particlerb.record.vtkhdf import count_steps, create_vtkhdf, steps_of
 
 NEEDS: Final = ("position", "orientation")
 HOLDS: Final = tuple(FIELDS)
@@ -39,16 +41,21 @@ def write(selection: Selection, path: Path) -> None:
     }
     with h5py.File(path, "w") as file:
         write_h5md(file)
-        group = make_group(file)
-        for name, (values, units, meaning) in static.items():
-            group[name] = values
-            describe(group[name], units, meaning)
-        step, clock = make_clock(file, n_frames)
-        for clockwork in (step, clock):
-            clockwork.resize(n_frames, axis=0)
-        step[:], clock[:] = selection.frames, trajectory.time[selection.frames]
-        fields = {name: element(group, name, len(row), step, clock) for name in names}
-        create_vtkhdf(file, fields, {name: f"{TRAJECTORY}/{name}" for name in static}, n_frames)
+        make_box(file)
+        shown = {
+            name: describe(put(file, f"{TRAJECTORY}/{name}", values), units, meaning)
+            for name, (values, units, meaning) in static.items()
+        }
+        clockwork = make_clock(file, n_frames)
+        times = trajectory.time[selection.frames]
+        ids = {name: element(file, name, len(row), n_frames, clockwork) for name in names}
+        create_vtkhdf(file, ids, shown, n_frames)
+        numbers = {STEP: selection.frames, TIME: times, **steps_of(0, times, len(row))}
+        for place, values in numbers.items():
+            file[place].resize(n_frames, axis=0)
+            file[place][:] = values
+        count_steps(file, n_frames)
+        fields = {name: file[f"{TRAJECTORY}/{name}/value"] for name in names}
         column, local = np.searchsorted(selection.bodies, body), particles.position[row]
         done = 0
         for part in selection.portions(max(len(row), trajectory.n_bodies)):
@@ -56,7 +63,6 @@ def write(selection: Selection, path: Path) -> None:
                 for name, values in placed(state, column, local).items():
                     fields[name][done] = values
                 done += 1
-        append_steps(file, 0, clock[:])
 
 
 def states(selection: Selection, names: Sequence[str], part: slice) -> Iterator[tuple[Floats, ...]]:
@@ -86,13 +92,11 @@ def _chosen_particles(selection: Selection) -> tuple[Ints, Ints]:
 
 
 def element(
-    group: h5py.Group, name: str, n: int, step: h5py.Dataset, clock: h5py.Dataset
-) -> h5py.Dataset:
+    file: h5py.File, name: str, n: int, n_frames: int, clockwork: Mapping[str, h5d.DatasetID]
+) -> h5d.DatasetID:
     """A field of all particles, of H5MD's form."""
-    own = group.create_group(name)
-    own["step"], own["time"] = step, clock
-    shape = (len(step), n, 3)
-    chunks = (min(frames_per_chunk(n, 3, 8, len(step)), len(step)), n, 3)
-    value = own.create_dataset("value", shape, "f8", chunks=chunks, fillvalue=np.nan)
+    place, rows = f"{TRAJECTORY}/{name}", min(frames_per_chunk(n, 3, 8, n_frames), n_frames)
+    value = growing(file, f"{place}/value", "f8", (n, 3), rows=rows, length=n_frames, fill=np.nan)
     describe(value, _UNITS[name], "of each particle, world frame")
+    link_clock(file, place, clockwork)
     return value

@@ -17,6 +17,7 @@ import numpy as np
 from h5py import h5a, h5d, h5l, h5z
 
 from particlerb.record.atomic import to_read
+from particlerb.record.memory import Memory
 
 _FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
 _LAYOUTS: Final = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
@@ -46,7 +47,7 @@ class TrajectoryError(Exception):
 
 
 @contextmanager
-def trajectory_errors(file: h5py.File | str | Path) -> Iterator[None]:
+def trajectory_errors(file: h5py.File | Memory | str | Path) -> Iterator[None]:
     """Turn what h5py raises on damaged and foreign files into TrajectoryError."""
     name = file.filename if isinstance(file, h5py.File) and file else file
     try:
@@ -103,9 +104,9 @@ def _has_just_changed(path: str | Path | None) -> bool:
 
 
 def dataset_at(
-    file: h5py.File, path: str, kinds: str, shape: tuple[int | None, ...]
+    file: h5py.File | Memory, path: str, kinds: str, shape: tuple[int | None, ...]
 ) -> h5py.Dataset:
-    """Dataset of a file whose content is not trusted.
+    """Dataset of a file whose content is not trusted; a copy of an array in memory, which is.
 
     Parameters
     ----------
@@ -124,6 +125,8 @@ def dataset_at(
         If it is not there, or not what the schema says.
     """
     with trajectory_errors(file):
+        if isinstance(file, Memory):
+            return file[path]
         dataset = object_at(file, path)
         if not isinstance(dataset, h5py.Dataset):
             raise ValueError(f"{path} is no dataset")
@@ -148,6 +151,17 @@ def object_at(file: h5py.File, path: str) -> Any:
             raise ValueError(f"{path} is a link to elsewhere")
         place = place[part]
     return place
+
+
+def has(file: h5py.File | Memory, path: str) -> bool:
+    """Whether something is there, and hard links lead to it."""
+    if isinstance(file, Memory):
+        return path in file
+    try:
+        object_at(file, path)
+    except KeyError:
+        return False
+    return True
 
 
 def require_own_storage(file: h5py.File, dataset: h5py.Dataset, path: str) -> None:
@@ -195,7 +209,7 @@ def _lies_inside(dataset: h5py.Dataset) -> bool:
     return not dataset.id.get_create_plist().get_external_count()
 
 
-def text_at(file: h5py.File, path: str) -> str:
+def text_at(file: h5py.File | Memory, path: str) -> str:
     """A text of the file.
 
     Raises
@@ -204,11 +218,14 @@ def text_at(file: h5py.File, path: str) -> str:
         If it is not there, or no text.
     """
     with trajectory_errors(file):
-        dataset = object_at(file, path)
-        if not isinstance(dataset, h5py.Dataset) or dataset.shape != ():
-            raise ValueError(f"{path} is no text")
-        require_own_storage(file, dataset, path)
-        value = dataset[()]
+        if isinstance(file, Memory):
+            value = file[path]
+        else:
+            dataset = object_at(file, path)
+            if not isinstance(dataset, h5py.Dataset) or dataset.shape != ():
+                raise ValueError(f"{path} is no text")
+            require_own_storage(file, dataset, path)
+            value = dataset[()]
         if not isinstance(value, bytes):
             raise ValueError(f"{path} is no text")
         return value.decode(errors="replace")
@@ -224,6 +241,8 @@ def attribute(place: Any, name: str, kinds: str) -> Any:
     KeyError, ValueError
         If it is not there, or of another type.
     """
+    if isinstance(place, Memory):
+        return place.attributes[name]
     if not h5a.exists(place.id, name.encode()):
         raise KeyError(f"{name} is missing")
     found = h5a.open(place.id, name.encode())

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
+from h5py import h5s
 
 from particlerb.record import schema
 from particlerb.record.checked_reading import (
@@ -23,6 +24,7 @@ from particlerb.record.checked_reading import (
     object_at,
     trajectory_errors,
 )
+from particlerb.record.hdf5 import change, group, growing, note, opened
 
 _LARGEST_CHUNK = 2**20  # bytes of a slot that lie together
 _SMALLEST_CHUNK = 2**9
@@ -65,22 +67,20 @@ def _unpacked(content: bytes) -> dict[str, Any]:
 
 def _make_slots(file: h5py.File, size: int) -> None:
     """Make both slots, empty, for contents of about so many bytes."""
-    group = file.create_group(schema.CHECKPOINT)
+    note(group(file, schema.CHECKPOINT), **{schema.CURRENT: np.int64(1)})
     size = 2 ** (size - 1).bit_length()
-    chunks = (min(max(size, _SMALLEST_CHUNK), _LARGEST_CHUNK),)
+    rows = min(max(size, _SMALLEST_CHUNK), _LARGEST_CHUNK)
+    empty = {schema.SLOT_FRAMES: np.int64(0), schema.SLOT_DIGEST: np.bytes_(_digest_of(b""))}
     for name in schema.SLOTS:
-        slot = group.create_dataset(name, (0,), "u1", maxshape=(None,), chunks=chunks)
-        slot.attrs[schema.SLOT_FRAMES] = np.int64(0)
-        slot.attrs[schema.SLOT_DIGEST] = np.bytes_(_digest_of(b""))
-    group.attrs[schema.CURRENT] = np.int64(0)
+        note(growing(file, f"{schema.CHECKPOINT}/{name}", "u1", rows=rows), **empty)
 
 
 def put(slot: h5py.Dataset, n_frames: int, content: bytes) -> None:
     """Write a slot."""
-    slot.resize((len(content),))
-    slot[:] = np.frombuffer(content, dtype=np.uint8)
-    slot.attrs.modify(schema.SLOT_FRAMES, np.int64(n_frames))
-    slot.attrs.modify(schema.SLOT_DIGEST, np.bytes_(_digest_of(content)))
+    slot.id.set_extent((len(content),))
+    slot.id.write(h5s.ALL, h5s.ALL, np.frombuffer(content, dtype=np.uint8))
+    change(slot.id, schema.SLOT_FRAMES, np.int64(n_frames))
+    change(slot.id, schema.SLOT_DIGEST, np.bytes_(_digest_of(content)))
 
 
 def _digest_of(content: bytes) -> str:
@@ -88,17 +88,15 @@ def _digest_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def write_checkpoint(file: h5py.File, n_frames: int, arrays: Mapping[str, Any]) -> int:
-    """Write the slot that does not count; return its number, for `CURRENT` at the next commit."""
+def write_checkpoint(file: h5py.File, n_frames: int, arrays: Mapping[str, Any]) -> None:
+    """Write the slot that does not count, and let it count, both with the next commit."""
     content = _packed(arrays)
-    other = 0
-    if schema.CHECKPOINT in file:
-        other = 1 - int(file[schema.CHECKPOINT].attrs[schema.CURRENT])
-    else:
+    if schema.CHECKPOINT not in file:
         _make_slots(file, len(content))
-    group = file[schema.CHECKPOINT]
-    put(group[schema.SLOTS[other]], n_frames, content)
-    return other
+    place = file[schema.CHECKPOINT]
+    other = 1 - int(place.attrs[schema.CURRENT])
+    put(opened(file, f"{schema.CHECKPOINT}/{schema.SLOTS[other]}"), n_frames, content)
+    change(place.id, schema.CURRENT, np.int64(other))
 
 
 def slot_in(file: h5py.File, is_before: bool) -> _Slot:

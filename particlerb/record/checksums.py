@@ -5,7 +5,7 @@ They find what a disk, a copy or an editor has changed. They protect from chance
 
 import hashlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any, Final
 
@@ -74,28 +74,56 @@ def list_checksums(columns: Iterable[NDArray[np.generic]], ends: NDArray[np.int6
     return total
 
 
+_TABLES: Final = {
+    path: k
+    for k, path in enumerate(
+        (
+            *schema.STATIC,
+            *schema.AXES,
+            schema.BODY,
+            schema.WALL_NAMES,
+            schema.WALL_NUMBERS,
+            *TOPOLOGY,
+        )
+    )
+}
+
+
 def _unchanging(file: h5py.File) -> list[str]:
     """Paths of all datasets of a file that do not change in time."""
-    paths = [*schema.STATIC, *schema.AXES, f"{schema.TRAJECTORY}/body"]
+    paths = [*schema.STATIC, *schema.AXES, schema.BODY]
     paths += [path for path in (schema.WALL_NAMES, schema.WALL_NUMBERS) if path in file]
     paths += TOPOLOGY if schema.VTKHDF in file else ()
-    texts = (f"{schema.PARAMETERS}/{name}" for name in sorted(file[schema.PARAMETERS]))
+    texts = (f"{schema.PARAMETERS}/{name}" for name in file[schema.PARAMETERS])
     paths += [path for path in texts if path != schema.FILES]
-    kept = file.get(schema.FILES, ())
-    return [*paths, *(f"{schema.FILES}/{name}" for name in sorted(kept))]
+    return [*paths, *(f"{schema.FILES}/{name}" for name in file.get(schema.FILES, ()))]
 
 
-def digest(file: h5py.File) -> str:
-    """SHA-256 of all that does not change in time: tables and texts."""
+def _order(path: str) -> tuple[int, str]:
+    """What puts paths into the order of the digest: tables, then texts, then kept files."""
+    known = _TABLES.get(path, len(_TABLES) + path.startswith(f"{schema.FILES}/"))
+    return known, path
+
+
+def digest_of(content: Mapping[str, Any]) -> str:
+    """SHA-256 of arrays and texts by their paths."""
     found = hashlib.sha256()
-    for path in _unchanging(file):
-        dataset = object_at(file, path)
-        require_own_storage(file, dataset, path)
-        value = dataset[()]
+    for path in sorted(content, key=_order):
+        value = content[path]
         data = value if isinstance(value, bytes) else np.ascontiguousarray(value).tobytes()
         found.update(f"{path} {len(data)} ".encode())
         found.update(data)
     return found.hexdigest()
+
+
+def digest(file: h5py.File) -> str:
+    """SHA-256 of all that does not change in time: tables and texts."""
+    content = {}
+    for path in _unchanging(file):
+        dataset = object_at(file, path)
+        require_own_storage(file, dataset, path)
+        content[path] = dataset[()]
+    return digest_of(content)
 
 
 def seal(file: h5py.File) -> None:

@@ -34,26 +34,32 @@ def contact_values(
     return {name: np.stack([made[name](one) for one in touches]) for name in fields if name in made}
 
 
+def contact_columns(
+    touches: Sequence[ContactOutput], dtype: "np.dtype[Any]"
+) -> tuple[dict[str, Floats | Ints], Ints]:
+    """Contacts of some frames as a file holds them, by name, and the row behind each frame."""
+    columns = {}
+    for name, column in schema.COLUMNS.items():
+        kind = np.dtype(np.int32) if column.is_count else dtype
+        width = (column.width,) if column.width else ()
+        parts = [np.empty((0, *width), kind), *(getattr(one, name) for one in touches)]
+        columns[name] = np.concatenate(parts).astype(kind)
+    return columns, np.cumsum([one.wall.size for one in touches], dtype=np.int64)
+
+
 class ContactList:
     """Contacts of all frames in a file; the offset is for the recorder to write."""
 
     def __init__(self, file: h5py.File) -> None:
         self.columns = {name: file[schema.CONTACTS][name] for name in schema.COLUMNS}
         self.offset = file[schema.OFFSET]
-
-    def rows(self, touches: Sequence[ContactOutput]) -> tuple[list[Floats | Ints], Ints]:
-        """Contacts of some frames as the file holds them, and the row behind each frame."""
-        ends = np.cumsum([one.wall.size for one in touches], dtype=np.int64)
-        columns = [
-            np.concatenate([getattr(one, name) for one in touches]).astype(dataset.dtype)
-            for name, dataset in self.columns.items()
-        ]
-        return columns, ends
+        self.dtype = self.columns["force"].dtype
 
     def write(self, first: int, touches: Sequence[ContactOutput]) -> Ints:
         """Write contacts of some frames from row `first` on; return where each frame ends."""
-        columns, ends = self.rows(touches)
-        for dataset, values in zip(self.columns.values(), columns, strict=True):
+        columns, ends = contact_columns(touches, self.dtype)
+        for name, values in columns.items():
+            dataset = self.columns[name]
             dataset.resize(first + len(values), axis=0)
             if len(values):
                 dataset[first:] = values
@@ -61,6 +67,5 @@ class ContactList:
 
     def cut(self, n_frames: int) -> None:
         """Cut off what belongs to no frame."""
-        self.offset.resize(n_frames + 1, axis=0)
         for dataset in self.columns.values():
-            dataset.resize(int(self.offset[-1]), axis=0)
+            dataset.resize(int(self.offset[n_frames]), axis=0)

@@ -10,11 +10,6 @@ from particlerb.record.schema import CONTACT_FIELDS, FIELDS, WALLS
 SMALLEST_FILE: Final = 600_000  # bytes of a file of few bodies and frames
 
 
-def frames_at_most(system: System) -> int:
-    """Frames of a run, or a few more."""
-    return int(system.run.t_end / system.run.every) + 2
-
-
 def estimated_size(system: System, n_frames: int) -> int:
     """Size of the fields of a run on disk [bytes], without the small rest."""
     item = np.dtype(system.output.dtype).itemsize

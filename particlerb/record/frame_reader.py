@@ -20,12 +20,13 @@ from particlerb.record.checked_reading import (
     TrajectoryError,
     attribute,
     dataset_at,
+    has,
     integer_attribute,
-    object_at,
     open_file,
     patiently,
     trajectory_errors,
 )
+from particlerb.record.memory import Memory
 
 PORTION = 100_000  # states that are read at a time where all are gone through
 
@@ -35,13 +36,13 @@ class FrameReader:
 
     Parameters
     ----------
-    file : h5py.File
+    file : h5py.File or Memory
         Open for reading.
     """
 
-    def __init__(self, file: h5py.File) -> None:
+    def __init__(self, file: h5py.File | Memory) -> None:
         self.file = file
-        self.path = None if file.driver == "core" else file.filename
+        self.path = None if isinstance(file, Memory) else file.filename
         with trajectory_errors(file):
             major, minor = (int(k) for k in attribute(file, "schema", "iu"))
             self.schema = (major, minor)
@@ -51,7 +52,7 @@ class FrameReader:
                 f"{file.filename} has schema {major}.{minor}: {age} particlerb has written it, and"
                 f" this one reads {schema.SCHEMA_VERSION[0]}.x; read it with a version of its time"
             )
-        self.mass: Floats = dataset_at(file, f"{schema.TRAJECTORY}/mass", "f", (None,))[:]
+        self.mass: Floats = dataset_at(file, f"{schema.TRAJECTORY}/mass", "f", (None,))[:].copy()
         self.n_bodies = len(self.mass)
         self.n_frames = self.count()
 
@@ -130,14 +131,14 @@ class FrameReader:
                     found = _without_cache(values)[lo:hi:stride, bodies]
                 if not np.isfinite(found).all():
                     raise ValueError(f"{path} has entries that are not finite")
-            return found
+            return found if found.base is None else found.copy()  # a view of what is in memory
 
         return self.patiently(read)
 
     def table(self, path: str, kinds: str, shape: tuple[int | None, ...]) -> Any:
         """A whole dataset that does not change in time."""
         with trajectory_errors(self.file):
-            found = dataset_at(self.file, path, kinds, shape)[()]
+            found = np.array(dataset_at(self.file, path, kinds, shape)[()])
             if found.dtype.kind == "f" and not np.isfinite(found).all():
                 raise ValueError(f"{path} has entries that are not finite")
         return found
@@ -199,17 +200,16 @@ class FrameReader:
     def fields(self) -> list[str]:
         """Names of the recorded fields."""
         with trajectory_errors(self.file):
-            group = object_at(self.file, schema.TRAJECTORY)
-            return [name for name in schema.FIELDS if name in group]
+            return [f for f in schema.FIELDS if has(self.file, f"{schema.TRAJECTORY}/{f}/value")]
 
     @property
     def contact_fields(self) -> list[str]:
         """Names of the recorded fields of contacts and walls."""
+        places = dict.fromkeys(schema.CONTACT_FIELDS, schema.TRAJECTORY)
+        places |= dict.fromkeys(schema.WALLS, schema.OBSERVABLES)
         with trajectory_errors(self.file):
-            group = object_at(self.file, schema.TRAJECTORY)
-            found = [name for name in schema.CONTACT_FIELDS if name in group]
-            found += [name for name in schema.WALLS if name in self.file[schema.OBSERVABLES]]
-            return found + ([schema.CONTACTS] if schema.CONTACTS in self.file else [])
+            found = [f for f, place in places.items() if has(self.file, f"{place}/{f}/value")]
+            return found + ([schema.CONTACTS] if has(self.file, schema.OFFSET) else [])
 
     def require(self, name: str) -> None:
         """Raise KeyError if a field of contacts or walls was not recorded."""
@@ -227,7 +227,7 @@ class FrameReader:
 
 def _without_cache(values: h5py.Dataset) -> h5py.Dataset:
     """The same dataset; where a chunk is one frame, a few of its numbers are read, and not all."""
-    if values.chunks is None or values.chunks[0] > 1:
+    if isinstance(values, np.ndarray) or values.chunks is None or values.chunks[0] > 1:
         return values
     access = h5p.create(h5p.DATASET_ACCESS)
     access.set_chunk_cache(0, 0, 1.0)

@@ -1,9 +1,8 @@
 """The HDF5 file that a run writes: made whole or not at all, changed by commits, left after errors.
 
-A new file lies beside its place, under its name with `.new` behind it, until it has all but frames.
+A new file lies beside its place, under its name with `.new` behind it, until its first commit.
 """
 
-import itertools
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -16,8 +15,6 @@ from particlerb.record.checked_reading import FAULTS, reason_of
 from particlerb.record.output_path import output_path
 from particlerb.record.writer_lock import WriterLock
 
-_NUMBERS = itertools.count()  # of the files in memory
-
 
 class DamagedError(OSError):
     """A file from before that cannot be written on: why."""
@@ -28,14 +25,17 @@ class OutputFile:
 
     Parameters
     ----------
-    path : Path or None
-        Its name, for errors; None for a file in memory.
-    lock : WriterLock or None
+    path : Path
+        Its name, for errors.
+    lock : WriterLock
         The open file; closed with this one.
     mode : str
         `w` for a new file, `r+` for one from before.
     is_durable : bool
         Whether commits wait for the disk.
+    place : Path, optional
+        Where a new file comes to lie with its first commit; until then it has this name with `.new`
+        behind it.
 
     Attributes
     ----------
@@ -46,14 +46,10 @@ class OutputFile:
     """
 
     def __init__(
-        self, path: Path | None, lock: WriterLock | None, mode: str, is_durable: bool
+        self, path: Path, lock: WriterLock, mode: str, is_durable: bool, place: Path | None = None
     ) -> None:
         self.path, self.is_from_before, self.is_broken = path, mode == "r+", False
-        self.disk: AtomicFile | None = None
-        if path is None or lock is None:
-            name = f"memory-{next(_NUMBERS)}.h5"  # HDF5 tells files in memory apart by their names
-            self.file = h5py.File(name, "w", driver="core", backing_store=False)
-            return
+        self.place = place  # None: it is there
         try:
             self.disk = AtomicFile(lock, path, is_durable)
             self.disk.settle()
@@ -65,7 +61,7 @@ class OutputFile:
     @property
     def seconds_for_disk(self) -> float:
         """Seconds that the disk was waited for until now."""
-        return 0.0 if self.disk is None else self.disk.seconds
+        return self.disk.seconds
 
     @contextmanager
     def writing(self) -> Iterator[None]:
@@ -77,40 +73,52 @@ class OutputFile:
             if self.is_from_before and isinstance(error, FAULTS):
                 raise DamagedError(f"{self.path} is damaged: {reason_of(error)}") from None
             raise
-        if self.disk is not None and self.disk.failure is not None:
+        if self.disk.failure is not None:
             self.abandon()
 
     def abandon(self) -> None:
         """Write no more; raise OSError where the disk has failed."""
         self.is_broken = True
-        if self.disk is None:
-            return
         failure, self.disk.failure = self.disk.failure, self.disk.failure or (None, None, "")
         with suppress(OSError, RuntimeError, ValueError):
             self.file.close()
+        if self.place is not None:
+            with suppress(OSError):
+                _waiting(self.place).unlink(missing_ok=True)
         self.disk.source.close()
         if failure is not None:
             raise OSError(*failure) from None
 
     def commit(self) -> None:
-        """Let the file on the disk be what was written until now."""
+        """Let the file on the disk be what was written until now; a new one takes its name."""
         self.file.flush()
-        if self.disk is not None:
-            self.disk.commit()
+        self.disk.commit()
+        self.take_place()
+
+    def take_place(self) -> None:
+        """Give a new file its name."""
+        if self.place is None:
+            return
+        _waiting(self.place).replace(self.place)
+        folder, self.place = self.place.parent, None
+        if self.disk.is_durable:
+            _sync_folder(folder)
 
     def close(self) -> None:
-        """Commit and close; a file in memory stays open."""
-        if self.disk is None:
-            self.file.flush()
-            return
+        """Commit and close."""
         self.file.close()
         self.disk.commit()
+        self.take_place()
         self.disk.source.close()
 
 
-@contextmanager
-def new_file(path: Path | None, overwrite: bool, is_durable: bool) -> Iterator[OutputFile]:
-    """A new file, which takes its name when the block has ended well, and is none otherwise.
+def _waiting(place: Path) -> Path:
+    """Where a new file lies until its first commit."""
+    return place.with_name(f"{place.name}.new")
+
+
+def new_file(path: Path, overwrite: bool, is_durable: bool) -> OutputFile:
+    """A new file, which takes its name with its first commit, and is none without.
 
     Raises
     ------
@@ -121,26 +129,13 @@ def new_file(path: Path | None, overwrite: bool, is_durable: bool) -> Iterator[O
     OSError
         If it cannot be made.
     """
-    if path is None:
-        yield OutputFile(None, None, "w", is_durable)
-        return
     place = output_path(path, overwrite)
     place.parent.mkdir(parents=True, exist_ok=True)
     if place.exists():
         WriterLock(place).close()  # nobody else writes it
-    new = place.with_name(f"{place.name}.new")
-    lock = WriterLock(new)
+    lock = WriterLock(_waiting(place))
     os.ftruncate(lock.fileno(), 0)
-    output = OutputFile(path, lock, "w", is_durable)
-    try:
-        with output.writing():
-            yield output
-            new.replace(place)
-            if is_durable:
-                _sync_folder(place.parent)
-    except BaseException:
-        new.unlink(missing_ok=True)
-        raise
+    return OutputFile(path, lock, "w", is_durable, place)
 
 
 def _sync_folder(path: Path) -> None:

@@ -9,7 +9,9 @@ import platform
 import subprocess
 import sys
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -21,15 +23,20 @@ from particlerb.compiled.jit import source_hash
 from particlerb.compiled.vector_width import machine
 from particlerb.files import Files
 from particlerb.model.system import System
-from particlerb.record.checked_reading import dataset_at, object_at, text_at, trajectory_errors
+from particlerb.record.checked_reading import dataset_at, has, text_at, trajectory_errors
 from particlerb.record.checksums import seal
+from particlerb.record.hdf5 import put
+from particlerb.record.memory import Memory
 from particlerb.record.schema import FILE_NAMES, FILES, PARAMETERS
 
 
-def write_parameters(file: h5py.File, system: System, more: Mapping[str, str]) -> None:
-    """Where the file comes from: enough to run it again."""
+def texts_of(system: System, more: Mapping[str, str]) -> dict[str, Any]:
+    """Where a file comes from, by paths: enough to run it again.
+
+    Of the files that the case reads each content once, under its SHA-256, and a table of the names.
+    """
     case = to_case(system)
-    parameters = {
+    texts = {
         "case": case.text,
         "case_resolved": case.model_dump_json(),
         **more,
@@ -38,10 +45,15 @@ def write_parameters(file: h5py.File, system: System, more: Mapping[str, str]) -
         "machine": machine(),
         "git_revision": git_revision(),
     }
-    for name, words in parameters.items():
-        write_text(file, name, words)
-    file[f"{PARAMETERS}/seed"] = case.run.seed
-    _write_files(file, case.source.files.contents)
+    contents = case.source.files.contents
+    hashes = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
+    if hashes:
+        texts[FILE_NAMES] = json.dumps(hashes)
+    found: dict[str, Any] = {f"{PARAMETERS}/{k}": words.encode() for k, words in texts.items()}
+    found[f"{PARAMETERS}/seed"] = np.array(case.run.seed)
+    for name, key in hashes.items():
+        found[f"{FILES}/{key}"] = np.frombuffer(contents[name], dtype=np.uint8)
+    return found
 
 
 def replace_case(file: h5py.File, system: System) -> None:
@@ -51,17 +63,7 @@ def replace_case(file: h5py.File, system: System) -> None:
     file.flush()
 
 
-def _write_files(file: h5py.File, contents: Mapping[str, bytes]) -> None:
-    """Keep what the case reads: each content once, under its SHA-256, and a table of the names."""
-    hashes = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
-    if hashes:
-        write_text(file, FILE_NAMES, json.dumps(hashes))
-    for name, key in hashes.items():
-        if f"{FILES}/{key}" not in file:
-            file[f"{FILES}/{key}"] = np.frombuffer(contents[name], dtype=np.uint8)
-
-
-def stored_names(file: h5py.File) -> dict[str, str]:
+def stored_names(file: h5py.File | Memory) -> dict[str, str]:
     """SHA-256 of the files that the case reads, by their names in it.
 
     Raises
@@ -70,7 +72,7 @@ def stored_names(file: h5py.File) -> dict[str, str]:
         If the table is damaged.
     """
     with trajectory_errors(file):
-        if FILE_NAMES not in object_at(file, PARAMETERS):
+        if not has(file, f"{PARAMETERS}/{FILE_NAMES}"):
             return {}
         hashes = json.loads(text_at(file, f"{PARAMETERS}/{FILE_NAMES}"))
         if not isinstance(hashes, dict):
@@ -78,7 +80,7 @@ def stored_names(file: h5py.File) -> dict[str, str]:
         return hashes
 
 
-def _stored_files(file: h5py.File) -> dict[str, bytes]:
+def _stored_files(file: h5py.File | Memory) -> dict[str, bytes]:
     """Contents of these files, by their names in the case.
 
     Raises
@@ -95,7 +97,7 @@ def _stored_files(file: h5py.File) -> dict[str, bytes]:
     return {name: contents[key] for name, key in names.items()}
 
 
-def stored_case(file: h5py.File) -> Source:
+def stored_case(file: h5py.File | Memory) -> Source:
     """What a case is made of again; nothing of it is looked up on disk.
 
     Raises
@@ -114,15 +116,11 @@ def stored_case(file: h5py.File) -> Source:
 
 
 def write_text(file: h5py.File, name: str, words: str) -> None:
-    """Write a text of /parameters, UTF-8, in place of what is there.
-
-    Of fixed length: its bytes lie in one place, and a reader can tell beforehand how many they are.
-    """
-    group = file.require_group(PARAMETERS)
-    if name in group:
-        del group[name]
-    data = words.encode()
-    group.create_dataset(name, data=data, dtype=h5py.string_dtype("utf-8", max(len(data), 1)))
+    """Write a text of /parameters, UTF-8, in place of what is there."""
+    path = f"{PARAMETERS}/{name}"
+    if path in file:
+        del file[path]
+    put(file, path, words.encode())
 
 
 def versions() -> dict[str, str]:
@@ -133,6 +131,7 @@ def versions() -> dict[str, str]:
     return {**own, "python": platform.python_version(), **found}
 
 
+@cache
 def git_revision() -> str:
     """Revision of the sources, where they are a git checkout; else empty."""
     root = Path(particlerb.__file__).parent.parent

@@ -10,11 +10,15 @@ listed in docs/schema.md, which a test compares with written files.
 """
 
 from collections.abc import Collection
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
+
+import numpy as np
 
 SCHEMA_VERSION: Final = (2, 0)
 TRAJECTORY: Final = "particles/trajectory"
 TIME: Final = f"{TRAJECTORY}/time"
+BODY: Final = f"{TRAJECTORY}/body"
+STEP: Final = f"{TRAJECTORY}/step"
 OBSERVABLES: Final = "observables"
 PARAMETERS: Final = "parameters"
 FILE_NAMES: Final = "file_names"  # in it: JSON, the SHA-256 of each file that the case names
@@ -22,7 +26,7 @@ FILES: Final = f"{PARAMETERS}/files"  # contents, named by their SHA-256
 BODIES: Final = "bodies"
 VTKHDF: Final = "VTKHDF"
 INTEGRITY: Final = "integrity"
-CHECKSUM: Final = "checksum"  # of each frame, in it
+CHECKSUMS: Final = f"{INTEGRITY}/checksum"  # of each frame
 AXES: Final = ("xyz", "wxyz", "123")  # dimension scales: the world, quaternions, principal axes
 CHECKPOINT: Final = "checkpoint"
 SLOTS: Final = ("a", "b")  # of the checkpoint: archives of arrays, written in turn
@@ -112,6 +116,13 @@ def series_of(fields: Collection[str]) -> dict[str, Element]:
         for path, element in SERIES.items()
         if not element.per or path.split("/")[-2] in fields
     }
+
+
+def dtype_of(element: Element, dtype: "np.dtype[Any]") -> "np.dtype[Any]":
+    """Type of the numbers of an element in a file whose bodies have numbers of this type."""
+    if element.is_count:
+        return np.dtype(np.int32)
+    return dtype if element.per == "body" else np.dtype(np.float64)
 
 
 class _FixedDataset(NamedTuple):

@@ -53,8 +53,8 @@ class Trajectory(FrameReader):
 
     Parameters
     ----------
-    file : h5py.File
-        Open for reading.
+    file : h5py.File or Memory
+        Open for reading; where nothing was written, what the run has kept in memory.
 
     Raises
     ------

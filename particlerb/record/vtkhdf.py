@@ -15,7 +15,8 @@ import h5py
 import numpy as np
 from h5py import h5d, h5p, h5s
 
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record.hdf5 import WITH_GROUPS, change, group, growing, note, put
 from particlerb.record.schema import VTKHDF, rows_per_chunk
 
 _CELLS: Final = ("Vertices", "Lines", "Polygons", "Strips")
@@ -27,117 +28,121 @@ TOPOLOGY: Final = (
         for name in ("NumberOfCells", "NumberOfConnectivityIds", "Offsets", "Connectivity")
     ),
 )  # what is written once
+_DATA: Final = f"{VTKHDF}/PointData"
+_STEPS: Final = f"{VTKHDF}/Steps"
+STEP_TIMES: Final = f"{_STEPS}/Values"
+STEP_STARTS: Final = f"{_STEPS}/PointOffsets"
+_CONSTANTS: Final = {  # of each step: value, and width
+    "PartOffsets": (0,),
+    "NumberOfParts": (1,),
+    "CellOffsets": (0, len(_CELLS)),
+    "ConnectivityIdOffsets": (0, len(_CELLS)),
+}
 _POINTS: Final = "position"  # the field that says where the points are
 
 
 def create_vtkhdf(
-    file: h5py.File, fields: Mapping[str, h5py.Dataset], static: Mapping[str, str], n_frames: int
-) -> None:
+    file: h5py.File,
+    fields: Mapping[str, h5d.DatasetID],
+    static: Mapping[str, h5d.DatasetID],
+    n_frames: int,
+) -> dict[str, Ints]:
     """Make /VTKHDF for a file that is still without frames.
 
     Parameters
     ----------
     file : h5py.File
         Open for writing.
-    fields : mapping of str to Dataset, shapes (T, N, C)
+    fields : mapping of str to DatasetID, shapes (T, N, C)
         What the file records of each body; without positions there is nothing to show.
-    static : mapping of str to str
-        Names and paths of arrays that do not change, (N, ...).
+    static : mapping of str to DatasetID
+        Arrays that do not change, (N, ...), by the names that VTK is to show.
     n_frames : int
         Frames that the file may come to hold; `resize_vtkhdf` changes it.
+
+    Returns
+    -------
+    dict of str to ndarray
+        What was written of it that does not change, by paths.
     """
     if _POINTS not in fields:
-        return
+        return {}
     n = fields[_POINTS].shape[1]
-    root = file.create_group(VTKHDF)
-    root.attrs["Version"] = np.array([2, 0], dtype=np.int64)
-    root.attrs.create("Type", b"PolyData", dtype=h5py.string_dtype("ascii", 8))
-    root["NumberOfPoints"] = np.array([n])
+    root = group(file, VTKHDF)
+    kind = np.bytes_("PolyData")
+    note(root, Version=np.array([2, 0], dtype=np.int64), Type=kind)
+    counts = [np.array([n])]
     for name in _CELLS:
         count = n if name == _CELLS[0] else 0
-        cells = root.create_group(name)
-        cells["NumberOfCells"] = cells["NumberOfConnectivityIds"] = np.array([count])
-        cells["Offsets"] = np.arange(count + 1)
-        cells["Connectivity"] = np.arange(count)
-    data = root.create_group("PointData")
-    for name, path in static.items():
-        view(data, name, file[path])
-    steps = root.create_group("Steps")
-    steps.attrs["NSteps"] = np.int64(0)
-    growing = {"maxshape": (None,), "chunks": (rows_per_chunk(n_frames),)}
-    steps.create_dataset("Values", (0,), "f8", **growing)
-    steps.create_dataset("PointOffsets", (0,), "i8", **growing)
-    constant(steps, "PartOffsets", 0)
-    constant(steps, "NumberOfParts", 1)
-    constant(steps, "CellOffsets", 0, len(_CELLS))
-    constant(steps, "ConnectivityIdOffsets", 0, len(_CELLS))
-    offsets = steps.create_group("PointDataOffsets")
-    for name in static:
-        constant(offsets, name, 0)
-    resize_vtkhdf(file, fields, n_frames)
+        counts += [np.array([count])] * 2 + [np.arange(count + 1), np.arange(count)]
+    topology = dict(zip(TOPOLOGY, counts, strict=True))
+    for path, values in topology.items():
+        put(file, path, values)
+    for name, values in static.items():
+        view(file, f"{_DATA}/{name}", values)
+        _constant(file, f"{_STEPS}/PointDataOffsets/{name}", 0, n_frames)
+    for name, values in fields.items():
+        view(file, _place_of(name), values, n_frames)
+    rows = rows_per_chunk(n_frames)
+    growing(file, STEP_TIMES, "f8", rows=rows)
+    growing(file, STEP_STARTS, "i8", rows=rows)
+    for name, (value, *width) in _CONSTANTS.items():
+        _constant(file, f"{_STEPS}/{name}", value, n_frames, *width)
+    note(h5py.h5g.open(file.id, _STEPS.encode()), NSteps=np.int64(0))
+    return topology
 
 
-def constant(group: h5py.Group, name: str, value: int, *width: int) -> None:
+def _constant(file: h5py.File, path: str, value: int, n_frames: int, *width: int) -> None:
     """An array of one value for any number of steps, which takes no room."""
-    group.create_dataset(
-        name, (0, *width), "i8", maxshape=(None, *width), fillvalue=value, chunks=(1024, *width)
-    )
+    growing(file, path, "i8", width, rows=1024, length=n_frames, fill=value)
+
+
+def _place_of(name: str) -> str:
+    """Path where VTK looks for a field."""
+    return f"{VTKHDF}/Points" if name == _POINTS else f"{_DATA}/{name}"
 
 
 def resize_vtkhdf(file: h5py.File, fields: Mapping[str, h5py.Dataset], n_frames: int) -> None:
     """Let /VTKHDF, where there is one, have room for so many frames; those in it stay."""
-    if VTKHDF not in file:
+    if is_finished(file, n_frames):
         return
-    root = file[VTKHDF]
-    steps = root["Steps"]
-    offsets = steps["PointDataOffsets"].values()
-    names = ("PartOffsets", "NumberOfParts", "CellOffsets", "ConnectivityIdOffsets")
-    for dataset in (*(steps[name] for name in names), *offsets):
+    steps = file[_STEPS]
+    for dataset in (*(steps[name] for name in _CONSTANTS), *steps["PointDataOffsets"].values()):
         dataset.resize(n_frames, axis=0)
     for name, values in fields.items():
-        group, own = (root, "Points") if name == _POINTS else (root["PointData"], name)
-        if own in group:
-            if len(group[own]) == n_frames * values.shape[1]:
-                continue
-            del group[own]
-        view(group, own, values, n_frames)
+        del file[_place_of(name)]
+        view(file, _place_of(name), values.id, n_frames)
 
 
 def is_finished(file: h5py.File, n_frames: int) -> bool:
     """Whether /VTKHDF, where there is one, has room for these frames and no more."""
-    return VTKHDF not in file or len(file[VTKHDF]["Steps"]["PartOffsets"]) == n_frames
+    return VTKHDF not in file or len(file[f"{_STEPS}/PartOffsets"]) == n_frames
 
 
-def view(group: h5py.Group, name: str, values: h5py.Dataset, n_frames: int | None = None) -> None:
+def view(file: h5py.File, path: str, values: h5d.DatasetID, n_frames: int | None = None) -> None:
     """Virtual dataset over the values: (n_frames * N, C) over (T, N, C), or the same shape.
 
     One mapping of all of it. Values that do not change need a view too: a link would carry their
     dimension scales to where netCDF does not find them.
     """
-    full, shape = values.shape, values.shape
+    full = shape = values.shape
     if n_frames is not None:
         full, shape = (n_frames, *full[1:]), (n_frames * full[1], *full[2:])
     mapped, source = h5s.create_simple(shape), h5s.create_simple(full)
     mapped.select_all()
     source.select_all()
-    properties = h5p.create(h5p.DATASET_CREATE)
-    properties.set_virtual(mapped, b".", values.name.encode(), source)
-    h5d.create(group.id, name.encode(), values.id.get_type(), h5s.create_simple(shape), properties)
+    plan = h5p.create(h5p.DATASET_CREATE)
+    plan.set_virtual(mapped, b".", h5py.h5i.get_name(values), source)
+    kind, space = values.get_type(), h5s.create_simple(shape)
+    h5d.create(file.id, path.encode(), kind, space, plan, WITH_GROUPS)
 
 
-def append_steps(file: h5py.File, first: int, times: Floats) -> None:
-    """Write the steps from `first` on; there are none behind them."""
-    if VTKHDF not in file:
-        return
-    steps, last = file[VTKHDF]["Steps"], first + len(times)
-    starts = np.arange(first, last) * int(file[VTKHDF]["NumberOfPoints"][0])
-    for name, values in (("Values", times), ("PointOffsets", starts)):
-        steps[name].resize(last, axis=0)
-        steps[name][first:] = values
-    count_steps(file, last)
+def steps_of(first: int, times: Floats, n_points: int) -> dict[str, Floats | Ints]:
+    """What the arrays of steps get for frames from `first` on, by their paths."""
+    return {STEP_TIMES: times, STEP_STARTS: np.arange(first, first + len(times)) * n_points}
 
 
 def count_steps(file: h5py.File, n_frames: int) -> None:
-    """Say how many steps there are."""
+    """Say how many steps there are, where VTK counts some."""
     if VTKHDF in file:
-        file[VTKHDF]["Steps"].attrs.modify("NSteps", np.int64(n_frames))
+        change(h5py.h5g.open(file.id, _STEPS.encode()), "NSteps", np.int64(n_frames))

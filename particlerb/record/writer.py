@@ -13,22 +13,32 @@ import h5py
 import numpy as np
 from h5py import h5s
 
+from particlerb.case.run import frame_count
 from particlerb.contact.contact_output import ContactOutput
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import Frames, derived
+from particlerb.model.state import Frames
 from particlerb.model.system import System
 from particlerb.record import schema
 from particlerb.record.checkpoint import write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
-from particlerb.record.contact_writer import ContactList, contact_values
-from particlerb.record.file_size import frames_at_most
+from particlerb.record.contact_writer import ContactList, contact_columns
+from particlerb.record.frame_values import values_of
+from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import lay_out
 from particlerb.record.output_file import OutputFile, new_file
-from particlerb.record.vtkhdf import append_steps, count_steps, resize_vtkhdf
+from particlerb.record.vtkhdf import (
+    STEP_STARTS,
+    STEP_TIMES,
+    count_steps,
+    resize_vtkhdf,
+    steps_of,
+)
 from particlerb.record.writer_lock import WriterLock
 
 SECONDS_BETWEEN_COMMITS = 1.0
 SHARE_OF_CHECKPOINTS = 0.02  # of the time of a run that may go into them
+
+_OF_BODIES = {path for path, element in schema.SERIES.items() if element.per == "body"}
 
 _Rows = Floats | Ints | Words
 
@@ -42,12 +52,12 @@ class Recorder:
 
     Parameters
     ----------
-    path : Path or None
-        Where; None keeps the file in memory.
+    path : Path
+        Where.
     system : System
         What is run.
-    parameters : mapping of str to str
-        More texts for /parameters: the plan in words, what is known of the accuracy.
+    content : mapping of str to ndarray or bytes
+        What does not change in time, by paths: `layout.tables_of` and `provenance.texts_of`.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -63,16 +73,12 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        path: Path | None,
-        system: System,
-        parameters: Mapping[str, str],
-        overwrite: bool = False,
+        self, path: Path, system: System, content: Mapping[str, Any], overwrite: bool = False
     ) -> None:
-        with new_file(path, overwrite, system.output.durable) as output:
-            lay_out(output.file, system, parameters, has_views=path is not None)
+        output = new_file(path, overwrite, system.output.durable)
+        with output.writing():
+            lay_out(output.file, system, content)
             self.begin(output, system)
-            self.commit()
 
     @classmethod
     def reopen(cls, path: Path, system: System, n_frames: int, known: int) -> Self:
@@ -110,33 +116,36 @@ class Recorder:
         """Begin with a file that `lay_out` has made."""
         self.output, self.file, self.system = output, output.file, system
         fields = system.output.fields
-        self.step = self.file[f"{schema.TRAJECTORY}/step"]
-        self.checksums = self.file[f"{schema.INTEGRITY}/{schema.CHECKSUM}"]
-        paths = schema.series_of(fields)
-        self.series: dict[str, h5py.Dataset] = {path: self.file[path] for path in paths}
+        paths = [*schema.series_of(fields), schema.STEP, schema.CHECKSUMS]
         self.of_bodies = {  # those that are large
-            path.split("/")[-2]: dataset
-            for path, dataset in self.series.items()
-            if schema.SERIES[path].per == "body"
+            path: opened(self.file, path) for path in paths if path in _OF_BODIES
         }
+        paths += (STEP_TIMES, STEP_STARTS) if schema.VTKHDF in self.file else ()
+        paths += (schema.OFFSET,) if schema.CONTACTS in fields else ()
+        self.series = {p: self.of_bodies.get(p) or opened(self.file, p) for p in paths}
         self.contacts = ContactList(self.file) if schema.CONTACTS in fields else None
         self.n_committed = 0
         # Of frames that are not committed, how many lie before them, and their small arrays.
         self.pending: list[tuple[int, dict[str, _Rows]]] = []
         self.known = 0  # frames that were there before
-        self.slot: int | None = None  # of the checkpoint, that counts from the next commit on
+        # Of a checkpoint, that counts from the next commit on: how many frames lie before it.
+        self.waiting: tuple[int, Mapping[str, Any]] | None = None
         self.last_commit = self.last_checkpoint = time.monotonic()
         self.seconds_for_checkpoint = 0.0
 
     def cut(self, n: int) -> None:
         """Forget frames from n on."""
-        self.file.attrs.modify(schema.COMMITTED, np.int64(n))
+        change(self.file.id, schema.COMMITTED, np.int64(n))
         count_steps(self.file, n)
-        for dataset in (self.step, self.checksums, *self.series.values()):
-            dataset.resize(n, axis=0)
+        for path, dataset in self.series.items():
+            dataset.resize(n + (path == schema.OFFSET), axis=0)
         if self.contacts is not None:
             self.contacts.cut(n)
-        resize_vtkhdf(self.file, self.of_bodies, frames_at_most(self.system))
+        self.resize_views(frame_count(self.system.run))
+
+    def resize_views(self, n: int) -> None:
+        """Let VTK find so many frames."""
+        resize_vtkhdf(self.file, {p.split("/")[-2]: own for p, own in self.of_bodies.items()}, n)
 
     @property
     def n_frames(self) -> int:
@@ -165,45 +174,28 @@ class Recorder:
         """
         with self.output.writing():
             n = self.n_frames
-            values = self.values_of(times, frames, rows, ledger, touches)
-            lists = [] if self.contacts is None else [list_checksums(*self.contacts.rows(touches))]
-            sums = frame_checksums(len(times), [*values.values(), *lists])
+            values = values_of(self.system, times, frames, rows, ledger, touches)
+            sums = frame_checksums(len(times), [*values.values(), *self.sums_of(touches)])
             new = slice(self.recognise(n, sums), None)
             if not len(sums[new]):
                 return
-            small: dict[str, _Rows] = {f"{schema.INTEGRITY}/{schema.CHECKSUM}": sums[new]}
-            for path, dataset in self.series.items():
-                if schema.SERIES[path].per == "body":
-                    _append_rows(dataset, self.n_frames, values[path][new])
-                else:
-                    small[path] = values[path][new]
+            known = self.n_frames
+            values |= {schema.CHECKSUMS: sums, schema.STEP: np.arange(n, n + len(times))}
+            if STEP_TIMES in self.series:
+                values |= steps_of(n, times, self.system.n_bodies)
+            for path, dataset in self.of_bodies.items():
+                _append_rows(dataset, known, values.pop(path)[new])
+            small = {path: value[new] for path, value in values.items()}
             if self.contacts is not None:
                 small[schema.OFFSET] = self.contacts.write(self.n_contacts, touches[new])
             self.pending.append((n + len(times), small))
 
-    def values_of(
-        self,
-        times: Floats,
-        frames: Frames,
-        rows: Ints,
-        ledger: Any,
-        touches: Sequence[ContactOutput],
-    ) -> dict[str, Any]:
-        """What the file gets of some frames, as it holds it, in the order of the checksums."""
-        fields = self.system.output.fields
-        found: dict[str, Any] = contact_values(fields, touches, self.system.n_bodies)
-        found |= _fields_of(frames, rows, self.system, self.of_bodies)
-        values = {}
-        for path, dataset in self.series.items():
-            name = path.split("/")[-2]
-            if path == schema.TIME:
-                value = times
-            elif schema.SERIES[path].per:
-                value = found[name]
-            else:
-                value = getattr(ledger, name)[rows]
-            values[path] = value.astype(dataset.dtype, copy=False)
-        return values
+    def sums_of(self, touches: Sequence[ContactOutput]) -> list[Words]:
+        """Checksums of the contacts of some frames, where they are recorded."""
+        if self.contacts is None:
+            return []
+        columns, ends = contact_columns(touches, self.contacts.dtype)
+        return [list_checksums(columns.values(), ends)]
 
     def recognise(self, first: int, sums: Words) -> int:
         """Number of frames, from `first` on, that were in the file before: they must be the same.
@@ -214,7 +206,7 @@ class Recorder:
             If one is another.
         """
         known = min(max(self.known - first, 0), len(sums))
-        stored: Words = self.checksums[first : first + known]
+        stored: Words = self.series[schema.CHECKSUMS][first : first + known]
         other = np.flatnonzero(sums[:known] != stored)
         if other.size:
             raise OtherFrameError(
@@ -227,12 +219,8 @@ class Recorder:
         return known
 
     def save_checkpoint(self, checkpoint: Callable[[], Mapping[str, Any]]) -> None:
-        """Write a checkpoint of the state behind all frames; it counts from the next commit on."""
-        if self.output.path is None:
-            return
-        arrays = checkpoint()
-        with self.output.writing():
-            self.slot = write_checkpoint(self.file, self.n_frames, arrays)
+        """Keep the state behind all frames; it is written, and counts, from the next commit on."""
+        self.waiting = self.n_frames, checkpoint()
         self.last_checkpoint = time.monotonic()
 
     def commit_if_due(self, checkpoint: Callable[[], Mapping[str, Any]] | None) -> None:
@@ -253,21 +241,21 @@ class Recorder:
         with self.output.writing():
             self.write_small()
             self.output.commit()
-            self.n_committed, self.pending, self.slot = self.n_frames, [], None
+            self.n_committed, self.pending = self.n_frames, []
         self.last_commit = time.monotonic()
 
     def write_small(self) -> None:
-        """Write the small arrays, and count what is there."""
+        """Write the small arrays and the checkpoint, and count what is there."""
         first, n = self.n_committed, self.n_frames
         for path in self.pending[0][1] if self.pending else ():
             values = np.concatenate([part[path] for _, part in self.pending])
             # The offset of contacts has one entry more than there are frames.
-            _append_rows(self.file[path], first + (path == schema.OFFSET), values)
-        _append_rows(self.step, first, np.arange(first, n))
-        append_steps(self.file, first, self.series[schema.TIME][first:n])
-        self.file.attrs.modify(schema.COMMITTED, np.int64(n))
-        if self.slot is not None:
-            self.file[schema.CHECKPOINT].attrs.modify(schema.CURRENT, np.int64(self.slot))
+            _append_rows(self.series[path], first + (path == schema.OFFSET), values)
+        count_steps(self.file, n)
+        change(self.file.id, schema.COMMITTED, np.int64(n))
+        if self.waiting is not None:
+            write_checkpoint(self.file, *self.waiting)
+            self.waiting = None
 
     def finish(self) -> None:
         """Commit and close; after an error there is nothing to do."""
@@ -276,7 +264,7 @@ class Recorder:
         with self.output.writing():
             if self.n_frames >= self.known:
                 self.write_small()
-            resize_vtkhdf(self.file, self.of_bodies, max(self.n_frames, self.known))
+            self.resize_views(max(self.n_frames, self.known))
             self.output.close()
 
 
@@ -294,20 +282,3 @@ def _append_rows(dataset: h5py.Dataset, first: int, values: _Rows) -> None:
     place = dataset.id.get_space()
     place.select_hyperslab((first, *origin), shape)
     dataset.id.write(h5s.create_simple(shape), place, np.ascontiguousarray(values))
-
-
-def _fields_of(
-    frames: Frames, rows: Ints, system: System, names: Mapping[str, Any]
-) -> dict[str, Floats]:
-    """Arrays of the fields of some names, for some rows of the frames."""
-    contiguous = len(rows) == rows[-1] - rows[0] + 1
-    pick = slice(rows[0], rows[-1] + 1) if contiguous else rows
-    arrays = {name: getattr(frames, name)[pick] for name in Frames._fields if name in names}
-    if {"velocity", "angular_velocity"} & names.keys():
-        arrays["velocity"], arrays["angular_velocity"] = derived(
-            system.bodies,
-            frames.orientation[pick],
-            frames.linear_momentum[pick],
-            frames.angular_momentum[pick],
-        )
-    return arrays

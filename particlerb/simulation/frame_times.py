@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.case.run import RunTable
+from particlerb.case.run import RunTable, frame_count
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.system import System
 
@@ -15,15 +15,7 @@ _BATCH_BYTES = 32_000_000  # of frames that are held before they are written
 BATCH_FRAMES = 1024
 BATCH_SECONDS = 0.5  # that a batch should take
 FIRST_BATCH = 1  # frames, before it is known how long one takes
-FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of its multiples
 _EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
-
-
-def frame_count(run: RunTable) -> int:
-    """Number of frames: the multiples of run.every from 0, and t_end."""
-    every, t_end = run.every, run.t_end
-    last = int(t_end / every + FRAME_ROUNDING)
-    return last + (2 if t_end - last * every > FRAME_ROUNDING * every else 1)
 
 
 def frame_times(run: RunTable, first: int = 0, stop: int | None = None) -> Floats:

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from particlerb.case.reader import build
-from particlerb.case.run import RunTable
+from particlerb.case.run import RunTable, frame_count
 from particlerb.case.schema import Case
 from particlerb.case.source import Source
 from particlerb.case.to_system import to_system
@@ -29,7 +29,7 @@ from particlerb.record.vtkhdf import is_finished
 from particlerb.record.writer import Recorder
 from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_again
-from particlerb.simulation.frame_times import frame_count, frame_times
+from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.run import Outcome, Prepared, Progress, advance, identity
 
 _UNVERIFIED = (

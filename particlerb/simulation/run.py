@@ -35,6 +35,9 @@ from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import GroupPlan, Plan
 from particlerb.record.checkpoint import Checkpoint
+from particlerb.record.layout import tables_of
+from particlerb.record.memory import Memory
+from particlerb.record.provenance import texts_of
 from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.rotors.rotor_class import ROD
 from particlerb.simulation.frame_times import Batch, batches
@@ -66,7 +69,7 @@ class Outcome(NamedTuple):
 
     drift: ConservationError
     probes: tuple[_Probe, ...]
-    file: h5py.File  # closed, or open if it is in memory
+    file: h5py.File | Memory  # closed, or what is in memory
     flown: float | None = None  # share of body-steps that closed forms saved; None: not known
     swing: float = 0.0  # [rad] per step, the fastest of bodies on all contacts that was seen
 
@@ -263,7 +266,10 @@ def run_prepared(
     system = prepared.system
     THREADS.use(system.run.threads)
     own = {"plan": prepared.text, "identity": identity(prepared)}
-    recorder = Recorder(path, system, {**own, **prepared.parameters}, overwrite)
+    content = tables_of(system) | texts_of(system, {**own, **prepared.parameters})
+    recorder: Recorder | Memory = Memory(system, content)
+    if path is not None:
+        recorder = Recorder(path, system, content, overwrite)
     return advance(prepared, recorder, None, progress)
 
 
@@ -271,7 +277,10 @@ def run_prepared(
     over="ignore", invalid="ignore", divide="ignore"
 )  # what is not finite is found in the frames
 def advance(
-    prepared: Prepared, recorder: Recorder, checkpoint: Checkpoint | None, progress: Progress
+    prepared: Prepared,
+    recorder: Recorder | Memory,
+    checkpoint: Checkpoint | None,
+    progress: Progress,
 ) -> Outcome:
     """Run a prepared system to its end, from its start or from a checkpoint.
 
@@ -311,7 +320,9 @@ def advance(
     return Outcome(run.ledger.drift(), tuple(run.probes), recorder.file, run.flown(), run.swing())
 
 
-def _one_batch(run: "Run", recorder: Recorder, batch: Batch) -> tuple[int, RunError | None]:
+def _one_batch(
+    run: "Run", recorder: Recorder | Memory, batch: Batch
+) -> tuple[int, RunError | None]:
     """Compute and append a batch; how many frames it had, and what was wrong behind them."""
     frames, entries, error = run.frames_at(batch.times, batch.is_frame)
     sound = len(frames.position)

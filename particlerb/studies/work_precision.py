@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.problems import CaseError
+from particlerb.case.run import frame_count
 from particlerb.compiled.threads import THREADS
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats, Ints
@@ -29,7 +30,7 @@ from particlerb.plan.rates import fastest_rate
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import Plan, has_step, is_adaptive
 from particlerb.plan.stability import damped_share
-from particlerb.simulation.frame_times import frame_count, frame_times
+from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.trials import Error, drifts, errors, part, sample, seconds, states_at
 from particlerb.studies.peers import Engine, PeerScene, engines, peer_errors, peer_scene
 from particlerb.studies.text import chosen_names

@@ -9,6 +9,7 @@ from particlerb.case.to_system import to_system
 from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, State, as_frame, kinetic_energy, omega_world
+from particlerb.record.trajectory import Trajectory
 from particlerb.simulation.checks import results
 from particlerb.simulation.run import prepare, run_prepared
 
@@ -264,11 +265,9 @@ def test_a_missed_limit_of_drift_shows(make):
     case = case_of(make, "push", dt=0.05, check={"energy_drift": 1e-15})
     prepared = prepare(to_system(case))
     outcome = run_prepared(prepared, None)
-    observables = outcome.file["observables"]
-    error = np.abs(observables["energy_error/value"][:]).max()
-    kinetic = observables["kinetic_energy/value"][:].max()
-    work = np.abs(observables["work/value"][:]).max()
-    outcome.file.close()
+    with Trajectory(outcome.file) as t:
+        error = np.abs(t.ledger.energy_error).max()
+        kinetic, work = t.ledger.kinetic_energy.max(), np.abs(t.ledger.work).max()
     assert outcome.drift.energy == pytest.approx(error / max(kinetic, work), rel=1e-12)
     (limit,) = results(prepared.system, outcome)
     assert not limit.holds

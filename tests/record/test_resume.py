@@ -224,8 +224,7 @@ def test_a_checkpoint_that_does_not_fit_ends_the_run(finished, capsys, change):
         arrays["ledger.initial"] = arrays["ledger.initial"][:2]
         if change == "leave out":
             del arrays["ledger.initial"]
-        number = write_checkpoint(file, one.n_frames, arrays)
-        file["checkpoint"].attrs.modify("current", np.int64(number))
+        write_checkpoint(file, one.n_frames, arrays)
     assert main(["resume", str(finished), "--t-end", "1"]) == 1
     assert "the checkpoint does not fit" in capsys.readouterr().err
 

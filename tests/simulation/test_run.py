@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 import particlerb
 from particlerb.case.reader import load
-from particlerb.simulation.frame_times import FRAME_ROUNDING, frame_times
+from particlerb.case.run import FRAME_ROUNDING
+from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.run import RunError
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
