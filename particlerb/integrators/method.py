@@ -20,7 +20,7 @@ class Method(NamedTuple):
     free_order: int
     """Order where no force acts."""
     accepts: frozenset[str]
-    """Terms that may act while it works: names of the fields of `forces.Terms`, and dashpots."""
+    """What it takes into account: see forces/kinds.py, for `exact` stepping/closed_forms.py."""
     cost: float
     """Time for a step, or a frame, of one body without its neighbours, roughly [ns]."""
     evaluations: int = 0

@@ -11,6 +11,7 @@ from particlerb.maths.vec3 import Ints
 from particlerb.model.system import System
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.rotors.rotor_class import NAMES
+from particlerb.stepping.closed_forms import lever_of
 from particlerb.stepping.sparse_contact import can_fly
 
 _GROUPS_SHOWN = 20
@@ -162,7 +163,7 @@ def _segment_line(segment: Segment) -> str:
     when = f"{segment.start:.9g} s {until}"
     start = f"after {len(segment.jumps)} impulse(s), " if segment.jumps else ""
     if not has_step(segment.method):
-        return f"{when}: {start}free, closed form, no step ({_free_reason(segment.terms)})"
+        return f"{when}: {start}{_closed_reason(segment.terms)}"
     if is_adaptive(segment.method):
         driver = f"{_driving(segment.terms)}, {segment.method}"
         return f"{when}: {start}{driver}, tolerance {segment.tolerance:.3g}"
@@ -173,12 +174,13 @@ def _segment_line(segment: Segment) -> str:
     )
 
 
-def _free_reason(terms: Terms) -> str:
-    """Why a segment is free."""
-    acting = words_of(terms)
-    if not acting:
-        return "nothing acts"
-    return f"{' and '.join(acting)} through the centre of mass: a parabola"
+def _closed_reason(terms: Terms) -> str:
+    """Why a segment has a closed form."""
+    acting = " and ".join(words_of(terms))
+    if lever_of(terms) is not None:
+        return f"driven by {acting}, closed form, no step (one force on the axis: Lagrange's top)"
+    why = f"{acting} through the centre of mass: a parabola" if acting else "nothing acts"
+    return f"free, closed form, no step ({why})"
 
 
 def _driving(terms: Terms) -> str:

@@ -74,6 +74,12 @@ def groups_of(
     return sorted(groups, key=lambda group: int(group.members.min()))
 
 
+def part_of(group: BodyGroup, which: Ints) -> BodyGroup:
+    """Some bodies of a group that do not act on each other."""
+    forces = [Forces(form, numbers[:, which]) for form, numbers in group.forces]
+    return group._replace(members=group.members[which], forces=forces)
+
+
 def _groups_alone(
     system: System, loads: Sequence[ResolvedForce], bound: Ints
 ) -> list[tuple[Ints, list[Forces]]]:

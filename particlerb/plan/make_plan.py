@@ -49,7 +49,8 @@ def make_plan(system: System) -> Plan:
         raise CaseError(problems)
     touching = contact_of(system)
     grouped = groups_of(system, loads, links, touching)
-    cut = [cut_into_segments(system, group, touching) for group in grouped]
+    cut = [part for group in grouped for part in cut_into_segments(system, group, touching)]
+    cut.sort(key=lambda group: int(group.members.min()))
     refuse_method(system, cut)
     groups = tuple(with_steps(group, step(system, group)) for group in cut)
     return _checked(system, groups, [None] * len(groups))

@@ -18,8 +18,9 @@ from particlerb.model.bodies import Bodies, taken
 from particlerb.model.system import System
 from particlerb.plan.case_forces import acts, edges_of, jumps_at
 from particlerb.plan.contact_setup import ContactSetup
-from particlerb.plan.groups import BodyGroup, terms_of
+from particlerb.plan.groups import BodyGroup, part_of, terms_of
 from particlerb.rotors.rotor_class import POINT
+from particlerb.stepping.closed_forms import has_closed_form
 from particlerb.stepping.motion import Group
 
 
@@ -55,8 +56,13 @@ class Plan(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def cut_into_segments(system: System, group: BodyGroup, touching: ContactSetup | None) -> GroupPlan:
-    """Segments of a group between the edges of its forces; steps are set later."""
+def cut_into_segments(
+    system: System, group: BodyGroup, touching: ContactSetup | None
+) -> list[GroupPlan]:
+    """Segments of a group between the edges of its forces; steps are set later.
+
+    Bodies with a closed form part from others where they are not stepped.
+    """
     edges = {0.0}
     for form in (*(force.form for force in group.forces), *(link.force for link in group.links)):
         edges.update(edges_of(form))
@@ -65,15 +71,24 @@ def cut_into_segments(system: System, group: BodyGroup, touching: ContactSetup |
     bodies = taken(system.bodies, members)
     if touching is not None:
         bodies = _held(bodies, touching.fixed[members])
-    segments = []
+    segments, closed = [], []
     for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
         acting = [force for force in forces if acts(force.form, start)]
         links = [link for link in group.links if acts(link.force, start)]
         terms = terms_of(system, group, bodies, acting, links, touching, start)
         jumps = jumps_at(forces, bodies, start)
-        method = _chosen_method(system.run.method, bodies, terms)
+        method, is_closed = _chosen_method(system.run.method, bodies, terms)
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, system.run.tolerance))
-    return GroupPlan(members, bodies, tuple(segments))
+        closed.append(is_closed)
+    kinds, kind = np.unique(np.array(closed), axis=1, return_inverse=True)
+    if kinds.shape[1] == 1:
+        return [GroupPlan(members, bodies, tuple(segments))]
+    parts = [np.flatnonzero(kind == k) for k in range(kinds.shape[1])]
+    return [
+        part
+        for which in parts
+        for part in cut_into_segments(system, part_of(group, which), touching)
+    ]
 
 
 def _held(bodies: Bodies, fixed: Bools) -> Bodies:
@@ -107,13 +122,17 @@ def is_adaptive(method: str) -> bool:
     return bool(METHODS[method].is_adaptive)
 
 
-def _chosen_method(named: str, bodies: Bodies, terms: Terms) -> str:
-    """Name of the method of a segment: a named one steps whatever rotates, `auto` does not."""
-    is_free = accepts("exact", terms)
-    if named == "auto":
-        return "exact" if is_free else "strang"
+def _chosen_method(named: str, bodies: Bodies, terms: Terms) -> tuple[str, Bools]:
+    """Method of a segment, and which bodies have a closed form, if that counts.
+
+    A named method steps whatever rotates, `auto` does not.
+    """
+    if named in ("auto", "exact"):
+        is_closed = has_closed_form(bodies, terms)
+        return "exact" if is_closed.all() or named == "exact" else "strang", is_closed
     rotates = bool((bodies.rotor_class != POINT).any())
-    return named if rotates or not is_free else "exact"
+    is_stepped = rotates or not accepts("exact", terms)
+    return named if is_stepped else "exact", np.zeros(bodies.mass.size, dtype=bool)
 
 
 def refuse_method(system: System, groups: list[GroupPlan]) -> None:
@@ -121,7 +140,8 @@ def refuse_method(system: System, groups: list[GroupPlan]) -> None:
     for group in groups:
         for segment in group.segments:
             refused = _refused_terms(segment.method, segment.terms)
-            if not refused:
+            is_closed = not has_step(segment.method)
+            if not refused or (is_closed and has_closed_form(group.bodies, segment.terms).all()):
                 continue
             acting = ", ".join(refused)
             able = ", ".join(name for name in METHODS if accepts(name, segment.terms))

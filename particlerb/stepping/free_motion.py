@@ -1,11 +1,14 @@
-"""Free motion in closed form: a parabola and the theta functions of rotors/exact.py. No step.
+"""Motion in closed form, at any time at once: a parabola, and a rotation without steps.
 
-For bodies on which nothing acts but forces through the centre of mass that are constant in the
-world. Any time costs the same; the error does not depend on how many frames were asked for.
+For bodies on which forces act that are constant in the world: through the centre of mass, where the
+body turns freely (rotors/exact.py), or on the axis of a symmetric body, where it is Lagrange's top
+(rotors/tops.py). Any time costs the same; the error does not depend on how many frames were asked
+for.
 """
 
+from collections.abc import Iterator
 from functools import partial
-from typing import TypeAlias
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -13,29 +16,56 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, Rows3, add_scaled, load3, rows3, store3
+from particlerb.model.block import BOOKED, COM, STRIDE, L, P, Q, in_blocks
 from particlerb.model.bodies import taken
-from particlerb.model.state import Frames, State, store_frame
+from particlerb.model.comparison import CONJUGATE
+from particlerb.model.state import Frames, State, quaternion_product, rotate, store_frame
 from particlerb.rotors.exact import (
     HyperbolicTurn,
     SteadyTurn,
     ThetaTurn,
     Turn,
+    by_kind,
     orientation,
     prepare,
     turn_block,
 )
+from particlerb.rotors.tops import N_THETA, prepare_tops
+from particlerb.stepping.closed_forms import Levers, lever_of, levers_on
 from particlerb.stepping.motion import Group, constant_force, force_of
 from particlerb.stepping.saved_arrays import Saved
+from particlerb.stepping.top_rows import top_block, tops_at
 
-_Part: TypeAlias = tuple[
-    State,
-    Floats,
-    Floats,
-    Floats,
-    SteadyTurn | None,
-    ThetaTurn | None,
-    HyperbolicTurn | None,
-]
+_AXIS_3: Final = np.array([[0.0], [0.0], [1.0]])
+_TURNING: Final = [0, 4, 5, 6]  # of what is booked: work and angular impulse
+
+
+class _Part(NamedTuple):
+    """Bodies of one kind of turn, as the kernel takes them; one of five kinds is not None."""
+
+    state: State
+    force: Floats
+    inv_mass: Floats
+    rotor_frame: Floats
+    steady: SteadyTurn | None = None
+    theta: ThetaTurn | None = None
+    hyperbolic: HyperbolicTurn | None = None
+    top: Floats | None = None  # blocks of the tables of rotors/tops.py
+    near: Floats | None = None
+
+    @property
+    def turn(self) -> Turn:
+        """That of bodies that turn freely."""
+        found = self.steady or self.theta or self.hyperbolic
+        assert found is not None
+        return found
+
+
+class _Turned(NamedTuple):
+    """What a force on their axis gives tops."""
+
+    axes: Floats  # (4, n) from those in which it acts on axis 3 to the rotor frame
+    first: Floats  # (4,) sums of its work, up to a constant, and of L, when the segment begins
 
 
 @inline
@@ -50,78 +80,140 @@ def _parabola(
         store3(com, b, add_scaled(t * inv_mass[b], way, load3(start, b)))
 
 
+@inline
+def _add_given(local: Floats, n: int, given: Floats) -> None:
+    """Sums over the bodies of a block of the work of what turns them, and of L."""
+    work, x, y, z = 0.0, 0.0, 0.0, 0.0
+    for b in range(n):
+        work += local[BOOKED, b]
+        x, y, z = x + local[L, b], y + local[L + 1, b], z + local[L + 2, b]
+    given[0], given[1], given[2], given[3] = work, x, y, z
+
+
 @kernel
 def _fly_blocks(
-    state: State,
-    force: Floats,
-    inv_mass: Floats,
-    rotor_frame: Floats,
-    steady: SteadyTurn | None,
-    theta: ThetaTurn | None,
-    hyperbolic: HyperbolicTurn | None,
+    part: _Part,
     times: Floats,
     rows: Ints,
     members: Ints,
     frames: Frames,
+    given: Floats | None,
     first: int,
     last: int,
 ) -> None:
     """All frames of some blocks of one kind of turn; times count from the state."""
-    local = np.empty((10, BLOCK))
+    state, force, inv_mass, rotor_frame, steady, theta, hyperbolic, top, near = part
+    out = np.empty((BOOKED + 1) * STRIDE)
+    local = out.reshape((BOOKED + 1, STRIDE))
     for k in range(first, last):
         lo, hi = k * BLOCK, min((k + 1) * BLOCK, inv_mass.size)
         n = hi - lo
-        com, p, q = rows3(local[0:3], 0, n), rows3(local[3:6], 0, n), rows4(local[6:10], 0, n)
-        start, p0, L = rows3(state.com, lo, hi), rows3(state.p, lo, hi), rows3(state.L, lo, hi)
-        F, frame = rows3(force, lo, hi), rows4(rotor_frame, lo, hi)
+        com, p = rows3(local[COM : COM + 3], 0, n), rows3(local[P : P + 3], 0, n)
+        start, p0, spin = rows3(state.com, lo, hi), rows3(state.p, lo, hi), rows3(state.L, lo, hi)
+        if given is not None:
+            spin = rows3(local[L : L + 3], 0, n)
+        q, F, frame = (
+            rows4(local[Q : Q + 4], 0, n),
+            rows3(force, lo, hi),
+            rows4(rotor_frame, lo, hi),
+        )
         for f in range(times.size):
             turn_block(steady, theta, hyperbolic, times[f], lo, hi, q)
+            top_block(top, near, k, times[f], n, out)
             _parabola(start, p0, F, inv_mass[lo:hi], times[f], com, p)
-            store_frame(frames, rows[f], members[lo:hi], frame, com, q, p, L)
+            store_frame(frames, rows[f], members[lo:hi], frame, com, q, p, spin)
+            if given is not None:
+                _add_given(local, n, given[k, f])
 
 
 class FreeMotion:
-    """A group of free bodies, sorted into kinds of turn; see `motion.Motion`."""
+    """A group of bodies in closed form, sorted into kinds of turn; see `motion.Motion`."""
 
     def __init__(self, group: Group, state: State, start: float) -> None:
         self.group, self.state, self.start = group, state, start
         self.force = force_of(group)[1]
         self.constant = constant_force(group, state)
-        bodies = group.bodies
-        self.turns = prepare(bodies.inertia, bodies.rotor_class, state.q, state.L)
-        self.parts = [self.part(which, turn) for which, turn in self.turns]
+        self.parts = list(self.sorted_parts())
 
-    def part(self, which: Ints, turn: Turn) -> _Part:
-        """Arguments of the kernel for the bodies of one kind of turn."""
+    def sorted_parts(self) -> Iterator[tuple[Ints, _Part, _Turned | None]]:
+        """Bodies of each kind of turn, what the kernel takes, and what turns them."""
+        bodies, state = self.group.bodies, self.state
+        lever = lever_of(self.group.terms)
+        if lever is not None:
+            levers = levers_on(bodies, lever)
+            yield from self.top_parts(levers)
+            free = np.flatnonzero(levers.is_free)
+            bodies, state = taken(bodies, free), taken(state, free)
+        for which, turn in prepare(bodies.inertia, bodies.rotor_class, state.q, state.L):
+            own = which if lever is None else free[which]
+            steady, theta, hyperbolic = by_kind(turn)
+            part = self.part(own)._replace(steady=steady, theta=theta, hyperbolic=hyperbolic)
+            yield own, part, None
+
+    def top_parts(self, levers: Levers) -> Iterator[tuple[Ints, _Part, _Turned]]:
+        """The same of tops, in the axes in which the force acts on axis 3."""
+        bodies, index = self.group.bodies, np.flatnonzero(levers.is_top)
+        tops, axes = taken(levers.tops, index), levers.axes[:, index]
+        state = taken(self.state, index)
+        q = quaternion_product(state.q, axes)
+        work = (tops.lever * rotate(q, _AXIS_3)).sum(axis=0)
+        for which, table in prepare_tops(tops, q, state.L):
+            own = index[which]
+            blocks = in_blocks(which.size, len(table), [(0, table)])
+            is_near = len(table) != N_THETA
+            part = self.part(own)._replace(
+                rotor_frame=quaternion_product(bodies.rotor_frame[:, own], axes[:, which]),
+                top=None if is_near else blocks,
+                near=blocks if is_near else None,
+            )
+            first = np.array([work[which].sum(), *state.L[:, which].sum(axis=1)])
+            yield own, part, _Turned(axes[:, which], first)
+
+    def part(self, which: Ints) -> _Part:
+        """Some bodies, without their turn."""
         bodies = self.group.bodies
-        return (
+        return _Part(
             taken(self.state, which),
             np.ascontiguousarray(self.force[:, which]),
             bodies.inv_mass[which],
             np.ascontiguousarray(bodies.rotor_frame[:, which]),
-            turn if isinstance(turn, SteadyTurn) else None,
-            turn if isinstance(turn, ThetaTurn) else None,
-            turn if isinstance(turn, HyperbolicTurn) else None,
         )
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         elapsed = times - self.start
-        for (which, _), part in zip(self.turns, self.parts, strict=True):
-            fly = partial(_fly_blocks, *part, elapsed, rows, self.group.members[which], frames)
+        booked = self.constant.booked(elapsed)
+        for which, part, turned in self.parts:
+            n_blocks = -(-which.size // BLOCK)
+            given = None if turned is None else np.empty((n_blocks, times.size, 4))
+            members = self.group.members[which]
+            fly = partial(_fly_blocks, part, elapsed, rows, members, frames, given)
             THREADS.spread(fly, which.size, which.size * times.size)
-        return self.constant.booked(elapsed)
+            if turned is not None and given is not None:
+                booked[:, _TURNING] += given.sum(axis=0) - turned.first
+        return booked
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
         t = stop - self.start
         com, q, p, L = self.state
-        q = q.copy()
-        for which, turn in self.turns:
-            q[:, which] = orientation(turn, t)
+        q, L = q.copy(), L.copy()
+        booked = self.constant.booked(np.array([t]))[0]
+        for which, part, turned in self.parts:
+            if turned is None:
+                q[:, which] = orientation(part.turn, t)
+                continue
+            end, spin, work = (
+                np.empty((4, which.size)),
+                np.empty((3, which.size)),
+                np.empty(which.size),
+            )
+            THREADS.alone(tops_at, part.top, part.near, t, end, spin, work)
+            q[:, which], L[:, which] = quaternion_product(end, turned.axes * CONJUGATE), spin
+            booked[_TURNING] += np.array([work.sum(), *spin.sum(axis=1)]) - turned.first
         inv_mass = self.group.bodies.inv_mass
         com = com + t * inv_mass * (p + 0.5 * t * self.force)
-        return State(com, q, p + t * self.force, L), self.constant.booked(np.array([t]))[0]
+        return State(com, q, p + t * self.force, L), booked
 
     def checkpoint(self) -> Saved:
         """Nothing: all follows from the start."""

@@ -138,3 +138,110 @@ def test_one_segment_after_another_is_one_long_one(make):
     assert cut.plan.count("free, closed form") == 4
     assert cut.orientation == pytest.approx(whole.orientation, abs=1e-14)
     assert cut.position == pytest.approx(whole.position, abs=1e-14)
+
+
+# Tops: a constant force on the axis of a symmetric body
+
+TOPS = {  # moments, angular velocity in the body frame, force, point of the body
+    "symmetric": ((1.0, 1.0, 0.6), (0.5, 0.4, 4.0), (0.5, 1.0, -3.0), (0.0, 0.0, 0.7)),
+    "flat, axis first": ((1.9, 1.0, 1.0), (2.0, 0.4, 0.1), (0.5, 1.0, -3.0), (-0.7, 0.0, 0.0)),
+    "sphere, anywhere": ((1.5, 1.5, 1.5), (1.0, 0.4, -0.7), (0.5, 1.0, -3.0), (0.3, -0.2, 0.4)),
+    "rod": ((0.0, 1.0, 1.0), (0.0, 0.4, -0.7), (0.5, 1.0, -3.0), (0.4, 0.0, 0.0)),
+}
+
+
+def compared_with_an_integration(make, scene, inertia, start, forces, bound=2e-11):
+    """A run, after its state and all that was given are compared with an integration."""
+    found = make.arrays(scene)
+    true = make.integrate(np.diag(inertia), 2.0, start, forces, found.time)
+    scale = np.abs(true.booked).max()
+    assert make.angle(found.orientation[:, 0], true.orientation).max() < bound
+    assert found.position[:, 0] == pytest.approx(true.position, rel=1e-11, abs=bound)
+    assert found.angular_momentum[:, 0] == pytest.approx(true.angular_momentum, abs=bound)
+    assert make.done(found.ledger) == pytest.approx(true.booked[:, 0], abs=1e-11 * scale)
+    for name, columns in (("linear_momentum", slice(1, 4)), ("angular_momentum", slice(4, 7))):
+        gain = getattr(found.ledger, name) - getattr(found.ledger, name)[0]
+        assert gain == pytest.approx(true.booked[:, columns], abs=1e-11 * scale)
+        assert np.abs(getattr(found.ledger, f"{name}_error")).max() < 1e-12 * scale
+    assert np.abs(found.ledger.energy_error).max() < 1e-12 * scale
+    return found
+
+
+@pytest.mark.parametrize("name", TOPS)
+def test_tops_against_an_integration(make, name):
+    """Under gravity, a push on the axis and another at the centre of mass."""
+    inertia, omega, F, at = TOPS[name]
+    spin = make.rotation(START["orientation"]).apply(omega)
+    start = START | {"angular_velocity": spin}
+    forces = [make.push(F, at), make.push([1.0, 0.0, 0.5])]
+    body = make.body(inertia=inertia, **start)
+    scene = make.case(body, force=forces, gravity={"acceleration": G}, t_end=5.0, every=0.5)
+    weight = make.push(2.0 * np.array(G))
+    tensor = np.maximum(inertia, 1.0) if name == "rod" else inertia  # without spin, like a sphere
+    found = compared_with_an_integration(make, scene, tensor, start, [*forces, weight])
+    assert "driven by gravity and push, closed form, no step" in found.plan
+    assert make.angle(found.orientation[:, 0], found.orientation[0, 0]).max() > 1.0
+
+
+def test_a_dipole_on_the_axis_is_a_top(make):
+    inertia = (1.0, 1.0, 1.4)
+    start = START | {"angular_velocity": [0.3, -0.4, 1.0]}
+    field = make.field([0.5, 2.0, -1.0], charge=0.3, dipole=[0.0, 0.0, 1.5])
+    scene = make.case(make.body(inertia=inertia, **start), force=[field], t_end=5.0, every=0.5)
+    found = compared_with_an_integration(make, scene, inertia, start, [field])
+    assert "closed form" in found.plan
+
+
+def test_tops_are_cut_where_a_push_starts_and_stops(make):
+    """Free, a top, another top, free again; each goes on where the one before has ended."""
+    inertia = (1.5, 1.5, 1.5)
+    start = START | {"angular_velocity": [0.3, -0.4, 1.0]}
+    pushes = [
+        make.push([0.5, 2.0, -1.0], [0.3, -0.2, 0.4], during=[0.7, 2.1]),
+        make.push([-3.0, 1.0, 1.0], [0.0, 0.5, 0.1], during=[2.1, 3.5]),
+    ]
+    scene = make.case(make.body(inertia=inertia, **start), force=pushes, t_end=5.0, every=0.5)
+    found = make.arrays(scene)
+    assert found.plan.count("closed form, no step") == 4
+
+    end, booked = dict(start), np.zeros(7)
+    for first, last, acting in ((0.0, 0.7, []), (0.7, 2.1, pushes[:1]), (2.1, 3.5, pushes[1:]),
+                                (3.5, 5.0, [])):  # fmt: skip
+        times = np.array([0.0, last - first])
+        true = make.integrate(np.diag(inertia), 2.0, end, acting or [make.push([0, 0, 0])], times)
+        names = ("position", "velocity", "orientation", "angular_velocity")
+        end = {name: getattr(true, name)[-1] for name in names}
+        booked = booked + true.booked[-1]
+    assert found.position[-1, 0] == pytest.approx(end["position"], abs=1e-11)
+    assert make.angle(found.orientation[-1, 0], end["orientation"]) < 1e-11
+    assert make.done(found.ledger)[-1] == pytest.approx(booked[0], abs=1e-11)
+    assert np.abs(found.ledger.energy_error).max() < 1e-13 * found.ledger.kinetic_energy.max()
+    gain = found.ledger.angular_momentum[-1] - found.ledger.angular_momentum[0]
+    assert gain == pytest.approx(booked[4:], abs=1e-10)
+
+
+def test_many_tops_are_each_as_if_alone(make):
+    """Both forms, and bodies on which the pushes cancel, in blocks and in one group."""
+    n, random = 300, np.random.default_rng(4)
+    spin = random.normal(size=(n, 3))
+    spin[::7] *= 1e-3  # hanging or standing nearly still: next to the separatrix
+    place = random.normal(size=(n, 3)).tolist()
+    blocks = []
+    for name, own in (("long", slice(0, 100)), ("short", slice(100, n))):
+        blocks.append(make.body(name, (1.0, 1.0, 0.6), count=len(place[own])))
+        blocks[-1] |= {"angular_velocity": spin[own].tolist(), "position": place[own]}
+    force = [make.push([0, 0, -1.0], [0, 0, 1.0], "long")]
+    force += [make.push([0, 0, -2.0], [0, 0, 0.5], "short")]
+    force += [make.push([0, 0, 1.0], body=["long", "short"])]
+    found = make.arrays(make.case(*blocks, force=force, t_end=4.0, every=2.0))
+    for b in (0, 7, 99, 100, 261, 299):
+        at = [0, 0, 1.0] if b < 100 else [0, 0, 0.5]
+        down = [0, 0, -1.0] if b < 100 else [0, 0, -2.0]
+        one = make.body(inertia=(1.0, 1.0, 0.6), angular_velocity=spin[b].tolist())
+        one["position"] = place[b]
+        scene = make.case(one, force=[make.push(down, at), make.push([0, 0, 1.0])], t_end=4.0,
+                          every=2.0)  # fmt: skip
+        alone = make.arrays(scene)
+        assert found.orientation[:, b] == pytest.approx(alone.orientation[:, 0], abs=1e-13)
+        assert found.position[:, b] == pytest.approx(alone.position[:, 0], abs=1e-13)
+    assert np.abs(found.ledger.energy_error).max() < 1e-13 * found.ledger.kinetic_energy.max()

@@ -240,3 +240,35 @@ def test_plan_of_many_groups_is_cut_short(make):
     text = lines(make.case(block, force=force, dt=0.1))
     assert text["..."] == "and 6 more groups of bodies\n"
     assert any(name.startswith("bodies 1, 3, 5, 7, ... (35)") for name in text)
+
+
+# Closed forms under force
+
+
+def test_only_bodies_with_an_axis_where_the_force_acts_have_a_closed_form(make):
+    """By class and lever alone; those of a group that have none are stepped apart."""
+    shapes = {
+        "top": ([1, 1, 0.6], "exact"), "across": ([0.6, 1, 1], "strang"),
+        "sphere": ([2, 2, 2], "exact"), "brick": ([1, 1.2, 0.6], "strang"),
+        "rod": ([1, 1, 0], "exact"),
+    }  # fmt: skip
+    bodies = [make.body(name, inertia) for name, (inertia, _) in shapes.items()]
+    force = make.push([1, 2, 3], [0, 0, 0.4], list(shapes))
+    plan = plan_of(make.case(*bodies, force=[force]))
+    assert [g.members.tolist() for g in plan.groups] == [[0, 2, 4], [1, 3]]
+    assert [g.segments[0].method for g in plan.groups] == ["exact", "strang"]
+    second = make.push([0, 1, 0], [0.1, 0, 0], list(shapes)[:-1])  # another axis: no rank 1
+    plan = plan_of(make.case(*bodies, force=[force, second]))
+    methods = {g.members[0]: g.segments[0].method for g in plan.groups}
+    assert methods == {0: "strang", 4: "exact"}
+    text = prepare(to_system(make.case(bodies[0], force=[make.push([1, 2, 3], [0, 0, 1], "top")])))
+    assert "closed form, no step (one force on the axis: Lagrange's top)" in text.text
+
+
+def test_a_named_method_steps_a_top_and_exact_takes_it(make):
+    body, force = make.body(inertia=[1, 1, 0.6]), [make.push([1, 2, 3], [0, 0, 0.4])]
+    assert levels(make.case(body, force=force, method="rkn6")) == [[(0.0, inf, "rkn6")]]
+    assert levels(make.case(body, force=force, method="exact")) == [[(0.0, inf, "exact")]]
+    both = make.case(body, make.body("brick"), force=[*force, make.push(FORCE, AT, "brick")])
+    with pytest.raises(CaseError, match="exact does not accept what acts here: push"):
+        plan_of(both | {"run": both["run"] | {"method": "exact"}})

@@ -1,0 +1,147 @@
+"""Loops that prepare tops: one table of constants for those next to the separatrix, one for others.
+
+The theory is in `lagrange` and `lagrange_forms`; stepping/top_rows.py evaluates the tables.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.threads import THREADS
+from particlerb.maths.quaternion import Quat, Rows4, conjugate, load4, multiply, rows4, to_body
+from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, load3, rows3
+from particlerb.rotors.lagrange import Reduced, reduced
+from particlerb.rotors.lagrange_forms import Clock, near_constants, theta_constants
+
+_CROSSOVER: Final = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
+_SMALLEST: Final = 1e-290
+
+# Rows of both tables: x = start + rate t; ν and φ of α, of β; frame of z (4); ν of β less that of
+# α, A, L·z, c = |a F|; then those of the polynomials of `ThetaTop`, or the numbers of `NearTop`.
+LEFT, DELTA, OWN = 6, 10, 14
+N_THETA: Final = OWN + 20
+N_NEAR: Final = OWN + 15
+_TIMED: Final = [1, 2, 4, DELTA]  # rows in units of a rate
+
+
+class Tops(NamedTuple):
+    """Bodies that turn like Lagrange's top."""
+
+    moment: Floats  # (n,) [kg m²] A, across axis 3
+    stretch: Floats  # (n,) ½ (A/C - 1) for the moment C about axis 3; 0 where there is no spin
+    lever: Floats  # (3, n) [N m] a F, for the force F at a on axis 3; world frame
+
+
+@inline
+def _up_frame(x: float, y: float, z: float) -> Quat:
+    """Quaternion that turns the z axis into this unit vector."""
+    n = 1.0 / math.sqrt(2.0 + 2.0 * abs(z))
+    return (n * (1.0 + z), -n * y, n * x, 0.0) if z > 0.0 else (-n * y, n * (1.0 - z), 0.0, n * x)
+
+
+@inline
+def _seen(omega: Rows3, pull: Rows3, q: Rows4, b: int) -> tuple[Quat, Vec3, Reduced]:
+    """Frame of z against the force, ω there, and the top in the form of the theory."""
+    x, y, z = load3(pull, b)
+    size = math.sqrt(x * x + y * y + z * z)
+    left = (1.0, 0.0, 0.0, 0.0)
+    if size > 0.0:
+        left = _up_frame(-x / size, -y / size, -z / size)
+    own = to_body(left, load3(omega, b))
+    return left, own, reduced(multiply(conjugate(left), load4(q, b)), own, 2.0 * size)
+
+
+@inline
+def _store(
+    table: Floats, b: int, clock: Clock, spin: float, left: Quat, delta: float, axial: float
+) -> None:
+    """Rows that both kinds have; the moment, and the force, come later."""
+    numbers = (clock.start, clock.rate, clock.nu[0] + spin, clock.phase[0], clock.nu[1] - spin)
+    for k, value in enumerate((*numbers, clock.phase[1], *left, delta, 0.0, axial, 0.0)):
+        table[k, b] = value
+
+
+@kernel
+def _theta_table(
+    omega: Floats, pull: Floats, q: Floats, stretch: Floats, table: Floats, modulus: Floats
+) -> None:
+    """Rows of TopTurn of all bodies, and k′² of all."""
+    n = stretch.size
+    rates, pulls, turns = rows3(omega, 0, n), rows3(pull, 0, n), rows4(q, 0, n)
+    for b in range(n):
+        left, own, of = _seen(rates, pulls, turns, b)
+        clock, top = theta_constants(of)
+        delta = clock.nu[1] - clock.nu[0]
+        _store(table, b, clock, of.axial * stretch[b], left, delta, own[2])
+        for k in range(5):
+            table[OWN + k, b] = top.alpha_sin[k]
+            table[OWN + 5 + k, b] = top.alpha_cos[k]
+            table[OWN + 10 + k, b] = top.beta_cos[k]
+            table[OWN + 15 + k, b] = top.beta_sin[k]
+        modulus[b] = of.kc * of.kc
+
+
+@kernel
+def _near_table(omega: Floats, pull: Floats, q: Floats, stretch: Floats, table: Floats) -> None:
+    """Rows of NearTopTurn."""
+    n = stretch.size
+    rates, pulls, turns = rows3(omega, 0, n), rows3(pull, 0, n), rows4(q, 0, n)
+    for b in range(n):
+        left, own, of = _seen(rates, pulls, turns, b)
+        clock, top = near_constants(of)
+        turn_a, turn_b = top.turns
+        delta = (clock.nu[1] + clock.rate * turn_b) - (clock.nu[0] + clock.rate * turn_a)
+        _store(table, b, clock, of.axial * stretch[b], left, delta, own[2])
+        numbers = (top.fall, top.r, top.kappa, *top.odd_cos, *top.odd_sin, *top.even_cos)
+        for k, value in enumerate((*numbers, *top.even_sin, *top.turns)):
+            table[OWN + k, b] = value
+
+
+def prepare_tops(tops: Tops, q: Floats, L: Floats) -> list[tuple[Ints, Floats]]:
+    """Sort tops into kinds and prepare each.
+
+    Parameters
+    ----------
+    tops : Tops
+    q : ndarray, shape (4, n)
+        Orientations at t = 0, axis 3 from the centre to where the force acts, to the world.
+    L : ndarray, shape (3, n) [kg m²/s]
+        Angular momenta about the centre, world.
+
+    Returns
+    -------
+    list of (ndarray, ndarray)
+        Indices of bodies and their table, of N_THETA rows or, next to the separatrix, N_NEAR; each
+        body is in exactly one.
+
+    References
+    ----------
+    Klein and Sommerfeld, Über die Theorie des Kreisels, chapter VI; Whittaker, Analytical
+    Dynamics, sections 71 to 73; docs/closed_forms.md.
+    """
+    omega, pull = L / tops.moment, tops.lever / tops.moment
+    unit = np.maximum(np.abs(omega).max(axis=0), np.sqrt(np.abs(pull).max(axis=0)))
+    unit = np.exp2(np.round(np.log2(np.maximum(unit, _SMALLEST))))
+    omega, pull, modulus = omega / unit, pull / unit / unit, np.empty(unit.size)
+    table = np.empty((N_THETA, unit.size))
+    THREADS.alone(_theta_table, omega, pull, np.ascontiguousarray(q), tops.stretch, table, modulus)
+    found = []
+    if (which := np.flatnonzero(modulus >= _CROSSOVER)).size:
+        found.append((which, _in_units(table[:, which], tops, unit, which)))
+    if (which := np.flatnonzero(modulus < _CROSSOVER)).size:
+        own = [np.ascontiguousarray(a[..., which]) for a in (omega, pull, q, tops.stretch)]
+        near = np.empty((N_NEAR, which.size))
+        THREADS.alone(_near_table, *own, near)
+        found.append((which, _in_units(near, tops, unit, which)))
+    return found
+
+
+def _in_units(table: Floats, tops: Tops, unit: Floats, which: Ints) -> Floats:
+    """Table with rates in rad/s, the moments, and the sizes of the levers."""
+    table[_TIMED] *= unit[which]
+    moment, size = tops.moment[which], np.sqrt((tops.lever * tops.lever).sum(axis=0))[which]
+    table[DELTA + 1], table[DELTA + 3] = moment, size
+    table[DELTA + 2] *= moment * unit[which]
+    return table

@@ -1,0 +1,79 @@
+"""Which bodies of a group move in closed form, by what acts on them and by their rotor class.
+
+Where only forces act that are constant in the world, the centre of mass is on a parabola, and what
+turns a body is its lever tensor T (forces/push.py). It is Lagrange's top where T = r ⊗ g with r on
+the axis of a symmetric body or of a rod, or anywhere in a sphere: docs/closed_forms.md.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.forces import Terms
+from particlerb.forces.push import Push
+from particlerb.maths.vec3 import Bools, Floats
+from particlerb.model.bodies import Bodies
+from particlerb.rotors.rotor_class import ROD, SPHERE, SYMMETRIC
+from particlerb.rotors.tops import Tops
+
+_ROUNDING: Final = 1e-14  # share of a lever tensor that is its rounding
+
+
+class Levers(NamedTuple):
+    """What turns n bodies, where one force on one axis does."""
+
+    is_free: Bools  # (n,) nothing turns it
+    is_top: Bools  # (n,) Lagrange's top
+    tops: Tops  # of all bodies, meaningless where `is_top` is false
+    axes: Floats  # (4, n) from those in which the force acts on axis 3 to the rotor frame
+
+
+def lever_of(terms: Terms) -> Floats | None:
+    """Lever tensor of the loads of a group, (9, n) [N m]; None where nothing turns a body."""
+    found = [load.lever for load in terms.loads if isinstance(load, Push) and load.lever.any()]
+    return found[0] if found else None
+
+
+def levers_on(bodies: Bodies, lever: Floats) -> Levers:
+    """What the lever tensor (9, n) [N m] makes of each body."""
+    T = lever.reshape(3, 3, -1)  # [j, l]: j in the world, l in the rotor frame
+    n = lever.shape[1]
+    size = np.sqrt((lever * lever).sum(axis=0))
+    is_sphere = bodies.rotor_class == SPHERE
+    axis = np.zeros((3, n))
+    axis[2] = 1.0
+    column = T[np.abs(T).max(axis=1).argmax(axis=0), :, np.arange(n)].T
+    length = np.sqrt((column * column).sum(axis=0))
+    np.divide(column, length, out=axis, where=is_sphere & (length > 0.0))
+    g = (T * axis).sum(axis=1)
+    rest = np.sqrt(((T - g[:, None] * axis) ** 2).sum(axis=(0, 1)))
+    has_axis = is_sphere | (bodies.rotor_class == SYMMETRIC) | (bodies.rotor_class == ROD)
+    moment = np.where(has_axis, bodies.inertia[0], 1.0)
+    about = np.where(bodies.rotor_class == SYMMETRIC, bodies.inertia[2], moment)
+    return Levers(
+        size == 0.0,
+        (size > 0.0) & has_axis & (rest <= _ROUNDING * size),
+        Tops(moment, 0.5 * (moment - about) / about, g),
+        _up_frames(axis),
+    )
+
+
+def _up_frames(axis: Floats) -> Floats:
+    """Quaternions (4, n) that turn the z axis into unit vectors (3, n)."""
+    x, y, z = axis
+    n = 1.0 / np.sqrt(2.0 + 2.0 * np.abs(z))
+    zero = np.zeros_like(z)
+    up, down = (1.0 + z, -y, x, zero), (-y, 1.0 - z, zero, x)
+    return np.asarray(n * np.where(z > 0.0, up, down))
+
+
+def has_closed_form(bodies: Bodies, terms: Terms) -> Bools:
+    """Which bodies of a group move in closed form, (n,)."""
+    n = bodies.mass.size
+    if terms.is_coupled or not all(isinstance(load, Push) for load in terms.loads):
+        return np.zeros(n, dtype=bool)
+    lever = lever_of(terms)
+    if lever is None:
+        return np.ones(n, dtype=bool)
+    levers = levers_on(bodies, lever)
+    return levers.is_free | levers.is_top
