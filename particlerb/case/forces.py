@@ -4,25 +4,31 @@ They stand here and not beside the physics because whoever reads a case must not
 compiler. A new one is a class, and a member of `AnyForce`.
 """
 
-from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, model_validator
 
 from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, bodies_named, given, out_of_place
 from particlerb.case.values import (
     Frame,
+    Knots,
+    Name,
     Names,
     NonNegative,
     Positive,
     Real,
+    Rows3,
     Table,
     Vector,
     broken,
     by_type,
     entries,
+    first_out_of_order,
 )
+from particlerb.files import File
+from particlerb.text_tables import Columns, read_table
 
 KIND = "Kind of force or placement. [-]"
 _FRAME = "Axes of the vector: world or body. [-]"
@@ -37,11 +43,23 @@ class ForceTable(Table):
     body: Names = Field(description=_BODIES)
 
     names_bodies: ClassVar[tuple[str, ...]] = ("body",)
+    load_key: ClassVar[str] = ""
+    """Of a load that may change with time."""
+
+    @property
+    def timed(self) -> "TimedLoad | None":
+        """The load, if it changes with time."""
+        return None
 
     @property
     def needs_particles(self) -> bool:
         """Whether it acts on the particles of a body, and not on its mass and tensor alone."""
         return False
+
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """Times [s] at which it begins, bends, stops, or acts at one instant; none: always."""
+        return ()
 
     @classmethod
     def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
@@ -64,22 +82,111 @@ class LastingForceTable(ForceTable):
 
     during: During | None = Field(None, description="Start and end; default: always. [s]")
 
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """Times [s] at which it begins and stops; none: always."""
+        return self.during or ()
 
-class PushTable(LastingForceTable):
-    """A constant force at a point of the body that stays on that point while the body turns."""
+
+class TimedLoad(Table):
+    """A force or torque that changes with time: linear between knots, zero outside of them."""
+
+    table: Name | None = Field(
+        None, description="Text or CSV file with columns t, x, y, z. [s, and the unit of the load]"
+    )
+    times: Knots | None = Field(None, description="Knots, ascending; instead of a file. [s]")
+    values: Rows3 | None = Field(None, description="Load at each of them. [N; N m]")
+
+    @model_validator(mode="after")
+    def has_one_source(self) -> Self:
+        """Require either a file or knots with a value each."""
+        hint = 'give `times` and `values`, or { table = "load.csv" }'
+        lists = self.times, self.values
+        if self.table is not None:
+            if lists != (None, None):
+                raise broken("comes from a file or from lists, not both", "table", hint)
+        elif self.times is None or self.values is None:
+            raise broken("has no knots", hint=hint)
+        elif len(self.times) != len(self.values):
+            n, m = len(self.times), len(self.values)
+            raise broken(f"must have {n} rows like times, has {m}", "values")
+        return self
+
+
+_KNOTS = Columns(("t", "x", "y", "z"))
+
+
+def read_load(file: File) -> TimedLoad:
+    """Knots of a file.
+
+    Raises
+    ------
+    ValueError
+        With file, line and reason: as `read_table`, or if it has one row, or times do not ascend.
+    """
+    table = read_table(file, _KNOTS)
+    t = table.column["t"].tolist()
+    if len(t) < 2:
+        raise ValueError(f"{table.path}:{table.line[0]}: one row; a load needs two knots at least")
+    k = first_out_of_order(t)
+    if k is not None:
+        where = f"{table.path}:{table.line[k]}"
+        raise ValueError(f"{where}: t = {t[k]} after {t[k - 1]}: times must ascend")
+    return TimedLoad(times=tuple(t), values=table.vectors)
+
+
+def _load_form(value: Any) -> str:
+    """Tag of a load."""
+    return "knots" if isinstance(value, (Mapping, BaseModel)) else "vector"
+
+
+_Load = Annotated[
+    Annotated[Vector, Tag("vector")] | Annotated[TimedLoad, Tag("knots")],
+    Discriminator(_load_form),
+]
+
+
+class LoadTable(LastingForceTable):
+    """What pushes and torques share: a load that is constant, or changes with time."""
+
+    @property
+    def timed(self) -> TimedLoad | None:
+        """The load, if it changes with time."""
+        load = getattr(self, self.load_key)
+        return load if isinstance(load, TimedLoad) else None
+
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """Times [s] of all knots, or at which it begins and stops."""
+        return super().edges if self.timed is None else self.timed.times or ()
+
+    @classmethod
+    def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+        """Knots say when a load acts."""
+        if isinstance(raw.get(cls.load_key), Mapping) and given(raw, "during"):
+            reason = f"given beside the knots of {cls.load_key}"
+            yield (*path, "during"), reason, "it acts from the first to the last: leave it out"
+
+
+class PushTable(LoadTable):
+    """A force at a point of the body that stays on that point while the body turns."""
 
     type: Literal["push"] = Field(description=KIND)
     at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
-    force: Vector = Field(description="Force. [N]")
+    force: _Load = Field(description="Force, constant or by knots. [N]")
     frame: Frame = Field("world", description=_FRAME)
 
+    load_key: ClassVar[str] = "force"
 
-class TorqueTable(LastingForceTable):
-    """A constant torque."""
+
+class TorqueTable(LoadTable):
+    """A torque."""
 
     type: Literal["torque"] = Field(description=KIND)
-    torque: Vector = Field(description="Torque. [N m]")
+    torque: _Load = Field(description="Torque, constant or by knots. [N m]")
     frame: Frame = Field("world", description=_FRAME)
+
+    load_key: ClassVar[str] = "torque"
 
 
 class ImpulseTable(ForceTable):
@@ -90,6 +197,11 @@ class ImpulseTable(ForceTable):
     impulse: Vector = Field(description="Impulse. [N s]")
     frame: Frame = Field("world", description=_FRAME)
     time: NonNegative = Field(description="When, at most t_end. [s]")
+
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """When it acts [s]."""
+        return (self.time,)
 
 
 class DragTable(LastingForceTable):

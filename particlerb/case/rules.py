@@ -34,6 +34,10 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
         table = _table_of(force)
         if table is not None:
             yield from table.rules(("force", i), force, members(raw))
+            load = force.get(table.load_key)
+            if isinstance(load, dict):
+                path = ("force", i, table.load_key, "table")
+                yield from file_rules(path, load.get("table"), files)
     yield from _attraction_rules(raw.get("attraction"), members(raw))
     yield from _contact_rules(raw)
     for i, body in tables(raw, "body"):

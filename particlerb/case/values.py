@@ -4,7 +4,8 @@ A string is no number and a bool is no number; an int is a fine float. What a va
 type here, so that the schema reads like the format. Field descriptions end with [unit].
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Annotated, Any, Literal, TypeAlias, cast, get_args
 
 import numpy as np
@@ -26,6 +27,7 @@ from pydantic_core import PydanticCustomError
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 LARGEST_COUNT = 2**31 - 1
+_SHORTEST = 1e-300  # [s] between two knots: its inverse is finite
 
 
 class Table(BaseModel):
@@ -112,6 +114,22 @@ def is_rows(value: Any) -> bool:
     return isinstance(value, list) and bool(value) and isinstance(value[0], (list, tuple))
 
 
+def _ascending(value: tuple[float, ...]) -> tuple[float, ...]:
+    """Two times or more, each later than the one before."""
+    if len(value) < 2:
+        raise broken(f"needs two knots at least, has {len(value)}")
+    k = first_out_of_order(value)
+    if k is not None:
+        raise broken(f"must ascend, entry {k} is {value[k]!r} after {value[k - 1]!r}")
+    return value
+
+
+def first_out_of_order(times: Sequence[float]) -> int | None:
+    """Number of the first time that is not later than the one before it; None: there is none."""
+    pairs = enumerate(pairwise(times), 1)
+    return next((k for k, (before, after) in pairs if after - before <= _SHORTEST), None)
+
+
 def _nonzero(value: tuple[float, ...]) -> tuple[float, ...]:
     """Quaternion that can be normalised."""
     if not any(value):
@@ -159,6 +177,7 @@ Count = Annotated[int, Strict(), Field(ge=1, le=LARGEST_COUNT)]
 Name = Annotated[str, Strict(), Field(min_length=1)]
 Names = Annotated[tuple[Name, ...], Field(min_length=1), BeforeValidator(alone, Name | list[Name])]
 
+Knots = Annotated[tuple[NonNegative, ...], AfterValidator(_ascending)]
 Vector = Annotated[tuple[Real, Real, Real], entries(3)]
 Lengths = Annotated[tuple[Positive, Positive, Positive], entries(3)]
 Spacing = Annotated[Lengths, BeforeValidator(_repeated, Positive | Lengths)]

@@ -1,4 +1,4 @@
-"""Constant forces at body points, however many: one force and one lever tensor per body.
+"""Forces at body points, however many constant ones: one force and one lever tensor per body.
 
 Constant in the world, forces F_i at body points r_i give the force Σ F_i and the torque
 Σ (R r_i) × F_i. With the lever tensor T = Σ r_i F_iᵀ the torque is the axial vector of R T,
@@ -6,6 +6,8 @@ Constant in the world, forces F_i at body points r_i give the force Σ F_i and t
 
 Follower loads are constant in the body and turn with it: a thruster at a body point r gives the
 body force F and the body torque r × F. They have no potential: their work is booked by kicks.
+
+A force that changes with time is a `Ramp` between two knots, each for itself.
 """
 
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -21,6 +23,15 @@ from particlerb.forces.kinds import (
     Term,
     refuse_overflow,
     same_for_all,
+)
+from particlerb.forces.ramp import (
+    RAMP_KICKS,
+    RAMP_TERMS,
+    FollowerRamp,
+    Ramp,
+    course_of,
+    load_numbers,
+    vectors_of,
 )
 from particlerb.maths.quaternion import Rows, turn
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
@@ -132,31 +143,38 @@ def _push_at(vector: Floats, arm: Floats) -> Push:
     return Push(vector, (vector[:, None] * arm).reshape(9, -1))  # [j, l] = F_j r_l
 
 
-def _term_of(table: "PushTable", numbers: Floats, bodies: Bodies, start: float) -> Push | Follower:
-    """A push in the world, or a load that follows the body."""
-    del start
-    arm, vector = rotate_back(bodies.rotor_frame, numbers[:3]), numbers[3:6]
+def _term_of(
+    table: "PushTable", numbers: Floats, bodies: Bodies, start: float
+) -> Push | Follower | Ramp | FollowerRamp:
+    """A push in the world, or a load that follows the body; constant, or not."""
+    arm, course = rotate_back(bodies.rotor_frame, numbers[:3]), course_of(table, numbers, start)
     if table.frame == "world":
-        return _push_at(vector, arm)
-    own = rotate_back(bodies.rotor_frame, vector)
-    return Follower(own, np.cross(arm, own, axis=0))
-
-
-def _arm_and_force(table: "PushTable") -> tuple[float, ...]:
-    """The point and the force."""
-    return (*table.at, *table.force)
+        if course.is_constant:
+            return _push_at(course.midway, arm)
+        none = np.broadcast_to(0.0, arm.shape)
+        return Ramp(course.midway, none, course.change, none, course.clock, arm)
+    own = course.turned(lambda vector: rotate_back(bodies.rotor_frame, vector))
+    turning = own.turned(lambda vector: np.cross(arm, vector, axis=0))
+    if own.is_constant:
+        return Follower(own.midway, turning.midway)
+    return FollowerRamp(own.midway, turning.midway, own.change, turning.change, own.clock)
 
 
 def refuse_large(table: "PushTable | ImpulseTable", numbers: Floats, com: Floats) -> None:
     """Raise ForceError where the torque is beyond float64."""
     del com
-    arm, size = float(np.abs(numbers[:3]).max()), float(np.abs(numbers[3:6]).max())
+    size = float(np.abs(vectors_of(table, numbers)).max())
+    arm = float(np.abs(numbers[:3]).max())
     refuse_overflow(f"arm {arm!r} m and {table.type}", "at", arm, size)
 
 
-FORCE: Final = Force(same_for_all(_arm_and_force), _term_of, has_arm=True, check=refuse_large)
-KICKS: Final = (FORCE_KICK, _LEVER_KICK, _FOLLOWER_KICK)
+FORCE: Final = Force(
+    same_for_all(lambda table: load_numbers(table, table.at)), _term_of, has_arm=True,
+    check=refuse_large,
+)  # fmt: skip
+KICKS: Final = (FORCE_KICK, _LEVER_KICK, _FOLLOWER_KICK, *RAMP_KICKS)
 TERMS: Final = (
     Term(Push, "push", FORCE_KICK, _push_rates, _push_work, split=_parts_of_push),
     Term(Follower, "load fixed in the body", _FOLLOWER_KICK, _follower_rates),
+    *RAMP_TERMS,
 )

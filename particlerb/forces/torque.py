@@ -1,4 +1,4 @@
-"""Constant torques: free couples in the world, or in the body, where they follow it.
+"""Torques: free couples in the world, or in the body, where they follow it.
 
 No potential in general; the work is booked by kicks.
 """
@@ -10,6 +10,7 @@ import numpy as np
 from particlerb.compiled.jit import inline
 from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, same_for_all
 from particlerb.forces.push import Follower
+from particlerb.forces.ramp import FollowerRamp, Ramp, course_of, load_numbers
 from particlerb.maths.quaternion import Rows
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled
 from particlerb.model.block import get3
@@ -45,13 +46,18 @@ def _torque_rates(term: Torque, bodies: Bodies, state: State) -> Rates:
 
 def _term_of(
     table: "TorqueTable", numbers: Floats, bodies: Bodies, start: float
-) -> Torque | Follower:
-    """A torque in the world, or one that follows the body."""
-    del start
+) -> Torque | Follower | Ramp | FollowerRamp:
+    """A torque in the world, or one that follows the body; constant, or not."""
+    course = course_of(table, numbers, start)
+    none = np.broadcast_to(0.0, course.midway.shape)
     if table.frame == "world":
-        return Torque(numbers[3:6])
-    own = rotate_back(bodies.rotor_frame, numbers[3:6])
-    return Follower(np.zeros_like(own), own)
+        if course.is_constant:
+            return Torque(course.midway)
+        return Ramp(none, course.midway, none, course.change, course.clock, none)
+    own = course.turned(lambda vector: rotate_back(bodies.rotor_frame, vector))
+    if own.is_constant:
+        return Follower(none, own.midway)
+    return FollowerRamp(none, own.midway, none, own.change, own.clock)
 
 
 def turning(table: "TorqueTable", is_point: bool) -> tuple[str, str]:
@@ -61,7 +67,7 @@ def turning(table: "TorqueTable", is_point: bool) -> tuple[str, str]:
 
 
 FORCE: Final = Force(
-    same_for_all(lambda table: (0.0, 0.0, 0.0, *table.torque)), _term_of, is_torque=True,
+    same_for_all(load_numbers), _term_of, is_torque=True,
     turning=turning,
 )  # fmt: skip
 KICKS: Final = (KICK,)

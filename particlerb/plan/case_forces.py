@@ -8,13 +8,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.forces import AnyForce
+from particlerb.case.forces import AnyForce, LoadTable, read_load
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.source import problem_at
 from particlerb.forces import Terms, summed
 from particlerb.forces.gravity import UniformGravity
 from particlerb.forces.impulse import Impulse
 from particlerb.forces.kinds import ForceError
+from particlerb.forces.ramp import vectors_of
 from particlerb.forces.registry import force_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
@@ -37,8 +38,10 @@ class ResolvedForce(NamedTuple):
     @property
     def form(self) -> tuple[object, ...]:
         """What it has in common with others of a group: all but its size, direction and point."""
-        force = self.force
-        when = getattr(force, "time", None), getattr(force, "during", None)
+        force, knots = self.force, self.force.timed
+        when: tuple[object, ...] = force.edges
+        if knots is not None:  # as bytes, whose hash is found once
+            when = np.array(knots.times).tobytes(), np.asarray(knots.values).tobytes()
         has_arm = force_of(force).has_arm and any(self.numbers[:3])
         return force.type, getattr(force, "frame", None), when, has_arm
 
@@ -60,11 +63,12 @@ def loads_of(system: System) -> list[ResolvedForce]:
     """
     loads: list[ResolvedForce] = []
     problems: list[Problem] = []
-    for number, force in enumerate(system.force):
-        if is_link(force):
+    for number, given in enumerate(system.force):
+        if is_link(given):
             continue
-        members = system.names.find(force.body)
+        members = system.names.find(given.body)
         try:
+            force = _with_knots(given, system)
             found = force_of(force).resolve(force, members, system)
         except ForceError as error:
             problems.append(_problem_of(system, number, members, error))
@@ -73,6 +77,29 @@ def loads_of(system: System) -> list[ResolvedForce]:
     if problems:
         raise CaseError(problems)
     return loads
+
+
+def _with_knots(force: AnyForce, system: System) -> AnyForce:
+    """A force whose knots, if it has any, are read from their file.
+
+    Raises
+    ------
+    ForceError
+        If the file has none, or all come after the end.
+    """
+    if not isinstance(force, LoadTable) or force.timed is None:
+        return force
+    key, load = force.load_key, force.timed
+    if load.table is not None:
+        try:
+            force = force.model_copy(update={key: read_load(system.files.read(load.table))})
+        except ValueError as error:
+            raise ForceError(f"{key}.table", str(error)) from None
+    if force.edges[0] >= system.run.t_end:
+        where = f"{key}.times" if load.table is None else f"{key}.table"
+        reason = f"the first knot, {force.edges[0]!r} s, must be before run.t_end"
+        raise ForceError(where, f"{reason} = {system.run.t_end!r}")
+    return force
 
 
 def _problem_of(system: System, number: int, members: Ints, error: ForceError) -> Problem:
@@ -101,19 +128,8 @@ def refused(system: System, load: ResolvedForce) -> list[Problem]:
 
 def acts(form: AnyForce, start: float) -> bool:
     """Whether a lasting force acts in the segment that begins at `start`."""
-    during = getattr(form, "during", None)
-    return not _is_impulse(form) and (during is None or during[0] <= start < during[1])
-
-
-def _is_impulse(form: AnyForce) -> bool:
-    """Whether a force acts at one instant."""
-    return force_of(form).term is None
-
-
-def edges_of(form: AnyForce) -> tuple[float, ...]:
-    """Times [s] at which a force begins, stops or acts."""
-    time, during = getattr(form, "time", None), getattr(form, "during", None)
-    return (time,) if time is not None else during or ()
+    is_impulse = force_of(form).term is None
+    return not is_impulse and (not form.edges or form.edges[0] <= start < form.edges[-1])
 
 
 def acting_terms(system: System, bodies: Bodies, forces: list[Forces], start: float) -> Terms:
@@ -133,7 +149,7 @@ def jumps_at(forces: list[Forces], bodies: Bodies, start: float) -> tuple[Impuls
     return tuple(
         jump(form, numbers, bodies)
         for jump, form, numbers in found
-        if jump is not None and edges_of(form) == (start,)
+        if jump is not None and form.edges == (start,)
     )
 
 
@@ -166,10 +182,12 @@ def _turning_part(load: ResolvedForce, bodies: Bodies, q: Floats) -> tuple[Float
     For a force at a point it is the lever arm and not the torque: an arm along a rod never turns
     it about its axis, any other arm does so but by chance. Points can follow nothing.
     """
-    is_torque = force_of(load.force).is_torque
-    given = np.array(load.numbers[3:6] if is_torque else load.numbers[:3])[:, None]
+    is_torque, numbers = force_of(load.force).is_torque, np.array(load.numbers)[:, None]
+    given = vectors_of(load.force, numbers) if is_torque else numbers[:3]
     in_world = is_torque and getattr(load.force, "frame", "body") == "world"
-    turn = rotate_back(q if in_world else bodies.rotor_frame, np.tile(given, bodies.mass.size))
+    n, k = bodies.mass.size, given.shape[1]
+    axes = np.repeat(q if in_world else bodies.rotor_frame, k, axis=1)
+    turn = rotate_back(axes, np.tile(given, n)).reshape(3, n, k)
     axial = np.abs(turn[2]) if is_torque else np.hypot(turn[0], turn[1])
-    size = lengths(turn)
+    size, axial = lengths(turn).max(axis=1), axial.max(axis=1)
     return size, np.where(bodies.rotor_class == POINT, size, axial)

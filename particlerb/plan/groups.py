@@ -29,7 +29,7 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import rotate_back
 from particlerb.model.system import System
-from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce, acting_terms
+from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.links import Link, attracted, components, particles_of, tree_accuracy
 from particlerb.rotors.rotor_class import ASYMMETRIC
@@ -171,17 +171,15 @@ def _aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
     return [forces for rooms in found.values() for forces, _ in rooms]
 
 
-def terms_of(
+def terms_between(
     system: System,
     group: BodyGroup,
     bodies: Bodies,
-    forces: list[Forces],
     links: list[Link],
     touching: ContactSetup | None,
-    start: float,
 ) -> Terms:
-    """Terms of a group while these of its forces and links act, in the segment from `start` on."""
-    terms = acting_terms(system, bodies, forces, start)
+    """What the bodies of a group do to each other while these of its links act."""
+    terms = Terms()
     if links:
         terms = terms._replace(links=_links_among(group.members, bodies, links))
     if group.attracts:

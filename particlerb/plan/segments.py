@@ -16,9 +16,9 @@ from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.system import System
-from particlerb.plan.case_forces import acts, edges_of, jumps_at
+from particlerb.plan.case_forces import acting_terms, acts, jumps_at
 from particlerb.plan.contact_setup import ContactSetup
-from particlerb.plan.groups import BodyGroup, part_of, terms_of
+from particlerb.plan.groups import BodyGroup, part_of, terms_between
 from particlerb.rotors.rotor_class import POINT
 from particlerb.stepping.closed_forms import has_closed_form
 from particlerb.stepping.motion import Group
@@ -65,17 +65,22 @@ def cut_into_segments(
     """
     edges = {0.0}
     for form in (*(force.form for force in group.forces), *(link.force for link in group.links)):
-        edges.update(edges_of(form))
+        edges.update(form.edges)
     starts = sorted(edges)
     members, forces = group.members, group.forces
     bodies = taken(system.bodies, members)
     if touching is not None:
         bodies = _held(bodies, touching.fixed[members])
+    between: dict[tuple[int, ...], Terms] = {}  # by the numbers of the links
     segments, closed = [], []
     for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
         acting = [force for force in forces if acts(force.form, start)]
         links = [link for link in group.links if acts(link.force, start)]
-        terms = terms_of(system, group, bodies, acting, links, touching, start)
+        key = tuple(link.number for link in links)
+        if key not in between:
+            between[key] = terms_between(system, group, bodies, links, touching)
+        alone = acting_terms(system, bodies, acting, start)
+        terms = between[key]._replace(gravity=alone.gravity, loads=alone.loads)
         jumps = jumps_at(forces, bodies, start)
         method, is_closed = _chosen_method(system.run.method, bodies, terms)
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, system.run.tolerance))

@@ -106,7 +106,9 @@ def peer_scene(system: System) -> PeerScene:
         raise ValueError(_GIVEN)
     pushes = []
     for force in system.force:
-        if not isinstance(force, PushTable) or force.frame != "world" or force.during is not None:
+        if not isinstance(force, PushTable) or force.frame != "world":
+            raise ValueError(_GIVEN)
+        if force.timed is not None or force.during is not None:
             raise ValueError(_GIVEN)
         for b in system.names.find(force.body).tolist():
             at = _to_rotor(bodies.rotor_frame[:, b], force.at)

@@ -98,6 +98,7 @@ def files() -> Path:
     faces = ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
     sound = {
         "points.csv": "x,y,z,m,r\n0,0,0,1,0.1\n1,0,0,2,0.1\n0,1,0,1,0.2\n",
+        "load.csv": "t,x,y,z\n" + "".join(f"{0.25 * k},1,{k},-2.5\n" for k in range(9)),
         "spheres.csv": "x y z r\n0 0 0 0.5\n0.4 0 0 0.4\n",
         "solid.stl": "solid a\n" + "".join(
             "facet normal 0 0 0\nouter loop\n"
@@ -152,7 +153,7 @@ def number(dice: random.Random, node: dict[str, Any], key: str, at: str) -> floa
 
 def word(dice: random.Random, key: str) -> str:
     """A text that a key may have."""
-    if key == "file":
+    if key in ("file", "table"):
         return dice.choice(file_names())
     if key in NAMES and dice.random() < 0.97:
         return dice.choice(NAMES[key])
@@ -192,6 +193,10 @@ def made(dice: random.Random, node: dict[str, Any], key: str, at: str = "") -> A
 def table(dice: random.Random, node: dict[str, Any]) -> dict[str, Any]:
     """A table with what it must have and some of what it may have."""
     must = node.get("required", ())
+    if "times" in node["properties"] and dice.random() < 0.5:  # by chance they hardly fit
+        n = dice.choice((2, 2, 3, 5))
+        times = sorted(dice.choice((0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 1e-9)) for _ in range(n))
+        return {"times": times, "values": [[dice.choice(NUMBERS) for _ in "xyz"] for _ in times]}
     return {
         key: made(dice, one, key)
         for key, one in node["properties"].items()

@@ -46,7 +46,7 @@ def test_points_without_a_header(tmp_path):
     [
         ("", "a.txt: empty"),
         ("% nothing\n\n", "a.txt: empty"),
-        ("x y z r\n", "a.txt:1: no particles below the header"),
+        ("x y z r\n", "a.txt:1: no rows below the header"),
         ("x y z m\n1 2 3 4\n", "a.txt:1: column r is missing"),
         ("1 2 3 4\n1 2 3\n", "a.txt:2: 3 values for the 4 columns"),
         ("1 2 3\n", "a.txt:1: 3 values for the 4 columns"),

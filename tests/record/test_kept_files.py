@@ -24,10 +24,11 @@ CASE = """
 run = { t_end = 0.02, every = 0.005, dt = 1e-3 }
 contact = { stiffness = 1e3, restitution = 0.5, friction = 0.1 }
 wall = [{ type = "mesh", name = "floor", file = "floor.stl", position = [0, 0, -0.5] }]
+force = [{ type = "push", body = "points", force = { table = "thrust.txt" } }]
 
 [[body]]
 name = "points"
-shape = { type = "points", file = "tables/points.csv" }
+shape = { type = "points", file = "of_points/a.csv" }
 angular_velocity = [0, 1, 0.5]
 contact = false
 
@@ -57,8 +58,9 @@ endsolid floor
 """
 DATA = {
     "floor.stl": FLOOR,
-    "tables/points.csv": "x,y,z,m\n0,0,0,1\n1,0,0,1\n0,2,0,1\n",
+    "of_points/a.csv": "x,y,z,m\n0,0,0,1\n1,0,0,1\n0,2,0,1\n",
     "clump.xyzr": "x y z r\n0 0 0 0.1\n0.1 0 0 0.1\n",
+    "thrust.txt": "t,x,y,z\n0.001,0,0,0\n0.012,0,0,3\n0.04,1,0,0\n",
     "corner.obj": f"mtllib corner.mtl\n{CORNER}",
 }
 
@@ -67,7 +69,7 @@ DATA = {
 def moved(tmp_path, monkeypatch):
     """A trajectory in a folder where nothing else is, and its last positions."""
     source, elsewhere = tmp_path / "source", tmp_path / "elsewhere"
-    (source / "tables").mkdir(parents=True)
+    (source / "of_points").mkdir(parents=True)
     elsewhere.mkdir()
     for name, text in DATA.items():
         (source / name).write_text(text)
@@ -90,7 +92,7 @@ def test_contents_lie_in_the_file(moved):
 
 def test_one_content_is_kept_once(tmp_path, make):
     for name in "ab":
-        (tmp_path / f"{name}.csv").write_text(DATA["tables/points.csv"])
+        (tmp_path / f"{name}.csv").write_text(DATA["of_points/a.csv"])
     bodies = [
         {"name": name, "shape": {"type": "points", "file": str(tmp_path / f"{name}.csv")}}
         for name in "ab"
@@ -105,13 +107,13 @@ def test_one_content_is_kept_once(tmp_path, make):
 def test_what_was_read_with_the_case_is_what_is_kept(tmp_path, make):
     """A file that is changed while a case is worked on does not mix with what was read."""
     path = tmp_path / "a.csv"
-    path.write_text(DATA["tables/points.csv"])
+    path.write_text(DATA["of_points/a.csv"])
     shape = {"type": "points", "file": str(path)}
     case = load(make.case({"name": "a", "shape": shape}))
     path.write_text("x,y,z,m\n0,0,0,5\n")
     with particlerb.run(case) as t:
         assert t.mass.tolist() == [3.0]
-        assert t.case.file(str(path)) == File(str(path), DATA["tables/points.csv"].encode())
+        assert t.case.file(str(path)) == File(str(path), DATA["of_points/a.csv"].encode())
 
 
 def test_the_run_goes_on_and_repeats(moved):
@@ -162,8 +164,8 @@ def test_a_name_is_never_a_path(moved, name, capsys):
     from particlerb.view.replay import ReplayError, system_of
 
     path, _ = moved
-    path.with_name("secret.csv").write_text(DATA["tables/points.csv"])
-    name_other(path, "tables/points.csv", name)
+    path.with_name("secret.csv").write_text(DATA["of_points/a.csv"])
+    name_other(path, "of_points/a.csv", name)
     assert main(["resume", str(path), "--t-end", "1", "-q"]) == 2
     assert main(["info", str(path)]) == 0
     assert ("with the case" if name else "empty") in capsys.readouterr().err
@@ -200,7 +202,7 @@ except ResumeError as error:
     assert "other bodies or another plan" in str(error)  # the names are part of the case
 else:
     raise AssertionError
-print([name for name in opened if "trap" in name or "tables" in name])
+print([name for name in opened if "trap" in name or "of_points" in name])
 """
     assert make.python(code).strip() == "[]"
 
