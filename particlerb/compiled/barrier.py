@@ -148,7 +148,7 @@ def together(kernel: Callable[[Team], Result], most: int) -> Result:
     try:
         return _enter_all(kernel, size) if has_lock else kernel(ALONE)
     finally:
-        THREADS.busy += time.perf_counter() - start
+        THREADS.own.busy += time.perf_counter() - start
         if has_lock:
             TOGETHER.release()
 

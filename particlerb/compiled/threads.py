@@ -3,12 +3,17 @@
 A kernel that takes a range of blocks and touches only these gives the same bits however the blocks
 are shared out. Python's own threads serve, because kernels run without the interpreter's lock:
 Numba's parallel loops would double the time to compile, and stop a fork of the process.
+
+How many threads a run uses is a setting of the thread that runs it: several runs side by side, each
+in a thread of its own, have their own numbers, and share the threads of those with the same one.
 """
 
 import os
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from typing import Final, TypeVar
 
 Result = TypeVar("Result")
@@ -19,30 +24,59 @@ _SHARES: Final = 4  # ranges per thread at most, so that a slow thread is made u
 _SHARE_WORK: Final = 50_000  # body-steps or body-frames of a range: well above what a call costs
 
 
+class _Own(threading.local):
+    """What is a matter of one Python thread."""
+
+    count: int | None = None  # threads that it uses; None: all cores
+    busy = 0.0  # [s] wall time in kernels so far: what studies compare
+
+
 class _Threads:
     """The threads of this process."""
 
     def __init__(self) -> None:
-        self.count = _available()
-        self.pool: ThreadPoolExecutor | None = None
+        self.own = _Own()
+        self.cores = _available()
         self.is_ending = False  # set by a signal: the run ends behind the frame it is at
         self.is_stopping = False  # set by a second one: the next call raises KeyboardInterrupt
-        self.busy = 0.0  # [s] wall time in kernels so far: what studies compare
+        self.forget()
+
+    def forget(self) -> None:
+        """Let the next call make its own threads: a child has none of its parent's."""
+        self.lock = threading.Lock()
+        self.pools: dict[int, ThreadPoolExecutor] = {}  # by their numbers of threads
+
+    @property
+    def count(self) -> int:
+        """Threads that calls from this one use."""
+        return self.own.count or self.cores
+
+    @property
+    def busy(self) -> float:
+        """Wall time [s] in kernels that this thread has called."""
+        return self.own.busy
 
     def use(self, count: int | None) -> None:
-        """Use so many threads from now on; None for all cores."""
-        wanted = _available() if count is None else count
-        if wanted != self.count and self.pool is not None:
-            self.pool.shutdown()
-            self.pool = None
-        self.count = wanted
+        """Let calls from this thread use so many from now on; None for all cores."""
+        self.own.count = count
+
+    @contextmanager
+    def using(self, count: int | None) -> Iterator[None]:
+        """Let calls from this thread use so many meanwhile; None for all cores."""
+        before = self.own.count
+        self.use(count)
+        try:
+            yield
+        finally:
+            self.use(before)
 
     @property
     def workers(self) -> ThreadPoolExecutor:
-        """Threads that wait for work."""
-        if self.pool is None:
-            self.pool = ThreadPoolExecutor(self.count, "particlerb")
-        return self.pool
+        """Threads that wait for work, as many as calls from this one use."""
+        with self.lock:
+            if self.count not in self.pools:
+                self.pools[self.count] = ThreadPoolExecutor(self.count, "particlerb")
+            return self.pools[self.count]
 
     def spread(self, kernel: Callable[[int, int], object], bodies: int, work: int) -> None:
         """Call kernel(first, last) for ranges of blocks that cover all bodies; see `share`."""
@@ -71,11 +105,11 @@ class _Threads:
         try:
             self.share_out(kernel, units, work)
         finally:
-            self.busy += time.perf_counter() - start
+            self.own.busy += time.perf_counter() - start
 
     def heed(self) -> None:
-        """Raise KeyboardInterrupt if a signal has asked for the end."""
-        if self.is_stopping:
+        """Raise KeyboardInterrupt if a signal has asked for the end: they reach the main thread."""
+        if self.is_stopping and threading.current_thread() is threading.main_thread():
             self.is_stopping = False
             raise KeyboardInterrupt
 
@@ -88,7 +122,7 @@ class _Threads:
         self.heed()
         start = time.perf_counter()
         result = kernel(*arguments)
-        self.busy += time.perf_counter() - start
+        self.own.busy += time.perf_counter() - start
         return result
 
     def share_out(self, kernel: Callable[[int, int], object], units: int, work: int) -> None:
@@ -99,7 +133,8 @@ class _Threads:
         pieces = min(_SHARES * self.count, max(self.count, work // _SHARE_WORK))
         size = -(-units // pieces)
         ranges = [(lo, min(lo + size, units)) for lo in range(0, units, size)]
-        futures = [self.workers.submit(kernel, *own) for own in ranges]
+        workers = self.workers
+        futures = [workers.submit(kernel, *own) for own in ranges]
         try:
             for future in futures:
                 future.result()
@@ -117,10 +152,5 @@ def _available() -> int:
 
 
 THREADS: Final = _Threads()
-if hasattr(os, "register_at_fork"):  # a child has none of its parent's threads
-
-    def forget_pool() -> None:
-        """Let the next call make its own threads."""
-        THREADS.pool = None
-
-    os.register_at_fork(after_in_child=forget_pool)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=THREADS.forget)

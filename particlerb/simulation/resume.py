@@ -123,7 +123,6 @@ def resume_pending(pending: _Pending, progress: Progress = lambda n: None) -> Ou
         As in `simulate.advance`.
     """
     path, prepared, checkpoint = pending.path, pending.prepared, pending.checkpoint
-    THREADS.use(prepared.system.run.threads)
     try:
         recorder = Recorder.reopen(path, prepared.system, pending.start, pending.known)
     except InUseError:
@@ -133,7 +132,8 @@ def resume_pending(pending: _Pending, progress: Progress = lambda n: None) -> Ou
     if pending.is_prolonged:
         with recorder.output.writing():
             replace_case(recorder.file, prepared.system)
-    return advance(prepared, recorder, checkpoint, progress)
+    with THREADS.using(prepared.system.run.threads):
+        return advance(prepared, recorder, checkpoint, progress)
 
 
 def _text_in(file: h5py.File, name: str) -> str | None:

@@ -264,13 +264,13 @@ def run_prepared(
         If the run fails; the frames until then are committed.
     """
     system = prepared.system
-    THREADS.use(system.run.threads)
     own = {"plan": prepared.text, "identity": identity(prepared)}
     content = tables_of(system) | texts_of(system, {**own, **prepared.parameters})
     recorder: Recorder | Memory = Memory(system, content)
     if path is not None:
         recorder = Recorder(path, system, content, overwrite)
-    return advance(prepared, recorder, None, progress)
+    with THREADS.using(system.run.threads):
+        return advance(prepared, recorder, None, progress)
 
 
 @np.errstate(

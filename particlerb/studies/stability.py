@@ -260,7 +260,7 @@ def _in_parallel(
     tasks: Sequence[Callable[[], Any]], progress: Callable[[int], object]
 ) -> list[Any]:
     """Results of all tasks, in their order; kernels run without the interpreter's lock."""
-    with ThreadPoolExecutor(THREADS.count) as pool:
+    with ThreadPoolExecutor(THREADS.count, initializer=THREADS.use, initargs=(1,)) as pool:
         futures = [pool.submit(task) for task in tasks]
         try:
             for future in as_completed(futures):

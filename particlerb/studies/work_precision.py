@@ -148,13 +148,9 @@ def chart(
     """
     names = chosen_names(methods, tuple(METHODS), "method")
     rivals = engines(peers)
-    before = THREADS.count
-    THREADS.use(1)
-    try:
+    with THREADS.using(1):
         study = Study(system, budget)
         points, left_out = study.points(names, rivals, budget, progress)
-    finally:
-        THREADS.use(before)
     source = system.source.path
     return WorkPrecision(
         system.title or (source.stem if source else "scene"),

@@ -85,7 +85,6 @@ class Session:
 
     def __init__(self, system: System) -> None:
         prepared = prepare_accurately(system)
-        THREADS.use(system.run.threads)
         self.system = prepared.system
         self.longest = 2.0 ** math.ceil(math.log2(_LONGEST * system.run.t_end))
         self.every = system.run.every
@@ -143,7 +142,8 @@ class Session:
     def computed_at(self, times: Floats, is_frame: Any) -> tuple[Frames, Entries]:
         """State and ledger at the last of some ascending times."""
         try:
-            frames, entries, error = self.run.frames_at(times, is_frame)
+            with THREADS.using(self.system.run.threads):
+                frames, entries, error = self.run.frames_at(times, is_frame)
         except (MotionError, FloatingPointError) as problem:
             raise SessionError(str(problem)) from None
         if error is not None:
