@@ -26,6 +26,7 @@ from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, load3, rows3, 
 COST: Final = 4  # body-steps that finding what is near a sphere takes
 _MAX_SHARE: Final = 64  # largest number of cells of a flat or thin wall, over that of a compact one
 _MAX_CELLS: Final = 8  # per primitive
+_NARROWER: Final = 0.5  # share of the reach of lists below which narrower ones are made
 _CELLS_PER_SPHERE: Final = 0.25  # more: most of a wide heap is far from all walls
 _MIN_CELLS: Final = 512
 
@@ -193,7 +194,7 @@ class WallSearch:
         cutoff = self.radius + skin
         if not which.size or not walls.kind.size:
             return PairList(self.everyone[:0], self.everyone[:0], start)
-        if cutoff.max() > self.cutoff:
+        if not self.cutoff * _NARROWER <= cutoff.max() <= self.cutoff:
             self.cutoff = float(cutoff.max())
             self.lists = lists_of(walls, self.cutoff, int(_CELLS_PER_SPHERE * n))
         lists = self.lists

@@ -384,16 +384,17 @@ def test_candidates_are_all_that_are_near(skin):
     assert (start == np.searchsorted(first, np.arange(n + 1))).all()
 
 
-def test_candidates_within_a_wider_skin_are_found_by_the_same_search():
+def test_a_search_fits_its_cells_to_a_skin_that_widens_and_narrows():
     rng = np.random.default_rng(10)
     walls, r = all_walls(rng), np.full(30, 0.1)
     x, poses = rng.uniform(-1.5, 1.5, (3, 30)), poses_at([REST] * 4, 0.0)
-    search = WallSearch(walls, r)
-    search.pairs(x, poses, 0.01)
-    wide, fresh = search.pairs(x, poses, 0.5), WallSearch(walls, r).pairs(x, poses, 0.5)
-    assert wide.first.size > 30
-    assert (wide.first == fresh.first).all()
-    assert (wide.second == fresh.second).all()
+    search, cells = WallSearch(walls, r), []
+    for skin in (0.01, 0.5, 0.01):
+        found, fresh = search.pairs(x, poses, skin), WallSearch(walls, r).pairs(x, poses, skin)
+        assert (found.first == fresh.first).all()
+        assert (found.second == fresh.second).all()
+        cells.append(search.cutoff)
+    assert cells == pytest.approx([0.11, 0.6, 0.11])
 
 
 def test_candidates_of_a_chosen_part_and_of_nothing():
