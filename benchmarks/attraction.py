@@ -1,6 +1,6 @@
 """Measure the attraction between particles: pairs a second, share of the machine, threads.
 
-    python benchmarks/attraction.py [--record]
+    python benchmarks/attraction.py [--only SECTION] [--record]
 
 A pair is a target and a source of another body; it counts as 20 operations, as is usual for such
 sums (3 differences, 3 + 3 for the square, 5 for the root and the cube, 6 to add). The peak is what
@@ -22,12 +22,14 @@ from functools import partial
 from typing import TypeAlias
 
 import numpy as np
+from pytreegrav import Accel
 from results import record
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.attraction import Attraction, Work, attraction_loads, spread_loads, work_of
-from particlerb.forces.gravity_tree.tree import Tree, angle_for
+from particlerb.forces.gravity_tree.opening_angle import fitting_angle, safe_angle, sampled_error
+from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.maths.vec3 import Floats
 
 Figures: TypeAlias = list[tuple[str, float]]
@@ -299,7 +301,7 @@ def tree_errors(n: int = 20_000) -> Figures:
 
 def tree() -> Figures:
     """Print and return the figures of the tree."""
-    angle = angle_for(1e-4)
+    angle = safe_angle(1e-4)
     THREADS.use(1)
     print(f"tree; one thread; angle {angle:.2f} errs by less than 1e-4 in every scene")
     rows = [*tree_times(angle), *tree_times(0.5), *break_even(angle), *break_even(0.5)]
@@ -313,15 +315,75 @@ def tree() -> Figures:
     return [*rows, ("tree, gain by two threads", gain), *tree_errors()]
 
 
-SECTIONS: tuple[Callable[[], Figures], ...] = (direct_sum, tree)
+# The tree as users ask for it, beside pytreegrav
+
+
+def error_of(attraction: Attraction, y: Floats, acceleration: Floats) -> float:
+    """Relative rms error of the accelerations of points, (3, n), beside the direct sum."""
+    exact = np.zeros((6, y.shape[1]))
+    spread_loads(attraction, work_of(attraction), y, exact)
+    exact = exact[:3] / attraction.mass
+    return float(np.linalg.norm(acceleration - exact) / np.linalg.norm(exact))
+
+
+def peer(attraction: Attraction, y: Floats, wanted: float) -> tuple[float, float, float]:
+    """Opening angle, error and least time [s] of pytreegrav with quadrupoles, for an error."""
+    place = np.ascontiguousarray(y[:3].T)
+    constant = float(attraction.gm[0] / attraction.mass[0])
+    for angle in (0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2):
+        find = partial(Accel, place, attraction.mass, G=constant, theta=angle)
+        find = partial(find, quadrupole=True, method="tree", parallel=False)
+        error = error_of(attraction, y, find().T)
+        if error <= wanted:
+            break
+    return angle, error, seconds_of(find, 3)
+
+
+def as_asked(accuracy: float = 1e-4) -> Figures:
+    """Print and return time and error of the fitted angle."""
+    THREADS.use(1)
+    rows = []
+    print(f"tree with the angle that is fitted for an error of {accuracy}; one thread")
+    for name, make in (("ball", ball), ("sphere", sphere)):
+        for n in (10_000, 100_000):
+            attraction, y = make(n)
+            angle = fitting_angle(attraction, y, accuracy)
+            load, one = np.zeros((6, n)), Tree(attraction, angle)
+            one.loads(y, load)
+            error = error_of(attraction, y, load[:3] / attraction.mass)
+            least = seconds_of(partial(one.loads, y, load), 5)
+            look = seconds_of(partial(sampled_error, one), 3)
+            other, other_error, other_least = peer(attraction, y, max(error, 0.3 * accuracy))
+            print(
+                f"  {name} of {n}: angle {angle:.2f}, error {error:.1e}, {least:.3f} s, the look at"
+                f" the sample {look:.3f} s; pytreegrav, angle {other:.1f}, error {other_error:.1e},"
+                f" {other_least:.3f} s: {other_least / least:.1f} times as long"
+            )
+            rows += [
+                (f"tree, {name} of {n}, error {accuracy} asked, error", error),
+                (f"tree, {name} of {n}, error {accuracy} asked [s]", least),
+                (f"tree, {name} of {n}, pytreegrav, error", other_error),
+                (f"tree, {name} of {n}, pytreegrav [s]", other_least),
+            ]
+    THREADS.use(None)
+    return rows
+
+
+SECTIONS: dict[str, Callable[[], Figures]] = {
+    "direct_sum": direct_sum,
+    "tree": tree,
+    "as_asked": as_asked,
+}
 
 
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--record", action="store_true", help="add to results/attraction.csv")
+    parser.add_argument("--only", choices=SECTIONS, help="one section")
     options = parser.parse_args()
-    rows = [row for section in SECTIONS for row in section()]
+    names = [options.only] if options.only else list(SECTIONS)
+    rows = [row for name in names for row in SECTIONS[name]()]
     if options.record:
         record("attraction", rows)
 

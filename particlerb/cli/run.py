@@ -23,6 +23,7 @@ from particlerb.cli.common import amount, read_case, to_write
 from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.cli.guard import probe
 from particlerb.compiled.threads import THREADS
+from particlerb.forces.gravity_tree.opening_angle import other_angle
 from particlerb.model.system import System
 from particlerb.plan.stability import STEPS_PER_CONTACT, stable_turn
 from particlerb.record.file_size import SMALLEST_FILE, estimated_size
@@ -112,7 +113,7 @@ def _conclude(prepared: Prepared, outcome: Outcome, path: Path, options: argpars
         if not options.quiet:
             print(_drift_text(outcome))
             print(f"written: {path}")
-    _warn(options, contact_warnings(prepared, outcome))
+    _warn(options, run_warnings(prepared, outcome))
     return DONE if all(check.holds for check in checks) else MISSED
 
 
@@ -245,22 +246,32 @@ def _drift_text(outcome: Outcome) -> str:
     ]
     if outcome.swing > 0.0:
         lines.insert(0, contact_text(outcome.swing))
+    if (tree := outcome.tree) is not None:
+        errs = f"accelerations erred by {tree.seen:.2g} at most, rms, of {tree.asked:.2g} asked for"
+        lines.insert(0, f"tree of the attraction: opening angle {tree.angle:.3g}, {errs}")
     if outcome.flown is not None:
         share = f"{100.0 * outcome.flown:.3g} % of the body-steps"
         lines.insert(0, f"{share} were taken in closed form: no contact in reach")
     return "\n".join(lines)
 
 
-def contact_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
-    """Warning where bodies oscillated faster on several contacts than damped ones are stable."""
-    limit = stable_turn(prepared.plan)
-    if outcome.swing <= limit:
-        return []
-    return [
-        f"particlerb: warning: all contacts of a body together reached ω dt = {outcome.swing:.3g}:"
-        f" above {limit:.3g} contacts so damped do not come to rest; divide run.dt by"
-        f" {outcome.swing / limit:.2g}"
-    ]
+def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
+    """Warnings about contacts of a body that are too stiff together, and about a tree that errs."""
+    found, limit, tree = [], stable_turn(prepared.plan), outcome.tree
+    if outcome.swing > limit:
+        found.append(
+            "particlerb: warning: all contacts of a body together reached"
+            f" ω dt = {outcome.swing:.3g}: above {limit:.3g} contacts so damped do not come to"
+            f" rest; divide run.dt by {outcome.swing / limit:.2g}"
+        )
+    if tree is not None and tree.seen > tree.asked:
+        angle = other_angle(*tree)
+        found.append(
+            f"particlerb: warning: the tree of the attraction came to err by {tree.seen:.2g}, where"
+            f" {tree.asked:.2g} was asked for: the scene has changed since its opening angle was"
+            f" chosen; attraction.opening_angle = {angle:.2g} is right"
+        )
+    return found
 
 
 def contact_text(frequency: float) -> str:
@@ -276,6 +287,7 @@ def summary(path: Path, outcome: Outcome, checks: list[Result]) -> dict[str, Any
         "file": str(path),
         "drift": outcome.drift._asdict(),
         "swing": outcome.swing,
+        **({"tree": outcome.tree._asdict()} if outcome.tree is not None else {}),
         "checks": [{**check._asdict(), "holds": check.holds} for check in checks],
     }
 

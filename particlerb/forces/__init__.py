@@ -38,6 +38,7 @@ class Terms(NamedTuple):
     links: Links | None = None
     attraction: Attraction | None = None
     opening_angle: float = 0.0  # of the tree that sums the attraction; 0: a direct sum
+    tree_accuracy: float = 0.0  # for which the angle may be wider; 0: it may not
     contact: GroupContact | None = None
 
     @property

@@ -6,6 +6,7 @@ import numpy as np
 
 from particlerb.case.forces import FORCES
 from particlerb.forces import Terms, has_potential, is_constant, needs_of, words_of
+from particlerb.forces.gravity_tree.opening_angle import SAMPLE
 from particlerb.forces.kinds import TIME
 from particlerb.maths.vec3 import Ints
 from particlerb.model.system import System
@@ -78,8 +79,13 @@ def _attraction_line(system: System, plan: Plan) -> str:
     terms = [s.terms for g in plan.groups for s in g.segments if s.terms.attraction is not None]
     assert terms[0].attraction is not None
     n, softening = terms[0].attraction.mass.size, system.attraction.softening
-    by = f"a tree, opening angle {terms[0].opening_angle:.3g}"
-    how = by if terms[0].opening_angle else "each particle with all those of other bodies"
+    angle, accuracy = terms[0].opening_angle, terms[0].tree_accuracy
+    how = "each particle with all those of other bodies"
+    if angle:
+        how = f"a tree, opening angle {angle:.3g}"
+    if accuracy:
+        how += f", where no scene errs by more than {accuracy:.3g}, or wider: as wide as"
+        how += f" {min(n, SAMPLE)} particles, summed directly at the start, allow"
     soft = f"softened by {softening:.6g} m" if softening else "not softened"
     return f"on: {n} particles, {how}; G = {system.attraction.G:.9g} m³/(kg s²), {soft}"
 

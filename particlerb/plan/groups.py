@@ -22,7 +22,8 @@ from particlerb.contact.wall_motion import motion_records
 from particlerb.contact.wall_shapes import has_edges
 from particlerb.forces import Terms
 from particlerb.forces.attraction import Attraction
-from particlerb.forces.gravity_tree.tree import BREAK_EVEN, angle_for
+from particlerb.forces.gravity_tree.opening_angle import safe_angle
+from particlerb.forces.gravity_tree.tree import BREAK_EVEN
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import force_of
 from particlerb.maths.vec3 import Bools, Floats, Ints
@@ -184,8 +185,8 @@ def terms_between(
         terms = terms._replace(links=_links_among(group.members, bodies, links))
     if group.attracts:
         attraction = _attraction_among(system, group.members, bodies)
-        angle = opening_angle(system, attraction.mass.size)
-        terms = terms._replace(attraction=attraction, opening_angle=angle)
+        angle, accuracy = _tree_of(system, attraction.mass.size)
+        terms = terms._replace(attraction=attraction, opening_angle=angle, tree_accuracy=accuracy)
     if group.touches and touching is not None:
         terms = terms._replace(contact=_contact_among(system, group.members, bodies, touching))
     return terms
@@ -337,10 +338,13 @@ def _law_of(touching: ContactSetup) -> Law:
     )
 
 
-def opening_angle(system: System, n_particles: int) -> float:
-    """Opening angle of the tree that sums the attraction; 0 for a direct sum."""
+def _tree_of(system: System, n_particles: int) -> tuple[float, float]:
+    """Opening angle and accuracy of the tree that sums the attraction: see `Terms`."""
     asked = system.attraction
     assert asked is not None
     if asked.sum == "direct" or (asked.sum == "auto" and n_particles < BREAK_EVEN):
-        return 0.0
-    return asked.opening_angle or angle_for(tree_accuracy(system))
+        return 0.0, 0.0
+    if asked.opening_angle is not None:
+        return asked.opening_angle, 0.0
+    accuracy = tree_accuracy(system)
+    return safe_angle(accuracy), accuracy

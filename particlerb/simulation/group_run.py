@@ -6,7 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from particlerb.contact.contact_output import ContactOutput
-from particlerb.forces import energy_of_loads, has_energy
+from particlerb.forces import Terms, energy_of_loads, has_energy
+from particlerb.forces.gravity_tree.opening_angle import fitting_angle, sampled_error
+from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.forces.impulse import apply_impulse
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
@@ -39,6 +41,10 @@ class GroupRun:
         self.turnover = 0.0  # [J] gross work of contacts in them
         self.number = 0
         self.first = state  # of this segment
+        self.angle = 0.0  # of the tree that sums the attraction, where it is fitted to the scene
+        self.tree_error = 0.0  # the largest seen, of this tree
+        self.pairs: PairForces | None = None
+        self.fit_tree()
         self.pairs = self.pair_forces()
         self.motion = self.begin(plan.segments[0], state)
         self.touches: dict[int, ContactOutput] = {}  # in rows of the last `record`, where asked for
@@ -49,11 +55,11 @@ class GroupRun:
         if self.number:
             saved |= {"first": np.vstack(self.first), "before": self.before.copy()}
             saved |= {"turnover": np.array(self.turnover)}
-        return saved | {"number": np.array(self.number)}
+        return saved | {"number": np.array(self.number), "angle": np.array(self.angle)}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
-        self.number = int(saved["number"])
+        self.number, self.angle = int(saved["number"]), float(saved["angle"])
         if self.number:
             self.before, self.turnover = saved["before"], float(saved["turnover"])
             self.first = State(*np.split(saved["first"], _STATE_SPLITS))
@@ -66,9 +72,33 @@ class GroupRun:
         """The segment that it is in."""
         return self.plan.segments[self.number]
 
+    @property
+    def terms(self) -> Terms:
+        """What acts in the segment, with the opening angle that was fitted."""
+        terms = self.segment.terms
+        return terms._replace(opening_angle=self.angle) if terms.tree_accuracy else terms
+
+    @property
+    def tree(self) -> Tree | None:
+        """The tree whose angle was fitted."""
+        return self.pairs.tree if self.pairs is not None and self.angle else None
+
+    def fit_tree(self) -> None:
+        """Choose an opening angle for the first state of the segment, where one may be chosen.
+
+        One that was chosen before stays where it still does: its potential energy was found last.
+        """
+        terms, tree = self.segment.terms, self.tree
+        if terms.attraction is None or not terms.tree_accuracy:
+            return
+        if tree is not None and sampled_error(tree) <= terms.tree_accuracy:
+            return
+        y = np.vstack((self.first.com, self.first.q))
+        self.angle = fitting_angle(terms.attraction, y, terms.tree_accuracy)
+
     def pair_forces(self) -> PairForces | None:
         """What the bodies of the segment do to each other; None where it is nothing."""
-        terms = self.segment.terms
+        terms = self.terms
         return PairForces(terms, self.plan.members.size, True) if terms.is_coupled else None
 
     @property
@@ -77,8 +107,13 @@ class GroupRun:
         return self.pairs is not None or has_energy(self.segment.terms)
 
     def potential(self, com: Floats, q: Floats) -> float:
-        """Potential energy of all springs, and of the bodies with each other [J]."""
+        """Potential energy of all springs, and of the bodies with each other [J].
+
+        Where an error of the tree was asked for, this looks at what it is.
+        """
         energy = 0.0 if self.pairs is None else self.pairs.potential_energy(com, q)
+        if self.tree is not None:
+            self.tree_error = max(self.tree_error, sampled_error(self.tree))
         return energy + energy_of_loads(self.segment.terms, com, q)
 
     def begin(self, segment: Segment, state: State) -> Motion:
@@ -92,7 +127,8 @@ class GroupRun:
     def set_off(self) -> Motion:
         """Motion of this segment from its first state."""
         segment = self.segment
-        method, group = METHODS[segment.method], self.plan.group(segment)
+        method = METHODS[segment.method]
+        group = self.plan.group(segment)._replace(terms=self.terms)
         before = getattr(self, "motion", None)
         return begin(
             method, group, self.first, segment.start, segment.dt, segment.tolerance, before
@@ -107,7 +143,8 @@ class GroupRun:
         self.turnover = self.turned_over()
         self.before += booked
         self.before[0] -= self.potential(state.com, state.q)
-        self.number += 1
+        self.number, self.first = self.number + 1, state
+        self.fit_tree()
         self.pairs = self.pair_forces()
         self.before[0] += self.potential(state.com, state.q)
         self.motion = self.begin(self.segment, state)

@@ -64,6 +64,14 @@ class _Probe(NamedTuple):
     frame: Frames  # one row
 
 
+class TreeError(NamedTuple):
+    """What a tree errs that sums the attraction."""
+
+    angle: float  # [rad] opening angle
+    seen: float  # largest relative error of the accelerations, rms, at frames
+    asked: float
+
+
 class Outcome(NamedTuple):
     """What a run leaves beside its file."""
 
@@ -72,6 +80,7 @@ class Outcome(NamedTuple):
     file: h5py.File | Memory  # closed, or what is in memory
     flown: float | None = None  # share of body-steps that closed forms saved; None: not known
     swing: float = 0.0  # [rad] per step, the fastest of bodies on all contacts that was seen
+    tree: TreeError | None = None  # of the tree that sums the attraction, where it was fitted
 
 
 class Prepared(NamedTuple):
@@ -148,6 +157,12 @@ class Run:
         """Fastest swing of bodies on their contacts that was seen, ω dt [rad]."""
         motions = [t.motion for t in self.travellers if isinstance(t.motion, TOUCHING)]
         return max((motion.swing * motion.dt for motion in motions), default=0.0)
+
+    def tree_error(self) -> TreeError | None:
+        """What the tree of the attraction has erred at frames; None where none was asked for."""
+        runs = [run for run in self.travellers if run.angle]
+        fitted = [TreeError(r.angle, r.tree_error, r.terms.tree_accuracy) for r in runs]
+        return fitted[0] if fitted else None  # bodies that attract each other are one group
 
     def frames_at(self, times: Floats, is_frame: Bools) -> tuple[Frames, Entries, RunError | None]:
         """States at ascending times, not before those asked for earlier, and their ledger.
@@ -317,7 +332,14 @@ def advance(
         raise RunError(str(problem)) from None
     finally:
         recorder.finish()
-    return Outcome(run.ledger.drift(), tuple(run.probes), recorder.file, run.flown(), run.swing())
+    return Outcome(
+        run.ledger.drift(),
+        tuple(run.probes),
+        recorder.file,
+        run.flown(),
+        run.swing(),
+        run.tree_error(),
+    )
 
 
 def _one_batch(

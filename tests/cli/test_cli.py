@@ -13,6 +13,7 @@ from pathlib import Path
 
 import h5py
 import pytest
+import tomlkit
 
 import particlerb
 from particlerb import cli
@@ -634,9 +635,30 @@ def test_contacts_beyond_their_limit_are_a_warning(monkeypatch, swing, warns):
     """The limit of `strang` is ω dt = 2."""
     from types import SimpleNamespace
 
-    from particlerb.cli.run import contact_warnings
+    from particlerb.cli.run import run_warnings
 
     monkeypatch.setattr("particlerb.cli.run.stable_turn", lambda plan: 2.0)
-    told = contact_warnings(SimpleNamespace(plan=None), SimpleNamespace(swing=swing))
+    told = run_warnings(SimpleNamespace(plan=None), SimpleNamespace(swing=swing, tree=None))
     assert bool(told) == warns
     assert all("ω dt = 2.5: above 2 " in text and "divide run.dt by 1.2" in text for text in told)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(("factor", "warns"), [(1.0, False), (30.0, True)])
+def test_what_the_tree_errs_is_told(make, tmp_path, capsys, monkeypatch, factor, warns):
+    """The angle is fitted at the start; what frames err later may be more than was asked for."""
+    from particlerb.simulation import group_run
+
+    before = group_run.sampled_error
+    monkeypatch.setattr(group_run, "sampled_error", lambda tree: factor * before(tree))
+    place = {"type": "random", "lower": [-3, -3, -3], "upper": [3, 3, 3]}
+    stars = make.body("s", count=70, place=place)
+    pull = {"G": 1e-3, "sum": "tree", "accuracy": 1e-4}
+    case = make.case(stars, attraction=pull, t_end=0.1, every=0.1, dt=0.1)
+    (tmp_path / "stars.toml").write_text(tomlkit.dumps(case))
+    assert main([str(tmp_path / "stars.toml"), "-o", str(tmp_path / "a.h5")]) == 0
+    said = capsys.readouterr()
+    assert "opening angle 0.316, where no scene errs by more than 0.0001, or wider" in said.out
+    assert re.search(r"opening angle 0\.[3-9]\d*, accelerations erred by .* of 0\.0001", said.out)
+    assert ("the scene has changed since" in said.err) == warns
+    assert ("attraction.opening_angle = 0." in said.err) == warns

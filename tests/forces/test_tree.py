@@ -10,7 +10,14 @@ from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity_tree.cells import grow, room_for_nodes
 from particlerb.forces.gravity_tree.lanes import LANES
 from particlerb.forces.gravity_tree.multipole import ORDER, indices
-from particlerb.forces.gravity_tree.tree import Tree, angle_for
+from particlerb.forces.gravity_tree.opening_angle import (
+    SAMPLE,
+    fitting_angle,
+    other_angle,
+    safe_angle,
+    sampled_error,
+)
+from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.maths.vec3 import Floats
 
 G = 0.7
@@ -103,7 +110,39 @@ def test_error_stays_below_what_was_asked(shape, counts):
     attraction, y = scene(shape, counts)
     exact, _ = direct(attraction, y)
     for accuracy in (1e-2, 1e-3, 1e-4, 1e-5):
-        assert error(attraction, loads(attraction, y, angle_for(accuracy)), exact) < accuracy
+        assert error(attraction, loads(attraction, y, safe_angle(accuracy)), exact) < accuracy
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("counts", MANY)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_fitted_angle_is_wider_and_keeps_to_what_was_asked(shape, counts):
+    """The sample has a third of the points, and takes close pairs for usual ones."""
+    attraction, y = scene(shape, counts)
+    exact, _ = direct(attraction, y)
+    for accuracy in (1e-3, 1e-4, 1e-5):
+        angle = fitting_angle(attraction, y, accuracy)
+        assert safe_angle(accuracy) < angle <= 1.0
+        assert error(attraction, loads(attraction, y, angle), exact) < accuracy
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("n", [300, 3000])
+def test_sampled_error_is_that_of_all(n):
+    """Softened, so that no pair hides the others; of few points all are in the sample."""
+    attraction, y = scene("ball", [1] * n, softening=0.01)
+    exact, _ = direct(attraction, y)
+    tree, load = Tree(attraction, 0.6), np.zeros((6, n))
+    tree.loads(y, load)
+    true = error(attraction, load, exact)
+    assert sampled_error(tree) == pytest.approx(true, rel=0.02 if n < SAMPLE else 0.2)
+
+
+def test_another_angle_follows_the_order():
+    """At half of what is asked for the angle stays about what it is."""
+    assert other_angle(0.5, 0.55e-4, 1e-4) == pytest.approx(0.5)
+    wider = other_angle(0.5, 0.55e-4 / 2 ** (ORDER + 1), 1e-4)
+    assert wider == pytest.approx(1.0)
 
 
 @pytest.mark.compiled
@@ -267,4 +306,4 @@ def test_indices_are_all_of_an_order():
 
 
 def test_angle_grows_with_the_accuracy_that_may_be_lost():
-    assert angle_for(1e-6) < angle_for(1e-4) < angle_for(1e-2) <= angle_for(1.0) == 1.0
+    assert safe_angle(1e-6) < safe_angle(1e-4) < safe_angle(1e-2) <= safe_angle(1.0) == 1.0

@@ -7,7 +7,6 @@ import particlerb
 from particlerb.record import schema
 from particlerb.record.trajectory import TrajectoryError
 
-
 OF_CONTACT = (*schema.CONTACT_FIELDS, *schema.WALLS, schema.CONTACTS)
 
 

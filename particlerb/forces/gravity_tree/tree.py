@@ -33,7 +33,7 @@ from particlerb.forces.gravity_tree.cells import (
     room_for_nodes,
 )
 from particlerb.forces.gravity_tree.lanes import LANES
-from particlerb.forces.gravity_tree.multipole import MOMENT, ORDER, ROWS, TERMS
+from particlerb.forces.gravity_tree.multipole import MOMENT, ROWS, TERMS
 from particlerb.forces.gravity_tree.walk import RANGES, Scratch, walk
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import aligned_zeros
@@ -42,15 +42,6 @@ _PIECES: Final = 64  # parts of the walk that are shared out
 _LEAST_PIECE: Final = 1024  # particles of a part: well above what its way from the root costs
 _POINT_WORK: Final = 32  # body-steps that a particle in the tree takes as long as
 BREAK_EVEN: Final = 8_000  # particles from which on it is faster than a direct sum, at 1e-4
-_WORST: Final = 0.1  # error of the worst scene over θ^{p+1}; measured by benchmarks/attraction.py
-
-
-def angle_for(accuracy: float) -> float:
-    """Opening angle θ [rad] for a relative error of the accelerations of bodies.
-
-    The error, √(Σ |Δa|²/Σ |a|²) over bodies, is WORST θ^{p+1} at most in all scenes measured.
-    """
-    return min(1.0, float(np.exp(np.log(accuracy / _WORST) / (ORDER + 1))))
 
 
 def _tree_of_each(arm: Floats, offset: Ints) -> tuple[Ints, list[Nodes]]:
@@ -93,7 +84,7 @@ class Tree:
             Particles; no two of different bodies at one place unless softened.
         angle : float [rad]
             θ: cells meet as a whole if both seen from the other's centre appear smaller; see
-            `angle_for`.
+            opening_angle.py.
         """
         self.kinds, self.angle, self.softening = _kinds_of(attraction), angle, attraction.softening
         n_bodies, n_points = attraction.offset.size - 1, attraction.mass.size
