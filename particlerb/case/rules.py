@@ -9,6 +9,7 @@ from typing import Any
 
 from particlerb.case.body_rules import body_rules, file_rules, held_rules, many_bodies, shapes
 from particlerb.case.forces import FORCES, ForceTable
+from particlerb.case.joints import joint_rules
 from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_WALLS
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import (
@@ -38,6 +39,8 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
             if isinstance(load, dict):
                 path = ("force", i, table.load_key, "table")
                 yield from file_rules(path, load.get("table"), files)
+    for i, joint in tables(raw, "joint"):
+        yield from joint_rules(("joint", i), joint, members(raw))
     yield from _attraction_rules(raw.get("attraction"), members(raw))
     yield from _contact_rules(raw)
     for i, body in tables(raw, "body"):
@@ -84,7 +87,7 @@ def within(path: Path, time: float | None, t_end: float) -> Iterator[Finding]:
 
 def names(raw: dict[str, Any]) -> Iterator[Finding]:
     """Bodies and walls have different names, and so have materials."""
-    for family in (("body", "wall"), ("material",)):
+    for family in (("body", "wall"), ("material",), ("joint",)):
         first: dict[str, str] = {}
         for kind in family:
             for i, table in tables(raw, kind):
@@ -102,6 +105,9 @@ def _references(raw: dict[str, Any]) -> Iterator[Finding]:
     for i, force in tables(raw, "force"):
         for key in (_table_of(force) or ForceTable).names_bodies:
             yield from reference(("force", i, key), force.get(key), counts)
+    for i, joint in tables(raw, "joint"):
+        for key in ("body", "to"):
+            yield from reference(("joint", i, key), joint.get(key), counts)
     if isinstance(raw.get("attraction"), dict):
         yield from reference(("attraction", "body"), raw["attraction"].get("body"), counts)
     for i, check in tables(raw.get("check"), "value"):

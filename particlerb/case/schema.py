@@ -13,6 +13,7 @@ from pydantic import Field, PrivateAttr, Strict
 from particlerb.case.bodies import Body
 from particlerb.case.contact import ContactTable, Material, Wall
 from particlerb.case.forces import AnyForce
+from particlerb.case.joints import JointTable
 from particlerb.case.output import ChartTable, Check, Output
 from particlerb.case.run import AttractionTable, Gravity, RunTable
 from particlerb.case.source import Source
@@ -33,6 +34,7 @@ class Case(Table):
     force: tuple[Annotated[AnyForce, Field(discriminator="type")], ...] = Field(
         (), description="What acts on them. [-]"
     )
+    joint: tuple[JointTable, ...] = Field((), description="What holds them together. [-]")
     contact: ContactTable | None = Field(None, description="How bodies touch; default: not. [-]")
     material: tuple[Material, ...] = Field((), description="Of bodies and walls. [-]")
     wall: tuple[Wall, ...] = Field((), description="Walls that bodies touch. [-]")

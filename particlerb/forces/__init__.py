@@ -14,7 +14,7 @@ from particlerb.contact.contact_model import GroupContact
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity import UniformGravity, parts_of_gravity
 from particlerb.forces.kernels import Acting
-from particlerb.forces.kinds import BODIES, CONTACT, VELOCITY, Kick
+from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, VELOCITY, Kick
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import (
     FIRST,
@@ -25,6 +25,7 @@ from particlerb.forces.registry import (
     TERMS,
     term_of,
 )
+from particlerb.joints.records import Joints
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.load import OTHER
@@ -40,11 +41,12 @@ class Terms(NamedTuple):
     opening_angle: float = 0.0  # of the tree that sums the attraction; 0: a direct sum
     tree_accuracy: float = 0.0  # for which the angle may be wider; 0: it may not
     contact: GroupContact | None = None
+    joints: Joints | None = None
 
     @property
     def is_coupled(self) -> bool:
         """Whether bodies act on each other."""
-        between = self.links, self.attraction, self.contact
+        between = self.links, self.attraction, self.contact, self.joints
         return any(term is not None for term in between)
 
 
@@ -141,6 +143,7 @@ def is_constant(terms: Terms) -> bool:
     if not has_potential(terms) or not all(kick.is_steady for kick, _ in _parts_of(terms)):
         return False
     reaches_out = terms.links is not None and bool((terms.links.second == WORLD).any())
+    reaches_out |= terms.joints is not None and terms.joints.reach_out
     return not reaches_out and not (terms.is_coupled and terms.loads)
 
 
@@ -167,6 +170,8 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         needs["attraction"] = frozenset({BODIES})
     if terms.contact is not None:
         needs["contact"] = frozenset({CONTACT})
+    if terms.joints is not None:
+        needs["joints"] = frozenset({JOINTS})
     return needs
 
 

@@ -43,6 +43,8 @@ class Method(NamedTuple):
     next step makes it, `open_kick` [s] long, together with its own first one."""
     coupled_step: Step | None = None
     """The same for bodies that act on each other, where that takes other stages."""
+    holds_joints: bool = False
+    """Whether it is for bodies that joints hold, and for no others."""
     has_dashpot_flows: bool = False
     """Whether dashpots between bodies are exact flows among the stages, and not loads."""
     rotor_constants: Callable[[Floats], Floats] | None = None

@@ -15,7 +15,9 @@ from particlerb.forces.attraction import Attraction, Work, attraction_loads
 from particlerb.forces.kernels import Acting, prepare_kick, set_time
 from particlerb.forces.links import Links, damp_links, link_loads
 from particlerb.forces.registry import PAIR
+from particlerb.integrators.joint_stages import drift_jointed, project_jointed
 from particlerb.integrators.kick import kick_body
+from particlerb.joints.records import Jointed
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import BOOKED, P, get, put
 from particlerb.model.load import LOAD_ROWS, POWER, STATE_ROWS
@@ -66,6 +68,7 @@ class MovingBodies(NamedTuple):
     rotors: RotorClasses
     pairs: PairTerms | None  # None: no body acts on another without touching it
     dashpots: Flag  # whether they act as flows
+    jointed: Jointed | None = None  # None: no joint holds them
 
 
 def stage(function: Function) -> Function:
@@ -244,6 +247,36 @@ def flow_dashpots(moving: MovingBodies, dt: float, backwards: bool) -> None:
     damp(moving.dashpots, moving.pairs, moving.blocks, moving.layout, dt, backwards)
 
 
+@inline
+def _drift_held(jointed: Jointed | None, books: Flag, blocks: Floats, dt: float) -> None:
+    """Do the work of `constrained_drift`, if there are joints."""
+    if jointed is None:
+        return
+    joints, work, block, lane = jointed
+    drift_jointed(books, joints, work, blocks, block, lane, dt)
+
+
+@kernel
+def constrained_drift(moving: MovingBodies, dt: float) -> None:
+    """Drift over dt with the impulses of joints that let it end where they hold."""
+    _drift_held(moving.jointed, moving.books, moving.blocks, dt)
+
+
+@inline
+def _project_held(jointed: Jointed | None, books: Flag, blocks: Floats) -> None:
+    """Do the work of `project`, if there are joints."""
+    if jointed is None:
+        return
+    joints, work, block, lane = jointed
+    project_jointed(books, joints, work, blocks, block, lane)
+
+
+@kernel
+def project(moving: MovingBodies) -> None:
+    """Take from the momenta what would break a joint."""
+    _project_held(moving.jointed, moving.books, moving.blocks)
+
+
 @kernel
 def close(moving: MovingBodies, first: int, last: int, open_kick: float) -> None:
     """Make the kick that the last step has left open."""
@@ -251,3 +284,4 @@ def close(moving: MovingBodies, first: int, last: int, open_kick: float) -> None
         flow_dashpots(moving, open_kick, True)
         loads(moving)
         kick(moving, first, last, open_kick)
+        project(moving)

@@ -8,6 +8,10 @@ from typing import Final
 METHOD_NAMES: Final = (
     "exact",
     "strang",
+    "rattle",
+    "rattle4",
+    "rattle6",
+    "rattle8",
     "rkn6",
     "dop853",
     "rk4",

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from particlerb.case.bodies import Body
     from particlerb.case.contact import AnyWall, ContactTable, Material
     from particlerb.case.forces import AnyForce
+    from particlerb.case.joints import JointTable
     from particlerb.case.output import ChartTable, Check, Output
     from particlerb.case.run import AttractionTable, Gravity, RunTable
     from particlerb.case.source import Source
@@ -39,6 +40,7 @@ class System(NamedTuple):
     body: tuple[Body, ...]
     """Records of bodies, each of which stands for `count` of them."""
     force: tuple[AnyForce, ...]
+    joint: tuple[JointTable, ...]
     gravity: Gravity | None
     attraction: AttractionTable | None
     contact: ContactTable | None

@@ -10,6 +10,7 @@ from particlerb.forces.gravity_tree.opening_angle import SAMPLE
 from particlerb.forces.kinds import TIME
 from particlerb.maths.vec3 import Ints
 from particlerb.model.system import System
+from particlerb.plan.joint_words import joint_line
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.rotors.rotor_class import NAMES
 from particlerb.stepping.closed_forms import lever_of
@@ -29,6 +30,7 @@ def describe(system: System, plan: Plan, accuracy: str = "") -> str:
         ("gravity", _gravity_line(system)),
         ("attraction", _attraction_line(system, plan)),
         *((kind, _force_line(system, kind)) for kind in FORCES),
+        *([("joints", joint_line(system, plan))] if system.joint else []),
         ("contact", _contact_line(system, plan)),
         ("step", plan.step),
         *([("accuracy", accuracy)] if accuracy else []),
@@ -143,6 +145,7 @@ def _balance_line(plan: Plan) -> str:
 
 def group_name(system: System, index: Ints) -> str:
     """Which bodies these are: names of a few, ranges of many."""
+    index = np.sort(index)
     if index.size <= 2:
         return ", ".join(system.names[int(b)] for b in index)
     breaks = np.flatnonzero(np.diff(index) > 1)
@@ -203,4 +206,6 @@ def _driving(terms: Terms) -> str:
         between.append("attraction")
     if terms.contact is not None:
         between.append("contact")
+    if terms.joints is not None:
+        between.append(f"{terms.joints.number.size} joints")
     return f"coupled by {' and '.join(between)}{outside and f', {outside}'}"

@@ -32,6 +32,7 @@ from particlerb.model.state import rotate_back
 from particlerb.model.system import System
 from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce
 from particlerb.plan.contact_setup import ContactSetup
+from particlerb.plan.joints import JointSetup
 from particlerb.plan.links import Link, attracted, components, particles_of, tree_accuracy
 from particlerb.rotors.rotor_class import ASYMMETRIC
 
@@ -47,6 +48,7 @@ class BodyGroup(NamedTuple):
     links: list[Link]  # among them, with numbers of the system
     attracts: bool  # whether they attract each other
     touches: bool  # whether they touch
+    joints: JointSetup | None = None  # of the system, if any are among them
 
 
 def groups_of(
@@ -54,24 +56,28 @@ def groups_of(
     loads: Sequence[ResolvedForce],
     links: Sequence[Link],
     touching: ContactSetup | None,
+    joints: JointSetup | None = None,
 ) -> list[BodyGroup]:
     """Groups of a system, in the order of their first bodies."""
     heavy = attracted(system)
     solid = np.zeros(0, dtype=np.int64) if touching is None else touching.body
-    ends = [end[end != WORLD] for link in links for end in (link.first, link.second)]
+    ties: list[Link | JointSetup] = [*links, *([] if joints is None else [joints])]
+    ends = [end[end != WORLD] for tie in ties for end in (tie.first, tie.second)]
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
     groups = [
         BodyGroup(members, forces, [], False, False)
         for members, forces in _groups_alone(system, loads, bound)
     ]
-    label = components(len(system.kind), list(links), heavy, solid)
-    for members in clusters(system, loads, links, label, bound):
+    label = components(len(system.kind), ties, heavy, solid)
+    for members in clusters(system, loads, links, label, bound, joints):
         own = np.zeros(len(system.kind), dtype=bool)
         own[members] = True
         inside = [within(link, own) for link in links if own[link.first].any()]
         attracts = bool(heavy.size) and bool(own[heavy[0]])
         touches = bool(solid.size) and bool(own[solid[0]])
-        groups.append(BodyGroup(members, _aligned(loads, members), inside, attracts, touches))
+        held = joints if joints is not None and own[joints.first].any() else None
+        forces = _aligned(loads, members)
+        groups.append(BodyGroup(members, forces, inside, attracts, touches, held))
     return sorted(groups, key=lambda group: int(group.members.min()))
 
 
@@ -110,7 +116,12 @@ def _groups_alone(
 
 
 def clusters(
-    system: System, loads: Sequence[ResolvedForce], links: Sequence[Link], label: Ints, bound: Ints
+    system: System,
+    loads: Sequence[ResolvedForce],
+    links: Sequence[Link],
+    label: Ints,
+    bound: Ints,
+    joints: JointSetup | None = None,
 ) -> list[Ints]:
     """Bodies of each group of clusters that are copies of each other; asymmetric ones first."""
     if not bound.size:
@@ -125,6 +136,9 @@ def clusters(
         found, count = np.unique(label[link.first], return_counts=True)
         for one, springs in zip(found.tolist(), count.tolist(), strict=True):
             signs[one].append((link.number, springs))
+    if joints is not None:
+        for one, number in zip(label[joints.first].tolist(), joints.record.tolist(), strict=True):
+            signs[one].append(("joint", number))
     for load in loads:
         found = np.unique(label[load.members[np.isin(load.members, bound)]])
         for one in found.tolist():
@@ -189,6 +203,8 @@ def terms_between(
         terms = terms._replace(attraction=attraction, opening_angle=angle, tree_accuracy=accuracy)
     if group.touches and touching is not None:
         terms = terms._replace(contact=_contact_among(system, group.members, bodies, touching))
+    if group.joints is not None:
+        terms = terms._replace(joints=group.joints.within(group.members, bodies))
     return terms
 
 

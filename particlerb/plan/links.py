@@ -5,8 +5,8 @@
 come from a grid of cells, so that time and memory grow with the pairs and not with their square.
 """
 
-from collections.abc import Iterator
-from typing import Final, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -287,14 +287,16 @@ def particles_of(system: System, bodies: Ints) -> tuple[Ints, Ints]:
 # Who belongs together
 
 
-def components(n_bodies: int, links: list[Link], attracted: Ints, touching: Ints = _NOBODY) -> Ints:
+def components(
+    n_bodies: int, links: Sequence[Any], attracted: Ints, touching: Ints = _NOBODY
+) -> Ints:
     """Label of each body, (n_bodies,): the first body of all those that forces between tie to it.
 
     Parameters
     ----------
     n_bodies : int
         Of the system.
-    links : list of Link
+    links : sequence of records with `first` and `second`
         Ends in the world tie nothing.
     attracted : ndarray, shape (k,)
         Bodies that attract each other.

@@ -13,6 +13,7 @@ from particlerb.model.system import System
 from particlerb.plan.case_forces import impossible, loads_of
 from particlerb.plan.contact_setup import contact_of
 from particlerb.plan.groups import groups_of
+from particlerb.plan.joints import joints_of
 from particlerb.plan.links import coincident, links_of
 from particlerb.plan.segments import GroupPlan, Plan, cut_into_segments, refuse_method
 from particlerb.plan.stability import refuse_unstable
@@ -47,8 +48,8 @@ def make_plan(system: System) -> Plan:
     problems = impossible(system, loads) + coincident(system)
     if problems:
         raise CaseError(problems)
-    touching = contact_of(system)
-    grouped = groups_of(system, loads, links, touching)
+    touching, joints = contact_of(system), joints_of(system)
+    grouped = groups_of(system, loads, links, touching, joints)
     cut = [part for group in grouped for part in cut_into_segments(system, group, touching)]
     cut.sort(key=lambda group: int(group.members.min()))
     refuse_method(system, cut)

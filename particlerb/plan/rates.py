@@ -14,7 +14,9 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import State, lengths, omega_world
 from particlerb.model.system import System
+from particlerb.plan.joint_words import joint_rates
 from particlerb.plan.segments import GroupPlan, Segment
+from particlerb.stepping.motion import force_of
 
 _MOST_LOOKED_AT: Final = 2000  # bodies whose nearest neighbours are looked for
 
@@ -45,6 +47,9 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
         swing = np.maximum(swing, np.sqrt(squares))
         if links is not None:
             swing = np.maximum(swing, link_rates(links))
+        if segment.terms.joints is not None:
+            _, force = force_of(group.group(segment))
+            swing = np.maximum(swing, joint_rates(segment.terms.joints, bodies, state, force))
         if attraction is not None:
             swing = np.maximum(swing, _attraction_rates(attraction, state.com))
         if segment.terms.contact is not None:

@@ -132,9 +132,12 @@ def _chosen_method(named: str, bodies: Bodies, terms: Terms) -> tuple[str, Bools
 
     A named method steps whatever rotates, `auto` does not.
     """
+    if terms.joints is None and named != "auto" and METHODS[named].holds_joints:
+        named = "auto"
     if named in ("auto", "exact"):
         is_closed = has_closed_form(bodies, terms)
-        return "exact" if is_closed.all() or named == "exact" else "strang", is_closed
+        stepped = "strang" if terms.joints is None else "rattle"
+        return "exact" if is_closed.all() or named == "exact" else stepped, is_closed
     rotates = bool((bodies.rotor_class != POINT).any())
     is_stepped = rotates or not accepts("exact", terms)
     return named if is_stepped else "exact", np.zeros(bodies.mass.size, dtype=bool)
@@ -142,6 +145,10 @@ def _chosen_method(named: str, bodies: Bodies, terms: Terms) -> tuple[str, Bools
 
 def refuse_method(system: System, groups: list[GroupPlan]) -> None:
     """Raise CaseError where a method was asked for and a force acts that it does not accept."""
+    named = system.run.method
+    if named != "auto" and METHODS[named].holds_joints and not system.joint:
+        reason = f"{named} is for bodies that joints hold, and the case has no [[joint]]"
+        raise CaseError([problem_at(system, "run.method", reason, 'use "strang"')])
     for group in groups:
         for segment in group.segments:
             refused = _refused_terms(segment.method, segment.terms)

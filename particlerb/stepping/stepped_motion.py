@@ -12,6 +12,7 @@ from particlerb.forces import Terms, acting_of, row_count, rows_of_terms
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.method import Method
 from particlerb.integrators.stages import Layout, MovingBodies, RotorClasses
+from particlerb.joints.records import Jointed, room_for_joints
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.block import (
     BOOKED,
@@ -70,6 +71,7 @@ class SteppedMotion:
         self.method, self.group, self.start, self.dt = method, group, start, dt
         terms, n = group.terms, group.members.size
         self.forces = _pairs_of(method, terms, n)
+        self.is_coupled = self.forces is not None or terms.joints is not None
         is_asymmetric = group.bodies.rotor_class == ASYMMETRIC
         has_own_blocks = terms.is_coupled or method.rotor_constants is not None
         self.layout = _layout_of(is_asymmetric & has_own_blocks)
@@ -100,6 +102,7 @@ class SteppedMotion:
             rotors,
             None if self.forces is None else self.forces.pairs,
             flag(has_dashpots and method.has_dashpot_flows),
+            self.jointed(),
         )
         self.cost = method.cost * n  # [ns] of a step, roughly
         self.cost += 0.0 if self.forces is None else method.evaluations * self.forces.cost
@@ -109,6 +112,23 @@ class SteppedMotion:
         spaced = np.zeros((len(values), len(self.layout.first) * BLOCK))
         spaced[:, self.slots] = values
         return spaced
+
+    def jointed(self) -> Jointed | None:
+        """Joints with room to work in; None where there are none."""
+        joints = self.group.terms.joints
+        if joints is None:
+            return None
+        slots = self.slots[joints.order]
+        return Jointed(joints, room_for_joints(joints), slots // BLOCK, slots % BLOCK)
+
+    def lost_joints(self) -> list[int]:
+        """Joints of the system that no impulse keeps any more."""
+        if self.moving.jointed is None:
+            return []
+        joints, work = self.moving.jointed.joints, self.moving.jointed.work
+        rows = work.lost[work.lost > 0] - 1
+        which = np.searchsorted(joints.program.start, rows, side="right") - 1
+        return [int(number) for number in joints.number[which]]
 
     def values(self, at: int, count: int) -> Floats:
         """Some rows of all bodies, (count, n)."""
@@ -155,11 +175,11 @@ class SteppedMotion:
         """Go through a schedule."""
         n, n_blocks = self.group.members.size, len(self.blocks)
         arguments = self.moving, schedule, recording, self.saved
-        if self.forces is None:
+        if not self.is_coupled:
             apart = partial(compiled_loop(self.method, False), *arguments, 1)
             stops = int(schedule.steps.sum()) + schedule.steps.size
             THREADS.share(apart, n_blocks, n * stops)
-        elif self.forces.is_large:
+        elif self.forces is not None and self.forces.is_large:
             loop_over_threads(self.method, self.forces)(*arguments, n_blocks, 0, n_blocks)
         else:
             loop = compiled_loop(self.method, True)

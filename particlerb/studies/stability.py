@@ -19,7 +19,7 @@ import numpy as np
 from particlerb.compiled.threads import THREADS
 from particlerb.forces import Terms
 from particlerb.forces.spring import Spring
-from particlerb.integrators import METHODS
+from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.studies.stability_limits import LIMITS, Limit, limits_of, tops
 from particlerb.studies.stability_runs import (
@@ -205,7 +205,7 @@ def stability(
     Parameters
     ----------
     methods : sequence of str
-        Keys of METHODS; none: all of them.
+        Keys of METHODS; none: all but those for joints.
     budget : float [s]
         The columns of the maps are in proportion to it, the rest is not. With the default, all
         methods take less than this on two cores, and compiling them once up to a minute more.
@@ -224,7 +224,7 @@ def stability(
     tasks = _tasks_of(methods, budget, turns)
     done = dict(zip(tasks, _in_parallel(list(tasks.values()), progress), strict=True))
     maps: list[Map] = []
-    for method in chosen_names(methods, tuple(METHODS), "method"):
+    for method in chosen_names(methods, UNJOINTED, "method"):
         rows = [value for key, value in done.items() if key[:2] == ("row", method)]
         maps += _maps_of(method, _columns_of(method, budget), rows)
     limits = [one for key, value in done.items() if key[0] == "limits" for one in value]
@@ -236,7 +236,7 @@ def _tasks_of(
     methods: Sequence[str], budget: float = _BUDGET, turns: float = TURNS
 ) -> dict[_Key, Callable[[], Any]]:
     """What there is to do, the longest first."""
-    names = chosen_names(methods, tuple(METHODS), "method")
+    names = chosen_names(methods, UNJOINTED, "method")
     stepped = [name for name in names if name in LIMITS]
     tasks: dict[_Key, Callable[[], Any]] = {
         ("drift", name, motion): partial(drift_of, name, motion, _LONGER * turns)

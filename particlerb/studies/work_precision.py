@@ -20,8 +20,9 @@ import numpy as np
 
 from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
+from particlerb.case.source import problem_at
 from particlerb.compiled.threads import THREADS
-from particlerb.integrators import METHODS
+from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, as_frame, omega_world
 from particlerb.model.system import System
@@ -146,7 +147,7 @@ def chart(
     ValueError
         If there is no such method or peer.
     """
-    names = chosen_names(methods, tuple(METHODS), "method")
+    names = chosen_names(methods, UNJOINTED, "method")
     rivals = engines(peers)
     with THREADS.using(1):
         study = Study(system, budget)
@@ -169,13 +170,15 @@ def chart(
 
 def curve_count(methods: Sequence[str], peers: Sequence[str]) -> int:
     """Curves that a chart will have, for a progress bar."""
-    return len(methods or METHODS) + sum(len(engine.variants) for engine in engines(peers))
+    return len(methods or UNJOINTED) + sum(len(engine.variants) for engine in engines(peers))
 
 
 class Study:
     """A system with its reference, ready to be measured."""
 
     def __init__(self, system: System, budget: float) -> None:
+        if system.joint:
+            raise CaseError([problem_at(system, "joint", "a chart cannot judge joints yet")])
         self.system = remove_overlaps(system)
         self.t_end = system.run.t_end
         auto = self.plan("auto")

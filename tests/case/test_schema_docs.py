@@ -34,6 +34,8 @@ HEADINGS = {
     **{f"shape: {name}": model.__name__ for name, model in SHAPES.items()},
     **{f"force: {name}": model.__name__ for name, model in FORCES.items()},
     "force, torque = { table = .. }": "TimedLoad",
+    "[[joint]]": "JointTable",
+    "at, axis of a joint = { body = [..] }": "InFrame",
     "[contact]": "ContactTable",
     "[[contact.pair]]": "Pair",
     "[[material]]": "Material",

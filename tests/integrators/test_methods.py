@@ -9,14 +9,14 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.compiled.threads import BLOCK
 from particlerb.forces.kinds import VELOCITY
-from particlerb.integrators import METHODS
+from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.simulation.run import RunError
 from particlerb.stepping import stepped_motion
 from particlerb.stepping.loop import grid_position
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 STATE = ("position", "orientation", "linear_momentum", "angular_momentum")
-STEPPED = [name for name in METHODS if name != "exact"]  # by steps, fixed or not
+STEPPED = [name for name in UNJOINTED if name != "exact"]  # by steps, fixed or not
 ON_GRID = [name for name in STEPPED if not METHODS[name].is_adaptive]
 MASS, TENSOR = 2.0, np.diag([1.0, 2.0, 2.5])
 START = {

@@ -13,7 +13,7 @@ from scipy.integrate._ivp import dop853_coefficients as hairer
 from scipy.spatial.transform import Rotation
 
 from particlerb.case.to_system import to_system
-from particlerb.integrators import METHODS
+from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.simulation.run import prepare
 from particlerb.stepping.begin import begin
 
@@ -261,7 +261,7 @@ TURNS = {
 }
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", UNJOINTED)
 @pytest.mark.parametrize("turn", TURNS)
 def test_turning_the_axes_of_a_body_changes_rounding_alone(make, method, turn):
     """The same matter, described in other axes: v = T v' of vectors of the body."""

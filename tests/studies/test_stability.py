@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from particlerb.integrators import METHODS
+from particlerb.integrators import UNJOINTED
 from particlerb.integrators.rkn6 import DRIFTS, KICKS
 from particlerb.model.state import kinetic_energy
 from particlerb.studies import stability as studied
@@ -365,7 +365,7 @@ def test_progress_comes_as_often_as_said(monkeypatch):
     calls: list[int] = []
     stability(["exact"], budget=1.0, progress=calls.append, turns=10.0)
     assert sum(calls) == n_tasks(["exact"]) == 1
-    assert n_tasks() == sum(n_tasks([name]) for name in METHODS)
+    assert n_tasks() == sum(n_tasks([name]) for name in UNJOINTED)
 
 
 @pytest.mark.parametrize(

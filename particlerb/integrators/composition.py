@@ -1,0 +1,55 @@
+"""Compositions of `rattle`: the same step several times, forth and back, of a higher order.
+
+A symmetric method of order 2 with the lengths γ₁ h, ..., γₛ h, a palindrome of sum 1, has order 4,
+6 or 8. Some γ are negative: forces without a potential have no sense there. The kick between two
+stages is one kick.
+
+Source: Suzuki, Phys. Lett. A 146, 319 (1990); Kahan and Li, Math. Comput. 66, 1089 (1997);
+Hairer, Lubich, Wanner, Geometric Numerical Integration, V.3.2.
+"""
+
+from collections.abc import Sequence
+from types import FunctionType
+from typing import Final
+
+from particlerb.compiled.jit import splice
+from particlerb.forces.kinds import BODIES, JOINTS, POSE
+from particlerb.integrators.method import Method, Step
+from particlerb.integrators.rattle import METHOD
+from particlerb.integrators.stages import MovingBodies, constrained_drift, kick, loads
+
+WEIGHTS: Final = (1.0,)  # stands for those of a method
+
+
+def _coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+    """Stages of a step."""
+    for k in range(len(WEIGHTS)):
+        h = WEIGHTS[k] * dt
+        loads(moving)
+        kick(moving, first, last, 0.5 * h + open_kick)
+        constrained_drift(moving, h)
+        open_kick = 0.5 * h
+
+
+def _with_weights(function: Step, weights: tuple[float, ...]) -> Step:
+    """A step with weights of its own."""
+    assert isinstance(function, FunctionType)
+    names = function.__globals__ | {"WEIGHTS": weights}
+    return splice(FunctionType(function.__code__, names, function.__name__))
+
+
+def composed(name: str, order: int, first: Sequence[float]) -> Method:
+    """Composition whose weights begin so, up to the middle one, which follows from the sum."""
+    weights = (*first, 1.0 - 2.0 * sum(first), *reversed(first))
+    return METHOD._replace(
+        name=name,
+        summary=f"order {order}, symplectic; {len(weights)} stages of rattle; forces of the pose",
+        order=order,
+        free_order=order,
+        accepts=frozenset({POSE, BODIES, JOINTS}),
+        cost=METHOD.cost * len(weights),
+        evaluations=len(weights),
+        stability_limit=2.0 / max(abs(weight) for weight in weights),
+        closing_kick=0.5 * weights[-1],
+        coupled_step=_with_weights(_coupled_step, weights),
+    )

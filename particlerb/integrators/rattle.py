@@ -1,0 +1,41 @@
+"""RATTLE, kick - constrained drift - kick: bodies that joints hold together.
+
+Order 2, symmetric, symplectic where the forces have a potential. The drift is that of `strang`,
+repeated until it ends where the joints hold (joints/solver.py). The momenta are projected in frames
+alone: the impulse that this takes is a part of the one of the next drift, in the same direction.
+
+Source: Andersen, J. Comput. Phys. 52, 24 (1983); Reich, SIAM J. Numer. Anal. 33, 475 (1996).
+"""
+
+from typing import Final
+
+from particlerb.compiled.jit import splice
+from particlerb.forces.kinds import BODIES, JOINTS, POSE, TIME
+from particlerb.integrators.method import Method
+from particlerb.integrators.stages import MovingBodies, constrained_drift, kick, loads
+from particlerb.integrators.strang import CLOSING_KICK
+
+
+@splice
+def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+    """Kick, constrained drift; the kick of dt/2 that belongs to the end stays open."""
+    loads(moving)
+    kick(moving, first, last, CLOSING_KICK * dt + open_kick)
+    constrained_drift(moving, dt)
+
+
+METHOD: Final = Method(
+    name="rattle",
+    summary="order 2, symplectic; strang with joints; forces with a potential",
+    order=2,
+    free_order=2,
+    accepts=frozenset({POSE, TIME, BODIES, JOINTS}),
+    cost=1500.0,
+    evaluations=1,
+    keeps_rods=True,
+    stability_limit=2.0,
+    max_turn=0.5,
+    closing_kick=CLOSING_KICK,
+    coupled_step=coupled_step,
+    holds_joints=True,
+)

@@ -1,0 +1,7 @@
+"""RATTLE of order 4, five stages of Suzuki."""
+
+from typing import Final
+
+from particlerb.integrators.composition import composed
+
+METHOD: Final = composed("rattle4", 4, (1.0 / (4.0 - 4.0 ** (1.0 / 3.0)),) * 2)

@@ -1,0 +1,275 @@
+"""Sparse block Cholesky factors of A = G M⁻¹ Gᵀ, one block of rows for each joint.
+
+Two joints couple where they share a body that moves. The order of the joints (minimum degree) and
+the list of block operations are made once, as integers; the kernels run that list, so that any
+topology has the same code and the same bits always. Chains and trees have two blocks a joint. A
+pivot below a share of its diagonal means that the row depends on those before it: its column is
+left out of this factor.
+"""
+
+import heapq
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from particlerb.compiled.jit import inline, kernel
+from particlerb.joints.records import Joints, Program, Work
+from particlerb.joints.rows import vector
+from particlerb.maths.vec3 import Bools, Floats, Ints, dot
+
+
+class _Elimination(NamedTuple):
+    """Joints in the order in which they are eliminated, and those that each leaves coupled."""
+
+    order: list[int]
+    coupled: list[list[int]]
+
+
+def _eliminated(near: list[set[int]]) -> _Elimination:
+    """Elimination of joints of which these are near each other, fewest neighbours first."""
+    heap = [(len(own), k) for k, own in enumerate(near)]
+    heapq.heapify(heap)
+    left, found = set(range(len(near))), _Elimination([], [])
+    while heap:
+        degree, k = heapq.heappop(heap)
+        if k not in left or degree != len(near[k]):
+            continue
+        left.remove(k)
+        found.order.append(k)
+        found.coupled.append(sorted(near[k]))
+        for i in near[k]:
+            near[i] |= near[k]
+            near[i] -= {i, k}
+            heapq.heappush(heap, (len(near[i]), i))
+    return found
+
+
+def _neighbours(a: Ints, b: Ints, moves: Bools) -> list[set[int]]:
+    """Joints that share a body that moves with each joint."""
+    at: defaultdict[int, list[int]] = defaultdict(list)
+    for j, ends in enumerate(zip(a.tolist(), b.tolist(), strict=True)):
+        for body in ends:
+            if moves[body]:
+                at[body].append(j)
+    near: list[set[int]] = [set() for _ in range(a.size)]
+    for own in at.values():
+        for j in own:
+            near[j].update(own)
+    for j, others in enumerate(near):
+        others.discard(j)
+    return near
+
+
+def program_of(a: Ints, b: Ints, start: Ints, inv_mass: Floats) -> Program:
+    """Program for joints of one cluster.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (j,)
+        Bodies of each joint.
+    start : ndarray, shape (j + 1,)
+        First row of each joint.
+    inv_mass : ndarray, shape (n + 1,) [1/kg]
+    """
+    moves = inv_mass > 0.0
+    found = _eliminated(_neighbours(a, b, moves))
+    place = np.empty(a.size, dtype=np.int64)
+    place[found.order] = np.arange(a.size)
+    pairs = [(j, j) for j in range(a.size)]
+    known = {pair: k for k, pair in enumerate(pairs)}
+
+    def block(i: int, j: int) -> int:
+        """Number of the block of two joints, the later one first."""
+        pair = (i, j) if place[i] >= place[j] else (j, i)
+        if pair not in known:
+            known[pair] = len(pairs)
+            pairs.append(pair)
+        return known[pair]
+
+    column, update = [0], [0]
+    below: list[int] = []
+    below_joint: list[int] = []
+    updates: list[tuple[int, ...]] = []
+    rows = np.diff(start).tolist()
+    for k, coupled in zip(found.order, found.coupled, strict=True):
+        coupled.sort(key=lambda j: int(place[j]))
+        below += [block(i, k) for i in coupled]
+        below_joint += coupled
+        for n, i in enumerate(coupled):
+            updates += [
+                (block(i, k), block(j, k), block(i, j), rows[i], rows[j]) for j in coupled[: n + 1]
+            ]
+        column.append(len(below))
+        update.append(len(updates))
+    pair = _ints(pairs).reshape(-1, 2)
+    shares, mass = _shared(a, b, pair, inv_mass)
+    return Program(
+        start,
+        pair,
+        shares,
+        mass,
+        _ints(found.order),
+        _ints(column),
+        _ints(below),
+        _ints(below_joint),
+        _ints(update),
+        _ints(updates).reshape(-1, 5),
+    )
+
+
+def _ints(values: Sequence[Any]) -> Ints:
+    """Numbers as an array."""
+    return np.array(values, dtype=np.int64)
+
+
+def _shared(a: Ints, b: Ints, pair: Ints, inv_mass: Floats) -> tuple[Bools, Floats]:
+    """Which bodies the joints of each block share, and the sum of their signed 1/m."""
+    i, j = pair.T
+    ends = ((a, a, 1.0), (a, b, -1.0), (b, a, -1.0), (b, b, 1.0))
+    mass = np.zeros(len(pair))
+    shares = np.zeros((len(pair), 4), dtype=np.bool_)
+    for k, (of_i, of_j, sign) in enumerate(ends):
+        same = of_i[i] == of_j[j]
+        weight = np.where(same, inv_mass[of_i[i]], 0.0)
+        shares[:, k] = weight > 0.0
+        mass += sign * weight
+    return shares, mass
+
+
+@kernel
+def assemble(joints: Joints, work: Work, lo: int, hi: int) -> None:
+    """A = G M⁻¹ Gᵀ in blocks lo to hi, and its diagonal."""
+    start, pair, shares, mass = (
+        joints.program.start,
+        joints.program.pair,
+        joints.program.shares,
+        joints.program.mass,
+    )
+    gradient, factor = work.gradient, work.factor
+    for k in range(lo, hi):
+        i, j = pair[k, 0], pair[k, 1]
+        m = mass[k]
+        for r in range(start[i], start[i + 1]):
+            by_x, by_a, by_b = (
+                vector(gradient, r, 0),
+                vector(gradient, r, 3),
+                vector(gradient, r, 6),
+            )
+            for s in range(start[j], start[j + 1]):
+                v = m * dot(by_x, vector(gradient, s, 0))
+                if shares[k, 0]:
+                    v += dot(by_a, vector(gradient, s, 9))
+                if shares[k, 1]:
+                    v += dot(by_a, vector(gradient, s, 12))
+                if shares[k, 2]:
+                    v += dot(by_b, vector(gradient, s, 9))
+                if shares[k, 3]:
+                    v += dot(by_b, vector(gradient, s, 12))
+                factor[k, r - start[i], s - start[j]] = v
+            if i == j:
+                work.scale[r] = factor[k, r - start[i], r - start[i]]
+
+
+@inline
+def _factorise_diagonal(factor: Floats, k: int, n: int, smallest: float, scale: Floats) -> None:
+    """Cholesky factor of a block; 0 in place of 1/diagonal where a pivot is too small."""
+    for c in range(n):
+        v = factor[k, c, c]
+        for i in range(c):
+            v -= factor[k, c, i] * factor[k, c, i]
+        f = 1.0 / math.sqrt(v) if v > smallest * scale[c] else 0.0
+        factor[k, c, c] = f
+        for r in range(c + 1, n):
+            v = factor[k, r, c]
+            for i in range(c):
+                v -= factor[k, r, i] * factor[k, c, i]
+            factor[k, r, c] = v * f
+
+
+@inline
+def _factorise_below(factor: Floats, k: int, n: int, at: int, rows: int) -> None:
+    """A block below the diagonal block k, over its factor."""
+    for r in range(rows):
+        for c in range(n):
+            v = factor[at, r, c]
+            for i in range(c):
+                v -= factor[at, r, i] * factor[k, c, i]
+            factor[at, r, c] = v * factor[k, c, c]
+
+
+@inline
+def _update(factor: Floats, updates: Ints, q: int, n: int) -> None:
+    """Target -= block blockᵀ."""
+    one, other, target = updates[q, 0], updates[q, 1], updates[q, 2]
+    for r in range(updates[q, 3]):
+        for c in range(updates[q, 4]):
+            v = factor[target, r, c]
+            for i in range(n):
+                v -= factor[one, r, i] * factor[other, c, i]
+            factor[target, r, c] = v
+
+
+@kernel
+def factorise(joints: Joints, work: Work, lo: int, hi: int, smallest_pivot: float) -> None:
+    """Factors in place, of joints eliminated from lo to hi: 1/diagonal, and what is below it."""
+    program, factor = joints.program, work.factor
+    start = program.start
+    for e in range(lo, hi):
+        k = program.order[e]
+        n = start[k + 1] - start[k]
+        _factorise_diagonal(factor, k, n, smallest_pivot, work.scale[start[k] : start[k + 1]])
+        for q in range(program.column[e], program.column[e + 1]):
+            i = program.below_joint[q]
+            _factorise_below(factor, k, n, program.below[q], start[i + 1] - start[i])
+        for q in range(program.update[e], program.update[e + 1]):
+            _update(factor, program.updates, q, n)
+
+
+@inline
+def _solve_down(factor: Floats, k: int, at: int, n: int, z: Floats) -> None:
+    """Forward substitution with the diagonal block k, whose rows begin at `at`."""
+    for r in range(n):
+        v = z[at + r]
+        for c in range(r):
+            v -= factor[k, r, c] * z[at + c]
+        z[at + r] = v * factor[k, r, r]
+
+
+@inline
+def _solve_up(factor: Floats, k: int, at: int, n: int, z: Floats) -> None:
+    """Back substitution with it."""
+    for r in range(n - 1, -1, -1):
+        v = z[at + r]
+        for c in range(r + 1, n):
+            v -= factor[k, c, r] * z[at + c]
+        z[at + r] = v * factor[k, r, r]
+
+
+@kernel
+def solve(joints: Joints, work: Work, lo: int, hi: int) -> None:
+    """z <- A⁻¹ z, of joints eliminated from lo to hi."""
+    program, factor, z = joints.program, work.factor, work.z
+    start = program.start
+    for e in range(lo, hi):
+        k = program.order[e]
+        at, n = start[k], start[k + 1] - start[k]
+        _solve_down(factor, k, at, n, z)
+        for q in range(program.column[e], program.column[e + 1]):
+            i, block = program.below_joint[q], program.below[q]
+            for r in range(start[i + 1] - start[i]):
+                v = z[start[i] + r]
+                for c in range(n):
+                    v -= factor[block, r, c] * z[at + c]
+                z[start[i] + r] = v
+    for e in range(hi - 1, lo - 1, -1):
+        k = program.order[e]
+        at, n = start[k], start[k + 1] - start[k]
+        for q in range(program.column[e], program.column[e + 1]):
+            i, block = program.below_joint[q], program.below[q]
+            for r in range(start[i + 1] - start[i]):
+                for c in range(n):
+                    z[at + c] -= factor[block, r, c] * z[start[i] + r]
+        _solve_up(factor, k, at, n, z)

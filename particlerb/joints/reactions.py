@@ -1,0 +1,109 @@
+"""What joints carry: multipliers λ of A λ = -(G M⁻¹ (F, τ - ω × L) + convective part of g̈).
+
+They follow from the state alone. Where rows depend on others, only sums are determined; of all
+solutions the one of least norm is taken, torques divided by the size of the joint.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from particlerb.compiled.jit import kernel
+from particlerb.joints.block_cholesky import solve
+from particlerb.joints.records import DOT, Joints, Work
+from particlerb.joints.rows import accelerations
+from particlerb.joints.solver import factorise_cluster
+from particlerb.maths.vec3 import Floats
+
+_DEPENDENT: Final = 1e-10  # singular values over the largest
+
+
+@kernel
+def find_multipliers(joints: Joints, work: Work, load: Floats) -> None:
+    """z = λ [N, of DOT N m] of all rows in the state y under loads (n + 1, 6), force and torque."""
+    clusters, start = joints.clusters, joints.program.start
+    for c in range(clusters.body.size - 1):
+        first, last = clusters.joint[c], clusters.joint[c + 1]
+        factorise_cluster(joints, work, c)
+        accelerations(joints, work, start[first], start[last], load)
+        solve(joints, work, first, last)
+
+
+def weighted_gradient(joints: Joints, work: Work, c: int) -> Floats:
+    """G M⁻¹ᐟ² of cluster c in the pose of its gradients, (rows, 6 bodies).
+
+    Torque rows are divided by the size of their joint.
+    """
+    body = joints.clusters.body[c : c + 2]
+    lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
+    n, rows = body[1] - body[0], joints.rows
+    weighted = np.zeros((hi - lo, n + 1, 6))
+    index = np.arange(hi - lo)
+    for end, sign, at in ((rows.a[lo:hi], 1.0, 3), (rows.b[lo:hi], -1.0, 6)):
+        own = np.minimum(end - body[0], n)
+        q = work.y[end, 3:7]
+        weighted[index, own, :3] = sign * work.gradient[lo:hi, :3]
+        weighted[index, own, :3] *= np.sqrt(joints.inv_mass[end])[:, None]
+        turning = _to_body(q, work.gradient[lo:hi, at : at + 3])
+        weighted[index, own, 3:] = turning * np.sqrt(joints.inv_inertia[end])
+    return np.ascontiguousarray(weighted[:, :n].reshape(hi - lo, -1))
+
+
+def _to_body(q: Floats, v: Floats) -> Floats:
+    """Rᵀ v of rows."""
+    u = -q[:, 1:]
+    t = 2.0 * np.cross(u, v)
+    found: Floats = v + q[:, :1] * t + np.cross(u, t)
+    return found
+
+
+def dependent_rows(weighted: Floats) -> Floats:
+    """Null vectors of Gᵀ, (redundant, rows); none where all rows are independent."""
+    if not weighted.size:
+        return np.zeros((0, 0))
+    U, found, _ = np.linalg.svd(weighted)
+    size = np.zeros(len(U))
+    size[: found.size] = found
+    null: Floats = U[:, size <= _DEPENDENT * found[0]].T
+    return null
+
+
+def make_least(joints: Joints, work: Work) -> None:
+    """Make λ in z the one of least norm, of clusters with closed loops."""
+    sizes = np.where(joints.rows.kind == DOT, _joint_sizes(joints), 1.0)
+    for c in np.flatnonzero(joints.clusters.smallest_pivot > 0.0):
+        lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
+        null = dependent_rows(weighted_gradient(joints, work, int(c)))
+        if len(null):  # λ' = λ / size: along the null vectors of the rows times the size
+            along = null / sizes[lo:hi]
+            basis, _ = np.linalg.qr(along.T)
+            scaled = work.z[lo:hi] / sizes[lo:hi]
+            work.z[lo:hi] = (scaled - basis @ (basis.T @ scaled)) * sizes[lo:hi]
+
+
+def _joint_sizes(joints: Joints) -> Floats:
+    """Size of the joint of each row [m]; 1 where all of its rows are of directions."""
+    count = np.diff(joints.program.start)
+    found = np.array([joints.rows.size[a:b].max() for a, b in zip(
+        joints.program.start[:-1], joints.program.start[1:], strict=True)])  # fmt: skip
+    return np.repeat(found, count)
+
+
+def forces_of_joints(joints: Joints, work: Work) -> Floats:
+    """Force and torque on the first body of each joint from z, at its point, (j, 6) [N, N m].
+
+    World axes. The point is where `at` is on the first body.
+    """
+    by_x, by_a = work.gradient[:, :3], work.gradient[:, 3:6]
+    start = joints.program.start[:-1]
+    if not start.size:
+        return np.zeros((0, 6))
+    force = np.add.reduceat(work.z[:, None] * by_x, start)
+    turning = np.add.reduceat(work.z[:, None] * by_a, start)
+    arm = _to_world(work.y[joints.rows.a[start], 3:7], joints.rows.first[start])
+    return np.hstack([force, turning - np.cross(arm, force)])
+
+
+def _to_world(q: Floats, v: Floats) -> Floats:
+    """R v of rows."""
+    return _to_body(q * np.array([1.0, -1.0, -1.0, -1.0]), v)

@@ -1,0 +1,119 @@
+"""Joints of a group of bodies as arrays: rows of constraints, clusters, and what is worked on.
+
+A joint is a block of one to six rows g = 0, a row ties a body a to a body b. Bodies stand here in
+the order of clusters, the bodies that joints tie together; behind them stands the world, a body
+that nothing moves. Arrays have the body or the row first: joints reach for single bodies.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.maths.vec3 import Bools, Floats, Ints
+
+ALONG: Final = 0  # u·d = 0 with d = x_a + r_a - x_b - r_b, u fixed in b
+WORLD_ALONG: Final = 1  # the same with u fixed in the world
+DOT: Final = 2  # n·u = 0, n fixed in a, u in b
+DISTANCE: Final = 3  # (d·d - l²) / (2 l) = 0
+LARGEST_BLOCK: Final = 6  # rows of a joint at most
+STATE: Final = 13  # x, q, p, L of a body
+X, Q, P, L = 0, 3, 7, 10
+GRADIENT: Final = 15  # of a row: by x, by θ_a and by θ_b, and the last two times J⁻¹
+
+
+class Rows(NamedTuple):
+    """Rows of constraints; vectors in rotor frames, those of the world in its axes."""
+
+    kind: Ints  # (m,)
+    a: Ints  # (m,) bodies
+    b: Ints  # (m,)
+    first: Floats  # (m, 3) r_a [m], of DOT n
+    second: Floats  # (m, 3) r_b [m]
+    axis: Floats  # (m, 3) u
+    length: Floats  # (m,) l of DISTANCE [m], 1 elsewhere
+    size: Floats  # (m,) what a residual is measured by: the size of the joint [m], 1 of DOT
+
+
+class Clusters(NamedTuple):
+    """Where each cluster begins in other arrays, and where the last one ends."""
+
+    body: Ints  # (k + 1,)
+    joint: Ints  # (k + 1,)
+    block: Ints  # (k + 1,) of the factor
+    smallest_pivot: Floats  # (k,) over its diagonal: below it a row depends on those before
+
+
+class Program(NamedTuple):
+    """What a factorisation does, in order: see block_cholesky.py."""
+
+    start: Ints  # (j + 1,) first row of each joint
+    pair: Ints  # (blocks, 2) joints of each block
+    shares: Bools  # (blocks, 4) bodies that both have and that move: aa, ab, ba, bb
+    mass: Floats  # (blocks,) [1/kg] factor of the product of their gradients by x
+    order: Ints  # (j,) joints as they are eliminated
+    column: Ints  # (j + 1,) blocks below each, from here on in the next two
+    below: Ints  # blocks
+    below_joint: Ints  # and their joints
+    update: Ints  # (j + 1,) updates by each, from here on in the next
+    updates: Ints  # (u, 5) block, block, target, rows of the target and its columns
+
+
+class Joints(NamedTuple):
+    """Joints of a group."""
+
+    order: Ints  # (n,) members of the group, in the order of the clusters
+    inv_mass: Floats  # (n + 1,) [1/kg]
+    inv_inertia: Floats  # (n + 1, 3) [1/(kg m²)] of rods 0 about their axis
+    spin_inertia: Floats  # (n + 1, 3) [1/(kg m²)] as a free drift takes it
+    rows: Rows
+    clusters: Clusters
+    program: Program
+    number: Ints  # (j,) which joints of the system these are
+
+    @property
+    def reach_out(self) -> bool:
+        """Whether one ties a body to the world."""
+        return bool((self.rows.b == self.inv_mass.size - 1).any())
+
+
+class Work(NamedTuple):
+    """What kernels write."""
+
+    y: Floats  # (n + 1, 13) states
+    pose: Floats  # (n + 1, 7) where a drift begins
+    gradient: Floats  # (m, 15)
+    g: Floats  # (m,) residuals
+    z: Floats  # (m,) right sides and solutions
+    total: Floats  # (m,) impulses of a drift
+    scale: Floats  # (m,) diagonal of A
+    factor: Floats  # (blocks, 6, 6)
+    iterations: Ints  # (3,) sum, drifts, most
+    lost: Ints  # (k,) 1 + row that did not converge; 0: none
+
+
+class Jointed(NamedTuple):
+    """Joints with room to work in, and where their bodies are in blocks."""
+
+    joints: Joints
+    work: Work
+    block: Ints  # (n,)
+    lane: Ints  # (n,)
+
+
+def room_for_joints(joints: Joints) -> Work:
+    """Room to work in; the world stands still at the origin."""
+    n, m, k = joints.inv_mass.size, joints.rows.kind.size, joints.clusters.body.size - 1
+    y = np.zeros((n, STATE))
+    y[:, Q] = 1.0
+    return Work(
+        y,
+        np.zeros((n, P)),
+        np.zeros((m, GRADIENT)),
+        np.zeros(m),
+        np.zeros(m),
+        np.zeros(m),
+        np.zeros(m),
+        np.zeros((len(joints.program.pair), LARGEST_BLOCK, LARGEST_BLOCK)),
+        np.zeros(3, dtype=np.int64),
+        np.zeros(k, dtype=np.int64),
+    )

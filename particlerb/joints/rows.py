@@ -1,0 +1,212 @@
+"""Rows of constraints at a pose: residuals, gradients, rates, and impulses along the gradients.
+
+| row | g | ∂g/∂x_a | ∂g/∂θ_a | ∂g/∂θ_b | convective part of g̈ |
+|-|-|-|-|-|-|
+| along, u in b | u·d | u | r_a × u | u × (r_b + d) | u·k + 2 u̇·ḋ + ü·d |
+| along, u in the world | u·d | u | r_a × u | u × r_b | u·k |
+| dot | n·u | 0 | n × u | -n × u | n̈·u + 2 ṅ·u̇ + n·ü |
+| distance | (d·d - l²)/(2 l) | d/l | r_a × d/l | d/l × r_b | (ḋ·ḋ + d·k)/l |
+
+d = x_a + r_a - x_b - r_b, ∂g/∂x_b = -∂g/∂x_a, θ the turn in world axes, k = ω_a × (ω_a × r_a) -
+ω_b × (ω_b × r_b); u̇ = ω × u, ü = ω × u̇. J = R I Rᵀ. See docs/joints.md.
+"""
+
+from particlerb.compiled.jit import inline, kernel
+from particlerb.joints.records import (
+    ALONG,
+    DISTANCE,
+    DOT,
+    WORLD_ALONG,
+    Joints,
+    L,
+    P,
+    Q,
+    Work,
+    X,
+)
+from particlerb.maths.quaternion import Quat, to_body, to_world
+from particlerb.maths.vec3 import (
+    Floats,
+    Vec3,
+    add,
+    add_scaled,
+    component_product,
+    cross,
+    dot,
+    row3,
+    scale,
+    subtract,
+)
+
+
+@inline
+def vector(values: Floats, k: int, at: int) -> Vec3:
+    """Three numbers of row k from `at` on."""
+    return values[k, at], values[k, at + 1], values[k, at + 2]
+
+
+@inline
+def put_vector(values: Floats, k: int, at: int, v: Vec3) -> None:
+    """Write three numbers of row k from `at` on."""
+    values[k, at], values[k, at + 1], values[k, at + 2] = v
+
+
+@inline
+def attitude(y: Floats, k: int) -> Quat:
+    """Orientation of body k."""
+    return y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3]
+
+
+@inline
+def by_inverse_inertia(joints: Joints, q: Quat, k: int, v: Vec3) -> Vec3:
+    """J⁻¹ v in world axes, of body k with the orientation q."""
+    return to_world(q, component_product(row3(joints.inv_inertia, k), to_body(q, v)))
+
+
+@inline
+def arms(joints: Joints, y: Floats, r: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
+    """r_a (or n), r_b, u and d of row r, in world axes."""
+    rows = joints.rows
+    a, b = rows.a[r], rows.b[r]
+    qa, qb = attitude(y, a), attitude(y, b)
+    ra, rb = to_world(qa, row3(rows.first, r)), to_world(qb, row3(rows.second, r))
+    u = row3(rows.axis, r)
+    if rows.kind[r] != WORLD_ALONG:
+        u = to_world(qb, u)
+    d = subtract(subtract(vector(y, a, X), vector(y, b, X)), subtract(rb, ra))
+    return ra, rb, u, d
+
+
+@inline
+def residual(joints: Joints, y: Floats, r: int) -> float:
+    """g of row r."""
+    ra, _, u, d = arms(joints, y, r)
+    kind = joints.rows.kind[r]
+    if kind == DOT:
+        return dot(ra, u)
+    if kind == DISTANCE:
+        length = joints.rows.length[r]
+        stretch: float = 0.5 * (dot(d, d) / length - length)
+        return stretch
+    return dot(u, d)
+
+
+@kernel
+def residuals(joints: Joints, work: Work, lo: int, hi: int) -> tuple[float, int]:
+    """g of rows lo to hi; the largest over its size and what rounding leaves, and its row."""
+    worst, where = 0.0, lo
+    for r in range(lo, hi):
+        g = residual(joints, work.y, r)
+        work.g[r] = g
+        x, size = vector(work.y, joints.rows.a[r], X), joints.rows.size[r]
+        far = 0.0 if joints.rows.kind[r] == DOT else abs(x[0]) + abs(x[1]) + abs(x[2])
+        g = abs(g) / (size + far)
+        if not g <= worst:
+            worst, where = g, r
+    return worst, where
+
+
+@kernel
+def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
+    """Gradients of rows lo to hi, and J⁻¹ times them."""
+    for r in range(lo, hi):
+        ra, rb, u, d = arms(joints, work.y, r)
+        kind = joints.rows.kind[r]
+        if kind == DOT:
+            by_x, by_a = (0.0, 0.0, 0.0), cross(ra, u)
+            by_b = scale(-1.0, by_a)
+        else:
+            by_x, arm = u, rb
+            if kind == ALONG:
+                arm = add(rb, d)
+            elif kind == DISTANCE:
+                by_x = scale(1.0 / joints.rows.length[r], d)
+            by_a, by_b = cross(ra, by_x), cross(by_x, arm)
+        a, b = joints.rows.a[r], joints.rows.b[r]
+        put_vector(work.gradient, r, 0, by_x)
+        put_vector(work.gradient, r, 3, by_a)
+        put_vector(work.gradient, r, 6, by_b)
+        of_a = by_inverse_inertia(joints, attitude(work.y, a), a, by_a)
+        of_b = by_inverse_inertia(joints, attitude(work.y, b), b, by_b)
+        put_vector(work.gradient, r, 9, of_a)
+        put_vector(work.gradient, r, 12, of_b)
+
+
+@inline
+def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
+    """Row r of G M⁻¹ times momenta, or loads, that stand in y from `at` on."""
+    a, b = joints.rows.a[r], joints.rows.b[r]
+    v = subtract(
+        scale(joints.inv_mass[a], vector(y, a, at)), scale(joints.inv_mass[b], vector(y, b, at))
+    )
+    found = dot(vector(gradient, r, 0), v)
+    found += dot(vector(gradient, r, 9), vector(y, a, at + 3))
+    return found + dot(vector(gradient, r, 12), vector(y, b, at + 3))
+
+
+@kernel
+def rates(joints: Joints, work: Work, lo: int, hi: int) -> float:
+    """z = -ġ of rows lo to hi; the largest over its size [1/s]."""
+    worst = 0.0
+    for r in range(lo, hi):
+        found = rate(joints, work.gradient, r, work.y, P)
+        work.z[r] = -found
+        found = abs(found) / joints.rows.size[r]
+        if not found <= worst:
+            worst = found
+    return worst
+
+
+@kernel
+def add_impulses(joints: Joints, work: Work, lo: int, hi: int, y: Floats, at: int) -> None:
+    """(P, L) += Gᵀ z of rows lo to hi, on momenta or loads that stand in y from `at` on."""
+    for r in range(lo, hi):
+        a, b, z = joints.rows.a[r], joints.rows.b[r], work.z[r]
+        by_x = vector(work.gradient, r, 0)
+        if joints.inv_mass[a] > 0.0:
+            put_vector(y, a, at, add_scaled(z, by_x, vector(y, a, at)))
+            turning = vector(work.gradient, r, 3)
+            put_vector(y, a, at + 3, add_scaled(z, turning, vector(y, a, at + 3)))
+        if joints.inv_mass[b] > 0.0:
+            put_vector(y, b, at, add_scaled(-z, by_x, vector(y, b, at)))
+            turning = vector(work.gradient, r, 6)
+            put_vector(y, b, at + 3, add_scaled(z, turning, vector(y, b, at + 3)))
+
+
+@inline
+def convective(joints: Joints, y: Floats, r: int) -> float:
+    """g̈ of row r [g/s²] where no force acts, less what J⁻¹ (ω × L) gives."""
+    rows = joints.rows
+    a, b, kind = rows.a[r], rows.b[r], rows.kind[r]
+    ra, rb, u, d = arms(joints, y, r)
+    wa = by_inverse_inertia(joints, attitude(y, a), a, vector(y, a, L))
+    wb = by_inverse_inertia(joints, attitude(y, b), b, vector(y, b, L))
+    ra1, rb1, u1 = cross(wa, ra), cross(wb, rb), cross(wb, u)
+    ra2, rb2, u2 = cross(wa, ra1), cross(wb, rb1), cross(wb, u1)
+    if kind == DOT:
+        return dot(ra2, u) + 2.0 * dot(ra1, u1) + dot(ra, u2)
+    k = subtract(ra2, rb2)
+    if kind == WORLD_ALONG:
+        return dot(u, k)
+    va, vb = (
+        scale(joints.inv_mass[a], vector(y, a, P)),
+        scale(joints.inv_mass[b], vector(y, b, P)),
+    )
+    d1 = subtract(add(va, ra1), add(vb, rb1))
+    if kind == ALONG:
+        return dot(u, k) + 2.0 * dot(u1, d1) + dot(u2, d)
+    found: float = (dot(d1, d1) + dot(d, k)) / rows.length[r]
+    return found
+
+
+@kernel
+def accelerations(joints: Joints, work: Work, lo: int, hi: int, load: Floats) -> None:
+    """z = -g̈ of rows lo to hi under loads (n + 1, 6), force and torque, without reactions."""
+    for r in range(lo, hi):
+        a, b = joints.rows.a[r], joints.rows.b[r]
+        found = convective(joints, work.y, r) + rate(joints, work.gradient, r, load, 0)
+        for k, at in ((a, 9), (b, 12)):
+            spin = vector(work.y, k, L)
+            w = by_inverse_inertia(joints, attitude(work.y, k), k, spin)
+            found -= dot(vector(work.gradient, r, at), cross(w, spin))
+        work.z[r] = -found

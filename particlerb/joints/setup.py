@@ -1,0 +1,121 @@
+"""Joints of a group of bodies, from rows and the constants of the bodies."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from particlerb.joints.block_cholesky import program_of
+from particlerb.joints.records import Clusters, Joints, Program, Rows
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import Bodies
+from particlerb.rotors.rotor_class import ROD
+
+_LOOP_PIVOT = 1e-8  # over its diagonal: below it a row of a closed loop depends on those before
+
+
+def joints_among(number: Ints, start: Ints, rows: Rows, bodies: Bodies) -> Joints:
+    """Joints of a group.
+
+    Parameters
+    ----------
+    number : ndarray, shape (j,)
+        Which joints of the system these are.
+    start : ndarray, shape (j + 1,)
+        First row of each.
+    rows : Rows
+        With bodies as members of the group, the world behind the last.
+    bodies : Bodies
+        The n members.
+    """
+    n = bodies.mass.size
+    a, b = rows.a[start[:-1]], rows.b[start[:-1]]
+    label = _labels(n, a, b)
+    order = np.argsort(label, kind="stable")
+    place = np.empty(n + 1, dtype=np.int64)
+    place[order], place[n] = np.arange(n), n
+    own = np.argsort(label[a], kind="stable")  # joints, cluster by cluster
+    count = np.diff(start)[own]
+    taken = np.repeat(start[own] - (np.cumsum(count) - count), count) + np.arange(count.sum())
+    rows = Rows(*(array[taken] for array in rows))
+    rows = rows._replace(a=place[rows.a], b=place[rows.b])
+    inv_mass = np.append(bodies.inv_mass[order], 0.0)
+    spin = np.vstack([bodies.inv_inertia.T[order], np.zeros(3)])
+    turning = spin.copy()
+    turning[:n][bodies.rotor_class[order] == ROD, 2] = 0.0
+    ends = np.flatnonzero(np.diff(label[order], append=-1)) + 1
+    first, rank = np.r_[0, ends], np.r_[0, np.cumsum(count)]
+    clusters, program = _programs(first, label[a[own]], label[order], rows, rank, inv_mass)
+    return Joints(order, inv_mass, turning, spin, rows, clusters, program, number[own])
+
+
+def _labels(n: int, a: Ints, b: Ints) -> Ints:
+    """First body of the cluster of each body, (n,)."""
+    label = np.arange(n + 1)
+    inside = b < n
+    a, b = a[inside], b[inside]
+    while (label[a] != label[b]).any():
+        low = np.minimum(label[a], label[b])
+        for ends in (a, b):
+            np.minimum.at(label, label[ends], low)
+        while (label[label] != label).any():
+            label = label[label]
+    return label[:n]
+
+
+def _programs(
+    first: Ints, of_joint: Ints, of_body: Ints, rows: Rows, start: Ints, inv_mass: Floats
+) -> tuple[Clusters, Program]:
+    """Programs of all clusters, one behind the other; equal ones are made once."""
+    labels = of_body[first[:-1]]
+    joint = np.append(np.searchsorted(of_joint, labels), of_joint.size)
+    known: dict[bytes, Program] = {}
+    parts: list[Program] = []
+    pivot = np.zeros(labels.size)
+    for c, (lo, hi) in enumerate(pairwise(joint)):
+        n = first[c + 1] - first[c]
+        a, b = rows.a[start[lo:hi]], rows.b[start[lo:hi]]
+        is_world = b == inv_mass.size - 1
+        a, b = a - first[c], np.where(is_world, n, b - first[c])
+        masses = np.append(inv_mass[first[c] : first[c + 1]], 0.0)
+        own_start = start[lo : hi + 1] - start[lo]
+        sign = b"".join(values.tobytes() for values in (a, b, own_start, masses))
+        if sign not in known:
+            known[sign] = program_of(a, b, own_start, masses)
+        parts.append(known[sign])
+        has_loop = hi - lo > n - 1 + int(is_world.any())
+        pivot[c] = _LOOP_PIVOT if has_loop else 0.0
+    block = _offsets([len(part.pair) for part in parts])
+    return Clusters(first, joint, block, pivot), _joined(parts, joint, block, start)
+
+
+def _offsets(sizes: list[int]) -> Ints:
+    """Where each of some parts begins, and where the last one ends."""
+    return np.cumsum([0, *sizes], dtype=np.int64)
+
+
+def _joined(parts: list[Program], joint: Ints, block: Ints, start: Ints) -> Program:
+    """One program of those of all clusters."""
+    below = _offsets([part.below.size for part in parts])
+    update = _offsets([len(part.updates) for part in parts])
+
+    def shifted(name: str, by: Ints) -> Ints:
+        """Numbers of all parts, counted through."""
+        arrays = [getattr(p, name) + k for p, k in zip(parts, by[:-1], strict=True)]
+        return np.concatenate(arrays)
+
+    column = [p.column[:-1] + k for p, k in zip(parts, below[:-1], strict=True)]
+    updated = [p.update[:-1] + k for p, k in zip(parts, update[:-1], strict=True)]
+    updates = np.concatenate([part.updates for part in parts])
+    updates[:, :3] += np.repeat(block[:-1], np.diff(update))[:, None]
+    return Program(
+        start,
+        shifted("pair", joint),
+        np.concatenate([part.shares for part in parts]),
+        np.concatenate([part.mass for part in parts]),
+        shifted("order", joint),
+        np.append(np.concatenate(column), below[-1]),
+        shifted("below", block),
+        shifted("below_joint", joint),
+        np.append(np.concatenate(updated), update[-1]),
+        updates,
+    )

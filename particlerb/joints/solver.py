@@ -1,0 +1,107 @@
+"""A drift that ends where the constraints hold, and momenta that keep them: RATTLE's two halves.
+
+    solve ν: g(drift_h(q₀, p + G₀ᵀ ν)) = 0,   and   solve μ: G M⁻¹ (p + Gᵀ μ) = 0
+
+by simplified Newton iterations with A = G₀ M⁻¹ G₀ᵀ: fly, ν -= A⁻¹ g/h, fly again. The error shrinks
+by a factor of order ω h each time; it goes on until it no longer falls. Each cluster is solved by
+itself, so that its bits do not depend on others.
+
+Source: Andersen, J. Comput. Phys. 52, 24 (1983); Reich, SIAM J. Numer. Anal. 33, 475 (1996);
+Hairer, Lubich, Wanner, Geometric Numerical Integration, VII.1.
+"""
+
+from typing import Final
+
+from particlerb.compiled.jit import inline, kernel
+from particlerb.joints.block_cholesky import assemble, factorise, solve
+from particlerb.joints.records import Joints, L, P, Q, Work, X
+from particlerb.joints.rows import add_impulses, attitude, linearise, rates, residuals, vector
+from particlerb.maths.quaternion import to_body
+from particlerb.maths.vec3 import row3
+from particlerb.rotors.symmetric_split import symmetric_split
+
+MOST_ITERATIONS: Final = 60
+_ROUNDING: Final = 4e-16  # residuals, over their size, that are as good as none
+_NEAR: Final = 1e-10  # below it an iteration that gains little is the last
+_GAIN: Final = 0.5
+_MOST_PASSES: Final = 4  # of a projection of momenta
+_SMALLEST_RATE: Final = 1e-300
+
+
+@inline
+def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
+    """Drift of cluster c from where it began, with the momenta of now."""
+    y, pose = work.y, work.pose
+    for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
+        path = dt * joints.inv_mass[k]
+        for i in range(3):
+            y[k, X + i] = pose[k, X + i] + path * y[k, P + i]
+        q = attitude(pose, k)
+        m = to_body(q, vector(y, k, L))
+        q = symmetric_split(q, m, row3(joints.spin_inertia, k), dt)
+        y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
+
+
+@inline
+def factorise_cluster(joints: Joints, work: Work, c: int) -> None:
+    """G and the factor of A of cluster c at its pose of now."""
+    clusters, start = joints.clusters, joints.program.start
+    lo, hi = clusters.joint[c], clusters.joint[c + 1]
+    linearise(joints, work, start[lo], start[hi])
+    assemble(joints, work, clusters.block[c], clusters.block[c + 1])
+    factorise(joints, work, lo, hi, clusters.smallest_pivot[c])
+
+
+@kernel
+def constrained_drift(joints: Joints, work: Work, c: int, dt: float) -> None:
+    """Drift of cluster c over dt with the impulses that let it end where g = 0.
+
+    `work.total` has these impulses, `work.lost` the row that does not converge.
+    """
+    clusters, start = joints.clusters, joints.program.start
+    first, last = clusters.joint[c], clusters.joint[c + 1]
+    lo, hi = start[first], start[last]
+    for k in range(clusters.body[c], clusters.body[c + 1]):
+        for i in range(P):
+            work.pose[k, i] = work.y[k, i]
+    factorise_cluster(joints, work, c)
+    for r in range(lo, hi):
+        work.total[r] = 0.0
+    before = 1e300
+    for n in range(MOST_ITERATIONS):
+        fly(joints, work, c, dt)
+        worst, where = residuals(joints, work, lo, hi)
+        if worst <= _ROUNDING or (worst < _NEAR and worst > _GAIN * before):
+            work.iterations[0] += n
+            work.iterations[1] += 1
+            work.iterations[2] = max(work.iterations[2], n)
+            return
+        before = worst
+        for r in range(lo, hi):
+            work.z[r] = -work.g[r] / dt
+        solve(joints, work, first, last)
+        for r in range(lo, hi):
+            work.total[r] += work.z[r]
+        add_impulses(joints, work, lo, hi, work.y, P)
+    work.lost[c] = 1 + where
+
+
+@kernel
+def project_momenta(joints: Joints, work: Work, c: int) -> None:
+    """Take from the momenta of cluster c what would break its joints; `total` has the impulses."""
+    clusters, start = joints.clusters, joints.program.start
+    first, last = clusters.joint[c], clusters.joint[c + 1]
+    lo, hi = start[first], start[last]
+    factorise_cluster(joints, work, c)
+    for r in range(lo, hi):
+        work.total[r] = 0.0
+    before = 1e300
+    for _ in range(_MOST_PASSES):
+        worst = rates(joints, work, lo, hi)
+        if worst < _SMALLEST_RATE or not worst < _GAIN * before:
+            return
+        before = worst
+        solve(joints, work, first, last)
+        for r in range(lo, hi):
+            work.total[r] += work.z[r]
+        add_impulses(joints, work, lo, hi, work.y, P)

@@ -1,0 +1,134 @@
+"""What a plan says of joints, and the fastest rates that they bring: both at the start."""
+
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from particlerb.joints.reactions import (
+    dependent_rows,
+    find_multipliers,
+    forces_of_joints,
+    weighted_gradient,
+)
+from particlerb.joints.records import DISTANCE, Joints, Work, room_for_joints
+from particlerb.joints.rows import linearise
+from particlerb.maths.vec3 import Floats
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, lengths
+from particlerb.model.system import System
+from particlerb.plan.joints import joints_of
+from particlerb.plan.segments import GroupPlan, Plan
+from particlerb.rotors.rotor_class import POINT, ROD
+
+_MOST_ROWS: Final = 1500  # of a cluster whose redundant rows are looked for
+_IN_SET: Final = 1e-6  # share of a null vector of Gᵀ from which on a row is in it
+_MOST_NAMED: Final = 8
+
+
+def work_at(joints: Joints, state: State) -> Work:
+    """Room to work in, with bodies of a group in a state."""
+    work = room_for_joints(joints)
+    work.y[:-1] = np.vstack(state).T[joints.order]
+    return work
+
+
+def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> Floats:
+    """Estimate of the rate of each body of a group on its joints at the start, (n,) [rad/s].
+
+    A link turns against the forces f that it carries at arms r with ω² = Σ |f| |r| / I: of a rod
+    between two joints under tension T that is 12 T/(m l), its fastest mode in a chain; a point
+    between two distances has 4 T/(m l). A joint is taken to carry the weight of its body at least.
+
+    Parameters
+    ----------
+    joints, bodies, state
+        Of the group.
+    force : ndarray, shape (3, n) [N]
+        Of gravity and pushes.
+    """
+    work = work_at(joints, state)
+    load = np.zeros((joints.inv_mass.size, 6))
+    load[:-1, :3] = force.T[joints.order]
+    find_multipliers(joints, work, load)
+    carried = np.linalg.norm(forces_of_joints(joints, work)[:, :3], axis=1)
+    first = joints.program.start[:-1]
+    weight = np.linalg.norm(load[:, :3], axis=1)
+    squared = np.zeros(joints.inv_mass.size)
+    is_distance = joints.rows.kind[first] == DISTANCE
+    ends = (joints.rows.a, joints.rows.first), (joints.rows.b, joints.rows.second)
+    for bodies_of, arms in ends:
+        end = bodies_of[first]
+        own = np.maximum(carried, weight[end])
+        turning = _softness(arms[first], joints.inv_inertia[end])
+        swinging = 2.0 * joints.inv_mass[end] / joints.rows.length[first]
+        np.add.at(squared, end, own * (turning + np.where(is_distance, swinging, 0.0)))
+    found = np.empty(bodies.mass.size)
+    found[joints.order] = np.sqrt(squared[:-1])
+    return found
+
+
+def _softness(arm: Floats, inv_inertia: Floats) -> Floats:
+    """Largest (r × n)·I⁻¹(r × n)/|r| over unit vectors n, (k,) [1/(kg m)]; 0 where r is 0."""
+    across = np.cross(arm[:, None], np.eye(3))  # r × n of the three axes
+    form = np.einsum("kia,ka,kja->kij", across, inv_inertia, across)
+    size = lengths(arm.T)
+    largest: Floats = np.linalg.eigvalsh(form)[:, -1] / np.where(size > 0.0, size, 1.0)
+    return largest
+
+
+def joint_line(system: System, plan: Plan) -> str:
+    """What joints hold, what they leave free, and which rows depend on others."""
+    setup = joints_of(system)
+    assert setup is not None
+    kinds = [system.joint[k].type for k in setup.record.tolist()]
+    counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+    clusters = bodies = free = 0
+    dependent: list[str] = []
+    n_dependent = 0
+    for group in plan.groups:
+        joints = group.segments[0].terms.joints
+        if joints is None:
+            continue
+        own = _Count(system, group, joints)
+        clusters, bodies, free = clusters + own.clusters, bodies + own.bodies, free + own.free
+        dependent += [setup.names[k] for k in own.dependent]
+        n_dependent += own.n_dependent
+    rows = setup.rows.kind.size
+    line = f"on: {counts}; {bodies} bodies in {clusters} cluster{'s' * (clusters > 1)}, {rows} rows"
+    if n_dependent:
+        names = ", ".join(dependent[:_MOST_NAMED])
+        more = ", ..." if len(dependent) > _MOST_NAMED else ""
+        line += f", {n_dependent} of them redundant among those of {names}{more}"
+        line += " (of reactions there only sums are determined)"
+    return f"{line}; {free} degree{'s' * (free != 1)} of freedom"
+
+
+class _Count:
+    """Clusters, bodies, degrees of freedom and redundant rows of a group at the start."""
+
+    def __init__(self, system: System, group: GroupPlan, joints: Joints) -> None:
+        state = State(*(values[:, group.members] for values in system.state))
+        work = work_at(joints, state)
+        linearise(joints, work, 0, joints.rows.kind.size)
+        rotor_class = group.bodies.rotor_class[joints.order]
+        freedom = 6 - (rotor_class == ROD) - 3 * (rotor_class == POINT)
+        self.clusters = self.bodies = self.free = self.n_dependent = 0
+        self.dependent: list[int] = []
+        clusters, start = joints.clusters, joints.program.start
+        for c, (lo, hi) in enumerate(pairwise(clusters.joint.tolist())):
+            if lo == hi:
+                continue
+            own = freedom[clusters.body[c] : clusters.body[c + 1]]
+            rows = int(start[hi] - start[lo])
+            null = np.zeros((0, rows))
+            if clusters.smallest_pivot[c] > 0.0 and rows <= _MOST_ROWS:
+                null = dependent_rows(weighted_gradient(joints, work, c))
+            self.clusters += 1
+            self.bodies += own.size
+            self.free += int(own.sum()) - rows + len(null)
+            self.n_dependent += len(null)
+            if len(null):
+                hit = np.flatnonzero(np.abs(null).max(axis=0) > _IN_SET) + start[lo]
+                which = np.unique(np.searchsorted(start, hit, side="right") - 1)
+                self.dependent += joints.number[which].tolist()

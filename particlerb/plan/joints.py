@@ -1,0 +1,346 @@
+"""Joints of a system, resolved: which bodies, where, which rows; and whether they fit.
+
+`joints_of` makes the rows of every [[joint]] from the poses at the start, `assembled` the system
+with its bodies where all joints fit.
+"""
+
+from itertools import pairwise
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+
+from particlerb.case.joints import InFrame, JointTable
+from particlerb.case.problems import CaseError, Problem
+from particlerb.case.source import problem_at
+from particlerb.joints.records import Joints, Rows, Work, room_for_joints
+from particlerb.joints.rows import linearise, rates, residuals
+from particlerb.joints.setup import joints_among
+from particlerb.joints.solver import constrained_drift, project_momenta
+from particlerb.joints.types import TYPES, Ends, rows_of
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, lengths, quaternion_product, rotate, rotate_back
+from particlerb.model.system import System
+from particlerb.rotors.rotor_class import NAMES, POINT, ROD
+
+WORLD: Final = -1
+Given: TypeAlias = tuple[float, float, float] | InFrame
+_ALLOWED: Final = 1e-6  # of its size that a joint may not fit at the start
+_FITS: Final = 1e-9  # of its size, once assembled
+_AXIAL_ROUNDING: Final = 1e-12
+
+
+class JointSetup(NamedTuple):
+    """All joints of a system."""
+
+    names: tuple[str, ...]
+    record: Ints  # (j,) index of [[joint]]
+    first: Ints  # (j,) bodies of the system
+    second: Ints  # (j,) bodies, or WORLD
+    start: Ints  # (j + 1,) first row of each
+    rows: Rows  # with bodies of the system
+
+    def within(self, members: Ints, bodies: Bodies) -> Joints | None:
+        """Joints of a group of bodies; None where there are none."""
+        n = int(max(members.max(), self.first.max())) + 1
+        place = np.full(n + 1, WORLD)
+        place[members] = np.arange(members.size)
+        which = np.flatnonzero(place[self.first] != WORLD)
+        if not which.size:
+            return None
+        place[WORLD] = members.size
+        count = np.diff(self.start)[which]
+        start = np.r_[0, np.cumsum(count)]
+        index = np.repeat(self.start[which] - start[:-1], count) + np.arange(start[-1])
+        rows = Rows(*(values[index] for values in self.rows))
+        rows = rows._replace(a=place[rows.a], b=place[rows.b])
+        return joints_among(which, start, rows, bodies)
+
+
+def joints_of(system: System) -> JointSetup | None:
+    """All joints of a system; None where there are none.
+
+    Raises
+    ------
+    CaseError
+        With all that is wrong: a body tied to itself, a body without extent or a rod that would
+        have to carry a torque that it cannot.
+    """
+    if not system.joint:
+        return None
+    if system.contact is not None:
+        reason = "joints are not computed together with [contact] yet"
+        raise CaseError([problem_at(system, "joint[0]", reason, "leave one of the two out")])
+    if system.run.accuracy is not None:
+        reason = "no step is chosen by an accuracy where joints are"
+        raise CaseError([problem_at(system, "run.accuracy", reason, "give run.method and run.dt")])
+    names, records, rows, problems = [], [], [], []
+    for number, table in enumerate(system.joint):
+        first, second = _pairs(system, table)
+        itself = np.flatnonzero(first == second)
+        if itself.size:
+            reason = f"ties {system.names[int(first[itself[0]])]} to itself"
+            problems.append(problem_at(system, f"joint[{number}].to", reason, "name another body"))
+            continue
+        ends = _ends(system, table, first, second)
+        if table.type == "distance" and not ends.length.all():
+            reason = f"{joint_name(system, table, first, second, 0)} has no length"
+            hint = 'give points that lie apart, or type = "ball"'
+            problems.append(problem_at(system, f"joint[{number}]", reason, hint))
+            continue
+        own = rows_of(table.type, ends)
+        names += [joint_name(system, table, first, second, k) for k in range(first.size)]
+        records.append((np.full(first.size, number), first, second))
+        rows.append(own)
+    if problems:
+        raise CaseError(problems)
+    record, first, second = (np.concatenate(arrays) for arrays in zip(*records, strict=True))
+    count = [len(TYPES[system.joint[k].type]) for k in record.tolist()]
+    setup = JointSetup(
+        _unique(names),
+        record,
+        first,
+        second,
+        np.cumsum([0, *count]),
+        Rows(*(np.concatenate(arrays) for arrays in zip(*rows, strict=True))),
+    )
+    problems = _impossible(system, setup)
+    if problems:
+        raise CaseError(problems)
+    return setup
+
+
+def _pairs(system: System, table: JointTable) -> tuple[Ints, Ints]:
+    """Bodies at both ends of each joint of a table."""
+    first = system.names.find_in_order(table.body)
+    if table.chain:
+        return first[1:], first[:-1]
+    if table.to is None:
+        return first, np.full(first.size, WORLD)
+    second = np.broadcast_to(system.names.find_in_order(table.to), first.shape)
+    return first, second.copy()
+
+
+def joint_name(system: System, table: JointTable, first: Ints, second: Ints, k: int) -> str:
+    """Name of one joint of a table."""
+    if table.name is not None:
+        return table.name if first.size == 1 else f"{table.name}[{k}]"
+    other = "world" if second[k] == WORLD else system.names[int(second[k])]
+    return f"{system.names[int(first[k])]}-{other}"
+
+
+def _unique(names: list[str]) -> tuple[str, ...]:
+    """The names, those that were there before with a number behind them."""
+    seen: dict[str, int] = {}
+    found = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return tuple(found)
+
+
+def _frames(system: System, bodies: Ints) -> tuple[Floats, Floats, Floats]:
+    """Centres of mass (3, k), body frames and rotor frames (4, k); of the world 0 and no turn."""
+    inside = bodies != WORLD
+    index = np.where(inside, bodies, 0)
+    com = np.where(inside, system.state.com[:, index], 0.0)
+    none = np.array([[1.0], [0.0], [0.0], [0.0]])
+    rotor = np.where(inside, system.state.q[:, index], none)
+    inverse = system.bodies.rotor_frame[:, index] * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
+    body = np.where(inside, quaternion_product(system.state.q[:, index], inverse), none)
+    return com, body, rotor
+
+
+def _ends(system: System, table: JointTable, first: Ints, second: Ints) -> Ends:
+    """Points and directions of the joints of a table, in rotor frames."""
+    k = first.size
+    com_a, body_a, rotor_a = _frames(system, first)
+    com_b, body_b, rotor_b = _frames(system, second)
+
+    def spread(vector: tuple[float, ...]) -> Floats:
+        return np.tile(np.array(vector)[:, None], k)
+
+    def in_world(given: Given, q: Floats) -> Floats:
+        return rotate(q, spread(given.body)) if isinstance(given, InFrame) else spread(given)
+
+    def place(given: Given | None, com: Floats, q: Floats, default: Floats) -> Floats:
+        if given is None:
+            return default
+        return in_world(given, q) + (com if isinstance(given, InFrame) else 0.0)
+
+    def direction(given: Given, q: Floats) -> Floats:
+        found = in_world(given, q)
+        return found / lengths(found)
+
+    here = place(table.at, com_a, body_a, com_a)
+    there = place(table.at_to, com_b, body_b, com_b if table.type == "distance" else here)
+    world = {"n": direction(table.axis or (0.0, 0.0, 1.0), body_a)}
+    world["e"], world["f"] = _across(world["n"])
+    if table.axis_to is not None:
+        world["m"] = direction(table.axis_to, body_b)
+    first_at, second_at = rotate_back(rotor_a, here - com_a), rotate_back(rotor_b, there - com_b)
+    length = lengths(here - there)
+    size = np.maximum(lengths(first_at), np.where(second == WORLD, 0.0, lengths(second_at)))
+    size = np.maximum(size, length if table.type == "distance" else 0.0)
+    reach = system.reach[system.kind[first]]
+    size = np.where(size > 1e-3 * reach, size, np.where(reach > 0.0, reach, 1.0))
+    axes = dict(zip("xyz", np.eye(3)[:, :, None] * np.ones(k), strict=True))
+    return Ends(
+        first,
+        second,
+        first_at.T,
+        second_at.T,
+        {name: rotate_back(rotor_a, axis).T for name, axis in world.items()},
+        {name: rotate_back(rotor_b, axis).T for name, axis in world.items()}
+        | {name: axis.T for name, axis in axes.items()},
+        length,
+        size,
+    )
+
+
+def _across(n: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors (3, k) across each n and each other, so that e, f, n are right-handed."""
+    least = np.eye(3)[:, np.argmin(np.abs(n), axis=0)]
+    e = np.cross(n, least, axis=0)
+    e /= lengths(e)
+    return e, np.cross(n, e, axis=0)
+
+
+# Whether they fit
+
+
+class _AtStart(NamedTuple):
+    """All joints of a system, with the bodies where they are at the start."""
+
+    joints: Joints
+    work: Work
+    rows: list[slice]  # of each cluster
+
+
+def _at_start(system: System, setup: JointSetup) -> _AtStart:
+    """Joints of all bodies of a system."""
+    n = system.n_bodies
+    joints = setup.within(np.arange(n), system.bodies)
+    assert joints is not None
+    work = room_for_joints(joints)
+    work.y[:n] = np.vstack(system.state).T[joints.order]
+    edges = joints.program.start[joints.clusters.joint].tolist()
+    return _AtStart(joints, work, [slice(*ends) for ends in pairwise(edges)])
+
+
+def joint_of_row(joints: Joints, row: int) -> int:
+    """Which joint of the system has a row of a group."""
+    return int(joints.number[np.searchsorted(joints.program.start, row, side="right") - 1])
+
+
+def _impossible(system: System, setup: JointSetup) -> list[Problem]:
+    """What is wrong with joints that would turn a point, or a rod about its axis."""
+    n, (joints, work, _) = system.n_bodies, _at_start(system, setup)
+    linearise(joints, work, 0, joints.rows.kind.size)
+    rotor_class = np.append(system.bodies.rotor_class[joints.order], NAMES.index("sphere"))
+    found: dict[int, Problem] = {}
+    for end, at in ((joints.rows.a, 3), (joints.rows.b, 6)):
+        turning = work.gradient[:, at : at + 3].T
+        arm = np.abs(rotate_back(np.ascontiguousarray(work.y[end, 3:7].T), turning))
+        is_point, is_rod = rotor_class[end] == POINT, rotor_class[end] == ROD
+        allowed = _AXIAL_ROUNDING * joints.rows.size
+        wrong = (is_point & (arm.max(axis=0) > allowed)) | (is_rod & (arm[2] > allowed))
+        for row in np.flatnonzero(wrong & (end < n)).tolist():
+            joint = joint_of_row(joints, row)
+            body = int(joints.order[end[row]])
+            what = "has no extent" if is_point[row] else "has no inertia about its axis"
+            reason = (
+                f"{setup.names[joint]} would turn {system.names[body]}, a"
+                f" {NAMES[int(rotor_class[end[row]])]} that {what}"
+            )
+            hint = "use a ball joint or a distance at its centre of mass, or on the axis of a rod"
+            found.setdefault(
+                joint, problem_at(system, f"joint[{int(setup.record[joint])}]", reason, hint)
+            )
+    return list(found.values())
+
+
+def assembled(system: System) -> System:
+    """The system with its bodies, and their momenta, where all joints fit.
+
+    Each cluster is moved the least way in the metric of its masses.
+
+    Raises
+    ------
+    CaseError
+        As `joints_of`; if a joint does not fit, and is not to be assembled; if no pose near the
+        start meets all joints.
+    """
+    setup = joints_of(system)
+    if setup is None:
+        return system
+    joints, work, rows = _at_start(system, setup)
+    n, m = system.n_bodies, joints.rows.kind.size
+    if m:
+        residuals(joints, work, 0, m)
+        off = np.abs(work.g) / joints.rows.size
+        _refuse_misfits(system, setup, joints, off, "{name} does not fit where its bodies start:")
+    before = work.y.copy()
+    for c, own in enumerate(rows):
+        bodies = slice(joints.clusters.body[c], joints.clusters.body[c + 1])
+        if own.start < own.stop and off[own].max() > 0.0:
+            work.y[bodies, 7:] = 0.0
+            constrained_drift(joints, work, c, 1.0)
+            work.y[bodies, 7:] = before[bodies, 7:]
+            _refuse_apart(system, setup, joints, work, own)
+    _refuse_fast(system, setup, joints, work)
+    for c in range(len(rows)):
+        project_momenta(joints, work, c)
+    moved = float(lengths((work.y - before)[:n, :3].T).max())
+    state = np.empty((13, n))
+    state[:, joints.order] = work.y[:n].T
+    found = system._replace(state=State(*np.split(state, (3, 7, 10))))
+    if moved <= _ALLOWED * float(joints.rows.size.max()):
+        return found
+    line = f"bodies moved by up to {moved:.3g} m at the start, until all joints fit"
+    return found._replace(notes=(*system.notes, ("joints", line)))
+
+
+def _refuse_misfits(
+    system: System, setup: JointSetup, joints: Joints, off: Floats, what: str
+) -> None:
+    """Raise CaseError for joints that are off by more than is allowed, unless they may be moved."""
+    problems: dict[int, Problem] = {}
+    for row in np.argsort(-off).tolist():
+        joint = joint_of_row(joints, row)
+        number = int(setup.record[joint])
+        if not off[row] > _ALLOWED or system.joint[number].assemble or number in problems:
+            continue
+        reason = f"{what.format(name=setup.names[joint])} off by {off[row]:.3g} of its size"
+        hint = "mend it, or give assemble = true to let bodies be moved until it fits"
+        problems[number] = problem_at(system, f"joint[{number}]", reason, hint)
+    if problems:
+        raise CaseError(problems.values())
+
+
+def _refuse_apart(
+    system: System, setup: JointSetup, joints: Joints, work: Work, own: slice
+) -> None:
+    """Raise CaseError where the joints of a cluster have not come together."""
+    residuals(joints, work, own.start, own.stop)
+    off = np.abs(work.g[own]) / joints.rows.size[own]
+    if (off <= _FITS).all():  # of NaN it is not
+        return
+    joint = joint_of_row(joints, own.start + int(np.argmax(np.nan_to_num(off, nan=np.inf))))
+    reason = f"no pose near the start meets {setup.names[joint]} and the joints about it"
+    hint = "place the bodies nearer to where they belong, or take away a joint that contradicts"
+    raise CaseError([problem_at(system, f"joint[{int(setup.record[joint])}]", reason, hint)])
+
+
+def _refuse_fast(system: System, setup: JointSetup, joints: Joints, work: Work) -> None:
+    """Raise CaseError where velocities at the start break a joint that may not be assembled."""
+    m = joints.rows.kind.size
+    linearise(joints, work, 0, m)
+    rates(joints, work, 0, m)
+    speed = np.zeros(m)
+    for end in (joints.rows.a, joints.rows.b):
+        y, q = work.y[end].T, np.ascontiguousarray(work.y[end, 3:7].T)
+        spin = joints.inv_inertia[end].T * rotate_back(q, y[10:])
+        speed += lengths(y[7:10]) * joints.inv_mass[end] + lengths(spin) * joints.rows.size
+    off = np.abs(work.z) / np.where(speed > 0.0, speed, 1.0)
+    _refuse_misfits(system, setup, joints, off, "{name} is broken by the velocities at the start:")

@@ -1,0 +1,192 @@
+"""Motion of jointed bodies: references, orders, what is kept, and time reversal."""
+
+import mpmath
+import numpy as np
+import pytest
+from holds import misfits
+from scenes import SCENES, Z, bar, body, case, joint, moved, reference
+
+ORDERS = {"rattle": 2, "rattle4": 4, "rattle6": 6, "rattle8": 8}
+
+
+def error(name, t, dt, method):
+    """Largest error of a coordinate [m] at t."""
+    with moved(SCENES[name](), t, dt, method) as trajectory:
+        return np.abs(np.array(trajectory.position)[-1] - reference(name, t)[0]).max()
+
+
+@pytest.mark.compiled
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "t", "dt", "tolerance"),
+    [("bricard", 1.0, 0.02, 1e-12), ("slider_crank", 1.0, 0.005, 1e-11),
+     ("chain6", 0.5, 0.005, 1e-11), ("double_rod", 1.0, 0.01, 1e-12),
+     ("mixed_chain", 0.8, 0.002, 1e-8)],
+)  # fmt: skip
+def test_mechanisms_are_where_independent_solutions_have_them(name, t, dt, tolerance):
+    assert error(name, t, dt, "rattle8") < tolerance
+
+
+@pytest.mark.compiled
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "method", "steps"),
+    [("double_rod", "rattle", (0.01, 0.005, 0.0025)),
+     ("bricard", "rattle", (0.02, 0.01, 0.005)),
+     ("slider_crank", "rattle", (0.005, 0.0025, 0.00125)),
+     ("double_rod", "rattle4", (0.02, 0.01, 0.005)),
+     ("bricard", "rattle4", (0.04, 0.02, 0.01)),
+     ("slider_crank", "rattle4", (0.005, 0.0025, 0.00125)),
+     ("double_rod", "rattle6", (0.02, 0.01, 0.005)),
+     ("bricard", "rattle6", (0.05, 0.04, 0.025)),
+     ("slider_crank", "rattle6", (0.005, 0.004, 0.0025)),
+     ("double_rod", "rattle8", (0.025, 0.02, 0.0125)),
+     ("chain6", "rattle8", (0.01, 0.00625, 0.005))],
+)  # fmt: skip
+def test_every_method_has_its_order(name, method, steps):
+    t = 0.5 if name == "chain6" else 1.0
+    errors = [error(name, t, dt, method) for dt in steps]
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slope == pytest.approx(ORDERS[method], abs=0.15)
+
+
+def test_a_double_rod_is_of_order_two_in_plain_python_too():
+    coarse, fine = (error("double_rod", 0.5, dt, "rattle") for dt in (0.02, 0.01))
+    assert coarse / fine == pytest.approx(4.0, rel=0.05)
+
+
+ODD_JOINTS = case(
+    [
+        bar("plate", [-0.3, 0, 0], [0.3, 0, 0], 1.0, 0.2, [0.3, 0.0, 0.0], [0, 0, 1.0]),
+        body("knob", 0.2, [1e-3, 2e-3, 2.5e-3], [0.4, 0.1, 0.1], [0.2, 0.4, 0], [0, 0, 1.0]),
+        bar("arm", [0.4, 0.1, 0.1], [0.4, 0.1, -0.5], 0.3, 0.05, [0.2, 0.4, 0], [0, 0, 1.0]),
+    ],
+    [
+        joint("planar", "plate", None, [0, 0, 0], [0, 0, 1]),
+        joint("fixed", "knob", "plate", [0.3, 0, 0]),
+        joint("hinge", "arm", "knob", [0.4, 0.1, 0.1], [1, 0, 0]),
+    ],
+    (0.0, 3.0, -9.81),
+)
+
+
+@pytest.mark.parametrize("name", [*SCENES, "odd"])
+def test_joints_hold_in_every_frame(name):
+    scene = ODD_JOINTS if name == "odd" else SCENES[name]()
+    fields = ["position", "orientation", "linear_momentum", "angular_momentum"]
+    output = {"fields": [*fields, "velocity", "angular_velocity"]}
+    with moved({**scene, "output": output}, 0.1, 0.004, every=0.013) as trajectory:
+        g, rate = misfits(trajectory, scene["joint"])
+    assert g < 1e-13
+    assert rate < 1e-12
+
+
+def free_linkage():
+    """Three bodies in a ring of hinge, ball and distance that fly and turn."""
+    spin = np.array([0.4, -0.3, 1.0])
+    drift = np.array([0.5, 0.2, -0.1])
+
+    def at(place):
+        return drift + np.cross(spin, place)
+
+    bodies = [
+        bar("a", [0, 0, 0], [1, 0, 0], 1.0, 0.1, at([0.5, 0, 0]), spin),
+        bar("b", [1, 0, 0], [1, 1, 0.2], 2.0, 0.1, at([1, 0.5, 0.1]), spin),
+        bar("c", [1, 1, 0.2], [0, 1, 0], 0.5, 0.1, at([0.5, 1, 0.1]), spin),
+    ]
+    joints = [
+        joint("hinge", "b", "a", [1, 0, 0], Z),
+        joint("ball", "c", "b", [1, 1, 0.2]),
+        joint("distance", "c", "a", [0, 1, 0], at_to={"body": [-0.5, 0.0, 0.0]}),
+    ]
+    return {"body": bodies, "joint": joints}
+
+
+def test_free_linkages_keep_both_momenta():
+    with moved(free_linkage(), 1.0, 0.01, every=0.1) as trajectory:
+        x, p = np.array(trajectory.position), np.array(trajectory.linear_momentum)
+        spin = np.array(trajectory.angular_momentum)
+    P, L = p.sum(axis=1), (spin + np.cross(x, p)).sum(axis=1)
+    assert np.abs(P - P[0]).max() < 1e-13 * np.linalg.norm(p[0], axis=1).sum()
+    assert np.abs(L - L[0]).max() < 1e-13 * np.linalg.norm(L[0])
+
+
+def reversed_at_end(scene, trajectory):
+    """The scene from the end of a trajectory on, with all velocities turned round."""
+    state = {
+        "position": trajectory.position, "orientation": trajectory.orientation,
+        "velocity": -np.array(trajectory.velocity),
+        "angular_velocity": -np.array(trajectory.angular_velocity),
+    }  # fmt: skip
+    bodies = [
+        table | {key: np.array(values)[-1, b].tolist() for key, values in state.items()}
+        for b, table in enumerate(scene["body"])
+    ]
+    x0 = np.array(trajectory.position)[0]
+    q0, own = np.array(trajectory.orientation)[0], [table["name"] for table in scene["body"]]
+
+    def in_body(table, key, name, is_point):
+        if key not in table or isinstance(table[key], dict) or name is None:
+            return {}
+        b = own.index(name)
+        turned = turned_back(q0[b], np.array(table[key]) - (x0[b] if is_point else 0.0))
+        return {key: {"body": turned.tolist()}}
+
+    joints = []
+    for table in scene["joint"]:
+        table = {"at_to": table["at"]} | table  # noqa: PLW2901
+        joints.append(
+            table | in_body(table, "at", table["body"], True)
+            | in_body(table, "at_to", table.get("to"), True)
+            | in_body(table, "axis", table["body"], False)
+            | in_body(table, "axis_to", table.get("to"), False)
+        )  # fmt: skip
+    return {**scene, "body": bodies, "joint": joints}
+
+
+def turned_back(q, v):
+    """Rᵀ v."""
+    w, u = q[0], -q[1:]
+    return v + 2 * w * np.cross(u, v) + 2 * np.cross(u, np.cross(u, v))
+
+
+@pytest.mark.compiled
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ORDERS)
+@pytest.mark.parametrize("name", ["mixed_chain", "odd", "bricard"])
+def test_ten_thousand_steps_are_undone_by_as_many(name, method):
+    scene = ODD_JOINTS if name == "odd" else SCENES[name]()
+    fields = ["position", "orientation", "linear_momentum", "angular_momentum"]
+    scene = {**scene, "output": {"fields": [*fields, "velocity", "angular_velocity"]}}
+    t, dt = 0.5, 0.5e-4
+    with moved(scene, t, dt, method) as there:
+        start = np.array(there.position)[0]
+        back = reversed_at_end(scene, there)
+    with moved(back, t, dt, method) as again:
+        assert np.abs(np.array(again.position)[-1] - start).max() < 1e-10
+
+
+def point_pendulum():
+    shape = {"type": "points", "position": [[0.0, 0.0, 0.0]], "mass": [1.0]}
+    point = {"name": "bob", "shape": shape, "position": [-1.0, 0.0, 0.0]}
+    rod = {"type": "distance", "body": "bob", "at_to": [0.0, 0.0, 0.0]}
+    return case([point], [rod])
+
+
+def test_a_pendulum_follows_elliptic_functions():
+    """sin(θ/2) = k sn(K - ω₀ t | k²) from rest at 90 degrees, k² = 1/2."""
+    with moved(point_pendulum(), 1.0, 0.0125, "rattle8", every=0.25) as trajectory:
+        t, x = trajectory.time, np.array(trajectory.position)[:, 0]
+    w, m = mpmath.sqrt(9.81), mpmath.mpf(1) / 2
+    for time, place in zip(t, x, strict=True):
+        half = mpmath.asin(mpmath.sqrt(m) * mpmath.ellipfun("sn", mpmath.ellipk(m) - w * time, m=m))
+        exact = [-float(mpmath.sin(2 * half)), 0.0, -float(mpmath.cos(2 * half))]
+        assert place == pytest.approx(exact, abs=1e-9)
+
+
+def test_a_pendulum_keeps_the_energy_that_the_benchmark_asks_for():
+    """IFToMM A01: 10 s, 5e-5 J."""
+    with moved(point_pendulum(), 1.0, 1e-3, every=0.05) as trajectory:
+        x, p = np.array(trajectory.position)[:, 0], np.array(trajectory.linear_momentum)[:, 0]
+    energy = 0.5 * (p * p).sum(axis=1) + 9.81 * x[:, 2]
+    assert np.abs(energy).max() < 5e-5
