@@ -6,6 +6,7 @@ zero.
 Sums run over fixed blocks of bodies in a fixed order: the same bits for any number of threads.
 """
 
+import math
 from collections.abc import Mapping
 from functools import partial
 from typing import NamedTuple
@@ -197,9 +198,9 @@ class EnergyBalance:
 
     def widen(self, now: _Totals, work: Floats, gross: float) -> None:
         """Let the scales grow with what is turned over."""
-        energies = np.r_[np.maximum(now.kinetic_energy, np.abs(work)), gross]
-        sizes = (energies, now.momentum_size, now.spin_size)
-        self.scales = np.maximum(self.scales, [size.max(initial=0.0) for size in sizes])
+        energies = np.maximum(now.kinetic_energy, np.abs(work)).max(initial=gross)
+        sizes = (now.momentum_size.max(initial=0.0), now.spin_size.max(initial=0.0))
+        self.scales = np.maximum(self.scales, (energies, *sizes))
 
     def enter(self, now: _Totals, booked: Floats, gross: float = 0.0) -> Entries:
         """Entries of some frames.
@@ -226,12 +227,13 @@ class EnergyBalance:
             now.angular_momentum - self.angular - booked[:, 4:7],
         )
         self.widen(now, work, gross)
-        errors = (
-            np.abs(entries.energy_error),
-            np.linalg.norm(entries.linear_momentum_error, axis=1),
-            np.linalg.norm(entries.angular_momentum_error, axis=1),
+        linear, angular = entries.linear_momentum_error, entries.angular_momentum_error
+        largest = (
+            np.abs(entries.energy_error).max(initial=0.0),
+            math.sqrt((linear * linear).sum(axis=1).max(initial=0.0)),
+            math.sqrt((angular * angular).sum(axis=1).max(initial=0.0)),
         )
-        self.errors = np.maximum(self.errors, [error.max(initial=0.0) for error in errors])
+        self.errors = np.maximum(self.errors, largest)
         return entries
 
     def drift(self) -> ConservationError:

@@ -106,6 +106,11 @@ def quaternions(matrices: Floats) -> Floats:
 
 
 def taken(record: Record, index: Ints) -> Record:
-    """A record of arrays with the chosen bodies only, in that order, contiguous."""
+    """A record of arrays with the chosen bodies only, in that order, contiguous.
+
+    Where all are chosen these are the same arrays, which nobody changes.
+    """
+    if index.size == record[0].shape[-1] and np.array_equal(index, np.arange(index.size)):
+        return type(record)(*map(np.ascontiguousarray, record))
     arrays = (np.ascontiguousarray(array[..., index]) for array in record)
     return type(record)(*arrays)

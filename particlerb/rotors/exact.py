@@ -6,6 +6,7 @@ next to the separatrix. `turn_block` evaluates one kind for a block of bodies.
 The theory and its errors stand in docs/free_rotation.md.
 """
 
+from itertools import accumulate, pairwise
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -37,8 +38,6 @@ from particlerb.rotors.theta import (
 
 _BLOCK = 256
 _CROSSOVER = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
-_SMALLEST = 1e-290
-_EXPONENT_BITS = 0x7FF0000000000000
 _spliced = compile_with(inline="always")  # used once: not compiled apart from its caller
 
 
@@ -224,7 +223,7 @@ def prepare(
         Indices of bodies and their constants in that order; each body is in exactly one.
     """
     inertia, q, L = (np.ascontiguousarray(a, dtype=np.float64) for a in (inertia, q, L))
-    units = np.stack([_inverse_power_of_two(inertia), _inverse_power_of_two(L)])
+    units = np.ones((2, rotor_class.size))
     modulus = np.full(rotor_class.size, -1.0)
     if (which := np.flatnonzero(rotor_class == ASYMMETRIC)).size:
         THREADS.alone(moduli, inertia, q, L, units, which, modulus)
@@ -250,14 +249,8 @@ def prepare(
 
 def split(table: Floats, *counts: int) -> list[Floats]:
     """Consecutive rows of a table, so many each."""
-    return np.split(table, np.cumsum(counts)[:-1])
-
-
-def _inverse_power_of_two(vectors: Floats) -> Floats:
-    """1 / the largest power of two in the largest component of each (3, n) vector."""
-    largest = np.maximum(np.abs(vectors).max(axis=0), _SMALLEST)
-    exponent: Floats = (largest.view(np.int64) & _EXPONENT_BITS).view(np.float64)
-    return 1.0 / exponent
+    ends = [0, *accumulate(counts)]
+    return [table[first:last] for first, last in pairwise(ends)]
 
 
 def _steady_inverse(inertia: Floats, rotor_class: NDArray[np.integer], modulus: Floats) -> Floats:

@@ -29,6 +29,7 @@ from particlerb.rotors.theta import (
 )
 
 _BLOCK = 1 if config.DISABLE_JIT else 128
+_SMALLEST = 1e-290
 _INPUTS = 11  # rows: I (3), q (4), L (3), rate
 STEADY_ROWS, THETA_ROWS, NEAR_ROWS = 9, 10, 24
 Pair: TypeAlias = tuple[float, float]
@@ -64,10 +65,20 @@ def _complementary_modulus(inertia: Vec3, m: Vec3) -> float:
     return -1.0 if (on2 and on3) or d13 == 0.0 else modulus
 
 
+@inline
+def _unit(vectors: Floats, b: int) -> float:
+    """1 / the largest power of two in the largest component of a column."""
+    largest = max(abs(vectors[0, b]), abs(vectors[1, b]), abs(vectors[2, b]), _SMALLEST)
+    return math.ldexp(1.0, 1 - math.frexp(largest)[1])
+
+
 @kernel
 def moduli(inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, out: Floats) -> None:
-    """`_complementary_modulus` of bodies `which`."""
+    """`_complementary_modulus` of bodies `which`, and their units."""
     s = np.empty((_INPUTS + 1, _BLOCK))
+    for k in range(which.size):
+        j = which[k]
+        units[0, j], units[1, j] = _unit(inertia, j), _unit(L, j)
     for lo in range(0, which.size, _BLOCK):
         hi = min(lo + _BLOCK, which.size)
         fill(inertia, q, L, units, which, lo, hi, s)

@@ -20,10 +20,9 @@ from particlerb.contact.contact_output import ContactOutput
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
-from particlerb.model.bodies import Bodies
+from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import (
     Frames,
-    State,
     as_frame,
     quaternion_product,
     room_for,
@@ -121,9 +120,9 @@ class Run:
         self.last = initial.last
         self.room = initial  # used again and again: fresh memory costs more than what fills it
         self.rod_limit = _rod_limits(plan, len(self.system.kind))
+        self.rods = np.flatnonzero(self.system.bodies.rotor_class == ROD)
         self.travellers = [
-            GroupRun(group, State(*(a[:, group.members] for a in self.system.state)))
-            for group in plan.groups
+            GroupRun(group, taken(self.system.state, group.members)) for group in plan.groups
         ]
         self.counted = counted(plan.groups, self.system.bodies)
         energies = initial_energies(self.travellers, initial)
@@ -182,7 +181,8 @@ class Run:
         frames.is_frame[:] = is_frame
         booked, energies = record_all(self.travellers, times, frames)
         now = totals(frames, self.counted, self.gravity, *energies)
-        is_finite = all(np.isfinite(total).all() for total in now)
+        sizes = now.kinetic_energy + now.potential_energy + now.momentum_size + now.spin_size
+        is_finite = bool(np.isfinite(sizes).all())
         sound, error = self.sound_frames(times, frames, is_finite)
         if sound < times.size:
             frames = first_rows(frames, sound)
@@ -217,7 +217,7 @@ class Run:
                 " long for this force, the body met a singular point of it, or a number is too"
                 " large for float64"
             )
-        rods = np.flatnonzero(self.system.bodies.rotor_class == ROD)
+        rods = self.rods
         if not self.spinning(rods, frames, -1).size:
             return times.size, None
         f = next(k for k in range(times.size) if self.spinning(rods, frames, k).size)

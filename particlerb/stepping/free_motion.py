@@ -14,7 +14,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.maths.quaternion import rows4
+from particlerb.maths.quaternion import load4, rows4, store4
 from particlerb.maths.vec3 import Floats, Ints, Rows3, add_scaled, load3, rows3, store3
 from particlerb.model.block import BOOKED, COM, STRIDE, L, P, Q, in_blocks
 from particlerb.model.bodies import taken
@@ -43,10 +43,11 @@ _TURNING: Final = [0, 4, 5, 6]  # of what is booked: work and angular impulse
 class _Part(NamedTuple):
     """Bodies of one kind of turn, as the kernel takes them; one of five kinds is not None."""
 
-    state: State
+    state: State  # of the whole group, as the next three
     force: Floats
     inv_mass: Floats
     rotor_frame: Floats
+    which: Ints  # of the group are these
     steady: SteadyTurn | None = None
     theta: ThetaTurn | None = None
     hyperbolic: HyperbolicTurn | None = None
@@ -102,26 +103,34 @@ def _fly_blocks(
     last: int,
 ) -> None:
     """All frames of some blocks of one kind of turn; times count from the state."""
-    state, force, inv_mass, rotor_frame, steady, theta, hyperbolic, top, near = part
-    out = np.empty((BOOKED + 1) * STRIDE)
-    local = out.reshape((BOOKED + 1, STRIDE))
+    state, force, inv_mass, rotor_frame, which, steady, theta, hyperbolic, top, near = part
+    out, own = np.empty((BOOKED + 1) * STRIDE), np.empty((17, BLOCK))
+    local, place = out.reshape((BOOKED + 1, STRIDE)), np.empty(BLOCK, np.int64)
     for k in range(first, last):
-        lo, hi = k * BLOCK, min((k + 1) * BLOCK, inv_mass.size)
+        lo, hi = k * BLOCK, min((k + 1) * BLOCK, which.size)
         n = hi - lo
-        com, p = rows3(local[COM : COM + 3], 0, n), rows3(local[P : P + 3], 0, n)
-        start, p0, spin = rows3(state.com, lo, hi), rows3(state.p, lo, hi), rows3(state.L, lo, hi)
+        com, p, q = (
+            rows3(local[COM : COM + 3], 0, n),
+            rows3(local[P : P + 3], 0, n),
+            rows4(local[Q : Q + 4], 0, n),
+        )
+        start, p0, spin = rows3(own[0:3], 0, n), rows3(own[3:6], 0, n), rows3(own[6:9], 0, n)
+        F, frame, inverse = rows3(own[9:12], 0, n), rows4(own[12:16], 0, n), own[16, :n]
+        for b in range(n):
+            j = which[lo + b]
+            place[b], inverse[b] = members[j], inv_mass[j]
+            store3(start, b, load3(rows3(state.com, 0, inv_mass.size), j))
+            store3(p0, b, load3(rows3(state.p, 0, inv_mass.size), j))
+            store3(spin, b, load3(rows3(state.L, 0, inv_mass.size), j))
+            store3(F, b, load3(rows3(force, 0, inv_mass.size), j))
+            store4(frame, b, load4(rows4(rotor_frame, 0, inv_mass.size), j))
         if given is not None:
             spin = rows3(local[L : L + 3], 0, n)
-        q, F, frame = (
-            rows4(local[Q : Q + 4], 0, n),
-            rows3(force, lo, hi),
-            rows4(rotor_frame, lo, hi),
-        )
         for f in range(times.size):
             turn_block(steady, theta, hyperbolic, times[f], lo, hi, q)
             top_block(top, near, k, times[f], n, out)
-            _parabola(start, p0, F, inv_mass[lo:hi], times[f], com, p)
-            store_frame(frames, rows[f], members[lo:hi], frame, com, q, p, spin)
+            _parabola(start, p0, F, inverse, times[f], com, p)
+            store_frame(frames, rows[f], place[:n], frame, com, q, p, spin)
             if given is not None:
                 _add_given(local, n, given[k, f])
 
@@ -161,8 +170,10 @@ class FreeMotion:
             own = index[which]
             blocks = in_blocks(which.size, len(table), [(0, table)])
             is_near = len(table) != N_THETA
+            frame = bodies.rotor_frame.copy()
+            frame[:, own] = quaternion_product(frame[:, own], axes[:, which])
             part = self.part(own)._replace(
-                rotor_frame=quaternion_product(bodies.rotor_frame[:, own], axes[:, which]),
+                rotor_frame=frame,
                 top=None if is_near else blocks,
                 near=blocks if is_near else None,
             )
@@ -172,12 +183,7 @@ class FreeMotion:
     def part(self, which: Ints) -> _Part:
         """Some bodies, without their turn."""
         bodies = self.group.bodies
-        return _Part(
-            taken(self.state, which),
-            np.ascontiguousarray(self.force[:, which]),
-            bodies.inv_mass[which],
-            np.ascontiguousarray(bodies.rotor_frame[:, which]),
-        )
+        return _Part(self.state, self.force, bodies.inv_mass, bodies.rotor_frame, which)
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
@@ -186,8 +192,7 @@ class FreeMotion:
         for which, part, turned in self.parts:
             n_blocks = -(-which.size // BLOCK)
             given = None if turned is None else np.empty((n_blocks, times.size, 4))
-            members = self.group.members[which]
-            fly = partial(_fly_blocks, part, elapsed, rows, members, frames, given)
+            fly = partial(_fly_blocks, part, elapsed, rows, self.group.members, frames, given)
             THREADS.spread(fly, which.size, which.size * times.size)
             if turned is not None and given is not None:
                 booked[:, _TURNING] += given.sum(axis=0) - turned.first

@@ -7,7 +7,7 @@ the last two with gravity's. The error of integration is the total less the init
 """
 
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from particlerb.compiled.jit import flag
 from particlerb.forces import Terms, force_of_loads, is_constant, terms_on, work_of_potentials
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
-from particlerb.model.state import Frames, State, quaternion_product
+from particlerb.model.state import Frames, State, cross_columns, quaternion_product
 from particlerb.stepping.saved_arrays import Saved, under, within
 
 
@@ -74,8 +74,13 @@ def force_of(group: Group) -> tuple[Floats, Floats]:
     return pushed, pushed + gravity.mass * gravity.acceleration[:, None]
 
 
+_NO_FORCE: Final = _ConstantForce(np.zeros(2), np.zeros(3), np.zeros((2, 3)))
+
+
 def constant_force(group: Group, state: State) -> _ConstantForce:
     """Sums over a group whose force is constant, from its state at the beginning."""
+    if group.terms.gravity is None and not group.terms.loads:
+        return _NO_FORCE
     pushed, force = force_of(group)
     velocity = state.p * group.bodies.inv_mass
     return _ConstantForce(
@@ -83,8 +88,8 @@ def constant_force(group: Group, state: State) -> _ConstantForce:
         force.sum(axis=1),
         np.stack(
             [
-                np.cross(state.com, force, axis=0).sum(axis=1),
-                0.5 * np.cross(velocity, force, axis=0).sum(axis=1),
+                cross_columns(state.com, force).sum(axis=1),
+                0.5 * cross_columns(velocity, force).sum(axis=1),
             ]
         ),
     )
