@@ -28,7 +28,8 @@ from results import record
 from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.model.system import System
-from particlerb.plan.make_plan import make_plan, with_choice
+from particlerb.plan.make_plan import make_plan
+from particlerb.plan.time_step import stepped_by
 from particlerb.simulation.accuracy import search
 from particlerb.simulation.trials import part, seconds, states_at
 from particlerb.studies.work_precision import Point, Study, WorkPrecision, chart
@@ -139,9 +140,9 @@ def as_asked(system: System, wanted: float, repeats: int = 7) -> float:
     plan, taken = make_plan(free), []
     for _ in range(repeats + 1):  # the first compiles
         started = time.perf_counter()
-        found = [search(free, group) for group in plan.groups]
-        choice = [None if one is None else one.stepping for one in found]
-        own = part(free, with_choice(free, plan, choice), np.arange(len(free.kind)))
+        found = [(group, search(free, group)) for group in plan.groups]
+        chosen = tuple(g if one is None else stepped_by(g, one.stepping) for g, one in found)
+        own = part(free, plan._replace(groups=chosen), np.arange(len(free.kind)))
         states_at(own, np.array([free.run.t_end]))
         taken.append(time.perf_counter() - started)
     return float(np.median(taken[1:]))

@@ -5,7 +5,7 @@ an impulse acts. What a system does not use is neither computed nor compiled, an
 in words.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable
 
 from particlerb.case.coarse_lattice import coarse
 from particlerb.case.problems import CaseError
@@ -29,13 +29,17 @@ from particlerb.plan.time_step import (
 )
 
 
-def make_plan(system: System) -> Plan:
+def make_plan(
+    system: System, choose: Callable[[GroupPlan], Stepping | None] = lambda group: None
+) -> Plan:
     """Plan of a system.
 
     Parameters
     ----------
     system : System
         Bodies, and all that acts on them.
+    choose : callable, optional
+        How a group is stepped, in place of what `run` says; None where that stays.
 
     Raises
     ------
@@ -53,30 +57,15 @@ def make_plan(system: System) -> Plan:
     cut = [part for group in grouped for part in cut_into_segments(system, group, touching)]
     cut.sort(key=lambda group: int(group.members.min()))
     refuse_method(system, cut)
-    groups = tuple(with_steps(group, step(system, group)) for group in cut)
-    return _checked(system, groups, [None] * len(groups))
-
-
-def with_choice(system: System, plan: Plan, choice: Sequence[Stepping | None]) -> Plan:
-    """Plan whose groups are stepped as chosen, where something is.
-
-    Raises
-    ------
-    CaseError
-        If a step is too short or too long.
-    """
+    stepped = tuple(with_steps(group, step(system, group)) for group in cut)
+    refuse_endless(system, stepped)
+    choice = [choose(group) for group in stepped]
     groups = tuple(
         group if chosen is None else stepped_by(group, chosen)
-        for group, chosen in zip(plan.groups, choice, strict=True)
+        for group, chosen in zip(stepped, choice, strict=True)
     )
-    return _checked(system, groups, choice)
-
-
-def _checked(
-    system: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
-) -> Plan:
-    """Plan of groups with steps, if these can be taken."""
-    refuse_endless(system, groups)
+    if any(choice):
+        refuse_endless(system, groups)
     refuse_unstable(system, groups)
     warnings = (
         *(as_warning(problem) for problem in coarse(system)),

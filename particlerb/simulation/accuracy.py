@@ -22,7 +22,7 @@ import numpy as np
 from particlerb.case.source import problem_at
 from particlerb.model.system import System
 from particlerb.plan.describe import describe, group_name
-from particlerb.plan.make_plan import make_plan, with_choice
+from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import GroupPlan, Plan, accepts, has_step
 from particlerb.plan.time_step import Stepping, stepped_by
@@ -86,11 +86,14 @@ def prepare_accurately(system: System) -> Prepared:
     if system.run.accuracy is None:
         return prepare(system)
     system = remove_overlaps(system)
-    free = system.with_run(method="auto")
-    plan = make_plan(free)
-    found = [search(free, group) for group in plan.groups]
+    free, found = system.with_run(method="auto"), []
+
+    def choose(group: GroupPlan) -> Stepping | None:
+        found.append(search(free, group))
+        return None if found[-1] is None else found[-1].stepping
+
+    chosen = make_plan(free, choose)
     choice = [None if one is None else one.stepping for one in found]
-    chosen = with_choice(free, plan, choice)
     estimate = _estimate_of(system, chosen, found)
     warnings = chosen.warnings
     if not estimate.is_met:
@@ -121,9 +124,10 @@ def prepare_again(system: System, stepping: str | None) -> Prepared:
     if stepping is None:
         return prepare(system)
     choice = [None if one is None else Stepping(**one) for one in json.loads(stepping)]
-    system = remove_overlaps(system)
-    free = system.with_run(method="auto")
-    plan = with_choice(free, make_plan(free), choice)
+    system, chosen = remove_overlaps(system), iter(choice)
+    plan = make_plan(system.with_run(method="auto"), lambda _: next(chosen))
+    if next(chosen, None) is not None:
+        raise ValueError("a method is chosen for a group that is not there")
     return Prepared(system, plan, describe(system, plan))
 
 

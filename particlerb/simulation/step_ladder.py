@@ -8,7 +8,7 @@ step: no choice depends on a clock.
 import math
 import sys
 import time
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -103,6 +103,7 @@ class Pilot:
         own = self.group.members[which]
         self.which, self.state = which, taken(self.system.state, own)
         self.own = chosen(self.group, which, np.arange(which.size))
+        self.begun: dict[str, Any] = {}  # motions of these bodies, by their methods
         self.size = self.system.reach[self.system.kind[own]]
 
     def longest(self, turn: float) -> float:
@@ -124,7 +125,8 @@ class Pilot:
     def poses(self, stepping: Stepping, times: Floats) -> tuple[Frames, float]:
         """States at some times, and the steps of the whole run that were taken until the last."""
         self.say_so(stepping.method)
-        frames, steps = poses(stepped_by(self.own, stepping), self.state, times)
+        again = None if self.is_coupled else self.begun
+        frames, steps = poses(stepped_by(self.own, stepping), self.state, times, again)
         looks = 0 if is_adaptive(stepping.method) else times.size
         self.spent += self.cost(stepping, steps + looks, self.which.size)
         return frames, steps

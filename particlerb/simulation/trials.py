@@ -21,11 +21,12 @@ from particlerb.model.comparison import misfits
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.system import System
 from particlerb.plan.rates import rates
-from particlerb.plan.segments import GroupPlan, Plan, has_step, is_adaptive
+from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.simulation.group_run import Energies, GroupRun, initial_energies, record_all
 from particlerb.simulation.run import counted
 from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import CompositeMotion, part_of
+from particlerb.stepping.stepped_motion import SteppedMotion
 
 
 class BodySubset(NamedTuple):
@@ -135,10 +136,13 @@ def drifts(part: BodySubset, frames: Frames, books: _Books) -> tuple[float, floa
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def poses(group: GroupPlan, state: State, times: Floats) -> tuple[Frames, float]:
+def poses(
+    group: GroupPlan, state: State, times: Floats, begun: dict[str, Any] | None = None
+) -> tuple[Frames, float]:
     """Frames of the bodies of a group alone at ascending times, numbered from 0.
 
-    Nothing is booked, and no body touches another.
+    Nothing is booked, and no body touches another. What was `begun` before at the same state by a
+    method with steps sets off again with another step.
 
     Returns
     -------
@@ -152,11 +156,7 @@ def poses(group: GroupPlan, state: State, times: Floats) -> tuple[Frames, float]
     for segment in group.segments:
         for jump in segment.jumps:
             state, _ = apply_impulse(jump, group.bodies, state)
-        method, tolerance = METHODS[segment.method], segment.tolerance
-        motion: Any = begin(
-            method, group.group(segment), state, segment.start, segment.dt, tolerance
-        )
-        _forget_accounts(motion)
+        motion = _motion(group, segment, state, begun if segment is group.segments[0] else None)
         rows = np.arange(done, np.searchsorted(times, segment.stop, side="left"))
         adapts, before = is_adaptive(segment.method), segment.start
         for own in np.split(rows, rows.size) if adapts and rows.size else [rows]:
@@ -178,11 +178,30 @@ def poses(group: GroupPlan, state: State, times: Floats) -> tuple[Frames, float]
     return frames, float(steps)
 
 
+def _motion(group: GroupPlan, segment: Segment, state: State, begun: dict[str, Any] | None) -> Any:
+    """A motion without accounts: one that was begun before, or a new one, which is kept."""
+    if begun is not None and segment.method in begun:
+        motion, first = begun[segment.method]
+        for one, blocks in zip(_parts(motion), first, strict=True):
+            one.set_off_again(blocks, segment.dt)
+        return motion
+    method, tolerance = METHODS[segment.method], segment.tolerance
+    motion = begin(method, group.group(segment), state, segment.start, segment.dt, tolerance)
+    _forget_accounts(motion)
+    parts = _parts(motion)
+    if begun is not None and all(isinstance(one, SteppedMotion) for one in parts):
+        begun[segment.method] = motion, [one.blocks.copy() for one in parts]
+    return motion
+
+
+def _parts(motion: Any) -> list[Any]:
+    """Motions that a motion consists of."""
+    return [own for _, own in motion.parts] if isinstance(motion, CompositeMotion) else [motion]
+
+
 def _forget_accounts(motion: Any) -> None:
     """Let a motion, and its parts, not sum up what forces give."""
-    for one in (
-        [own for _, own in motion.parts] if isinstance(motion, CompositeMotion) else [motion]
-    ):
+    for one in _parts(motion):
         if hasattr(one, "account"):
             one.account.is_kept = False
 

@@ -107,6 +107,10 @@ class SteppedMotion:
         self.cost = method.cost * n  # [ns] of a step, roughly
         self.cost += 0.0 if self.forces is None else method.evaluations * self.forces.cost
 
+    def set_off_again(self, blocks: Floats, dt: float) -> None:
+        """Set off once more, with blocks as they were at first, and another step."""
+        self.blocks[:], self.dt, self.steps_done = blocks, dt, 0
+
     def spaced(self, values: Floats) -> Floats:
         """Rows of all bodies with the gaps of the blocks between them."""
         spaced = np.zeros((len(values), len(self.layout.first) * BLOCK))
