@@ -13,6 +13,8 @@ from particlerb.forces.impulse import apply_impulse
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import Frames, State, quaternion_product
+from particlerb.model.system import System
+from particlerb.plan.joints import joints_of
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.stepping.begin import begin
 from particlerb.stepping.contact_run import TouchingMotion
@@ -20,6 +22,7 @@ from particlerb.stepping.motion import Motion
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved, under, within
 from particlerb.stepping.sparse_contact import DiluteMotion
+from particlerb.stepping.stepped_motion import SteppedMotion
 
 _STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
 TOUCHING = (TouchingMotion, DiluteMotion)  # motions that know the elastic energy of contacts
@@ -212,3 +215,17 @@ def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:
     potential += [motion.elastic for motion in touching]
     kinetic = sum(motion.at_rest for motion in touching)
     return Energies(np.array([sum(potential)]), np.array([kinetic]))
+
+
+def lost(system: System, runs: Sequence[GroupRun]) -> str:
+    """What is to be said of a joint that no longer holds; empty where all do."""
+    motions = [run.motion for run in runs if isinstance(run.motion, SteppedMotion)]
+    joints = [joint for motion in motions for joint in motion.lost_joints()]
+    setup = joints_of(system) if joints else None
+    if setup is None:
+        return ""
+    return (
+        f"joint {setup.names[min(joints)]} no longer holds: no impulse was found that keeps it; the"
+        " step is too long for the tension that it carries, or its bodies met a singular pose: take"
+        " a shorter run.dt"
+    )

@@ -30,7 +30,7 @@ from particlerb.model.state import (
 )
 from particlerb.model.system import System
 from particlerb.plan.describe import describe
-from particlerb.plan.joints import assembled, joints_of
+from particlerb.plan.joints import assembled
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import GroupPlan, Plan
@@ -41,17 +41,12 @@ from particlerb.record.provenance import texts_of
 from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.rotors.rotor_class import ROD
 from particlerb.simulation.frame_times import Batch, batches
-from particlerb.simulation.group_run import TOUCHING, GroupRun, initial_energies, record_all
+from particlerb.simulation.group_run import TOUCHING, GroupRun, initial_energies, lost, record_all
 from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
 from particlerb.stepping.sparse_contact import DiluteMotion
-from particlerb.stepping.stepped_motion import SteppedMotion
 
 _FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
-_LOST = (
-    "no impulse was found that keeps it; the step is too long for the tension that it carries, or"
-    " its bodies met a singular pose: take a shorter run.dt"
-)
 _ROD_ROUNDING = 1e-9  # share of L along a rod that exact drifts may leave
 _ROD_ERROR = 0.2  # that other methods may leave: more is a torque about the axis, or no result
 
@@ -209,8 +204,8 @@ class Run:
                 continue
             finite = np.isfinite(values).all(axis=2)
             f = int(np.argmin(finite.all(axis=1)))
-            if (lost := self.lost_joint()) is not None:
-                return f, RunError(f"{lost} by t = {float(times[f])!r} s: {_LOST}")
+            if why := lost(self.system, self.travellers):
+                return f, RunError(f"by t = {float(times[f])!r} s {why}")
             body = self.system.names[int(np.argmin(finite[f]))]
             return f, RunError(
                 f"{name} of {body} is not finite at t = {float(times[f])!r} s: the step is too"
@@ -226,13 +221,6 @@ class Run:
             f"{name} is a rod, and by t = {float(times[f])!r} s a torque has turned it about its"
             f" own axis, about which it has no inertia: {self.advice_for_rods()}"
         )
-
-    def lost_joint(self) -> str | None:
-        """Which joint no longer holds, if any is lost."""
-        motions = [t.motion for t in self.travellers if isinstance(t.motion, SteppedMotion)]
-        lost = [joint for motion in motions for joint in motion.lost_joints()]
-        setup = joints_of(self.system) if lost else None
-        return None if setup is None else f"joint {setup.names[min(lost)]} no longer holds"
 
     def advice_for_rods(self) -> str:
         """What to do where something turns rods about their own axes."""
