@@ -87,6 +87,13 @@ class ContactTable(ContactNumbers):
 # Walls
 
 
+def _with_a_square(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Require a vector whose length can be found."""
+    if not math.isfinite(math.fsum(component * component for component in value)):
+        raise broken("is too large: its square overflows")
+    return value
+
+
 class Oscillation(Table):
     """Displacement A sin(2π f t + φ)."""
 
@@ -99,7 +106,9 @@ class Prescribed(Table):
     """Motion of a wall or a body, whatever touches it: it turns about a centre that moves."""
 
     velocity: Vector = Field(_ORIGIN, description="Of the centre, world frame. [m/s]")
-    angular_velocity: Vector = Field(_ORIGIN, description="World frame. [rad/s]")
+    angular_velocity: Annotated[Vector, AfterValidator(_with_a_square)] = Field(
+        _ORIGIN, description="World frame. [rad/s]"
+    )
     centre: Vector | None = Field(
         None, description="Point of the axis at t = 0, world frame; default: its own. [m]"
     )

@@ -1276,6 +1276,20 @@ force = [{ type = "push", body = "a", at = [-1e174, 1e5, 0.0], force = [-0.5, 0.
         prepare(to_system(parse(text)))
 
 
+def test_a_wall_that_turns_beyond_all_numbers_is_refused():
+    """Its pose would be NaN, also at t = 0."""
+    text = """
+run = { t_end = 1.0, every = 0.5 }
+contact = { stiffness = 1e4 }
+body = [{ name = "a", shape = { type = "sphere", radius = 0.2 }, mass = 1.0, position = [0, 0, 1] }]
+[[wall]]
+type = "plane"
+motion = { angular_velocity = [0.1, 3.0, 3e162] }
+"""
+    found = {problem.key: problem.reason for problem in problems(text)}
+    assert "its square overflows" in found["wall[0].motion.angular_velocity"]
+
+
 def message_of_file(path: Path) -> str:
     with pytest.raises(CaseError) as caught:
         load(path)
