@@ -4,8 +4,7 @@
 the interpreter's lock, so that `threads` can spread them. `splice` is for a function that does no
 more than call others: it is copied into its callers, and not compiled by itself. `lean` and
 `lean_kernel` do not count who uses an array, which costs 5 ns for each that a loop takes out of a
-tuple or hands to a helper: they can make none. `rounded_kernel` rounds each operation by itself, as
-NumPy does: a loop for the same bits. Numba's cache does not notice an edit in
+tuple or hands to a helper: they can make none. Numba's cache does not notice an edit in
 another file, nor a changed NUMBA_* flag; so the cache folder has a hash of all of it in its name.
 Nor does it notice that a file was cut or changed, or give up where none can be written: each file
 has a hash of its content, what is damaged is compiled anew, and one warning says what is not kept.
@@ -218,7 +217,7 @@ def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Fu
     def decorate(function: Function) -> Function:
         if CACHE_FOLDER is None:
             return function
-        dispatcher = numba.njit(**{**_FLAGS, **compiler_options(), **options})(function)
+        dispatcher = numba.njit(**_FLAGS, **compiler_options(), **options)(function)
         if cache:
             keep(dispatcher)
         return cast(Function, dispatcher)
@@ -229,7 +228,6 @@ def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Fu
 inline = compile_with(forceinline=True)
 splice = compile_with(inline="always")
 kernel = compile_with(cache=True, nogil=True)
-rounded_kernel = compile_with(cache=True, nogil=True, fastmath=False)
 lean = compile_with(forceinline=True, _nrt=False)
 lean_kernel = compile_with(cache=True, nogil=True, _nrt=False)
 

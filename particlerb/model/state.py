@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, rounded_kernel
-from particlerb.maths.quaternion import Rows4, conjugate, load4, multiply
-from particlerb.maths.vec3 import Bools, Floats, Ints, Rows3, load3
+from particlerb.compiled.jit import inline, kernel
+from particlerb.maths.quaternion import Rows4, conjugate, load4, multiply, rows4
+from particlerb.maths.vec3 import Bools, Floats, Ints, Rows3, load3, rows3
 from particlerb.model.bodies import Bodies
 
 
@@ -45,29 +45,10 @@ def room_for(n_frames: int, n_bodies: int, last: Floats) -> Frames:
 
 def as_frame(bodies: Bodies, state: State) -> Frames:
     """One state of all bodies as a frame."""
-    frames = room_for(1, state.com.shape[1], np.empty((state.com.shape[1], 4)))
-    _copy_rows(bodies.rotor_frame, state, frames)
+    n = state.com.shape[1]
+    frames = room_for(1, n, np.zeros((n, 4)))  # nothing came before: q keeps its sign
+    _store_all(frames, np.arange(n), bodies.rotor_frame, state)
     return frames
-
-
-@rounded_kernel
-def _copy_rows(rotor_frame: Floats, state: State, frames: Frames) -> None:
-    """Write states of all bodies into the first frame, q times the conjugate of the rotor frame."""
-    com, q, p, L = state
-    for b in range(com.shape[1]):
-        for c in range(3):
-            frames.position[0, b, c] = com[c, b]
-            frames.linear_momentum[0, b, c] = p[c, b]
-            frames.angular_momentum[0, b, c] = L[c, b]
-        w, x, y, z = q[0, b], q[1, b], q[2, b], q[3, b]
-        d, e = rotor_frame[0, b], -rotor_frame[1, b]
-        f, g = -rotor_frame[2, b], -rotor_frame[3, b]
-        frames.orientation[0, b, 0] = w * d - x * e - y * f - z * g
-        frames.orientation[0, b, 1] = w * e + x * d + y * g - z * f
-        frames.orientation[0, b, 2] = w * f - x * g + y * d + z * e
-        frames.orientation[0, b, 3] = w * g + x * f - y * e + z * d
-        for c in range(4):
-            frames.last[b, c] = frames.orientation[0, b, c]
 
 
 @inline
@@ -96,6 +77,14 @@ def store_frame(
             orientation[f, i, k] = sign * value
             if is_frame[f]:
                 last[i, k] = sign * value
+
+
+@kernel
+def _store_all(frames: Frames, index: Ints, rotor_frame: Floats, state: State) -> None:
+    """Write all bodies into the first frame."""
+    n, (com, q, p, L) = index.size, state
+    x, spin = rows3(com, 0, n), rows3(L, 0, n)
+    store_frame(frames, 0, index, rows4(rotor_frame, 0, n), x, rows4(q, 0, n), rows3(p, 0, n), spin)
 
 
 def quaternion_product(a: Floats, b: Floats) -> Floats:

@@ -74,19 +74,8 @@ def list_checksums(columns: Iterable[NDArray[np.generic]], ends: NDArray[np.int6
     return total
 
 
-_TABLES: Final = {
-    path: k
-    for k, path in enumerate(
-        (
-            *schema.STATIC,
-            *schema.AXES,
-            schema.BODY,
-            schema.WALL_NAMES,
-            schema.WALL_NUMBERS,
-            *TOPOLOGY,
-        )
-    )
-}
+_SCALES: Final = (*schema.AXES, schema.BODY, schema.WALL_NAMES, schema.WALL_NUMBERS)
+_TABLES: Final = [*schema.STATIC, *_SCALES, *TOPOLOGY]  # in this order
 
 
 def _unchanging(file: h5py.File) -> list[str]:
@@ -101,8 +90,8 @@ def _unchanging(file: h5py.File) -> list[str]:
 
 def _order(path: str) -> tuple[int, str]:
     """What puts paths into the order of the digest: tables, then texts, then kept files."""
-    known = _TABLES.get(path, len(_TABLES) + path.startswith(f"{schema.FILES}/"))
-    return known, path
+    is_file = path.startswith(f"{schema.FILES}/")
+    return _TABLES.index(path) if path in _TABLES else len(_TABLES) + is_file, path
 
 
 def digest_of(content: Mapping[str, Any]) -> str:

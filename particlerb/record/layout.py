@@ -27,6 +27,7 @@ _SHOWN: Final = {  # what VTK shows of each body beside the recorded fields
 }
 
 Content = Mapping[str, Any]  # arrays, and texts as bytes, by their paths
+Made = Mapping[str, h5d.DatasetID]  # by their paths
 
 
 def lay_out(file: h5py.File, system: System, content: Content) -> None:
@@ -48,15 +49,14 @@ def lay_out(file: h5py.File, system: System, content: Content) -> None:
     made = {path: put(file, path, values) for path, values in content.items()}
     _describe_tables(made)
     made |= make_clock(file, n)
-    dtype = np.dtype(system.output.dtype)
     shown = {}
     for path, element in schema.series_of(fields).items():
         if path != schema.TIME:
-            value = _make_series(file, path, element, dtype, n, made)
+            value = _make_series(file, path, system, made)
             if element.per == "body":
                 shown[path.split("/")[-2]] = value
     if schema.CONTACTS in fields:
-        _make_contacts(file, dtype, n * system.n_bodies, made)
+        _make_contacts(file, system, made)
     topology = create_vtkhdf(file, shown, {name: made[path] for name, path in _SHOWN.items()}, n)
     place = _make_checksums(file, n, made[schema.TIME])
     note(place, digest=np.bytes_(digest_of({**content, **topology})))
@@ -102,7 +102,7 @@ def tables_of(scene: System) -> dict[str, Any]:
     return tables
 
 
-def _describe_tables(made: Mapping[str, h5d.DatasetID]) -> None:
+def _describe_tables(made: Made) -> None:
     """Units, meaning and dimension scales of the tables."""
     for path, table in schema.STATIC.items():
         describe(made[path], table.units, table.meaning)
@@ -144,7 +144,7 @@ def make_clock(file: h5py.File, n_frames: int) -> dict[str, h5d.DatasetID]:
     return {schema.STEP: step, schema.TIME: clock}
 
 
-def link_clock(file: h5py.File, place: str, made: Mapping[str, h5d.DatasetID]) -> None:
+def link_clock(file: h5py.File, place: str, made: Made) -> None:
     """Let a group have step and time too."""
     link(file, f"{place}/step", made[schema.STEP])
     link(file, f"{place}/time", made[schema.TIME])
@@ -160,23 +160,16 @@ def _make_checksums(file: h5py.File, n_frames: int, clock: h5d.DatasetID) -> Any
     return place
 
 
-def _make_series(
-    file: h5py.File,
-    path: str,
-    element: schema.Element,
-    dtype: "np.dtype[Any]",
-    n_frames: int,
-    made: Mapping[str, h5d.DatasetID],
-) -> h5d.DatasetID:
+def _make_series(file: h5py.File, path: str, system: System, made: Made) -> h5d.DatasetID:
     """One H5MD element: step, time, and an empty value that can grow."""
-    place = path.removesuffix("/value")
+    place, element = path.removesuffix("/value"), schema.SERIES[path]
     scales = [made[_SCALE_OF[element.per]]] if element.per else []
     if element.components:
         scales.append(made[element.components])
     width = tuple(scale.shape[0] for scale in scales)
-    kind = schema.dtype_of(element, dtype)
-    n = width[0] if element.per else 1
-    rows = schema.frames_per_chunk(n, len(element.components), kind.itemsize, n_frames)
+    kind = schema.dtype_of(element, np.dtype(system.output.dtype))
+    of, n = width[0] if element.per else 1, frame_count(system.run)
+    rows = schema.frames_per_chunk(of, len(element.components), kind.itemsize, n)
     fill = None if element.is_count else np.nan  # what was never written is NaN
     value = growing(file, path, kind, width, rows=rows, fill=fill)
     describe(value, element.units, element.meaning)
@@ -187,17 +180,10 @@ def _make_series(
     return value
 
 
-def _make_contacts(
-    file: h5py.File,
-    dtype: "np.dtype[Any]",
-    n_expected: int,
-    made: Mapping[str, h5d.DatasetID],
-) -> None:
-    """Empty columns for the contacts of all frames, of which about so many are expected.
-
-    What is no integer has the given type.
-    """
-    rows = int(np.clip(n_expected, *_CONTACTS_PER_CHUNK))
+def _make_contacts(file: h5py.File, system: System, made: Made) -> None:
+    """Empty columns for the contacts of all frames."""
+    dtype = np.dtype(system.output.dtype)
+    rows = int(np.clip(frame_count(system.run) * system.n_bodies, *_CONTACTS_PER_CHUNK))
     for name, column in schema.COLUMNS.items():
         kind = np.dtype("i4") if column.is_count else dtype
         width = (column.width,) if column.width else ()

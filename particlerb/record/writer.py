@@ -26,13 +26,7 @@ from particlerb.record.frame_values import values_of
 from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import lay_out
 from particlerb.record.output_file import OutputFile, new_file
-from particlerb.record.vtkhdf import (
-    STEP_STARTS,
-    STEP_TIMES,
-    count_steps,
-    resize_vtkhdf,
-    steps_of,
-)
+from particlerb.record.vtkhdf import STEP_STARTS, STEP_TIMES, count_steps, resize_vtkhdf, steps_of
 from particlerb.record.writer_lock import WriterLock
 
 SECONDS_BETWEEN_COMMITS = 1.0

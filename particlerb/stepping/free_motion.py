@@ -8,7 +8,7 @@ for.
 
 from collections.abc import Iterator
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -147,6 +147,7 @@ class FreeMotion:
     def sorted_parts(self) -> Iterator[tuple[Ints, _Part, _Turned | None]]:
         """Bodies of each kind of turn, what the kernel takes, and what turns them."""
         bodies, state = self.group.bodies, self.state
+        moving = state, self.force, bodies.inv_mass, bodies.rotor_frame
         lever = lever_of(self.group.terms)
         if lever is not None:
             levers = levers_on(bodies, lever)
@@ -155,9 +156,7 @@ class FreeMotion:
             bodies, state = taken(bodies, free), taken(state, free)
         for which, turn in prepare(bodies.inertia, bodies.rotor_class, state.q, state.L):
             own = which if lever is None else free[which]
-            steady, theta, hyperbolic = by_kind(turn)
-            part = self.part(own)._replace(steady=steady, theta=theta, hyperbolic=hyperbolic)
-            yield own, part, None
+            yield own, _Part(*moving, own, *by_kind(turn)), None
 
     def top_parts(self, levers: Levers) -> Iterator[tuple[Ints, _Part, _Turned]]:
         """The same of tops, in the axes in which the force acts on axis 3."""
@@ -169,21 +168,12 @@ class FreeMotion:
         for which, table in prepare_tops(tops, q, state.L):
             own = index[which]
             blocks = in_blocks(which.size, len(table), [(0, table)])
-            is_near = len(table) != N_THETA
+            kind: Any = {"top" if len(table) == N_THETA else "near": blocks}
             frame = bodies.rotor_frame.copy()
             frame[:, own] = quaternion_product(frame[:, own], axes[:, which])
-            part = self.part(own)._replace(
-                rotor_frame=frame,
-                top=None if is_near else blocks,
-                near=blocks if is_near else None,
-            )
+            part = _Part(self.state, self.force, bodies.inv_mass, frame, own, **kind)
             first = np.array([work[which].sum(), *state.L[:, which].sum(axis=1)])
             yield own, part, _Turned(axes[:, which], first)
-
-    def part(self, which: Ints) -> _Part:
-        """Some bodies, without their turn."""
-        bodies = self.group.bodies
-        return _Part(self.state, self.force, bodies.inv_mass, bodies.rotor_frame, which)
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
