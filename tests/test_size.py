@@ -18,8 +18,8 @@ LINES_OF_CODE = 26346
 BUDGETS = {"closed forms under force": 600, "joints": 1500, "tables of forces": 120}
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 
-OVERSPENT = 540
-"""Lines that were above all budgets before joints came, which use 1450 of theirs: to be saved."""
+OVERSPENT = 620
+"""Lines above all budgets, by what came beside joints, which use 1500 of theirs: to be saved."""
 
 LONGEST_MODULE = 400
 LONG_MODULES = {

@@ -73,11 +73,6 @@ class JointTable(Table):
         False, description="Whether bodies may be moved at the start until it fits. [-]"
     )
 
-    @property
-    def is_single(self) -> bool:
-        """Whether it names two ends of one joint at most."""
-        return not self.chain and len(self.body) == 1
-
 
 JOINT_TYPES: tuple[str, ...] = get_args(JointType)
 

@@ -12,14 +12,15 @@ from typing import Any, Final, NamedTuple, TypeVar
 from particlerb.compiled.jit import Flag, in_python, inline, kernel, splice
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.attraction import Attraction, Work, attraction_loads
-from particlerb.forces.kernels import Acting, prepare_kick, set_time
+from particlerb.forces.kernels import Acting, load_at, prepare_kick, set_time
 from particlerb.forces.links import Links, damp_links, link_loads
 from particlerb.forces.registry import PAIR
 from particlerb.integrators.joint_stages import drift_jointed, project_jointed
 from particlerb.integrators.kick import kick_body
 from particlerb.joints.records import Jointed
+from particlerb.maths.quaternion import matrix
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import BOOKED, P, get, put
+from particlerb.model.block import BOOKED, COM, L, P, Q, get, get3, get4, put
 from particlerb.model.load import LOAD_ROWS, POWER, STATE_ROWS
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -275,6 +276,23 @@ def _project_held(jointed: Jointed | None, books: Flag, blocks: Floats) -> None:
 def project(moving: MovingBodies) -> None:
     """Take from the momenta what would break a joint."""
     _project_held(moving.jointed, moving.books, moving.blocks)
+
+
+@kernel
+def gather_loads(moving: MovingBodies, t: float, out: Floats) -> None:
+    """Force and torque on all bodies (6, n) at t [s] since the segment began."""
+    last = moving.layout.first.size
+    set_times(moving, 0, last, t)
+    loads(moving)
+    for k in range(last):
+        rows, lo = moving.blocks[k], moving.layout.first[k]
+        prepare_kick(moving.acting, rows, moving.layout.size[k], 1.0)
+        for b in range(moving.layout.size[k]):
+            x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
+            F, tau, _, _ = load_at(moving.acting, rows, b, x, R, get3(rows, P, b), get3(rows, L, b))
+            for i in range(3):
+                out[i, lo + b] = F[i]
+                out[3 + i, lo + b] = tau[i]
 
 
 @kernel

@@ -83,10 +83,8 @@ def make_least(joints: Joints, work: Work) -> None:
 
 def _joint_sizes(joints: Joints) -> Floats:
     """Size of the joint of each row [m]; 1 where all of its rows are of directions."""
-    count = np.diff(joints.program.start)
-    found = np.array([joints.rows.size[a:b].max() for a, b in zip(
-        joints.program.start[:-1], joints.program.start[1:], strict=True)])  # fmt: skip
-    return np.repeat(found, count)
+    start = joints.program.start
+    return np.repeat(np.maximum.reduceat(joints.rows.size, start[:-1]), np.diff(start))
 
 
 def forces_of_joints(joints: Joints, work: Work) -> Floats:

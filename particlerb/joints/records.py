@@ -87,7 +87,6 @@ class Work(NamedTuple):
     total: Floats  # (m,) impulses of a drift
     scale: Floats  # (m,) diagonal of A
     factor: Floats  # (blocks, 6, 6)
-    iterations: Ints  # (3,) sum, drifts, most
     lost: Ints  # (k,) 1 + row that did not converge; 0: none
 
 
@@ -114,6 +113,5 @@ def room_for_joints(joints: Joints) -> Work:
         np.zeros(m),
         np.zeros(m),
         np.zeros((len(joints.program.pair), LARGEST_BLOCK, LARGEST_BLOCK)),
-        np.zeros(3, dtype=np.int64),
         np.zeros(k, dtype=np.int64),
     )

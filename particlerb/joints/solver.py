@@ -68,13 +68,10 @@ def constrained_drift(joints: Joints, work: Work, c: int, dt: float) -> None:
     for r in range(lo, hi):
         work.total[r] = 0.0
     before = 1e300
-    for n in range(MOST_ITERATIONS):
+    for _ in range(MOST_ITERATIONS):
         fly(joints, work, c, dt)
         worst, where = residuals(joints, work, lo, hi)
         if worst <= _ROUNDING or (worst < _NEAR and worst > _GAIN * before):
-            work.iterations[0] += n
-            work.iterations[1] += 1
-            work.iterations[2] = max(work.iterations[2], n)
             return
         before = worst
         for r in range(lo, hi):

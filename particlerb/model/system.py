@@ -74,6 +74,8 @@ class System(NamedTuple):
     """Constants of all bodies."""
     state: State
     """At t = 0."""
+    placed: State | None = None
+    """Where joints were placed; None: at `state`. Assembly moves bodies from there."""
     notes: tuple[tuple[str, str], ...] = ()
     """Name of a record and a line on how its shape became particles: what was tried, or changed."""
 

@@ -68,6 +68,7 @@ def joints_of(system: System) -> JointSetup | None:
     """
     if not system.joint:
         return None
+    system = system._replace(state=system.placed or system.state)
     if system.contact is not None:
         reason = "joints are not computed together with [contact] yet"
         raise CaseError([problem_at(system, "joint[0]", reason, "leave one of the two out")])
@@ -294,7 +295,7 @@ def assembled(system: System) -> System:
     moved = float(lengths((work.y - before)[:n, :3].T).max())
     state = np.empty((13, n))
     state[:, joints.order] = work.y[:n].T
-    found = system._replace(state=State(*np.split(state, (3, 7, 10))))
+    found = system._replace(state=State(*np.split(state, (3, 7, 10))), placed=system.state)
     if moved <= _ALLOWED * float(joints.rows.size.max()):
         return found
     line = f"bodies moved by up to {moved:.3g} m at the start, until all joints fit"

@@ -110,14 +110,15 @@ def test_bodies_are_assembled_where_that_is_allowed():
         joint("hinge", "b1", "b0", [1, 0, 0], Y, at_to=[1.0, 0.01, 0.02], assemble=True),
     ]
     scene = rods(*tables)
-    plan = prepared(scene).text
-    assert "until all joints fit" in plan
-    scene["joint"][1]["at"] = {"body": [-0.5, 0.0, 0.0]}
-    scene["joint"][1]["at_to"] = {"body": [0.5, 0.01, 0.02]}
-    with moved(scene, 0.02, 0.01) as trajectory:
-        x, q = np.array(trajectory.position)[0], np.array(trajectory.orientation)[0]
-    ends = [end_of(x[b], q[b], at) for b, at in ((1, [-0.5, 0, 0]), (0, [0.5, 0.01, 0.02]))]
-    assert ends[0] == pytest.approx(ends[1], abs=1e-14)
+    assert "until all joints fit" in prepared(scene).text
+    with moved(scene, 0.02, 0.01, every=0.01) as trajectory:
+        x, q = np.array(trajectory.position), np.array(trajectory.orientation)
+    for k in range(3):
+        ends = [
+            end_of(x[k, b], q[k, b], at) for b, at in ((1, [-0.5, 0, 0]), (0, [0.5, 0.01, 0.02]))
+        ]
+        assert ends[0] == pytest.approx(ends[1], abs=1e-14)
+        assert end_of(x[k, 0], q[k, 0], [-0.5, 0, 0]) == pytest.approx(np.zeros(3), abs=1e-14)
 
 
 def end_of(x, q, at):

@@ -1,0 +1,96 @@
+"""What joints carry: closed forms, balance of momentum, redundant rows."""
+
+import numpy as np
+import pytest
+from scenes import SCENES, bar, body, case, joint, moved
+
+from particlerb import joint_loads, run
+
+G = 9.81
+
+
+def test_a_string_carries_weight_and_centripetal_force():
+    """T = m (v²/l + g cos θ), towards the pivot."""
+    shape = {"type": "points", "position": [[0.0, 0.0, 0.0]], "mass": [2.0]}
+    bob = {"name": "bob", "shape": shape, "position": [0.6, 0.0, -0.8], "velocity": [0.0, 1.5, 0.0]}
+    scene = case([bob], [{"type": "distance", "body": "bob", "at_to": [0.0, 0.0, 0.0]}])
+    with moved(scene, 0.5, 0.02, every=0.07) as trajectory:
+        loads = joint_loads(trajectory)
+        x, p = np.array(trajectory.position)[:, 0], np.array(trajectory.linear_momentum)[:, 0]
+    tension = (p * p).sum(axis=1) / 2.0 - 2.0 * G * x[:, 2]
+    assert loads.names == ("bob-world",)
+    assert loads.force[:, 0] == pytest.approx(-tension[:, None] * x, abs=1e-11)
+    assert np.abs(loads.torque).max() < 1e-12
+    assert loads.misfit.max() < 1e-14
+    assert loads.rate.max() < 1e-13
+
+
+def test_a_bar_let_go_leaves_a_quarter_of_its_weight_on_the_pivot():
+    """F = M g (1 - M a²/(I + M a²)), a the distance to the pivot."""
+    rod = bar("rod", [0, 0, 0], [1, 0, 0], 3.0)
+    with moved(case([rod], [joint("hinge", "rod", None, [0, 0, 0], [0, 1, 0])]), 0.02, 0.01) as t:
+        loads = joint_loads(t)
+    inertia = 3.0 / 12 * (1 + 0.01)
+    up = 3.0 * G * (1.0 - 0.75 / (inertia + 0.75))
+    assert loads.force[0, 0] == pytest.approx([0.0, 0.0, up], abs=1e-12)
+    assert np.abs(loads.torque[0, 0]).max() < 1e-12
+
+
+def test_a_push_and_a_spring_are_carried_too():
+    block = body("block", 2.0, [0.1, 0.2, 0.3], [0, 0, 0])
+    push = {"type": "push", "body": "block", "at": [0, 0.3, 0], "force": [5.0, 0.0, 0.0]}
+    spring = {"type": "spring", "body": "block", "at": [0, 0, 0.2], "anchor": [0.0, 1.0, 0.2],
+              "stiffness": 7.0}  # fmt: skip
+    scene = case([block], [joint("fixed", "block", None, [0, 0, 0.5])], force=[push, spring])
+    with moved(scene, 0.02, 0.01) as trajectory:
+        loads = joint_loads(trajectory)
+    force = np.array([-5.0, -7.0, 2.0 * G])
+    arms = np.array([[0, 0.3, -0.5], [0, 0, -0.3], [0, 0, -0.5]])
+    given = np.array([[5.0, 0, 0], [0, 7.0, 0], [0, 0, -2.0 * G]])
+    for k in range(2):
+        assert loads.force[k, 0] == pytest.approx(force, abs=1e-12)
+        assert loads.torque[k, 0] == pytest.approx(-np.cross(arms, given).sum(axis=0), abs=1e-12)
+
+
+def test_a_door_at_rest_hangs_on_both_hinges():
+    """Only sums are determined: the weight, and the moment of the weight about the hinges."""
+    door = bar("door", [0, 0, 0], [1, 0, 0], 25.0)
+    hinges = [joint("hinge", "door", None, [0, 0, z], [0, 0, 1]) for z in (-0.4, 0.4)]
+    with moved(case([door], hinges), 0.02, 0.01) as trajectory:
+        assert np.abs(np.array(trajectory.position)[-1] - [0.5, 0, 0]).max() < 1e-14
+        loads = joint_loads(trajectory)
+    force, torque = loads.force[0], loads.torque[0]
+    assert force.sum(axis=0) == pytest.approx([0, 0, 25.0 * G], abs=1e-11)
+    assert force[:, 2] == pytest.approx([12.5 * G] * 2, abs=1e-11)
+    moment = (torque + np.cross([[0, 0, -0.4], [0, 0, 0.4]], force)).sum(axis=0)
+    assert moment == pytest.approx(-np.cross([0.5, 0, 0], [0, 0, -25.0 * G]), abs=1e-11)
+    assert torque[:, 2] == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["bricard", "slider_crank", "mixed_chain"])
+def test_what_joints_carry_is_the_change_of_the_momenta(name):
+    """Ṗ - M g of each body by differences of order four, beside the sum over its joints."""
+    scene, h = SCENES[name](), 1e-4
+    times = {"t_end": 4 * h, "every": h, "dt": h, "method": "rattle4"}
+    with run({"run": times, **scene}) as trajectory:
+        loads, names = joint_loads(trajectory), list(trajectory.names)
+        p = np.array(trajectory.linear_momentum)
+    rate = (p[0] - 8 * p[1] + 8 * p[3] - p[4]) / (12 * h)
+    masses = np.array([table["mass"] for table in scene["body"]])
+    carried = np.zeros_like(rate)
+    for table, force in zip(scene["joint"], loads.force[2], strict=True):
+        carried[names.index(table["body"])] += force
+        if "to" in table:
+            carried[names.index(table["to"])] -= force
+    outside = rate - masses[:, None] * np.array(scene["gravity"]["acceleration"])
+    assert carried == pytest.approx(outside, abs=1e-7)
+
+
+def test_trajectories_without_joints_have_no_loads():
+    with (
+        run(
+            {"run": {"t_end": 0.1, "every": 0.1}, "body": [body("b", 1.0, [1, 1, 1], [0, 0, 0])]}
+        ) as t,
+        pytest.raises(KeyError, match="has no joints"),
+    ):
+        joint_loads(t)
