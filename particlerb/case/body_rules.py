@@ -124,7 +124,7 @@ def _grid_rules(path: Path, place: Any, count: int) -> Iterator[Finding]:
     n = place.get("n") if isinstance(place, dict) and place.get("type") == "grid" else None
     are_counts = isinstance(n, list) and all(isinstance(k, int) and k > 0 for k in n)
     if n and are_counts and math.prod(n) < count:
-        yield (*path, "n"), f"has room for {math.prod(n)} of {count} bodies", ""
+        yield (*path, "n"), f"holds {math.prod(n)} of {count} bodies", ""
 
 
 def shapes(path: Path, body: dict[str, Any], files: Files) -> Iterator[Finding]:

@@ -129,7 +129,7 @@ class Prescribed(Table):
 def direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
     """Require a vector that points somewhere."""
     if not any(value):
-        raise broken("must not be zero: it is no direction")
+        raise broken("must not be zero: it is not a direction")
     return value
 
 

@@ -83,7 +83,7 @@ class CheckValue(Table):
             words = " or ".join(wanted.get(s) or f"{s[0]} numbers" for s in allowed)
             raise broken(f"{self.quantity} needs {words}", "value")
         if self.quantity == "orientation" and not any(self.value):
-            raise broken("must not be zero: it is no orientation", "value")
+            raise broken("must not be zero: it is not an orientation", "value")
         if self.frame == "body" and self.quantity in _FRAMELESS:
             raise broken(f"{self.quantity} is not given in the body frame", "frame")
         return self

@@ -144,6 +144,13 @@ def quaternion_of_euler(euler_deg: Sequence[float]) -> FloatArray:
     )
 
 
+def quaternion_of(given: Euler | Sequence[float]) -> FloatArray:
+    """Unit quaternion (4,) of an orientation as a case gives it."""
+    return normalised(
+        quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
+    )
+
+
 def _random_quaternions(stream: np.random.Generator, count: int) -> FloatArray:
     """Uniform rotations: normal components, normalised; shape (count, 4).
 

@@ -28,7 +28,7 @@ __all__ = ["CaseError", "Problem", "load", "parse"]
 _LARGEST_FILE = 64 * 2**20
 _MOST_PROBLEMS = 100
 _PLAIN_WORDS = {
-    "Invalid value": "this is no TOML value: text needs quotes, numbers none",
+    "Invalid value": "this is not a TOML value: text needs quotes, numbers none",
     "Expected '=' after a key": "a key needs a `=` and a value",
     "Expected newline or end": "more on this line than one `key = value`",
     "Unclosed array": "a list is not closed: `]` is missing",
@@ -132,7 +132,7 @@ def read_text(path: FilePath) -> str:
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         column = error.start - raw.rfind(b"\n", 0, error.start)
-        reason = f"byte 0x{raw[error.start]:02x} is no UTF-8"
+        reason = f"byte 0x{raw[error.start]:02x} is not UTF-8"
         found = file_problem(path, reason, "save the file as UTF-8")
         raise CaseError([found._replace(line=line, column=column)]) from None
 

@@ -193,7 +193,7 @@ class Rod(FilledTable):
 
 
 def _for_each(value: Any) -> Any:
-    """One number, or a number for each particle; `PointsShape` makes a list of both."""
+    """One number, or a number for each particle; `ListedTable` makes a list of both."""
     return value
 
 
@@ -209,129 +209,103 @@ _PositiveEach = Annotated[
 ]
 
 
-def _repeated_for_each(raw: Any, keys: tuple[str, ...]) -> Any:
-    """Data of a shape in which a single number has become one for each position."""
-    position = raw.get("position") if isinstance(raw, Mapping) else None
-    if not isinstance(position, (list, tuple)):
-        return raw
-    single = {
-        key: [raw[key]] * len(position)
-        for key in keys
-        if isinstance(raw.get(key), (int, float, str))
-    }
-    return {**raw, **single}
+class ListedTable(ShapeTable):
+    """Particles given one by one, in lists or in a file."""
+
+    noun: ClassVar[str]
+    """What they are called."""
+    lists: ClassVar[tuple[str, ...]]
+    """Keys with a number for each, or one for all; the first must be there."""
+    position: tuple[Vector, ...] | None = Field(None, description="Centres in the body's axes. [m]")
+    file: Name | None
+
+    @model_validator(mode="before")
+    @classmethod
+    def repeats_numbers(cls, raw: Any) -> Any:
+        """One number for all particles, as a list."""
+        position = raw.get("position") if isinstance(raw, Mapping) else None
+        if not isinstance(position, (list, tuple)):
+            return raw
+        single = [key for key in cls.lists if isinstance(raw.get(key), (int, float, str))]
+        return {**raw, **{key: [raw[key]] * len(position) for key in single}}
+
+    @model_validator(mode="after")
+    def has_one_source(self) -> Self:
+        """Require either lists of equal length, or a file."""
+        given = {key: getattr(self, key) for key in ("position", *self.lists)}
+        if self.file is not None:
+            for key in (key for key, values in given.items() if values is not None):
+                raise broken("particles come from `file` or from lists, not both", key)
+            return self
+        first = self.lists[0]
+        if not self.position:
+            hint = f"give `position` and `{first}`, or a `file`"
+            raise broken(f"has no {self.noun}", "position", hint)
+        if given[first] is None:
+            raise broken(f"{self.noun} need a {first} each", first)
+        n = len(self.position)
+        for key, values in given.items():
+            if values is not None and len(values) != n:
+                raise broken(f"must have {n} entries like position, has {len(values)}", key)
+        self.check_lists()
+        return self
+
+    def check_lists(self) -> None:
+        """Require more of lists of equal length."""
 
 
-def _is_in_file(shape: "PointsShape | SpheresShape", lists: tuple[str, ...]) -> bool:
-    """Whether particles come from a file; then no list is given beside it."""
-    if shape.file is None:
-        return False
-    for key in lists:
-        if getattr(shape, key) is not None:
-            raise broken("particles come from `file` or from lists, not both", key)
-    return True
-
-
-def _require_length(shape: "PointsShape | SpheresShape", key: str, length: int) -> None:
-    """Require as many entries as there are positions."""
-    entries = getattr(shape, key)
-    if entries is not None and len(entries) != length:
-        raise broken(f"must have {length} entries like position, has {len(entries)}", key)
-
-
-class PointsShape(ShapeTable):
+class PointsShape(ListedTable):
     """Particles given one by one, here or in a CSV file; their masses are the body's."""
 
+    noun: ClassVar[str] = "particles"
+    lists: ClassVar[tuple[str, ...]] = ("mass", "radius")
     weighed_by: ClassVar[tuple[str, ...]] = ()
     type: Literal["points"] = Field(description=KIND)
-    position: tuple[Vector, ...] | None = Field(
-        None, description="Positions in the body's axes. [m]"
+    file: Name | None = Field(
+        None, description="Text or CSV file with columns x, y, z, m and optionally r. [m, kg]"
     )
     mass: _Each | None = Field(None, description="Masses, or that of every particle. [kg]")
     radius: _Each | None = Field(
         None, description="Radii, or that of every particle; 0 is a point mass. [m]"
     )
-    file: Name | None = Field(
-        None, description="Text or CSV file with columns x, y, z, m and optionally r. [m, kg]"
-    )
 
-    @model_validator(mode="before")
-    @classmethod
-    def repeats_numbers(cls, raw: Any) -> Any:
-        """One mass or radius for all particles, as a list."""
-        return _repeated_for_each(raw, ("mass", "radius"))
-
-    @model_validator(mode="after")
-    def has_one_source(self) -> Self:
-        """Require either lists of equal length with a positive total mass, or a file."""
-        if _is_in_file(self, ("position", "mass", "radius")):
-            return self
-        if not self.position:
-            raise broken("has no particles", "position", "give `position` and `mass`, or a `file`")
-        if self.mass is None:
-            raise broken("particles need a mass each", "mass")
-        for key in ("mass", "radius"):
-            _require_length(self, key, len(self.position))
-        self.check_masses()
-        self.check_places()
-        return self
-
-    def check_places(self) -> None:
-        """Require different places of all masses, and of all balls."""
-        n = len(self.position or ())
-        for values in (self.mass or (), self.radius or ()):
-            first: dict[Any, int] = {}
-            for i in range(n):
-                place = (self.position or ())[i]
-                if i < len(values) and values[i] > 0 and first.setdefault(place, i) != i:
-                    raise broken(
-                        f"particles {first[place]} and {i} are both at {list(place)}",
-                        "position",
-                        "leave one out, or give one the mass of both",
-                    )
-
-    def check_masses(self) -> None:
-        """Require of a particle without mass that it has a radius."""
-        mass = self.mass or ()
+    def check_lists(self) -> None:
+        """Require a mass or a radius of each, and different places of all masses and all balls."""
+        place, mass = self.position or (), self.mass or ()
         radius = self.radius or (0.0,) * len(mass)
         for i, (m, r) in enumerate(zip(mass, radius, strict=True)):
             if m == 0 and r == 0:
                 raise broken(f"particle {i} has neither mass nor radius", "mass")
+        for values in (mass, radius):
+            first: dict[Any, int] = {}
+            for i, value in enumerate(values):
+                if value > 0 and first.setdefault(place[i], i) != i:
+                    raise broken(
+                        f"particles {first[place[i]]} and {i} are both at {list(place[i])}",
+                        "position",
+                        "leave one out, or give one the mass of both",
+                    )
 
 
-class SpheresShape(ShapeTable):
+class SpheresShape(ListedTable):
     """Union of overlapping spheres of uniform matter, given here or in a file."""
 
+    noun: ClassVar[str] = "spheres"
+    lists: ClassVar[tuple[str, ...]] = ("radius",)
     type: Literal["spheres"] = Field(description=KIND)
-    position: tuple[Vector, ...] | None = Field(None, description="Centres in the body's axes. [m]")
-    radius: _PositiveEach | None = Field(None, description="Radii, or that of every sphere. [m]")
     file: Name | None = Field(
         None, description="Text or CSV file with columns x, y, z, r. [m / scale]"
     )
+    radius: _PositiveEach | None = Field(None, description="Radii, or that of every sphere. [m]")
     scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
     overlap: Literal["exact", "sum", "error"] = Field(
         "exact", description="Matter in several spheres counts once, in each, or is an error. [-]"
     )
 
-    @model_validator(mode="before")
-    @classmethod
-    def repeats_numbers(cls, raw: Any) -> Any:
-        """One radius for all spheres, as a list."""
-        return _repeated_for_each(raw, ("radius",))
-
-    @model_validator(mode="after")
-    def has_one_source(self) -> Self:
-        """Require either lists of equal length, or a file."""
-        if _is_in_file(self, ("position", "radius")):
-            return self
-        if not self.position:
-            raise broken("has no spheres", "position", "give `position` and `radius`, or a `file`")
-        if self.radius is None:
-            raise broken("spheres need a radius each", "radius")
+    def check_lists(self) -> None:
+        """Require that what scales a file is not given beside lists."""
         if "scale" in self.model_fields_set:
             raise broken("is for spheres from a `file`", "scale", "positions and radii are in m")
-        _require_length(self, "radius", len(self.position))
-        return self
 
 
 class MeshShape(FilledTable):

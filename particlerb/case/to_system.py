@@ -17,9 +17,8 @@ from particlerb.case.bodies import Body, NormalDistribution, ShapePart
 from particlerb.case.matter import solid_of, spheres_of
 from particlerb.case.placement import (
     Placement,
-    normalised,
     place,
-    quaternion_of_euler,
+    quaternion_of,
     random_stream,
 )
 from particlerb.case.problems import CaseError, Problem
@@ -28,7 +27,6 @@ from particlerb.case.reduction import reduced
 from particlerb.case.schema import Case
 from particlerb.case.shapes import AnyShape, Cloud, MeshShape, PointsShape, SpheresShape
 from particlerb.case.source import problem_at
-from particlerb.case.values import Euler
 from particlerb.files import Files
 from particlerb.geometry import shapes
 from particlerb.geometry.fill import FilledShape, coarsest_within, mesh_particles
@@ -45,7 +43,7 @@ from particlerb.geometry.particles import (
 )
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, bodies_of_kind
-from particlerb.model.state import initial_state, rotate
+from particlerb.model.state import initial_state, rotate, rotation_matrix
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import POINT, ROD
 
@@ -204,9 +202,7 @@ def part_particles(files: Files, seed: int, i: int, part: ShapePart) -> FilledSh
 
 def turn_of(part: ShapePart) -> Floats:
     """Rotation matrix (3, 3) from the axes of the shape of a part to those of its body."""
-    given = part.orientation
-    q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
-    return rotate(np.tile(normalised(q)[:, None], 3), np.eye(3))
+    return rotation_matrix(quaternion_of(part.orientation))
 
 
 def _shape_particles(

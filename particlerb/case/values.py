@@ -100,7 +100,7 @@ def rows(width: int) -> PlainValidator:
             raise broken(f"must be finite, row {row} is not")
         if width == 4 and not array.any(axis=1).all():
             row = int(np.argmin(array.any(axis=1)))
-            raise broken(f"must not be zero: row {row} is no orientation")
+            raise broken(f"must not be zero: row {row} is not an orientation")
         array.setflags(write=False)
         return array
 
@@ -133,7 +133,7 @@ def first_out_of_order(times: Sequence[float]) -> int | None:
 def _nonzero(value: tuple[float, ...]) -> tuple[float, ...]:
     """Quaternion that can be normalised."""
     if not any(value):
-        raise broken("must not be zero: it is no orientation", hint="no turn is [1, 0, 0, 0]")
+        raise broken("must not be zero: it is not an orientation", hint="no turn is [1, 0, 0, 0]")
     return value
 
 

@@ -44,9 +44,9 @@ def crossings(vertices: Floats, faces: Ints, nearness: float) -> tuple[Ints, Flo
     corner = vertices[faces]
     axis = int(np.argmax(np.ptp(vertices, axis=0)))
     order = np.argsort(corner[:, :, axis].min(axis=1), kind="stable")
-    low, high = corner.min(axis=1)[order], corner.max(axis=1)[order]
+    boxes = np.stack([corner.min(axis=1), corner.max(axis=1)])[:, order]
     pairs, points = np.empty((_MOST, 2), dtype=np.int64), np.empty((_MOST, 3))
-    found = _sweep(vertices, faces[order], low, high, axis, nearness, pairs, points)
+    found = _sweep(vertices, faces[order], boxes, axis, nearness, pairs, points)
     pairs = np.sort(order[pairs[:found]], axis=1)
     by_face = np.lexsort((pairs[:, 1], pairs[:, 0]))
     return pairs[by_face], points[:found][by_face]
@@ -54,17 +54,11 @@ def crossings(vertices: Floats, faces: Ints, nearness: float) -> tuple[Ints, Flo
 
 @kernel
 def _sweep(
-    vertices: Floats,
-    faces: Ints,
-    low: Floats,
-    high: Floats,
-    axis: int,
-    nearness: float,
-    pairs: Ints,
+    vertices: Floats, faces: Ints, boxes: Floats, axis: int, nearness: float, pairs: Ints,
     points: Floats,
-) -> int:
+) -> int:  # fmt: skip
     """Number of crossing pairs among faces in the order of their lowest coordinate on the axis."""
-    found = 0
+    low, high, found = boxes[0], boxes[1], 0
     polygon, clipped = np.empty((2, 9)), np.empty((2, 9))
     for i in range(len(faces)):
         for j in range(i + 1, len(faces)):
@@ -77,8 +71,8 @@ def _sweep(
                 continue
             meets, x, y, z = _cross_at(vertices, faces[i], faces[j], nearness, polygon, clipped)
             if meets:
-                pairs[found, 0], pairs[found, 1] = i, j
-                points[found, 0], points[found, 1], points[found, 2] = x, y, z
+                pairs[found] = i, j
+                points[found] = x, y, z
                 found += 1
                 if found == len(pairs):
                     return found

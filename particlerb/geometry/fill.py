@@ -240,7 +240,7 @@ def _spheres_in(
     if inertia_error is None:
         if len(found.radius) < n:
             raise ValueError(
-                f"only {len(found.radius)} of {n} spheres find room, as their centres are tried in"
+                f"only {len(found.radius)} of {n} spheres find space, as their centres are tried in"
                 " some 40 000 cells: lower n"
             )
         return filled(n, ())

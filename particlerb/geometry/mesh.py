@@ -69,7 +69,7 @@ def read_mesh(file: str | Path | File, scale: float = 1.0) -> TriangleMesh:
     """
     name = file.name if isinstance(file, File) else str(file)
     if PurePath(name).suffix.lower() not in _SUFFIXES:
-        raise ValueError(f"{name} is no mesh: its name must end with {', '.join(_SUFFIXES)}")
+        raise ValueError(f"{name} is not a mesh: its name must end with {', '.join(_SUFFIXES)}")
     try:
         vertices, faces = triangles_of(content(file))
         return checked(scale * vertices, faces)

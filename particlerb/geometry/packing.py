@@ -19,7 +19,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.geometry.cells import cut_mesh, grid_over, pieces
 from particlerb.geometry.mesh import TriangleMesh, mesh_solid
 from particlerb.geometry.winding import solid_angle
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, corner3, dot, subtract
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, corner3, dot, row3, subtract
 
 _HOLDING: Final = 40_000  # cells that hold matter, about: how finely centres are tried
 _CELLS: Final = 4_000_000  # of the whole grid at most: a thin body that lies askew has many empty
@@ -27,6 +27,19 @@ _SMALLEST: Final = 0.25  # radius in units of a cell, below which spheres are of
 _SWEEPS: Final = 2  # in each of the eight directions
 _GROWTH: Final = 5  # halvings of the step by which a sphere is moved to grow
 _GAIN: Final = 0.55  # of a step that a radius must grow by; towards the ridge of a corner, 1/√3
+
+
+class _Cells(NamedTuple):
+    """Matter of all cells, and how far it is from the surface; of the shape of the grid."""
+
+    share: Floats
+    """Of a cell that is matter."""
+    centroid: Floats
+    """[m], and components."""
+    nearest: Ints
+    """Face; -1 where none is known yet."""
+    squared: Floats
+    """Distance from it [m²]; infinite where none is known."""
 
 
 class _Packing(NamedTuple):
@@ -60,19 +73,19 @@ def packing(mesh: TriangleMesh, most: int) -> _Packing:
     cell = tuple(held.cell.T)
     share, centroid = np.zeros(grid.counts), np.zeros((*grid.counts, 3))
     share[cell], centroid[cell] = held.share, held.centroid
-    corner = np.ascontiguousarray(mesh.vertices[mesh.faces])
     nearest = np.full(grid.counts, -1, dtype=np.int64)
-    squared = np.full(grid.counts, np.inf)
-    _near_faces(corner, share, centroid, grid.lower, grid.spacing, nearest, squared)
+    cells = _Cells(share, centroid, nearest, np.full(grid.counts, np.inf))
+    corner = np.ascontiguousarray(mesh.vertices[mesh.faces])
+    _near_faces(corner, cells, grid.lower, grid.spacing)
     for turn in range(8 * _SWEEPS):
         signs = 1 - 2 * (turn & 1), 1 - (turn & 2), 1 - (turn & 4) // 2
-        _sweep_distance(corner, share, centroid, signs, nearest, squared)
+        _sweep_distance(corner, cells, signs)
     centre, radius = np.empty((most, 3)), np.empty(most)
     point = np.ascontiguousarray(np.concatenate([held.centroid.T, held.share[None]]))
     step = float(grid.spacing.min())
-    found = cover(corner, point, squared[cell], step, centre, radius)
+    found = cover(corner, point, cells.squared[cell], step, centre, radius)
     if found == 0:
-        raise ValueError("no sphere finds room in the mesh: it is thinner than a cell of the grid")
+        raise ValueError("no sphere fits into the mesh: it is thinner than a cell of the grid")
     return _Packing(centre[:found].copy(), radius[:found].copy())
 
 
@@ -110,23 +123,17 @@ def _off_triangle(p: Vec3, corner: Floats, f: int) -> float:
 
 
 @inline
-def _point_of(centroid: Floats, i: int, j: int, k: int) -> Vec3:
-    """Centroid of the matter in a cell."""
-    return centroid[i, j, k, 0], centroid[i, j, k, 1], centroid[i, j, k, 2]
+def _try_face(corner: Floats, cells: _Cells, f: int, i: int, j: int, k: int) -> None:
+    """Take a face for the nearest one of the matter in a cell, if it is nearer than what is."""
+    d = _off_triangle(row3(cells.centroid[i, j], k), corner, f)
+    if d < cells.squared[i, j, k]:
+        cells.squared[i, j, k], cells.nearest[i, j, k] = d, f
 
 
 @kernel
-def _near_faces(
-    corner: Floats,
-    share: Floats,
-    centroid: Floats,
-    lower: Floats,
-    spacing: Floats,
-    nearest: Ints,
-    squared: Floats,
-) -> None:
+def _near_faces(corner: Floats, cells: _Cells, lower: Floats, spacing: Floats) -> None:
     """Nearest face, and squared distance, of the matter in cells that the box of a face reaches."""
-    counts = share.shape
+    counts = cells.share.shape
     low, high = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
     for f in range(len(corner)):
         for a in range(3):
@@ -137,10 +144,8 @@ def _near_faces(
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
-                    if share[i, j, k] > 0.0:
-                        d = _off_triangle(_point_of(centroid, i, j, k), corner, f)
-                        if d < squared[i, j, k]:
-                            squared[i, j, k], nearest[i, j, k] = d, f
+                    if cells.share[i, j, k] > 0.0:
+                        _try_face(corner, cells, f, i, j, k)
 
 
 @inline
@@ -150,14 +155,7 @@ def _ascending(n: int, sign: int) -> range:
 
 
 @kernel
-def _sweep_distance(
-    corner: Floats,
-    share: Floats,
-    centroid: Floats,
-    signs: tuple[int, int, int],
-    nearest: Ints,
-    squared: Floats,
-) -> None:
+def _sweep_distance(corner: Floats, cells: _Cells, signs: tuple[int, int, int]) -> None:
     """Hand the nearest face on to neighbours in one direction: the way to it leads through matter.
 
     A face may be missed that no neighbour is nearest to, so that the result is an upper bound,
@@ -166,20 +164,17 @@ def _sweep_distance(
     Source: Zhao, Math. Comp. 74, 603 (2005), with faces in place of values.
     """
     si, sj, sk = signs
-    ni, nj, nk = share.shape
+    ni, nj, nk = cells.share.shape
     for i in _ascending(ni, si):
         for j in _ascending(nj, sj):
             for k in _ascending(nk, sk):
-                if share[i, j, k] == 0.0:
+                if cells.share[i, j, k] == 0.0:
                     continue
-                p = _point_of(centroid, i, j, k)
                 for a, b, c in ((i - si, j, k), (i, j - sj, k), (i, j, k - sk)):
                     if 0 <= a < ni and 0 <= b < nj and 0 <= c < nk:
-                        f = nearest[a, b, c]
-                        if f >= 0 and f != nearest[i, j, k]:
-                            d = _off_triangle(p, corner, f)
-                            if d < squared[i, j, k]:
-                                squared[i, j, k], nearest[i, j, k] = d, f
+                        f = cells.nearest[a, b, c]
+                        if f >= 0 and f != cells.nearest[i, j, k]:
+                            _try_face(corner, cells, f, i, j, k)
 
 
 # Sphere after sphere

@@ -168,10 +168,14 @@ def kinetic_energy(bodies: Bodies, state: State) -> Floats:
     return energy
 
 
+def rotation_matrix(q: Floats) -> Floats:
+    """Matrix (3, 3) of a unit quaternion: its columns are the body's axes in the world."""
+    return rotate(np.tile(q[:, None], 3), np.eye(3))
+
+
 def inertia_in_body(bodies: Bodies, b: int) -> Floats:
     """Inertia tensor (3, 3) [kg m²] of body b about its com, in the body frame."""
-    frame = np.tile(bodies.rotor_frame[:, b : b + 1], 3)
-    R = rotate(frame, np.eye(3))
+    R = rotation_matrix(bodies.rotor_frame[:, b])
     tensor: Floats = (R * bodies.inertia[:, b]) @ R.T
     return tensor
 

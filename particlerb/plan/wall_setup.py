@@ -11,10 +11,9 @@ from particlerb.case.contact import (
     PlaneWall,
     Prescribed,
 )
-from particlerb.case.placement import normalised, quaternion_of_euler
+from particlerb.case.placement import quaternion_of
 from particlerb.case.problems import CaseError
 from particlerb.case.source import problem_at
-from particlerb.case.values import Euler
 from particlerb.contact.piston import Pistons
 from particlerb.contact.wall_motion import PrescribedMotion
 from particlerb.contact.wall_shapes import box, cylinder, plane, surface, unit
@@ -63,10 +62,8 @@ def _mesh_of(system: System, number: int, table: MeshWall) -> Walls:
     if not np.isfinite(corners).all():
         reason = "has a corner that is not finite"
         raise CaseError([problem_at(system, key, reason, "give an STL file")])
-    given = table.orientation
-    q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
     vertices, own = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    turns = np.tile(normalised(q)[:, None], len(vertices))
+    turns = np.tile(quaternion_of(table.orientation)[:, None], len(vertices))
     vertices = rotate(turns, table.scale * vertices.T).T + np.array(table.position)
     made = surface(vertices, own.reshape(-1, 3))
     if not made.kind.size:

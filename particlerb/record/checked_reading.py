@@ -129,7 +129,7 @@ def dataset_at(
             return file[path]
         dataset = object_at(file, path)
         if not isinstance(dataset, h5py.Dataset):
-            raise ValueError(f"{path} is no dataset")
+            raise ValueError(f"{path} is not a dataset")
         dtype, found = dataset.dtype, dataset.shape
         is_short = dtype.kind == "f" and dtype.itemsize < 4
         if dtype.kind not in kinds or dtype.hasobject or is_short:
@@ -223,11 +223,11 @@ def text_at(file: h5py.File | Memory, path: str) -> str:
         else:
             dataset = object_at(file, path)
             if not isinstance(dataset, h5py.Dataset) or dataset.shape != ():
-                raise ValueError(f"{path} is no text")
+                raise ValueError(f"{path} is not a text")
             require_own_storage(file, dataset, path)
             value = dataset[()]
         if not isinstance(value, bytes):
-            raise ValueError(f"{path} is no text")
+            raise ValueError(f"{path} is not a text")
         return value.decode(errors="replace")
 
 
@@ -260,5 +260,5 @@ def integer_attribute(place: Any, name: str) -> int:
     """A whole number among the attributes of a file or group."""
     value = attribute(place, name, "iu")
     if np.shape(value) != ():
-        raise ValueError(f"{name} is no number")
+        raise ValueError(f"{name} is not a single number")
     return int(value)

@@ -76,7 +76,7 @@ def stored_names(file: h5py.File | Memory) -> dict[str, str]:
             return {}
         hashes = json.loads(text_at(file, f"{PARAMETERS}/{FILE_NAMES}"))
         if not isinstance(hashes, dict):
-            raise ValueError(f"{PARAMETERS}/{FILE_NAMES} is no table")
+            raise ValueError(f"{PARAMETERS}/{FILE_NAMES} is not a table")
         return hashes
 
 
@@ -108,7 +108,7 @@ def stored_case(file: h5py.File | Memory) -> Source:
     with trajectory_errors(file):
         raw = json.loads(text_at(file, f"{PARAMETERS}/case_resolved"))
         if not isinstance(raw, dict):
-            raise ValueError("its case is no table")
+            raise ValueError("its case is not a table")
     place = text_at(file, f"{PARAMETERS}/case_path")
     files = Files(contents=_stored_files(file))
     toml = text_at(file, f"{PARAMETERS}/case")

@@ -85,13 +85,13 @@ LEDGER: Final[dict[str, Element]] = {
     "energy_error": Element("", "J", "energy - initial energy - work"),
     "linear_momentum": Element("xyz", "kg m s-1", "of all bodies", "world"),
     "linear_momentum_error": Element(
-        "xyz", "kg m s-1", "total - initial - booked impulses", "world"
+        "xyz", "kg m s-1", "total - initial - external impulses", "world"
     ),
     "angular_momentum": Element(
         "xyz", "kg m2 s-1", "of all bodies, about the world's origin", "world"
     ),
     "angular_momentum_error": Element(
-        "xyz", "kg m2 s-1", "total - initial - booked angular impulses", "world"
+        "xyz", "kg m2 s-1", "total - initial - external angular impulses", "world"
     ),
 }
 

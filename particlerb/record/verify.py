@@ -206,7 +206,7 @@ def _verify_frames(trajectory: Trajectory) -> str:
         size = np.linalg.norm(trajectory.read("orientation", part), axis=2)
         worst = max(worst, float(np.abs(size - 1.0).max(initial=0.0)))
     if worst > _ROUNDING["f4"]:
-        raise _Flaw(f"an orientation is no rotation: |q| - 1 = {worst:.1g}")
+        raise _Flaw(f"an orientation is not a rotation: |q| - 1 = {worst:.1g}")
     return f"all orientations are rotations, |q| - 1 = {worst:.1g} at most"
 
 
@@ -232,7 +232,7 @@ def _verify_checkpoint(trajectory: Trajectory) -> str:
     """Compute the hash of the state from which the run can go on."""
     with trajectory_errors(trajectory.file):
         if schema.CHECKPOINT not in trajectory.file:
-            return "none: the run cannot go on"
+            return "none: the run cannot be continued"
     slots = [slot_in(trajectory.file, is_before) for is_before in (True, False)]
     for slot in slots:
         if slot.digest != slot.stored:

@@ -17,6 +17,7 @@ from particlerb.model.state import (
     omega_world,
     quaternion_product,
     rotate,
+    rotation_matrix,
 )
 from particlerb.model.system import System
 from particlerb.simulation.run import Outcome
@@ -117,7 +118,7 @@ def quantity(check: CheckValue, system: System, b: int, frames: Frames) -> Float
 
 def _rotated(q: Floats, tensor: Floats) -> Floats:
     """R T Rᵀ."""
-    R = rotate(np.tile(q[:, None], 3), np.eye(3))
+    R = rotation_matrix(q)
     result: Floats = R @ tensor @ R.T
     return result
 

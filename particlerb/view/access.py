@@ -142,7 +142,7 @@ class Access:
         bare = f"[{name}]" if name.count(":") > 1 and not name.startswith("[") else name
         found = authority(bare)
         if found is None or found.port is not None:
-            raise ValueError(f"{name!r} is no host: a name or an address, without a port")
+            raise ValueError(f"{name!r} is not a host: a name or an address, without a port")
         return found.name
 
     @property

@@ -6,8 +6,8 @@ from typing import Any, Final
 import numpy as np
 
 from particlerb.maths.vec3 import Floats
+from particlerb.model.state import rotation_matrix
 from particlerb.view.figures import BodyMotion
-from particlerb.view.forms import rotation_matrix
 from particlerb.view.session import Session
 from particlerb.view.stage import Stage
 

@@ -14,9 +14,8 @@ import numpy as np
 from particlerb.case.shapes import AnyShape, Box
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
-from particlerb.model.state import derived, inertia_in_body, rotate_back
+from particlerb.model.state import derived, inertia_in_body, rotate_back, rotation_matrix
 from particlerb.model.system import System
-from particlerb.view.forms import rotation_matrix
 from particlerb.view.session import AppliedPush
 
 MOST_DIGITS: Final = 17  # that a float64 needs to be told from all others

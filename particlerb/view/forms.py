@@ -13,12 +13,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from particlerb.case.bodies import Body
-from particlerb.case.placement import normalised, quaternion_of_euler
-from particlerb.case.values import Euler
+from particlerb.case.placement import quaternion_of
+from particlerb.case.to_system import turn_of
 from particlerb.files import Files
 from particlerb.geometry.mesh import read_mesh, triangles_of
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import rotate, rotate_back
+from particlerb.model.state import rotate_back, rotation_matrix
 from particlerb.model.system import System
 
 trimesh: Any = import_module("trimesh")  # untyped in parts
@@ -196,23 +196,12 @@ def form_of(system: System, body: Body, kind: int, copies: int) -> _Form:
     com = system.properties.com[kind]
     shapes = [(body.shape, np.eye(3), np.zeros(3))] if body.shape is not None else []
     for part in body.part:
-        shapes.append((part.shape, _rotation_of(part.orientation), np.array(part.position)))
+        shapes.append((part.shape, turn_of(part), np.array(part.position)))
     forms = [solid(system.files, shape, R, place - com, copies) for shape, R, place in shapes]
     known = [form for form in forms if form is not None]
     if len(known) < len(forms):
         return _particles_form(system, body, kind, copies)
     return together(known)
-
-
-def rotation_matrix(q: Floats) -> Floats:
-    """Matrix (3, 3) of a unit quaternion: its columns are the body's axes in the world."""
-    return rotate(np.tile(q[:, None], 3), np.eye(3))
-
-
-def _rotation_of(given: Euler | tuple[float, ...]) -> Floats:
-    """Matrix (3, 3) of an orientation."""
-    q = quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
-    return rotation_matrix(normalised(q))
 
 
 def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _Form | None:
@@ -356,7 +345,9 @@ def walls_of(system: System, size: float) -> list[SurfaceMesh]:
         else:
             vertices, faces = triangles_of(system.files.read(wall.file))
             mesh = SurfaceMesh(wall.scale * vertices, faces)
-            mesh = mesh.moved(_rotation_of(wall.orientation), np.array(wall.position))
+            mesh = mesh.moved(
+                rotation_matrix(quaternion_of(wall.orientation)), np.array(wall.position)
+            )
         found.append(mesh)
     return found
 

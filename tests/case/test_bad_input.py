@@ -167,7 +167,7 @@ MISTAKES = [
         "spacing = 2.0, n = [1, 1, 2]",
         14,
         "body[1].place.n",
-        "has room for 2 of 4 bodies",
+        "holds 2 of 4 bodies",
         "",
     ),
     (
@@ -191,7 +191,7 @@ MISTAKES = [
         "mass = 2.0\norientation = [0, 0, 0, 0]",
         9,
         "body[0].orientation",
-        "must not be zero: it is no orientation",
+        "must not be zero: it is not an orientation",
         "no turn is [1, 0, 0, 0]",
     ),
     (
@@ -339,7 +339,7 @@ MISTAKES = [
         '"orientation"\nvalue = [0, 0, 0, 0]',
         23,
         "check.value[0].value",
-        "must not be zero: it is no orientation",
+        "must not be zero: it is not an orientation",
         "",
     ),
     (
@@ -761,7 +761,7 @@ OF_CONTACT = [
         "normal = [0, 0, 1]",
         "normal = [0, 0, 0]",
         "wall[0].normal",
-        "must not be zero: it is no direction",
+        "must not be zero: it is not a direction",
         "",
     ),
     (
@@ -818,7 +818,7 @@ OF_CONTACT = [
         "radius = 1\n",
         "radius = 1\naxis = [0, 0, 0]\n",
         "wall[2].axis",
-        "must not be zero: it is no direction",
+        "must not be zero: it is not a direction",
         "",
     ),
     ("length = 1\n", "length = -1\n", "wall[2].length", "must be > 0, got -1", ""),
@@ -1171,8 +1171,8 @@ def test_all_problems_at_once_and_by_line():
     ("text", "line", "column", "reason"),
     [
         ("[run]\nt_end 5", 2, 7, "broken TOML: a key needs a `=` and a value"),
-        ("[run]\nt_end = ", 2, 9, "broken TOML: this is no TOML value"),
-        ("[run]\nt_end = cube", 2, 9, "broken TOML: this is no TOML value"),
+        ("[run]\nt_end = ", 2, 9, "broken TOML: this is not a TOML value"),
+        ("[run]\nt_end = cube", 2, 9, "broken TOML: this is not a TOML value"),
         ("[run]\nt_end = 5\nt_end = 6", 3, 10, "broken TOML: this key has been given before"),
         ("[run]\n[run]", 2, 5, "broken TOML: this table has been opened before"),
         ("a = [1, 2", 1, 10, "broken TOML: a list is not closed: `]` is missing"),
@@ -1311,7 +1311,7 @@ def test_file_that_cannot_be_a_case(tmp_path):
     assert "there is no such folder" in message_of_file(tmp_path / "no" / "cube.toml")
     assert "is empty" in message_of_file(tmp_path / "empty.toml")
     assert "larger than 64 MiB" in message_of_file(tmp_path / "big.toml")
-    assert "latin.toml:2:13: error: byte 0xe9 is no UTF-8" in message_of_file(
+    assert "latin.toml:2:13: error: byte 0xe9 is not UTF-8" in message_of_file(
         tmp_path / "latin.toml"
     )
     assert "cannot be read" in message_of_file(tmp_path / ("x" * 300))
@@ -1351,7 +1351,7 @@ def test_rows_from_python_are_checked(rows, reason, everything):
 def test_rows_of_orientations_are_not_zero(everything):
     case = everything()
     case["body"][3]["orientation"] = np.array([[1.0, 0, 0, 0], [0, 0, 0, 0]])
-    with pytest.raises(CaseError, match="row 1 is no orientation"):
+    with pytest.raises(CaseError, match="row 1 is not an orientation"):
         load(case)
 
 

@@ -385,7 +385,7 @@ def test_ascii_stl(tmp_path):
 
 def test_files_that_are_none(tmp_path, monkeypatch):
     with pytest.raises(
-        ValueError, match=r"a\.step is no mesh: its name must end with \.stl, \.obj"
+        ValueError, match=r"a\.step is not a mesh: its name must end with \.stl, \.obj"
     ):
         read_mesh(tmp_path / "a.step")
     with pytest.raises(FileNotFoundError, match=r"No such file .*a\.stl"):

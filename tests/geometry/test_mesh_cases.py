@@ -100,7 +100,7 @@ WRONG = {
     "open": ({"file": "open.ply"}, "open.ply: it is open: edge (-0.5, "),
     "crossing": ({"file": "crossing.ply"}, "crossing.ply: it intersects itself: face "),
     "no volume": ({"file": "flat.ply"}, "flat.ply: it has zero volume, in the part of face "),
-    "no mesh": ({"file": "case.toml"}, "case.toml is no mesh: its name must end with .stl"),
+    "no mesh": ({"file": "case.toml"}, "case.toml is not a mesh: its name must end with .stl"),
     "empty": ({"file": "empty.ply"}, "empty.ply: trimesh cannot read it"),
     "too few cells": ({"file": "box.ply", "arrangement": "cells", "n": 1}, "n is 1: 2 or more"),
 }

@@ -257,7 +257,7 @@ def test_addresses_are_whole():
 
 @pytest.mark.parametrize("name", ["", "a b", "http://a", "a:80", "a/b", "*", "[::1]:80"])
 def test_allowed_names_are_names(name, capsys):
-    with pytest.raises(ValueError, match="is no host"):
+    with pytest.raises(ValueError, match="is not a host"):
         Access(names=[name])
     assert main(["view", "--allow-host", name]) == 2
     assert "--allow-host" in capsys.readouterr().err
