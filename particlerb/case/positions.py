@@ -20,6 +20,7 @@ _TOKEN = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 _AFTER_VALUE = {",", "]", "}"}
+_CLOSING = {"[": "]", "{": "}"}
 _ESCAPE = re.compile(r'\\(u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|[btnfr"\\])')
 _ESCAPED = {"b": "\b", "t": "\t", "n": "\n", "f": "\f", "r": "\r"}
 
@@ -73,11 +74,6 @@ class _Scanner:
         token = self.tokens[self.at]
         self.at = min(self.at + 1, len(self.tokens) - 1)
         return token
-
-    def skip_newlines(self) -> None:
-        """Step over line ends."""
-        while self.peek().kind == "newline":
-            self.at += 1
 
     def header(self) -> Path:
         """`[table]` or `[[array of tables]]`; returns the path of the table."""
@@ -135,43 +131,26 @@ class _Scanner:
     def value(self, path: Path) -> _Range:
         """Extent of a value; those inside it are noted on the way."""
         token = self.peek()
-        if token.text == "[":
-            return self.array(path)
-        if token.text == "{":
-            return self.inline_table(path)
+        if token.text in _CLOSING:
+            return self.container(path)
         end = token.end
         while self.peek().kind not in {"end", "newline"} and self.peek().text not in _AFTER_VALUE:
             end = self.take().end
         return token.start, end
 
-    def array(self, path: Path) -> _Range:
-        """`[a, b, ...]`, each entry noted with its index."""
-        start = self.take().start
-        index = 0
-        while True:
-            self.skip_newlines()
-            token = self.peek()
-            if token.kind == "end" or token.text == "]":
-                return start, self.take().end
-            if token.text == ",":
+    def container(self, path: Path) -> _Range:
+        """`[a, b, ...]`, each entry noted with its index, or `{ key = value, ... }`."""
+        opening, index = self.take(), 0
+        while (token := self.peek()).text != _CLOSING[opening.text] and token.kind != "end":
+            if token.text == "," or token.kind == "newline":
                 self.take()
-                continue
-            extent = self.value((*path, index))
-            self.note((*path, index), extent, extent)
-            index += 1
-
-    def inline_table(self, path: Path) -> _Range:
-        """`{ key = value, ... }`."""
-        start = self.take().start
-        while True:
-            self.skip_newlines()
-            token = self.peek()
-            if token.kind == "end" or token.text == "}":
-                return start, self.take().end
-            if token.text == ",":
-                self.take()
-                continue
-            self.entry(path)
+            elif opening.text == "{":
+                self.entry(path)
+            else:
+                extent = self.value((*path, index))
+                self.note((*path, index), extent, extent)
+                index += 1
+        return opening.start, self.take().end
 
     def note(self, path: Path, key: _Range, value: _Range) -> None:
         """Keep the first position of a path."""
