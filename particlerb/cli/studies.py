@@ -1,11 +1,12 @@
 """Commands of the studies: what accuracy costs, where methods fail, how sums converge."""
 
 import argparse
+import contextlib
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 from tqdm import tqdm
 
@@ -15,18 +16,6 @@ from particlerb.cli.common import read_case, to_write
 from particlerb.cli.endings import DONE, Ending, ending
 
 
-class _Shown(NamedTuple):
-    """How a study runs, and how its result is told and drawn."""
-
-    total: Callable[[], int]
-    """Steps of its progress bar."""
-    unit: str
-    run: Callable[[Callable[[int], object]], Any]
-    words: ModuleType
-    """With `table` and `csv_rows` of a result."""
-    draw: Callable[[Any, Path], None]
-
-
 def chart_command(options: argparse.Namespace) -> int:
     """`chart`: error against time for all methods on a case."""
     from particlerb.studies import work_precision, work_precision_table
@@ -34,16 +23,12 @@ def chart_command(options: argparse.Namespace) -> int:
 
     case = read_case(options)
     asked = options.methods, options.peers
-    study = _Shown(
-        lambda: work_precision.curve_count(*asked),
-        "curve",
-        lambda tick: work_precision.chart(
-            to_system(case), *asked, options.error, options.budget, tick
-        ),
-        work_precision_table,
-        draw_chart,
-    )
-    return show(options, f"chart_{case.path.stem if case.path else 'case'}", study)
+    paths = _outputs(options, f"chart_{case.path.stem if case.path else 'case'}")
+    with _measuring("curve") as bar:
+        bar.total = work_precision.curve_count(*asked)
+        how = options.error, options.budget, bar.update
+        found = work_precision.chart(to_system(case), *asked, *how)
+    return _show(found, work_precision_table, draw_chart, paths)
 
 
 def stability_command(options: argparse.Namespace) -> int:
@@ -51,14 +36,11 @@ def stability_command(options: argparse.Namespace) -> int:
     from particlerb.studies import stability, stability_table
     from particlerb.studies.charts.stability import draw_stability
 
-    study = _Shown(
-        lambda: stability.n_tasks(options.methods),
-        "map",
-        lambda tick: stability.stability(options.methods, options.budget, tick),
-        stability_table,
-        draw_stability,
-    )
-    return show(options, "stability", study)
+    paths = _outputs(options, "stability")
+    with _measuring("map") as bar:
+        bar.total = stability.n_tasks(options.methods)
+        found = stability.stability(options.methods, options.budget, bar.update)
+    return _show(found, stability_table, draw_stability, paths)
 
 
 def converge_command(options: argparse.Namespace) -> int:
@@ -66,30 +48,33 @@ def converge_command(options: argparse.Namespace) -> int:
     from particlerb.studies import convergence
     from particlerb.studies.charts.convergence import draw_convergence
 
-    study = _Shown(
-        lambda: len(convergence.arrangements(options.shapes)),
-        "shape",
-        lambda tick: convergence.converge(options.shapes, options.most, tick),
-        convergence,
-        draw_convergence,
-    )
-    return show(options, "converge", study)
+    paths = _outputs(options, "converge")
+    with _measuring("shape") as bar:
+        bar.total = len(convergence.arrangements(options.shapes))
+        found = convergence.converge(options.shapes, options.most, bar.update)
+    return _show(found, convergence, draw_convergence, paths)
 
 
-def show(options: argparse.Namespace, stem: str, study: _Shown) -> int:
-    """Run a study with a progress bar, print its table, write its rows and pictures."""
-    paths = _outputs(options, stem)
-    with (
-        ending(CaseError, ValueError),
-        tqdm(total=study.total(), unit=study.unit, disable=None, delay=0.5) as bar,
-    ):
-        found = study.run(bar.update)
-    print(study.words.table(found))
+@contextlib.contextmanager
+def _measuring(unit: str) -> Iterator[Any]:
+    """A progress bar, of which the user sees nothing in the first half second."""
+    with ending(CaseError, ValueError), tqdm(unit=unit, disable=None, delay=0.5) as bar:
+        yield bar
+
+
+def _show(
+    found: Any, words: ModuleType, draw: Callable[[Any, Path], None], paths: list[Path]
+) -> int:
+    """Print the table of a study, write its rows and pictures.
+
+    `words` has `table` and `csv_rows` of what was found.
+    """
+    print(words.table(found))
     rows, *pictures = paths
     with rows.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows(study.words.csv_rows(found))
+        csv.writer(file).writerows(words.csv_rows(found))
     for picture in pictures:
-        study.draw(found, picture)
+        draw(found, picture)
     print(f"written: {', '.join(map(str, paths))}")
     return DONE
 
