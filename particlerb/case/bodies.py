@@ -1,9 +1,8 @@
 """Bodies as types: what they are made of, how many there are, where, and how they move at first."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Field, Tag, model_validator
 
 from particlerb.case.contact import Prescribed, Yes
 from particlerb.case.shapes import Shape
@@ -22,7 +21,7 @@ from particlerb.case.values import (
     Table,
     Vector,
     broken,
-    is_rows,
+    forms,
 )
 
 KIND = "Kind of force or placement. [-]"
@@ -66,47 +65,22 @@ class RandomBox(Table):
         return self
 
 
-def _place_form(value: Any) -> str:
-    """Tag of a position: one for all bodies of the block, or rows."""
-    return "rows" if is_rows(value) else "vector"
-
-
-def _orientation_form(value: Any) -> str:
-    """Tag of an orientation."""
-    if isinstance(value, (Mapping, BaseModel)):
-        return "euler"
-    if isinstance(value, str):
-        return "random"
-    return "rows" if is_rows(value) else "vector"
-
-
-def _motion_form(value: Any) -> str:
-    """Tag of a velocity or angular velocity."""
-    if isinstance(value, (Mapping, BaseModel)):
-        is_spread = isinstance(value, NormalDistribution) or (
-            isinstance(value, Mapping) and "random" in value
-        )
-        return "random" if is_spread else "body"
-    return "rows" if is_rows(value) else "vector"
-
-
 _Position = Annotated[
-    Annotated[Vector, Tag("vector")] | Annotated[Rows3, Tag("rows")],
-    Discriminator(_place_form),
+    Annotated[Vector, Tag("list")] | Annotated[Rows3, Tag("rows")], forms("list", "rows")
 ]
 _Orientation = Annotated[
-    Annotated[Quaternion, Tag("vector")]
-    | Annotated[Euler, Tag("euler")]
-    | Annotated[Literal["random"], Tag("random")]
+    Annotated[Quaternion, Tag("list")]
+    | Annotated[Euler, Tag("table")]
+    | Annotated[Literal["random"], Tag("word")]
     | Annotated[Rows4, Tag("rows")],
-    Discriminator(_orientation_form),
+    forms("list", "table", "word", "rows"),
 ]
 Motion = Annotated[
-    Annotated[Vector, Tag("vector")]
-    | Annotated[InBody, Tag("body")]
+    Annotated[Vector, Tag("list")]
+    | Annotated[InBody, Tag("table")]
     | Annotated[NormalDistribution, Tag("random")]
     | Annotated[Rows3, Tag("rows")],
-    Discriminator(_motion_form),
+    forms("list", "table", "random", "rows"),
 ]
 AnyPlace = GridPlacement | RandomBox
 _Place = Annotated[AnyPlace, Field(discriminator="type")]

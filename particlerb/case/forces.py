@@ -7,7 +7,7 @@ compiler. A new one is a class, and a member of `AnyForce`.
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Field, Tag, model_validator
 
 from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, bodies_named, given, out_of_place
@@ -26,6 +26,7 @@ from particlerb.case.values import (
     by_type,
     entries,
     first_out_of_order,
+    forms,
 )
 from particlerb.files import File
 from particlerb.text_tables import Columns, read_table
@@ -135,14 +136,8 @@ def read_load(file: File) -> TimedLoad:
     return TimedLoad(times=tuple(t), values=table.vectors)
 
 
-def _load_form(value: Any) -> str:
-    """Tag of a load."""
-    return "knots" if isinstance(value, (Mapping, BaseModel)) else "vector"
-
-
 _Load = Annotated[
-    Annotated[Vector, Tag("vector")] | Annotated[TimedLoad, Tag("knots")],
-    Discriminator(_load_form),
+    Annotated[Vector, Tag("list")] | Annotated[TimedLoad, Tag("table")], forms("list", "table")
 ]
 
 
@@ -212,23 +207,13 @@ class DragTable(LastingForceTable):
     rotation: NonNegative = Field(0.0, description="Coefficient c_r. [N m s/rad]")
 
 
-def _rest_form(value: Any) -> str:
-    """Tag of a rest length."""
-    return "word" if isinstance(value, str) else "number"
-
-
-def _charge_form(value: Any) -> str:
-    """Tag of a charge: one, or one per particle."""
-    return "list" if isinstance(value, (list, tuple)) else "number"
-
-
 _RestLength = Annotated[
     Annotated[NonNegative, Tag("number")] | Annotated[Literal["initial"], Tag("word")],
-    Discriminator(_rest_form),
+    forms("number", "word"),
 ]
 _Charge = Annotated[
     Annotated[Real, Tag("number")] | Annotated[tuple[Real, ...], Field(min_length=1), Tag("list")],
-    Discriminator(_charge_form),
+    forms("number", "list"),
 ]
 
 

@@ -1,14 +1,14 @@
 """The table of [[joint]]: which bodies it ties, where, and about which axes."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag
+from pydantic import AfterValidator, Field, Tag
 
 from particlerb.case.contact import Yes
 from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, bodies_named, given
-from particlerb.case.values import Name, Names, Table, Vector, broken
+from particlerb.case.values import Name, Names, Table, Vector, broken, forms
 
 JointType = Literal[
     "ball", "hinge", "slider", "universal", "cylindrical", "planar", "fixed", "distance"
@@ -22,11 +22,6 @@ class InFrame(Table):
     body: Vector = Field(description="Components in the body frame. [m or -]")
 
 
-def _form(value: Any) -> str:
-    """Tag of a point or a direction."""
-    return "body" if isinstance(value, (Mapping, BaseModel)) else "vector"
-
-
 def _is_direction(value: tuple[float, ...] | InFrame) -> tuple[float, ...] | InFrame:
     """Require a length."""
     if not any(value.body if isinstance(value, InFrame) else value):
@@ -35,7 +30,7 @@ def _is_direction(value: tuple[float, ...] | InFrame) -> tuple[float, ...] | InF
 
 
 _Point = Annotated[
-    Annotated[Vector, Tag("vector")] | Annotated[InFrame, Tag("body")], Discriminator(_form)
+    Annotated[Vector, Tag("list")] | Annotated[InFrame, Tag("table")], forms("list", "table")
 ]
 _Direction = Annotated[_Point, AfterValidator(_is_direction)]
 

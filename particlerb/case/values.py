@@ -200,12 +200,27 @@ class Euler(Table):
     euler_deg: Vector = Field(description="Roll, pitch, yaw; intrinsic z-y-x. [°]")
 
 
-def _turn_form(value: Any) -> str:
-    """Tag of the orientation of a part."""
-    return "euler" if isinstance(value, (Mapping, BaseModel)) else "vector"
+def forms(default: str, *others: str) -> Discriminator:
+    """Tells forms of a value apart by their tags; what has none of them is judged as the default.
+
+    Tags are `table`, `random` (a table with such a key), `word`, `rows`, `list` and `number`.
+    """
+
+    def form(value: Any) -> str:
+        if isinstance(value, (Mapping, BaseModel)):
+            keys = value if isinstance(value, Mapping) else type(value).model_fields
+            found = "random" if "random" in keys and "random" in others else "table"
+        elif isinstance(value, str):
+            found = "word"
+        elif "rows" in others and is_rows(value):
+            found = "rows"
+        else:
+            found = "list" if isinstance(value, (list, tuple)) else "number"
+        return found if found in others else default
+
+    return Discriminator(form)
 
 
 OneOrientation = Annotated[
-    Annotated[Quaternion, Tag("vector")] | Annotated[Euler, Tag("euler")],
-    Discriminator(_turn_form),
+    Annotated[Quaternion, Tag("list")] | Annotated[Euler, Tag("table")], forms("list", "table")
 ]
