@@ -13,7 +13,7 @@ import numpy as np
 from particlerb.case.placement import Placement
 from particlerb.case.schema import Case
 from particlerb.geometry.mass_properties import MassProperties
-from particlerb.geometry.particles import Particles, concatenate, one_kind, united
+from particlerb.geometry.particles import Particles, concatenate, kind_of, one_kind, united
 from particlerb.geometry.solid import ROUNDING, UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
@@ -43,16 +43,14 @@ def reduced(
     touched, heavy = needs(case, placement, kind, len(count))
     sets = []
     for k in range(len(count)):
-        own = slice(particles.offset[k], particles.offset[k + 1])
-        position, mass, radius = (array[own] for array in particles[:3])
-        whole = one_kind(position, mass, radius)
-        surface = (radius > 0.0) & touched[k]
+        whole = kind_of(particles, k)
+        surface = (whole.radius > 0.0) & touched[k]
         if count[k] <= MANY or heavy[k] or 2 * np.count_nonzero(surface) > count[k]:
             sets.append(whole)
             continue
         matter = _points_for(properties, k)
         if surface.any():
-            shell = one_kind(position[surface], 0.0, radius[surface])
+            shell = one_kind(whole.position[surface], 0.0, whole.radius[surface])
             matter = united(concatenate([shell, matter]))
         sets.append(matter)
     return concatenate(sets)

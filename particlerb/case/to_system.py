@@ -176,9 +176,8 @@ def _particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tupl
     Also what is to be said of them: which part of the body, empty for the whole, and a line.
     """
     if isinstance(body.shape, Cloud):
-        stream, mass = random_stream(case.run.seed, i, "shape"), body.mass or 0.0
-        n, radius = body.shape.n, body.shape.radius
-        return concatenate([shapes.cloud(n, radius, mass, stream) for _ in range(body.count)]), []
+        stream = random_stream(case.run.seed, i, "shape")
+        return concatenate([_cloud(body.shape, body.mass, stream) for _ in range(body.count)]), []
     files = case.source.files
     if body.shape is not None:
         filled = _shape_particles(files, body.shape, body.mass, body.density)
@@ -188,12 +187,15 @@ def _particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tupl
     return united(concatenate([filled.particles for filled in parts])), lines
 
 
+def _cloud(shape: Cloud, mass: float | None, stream: np.random.Generator) -> Particles:
+    """Particles at random."""
+    return shapes.cloud(shape.n, shape.radius, mass or 0.0, stream)
+
+
 def part_particles(files: Files, seed: int, i: int, part: ShapePart) -> FilledShape:
     """Particles of one part of record i, where it stands in its body."""
     if isinstance(part.shape, Cloud):
-        stream = random_stream(seed, i, "shape")
-        mass = part.mass or 0.0
-        filled = FilledShape(shapes.cloud(part.shape.n, part.shape.radius, mass, stream))
+        filled = FilledShape(_cloud(part.shape, part.mass, random_stream(seed, i, "shape")))
     else:
         filled = _shape_particles(files, part.shape, part.mass, part.density)
     placed = transformed(filled.particles, turn_of(part), part.position)

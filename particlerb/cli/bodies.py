@@ -18,7 +18,7 @@ from particlerb.geometry.mass_properties import MassProperties, mass_properties,
 from particlerb.geometry.mesh import read_mesh
 from particlerb.geometry.overlapping_spheres import spheres
 from particlerb.geometry.particle_files import POINTS, columns_of, read_points, read_spheres
-from particlerb.geometry.particles import Particles, one_kind, scaled_to_mass
+from particlerb.geometry.particles import Particles, kind_of, scaled_to_mass
 from particlerb.model.state import omega_world
 
 _TABLES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
@@ -88,9 +88,8 @@ def _bodies_of_case(case: Case, wanted: str | None) -> list[_Named]:
     _, first, which = np.unique(alike, axis=1, return_index=True, return_inverse=True)
     for i in np.sort(first):
         b, k = bodies[i], system.kind[bodies[i]]
-        own = slice(system.particles.offset[k], system.particles.offset[k + 1])
-        position, mass, radius = (array[own] for array in system.particles[:3])
-        particles = one_kind(position + system.properties.com[k], mass, radius)
+        local = kind_of(system.particles, k)
+        particles = local._replace(position=local.position + system.properties.com[k])
         spin = float(speed[bodies][which == which[i]].max())
         body = system.body[system.block[b]]
         notes = [line for name, line in system.notes if name.partition(", part ")[0] == body.name]

@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,19 +58,16 @@ def _warn(options: argparse.Namespace, warnings: Sequence[str]) -> None:
 def run_command(options: argparse.Namespace) -> int:
     """`run`: the plan, the run, the checks."""
     prepared = _prepared_case(options)
-    path = _output_path(options, prepared.system)
-    _warn(options, _disk_warnings(prepared.system, path))
+    system = prepared.system
+    path = _output_path(options, system)
+    _warn(options, _disk_warnings(system, path))
     if not (options.quiet or options.json):
-        title = prepared.system.title or path.stem
+        title = system.title or path.stem
         print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
-        print(f"  file: {size_text(prepared.system, path)}\n", flush=True)
+        print(f"  file: {size_text(system, path)}\n", flush=True)
 
-    def run(progress: Progress) -> Outcome:
-        return run_prepared(prepared, path, options.overwrite, progress)
-
-    outcome = _execute(
-        run, path, options, frame_count(prepared.system.run), before=_number_of(path)
-    )
+    run, total = partial(run_prepared, prepared, path, options.overwrite), frame_count(system.run)
+    outcome = _execute(run, path, options, total, before=_number_of(path))
     return _conclude(prepared, outcome, path, options)
 
 
@@ -92,11 +90,8 @@ def resume_command(options: argparse.Namespace) -> int:
             flush=True,
         )
 
-    def run(progress: Progress) -> Outcome:
-        return resume_pending(pending, progress)
-
     try:
-        outcome = _execute(run, path, options, pending.total, start)
+        outcome = _execute(partial(resume_pending, pending), path, options, pending.total, start)
     except ResumeError as error:
         raise Ending(str(error)) from None
     return _conclude(pending.prepared, outcome, path, options)

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from particlerb.export import Selection, gsd_hoomd, is_known, sphere_union
+from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import quaternion_product, rotate_back
@@ -98,14 +99,12 @@ def _type_name(trajectory: Trajectory, kind: int) -> str:
 
 def _type_shape(trajectory: Trajectory, kind: int) -> dict[str, Any]:
     """What OVITO shows of a kind, in the principal frame."""
-    particles = trajectory.particles
-    own = slice(particles.offset[kind], particles.offset[kind + 1])
-    radius, body = particles.radius[own], int(np.argmax(trajectory.kind == kind))
-    is_sphere = radius > 0.0  # beside these, points without a radius carry matter
-    radius = radius[is_sphere]
+    own, body = kind_of(trajectory.particles, kind), int(np.argmax(trajectory.kind == kind))
+    is_sphere = own.radius > 0.0  # beside these, points without a radius carry matter
+    radius = own.radius[is_sphere]
     if 0 < radius.size <= _MOST_SPHERES:
         frame = np.tile(trajectory.bodies.rotor_frame[:, body : body + 1], radius.size)
-        centres = rotate_back(frame, particles.position[own][is_sphere].T).T
+        centres = rotate_back(frame, own.position[is_sphere].T).T
         return sphere_union(centres, radius)
     a, b, c = ellipsoid(trajectory.bodies.inertia[:, body], float(trajectory.mass[body]))
     return {"type": "Ellipsoid", "a": a, "b": b, "c": c}

@@ -58,9 +58,7 @@ class Ratios(NamedTuple):
 
 def of_kind(properties: MassProperties, k: int) -> MassProperties:
     """Mass properties of one kind, as arrays of length one."""
-    mass, com, tensor, moments, axes, code = properties
-    own = slice(k, k + 1)
-    return MassProperties(mass[own], com[own], tensor[own], moments[own], axes[own], code[own])
+    return MassProperties._make(array[k : k + 1] for array in properties)
 
 
 def mass_properties(particles: Particles) -> MassProperties:

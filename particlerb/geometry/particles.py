@@ -116,6 +116,13 @@ def concatenate(sets: Sequence[Particles]) -> Particles:
     )
 
 
+def kind_of(particles: Particles, k: int) -> Particles:
+    """Particles of one kind."""
+    own = slice(particles.offset[k], particles.offset[k + 1])
+    position, mass, radius = (array[own] for array in particles[:3])
+    return united(Particles(position, mass, radius, particles.offset))
+
+
 def united(particles: Particles) -> Particles:
     """All particles as one kind: what a body of several parts is."""
     return particles._replace(offset=np.array([0, len(particles.mass)], dtype=np.int64))

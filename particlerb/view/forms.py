@@ -17,6 +17,7 @@ from particlerb.case.placement import quaternion_of
 from particlerb.case.to_system import turn_of
 from particlerb.files import Files
 from particlerb.geometry.mesh import read_mesh, triangles_of
+from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import rotate_back, rotation_matrix
 from particlerb.model.system import System
@@ -264,8 +265,8 @@ def ball(radius: float, copies: int) -> SurfaceMesh:
 
 def _particles_form(system: System, body: Body, kind: int, copies: int) -> _Form:
     """A body of loose particles: their balls; six particles with given moments as an octahedron."""
-    own = slice(system.particles.offset[kind], system.particles.offset[kind + 1])
-    place, radius = system.particles.position[own], system.particles.radius[own].copy()
+    own = kind_of(system.particles, kind)
+    place, radius = own.position, own.radius.copy()
     if radius.any():
         place, radius = place[radius > 0.0], radius[radius > 0.0]
     extent = float(np.linalg.norm(place, axis=1).max())

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
+from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import derived
 from particlerb.record.trajectory import Trajectory
@@ -87,10 +88,8 @@ def _set_equal_scale(axes: Axes3D, points: Floats) -> None:
 
 def _reach_of(trajectory: Trajectory, body: int) -> float:
     """Distance of the farthest particle of a body from its centre [m]; 1 for a point."""
-    particles, kind = trajectory.particles, trajectory.kind[body]
-    own = particles.position[particles.offset[kind] : particles.offset[kind + 1]]
-    farthest = float(np.linalg.norm(own, axis=1).max(initial=0.0))
-    return farthest or 1.0
+    own = kind_of(trajectory.particles, trajectory.kind[body]).position
+    return float(np.linalg.norm(own, axis=1).max(initial=0.0)) or 1.0
 
 
 def _axis_of(trajectory: Trajectory, body: int) -> Floats:
