@@ -20,8 +20,9 @@ from particlerb.geometry.particles import Particles, one_kind
 from particlerb.geometry.solid import symmetric
 from particlerb.maths.vec3 import Floats, Ints
 
-FULL: Final = np.array([1, 1 / 2, 1 / 2, 1 / 2, 1 / 3, 1 / 3, 1 / 3, 1 / 4, 1 / 4, 1 / 4])
 _EMPTY: Final = 1e-10  # share of a cell below which it holds nothing but rounding
+_COLUMN_OF: Final = (0, 1, 2, 0, 3, 4, 0, 5, 1, 2)  # 1, u, v, uu, vv, uv of a column of full height
+_COLUMN_SHARE: Final = np.array([1, 1, 1, 1 / 2, 1, 1, 1 / 3, 1, 1 / 2, 1 / 2])  # and ∫ of w in it
 CORNERS: Final = 12  # of a triangle cut by six planes: nine at most
 _THIN: Final = (
     1e-9  # variance of particles over that of the matter, below which they lie in a plane
@@ -220,29 +221,11 @@ def _add_piece(polygon: Floats, n: int, sums: Floats, above: Floats) -> None:
         _add_at(sums, above, middle, u, v, w)
 
 
-@kernel
 def _add_below(sums: Floats, above: Floats) -> None:
     """Add to every cell the columns of full height below pieces that lie above it."""
-    for j in range(sums.shape[0]):
-        s0 = s1 = s2 = s3 = s4 = s5 = 0.0
-        for k in range(sums.shape[1] - 1, -1, -1):
-            cell, own = sums[j, k], above[j, k]
-            cell[0] += s0
-            cell[1] += s1
-            cell[2] += s2
-            cell[3] += 0.5 * s0
-            cell[4] += s3
-            cell[5] += s4
-            cell[6] += s0 * (1 / 3)
-            cell[7] += s5
-            cell[8] += 0.5 * s1
-            cell[9] += 0.5 * s2
-            s0 += own[0]
-            s1 += own[1]
-            s2 += own[2]
-            s3 += own[3]
-            s4 += own[4]
-            s5 += own[5]
+    higher = np.zeros_like(above)
+    higher[:, :-1] = np.cumsum(above[:, :0:-1], axis=1)[:, ::-1]
+    sums += higher[:, :, _COLUMN_OF] * _COLUMN_SHARE
 
 
 # Particles

@@ -10,13 +10,15 @@ from mesh_examples import box, icosahedron, inside_out, joined, octahedron, sphe
 
 from particlerb.geometry import shapes
 from particlerb.geometry.analytic import ANALYTIC
-from particlerb.geometry.cells import FULL, Lattice, cut_mesh, grid_over, pieces
+from particlerb.geometry.cells import Lattice, cut_mesh, grid_over, pieces
 from particlerb.geometry.fill import coarsest_within, errors, mesh_particles, table
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.mesh import checked, mesh_solid
 from particlerb.geometry.overlapping_spheres import union_solid
 from particlerb.geometry.packing import cover, packing
 from particlerb.geometry.sections import BALL, cut_sections, part_of_disc
+
+FULL = np.array([1, 1 / 2, 1 / 2, 1 / 2, 1 / 3, 1 / 3, 1 / 3, 1 / 4, 1 / 4, 1 / 4])
 
 ROUND = {
     "ball": {"radius": 0.5},
