@@ -2,6 +2,7 @@
 
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from particlerb.case.values import (
@@ -55,12 +56,10 @@ _FRAMELESS = ("position", "orientation", "kinetic_energy")
 
 def _shape_of(value: Any) -> tuple[int, ...] | None:
     """Shape of nested tuples; None where they are ragged."""
-    if not isinstance(value, tuple):
-        return ()
-    inner = {_shape_of(entry) for entry in value}
-    if len(inner) > 1 or None in inner:
+    try:
+        return tuple(np.shape(value))
+    except ValueError:
         return None
-    return (len(value), *(inner.pop() or ())) if inner else (0,)
 
 
 class CheckValue(Table):
