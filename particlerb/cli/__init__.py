@@ -15,7 +15,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Final, NamedTuple, NoReturn, TextIO
+from typing import Final, NamedTuple, NoReturn
 
 import particlerb
 from particlerb.cli import arguments
@@ -101,7 +101,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def entry() -> NoReturn:
     """Run the command of this process and end it; SIGTERM ends it as Ctrl-C does."""
-    warnings.showwarning = show_warning
+    warnings.formatwarning = warning_text
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     if wants_guard(sys.argv[1:]):
@@ -109,17 +109,9 @@ def entry() -> NoReturn:
     sys.exit(main())
 
 
-def show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    """Print a warning as all other messages are, without its place in the sources."""
-    del category, filename, lineno, file, line
-    print(f"particlerb: warning: {message}", file=sys.stderr)
+def warning_text(message: Warning | str, *_: object, **__: object) -> str:
+    """A warning as all other messages are, without its place in the sources."""
+    return f"particlerb: warning: {message}\n"
 
 
 def _complain(message: str, code: int) -> int:

@@ -264,8 +264,8 @@ def test_a_process_that_may_write_no_file_says_so_in_one_line(fresh):
     code = f"""
 import sys, warnings
 from particlerb.compiled import jit as _jit
-from particlerb.cli import show_warning
-_jit.CACHE_FOLDER, warnings.showwarning = {str(folder)!r}, show_warning
+from particlerb.cli import warning_text
+_jit.CACHE_FOLDER, warnings.formatwarning = {str(folder)!r}, warning_text
 sys.path.insert(0, {str(folder.parent)!r})
 import kernels
 print(kernels.double(2.5), kernels.treble(1))
