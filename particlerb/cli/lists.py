@@ -6,6 +6,7 @@ import tomllib
 
 from particlerb.case.named import case_folders
 from particlerb.cli.endings import DONE
+from particlerb.studies.text import aligned
 
 
 def cases_command(options: argparse.Namespace) -> int:
@@ -19,9 +20,7 @@ def cases_command(options: argparse.Namespace) -> int:
             except (tomllib.TOMLDecodeError, UnicodeDecodeError):
                 title = "(not readable)"
             shown.setdefault(path.stem, title)
-    width = max(map(len, shown), default=0)
-    for name in sorted(shown):
-        print(f"{name:<{width}}  {shown[name]}")
+    print(aligned(sorted(shown.items())))
     return DONE
 
 
@@ -30,11 +29,9 @@ def methods_command(options: argparse.Namespace) -> int:
     del options
     from particlerb.integrators import METHODS
 
-    width = max(map(len, METHODS))
     default = "closed form where a body is free, strang where a force drives it (default)"
-    print(f"{'auto':<{width}}  {default}")
-    for name, method in METHODS.items():
-        print(f"{name:<{width}}  {method.summary}")
+    summaries = ((name, method.summary) for name, method in METHODS.items())
+    print(aligned([("auto", default), *summaries]))
     return DONE
 
 
