@@ -23,6 +23,7 @@ from particlerb.case.to_system import to_system
 from particlerb.cli.common import amount, read_case, to_write
 from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.cli.guard import probe
+from particlerb.compiled.jit import WHEN_COMPILING
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.gravity_tree.opening_angle import other_angle
 from particlerb.model.system import System
@@ -57,6 +58,8 @@ def _warn(options: argparse.Namespace, warnings: Sequence[str]) -> None:
 
 def run_command(options: argparse.Namespace) -> int:
     """`run`: the plan, the run, the checks."""
+    if sys.stderr.isatty() and not options.quiet:
+        WHEN_COMPILING[:] = ["kernels, once, about 15 s (30 s for contact)"]
     prepared = _prepared_case(options)
     system = prepared.system
     path = _output_path(options, system)

@@ -42,6 +42,9 @@ _FLAGS: dict[str, Any] = {
 }
 
 
+WHEN_COMPILING: Final[list[str]] = []  # what to say when the first kernel is compiled, and how long
+
+
 class CacheWarning(RuntimeWarning):
     """Compiled code cannot be kept: the next start compiles again."""
 
@@ -180,10 +183,12 @@ class _KernelCache(caching.FunctionCache):
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Compiled code of a signature; None where there is none that can be used."""
-        try:
-            return super().load_overload(signature, context)
-        except Exception:  # whatever unpickling and linking may raise: it is compiled anew
-            return None
+        with contextlib.suppress(Exception):  # of unpickling and linking: it is compiled anew
+            if (found := super().load_overload(signature, context)) is not None:
+                return found
+        while WHEN_COMPILING:
+            print(f"compiling {WHEN_COMPILING.pop()} ...", file=sys.stderr, flush=True)
+        return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep the compiled code of a signature, if that can be."""

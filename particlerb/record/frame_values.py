@@ -1,6 +1,6 @@
 """What is recorded of frames, as a file or the memory holds it."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,10 +23,8 @@ def values_of(
 ) -> dict[str, Any]:
     """Arrays of some rows of the frames, by their paths, in the order of the checksums."""
     fields = system.output.fields
-    found: Mapping[str, Any] = {
-        **contact_values(fields, touches, system.n_bodies),
-        **_fields_of(frames, rows, system, fields),
-    }
+    found: dict[str, Any] = contact_values(fields, touches, system.n_bodies)
+    found |= _fields_of(frames, rows, system, fields)
     dtype, values = np.dtype(system.output.dtype), {}
     for path, element in schema.series_of(fields).items():
         name = path.split("/")[-2]

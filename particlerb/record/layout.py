@@ -17,7 +17,6 @@ from particlerb.record.hdf5 import attach, describe, group, growing, link, note,
 from particlerb.record.vtkhdf import create_vtkhdf
 
 _THINNEST: Final = 0.02  # edge of a glyph, of the longest one: rods and points are to be seen
-_SCALE_OF: Final = {"body": schema.BODY, "wall": schema.WALL_NUMBERS}
 _CONTACTS_PER_CHUNK: Final = 64, 8192  # at least, at most
 _SHOWN: Final = {  # what VTK shows of each body beside the recorded fields
     "id": f"{schema.TRAJECTORY}/id",
@@ -163,7 +162,7 @@ def _make_checksums(file: h5py.File, n_frames: int, clock: h5d.DatasetID) -> Any
 def _make_series(file: h5py.File, path: str, system: System, made: Made) -> h5d.DatasetID:
     """One H5MD element: step, time, and an empty value that can grow."""
     place, element = path.removesuffix("/value"), schema.SERIES[path]
-    scales = [made[_SCALE_OF[element.per]]] if element.per else []
+    scales = [made[schema.SCALE_OF[element.per]]] if element.per else []
     if element.components:
         scales.append(made[element.components])
     width = tuple(scale.shape[0] for scale in scales)

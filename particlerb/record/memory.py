@@ -38,10 +38,9 @@ class Memory:
         self.touches: list[ContactOutput] = []
         room, n = self.content, frame_count(system.run)
         room[schema.STEP] = np.arange(n)
-        dtype, numbers = np.dtype(system.output.dtype), {"body": schema.BODY}
-        numbers["wall"] = schema.WALL_NUMBERS
+        dtype = np.dtype(system.output.dtype)
         for path, element in schema.series_of(system.output.fields).items():
-            width = [len(room[numbers[element.per]])] if element.per else []
+            width = [len(room[schema.SCALE_OF[element.per]])] if element.per else []
             width += [len(element.components)] if element.components else []
             room[path] = np.empty((n, *width), schema.dtype_of(element, dtype))
 
@@ -86,8 +85,7 @@ class Memory:
         for path, values in values_of(self.system, times, frames, rows, ledger, touches).items():
             self.content[path][new] = values
         self.n_frames = new.stop
-        if schema.CONTACTS in self.system.output.fields:
-            self.touches += touches
+        self.touches += touches if schema.CONTACTS in self.system.output.fields else ()
 
     def save_checkpoint(self, checkpoint: Callable[[], Mapping[str, Any]]) -> None:
         """Do nothing: it ends with the process."""

@@ -58,11 +58,6 @@ class OutputFile:
             lock.close()
             raise
 
-    @property
-    def seconds_for_disk(self) -> float:
-        """Seconds that the disk was waited for until now."""
-        return self.disk.seconds
-
     @contextmanager
     def writing(self) -> Iterator[None]:
         """Leave the file as it was committed last where the disk fails, or HDF5 is interrupted."""

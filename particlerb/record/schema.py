@@ -153,6 +153,7 @@ COLUMNS: Final[dict[str, _Column]] = {
 OFFSET: Final = f"{CONTACTS}/offset"  # contacts of frame f are offset[f] to offset[f + 1]
 WALL_NAMES: Final = "walls/names"
 WALL_NUMBERS: Final = "walls/wall"
+SCALE_OF: Final = {"body": BODY, "wall": WALL_NUMBERS}  # of what a frame has an entry for
 
 
 STATIC: Final[dict[str, _FixedDataset]] = {

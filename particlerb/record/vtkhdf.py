@@ -69,8 +69,7 @@ def create_vtkhdf(
         return {}
     n = fields[_POINTS].shape[1]
     root = group(file, VTKHDF)
-    kind = np.bytes_("PolyData")
-    note(root, Version=np.array([2, 0], dtype=np.int64), Type=kind)
+    note(root, Version=np.array([2, 0], dtype=np.int64), Type=np.bytes_("PolyData"))
     counts = [np.array([n])]
     for name in _CELLS:
         count = n if name == _CELLS[0] else 0

@@ -169,7 +169,11 @@ class Recorder:
         with self.output.writing():
             n = self.n_frames
             values = values_of(self.system, times, frames, rows, ledger, touches)
-            sums = frame_checksums(len(times), [*values.values(), *self.sums_of(touches)])
+            lists = []
+            if self.contacts is not None:
+                columns, ends = contact_columns(touches, self.contacts.dtype)
+                lists.append(list_checksums(columns.values(), ends))
+            sums = frame_checksums(len(times), [*values.values(), *lists])
             new = slice(self.recognise(n, sums), None)
             if not len(sums[new]):
                 return
@@ -183,13 +187,6 @@ class Recorder:
             if self.contacts is not None:
                 small[schema.OFFSET] = self.contacts.write(self.n_contacts, touches[new])
             self.pending.append((n + len(times), small))
-
-    def sums_of(self, touches: Sequence[ContactOutput]) -> list[Words]:
-        """Checksums of the contacts of some frames, where they are recorded."""
-        if self.contacts is None:
-            return []
-        columns, ends = contact_columns(touches, self.contacts.dtype)
-        return [list_checksums(columns.values(), ends)]
 
     def recognise(self, first: int, sums: Words) -> int:
         """Number of frames, from `first` on, that were in the file before: they must be the same.
@@ -219,7 +216,7 @@ class Recorder:
 
     def commit_if_due(self, checkpoint: Callable[[], Mapping[str, Any]] | None) -> None:
         """Commit what has waited for a second; with a checkpoint, where that costs little."""
-        start, waited_before = time.monotonic(), self.output.seconds_for_disk
+        start, waited_before = time.monotonic(), self.output.disk.seconds
         if start - self.last_commit <= SECONDS_BETWEEN_COMMITS or self.n_frames < self.known:
             return
         allowed = SHARE_OF_CHECKPOINTS * (start - self.last_checkpoint)
@@ -227,7 +224,7 @@ class Recorder:
             self.save_checkpoint(checkpoint)
         self.commit()
         if self.last_checkpoint >= start:
-            waited = self.output.seconds_for_disk - waited_before
+            waited = self.output.disk.seconds - waited_before
             self.seconds_for_checkpoint = self.last_commit - start - waited
 
     def commit(self) -> None:

@@ -186,6 +186,18 @@ def test_what_is_damaged_is_thrown_away(fresh, which):
 
 
 @pytest.mark.compiled
+def test_what_takes_so_long_is_said_once(fresh, monkeypatch, capsys):
+    """Where a kernel is compiled, and not where its code is kept."""
+    load, _ = fresh
+    for is_kept in (False, True):
+        monkeypatch.setattr(_jit, "WHEN_COMPILING", ["kernels, once, about 15 s"])
+        works(load, is_kept)
+        assert load().treble(1) == 3
+        said = capsys.readouterr().err
+        assert said == ("" if is_kept else "compiling kernels, once, about 15 s ...\n")
+
+
+@pytest.mark.compiled
 def test_data_of_another_signature_are_not_taken(fresh):
     """As two processes leave them that have chosen the same name at once."""
     load, folder = fresh
