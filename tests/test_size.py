@@ -15,10 +15,10 @@ PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 LINES_OF_CODE = 26219
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
-BUDGETS = {"closed forms under force": 600, "joints": 1500, "tables of forces": 120}
+BUDGETS = {"closed forms under force": 950, "joints": 1500, "tables of forces": 120}
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 
-OVERSPENT = 620
+OVERSPENT = 510
 """Lines above all budgets, by what came beside joints, which use 1500 of theirs: to be saved."""
 
 LONGEST_MODULE = 400

@@ -140,6 +140,9 @@ def _balance_line(plan: Plan) -> str:
         return "work from potentials and their change with time; impulses summed step by step"
     if not all(is_constant(segment.terms) for segment in stepped):
         return "work from potentials; impulses summed step by step: a force is not constant"
+    segments = [s for group in plan.groups for s in group.segments]
+    if not all(has_potential(segment.terms) for segment in segments):
+        return "work and impulses in closed form"
     return "work and impulses in closed form: every force has a potential"
 
 
@@ -186,10 +189,14 @@ def _segment_line(segment: Segment) -> str:
 def _closed_reason(terms: Terms) -> str:
     """Why a segment has a closed form."""
     acting = " and ".join(words_of(terms))
-    if lever_of(terms) is not None:
-        return f"driven by {acting}, closed form, no step (one force on the axis: Lagrange's top)"
-    why = f"{acting} through the centre of mass: a parabola" if acting else "nothing acts"
-    return f"free, closed form, no step ({why})"
+    names = needs_of(terms)
+    why = ["one force on the axis: Lagrange's top"] if lever_of(terms) is not None else []
+    why += ["linear drag: exponentials"] if "drag" in names else []
+    why += ["springs without length at the centre of mass: an oscillator"] * ("spring" in names)
+    if why:
+        return f"driven by {acting}, closed form, no step ({'; '.join(why)})"
+    reason = f"{acting} through the centre of mass: a parabola" if acting else "nothing acts"
+    return f"free, closed form, no step ({reason})"
 
 
 def _driving(terms: Terms) -> str:

@@ -12,15 +12,15 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, Rows4, conjugate, load4, multiply, rows4, to_body
 from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, load3, rows3
-from particlerb.rotors.lagrange import Reduced, reduced
+from particlerb.rotors.lagrange import Pair, Reduced, reduced
 from particlerb.rotors.lagrange_forms import Clock, near_constants, theta_constants
 
 _CROSSOVER: Final = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
 _SMALLEST: Final = 1e-290
 
 # Rows of both tables: x = start + rate t; ν and φ of α, of β; frame of z (4); ν of β less that of
-# α, A, L·z, c = |a F|; then those of the polynomials of `ThetaTop`, or the numbers of `NearTop`.
-LEFT, DELTA, OWN = 6, 10, 14
+# α, A, L·z, c = |a F|; L·e₃; then the polynomials of `ThetaTop`, or the numbers of `NearTop`.
+LEFT, DELTA, AXIAL, OWN = 6, 10, 14, 15
 N_THETA: Final = OWN + 20
 N_NEAR: Final = OWN + 15
 _TIMED: Final = [1, 2, 4, DELTA]  # rows in units of a rate
@@ -32,6 +32,7 @@ class Tops(NamedTuple):
     moment: Floats  # (n,) [kg m²] A, across axis 3
     stretch: Floats  # (n,) ½ (A/C - 1) for the moment C about axis 3; 0 where there is no spin
     lever: Floats  # (3, n) [N m] a F, for the force F at a on axis 3; world frame
+    spins: Floats  # (n,) 1, or 0 of rods, which cannot spin about axis 3
 
 
 @inline
@@ -55,11 +56,12 @@ def _seen(omega: Rows3, pull: Rows3, q: Rows4, b: int) -> tuple[Quat, Vec3, Redu
 
 @inline
 def _store(
-    table: Floats, b: int, clock: Clock, spin: float, left: Quat, delta: float, axial: float
+    table: Floats, b: int, clock: Clock, spin: float, left: Quat, delta: float, momentum: Pair
 ) -> None:
     """Rows that both kinds have; the moment, and the force, come later."""
     numbers = (clock.start, clock.rate, clock.nu[0] + spin, clock.phase[0], clock.nu[1] - spin)
-    for k, value in enumerate((*numbers, clock.phase[1], *left, delta, 0.0, axial, 0.0)):
+    along, axial = momentum
+    for k, value in enumerate((*numbers, clock.phase[1], *left, delta, 0.0, along, 0.0, axial)):
         table[k, b] = value
 
 
@@ -74,7 +76,7 @@ def _theta_table(
         left, own, of = _seen(rates, pulls, turns, b)
         clock, top = theta_constants(of)
         delta = clock.nu[1] - clock.nu[0]
-        _store(table, b, clock, of.axial * stretch[b], left, delta, own[2])
+        _store(table, b, clock, of.axial * stretch[b], left, delta, (own[2], of.axial))
         for k in range(5):
             table[OWN + k, b] = top.alpha_sin[k]
             table[OWN + 5 + k, b] = top.alpha_cos[k]
@@ -93,7 +95,7 @@ def _near_table(omega: Floats, pull: Floats, q: Floats, stretch: Floats, table: 
         clock, top = near_constants(of)
         turn_a, turn_b = top.turns
         delta = (clock.nu[1] + clock.rate * turn_b) - (clock.nu[0] + clock.rate * turn_a)
-        _store(table, b, clock, of.axial * stretch[b], left, delta, own[2])
+        _store(table, b, clock, of.axial * stretch[b], left, delta, (own[2], of.axial))
         numbers = (top.fall, top.r, top.kappa, *top.odd_cos, *top.odd_sin, *top.even_cos)
         for k, value in enumerate((*numbers, *top.even_sin, *top.turns)):
             table[OWN + k, b] = value
@@ -144,4 +146,5 @@ def _in_units(table: Floats, tops: Tops, unit: Floats, which: Ints) -> Floats:
     moment, size = tops.moment[which], np.sqrt((tops.lever * tops.lever).sum(axis=0))[which]
     table[DELTA + 1], table[DELTA + 3] = moment, size
     table[DELTA + 2] *= moment * unit[which]
+    table[AXIAL] *= moment * unit[which] * tops.spins[which]
     return table

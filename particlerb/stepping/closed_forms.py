@@ -10,11 +10,15 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.forces import Terms
+from particlerb.forces.drag import Drag
 from particlerb.forces.push import Push
+from particlerb.forces.spring import Spring
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.bodies import Bodies
-from particlerb.rotors.rotor_class import ROD, SPHERE, SYMMETRIC
+from particlerb.rotors.rotor_class import POINT, ROD, SPHERE, SYMMETRIC
 from particlerb.rotors.tops import Tops
+from particlerb.stepping.motion import Group, force_of
+from particlerb.stepping.translations import Damping, Oscillator
 
 _ROUNDING: Final = 1e-14  # share of a lever tensor that is its rounding
 
@@ -53,7 +57,7 @@ def levers_on(bodies: Bodies, lever: Floats) -> Levers:
     return Levers(
         size == 0.0,
         (size > 0.0) & has_axis & (rest <= _ROUNDING * size),
-        Tops(moment, 0.5 * (moment - about) / about, g),
+        Tops(moment, 0.5 * (moment - about) / about, g, 1.0 * (bodies.rotor_class != ROD)),
         _up_frames(axis),
     )
 
@@ -67,13 +71,44 @@ def _up_frames(axis: Floats) -> Floats:
     return np.asarray(n * np.where(z > 0.0, up, down))
 
 
+def translations_of(group: Group) -> tuple[Damping | None, Oscillator | None, Floats | None]:
+    """Drag and springs on the centres of mass of a group, and drag on its rotation (n,)."""
+    n, inv_mass = group.members.size, group.bodies.inv_mass
+    pushed, force = force_of(group)
+    drags = [load for load in group.terms.loads if isinstance(load, Drag)]
+    if drags:
+        rotation = drags[0].rotation if drags[0].rotation.any() else None
+        if drags[0].rate.any():
+            return Damping(drags[0].rate, pushed), None, rotation
+        return None, None, rotation
+    springs = [load for load in group.terms.loads if isinstance(load, Spring)]
+    if not springs:
+        return None, None, None
+    stiffness, pull = np.zeros(n), force.copy()
+    for spring in springs:
+        stiffness += spring.stiffness
+        pull += spring.stiffness * spring.anchor
+    return None, Oscillator(stiffness * inv_mass, pull / stiffness, pushed), None
+
+
 def has_closed_form(bodies: Bodies, terms: Terms) -> Bools:
     """Which bodies of a group move in closed form, (n,)."""
     n = bodies.mass.size
-    if terms.is_coupled or not all(isinstance(load, Push) for load in terms.loads):
+    kinds = {type(load) for load in terms.loads}
+    if terms.is_coupled or not kinds <= {Push, Drag, Spring}:
         return np.zeros(n, dtype=bool)
-    lever = lever_of(terms)
-    if lever is None:
-        return np.ones(n, dtype=bool)
-    levers = levers_on(bodies, lever)
-    return levers.is_free | levers.is_top
+    is_closed, lever = np.ones(n, dtype=bool), lever_of(terms)
+    is_free = is_closed
+    if lever is not None:
+        levers = levers_on(bodies, lever)
+        is_free, is_closed = levers.is_free, levers.is_free | levers.is_top
+    is_round = np.isin(bodies.rotor_class, (POINT, ROD, SPHERE))
+    for load in terms.loads:
+        if isinstance(load, Drag):
+            is_closed = is_closed & ((load.rotation == 0.0) | (is_round & is_free))
+        if isinstance(load, Spring):
+            at_com = ~load.at.any(axis=0) & (load.rest_length == 0.0) & (load.stiffness > 0.0)
+            is_closed = is_closed & at_com
+    if {Drag, Spring} <= kinds:
+        return np.zeros(n, dtype=bool)
+    return is_closed

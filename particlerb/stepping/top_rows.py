@@ -6,16 +6,12 @@ in the rows of a block. All numbers are in two flat buffers, or LLVM would not v
 
 import math
 
-import numpy as np
-
-from particlerb.compiled.jit import compile_with, inline, kernel
-from particlerb.compiled.threads import BLOCK
+from particlerb.compiled.jit import compile_with, inline
 from particlerb.maths.quaternion import Quat, multiply, to_world
 from particlerb.maths.trig import cos_sin_half_turns, half_turns
-from particlerb.maths.vec3 import Floats, Vec3
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
 from particlerb.model.block import (
     BOOKED,
-    STRIDE,
     L,
     Q,
     get,
@@ -34,7 +30,7 @@ from particlerb.rotors.lagrange_forms import (
     near_local,
     theta_local,
 )
-from particlerb.rotors.tops import DELTA, LEFT, OWN
+from particlerb.rotors.tops import AXIAL, DELTA, LEFT, OWN
 
 _spliced = compile_with(inline="always")  # used once: not compiled apart from its caller
 
@@ -97,6 +93,12 @@ def _put_turned(
     v = cos_sin_half_turns(phase_b + (nu_b * t + turns[1]))
     left, of = get4(rows, LEFT, b), get4(rows, DELTA, b)
     q, momentum, work = _composed(local, rates, u, v, sign, left, of)
+    axis = (
+        2.0 * (q[1] * q[3] + q[0] * q[2]),
+        2.0 * (q[2] * q[3] - q[0] * q[1]),
+        (q[0] * q[0] + q[3] * q[3]) - (q[1] * q[1] + q[2] * q[2]),
+    )
+    momentum = add_scaled(get(rows, AXIAL, b) - dot(momentum, axis), axis, momentum)
     put4(out, Q, b, q)
     put3(out, L, b, momentum)
     put(out, BOOKED, b, work)
@@ -139,18 +141,3 @@ def top_block(
         _theta_rows(top[k], t, n, out)
     if near is not None:
         _near_rows(near[k], t, n, out)
-
-
-@kernel
-def tops_at(
-    top: Floats | None, near: Floats | None, t: float, q: Floats, momentum: Floats, work: Floats
-) -> None:
-    """Write q(t) (4, n), L(t) (3, n) and -c u(t) (n,) of all bodies."""
-    out = np.empty((BOOKED + 1) * STRIDE)
-    rows = out.reshape((BOOKED + 1, STRIDE))
-    for lo in range(0, work.size, BLOCK):
-        n = min(BLOCK, work.size - lo)
-        top_block(top, near, lo // BLOCK, t, n, out)
-        q[:, lo : lo + n] = rows[Q : Q + 4, :n]
-        momentum[:, lo : lo + n] = rows[L : L + 3, :n]
-        work[lo : lo + n] = rows[BOOKED, :n]

@@ -171,7 +171,16 @@ def cases():
         yield "from a pole", top(1.0, 0.5, 1.0, tilted(0.0), [0.4, 0.1, spin])
         yield "from the lower pole", top(1.0, 0.5, 1.0, np.array([0.0, 1.0, 0, 0]),
                                          [0.4, 0.1, spin])  # fmt: skip
-    for off in (1e-2, 1e-4, 1e-8, 1e-13, 0.0, -1e-6):  # a pendulum with just the energy to stand
+    for off in (
+        6e-2,
+        -6e-2,
+        1e-2,
+        1e-4,
+        1e-8,
+        1e-13,
+        0.0,
+        -1e-6,
+    ):  # a pendulum with just the energy to stand
         omega = np.sqrt(2.0 * (1.0 - np.cos(1.0))) * (1.0 + off)
         yield "separatrix", top(1.0, 0.5, 1.0, tilted(1.0), [omega, 0.0, 0.0])
     for spin in (0.1, 1e-4, 1e-9):

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from particlerb.model.block import in_blocks
+from particlerb.compiled.threads import BLOCK
+from particlerb.model.block import BOOKED, STRIDE, in_blocks
 from particlerb.rotors.tops import N_THETA, Tops, prepare_tops
-from particlerb.stepping.top_rows import tops_at
+from particlerb.stepping.top_rows import top_block
 
 FILE = Path(__file__).parents[1] / "reference" / "lagrange_tops.csv"
 T = 10.0
@@ -25,7 +26,7 @@ def reference():
         rows = list(csv.DictReader(line for line in file if line[0] != "#"))
     A, C = columns(rows, "A", "C")
     stretch = np.where(C > 0.0, 0.5 * (A / np.where(C > 0.0, C, 1.0) - 1.0), 0.0)
-    tops = Tops(A, stretch, columns(rows, "gx", "gy", "gz"))
+    tops = Tops(A, stretch, columns(rows, "gx", "gy", "gz"), 1.0 * (C > 0.0))
     q = columns(rows, "q0", "q1", "q2", "q3")
     return (
         [row["name"] for row in rows],
@@ -43,12 +44,16 @@ def turned(tops, q, L, t):
     n = q.shape[1]
     end, spin, work, is_near = np.empty((4, n)), np.empty((3, n)), np.empty(n), np.zeros(n, bool)
     for which, table in prepare_tops(tops, q, L):
-        m = which.size
-        found = np.empty((4, m)), np.empty((3, m)), np.empty(m)
-        blocks = in_blocks(m, len(table), [(0, table)])
+        blocks = in_blocks(which.size, len(table), [(0, table)])
         near = len(table) != N_THETA
-        tops_at(None if near else blocks, blocks if near else None, t, *found)
-        end[:, which], spin[:, which], work[which] = found
+        kind = (None, blocks) if near else (blocks, None)
+        out = np.zeros((BOOKED + 1) * STRIDE)
+        rows = out.reshape(BOOKED + 1, STRIDE)
+        for k in range(len(blocks)):
+            own = which[k * BLOCK : (k + 1) * BLOCK]
+            top_block(*kind, k, t, own.size, out)
+            end[:, own], spin[:, own] = rows[3:7, : own.size], rows[10:13, : own.size]
+            work[own] = rows[BOOKED, : own.size]
         is_near[which] = near
     return end, spin, work, is_near
 
@@ -94,7 +99,11 @@ def random_tops(n, decades):
     A = np.abs(spread(n)) + 10.0**-decades
     C = A * random.uniform(0.01, 2.0, n)
     q = random.normal(size=(4, n))
-    return Tops(A, 0.5 * (A / C - 1.0), spread(3, n)), q / np.linalg.norm(q, axis=0), spread(3, n)
+    return (
+        Tops(A, 0.5 * (A / C - 1.0), spread(3, n), np.ones(n)),
+        q / np.linalg.norm(q, axis=0),
+        spread(3, n),
+    )
 
 
 @pytest.mark.parametrize("decades", [1.0, 20.0])
@@ -125,7 +134,7 @@ def test_energy_and_spin_are_kept_whatever_the_units(decades):
 
 
 def test_two_halves_are_the_whole():
-    """From the state at T/2 on, the same state at T: also where a body is next to a pole then."""
+    """From the state at T/2 on, the same state at T."""
     names, tops, q, L, _, _, effect = reference()
     whole = turned(tops, q, L, T)
     half = turned(tops, q, L, 0.5 * T)
@@ -134,3 +143,25 @@ def test_two_halves_are_the_whole():
                         for n in names])  # fmt: skip
     assert apart(whole[0], again[0])[regular].max() < 2e-12
     assert (apart(whole[0], again[0]) < 1e4 * effect[0] + 2e-12).all()
+
+
+def test_both_forms_agree_where_one_takes_over(monkeypatch):
+    """At K′ = K/2, all along the nutation: five terms of one and three of the other."""
+    n, random = 400, np.random.default_rng(8)
+    q = np.stack([np.cos(0.5 + 0 * random.random(n)), np.full(n, np.sin(0.5)), np.zeros(n),
+                  np.zeros(n)])  # fmt: skip
+    rate = np.sqrt(2.0 * (1.0 - np.cos(1.0))) * (1.0 + random.choice([-1, 1], n) * 0.065)
+    axis = np.array([np.zeros(n), np.full(n, -np.sin(1.0)), np.full(n, np.cos(1.0))])
+    L = 0.02 * random.normal(size=n) * axis
+    L[0] += rate
+    lever = np.tile([[0.0], [0.0], [-1.0]], n)
+    tops = Tops(np.ones(n), np.full(n, 0.5), lever, np.ones(n))
+    for t in (0.0, 1.3, 2.6, 5.0):
+        found = []
+        for limit in (0.0, 1.0):
+            monkeypatch.setattr("particlerb.rotors.tops._CROSSOVER", limit)
+            found.append(turned(tops, q, L, t))
+        assert not found[0][3].any()
+        assert found[1][3].all()
+        assert apart(found[0][0], found[1][0]).max() < 2e-14
+        assert np.abs(found[0][1] - found[1][1]).max() < 2e-14

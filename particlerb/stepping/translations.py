@@ -1,0 +1,172 @@
+"""Centres of mass under a constant force, with drag, or on springs; rotation that drag slows down.
+
+Each function writes positions and momenta of a block, and adds up what the forces have given since
+the start, from integrals of their own: work without gravity's, impulse, and angular impulse about
+the world's origin. Formulas: docs/closed_forms.md.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+from particlerb.compiled.jit import inline
+from particlerb.maths.quaternion import Quat, load4, multiply, rows4
+from particlerb.maths.trig import cos_sin_half_turns, decay
+from particlerb.maths.vec3 import (
+    Floats,
+    Rows3,
+    Vec3,
+    add,
+    add_scaled,
+    cross,
+    dot,
+    load3,
+    rows3,
+    scale,
+    store3,
+    subtract,
+)
+from particlerb.model.block import L, Q, put3, put4
+
+_TINY: Final = 1e-300  # in place of |L| = 0
+_SERIES: Final = tuple(1.0 / math.factorial(n) for n in range(20, 2, -1))  # of φ₃, the last first
+GIVEN: Final = 7  # work, impulse, angular impulse
+
+
+class Damping(NamedTuple):
+    """Linear drag on n bodies."""
+
+    rate: Floats  # (n,) [1/s] γ = c/M
+    pushed: Floats  # (3, n) [N] constant force without gravity
+
+
+class Oscillator(NamedTuple):
+    """Springs of no rest length from the centres of mass of n bodies to places in the world."""
+
+    squared: Floats  # (n,) [1/s²] ω² = Σ k/M
+    balance: Floats  # (3, n) [m] where forces are in balance
+    pushed: Floats  # (3, n) [N]
+
+
+class Slowing(NamedTuple):
+    """Drag on the rotation of n spheres and rods."""
+
+    rate: Floats  # (n,) [1/s] c_r/I
+    inv_inertia: Floats  # (n,) [1/(kg m²)]
+    q: Floats  # (4, n) at the start
+    L: Floats  # (3, n) [kg m²/s]
+
+
+class Centres(NamedTuple):
+    """Rows of a block: what is given, and what is written."""
+
+    start: Rows3
+    p0: Rows3
+    force: Rows3
+    inv_mass: Floats
+    com: Rows3
+    p: Rows3
+
+
+@inline
+def decays(x: float) -> Quat:
+    """e^{-x} and φ₁, φ₂, φ₃ of x >= 0, φ_k(x) = Σ (-x)ⁿ/(n + k)!, to a few roundings."""
+    small = min(x, 1.0)
+    third = 0.0
+    for c in _SERIES:
+        third = c - small * third
+    second = 0.5 - small * third
+    first = 1.0 - small * second
+    exp = 1.0 - small * first
+    if x > 1.0:
+        exp = decay(-x)
+        first = (1.0 - exp) / x
+        second = (1.0 - first) / x
+        third = (0.5 - second) / x
+    return exp, first, second, third
+
+
+@inline
+def parabola(of: Centres, t: float) -> None:
+    """x = x₀ + (p₀ t + F t²/2)/M,  p = p₀ + F t."""
+    start, p0, force, inv_mass, com, p = of
+    for b in range(inv_mass.size):
+        p_b, F = load3(p0, b), load3(force, b)
+        store3(p, b, add_scaled(t, F, p_b))
+        way = add_scaled(0.5 * t, F, p_b)
+        store3(com, b, add_scaled(t * inv_mass[b], way, load3(start, b)))
+
+
+@inline
+def add_given(given: Floats, work: float, impulse: Vec3, angular: Vec3) -> None:
+    """Add to the sums of a block."""
+    given[0] += work
+    for k in range(3):
+        given[1 + k] += impulse[k]
+        given[4 + k] += angular[k]
+
+
+@inline
+def damped(of: Centres, drag: Damping, lo: int, t: float, given: Floats) -> None:
+    """p = p₀ e^{-γt} + F E₁,  x = x₀ + (p₀ E₁ + F E₂)/M; E_k = tᵏ φ_k(γt)."""
+    start, p0, force, inv_mass, com, p = of
+    n = inv_mass.size
+    rate, pushed = drag.rate[lo : lo + n], rows3(drag.pushed, lo, lo + n)
+    for b in range(n):
+        p_b, F, x0, inv = load3(p0, b), load3(force, b), load3(start, b), inv_mass[b]
+        x = rate[b] * t
+        exp, first, second, third = decays(x)
+        E1, E2 = t * first, t * t * second
+        J = add_scaled(E1, p_b, scale(E2, F))
+        store3(p, b, add_scaled(exp, p_b, scale(E1, F)))
+        store3(com, b, add_scaled(inv, J, x0))
+        psi = second - third - 0.5 * x * second * second
+        if x > 1.0:
+            psi = (x - 0.5 * (1.0 - exp) * (3.0 - exp)) / (x * x * x)
+        G = t * t * t * psi
+        square = 0.5 * E1 * (1.0 + exp) * dot(p_b, p_b) + E1 * E1 * dot(p_b, F) + G * dot(F, F)
+        work = inv * (dot(load3(pushed, b), J) - rate[b] * square)
+        impulse = add_scaled(-rate[b], J, scale(t, F))
+        turned = inv * (E2 - rate[b] * (2.0 * G - E1 * E2))
+        angular = add_scaled(turned, cross(p_b, F), cross(x0, impulse))
+        add_given(given, work, impulse, angular)
+
+
+@inline
+def sprung(of: Centres, spring: Oscillator, lo: int, t: float, given: Floats) -> None:
+    """x = a + (x₀ - a) cos ωt + (p₀/M) sin ωt/ω, about the place of balance a."""
+    start, p0, _, inv_mass, com, p = of
+    n = inv_mass.size
+    squared, balance = spring.squared[lo : lo + n], rows3(spring.balance, lo, lo + n)
+    pushed = rows3(spring.pushed, lo, lo + n)
+    for b in range(n):
+        x0, a, v = load3(start, b), load3(balance, b), scale(inv_mass[b], load3(p0, b))
+        omega = math.sqrt(squared[b])
+        cos_half, sin_half, _ = cos_sin_half_turns(0.5 * omega * t)
+        cos, sine = 1.0 - 2.0 * sin_half * sin_half, 2.0 * sin_half * cos_half / omega
+        fall = 2.0 * sin_half * sin_half / squared[b]  # (1 - cos ωt)/ω²
+        y = subtract(x0, a)
+        moved = add_scaled(-squared[b] * fall, y, scale(sine, v))
+        store3(com, b, add(x0, moved))
+        M = 1.0 / inv_mass[b]
+        store3(p, b, scale(M, add_scaled(cos, v, scale(-squared[b] * sine, y))))
+        lost = add_scaled(sine, y, scale(fall, v))  # ∫ (x - a) dt
+        k = M * squared[b]
+        angular = scale(k, cross(lost, a))
+        add_given(given, dot(load3(pushed, b), moved), scale(-k, lost), angular)
+
+
+@inline
+def slowed(slowing: Slowing, lo: int, hi: int, t: float, out: Floats, given: Floats) -> None:
+    """L = L₀ e^{-λt}, and q turned about L by |L₀|/I E₁, in rows of a block."""
+    L0, q0 = rows3(slowing.L, lo, hi), rows4(slowing.q, lo, hi)
+    for b in range(hi - lo):
+        rate, inverse, L_b = slowing.rate[lo + b], slowing.inv_inertia[lo + b], load3(L0, b)
+        exp, first, _, _ = decays(rate * t)
+        size = math.sqrt(dot(L_b, L_b))
+        cos, sin, _ = cos_sin_half_turns(0.5 * inverse * t * first * size)
+        axis = scale(sin / max(size, _TINY), L_b)
+        put4(out, Q, b, multiply((cos, axis[0], axis[1], axis[2]), load4(q0, b)))
+        put3(out, L, b, scale(exp, L_b))
+        lost = rate * t * first
+        work = -0.5 * inverse * lost * (1.0 + exp) * size * size
+        add_given(given, work, (0.0, 0.0, 0.0), scale(-lost, L_b))
