@@ -286,8 +286,11 @@ def join(
             heaviest = max(heaviest, rows[c, _HEAVIEST])
             c += 1
         M = total[0, 0] + total[0, 1]
-        d = (total[1:4, 0] + total[1:4, 1]) / M
-        moments[k, 0], moments[k, 1:4] = M, origin[k] + d
+        x, y, z = total[1, 0] + total[1, 1], total[2, 0] + total[2, 1], total[3, 0] + total[3, 1]
+        d = (x / M, y / M, z / M)
+        moments[k, 0] = M
+        for axis in range(3):  # slices would be compiled with the words of their errors: 2 s
+            moments[k, 1 + axis] = origin[k, axis] + d[axis]
         for row, (a, b) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
             moments[k, 4 + row] = total[4 + row, 0] + (total[4 + row, 1] - M * d[a] * d[b])
         moments[k, 10] = total[10, 0] + total[10, 1]

@@ -24,6 +24,7 @@ from particlerb.model.block import (
     INV_INERTIA,
     INV_MASS,
     Q,
+    assign,
     get,
     get3,
     get4,
@@ -116,7 +117,7 @@ def take_stages(
 ) -> None:
     """Slopes of the stages i .. j - 1 of a step h from t; `new` is the state of the last one."""
     for stage in range(i, j):
-        new[:] = y
+        assign(new, y)
         add_rows(h, A[stage], K, stage, new)
         take_slopes(acting, books, rows, n, w, t + NODES[stage] * h, new, K[stage])
 

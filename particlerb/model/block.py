@@ -80,6 +80,17 @@ def put4(rows: Floats, at: int, b: int, q: Quat) -> None:
 
 
 @inline
+def assign(target: Floats, source: Floats) -> None:
+    """Copy an array into one of its shape, both without gaps.
+
+    What Numba compiles for slices makes words for errors of shapes, which takes 2 s.
+    """
+    values, out = source.reshape(source.size), target.reshape(target.size)
+    for i in range(out.size):
+        out[i] = values[i]
+
+
+@inline
 def copy_changing(source: Floats, target: Floats, n: int) -> None:
     """Copy what changes with time."""
     for r in range(CHANGING):

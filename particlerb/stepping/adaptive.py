@@ -30,6 +30,7 @@ from particlerb.model.block import (
     L,
     P,
     Q,
+    assign,
     get,
     in_blocks,
     into_blocks,
@@ -107,10 +108,10 @@ def advance(
         for f in range(times.size):
             while times[f] > t + h:
                 t += h
-                y[:] = new
+                assign(y, new)
                 h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h_next, tolerance)
                 is_dense = False
-            out[:] = y
+            assign(out, y)
             if times[f] > t or not h > 0.0:
                 if not is_dense:
                     take_stages(acting, books, rows, n, w, y, K, out, t, h, 13, STAGES)
@@ -127,13 +128,13 @@ def advance(
                     sums[index[f], lo // BLOCK, c] += shown[BOOKED + c, b]
         while t + h < until:
             t += h
-            y[:] = new
+            assign(y, new)
             h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h_next, tolerance)
         while t < stop < np.inf:  # the last step may have to be cut again
             h, h_next = find_step(
                 acting, books, rows, n, w, y, K, new, t, min(stop - t, h), tolerance
             )
-            y[:] = new
+            assign(y, new)
             if not h > 0.0:
                 break
             t = stop if h >= stop - t else t + h

@@ -39,6 +39,7 @@ from particlerb.model.block import (
     L,
     P,
     Q,
+    assign,
     get,
     in_blocks,
     put,
@@ -117,7 +118,7 @@ def _joint_slopes(
 @kernel
 def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
     """State where the slope of a stage is taken."""
-    new[:] = y
+    assign(new, y)
     add_rows(h, A[stage], K, stage, new.reshape(new.size))
 
 
@@ -233,12 +234,12 @@ def advance_joint(
     for f in range(times.size):
         while times[f] > t + h:
             t += h
-            y[:] = new
+            assign(y, new)
             h, h_next = _find_joint_step(
                 acting, books, blocks, layout, pairs, room, t, h_next, tolerance
             )
             is_dense = False
-        out[:] = y
+        assign(out, y)
         if times[f] > t or not h > 0.0:
             if not is_dense:
                 _joint_stages(acting, books, blocks, layout, pairs, room, out, t, h, 13, STAGES)
@@ -247,7 +248,7 @@ def advance_joint(
         _store_blocks(layout, room, rotor_frame, members, frames, sums, index[f])
     while t + h < until:
         t += h
-        y[:] = new
+        assign(y, new)
         h, h_next = _find_joint_step(
             acting, books, blocks, layout, pairs, room, t, h_next, tolerance
         )
@@ -255,7 +256,7 @@ def advance_joint(
         h, h_next = _find_joint_step(
             acting, books, blocks, layout, pairs, room, t, min(stop - t, h), tolerance
         )
-        y[:] = new
+        assign(y, new)
         if not h > 0.0:
             break
         t = stop if h >= stop - t else t + h
