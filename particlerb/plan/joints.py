@@ -106,6 +106,12 @@ def joints_of(system: System) -> JointSetup | None:
         Rows(*(np.concatenate(arrays) for arrays in zip(*rows, strict=True))),
     )
     problems = _impossible(system, setup)
+    held = np.concatenate([first, second])
+    for k, force in enumerate(system.force):
+        if force.type == "impulse" and np.isin(system.names.find(force.body), held).any():
+            reason = "an impulse on a body that a joint holds is not computed yet"
+            hint = "use a push for a short time"
+            problems.append(problem_at(system, f"force[{k}].body", reason, hint))
     if problems:
         raise CaseError(problems)
     return setup

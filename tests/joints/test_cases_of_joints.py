@@ -73,6 +73,14 @@ def test_contact_and_joints_are_refused_together():
         prepared({**scene, "contact": contact})
 
 
+def test_impulses_on_jointed_bodies_are_refused():
+    scene = rods(joint("ball", "b0"))
+    impulse = {"type": "impulse", "impulse": [0, 0, 1.0], "time": 0.1}
+    prepared({**scene, "force": [impulse | {"body": "b1"}]})
+    with pytest.raises(CaseError, match=r"force\[0\].body: an impulse on a body that a joint"):
+        prepared({**scene, "force": [impulse | {"body": "b0"}]})
+
+
 @pytest.mark.parametrize(("method", "force"), [("strang", None), ("rattle6", "torque"),
                                                ("rattle", "drag")])  # fmt: skip
 def test_methods_that_cannot_keep_joints_say_so(method, force):

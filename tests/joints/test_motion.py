@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 from holds import misfits
-from scenes import SCENES, Z, bar, body, case, joint, moved, reference
+from scenes import SCENES, Y, Z, bar, body, case, joint, moved, reference
 
 ORDERS = {"rattle": 2, "rattle4": 4, "rattle6": 6, "rattle8": 8}
 
@@ -79,6 +79,36 @@ def test_joints_hold_in_every_frame(name):
         g, rate = misfits(trajectory, scene["joint"])
     assert g < 1e-13
     assert rate < 1e-12
+
+
+def pulled():
+    """Two jointed rods and a free block with forces of every kind that has a potential."""
+    bodies = [
+        bar("a", [0, 0, 0], [1, 0, 0]),
+        bar("b", [1, 0, 0], [1, 1, 0]),
+        body("free", 2.0, [0.1, 0.2, 0.3], [0.5, -1.0, -1.0]),
+    ]
+    joints = [joint("ball", "a"), joint("universal", "b", "a", [1, 0, 0], Z, axis_to=Y)]
+    force = [
+        {"type": "push", "body": "b", "at": [0.3, 0, 0.1], "force": [0, 3.0, 1.0]},
+        {"type": "spring", "body": "b", "at": [0.5, 0, 0], "to": "free", "stiffness": 20.0},
+        {"type": "spring", "body": "a", "at": [0.2, 0, 0], "anchor": [0, 0, 1.0],
+         "stiffness": 15.0},
+        {"type": "field", "body": "a", "field": [1.0, 0, 0], "dipole": [0, 0.5, 0.0]},
+    ]  # fmt: skip
+    return case(bodies, joints, force=force, attraction={"G": 0.5, "softening": 0.3})
+
+
+def test_forces_with_a_potential_act_on_jointed_bodies_at_order_two():
+    errors, ends = [], []
+    for dt in (0.01, 0.005, 0.0025):
+        with moved(pulled(), 0.4, dt, every=0.04) as trajectory:
+            errors.append(np.abs(trajectory.ledger.energy_error).max())
+            ends.append(np.array(trajectory.position)[-1])
+            assert np.abs(trajectory.ledger.angular_momentum_error).max() < 1e-13
+    coarse, fine = (np.abs(ends[k] - ends[k + 1]).max() for k in (0, 1))
+    assert coarse / fine == pytest.approx(4.0, rel=0.05)
+    assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.1)
 
 
 def free_linkage():
