@@ -16,9 +16,10 @@ LINES_OF_CODE = 26219
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {"closed forms under force": 950, "joints": 1500, "tables of forces": 120}
+BUDGETS |= {"vectors of 512 bits": 45, "opening angle fitted to a scene": 95}
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 
-OVERSPENT = 510
+OVERSPENT = 371
 """Lines above all budgets, by what came beside joints, which use 1500 of theirs: to be saved."""
 
 LONGEST_MODULE = 400
