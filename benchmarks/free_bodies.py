@@ -6,9 +6,14 @@ For 100 000 random asymmetric bodies on one core: time per output, vectorised an
 time, set-up time, memory, the share of each kind of turn; the worst errors over the 8 000 bodies of
 tests/reference/free_rotation.npz; a run of ten_thousand_clumps against h5py alone; start-up times.
 Goals: brick 1e-12; 5 ns, 7 times, 200 ns, 400 bytes; 3e-13 rad and 6 half-ulp effects; 1.5 times.
+
+`--calls` prints whole calls alone: motions of prepared scenes, `run(dict)` in memory and with a
+file, a body-frame before the file, the search of run.accuracy, each beside its goal, with SciPy's
+whole loop where it is installed. Processor times, the median and the least of rounds.
 """
 
 import argparse
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -18,10 +23,15 @@ from typing import Any
 import numpy as np
 import startup
 import trajectory_output
+from accuracy import scipy_times
+from against_peers import free_bodies, one_body
 from results import record
 
 import particlerb
+from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.compiled.jit import compile_with, kernel
+from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import rows4
 from particlerb.rotors.exact import (
     SteadyTurn,
@@ -32,6 +42,12 @@ from particlerb.rotors.exact import (
     turn_all,
     turn_block,
 )
+from particlerb.simulation.accuracy import prepare_accurately
+from particlerb.simulation.run import Run
+from particlerb.simulation.run import prepare as prepare_system
+from particlerb.simulation.trials import part, states_at
+from particlerb.studies.peers import engines
+from particlerb.studies.work_precision import Study
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "free_rotation.npz"
 BRICK = REFERENCE.with_name("nesc_brick.csv")
@@ -40,7 +56,7 @@ WELL_CONDITIONED = 3e-13
 
 
 @compile_with(cache=True, inline="never")
-def one_body(steady: Any, theta: Any, hyperbolic: Any, t: float, b: int, q: Any) -> None:
+def turn_one(steady: Any, theta: Any, hyperbolic: Any, t: float, b: int, q: Any) -> None:
     """The formulas of a single body."""
     turn_block(steady, theta, hyperbolic, t, b, b + 1, rows4(q, b, b + 1))
 
@@ -49,7 +65,7 @@ def one_body(steady: Any, theta: Any, hyperbolic: Any, t: float, b: int, q: Any)
 def one_by_one(steady: Any, theta: Any, hyperbolic: Any, t: float, q: Any) -> None:
     """The same result without SIMD."""
     for b in range(q.shape[1]):
-        one_body(steady, theta, hyperbolic, t, b, q)
+        turn_one(steady, theta, hyperbolic, t, b, q)
 
 
 def random_bodies(n: int) -> tuple[Any, ...]:
@@ -114,6 +130,90 @@ def speed(n: int) -> list[tuple[str, float]]:
     return figures
 
 
+def processor_times(work: Callable[[], object], rounds: int) -> tuple[float, float]:
+    """Median and least processor time of a call, behind one that does not count [s]."""
+    work()
+    taken = []
+    for _ in range(rounds):
+        start = time.process_time()
+        work()
+        taken.append(time.process_time() - start)
+    return median(taken), min(taken)
+
+
+def one_state(case: dict) -> Callable[[], object]:
+    """The motion of a prepared scene: set-up, one frame at t_end, its energy balance."""
+    prepared = prepare_system(to_system(case))
+    times = np.array([prepared.system.run.t_end])
+    return lambda: Run(prepared).frames_at(times, np.ones(1, dtype=bool))
+
+
+def body_frame(n: int = 1000, frames: int = 300) -> Callable[[], object]:
+    """Frames of n bodies with their energy balance, before a file."""
+    going = Run(prepare_system(to_system(free_bodies(n))))
+    times, is_frame = np.linspace(0.0, 10.0, frames), np.ones(frames, dtype=bool)
+    return lambda: going.frames_at(times, is_frame)
+
+
+def search(rounds: int) -> tuple[float, float]:
+    """Processor time that a search takes beyond a plan, and that of the run it is for [s]."""
+    system = to_system(load(CASES / "spring_pendulum.toml", ["run.accuracy=1e-6"]))
+    plain = system.with_run(accuracy=None)
+    both = [processor_times(lambda: prepare_accurately(one), rounds)[1] for one in (system, plain)]  # noqa: B023
+    going = prepare_accurately(system)
+    whole = part(system, going.plan, np.arange(system.n_bodies))
+    times = np.array([system.run.t_end])
+    return both[0] - both[1], processor_times(lambda: states_at(whole, times), rounds)[1]
+
+
+def scipy_loop(case: dict, wanted: float) -> float:
+    """Least time of SciPy's joint DOP853 with an error that is small enough; NaN without it [s]."""
+    (engine,) = engines(("scipy",))
+    if engine.missing:
+        return float("nan")
+    study = Study(to_system(case), 5.0)
+    return scipy_times(study, [wanted])[wanted]
+
+
+def calls() -> list[tuple[str, float]]:
+    """Print whole calls beside their goals; return the medians."""
+    THREADS.use(1)
+    one, thousand = one_body(), free_bodies(1000)
+    figures = []
+
+    def row(name: str, unit: float, goal: str, found: tuple[float, float]) -> None:
+        now, least = (value * unit for value in found)
+        print(f"  {name:50} {now:10.4g} {least:10.4g}   {goal}", flush=True)
+        figures.append((name, now))
+
+    print(f"  {'processor time':50} {'now':>10} {'least':>10}   goal")
+    row("one free body, motion [ms]", 1e3, "0.06", processor_times(one_state(one), 1000))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.h5"
+        row("run(dict) in memory [ms]", 1e3, "5", processor_times(lambda: run_of(one), 40))
+        row("run(dict) with a file [ms]", 1e3, "12", processor_times(lambda: run_of(one, path), 40))
+    found = processor_times(one_state(thousand), 300)
+    row("1000 free bodies, motion [ms]", 1e3, "-", found)
+    ratio = scipy_loop(thousand, 1e-6) / found[0]
+    row("1000 free bodies, SciPy DOP853 / ours", 1.0, "40", (ratio, ratio))
+    many = processor_times(one_state(free_bodies(100_000)), 9)
+    row("100 000 free bodies, one frame [ms]", 1e3, "25", many)
+    row("a body-frame before the file [ns]", 1e9 / 3e5, "15", processor_times(body_frame(), 15))
+    taken, allowed = search(30)
+    row(
+        "search of run.accuracy, spring_pendulum [ms]",
+        1e3,
+        f"{max(allowed, 1e-3) * 1e3:.3g}",
+        (taken, taken),
+    )
+    return figures
+
+
+def run_of(case: dict, path: Path | None = None) -> None:
+    """A whole call."""
+    particlerb.run(case, path, overwrite=True).close()
+
+
 def accuracy() -> list[tuple[str, float]]:
     """Print the worst errors over the reference file; return them."""
     stored = np.load(REFERENCE)
@@ -152,7 +252,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bodies", type=int, nargs="+", default=[100_000, 10_000])
     parser.add_argument("--record", action="store_true", help="add to results/free.csv")
+    parser.add_argument("--calls", action="store_true", help="whole calls alone")
     options = parser.parse_args()
+    if options.calls:
+        figures = calls()
+        if options.record:
+            record("calls", figures)
+        return
     brick()
     figures = [figure for n in options.bodies for figure in speed(n)]
     figures += accuracy()
