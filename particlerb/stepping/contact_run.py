@@ -505,7 +505,7 @@ def _advance_touching(  # noqa: PLR0912, PLR0915
                 elastic[frame[s]] = stored_energy(lists.spheres) + stored_energy(lists.walls)
                 for k in range(slides.size):
                     pressed[frame[s], k] = slides[k]
-            store_blocks(moving, first, end, recording, frame[s])
+            store_blocks(blocks, layout, moving.books, recording, frame[s], first, end)
             restore(blocks, layout, memory, lists, saved, team)
             open_kick, last_kick = open_on_grid, kick_on_grid
         begin = 0

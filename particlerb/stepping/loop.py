@@ -12,10 +12,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel, kernel_from
+from particlerb.compiled.jit import Flag, inline, kernel, kernel_from
 from particlerb.integrators.external_work import store_sums
 from particlerb.integrators.method import Method, Step
 from particlerb.integrators.stages import (
+    Layout,
     MovingBodies,
     close,
     gather_states,
@@ -54,33 +55,32 @@ class Recording(NamedTuple):
 
 
 @kernel
-def _save_blocks(moving: MovingBodies, first: int, last: int, saved: Floats) -> None:
-    """Copy what a partial step changes."""
+def copy_blocks(source: Floats, target: Floats, sizes: Ints, first: int, last: int) -> None:
+    """Copy what a step changes."""
     for k in range(first, last):
-        copy_changing(moving.blocks[k], saved[k], moving.layout.size[k])
-
-
-@kernel
-def _restore_blocks(moving: MovingBodies, first: int, last: int, saved: Floats) -> None:
-    """Go back to what was saved."""
-    for k in range(first, last):
-        copy_changing(saved[k], moving.blocks[k], moving.layout.size[k])
+        copy_changing(source[k], target[k], sizes[k])
 
 
 @kernel
 def store_blocks(
-    moving: MovingBodies, first: int, last: int, recording: Recording, frame: int
+    blocks: Floats,
+    layout: Layout,
+    books: Flag,
+    recording: Recording,
+    frame: int,
+    first: int,
+    last: int,
 ) -> None:
     """Write the bodies of some blocks into a frame."""
     rotor_frame, members, frames, sums = recording
     for k in range(first, last):
-        rows, lo, n = moving.blocks[k], moving.layout.first[k], moving.layout.size[k]
+        rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         local = rows.reshape(rows.size // STRIDE, STRIDE)
         com, q = rows3(local[COM : COM + 3], 0, n), rows4(local[Q : Q + 4], 0, n)
         p, spin = rows3(local[P : P + 3], 0, n), rows3(local[L : L + 3], 0, n)
         turn = rows4(rotor_frame, lo, lo + n)
         store_frame(frames, frame, members[lo : lo + n], turn, com, q, p, spin)
-        store_sums(sums, frame, k, moving.books, rows, n)
+        store_sums(sums, frame, k, books, rows, n)
 
 
 @inline
@@ -103,6 +103,7 @@ def advance(
 ) -> None:
     """Take blocks through a schedule, so many of them together: one, or all."""
     dt, steps_before, steps, partial, frame = schedule
+    blocks, layout = moving.blocks, moving.layout
     for lo in range(first, last, together):
         hi = min(lo + together, last)
         open_kick = CLOSING_KICK * dt if steps_before > 0 else 0.0
@@ -114,19 +115,19 @@ def advance(
                 if i == steps[s]:
                     if frame[s] < 0:
                         break
-                    _save_blocks(moving, lo, hi, saved)
+                    copy_blocks(blocks, saved, layout.size, lo, hi)
                     h, open_on_grid = partial[s], open_kick
                 if h > 0.0:
                     set_times(moving, lo, hi, step_number * dt)
                     step(moving, lo, hi, open_kick, h)
                     open_kick = CLOSING_KICK * h
                 step_number += 1 if i < steps[s] else 0
-            if frame[s] != PAUSE:
+            if CLOSING_KICK > 0.0 and frame[s] != PAUSE:
                 set_times(moving, lo, hi, step_number * dt + partial[s])
                 close(moving, lo, hi, open_kick)
             if frame[s] >= 0:
-                store_blocks(moving, lo, hi, recording, frame[s])
-                _restore_blocks(moving, lo, hi, saved)
+                store_blocks(blocks, layout, moving.books, recording, frame[s], lo, hi)
+                copy_blocks(saved, blocks, layout.size, lo, hi)
                 open_kick = open_on_grid
 
 
