@@ -33,7 +33,7 @@ from results import FOLDER, commit
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.simulation.run import RunError, prepare, run_prepared
-from particlerb.stepping.contact_run import TouchingMotion
+from particlerb.stepping.contact_motion import ContactMotion
 
 HERE = Path(__file__).resolve()
 CASES = HERE.parents[1] / "cases"
@@ -365,14 +365,15 @@ class Memory:
 def child(scene: str, seconds: float, folder: Path) -> dict[str, Any]:
     """Run one scene, and return its row."""
     lists: list[tuple[float, int]] = []
-    make_lists = TouchingMotion.make_lists
+    make_lists = ContactMotion.make_lists
 
-    def noted(motion: TouchingMotion) -> None:
+    def noted(motion: ContactMotion) -> None:
         make_lists(motion)
-        pairs = motion.lists.spheres.first.size + motion.lists.walls.first.size
-        lists.append((motion.contact.skin, pairs))
+        found = motion.contact.lists
+        pairs = found.spheres.first.size + found.walls.first.size
+        lists.append((motion.lists.skin, pairs))
 
-    TouchingMotion.make_lists = noted  # type: ignore[method-assign]
+    ContactMotion.make_lists = noted  # type: ignore[method-assign]
     wanted = SCENES[scene][1]
     pilots = []
     for share in (PILOT, 0.1 * PILOT, PILOT):  # the first compiles

@@ -47,7 +47,6 @@ EXCEPTIONS = {
     "particlerb/plan/stability.py": 1,
     "particlerb/simulation/accuracy.py": 3,
     "particlerb/simulation/resume.py": 4,
-    "particlerb/stepping/contact_run.py": 3,
 }
 """Idioms that a file still has, at most: numbers that may only shrink."""
 

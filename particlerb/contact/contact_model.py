@@ -1,6 +1,6 @@
 """What contacts of a group of bodies are made of: spheres, walls, law, lists, workspace."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from particlerb.contact.law import Law
 from particlerb.contact.neighbour_list import Incidence
@@ -88,3 +88,54 @@ class Evaluation(NamedTuple):
     before: float  # [s] length of the drift before the instant, 0 where there is none
     after: float  # [s] length of the drift after it, likewise
     rank: int  # of the thread
+
+
+class ContactMemory(NamedTuple):
+    """What an evaluation knows of those before."""
+
+    momenta: Floats  # (6, n) momenta of the drift before the last kick
+    listed_pose: Floats  # (7, n) centres of mass and quaternions when the lists were made
+    start: float  # [s] of the segment
+    valid_until: float  # [s] since then, on the grid: so long lists hold, as walls move
+    pistons: Records  # (k,) PISTON
+    extremes: Records  # (1,) EXTREMES: all threads write the same
+
+
+class ContactFrames(NamedTuple):
+    """What frames show of contacts."""
+
+    elastic: Floats  # (T,) [J] elastic energy
+    pistons: Records  # (T, k) PISTON
+
+
+class ContactChanges(NamedTuple):
+    """What a step changes of contacts, and a partial step to a frame on a copy."""
+
+    momenta: Floats
+    spheres: Records  # (m,) history of contacts
+    walls: Records
+    pistons: Records
+    gross_work: Floats
+
+
+class MovingContact(NamedTuple):
+    """Contact of moving bodies, as the stages of a step take it."""
+
+    setup: GroupContact
+    workspace: Workspace
+    lists: NeighbourLists
+    memory: ContactMemory
+    frames: ContactFrames
+
+
+class Instant(NamedTuple):
+    """When contacts are evaluated, and for how long their loads act."""
+
+    before: float  # [s] length of the drift before the instant, 0 where there is none
+    after: float  # [s] length of the drift after it, likewise
+    time: float  # [s] since the segment began, where bodies are placed
+    ahead: float  # share of their last change by which momenta are then carried on to the instant
+    span: float  # [s] for which the loads count in the gross work
+
+
+NOW: Final = Instant(0.0, 0.0, 0.0, 0.0, 0.0)

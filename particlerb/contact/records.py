@@ -102,6 +102,13 @@ PISTON: Final = record(
     correction_power=1,  # [W] of the other force beside force times mean velocity
 )
 
+# The largest of all bodies, for contacts that cannot come into reach
+EXTREMES: Final = record(
+    displacement=1,  # [m] that spheres have come since the lists were made
+    speed=1,  # [m/s] at the last evaluation
+    angular_speed=1,  # [rad/s]
+)
+
 
 def history_record(with_rolling: bool) -> np.dtype[Any]:
     """Record of what a contact remembers."""

@@ -12,11 +12,17 @@ from collections.abc import Sequence
 from types import FunctionType
 from typing import Final
 
-from particlerb.compiled.jit import splice
+from particlerb.contact.contact_model import NOW
 from particlerb.forces.kinds import BODIES, JOINTS, POSE
 from particlerb.integrators.method import Method, Step
 from particlerb.integrators.rattle import METHOD
-from particlerb.integrators.stages import MovingBodies, constrained_drift, kick, loads
+from particlerb.integrators.stages import (
+    MovingBodies,
+    constrained_drift,
+    kick,
+    loads,
+    stages,
+)
 
 WEIGHTS: Final = (1.0,)  # stands for those of a method
 
@@ -25,7 +31,7 @@ def _coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float,
     """Stages of a step."""
     for k in range(len(WEIGHTS)):
         h = WEIGHTS[k] * dt
-        loads(moving)
+        loads(moving, first, last, NOW)
         kick(moving, first, last, 0.5 * h + open_kick)
         constrained_drift(moving, h)
         open_kick = 0.5 * h
@@ -35,7 +41,7 @@ def _with_weights(function: Step, weights: tuple[float, ...]) -> Step:
     """A step with weights of its own."""
     assert isinstance(function, FunctionType)
     names = function.__globals__ | {"WEIGHTS": weights}
-    return splice(FunctionType(function.__code__, names, function.__name__))
+    return stages(FunctionType(function.__code__, names, function.__name__))
 
 
 def composed(name: str, order: int, first: Sequence[float]) -> Method:

@@ -7,7 +7,7 @@ because its rates advance in its own axes, I ω̇ = Rᵀτ - ω × I ω. See doc
 
 from typing import Final
 
-from particlerb.compiled.jit import splice
+from particlerb.contact.contact_model import NOW
 from particlerb.integrators.external_work import book
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import (
@@ -19,7 +19,7 @@ from particlerb.integrators.slopes import (
     put_pose,
     slopes,
 )
-from particlerb.integrators.stages import MovingBodies, loads, stage
+from particlerb.integrators.stages import MovingBodies, loads, stage, stages
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import add_scaled, component_product, cross
 from particlerb.model.block import INV_INERTIA, get3
@@ -43,10 +43,10 @@ def _advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> No
             book(books, rows, b, dt, entry)
 
 
-@splice
+@stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning."""
-    loads(moving)
+    loads(moving, first, last, NOW)
     _advance_rates(moving, first, last, dt)
 
 

@@ -9,11 +9,11 @@ Source: Baraff, Physically Based Modeling: Rigid Body Simulation (SIGGRAPH cours
 
 from typing import Final
 
-from particlerb.compiled.jit import splice
+from particlerb.contact.contact_model import NOW
 from particlerb.integrators.external_work import book
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED, add_pose, on_sphere, pose, put_pose, slopes
-from particlerb.integrators.stages import MovingBodies, loads, stage
+from particlerb.integrators.stages import MovingBodies, loads, stage, stages
 from particlerb.maths.quaternion import matrix
 
 
@@ -30,10 +30,10 @@ def _advance_momenta(moving: MovingBodies, first: int, last: int, dt: float) -> 
             book(books, rows, b, dt, entry)
 
 
-@splice
+@stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning."""
-    loads(moving)
+    loads(moving, first, last, NOW)
     _advance_momenta(moving, first, last, dt)
 
 

@@ -9,17 +9,23 @@ Source: Andersen, J. Comput. Phys. 52, 24 (1983); Reich, SIAM J. Numer. Anal. 33
 
 from typing import Final
 
-from particlerb.compiled.jit import splice
+from particlerb.contact.contact_model import NOW
 from particlerb.forces.kinds import BODIES, JOINTS, POSE, TIME
 from particlerb.integrators.method import Method
-from particlerb.integrators.stages import MovingBodies, constrained_drift, kick, loads
+from particlerb.integrators.stages import (
+    MovingBodies,
+    constrained_drift,
+    kick,
+    loads,
+    stages,
+)
 from particlerb.integrators.strang import CLOSING_KICK
 
 
-@splice
+@stages
 def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Kick, constrained drift; the kick of dt/2 that belongs to the end stays open."""
-    loads(moving)
+    loads(moving, first, last, NOW)
     kick(moving, first, last, CLOSING_KICK * dt + open_kick)
     constrained_drift(moving, dt)
 

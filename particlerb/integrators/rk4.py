@@ -9,7 +9,8 @@ the form; Kutta 1901 for the method.
 
 from typing import Final
 
-from particlerb.compiled.jit import inline, splice
+from particlerb.compiled.jit import inline
+from particlerb.contact.contact_model import NOW
 from particlerb.forces.kernels import shift_time
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.external_work import book
@@ -23,7 +24,7 @@ from particlerb.integrators.slopes import (
     put_pose,
     slopes,
 )
-from particlerb.integrators.stages import MovingBodies, loads, stage
+from particlerb.integrators.stages import MovingBodies, loads, stage, stages
 from particlerb.maths.quaternion import add_scaled4, length, matrix, matrix_along
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import SCRATCH, get, get3, get4, put, put3, put4
@@ -110,17 +111,17 @@ def _one_slope(moving: MovingBodies, first: int, last: int, k: int, dt: float) -
             book(books, rows, b, _WEIGHTS[k] * dt, entry)
 
 
-@splice
+@stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """All slopes of one body after the other."""
     _four_slopes(moving, first, last, dt)
 
 
-@splice
+@stages
 def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One slope of all bodies after the other."""
     for k in range(len(_WEIGHTS)):
-        loads(moving)
+        loads(moving, first, last, NOW)
         _one_slope(moving, first, last, k, dt)
 
 

@@ -16,12 +16,13 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import Flag, inline, splice
+from particlerb.compiled.jit import Flag, inline
+from particlerb.contact.contact_model import NOW
 from particlerb.forces.kernels import shift_time
 from particlerb.forces.kinds import BODIES, POSE, TIME
 from particlerb.integrators.kick import kick_body
 from particlerb.integrators.method import Method
-from particlerb.integrators.stages import MovingBodies, loads, stage
+from particlerb.integrators.stages import MovingBodies, loads, stage, stages
 from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, dot, scale
 from particlerb.model.block import (
@@ -199,11 +200,11 @@ def _kick_and_drift(
     _drift_symmetric(moving.rotors.symmetric, moving, first, last, k, kick_dt, dt)
 
 
-@splice
+@stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Eleven kicks and drifts; the last kick stays open."""
     for k in range(len(DRIFTS)):
-        loads(moving)
+        loads(moving, first, last, NOW)
         kick_dt = KICKS[k] * dt if k > 0 else CLOSING_KICK * dt + open_kick
         _kick_and_drift(moving, first, last, k, kick_dt, dt)
 

@@ -10,7 +10,8 @@ others use.
 
 from typing import Final
 
-from particlerb.compiled.jit import inline, splice
+from particlerb.compiled.jit import inline
+from particlerb.contact.contact_model import NOW
 from particlerb.forces.kernels import (
     kick_others,
     kick_potential,
@@ -21,7 +22,7 @@ from particlerb.forces.kernels import (
 from particlerb.integrators.external_work import book, kick_entry
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED, Pose, pose, put_pose
-from particlerb.integrators.stages import MovingBodies, loads, stage
+from particlerb.integrators.stages import MovingBodies, loads, stage, stages
 from particlerb.maths.quaternion import (
     add_scaled4,
     matrix,
@@ -90,10 +91,10 @@ def _kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> N
             put_pose(rows, b, Pose(x, q, p, turn(matrix(q), m)))
 
 
-@splice
+@stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning."""
-    loads(moving)
+    loads(moving, first, last, NOW)
     _kick_and_drift(moving, first, last, dt)
 
 

@@ -9,35 +9,23 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final, NamedTuple, TypeVar
 
+from particlerb.compiled.barrier import Team
 from particlerb.compiled.jit import Flag, in_python, inline, kernel, splice
 from particlerb.compiled.threads import THREADS
-from particlerb.forces.attraction import Attraction, Work, attraction_loads
+from particlerb.contact.contact_model import NOW, Instant, MovingContact
 from particlerb.forces.kernels import Acting, load_at, prepare_kick, set_time
-from particlerb.forces.links import Links, damp_links, link_loads
-from particlerb.forces.registry import PAIR
+from particlerb.integrators.contact_stages import contact_loads, kick_walls, place_contacts
 from particlerb.integrators.joint_stages import drift_jointed, project_jointed
 from particlerb.integrators.kick import kick_body
+from particlerb.integrators.pair_stages import Layout, PairTerms, flow_pairs, put_pair_loads
 from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import matrix
-from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import BOOKED, COM, L, P, Q, get, get3, get4, put
-from particlerb.model.load import LOAD_ROWS, POWER, STATE_ROWS
+from particlerb.maths.vec3 import Floats
+from particlerb.model.block import COM, L, P, Q, get3, get4
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-_MOMENTA: Final = 7  # row of a state from which on p and L are
 _STAGES: Final[dict[int, Callable[..., None]]] = {}  # kernels that are spread, by id of the stage
-
-
-class Layout(NamedTuple):
-    """Which bodies of a group are in which block: asymmetric ones first, where that matters.
-
-    A block has bodies in the order of the group, which is that of their numbers in the scene
-    within each class of rotors; all sums over bodies are taken in this order, block by block.
-    """
-
-    first: Ints  # (blocks,)
-    size: Ints  # (blocks,)
-    asymmetric: int  # blocks
+_LISTS: Final[dict[int, Callable[..., Any]]] = {}  # functions made of stages, by id of the spliced
 
 
 class RotorClasses(NamedTuple):
@@ -45,18 +33,6 @@ class RotorClasses(NamedTuple):
 
     asymmetric: Flag = None
     symmetric: Flag = None
-
-
-class PairTerms(NamedTuple):
-    """Forces between the bodies of a group, and room to evaluate them."""
-
-    links: Links | None
-    attraction: Attraction | None
-    work: Work | None
-    with_dashpots: bool  # whether they are among the loads, and not flows
-    y: Floats  # (13, n) states
-    load: Floats  # (13, n), rows of model/load.py
-    booked: Floats  # (13, n) the same rows, of flows
 
 
 class MovingBodies(NamedTuple):
@@ -70,6 +46,8 @@ class MovingBodies(NamedTuple):
     pairs: PairTerms | None  # None: no body acts on another without touching it
     dashpots: Flag  # whether they act as flows
     jointed: Jointed | None = None  # None: no joint holds them
+    contact: MovingContact | None = None  # None: nothing touches anything
+    team: Team | None = None  # threads that share each step; None: blocks do not wait for others
 
 
 def stage(function: Function) -> Function:
@@ -79,12 +57,25 @@ def stage(function: Function) -> Function:
     return inlined
 
 
+def stages(function: Function) -> Function:
+    """Copy a list of stages into its callers."""
+    spliced = splice(function)
+    _LISTS[id(spliced)] = function
+    return spliced
+
+
 def over_threads(function: Function, **names: Any) -> Function:
-    """A function made of stages, as Python that spreads each of them over threads."""
-    plain = getattr(function, "py_func", function)
-    for name, value in plain.__globals__.items():
+    """A function made of stages, as Python that spreads each of them over threads.
+
+    Globals of these names are to be others, in the lists of stages that it calls too.
+    """
+    plain: Any = getattr(function, "py_func", function)
+    for name in plain.__code__.co_names:
+        value = plain.__globals__.get(name)
         if id(value) in _STAGES:
             names.setdefault(name, partial(_spread_stage, _STAGES[id(value)]))
+        elif id(value) in _LISTS and name not in names:
+            names[name] = over_threads(_LISTS[id(value)], **names)
     return in_python(function, **names)
 
 
@@ -100,101 +91,24 @@ def _spread_stage(
 # Loads
 
 
-@inline
-def gather_block(rows: Floats, y: Floats, lo: int, n: int) -> None:
-    """States of a block whose first body is lo, into y (13, n_bodies)."""
-    for c in range(STATE_ROWS):
-        out = y[c, lo : lo + n]
-        for b in range(out.size):
-            out[b] = get(rows, c, b)
+@stages
+def place(moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
+    """Bring bodies to where contacts are evaluated; False where new lists have to be made first."""
+    blocks, layout = moving.blocks, moving.layout
+    return place_contacts(
+        moving.contact, moving.team, moving.pairs, blocks, layout, first, last, instant
+    )
 
 
-@inline
-def _gather(blocks: Floats, layout: Layout, y: Floats) -> None:
-    """States of all blocks, into y (13, n)."""
-    for k in range(layout.first.size):
-        gather_block(blocks[k], y, layout.first[k], layout.size[k])
+@stages
+def loads(moving: MovingBodies, first: int, last: int, instant: Instant) -> None:
+    """Write what bodies do to each other into their rows PAIR.
 
-
-@inline
-def scatter_block(values: Floats, rows: Floats, at: int, first: int, lo: int, n: int) -> None:
-    """Rows of values (rows, n_bodies) from `first` on, into the rows of a block from `at` on."""
-    for c in range(first, values.shape[0]):
-        own = values[c, lo : lo + n]
-        for b in range(own.size):
-            put(rows, at + c - first, b, own[b])
-
-
-@inline
-def scatter(values: Floats, blocks: Floats, layout: Layout, at: int, first: int) -> None:
-    """Rows of values (rows, n) from `first` on, into the rows of all blocks from `at` on."""
-    for k in range(layout.first.size):
-        scatter_block(values, blocks[k], at, first, layout.first[k], layout.size[k])
-
-
-@inline
-def _attraction_into(
-    attraction: Attraction | None, work: Work | None, y: Floats, load: Floats
-) -> None:
-    """Add the loads of a direct sum, if there is one."""
-    if attraction is None or work is None:
-        return
-    attraction_loads(attraction, work, y, load)
-
-
-@inline
-def clear(load: Floats) -> None:
-    """Make all loads zero."""
-    for c in range(load.shape[0]):
-        for b in range(load.shape[1]):
-            load[c, b] = 0.0
-
-
-@inline
-def pair_loads(
-    links: Links | None,
-    attraction: Attraction | None,
-    work: Work | None,
-    with_dashpots: bool,
-    y: Floats,
-    load: Floats,
-) -> None:
-    """Loads in the state y, on this thread.
-
-    Takes what `PairTerms` has one by one: unpacking it in each call costs more than two points.
+    Contacts take the mean over half of the drift before an instant, and half of the one after it.
     """
-    clear(load)
-    link_loads(links, y, load, with_dashpots)
-    _attraction_into(attraction, work, y, load)
-
-
-@inline
-def _put_pair_loads(pairs: PairTerms | None, blocks: Floats, layout: Layout) -> None:
-    """Loads of all bodies at their poses of now, if any acts on another."""
-    if pairs is None:
-        return
-    links, attraction, work, with_dashpots, y, load, _ = pairs
-    _gather(blocks, layout, y)
-    pair_loads(links, attraction, work, with_dashpots, y, load)
-    scatter(load, blocks, layout, PAIR, 0)
-
-
-@splice
-def loads(moving: MovingBodies) -> None:
-    """Write what bodies do to each other into their rows PAIR."""
-    _put_pair_loads(moving.pairs, moving.blocks, moving.layout)
-
-
-@kernel
-def gather_states(moving: MovingBodies, y: Floats) -> None:
-    """`_gather`, for loops that run as Python."""
-    _gather(moving.blocks, moving.layout, y)
-
-
-@kernel
-def scatter_loads(moving: MovingBodies, load: Floats) -> None:
-    """`scatter` into the rows PAIR, for such loops."""
-    scatter(load, moving.blocks, moving.layout, PAIR, 0)
+    blocks, layout = moving.blocks, moving.layout
+    put_pair_loads(moving.team, moving.pairs, blocks, layout)
+    contact_loads(moving.contact, moving.team, moving.pairs, blocks, layout, first, last, instant)
 
 
 # Kicks and flows
@@ -217,38 +131,15 @@ def kick(moving: MovingBodies, first: int, last: int, dt: float) -> None:
             kick_body(moving.acting, moving.books, rows, b, dt)
 
 
-@inline
-def damp(
-    dashpots: Flag,
-    pairs: PairTerms | None,
-    blocks: Floats,
-    layout: Layout,
-    dt: float,
-    backwards: bool,
-) -> None:
-    """Do the work of `flow_dashpots`, if there are any."""
-    if dashpots is None or pairs is None:
-        return
-    links, _, _, _, y, _, booked = pairs
-    _gather(blocks, layout, y)
-    clear(booked)
-    damp_links(links, y, booked, dt, backwards)
-    scatter(y, blocks, layout, P, _MOMENTA)
-    for k in range(layout.first.size):
-        rows, lo = blocks[k], layout.first[k]
-        for c in range(LOAD_ROWS - POWER):
-            for b in range(layout.size[k]):
-                value = get(rows, BOOKED + c, b) + booked[POWER + c, lo + b]
-                put(rows, BOOKED + c, b, value)
+@stages
+def flow_dashpots(moving: MovingBodies, dt: float, backwards: bool) -> None:
+    """Exact flow of each dashpot between bodies over dt; their work is booked."""
+    flow_pairs(
+        moving.dashpots, moving.team, moving.pairs, moving.blocks, moving.layout, dt, backwards
+    )
 
 
 @kernel
-def flow_dashpots(moving: MovingBodies, dt: float, backwards: bool) -> None:
-    """Exact flow of each dashpot over dt, one after the other; their work is booked."""
-    damp(moving.dashpots, moving.pairs, moving.blocks, moving.layout, dt, backwards)
-
-
-@inline
 def _drift_held(jointed: Jointed | None, books: Flag, blocks: Floats, dt: float) -> None:
     """Do the work of `constrained_drift`, if there are joints."""
     if jointed is None:
@@ -257,13 +148,13 @@ def _drift_held(jointed: Jointed | None, books: Flag, blocks: Floats, dt: float)
     drift_jointed(books, joints, work, blocks, block, lane, dt)
 
 
-@kernel
+@stages
 def constrained_drift(moving: MovingBodies, dt: float) -> None:
     """Drift over dt with the impulses of joints that let it end where they hold."""
     _drift_held(moving.jointed, moving.books, moving.blocks, dt)
 
 
-@inline
+@kernel
 def _project_held(jointed: Jointed | None, books: Flag, blocks: Floats) -> None:
     """Do the work of `project`, if there are joints."""
     if jointed is None:
@@ -272,7 +163,7 @@ def _project_held(jointed: Jointed | None, books: Flag, blocks: Floats) -> None:
     project_jointed(books, joints, work, blocks, block, lane)
 
 
-@kernel
+@stages
 def project(moving: MovingBodies) -> None:
     """Take from the momenta what would break a joint."""
     _project_held(moving.jointed, moving.books, moving.blocks)
@@ -283,7 +174,7 @@ def gather_loads(moving: MovingBodies, t: float, out: Floats) -> None:
     """Force and torque on all bodies (6, n) at t [s] since the segment began."""
     last = moving.layout.first.size
     set_times(moving, 0, last, t)
-    loads(moving)
+    loads(moving, 0, last, NOW)
     for k in range(last):
         rows, lo = moving.blocks[k], moving.layout.first[k]
         prepare_kick(moving.acting, rows, moving.layout.size[k], 1.0)
@@ -296,10 +187,10 @@ def gather_loads(moving: MovingBodies, t: float, out: Floats) -> None:
 
 
 @kernel
-def close(moving: MovingBodies, first: int, last: int, open_kick: float) -> None:
-    """Make the kick that the last step has left open."""
-    if open_kick > 0.0:
-        flow_dashpots(moving, open_kick, True)
-        loads(moving)
-        kick(moving, first, last, open_kick)
-        project(moving)
+def close(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
+    """Make the kick that the last step has left open, at an instant."""
+    flow_dashpots(moving, open_kick, True)
+    loads(moving, first, last, instant)
+    kick(moving, first, last, open_kick)
+    project(moving)
+    kick_walls(moving.contact, moving.team, open_kick, 0.0, False)

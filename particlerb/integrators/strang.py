@@ -9,12 +9,20 @@ Source: Strang, SIAM J. Numer. Anal. 5, 506 (1968); the rotor: rotors/symmetric_
 
 from typing import Final
 
-from particlerb.compiled.jit import splice
+from particlerb.contact.contact_model import Instant
 from particlerb.forces.kernels import prepare_kick
 from particlerb.forces.kinds import BODIES, CONTACT, POSE, TIME, VELOCITY
+from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
 from particlerb.integrators.kick import kick_body
 from particlerb.integrators.method import Method
-from particlerb.integrators.stages import MovingBodies, flow_dashpots, kick, loads, stage
+from particlerb.integrators.stages import (
+    MovingBodies,
+    flow_dashpots,
+    kick,
+    loads,
+    stage,
+    stages,
+)
 from particlerb.maths.quaternion import matrix, turn_back
 from particlerb.maths.vec3 import add_scaled
 from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
@@ -52,20 +60,28 @@ def kick_and_drift(
             put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), drift_dt))
 
 
-@splice
+@stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Kick, drift; the kick of dt/2 that belongs to the end stays open."""
     kick_and_drift(moving, first, last, CLOSING_KICK * dt + open_kick, dt)
 
 
-@splice
+@stages
 def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
-    """The same with flows of dashpots around the drift, in one order and in the reverse order."""
+    """The same with flows of dashpots around the drift, in one order and in the reverse order.
+
+    Loads of contacts are means over the kick, and need to know the drifts that it stands between.
+    """
+    kick_dt = CLOSING_KICK * dt + open_kick
+    contact, team = moving.contact, moving.team
+    keep_momenta(contact, moving.blocks, moving.layout, first, last)
     flow_dashpots(moving, open_kick, True)
-    loads(moving)
-    kick(moving, first, last, CLOSING_KICK * dt + open_kick)
+    loads(moving, first, last, Instant(open_kick / CLOSING_KICK, dt, 0.0, 0.0, kick_dt))
+    kick_walls(contact, team, open_kick, CLOSING_KICK * dt, True)
+    kick(moving, first, last, kick_dt)
     flow_dashpots(moving, CLOSING_KICK * dt, False)
     drift(moving, first, last, dt)
+    drift_walls(contact, team, dt)
 
 
 METHOD: Final = Method(

@@ -15,6 +15,7 @@ from particlerb.compiled.threads import BLOCK
 from particlerb.maths.quaternion import Quat
 from particlerb.maths.vec3 import Floats, Vec3
 from particlerb.model.bodies import Bodies
+from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import State
 
 STRIDE: Final = BLOCK + 8  # from row to row: a power of two would meet the same lines of the cache
@@ -96,6 +97,24 @@ def copy_changing(source: Floats, target: Floats, n: int) -> None:
     for r in range(CHANGING):
         for b in range(n):
             put(target, r, b, get(source, r, b))
+
+
+@inline
+def gather_block(rows: Floats, y: Floats, lo: int, n: int) -> None:
+    """States of a block whose first body is lo, into y (13, n_bodies)."""
+    for c in range(STATE_ROWS):
+        out = y[c, lo : lo + n]
+        for b in range(out.size):
+            out[b] = get(rows, c, b)
+
+
+@inline
+def scatter_block(values: Floats, rows: Floats, at: int, first: int, lo: int, n: int) -> None:
+    """Rows of values (rows, n_bodies) from `first` on, into the rows of a block from `at` on."""
+    for c in range(first, values.shape[0]):
+        own = values[c, lo : lo + n]
+        for b in range(own.size):
+            put(rows, at + c - first, b, own[b])
 
 
 def in_blocks(n: int, n_rows: int, parts: Sequence[tuple[int, Floats]]) -> Floats:

@@ -1,7 +1,6 @@
 """One group of bodies on its way through its segments, and the sums over all groups."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,22 +16,11 @@ from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.stepping.begin import begin
-from particlerb.stepping.contact_run import TouchingMotion
-from particlerb.stepping.motion import Motion
+from particlerb.stepping.motion import Energies, Motion
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved, under, within
-from particlerb.stepping.sparse_contact import DiluteMotion
-from particlerb.stepping.stepped_motion import SteppedMotion
 
 _STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
-TOUCHING = (TouchingMotion, DiluteMotion)  # motions that know the elastic energy of contacts
-
-
-class Energies(NamedTuple):
-    """Energies beside those of the bodies themselves."""
-
-    potential: Floats  # (T,) [J] between bodies, of springs, contacts, and loads on pistons
-    kinetic: Floats  # (T,) [J] of pistons
 
 
 class GroupRun:
@@ -154,8 +142,7 @@ class GroupRun:
 
     def turned_over(self) -> float:
         """Gross work of contacts until the last frame [J]."""
-        own = self.motion.turned_over() if isinstance(self.motion, TOUCHING) else 0.0
-        return self.turnover + own
+        return self.turnover + self.motion.gross_work()
 
     def record(self, times: Floats, frames: Frames) -> tuple[Floats, Energies]:
         """Write rows 0.. of the frames at ascending times.
@@ -182,10 +169,10 @@ class GroupRun:
                     potential[rows] = [
                         self.potential(*self.pose(frames, row)) for row in rows.tolist()
                     ]
-                if isinstance(self.motion, TOUCHING):
-                    potential[rows] += self.motion.energies[rows]
-                    kinetic[rows] += self.motion.kinetic[rows]
-                    self.touches |= self.motion.touches
+                contacts = self.motion.contact_energies(rows)
+                potential[rows] += contacts.potential
+                kinetic[rows] += contacts.kinetic
+                self.touches |= self.motion.contacts
                 done = until
             if done < times.size:
                 self.cross()
@@ -210,17 +197,14 @@ def record_all(runs: Sequence[GroupRun], times: Floats, frames: Frames) -> tuple
 
 def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:
     """Energies at t = 0 beside those of the bodies themselves, (1,)."""
-    potential = [run.potential(*run.pose(initial, 0)) for run in runs if run.is_bound]
-    touching = [run.motion for run in runs if isinstance(run.motion, TOUCHING)]
-    potential += [motion.elastic for motion in touching]
-    kinetic = sum(motion.at_rest for motion in touching)
-    return Energies(np.array([sum(potential)]), np.array([kinetic]))
+    energies = np.sum([run.motion.initial_energies for run in runs], axis=0)
+    energies[0] += sum(run.potential(*run.pose(initial, 0)) for run in runs if run.is_bound)
+    return Energies(*energies)
 
 
 def lost(system: System, runs: Sequence[GroupRun]) -> str:
     """What is to be said of a joint that no longer holds; empty where all do."""
-    motions = [run.motion for run in runs if isinstance(run.motion, SteppedMotion)]
-    joints = [joint for motion in motions for joint in motion.lost_joints()]
+    joints = [joint for run in runs for joint in run.motion.lost_joints()]
     setup = joints_of(system) if joints else None
     if setup is None:
         return ""

@@ -41,10 +41,9 @@ from particlerb.record.provenance import texts_of
 from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.rotors.rotor_class import ROD
 from particlerb.simulation.frame_times import Batch, batches
-from particlerb.simulation.group_run import TOUCHING, GroupRun, initial_energies, lost, record_all
+from particlerb.simulation.group_run import GroupRun, initial_energies, lost, record_all
 from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
-from particlerb.stepping.sparse_contact import DiluteMotion
 
 _FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
 _ROD_ROUNDING = 1e-9  # share of L along a rod that exact drifts may leave
@@ -149,14 +148,13 @@ class Run:
 
     def flown(self) -> float | None:
         """Share of body-steps of touching bodies that were saved by closed forms."""
-        motions = [t.motion for t in self.travellers if isinstance(t.motion, DiluteMotion)]
-        steps = sum(motion.all_steps for motion in motions)
-        return sum(motion.saved for motion in motions) / steps if steps else None
+        saved, steps = np.sum([one.motion.flown for one in self.travellers], axis=0)
+        return float(saved / steps) if steps else None
 
     def swing(self) -> float:
         """Fastest swing of bodies on their contacts that was seen, ω dt [rad]."""
-        motions = [t.motion for t in self.travellers if isinstance(t.motion, TOUCHING)]
-        return max((motion.swing * motion.dt for motion in motions), default=0.0)
+        motions = [one.motion for one in self.travellers]
+        return max((motion.contact_frequency * motion.dt for motion in motions), default=0.0)
 
     def tree_error(self) -> TreeError | None:
         """What the tree of the attraction has erred at frames; None where none was asked for."""

@@ -41,7 +41,7 @@ from particlerb.model.block import (
 )
 from particlerb.model.state import Frames, State, room_for, store_frame
 from particlerb.stepping.loop import Recording
-from particlerb.stepping.motion import Group, WorkAccount
+from particlerb.stepping.motion import Group, Motion, WorkAccount
 from particlerb.stepping.saved_arrays import Saved
 
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
@@ -142,7 +142,7 @@ def advance(
         _give_pack(y, w, blocks, pack, n)
 
 
-class AdaptiveRun:
+class AdaptiveRun(Motion):
     """What groups of bodies with steps of their own choice share; see `motion.Motion`."""
 
     blocks: Floats

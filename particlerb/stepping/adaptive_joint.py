@@ -29,7 +29,7 @@ from particlerb.integrators.dop853_step import (
 )
 from particlerb.integrators.dop853_table import NODES, STAGES, A
 from particlerb.integrators.method import Method
-from particlerb.integrators.stages import Layout, PairTerms, pair_loads, scatter
+from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.model.block import (

@@ -9,7 +9,7 @@ from particlerb.model.state import State
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.adaptive import AdaptiveMotion
 from particlerb.stepping.adaptive_joint import JointMotion
-from particlerb.stepping.contact_run import TouchingMotion
+from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.free_motion import FreeMotion
 from particlerb.stepping.motion import CompositeMotion, Group, Motion, part_of
 from particlerb.stepping.sparse_contact import DiluteMotion, can_fly
@@ -47,12 +47,13 @@ def begin(
         adaptive = JointMotion if group.terms.is_coupled else AdaptiveMotion
         return adaptive(method, group, state, start, dt, tolerance)
     if group.terms.contact is not None:
-        touching = DiluteMotion if can_fly(group.terms, group.members.size) else TouchingMotion
-        if not isinstance(before, TouchingMotion | DiluteMotion):
-            return touching(method, group, state, start, dt)
-        contact = group.terms.contact._replace(pistons=before.onwards())
+        motion = DiluteMotion if can_fly(group.terms, group.members.size) else ContactMotion
+        keeps = None if before is None else before.contact_start()
+        if keeps is None:
+            return motion(method, group, state, start, dt)
+        contact = group.terms.contact._replace(pistons=keeps.pistons)
         group = group._replace(terms=group.terms._replace(contact=contact))
-        return touching(method, group, state, start, dt, kept=before.kept)
+        return motion(method, group, state, start, dt, histories=keeps.histories)
     parts: list[tuple[Ints, Motion]] = []
     for which in _parts_of(method, group):
         part = group if which.size == group.members.size else part_of(group, which)

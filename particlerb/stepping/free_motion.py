@@ -30,7 +30,7 @@ from particlerb.rotors.exact import (
 )
 from particlerb.rotors.tops import N_THETA, prepare_tops
 from particlerb.stepping.closed_forms import Levers, lever_of, levers_on, translations_of
-from particlerb.stepping.motion import Group, constant_force, force_of
+from particlerb.stepping.motion import Group, Motion, constant_force, force_of
 from particlerb.stepping.saved_arrays import Saved
 from particlerb.stepping.top_rows import top_block
 from particlerb.stepping.translations import (
@@ -195,7 +195,7 @@ def _end_blocks(part: _Part, t: float, end: State, given: Floats | None) -> None
                     end.L[i, j] = local[L + i, b]
 
 
-class FreeMotion:
+class FreeMotion(Motion):
     """A group of bodies in closed form, sorted into kinds of turn; see `motion.Motion`."""
 
     def __init__(self, group: Group, state: State, start: float) -> None:

@@ -13,16 +13,23 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import Flag, inline, kernel, kernel_from
+from particlerb.contact.contact_model import ContactChanges, Instant
+from particlerb.integrators.contact_stages import (
+    close_prescribed,
+    restore_contacts,
+    save_contacts,
+    store_contacts,
+)
 from particlerb.integrators.external_work import store_sums
 from particlerb.integrators.method import Method, Step
+from particlerb.integrators.pair_stages import Layout, PairTerms, gather_states, scatter_loads
 from particlerb.integrators.stages import (
-    Layout,
     MovingBodies,
     close,
-    gather_states,
     over_threads,
-    scatter_loads,
+    place,
     set_times,
+    stages,
 )
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
@@ -39,10 +46,25 @@ class Schedule(NamedTuple):
     """When to step and when to record: one entry per stop."""
 
     dt: float  # [s]
-    steps_before: int  # of the segment
     steps: Ints  # (T,) whole steps before the stop
     partial: Floats  # (T,) [s] length of the partial step from there to the frame
     frame: Ints  # (T,) row of the frames to write, or PAUSE, or CLOSE
+
+
+class Position(NamedTuple):
+    """Where the loop is: before a step on the grid, or before a partial one."""
+
+    stop: int  # of the schedule
+    step: int  # of those before that stop
+    steps_done: int  # of the segment
+
+
+class Copies(NamedTuple):
+    """What a partial step to a frame changes."""
+
+    blocks: Floats
+    contact: ContactChanges | None = None
+    saved: ContactChanges | None = None  # memory for the copies of these
 
 
 class Recording(NamedTuple):
@@ -83,6 +105,44 @@ def store_blocks(
         store_sums(sums, frame, k, books, rows, n)
 
 
+@stages
+def _save(moving: MovingBodies, first: int, last: int, saved: Copies) -> None:
+    """Copy what a partial step changes."""
+    copy_blocks(moving.blocks, saved.blocks, moving.layout.size, first, last)
+    save_contacts(moving.team, saved.contact, saved.saved)
+
+
+@stages
+def _restore(moving: MovingBodies, first: int, last: int, saved: Copies) -> None:
+    """Go back to what was saved."""
+    copy_blocks(saved.blocks, moving.blocks, moving.layout.size, first, last)
+    restore_contacts(moving.contact, moving.team, saved.contact, saved.saved)
+
+
+@stages
+def _store(moving: MovingBodies, first: int, last: int, recording: Recording, frame: int) -> None:
+    """Write some blocks, and contacts, into a frame."""
+    store_blocks(moving.blocks, moving.layout, moving.books, recording, frame, first, last)
+    store_contacts(moving.contact, moving.team, frame)
+
+
+@stages
+def _close_at(
+    moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant
+) -> None:
+    """Make the open kick, if there is one."""
+    if open_kick > 0.0:
+        place(moving, first, last, instant)
+        set_times(moving, first, last, instant.time)
+        close(moving, first, last, open_kick, instant)
+
+
+@inline
+def _ratio(a: float, b: float) -> float:
+    """a / b, 0 where a is."""
+    return a / b if a > 0.0 else 0.0
+
+
 @inline
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Advance blocks by dt; stands for the step of a method."""
@@ -96,39 +156,56 @@ def advance(
     moving: MovingBodies,
     schedule: Schedule,
     recording: Recording,
-    saved: Floats,
+    saved: Copies,
+    position: Position,
     together: int,
     first: int,
     last: int,
-) -> None:
-    """Take blocks through a schedule, so many of them together: one, or all."""
-    dt, steps_before, steps, partial, frame = schedule
-    blocks, layout = moving.blocks, moving.layout
+) -> Position:
+    """Take blocks through a schedule, so many of them together: one, or all.
+
+    From a position, which only all blocks together may have inside the schedule, to its end, or to
+    the step before which new lists of contacts have to be made.
+    """
+    dt, steps, partial, frame = schedule
+    step_number = position.steps_done
     for lo in range(first, last, together):
         hi = min(lo + together, last)
-        open_kick = CLOSING_KICK * dt if steps_before > 0 else 0.0
-        step_number = steps_before
-        for s in range(steps.size):
-            open_on_grid = open_kick
-            for i in range(steps[s] + 1):  # the last is the partial step to a frame
-                h = dt
-                if i == steps[s]:
-                    if frame[s] < 0:
-                        break
-                    copy_blocks(blocks, saved, layout.size, lo, hi)
-                    h, open_on_grid = partial[s], open_kick
+        begin, step_number = position.step, position.steps_done
+        open_kick = CLOSING_KICK * dt if step_number > 0 else 0.0
+        last_kick = open_kick * min(step_number, 2)
+        for s in range(position.stop, steps.size):
+            open_on_grid, kick_on_grid = open_kick, last_kick
+            for i in range(begin, steps[s] + 1):
+                is_partial = i == steps[s]
+                if is_partial and frame[s] < 0:
+                    break
+                h = partial[s] if is_partial else dt
+                time, before = step_number * dt, _ratio(open_kick, CLOSING_KICK)
+                instant = Instant(before, h, time, _ratio(open_kick, last_kick), 0.0)
+                if h > 0.0 and not place(moving, lo, hi, instant):
+                    return Position(s, i, step_number)
+                if is_partial:
+                    _save(moving, lo, hi, saved)
+                    open_on_grid, kick_on_grid = open_kick, last_kick
                 if h > 0.0:
-                    set_times(moving, lo, hi, step_number * dt)
+                    set_times(moving, lo, hi, time)
                     step(moving, lo, hi, open_kick, h)
+                    last_kick = open_kick + CLOSING_KICK * h
                     open_kick = CLOSING_KICK * h
-                step_number += 1 if i < steps[s] else 0
+                step_number += 0 if is_partial else 1
+            begin, time = 0, step_number * dt + partial[s]
             if CLOSING_KICK > 0.0 and frame[s] != PAUSE:
-                set_times(moving, lo, hi, step_number * dt + partial[s])
-                close(moving, lo, hi, open_kick)
+                ahead = _ratio(open_kick, last_kick)
+                instant = Instant(open_kick / CLOSING_KICK, 0.0, time, ahead, 0.0)
+                _close_at(moving, lo, hi, open_kick, instant)
+            if frame[s] != PAUSE:
+                close_prescribed(moving.contact, moving.blocks, moving.layout, lo, hi, time)
             if frame[s] >= 0:
-                store_blocks(blocks, layout, moving.books, recording, frame[s], lo, hi)
-                copy_blocks(saved, blocks, layout.size, lo, hi)
-                open_kick = open_on_grid
+                _store(moving, lo, hi, recording, frame[s])
+                _restore(moving, lo, hi, saved)
+                open_kick, last_kick = open_on_grid, kick_on_grid
+    return Position(steps.size, 0, step_number)
 
 
 def _step_of(method: Method, is_coupled: bool) -> Step:
@@ -140,28 +217,31 @@ def _step_of(method: Method, is_coupled: bool) -> Step:
 
 
 @cache
-def compiled_loop(method: Method, is_coupled: bool) -> Callable[..., None]:
+def compiled_loop(method: Method, is_coupled: bool) -> Callable[..., Position]:
     """The loop with the step of a method, compiled."""
     name = f"{method.name}_coupled" if is_coupled else method.name
     chosen = _step_of(method, is_coupled)
     return kernel_from(advance, name, step=chosen, CLOSING_KICK=method.closing_kick)
 
 
-def loop_over_threads(method: Method, forces: PairForces) -> Callable[..., None]:
+def loop_over_threads(method: Method, forces: PairForces) -> Callable[..., Position]:
     """The same as Python, which spreads forces between bodies, and stages, over threads.
 
     A tree is grown and walked from Python, and a large direct sum has shares of pairs and not of
     bodies; so neither can stand in a compiled loop.
     """
 
-    def loads(moving: MovingBodies) -> None:
-        gather_states(moving, forces.pairs.y)
+    def put_pair_loads(team: object, pairs: PairTerms, blocks: Floats, layout: Layout) -> None:
+        if team is None:
+            gather_states(blocks, layout, pairs.y)
         forces.evaluate()
-        scatter_loads(moving, forces.pairs.load)
+        if team is None:
+            scatter_loads(pairs.load, blocks, layout)
 
-    chosen = over_threads(_step_of(method, True), loads=loads)
-    closing = over_threads(close, loads=loads)
-    return over_threads(advance, step=chosen, close=closing, CLOSING_KICK=method.closing_kick)
+    others = {"put_pair_loads": put_pair_loads, "CLOSING_KICK": method.closing_kick}
+    chosen = over_threads(_step_of(method, True), **others)
+    closing = over_threads(close, **others)
+    return over_threads(advance, step=chosen, close=closing, **others)
 
 
 def grid_position(elapsed: Floats, dt: float, start: float = 0.0) -> tuple[Ints, Floats]:

@@ -6,12 +6,16 @@ numbers, the work [J], the impulse [N s] and the angular impulse about the world
 the last two with gravity's. The error of integration is the total less the initial less these.
 """
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
 from particlerb.compiled.jit import flag
+from particlerb.contact.contact_output import ContactOutput
+from particlerb.contact.neighbour_list import ContactHistory
+from particlerb.contact.piston import Pistons
 from particlerb.forces import Terms, force_of_loads, is_constant, terms_on, work_of_potentials
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
@@ -31,8 +35,31 @@ class Group(NamedTuple):
     terms: Terms  # what acts on them
 
 
+class Energies(NamedTuple):
+    """Energies beside those of the bodies themselves."""
+
+    potential: Floats  # (T,) [J] between bodies, of springs, contacts, and loads on pistons
+    kinetic: Floats  # (T,) [J] of pistons
+
+
+class ContactStart(NamedTuple):
+    """With what contacts begin a segment."""
+
+    histories: tuple[ContactHistory, ContactHistory] | None  # between spheres, and with walls
+    pistons: Pistons | None
+
+
 class Motion(Protocol):
-    """A group of bodies that moves."""
+    """A group of bodies that moves.
+
+    What only bodies that touch have is absent here: a motion with contact says otherwise.
+    """
+
+    dt: float = 0.0  # [s] the step, where there is one
+    contact_frequency: float = 0.0  # [rad/s] the fastest on all contacts together that was seen
+    flown: tuple[int, int] = 0, 0  # body-steps that closed forms saved between contacts, and all
+    initial_energies: Energies = Energies(np.zeros(1), np.zeros(1))  # of contacts and pistons
+    contacts: Mapping[int, ContactOutput] = {}  # in rows of the last `record`, where asked for
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times [s] into rows of the frames; return (T, 7) booked."""
@@ -45,6 +72,22 @@ class Motion(Protocol):
 
     def restore(self, saved: Saved) -> None:
         """Go on, bit for bit, from what a motion has saved that began at the same state."""
+
+    def lost_joints(self) -> list[int]:
+        """Joints of the system that no impulse keeps any more."""
+        return []
+
+    def contact_energies(self, rows: Ints) -> Energies:
+        """Of contacts and pistons, in rows of the frames of the last `record`."""
+        return Energies(np.zeros(rows.size), np.zeros(rows.size))
+
+    def gross_work(self) -> float:
+        """Gross work of contacts without potential, and of walls, since the start [J]."""
+        return 0.0
+
+    def contact_start(self) -> ContactStart | None:
+        """What contacts keep at the end, for the next segment."""
+        return None
 
 
 class _ConstantForce(NamedTuple):
@@ -148,10 +191,17 @@ class WorkAccount:
         return given
 
 
-class CompositeMotion(NamedTuple):
-    """Parts of a group that move by different kernels, as one motion."""
+class CompositeMotion(Motion):
+    """Parts of a group that move by different kernels, as one motion.
 
-    parts: tuple[tuple[Ints, Motion], ...]  # which bodies of the group, and how they move
+    Parameters
+    ----------
+    parts : tuple of (ndarray, Motion)
+        Which bodies of the group, and how they move.
+    """
+
+    def __init__(self, parts: tuple[tuple[Ints, Motion], ...]) -> None:
+        self.parts = parts
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""

@@ -14,7 +14,7 @@ from particlerb.forces import Terms
 from particlerb.forces.attraction import potential_energy, spread_loads, work_of
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.forces.links import link_energy, link_loads
-from particlerb.integrators.stages import PairTerms
+from particlerb.integrators.pair_stages import PairTerms
 from particlerb.maths.vec3 import Floats
 from particlerb.model.load import LOAD_ROWS, STATE_ROWS
 

@@ -12,7 +12,7 @@ what is recorded never changes the motion.
 """
 
 from copy import copy
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
@@ -39,9 +39,18 @@ from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import Frames, State, rotate
-from particlerb.stepping.contact_run import TouchingMotion, is_due, lost_pair
+from particlerb.stepping.contact_checks import is_due, lost_pair
+from particlerb.stepping.contact_lists import Histories
+from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.free_motion import FreeMotion
-from particlerb.stepping.motion import CompositeMotion, Group, Motion, MotionError
+from particlerb.stepping.motion import (
+    CompositeMotion,
+    ContactStart,
+    Energies,
+    Group,
+    Motion,
+    MotionError,
+)
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 
 LEAST_BODIES: Final = 300  # below, to begin an interval costs more than to step all
@@ -51,10 +60,6 @@ _GROW: Final = 1.3  # of the skin, or its shrinking
 _PRUDENCE: Final = 0.5  # of half the skin that bodies may use up if nothing accelerates them
 _DENSE: Final = 0.6  # share of active bodies from which on all are stepped,
 _DENSE_STEPS: Final = 512  # for so many steps
-
-_Keeps: TypeAlias = (
-    tuple[ContactHistory, ContactHistory] | None
-)  # contacts between spheres, and with walls
 
 
 def can_fly(terms: Terms, n: int) -> bool:
@@ -69,60 +74,63 @@ class _Interval:
     """Bodies of a group during some steps: those that are stepped, and those that fly."""
 
     def __init__(
-        self, parent: "DiluteMotion", state: State, start: float, active: Bools, kept: _Keeps
+        self,
+        parent: "DiluteMotion",
+        state: State,
+        start: float,
+        active: Bools,
+        histories: Histories | None,
     ) -> None:
         stepped, flying = np.flatnonzero(active), np.flatnonzero(~active)
         self.motions: list[tuple[Ints, Motion]] = []
-        self.touching: TouchingMotion | None = None
+        self.contact: ContactMotion | None = None
         self.watch = copy(parent.watch)  # it is taken on where the interval is the one that counts
         group = parent.group
         if stepped.size:
             own, spheres = parent.part(stepped)
-            self.touching = TouchingMotion(
-                parent.method, own, taken(state, stepped), start, parent.dt, spheres, kept,
+            self.contact = ContactMotion(
+                parent.method, own, taken(state, stepped), start, parent.dt, spheres, histories,
                 self.watch,
             )  # fmt: skip
-            self.motions.append((stepped, self.touching))
+            self.motions.append((stepped, self.contact))
         if flying.size:
             terms = terms_on(group.terms._replace(contact=None), flying)
             free = Group(group.members[flying], taken(group.bodies, flying), terms)
             self.motions.append((flying, FreeMotion(free, taken(state, flying), start)))
         self.together = CompositeMotion(tuple(self.motions))
 
-    def swing(self) -> float:
+    def frequency(self) -> float:
         """How fast the bodies swing on the contacts of the last step [rad/s]."""
-        if self.touching is None:
+        if self.contact is None:
             return 0.0
-        self.touching.look(self.touching.values(0, 13))
-        return self.touching.swing
+        return self.contact.look()
 
-    def turned_over(self) -> float:
+    def gross_work(self) -> float:
         """Gross work of contacts since the start [J]."""
-        return 0.0 if self.touching is None else self.touching.turned_over()
+        return 0.0 if self.contact is None else self.contact.gross_work()
 
-    def kept(self) -> _Keeps:
+    def histories(self) -> Histories | None:
         """What contacts keep at the end."""
-        return None if self.touching is None else self.touching.kept
+        return None if self.contact is None else self.contact.lists.histories
 
     def farthest(self) -> float:
         """Longest way of a stepped body from where it began, whenever lists were made [m]."""
-        return 0.0 if self.touching is None else self.touching.farthest
+        return 0.0 if self.contact is None else self.contact.farthest
 
     def energies(self, rows: Ints) -> Floats:
         """Elastic energy in frames that were recorded [J]."""
-        if self.touching is None:
+        if self.contact is None:
             return np.zeros(rows.size)
-        values: Floats = self.touching.energies[rows]
-        return values
+        return self.contact.contact_energies(rows).potential
 
 
-class DiluteMotion:
+class DiluteMotion(Motion):
     """A group of which many bodies have nothing in reach; see `motion.Motion`.
 
     Parameters
     ----------
-    method, group, state, start, dt, kept :
-        As for `TouchingMotion`.
+    method, group, state, start, dt, histories :
+        As for `ContactMotion`.
     """
 
     def __init__(
@@ -132,7 +140,7 @@ class DiluteMotion:
         state: State,
         start: float,
         dt: float,
-        kept: _Keeps = None,
+        histories: Histories | None = None,
     ) -> None:
         contact = group.terms.contact
         assert contact is not None
@@ -146,22 +154,20 @@ class DiluteMotion:
         self.walls = WallSearch(contact.model.walls, self.bound)
         self.no_reach = np.zeros(n)  # a sphere around a body does not move when it turns
         self.wall_motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
-        whole = TouchingMotion(method, group, state, start, dt, kept=kept)
-        self.nothing = all_inactive(whole.lists)
-        self.elastic, self.energies = whole.elastic, np.zeros(0)
-        self.at_rest, self.kinetic = 0.0, np.zeros(0)  # [J] of pistons, of which there are none
-        self.touches: dict[int, ContactOutput] = {}
+        whole = ContactMotion(method, group, state, start, dt, histories=histories)
+        self.nothing = all_inactive(whole.contact.lists)
+        self.initial_energies, self.elastic = whole.initial_energies, np.zeros(0)
+        self.contacts: dict[int, ContactOutput] = {}
         self.state = state
         # at the end of the interval
-        self.next: tuple[State, Floats, _Keeps, float, Watch] | None = None
-        self.turnover = 0.0  # [J] gross work of contacts until the interval
+        self.next: tuple[State, Floats, Histories | None, float, Watch] | None = None
+        self.previous_work = 0.0  # [J] gross work of contacts until the interval
         self.done, self.steps = 0, 0
         self.booked = np.zeros(7)
-        self.kept = kept
+        self.histories = histories
         self.active = np.ones(group.members.size, dtype=np.bool_)
         self.shown: _Interval | None = None
-        self.swing, self.count = 0.0, 0  # [rad/s] as of `TouchingMotion`; intervals
-        self.saved, self.all_steps = 0, 0  # body-steps that were saved, and all
+        self.contact_frequency, self.count = 0.0, 0  # [rad/s]; intervals
         self.plan()
 
     def part(self, which: Ints) -> tuple[Group, Ints]:
@@ -218,8 +224,8 @@ class DiluteMotion:
             after, booked = interval.together.finish(self.time(self.done + steps))
             is_far = interval.farthest() + 0.5 * self.contact.skin > 0.5 * self.skin
             if not is_far and not has_moved(y, np.vstack(after), self.no_reach, 0.5 * self.skin):
-                kept = interval.kept()
-                self.next = after, booked, kept, interval.turned_over(), interval.watch
+                histories = interval.histories()
+                self.next = after, booked, histories, interval.gross_work(), interval.watch
                 break
             steps //= 2
         self.steps = steps
@@ -234,8 +240,8 @@ class DiluteMotion:
         else:
             self.skin /= _GROW
         self.skin = max(self.skin, 2.0 * self.contact.skin)
-        self.all_steps += self.steps * n
-        self.saved += self.steps * (n - active)
+        saved, all_steps = self.flown
+        self.flown = saved + self.steps * (n - active), all_steps + self.steps * n
 
     def within_skin(self, y: Floats, steps: int) -> Bools:
         """Whether each body has another one, or a wall, within the skin for so many steps."""
@@ -253,7 +259,7 @@ class DiluteMotion:
 
     def interval(self) -> _Interval:
         """The interval that begins now."""
-        return _Interval(self, self.state, self.time(self.done), self.active, self.kept)
+        return _Interval(self, self.state, self.time(self.done), self.active, self.histories)
 
     def cross(self) -> None:
         """Go to the end of the interval."""
@@ -262,12 +268,12 @@ class DiluteMotion:
             shown = self.shown
             assert shown is not None
             if is_due(self.count):
-                self.swing = max(self.swing, shown.swing())
+                self.contact_frequency = max(self.contact_frequency, shown.frequency())
             state, booked = shown.together.finish(self.time(self.done + self.steps))
-            self.next = state, booked, shown.kept(), shown.turned_over(), shown.watch
-        self.state, booked, self.kept, turnover, self.watch = self.next
+            self.next = state, booked, shown.histories(), shown.gross_work(), shown.watch
+        self.state, booked, self.histories, work, self.watch = self.next
         self.booked += booked
-        self.turnover += turnover
+        self.previous_work += work
         self.done += self.steps
         self.keep_watch()
         self.plan()
@@ -298,8 +304,7 @@ class DiluteMotion:
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
-        self.energies, self.touches = np.zeros(frames.position.shape[0]), {}
-        self.kinetic = np.zeros_like(self.energies)
+        self.elastic, self.contacts = np.zeros(frames.position.shape[0]), {}
         booked = np.empty((times.size, 7))
         done = 0
         while done < times.size:
@@ -311,23 +316,27 @@ class DiluteMotion:
                 own = rows[done:until]
                 given = self.shown.together.record(times[done:until], own, frames)
                 booked[done:until] = self.booked + given
-                self.energies[own] = self.shown.energies(own)
-                self.touches |= self.touches_in(times[done:until], own)
+                self.elastic[own] = self.shown.energies(own)
+                self.contacts |= self._outputs_in(times[done:until], own)
                 done = until
             if done < times.size:
                 self.cross()
         return booked
 
-    def turned_over(self) -> float:
-        """As of `TouchingMotion`."""
-        return self.turnover + (0.0 if self.shown is None else self.shown.turned_over())
+    def contact_energies(self, rows: Ints) -> Energies:
+        """Of contacts, in rows of the frames of the last `record`."""
+        return Energies(self.elastic[rows], np.zeros(rows.size))
 
-    def touches_in(self, times: Floats, rows: Ints) -> dict[int, ContactOutput]:
+    def gross_work(self) -> float:
+        """As of `ContactMotion`."""
+        return self.previous_work + (0.0 if self.shown is None else self.shown.gross_work())
+
+    def _outputs_in(self, times: Floats, rows: Ints) -> dict[int, ContactOutput]:
         """Contacts in frames of the interval that is shown, where they are asked for."""
         if not self.contact.with_output or self.shown is None:
             return {}
-        if self.shown.touching is not None:
-            return self.shown.touching.touches
+        if self.shown.contact is not None:
+            return self.shown.contact.contacts
         frames = zip(times.tolist(), rows.tolist(), strict=True)
         return {row: no_contacts(self.wall_motions, t) for t, row in frames}
 
@@ -337,20 +346,21 @@ class DiluteMotion:
             self.cross()
         shown = self.shown or self.interval()
         state, given = shown.together.finish(stop)
-        self.kept = shown.kept()
+        self.histories = shown.histories()
         return state, self.booked + given
 
-    def onwards(self) -> None:
-        """Pistons as the next segment finds them: there are none."""
+    def contact_start(self) -> ContactStart:
+        """What contacts keep at the end, for the next segment; there are no pistons."""
+        return ContactStart(self.histories, None)
 
     def checkpoint(self) -> Saved:
         """The state at the start of the interval, and who is stepped in it: it is taken again."""
         saved = under("state", to_arrays(self.state))
-        for k, one in enumerate(self.kept or ()):
+        for k, one in enumerate(self.histories or ()):
             saved |= under(f"kept.{k}", to_arrays(one))
         saved |= {"active": self.active.copy(), "booked": self.booked.copy()}
-        counts = np.array([self.done, self.steps, self.saved, self.all_steps, self.count])
-        extremes = np.array([self.skin, self.turnover, self.swing])
+        counts = np.array([self.done, self.steps, *self.flown, self.count])
+        extremes = np.array([self.skin, self.previous_work, self.contact_frequency])
         watches = np.array([self.watch.saved(), self.watch_of_flights.saved()])
         return saved | {"counts": counts, "extremes": extremes, "watches": watches}
 
@@ -358,10 +368,11 @@ class DiluteMotion:
         """Go on from what was saved."""
         self.state = from_arrays(self.state, within("state", saved))
         kept = [within(f"kept.{k}", saved) for k in range(2)]
-        self.kept = (ContactHistory(**kept[0]), ContactHistory(**kept[1])) if kept[0] else None
+        self.histories = (ContactHistory(**kept[0]), ContactHistory(**kept[1])) if kept[0] else None
         self.active, self.booked = saved["active"], saved["booked"]
-        self.done, self.steps, self.saved, self.all_steps, self.count = saved["counts"].tolist()
-        self.skin, self.turnover, self.swing = saved["extremes"].tolist()
+        self.done, self.steps, *flown, self.count = saved["counts"].tolist()
+        self.flown = flown[0], flown[1]
+        self.skin, self.previous_work, self.contact_frequency = saved["extremes"].tolist()
         self.watch.restore(saved["watches"][0])
         self.watch_of_flights.restore(saved["watches"][1])
         self.next, self.shown = None, self.interval()

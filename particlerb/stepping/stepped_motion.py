@@ -11,7 +11,8 @@ from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import Terms, acting_of, row_count, rows_of_terms
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.method import Method
-from particlerb.integrators.stages import Layout, MovingBodies, RotorClasses
+from particlerb.integrators.pair_stages import Layout
+from particlerb.integrators.stages import MovingBodies, RotorClasses
 from particlerb.joints.records import Jointed, room_for_joints
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.block import (
@@ -34,13 +35,15 @@ from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.loop import (
     CLOSE,
     PAUSE,
+    Copies,
+    Position,
     Recording,
     Schedule,
     compiled_loop,
     grid_position,
     loop_over_threads,
 )
-from particlerb.stepping.motion import Group, WorkAccount
+from particlerb.stepping.motion import Group, Motion, WorkAccount
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 
@@ -64,7 +67,7 @@ def _pairs_of(method: Method, terms: Terms, n: int) -> PairForces | None:
     return PairForces(terms, n, not method.has_dashpot_flows)
 
 
-class SteppedMotion:
+class SteppedMotion(Motion):
     """A group of bodies on a grid of steps; see `motion.Motion`."""
 
     def __init__(self, method: Method, group: Group, state: State, start: float, dt: float) -> None:
@@ -73,6 +76,7 @@ class SteppedMotion:
         self.forces = _pairs_of(method, terms, n)
         self.is_coupled = self.forces is not None or terms.joints is not None
         is_asymmetric = group.bodies.rotor_class == ASYMMETRIC
+        acts_together = terms.is_coupled or terms.contact is not None
         has_own_blocks = terms.is_coupled or method.rotor_constants is not None
         self.layout = _layout_of(is_asymmetric & has_own_blocks)
         full = self.layout.size.tolist()
@@ -85,7 +89,7 @@ class SteppedMotion:
             rotor = np.zeros((len(own), n))
             rotor[:, is_asymmetric] = own
             parts.append((ROTOR, rotor))
-        n_rows = STAGE + _STAGE_ROWS if terms.is_coupled else row_count(terms)
+        n_rows = STAGE + _STAGE_ROWS if acts_together else row_count(terms)
         assert row_count(terms) <= STAGE
         spaced = [(at, self.spaced(values)) for at, values in parts]
         self.blocks = in_blocks(len(full) * BLOCK, n_rows, spaced)
@@ -178,7 +182,8 @@ class SteppedMotion:
     def run(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule."""
         n, n_blocks = self.group.members.size, len(self.blocks)
-        arguments = self.moving, schedule, recording, self.saved
+        position = Position(0, 0, self.steps_done)
+        arguments = self.moving, schedule, recording, Copies(self.saved), position
         if not self.is_coupled:
             apart = partial(compiled_loop(self.method, False), *arguments, 1)
             stops = int(schedule.steps.sum()) + schedule.steps.size
@@ -206,7 +211,6 @@ class SteppedMotion:
             yield self.schedule(stops)
 
     def schedule(self, stops: list[tuple[int, float, int]]) -> Schedule:
-        """Stops as arrays, from where the group is now."""
+        """Stops as arrays."""
         steps, partial, frame = zip(*stops, strict=True)
-        before = self.steps_done
-        return Schedule(self.dt, before, np.array(steps), np.array(partial), np.array(frame))
+        return Schedule(self.dt, np.array(steps), np.array(partial), np.array(frame))

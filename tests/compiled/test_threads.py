@@ -8,7 +8,7 @@ import pytest
 import particlerb
 from particlerb.compiled import threads as module
 from particlerb.compiled.threads import THREADS
-from particlerb.stepping import contact_run
+from particlerb.stepping import contact_motion
 
 REPEATS = 4
 
@@ -63,7 +63,7 @@ def test_runs_with_other_numbers_of_threads_do_not_disturb_each_other(make, monk
 @pytest.mark.compiled
 def test_contacts_of_two_runs_at_a_time(make, monkeypatch):
     """One has the threads that meet in a loop, the other goes on alone."""
-    monkeypatch.setattr(contact_run, "WORTH_THREADS", 0.0)
+    monkeypatch.setattr(contact_motion, "WORTH_THREADS", 0.0)
     monkeypatch.setattr(module, "LEAST_WORK", 0)
     assert_same_side_by_side([crowd(make, 2), crowd(make, 3), cloud(make, 520, 1, 2)])
 

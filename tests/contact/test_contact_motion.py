@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.stepping import contact_run as touching
+from particlerb.stepping import contact_motion
 from particlerb.stepping.pair_forces import PairForces
 
 G = 9.81
@@ -586,7 +586,7 @@ def test_frames_do_not_change_the_motion_and_a_prolonged_run_is_a_longer_one(mak
 @pytest.mark.compiled
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_threads_give_the_same_bits(make, shaken, monkeypatch, threads):
-    monkeypatch.setattr(touching, "WORTH_THREADS", 0.0)
+    monkeypatch.setattr(contact_motion, "WORTH_THREADS", 0.0)
     case = crowd(make, every=0.0313, wall=[shaking(make)])
     case["run"]["threads"] = threads
     same(shaken, ran(case))

@@ -10,7 +10,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.record.verify import verify
-from particlerb.stepping import contact_run as touching
+from particlerb.stepping import contact_motion
 
 K = 1e4
 NOTHING = {"acceleration": [0.0, 0.0, 0.0]}
@@ -150,7 +150,7 @@ def test_a_stirrer_gives_what_friction_takes_and_nothing_else_changes_the_motion
     for other in (ran(every=0.033), ran(every=0.6)):
         assert np.array_equal(x, other[0])
         assert np.array_equal(p, other[1])
-    monkeypatch.setattr(touching, "WORTH_THREADS", 0.0)
+    monkeypatch.setattr(contact_motion, "WORTH_THREADS", 0.0)
     assert np.array_equal(x, ran(threads=2)[0])
 
 

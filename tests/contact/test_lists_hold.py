@@ -13,7 +13,8 @@ from particlerb.contact.wall_search import WallSearch
 from particlerb.plan import groups
 from particlerb.simulation.run import RunError
 from particlerb.stepping import sparse_contact as dilute
-from particlerb.stepping.contact_run import TouchingMotion
+from particlerb.stepping.contact_lists import ContactLists
+from particlerb.stepping.contact_motion import ContactMotion
 
 WEIGHT = {"gravity": {"acceleration": [0.0, 0.0, -9.81]}}
 NOTHING = {"gravity": {"acceleration": [0.0, 0.0, 0.0]}}
@@ -22,13 +23,13 @@ NOTHING = {"gravity": {"acceleration": [0.0, 0.0, 0.0]}}
 @pytest.fixture
 def seen(monkeypatch):
     """Skin, and length of the list of spheres, at every new list."""
-    found, make_lists = [], TouchingMotion.make_lists
+    found, make_lists = [], ContactMotion.make_lists
 
     def noted(motion):
         make_lists(motion)
-        found.append((motion.contact.skin, motion.lists.spheres.first.size))
+        found.append((motion.lists.skin, motion.contact.lists.spheres.first.size))
 
-    monkeypatch.setattr(TouchingMotion, "make_lists", noted)
+    monkeypatch.setattr(ContactMotion, "make_lists", noted)
     return found
 
 
@@ -157,7 +158,7 @@ def test_a_pair_that_no_list_holds_ends_the_run(make, monkeypatch):
 def test_a_list_that_is_kept_too_long_ends_the_run(make, monkeypatch):
     """The wall moves farther than is known; later lists do hold the pair."""
     monkeypatch.setattr(watch, "MAX_SHARE", 1e9)
-    monkeypatch.setattr(TouchingMotion, "walls_ahead", lambda motion, *_: (0.05, 0.0))
+    monkeypatch.setattr(ContactLists, "walls_ahead", lambda motion, *_: (0.05, 0.0))
     ball = make.sphere(position=[0, 0, 0.3])
     lift = make.plane(motion={"velocity": [0, 0, 5.0]})
     case = make.case(ball, contact=make.hooke(1e5), wall=[lift], t_end=0.2, dt=1e-3, **NOTHING)

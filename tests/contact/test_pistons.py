@@ -9,7 +9,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.simulation.run import RunError
-from particlerb.stepping import contact_run as touching
+from particlerb.stepping import contact_motion
 
 G = 9.81
 K = 1e5
@@ -163,7 +163,7 @@ def test_frames_threads_and_segments_do_not_change_the_way_of_a_lid(make, monkey
     cut = way(0.12, force=[ghost])
     for one, other in zip(straight, cut, strict=True):
         assert one == pytest.approx(other, abs=1e-3, rel=5e-3)
-    monkeypatch.setattr(touching, "WORTH_THREADS", 0.0)
+    monkeypatch.setattr(contact_motion, "WORTH_THREADS", 0.0)
     for one, other in zip(straight, way(0.12, threads=2), strict=True):
         assert np.array_equal(one, other)
 

@@ -115,11 +115,11 @@ def crowd(make, n=60, threads=1, every=0.02):
 
 @pytest.mark.compiled
 def test_contacts_do_not_depend_on_threads_nor_on_other_frames(make, monkeypatch):
-    import particlerb.stepping.contact_run as touching
+    from particlerb.stepping import contact_motion
 
     _, one, force = listed(crowd(make))
     _, every_other, _ = listed(crowd(make, every=0.04))
-    monkeypatch.setattr(touching, "WORTH_THREADS", 0.0)
+    monkeypatch.setattr(contact_motion, "WORTH_THREADS", 0.0)
     _, two, force_two = listed(crowd(make, threads=2))
     assert sum(len(c.wall) for c in one) > 500
     for a, b in zip(one, two, strict=True):

@@ -7,11 +7,11 @@ that bounces by Moreau's midpoint step (drift, contacts, kick, impact, kick, dri
 import numpy as np
 import pytest
 
-from particlerb.compiled.jit import splice
+from particlerb.contact.contact_model import NOW
 from particlerb.forces import Terms
 from particlerb.forces.gravity import UniformGravity
 from particlerb.integrators.method import Method
-from particlerb.integrators.stages import MovingBodies, kick, loads, stage
+from particlerb.integrators.stages import MovingBodies, kick, loads, stage, stages
 from particlerb.integrators.strang import drift
 from particlerb.maths.vec3 import add_scaled, dot
 from particlerb.model.block import COM, INV_MASS, P, get, get3, put3
@@ -54,13 +54,13 @@ def project_momenta(moving: MovingBodies, first: int, last: int) -> None:
             put3(rows, P, b, add_scaled(-dot(x, p) / dot(x, x), x, p))
 
 
-@splice
+@stages
 def rattle(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """RATTLE: the constraint holds for positions, and for velocities, at the end of a step."""
-    loads(moving)
+    loads(moving, first, last, NOW)
     kick(moving, first, last, 0.5 * dt)
     constrained_drift(moving, first, last, dt)
-    loads(moving)
+    loads(moving, first, last, NOW)
     kick(moving, first, last, 0.5 * dt)
     project_momenta(moving, first, last)
 
@@ -76,11 +76,11 @@ def bounce(moving: MovingBodies, first: int, last: int) -> None:
                 put3(rows, P, b, add_scaled(-(1.0 + RESTITUTION) * dot(p, NORMAL), NORMAL, p))
 
 
-@splice
+@stages
 def midpoint(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Half a drift; at the midpoint half a kick, impacts, half a kick; half a drift."""
     drift(moving, first, last, 0.5 * dt)
-    loads(moving)
+    loads(moving, first, last, NOW)
     kick(moving, first, last, 0.5 * dt)
     bounce(moving, first, last)
     kick(moving, first, last, 0.5 * dt)

@@ -1,0 +1,361 @@
+"""Contact among the stages of a step: bodies are placed, contacts evaluated, loads written.
+
+Each does nothing where there is no contact: None is a type, and the compiler leaves the rest out.
+Threads have blocks of bodies of their own, `first` to `last`, and take their shares of the
+contacts. What contacts keep (tangential springs, overlaps) belongs to the grid of steps: a partial
+step to a frame works on a copy.
+
+Lists of pairs hold while no body has moved by more than half the skin. Where one has, `place` says
+so before the step, and the host makes new lists.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from particlerb.compiled.barrier import Team, largest, meet, share_of
+from particlerb.compiled.jit import inline, kernel
+from particlerb.contact.body_loads import collect_loads, load_pistons, stored_energy
+from particlerb.contact.contact_model import (
+    ContactChanges,
+    ContactList,
+    GroupContact,
+    Instant,
+    MovingContact,
+    NeighbourLists,
+    Workspace,
+)
+from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS, max_displacement
+from particlerb.contact.pair_force import max_speeds, place_bodies, sphere_contact_forces
+from particlerb.contact.piston import (
+    drift_pistons,
+    kick_pistons,
+    pistons_have_moved,
+    place_pistons,
+)
+from particlerb.contact.prescribed_motion import (
+    PrescribedBodies,
+    prescribed_momenta,
+    prescribed_pose,
+)
+from particlerb.contact.records import Records
+from particlerb.contact.wall_contacts import wall_contact_forces
+from particlerb.contact.wall_motion import put_poses
+from particlerb.forces.registry import PAIR, STEADY
+from particlerb.integrators.pair_stages import Layout, PairTerms
+from particlerb.maths.vec3 import Floats
+from particlerb.model.block import (
+    COM,
+    L,
+    P,
+    Q,
+    gather_block,
+    get,
+    get3,
+    get4,
+    put,
+    put3,
+    put4,
+    scatter_block,
+)
+from particlerb.model.load import CONTACT_ROWS
+
+_PART_OF_SKIN: Final = 0.4  # that bodies may use up before a step: a frame may lie ahead
+
+
+# Bodies and walls at the instant of an evaluation
+
+
+@kernel
+def place_contacts(
+    contact: MovingContact | None,
+    team: Team | None,
+    pairs: PairTerms | None,
+    blocks: Floats,
+    layout: Layout,
+    first: int,
+    last: int,
+    instant: Instant,
+) -> bool:
+    """Place bodies and walls at an instant; whether the lists hold for the step that follows.
+
+    Parameters
+    ----------
+    contact, team, pairs : MovingContact, Team, PairTerms
+        None where there are none.
+    blocks, layout, first, last :
+        Blocks of this thread.
+    instant : Instant
+    """
+    if contact is None or team is None:
+        return True
+    setup, workspace, lists, memory, _ = contact
+    before, after, time, ahead, _ = instant
+    model, t, path, v, w = setup.model, memory.start + time, 0.0, 0.0, 0.0
+    allowance = _PART_OF_SKIN * setup.skin
+    for k in range(first, last):
+        rows, lo, n = blocks[k], layout.first[k], layout.size[k]
+        _put_prescribed(model.prescribed, t, False, rows, lo, n)
+        path = max(path, farthest(memory.listed_pose, rows, setup.max_arm, lo, n))
+        place_bodies(model, workspace, rows, memory.momenta, ahead, lo, n)
+        speeds = max_speeds(workspace.bodies, lo, lo + n)
+        v, w = max(v, speeds[0]), max(w, speeds[1])
+        _gather_states(pairs, rows, lo, n)
+    if team.rank == 0:
+        put_poses(setup.motions, t, workspace.poses)
+        place_pistons(setup.pistons, memory.pistons, ahead, workspace.poses)
+        if pistons_have_moved(setup.pistons, memory.pistons, allowance):
+            path = np.inf
+    path, v, w = largest(team, path, v, w)
+    reached = path + max(before, after) * (v + 4.0 * w * lists.max_contact_arm)
+    extremes = memory.extremes
+    extremes.displacement[0] = max(extremes.displacement[0], reached)
+    extremes.speed[0], extremes.angular_speed[0] = v, w
+    return not (path > allowance or time >= memory.valid_until)
+
+
+@inline
+def _gather_states(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> None:
+    """Bring states of a block to where forces without touching are evaluated, if there are any."""
+    if pairs is not None:
+        gather_block(rows, pairs.y, lo, n)
+
+
+@inline
+def _put_prescribed(
+    prescribed: PrescribedBodies | None,
+    t: float,
+    with_momenta: bool,
+    rows: Floats,
+    lo: int,
+    n: int,
+) -> None:
+    """Write prescribed bodies into their block, with velocities or, as others are, momenta."""
+    if prescribed is None:
+        return
+    for k in range(prescribed.which.size):
+        slot = prescribed.which[k] - lo
+        if 0 <= slot < n:
+            x, q, v, omega = prescribed_pose(prescribed, k, t)
+            if with_momenta:
+                v, omega = prescribed_momenta(prescribed, k, q, v, omega)
+            put3(rows, COM, slot, x)
+            put4(rows, Q, slot, q)
+            put3(rows, P, slot, v)
+            put3(rows, L, slot, omega)
+
+
+@inline
+def farthest(listed_pose: Floats, rows: Floats, reach: Floats, lo: int, n: int) -> float:
+    """How far a body of a block has moved since the lists were made [m]: see `has_moved`."""
+    path, then = 0.0, listed_pose
+    for k in range(n):
+        b = lo + k
+        x, q = (
+            (then[0, b], then[1, b], then[2, b]),
+            (then[3, b], then[4, b], then[5, b], then[6, b]),
+        )
+        moved = max_displacement(x, q, get3(rows, COM, k), get4(rows, Q, k), reach[b])
+        path = max(path, moved if moved < np.inf else np.inf)  # what is not a number has moved too
+    return path
+
+
+@kernel
+def close_prescribed(
+    contact: MovingContact | None,
+    blocks: Floats,
+    layout: Layout,
+    first: int,
+    last: int,
+    time: float,
+) -> None:
+    """Write prescribed bodies with their momenta, as frames show them."""
+    if contact is None:
+        return
+    prescribed, t = contact.setup.model.prescribed, contact.memory.start + time
+    for k in range(first, last):
+        _put_prescribed(prescribed, t, True, blocks[k], layout.first[k], layout.size[k])
+
+
+# Loads
+
+
+@kernel
+def find_contact_forces(
+    setup: GroupContact,
+    workspace: Workspace,
+    lists: NeighbourLists,
+    extremes: Records,
+    before: float,
+    after: float,
+    team: Team,
+) -> None:
+    """Find the forces of contacts in shells that have come into reach, each shared out equally."""
+    model, spheres, walls, skin = setup.model, lists.spheres, lists.walls, setup.skin
+    reached, v, w = extremes.displacement[0], extremes.speed[0], extremes.angular_speed[0]
+    end_spheres, end_walls = 0, 0
+    for s in range(N_SHELLS):
+        if SHELL_GAPS[s] * skin <= 2.0 * reached:  # both may come
+            first, end = share_of(team, end_spheres, spheres.shell_ends[s])
+            sphere_contact_forces(
+                model, workspace, spheres, before, after, v, w, first, end, team.rank
+            )
+        if SHELL_GAPS[s] * skin <= reached:
+            first, end = share_of(team, end_walls, walls.shell_ends[s])
+            bounds = end_walls, first, end, walls.shell_ends[s]
+            wall_contact_forces(model, workspace, walls, before, after, bounds, team.rank)
+        end_spheres, end_walls = spheres.shell_ends[s], walls.shell_ends[s]
+
+
+@kernel
+def contact_loads(
+    contact: MovingContact | None,
+    team: Team | None,
+    pairs: PairTerms | None,
+    blocks: Floats,
+    layout: Layout,
+    first: int,
+    last: int,
+    instant: Instant,
+) -> None:
+    """Evaluate contacts where bodies are placed, and write all loads of other bodies.
+
+    Takes what `place_contacts` does.
+    """
+    if contact is None or team is None:
+        return
+    setup, workspace, lists, memory, _ = contact
+    before, after, _, _, span = instant
+    model, later = setup.model, after - before
+    find_contact_forces(setup, workspace, lists, memory.extremes, before, after, team)
+    meet(team)
+    for k in range(first, last):
+        rows, lo, n = blocks[k], layout.first[k], layout.size[k]
+        for c in range(CONTACT_ROWS):
+            for b in range(n):
+                put(rows, PAIR + c, b, 0.0)
+        _scatter_loads(pairs, rows, lo, n)
+        collect_loads(model, workspace, lists, rows, PAIR, STEADY, lo, n, later, span)
+    if team.rank == 0:
+        load_pistons(setup.pistons, memory.pistons, lists.walls, model, later)
+
+
+@inline
+def _scatter_loads(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> None:
+    """Write forces without touching into the rows of a block, if there are any."""
+    if pairs is not None:
+        scatter_block(pairs.load, rows, PAIR, 0, lo, n)
+
+
+@kernel
+def keep_momenta(
+    contact: MovingContact | None, blocks: Floats, layout: Layout, first: int, last: int
+) -> None:
+    """Keep the momenta of the drift before this kick."""
+    if contact is None:
+        return
+    momenta = contact.memory.momenta
+    for k in range(first, last):
+        rows, lo = blocks[k], layout.first[k]
+        for c in range(6):
+            for b in range(layout.size[k]):
+                momenta[c, lo + b] = get(rows, P + c, b)
+
+
+# Walls that slide: the first thread moves them
+
+
+@kernel
+def kick_walls(
+    contact: MovingContact | None,
+    team: Team | None,
+    closing: float,
+    opening: float,
+    is_step: bool,
+) -> None:
+    """Kick pistons over the end of a step and the beginning of another [s]."""
+    if contact is None or team is None:
+        return
+    if team.rank == 0:
+        kick_pistons(contact.setup.pistons, contact.memory.pistons, closing, opening, is_step)
+
+
+@kernel
+def drift_walls(contact: MovingContact | None, team: Team | None, dt: float) -> None:
+    """Let pistons drift."""
+    if contact is None or team is None:
+        return
+    if team.rank == 0:
+        drift_pistons(contact.setup.pistons, contact.memory.pistons, dt)
+
+
+# Partial steps, frames
+
+
+@kernel
+def save_contacts(
+    team: Team | None, changes: ContactChanges | None, saved: ContactChanges | None
+) -> None:
+    """Copy what a partial step changes."""
+    if team is None or changes is None or saved is None:
+        return
+    _copy(changes, saved, team)
+    meet(team)
+
+
+@kernel
+def restore_contacts(
+    contact: MovingContact | None,
+    team: Team | None,
+    changes: ContactChanges | None,
+    saved: ContactChanges | None,
+) -> None:
+    """Go back to what was saved; contacts that keep something act, so that they may forget it.
+
+    How far spheres have come stays: contacts that act now are looked at in the next step.
+    """
+    if contact is None or team is None or changes is None or saved is None:
+        return
+    meet(team)
+    _copy(saved, changes, team)
+    _recall(contact.lists.spheres, team)
+    _recall(contact.lists.walls, team)
+    meet(team)
+
+
+@inline
+def _copy(source: ContactChanges, target: ContactChanges, team: Team) -> None:
+    """Copy all that steps change."""
+    _copy_items(source.momenta.reshape(-1), target.momenta.reshape(-1), team)
+    _copy_items(source.spheres, target.spheres, team)
+    _copy_items(source.walls, target.walls, team)
+    _copy_items(source.pistons, target.pistons, team)
+    _copy_items(source.gross_work, target.gross_work, team)
+
+
+@inline
+def _copy_items(source: Records | Floats, target: Records | Floats, team: Team) -> None:
+    """Copy numbers or records of an array."""
+    first, end = share_of(team, 0, source.size)
+    for i in range(first, end):
+        target[i] = source[i]
+
+
+@inline
+def _recall(contacts: ContactList, team: Team) -> None:
+    """Let contacts that keep something act, so that they forget it where they have ended."""
+    first, end = share_of(team, 0, contacts.active.size)
+    for c in range(first, end):
+        contacts.active[c] = contacts.active[c] or contacts.history.inv_effective_mass[c] > 0.0
+
+
+@kernel
+def store_contacts(contact: MovingContact | None, team: Team | None, frame: int) -> None:
+    """Write the elastic energy and the pistons into a frame."""
+    if contact is None or team is None:
+        return
+    frames, lists, pistons = contact.frames, contact.lists, contact.memory.pistons
+    if team.rank == 0:
+        frames.elastic[frame] = stored_energy(lists.spheres) + stored_energy(lists.walls)
+        for k in range(pistons.size):
+            frames.pistons[frame, k] = pistons[k]

@@ -1,0 +1,171 @@
+"""Forces between the bodies of a group that do not touch, among the stages of a step.
+
+They take states as one array (13, n) and give loads as another; the rows of blocks are brought
+there and back. Threads that share a step meet where one of them does this for all.
+"""
+
+from typing import Final, NamedTuple
+
+from particlerb.compiled.barrier import Team, meet
+from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.forces.attraction import Attraction, Work, attraction_loads
+from particlerb.forces.links import Links, damp_links, link_loads
+from particlerb.forces.registry import PAIR
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.block import BOOKED, P, gather_block, get, put, scatter_block
+from particlerb.model.load import LOAD_ROWS, POWER
+
+_MOMENTA: Final = 7  # row of a state from which on p and L are
+
+
+class Layout(NamedTuple):
+    """Which bodies of a group are in which block: asymmetric ones first, where that matters.
+
+    A block has bodies in the order of the group, which is that of their numbers in the scene
+    within each class of rotors; all sums over bodies are taken in this order, block by block.
+    """
+
+    first: Ints  # (blocks,)
+    size: Ints  # (blocks,)
+    asymmetric: int  # blocks
+
+
+class PairTerms(NamedTuple):
+    """Forces between the bodies of a group, and room to evaluate them."""
+
+    links: Links | None
+    attraction: Attraction | None
+    work: Work | None
+    with_dashpots: bool  # whether they are among the loads, and not flows
+    y: Floats  # (13, n) states
+    load: Floats  # (13, n), rows of model/load.py
+    booked: Floats  # (13, n) the same rows, of flows
+
+
+@inline
+def _gather(blocks: Floats, layout: Layout, y: Floats) -> None:
+    """States of all blocks, into y (13, n)."""
+    for k in range(layout.first.size):
+        gather_block(blocks[k], y, layout.first[k], layout.size[k])
+
+
+@inline
+def scatter(values: Floats, blocks: Floats, layout: Layout, at: int, first: int) -> None:
+    """Rows of values (rows, n) from `first` on, into the rows of all blocks from `at` on."""
+    for k in range(layout.first.size):
+        scatter_block(values, blocks[k], at, first, layout.first[k], layout.size[k])
+
+
+@inline
+def _attraction_into(
+    attraction: Attraction | None, work: Work | None, y: Floats, load: Floats
+) -> None:
+    """Add the loads of a direct sum, if there is one."""
+    if attraction is None or work is None:
+        return
+    attraction_loads(attraction, work, y, load)
+
+
+@inline
+def clear(load: Floats) -> None:
+    """Make all loads zero."""
+    for c in range(load.shape[0]):
+        for b in range(load.shape[1]):
+            load[c, b] = 0.0
+
+
+@inline
+def pair_loads(
+    links: Links | None,
+    attraction: Attraction | None,
+    work: Work | None,
+    with_dashpots: bool,
+    y: Floats,
+    load: Floats,
+) -> None:
+    """Loads in the state y, on this thread.
+
+    Takes what `PairTerms` has one by one: unpacking it in each call costs more than two points.
+    """
+    clear(load)
+    link_loads(links, y, load, with_dashpots)
+    _attraction_into(attraction, work, y, load)
+
+
+@inline
+def put_pair_loads(
+    team: Team | None, pairs: PairTerms | None, blocks: Floats, layout: Layout
+) -> None:
+    """Loads of all bodies at their poses of now, if any acts on another without touching it.
+
+    In a team the first thread evaluates them: `contact_stages` gathers states and scatters loads.
+    """
+    if pairs is None:
+        return
+    links, attraction, work, with_dashpots, y, load, _ = pairs
+    if team is None:
+        _gather(blocks, layout, y)
+        pair_loads(links, attraction, work, with_dashpots, y, load)
+        scatter(load, blocks, layout, PAIR, 0)
+    elif team.rank == 0:
+        pair_loads(links, attraction, work, with_dashpots, y, load)
+
+
+@kernel
+def gather_states(blocks: Floats, layout: Layout, y: Floats) -> None:
+    """`_gather`, for loops that run as Python."""
+    _gather(blocks, layout, y)
+
+
+@kernel
+def scatter_loads(load: Floats, blocks: Floats, layout: Layout) -> None:
+    """`scatter` into the rows PAIR, for such loops."""
+    scatter(load, blocks, layout, PAIR, 0)
+
+
+@kernel
+def flow_pairs(
+    dashpots: Flag,
+    team: Team | None,
+    pairs: PairTerms | None,
+    blocks: Floats,
+    layout: Layout,
+    dt: float,
+    backwards: bool,
+) -> None:
+    """Exact flow of each dashpot over dt, one after the other, if there are any.
+
+    Their work is booked. In a team the first thread does it while the others wait.
+    """
+    if dashpots is None or pairs is None:
+        return
+    _meet(team)
+    if _is_first(team):
+        links, _, _, _, y, _, booked = pairs
+        _gather(blocks, layout, y)
+        clear(booked)
+        damp_links(links, y, booked, dt, backwards)
+        scatter(y, blocks, layout, P, _MOMENTA)
+        for k in range(layout.first.size):
+            rows, lo = blocks[k], layout.first[k]
+            for c in range(LOAD_ROWS - POWER):
+                for b in range(layout.size[k]):
+                    value = get(rows, BOOKED + c, b) + booked[POWER + c, lo + b]
+                    put(rows, BOOKED + c, b, value)
+    _meet(team)
+
+
+@inline
+def _meet(team: Team | None) -> None:
+    """Wait for all of a team."""
+    if team is None:
+        return
+    meet(team)
+
+
+@inline
+def _is_first(team: Team | None) -> bool:
+    """Whether this thread is alone, or the first of its team."""
+    if team is None:
+        return True
+    return team.rank == 0

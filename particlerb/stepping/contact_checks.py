@@ -1,0 +1,139 @@
+"""What ends a run with contact: a step that is too long, a pair that was lost, a contact too deep.
+
+A run that is wrong says so: each check raises MotionError with what, where, why and what to do.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from particlerb.contact.contact_frequency import contact_frequency
+from particlerb.contact.contact_model import MovingContact
+from particlerb.contact.missed_pairs import Missed, Watch, WatchedBodies, bounding_radii, peak_speed
+from particlerb.contact.wall_motion import motion_in
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.stepping.motion import Group, MotionError
+
+STABLE: Final = 2.0  # largest ω dt of a piston, and of bodies on undamped contacts
+_LOOKS: Final = 256  # lists from look to look at how fast the bodies swing
+
+
+def is_due(count: int) -> bool:
+    """Whether to look at the frequency of contacts: often at first, then now and then."""
+    return count % _LOOKS == 0 or count & (count - 1) == 0
+
+
+def lost_pair(missed: Missed, members: Ints, time: float, skin: float) -> str:
+    """What to say where two overlap and no contact acts."""
+    other = f"wall {~missed.other}" if missed.other < 0 else f"body {int(members[missed.other])}"
+    return (
+        f"at t = {time:.6g} s body {int(members[missed.body])} and {other} overlap by"
+        f" {missed.depth:.3g} m and no contact acts between them: the lists of what may touch, made"
+        f" with a skin of {skin:.3g} m, have lost this pair, and the motion before may be wrong."
+        " That is a fault of this program: please report it with the case"
+    )
+
+
+class ContactChecks:
+    """Checks of a group of bodies that touch, now and then.
+
+    Parameters
+    ----------
+    group : Group
+    dt : float [s]
+    watch : Watch, optional
+        Of missed pairs, that continues from motions before this one.
+    """
+
+    def __init__(self, group: Group, dt: float, watch: Watch | None = None) -> None:
+        contact = group.terms.contact
+        assert contact is not None
+        spheres, n = contact.model.spheres, group.members.size
+        self.members, self.dt = group.members, dt
+        self.watch = watch or Watch()
+        self._radius = np.full(n, np.inf)
+        np.minimum.at(self._radius, spheres.body, spheres.radius)
+        self._bound = bounding_radii(spheres, n)
+        self._motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
+
+    def stability(self, contact: MovingContact, y: Floats, now: float) -> float:
+        """Frequency of bodies on all their contacts [rad/s]; MotionError where it is too fast."""
+        lists = contact.lists.spheres, contact.lists.walls
+        rate = contact_frequency(contact.setup.model, y[:3], y[3:7], *lists)
+        if rate * self.dt > STABLE and not contact.setup.allow_unstable:
+            raise MotionError(
+                f"at t = {now:.6g} s bodies oscillate on all their"
+                f" contacts together with {rate:.3g} rad/s: a step of {self.dt:.3g} s is above"
+                f" {STABLE / rate:.3g} s, where that grows without bound;"
+                f" dt = {0.1 * STABLE / rate:.2g} s or less is right, and"
+                " contact.allow_unstable = true takes it anyway"
+            )
+        return rate
+
+    def missed_pairs(self, contact: MovingContact, work: float, now: float) -> None:
+        """Raise MotionError where something overlaps and no contact acts, after more work [ns]."""
+        setup, workspace, n = contact.setup, contact.workspace, self._bound.size
+        model, rows = setup.model, workspace.bodies
+        if not self.watch.is_due(n, model.walls.kind.size, work):
+            return
+        prescribed, extra = model.prescribed, np.zeros(n)
+        if prescribed is not None:
+            motions = [motion_in(prescribed.motions, k) for k in range(prescribed.which.size)]
+            extra[prescribed.which] = [peak_speed(motion, self.dt) for motion in motions]
+        bodies = WatchedBodies(
+            workspace.xyzr,
+            np.ascontiguousarray(rows.position.T),
+            np.ascontiguousarray(rows.velocity.T),
+            np.ascontiguousarray(rows.angular_speed),
+            self._bound,
+            extra,
+            np.zeros(n, dtype=np.bool_),
+        )
+        speeds = np.array([peak_speed(motion, self.dt) for motion in self._motions])
+        missed = self.watch.look(model, contact.lists, bodies, workspace.poses, speeds, self.dt)
+        if missed.depth > 0.0:
+            raise MotionError(lost_pair(missed, self.members, now, setup.skin))
+
+    def tunnelling(self, contact: MovingContact, y: Floats, now: float) -> None:
+        """Raise MotionError where a body moves by more than its own radius in a step."""
+        inverse = contact.setup.model.inv_mass  # held bodies have velocities in place of momenta
+        speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * np.where(inverse > 0.0, inverse, 1.0)
+        fast = np.flatnonzero(speed * self.dt > self._radius)
+        if fast.size:
+            b = int(fast[np.argmax(speed[fast])])
+            path, radius = speed[b] * self.dt, self._radius[b]
+            raise MotionError(
+                f"at t = {now:.6g} s"
+                f" body {int(self.members[b])} moves by {path:.3g} m in a step of"
+                f" {self.dt:.3g} s, more than its smallest radius, {radius:.3g} m: it could pass"
+                f" through another; dt = {0.5 * radius / speed[b]:.2g} s or less is right"
+            )
+
+    def light_pistons(self, contact: MovingContact, now: float) -> None:
+        """Raise MotionError where a step is too long for a piston on all that it presses."""
+        pistons, model = contact.setup.pistons, contact.setup.model
+        if pistons is None:
+            return
+        stiffness = contact.memory.pistons.max_stiffness * float(model.law.stiffness.max())
+        rate = np.sqrt(stiffness / pistons.mass)
+        k = int(np.argmax(rate))
+        if self.dt * rate[k] > STABLE:
+            raise MotionError(
+                f"by t = {now:.6g} s wall"
+                f" {int(pistons.wall[k])} has pressed so many particles, {stiffness[k]:.3g} N/m"
+                f" together, that its {pistons.mass[k]:.3g} kg oscillate too fast for a step of"
+                f" {self.dt:.3g} s: dt = {0.5 * STABLE / rate[k]:.2g} s or less is right, or a"
+                " larger mass"
+            )
+
+    def depth(self, contact: MovingContact, now: float) -> None:
+        """Raise MotionError where a body lies so deep that it may come out on the other side."""
+        deepest = max(contact.workspace.deepest.tolist(), key=lambda row: (row[0], -row[2]))
+        depth, radius, body = deepest  # the same for any number of threads
+        if depth > 0.0:
+            raise MotionError(
+                f"at t = {now:.6g} s or before, body"
+                f" {int(self.members[int(body)])} overlaps what it touches by {depth:.3g} m,"
+                f" {depth / radius:.2g} of the smaller radius: the contact is too soft for its"
+                " speed or load, and lets it through; take a greater contact.stiffness or young"
+            )

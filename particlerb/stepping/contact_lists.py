@@ -1,0 +1,238 @@
+"""Lists of pairs that may touch: their skin, their history, and how long they hold.
+
+All of it follows from counts of pairs, spheres and steps, never from the clock: the same case makes
+the same lists wherever it runs.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.contact.contact_model import (
+    ContactList,
+    ContactMemory,
+    GroupContact,
+    NeighbourLists,
+    Workspace,
+)
+from particlerb.contact.neighbour_list import (
+    N_SHELLS,
+    ContactHistory,
+    empty_history,
+    find_shells,
+    incidence,
+    order_contacts,
+)
+from particlerb.contact.records import (
+    columns_of,
+    forces_record,
+    from_floats,
+    history_record,
+    to_floats,
+)
+from particlerb.contact.sphere_search import SphereSearch
+from particlerb.contact.wall_motion import farthest_distances, motion_in, wall_displacement
+from particlerb.contact.wall_search import WallSearch, find_wall_shells
+from particlerb.maths.vec3 import Floats, Indices, Ints
+from particlerb.stepping.saved_arrays import Saved
+
+_FEW_STEPS: Final = 64  # for which lists are made at least where walls move slowly,
+_MOST_STEPS: Final = 4096  # and at most: the stability of contacts is looked at when they are made
+_TO_MAKE: Final = 4e5  # ns of new lists, roughly,
+_TO_MAKE_SPHERE: Final = 150.0  # and for each sphere;
+_TO_USE: Final = 6.0  # of a pair in a step
+_SKIN_FACTOR: Final = 1.25  # by which the skin grows or shrinks
+_CHEAP_LISTS: Final = 0.02  # share of the steps' time below which new lists need not be fewer
+_LARGEST_SKIN: Final = 4.0  # in sizes of the scene: all pairs are in the lists long before
+
+Histories = tuple[ContactHistory, ContactHistory]  # of contacts between spheres, and with walls
+
+
+class Lasted(NamedTuple):
+    """For how long the last lists were good."""
+
+    steps: int
+    have_moved: bool  # whether they ended because something moved
+    step_cost: float  # [ns] of a step, roughly
+
+
+class ContactLists:
+    """Lists of the pairs of a group that may touch, made anew where they are used up.
+
+    Parameters
+    ----------
+    contact : GroupContact
+    dt : float [s]
+    numbers : ndarray, shape (n_spheres,), optional
+        Of the spheres, ascending, where they are some of more.
+    histories : tuple of 2 ContactHistory, optional
+        What contacts of spheres with these numbers, and with walls, keep from earlier steps.
+    """
+
+    def __init__(
+        self,
+        contact: GroupContact,
+        dt: float,
+        numbers: Ints | None = None,
+        histories: Histories | None = None,
+    ) -> None:
+        spheres, walls = contact.model.spheres, contact.model.walls
+        n_spheres = spheres.radius.size
+        self.contact, self.dt = contact, dt
+        self.skin = self.least_skin = contact.skin
+        self.count = 0  # lists so far
+        self.cost = _TO_MAKE + _TO_MAKE_SPHERE * n_spheres  # [ns]
+        self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
+        self.numbers = np.arange(n_spheres) if numbers is None else numbers
+        self.histories = histories or (empty_history(contact.model.law.rolling is not None),) * 2
+        self._search = SphereSearch(spheres.radius, spheres.body)
+        self._walls = WallSearch(walls, spheres.radius)
+        self._primitives = np.arange(walls.kind.size)
+        self._max_contact_arm = float((contact.max_arm + 2.0 * spheres.radius.max()).max())
+        corners = np.abs(walls.parameter[:, :3]).max(initial=0.0)
+        self._extent = math.sqrt(3.0) * float(corners) + float(spheres.radius.max())
+        self._buffers: dict[str, Floats] = {}
+
+    def empty(self, n: int) -> NeighbourLists:
+        """Lists without a pair, of n bodies."""
+        none, ends = np.zeros(0, dtype=np.int32), np.zeros(N_SHELLS, dtype=np.int64)
+        spheres, walls = (
+            self._list_of(which, none, none, np.zeros((0, history.values.shape[1])), ends)
+            for which, history in enumerate(self.histories)
+        )
+        alone = incidence(none.astype(np.int64), none.astype(np.int64), n)
+        return NeighbourLists(spheres, walls, alone, alone, self._max_contact_arm)
+
+    def make(
+        self,
+        old: NeighbourLists,
+        workspace: Workspace,
+        memory: ContactMemory,
+        time: float,
+        lasted: Lasted,
+    ) -> tuple[NeighbourLists, float]:
+        """Lists of what may touch where bodies and walls are placed, and until when they hold [s].
+
+        `time` [s] is that since the segment began.
+        """
+        self.count += 1
+        points = np.ascontiguousarray(workspace.xyzr[:, :3].T)
+        reach = farthest_distances(self.motions, memory.start + time, points)
+        self._fit_skin(old, workspace, reach, lasted)
+        first, second, _ = self._search.pairs(points, self.skin)
+        duration, displacement = self.walls_ahead(lasted.steps, reach)
+        near = self._walls.pairs(points, workspace.poses, self.skin + displacement)
+        spheres, walls = self.contact.model.spheres, self.contact.model.walls
+        shell = np.empty(first.size, dtype=np.int64)
+        find_shells((first, second), workspace.xyzr, self.skin, shell)
+        between = self._contacts(0, (first, second), (self.numbers, self.numbers), shell)
+        shell = np.zeros(near.first.size, dtype=np.int64)
+        if displacement == 0.0:  # walls that move may come at once
+            find_wall_shells(walls, workspace.poses, points, spheres.radius, self.skin, near, shell)
+        outside = self._contacts(1, near[:2], (self.numbers, self._primitives), shell)
+        body, n = spheres.body, memory.listed_pose.shape[1]
+        lists = NeighbourLists(
+            between,
+            outside,
+            incidence(body[between.first], body[between.second], n),
+            incidence(body[outside.first], np.full(outside.first.size, -1), n),
+            self._max_contact_arm,
+        )
+        return lists, time + duration
+
+    def _fit_skin(
+        self,
+        lists: NeighbourLists,
+        workspace: Workspace,
+        reach: Sequence[float],
+        lasted: Lasted,
+    ) -> None:
+        """Widen the skin where making lists costs more than going through them, and the reverse.
+
+        It is widened only where lists last longer by it and new ones take time that counts, and
+        never beyond what holds all pairs of the scene.
+        """
+        skin, steps = self.skin, lasted.steps
+        if steps > 0 and not self.contact.is_skin_fixed:
+            n_pairs = lists.spheres.first.size + lists.walls.first.size
+            have_moved = lasted.have_moved or (
+                wall_displacement(self.motions, 2 * steps * self.dt, reach) > skin
+            )
+            if self.cost <= _TO_USE * n_pairs * steps:
+                skin = max(skin / _SKIN_FACTOR, self.least_skin)
+            elif (
+                have_moved
+                and self.cost > _CHEAP_LISTS * steps * lasted.step_cost
+                and steps < _MOST_STEPS
+            ):
+                skin *= _SKIN_FACTOR
+        places = workspace.xyzr[:, :3], workspace.poses.position
+        farthest = sum(float(np.abs(x).max(initial=0.0)) for x in places)
+        self.skin = min(skin, _LARGEST_SKIN * 2.0 * (math.sqrt(3.0) * farthest + self._extent))
+
+    def walls_ahead(self, lasted: int, reach: Sequence[float]) -> tuple[float, float]:
+        """How long lists hold as walls move [s], and how far these may move until then [m].
+
+        Up to twice the steps that the last ones have lasted, and no farther than the skin.
+        """
+        steps, skin = min(max(_FEW_STEPS, 2 * lasted), _MOST_STEPS), self.skin
+        sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
+        if not to_floats(self.contact.motions)[:, 3:].any():
+            return _MOST_STEPS * self.dt, sliding
+        reach = [far + skin for far in reach]  # as bodies move
+        while steps > 1 and wall_displacement(self.motions, steps * self.dt, reach) > skin:
+            steps //= 2
+        ahead = wall_displacement(self.motions, (steps + 1) * self.dt, reach)
+        return steps * self.dt, ahead + sliding
+
+    def _contacts(
+        self, which: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], shell: Ints
+    ) -> ContactList:
+        """New contacts of spheres, or of walls, with the history of those of the old list."""
+        m, old = pairs[0].size, self.histories[which]
+        keys, rows = np.empty((2, m), dtype=np.int64)
+        values = self._buffer(f"history {which}, {self.count % 2}", m, old.values.shape[1])
+        new, ends = ContactHistory(keys, rows, values), np.empty(N_SHELLS, dtype=np.int64)
+        first, second = np.empty((2, m), dtype=np.int32)
+        wall = self.contact.model.walls.wall if which == 1 else self.numbers[:0]
+        order_contacts(pairs, numbers, wall, shell, old, new, first, second, ends)
+        spheres, walls = self.histories
+        self.histories = (new, walls) if which == 0 else (spheres, new)
+        return self._list_of(which, first, second, values, ends)
+
+    def _list_of(
+        self, which: int, first: Indices, second: Indices, values: Floats, ends: Ints
+    ) -> ContactList:
+        """Contacts of spheres, or of walls, with rows of their history."""
+        m, with_rolling = first.size, self.contact.model.law.rolling is not None
+        record = forces_record(with_rolling, which == 1)
+        rows_of_forces = self._buffer(f"forces {which}", m, columns_of(record))
+        rows_of_forces[:] = 0.0  # a checkpoint has it, and none of the leftovers of other lists
+        forces = from_floats(rows_of_forces, record)
+        history = from_floats(values, history_record(with_rolling))
+        active = history.inv_effective_mass > 0.0
+        return ContactList(first, second, history, forces, active, ends)
+
+    def _buffer(self, name: str, m: int, columns: int) -> Floats:
+        """Memory for rows, which grows: to ask for new pages takes as long as to fill them."""
+        if name not in self._buffers or len(self._buffers[name]) < m:
+            self._buffers[name] = np.zeros((m + m // 4, columns))
+        return self._buffers[name][:m]
+
+    def checkpoint(self) -> Saved:
+        """By which numbers histories are found, and the skin."""
+        saved: Saved = {"skin": np.array(self.skin), "count": np.array(self.count)}
+        for k, (keys, rows, _) in enumerate(self.histories):
+            saved |= {f"keys.{k}": keys.copy(), f"rows.{k}": rows.copy()}
+        return saved
+
+    def restore(self, saved: Saved, lists: NeighbourLists) -> None:
+        """Go on from what was saved, with the lists of then."""
+        spheres, walls = lists.spheres.history, lists.walls.history
+        self.histories = (
+            ContactHistory(saved["keys.0"], saved["rows.0"], to_floats(spheres)),
+            ContactHistory(saved["keys.1"], saved["rows.1"], to_floats(walls)),
+        )
+        self.skin, self.count = float(saved["skin"]), int(saved["count"])

@@ -1,0 +1,308 @@
+"""Bodies that touch each other and walls, on a grid of steps.
+
+The loop over steps stops where the lists of pairs that may touch are used up; then new ones are
+made, and checks look whether the run is right. Threads share each step.
+"""
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+
+from particlerb.compiled.barrier import ALONE, Team, together
+from particlerb.contact.body_loads import stored_energy
+from particlerb.contact.contact_model import (
+    ContactChanges,
+    ContactFrames,
+    ContactMemory,
+    Instant,
+    MovingContact,
+    Workspace,
+)
+from particlerb.contact.contact_output import (
+    ContactOutput,
+    contact_output,
+    contact_rows,
+    wall_centres,
+)
+from particlerb.contact.missed_pairs import Watch
+from particlerb.contact.piston import initial_piston_state, piston_energies
+from particlerb.contact.records import (
+    BODY,
+    EXTREMES,
+    PISTON,
+    POSE,
+    Records,
+    to_floats,
+    zero_records,
+)
+from particlerb.integrators.contact_stages import find_contact_forces, place_contacts
+from particlerb.integrators.method import Method
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.state import Frames, State
+from particlerb.stepping.contact_checks import ContactChecks, is_due
+from particlerb.stepping.contact_lists import ContactLists, Histories, Lasted
+from particlerb.stepping.loop import (
+    Copies,
+    Position,
+    Recording,
+    Schedule,
+    compiled_loop,
+    loop_over_threads,
+)
+from particlerb.stepping.motion import ContactStart, Energies, Group
+from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
+from particlerb.stepping.stepped_motion import SteppedMotion
+
+_NANOSECONDS_PER_SPHERE: Final = 60.0  # of an evaluation, roughly
+WORTH_THREADS: Final = 6e4  # ns of a step from which on a second thread pays for its start
+
+
+def _one_by_one(schedule: Schedule) -> Iterator[Schedule]:
+    """The stops of a schedule, each as a schedule."""
+    dt, steps, partial_steps, frame = schedule
+    for k in range(steps.size):
+        stop = slice(k, k + 1)
+        yield Schedule(dt, steps[stop], partial_steps[stop], frame[stop])
+
+
+class ContactMotion(SteppedMotion):
+    """A group of bodies that touch; see `motion.Motion`.
+
+    Parameters
+    ----------
+    method, group, state, start, dt :
+        As for `SteppedMotion`.
+    numbers : ndarray, shape (n_spheres,), optional
+        Of the spheres, ascending, where they are some of more.
+    histories : tuple of 2 ContactHistory, optional
+        What contacts of spheres with these numbers, and with walls, keep from earlier steps.
+    watch : Watch, optional
+        That continues from motions before this one.
+    """
+
+    def __init__(
+        self,
+        method: Method,
+        group: Group,
+        state: State,
+        start: float,
+        dt: float,
+        numbers: Ints | None = None,
+        histories: Histories | None = None,
+        watch: Watch | None = None,
+    ) -> None:
+        setup = group.terms.contact
+        assert setup is not None
+        n, n_spheres = group.members.size, setup.model.spheres.radius.size
+        super().__init__(method, group, state, start, dt)
+        evaluation = _NANOSECONDS_PER_SPHERE * n_spheres
+        self.step_cost = (method.cost + evaluation / n) * n  # [ns]
+        self.cost += evaluation
+        self.threads = len(self.blocks) if evaluation > WORTH_THREADS else 1
+        self.lists = ContactLists(setup, dt, numbers, histories)
+        self.checks = ContactChecks(group, dt, watch)
+        self.looks = numbers is None  # who steps some of more bodies looks at stability itself
+        poses = zero_records(POSE, len(setup.motions))
+        xyzr, bodies = np.zeros((n_spheres, 4)), zero_records(BODY, n)
+        workspace = Workspace(xyzr, poses, bodies, np.zeros((len(self.blocks), 3)), np.zeros(n))
+        y, pistons = np.vstack(state), initial_piston_state(setup.pistons)
+        extremes = zero_records(EXTREMES, 1)
+        memory = ContactMemory(y[7:].copy(), y[:7].copy(), start, np.inf, pistons, extremes)
+        self.grid_step, self.list_step = 0, 0  # on the grid: now, and when lists were made
+        self.origin, self.farthest = y[:3].copy(), 0.0  # [m] path of a body so far, at new lists
+        self.frames = ContactFrames(np.zeros(0), zero_records(PISTON, 0, len(pistons)))
+        self.contacts: dict[int, ContactOutput] = {}  # in rows of the last `record`
+        nothing = self.lists.empty(n)
+        self.contact = MovingContact(setup, workspace, nothing, memory, self.frames)
+        self.make_lists()
+        self.initial_energies = self._elastic_energies()
+
+    @property
+    def now(self) -> float:
+        """Time on the grid [s]."""
+        return self.start + self.grid_step * self.dt
+
+    # New lists
+
+    def make_lists(self) -> None:
+        """Pairs that may touch until a body has moved by half the skin."""
+        contact, time = self.contact, self.grid_step * self.dt
+        memory = contact.memory
+        steps = self.grid_step - self.list_step  # for which the last lists were good
+        lasted = Lasted(steps, time < memory.valid_until, self.step_cost)
+        self._place()
+        y = self.values(0, 13)
+        if steps > 0:
+            self.checks.missed_pairs(contact, self.lists.cost + steps * self.step_cost, self.now)
+        if self.looks and self.lists.count > 0 and is_due(self.lists.count):
+            self.look()
+        self.checks.tunnelling(contact, y, self.now)
+        memory.listed_pose[:] = y[:7]
+        memory.pistons.listed_displacement[:] = memory.pistons.displacement
+        memory.extremes.displacement[:] = 0.0
+        path = np.sqrt(((y[:3] - self.origin) ** 2).sum(axis=0)).max()
+        self.farthest, self.list_step = max(self.farthest, float(path)), self.grid_step
+        lists, until = self.lists.make(contact.lists, contact.workspace, memory, time, lasted)
+        setup, memory = (
+            contact.setup._replace(skin=self.lists.skin),
+            memory._replace(valid_until=until),
+        )
+        self.contact = contact._replace(setup=setup, lists=lists, memory=memory)
+
+    def _place(self) -> None:
+        """Place bodies and walls at the time of now, with the momenta of now."""
+        place_contacts(
+            self.contact, ALONE, None, self.blocks, self.layout, 0, len(self.blocks),
+            Instant(0.0, 0.0, self.grid_step * self.dt, 0.0, 0.0),
+        )  # fmt: skip
+
+    def look(self) -> float:
+        """Frequency of the bodies on all their contacts [rad/s]."""
+        rate = self.checks.stability(self.contact, self.values(0, 13), self.now)
+        self.contact_frequency = max(self.contact_frequency, rate)
+        return rate
+
+    # Steps
+
+    def run(self, schedule: Schedule, recording: Recording) -> None:
+        """Go through a schedule; stop at each frame if it is to show who touches whom."""
+        if not self.contact.setup.with_output:
+            self._run_through(schedule, recording)
+            return
+        for stop in _one_by_one(schedule):
+            self._run_through(stop, recording)
+            row = int(stop.frame[0])
+            if row >= 0:
+                self.contacts[row] = self._output_of(self.frames.pistons[row])
+
+    def _run_through(self, schedule: Schedule, recording: Recording) -> None:
+        """Go through a schedule, with new lists where they are used up."""
+        forces, n, position = self.forces, len(self.blocks), Position(0, 0, self.grid_step)
+        is_spread = forces is not None and forces.is_large
+        loop = compiled_loop(self.method, True)
+        if forces is not None and forces.is_large:
+            loop = loop_over_threads(self.method, forces)
+
+        def through(team: Team) -> Position:
+            moving = self.moving._replace(contact=self.contact, team=team)
+            first, last = n * team.rank // team.size, n * (team.rank + 1) // team.size
+            return loop(moving, schedule, recording, saved, position, n, first, last)
+
+        while True:
+            saved = self._copies()
+            position = through(ALONE) if is_spread else together(through, self.threads)
+            self.grid_step = position.steps_done
+            self.checks.light_pistons(self.contact, self.now)
+            self.checks.depth(self.contact, self.now)
+            if position.stop == schedule.steps.size:
+                break
+            self.make_lists()
+
+    def _copies(self) -> Copies:
+        """What a partial step changes, and memory for copies."""
+        _, workspace, lists, memory, _ = self.contact
+        changes = ContactChanges(
+            memory.momenta, lists.spheres.history, lists.walls.history, memory.pistons,
+            workspace.gross_work,
+        )  # fmt: skip
+        empty: list[Any] = [np.empty_like(values) for values in changes]
+        return Copies(self.saved, changes, ContactChanges(*empty))
+
+    # Energies and output
+
+    def _elastic_energies(self) -> Energies:
+        """Of contacts and pistons at the start."""
+        setup, workspace, lists, memory, _ = self.contact
+        histories = lists.spheres.history.copy(), lists.walls.history.copy()
+        self._place()
+        memory.extremes.displacement[:] = np.inf
+        find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, ALONE)
+        memory.extremes.displacement[:] = 0.0
+        lists.spheres.history[:], lists.walls.history[:] = histories
+        elastic = float(stored_energy(lists.spheres) + stored_energy(lists.walls))
+        kinetic, potential = piston_energies(setup.pistons, memory.pistons)
+        return Energies(np.array([elastic + potential]), np.array([kinetic]))
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        n, n_pistons = frames.position.shape[0], len(self.contact.memory.pistons)
+        self.frames, self.contacts = (
+            ContactFrames(np.zeros(n), zero_records(PISTON, n, n_pistons)),
+            {},
+        )
+        self.contact = self.contact._replace(frames=self.frames)
+        booked = super().record(times, rows, frames)
+        booked[:, 0] += [self.frames.pistons[row].booked_work.sum() for row in rows.tolist()]
+        return booked
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State at the end of the segment, and (7,) booked until then."""
+        state, booked = super().finish(stop)
+        booked[0] += self.contact.memory.pistons.booked_work.sum()
+        return state, booked
+
+    def contact_energies(self, rows: Ints) -> Energies:
+        """Of contacts and pistons, in rows of the frames of the last `record`."""
+        pistons, shown = self.contact.setup.pistons, self.frames
+        energies = [piston_energies(pistons, shown.pistons[row]) for row in rows.tolist()]
+        kinetic, potential = np.array(energies).reshape(-1, 2).T
+        return Energies(shown.elastic[rows] + potential, kinetic)
+
+    def _output_of(self, pistons: Records) -> ContactOutput:
+        """Contacts of the frame that was written last: its closing evaluation is still there."""
+        setup, workspace, lists, *_ = self.contact
+        members, numbers, motions = self.group.members, self.lists.numbers, self.lists.motions
+        rows = [
+            contact_rows(contacts, setup.model, workspace, members, numbers, are_walls)
+            for contacts, are_walls in ((lists.spheres, False), (lists.walls, True))
+        ]
+        centre, velocity = wall_centres(motions, workspace.poses)
+        if setup.pistons is not None:  # contacts saw a velocity carried on
+            ahead = pistons.velocity - pistons.contact_velocity
+            velocity[setup.pistons.wall] += ahead[:, None] * setup.pistons.axis
+        return contact_output(rows, centre, velocity)
+
+    def gross_work(self) -> float:
+        """Gross work of contacts without potential, and of walls, since the start [J]."""
+        return float(self.contact.workspace.gross_work.sum())
+
+    def contact_start(self) -> ContactStart:
+        """What contacts keep, and pistons, for the next segment."""
+        pistons = self.contact.setup.pistons
+        if pistons is not None:
+            start = to_floats(self.contact.memory.pistons)[:, :2].copy()
+            pistons = pistons._replace(start=start)
+        return ContactStart(self.lists.histories, pistons)
+
+    # Checkpoints
+
+    def checkpoint(self) -> Saved:
+        """Lists with what contacts keep, the poses that they were made at, and their skin."""
+        memory, lists = self.contact.memory, self.contact.lists
+        saved = super().checkpoint()
+        saved |= under("memory", to_arrays(memory)) | under("lists", to_arrays(lists))
+        saved |= under("histories", self.lists.checkpoint())
+        return saved | {
+            "gross_work": self.contact.workspace.gross_work.copy(),
+            "frequency": np.array(self.contact_frequency),
+            "watch": self.checks.watch.saved(),
+            "origin": self.origin.copy(),
+            "farthest": np.array(self.farthest),
+            "list_step": np.array(self.list_step),
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        super().restore(saved)
+        contact = self.contact
+        memory = from_arrays(contact.memory, within("memory", saved))
+        lists = from_arrays(contact.lists, within("lists", saved))
+        self.lists.restore(within("histories", saved), lists)
+        setup = contact.setup._replace(skin=self.lists.skin)
+        self.contact = contact._replace(setup=setup, memory=memory, lists=lists)
+        self.grid_step, self.list_step = self.steps_done, int(saved["list_step"])
+        self.origin, self.farthest = saved["origin"], float(saved["farthest"])
+        contact.workspace.gross_work[:] = saved["gross_work"]
+        self.contact_frequency = float(saved["frequency"])
+        self.checks.watch.restore(saved["watch"])
