@@ -38,7 +38,9 @@ class GroupRun:
         self.fit_tree()
         self.pairs = self.pair_forces()
         self.motion = self.begin(plan.segments[0], state)
-        self.touches: dict[int, ContactOutput] = {}  # in rows of the last `record`, where asked for
+        self.contacts: dict[
+            int, ContactOutput
+        ] = {}  # in rows of the last `record`, where asked for
 
     def checkpoint(self) -> Saved:
         """The segment, how it began, and its motion."""
@@ -158,7 +160,7 @@ class GroupRun:
         """
         booked = np.empty((times.size, 7))
         potential, kinetic = np.zeros(times.size), np.zeros(times.size)
-        self.touches = {}
+        self.contacts = {}
         done = 0
         while done < times.size:
             until = int(np.searchsorted(times, self.segment.stop, side="left"))
@@ -172,7 +174,7 @@ class GroupRun:
                 contacts = self.motion.contact_energies(rows)
                 potential[rows] += contacts.potential
                 kinetic[rows] += contacts.kinetic
-                self.touches |= self.motion.contacts
+                self.contacts |= self.motion.contacts
                 done = until
             if done < times.size:
                 self.cross()
@@ -180,18 +182,18 @@ class GroupRun:
 
     def pose(self, frames: Frames, row: int) -> tuple[Floats, Floats]:
         """Centres of mass (3, n) and orientations of the rotor frames (4, n) in a frame."""
-        own = self.plan.members
-        q = quaternion_product(frames.orientation[row, own].T, self.plan.bodies.rotor_frame)
-        return frames.position[row, own].T, q
+        members = self.plan.members
+        q = quaternion_product(frames.orientation[row, members].T, self.plan.bodies.rotor_frame)
+        return frames.position[row, members].T, q
 
 
 def record_all(runs: Sequence[GroupRun], times: Floats, frames: Frames) -> tuple[Floats, Energies]:
     """Sums over the groups of what `GroupRun.record` returns."""
     booked, energies = np.zeros((times.size, 7)), np.zeros((2, times.size))
     for run in runs:
-        given, own = run.record(times, frames)
+        given, beside = run.record(times, frames)
         booked += given
-        energies += own
+        energies += beside
     return booked, Energies(*energies)
 
 

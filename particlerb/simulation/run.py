@@ -185,7 +185,7 @@ class Run:
 
     def touches(self, rows: Ints) -> list[ContactOutput]:
         """Contacts in rows of the last frames; empty where nobody asks."""
-        found = [t.touches for t in self.travellers if t.touches]
+        found = [t.contacts for t in self.travellers if t.contacts]
         return [found[0][row] for row in rows.tolist()] if found else []
 
     def sound_frames(

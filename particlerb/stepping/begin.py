@@ -57,8 +57,8 @@ def begin(
     parts: list[tuple[Ints, Motion]] = []
     for which in _parts_of(method, group):
         part = group if which.size == group.members.size else part_of(group, which)
-        own = state if part is group else taken(state, which)
-        parts.append((which, SteppedMotion(method, part, own, start, dt)))
+        first = state if part is group else taken(state, which)
+        parts.append((which, SteppedMotion(method, part, first, start, dt)))
     return parts[0][1] if len(parts) == 1 else CompositeMotion(tuple(parts))
 
 

@@ -87,9 +87,9 @@ class _Interval:
         self.watch = copy(parent.watch)  # it is taken on where the interval is the one that counts
         group = parent.group
         if stepped.size:
-            own, spheres = parent.part(stepped)
+            part, spheres = parent.part(stepped)
             self.contact = ContactMotion(
-                parent.method, own, taken(state, stepped), start, parent.dt, spheres, histories,
+                parent.method, part, taken(state, stepped), start, parent.dt, spheres, histories,
                 self.watch,
             )  # fmt: skip
             self.motions.append((stepped, self.contact))
@@ -174,15 +174,15 @@ class DiluteMotion(Motion):
         """Some bodies of the group, ascending, and the numbers of their spheres."""
         contact, group = self.contact, self.group
         scene = contact.model
-        own = np.flatnonzero(np.isin(scene.spheres.body, which))
+        kept = np.flatnonzero(np.isin(scene.spheres.body, which))
         number = np.full(group.members.size, -1)
         number[which] = np.arange(which.size)
-        body = number[scene.spheres.body[own]]
+        body = number[scene.spheres.body[kept]]
         spheres = scene.spheres._replace(
-            arm=np.ascontiguousarray(scene.spheres.arm[:, own]),
-            radius=scene.spheres.radius[own],
+            arm=np.ascontiguousarray(scene.spheres.arm[:, kept]),
+            radius=scene.spheres.radius[kept],
             body=body,
-            material=scene.spheres.material[own],
+            material=scene.spheres.material[kept],
             offset=np.searchsorted(body, np.arange(which.size + 1)),
         )
         inertia = np.ascontiguousarray(scene.inv_inertia[:, which])
@@ -191,7 +191,7 @@ class DiluteMotion(Motion):
         )
         part = GroupContact(touchable, contact.motions, contact.max_arm[which], *contact[3:])
         terms = terms_on(group.terms._replace(contact=None), which)._replace(contact=part)
-        return Group(group.members[which], taken(group.bodies, which), terms), own
+        return Group(group.members[which], taken(group.bodies, which), terms), kept
 
     def time(self, steps: int) -> float:
         """Time after so many steps of the segment [s]."""
@@ -252,10 +252,10 @@ class DiluteMotion(Motion):
         reach = [far + self.skin for far in farthest_distances(self.wall_motions, now, com)]
         way = wall_displacement(self.wall_motions, (steps + 1) * self.dt, reach)
         touched, _, _ = self.walls.pairs(com, poses, self.skin + way)
-        found = np.zeros(self.bound.size, dtype=np.bool_)
-        for own in (first, second, touched):
-            found[own] = True
-        return found
+        is_near = np.zeros(self.bound.size, dtype=np.bool_)
+        for which in (first, second, touched):
+            is_near[which] = True
+        return is_near
 
     def interval(self) -> _Interval:
         """The interval that begins now."""
@@ -298,9 +298,9 @@ class DiluteMotion(Motion):
         )
         poses = poses_at(self.wall_motions, now)
         swings = np.array([peak_speed(motion, self.dt) for motion in self.wall_motions])
-        found = self.watch_of_flights.look(scene, self.nothing, bodies, poses, swings, self.dt)
-        if found.depth > 0.0:
-            raise MotionError(lost_pair(found, self.group.members, now, self.skin))
+        missed = self.watch_of_flights.look(scene, self.nothing, bodies, poses, swings, self.dt)
+        if missed.depth > 0.0:
+            raise MotionError(lost_pair(missed, self.group.members, now, self.skin))
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
@@ -313,11 +313,11 @@ class DiluteMotion(Motion):
             if until > done:
                 if self.shown is None:
                     self.shown = self.interval()
-                own = rows[done:until]
-                given = self.shown.together.record(times[done:until], own, frames)
+                shown = rows[done:until]
+                given = self.shown.together.record(times[done:until], shown, frames)
                 booked[done:until] = self.booked + given
-                self.elastic[own] = self.shown.energies(own)
-                self.contacts |= self._outputs_in(times[done:until], own)
+                self.elastic[shown] = self.shown.energies(shown)
+                self.contacts |= self._outputs_in(times[done:until], shown)
                 done = until
             if done < times.size:
                 self.cross()

@@ -85,9 +85,9 @@ class SteppedMotion(Motion):
         rotors = RotorClasses()
         if method.rotor_constants is not None:
             rotors = RotorClasses(flag(bool(is_asymmetric.any())), flag(not is_asymmetric.all()))
-            own = method.rotor_constants(group.bodies.inv_inertia[:, is_asymmetric])
-            rotor = np.zeros((len(own), n))
-            rotor[:, is_asymmetric] = own
+            constants = method.rotor_constants(group.bodies.inv_inertia[:, is_asymmetric])
+            rotor = np.zeros((len(constants), n))
+            rotor[:, is_asymmetric] = constants
             parts.append((ROTOR, rotor))
         n_rows = STAGE + _STAGE_ROWS if acts_together else row_count(terms)
         assert row_count(terms) <= STAGE
