@@ -19,8 +19,9 @@ BUDGETS = {"closed forms under force": 950, "joints": 1500, "tables of forces": 
 BUDGETS |= {"vectors of 512 bits": 45, "opening angle fitted to a scene": 95}
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 
-OVERSPENT = 371
-"""Lines above all budgets, by what came beside joints, which use 1500 of theirs: to be saved."""
+OVERSPENT = 588
+"""Lines above all budgets, by what came beside joints, which use 1500 of theirs, and 210 by contact
+in the one loop, of which each part has its own module: to be saved."""
 
 LONGEST_MODULE = 400
 LONG_MODULES = {
