@@ -110,7 +110,7 @@ def taken(record: Record, index: Ints) -> Record:
 
     Where all are chosen these are the same arrays, which nobody changes.
     """
-    if index.size == record[0].shape[-1] and np.array_equal(index, np.arange(index.size)):
-        return type(record)(*map(np.ascontiguousarray, record))
-    arrays = (np.ascontiguousarray(array[..., index]) for array in record)
+    n = record[0].shape[-1]
+    which = slice(None) if index.size == n and np.array_equal(index, np.arange(n)) else index
+    arrays = (np.ascontiguousarray(array[..., which]) for array in record)
     return type(record)(*arrays)

@@ -111,9 +111,8 @@ class Recorder:
         self.output, self.file, self.system = output, output.file, system
         fields = system.output.fields
         paths = [*schema.series_of(fields), schema.STEP, schema.CHECKSUMS]
-        self.of_bodies = {  # those that are large
-            path: opened(self.file, path) for path in paths if path in _OF_BODIES
-        }
+        # Those that are large:
+        self.of_bodies = {p: opened(self.file, p) for p in paths if p in _OF_BODIES}
         paths += (STEP_TIMES, STEP_STARTS) if schema.VTKHDF in self.file else ()
         paths += (schema.OFFSET,) if schema.CONTACTS in fields else ()
         self.series = {p: self.of_bodies.get(p) or opened(self.file, p) for p in paths}
