@@ -10,7 +10,7 @@ from particlerb.integrators.external_work import book
 from particlerb.joints.records import Joints, Work, X
 from particlerb.joints.rows import vector
 from particlerb.joints.solver import constrained_drift, project_momenta
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, scale
+from particlerb.maths.vec3 import Floats, Ints, add_scaled, cross, scale
 from particlerb.model.block import COM, get, put
 from particlerb.model.load import STATE_ROWS
 
@@ -32,12 +32,6 @@ def _scatter(joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints
 
 
 @inline
-def _book_impulse(rows: Floats, lane: int, x: Vec3, impulse: Vec3, turning: Vec3) -> None:
-    """Book what the world gives a body."""
-    book(1, rows, lane, 1.0, (0.0, impulse, add_scaled(1.0, turning, cross(x, impulse))))
-
-
-@inline
 def _book_world(
     books: Flag, joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints, c: int,
     at: Floats,
@@ -50,8 +44,9 @@ def _book_world(
         a, b, z = joints.rows.a[r], joints.rows.b[r], work.total[r]
         by_x = vector(work.gradient, r, 0)
         if b == world:
-            turning = scale(z, vector(work.gradient, r, 3))
-            _book_impulse(blocks[block[a]], lane[a], vector(at, a, X), scale(z, by_x), turning)
+            impulse = scale(z, by_x)
+            turning = add_scaled(z, vector(work.gradient, r, 3), cross(vector(at, a, X), impulse))
+            book(books, blocks[block[a]], lane[a], 1.0, (0.0, impulse, turning))
 
 
 @kernel

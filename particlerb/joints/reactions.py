@@ -15,6 +15,7 @@ from particlerb.joints.rows import accelerations
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.vec3 import Floats
 
+_CONJUGATE: Final = np.array([1.0, -1.0, -1.0, -1.0])
 _DEPENDENT: Final = 1e-10  # singular values over the largest
 
 
@@ -98,10 +99,5 @@ def forces_of_joints(joints: Joints, work: Work) -> Floats:
         return np.zeros((0, 6))
     force = np.add.reduceat(work.z[:, None] * by_x, start)
     turning = np.add.reduceat(work.z[:, None] * by_a, start)
-    arm = _to_world(work.y[joints.rows.a[start], 3:7], joints.rows.first[start])
+    arm = _to_body(work.y[joints.rows.a[start], 3:7] * _CONJUGATE, joints.rows.first[start])
     return np.hstack([force, turning - np.cross(arm, force)])
-
-
-def _to_world(q: Floats, v: Floats) -> Floats:
-    """R v of rows."""
-    return _to_body(q * np.array([1.0, -1.0, -1.0, -1.0]), v)

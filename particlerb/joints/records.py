@@ -63,8 +63,7 @@ class Joints(NamedTuple):
 
     order: Ints  # (n,) members of the group, in the order of the clusters
     inv_mass: Floats  # (n + 1,) [1/kg]
-    inv_inertia: Floats  # (n + 1, 3) [1/(kg m²)] of rods 0 about their axis
-    spin_inertia: Floats  # (n + 1, 3) [1/(kg m²)] as a free drift takes it
+    inv_inertia: Floats  # (n + 1, 3) [1/(kg m²)] rotor frame
     rows: Rows
     clusters: Clusters
     program: Program

@@ -8,7 +8,6 @@ from particlerb.joints.block_cholesky import program_of
 from particlerb.joints.records import Clusters, Joints, Program, Rows
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies
-from particlerb.rotors.rotor_class import ROD
 
 _LOOP_PIVOT = 1e-8  # over its diagonal: below it a row of a closed loop depends on those before
 
@@ -39,13 +38,11 @@ def joints_among(number: Ints, start: Ints, rows: Rows, bodies: Bodies) -> Joint
     rows = Rows(*(array[taken] for array in rows))
     rows = rows._replace(a=place[rows.a], b=place[rows.b])
     inv_mass = np.append(bodies.inv_mass[order], 0.0)
-    spin = np.vstack([bodies.inv_inertia.T[order], np.zeros(3)])
-    turning = spin.copy()
-    turning[:n][bodies.rotor_class[order] == ROD, 2] = 0.0
+    inv_inertia = np.vstack([bodies.inv_inertia.T[order], np.zeros(3)])
     ends = np.flatnonzero(np.diff(label[order], append=-1)) + 1
     first, rank = np.r_[0, ends], np.r_[0, np.cumsum(count)]
     clusters, program = _programs(first, label[a[own]], label[order], rows, rank, inv_mass)
-    return Joints(order, inv_mass, turning, spin, rows, clusters, program, number[own])
+    return Joints(order, inv_mass, inv_inertia, rows, clusters, program, number[own])
 
 
 def _labels(n: int, a: Ints, b: Ints) -> Ints:

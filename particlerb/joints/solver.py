@@ -21,11 +21,10 @@ from particlerb.maths.vec3 import row3
 from particlerb.rotors.symmetric_split import symmetric_split
 
 MOST_ITERATIONS: Final = 60
-_ROUNDING: Final = 4e-16  # residuals, over their size, that are as good as none
+_ROUNDING: Final = 1e-15  # residuals, over their size, that are as good as none
 _NEAR: Final = 1e-10  # below it an iteration that gains little is the last
 _GAIN: Final = 0.5
 _MOST_PASSES: Final = 4  # of a projection of momenta
-_SMALLEST_RATE: Final = 1e-300
 
 
 @inline
@@ -38,7 +37,7 @@ def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
             y[k, X + i] = pose[k, X + i] + path * y[k, P + i]
         q = attitude(pose, k)
         m = to_body(q, vector(y, k, L))
-        q = symmetric_split(q, m, row3(joints.spin_inertia, k), dt)
+        q = symmetric_split(q, m, row3(joints.inv_inertia, k), dt)
         y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
 
 
@@ -95,7 +94,7 @@ def project_momenta(joints: Joints, work: Work, c: int) -> None:
     before = 1e300
     for _ in range(_MOST_PASSES):
         worst = rates(joints, work, lo, hi)
-        if worst < _SMALLEST_RATE or not worst < _GAIN * before:
+        if not 0.0 < worst < _GAIN * before:
             return
         before = worst
         solve(joints, work, first, last)

@@ -65,11 +65,11 @@ def bricard(masses=(1, 2, 0.5, 1, 3)):
     return case(bodies, joints, (0.0, -9.81, 0.0))
 
 
-def hinge_chain(n=6):
-    """Links along x, the axes of the hinges y and z in turn."""
-    length = 1.0 / n
+def hinge_chain(n=6, total=1.0):
+    """Links along x with 1 kg in all, the axes of the hinges y and z in turn."""
+    length = total / n
     bodies = [
-        bar(f"b{k}", [k * length, 0, 0], [(k + 1) * length, 0, 0], length, 0.2 * length)
+        bar(f"b{k}", [k * length, 0, 0], [(k + 1) * length, 0, 0], 1.0 / n, 0.2 * length)
         for k in range(n)
     ]
     joints = [
