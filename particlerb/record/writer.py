@@ -259,16 +259,22 @@ class Recorder:
 
 
 def _append_rows(dataset: h5py.Dataset, first: int, values: _Rows) -> None:
-    """Append values from row `first` on; a row that is a chunk goes straight to the file.
+    """Append values from row `first` on; chunks that are whole go straight to the file.
 
-    By HDF5's own calls: h5py takes longer to find out what a slice means than HDF5 to write it.
+    By HDF5's own calls: h5py takes longer to find out what a slice means than HDF5 to write it. In
+    HDF5 a chunk would pass through memory that it asks for and gives back each time, which leaves
+    holes of that size in the heap of the process.
     """
-    shape, origin = values.shape, (0,) * (values.ndim - 1)
+    shape, rows, origin = values.shape, dataset.chunks[0], (0,) * (values.ndim - 1)
     dataset.id.set_extent((first + shape[0], *shape[1:]))
-    if dataset.chunks[0] == 1:
-        for k in range(len(values)):
-            dataset.id.write_direct_chunk((first + k, *origin), values[k])
-        return
-    place = dataset.id.get_space()
-    place.select_hyperslab((first, *origin), shape)
-    dataset.id.write(h5s.create_simple(shape), place, np.ascontiguousarray(values))
+    data: Any = np.ascontiguousarray(values)
+    whole = 0
+    if first % rows == 0 and (rows, *shape[1:]) == dataset.chunks and values.dtype == dataset.dtype:
+        whole = shape[0] // rows * rows
+    for k in range(0, whole, rows):
+        dataset.id.write_direct_chunk((first + k, *origin), data[k : k + rows])
+    if whole < shape[0]:
+        rest = data[whole:]
+        place = dataset.id.get_space()
+        place.select_hyperslab((first + whole, *origin), rest.shape)
+        dataset.id.write(h5s.create_simple(rest.shape), place, rest)

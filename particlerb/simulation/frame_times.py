@@ -15,6 +15,7 @@ _BATCH_BYTES = 32_000_000  # of frames that are held before they are written
 BATCH_FRAMES = 1024
 BATCH_SECONDS = 0.5  # that a batch should take
 FIRST_BATCH = 1  # frames, before it is known how long one takes
+_FEWEST_EVEN = 64  # frames of a batch from which on it ends at a multiple of its size
 _EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
 
 
@@ -69,7 +70,8 @@ def batches(system: System, done: int = 0) -> Iterator[Batch]:
     """Times of a run, or of its rest behind some frames.
 
     As many as fit into the cache and take about half a second, so that a long run is written,
-    shows progress and can be interrupted.
+    shows progress and can be interrupted. Large ones end where chunks of the file do, as far as
+    their sizes allow: whole chunks are written without a copy.
     """
     most = int(min(max(_BATCH_BYTES // (system.n_bodies * 13 * 8), 1), BATCH_FRAMES))
     n, whole = frame_count(system.run), _whole_frames(system.run)
@@ -79,7 +81,8 @@ def batches(system: System, done: int = 0) -> Iterator[Batch]:
     size = min(FIRST_BATCH, most)
     while done < n:
         stop = whole if done < whole else n
-        frames = frame_times(system.run, done, min(done + size, stop))
+        over = (done + size) % size if size >= _FEWEST_EVEN else 0
+        frames = frame_times(system.run, done, min(done + size - over, stop))
         due, probes = probes[probes <= frames[-1]], probes[probes > frames[-1]]
         times = np.union1d(frames, due)
         start = time.monotonic()
