@@ -268,9 +268,8 @@ def _append_rows(dataset: h5py.Dataset, first: int, values: _Rows) -> None:
     shape, rows, origin = values.shape, dataset.chunks[0], (0,) * (values.ndim - 1)
     dataset.id.set_extent((first + shape[0], *shape[1:]))
     data: Any = np.ascontiguousarray(values)
-    whole = 0
-    if first % rows == 0 and (rows, *shape[1:]) == dataset.chunks and values.dtype == dataset.dtype:
-        whole = shape[0] // rows * rows
+    fits = (rows, *shape[1:]) == dataset.chunks and values.dtype == dataset.dtype
+    whole = shape[0] // rows * rows if fits and first % rows == 0 else 0
     for k in range(0, whole, rows):
         dataset.id.write_direct_chunk((first + k, *origin), data[k : k + rows])
     if whole < shape[0]:
