@@ -42,21 +42,22 @@ def levers_on(bodies: Bodies, lever: Floats) -> Levers:
     """What the lever tensor (9, n) [N m] makes of each body."""
     T = lever.reshape(3, 3, -1)  # [j, l]: j in the world, l in the rotor frame
     n = lever.shape[1]
-    size = np.sqrt((lever * lever).sum(axis=0))
     is_sphere = bodies.rotor_class == SPHERE
     axis = np.zeros((3, n))
     axis[2] = 1.0
     column = T[np.abs(T).max(axis=1).argmax(axis=0), :, np.arange(n)].T
-    length = np.sqrt((column * column).sum(axis=0))
-    np.divide(column, length, out=axis, where=is_sphere & (length > 0.0))
-    g = (T * axis).sum(axis=1)
-    rest = np.sqrt(((T - g[:, None] * axis) ** 2).sum(axis=(0, 1)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.sqrt((lever * lever).sum(axis=0))
+        length = np.sqrt((column * column).sum(axis=0))
+        np.divide(column, length, out=axis, where=is_sphere & (length > 0.0))
+        g = (T * axis).sum(axis=1)
+        rest = np.sqrt(((T - g[:, None] * axis) ** 2).sum(axis=(0, 1)))
     has_axis = is_sphere | (bodies.rotor_class == SYMMETRIC) | (bodies.rotor_class == ROD)
     moment = np.where(has_axis, bodies.inertia[0], 1.0)
     about = np.where(bodies.rotor_class == SYMMETRIC, bodies.inertia[2], moment)
     return Levers(
         size == 0.0,
-        (size > 0.0) & has_axis & (rest <= _ROUNDING * size),
+        (size > 0.0) & np.isfinite(size) & has_axis & (rest <= _ROUNDING * size),
         Tops(moment, 0.5 * (moment - about) / about, g, 1.0 * (bodies.rotor_class != ROD)),
         _up_frames(axis),
     )

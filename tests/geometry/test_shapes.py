@@ -351,7 +351,7 @@ def test_csv_without_radius_holds_points(tmp_path):
     [
         ("", "a.csv: empty"),
         ("# only a comment\n", "a.csv: empty"),
-        ("x,y,z,m\n", "a.csv:1: no particles"),
+        ("x,y,z,m\n", "a.csv:1: no rows below the header"),
         ("\nx,y,m\n1,2,3\n", "a.csv:2: column z is missing"),
         ("x,y,z,m,q\n1,2,3,4,5\n", "a.csv:1: unknown column 'q'"),
         ("x,y,z,m,x\n1,2,3,4,5\n", "a.csv:1: a column is given twice"),
