@@ -29,9 +29,10 @@ WORDS = {
     "integrators": "one method a file",
     "forces": "one force a file",
     "contact": "pairs, laws, walls",
+    "joints": "rows, factor, reactions",
     "model": "System, bodies, state",
     "geometry": "shapes, mass properties",
-    "rotors": "free rotation",
+    "rotors": "rotation in closed form",
     "maths": "vectors, quaternions",
     "compiled": "compiler, threads",
 }
