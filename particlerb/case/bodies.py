@@ -44,7 +44,7 @@ class NormalDistribution(Table):
 class GridPlacement(Table):
     """Bodies on a grid, x fastest, centred at `origin`."""
 
-    type: Literal["grid"] = Field(description=KIND)
+    type: Literal["grid"] = Field(init=False, description=KIND)
     spacing: Spacing = Field(description="Distance between neighbours, one or per axis. [m]")
     n: Counts | None = Field(None, description="Bodies per axis; default: nearly a cube. [-]")
     origin: Vector = Field((0.0, 0.0, 0.0), description="Centre of the grid, world frame. [m]")
@@ -53,7 +53,7 @@ class GridPlacement(Table):
 class RandomBox(Table):
     """Bodies anywhere in a box, uniformly."""
 
-    type: Literal["random"] = Field(description=KIND)
+    type: Literal["random"] = Field(init=False, description=KIND)
     lower: Vector = Field(description="Lower corner, world frame. [m]")
     upper: Vector = Field(description="Upper corner, world frame. [m]")
 

@@ -180,7 +180,7 @@ class WallTable(Table):
 class PlaneWall(WallTable):
     """A plane; bodies are on the side to which its normal points."""
 
-    type: Literal["plane"] = Field(description=KIND)
+    type: Literal["plane"] = Field(init=False, description=KIND)
     point: Vector = Field(_ORIGIN, description="Any of its points, world frame. [m]")
     normal: _Direction = Field(description="Towards the bodies, of any length. [-]")
 
@@ -188,7 +188,7 @@ class PlaneWall(WallTable):
 class BoxWall(WallTable):
     """A box along the axes of the world, thin faces of which some may be open."""
 
-    type: Literal["box"] = Field(description=KIND)
+    type: Literal["box"] = Field(init=False, description=KIND)
     lower: Vector = Field(description="Lower corner, world frame. [m]")
     upper: Vector = Field(description="Upper corner, world frame. [m]")
     open: Annotated[tuple[_Face, ...], AfterValidator(once)] = Field(
@@ -212,7 +212,7 @@ class BoxWall(WallTable):
 class CylinderWall(WallTable):
     """A cylinder, a thin tube with ends of which some may be open."""
 
-    type: Literal["cylinder"] = Field(description=KIND)
+    type: Literal["cylinder"] = Field(init=False, description=KIND)
     centre: Vector = Field(_ORIGIN, description="Middle of its axis, world frame. [m]")
     axis: _Direction = Field((0.0, 0.0, 1.0), description="Along the axis, of any length. [-]")
     radius: Positive = Field(description="Inner radius. [m]")
@@ -226,7 +226,7 @@ class CylinderWall(WallTable):
 class MeshWall(WallTable):
     """A thin surface of triangles from a file, which trimesh reads."""
 
-    type: Literal["mesh"] = Field(description=KIND)
+    type: Literal["mesh"] = Field(init=False, description=KIND)
     file: Name = Field(description="STL file, relative to the folder of the case. [-]")
     scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
     position: Vector = Field(_ORIGIN, description="Of the file's origin, world frame. [m]")

@@ -166,7 +166,7 @@ class LoadTable(LastingForceTable):
 class PushTable(LoadTable):
     """A force at a point of the body that stays on that point while the body turns."""
 
-    type: Literal["push"] = Field(description=KIND)
+    type: Literal["push"] = Field(init=False, description=KIND)
     at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
     force: _Load = Field(description="Force, constant or by knots. [N]")
     frame: Frame = Field("world", description=_FRAME)
@@ -177,7 +177,7 @@ class PushTable(LoadTable):
 class TorqueTable(LoadTable):
     """A torque."""
 
-    type: Literal["torque"] = Field(description=KIND)
+    type: Literal["torque"] = Field(init=False, description=KIND)
     torque: _Load = Field(description="Torque, constant or by knots. [N m]")
     frame: Frame = Field("world", description=_FRAME)
 
@@ -187,7 +187,7 @@ class TorqueTable(LoadTable):
 class ImpulseTable(ForceTable):
     """A jump of the momenta at one instant: P += J, L += r × J."""
 
-    type: Literal["impulse"] = Field(description=KIND)
+    type: Literal["impulse"] = Field(init=False, description=KIND)
     at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
     impulse: Vector = Field(description="Impulse. [N s]")
     frame: Frame = Field("world", description=_FRAME)
@@ -202,7 +202,7 @@ class ImpulseTable(ForceTable):
 class DragTable(LastingForceTable):
     """Linear drag: F = -c v and τ = -c_r ω."""
 
-    type: Literal["drag"] = Field(description=KIND)
+    type: Literal["drag"] = Field(init=False, description=KIND)
     translation: NonNegative = Field(0.0, description="Coefficient c. [N s/m]")
     rotation: NonNegative = Field(0.0, description="Coefficient c_r. [N m s/rad]")
 
@@ -220,7 +220,7 @@ _Charge = Annotated[
 class SpringTable(LastingForceTable):
     """A spring from a point of the body to the world or another body: F = k (l - l₀) + c dl/dt."""
 
-    type: Literal["spring"] = Field(description=KIND)
+    type: Literal["spring"] = Field(init=False, description=KIND)
     at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
     anchor: Vector | None = Field(
         None, description="The other end, world frame; this, or to or reach. [m]"
@@ -268,7 +268,7 @@ class SpringTable(LastingForceTable):
 class UniformField(LastingForceTable):
     """A uniform field that acts on charges and on a dipole of the body: Σ q E and d × E."""
 
-    type: Literal["field"] = Field(description=KIND)
+    type: Literal["field"] = Field(init=False, description=KIND)
     field: Vector = Field(description="Field E, world frame. [V/m; T for a magnetic dipole]")
     charge: _Charge = Field(
         0.0, description="Charge q of the body, or a list with one per particle. [C]"
@@ -294,7 +294,7 @@ class UniformField(LastingForceTable):
 class CentralTable(LastingForceTable):
     """Attraction by a fixed centre, inverse-square, with its gravity-gradient torque."""
 
-    type: Literal["central"] = Field(description=KIND)
+    type: Literal["central"] = Field(init=False, description=KIND)
     centre: Vector = Field(_ORIGIN, description="Where the centre is, world frame. [m]")
     mu: Positive = Field(description="G times the mass of the centre. [m³/s²]")
 
@@ -302,7 +302,7 @@ class CentralTable(LastingForceTable):
 class MagnusTable(LastingForceTable):
     """Magnus lift of a spinning body: F = c ω × v."""
 
-    type: Literal["magnus"] = Field(description=KIND)
+    type: Literal["magnus"] = Field(init=False, description=KIND)
     coefficient: Real = Field(description="Coefficient c. [kg/rad]")
 
 

@@ -40,9 +40,11 @@ class Complaint(NamedTuple):
     at_key: bool = False
 
 
-def complaints(raw: Any, errors: Sequence[ErrorDetails]) -> list[Complaint]:
-    """All errors of a validation."""
-    return [_complaint(raw, error) for error in errors if not _is_follow_up(error)]
+def complaints(
+    raw: Any, errors: Sequence[ErrorDetails], root: type[Table] = Case
+) -> list[Complaint]:
+    """All errors of a validation of a case, or of one of its tables."""
+    return [_complaint(raw, error, root) for error in errors if not _is_follow_up(error)]
 
 
 def without_typos(found: Sequence[Complaint]) -> list[Complaint]:
@@ -60,21 +62,21 @@ def _is_follow_up(error: ErrorDetails) -> bool:
     return error["type"] == "too_short" and bool(error["input"])
 
 
-def _complaint(raw: Any, error: ErrorDetails) -> Complaint:
+def _complaint(raw: Any, error: ErrorDetails, root: type[Table]) -> Complaint:
     """One error of pydantic."""
-    path = _path_in(raw, error["loc"])
+    path = _path_in(raw, error["loc"], root)
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
     if kind == "extra_forbidden":
-        keys = _table_keys(raw, path[:-1])
+        keys = _table_keys(raw, path[:-1], root)
         return Complaint(path, "unknown key", nearest(str(path[-1]), keys, "keys here"), True)
     if kind == "missing":
-        keys = _table_keys(raw, path[:-1])
+        keys = _table_keys(raw, path[:-1], root)
         return Complaint(path, "missing", f"keys here: {', '.join(keys)}" if keys else "")
     if kind == "rule":
         path = (*path, context["key"]) if context["key"] else path
         return Complaint(path, error["msg"], context["hint"] or forms(path))
     if kind in {"union_tag_invalid", "union_tag_not_found"}:
-        return _type_complaint(raw, path, context)
+        return _type_complaint(path, context, _table_keys(raw, path, root))
     if kind in {"literal_error", "choice"}:
         known = re.findall(r"'([^']*)'", context["expected"])
         hint = forms(path) or nearest(str(value), known)
@@ -92,9 +94,8 @@ def forms(path: Path) -> str:
     return ""
 
 
-def _type_complaint(raw: Any, path: Path, context: dict[str, Any]) -> Complaint:
+def _type_complaint(path: Path, context: dict[str, Any], keys: Sequence[str]) -> Complaint:
     """A `type` that is missing or that no shape, force, placement or wall has."""
-    keys = _table_keys(raw, path)
     if "tag" not in context:
         return Complaint((*path, "type"), "missing", f"known: {', '.join(keys)}")
     known = re.findall(r"'([^']*)'", context["expected_tags"])
@@ -121,12 +122,12 @@ def _described(value: Any) -> str:
     return word if isinstance(value, (list, tuple, dict, type(None))) else f"{word}: {shown(value)}"
 
 
-def _path_in(raw: Any, loc: tuple[int | str, ...]) -> Path:
+def _path_in(raw: Any, loc: tuple[int | str, ...], root: type[Table]) -> Path:
     """Path in the data: pydantic's location without the tags of unions and invented indices."""
     path: Path = ()
     node, was_tag = raw, False
     for part in loc:
-        is_tag = isinstance(part, str) and not was_tag and len(_types_at(raw, path)) > 1
+        is_tag = isinstance(part, str) and not was_tag and len(_types_at(raw, path, root)) > 1
         was_tag = is_tag
         if is_tag:
             continue
@@ -154,9 +155,10 @@ def _alternatives(annotation: Any) -> list[Any]:
     return _alternatives(parts[0]) if is_list or origin is Annotated else [annotation]
 
 
-def _types_at(raw: Any, path: Path) -> list[Any]:
+def _types_at(raw: Any, path: Path, root: type[Table]) -> list[Any]:
     """Types that the entry at a path may have."""
-    types, node = [Case], raw
+    types: list[Any] = [root]
+    node = raw
     for part in path:
         if isinstance(part, str):
             fields = [t.model_fields[part] for t in _tables(types, node) if part in t.model_fields]
@@ -169,17 +171,17 @@ def _tables(types: Sequence[Any], node: Any) -> list[type[Table]]:
     """Tables among some types; the one that the `type` of the data names, where it names one."""
     found = [one for one in types if isinstance(one, type) and issubclass(one, Table)]
     kind = node.get("type") if isinstance(node, dict) else None
-    return [table for table in found if kind in _names_of(table)] or found
+    return [table for table in found if kind in names_of(table)] or found
 
 
-def _names_of(table: type[Table]) -> tuple[str, ...]:
+def names_of(table: type[Table]) -> tuple[str, ...]:
     """What a table may be called by its `type`; nothing where it has none."""
     return get_args(table.model_fields["type"].annotation) if "type" in table.model_fields else ()
 
 
-def _table_keys(raw: Any, path: Path) -> tuple[str, ...]:
+def _table_keys(raw: Any, path: Path, root: type[Table]) -> tuple[str, ...]:
     """Keys of the table at a path; names of tables where it may be several."""
-    tables = _tables(_types_at(raw, path), reduce(child, path, raw))
-    names = [_names_of(table)[0] for table in tables if _names_of(table)]
+    tables = _tables(_types_at(raw, path, root), reduce(child, path, raw))
+    names = [names_of(table)[0] for table in tables if names_of(table)]
     keys = names if len(names) > 1 else [key for table in tables for key in table.model_fields]
     return tuple(keys)

@@ -30,7 +30,7 @@ def overridden(source: Source, overrides: Sequence[str]) -> Source:
         try:
             if not equals or not path:
                 raise LookupError("must have the form key=value, such as run.dt=1e-4")
-            raw = _with_value(raw, path, _toml_value(text.strip()))
+            raw = with_value(raw, path, _toml_value(text.strip()))
         except LookupError as error:
             problems.append(
                 Problem(f"--set {key}", None, None, key_of(path), text, str(error.args[0]))
@@ -50,7 +50,7 @@ def _toml_value(text: str) -> Any:
     return values["value"] if len(values) == 1 else text
 
 
-def _with_value(node: Any, path: Path, value: Any) -> Any:
+def with_value(node: Any, path: Path, value: Any) -> Any:
     """Copy of nested tables and lists with one entry set; missing tables are made.
 
     Raises
@@ -62,9 +62,9 @@ def _with_value(node: Any, path: Path, value: Any) -> Any:
         return value
     head, rest = path[0], path[1:]
     if isinstance(node, Mapping):
-        return {**node, str(head): _with_value(node.get(str(head), {}), rest, value)}
+        return {**node, str(head): with_value(node.get(str(head), {}), rest, value)}
     if not isinstance(node, list):
         raise LookupError(f"there is no {shown(head)} in {shown(node)}")
     if not isinstance(head, int) or head >= len(node):
         raise LookupError(f"there is no entry {shown(head)}: there are {len(node)}, from 0")
-    return [*node[:head], _with_value(node[head], rest, value), *node[head + 1 :]]
+    return [*node[:head], with_value(node[head], rest, value), *node[head + 1 :]]

@@ -81,7 +81,8 @@ def load(
             raw = plain(source)
         except RecursionError:
             raise CaseError([file_problem(None, "is nested too deeply")]) from None
-        return build(Source(raw=raw, files=Files(FilePath())), overrides)
+        files = getattr(source, "files", None) or Files(FilePath())  # those of a scene
+        return build(Source(raw=raw, files=files), overrides)
     if not isinstance(source, (str, PathLike)):
         kinds = "a path, the name of an example, a mapping or a Case"
         raise TypeError(f"a case must be {kinds}, got {type(source).__name__}")

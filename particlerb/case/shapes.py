@@ -74,7 +74,7 @@ class CurvedTable(FilledTable):
 class Box(FilledTable):
     """Solid box."""
 
-    type: Literal["box"] = Field(description=KIND)
+    type: Literal["box"] = Field(init=False, description=KIND)
     size: Lengths = Field(description="Edge lengths. [m]")
     n: Resolution = Field((10, 10, 10), description="Particles per edge. [-]")
     arrangement: _Arrangement = Field("lattice", description=_ARRANGEMENT)
@@ -84,7 +84,7 @@ class Ball(FilledTable):
     """Solid ball, a single particle with its radius unless cells fill it; also called a sphere."""
 
     type: Annotated[Literal["ball", "sphere"], AfterValidator(lambda word: "ball")] = Field(
-        description=KIND
+        init=False, description=KIND
     )
     radius: Positive = Field(description="Radius, of its matter and of its surface. [m]")
     n: Count = Field(10, description=_ACROSS)
@@ -106,7 +106,7 @@ def filling(ball: Mapping[str, Any]) -> Any:
 class Shell(CurvedTable):
     """Hollow ball; without `inner_radius` an infinitely thin one, which has no density."""
 
-    type: Literal["shell"] = Field(description=KIND)
+    type: Literal["shell"] = Field(init=False, description=KIND)
     radius: Positive = Field(description="Outer radius. [m]")
     inner_radius: Positive | None = Field(
         None, description="Inner radius; left out: a thin shell. [m]"
@@ -126,7 +126,7 @@ class Shell(CurvedTable):
 class Cylinder(CurvedTable):
     """Solid or hollow cylinder about z."""
 
-    type: Literal["cylinder"] = Field(description=KIND)
+    type: Literal["cylinder"] = Field(init=False, description=KIND)
     radius: Positive = Field(description="Outer radius. [m]")
     height: Positive = Field(description="Height along z. [m]")
     inner_radius: NonNegative = Field(0.0, description="Radius of the bore. [m]")
@@ -141,7 +141,7 @@ class Cylinder(CurvedTable):
 class Cone(CurvedTable):
     """Solid cone about z, base at z = 0, apex at z = height."""
 
-    type: Literal["cone"] = Field(description=KIND)
+    type: Literal["cone"] = Field(init=False, description=KIND)
     radius: Positive = Field(description="Radius of the base. [m]")
     height: Positive = Field(description="Height along z. [m]")
 
@@ -149,7 +149,7 @@ class Cone(CurvedTable):
 class Torus(CurvedTable):
     """Solid torus about z."""
 
-    type: Literal["torus"] = Field(description=KIND)
+    type: Literal["torus"] = Field(init=False, description=KIND)
     major_radius: Positive = Field(description="Distance of the tube's centre from the axis. [m]")
     minor_radius: Positive = Field(description="Radius of the tube. [m]")
 
@@ -167,7 +167,7 @@ class Torus(CurvedTable):
 class Ellipsoid(FilledTable):
     """Solid ellipsoid."""
 
-    type: Literal["ellipsoid"] = Field(description=KIND)
+    type: Literal["ellipsoid"] = Field(init=False, description=KIND)
     semi_axes: Lengths = Field(description="Half of the lengths along x, y, z. [m]")
     n: Count = Field(10, description=_ACROSS)
     arrangement: _RoundArrangement = Field("lattice", description=_ROUND)
@@ -176,7 +176,7 @@ class Ellipsoid(FilledTable):
 class Tetrahedron(ShapeTable):
     """Solid tetrahedron."""
 
-    type: Literal["tetrahedron"] = Field(description=KIND)
+    type: Literal["tetrahedron"] = Field(init=False, description=KIND)
     vertices: Vertices = Field(description="The four corners. [m]")
     n: Count = Field(10, description="Particles per edge. [-]")
     arrangement: _Arrangement = Field("lattice", description=_ARRANGEMENT)
@@ -186,7 +186,7 @@ class Rod(FilledTable):
     """Thin straight rod along z: it has no volume, hence no density."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
-    type: Literal["rod"] = Field(description=KIND)
+    type: Literal["rod"] = Field(init=False, description=KIND)
     length: Positive = Field(description="Length along z. [m]")
     n: Count = Field(10, description="Particles along the rod. [-]")
     arrangement: _Arrangement = Field("lattice", description=_ARRANGEMENT)
@@ -260,7 +260,7 @@ class PointsShape(ListedTable):
     noun: ClassVar[str] = "particles"
     lists: ClassVar[tuple[str, ...]] = ("mass", "radius")
     weighed_by: ClassVar[tuple[str, ...]] = ()
-    type: Literal["points"] = Field(description=KIND)
+    type: Literal["points"] = Field(init=False, description=KIND)
     file: Name | None = Field(
         None, description="Text or CSV file with columns x, y, z, m and optionally r. [m, kg]"
     )
@@ -292,7 +292,7 @@ class SpheresShape(ListedTable):
 
     noun: ClassVar[str] = "spheres"
     lists: ClassVar[tuple[str, ...]] = ("radius",)
-    type: Literal["spheres"] = Field(description=KIND)
+    type: Literal["spheres"] = Field(init=False, description=KIND)
     file: Name | None = Field(
         None, description="Text or CSV file with columns x, y, z, r. [m / scale]"
     )
@@ -311,7 +311,7 @@ class SpheresShape(ListedTable):
 class MeshShape(FilledTable):
     """Uniform matter inside a closed surface of triangles from a file, which trimesh reads."""
 
-    type: Literal["mesh"] = Field(description=KIND)
+    type: Literal["mesh"] = Field(init=False, description=KIND)
     file: Name = Field(description="STL, OBJ or PLY file, relative to the folder of the case. [-]")
     scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
     arrangement: Literal["exact", "cells", "spheres"] = Field(
@@ -324,7 +324,7 @@ class Moments(ShapeTable):
     """Six equal particles with exactly these principal moments about the body's axes."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
-    type: Literal["moments"] = Field(description=KIND)
+    type: Literal["moments"] = Field(init=False, description=KIND)
     inertia: Annotated[tuple[NonNegative, NonNegative, NonNegative], entries(3)] = Field(
         description="Moments about x, y, z; none above the sum of the others. [kg m²]"
     )
@@ -334,7 +334,7 @@ class Cloud(ShapeTable):
     """Equal particles at random in a ball, drawn anew for every body."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
-    type: Literal["cloud"] = Field(description=KIND)
+    type: Literal["cloud"] = Field(init=False, description=KIND)
     n: Count = Field(description="Number of particles. [-]")
     radius: Positive = Field(description="Radius of the ball. [m]")
 

@@ -6,7 +6,7 @@ type here, so that the schema reads like the format. Field descriptions end with
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Any, Literal, TypeAlias, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,23 @@ LARGEST_COUNT = 2**31 - 1
 _SHORTEST = 1e-300  # [s] between two knots: its inverse is finite
 
 
-class Table(BaseModel):
+if TYPE_CHECKING:
+    _Made = BaseModel  # whose classes know their keys
+else:
+
+    class _Making(type(BaseModel)):
+        """Classes of tables that Python code makes: from arrays too, with the words of a case."""
+
+        def __call__(cls, **keys):
+            from particlerb.case.records import record_of
+
+            return record_of(cls, keys)
+
+    class _Made(BaseModel, metaclass=_Making):
+        """What such a class makes."""
+
+
+class Table(_Made):
     """A table of the case: frozen, unknown keys are errors, every number is finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -78,8 +94,10 @@ def _repeated(value: Any) -> Any:
 
 
 def alone(value: Any) -> Any:
-    """List with one name where a name is given."""
-    return (value,) if isinstance(value, str) else value
+    """List with one name where a name is given; for a table that has a name, this."""
+    values = value if isinstance(value, (list, tuple)) else (value,)
+    names = tuple(getattr(one, "name", one) for one in values)
+    return names if all(isinstance(name, str) for name in names) else value
 
 
 def rows(width: int) -> PlainValidator:
@@ -154,17 +172,18 @@ def _nested_numbers(value: Any) -> Any:
     return number
 
 
-def plain(value: Any, keeps_rows: bool = False) -> Any:
+def plain(value: Any, keeps_rows: bool = False, keeps_tables: bool = False) -> Any:
     """Plain dicts, lists and numbers of what Python callers pass.
 
     Two-dimensional arrays stay where they may be rows for many bodies: in tables without `type`.
     """
     if isinstance(value, BaseModel):
-        return plain(value.model_dump(exclude_unset=True))
+        return value if keeps_tables else plain(value.model_dump(exclude_unset=True))
     if isinstance(value, Mapping):
-        return {str(key): plain(entry, "type" not in value) for key, entry in value.items()}
+        has_rows = "type" not in value
+        return {str(key): plain(entry, has_rows, keeps_tables) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
+        return [plain(entry, keeps_tables=keeps_tables) for entry in value]
     if isinstance(value, np.ndarray) and not (keeps_rows and value.ndim == 2):
         return value.tolist()
     return value.item() if isinstance(value, np.generic) else value

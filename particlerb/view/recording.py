@@ -3,9 +3,8 @@
 import copy
 from typing import Any, Final
 
-import tomlkit
-
 import particlerb
+from particlerb.case.text import toml_text
 from particlerb.view.session import Session
 
 _NEAREST: Final = 80  # characters of a title that is quoted
@@ -34,13 +33,8 @@ def recorded(session: Session) -> str:
     if not raw["force"]:
         del raw["force"]
     title = raw.pop("title", "") or "a case without a title"
-    document = tomlkit.document()
-    for line in header(session, t_end):
-        document.add(tomlkit.comment(line) if line else tomlkit.nl())
-    document.add("title", tomlkit.item(f"Session: {title[:_NEAREST]}"))
-    for key in ("run", *(key for key in raw if key != "run")):
-        document.add(key, tomlkit.item(raw[key]))
-    return tomlkit.dumps(document)
+    raw["title"] = f"Session: {title[:_NEAREST]}"
+    return toml_text(raw, header(session, t_end))
 
 
 def header(session: Session, t_end: float) -> list[str]:

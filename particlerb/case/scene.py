@@ -1,0 +1,143 @@
+"""Scenes that Python code puts together: the tables of a case, under the names that these have.
+
+A scene is a mapping with the keys of a case file, so whatever takes a case takes a scene.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+
+from particlerb.case.bodies import Body
+from particlerb.case.contact import AnyWall, ContactTable, Material
+from particlerb.case.forces import AnyForce
+from particlerb.case.joints import JointTable
+from particlerb.case.output import ChartTable, Check, Output
+from particlerb.case.reader import load
+from particlerb.case.run import AttractionTable, Gravity, RunTable
+from particlerb.case.schema import Case
+from particlerb.case.text import toml_text
+from particlerb.case.values import Table, plain
+from particlerb.files import Files
+
+_Keys = ParamSpec("_Keys")
+_Record = TypeVar("_Record", bound=Table)
+_LISTS = ("body", "force", "joint", "material", "wall")
+
+
+def _adds(
+    table: Callable[_Keys, _Record], to: str
+) -> Callable[Concatenate["Scene", _Keys], _Record]:
+    """Method that makes a table from its keys and appends it to a list of the scene."""
+
+    def add(scene: "Scene", /, *args: _Keys.args, **keys: _Keys.kwargs) -> _Record:
+        record = table(*args, **keys)
+        getattr(scene, to).append(record)
+        return record
+
+    add.__doc__ = f"Add a [[{to}]] with these keys, see docs/case.md; return it."
+    return add
+
+
+class Scene(Mapping[str, Any]):
+    """Bodies and all that acts on them; `particlerb.run(scene)` runs it.
+
+    Its attributes are the tables of a case: those that there may be many of are lists of records.
+    `add_body`, `add_joint` and `add_material` take the keys that their tables have in a file.
+
+    Parameters
+    ----------
+    run : RunTable
+        How long, how often, by which method.
+    title : str
+    gravity : sequence of 3 floats, optional
+        Acceleration, world frame [m/s²].
+    attraction, contact, output, check, chart : record, optional
+        As the tables of the same names.
+
+    Raises
+    ------
+    CaseError
+        From records and methods, if a key is wrong; what involves several shows when it is run.
+    """
+
+    def __init__(
+        self,
+        run: RunTable,
+        *,
+        title: str = "",
+        gravity: Sequence[float] | None = None,
+        attraction: AttractionTable | None = None,
+        contact: ContactTable | None = None,
+        output: Output | None = None,
+        check: Check | None = None,
+        chart: ChartTable | None = None,
+    ) -> None:
+        self.title, self.run = title, run
+        self.gravity = None if gravity is None else Gravity(acceleration=gravity)
+        self.attraction, self.contact = attraction, contact
+        self.output, self.check, self.chart = output, check, chart
+        self.body: list[Body] = []
+        self.force: list[AnyForce] = []
+        self.joint: list[JointTable] = []
+        self.material: list[Material] = []
+        self.wall: list[AnyWall] = []
+        self.files = Files(Path())
+        """That records name, relative to the working folder."""
+
+    add_body = _adds(Body, "body")
+    add_joint = _adds(JointTable, "joint")
+    add_material = _adds(Material, "material")
+
+    def add_force(self, force: AnyForce) -> AnyForce:
+        """Add a force, such as `Push(body="cube", force=(0, 0, 50))`; return it."""
+        self.force.append(force)
+        return force
+
+    def add_wall(self, wall: AnyWall) -> AnyWall:
+        """Add a wall, such as `PlaneWall(name="floor", normal=(0, 0, 1))`; return it."""
+        self.wall.append(wall)
+        return wall
+
+    @classmethod
+    def from_case(
+        cls, source: str | PathLike[str] | Mapping[str, Any] | Case, overrides: Sequence[str] = ()
+    ) -> Self:
+        """Scene of a case: of a file, of an example by its name, of a dict.
+
+        Raises
+        ------
+        CaseError
+            With all problems of the case.
+        """
+        case = load(source, overrides)
+        self = cls(case.run)
+        for key in case.model_fields_set:
+            value = getattr(case, key)
+            setattr(self, key, list(value) if key in _LISTS else value)
+        self.files = case.source.files
+        return self
+
+    def to_toml(self) -> str:
+        """Text of a case file with the same tables; what was left out stays out."""
+        return toml_text(plain(self))
+
+    def __getitem__(self, key: str) -> Any:
+        """Table, or list of tables, of this name."""
+        value = getattr(self, key) if key in Case.model_fields else None
+        if value is None or (key in _LISTS and not value) or value == "":
+            raise KeyError(key)
+        return value
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the tables that it has."""
+        return (key for key in Case.model_fields if getattr(self, key) not in (None, [], ""))
+
+    def __len__(self) -> int:
+        """Number of tables that it has."""
+        return sum(1 for _ in self)
+
+    def __repr__(self) -> str:
+        """What it holds, in a line."""
+        counts = [f"{len(getattr(self, key))} {key}" for key in _LISTS if getattr(self, key)]
+        return f"<Scene {self.title!r}: {', '.join(counts) or 'empty'}>"

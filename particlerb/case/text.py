@@ -1,0 +1,31 @@
+"""Text of a case file from its data."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import tomlkit
+
+
+def toml_text(raw: Mapping[str, Any], comments: Iterable[str] = ()) -> str:
+    """Text of a case, with comments above it.
+
+    Every number has as many digits as bring back the same float.
+    """
+    document = tomlkit.document()
+    for line in comments:
+        document.add(tomlkit.comment(line) if line else tomlkit.nl())
+    given = _without_none(raw)
+    first = [key for key in ("title", "run") if key in given]
+    for key in (*first, *(key for key in given if key not in first)):
+        document.add(key, tomlkit.item(given[key]))
+    return tomlkit.dumps(document)
+
+
+def _without_none(value: Any) -> Any:
+    """Data as TOML has them: rows as lists, and nothing for what is None."""
+    if isinstance(value, Mapping):
+        return {k: _without_none(entry) for k, entry in value.items() if entry is not None}
+    if isinstance(value, list):
+        return [_without_none(entry) for entry in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value

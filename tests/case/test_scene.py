@@ -1,0 +1,142 @@
+"""Scenes in Python: the same tables, defaults and words as in case files, and back again."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from particlerb import CaseError, Scene
+from particlerb.case.reader import load
+from particlerb.tables import (
+    Ball,
+    Body,
+    Box,
+    ContactTable,
+    PlaneWall,
+    PushTable,
+    RunTable,
+    ShapePart,
+    SpringTable,
+)
+
+CASES = sorted((Path(__file__).parents[2] / "cases").glob("*.toml"))
+
+
+def pushed_cubes() -> Scene:
+    """Two cubes on a floor; both are pushed."""
+    scene = Scene(RunTable(t_end=1.0, every=0.5), title="Cubes", gravity=np.array([0, 0, -9.81]))
+    cube = scene.add_body(
+        name="cube",
+        shape=Box(size=np.ones(3), n=4),
+        mass=np.float64(2.0),
+        count=2,
+        position=np.array([[0.0, 0.0, 0.5], [3.0, 0.0, 0.5]]),
+    )
+    scene.add_force(PushTable(body=cube, force=(0, 0, 5), during=(0, 0.2)))
+    return scene
+
+
+def text_of(source) -> str:
+    """All keys of a case, defaults too."""
+    return load(source).model_dump_json()
+
+
+TEXT = """title = "Cubes"
+
+[run]
+t_end = 1.0
+every = 0.5
+
+[gravity]
+acceleration = [0.0, 0.0, -9.81]
+
+[[body]]
+name = "cube"
+mass = 2.0
+count = 2
+position = [[0.0, 0.0, 0.5], [3.0, 0.0, 0.5]]
+
+[body.shape]
+type = "box"
+size = [1.0, 1.0, 1.0]
+n = [4, 4, 4]
+
+[[force]]
+type = "push"
+body = ["cube"]
+during = [0.0, 0.2]
+force = [0.0, 0.0, 5.0]
+"""
+
+
+def test_a_scene_has_the_text_of_its_case():
+    assert pushed_cubes().to_toml() == TEXT
+    assert text_of(pushed_cubes()) == text_of(tomllib.loads(TEXT))
+
+
+@pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
+def test_every_case_becomes_a_scene_and_a_text_again(path):
+    case, scene = load(path), Scene.from_case(path)
+    assert text_of(scene) == text_of(case)
+    again = Scene.from_case(
+        tomllib.loads(scene.to_toml()) if not case.source.files.contents else scene
+    )
+    assert text_of(again) == text_of(case)
+
+
+def test_bodies_stand_for_their_names():
+    ball = Body(name="ball", shape=Ball(radius=0.1), mass=1.0)
+    spring = SpringTable(body=ball, to=[ball, "other[1]"], stiffness=1.0)
+    assert (spring.body, spring.to) == (("ball",), ("ball", "other[1]"))
+
+
+def test_parts_and_tables_within_tables_are_kept():
+    scene = pushed_cubes()
+    part = ShapePart(shape=Ball(radius=0.1), mass=1.0)
+    scene.add_body(name="two", part=[part, part.model_copy(update={"position": (1.0, 0.0, 0.0)})])
+    scene.contact = ContactTable(stiffness=1e4)
+    scene.add_wall(PlaneWall(name="floor", normal=(0, 0, 1)))
+    case = load(scene)
+    assert [len(body.part) for body in case.body] == [0, 2]
+    assert case.body[1].part[1].position == (1.0, 0.0, 0.0)
+    assert (case.contact.stiffness, case.wall[0].type) == (1e4, "plane")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Box(sice=3), ["Box: error: sice: unknown key", 'did you mean "size"?']),
+        (lambda: Box(size=[1, 2]), ["Box: error: size: must have 3 entries, has 2"]),
+        (lambda: Box(size=[1, -1, 2]), ["size[1]: must be > 0, got -1"]),
+        (lambda: Body(name="x", shape={"type": "bax"}), ["type: unknown type 'bax'", '"box"']),
+        (lambda: Body(shape=3), ["name: missing", "shape: must be a table"]),
+        (lambda: PushTable(body="x", force=[np.nan, 0, 0]), ["force[0]: must be finite"]),
+        (lambda: PushTable(type="torque", body="x", force=[1, 0, 0]), ["type: unknown: 'torque'"]),
+        (
+            lambda: Body(name="x", position=np.zeros((2, 2))),
+            ["position: must be rows of 3 numbers"],
+        ),
+    ],
+)
+def test_a_wrong_key_is_refused_with_the_words_of_a_case(make, words):
+    with pytest.raises(CaseError) as found:
+        make()
+    for word in words:
+        assert word in str(found.value)
+
+
+def test_what_involves_several_tables_shows_when_the_scene_is_read():
+    scene = pushed_cubes()
+    scene.add_force(PushTable(body="cub", force=(0, 0, 1)))
+    with pytest.raises(CaseError, match=r"force\[1\].body"):
+        load(scene)
+
+
+def test_a_scene_says_what_it_holds():
+    scene = pushed_cubes()
+    assert repr(scene) == "<Scene 'Cubes': 1 body, 1 force>"
+    assert list(scene) == ["title", "run", "gravity", "body", "force"]
+    assert len(scene) == 5
+    with pytest.raises(KeyError):
+        scene["wall"]
