@@ -1,7 +1,8 @@
 """Many rigid bodies built from mass particles: closed-form free motion, Numba kernels, HDF5.
 
 `run(case)` integrates a case and returns its `Trajectory`; `open(path)` reads one back, and
-`resume(path)` goes on with a run that was stopped or is to be prolonged.
+`resume(path)` goes on with a run that was stopped or is to be prolonged. `Scene` is a case that is
+put together in Python, from the tables of `particlerb.tables`; `Simulation` moves it by hand.
 """
 
 from importlib import import_module
@@ -9,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from particlerb.case.problems import CaseError
+    from particlerb.case.scene import Scene
     from particlerb.case.schema import Case
     from particlerb.record.trajectory import Trajectory, TrajectoryError
     from particlerb.record.trajectory import open_trajectory as open
     from particlerb.simulation.entry import resume, run
     from particlerb.simulation.resume import ResumeError
     from particlerb.simulation.run import RunError
+    from particlerb.simulation.simulation import Simulation
 
 __version__ = "0.1.0"
 __all__ = [
@@ -22,6 +25,8 @@ __all__ = [
     "CaseError",
     "ResumeError",
     "RunError",
+    "Scene",
+    "Simulation",
     "Trajectory",
     "TrajectoryError",
     "__version__",
@@ -36,6 +41,8 @@ HOMES = {
     "CaseError": ("particlerb.case.problems", "CaseError"),
     "ResumeError": ("particlerb.simulation.resume", "ResumeError"),
     "RunError": ("particlerb.simulation.run", "RunError"),
+    "Scene": ("particlerb.case.scene", "Scene"),
+    "Simulation": ("particlerb.simulation.simulation", "Simulation"),
     "Trajectory": ("particlerb.record.trajectory", "Trajectory"),
     "TrajectoryError": ("particlerb.record.trajectory", "TrajectoryError"),
     "joint_loads": ("particlerb.simulation.joint_loads", "joint_loads"),

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from particlerb.case.coarse_lattice import coarse
 from particlerb.case.problems import CaseError
+from particlerb.model.state import State
 from particlerb.model.system import System
 from particlerb.plan.case_forces import impossible, loads_of
 from particlerb.plan.contact_setup import contact_of
@@ -30,7 +31,9 @@ from particlerb.plan.time_step import (
 
 
 def make_plan(
-    system: System, choose: Callable[[GroupPlan], Stepping | None] = lambda group: None
+    system: System,
+    choose: Callable[[GroupPlan], Stepping | None] = lambda group: None,
+    now: tuple[float, State] | None = None,
 ) -> Plan:
     """Plan of a system.
 
@@ -40,6 +43,9 @@ def make_plan(
         Bodies, and all that acts on them.
     choose : callable, optional
         How a group is stepped, in place of what `run` says; None where that stays.
+    now : tuple of float and State, optional
+        Time from which on to plan [s], and the state then; left out, t = 0 and that of the system.
+        Springs, joints and driven bodies are tied as they were at t = 0.
 
     Raises
     ------
@@ -53,8 +59,10 @@ def make_plan(
     if problems:
         raise CaseError(problems)
     touching, joints = contact_of(system), joints_of(system)
+    start, state = now or (0.0, system.state)
+    system = system._replace(state=state)
     grouped = groups_of(system, loads, links, touching, joints)
-    cut = [part for group in grouped for part in cut_into_segments(system, group, touching)]
+    cut = [part for group in grouped for part in cut_into_segments(system, group, touching, start)]
     cut.sort(key=lambda group: int(group.members.min()))
     refuse_method(system, cut)
     stepped = tuple(with_steps(group, step(system, group)) for group in cut)
@@ -67,8 +75,6 @@ def make_plan(
     if any(choice):
         refuse_endless(system, groups)
     refuse_unstable(system, groups)
-    warnings = (
-        *(as_warning(problem) for problem in coarse(system)),
-        *step_warnings(system, groups),
-    )
+    of_shapes = coarse(system) if now is None else ()  # bodies stay what they are
+    warnings = (*map(as_warning, of_shapes), *step_warnings(system, groups))
     return Plan(groups, step_reason(system, groups, choice), warnings)

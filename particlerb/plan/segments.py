@@ -41,7 +41,7 @@ class GroupPlan(NamedTuple):
 
     members: Ints  # (n,) which bodies of the system these are
     bodies: Bodies  # their constants
-    segments: tuple[Segment, ...]  # from 0 to infinity
+    segments: tuple[Segment, ...]  # to infinity
 
     def group(self, segment: Segment) -> Group:
         """What a method needs for one segment."""
@@ -57,16 +57,16 @@ class Plan(NamedTuple):
 
 
 def cut_into_segments(
-    system: System, group: BodyGroup, touching: ContactSetup | None
+    system: System, group: BodyGroup, touching: ContactSetup | None, begin: float
 ) -> list[GroupPlan]:
-    """Segments of a group between the edges of its forces; steps are set later.
+    """Segments of a group from a time on, between the edges of its forces; steps are set later.
 
     Bodies with a closed form part from others where they are not stepped.
     """
-    edges = {0.0}
+    edges = {begin}
     for form in (*(force.form for force in group.forces), *(link.force for link in group.links)):
         edges.update(form.edges)
-    starts = sorted(edges)
+    starts = sorted(edge for edge in edges if edge >= begin)
     members, forces = group.members, group.forces
     bodies = taken(system.bodies, members)
     if touching is not None:
@@ -81,7 +81,7 @@ def cut_into_segments(
             between[key] = terms_between(system, group, bodies, links, touching)
         alone = acting_terms(system, bodies, acting, start)
         terms = between[key]._replace(gravity=alone.gravity, loads=alone.loads)
-        jumps = jumps_at(forces, bodies, start)
+        jumps = jumps_at(forces, bodies, start) if start > begin or begin == 0.0 else ()
         method, is_closed = _chosen_method(system.run.method, bodies, terms)
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, system.run.tolerance))
         closed.append(is_closed)
@@ -92,7 +92,7 @@ def cut_into_segments(
     return [
         part
         for which in parts
-        for part in cut_into_segments(system, part_of(group, which), touching)
+        for part in cut_into_segments(system, part_of(group, which), touching, begin)
     ]
 
 

@@ -26,7 +26,7 @@ _STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
 class GroupRun:
     """One group on its way through its segments."""
 
-    def __init__(self, plan: GroupPlan, state: State) -> None:
+    def __init__(self, plan: GroupPlan, state: State, before: Motion | None = None) -> None:
         self.plan = plan
         self.before = np.zeros(7)  # booked in earlier segments
         self.turnover = 0.0  # [J] gross work of contacts in them
@@ -37,7 +37,7 @@ class GroupRun:
         self.pairs: PairForces | None = None
         self.fit_tree()
         self.pairs = self.pair_forces()
-        self.motion = self.begin(plan.segments[0], state)
+        self.motion = self.begin(plan.segments[0], state, before)
         self.contacts: dict[
             int, ContactOutput
         ] = {}  # in rows of the last `record`, where asked for
@@ -57,7 +57,7 @@ class GroupRun:
             self.before, self.turnover = saved["before"], float(saved["turnover"])
             self.first = State(*np.split(saved["first"], _STATE_SPLITS))
             self.pairs = self.pair_forces()
-            self.motion = self.set_off()
+            self.motion = self.set_off(self.motion)
         self.motion.restore(within("motion", saved))
 
     @property
@@ -109,20 +109,19 @@ class GroupRun:
             self.tree_error = max(self.tree_error, sampled_error(self.tree))
         return energy + energy_of_loads(self.segment.terms, com, q)
 
-    def begin(self, segment: Segment, state: State) -> Motion:
-        """Apply the impulses at the start of a segment and set off."""
+    def begin(self, segment: Segment, state: State, before: Motion | None) -> Motion:
+        """Apply the impulses at the start of a segment and set off, after another motion."""
         for jump in segment.jumps:
             state, booked = apply_impulse(jump, self.plan.bodies, state)
             self.before += booked
         self.first = state
-        return self.set_off()
+        return self.set_off(before)
 
-    def set_off(self) -> Motion:
+    def set_off(self, before: Motion | None = None) -> Motion:
         """Motion of this segment from its first state."""
         segment = self.segment
         method = METHODS[segment.method]
         group = self.plan.group(segment)._replace(terms=self.terms)
-        before = getattr(self, "motion", None)
         return begin(
             method, group, self.first, segment.start, segment.dt, segment.tolerance, before
         )
@@ -140,7 +139,12 @@ class GroupRun:
         self.fit_tree()
         self.pairs = self.pair_forces()
         self.before[0] += self.potential(state.com, state.q)
-        self.motion = self.begin(self.segment, state)
+        self.motion = self.begin(self.segment, state, self.motion)
+
+    def finish(self, time: float) -> tuple[State, Floats]:
+        """State at a time of this segment [s], and (7,) booked until then."""
+        state, booked = self.motion.finish(time)
+        return state, self.before + booked
 
     def turned_over(self) -> float:
         """Gross work of contacts until the last frame [J]."""

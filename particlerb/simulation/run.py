@@ -17,16 +17,14 @@ import numpy as np
 from particlerb.case.to_system import to_case
 from particlerb.compiled.threads import THREADS
 from particlerb.contact.contact_output import ContactOutput
-from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import (
     Frames,
+    State,
     as_frame,
-    quaternion_product,
     room_for,
-    rotate_back,
 )
 from particlerb.model.system import System
 from particlerb.plan.describe import describe
@@ -39,15 +37,13 @@ from particlerb.record.layout import tables_of
 from particlerb.record.memory import Memory
 from particlerb.record.provenance import texts_of
 from particlerb.record.writer import OtherFrameError, Recorder
-from particlerb.rotors.rotor_class import ROD
 from particlerb.simulation.frame_times import Batch, batches
-from particlerb.simulation.group_run import GroupRun, initial_energies, lost, record_all
+from particlerb.simulation.group_run import GroupRun, initial_energies, record_all
+from particlerb.simulation.state_checks import StateChecks
 from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
 
 _FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
-_ROD_ROUNDING = 1e-9  # share of L along a rod that exact drifts may leave
-_ROD_ERROR = 0.2  # that other methods may leave: more is a torque about the axis, or no result
 
 Progress = Callable[[int], object]
 
@@ -113,17 +109,50 @@ class Run:
         initial = as_frame(self.system.bodies, self.system.state)
         self.last = initial.last
         self.room = initial  # used again and again: fresh memory costs more than what fills it
-        self.rod_limit = _rod_limits(plan, len(self.system.kind))
-        self.rods = np.flatnonzero(self.system.bodies.rotor_class == ROD)
+        self.checks = StateChecks(self.system, plan)
         self.travellers = [
             GroupRun(group, taken(self.system.state, group.members)) for group in plan.groups
         ]
         self.counted = counted(plan.groups, self.system.bodies)
         energies = initial_energies(self.travellers, initial)
         self.ledger = EnergyBalance(totals(initial, self.counted, self.gravity, *energies))
+        self.before = np.zeros(7)  # booked before the last restart,
+        self.turned_over_before = 0.0  # and gross work of contacts [J]
 
         self.n_frames = 0  # that lie behind
         self.probes: list[_Probe] = []
+
+    def finish(self, time: float) -> State:
+        """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
+        whole = State(*(np.empty_like(values) for values in self.system.state))
+        for traveller in self.travellers:
+            state, booked = traveller.finish(time)
+            self.before += booked
+            for values, own in zip(whole, state, strict=True):
+                values[:, traveller.plan.members] = own
+        self.turned_over_before += sum(t.turned_over() for t in self.travellers)
+        return whole
+
+    def restart(self, system: System, plan: Plan, state: State, last: Entries) -> None:
+        """Go on from a state, where the run was finished, by another plan.
+
+        What changes the energy and the momenta is booked: `last` are the entries before it.
+        Contacts keep what they kept where their group stays the same.
+        """
+        known = {t.plan.members.tobytes(): t.motion for t in self.travellers}
+        self.system, self.gravity = system, system.acceleration
+        self.checks = StateChecks(system, plan)
+        self.travellers = [
+            GroupRun(group, taken(state, group.members), known.get(group.members.tobytes()))
+            for group in plan.groups
+        ]
+        self.counted = counted(plan.groups, system.bodies)
+        frame = as_frame(system.bodies, state)
+        energies = initial_energies(self.travellers, frame)
+        now = totals(frame, self.counted, self.gravity, *energies)
+        self.before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
+        self.before[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
+        self.before[4:] += (now.angular_momentum - last.angular_momentum)[-1]
 
     def checkpoint(self) -> Saved:
         """All that a run that goes on from here has to know, beside its system."""
@@ -173,72 +202,22 @@ class Run:
         frames = first_rows(self.room, times.size)
         frames.is_frame[:] = is_frame
         booked, energies = record_all(self.travellers, times, frames)
+        booked += self.before
         now = totals(frames, self.counted, self.gravity, *energies)
         sizes = now.kinetic_energy + now.potential_energy + now.momentum_size + now.spin_size
         is_finite = bool(np.isfinite(sizes).all())
-        sound, error = self.sound_frames(times, frames, is_finite)
+        sound, problem = self.checks.sound_frames(times, frames, is_finite, self.travellers)
+        error = RunError(problem) if problem else None
         if sound < times.size:
             frames = first_rows(frames, sound)
             now = totals(frames, self.counted, self.gravity, *(e[:sound] for e in energies))
-        turned_over = sum(t.turned_over() for t in self.travellers)
+        turned_over = self.turned_over_before + sum(t.turned_over() for t in self.travellers)
         return frames, self.ledger.enter(now, booked[:sound], turned_over), error
 
     def touches(self, rows: Ints) -> list[ContactOutput]:
         """Contacts in rows of the last frames; empty where nobody asks."""
         found = [t.contacts for t in self.travellers if t.contacts]
         return [found[0][row] for row in rows.tolist()] if found else []
-
-    def sound_frames(
-        self, times: Floats, frames: Frames, is_finite: bool
-    ) -> tuple[int, RunError | None]:
-        """How many of the frames are states, and what is wrong with the next.
-
-        Where all totals are finite, so are the states; the reverse does not hold, squares overflow.
-        """
-        names = () if is_finite else _FIELDS_OF_STATES
-        for name in names:
-            values = getattr(frames, name)
-            if np.isfinite(values[-1]).all():  # what is not finite stays so
-                continue
-            finite = np.isfinite(values).all(axis=2)
-            f = int(np.argmin(finite.all(axis=1)))
-            if why := lost(self.system, self.travellers):
-                return f, RunError(f"by t = {float(times[f])!r} s {why}")
-            body = self.system.names[int(np.argmin(finite[f]))]
-            return f, RunError(
-                f"{name} of {body} is not finite at t = {float(times[f])!r} s: the step is too"
-                " long for this force, the body met a singular point of it, or a number is too"
-                " large for float64"
-            )
-        rods = self.rods
-        if not self.spinning(rods, frames, -1).size:
-            return times.size, None
-        f = next(k for k in range(times.size) if self.spinning(rods, frames, k).size)
-        name = self.system.names[int(self.spinning(rods, frames, f)[0])]
-        return f, RunError(
-            f"{name} is a rod, and by t = {float(times[f])!r} s a torque has turned it about its"
-            f" own axis, about which it has no inertia: {self.advice_for_rods()}"
-        )
-
-    def advice_for_rods(self) -> str:
-        """What to do where something turns rods about their own axes."""
-        if any(t.segment.terms.contact is not None for t in self.travellers):
-            return (
-                "friction acts on the surface of its spheres, beside the axis; take a shape with"
-                " matter around it, as a box, or friction = 0"
-            )
-        return "apply forces at points of the rod instead"
-
-    def spinning(self, rods: Ints, frames: Frames, f: int) -> Ints:
-        """Those of the rods that have an angular momentum along their axis in frame f."""
-        if not rods.size:
-            return rods
-        q = quaternion_product(
-            frames.orientation[f, rods].T, self.system.bodies.rotor_frame[:, rods]
-        )
-        m = rotate_back(q, frames.angular_momentum[f, rods].T)
-        axial: Ints = rods[np.abs(m[2]) > self.rod_limit[rods] * np.linalg.norm(m, axis=0)]
-        return axial
 
 
 def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
@@ -371,15 +350,6 @@ def identity(prepared: Prepared) -> str:
             found.update(repr((s.start, s.stop, s.method, s.dt, s.tolerance)).encode())
         found.update(group.members.tobytes())
     return found.hexdigest()
-
-
-def _rod_limits(plan: Plan, n_bodies: int) -> Floats:
-    """Share of L along its axis with which each body, were it a rod, is taken to turn about it."""
-    limits = np.full(n_bodies, _ROD_ROUNDING)
-    for group in plan.groups:
-        if not all(METHODS[segment.method].keeps_rods for segment in group.segments):
-            limits[group.members] = _ROD_ERROR
-    return limits
 
 
 def first_rows(frames: Frames, n: int) -> Frames:

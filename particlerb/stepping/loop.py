@@ -38,7 +38,7 @@ from particlerb.model.state import Frames, store_frame
 from particlerb.stepping.pair_forces import PairForces
 
 PAUSE: Final = -1  # a stop without a frame: the host asks for progress and interrupts
-CLOSE: Final = -2  # the end of the segment: make the open kick
+CLOSE: Final = -2  # the end of the motion: make the open kick, behind the last partial step
 _TIME_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of a time that is a sum of steps
 
 
@@ -178,7 +178,7 @@ def advance(
             open_on_grid, kick_on_grid = open_kick, last_kick
             for i in range(begin, steps[s] + 1):
                 is_partial = i == steps[s]
-                if is_partial and frame[s] < 0:
+                if is_partial and frame[s] < 0 and partial[s] == 0.0:
                     break
                 h = partial[s] if is_partial else dt
                 time, before = step_number * dt, _ratio(open_kick, CLOSING_KICK)

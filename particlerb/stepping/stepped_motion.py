@@ -161,9 +161,8 @@ class SteppedMotion(Motion):
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
         elapsed = np.array([stop - self.start])
-        steps, _ = grid_position(elapsed, self.dt, self.start)
         none = room_for(0, 0, np.empty((0, 4)))
-        self.advance(steps, np.zeros(1), np.array([CLOSE]), none)
+        self.advance(*grid_position(elapsed, self.dt, self.start), np.array([CLOSE]), none)
         sums = self.values(BOOKED, 7).sum(axis=1)
         state = State(*(self.values(*rows) for rows in ((COM, 3), (Q, 4), (P, 3), (L, 3))))
         given = self.account.of_state(stop - self.start, state.com, state.q, state.L, sums)

@@ -1,0 +1,310 @@
+"""A scene that is moved by hand: piece by piece, with changes in between.
+
+What is asked for in between changes nothing: in any pieces, a simulation comes to the states of one
+run, bit for bit. A change is an edge: the last step ends there, and a new grid begins.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from particlerb.case.overrides import with_value
+from particlerb.case.problems import CaseError, path_of
+from particlerb.case.reader import build, load
+from particlerb.case.schema import Case
+from particlerb.case.source import problem_at
+from particlerb.case.to_system import to_system, with_records
+from particlerb.case.values import plain
+from particlerb.compiled.threads import THREADS
+from particlerb.files import path_of as file_path_of
+from particlerb.maths.vec3 import Floats
+from particlerb.model.balance import Entries
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, derived, initial_state
+from particlerb.model.system import System
+from particlerb.plan.make_plan import make_plan
+from particlerb.record.layout import tables_of
+from particlerb.record.provenance import texts_of
+from particlerb.record.writer import Recorder
+from particlerb.simulation.accuracy import prepare_accurately
+from particlerb.simulation.frame_times import BATCH_FRAMES, multiples
+from particlerb.simulation.frame_times import frame_times as frames_of
+from particlerb.simulation.run import Run, RunError
+from particlerb.stepping.motion import MotionError
+
+_CHANGEABLE = ("force", "gravity", "attraction", "contact", "wall", "run")
+
+
+class BodyStates(NamedTuple):
+    """All bodies at one time, world frame; views, which the next `advance` writes over."""
+
+    time: float
+    """[s]"""
+    position: Floats
+    """Centres of mass (n, 3) [m]."""
+    orientation: Floats
+    """Unit quaternions (n, 4), scalar first, body frame to world."""
+    linear_momentum: Floats
+    """(n, 3) [kg m/s]"""
+    angular_momentum: Floats
+    """About the centre of mass (n, 3) [kg m²/s]."""
+    bodies: Bodies
+    """Constants."""
+
+    @property
+    def velocity(self) -> Floats:
+        """Of the centres of mass (n, 3) [m/s]."""
+        return self._derived()[0]
+
+    @property
+    def angular_velocity(self) -> Floats:
+        """Of the bodies (n, 3) [rad/s]."""
+        return self._derived()[1]
+
+    def _derived(self) -> tuple[Floats, Floats]:
+        """Velocity and angular velocity."""
+        rows = (self.orientation[None], self.linear_momentum[None], self.angular_momentum[None])
+        velocity, omega = derived(self.bodies, *rows)
+        return velocity[0], omega[0]
+
+
+class Simulation:
+    """Bodies on their way from t = 0 to `run.t_end` of their scene.
+
+    Parameters
+    ----------
+    scene : Scene, path, str, mapping or Case
+        As `particlerb.run` takes it. Its checks are not looked at.
+    output : path, optional
+        File for the frames, one every `run.every`; it cannot be gone on with by `resume`.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    overrides : sequence of str
+        `"run.dt=1e-4"`: set before the scene is checked.
+
+    Raises
+    ------
+    CaseError
+        With all problems of the scene.
+    FileExistsError, OSError
+        Of the file; also from `advance`.
+    """
+
+    def __init__(
+        self,
+        scene: str | PathLike[str] | Mapping[str, Any] | Case,
+        output: str | Path | None = None,
+        *,
+        overwrite: bool = False,
+        overrides: Sequence[str] = (),
+    ) -> None:
+        path = None if output is None else file_path_of(output, "output")
+        prepared = prepare_accurately(to_system(load(scene, overrides)))
+        system = prepared.system
+        self._recorder: Recorder | None = None
+        if path is not None:
+            content = tables_of(system) | texts_of(system, {"plan": prepared.text})
+            self._recorder = Recorder(path, system, content, overwrite)
+        self._run, self._due = Run(prepared), 0  # frame that comes next
+        self._state, self._entries = self._go_to(0.0)
+
+    @property
+    def system(self) -> System:
+        """The scene as it is now."""
+        return self._run.system
+
+    @property
+    def time(self) -> float:
+        """Now [s]."""
+        return self._state.time
+
+    @property
+    def state(self) -> BodyStates:
+        """All bodies now; views, which the next `advance` writes over."""
+        return self._state
+
+    @property
+    def energy(self) -> float:
+        """Kinetic and potential energy now [J]."""
+        return float(self._entries.energy[-1])
+
+    @property
+    def energy_error(self) -> float:
+        """Energy less that at t = 0 and all work since [J]; a change counts as work."""
+        return float(self._entries.energy_error[-1])
+
+    def advance(self, until: float) -> BodyStates:
+        """Go on to a time [s]; the state there.
+
+        Raises
+        ------
+        ValueError
+            If it lies before now, or beyond `run.t_end`.
+        RunError
+            If the motion fails; the frames until then are in the file.
+        """
+        t_end = self.system.run.t_end
+        if not self.time <= until <= t_end:
+            raise ValueError(
+                f"advance(until={until!r}): it is t = {self.time!r} s, and run.t_end = {t_end!r}"
+                " s; a time between them is right"
+            )
+        if until > self.time:
+            self._state, self._entries = self._go_to(until)
+        return self._state
+
+    def frames(self, every: float) -> Iterator[BodyStates]:
+        """States at the multiples of `every` [s] that lie ahead, until `run.t_end`; now first.
+
+        What is changed between two of them acts from the first on.
+        """
+        yield self._state
+        k = int(self.time / every)
+        while (time := float(multiples(every, k, k + 1)[0])) <= self.system.run.t_end:
+            if time > self.time:
+                yield self.advance(time)
+            k += 1
+
+    def change(self, key: str, value: Any) -> None:
+        """Change a key of a force, a wall, gravity, attraction, contact or the run from now on.
+
+        Bodies keep their states, and what changes the energy is booked as work.
+
+        Parameters
+        ----------
+        key : str
+            As in messages: `"force[0].torque"`, `"run.dt"`.
+        value : object
+            As the key takes it in a case.
+
+        Raises
+        ------
+        CaseError
+            If the scene is wrong with it; nothing has changed then.
+        """
+        path, system = path_of(key), self.system
+        if path[:1] == () or path[0] not in _CHANGEABLE or key in ("run.t_end", "run.every"):
+            hint = f"what may: {', '.join(_CHANGEABLE)}"
+            raise CaseError([problem_at(system, key, "cannot change in a simulation", hint)])
+        if system.run.accuracy is not None:
+            hint = "give run.method and run.dt in its place"
+            reason = "was kept for the run that was planned, and holds for no other"
+            raise CaseError([problem_at(system, "run.accuracy", reason, hint)])
+        try:
+            raw = with_value(system.source.raw, path, plain(value))
+        except LookupError as error:
+            raise CaseError([problem_at(system, key, str(error.args[0]))]) from None
+        changed = with_records(system, build(system.source._replace(raw=raw), ()))
+        self._restart(changed, None)
+
+    def set_state(
+        self,
+        *,
+        position: ArrayLike | None = None,
+        orientation: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
+    ) -> None:
+        """Give the bodies other states from now on; what is left out stays.
+
+        Parameters
+        ----------
+        position, velocity, angular_velocity : array_like, shape (n, 3) [m, m/s, rad/s]
+            World frame.
+        orientation : array_like, shape (n, 4)
+            Quaternions, scalar first, body frame to world; they are normalised.
+
+        Raises
+        ------
+        ValueError
+            If a shape is wrong, a number not finite, or if joints hold the bodies.
+        """
+        if self.system.joint:
+            raise ValueError("set_state: joints hold these bodies; a state must fit them")
+        now = self._state
+        given = position, orientation, velocity, angular_velocity
+        known = now.position, now.orientation, now.velocity, now.angular_velocity
+        names = "position", "orientation", "velocity", "angular_velocity"
+        values = []
+        for name, new, old in zip(names, given, known, strict=True):
+            array = np.array(old if new is None else new, dtype=np.float64)
+            if array.shape != old.shape or not np.isfinite(array).all():
+                raise ValueError(f"set_state: {name} must be finite, of shape {old.shape}")
+            values.append(array)
+        if not values[1].any(axis=1).all():
+            raise ValueError("set_state: an orientation of zero is none; no turn is [1, 0, 0, 0]")
+        self._restart(self.system, initial_state(self.system.bodies, *values))
+
+    def close(self) -> None:
+        """End the file, if there is one."""
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.finish()
+
+    def __enter__(self) -> Self:
+        """The simulation itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+        self.close()
+
+    def _restart(self, system: System, state: State | None) -> None:
+        """Go on as another system, from the state of now or another one."""
+        plan = make_plan(system, now=(self.time, state or self._state_now()))
+        with THREADS.using(system.run.threads):
+            reached = self._run.finish(self.time)
+            self._run.restart(system, plan, state or reached, self._entries)
+            self._state, self._entries = self._look(np.array([self.time]), np.zeros(1, np.bool_))
+
+    def _state_now(self) -> State:
+        """State of now, as a system has it at its start."""
+        _, position, orientation, _, _, _ = now = self._state
+        return initial_state(
+            self.system.bodies, position, orientation, now.velocity, now.angular_velocity
+        )
+
+    def _go_to(self, until: float) -> tuple[BodyStates, Entries]:
+        """State and energy balance at a time; frames in between go to the file."""
+        run = self._run.system.run
+        with THREADS.using(run.threads):
+            while True:
+                due = np.zeros(0)
+                if self._recorder is not None:
+                    ahead = frames_of(run)[self._due : self._due + BATCH_FRAMES]
+                    due = ahead[ahead <= until]
+                is_last = due.size < BATCH_FRAMES
+                times = np.union1d(due, [until]) if is_last else due
+                found = self._look(times, np.isin(times, due) | (self._recorder is None))
+                self._due += due.size
+                if is_last:
+                    return found
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in the state
+    def _look(self, times: Floats, is_frame: Any) -> tuple[BodyStates, Entries]:
+        """State and energy balance at the last of some ascending times."""
+        try:
+            frames, entries, error = self._run.frames_at(times, is_frame)
+        except (MotionError, FloatingPointError) as problem:
+            self.close()
+            raise RunError(str(problem)) from None
+        rows = np.flatnonzero(is_frame[: len(frames.position)])
+        if self._recorder is not None and rows.size:
+            touches = self._run.touches(rows)
+            self._recorder.append(times[rows], frames, rows, entries, touches)
+            self._recorder.commit_if_due(None)
+        if error is not None:
+            self.close()
+            raise error
+        x, q, p, L = (values[-1] for values in frames[:4])
+        return BodyStates(float(times[-1]), x, q, p, L, self._run.system.bodies), entries

@@ -1,0 +1,89 @@
+"""Whether frames show states: finite numbers, and rods that do not turn about their own axes."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from particlerb.integrators import METHODS
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.state import Frames, quaternion_product, rotate_back
+from particlerb.model.system import System
+from particlerb.plan.segments import Plan
+from particlerb.rotors.rotor_class import ROD
+from particlerb.simulation.group_run import GroupRun, lost
+
+_FIELDS: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
+_ROD_ROUNDING: Final = 1e-9  # share of L along a rod that exact drifts may leave
+_ROD_ERROR: Final = 0.2  # that others may leave: more is a torque about the axis, or no result
+
+
+class StateChecks:
+    """Looks at the frames of a system that runs by a plan."""
+
+    def __init__(self, system: System, plan: Plan) -> None:
+        self.system = system
+        self.rod_limit = _rod_limits(plan, len(system.kind))
+        self.rods = np.flatnonzero(system.bodies.rotor_class == ROD)
+
+    def sound_frames(
+        self, times: Floats, frames: Frames, is_finite: bool, runs: Sequence[GroupRun]
+    ) -> tuple[int, str]:
+        """How many of the frames are states, and what is wrong with the next; empty: nothing.
+
+        Where all totals are finite, so are the states; the reverse does not hold, squares overflow.
+        """
+        names = () if is_finite else _FIELDS
+        for name in names:
+            values = getattr(frames, name)
+            if np.isfinite(values[-1]).all():  # what is not finite stays so
+                continue
+            finite = np.isfinite(values).all(axis=2)
+            f = int(np.argmin(finite.all(axis=1)))
+            if why := lost(self.system, runs):
+                return f, f"by t = {float(times[f])!r} s {why}"
+            body = self.system.names[int(np.argmin(finite[f]))]
+            return f, (
+                f"{name} of {body} is not finite at t = {float(times[f])!r} s: the step is too"
+                " long for this force, the body met a singular point of it, or a number is too"
+                " large for float64"
+            )
+        rods = self.rods
+        if not self._spinning(rods, frames, -1).size:
+            return times.size, ""
+        f = next(k for k in range(times.size) if self._spinning(rods, frames, k).size)
+        name = self.system.names[int(self._spinning(rods, frames, f)[0])]
+        return f, (
+            f"{name} is a rod, and by t = {float(times[f])!r} s a torque has turned it about its"
+            f" own axis, about which it has no inertia: {_advice_for_rods(runs)}"
+        )
+
+    def _spinning(self, rods: Ints, frames: Frames, f: int) -> Ints:
+        """Those of the rods that have an angular momentum along their axis in frame f."""
+        if not rods.size:
+            return rods
+        q = quaternion_product(
+            frames.orientation[f, rods].T, self.system.bodies.rotor_frame[:, rods]
+        )
+        m = rotate_back(q, frames.angular_momentum[f, rods].T)
+        axial: Ints = rods[np.abs(m[2]) > self.rod_limit[rods] * np.linalg.norm(m, axis=0)]
+        return axial
+
+
+def _advice_for_rods(runs: Sequence[GroupRun]) -> str:
+    """What to do where something turns rods about their own axes."""
+    if any(run.segment.terms.contact is not None for run in runs):
+        return (
+            "friction acts on the surface of its spheres, beside the axis; take a shape with"
+            " matter around it, as a box, or friction = 0"
+        )
+    return "apply forces at points of the rod instead"
+
+
+def _rod_limits(plan: Plan, n_bodies: int) -> Floats:
+    """Share of L along its axis with which each body, were it a rod, is taken to turn about it."""
+    limits = np.full(n_bodies, _ROD_ROUNDING)
+    for group in plan.groups:
+        if not all(METHODS[segment.method].keeps_rods for segment in group.segments):
+            limits[group.members] = _ROD_ERROR
+    return limits

@@ -1,0 +1,163 @@
+"""A simulation that is moved by hand: in any pieces the states of one run; changes are edges."""
+
+import numpy as np
+import pytest
+
+import particlerb
+from particlerb import CaseError, Scene, Simulation
+from particlerb.tables import Ball, Box, ContactTable, PlaneWall, PushTable, RunTable, TorqueTable
+
+STATES = "position", "orientation", "linear_momentum", "angular_momentum"
+TORQUE, PUSH = np.array([0.0, 0.0, 0.1]), np.array([1.0, 0.0, 0.0])
+
+
+def turned_box(**run) -> Scene:
+    """A box with a torque about its axis, which is pushed from 1 s to 3 s."""
+    scene = Scene(RunTable(t_end=10.0, every=1.0, **run))
+    scene.add_body(name="box", shape=Box(size=(1, 1, 2), n=3), mass=2.0)
+    scene.add_force(TorqueTable(body="box", torque=TORQUE))
+    scene.add_force(PushTable(body="box", force=PUSH, during=(1, 3)))
+    return scene
+
+
+def bouncing(**run) -> Scene:
+    """Two rough balls that fall on a floor, turning."""
+    scene = Scene(RunTable(t_end=0.4, every=0.05, **run), gravity=(0, 0, -9.81))
+    scene.add_body(
+        name="ball", shape=Ball(radius=0.1), mass=1.0, count=2,
+        position=[[0, 0, 0.12], [0.5, 0, 0.2]], angular_velocity=(0, 3, 0),
+    )  # fmt: skip
+    scene.contact = ContactTable(stiffness=1e4, restitution=0.5, friction=0.4)
+    scene.add_wall(PlaneWall(name="floor", normal=(0, 0, 1)))
+    return scene
+
+
+SCENES = {
+    "steps": turned_box,
+    "adaptive": lambda: turned_box(method="dop853"),
+    "contact": lambda: bouncing(dt=1e-3),
+    "closed form": lambda: Scene.from_case("dzhanibekov"),
+    "joint": lambda: Scene.from_case("door", ["run.t_end=0.3", "run.every=0.05"]),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_in_any_pieces_it_comes_to_the_states_of_one_run(name, tmp_path):
+    scene = SCENES[name]()
+    scene.check = None
+    straight = particlerb.run(scene, tmp_path / "run.h5")
+    with Simulation(scene, tmp_path / "pieces.h5") as simulation:
+        t_end = scene.run.t_end
+        for time in np.sort(np.random.default_rng(3).uniform(0.0, t_end, 9)):
+            simulation.advance(time)
+        state = simulation.advance(t_end)
+        assert np.array_equal(state.position, straight.position[-1])
+        assert state.velocity == pytest.approx(straight.velocity[-1], rel=1e-15)
+        assert state.angular_velocity == pytest.approx(straight.angular_velocity[-1], rel=1e-13)
+    with particlerb.open(tmp_path / "pieces.h5") as pieces:
+        for field in (*STATES, "time", "energy"):
+            assert np.array_equal(getattr(pieces, field), getattr(straight, field)), field
+
+
+def test_frames_are_given_at_multiples_of_a_time():
+    simulation = Simulation(turned_box())
+    simulation.advance(0.25)
+    times = [state.time for state in simulation.frames(every=0.1)]
+    assert times == [0.25, *(k / 10 for k in range(3, 101))]
+
+
+@pytest.mark.parametrize("at", [2.0, 2.345, 3.0])
+def test_a_changed_load_acts_from_now_on(at):
+    """The momenta are the integrals of the loads, whatever the step."""
+    simulation = Simulation(turned_box(dt=0.01))
+    simulation.advance(at)
+    simulation.change("force[0].torque", -2.0 * TORQUE)
+    simulation.change("force[1].force", [0.0, 4.0, 0.0])
+    assert simulation.time == at
+    assert abs(simulation.energy_error) < 1e-15
+    state = simulation.advance(5.0)
+    L = TORQUE * (at - 2.0 * (5.0 - at))
+    assert state.angular_momentum[0] == pytest.approx(L, abs=1e-14)
+    p = [at - 1.0, 4.0 * (3.0 - at), 0.0]
+    assert state.linear_momentum[0] == pytest.approx(p, abs=1e-14)
+    assert abs(simulation.energy_error) < 1e-12
+
+
+def test_a_change_that_changes_nothing_is_an_edge_and_no_more():
+    """The kick that the edge cuts in two is evaluated twice: an error of the method's order."""
+    changed, straight = (Simulation(bouncing(dt=5e-4)) for _ in range(2))
+    changed.advance(0.2)
+    changed.change("contact.friction", 0.4)
+    one, other = changed.advance(0.4), straight.advance(0.4)
+    assert one.position == pytest.approx(other.position, abs=1e-9)
+    assert one.angular_momentum == pytest.approx(other.angular_momentum, abs=1e-9)
+
+
+def test_contacts_keep_their_springs_through_a_change():
+    """A block of four balls on a slope stays where friction holds it: it slips by nothing."""
+    scene = Scene(RunTable(t_end=0.5, every=0.1, dt=5e-4), gravity=(2.0, 0.0, -9.81))
+    scene.add_body(
+        name="raft", position=(0, 0, 0.1),
+        part=[{"shape": Ball(radius=0.1), "mass": 0.25, "position": (x, y, 0.0)}
+              for x in (-0.2, 0.2) for y in (-0.2, 0.2)],
+    )  # fmt: skip
+    scene.contact = ContactTable(stiffness=1e4, restitution=0.2, friction=0.8)
+    scene.add_wall(PlaneWall(name="floor", normal=(0, 0, 1)))
+    simulation = Simulation(scene)
+    simulation.advance(0.4)
+    before = simulation.state.position.copy()
+    for k in range(10):
+        simulation.change("gravity.acceleration", (2.0, 0.0, -9.81 - 1e-9 * k))
+        simulation.advance(0.4 + 0.01 * (k + 1))
+    assert np.abs(simulation.state.position - before).max() < 1e-7
+
+
+def test_a_new_state_is_booked_as_work_and_goes_on_from_there():
+    simulation = Simulation(turned_box(dt=0.01))
+    simulation.advance(4.0)
+    before = simulation.state.position.copy()
+    simulation.set_state(velocity=[[0.0, 0.0, 3.0]])
+    assert np.array_equal(simulation.state.velocity, [[0.0, 0.0, 3.0]])
+    assert np.array_equal(simulation.state.position, before)
+    assert abs(simulation.energy_error) < 1e-14
+    state = simulation.advance(6.0)
+    assert state.position[0] == pytest.approx(before[0] + [0.0, 0.0, 6.0], abs=1e-14)
+    simulation.set_state(orientation=[[0.0, 0.0, 0.0, 2.0]])
+    assert np.array_equal(np.abs(simulation.state.orientation), [[0.0, 0.0, 0.0, 1.0]])
+
+
+def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
+    simulation = Simulation(turned_box())
+    simulation.advance(2.0)
+    with pytest.raises(ValueError, match=r"it is t = 2\.0 s, and run\.t_end = 10\.0 s"):
+        simulation.advance(1.0)
+    with pytest.raises(ValueError, match="between"):
+        simulation.advance(11.0)
+    for key, value, words in [
+        ("body[0].mass", 3.0, "cannot change in a simulation"),
+        ("run.t_end", 3.0, "cannot change in a simulation"),
+        ("force[0].torque", 3.0, "must be a list of 3 numbers"),
+        ("force[7].torque", [0, 0, 1], "there is no entry 7"),
+        ("run.method", "exact", "exact does not accept"),
+    ]:
+        with pytest.raises(CaseError, match=words):
+            simulation.change(key, value)
+    with pytest.raises(ValueError, match="position must be finite, of shape"):
+        simulation.set_state(position=[1, 2, 3])
+    with pytest.raises(ValueError, match="orientation of zero"):
+        simulation.set_state(orientation=[[0, 0, 0, 0]])
+    state = simulation.advance(10.0)
+    assert np.array_equal(state.position, particlerb.run(turned_box()).position[-1])
+    with pytest.raises(ValueError, match="joints hold"):
+        Simulation(SCENES["joint"]()).set_state(velocity=[[0, 0, 0]])
+
+
+def test_its_file_says_that_it_cannot_be_resumed(tmp_path):
+    with Simulation(turned_box(), tmp_path / "a.h5") as simulation:
+        simulation.advance(5.0)
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        assert trajectory.time.tolist() == [0, 1, 2, 3, 4, 5]
+    with pytest.raises(particlerb.ResumeError, match="cannot go on"):
+        particlerb.resume(tmp_path / "a.h5")
+    with pytest.raises(FileExistsError):
+        Simulation(turned_box(), tmp_path / "a.h5")
