@@ -38,7 +38,17 @@ def body(name: str = "body", inertia: Sequence[float] = (1.0, 2.0, 2.5), **keys)
 
 def case(*bodies: dict, force: Sequence[dict] = (), t_end=1.0, every=0.1, **keys) -> dict:
     """Case; keys that are not tables go to [run]."""
-    names = ("gravity", "attraction", "contact", "material", "wall", "output", "check", "title")
+    names = (
+        "gravity",
+        "attraction",
+        "contact",
+        "material",
+        "wall",
+        "joint",
+        "output",
+        "check",
+        "title",
+    )
     tables = {k: keys.pop(k) for k in names if k in keys}
     run = {"t_end": t_end, "every": every} | keys
     return {"run": run, "body": list(bodies), "force": list(force)} | tables

@@ -15,7 +15,12 @@ PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 LINES_OF_CODE = 26219
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
-BUDGETS = {"closed forms under force": 950, "joints": 1500, "tables of forces": 232}
+BUDGETS = {
+    "closed forms under force": 950,
+    "joints": 1500,
+    "what users see of joints": 416,
+    "tables of forces": 232,
+}
 BUDGETS |= {"vectors of 512 bits": 45, "opening angle fitted to a scene": 95}
 BUDGETS |= {"scenes in Python": 361}
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""

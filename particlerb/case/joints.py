@@ -13,6 +13,7 @@ from particlerb.case.values import Name, Names, Table, Vector, broken, forms
 JointType = Literal[
     "ball", "hinge", "slider", "universal", "cylindrical", "planar", "fixed", "distance"
 ]
+TYPES_WITH_COORDINATES = ("hinge", "slider", "universal", "cylindrical", "planar")
 _WITHOUT_AXIS = ("ball", "fixed", "distance")
 
 

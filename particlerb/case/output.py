@@ -20,8 +20,17 @@ _FRAME = "Axes of the vector: world or body. [-]"
 FIELDS = ("position", "orientation", "linear_momentum", "angular_momentum")
 _OF_BODIES = (*FIELDS, "velocity", "angular_velocity")
 FIELDS_OF_WALLS = ("wall_force", "wall_torque", "wall_position", "wall_velocity")
+FIELDS_OF_JOINTS = (
+    "joint_force",
+    "joint_torque",
+    "joint_force_determined",
+    "joint_torque_determined",
+    "joint_misfit",
+    "joint_rate",
+    "joint_coordinate",
+)
 FIELDS_OF_CONTACT = ("contacts", "contact_number", "contact_overlap", *FIELDS_OF_WALLS)
-_FieldName = Annotated[str, one_of(*_OF_BODIES, *FIELDS_OF_CONTACT)]
+_FieldName = Annotated[str, one_of(*_OF_BODIES, *FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS)]
 _Quantity = Annotated[str, one_of(*_OF_BODIES, "kinetic_energy", "inertia")]
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from particlerb.case.body_rules import body_rules, file_rules, held_rules, many_bodies, shapes
 from particlerb.case.forces import FORCES, ForceTable
-from particlerb.case.joints import joint_rules
-from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_WALLS
+from particlerb.case.joints import TYPES_WITH_COORDINATES, joint_rules
+from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_JOINTS, FIELDS_OF_WALLS
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import (
     Finding,
@@ -173,7 +173,7 @@ def _contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
-    """What is to be recorded of contacts and walls is there."""
+    """What is to be recorded of contacts, walls and joints is there."""
     output = raw.get("output")
     fields = output.get("fields") if isinstance(output, dict) else None
     for i, name in enumerate(fields if isinstance(fields, list) else []):
@@ -182,6 +182,12 @@ def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
             yield path, f"there is no {name} without [contact]", "add [contact], or leave it out"
         elif name in FIELDS_OF_WALLS and not tables(raw, "wall"):
             yield path, f"there is no {name} without a [[wall]]", "leave it out"
+        elif name in FIELDS_OF_JOINTS and not tables(raw, "joint"):
+            yield path, f"there is no {name} without a [[joint]]", "leave it out"
+        elif name == "joint_coordinate" and not any(
+            joint.get("type") in TYPES_WITH_COORDINATES for _, joint in tables(raw, "joint")
+        ):
+            yield path, "no joint here has a coordinate", "leave it out"
 
 
 def material(path: Path, name: Any, known: list[str]) -> Iterator[Finding]:

@@ -64,14 +64,14 @@ def _this_machine() -> dict[str, Any]:
 def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
     """What can be said in a line."""
     case = trajectory.parameter("case_resolved")
-    has_contacts = CONTACTS in trajectory.contact_fields
+    has_contacts = CONTACTS in trajectory.other_fields
     return {
         "title": case.get("title", "") if isinstance(case, dict) else "",
         "schema": ".".join(map(str, trajectory.schema)),
         "bodies": trajectory.n_bodies,
         "frames": trajectory.n_frames,
         "time": [float(t) for t in trajectory.time[[0, -1]]] if trajectory.n_frames else [],
-        "fields": trajectory.fields + trajectory.contact_fields,
+        "fields": trajectory.fields + trajectory.other_fields,
         **({"contacts": trajectory.n_contacts} if has_contacts else {}),
         "files": trajectory.file_names,
         "size": Path(trajectory.file.filename).stat().st_size,
@@ -115,7 +115,7 @@ def plot_command(options: argparse.Namespace) -> int:
         path = Path(options.output or Path(options.file).with_suffix(".png"))
         to_write(path, options.overwrite, Path(options.file))
         names = list(trajectory.names)
-        recorded = [*trajectory.fields, *trajectory.contact_fields]
+        recorded = [*trajectory.fields, *trajectory.other_fields]
         wanted = _CHAINS if options.contacts else _PLOTTED
         lacking = [field for field in wanted if field not in recorded]
         if lacking:

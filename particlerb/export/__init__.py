@@ -19,7 +19,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import derived
 from particlerb.record.output_path import output_path
-from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, WALLS
+from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, OBSERVED
 from particlerb.record.trajectory import Contacts, Trajectory
 
 FORMATS: Final = {  # name: suffix of its files, and what it is, in words
@@ -61,7 +61,7 @@ class Selection(NamedTuple):
     frames: range
     bodies: Ints
     fields: tuple[str, ...]  # of bodies
-    walls: tuple[str, ...] = ()  # fields of walls
+    observed: tuple[str, ...] = ()  # fields of walls, joints or their coordinates
     has_contacts: bool = False  # whether the contacts of each frame are asked for
 
     def portions(self, rows: int = 0) -> Iterator[slice]:
@@ -142,11 +142,11 @@ def export(
         _chosen_frames(trajectory, frames),
         _chosen_bodies(trajectory, bodies),
         tuple(name for name in names if name in FIELDS or name in CONTACT_FIELDS),
-        tuple(name for name in names if name in WALLS),
+        tuple(name for name in names if name in OBSERVED),
         CONTACTS in names,
     )
     if to == "csv" and not fields and selection.fields:
-        selection = selection._replace(walls=(), has_contacts=False)
+        selection = selection._replace(observed=(), has_contacts=False)
     lacking = [name for name in writer.NEEDS if not is_known(trajectory, name)]
     if lacking:
         raise ExportError(f"{to} needs {', '.join(lacking)}, not recorded: see [output] fields")
@@ -172,9 +172,9 @@ def _chosen_fields(
     trajectory: Trajectory, held: Collection[str], asked: Sequence[str], to: str
 ) -> list[str]:
     """Fields that were asked for, or all recorded, of those that a format holds, in fixed order."""
-    recorded = trajectory.fields + trajectory.contact_fields
+    recorded = trajectory.fields + trajectory.other_fields
     derived = [name for name in FIELDS if is_known(trajectory, name)]
-    known = [name for name in derived + trajectory.contact_fields if name in held]
+    known = [name for name in derived + trajectory.other_fields if name in held]
     for name in asked:
         if name not in known:
             reason = f"{to} cannot hold it" if name in recorded else "no such field here"

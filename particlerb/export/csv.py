@@ -1,4 +1,4 @@
-"""A table in text, numbers with all their digits: a row per frame and body, wall, or contact."""
+"""A table in text, numbers with all digits: a row per frame and body, wall, joint, or contact."""
 
 import csv
 from collections.abc import Callable, Iterator
@@ -8,13 +8,13 @@ from typing import Any, Final
 
 from particlerb.export import ExportError, Selection
 from particlerb.maths.vec3 import Floats
-from particlerb.record.schema import COLUMNS, CONTACT_FIELDS, CONTACTS, FIELDS, WALLS
+from particlerb.record.schema import COLUMNS, CONTACT_FIELDS, CONTACTS, FIELDS, OBSERVED
 from particlerb.record.trajectory import Trajectory
 
 NEEDS: Final = ()
-HOLDS: Final = (*FIELDS, *CONTACT_FIELDS, *WALLS, CONTACTS)
+HOLDS: Final = (*FIELDS, *CONTACT_FIELDS, *OBSERVED, CONTACTS)
 _COMPONENTS: Final = {
-    name: element.components for name, element in (FIELDS | CONTACT_FIELDS | WALLS).items()
+    name: element.components for name, element in (FIELDS | CONTACT_FIELDS | OBSERVED).items()
 }
 _OF_CONTACT: Final = ["body", "other", "wall", *(
     f"{name}_{letter}" for name in ("point", "force") for letter in "xyz"
@@ -29,17 +29,19 @@ def write(selection: Selection, path: Path) -> None:
     ExportError
         If rows of more than one sort are asked for.
     """
-    sorts = (selection.fields, selection.walls, selection.has_contacts)
-    if sum(map(bool, sorts)) > 1:
-        raise ExportError("csv has rows of bodies, of walls, or of contacts: ask for one sort")
+    parts = {OBSERVED[name].per for name in selection.observed}
+    if len(parts) + bool(selection.fields) + selection.has_contacts > 1:
+        sorts = "bodies, of walls, of joints, of coordinates, or of contacts"
+        raise ExportError(f"csv has rows of {sorts}: ask for one sort")
     trajectory = selection.trajectory
     if selection.has_contacts:
         header, rows = _OF_CONTACT, _of_contacts(selection)
-    elif selection.walls:
-        labels = list(enumerate(trajectory.wall_names))
-        parts = selection.portions(len(labels))
-        header = ["wall", "name", *columns(selection.walls)]
-        rows = _labelled(trajectory, parts, labels, selection.walls, trajectory.of_walls)
+    elif parts:
+        part = parts.pop()
+        labels = list(enumerate(trajectory.names_of(part)))
+        header = [part, "name", *columns(selection.observed)]
+        portions = selection.portions(len(labels))
+        rows = _labelled(trajectory, portions, labels, selection.observed, trajectory.observed)
     else:
         labels = [(int(b), trajectory.names[b]) for b in selection.bodies]
         header = ["body", "name", *columns(selection.fields)]

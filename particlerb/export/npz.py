@@ -14,11 +14,11 @@ from particlerb.record.schema import (
     CONTACT_FIELDS,
     CONTACTS,
     FIELDS,
-    WALLS,
+    OBSERVED,
 )
 
 NEEDS: Final = ()
-HOLDS: Final = (*FIELDS, *CONTACT_FIELDS, *WALLS, CONTACTS)
+HOLDS: Final = (*FIELDS, *CONTACT_FIELDS, *OBSERVED, CONTACTS)
 
 
 def write(selection: Selection, path: Path) -> None:
@@ -42,11 +42,11 @@ def write(selection: Selection, path: Path) -> None:
             shape = (len(selection.frames), *first.shape[1:])
             pieces = (selection.values(name, part) for part in selection.portions())
             add(archive, name, shape, first.dtype, pieces)
-        if selection.walls:
-            walls = np.array(trajectory.wall_names)
-            add(archive, "wall_name", walls.shape, walls.dtype, [walls])
-        for name in selection.walls:
-            values = trajectory.of_walls(name)[selection.frames]
+        for part in dict.fromkeys(OBSERVED[name].per for name in selection.observed):
+            names = np.array(trajectory.names_of(part))
+            add(archive, f"{part}_name", names.shape, names.dtype, [names])
+        for name in selection.observed:
+            values = trajectory.observed(name)[selection.frames]
             add(archive, name, values.shape, values.dtype, [values])
         if selection.has_contacts:
             _add_contacts(archive, selection)

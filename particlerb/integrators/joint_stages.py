@@ -7,6 +7,7 @@ from math import nan
 
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.integrators.external_work import book
+from particlerb.joints.coordinates import count_turns
 from particlerb.joints.records import Joints, Work, X
 from particlerb.joints.rows import vector
 from particlerb.joints.solver import constrained_drift, project_momenta
@@ -59,6 +60,7 @@ def drift_jointed(
         constrained_drift(joints, work, c, dt)
         _book_world(books, joints, work, blocks, block, lane, c, work.pose)
         _scatter(joints, work, blocks, block, lane, c)
+    count_turns(joints.coordinates, work.y, work.turned)
 
 
 @kernel

@@ -18,6 +18,7 @@ from particlerb.integrators.contact_stages import contact_loads, kick_walls, pla
 from particlerb.integrators.joint_stages import drift_jointed, project_jointed
 from particlerb.integrators.kick import kick_body
 from particlerb.integrators.pair_stages import Layout, PairTerms, flow_pairs, put_pair_loads
+from particlerb.joints.coordinates import store_turns
 from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import matrix
 from particlerb.maths.vec3 import Floats
@@ -167,6 +168,20 @@ def _project_held(jointed: Jointed | None, books: Flag, blocks: Floats) -> None:
 def project(moving: MovingBodies) -> None:
     """Take from the momenta what would break a joint."""
     _project_held(moving.jointed, moving.books, moving.blocks)
+
+
+@kernel
+def _store_held(jointed: Jointed | None, stored: Floats, frame: int) -> None:
+    """Do the work of `store_coordinates`, if there are joints."""
+    if jointed is None:
+        return
+    store_turns(jointed.joints.coordinates, jointed.work.turned, stored, frame)
+
+
+@stages
+def store_coordinates(moving: MovingBodies, stored: Floats, frame: int) -> None:
+    """Keep the coordinates of joints, (T, c, 3), for a frame."""
+    _store_held(moving.jointed, stored, frame)
 
 
 @kernel

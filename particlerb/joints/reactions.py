@@ -13,10 +13,11 @@ from particlerb.joints.block_cholesky import solve
 from particlerb.joints.records import DOT, Joints, Work
 from particlerb.joints.rows import accelerations
 from particlerb.joints.solver import factorise_cluster
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Bools, Floats
 
 _CONJUGATE: Final = np.array([1.0, -1.0, -1.0, -1.0])
 _DEPENDENT: Final = 1e-10  # singular values over the largest
+_OPEN: Final = 1e-8  # share of the largest component of a null vector that is not its rounding
 
 
 @kernel
@@ -69,8 +70,16 @@ def dependent_rows(weighted: Floats) -> Floats:
     return null
 
 
-def make_least(joints: Joints, work: Work) -> None:
-    """Make λ in z the one of least norm, of clusters with closed loops."""
+def make_least(joints: Joints, work: Work) -> Bools:
+    """Make λ in z the one of least norm, of clusters with closed loops.
+
+    Returns
+    -------
+    ndarray, shape (j, 6)
+        Which components of forces and torques dependent rows leave open: a null vector of Gᵀ has
+        something there.
+    """
+    is_open = np.zeros((joints.number.size, 6), dtype=np.bool_)
     sizes = np.where(joints.rows.kind == DOT, _joint_sizes(joints), 1.0)
     for c in np.flatnonzero(joints.clusters.smallest_pivot > 0.0):
         lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
@@ -80,6 +89,13 @@ def make_least(joints: Joints, work: Work) -> None:
             basis, _ = np.linalg.qr(along.T)
             scaled = work.z[lo:hi] / sizes[lo:hi]
             work.z[lo:hi] = (scaled - basis @ (basis.T @ scaled)) * sizes[lo:hi]
+        for vector in null:
+            z = np.zeros(work.z.size)
+            z[lo:hi] = vector
+            given = np.abs(forces_of_joints(joints, work, z))
+            given[:, 3:] /= _joint_sizes(joints)[joints.program.start[:-1], None]
+            is_open |= given > _OPEN * given.max()
+    return is_open
 
 
 def _joint_sizes(joints: Joints) -> Floats:
@@ -88,8 +104,8 @@ def _joint_sizes(joints: Joints) -> Floats:
     return np.repeat(np.maximum.reduceat(joints.rows.size, start[:-1]), np.diff(start))
 
 
-def forces_of_joints(joints: Joints, work: Work) -> Floats:
-    """Force and torque on the first body of each joint from z, at its point, (j, 6) [N, N m].
+def forces_of_joints(joints: Joints, work: Work, z: Floats) -> Floats:
+    """Force and torque on the first body of each joint from λ = z, at its point, (j, 6) [N, N m].
 
     World axes. The point is where `at` is on the first body.
     """
@@ -97,7 +113,7 @@ def forces_of_joints(joints: Joints, work: Work) -> Floats:
     start = joints.program.start[:-1]
     if not start.size:
         return np.zeros((0, 6))
-    force = np.add.reduceat(work.z[:, None] * by_x, start)
-    turning = np.add.reduceat(work.z[:, None] * by_a, start)
+    force = np.add.reduceat(z[:, None] * by_x, start)
+    turning = np.add.reduceat(z[:, None] * by_a, start)
     arm = _to_body(work.y[joints.rows.a[start], 3:7] * _CONJUGATE, joints.rows.first[start])
     return np.hstack([force, turning - np.cross(arm, force)])

@@ -58,6 +58,17 @@ class Program(NamedTuple):
     updates: Ints  # (u, 5) block, block, target, rows of the target and its columns
 
 
+class Coordinates(NamedTuple):
+    """Angles and displacements of joints: see coordinates.py."""
+
+    number: Ints  # (k,) which coordinates of the system these are
+    joint: Ints  # (k,) and of which joints
+    a: Ints  # (k,) bodies
+    b: Ints  # (k,)
+    is_angle: Bools  # (k,)
+    vectors: Floats  # (k, 4, 3) of an angle p_a, q_a, p_b, q_b; of a displacement r_a, 0, u, r_b
+
+
 class Joints(NamedTuple):
     """Joints of a group."""
 
@@ -68,6 +79,7 @@ class Joints(NamedTuple):
     clusters: Clusters
     program: Program
     number: Ints  # (j,) which joints of the system these are
+    coordinates: Coordinates | None = None  # None: nobody asks for them
 
     @property
     def reach_out(self) -> bool:
@@ -87,6 +99,7 @@ class Work(NamedTuple):
     scale: Floats  # (m,) diagonal of A
     factor: Floats  # (blocks, 6, 6)
     lost: Ints  # (k,) 1 + row that did not converge; 0: none
+    turned: Floats  # (c, 3) cosine, sine and whole turns of each angle; or displacement [m], 0, 0
 
 
 class Jointed(NamedTuple):
@@ -113,4 +126,5 @@ def room_for_joints(joints: Joints) -> Work:
         np.zeros(m),
         np.zeros((len(joints.program.pair), LARGEST_BLOCK, LARGEST_BLOCK)),
         np.zeros(k, dtype=np.int64),
+        np.zeros((0 if joints.coordinates is None else joints.coordinates.a.size, 3)),
     )

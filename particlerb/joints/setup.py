@@ -5,14 +5,16 @@ from itertools import pairwise
 import numpy as np
 
 from particlerb.joints.block_cholesky import program_of
-from particlerb.joints.records import Clusters, Joints, Program, Rows
+from particlerb.joints.records import Clusters, Coordinates, Joints, Program, Rows
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies
 
 _LOOP_PIVOT = 1e-8  # over its diagonal: below it a row of a closed loop depends on those before
 
 
-def joints_among(number: Ints, start: Ints, rows: Rows, bodies: Bodies) -> Joints:
+def joints_among(
+    number: Ints, start: Ints, rows: Rows, bodies: Bodies, coordinates: Coordinates | None = None
+) -> Joints:
     """Joints of a group.
 
     Parameters
@@ -25,6 +27,8 @@ def joints_among(number: Ints, start: Ints, rows: Rows, bodies: Bodies) -> Joint
         With bodies as members of the group, the world behind the last.
     bodies : Bodies
         The n members.
+    coordinates : Coordinates, optional
+        To be kept track of, with bodies likewise.
     """
     n = bodies.mass.size
     a, b = rows.a[start[:-1]], rows.b[start[:-1]]
@@ -40,9 +44,11 @@ def joints_among(number: Ints, start: Ints, rows: Rows, bodies: Bodies) -> Joint
     inv_mass = np.append(bodies.inv_mass[order], 0.0)
     inv_inertia = np.vstack([bodies.inv_inertia.T[order], np.zeros(3)])
     ends = np.flatnonzero(np.diff(label[order], append=-1)) + 1
+    if coordinates is not None:
+        coordinates = coordinates._replace(a=place[coordinates.a], b=place[coordinates.b])
     first, rank = np.r_[0, ends], np.r_[0, np.cumsum(count)]
     clusters, program = _programs(first, label[a[own]], label[order], rows, rank, inv_mass)
-    return Joints(order, inv_mass, inv_inertia, rows, clusters, program, number[own])
+    return Joints(order, inv_mass, inv_inertia, rows, clusters, program, number[own], coordinates)
 
 
 def _labels(n: int, a: Ints, b: Ints) -> Ints:

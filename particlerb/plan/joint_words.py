@@ -51,7 +51,7 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
     load = np.zeros((joints.inv_mass.size, 6))
     load[:-1, :3] = force.T[joints.order]
     find_multipliers(joints, work, load)
-    carried = np.linalg.norm(forces_of_joints(joints, work)[:, :3], axis=1)
+    carried = np.linalg.norm(forces_of_joints(joints, work, work.z)[:, :3], axis=1)
     first = joints.program.start[:-1]
     weight = np.linalg.norm(load[:, :3], axis=1)
     squared = np.zeros(joints.inv_mass.size)

@@ -10,9 +10,11 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.case.joints import InFrame, JointTable
+from particlerb.case.output import FIELDS_OF_JOINTS
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.source import problem_at
-from particlerb.joints.records import Joints, Rows, Work, room_for_joints
+from particlerb.joints.coordinates import COORDINATES, coordinates_of, united
+from particlerb.joints.records import Coordinates, Joints, Rows, Work, room_for_joints
 from particlerb.joints.rows import linearise, rates, residuals
 from particlerb.joints.setup import joints_among
 from particlerb.joints.solver import constrained_drift, project_momenta
@@ -34,11 +36,14 @@ class JointSetup(NamedTuple):
     """All joints of a system."""
 
     names: tuple[str, ...]
+    types: tuple[str, ...]
     record: Ints  # (j,) index of [[joint]]
     first: Ints  # (j,) bodies of the system
     second: Ints  # (j,) bodies, or WORLD
     start: Ints  # (j + 1,) first row of each
     rows: Rows  # with bodies of the system
+    coordinates: Coordinates  # with bodies of the system
+    counts_turns: bool  # whether somebody asks for coordinates
 
     def within(self, members: Ints, bodies: Bodies) -> Joints | None:
         """Joints of a group of bodies; None where there are none."""
@@ -54,7 +59,28 @@ class JointSetup(NamedTuple):
         index = np.repeat(self.start[which] - start[:-1], count) + np.arange(start[-1])
         rows = Rows(*(values[index] for values in self.rows))
         rows = rows._replace(a=place[rows.a], b=place[rows.b])
-        return joints_among(which, start, rows, bodies)
+        coordinates = None
+        if self.counts_turns:
+            taken = np.isin(self.coordinates.joint, which)
+            coordinates = Coordinates._make(values[taken] for values in self.coordinates)
+            coordinates = coordinates._replace(a=place[coordinates.a], b=place[coordinates.b])
+        return joints_among(which, start, rows, bodies, coordinates)
+
+    @property
+    def coordinate_labels(self) -> list[tuple[str, str]]:
+        """Name and unit of each coordinate."""
+        kinds = [COORDINATES.get(kind, ()) for kind in self.types]
+        return [
+            (f"{name}, {own.name}", own.unit)
+            for name, coordinates in zip(self.names, kinds, strict=True)
+            for own in coordinates
+        ]
+
+
+def asked_of_joints(system: System) -> set[str]:
+    """Names of what is to be recorded, or checked, of joints."""
+    asked = {*system.output.fields, *(value.quantity for value in system.check.value)}
+    return asked.intersection(FIELDS_OF_JOINTS)
 
 
 def joints_of(system: System) -> JointSetup | None:
@@ -76,6 +102,7 @@ def joints_of(system: System) -> JointSetup | None:
         reason = "no step is chosen by an accuracy where joints are"
         raise CaseError([problem_at(system, "run.accuracy", reason, "give run.method and run.dt")])
     names, records, rows, problems = [], [], [], []
+    coordinates: list[Coordinates] = []
     for number, table in enumerate(system.joint):
         first, second = _pairs(system, table)
         itself = np.flatnonzero(first == second)
@@ -93,28 +120,37 @@ def joints_of(system: System) -> JointSetup | None:
         names += [joint_name(system, table, first, second, k) for k in range(first.size)]
         records.append((np.full(first.size, number), first, second))
         rows.append(own)
+        coordinates.append(coordinates_of(table.type, ends))
     if problems:
         raise CaseError(problems)
     record, first, second = (np.concatenate(arrays) for arrays in zip(*records, strict=True))
     count = [len(TYPES[system.joint[k].type]) for k in record.tolist()]
     setup = JointSetup(
         _unique(names),
+        tuple(system.joint[k].type for k in record.tolist()),
         record,
         first,
         second,
         np.cumsum([0, *count]),
         Rows(*(np.concatenate(arrays) for arrays in zip(*rows, strict=True))),
+        united(coordinates, [own.size for _, own, _ in records]),
+        "joint_coordinate" in asked_of_joints(system),
     )
-    problems = _impossible(system, setup)
-    held = np.concatenate([first, second])
+    problems = _impossible(system, setup) + _held_impulses(system, setup)
+    if problems:
+        raise CaseError(problems)
+    return setup
+
+
+def _held_impulses(system: System, setup: JointSetup) -> list[Problem]:
+    """What is wrong with impulses on bodies that joints hold."""
+    held, problems = np.concatenate([setup.first, setup.second]), []
     for k, force in enumerate(system.force):
         if force.type == "impulse" and np.isin(system.names.find(force.body), held).any():
             reason = "an impulse on a body that a joint holds is not computed yet"
             hint = "use a push for a short time"
             problems.append(problem_at(system, f"force[{k}].body", reason, hint))
-    if problems:
-        raise CaseError(problems)
-    return setup
+    return problems
 
 
 def _pairs(system: System, table: JointTable) -> tuple[Ints, Ints]:
@@ -185,6 +221,7 @@ def _ends(system: System, table: JointTable, first: Ints, second: Ints) -> Ends:
     world["e"], world["f"] = _across(world["n"])
     if table.axis_to is not None:
         world["m"] = direction(table.axis_to, body_b)
+        world["l"] = np.cross(world["m"], world["n"], axis=0)
     first_at, second_at = rotate_back(rotor_a, here - com_a), rotate_back(rotor_b, there - com_b)
     length = lengths(here - there)
     size = np.maximum(lengths(first_at), np.where(second == WORLD, 0.0, lengths(second_at)))

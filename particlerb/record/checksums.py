@@ -74,14 +74,14 @@ def list_checksums(columns: Iterable[NDArray[np.generic]], ends: NDArray[np.int6
     return total
 
 
-_SCALES: Final = (*schema.AXES, schema.BODY, schema.WALL_NAMES, schema.WALL_NUMBERS)
+_SCALES: Final = (*schema.AXES, schema.BODY, *schema.PART_TABLES)
 _TABLES: Final = [*schema.STATIC, *_SCALES, *TOPOLOGY]  # in this order
 
 
 def _unchanging(file: h5py.File) -> list[str]:
     """Paths of all datasets of a file that do not change in time."""
     paths = [*schema.STATIC, *schema.AXES, schema.BODY]
-    paths += [path for path in (schema.WALL_NAMES, schema.WALL_NUMBERS) if path in file]
+    paths += [path for path in schema.PART_TABLES if path in file]
     paths += TOPOLOGY if schema.VTKHDF in file else ()
     texts = (f"{schema.PARAMETERS}/{name}" for name in file[schema.PARAMETERS])
     paths += [path for path in texts if path != schema.FILES]

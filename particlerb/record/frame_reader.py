@@ -54,6 +54,7 @@ class FrameReader:
             )
         self.mass: Floats = dataset_at(file, f"{schema.TRAJECTORY}/mass", "f", (None,))[:].copy()
         self.n_bodies = len(self.mass)
+        self._texts: dict[str, Sequence[str]] = {}
         self.n_frames = self.count()
 
     def count(self) -> int:
@@ -115,7 +116,7 @@ class FrameReader:
     ) -> Floats:
         """Values of one of `schema.SERIES` in some frames, of all bodies or of some."""
         element = schema.SERIES[path]
-        n = len(self.wall_names) if element.per == "wall" else self.n_bodies
+        n = len(self.names_of(element.per)) if element.per in schema.PARTS else self.n_bodies
         width = len(element.components)
         shape = (None, *((n,) if element.per else ()), *((width,) if width else ()))
         lo, hi, stride = frames.indices(self.n_frames)
@@ -173,7 +174,7 @@ class FrameReader:
             If there is no such body.
         """
         per_body = schema.FIELDS | schema.CONTACT_FIELDS
-        if name not in per_body or name not in self.fields + self.contact_fields:
+        if name not in per_body or name not in self.fields + self.other_fields:
             raise KeyError(f"{name} was not recorded: see [output] fields")
         if isinstance(bodies, (int, np.integer)):
             pick: int | slice | Ints = range(self.n_bodies)[int(bodies)]
@@ -203,26 +204,48 @@ class FrameReader:
             return [f for f in schema.FIELDS if has(self.file, f"{schema.TRAJECTORY}/{f}/value")]
 
     @property
-    def contact_fields(self) -> list[str]:
-        """Names of the recorded fields of contacts and walls."""
+    def other_fields(self) -> list[str]:
+        """Names of the recorded fields of contacts, walls and joints."""
         places = dict.fromkeys(schema.CONTACT_FIELDS, schema.TRAJECTORY)
-        places |= dict.fromkeys(schema.WALLS, schema.OBSERVABLES)
+        places |= dict.fromkeys(schema.OBSERVED, schema.OBSERVABLES)
         with trajectory_errors(self.file):
             found = [f for f, place in places.items() if has(self.file, f"{place}/{f}/value")]
             return found + ([schema.CONTACTS] if has(self.file, schema.OFFSET) else [])
 
     def require(self, name: str) -> None:
-        """Raise KeyError if a field of contacts or walls was not recorded."""
-        if name not in self.contact_fields:
+        """Raise KeyError if a field of contacts, walls or joints was not recorded."""
+        if name not in self.other_fields:
             raise KeyError(f"{name} was not recorded: see [output] fields")
 
-    @cached_property
+    @property
     def wall_names(self) -> Sequence[str]:
         """Names of the walls, where a field of walls was recorded."""
-        if not any(name in self.contact_fields for name in schema.WALLS):
-            raise KeyError("no field of walls was recorded: see [output] fields")
-        names = self.table(schema.WALL_NAMES, "S", (None,))
-        return [name.decode(errors="replace") for name in names]
+        return self.names_of("wall")
+
+    @property
+    def joint_names(self) -> Sequence[str]:
+        """Names of the joints, where a field of them was recorded."""
+        return self.names_of("joint")
+
+    @property
+    def coordinate_names(self) -> Sequence[str]:
+        """Names of the coordinates of joints, where these were recorded."""
+        return self.names_of("coordinate")
+
+    @property
+    def coordinate_units(self) -> Sequence[str]:
+        """Their units: rad or m."""
+        return self.names_of("coordinate", "units")
+
+    def names_of(self, part: str, which: str = "names") -> Sequence[str]:
+        """Names of walls, joints or coordinates, where a field of theirs was recorded."""
+        path = getattr(schema.PARTS[part], which)
+        if path not in self._texts:
+            if part not in schema.parts_of(self.other_fields):
+                raise KeyError(f"no field of {part}s was recorded: see [output] fields")
+            found = self.table(path, "S", (None,))
+            self._texts[path] = [name.decode(errors="replace") for name in found]
+        return self._texts[path]
 
 
 def _without_cache(values: h5py.Dataset) -> h5py.Dataset:

@@ -1,6 +1,6 @@
 """What is recorded of frames, as a file or the memory holds it."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,11 +20,13 @@ def values_of(
     rows: Ints,
     ledger: Any,
     touches: Sequence[ContactOutput],
+    joints: Mapping[str, Floats | Ints],
 ) -> dict[str, Any]:
     """Arrays of some rows of the frames, by their paths, in the order of the checksums."""
     fields = system.output.fields
     found: dict[str, Any] = contact_values(fields, touches, system.n_bodies)
     found |= _fields_of(frames, rows, system, fields)
+    found |= joints
     dtype, values = np.dtype(system.output.dtype), {}
     for path, element in schema.series_of(fields).items():
         name = path.split("/")[-2]

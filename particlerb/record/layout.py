@@ -1,6 +1,7 @@
 """What a trajectory file has before its first frame: header, bodies, clock, empty elements."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Final
 
 import h5py
@@ -27,6 +28,7 @@ _SHOWN: Final = {  # what VTK shows of each body beside the recorded fields
 
 Content = Mapping[str, Any]  # arrays, and texts as bytes, by their paths
 Made = Mapping[str, h5d.DatasetID]  # by their paths
+Labels = Mapping[str, Sequence[tuple[str, str]]]  # names and units, by what they are of
 
 
 def lay_out(file: h5py.File, system: System, content: Content) -> None:
@@ -76,8 +78,11 @@ def make_box(file: h5py.File) -> None:
     note(box, dimension=np.int32(3), boundary=np.array(["none"] * 3, dtype="S8"))
 
 
-def tables_of(scene: System) -> dict[str, Any]:
-    """What does not change of bodies and walls, and the dimension scales, by their paths."""
+def tables_of(scene: System, labels: Labels = MappingProxyType({})) -> dict[str, Any]:
+    """What does not change of bodies, walls and joints, and the dimension scales, by their paths.
+
+    `labels` are names and units of joints and of their coordinates.
+    """
     bodies, particles, n = scene.bodies, scene.particles, len(scene.kind)
     tables = {
         schema.BODY: np.arange(n),
@@ -95,9 +100,13 @@ def tables_of(scene: System) -> dict[str, Any]:
         f"{schema.BODIES}/particles/radius": particles.radius,
         f"{schema.BODIES}/particles/offset": particles.offset,
     }
-    if any(name in scene.output.fields for name in schema.WALLS):
-        tables[schema.WALL_NAMES] = np.array([wall.name.encode() for wall in scene.wall])
-        tables[schema.WALL_NUMBERS] = np.arange(len(scene.wall))
+    for part in schema.parts_of(scene.output.fields):
+        names, numbers, units = schema.PARTS[part]
+        words = labels.get(part) or [(wall.name, "") for wall in scene.wall]
+        tables[names] = np.array([name.encode() for name, _ in words])
+        tables[numbers] = np.arange(len(words))
+        if units:
+            tables[units] = np.array([unit.encode() for _, unit in words])
     return tables
 
 
@@ -110,10 +119,13 @@ def _describe_tables(made: Made) -> None:
     beside = {"id": (), "mass": (), "moment_inertia": ("123",), "extent": ("xyz",)}
     for name, scales in beside.items():
         attach(made[f"{schema.TRAJECTORY}/{name}"], made[schema.BODY], *(made[s] for s in scales))
-    if schema.WALL_NAMES in made:
-        note(made[schema.WALL_NAMES], meaning="of each wall")
-        h5ds.set_scale(made[schema.WALL_NUMBERS], b"wall")
-        attach(made[schema.WALL_NAMES], made[schema.WALL_NUMBERS])
+    for part, (names, numbers, units) in schema.PARTS.items():
+        if names not in made:
+            continue
+        h5ds.set_scale(made[numbers], part.encode())
+        for path in (names, units) if units else (names,):
+            note(made[path], meaning=f"of each {part}")
+            attach(made[path], made[numbers])
 
 
 def extents(scene: System) -> Floats:
@@ -174,8 +186,10 @@ def _make_series(file: h5py.File, path: str, system: System, made: Made) -> h5d.
     describe(value, element.units, element.meaning)
     attach(value, made[schema.TIME], *scales)
     link_clock(file, place, made)
-    if element.per == "wall":
-        link(file, f"{place}/wall", scales[0])  # netCDF looks for scales in this group and above
+    if element.per in schema.PARTS:
+        link(
+            file, f"{place}/{element.per}", scales[0]
+        )  # netCDF looks for scales in this group and above
     return value
 
 

@@ -5,6 +5,7 @@ in place of `record.writer.Recorder`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -79,10 +80,13 @@ class Memory:
         rows: Ints,
         ledger: Any,
         touches: Sequence[ContactOutput] = (),
+        joints: Mapping[str, Floats | Ints] = MappingProxyType({}),
     ) -> None:
-        """Keep rows of the frames with their times, energy balance, and contacts if wanted."""
+        """Keep rows of the frames with times, energy balance, contacts and joints if wanted."""
         new = slice(self.n_frames, self.n_frames + len(times))
-        for path, values in values_of(self.system, times, frames, rows, ledger, touches).items():
+        for path, values in values_of(
+            self.system, times, frames, rows, ledger, touches, joints
+        ).items():
             self.content[path][new] = values
         self.n_frames = new.stop
         self.touches += touches if schema.CONTACTS in self.system.output.fields else ()

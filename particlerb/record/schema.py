@@ -47,7 +47,7 @@ class Element(NamedTuple):
     meaning: str
     frame: str = "-"
     is_count: bool = False  # an integer
-    per: str = ""  # what a frame has an entry of: `body`, `wall`, or one for all
+    per: str = ""  # what a frame has an entry of: `body` or one of `PARTS`, or one for all
 
 
 FIELDS: Final[dict[str, Element]] = {
@@ -69,6 +69,31 @@ WALLS: Final[dict[str, Element]] = {
     "wall_torque": Element("xyz", "N m", "of all bodies on each wall, about its centre", "world"),
     "wall_position": Element("xyz", "m", "centre of each wall, about which it turns", "world"),
     "wall_velocity": Element("xyz", "m s-1", "of the centre of each wall", "world"),
+}
+JOINTS: Final[dict[str, Element]] = {
+    "joint_force": Element("xyz", "N", "on the first body of each joint, at its point", "world"),
+    "joint_torque": Element(
+        "xyz", "N m", "on the first body of each joint, about its point", "world"
+    ),
+    "joint_force_determined": Element(
+        "xyz",
+        "1",
+        "0 where redundant rows leave it open, else 1",
+        "world",
+        is_count=True,
+    ),
+    "joint_torque_determined": Element(
+        "xyz",
+        "1",
+        "0 where redundant rows leave it open, else 1",
+        "world",
+        is_count=True,
+    ),
+    "joint_misfit": Element("", "1", "largest error of a row, of lengths over the joint's size"),
+    "joint_rate": Element("", "s-1", "largest rate of these errors"),
+}
+COORDINATES: Final[dict[str, Element]] = {
+    "joint_coordinate": Element("", "1", "angles [rad], with their turns, and displacements [m]"),
 }
 LEDGER: Final[dict[str, Element]] = {
     "kinetic_energy": Element("", "J", "of all bodies"),
@@ -95,6 +120,11 @@ LEDGER: Final[dict[str, Element]] = {
     ),
 }
 
+OBSERVED: Final[dict[str, Element]] = {  # what has entries that are not of bodies
+    name: element._replace(per=per)
+    for per, elements in (("wall", WALLS), ("joint", JOINTS), ("coordinate", COORDINATES))
+    for name, element in elements.items()
+}
 SERIES: Final[dict[str, Element]] = {  # by their datasets, in the order of the checksums
     **{
         f"{TRAJECTORY}/{name}/value": element._replace(per="body")
@@ -102,15 +132,12 @@ SERIES: Final[dict[str, Element]] = {  # by their datasets, in the order of the 
     },
     TIME: Element("", "s", "of each frame; linked into every element"),
     **{f"{OBSERVABLES}/{name}/value": element for name, element in LEDGER.items()},
-    **{
-        f"{OBSERVABLES}/{name}/value": element._replace(per="wall")
-        for name, element in WALLS.items()
-    },
+    **{f"{OBSERVABLES}/{name}/value": element for name, element in OBSERVED.items()},
 }
 
 
 def series_of(fields: Collection[str]) -> dict[str, Element]:
-    """Those of `SERIES` that a file has which records these fields of bodies and walls."""
+    """Those of `SERIES` that a file has which records these fields."""
     return {
         path: element
         for path, element in SERIES.items()
@@ -151,9 +178,29 @@ COLUMNS: Final[dict[str, _Column]] = {
     "overlap": _Column(0, "m", "of the two particles, or of the particle and the wall"),
 }
 OFFSET: Final = f"{CONTACTS}/offset"  # contacts of frame f are offset[f] to offset[f + 1]
-WALL_NAMES: Final = "walls/names"
-WALL_NUMBERS: Final = "walls/wall"
-SCALE_OF: Final = {"body": BODY, "wall": WALL_NUMBERS}  # of what a frame has an entry for
+
+
+class _Part(NamedTuple):
+    """Parts of a scene that are no bodies, as observables tell them apart."""
+
+    names: str  # dataset of their names
+    numbers: str  # and of their numbers, a dimension scale
+    units: str = ""  # and of the units of their values, where these differ
+
+
+PARTS: Final = {
+    "wall": _Part("walls/names", "walls/wall"),
+    "joint": _Part("joints/names", "joints/joint"),
+    "coordinate": _Part("joints/coordinate_names", "joints/coordinate", "joints/coordinate_units"),
+}
+PART_TABLES: Final = tuple(path for part in PARTS.values() for path in part if path)
+SCALE_OF: Final = {"body": BODY} | {name: part.numbers for name, part in PARTS.items()}
+
+
+def parts_of(fields: Collection[str]) -> list[str]:
+    """Those of `PARTS` that a file names which records these fields."""
+    found = {element.per for element in series_of(fields).values()}
+    return [part for part in PARTS if part in found]
 
 
 STATIC: Final[dict[str, _FixedDataset]] = {

@@ -13,7 +13,7 @@ from particlerb.case.reader import build
 from particlerb.case.schema import Case
 from particlerb.files import path_of
 from particlerb.geometry.particles import Particles
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import Entries
 from particlerb.model.bodies import Bodies, made_of, taken
 from particlerb.model.state import derived, rotate, rotate_back
@@ -171,30 +171,65 @@ class Trajectory(FrameReader):
         """Largest overlap of each body [m], shape (T, N); 0 where it touches nothing."""
         return self.read("contact_overlap")
 
+    def observed(self, name: str, frames: slice = slice(None)) -> Floats:
+        """One field of walls, joints or coordinates for some frames, (T, n) or (T, n, 3)."""
+        self.require(name)
+        return self.series(f"{schema.OBSERVABLES}/{name}/value", frames)
+
     @property
     def wall_force(self) -> Floats:
         """Force of all bodies on each wall [N], world frame, shape (T, n_walls, 3)."""
-        return self.of_walls("wall_force")
+        return self.observed("wall_force")
 
     @property
     def wall_torque(self) -> Floats:
         """Torque of these forces about the centre of each wall [N m], shape (T, n_walls, 3)."""
-        return self.of_walls("wall_torque")
+        return self.observed("wall_torque")
 
     @property
     def wall_position(self) -> Floats:
         """Centre of each wall [m], about which it turns, shape (T, n_walls, 3)."""
-        return self.of_walls("wall_position")
+        return self.observed("wall_position")
 
     @property
     def wall_velocity(self) -> Floats:
         """Velocity of the centre of each wall [m/s], shape (T, n_walls, 3)."""
-        return self.of_walls("wall_velocity")
+        return self.observed("wall_velocity")
 
-    def of_walls(self, name: str, frames: slice = slice(None)) -> Floats:
-        """One field of walls for some frames, (T, n_walls, 3)."""
-        self.require(name)
-        return self.series(f"{schema.OBSERVABLES}/{name}/value", frames)
+    @property
+    def joint_force(self) -> Floats:
+        """Force on the first body of each joint at its point [N], world frame, (T, j, 3)."""
+        return self.observed("joint_force")
+
+    @property
+    def joint_torque(self) -> Floats:
+        """Torque on the first body about the point of the joint [N m], world frame, (T, j, 3)."""
+        return self.observed("joint_torque")
+
+    @property
+    def joint_force_determined(self) -> Bools:
+        """Whether each component follows from the motion, (T, j, 3): no redundant row is in it."""
+        return self.observed("joint_force_determined") > 0
+
+    @property
+    def joint_torque_determined(self) -> Bools:
+        """The same of torques, (T, j, 3)."""
+        return self.observed("joint_torque_determined") > 0
+
+    @property
+    def joint_misfit(self) -> Floats:
+        """Largest error of a row of each joint, of lengths over its size, (T, j)."""
+        return self.observed("joint_misfit")
+
+    @property
+    def joint_rate(self) -> Floats:
+        """Largest rate of these errors [1/s], (T, j)."""
+        return self.observed("joint_rate")
+
+    @property
+    def joint_coordinate(self) -> Floats:
+        """Angles [rad] with their turns, and displacements [m], (T, c): see coordinate_names."""
+        return self.observed("joint_coordinate")
 
     @property
     def n_contacts(self) -> int:

@@ -107,7 +107,7 @@ def _verify_checksums(trajectory: Trajectory) -> str:
     n = trajectory.n_frames
     stored = dataset_at(trajectory.file, f"{schema.INTEGRITY}/checksum", "u", (None,))
     wrong: list[int] = []
-    recorded = {*trajectory.fields, *trajectory.contact_fields}
+    recorded = {*trajectory.fields, *trajectory.other_fields}
     for part in trajectory.portions():
         size = len(range(n)[part])
         values: list[Any] = [trajectory.series(path, part) for path in schema.series_of(recorded)]

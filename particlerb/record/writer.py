@@ -7,6 +7,7 @@ used and no file lock, so that the file opens after a crash and can be read whil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Self
 
 import h5py
@@ -160,14 +161,15 @@ class Recorder:
         rows: Ints,
         ledger: Any,
         touches: Sequence[ContactOutput] = (),
+        joints: Mapping[str, Floats | Ints] = MappingProxyType({}),
     ) -> None:
-        """Append rows of the frames with their times, energy balance, and contacts if wanted.
+        """Append rows of the frames with times, energy balance, contacts and joints if wanted.
 
         Large arrays are written now, small ones wait until the next commit.
         """
         with self.output.writing():
             n = self.n_frames
-            values = values_of(self.system, times, frames, rows, ledger, touches)
+            values = values_of(self.system, times, frames, rows, ledger, touches, joints)
             lists = []
             if self.contacts is not None:
                 columns, ends = contact_columns(touches, self.contacts.dtype)

@@ -10,11 +10,12 @@ from particlerb.forces.gravity_tree.opening_angle import fitting_angle, sampled_
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.forces.impulse import apply_impulse
 from particlerb.integrators import METHODS
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, State, quaternion_product
 from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
 from particlerb.plan.segments import GroupPlan, Segment
+from particlerb.simulation.joint_values import JointReader, JointValues
 from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import Energies, Motion
 from particlerb.stepping.pair_forces import PairForces
@@ -27,6 +28,8 @@ class GroupRun:
     """One group on its way through its segments."""
 
     def __init__(self, plan: GroupPlan, state: State, before: Motion | None = None) -> None:
+        self.joint_values: JointValues | None = None  # rows of the next `record`, where asked for
+        self.reader: JointReader | None = None
         self.plan = plan
         self.before = np.zeros(7)  # booked in earlier segments
         self.turnover = 0.0  # [J] gross work of contacts in them
@@ -122,9 +125,12 @@ class GroupRun:
         segment = self.segment
         method = METHODS[segment.method]
         group = self.plan.group(segment)._replace(terms=self.terms)
-        return begin(
+        motion = begin(
             method, group, self.first, segment.start, segment.dt, segment.tolerance, before
         )
+        if before is not None:
+            motion.turn_on(before)
+        return motion
 
     def cross(self) -> None:
         """Go from this segment into the next.
@@ -179,10 +185,25 @@ class GroupRun:
                 potential[rows] += contacts.potential
                 kinetic[rows] += contacts.kinetic
                 self.contacts |= self.motion.contacts
+                if self.joint_values is not None:
+                    self.read_joints(times, rows, frames, self.joint_values)
                 done = until
             if done < times.size:
                 self.cross()
         return booked, Energies(potential, kinetic)
+
+    def read_joints(self, times: Floats, rows: Ints, frames: Frames, values: JointValues) -> None:
+        """Find what joints carry in rows of the frames, all of this segment."""
+        if self.segment.terms.joints is None:
+            return
+        if self.reader is None or self.reader.segment is not self.segment:
+            self.reader = JointReader(self.plan, self.segment, self.first)
+        for row in rows.tolist():
+            x, q = self.pose(frames, row)
+            p, L = frames.linear_momentum[row], frames.angular_momentum[row]
+            state = State(x, q, p[self.plan.members].T, L[self.plan.members].T)
+            turned = self.motion.coordinates[row] if self.motion.coordinates.size else None
+            self.reader.read(float(times[row]), state, turned, values, row)
 
     def pose(self, frames: Frames, row: int) -> tuple[Floats, Floats]:
         """Centres of mass (3, n) and orientations of the rotor frames (4, n) in a frame."""
@@ -191,10 +212,13 @@ class GroupRun:
         return frames.position[row, members].T, q
 
 
-def record_all(runs: Sequence[GroupRun], times: Floats, frames: Frames) -> tuple[Floats, Energies]:
-    """Sums over the groups of what `GroupRun.record` returns."""
+def record_all(
+    runs: Sequence[GroupRun], times: Floats, frames: Frames, joints: JointValues | None = None
+) -> tuple[Floats, Energies]:
+    """Sums over the groups of what `GroupRun.record` returns; values of joints where asked for."""
     booked, energies = np.zeros((times.size, 7)), np.zeros((2, times.size))
     for run in runs:
+        run.joint_values = joints
         given, beside = run.record(times, frames)
         booked += given
         energies += beside

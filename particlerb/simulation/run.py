@@ -28,7 +28,7 @@ from particlerb.model.state import (
 )
 from particlerb.model.system import System
 from particlerb.plan.describe import describe
-from particlerb.plan.joints import assembled
+from particlerb.plan.joints import asked_of_joints, assembled, joints_of
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import GroupPlan, Plan
@@ -39,6 +39,14 @@ from particlerb.record.provenance import texts_of
 from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.simulation.frame_times import Batch, batches
 from particlerb.simulation.group_run import GroupRun, initial_energies, record_all
+from particlerb.simulation.joint_values import (
+    JointValues,
+    at_row,
+    labels_of,
+    recorded_values,
+    room_for_values,
+)
+from particlerb.simulation.probes import Probe, restored_probes, saved_probes
 from particlerb.simulation.state_checks import StateChecks
 from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
@@ -50,13 +58,6 @@ Progress = Callable[[int], object]
 
 class RunError(Exception):
     """A run that failed: what, where, when."""
-
-
-class _Probe(NamedTuple):
-    """State of all bodies at a time that a check asks for."""
-
-    time: float
-    frame: Frames  # one row
 
 
 class TreeError(NamedTuple):
@@ -71,7 +72,7 @@ class Outcome(NamedTuple):
     """What a run leaves beside its file."""
 
     drift: ConservationError
-    probes: tuple[_Probe, ...]
+    probes: tuple[Probe, ...]
     file: h5py.File | Memory  # closed, or what is in memory
     flown: float | None = None  # share of body-steps that closed forms saved; None: not known
     swing: float = 0.0  # [rad] per step, the fastest of bodies on all contacts that was seen
@@ -119,8 +120,10 @@ class Run:
         self.before = np.zeros(7)  # booked before the last restart,
         self.turned_over_before = 0.0  # and gross work of contacts [J]
 
+        self.setup = joints_of(self.system) if asked_of_joints(self.system) else None
+        self.joints: JointValues | None = None  # in rows of the last frames, where asked for
         self.n_frames = 0  # that lie behind
-        self.probes: list[_Probe] = []
+        self.probes: list[Probe] = []
 
     def finish(self, time: float) -> State:
         """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
@@ -159,9 +162,7 @@ class Run:
         saved = {"last": self.last.copy()} | under("ledger", self.ledger.checkpoint())
         for k, traveller in enumerate(self.travellers):
             saved |= under(f"group.{k}", traveller.checkpoint())
-        for k, probe in enumerate(self.probes):
-            saved |= {f"probe.{k}.{name}": getattr(probe.frame, name) for name in _FIELDS_OF_STATES}
-        return saved | {"probes": np.array([probe.time for probe in self.probes])}
+        return saved | saved_probes(self.probes)
 
     def restore(self, n_frames: int, saved: Saved) -> None:
         """Go on behind so many frames from what was saved then."""
@@ -170,10 +171,7 @@ class Run:
         self.ledger.restore(within("ledger", saved))
         for k, traveller in enumerate(self.travellers):
             traveller.restore(within(f"group.{k}", saved))
-        for k, time_ in enumerate(saved["probes"].tolist()):
-            x, q, p, L = (saved[f"probe.{k}.{name}"] for name in _FIELDS_OF_STATES)
-            frame = Frames(x, q, p, L, self.last, np.zeros(1, dtype=np.bool_))
-            self.probes.append(_Probe(time_, frame))
+        self.probes = restored_probes(saved, self.last)
 
     def flown(self) -> float | None:
         """Share of body-steps of touching bodies that were saved by closed forms."""
@@ -201,7 +199,9 @@ class Run:
             self.room = room_for(times.size, len(self.system.kind), self.last)
         frames = first_rows(self.room, times.size)
         frames.is_frame[:] = is_frame
-        booked, energies = record_all(self.travellers, times, frames)
+        if self.setup is not None:
+            self.joints = room_for_values(self.setup, times.size)
+        booked, energies = record_all(self.travellers, times, frames, self.joints)
         booked += self.before
         now = totals(frames, self.counted, self.gravity, *energies)
         sizes = now.kinetic_energy + now.potential_energy + now.momentum_size + now.spin_size
@@ -213,6 +213,10 @@ class Run:
             now = totals(frames, self.counted, self.gravity, *(e[:sound] for e in energies))
         turned_over = self.turned_over_before + sum(t.turned_over() for t in self.travellers)
         return frames, self.ledger.enter(now, booked[:sound], turned_over), error
+
+    def joint_fields(self, rows: Ints) -> dict[str, Floats | Ints]:
+        """Fields of joints in rows of the last frames, where they are to be recorded."""
+        return recorded_values(self.joints, self.system.output.fields, rows)
 
     def touches(self, rows: Ints) -> list[ContactOutput]:
         """Contacts in rows of the last frames; empty where nobody asks."""
@@ -260,7 +264,9 @@ def run_prepared(
     """
     system = prepared.system
     own = {"plan": prepared.text, "identity": identity(prepared)}
-    content = tables_of(system) | texts_of(system, {**own, **prepared.parameters})
+    content = tables_of(system, labels_of(system)) | texts_of(
+        system, {**own, **prepared.parameters}
+    )
     recorder: Recorder | Memory = Memory(system, content)
     if path is not None:
         recorder = Recorder(path, system, content, overwrite)
@@ -330,9 +336,11 @@ def _one_batch(
     sound = len(frames.position)
     rows = np.flatnonzero(batch.is_frame[:sound])
     if rows.size:
-        recorder.append(batch.times[rows], frames, rows, entries, run.touches(rows))
+        beside = run.touches(rows), run.joint_fields(rows)
+        recorder.append(batch.times[rows], frames, rows, entries, *beside)
     for row in np.flatnonzero(batch.is_probe[:sound]):
-        run.probes.append(_Probe(float(batch.times[row]), _one_row(frames, int(row))))
+        values = None if run.joints is None else at_row(run.joints, int(row))
+        run.probes.append(Probe(float(batch.times[row]), _one_row(frames, int(row)), values))
     run.n_frames += rows.size
     return rows.size, error
 

@@ -34,6 +34,7 @@ from particlerb.record.writer import Recorder
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.frame_times import BATCH_FRAMES, multiples
 from particlerb.simulation.frame_times import frame_times as frames_of
+from particlerb.simulation.joint_values import labels_of
 from particlerb.simulation.run import Run, RunError
 from particlerb.stepping.motion import MotionError
 
@@ -108,7 +109,8 @@ class Simulation:
         system = prepared.system
         self._recorder: Recorder | None = None
         if path is not None:
-            content = tables_of(system) | texts_of(system, {"plan": prepared.text})
+            content = tables_of(system, labels_of(system))
+            content |= texts_of(system, {"plan": prepared.text})
             self._recorder = Recorder(path, system, content, overwrite)
         self._run, self._due = Run(prepared), 0  # frame that comes next
         self._state, self._entries = self._go_to(0.0)
@@ -300,8 +302,8 @@ class Simulation:
             raise RunError(str(problem)) from None
         rows = np.flatnonzero(is_frame[: len(frames.position)])
         if self._recorder is not None and rows.size:
-            touches = self._run.touches(rows)
-            self._recorder.append(times[rows], frames, rows, entries, touches)
+            beside = self._run.touches(rows), self._run.joint_fields(rows)
+            self._recorder.append(times[rows], frames, rows, entries, *beside)
             self._recorder.commit_if_due(None)
         if error is not None:
             self.close()

@@ -182,7 +182,9 @@ class AdaptiveRun(Motion):
         """Through all times; sums of what was booked, for each row of the frames."""
         group = self.group
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
-        recording = Recording(group.bodies.rotor_frame, group.members, frames, sums)
+        recording = Recording(
+            group.bodies.rotor_frame, group.members, frames, sums, np.zeros((0, 0, 3))
+        )
         for lo, hi, until in self.calls(times, stop):
             cut = stop if until == stop else np.inf
             self.advance_some(times[lo:hi], rows[lo:hi], until, cut, recording)
@@ -251,6 +253,6 @@ class AdaptiveMotion(AdaptiveRun):
         """Packs of bodies over threads; see `AdaptiveRun`."""
         through = partial(
             advance, self.blocks, acting_of(self.group.terms), self.account.books, self.clock,
-            self.tolerance, times, rows, until, stop, *recording,
+            self.tolerance, times, rows, until, stop, *recording[:4],
         )  # fmt: skip
         THREADS.spread(through, self.group.members.size, int((times.size + 1) * self.cost))

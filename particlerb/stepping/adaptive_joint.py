@@ -329,7 +329,7 @@ class JointMotion(AdaptiveRun):
         arguments = (
             acting_of(self.group.terms), self.account.books, self.blocks, self.layout,
             self.forces.pairs, self.room, self.clock, self.tolerance, times, rows, until, stop,
-            *recording,
+            *recording[:4],
         )  # fmt: skip
         if self.forces.is_large:
             family(in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)

@@ -30,6 +30,7 @@ from particlerb.integrators.stages import (
     place,
     set_times,
     stages,
+    store_coordinates,
 )
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
@@ -74,6 +75,7 @@ class Recording(NamedTuple):
     members: Ints  # (n,) which bodies of the scene these are
     frames: Frames
     sums: Floats  # (T, blocks, 7) what was booked
+    turned: Floats  # (T, c, 3) of joints
 
 
 @kernel
@@ -94,7 +96,7 @@ def store_blocks(
     last: int,
 ) -> None:
     """Write the bodies of some blocks into a frame."""
-    rotor_frame, members, frames, sums = recording
+    rotor_frame, members, frames, sums, _ = recording
     for k in range(first, last):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         local = rows.reshape(rows.size // STRIDE, STRIDE)
@@ -124,6 +126,7 @@ def _store(moving: MovingBodies, first: int, last: int, recording: Recording, fr
     """Write some blocks, and contacts, into a frame."""
     store_blocks(moving.blocks, moving.layout, moving.books, recording, frame, first, last)
     store_contacts(moving.contact, moving.team, frame)
+    store_coordinates(moving, recording.turned, frame)
 
 
 @stages

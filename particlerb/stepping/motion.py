@@ -60,6 +60,7 @@ class Motion(Protocol):
     flown: tuple[int, int] = 0, 0  # body-steps that closed forms saved between contacts, and all
     initial_energies: Energies = Energies(np.zeros(1), np.zeros(1))  # of contacts and pistons
     contacts: Mapping[int, ContactOutput] = {}  # in rows of the last `record`, where asked for
+    coordinates: Floats = np.zeros((0, 0, 3))  # (T, c, 3) of joints in these rows, where asked for
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times [s] into rows of the frames; return (T, 7) booked."""
@@ -76,6 +77,10 @@ class Motion(Protocol):
     def lost_joints(self) -> list[int]:
         """Joints of the system that no impulse keeps any more."""
         return []
+
+    def turn_on(self, before: "Motion") -> None:
+        """Count the turns of joints on from where the segment before has left them."""
+        return
 
     def contact_energies(self, rows: Ints) -> Energies:
         """Of contacts and pistons, in rows of the frames of the last `record`."""

@@ -13,6 +13,7 @@ from particlerb.forces.registry import STAGE
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import MovingBodies, RotorClasses
+from particlerb.joints.coordinates import count_turns
 from particlerb.joints.records import Jointed, room_for_joints
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.block import (
@@ -72,6 +73,7 @@ class SteppedMotion(Motion):
 
     def __init__(self, method: Method, group: Group, state: State, start: float, dt: float) -> None:
         self.method, self.group, self.start, self.dt = method, group, start, dt
+        self.first = state
         terms, n = group.terms, group.members.size
         self.forces = _pairs_of(method, terms, n)
         self.is_coupled = self.forces is not None or terms.joints is not None
@@ -127,7 +129,11 @@ class SteppedMotion(Motion):
         if joints is None:
             return None
         slots = self.slots[joints.order]
-        return Jointed(joints, room_for_joints(joints), slots // BLOCK, slots % BLOCK)
+        work = room_for_joints(joints)
+        work.y[:-1] = np.vstack(self.first).T[joints.order]
+        count_turns(joints.coordinates, work.y, work.turned)
+        work.turned[:, 2] = 0.0
+        return Jointed(joints, work, slots // BLOCK, slots % BLOCK)
 
     def lost_joints(self) -> list[int]:
         """Joints of the system that no impulse keeps any more."""
@@ -145,12 +151,26 @@ class SteppedMotion(Motion):
 
     def checkpoint(self) -> Saved:
         """States on the grid with what was booked, and the steps until there."""
-        return {"changing": self.values(0, CHANGING), "done": np.array(self.steps_done)}
+        saved = {"changing": self.values(0, CHANGING), "done": np.array(self.steps_done)}
+        return saved | ({"turned": self.turned.copy()} if self.turned.size else {})
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         into_blocks(self.blocks, 0, self.spaced(saved["changing"]))
         self.steps_done = int(saved["done"])
+        if self.turned.size:
+            self.turned[:] = saved["turned"]
+
+    @property
+    def turned(self) -> Floats:
+        """Coordinates of joints as they are tracked, (c, 3): see joints/coordinates.py."""
+        jointed = self.moving.jointed
+        return np.zeros((0, 3)) if jointed is None else jointed.work.turned
+
+    def turn_on(self, before: Motion) -> None:
+        """Count the turns of joints on from where the segment before has left them."""
+        if isinstance(before, SteppedMotion) and before.turned.shape == self.turned.shape:
+            self.turned[:] = before.turned
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
@@ -172,7 +192,8 @@ class SteppedMotion(Motion):
         """Go through stops given by their distance from the start; sums of what was booked."""
         bodies, members = self.group.bodies, self.group.members
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
-        recording = Recording(bodies.rotor_frame, members, frames, sums)
+        self.coordinates = np.zeros((frames.position.shape[0], *self.turned.shape))
+        recording = Recording(bodies.rotor_frame, members, frames, sums, self.coordinates)
         for schedule in self.schedules(np.diff(steps, prepend=self.steps_done), partial, rows):
             self.run(schedule, recording)
             self.steps_done += int(schedule.steps.sum())

@@ -44,7 +44,7 @@ def test_a_stack_presses_the_floor_with_its_weight_and_each_contact_with_what_is
         assert t.contact_overlap[-1] == pytest.approx(2.0 * G / K * np.array([0, 3, 2, 1]))
         assert t.wall_names == ["floor"]
         assert t.fields == STATE
-        assert set(t.contact_fields) == set(ALL) - set(STATE)
+        assert set(t.other_fields) == set(ALL) - set(STATE)
 
 
 def test_torque_on_a_turning_wall_is_about_its_own_centre_and_its_power_is_booked(make):

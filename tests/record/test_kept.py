@@ -33,7 +33,7 @@ def test_a_kept_file_is_read(kept, tmp_path, capsys):
     path, table = kept
     with particlerb.open(path) as t:
         assert all(finding.is_whole for finding in verify(t))
-        for name in (*t.fields, *t.contact_fields):
+        for name in (*t.fields, *t.other_fields):
             if name != "contacts":
                 assert len(getattr(t, name)) == t.n_frames
         assert t.contacts(0).force.shape[1] == 3

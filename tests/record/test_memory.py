@@ -44,7 +44,7 @@ def test_memory_reads_as_a_file(make, tmp_path, dtype):
             for mine, theirs in zip(kept.contacts(frame), written.contacts(frame), strict=True):
                 assert mine.dtype == theirs.dtype
                 assert np.array_equal(mine, theirs)
-        for name in ("names", "wall_names", "fields", "contact_fields", "n_contacts", "file_names"):
+        for name in ("names", "wall_names", "fields", "other_fields", "n_contacts", "file_names"):
             assert getattr(kept, name) == getattr(written, name)
         for text in ("case", "plan", "identity", "versions", "machine", "case_resolved"):
             assert kept.parameter(text) == written.parameter(text)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.case.output import FIELDS_OF_CONTACT
-from particlerb.record.schema import FIELDS
+from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_JOINTS
+from particlerb.record.schema import FIELDS, SERIES
 
 ALL = list(FIELDS)
 CORE = ("position", "orientation", "linear_momentum", "angular_momentum")
@@ -171,7 +171,8 @@ def test_xarray_opens_the_tree(written):
         assert (tree["particles/trajectory/position/value"].values == file.position).all()
 
 
-OPTIONAL = {name: [name] for name in FIELDS_OF_CONTACT} | {
+OPTIONAL = {name: [name] for name in (*FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS)} | {
+    "joints": list(FIELDS_OF_JOINTS),
     "velocities": ["velocity", "angular_velocity"],
     "all": [*ALL[4:], *FIELDS_OF_CONTACT],
 }
@@ -179,7 +180,7 @@ OPTIONAL = {name: [name] for name in FIELDS_OF_CONTACT} | {
 
 @pytest.fixture(scope="module", params=[*OPTIONAL, "all, float32"])
 def optional(make, tmp_path_factory, request):
-    """A file with an optional output, or all, with two walls and a table of particles."""
+    """A file with an optional output, or all, with two walls and a table; or joints."""
     folder = tmp_path_factory.mktemp("optional")
     (folder / "points.csv").write_text("x y z m\n0 0 0 1\n1 0 0 1\n0 1 0 1\n")
     points = {"type": "points", "file": str(folder / "points.csv")}
@@ -193,11 +194,35 @@ def optional(make, tmp_path_factory, request):
     ]
     name, _, dtype = request.param.partition(", ")
     output = {"fields": [*CORE, *OPTIONAL[name]], "dtype": dtype or "float64"}
+    if name.startswith("joint"):
+        return jointed(make, folder / "run.h5", output)
     walls = [make.plane(), make.plane(name="side", normal=[0, 1, 0], point=[0, -1, 0])]
     numbers = {"contact": make.hooke(), "wall": walls, "output": output, "dt": 1e-3}
     path = folder / "run.h5"
     particlerb.run(make.case(*bodies, t_end=0.004, every=1e-3, **numbers), path).close()
     return path
+
+
+def jointed(make, path, output):
+    """A file of two doors, one on two hinges, and a body apart."""
+    bodies = [
+        make.body(name, position=[0.5, k, 0]) for k, name in enumerate(("one", "two", "three"))
+    ]
+    tables = [("one", 0, 0.0), ("two", 1, 0.0), ("two", 1, 0.5)]
+    joints = [
+        {"type": "hinge", "body": name, "at": [0.0, k, z], "axis": [0.0, 0.0, 1.0]}
+        for name, k, z in tables
+    ]
+    keys = {"joint": joints, "gravity": {"acceleration": [0.0, 1.0, 0.0]}, "dt": 1e-3}
+    scene = make.case(*bodies, t_end=0.004, every=1e-3, output=output, **keys)
+    particlerb.run(scene, path).close()
+    return path
+
+
+def part_of(name):
+    """What an observable of a file has entries of; empty where it is one for all."""
+    kind = name.split("/")[1]
+    return SERIES[f"observables/{kind}/value"].per if name.startswith("observables/") else ""
 
 
 def datasets(path):
@@ -225,8 +250,9 @@ def test_every_optional_output_is_read_by_netcdf(optional):
         for name, values in expected.items():
             for tree in (whole, other):
                 assert np.array_equal(tree[name][...], values, equal_nan=True), name
-        for name in (name for name in expected if name.startswith("observables/wall_")):
-            assert whole[name].dimensions[:2] == ("time", "wall") or name.endswith("/wall")
+        for name in filter(part_of, expected):
+            part = part_of(name)
+            assert whole[name].dimensions[:2] == ("time", part) or not name.endswith("/value")
 
 
 @pytest.mark.parametrize("engine", [{"engine": "netcdf4"}, {"engine": "h5netcdf"}])
@@ -247,12 +273,12 @@ def test_vtk_and_mdanalysis_read_every_optional_output(optional):
     expected = datasets(optional)
     universe = MDAnalysis.Universe.empty(3, trajectory=False)
     universe.load_new(str(optional), format="H5MD", convert_units=False)
-    walls = [name for name in expected if name.startswith("observables/wall_")]
+    parts = [name for name in expected if part_of(name) and name.endswith("/value")]
     for frame, (_, output) in zip(universe.trajectory, vtk_frames(optional), strict=True):
         place = expected["particles/trajectory/position/value"][frame.frame]
         assert (frame.positions == place.astype(np.float32)).all()
         assert (vtk_to_numpy(output.GetPoints().GetData()) == place).all()
-        for name in (name for name in walls if name.endswith("value")):
+        for name in parts:
             own = frame.data[name.split("/")[1]]
             assert (own == expected[name][frame.frame]).all()
         data = output.GetPointData()

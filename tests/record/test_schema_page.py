@@ -11,7 +11,7 @@ import h5py
 import pytest
 
 import particlerb
-from particlerb.case.output import FIELDS_OF_CONTACT
+from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_JOINTS
 from particlerb.record.schema import (
     BODIES,
     CONTACT_FIELDS,
@@ -19,20 +19,22 @@ from particlerb.record.schema import (
     FILES,
     LEDGER,
     OBSERVABLES,
+    OBSERVED,
     OFFSET,
+    PARTS,
     STATIC,
     TRAJECTORY,
-    WALL_NUMBERS,
-    WALLS,
 )
 
 PAGE = Path(__file__).parents[2] / "docs" / "schema.md"
 HEAD = "| path | type | shape | unit | frame | meaning |"
 ATTRIBUTE_HEAD = "| attribute | type | shape | meaning |"
 # Numbers of frames, bodies, kinds, particles that occur nowhere else, so that a shape tells them.
-T, N, K, P, W = 11, 8, 5, 27, 13
+T, N, K, P, W, J, A = 11, 8, 5, 27, 13, 7, 10
 SIZES = {
     W: "W",
+    J: "J",
+    A: "A",
     T + 1: "T + 1",
     T: "T",
     N: "N",
@@ -42,7 +44,7 @@ SIZES = {
     T * N: "T N",
     N + 1: "N + 1",
 }
-LINKED = (f"{TRAJECTORY}/step", f"{TRAJECTORY}/time", WALL_NUMBERS)
+LINKED = (f"{TRAJECTORY}/step", f"{TRAJECTORY}/time", *(part.numbers for part in PARTS.values()))
 OF_OTHERS = {"DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME", "units", "meaning"}
 
 
@@ -123,7 +125,7 @@ def frame_of(path: str) -> str:
     name = path.removesuffix("/value").rpartition("/")[2]
     if path.endswith("/value"):
         of_bodies = path.startswith(TRAJECTORY)
-        return ({**FIELDS, **CONTACT_FIELDS} if of_bodies else {**LEDGER, **WALLS})[name].frame
+        return ({**FIELDS, **CONTACT_FIELDS} if of_bodies else {**LEDGER, **OBSERVED})[name].frame
     return STATIC[path].frame if path in STATIC else ""
 
 
@@ -154,6 +156,18 @@ SORTS = {
             {"type": "plane", "name": f"w{k}", "normal": [0, 0, 1], "point": [0, 0, -50.0 - k]}
             for k in range(W)
         ],
+        "dt": 0.05,
+    },
+    "joints": {
+        "output": {"fields": [*FIELDS, *FIELDS_OF_JOINTS]},
+        "joint": [
+            {"type": kind, "body": body, "axis": [0, 0, 1]}
+            for kind, body in (
+                *(("hinge", f"{name}") for name in "abcd"),
+                *(("planar", f"e[{k}]") for k in range(2)),
+            )
+        ]
+        + [{"type": "ball", "body": "e[3]"}],
         "dt": 0.05,
     },
 }
@@ -191,8 +205,10 @@ def test_what_a_file_holds_is_on_the_page(files, name):
 
 def test_what_is_on_the_page_is_in_a_file(files):
     listed, described = page()
-    (rows, attributes), (more, _) = files["all"], files["contact"]
-    assert set(listed) == set(rows) | set(more)
+    (rows, attributes), (more, _), (joints, _) = (
+        files[name] for name in ("all", "contact", "joints")
+    )
+    assert set(listed) == set(rows) | set(more) | set(joints)
     assert set(described) == set(attributes)
 
 
@@ -234,7 +250,7 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "all.h5"
         found, named = {}, {}
-        for sort in ("all", "contact"):
+        for sort in ("all", "contact", "joints"):
             particlerb.run(
                 scene(makers, output.parent, **SORTS[sort]), output, overwrite=True
             ).close()

@@ -1,0 +1,121 @@
+"""What joints carry, how well they hold and where they are, in states of the bodies.
+
+All but the turns of angles follows from a state and from the forces that act there: a run that
+records it and `joint_loads` find it by the same code.
+"""
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.integrators import METHODS
+from particlerb.integrators.stages import gather_loads
+from particlerb.joints.coordinates import values_of
+from particlerb.joints.reactions import find_multipliers, forces_of_joints, make_least
+from particlerb.joints.rows import rates, residuals
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.block import COM, into_blocks
+from particlerb.model.state import State
+from particlerb.model.system import System
+from particlerb.plan.joint_words import work_at
+from particlerb.plan.joints import JointSetup, asked_of_joints, joints_of
+from particlerb.plan.segments import GroupPlan, Segment
+from particlerb.stepping.stepped_motion import SteppedMotion
+
+
+class JointValues(NamedTuple):
+    """Joints j with coordinates c at T instants, named as the fields of a file."""
+
+    joint_force: Floats  # (T, j, 3) [N] on the first body, world axes
+    joint_torque: Floats  # (T, j, 3) [N m] on it about the point of the joint, world axes
+    joint_force_determined: Ints  # (T, j, 3) 0 where redundant rows leave the component open
+    joint_torque_determined: Ints  # (T, j, 3)
+    joint_misfit: Floats  # (T, j) largest |g|, of lengths over the size of the joint
+    joint_rate: Floats  # (T, j) largest |dg/dt| [1/s], the same way
+    joint_coordinate: Floats  # (T, c) [rad or m]
+
+
+def room_for_values(setup: JointSetup, n: int) -> JointValues:
+    """Values of n instants, to be written; joints that do not act carry nothing."""
+    vectors = (n, len(setup.names), 3)
+    return JointValues(
+        np.zeros(vectors),
+        np.zeros(vectors),
+        np.ones(vectors, dtype=np.int64),
+        np.ones(vectors, dtype=np.int64),
+        np.zeros(vectors[:2]),
+        np.zeros(vectors[:2]),
+        np.zeros((n, setup.coordinates.a.size)),
+    )
+
+
+def labels_of(system: System) -> dict[str, list[tuple[str, str]]]:
+    """Names and units of joints and coordinates, where they are to be recorded."""
+    setup = joints_of(system) if asked_of_joints(system) else None
+    if setup is None:
+        return {}
+    joints = [(name, "") for name in setup.names]
+    return {"joint": joints, "coordinate": setup.coordinate_labels}
+
+
+def at_row(values: JointValues, row: int) -> JointValues:
+    """Copy of the values of one instant."""
+    return JointValues._make(array[row : row + 1].copy() for array in values)
+
+
+def recorded_values(
+    values: JointValues | None, fields: Collection[str], rows: Ints
+) -> dict[str, Floats | Ints]:
+    """Those of the fields, for some rows."""
+    asked = () if values is None else [name for name in JointValues._fields if name in fields]
+    return {name: getattr(values, name)[rows] for name in asked}
+
+
+class JointReader:
+    """Finds the values of the joints of a group while a segment lasts."""
+
+    def __init__(self, group: GroupPlan, segment: Segment, first: State) -> None:
+        assert segment.terms.joints is not None
+        self.segment, self.joints = segment, segment.terms.joints
+        moving = group.group(segment)
+        method = METHODS[segment.method]
+        self.motion = SteppedMotion(method, moving, first, segment.start, segment.dt)
+
+    def read(
+        self, time: float, state: State, turned: Floats | None, values: JointValues, row: int
+    ) -> None:
+        """Write a row of the values.
+
+        Parameters
+        ----------
+        time : float [s]
+        state : State
+            Of the group.
+        turned : ndarray, shape (c, 3), or None
+            Coordinates as the motion tracks them.
+        values, row : JointValues, int
+            What to write.
+        """
+        joints, motion = self.joints, self.motion
+        loads = np.zeros((6, state.com.shape[1]))
+        into_blocks(motion.blocks, COM, motion.spaced(np.vstack(state)))
+        gather_loads(motion.moving, time - self.segment.start, loads)
+        work, m = work_at(joints, state), joints.rows.kind.size
+        padded = np.zeros((joints.inv_mass.size, 6))
+        padded[:-1] = loads.T[joints.order]
+        find_multipliers(joints, work, padded)
+        is_open = make_least(joints, work)
+        carried = forces_of_joints(joints, work, work.z)
+        own = joints.number
+        values.joint_force[row, own], values.joint_torque[row, own] = np.hsplit(carried, 2)
+        values.joint_force_determined[row, own] = ~is_open[:, :3]
+        values.joint_torque_determined[row, own] = ~is_open[:, 3:]
+        residuals(joints, work, 0, m)
+        rates(joints, work, 0, m)
+        start, size = joints.program.start[:-1], joints.rows.size
+        values.joint_misfit[row, own] = np.maximum.reduceat(np.abs(work.g) / size, start)
+        values.joint_rate[row, own] = np.maximum.reduceat(np.abs(work.z) / size, start)
+        if turned is not None and joints.coordinates is not None:
+            known = values_of(joints.coordinates, turned)
+            values.joint_coordinate[row, joints.coordinates.number] = known

@@ -1,0 +1,42 @@
+"""States, and what joints carry, at the times that checks ask for."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.maths.vec3 import Floats
+from particlerb.model.state import Frames
+from particlerb.simulation.joint_values import JointValues
+from particlerb.stepping.saved_arrays import Saved
+
+_FIELDS = ("position", "orientation", "linear_momentum", "angular_momentum")
+
+
+class Probe(NamedTuple):
+    """All bodies at a time that a check asks for."""
+
+    time: float  # [s]
+    frame: Frames  # one row
+    joints: JointValues | None = None  # one row
+
+
+def saved_probes(probes: Sequence[Probe]) -> Saved:
+    """Probes as a checkpoint holds them."""
+    saved: Saved = {"probes": np.array([probe.time for probe in probes])}
+    for k, probe in enumerate(probes):
+        saved |= {f"probe.{k}.{name}": getattr(probe.frame, name) for name in _FIELDS}
+        if probe.joints is not None:
+            saved |= {f"probe.{k}.{name}": own for name, own in probe.joints._asdict().items()}
+    return saved
+
+
+def restored_probes(saved: Saved, last: Floats) -> list[Probe]:
+    """Probes of a checkpoint; `last` are the orientations of the last frame."""
+    found = []
+    for k, time in enumerate(saved["probes"].tolist()):
+        x, q, p, L = (saved[f"probe.{k}.{name}"] for name in _FIELDS)
+        names = JointValues._fields if f"probe.{k}.{JointValues._fields[0]}" in saved else ()
+        joints = JointValues(*(saved[f"probe.{k}.{name}"] for name in names)) if names else None
+        found.append(Probe(time, Frames(x, q, p, L, last, np.zeros(1, dtype=np.bool_)), joints))
+    return found
