@@ -31,7 +31,8 @@ FIELDS_OF_JOINTS = (
 )
 FIELDS_OF_CONTACT = ("contacts", "contact_number", "contact_overlap", *FIELDS_OF_WALLS)
 _FieldName = Annotated[str, one_of(*_OF_BODIES, *FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS)]
-_Quantity = Annotated[str, one_of(*_OF_BODIES, "kinetic_energy", "inertia")]
+_OF_JOINTS = tuple(name for name in FIELDS_OF_JOINTS if not name.endswith("_determined"))
+_Quantity = Annotated[str, one_of(*_OF_BODIES, "kinetic_energy", "inertia", *_OF_JOINTS)]
 
 
 def _are_unique(fields: tuple[str, ...]) -> tuple[str, ...]:
@@ -59,8 +60,11 @@ _EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
     "orientation": ((4,),),
     "kinetic_energy": ((),),
     "inertia": ((3,), (3, 3)),
+    "joint_misfit": ((),),
+    "joint_rate": ((),),
+    "joint_coordinate": ((), (1,), (2,), (3,)),
 }
-_FRAMELESS = ("position", "orientation", "kinetic_energy")
+_FRAMELESS = ("position", "orientation", "kinetic_energy", *FIELDS_OF_JOINTS)
 
 
 def _shape_of(value: Any) -> tuple[int, ...] | None:
@@ -74,7 +78,10 @@ def _shape_of(value: Any) -> tuple[int, ...] | None:
 class CheckValue(Table):
     """A value that the run must reach."""
 
-    body: Name = Field(description="Name of a [[body]] block, or of one body as name[3]. [-]")
+    body: Name | None = Field(
+        None, description="Name of a [[body]] block, or of one body as name[3]. [-]"
+    )
+    joint: Name | None = Field(None, description="Name of a joint, for what is of joints. [-]")
     quantity: _Quantity = Field(description="What is compared. [-]")
     frame: Frame = Field("world", description=_FRAME)
     time: NonNegative | None = Field(None, description="When; default: t_end. [s]")
@@ -83,7 +90,12 @@ class CheckValue(Table):
 
     @model_validator(mode="after")
     def has_right_length(self) -> Self:
-        """Require as many numbers as the quantity has."""
+        """Require as many numbers as the quantity has, and whom it is of."""
+        owner, other = ("joint", "body") if self.quantity in _OF_JOINTS else ("body", "joint")
+        if getattr(self, owner) is None:
+            raise broken("missing", owner, f"{self.quantity} is of a {owner}")
+        if getattr(self, other) is not None:
+            raise broken(f"{self.quantity} is of a {owner}", other, f"give `{owner}` alone")
         shape = _shape_of(self.value)
         allowed = _EXPECTED_SHAPES.get(self.quantity, ((3,),))
         if shape not in allowed:

@@ -111,8 +111,11 @@ def _references(raw: dict[str, Any]) -> Iterator[Finding]:
     if isinstance(raw.get("attraction"), dict):
         yield from reference(("attraction", "body"), raw["attraction"].get("body"), counts)
     for i, check in tables(raw.get("check"), "value"):
+        path: Path = ("check", "value", i)
         if isinstance(check.get("body"), str):
-            yield from reference(("check", "value", i, "body"), check["body"], counts)
+            yield from reference((*path, "body"), check["body"], counts)
+        if given(check, "joint") and not tables(raw, "joint"):
+            yield (*path, "joint"), "there is no [[joint]]", "leave it out"
 
 
 def reference(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Finding]:

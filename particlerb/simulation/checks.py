@@ -20,6 +20,8 @@ from particlerb.model.state import (
     rotation_matrix,
 )
 from particlerb.model.system import System
+from particlerb.plan.joints import JointSetup, joints_of
+from particlerb.simulation.joint_values import JointValues
 from particlerb.simulation.run import Outcome
 
 
@@ -57,14 +59,18 @@ def results(system: System, outcome: Outcome) -> list[Result]:
         )
         if limit is not None
     ]
-    frames = {probe.time: probe.frame for probe in outcome.probes}
+    probes = {probe.time: probe for probe in outcome.probes}
+    setup = joints_of(system) if any(check.joint for check in system.check.value) else None
     values = []
     for check in system.check.value:
         time = system.run.t_end if check.time is None else check.time
-        values += [
-            _value_result(check, time, system, int(b), frames[time])
-            for b in system.names.find(check.body)
-        ]
+        if check.body is not None:
+            values += [
+                _value_result(check, time, system, int(b), probes[time].frame)
+                for b in system.names.find(check.body)
+            ]
+        elif setup is not None:
+            values.append(_joint_result(check, time, setup, probes[time].joints))
     return limits + values
 
 
@@ -114,6 +120,21 @@ def quantity(check: CheckValue, system: System, b: int, frames: Frames) -> Float
     if check.frame == "body":
         vector = rotate(orientation[0, index].T * CONJUGATE, vector)
     return vector[:, 0]
+
+
+def _joint_result(
+    check: CheckValue, time: float, setup: JointSetup, values: JointValues | None
+) -> Result:
+    """One expected value of one joint."""
+    assert check.joint is not None
+    assert values is not None
+    j = setup.names.index(check.joint)
+    which = setup.coordinates.joint == j if check.quantity == "joint_coordinate" else j
+    found = np.atleast_1d(getattr(values, check.quantity)[0, which])
+    expected = np.atleast_1d(np.array(check.value, dtype=np.float64))
+    error = float(np.abs(found - expected).max())
+    name = f"{check.quantity} of {check.joint} at {time:.9g} s"
+    return Result(name, numbers(expected), numbers(found), error, check.tolerance)
 
 
 def _rotated(q: Floats, tensor: Floats) -> Floats:

@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particlerb.case.problems import CaseError, nearest
+from particlerb.case.source import problem_at
 from particlerb.integrators import METHODS
 from particlerb.integrators.stages import gather_loads
 from particlerb.joints.coordinates import values_of
@@ -48,6 +50,27 @@ def room_for_values(setup: JointSetup, n: int) -> JointValues:
         np.zeros(vectors[:2]),
         np.zeros((n, setup.coordinates.a.size)),
     )
+
+
+def refuse_checks(system: System) -> None:
+    """Raise CaseError where a check names no joint, or numbers that a joint has not."""
+    is_asked = any(check.joint is not None for check in system.check.value)
+    setup = joints_of(system) if is_asked else None
+    problems = []
+    for k, check in enumerate(system.check.value if setup is not None else ()):
+        if check.joint is None or setup is None:
+            continue
+        if check.joint not in setup.names:
+            reason = f'there is no joint "{check.joint}"'
+            hint = nearest(check.joint, setup.names)
+            problems.append(problem_at(system, f"check.value[{k}].joint", reason, hint))
+        elif check.quantity == "joint_coordinate":
+            n = int(np.sum(setup.coordinates.joint == setup.names.index(check.joint)))
+            if np.size(check.value) != n:
+                reason = f"{check.joint} has {n} coordinate{'s' * (n != 1)}"
+                problems.append(problem_at(system, f"check.value[{k}].value", reason, ""))
+    if problems:
+        raise CaseError(problems)
 
 
 def labels_of(system: System) -> dict[str, list[tuple[str, str]]]:

@@ -44,6 +44,7 @@ from particlerb.simulation.joint_values import (
     at_row,
     labels_of,
     recorded_values,
+    refuse_checks,
     room_for_values,
 )
 from particlerb.simulation.probes import Probe, restored_probes, saved_probes
@@ -97,6 +98,7 @@ def prepare(system: System) -> Prepared:
         With all problems that show here.
     """
     system = assembled(remove_overlaps(system))
+    refuse_checks(system)
     plan = make_plan(system)
     return Prepared(system, plan, describe(system, plan))
 

@@ -10,7 +10,10 @@ from scenes import SCENES, X, Z, bar, body, case, joint, moved
 import particlerb
 from particlerb import CaseError, joint_loads
 from particlerb.case.output import FIELDS_OF_JOINTS
+from particlerb.case.to_system import to_system
 from particlerb.export import export
+from particlerb.simulation.checks import results
+from particlerb.simulation.run import prepare, run_prepared
 
 STATE = ["position", "orientation", "linear_momentum", "angular_momentum"]
 
@@ -190,3 +193,51 @@ def test_a_scene_that_is_moved_by_hand_counts_turns_and_records_them(tmp_path):
     with particlerb.open(tmp_path / "a.h5") as t:
         assert t.joint_coordinate[:, 0] == pytest.approx([0.0, 10.0, 20.0], abs=1e-11)
         assert t.joint_force[:, 0, 2] == pytest.approx([2.0, 4.0, 4.0], abs=1e-12)
+
+
+def weighed(*checks):
+    """A weight that hangs at rest on a hinge and a slider."""
+    one = body("one", 2.0, [0.3, 0.3, 0.3], [0, 0, -1.0])
+    other = body("other", 3.0, [0.3, 0.3, 0.3], [5, 0, 0])
+    joints = [
+        joint("hinge", "one", None, [0, 0, 0], X, name="pin"),
+        joint("slider", "other", None, [5, 0, 0], Z, name="rail"),
+    ]
+    return case([one, other], joints, check={"value": [{"tolerance": 1e-9} | c for c in checks]})
+
+
+def test_checks_take_what_joints_carry_and_where_they_are(tmp_path):
+    good = weighed(
+        {"joint": "pin", "quantity": "joint_force", "value": [0, 0, 2 * 9.81]},
+        {"joint": "pin", "quantity": "joint_torque", "value": [0, 0, 0]},
+        {"joint": "pin", "quantity": "joint_coordinate", "value": 0.0},
+        {"joint": "rail", "quantity": "joint_coordinate", "value": -9.81 / 2, "time": 1.0},
+        {"joint": "rail", "quantity": "joint_coordinate", "value": [-9.81 / 8], "time": 0.5},
+        {"joint": "rail", "quantity": "joint_misfit", "value": 0.0},
+    )
+    path = tmp_path / "run.h5"
+    times = {"every": 0.25, "dt": 0.05}
+    prepared = prepare(to_system({"run": {"t_end": 1.0, **times}, **good}))
+    found = results(prepared.system, run_prepared(prepared, path))
+    assert all(result.holds for result in found)
+    assert found[3].name == "joint_coordinate of rail at 1 s"
+    good["check"]["value"][0]["value"] = [0, 0, 2 * 9.82]
+    prepared = prepare(to_system({"run": {"t_end": 1.0, **times}, **good}))
+    found = results(prepared.system, run_prepared(prepared, None))
+    assert [result.holds for result in found] == [False] + [True] * 5
+    assert found[0].error == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    ("check", "words"),
+    [
+        ({"joint": "pn", "quantity": "joint_force", "value": [0, 0, 0]}, 'did you mean "pin"'),
+        ({"joint": "pin", "quantity": "joint_coordinate", "value": [0, 0]}, "has 1 coordinate"),
+        ({"body": "one", "quantity": "joint_force", "value": [0, 0, 0]}, "is of a joint"),
+        ({"joint": "pin", "quantity": "position", "value": [0, 0, 0]}, "is of a body"),
+        ({"joint": "pin", "quantity": "joint_rate", "value": [0, 0, 0]}, "needs one number"),
+    ],
+)
+def test_checks_of_joints_that_cannot_be_are_named(check, words):
+    with pytest.raises(CaseError, match=words):
+        prepare(to_system({"run": {"t_end": 1.0, "every": 0.5, "dt": 0.1}, **weighed(check)}))
