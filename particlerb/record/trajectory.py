@@ -1,7 +1,6 @@
 """A trajectory file read back: fields by name, what follows from them, and where they come from."""
 
 import json
-from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,7 +25,7 @@ from particlerb.record.checked_reading import (
     text_at,
     trajectory_errors,
 )
-from particlerb.record.frame_reader import FrameReader
+from particlerb.record.labelled import LabelledReader
 from particlerb.record.provenance import stored_case, stored_names
 
 __all__ = ["Contacts", "Trajectory", "TrajectoryError", "open_trajectory"]
@@ -45,7 +44,7 @@ class Contacts(NamedTuple):
 _JSON_TEXTS = ("case_resolved", "versions")
 
 
-class Trajectory(FrameReader):
+class Trajectory(LabelledReader):
     """States of N bodies in T frames, what follows from them, and where they come from.
 
     Frames that were not yet committed when the file was opened do not count; `refresh` counts
@@ -62,11 +61,6 @@ class Trajectory(FrameReader):
         If the file lacks what a trajectory has, or is of another schema; from any method if what
         it reads is damaged.
     """
-
-    @property
-    def time(self) -> Floats:
-        """Times of the frames [s], shape (T,)."""
-        return self.series(schema.TIME)
 
     @property
     def position(self) -> Floats:
@@ -131,12 +125,6 @@ class Trajectory(FrameReader):
         frame = self.table(f"{schema.BODIES}/rotor_frame", "f", (n, 4))
         rotor_class = self.table(f"{schema.BODIES}/rotor_class", "i", (n,))
         return made_of(self.mass, moments.T.copy(), frame.T.copy(), rotor_class)
-
-    @cached_property
-    def names(self) -> Sequence[str]:
-        """Names of the bodies."""
-        names = self.table(f"{schema.BODIES}/names", "S", (self.n_bodies,))
-        return [name.decode(errors="replace") for name in names]
 
     @cached_property
     def kind(self) -> Ints:
