@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from particlerb.simulation.resume import ResumeError
     from particlerb.simulation.run import RunError
     from particlerb.simulation.simulation import Simulation
+    from particlerb.sweeping.driver import sweep
 
 __version__ = "0.1.0"
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "open",
     "resume",
     "run",
+    "sweep",
 ]
 
 HOMES = {
@@ -49,6 +51,7 @@ HOMES = {
     "open": ("particlerb.record.trajectory", "open_trajectory"),
     "resume": ("particlerb.simulation.entry", "resume"),
     "run": ("particlerb.simulation.entry", "run"),
+    "sweep": ("particlerb.sweeping.driver", "sweep"),
 }
 
 

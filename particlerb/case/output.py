@@ -75,27 +75,39 @@ def _shape_of(value: Any) -> tuple[int, ...] | None:
         return None
 
 
-class CheckValue(Table):
-    """A value that the run must reach."""
+class Asked(Table):
+    """A value of a run: of which body or joint, what, and when."""
 
     body: Name | None = Field(
         None, description="Name of a [[body]] block, or of one body as name[3]. [-]"
     )
     joint: Name | None = Field(None, description="Name of a joint, for what is of joints. [-]")
-    quantity: _Quantity = Field(description="What is compared. [-]")
+    quantity: _Quantity = Field(description="What is asked for. [-]")
     frame: Frame = Field("world", description=_FRAME)
     time: NonNegative | None = Field(None, description="When; default: t_end. [s]")
-    value: Numbers = Field(description="Expected number or list. [SI unit of the quantity]")
-    tolerance: NonNegative = Field(description="Largest allowed difference. [SI unit, or rad]")
 
     @model_validator(mode="after")
-    def has_right_length(self) -> Self:
-        """Require as many numbers as the quantity has, and whom it is of."""
+    def has_an_owner(self) -> Self:
+        """Require whom the quantity is of, and a frame that it can have."""
         owner, other = ("joint", "body") if self.quantity in _OF_JOINTS else ("body", "joint")
         if getattr(self, owner) is None:
             raise broken("missing", owner, f"{self.quantity} is of a {owner}")
         if getattr(self, other) is not None:
             raise broken(f"{self.quantity} is of a {owner}", other, f"give `{owner}` alone")
+        if self.frame == "body" and self.quantity in _FRAMELESS:
+            raise broken(f"{self.quantity} is not given in the body frame", "frame")
+        return self
+
+
+class CheckValue(Asked):
+    """A value that the run must reach."""
+
+    value: Numbers = Field(description="Expected number or list. [SI unit of the quantity]")
+    tolerance: NonNegative = Field(description="Largest allowed difference. [SI unit, or rad]")
+
+    @model_validator(mode="after")
+    def has_right_length(self) -> Self:
+        """Require as many numbers as the quantity has."""
         shape = _shape_of(self.value)
         allowed = _EXPECTED_SHAPES.get(self.quantity, ((3,),))
         if shape not in allowed:
@@ -104,8 +116,6 @@ class CheckValue(Table):
             raise broken(f"{self.quantity} needs {words}", "value")
         if self.quantity == "orientation" and not any(self.value):
             raise broken("must not be zero: it is not an orientation", "value")
-        if self.frame == "body" and self.quantity in _FRAMELESS:
-            raise broken(f"{self.quantity} is not given in the body frame", "frame")
         return self
 
 

@@ -16,6 +16,7 @@ from particlerb.case.output import ChartTable, Check, Output
 from particlerb.case.reader import load
 from particlerb.case.run import AttractionTable, Gravity, RunTable
 from particlerb.case.schema import Case
+from particlerb.case.sweep import SweepTable
 from particlerb.case.text import toml_text
 from particlerb.case.values import Table, plain
 from particlerb.files import Files
@@ -52,7 +53,7 @@ class Scene(Mapping[str, Any]):
     title : str
     gravity : sequence of 3 floats, optional
         Acceleration, world frame [m/s²].
-    attraction, contact, output, check, chart : record, optional
+    attraction, contact, output, check, sweep : record, optional
         As the tables of the same names.
 
     Raises
@@ -71,12 +72,13 @@ class Scene(Mapping[str, Any]):
         contact: ContactTable | None = None,
         output: Output | None = None,
         check: Check | None = None,
-        chart: ChartTable | None = None,
+        sweep: SweepTable | None = None,
     ) -> None:
         self.title, self.run = title, run
         self.gravity = None if gravity is None else Gravity(acceleration=gravity)
         self.attraction, self.contact = attraction, contact
-        self.output, self.check, self.chart = output, check, chart
+        self.output, self.check, self.sweep = output, check, sweep
+        self.chart: ChartTable | None = None
         self.body: list[Body] = []
         self.force: list[AnyForce] = []
         self.joint: list[JointTable] = []

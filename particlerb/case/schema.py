@@ -17,6 +17,7 @@ from particlerb.case.joints import JointTable
 from particlerb.case.output import ChartTable, Check, Output
 from particlerb.case.run import AttractionTable, Gravity, RunTable
 from particlerb.case.source import Source
+from particlerb.case.sweep import SweepTable
 from particlerb.case.values import Table
 from particlerb.files import File
 
@@ -42,6 +43,9 @@ class Case(Table):
     check: Check = Field(default_factory=Check, description="What must hold. [-]")
     chart: ChartTable = Field(
         default_factory=ChartTable, description="Beside the methods on a chart. [-]"
+    )
+    sweep: SweepTable | None = Field(
+        None, description="Variants of the case, for the command `sweep`. [-]"
     )
     _source: Source = PrivateAttr(default_factory=Source)
 

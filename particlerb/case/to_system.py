@@ -102,7 +102,8 @@ def to_system(
 
 def records(case: Case) -> dict[str, Any]:
     """What a system holds of its case."""
-    return {key: getattr(case, key) for key in (*type(case).model_fields, "source")}
+    keys = Case.model_fields.keys() & System._fields
+    return {key: getattr(case, key) for key in (*keys, "source")}
 
 
 def with_records(system: System, case: Case) -> System:
@@ -112,7 +113,9 @@ def with_records(system: System, case: Case) -> System:
 
 def to_case(system: System) -> Case:
     """Case that states all records of a system, defaults included."""
-    case = Case.model_construct(**{key: getattr(system, key) for key in Case.model_fields})
+    case = Case.model_construct(
+        **{key: getattr(system, key) for key in Case.model_fields.keys() & System._fields}
+    )
     case._source = system.source
     return case
 

@@ -234,6 +234,17 @@ def add_chart(chart: _Parser) -> None:
     _add_study(chart, 30.0)
 
 
+def add_sweep(sweep: _Parser) -> None:
+    """Add options of `sweep`."""
+    _add_case(sweep)
+    sweep.add_argument(
+        "--axis", dest="axes", action="append", default=[], metavar="KEY=VALUES",
+        help="values of a key, as 'run.dt=[1e-3, 1e-4]'; in place of [sweep.axes]; repeatable",
+    )  # fmt: skip
+    sweep.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
+    _add_output(sweep, "FILE.csv", "table; rows that it has are not run again", "the table")
+
+
 def add_stability(stability: _Parser) -> None:
     """Add options of `stability`."""
     _add_list(stability, "--methods", "default: all")

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.case.output import CheckValue
+from particlerb.case.output import Asked, CheckValue
 from particlerb.case.placement import normalised
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
@@ -91,7 +91,7 @@ def _value_result(check: CheckValue, time: float, system: System, b: int, frames
     return Result(name, numbers(expected), numbers(found), error, check.tolerance)
 
 
-def quantity(check: CheckValue, system: System, b: int, frames: Frames) -> Floats:
+def quantity(check: Asked, system: System, b: int, frames: Frames) -> Floats:
     """Value of a quantity of body b."""
     index = np.array([b])
     bodies = taken(system.bodies, index)
@@ -126,15 +126,20 @@ def _joint_result(
     check: CheckValue, time: float, setup: JointSetup, values: JointValues | None
 ) -> Result:
     """One expected value of one joint."""
-    assert check.joint is not None
-    assert values is not None
-    j = setup.names.index(check.joint)
-    which = setup.coordinates.joint == j if check.quantity == "joint_coordinate" else j
-    found = np.atleast_1d(getattr(values, check.quantity)[0, which])
+    found = joint_quantity(check, setup, values)
     expected = np.atleast_1d(np.array(check.value, dtype=np.float64))
     error = float(np.abs(found - expected).max())
     name = f"{check.quantity} of {check.joint} at {time:.9g} s"
     return Result(name, numbers(expected), numbers(found), error, check.tolerance)
+
+
+def joint_quantity(check: Asked, setup: JointSetup, values: JointValues | None) -> Floats:
+    """Value of a quantity of a joint."""
+    assert check.joint is not None
+    assert values is not None
+    j = setup.names.index(check.joint)
+    which = setup.coordinates.joint == j if check.quantity == "joint_coordinate" else j
+    return np.atleast_1d(getattr(values, check.quantity)[0, which])
 
 
 def _rotated(q: Floats, tensor: Floats) -> Floats:

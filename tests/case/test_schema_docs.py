@@ -46,6 +46,9 @@ HEADINGS = {
     "[output]": "Output",
     "[check]": "Check",
     "[[check.value]]": "CheckValue",
+    "[sweep]": "SweepTable",
+    "axis of a sweep: { low = .., high = .. }": "Spread",
+    "[[sweep.value]]": "Asked",
     "[chart]": "ChartTable",
     "[[chart.published]]": "Published",
 }
@@ -66,7 +69,7 @@ def type_words(schema: dict) -> str:
         return f"{schema['minItems']} {plural(type_words(schema['prefixItems'][0]))}"
     if schema["type"] == "array":
         return f"list of {plural(type_words(schema['items']))}"
-    word = {"string": "text"}.get(schema["type"], schema["type"])
+    word = {"string": "text", "object": "table"}.get(schema["type"], schema["type"])
     if "exclusiveMinimum" in schema:
         return f"{word} > {schema['exclusiveMinimum']}"
     return f"{word} >= {schema['minimum']}" if "minimum" in schema else word

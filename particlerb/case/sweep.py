@@ -1,0 +1,81 @@
+"""The table [sweep]: variants of a case, and what is asked of each."""
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, Strict, Tag, model_validator
+
+from particlerb.case.output import Asked
+from particlerb.case.values import Count, Name, Real, Table, broken, forms
+
+_RANDOM = ("latin", "random")
+
+
+class Spread(Table):
+    """Numbers between two: evenly on a grid, anywhere between them where runs are drawn."""
+
+    low: Real = Field(description="Least value. [unit of the key]")
+    high: Real = Field(description="Largest value. [unit of the key]")
+    n: Count | None = Field(None, description="How many, for grid and zip. [-]")
+    log: Annotated[bool, Strict()] = Field(
+        False, description="Whether ratios are even, not differences. [-]"
+    )
+
+    @model_validator(mode="after")
+    def ascends(self) -> Self:
+        """Require low < high, above 0 for ratios."""
+        if self.low >= self.high:
+            raise broken(f"must be below high = {self.high!r}", "low")
+        if self.log and self.low <= 0.0:
+            raise broken("must be above 0 where log is true", "low")
+        return self
+
+    def at(self, share: float) -> float:
+        """Value at a share of the distance from low to high."""
+        if self.log:
+            return float(self.low * (self.high / self.low) ** share)
+        return self.low + share * (self.high - self.low)
+
+
+_Axis = Annotated[
+    Annotated[Annotated[tuple[Any, ...], Field(min_length=1)], Tag("list")]
+    | Annotated[Spread, Tag("table")],
+    forms("list", "table"),
+]
+
+
+class SweepTable(Table):
+    """Variants of the case."""
+
+    axes: Annotated[dict[Name, _Axis], Field(min_length=1)] = Field(
+        description='Values of keys: "run.dt" = [..], or { low, high, n }. [-]'
+    )
+    design: Literal["grid", "zip", "latin", "random"] = Field(
+        "grid", description="All combinations, values side by side, or drawn runs. [-]"
+    )
+    runs: Count | None = Field(None, description="Of latin and random. [-]")
+    seed: Annotated[int, Strict(), Field(ge=0, le=2**63 - 1)] = Field(
+        0, description="Of what is drawn. [-]"
+    )
+    value: tuple[Asked, ...] = Field((), description="Columns, [[sweep.value]]. [-]")
+
+    @model_validator(mode="after")
+    def says_how_many(self) -> Self:
+        """Require a number of runs where they are drawn, else of values on each axis."""
+        is_drawn = self.design in _RANDOM
+        if is_drawn and self.runs is None:
+            raise broken(f"missing: how many a {self.design} design has", "runs")
+        if not is_drawn and self.runs is not None:
+            raise broken(f"a {self.design} has as many as its axes say", "runs", "leave it out")
+        for key, axis in self.axes.items():
+            if isinstance(axis, Spread) and is_drawn == (axis.n is not None):
+                hint = "leave n out" if is_drawn else "give n"
+                raise broken(f"{key}: a {self.design} design needs another form", "axes", hint)
+        sizes = {key: _size(axis) for key, axis in self.axes.items()}
+        if self.design == "zip" and len(set(sizes.values())) > 1:
+            raise broken(f"must have as many values each, have {sizes}", "axes")
+        return self
+
+
+def _size(axis: tuple[Any, ...] | Spread) -> int:
+    """Number of values of an axis."""
+    return (axis.n or 0) if isinstance(axis, Spread) else len(axis)

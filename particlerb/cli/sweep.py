@@ -1,0 +1,73 @@
+"""Command `sweep`: variants of a case, a row each in one table."""
+
+import argparse
+import math
+import shlex
+import sys
+import tomllib
+from collections import Counter
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from tqdm import tqdm
+
+from particlerb.case.problems import CaseError
+from particlerb.cli.common import read_case, to_write
+from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
+from particlerb.sweeping.driver import sweep
+from particlerb.sweeping.table import SweepRows
+
+
+def sweep_command(options: argparse.Namespace) -> int:
+    """`sweep`: run all variants that the table does not have yet."""
+    case = read_case(options)
+    stem = case.path.stem if case.path else "case"
+    path = Path(options.output) if options.output else Path("output") / f"{stem}_sweep.csv"
+    path = to_write(path, True, case.path)
+    if options.overwrite:
+        path.unlink(missing_ok=True)
+    axes = dict(_axis(text) for text in options.axes) or None
+    with ending(CaseError, ValueError), tqdm(unit="run", delay=0.5, disable=None) as bar:
+        try:
+            found = sweep(case, path, axes=axes, workers=options.workers, progress=bar.update)
+        except KeyboardInterrupt:
+            again = f"particlerb {shlex.join(sys.argv[1:])}"
+            message = (
+                f"interrupted: {path} has the rows so far; the same command continues: {again}"
+            )
+            raise Ending(message, INTERRUPTED) from None
+    print(tamed(summary(found)))
+    print(f"written: {path}")
+    if any(status != "done" for status in found.column("status")):
+        return FAILED
+    return MISSED if any(found.column("checks_missed")) else DONE
+
+
+def _axis(text: str) -> tuple[str, Any]:
+    """Key and values of an option: KEY=[a, b], or KEY={ low = a, high = b, n = 5 }."""
+    key, equals, values = text.partition("=")
+    try:
+        if not equals:
+            raise ValueError
+        return key.strip(), tomllib.loads(f"v = {values}")["v"]
+    except ValueError:
+        raise Ending(f"--axis {text}: must be KEY=[a, b] or KEY={{low=a, high=b, n=5}}") from None
+
+
+def summary(found: SweepRows) -> str:
+    """How many runs are done, why others failed, and the range of each value."""
+    status = Counter(found.column("status"))
+    lines = [f"{len(found.rows)} runs, {status.pop('done', 0)} done"]
+    lines += [f"  {n} {why}" for why, n in status.most_common()]
+    missed = sum(n > 0 for n in found.column("checks_missed"))
+    lines += [f"  {missed} missed a check"] if missed else []
+    width = max(map(len, found.columns))
+    lines.append(f"  {'':{width}} {'least':>12} {'median':>12} {'largest':>12}")
+    for k, name in enumerate(found.columns[3:], 3):
+        column = [row[k] for row in found.rows if len(row) > k]  # a run that failed has less
+        numbers = [x for x in column if isinstance(x, (int, float)) and math.isfinite(x)]
+        if numbers and name != "checks_missed":
+            least, middle, most = min(numbers), median(numbers), max(numbers)
+            lines.append(f"  {name:{width}} {least:12.6g} {middle:12.6g} {most:12.6g}")
+    return "\n".join(lines)

@@ -1,0 +1,183 @@
+"""Runs the variants of a case on an executor and keeps their rows in a table.
+
+A dead worker costs its tasks an attempt; a case that kills its worker each time costs its own row.
+"""
+
+import contextlib
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import AbstractContextManager
+from itertools import pairwise
+from multiprocessing import get_context
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final
+
+from particlerb.case.problems import CaseError
+from particlerb.case.reader import load
+from particlerb.case.schema import Case
+from particlerb.case.source import file_problem
+from particlerb.case.sweep import SweepTable
+from particlerb.case.to_system import to_system
+from particlerb.case.values import plain
+from particlerb.sweeping.table import SweepRows, TableFile
+from particlerb.sweeping.variants import Variant, label, variants
+from particlerb.sweeping.worker import Row, Task, columns, failed, start_worker, work
+
+_ATTEMPTS: Final = 3  # of a task whose worker dies
+_MOST_IN_TASK: Final = 16  # variants
+
+Progress = Callable[[int], object]
+Pool = Callable[[], AbstractContextManager[Executor]]
+
+
+def sweep(
+    case: str | PathLike[str] | Mapping[str, Any] | Case,
+    table: str | PathLike[str] | None = None,
+    *,
+    axes: Mapping[str, Any] | None = None,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    progress: Progress = lambda n: None,
+) -> SweepRows:
+    """Run all variants of a case.
+
+    Parameters
+    ----------
+    case : path, str, mapping, Scene or Case
+        With a table [sweep], if `axes` are not given.
+    table : path, optional
+        CSV file of the rows. Variants that it has are not run again: what was stopped goes on.
+    axes : mapping, optional
+        Keys of the case and their values, in place of those of [sweep]: all combinations.
+    executor : concurrent.futures.Executor, optional
+        Where to run them; left out, in processes on this machine.
+    workers : int, optional
+        Processes, if no executor is given; left out, one for each core.
+    progress : callable
+        Called with the number of rows that were added.
+
+    Returns
+    -------
+    SweepRows
+        Names of the columns, and the rows in the order of the variants.
+
+    Raises
+    ------
+    CaseError
+        If a variant is not a case, before anything runs: all that is wrong.
+    OSError
+        Of the table.
+    """
+    base = load(case)
+    asked = _asked(base, axes)
+    found = variants(base, asked)
+    system = to_system(found[0].case)
+    names = [name for one in asked.value for name in columns(one, system)]
+    heads = [label(key) for key in asked.axes]
+    with TableFile(None if table is None else Path(table), heads, names) as file:
+        left = [variant for variant in found if variant.hash not in file.known]
+        progress(len(found) - len(left))
+        by_number = {variant.number: variant for variant in found}
+
+        def take(rows: list[Row]) -> None:
+            file.add([(by_number[row.number], row) for row in rows])
+            progress(len(rows))
+
+        if left:
+            n = workers or os.cpu_count() or 1
+            _drive(_pool(executor, n), _tasks(base, asked, left, n), 2 * n, take)
+        return file.finish(found)
+
+
+def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
+    """The table [sweep], with other axes if they are given."""
+    if axes is None:
+        if base.sweep is None:
+            wrong = file_problem(base.path, "has no table [sweep]", "give it, or axes")
+            raise CaseError([wrong])
+        return base.sweep
+    value = base.sweep.value if base.sweep else ()
+    return SweepTable(axes=plain(axes), value=value)
+
+
+def _tasks(base: Case, asked: SweepTable, left: list[Variant], n: int) -> Iterator[Task]:
+    """Tasks: one variant first, which compiles, then a few at a time."""
+    size = min(_MOST_IN_TASK, max(1, len(left) // (8 * n)))
+    bounds = [0, 1, *range(1 + size, len(left), size), len(left)]
+    source = base.source._replace(raw={}, text="")
+    for lo, hi in pairwise(bounds):
+        part = left[lo:hi]
+        if part:
+            raw = tuple(dict(variant.case.source.raw) for variant in part)
+            yield Task(tuple(variant.number for variant in part), raw, source, asked.value)
+
+
+def _pool(executor: Executor | None, n: int) -> Pool:
+    """What makes the executor, and makes it anew where it breaks."""
+    if executor is not None:
+        return lambda: contextlib.nullcontext(executor)
+    return lambda: _processes(n)
+
+
+@contextlib.contextmanager
+def _processes(n: int) -> Iterator[Executor]:
+    """Processes of this machine; where the sweep ends early, they drop what waits."""
+    executor = ProcessPoolExecutor(n, get_context("spawn"), start_worker)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+def _drive(
+    pool: Pool, tasks: Iterator[Task], ahead: int, take: Callable[[list[Row]], None]
+) -> None:
+    """Keep some tasks under way until all are done; the first one alone, as it compiles."""
+    waiting = deque(tasks)
+    running: dict[Future[list[Row]], Task] = {}
+    with contextlib.ExitStack() as stack:
+        executor = stack.enter_context(pool())
+        at_once = 1
+        while waiting or running:
+            while waiting and len(running) < at_once:
+                task = waiting.popleft()
+                running[executor.submit(work, task)] = task
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            is_broken = False
+            for future in done:
+                task = running.pop(future)
+                try:
+                    take(future.result())
+                    at_once = ahead
+                except BrokenExecutor:
+                    is_broken = True
+                    waiting.extendleft(_again(task, take))
+            if is_broken:  # all that was under way is lost; who kills its worker is found alone
+                for task in running.values():
+                    waiting.extendleft(_again(task, take))
+                running.clear()
+                stack.pop_all().close()
+                executor = stack.enter_context(pool())
+                at_once = 1
+
+
+def _again(task: Task, take: Callable[[list[Row]], None]) -> list[Task]:
+    """Tasks of a task whose worker died: each variant alone; none after the last attempt."""
+    if task.attempt + 1 == _ATTEMPTS and len(task.numbers) == 1:
+        take([failed(task.numbers[0], "the worker died")])
+        return []
+    attempt = task.attempt + 1 if len(task.numbers) == 1 else task.attempt
+    return [
+        task._replace(numbers=(number,), raw=(raw,), attempt=attempt)
+        for number, raw in zip(task.numbers, task.raw, strict=True)
+    ]

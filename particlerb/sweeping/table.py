@@ -1,0 +1,122 @@
+"""The table of a sweep: one CSV, to which only the driver appends, so that a kill loses nothing."""
+
+import csv
+import io
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+from particlerb.record.writer_lock import WriterLock
+from particlerb.sweeping.variants import Variant
+from particlerb.sweeping.worker import Row
+
+_FIRST = ("run", "hash", "status", "energy_drift", "checks_missed")
+
+
+class SweepRows(NamedTuple):
+    """What a sweep came to."""
+
+    columns: tuple[str, ...]
+    """run, hash, status, energy_drift, checks_missed, then the axes, then the values."""
+    rows: tuple[tuple[Any, ...], ...]
+    """In the order of the variants; numbers where they are some."""
+
+    def column(self, name: str) -> list[Any]:
+        """One of the columns."""
+        k = self.columns.index(name)
+        return [row[k] for row in self.rows]
+
+
+class TableFile:
+    """Rows of a sweep, in a file if there is a path; what the file has is known already.
+
+    Raises
+    ------
+    ValueError
+        If there is a file that is no table with these columns.
+    OSError
+        If it cannot be read or written, or if another sweep writes it.
+    """
+
+    def __init__(self, path: Path | None, axes: Sequence[str], values: Sequence[str]) -> None:
+        self.path, self.columns = path, (*_FIRST, *axes, *values)
+        self.known: dict[str, list[str]] = {}  # rows that are done, by their hash
+        self._lock: WriterLock | None = None
+        if path is None:
+            return
+        self._lock = WriterLock(path)
+        text = self._whole_lines(path)
+        lines = list(csv.reader(io.StringIO(text)))
+        if lines and tuple(lines[0]) != self.columns:
+            self._lock.close()
+            raise ValueError(f"{path} has other columns than this sweep: give another name")
+        if not lines:
+            self._append([self.columns])
+        self.known = {line[1]: line for line in lines[1:] if line[2] == "done"}
+
+    @staticmethod
+    def _whole_lines(path: Path) -> str:
+        """Text of a file, of which a last line that was torn is cut off."""
+        raw = path.read_bytes()
+        whole = raw[: raw.rfind(b"\n") + 1]
+        if len(whole) < len(raw):
+            os.truncate(path, len(whole))
+        return whole.decode("utf-8", "replace")
+
+    def _append(self, lines: Sequence[Sequence[Any]]) -> None:
+        """Append lines, which are on the disk when this returns."""
+        assert self.path is not None
+        with self.path.open("a", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerows(lines)
+            file.flush()
+            os.fsync(file.fileno())
+
+    def add(self, rows: Sequence[tuple[Variant, Row]]) -> None:
+        """Add rows."""
+        lines = []
+        for variant, row in rows:
+            numbers = [repr(x) for x in (row.energy_drift, row.missed)]
+            axes = [x if isinstance(x, str) else repr(x) for x in variant.values]
+            first = [str(row.number), variant.hash, row.status, *numbers]
+            lines.append([*first, *axes, *map(repr, row.values)])
+            self.known[variant.hash] = lines[-1]
+        if self.path is not None:
+            self._append(lines)
+
+    def finish(self, variants: Sequence[Variant]) -> SweepRows:
+        """Rows of all variants in their order; the file then has these and no others."""
+        lines = [[str(v.number), *self.known[v.hash][1:]] for v in variants]
+        if self.path is not None:
+            beside = self.path.with_name(self.path.name + ".new")
+            with beside.open("w", newline="", encoding="utf-8") as file:
+                csv.writer(file).writerows([self.columns, *lines])
+                file.flush()
+                os.fsync(file.fileno())
+            beside.replace(self.path)
+        return SweepRows(self.columns, tuple(tuple(map(_number, line)) for line in lines))
+
+    def __enter__(self) -> Self:
+        """The table."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Let others write it."""
+        if self._lock is not None:
+            self._lock.close()
+
+
+def _number(text: str) -> Any:
+    """Number of a text, or the text."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

@@ -1,0 +1,206 @@
+"""Sweeps: which variants there are, the rows that they leave, and what outlives a kill."""
+
+import csv
+import math
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import particlerb
+from particlerb import CaseError, Scene
+from particlerb.case.reader import load
+from particlerb.case.sweep import Spread, SweepTable
+from particlerb.cli import main
+from particlerb.sweeping import driver
+from particlerb.sweeping.variants import variants
+from particlerb.sweeping.worker import Row, Task, work
+from particlerb.tables import Box, DragTable, RunTable
+
+DRAG = "force.0.translation"
+
+
+def fallen(**sweep) -> Scene:
+    """A box that is thrown and slowed down by drag."""
+    scene = Scene(RunTable(t_end=1.0, every=0.5), gravity=(0, 0, -9.81))
+    scene.add_body(name="box", shape=Box(size=(1, 1, 2), n=3), mass=2.0, velocity=(1, 0, 0))
+    scene.add_force(DragTable(body="box", translation=0.5))
+    asked = [
+        {"body": "box", "quantity": "velocity"},
+        {"body": "box", "quantity": "kinetic_energy", "time": 0.25},
+    ]
+    scene.sweep = SweepTable(axes={DRAG: [0.1, 0.4, 1.0]}, value=asked, **sweep)
+    return scene
+
+
+def in_threads(scene, path=None, **options):
+    """Rows of a sweep that runs in this process."""
+    with ThreadPoolExecutor(1) as executor:
+        return particlerb.sweep(scene, path, executor=executor, **options)
+
+
+def values_of(axes, **sweep):
+    """Values of the axes of all variants."""
+    scene = fallen()
+    return [v.values for v in variants(load(scene), SweepTable(axes=axes, **sweep))]
+
+
+# Which variants
+
+
+def test_a_grid_has_all_combinations_and_zip_has_pairs():
+    axes = {DRAG: [0.1, 0.2], "run.dt": {"low": 1e-3, "high": 1e-1, "n": 3, "log": True}}
+    grid = values_of(axes)
+    assert [a for a, _ in grid] == [0.1] * 3 + [0.2] * 3
+    assert [b for _, b in grid[:3]] == pytest.approx([1e-3, 1e-2, 1e-1], rel=1e-14)
+    axes["run.dt"] = {"low": 1.0, "high": 2.0, "n": 2}
+    assert values_of(axes, design="zip") == [(0.1, 1.0), (0.2, 2.0)]
+
+
+@pytest.mark.parametrize("design", ["latin", "random"])
+def test_drawn_runs_lie_within_and_repeat(design):
+    axes = {DRAG: {"low": 1.0, "high": 3.0}, "run.dt": {"low": 1e-4, "high": 1e-2, "log": True}}
+    found = np.array(values_of(axes, design=design, runs=50, seed=3))
+    assert np.array_equal(found, values_of(axes, design=design, runs=50, seed=3))
+    assert not np.array_equal(found, values_of(axes, design=design, runs=50, seed=4))
+    shares = (found[:, 0] - 1.0) / 2.0, np.log(found[:, 1] / 1e-4) / np.log(100.0)
+    for share in shares:
+        assert 0.0 <= share.min() < share.max() <= 1.0
+        if design == "latin":  # each fiftieth has one
+            assert sorted((50 * share).astype(int)) == list(range(50))
+
+
+@pytest.mark.parametrize(
+    ("axes", "more", "words"),
+    [
+        ({"run.dtt": [1.0]}, {}, "unknown key"),
+        ({DRAG: [-1.0, 0.5]}, {}, r"must be >= 0, got -1.0 \(with force.0.translation = -1.0\)"),
+        ({"force.3.translation": [1.0]}, {}, "there is no entry 3"),
+        ({DRAG: {"low": 2.0, "high": 1.0}}, {}, "must be below high"),
+        ({DRAG: {"low": 1.0, "high": 2.0}}, {}, "give n"),
+        ({DRAG: [1.0], "run.dt": [1e-3, 1e-2]}, {"design": "zip"}, "as many values each"),
+        ({DRAG: [1.0]}, {"design": "latin"}, "how many a latin design has"),
+        ({DRAG: [1.0]}, {"runs": 3}, "as many as its axes say"),
+    ],
+)
+def test_what_is_no_variant_is_refused_before_anything_runs(axes, more, words):
+    with pytest.raises(CaseError, match=words):
+        values_of(axes, **more)
+
+
+# Rows
+
+
+def test_rows_are_the_bits_of_single_runs():
+    scene = fallen()
+    found = in_threads(scene)
+    assert found.columns == (
+        "run", "hash", "status", "energy_drift", "checks_missed", "force[0].translation",
+        "box.velocity.x", "box.velocity.y", "box.velocity.z", "box.kinetic_energy@0.25",
+    )  # fmt: skip
+    assert found.column("status") == ["done"] * 3
+    for row, drag in zip(found.rows, [0.1, 0.4, 1.0], strict=True):
+        alone = particlerb.run(scene, overrides=[f"{DRAG}={drag}"])
+        assert row[5] == drag
+        assert list(row[6:9]) == alone.velocity[-1, 0].tolist()
+        c = drag / 2.0  # of v' = g - c v
+        p = 2.0 * np.array([math.exp(-c / 4), 0.0, -9.81 * (1.0 - math.exp(-c / 4)) / c])
+        assert row[9] == pytest.approx(p @ p / 4.0, rel=1e-12)
+
+
+def test_a_run_that_fails_and_one_that_misses_a_check_have_their_rows():
+    scene = fallen()
+    scene.check = {"energy_drift": 1e-30}
+    axes = {"body.0.velocity": [[1, 0, 0], [1e308, 0, 0], [0, 1, 0]]}
+    found = in_threads(scene, axes=axes)
+    status = found.column("status")
+    assert (status[0], status[2]) == ("done", "done")
+    assert status[1].startswith("failed: ")
+    assert found.column("checks_missed") == [1, 0, 1]
+
+
+def test_rows_that_are_there_are_not_run_again(tmp_path, monkeypatch):
+    path, ran = tmp_path / "t.csv", []
+    monkeypatch.setattr(driver, "work", lambda task: ran.append(task.numbers) or work(task))
+    whole = in_threads(fallen(), path)
+    text = path.read_text()
+    assert sum(map(len, ran)) == 3
+    assert in_threads(fallen(), path) == whole
+    assert sum(map(len, ran)) == 3
+    path.write_text(text[:-20])  # killed while it wrote the last line
+    assert in_threads(fallen(), path) == whole
+    assert ran[-1] == (2,)
+    assert path.read_text() == text
+    more = in_threads(fallen(), path, axes={DRAG: [0.2, 0.4]})
+    assert ran[-1] == (0,)
+    assert [row[5] for row in more.rows] == [0.2, 0.4]
+
+
+def test_a_table_of_another_sweep_is_left_alone(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(ValueError, match="has other columns"):
+        in_threads(fallen(), path)
+    assert path.read_text() == "a,b\n1,2\n"
+
+
+# Workers that die
+
+
+def killing(task: Task) -> list[Row]:
+    """As `work`; a worker that gets the second variant dies."""
+    if 1 in task.numbers:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return [Row(n, "done", 0.0, 0, (0.0,) * 4) for n in task.numbers]
+
+
+def killed_once(task: Task) -> list[Row]:
+    """The same, but only the first time."""
+    flag = Path(os.environ["PARTICLERB_TEST_FLAG"])
+    if 1 in task.numbers and not flag.exists():
+        flag.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return [Row(n, "done", 0.0, 0, (0.0,) * 4) for n in task.numbers]
+
+
+@pytest.mark.parametrize("way", [killing, killed_once])
+def test_a_dead_worker_costs_no_row_but_its_own(way, tmp_path, monkeypatch):
+    monkeypatch.setenv("PARTICLERB_TEST_FLAG", str(tmp_path / "flag"))
+    monkeypatch.setattr(driver, "work", way)
+    axes = {DRAG: {"low": 0.1, "high": 1.0, "n": 12}}
+    found = particlerb.sweep(fallen(), tmp_path / "t.csv", axes=axes, workers=2)
+    status = found.column("status")
+    assert status[1] == ("failed: the worker died" if way is killing else "done")
+    assert [s for k, s in enumerate(status) if k != 1] == ["done"] * 11
+    with (tmp_path / "t.csv").open() as file:
+        assert [int(row["run"]) for row in csv.DictReader(file)] == list(range(12))
+
+
+# The command
+
+
+@pytest.mark.slow
+def test_the_command_writes_the_table_and_continues(tmp_path, capsys):
+    case, table = tmp_path / "case.toml", tmp_path / "t.csv"
+    case.write_text(fallen().to_toml())
+    command = ["sweep", str(case), "-o", str(table), "--workers", "1"]
+    assert main(command) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("3 runs, 3 done\n")
+    assert "box.kinetic_energy@0.25" in out
+    text = table.read_text()
+    assert main(command) == 0
+    assert table.read_text() == text
+    assert main([*command, "--axis", "run.dtt=[1]"]) == 2
+    assert "unknown key" in capsys.readouterr().err
+    assert main([*command, "--axis", "run.dt"]) == 2
+    assert main(["sweep", str(case), "-o", str(case)]) == 2
+
+
+def test_a_spread_is_even_or_in_equal_ratios():
+    even, ratios = Spread(low=1.0, high=9.0), Spread(low=1.0, high=9.0, log=True)
+    assert [even.at(s) for s in (0.0, 0.5, 1.0)] == [1.0, 5.0, 9.0]
+    assert [ratios.at(s) for s in (0.0, 0.5, 1.0)] == pytest.approx([1.0, 3.0, 9.0], rel=1e-15)
