@@ -73,6 +73,16 @@ def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[_Named
     return _bodies_of_case(read_case(options), wanted)
 
 
+def case_with_joints(options: argparse.Namespace) -> Case | None:
+    """The case of a command line, where joints hold its bodies."""
+    path = find_case(options.file, options.commands)
+    if path.suffix.lower() in _READERS:
+        return None
+    options.case = options.file
+    case = read_case(options)
+    return case if case.joint else None
+
+
 def _bodies_of_case(case: Case, wanted: str | None) -> list[_Named]:
     """One body of each name and kind of a case."""
     with ending(CaseError):

@@ -8,7 +8,10 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from particlerb.cli.bodies import holds_bodies, named_bodies
+from particlerb.case.problems import CaseError
+from particlerb.case.schema import Case
+from particlerb.case.to_system import to_system
+from particlerb.cli.bodies import case_with_joints, holds_bodies, named_bodies
 from particlerb.cli.common import opened, readable, to_write
 from particlerb.cli.endings import DONE, FAILED, Ending, ending
 from particlerb.export import FORMATS, ExportError, export
@@ -36,6 +39,8 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
         )
     if options.frames != slice(None) or options.fields:
         raise Ending("--frames and --fields are for trajectories")
+    if options.to == "mjcf" and not options.bodies and (case := case_with_joints(options)):
+        return _export_mechanism(options, case)
     found = [
         Exported(body.name, body.particles, body.properties)
         for name in options.bodies or [None]
@@ -48,6 +53,18 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
     with _writing(path):
         written = export_bodies(found, path, options.to)
     print(f"written: {', '.join(map(str, written))}")
+    return DONE
+
+
+def _export_mechanism(options: argparse.Namespace, case: Case) -> int:
+    """Export all bodies of a case with the joints between them."""
+    from particlerb.export.mechanism import mechanism
+    from particlerb.simulation.run import prepare
+
+    path = _export_path(options, Path(options.file).with_suffix(".xml"))
+    with ending(CaseError), _writing(path):
+        path.write_text(mechanism(prepare(to_system(case)).system), encoding="utf-8")
+    print(f"written: {path}")
     return DONE
 
 

@@ -58,7 +58,7 @@ def coordinates_of(kind: str, ends: Ends) -> Coordinates:
             vectors += [ends.second[name] for name in own.second]
         else:
             vectors = [ends.first_at, np.zeros_like(ends.first_at)]
-            vectors += [ends.second[own.second[0]], ends.second_at]
+            vectors += [ends.second[own.second[0]], ends.second["at"]]
         parts.append(np.stack(vectors, axis=1))
     k, n = ends.a.size, len(parts)
     joint = np.repeat(np.arange(k), n)

@@ -46,7 +46,7 @@ class Ends(NamedTuple):
     first_at: Floats  # [m] point of the first body
     second_at: Floats  # [m] point of the second
     first: Mapping[str, Floats]  # directions in the first body
-    second: Mapping[str, Floats]  # in the second; x, y, z are those of the world
+    second: Mapping[str, Floats]  # in the second; x, y, z of the world; `at`: where first_at is
     length: Floats  # (k,) [m]
     size: Floats  # (k,) [m]
 

@@ -42,6 +42,7 @@ class JointSetup(NamedTuple):
     second: Ints  # (j,) bodies, or WORLD
     start: Ints  # (j + 1,) first row of each
     rows: Rows  # with bodies of the system
+    places: Floats  # (j, 4, 3) points of both, n in the first, m (or n) in the second; rotor frames
     coordinates: Coordinates  # with bodies of the system
     counts_turns: bool  # whether somebody asks for coordinates
 
@@ -102,7 +103,7 @@ def joints_of(system: System) -> JointSetup | None:
         reason = "no step is chosen by an accuracy where joints are"
         raise CaseError([problem_at(system, "run.accuracy", reason, "give run.method and run.dt")])
     names, records, rows, problems = [], [], [], []
-    coordinates: list[Coordinates] = []
+    coordinates, places = list[Coordinates](), list[Floats]()
     for number, table in enumerate(system.joint):
         first, second = _pairs(system, table)
         itself = np.flatnonzero(first == second)
@@ -121,6 +122,8 @@ def joints_of(system: System) -> JointSetup | None:
         records.append((np.full(first.size, number), first, second))
         rows.append(own)
         coordinates.append(coordinates_of(table.type, ends))
+        axes = ends.first["n"], ends.second.get("m", ends.second["n"])
+        places.append(np.stack([ends.first_at, ends.second_at, *axes], axis=1))
     if problems:
         raise CaseError(problems)
     record, first, second = (np.concatenate(arrays) for arrays in zip(*records, strict=True))
@@ -133,6 +136,7 @@ def joints_of(system: System) -> JointSetup | None:
         second,
         np.cumsum([0, *count]),
         Rows(*(np.concatenate(arrays) for arrays in zip(*rows, strict=True))),
+        np.concatenate(places),
         united(coordinates, [own.size for _, own, _ in records]),
         "joint_coordinate" in asked_of_joints(system),
     )
@@ -236,7 +240,8 @@ def _ends(system: System, table: JointTable, first: Ints, second: Ints) -> Ends:
         second_at.T,
         {name: rotate_back(rotor_a, axis).T for name, axis in world.items()},
         {name: rotate_back(rotor_b, axis).T for name, axis in world.items()}
-        | {name: axis.T for name, axis in axes.items()},
+        | {name: axis.T for name, axis in axes.items()}
+        | {"at": rotate_back(rotor_b, here - com_b).T},
         length,
         size,
     )

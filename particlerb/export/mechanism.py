@@ -1,0 +1,280 @@
+"""A whole mechanism as an MJCF model of MuJoCo: bodies where they start, joints, gravity, speeds.
+
+Joints of a spanning tree become joints of nested bodies, whose coordinates are those of
+docs/joints.md; each other one closes a loop, and becomes an equality `connect` (a hinge two, on its
+axis) or `weld`, which MuJoCo keeps softly. A distance is an equality of a tendon. Universal,
+cylindrical, planar joints and sliders have no such equality: they come first into the tree.
+
+Source: mujoco.readthedocs.io, XML reference. Joints of a body act in the order in which they stand,
+the last one next to the body.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from particlerb.export import ExportError
+from particlerb.export.bodies import COMMENT, numbers
+from particlerb.geometry.particles import kind_of
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.state import inertia_in_body, omega_world, quaternion_product, rotate
+from particlerb.model.system import System
+from particlerb.plan.joints import WORLD, JointSetup, joints_of
+from particlerb.rotors.rotor_class import NAMES, POINT, ROD
+
+_ONLY_IN_TREES: Final = ("slider", "cylindrical", "universal", "planar")
+_STEP: Final = 1e-3  # [s] where the case gives none
+_STIFF: Final = 2.0  # time constant of equalities, in steps: the least that MuJoCo takes
+_CONJUGATE: Final = np.array([1.0, -1.0, -1.0, -1.0])
+
+
+class _Body(NamedTuple):
+    """Where a body is, world frame; also the world."""
+
+    position: Floats
+    orientation: Floats
+    velocity: Floats
+    spin: Floats
+
+    def turned_back(self, v: Floats) -> Floats:
+        """A vector of the world in the frame of the body."""
+        found: Floats = rotate((self.orientation * _CONJUGATE)[:, None], v[:, None])[:, 0]
+        return found
+
+    def local(self, x: Floats) -> Floats:
+        """A point of the world in the frame of the body."""
+        return self.turned_back(x - self.position)
+
+    def speed_at(self, x: Floats) -> Floats:
+        """Velocity of its point at x."""
+        found: Floats = self.velocity + np.cross(self.spin, x - self.position)
+        return found
+
+
+class _Joint(NamedTuple):
+    """A joint at the start, world frame."""
+
+    name: str
+    type: str
+    first: int
+    second: int
+    at: Floats
+    at_to: Floats
+    axis: Floats
+    axis_to: Floats
+
+
+def mechanism(system: System) -> str:
+    """MJCF text of an assembled system with joints, with a keyframe `start` that has its speeds.
+
+    Raises
+    ------
+    ExportError
+        If a body has no three positive moments, or a loop closes by a joint that MuJoCo has not.
+    """
+    setup = joints_of(system)
+    assert setup is not None
+    for b in np.flatnonzero(np.isin(system.bodies.rotor_class, (POINT, ROD))).tolist():
+        kind = NAMES[int(system.bodies.rotor_class[b])]
+        raise ExportError(f"{system.names[b]} is a {kind}: MuJoCo needs three positive moments")
+    return _Writer(system, setup).text()
+
+
+class _Writer:
+    """The model as it grows."""
+
+    def __init__(self, system: System, setup: JointSetup) -> None:
+        self.system = system
+        q = quaternion_product(system.state.q, system.bodies.rotor_frame * _CONJUGATE[:, None])
+        v, w = system.state.p * system.bodies.inv_mass, omega_world(system.bodies, system.state)
+        columns = (system.state.com.T, q.T, v.T, w.T)
+        self.bodies = [_Body(*rows) for rows in zip(*columns, strict=True)]
+        self.bodies.append(_Body(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3)))
+        self.joints = [_joint_of(system, setup, j) for j in range(len(setup.names))]
+        self.speeds: dict[str, list[float]] = {}  # by the names of bodies
+        self.root = ET.Element("mujoco", model=system.title or "mechanism")
+        self.root.append(ET.Comment(f" {COMMENT}{'; forces are left out' * bool(system.force)} "))
+        self.step = system.run.dt or _STEP
+        options = {"timestep": numbers(self.step), "integrator": "RK4"}
+        ET.SubElement(self.root, "option", options, gravity=numbers(system.acceleration))
+        default = ET.SubElement(self.root, "default")
+        ET.SubElement(default, "geom", contype="0", conaffinity="0")
+        self.world = ET.SubElement(self.root, "worldbody")
+        self.elements = {WORLD: self.world}
+
+    def text(self) -> str:
+        """The whole model."""
+        tree = self.spanning_tree()
+        for b, (parent, j) in tree.items():
+            self.add_body(b, parent, j)
+        used = {j for _, j in tree.values()}
+        rest = [joint for j, joint in enumerate(self.joints) if j not in used]
+        if rest:
+            self.add_equalities(rest)
+        keys = ET.SubElement(self.root, "keyframe")
+        ET.SubElement(keys, "key", name="start", qvel=numbers(self.qvel()))
+        try:
+            ET.indent(self.root)
+            return ET.tostring(self.root, encoding="unicode") + "\n"
+        except RecursionError:
+            raise ExportError("too many bodies hang one from the other for an MJCF file") from None
+
+    def qvel(self) -> Floats:
+        """Speeds of all joints in the order of the bodies in the model."""
+        bodies = self.world.iter("body")
+        return np.concatenate([self.speeds[str(body.get("name"))] for body in bodies])
+
+    def spanning_tree(self) -> dict[int, tuple[int, int]]:
+        """Parent of each body, and the number of the joint with it, -1: none; parents first."""
+        kept: dict[int, list[tuple[int, int]]] = {}
+        label = {b: b for b in range(WORLD, self.system.n_bodies)}
+        ranks = [0 if joint.type in _ONLY_IN_TREES else 1 for joint in self.joints]
+        for j in np.argsort(ranks, kind="stable").tolist():
+            one = self.joints[j]
+            if one.type == "distance" or label[one.first] == label[one.second]:
+                continue
+            old, new = label[one.first], label[one.second]
+            label = {b: new if own == old else own for b, own in label.items()}
+            kept.setdefault(one.first, []).append((one.second, j))
+            kept.setdefault(one.second, []).append((one.first, j))
+        found: dict[int, tuple[int, int]] = {}
+        seen: set[int] = set()
+        for root in range(WORLD, self.system.n_bodies):
+            if root in seen:
+                continue
+            ahead = deque([root])
+            seen.add(root)
+            if root != WORLD:
+                found[root] = WORLD, -1
+            while ahead:
+                b = ahead.popleft()
+                for other, j in kept.get(b, ()):
+                    if other not in seen:
+                        seen.add(other)
+                        found[other] = b, j
+                        ahead.append(other)
+        return found
+
+    def add_body(self, b: int, parent: int, j: int) -> None:
+        """Add a body to the one that it hangs from."""
+        own, other = self.bodies[b], self.bodies[parent]
+        turn = other.orientation * _CONJUGATE
+        place = numbers(other.local(own.position))
+        turned = numbers(quaternion_product(turn[:, None], own.orientation[:, None])[:, 0])
+        name = self.system.names[b]
+        element = ET.SubElement(self.elements[parent], "body", name=name, pos=place, quat=turned)
+        self.elements[b] = element
+        tensor = inertia_in_body(self.system.bodies, b)
+        inertia = numbers(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+        mass = numbers(self.system.bodies.mass[b])
+        ET.SubElement(element, "inertial", pos="0 0 0", mass=mass, fullinertia=inertia)
+        self.add_particles(element, b)
+        if j < 0:
+            ET.SubElement(element, "freejoint", name=name)
+            self.speeds[name] = [*own.velocity.tolist(), *own.turned_back(own.spin).tolist()]
+        else:
+            self.speeds[name] = self.add_joints(element, b, parent, self.joints[j])
+
+    def add_particles(self, element: ET.Element, b: int) -> None:
+        """Spheres of a body as geoms without mass, its points as sites."""
+        position, _, radius, _ = kind_of(self.system.particles, int(self.system.kind[b]))
+        for x, r in zip(position, radius, strict=True):
+            if r > 0.0:
+                ET.SubElement(
+                    element, "geom", type="sphere", pos=numbers(x), size=numbers(r), mass="0"
+                )
+            else:
+                ET.SubElement(element, "site", type="sphere", pos=numbers(x))
+
+    def add_joints(self, element: ET.Element, b: int, parent: int, joint: _Joint) -> list[float]:
+        """Add what a joint of the tree leaves free; its speeds."""
+        own, other = self.bodies[b], self.bodies[parent]
+        is_first = b == joint.first
+        sign = 1.0 if is_first else -1.0
+        moved = own.speed_at(joint.at) - other.speed_at(joint.at)
+        spin = own.spin - other.spin
+        place = numbers(own.local(joint.at))
+        if joint.type == "ball":
+            ET.SubElement(element, "joint", name=joint.name, type="ball", pos=place)
+            return list(own.turned_back(spin).tolist())
+        speeds = []
+        for k, (kind, axis) in enumerate(_freedoms(joint)[:: 1 if is_first else -1]):
+            along, name = sign * axis, joint.name + (f" {k}" if k else "")
+            text = {
+                "name": name,
+                "type": kind,
+                "pos": place,
+                "axis": numbers(own.turned_back(along)),
+            }
+            ET.SubElement(element, "joint", text)
+            speeds.append(float(along @ (spin if kind == "hinge" else moved)))
+        return speeds
+
+    def add_equalities(self, joints: Sequence[_Joint]) -> None:
+        """Constraints that close loops, and distances."""
+        equality = ET.SubElement(self.root, "equality")
+        tendons: ET.Element | None = None
+        soft = {"solref": numbers(_STIFF * self.step, 1.0)}
+        for joint in joints:
+            if joint.type in _ONLY_IN_TREES:
+                raise ExportError(
+                    f"{joint.name} closes a loop: MuJoCo has no {joint.type} for that"
+                )
+            ends = {"body1": self.system.names[joint.first]}
+            if joint.second != WORLD:
+                ends["body2"] = self.system.names[joint.second]
+            if joint.type == "distance":
+                tendons = ET.SubElement(self.root, "tendon") if tendons is None else tendons
+                self.add_distance(tendons, joint)
+                ET.SubElement(equality, "tendon", soft, tendon1=joint.name)
+            elif joint.type == "fixed":
+                ET.SubElement(equality, "weld", soft | ends, name=joint.name)
+            else:
+                arm = joint.axis * np.linalg.norm(joint.at - self.bodies[joint.first].position)
+                points = [joint.at] if joint.type == "ball" else [joint.at - arm, joint.at + arm]
+                for x in points:
+                    anchor = numbers(self.bodies[joint.first].local(x))
+                    ET.SubElement(equality, "connect", soft | ends, anchor=anchor)
+
+    def add_distance(self, tendons: ET.Element, joint: _Joint) -> None:
+        """Add a tendon between the two points, whose length stays."""
+        spatial = ET.SubElement(tendons, "spatial", name=joint.name)
+        for b, x, end in ((joint.first, joint.at, "a"), (joint.second, joint.at_to, "b")):
+            name = f"{joint.name} {end}"
+            place = numbers(self.bodies[b].local(x))
+            ET.SubElement(self.elements[b], "site", name=name, pos=place)
+            ET.SubElement(spatial, "site", site=name)
+
+
+def _joint_of(system: System, setup: JointSetup, j: int) -> _Joint:
+    """A joint of a system at its start."""
+    ends: Ints = np.array([setup.first[j], setup.second[j]])
+    points = []
+    for b, k in zip(ends.tolist(), (0, 1), strict=True):
+        own = setup.places[j, [k, k + 2]].T
+        if b != WORLD:
+            own = rotate(np.repeat(system.state.q[:, [b]], 2, axis=1), own)
+            own = own + system.state.com[:, [b]] * np.array([1.0, 0.0])
+        points.append(own.T)
+    (at, axis), (at_to, axis_to) = points
+    first, second = ends.tolist()
+    return _Joint(setup.names[j], setup.types[j], first, second, at, at_to, axis, axis_to)
+
+
+def _freedoms(joint: _Joint) -> list[tuple[str, Floats]]:
+    """What a joint leaves free, the first next to the second body: kind and axis."""
+    n, m = joint.axis, joint.axis_to
+    if joint.type == "planar":
+        e = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
+        e /= np.linalg.norm(e)
+        return [("slide", e), ("slide", np.cross(n, e)), ("hinge", n)]
+    kinds: dict[str, list[tuple[str, Floats]]] = {
+        "hinge": [("hinge", n)],
+        "slider": [("slide", n)],
+        "cylindrical": [("slide", n), ("hinge", n)],
+        "universal": [("hinge", m), ("hinge", n)],
+    }
+    return kinds.get(joint.type, [])
