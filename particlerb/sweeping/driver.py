@@ -142,42 +142,50 @@ def _processes(n: int) -> Iterator[Executor]:
 def _drive(
     pool: Pool, tasks: Iterator[Task], ahead: int, take: Callable[[list[Row]], None]
 ) -> None:
-    """Keep some tasks under way until all are done; the first one alone, as it compiles."""
-    waiting = deque(tasks)
+    """Keep some tasks under way until all are done.
+
+    The first one runs alone, as it compiles, and so does who was there when a worker died.
+    """
+    waiting, lost = deque(tasks), list[Task]()
     running: dict[Future[list[Row]], Task] = {}
+    at_once = 1
     with contextlib.ExitStack() as stack:
         executor = stack.enter_context(pool())
-        at_once = 1
         while waiting or running:
-            while waiting and len(running) < at_once:
+            while waiting and not lost and len(running) < _room(waiting[0], running, at_once):
                 task = waiting.popleft()
-                running[executor.submit(work, task)] = task
+                try:
+                    running[executor.submit(work, task)] = task
+                except BrokenExecutor:
+                    lost.append(task)
             done, _ = wait(running, return_when=FIRST_COMPLETED)
-            is_broken = False
             for future in done:
                 task = running.pop(future)
                 try:
                     take(future.result())
                     at_once = ahead
                 except BrokenExecutor:
-                    is_broken = True
+                    lost.append(task)
+            if lost:
+                for task in (*lost, *running.values()):
                     waiting.extendleft(_again(task, take))
-            if is_broken:  # all that was under way is lost; who kills its worker is found alone
-                for task in running.values():
-                    waiting.extendleft(_again(task, take))
+                lost.clear()
                 running.clear()
                 stack.pop_all().close()
                 executor = stack.enter_context(pool())
-                at_once = 1
+
+
+def _room(task: Task, running: Mapping[Any, Task], at_once: int) -> int:
+    """How many tasks may run at once when this one is among them."""
+    return 1 if any(one.attempt for one in (task, *running.values())) else at_once
 
 
 def _again(task: Task, take: Callable[[list[Row]], None]) -> list[Task]:
     """Tasks of a task whose worker died: each variant alone; none after the last attempt."""
-    if task.attempt + 1 == _ATTEMPTS and len(task.numbers) == 1:
-        take([failed(task.numbers[0], "the worker died")])
+    if task.attempt + 1 == _ATTEMPTS:
+        take([failed(number, "the worker died") for number in task.numbers])
         return []
-    attempt = task.attempt + 1 if len(task.numbers) == 1 else task.attempt
     return [
-        task._replace(numbers=(number,), raw=(raw,), attempt=attempt)
+        task._replace(numbers=(number,), raw=(raw,), attempt=task.attempt + 1)
         for number, raw in zip(task.numbers, task.raw, strict=True)
     ]
