@@ -295,8 +295,10 @@ class Live(Page):
         parts = state_parts(session.system, b, motion)
         pushes = [applied for applied in session.applied if applied.push.body == b]
         if pushes:
-            hand = hand_part(session.system, pushes[-1], motion)
-            parts = [hand, push_part(pushes[-1], self.drift(pushes[-1], motion)), *parts]
+            parts = [push_part(pushes[-1], self.drift(pushes[-1], motion)), *parts]
+            joints = self.stage.joints
+            if joints is None or b not in joints.held:  # whose joints push too
+                parts = [hand_part(session.system, pushes[-1], motion), *parts]
         self.write_numbers(parts)
         state = "running" if self.is_running else "paused"
         pace = f"{self.rate:.0f} updates/s"

@@ -1,4 +1,4 @@
-"""Bodies, walls, arrows and trails on the page. Knows viser and shapes; no forces and no time.
+"""Bodies, walls, joints, arrows, trails on the page. Knows viser and shapes; no forces, no time.
 
 The page gets places relative to an origin, in a unit near the size of the scene: a screen computes
 in float32, and a scene may be of any size and anywhere.
@@ -15,6 +15,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.state import quaternion_product
 from particlerb.model.system import System
 from particlerb.view.forms import Surfaces, extent_of, walls_of
+from particlerb.view.joint_lines import JointLines
 
 _Colour = tuple[int, int, int]
 COLOURS: Final[tuple[_Colour, ...]] = (
@@ -27,6 +28,7 @@ _ARROWS: Final[dict[str, _Colour]] = {
     "axes": (90, 98, 106),
 }  # fmt: skip
 _TRAIL: Final[_Colour] = (20, 20, 20)
+_JOINTS: Final[_Colour] = (200, 0, 120)
 _LIGHT: Final = 0.8, 2.0  # of the sky and of the sun
 _VIEW: Final = (1.15, -1.85, 1.1)  # where the camera stands at first, in sizes of the scene
 
@@ -57,6 +59,9 @@ class Stage:
         self.layers = [self.add_layer(k) for k in range(len(self.surfaces.layers))]
         self.arrows: dict[str, Any] = {}
         self.trail = self.add_line("/trail", _TRAIL)
+        self.joints = JointLines(system, size) if system.joint else None
+        if self.joints is not None:
+            self.joint_lines = self.add_line("/joints", _JOINTS, 4.0)
         self.furnish(size)
         server.initial_camera.position = self.size * np.array(_VIEW)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
@@ -79,13 +84,13 @@ class Stage:
             receive_shadow=False,
         )
 
-    def add_line(self, name: str, colour: _Colour) -> Any:
+    def add_line(self, name: str, colour: _Colour, thickness: float = 2.0) -> Any:
         """A line without points yet."""
         return self.server.scene.add_line_segments(
             name,
             np.zeros((1, 2, 3)),
             colour,
-            thickness=2.0,
+            thickness=thickness,
             thickness_units="screen",
             visible=False,
         )
@@ -145,6 +150,9 @@ class Stage:
         place = tuple(((self.home - self.origin) / self.unit).tolist())
         if tuple(self.fixed.position) != place:
             self.fixed.position = place
+        if self.joints is not None:
+            self.joint_lines.points = self.on_page(self.joints.at(position, q)).astype(np.float32)
+            _show_if(self.joint_lines, True)
 
     def on_page(self, places: Floats) -> Floats:
         """Places [m] in the units of the page."""
