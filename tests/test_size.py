@@ -22,7 +22,7 @@ BUDGETS = {
     "tables of forces": 232,
 }
 BUDGETS |= {"vectors of 512 bits": 45, "opening angle fitted to a scene": 95}
-BUDGETS |= {"scenes in Python": 430, "sweeps": 510}
+BUDGETS |= {"scenes in Python": 430, "sweeps": 605}
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 
 OVERSPENT = 588

@@ -242,6 +242,7 @@ def add_sweep(sweep: _Parser) -> None:
         help="values of a key, as 'run.dt=[1e-3, 1e-4]'; in place of [sweep.axes]; repeatable",
     )  # fmt: skip
     sweep.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
+    _add_flag(sweep, "--plot", help="a picture beside the table")
     _add_output(sweep, "FILE.csv", "table; rows that it has are not run again", "the table")
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
 from particlerb.case.problems import CaseError
@@ -38,7 +39,11 @@ def sweep_command(options: argparse.Namespace) -> int:
             )
             raise Ending(message, INTERRUPTED) from None
     print(tamed(summary(found)))
-    print(f"written: {path}")
+    written = [path]
+    if options.plot:
+        written.append(path.with_suffix(".png"))
+        _plot(found, case.title or stem, written[-1])
+    print(f"written: {', '.join(map(str, written))}")
     if any(status != "done" for status in found.column("status")):
         return FAILED
     return MISSED if any(found.column("checks_missed")) else DONE
@@ -55,6 +60,22 @@ def _axis(text: str) -> tuple[str, Any]:
         raise Ending(f"--axis {text}: must be KEY=[a, b] or KEY={{low=a, high=b, n=5}}") from None
 
 
+def _plot(found: SweepRows, title: str, path: Path) -> None:
+    """Draw the values over the axes that are numbers."""
+    from particlerb.studies.charts.sweep import draw_sweep
+
+    columns = {name: found.column(name) for name in (*found.axes, *found.values, "energy_drift")}
+    numbers = {
+        name: np.array(column, dtype=np.float64)
+        for name, column in columns.items()
+        if all(isinstance(x, (int, float)) for x in column)
+    }
+    axes = [(name, numbers[name]) for name in found.axes if name in numbers]
+    values = [(name, numbers[name]) for name in found.values or ("energy_drift",)]
+    if axes:
+        draw_sweep(title, axes, values, path)
+
+
 def summary(found: SweepRows) -> str:
     """How many runs are done, why others failed, and the range of each value."""
     status = Counter(found.column("status"))
@@ -64,10 +85,10 @@ def summary(found: SweepRows) -> str:
     lines += [f"  {missed} missed a check"] if missed else []
     width = max(map(len, found.columns))
     lines.append(f"  {'':{width}} {'least':>12} {'median':>12} {'largest':>12}")
-    for k, name in enumerate(found.columns[3:], 3):
-        column = [row[k] for row in found.rows if len(row) > k]  # a run that failed has less
+    for name in ("energy_drift", *found.axes, *found.values):
+        column = found.column(name)
         numbers = [x for x in column if isinstance(x, (int, float)) and math.isfinite(x)]
-        if numbers and name != "checks_missed":
+        if numbers:
             least, middle, most = min(numbers), median(numbers), max(numbers)
             lines.append(f"  {name:{width}} {least:12.6g} {middle:12.6g} {most:12.6g}")
     return "\n".join(lines)

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,11 +23,22 @@ class SweepRows(NamedTuple):
     """run, hash, status, energy_drift, checks_missed, then the axes, then the values."""
     rows: tuple[tuple[Any, ...], ...]
     """In the order of the variants; numbers where they are some."""
+    n_axes: int
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the columns of the axes."""
+        return self.columns[len(_FIRST) : len(_FIRST) + self.n_axes]
+
+    @property
+    def values(self) -> tuple[str, ...]:
+        """Names of the columns of values."""
+        return self.columns[len(_FIRST) + self.n_axes :]
 
     def column(self, name: str) -> list[Any]:
-        """One of the columns."""
+        """One of the columns; NaN where a run that failed has no value."""
         k = self.columns.index(name)
-        return [row[k] for row in self.rows]
+        return [row[k] if k < len(row) else math.nan for row in self.rows]
 
 
 class TableFile:
@@ -41,7 +53,7 @@ class TableFile:
     """
 
     def __init__(self, path: Path | None, axes: Sequence[str], values: Sequence[str]) -> None:
-        self.path, self.columns = path, (*_FIRST, *axes, *values)
+        self.path, self.columns, self.n_axes = path, (*_FIRST, *axes, *values), len(axes)
         self.known: dict[str, list[str]] = {}  # rows that are done, by their hash
         self._lock: WriterLock | None = None
         if path is None:
@@ -95,7 +107,8 @@ class TableFile:
                 file.flush()
                 os.fsync(file.fileno())
             beside.replace(self.path)
-        return SweepRows(self.columns, tuple(tuple(map(_number, line)) for line in lines))
+        rows = tuple(tuple(map(_number, line)) for line in lines)
+        return SweepRows(self.columns, rows, self.n_axes)
 
     def __enter__(self) -> Self:
         """The table."""

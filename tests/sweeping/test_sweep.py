@@ -15,6 +15,7 @@ from particlerb import CaseError, Scene
 from particlerb.case.reader import load
 from particlerb.case.sweep import Spread, SweepTable
 from particlerb.cli import main
+from particlerb.studies.charts import sweep as sweep_chart
 from particlerb.sweeping import driver
 from particlerb.sweeping.variants import variants
 from particlerb.sweeping.worker import Row, Task, work
@@ -204,3 +205,29 @@ def test_a_spread_is_even_or_in_equal_ratios():
     even, ratios = Spread(low=1.0, high=9.0), Spread(low=1.0, high=9.0, log=True)
     assert [even.at(s) for s in (0.0, 0.5, 1.0)] == [1.0, 5.0, 9.0]
     assert [ratios.at(s) for s in (0.0, 0.5, 1.0)] == pytest.approx([1.0, 3.0, 9.0], rel=1e-15)
+
+
+# The picture
+
+
+@pytest.mark.parametrize(("n_axes", "panels"), [(1, 2), (2, 2), (3, 6)])
+def test_a_picture_has_a_panel_for_each_value_that_changes(n_axes, panels, tmp_path, monkeypatch):
+    drawn = []
+    draw_panel = sweep_chart.finish_panel
+    monkeypatch.setattr(
+        sweep_chart, "finish_panel", lambda *a, **k: drawn.append(a[1]) or draw_panel(*a, **k)
+    )
+    runs = np.array(list(np.ndindex(*(3,) * n_axes)), dtype=float).T + 1.0
+    axes = [(f"key{k}", 10.0**x) for k, x in enumerate(runs)]
+    values = [("sum", runs.sum(axis=0)), ("same", 0.0 * runs[0]), ("first", runs[0].copy())]
+    values[0][1][0] = np.nan  # of a run that failed
+    sweep_chart.draw_sweep("Title", axes, values, tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+    assert len(drawn) == panels
+    assert set(drawn) == {"sum", "first"}
+
+
+def test_axes_in_equal_ratios_are_logarithmic():
+    scales = [[1.0, 2.0, 4.0], [1.0, 2.0, 3.0], [1.0, 5.0, 200.0], [-1.0, 1.0, 2.0], [1.0]]
+    found = [sweep_chart._scale(np.array(x)) for x in scales]
+    assert found == ["log", "linear", "log", "linear", "linear"]
