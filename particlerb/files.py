@@ -7,7 +7,28 @@ nothing is looked up on disk.
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path as FilePath
-from typing import NamedTuple
+from types import TracebackType
+from typing import NamedTuple, Self
+
+
+class Closing:
+    """What is closed at the end of a `with` statement."""
+
+    def close(self) -> None:
+        """Let go of files."""
+
+    def __enter__(self) -> Self:
+        """Open already."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+        self.close()
 
 
 class File(NamedTuple):

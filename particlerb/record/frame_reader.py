@@ -6,13 +6,13 @@ A file may still be growing in another process, and it may come from anyone: see
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import h5py
 import numpy as np
 from h5py import h5d, h5p
 
+from particlerb.files import Closing
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record import schema
 from particlerb.record.checked_reading import (
@@ -31,7 +31,7 @@ from particlerb.record.memory import Memory
 PORTION = 100_000  # states that are read at a time where all are gone through
 
 
-class FrameReader:
+class FrameReader(Closing):
     """Numbers of N bodies in T frames, read from a file when asked for; see `Trajectory`.
 
     Parameters
@@ -65,19 +65,6 @@ class FrameReader:
             if not 0 <= n <= held:
                 raise ValueError(f"{schema.COMMITTED} is {n}, but there are {held} times")
         return n
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the file."""
-        self.close()
 
     def close(self) -> None:
         """Close the file."""

@@ -7,8 +7,7 @@ run, bit for bit. A change is an edge: the last step ends there, and a new grid 
 from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +20,7 @@ from particlerb.case.source import problem_at
 from particlerb.case.to_system import to_system, with_records
 from particlerb.case.values import plain
 from particlerb.compiled.threads import THREADS
+from particlerb.files import Closing
 from particlerb.files import path_of as file_path_of
 from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
@@ -74,7 +74,7 @@ class BodyStates(NamedTuple):
         return velocity[0], omega[0]
 
 
-class Simulation:
+class Simulation(Closing):
     """Bodies on their way from t = 0 to `run.t_end` of their scene.
 
     Parameters
@@ -247,19 +247,6 @@ class Simulation:
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
             recorder.finish()
-
-    def __enter__(self) -> Self:
-        """The simulation itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close."""
-        self.close()
 
     def _restart(self, system: System, state: State | None) -> None:
         """Go on as another system, from the state of now or another one."""

@@ -6,9 +6,9 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
+from particlerb.files import Closing
 from particlerb.record.writer_lock import WriterLock
 from particlerb.sweeping.variants import Variant
 from particlerb.sweeping.worker import Row
@@ -41,7 +41,7 @@ class SweepRows(NamedTuple):
         return [row[k] if k < len(row) else math.nan for row in self.rows]
 
 
-class TableFile:
+class TableFile(Closing):
     """Rows of a sweep, in a file if there is a path; what the file has is known already.
 
     Raises
@@ -110,16 +110,7 @@ class TableFile:
         rows = tuple(tuple(map(_number, line)) for line in lines)
         return SweepRows(self.columns, rows, self.n_axes)
 
-    def __enter__(self) -> Self:
-        """The table."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
         """Let others write it."""
         if self._lock is not None:
             self._lock.close()
