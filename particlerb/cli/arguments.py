@@ -73,6 +73,12 @@ def _add_output(command: _Parser, metavar: str, help: str, what: str = "an exist
     _add_flag(command, "--overwrite", help=f"replace {what}")
 
 
+def _add_report(command: _Parser) -> None:
+    """Add what is said of a run on its way."""
+    command.add_argument("--log", metavar="FILE", help="a line each second: time, energy, error")
+    _add_flag(command, "-q", "--quiet", help="print the checks only")
+
+
 def _add_overrides(command: _Parser) -> None:
     """Add the option that changes a case."""
     command.add_argument(
@@ -133,7 +139,7 @@ def add_run(run: _Parser) -> None:
     _add_case(run)
     _add_plan(run)
     _add_output(run, "FILE", "default: output/<case>.h5")
-    _add_flag(run, "-q", "--quiet", help="print the checks only")
+    _add_report(run)
 
 
 def add_resume(resume: _Parser) -> None:
@@ -144,7 +150,7 @@ def add_resume(resume: _Parser) -> None:
     )
     _add_json(resume)
     _add_plan(resume)
-    _add_flag(resume, "-q", "--quiet", help="print the checks only")
+    _add_report(resume)
 
 
 def add_check(check: _Parser) -> None:

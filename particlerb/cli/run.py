@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
@@ -23,6 +22,7 @@ from particlerb.case.to_system import to_system
 from particlerb.cli.common import amount, read_case, to_write
 from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.cli.guard import probe
+from particlerb.cli.report import Report
 from particlerb.compiled.jit import WHEN_COMPILING
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.gravity_tree.opening_angle import other_angle
@@ -164,15 +164,13 @@ def _execute(
     done: int = 0,
     before: int | None = None,
 ) -> Outcome:
-    """Run with a progress bar; an interrupt or a failure says what was kept, and how to go on.
+    """Run, and report on it; an interrupt or a failure says what was kept, and how to go on.
 
     `before` is the number of a file that is there and is to be replaced.
     """
-    silent = True if options.quiet else None
-    bar = tqdm(total=total, initial=done, unit="frame", disable=silent, delay=0.5)
     try:
-        with bar, stoppable():
-            return run(bar.update)
+        with Report(total, done, options.quiet, options.log) as report, stoppable():
+            return run(report.add)
     except (RunError, DamagedError) as error:
         raise Ending(f"the run failed: {error}; {kept(path, before, False)}", FAILED) from None
     except KeyboardInterrupt:

@@ -54,7 +54,17 @@ from particlerb.stepping.saved_arrays import Saved, under, within
 
 _FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
 
-Progress = Callable[[int], object]
+
+class Reached(NamedTuple):
+    """How far a run has come."""
+
+    frames: int  # that were added
+    time: float  # [s] of the last of them, as the next two
+    energy: float  # [J]
+    energy_error: float  # [J]
+
+
+Progress = Callable[[Reached], object]
 
 
 class RunError(Exception):
@@ -253,7 +263,7 @@ def run_prepared(
     overwrite : bool
         Whether an existing file may be replaced.
     progress : callable
-        Called with the number of frames that were added.
+        Called with what was reached, after some frames.
 
     Raises
     ------
@@ -304,8 +314,8 @@ def advance(
             except (LookupError, TypeError, ValueError) as reason:
                 raise RunError(f"the checkpoint does not fit: {reason}") from None
         for batch in batches(prepared.system, run.n_frames):
-            rows, error = _one_batch(run, recorder, batch)
-            progress(rows)
+            reached, error = _one_batch(run, recorder, batch)
+            progress(reached)
             if error is not None:
                 raise error
             if batch.is_whole_end:
@@ -332,8 +342,8 @@ def advance(
 
 def _one_batch(
     run: "Run", recorder: Recorder | Memory, batch: Batch
-) -> tuple[int, RunError | None]:
-    """Compute and append a batch; how many frames it had, and what was wrong behind them."""
+) -> tuple[Reached, RunError | None]:
+    """Compute and append a batch; what it reached, and what was wrong behind that."""
     frames, entries, error = run.frames_at(batch.times, batch.is_frame)
     sound = len(frames.position)
     rows = np.flatnonzero(batch.is_frame[:sound])
@@ -344,7 +354,8 @@ def _one_batch(
         values = None if run.joints is None else at_row(run.joints, int(row))
         run.probes.append(Probe(float(batch.times[row]), _one_row(frames, int(row)), values))
     run.n_frames += rows.size
-    return rows.size, error
+    last = (values[-1] if sound else np.nan for values in (batch.times[:sound], *entries[2:5:2]))
+    return Reached(rows.size, *map(float, last)), error
 
 
 def identity(prepared: Prepared) -> str:
