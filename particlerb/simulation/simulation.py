@@ -267,14 +267,14 @@ class Simulation(Closing):
         """State and energy balance at a time; frames in between go to the file."""
         run = self._run.system.run
         with THREADS.using(run.threads):
+            if self._recorder is None:
+                return self._look(np.array([until]), np.ones(1, np.bool_))
             while True:
-                due = np.zeros(0)
-                if self._recorder is not None:
-                    ahead = frames_of(run)[self._due : self._due + BATCH_FRAMES]
-                    due = ahead[ahead <= until]
+                ahead = frames_of(run)[self._due : self._due + BATCH_FRAMES]
+                due = ahead[ahead <= until]
                 is_last = due.size < BATCH_FRAMES
                 times = np.union1d(due, [until]) if is_last else due
-                found = self._look(times, np.isin(times, due) | (self._recorder is None))
+                found = self._look(times, np.isin(times, due))
                 self._due += due.size
                 if is_last:
                     return found
