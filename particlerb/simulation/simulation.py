@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from particlerb.case.overrides import with_value
 from particlerb.case.problems import CaseError, path_of
 from particlerb.case.reader import build, load
+from particlerb.case.run import frame_count
 from particlerb.case.schema import Case
 from particlerb.case.source import problem_at
 from particlerb.case.to_system import to_system, with_records
@@ -270,8 +271,9 @@ class Simulation(Closing):
             if self._recorder is None:
                 return self._look(np.array([until]), np.ones(1, np.bool_))
             while True:
-                ahead = frames_of(run)[self._due : self._due + BATCH_FRAMES]
-                due = ahead[ahead <= until]
+                stop = min(self._due + BATCH_FRAMES, frame_count(run))
+                due = frames_of(run, self._due, stop) if self._due < stop else np.zeros(0)
+                due = due[due <= until]
                 is_last = due.size < BATCH_FRAMES
                 times = np.union1d(due, [until]) if is_last else due
                 found = self._look(times, np.isin(times, due))
