@@ -57,6 +57,7 @@ class ContactList(NamedTuple):
     forces: Records  # (m,) see `pair_force.forces_dtype`; only of those that are active
     active: Bools  # (m,) whether there is a force: far fewer have one, and only these are read
     shell_ends: Ints  # (N_SHELLS,) where each shell ends: see `neighbour_list.order_contacts`
+    stages: Records | None = None  # (m,) STAGES, for methods that take several slopes
 
 
 class NeighbourLists(NamedTuple):
@@ -69,6 +70,35 @@ class NeighbourLists(NamedTuple):
     max_contact_arm: float  # [m] from a centre of mass to the farthest point that may touch
 
 
+class Slope(NamedTuple):
+    """One of several slopes of a step, for methods that take tangential springs to each of them."""
+
+    step: float  # [s] 0 where no step follows: at a frame
+    share: float  # of this slope in the step
+    ahead: float  # where the next slope is taken, in steps from the first; 0: their sum counts
+    is_first: bool  # whether the step begins here: springs are cut to the limit of friction
+
+
+class Growth(NamedTuple):
+    """For how long tangential springs grow by what slides at an evaluation."""
+
+    before: float  # [s] until then
+    after: float  # [s] from then on
+    since: float  # [s] since the evaluation before
+    slope: Slope | None  # None: springs grow by the times above
+
+
+class LoadTimes(NamedTuple):
+    """When and how a method takes loads."""
+
+    dt: float  # [s] length of the step that begins; 0: none, at a frame
+    span: float  # [s] for which the loads count in the gross work
+    mean: float  # 1: forces of contacts are means over half of the steps before and after; 0: now
+    share_before: float  # of the step before, for which springs grow by what slides now
+    share_after: float  # of the step that begins
+    slope: Slope | None  # None: the times above count
+
+
 class Workspace(NamedTuple):
     """What an evaluation writes."""
 
@@ -77,6 +107,7 @@ class Workspace(NamedTuple):
     bodies: Records  # (n_bodies,) BODY
     deepest: Floats  # (threads, 3) deepest of contacts too deep: overlap and radius [m], body; or 0
     gross_work: Floats  # (n_bodies,) [J] gross work of contacts so far: see `collect_loads`
+    step_start: Records  # (1,) STEP_START: all threads write the same
 
 
 class Evaluation(NamedTuple):
@@ -85,8 +116,9 @@ class Evaluation(NamedTuple):
     model: ContactModel
     workspace: Workspace
     contacts: ContactList
-    before: float  # [s] length of the drift before the instant, 0 where there is none
-    after: float  # [s] length of the drift after it, likewise
+    before: float  # [s] length of the step before, half of which forces are the mean of
+    after: float  # [s] length of the step after, likewise; both 0: of the instant
+    growth: Growth
     rank: int  # of the thread
 
 
@@ -129,13 +161,12 @@ class MovingContact(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """When contacts are evaluated, and for how long their loads act."""
+    """When bodies are placed for contacts to be evaluated."""
 
-    before: float  # [s] length of the drift before the instant, 0 where there is none
-    after: float  # [s] length of the drift after it, likewise
+    before: float  # [s] length of the step before the instant, 0 where there is none
+    after: float  # [s] length of the step after it, likewise
     time: float  # [s] since the segment began, where bodies are placed
     ahead: float  # share of their last change by which momenta are then carried on to the instant
-    span: float  # [s] for which the loads count in the gross work
 
 
-NOW: Final = Instant(0.0, 0.0, 0.0, 0.0, 0.0)
+NOW: Final = LoadTimes(0.0, 0.0, 0.0, 0.0, 0.0, None)

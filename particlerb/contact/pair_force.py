@@ -14,9 +14,11 @@ from particlerb.contact.contact_model import (
     ContactList,
     ContactModel,
     Evaluation,
+    Growth,
+    Slope,
     Workspace,
 )
-from particlerb.contact.friction import friction_force, rolling_torque, rotated_spring
+from particlerb.contact.friction import friction_force, rolling_torque
 from particlerb.contact.law import (
     ContactState,
     NormalForce,
@@ -28,6 +30,13 @@ from particlerb.contact.law import (
 )
 from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.records import Records, put_row3, put_row4, row3, row4
+from particlerb.contact.spring_growth import (
+    Sliding,
+    begin_stages,
+    overlap_before,
+    spring_after,
+    spring_at,
+)
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     Floats,
@@ -56,6 +65,7 @@ class Collision(NamedTuple):
     angular_velocity: Vec3  # [rad/s] of the first relative to the second
     boundary_velocity: Vec3  # [m/s] there, of a wall or a held body
     r_eff: float  # [m] R*
+    turning: Vec3  # [1/s] how the normal turns, where a method asks for it; else zero
 
 
 # Bodies at the instant of a kick
@@ -164,6 +174,7 @@ def begin_contact(on: Evaluation, pair: int, c: int, inv_mass: float, r_eff: flo
     history = on.contacts.history
     history.inv_effective_mass[c] = inv_mass
     history.damping[c] = damping_coefficient(on.model.law, pair, inv_mass, r_eff)
+    begin_stages(on.contacts.stages, c)
 
 
 @lean
@@ -184,26 +195,26 @@ def end_contact(rolling: Floats | None, contacts: ContactList, c: int) -> None:
 def contact_force(on: Evaluation, pair: int, c: int, now: Collision) -> None:
     """Find the forces of contact c, and keep what the next instant needs.
 
-    The spring grows by half of the drift before times the sliding velocity of the instant before,
-    kept with it, and by the other half with that of now.
+    The spring grows as the method says: of `strang` by half of the drift before times the sliding
+    velocity of the instant before, kept with it, and by the other half with that of now.
     """
-    law, before, after = on.model.law, on.before, on.after
+    law, before, after, growth = on.model.law, on.before, on.after, on.growth
     history, forces = on.contacts.history, on.contacts.forces
     normal = now.normal
     rate = dot(now.velocity, normal)
     sliding = add_scaled(-rate, normal, now.velocity)
-    spring = rotated_spring(row3(history.spring, c), normal)
-    spring = add_scaled(0.5 * before, sliding, spring)
+    slid = spring_at(growth.slope, growth.before, row3(history.spring, c), sliding, normal)
     inv_mass, damping = history.inv_effective_mass[c], history.damping[c]
-    previous = history.overlap[c]
+    previous = overlap_before(growth.slope, history.overlap[c], now.overlap)
     state = ContactState(now.overlap, previous, rate, sliding, inv_mass, damping, now.r_eff)
     rate = corrected_rate(law, pair, state, history.normal_force[c], before)
     state = with_motion(state, rate, sliding)
     pressed = normal_force(law, pair, state, before, after)
-    dt = before if before > 0.0 else after  # a kick at rest stands for half of the same step
-    tangential, spring = friction_force(law, pair, state, pressed, spring, dt)
+    dt = growth.since if growth.since > 0.0 else after  # a kick at rest: half of the same step
+    tangential, cut = friction_force(law, pair, state, pressed, slid, dt)
     elastic, force = pressed.elastic, pressed.force
-    put_row3(history.spring, c, add_scaled(0.5 * after, sliding, spring))
+    slides = Sliding(sliding, 1.0, normal, now.turning, False)
+    put_row3(history.spring, c, spring_after(on, c, slides, state, (slid, cut)))
     history.overlap[c], history.normal_force[c] = max(now.overlap, 0.0), force
     other = add_scaled(elastic - force, normal, tangential)
     put_row3(forces.elastic, c, scale(-elastic, normal))
@@ -233,11 +244,13 @@ def _resist_rolling(
     if rolling is None:
         return
     history, law, normal, R = on.contacts.history, on.model.law, now.normal, state.r_eff
+    growth = on.growth
     omega = add_scaled(-dot(now.angular_velocity, normal), normal, now.angular_velocity)
-    spring = rotated_spring(row3(history.rolling_spring, c), normal)
-    spring = add_scaled(0.5 * on.before * R, omega, spring)
-    torque, spring = rolling_torque(rolling, law, pair, state, omega, pressed, spring, on.before)
-    put_row3(history.rolling_spring, c, add_scaled(0.5 * on.after * R, omega, spring))
+    kept = row3(history.rolling_spring, c)
+    slid = spring_at(growth.slope, growth.before * R, kept, omega, normal)
+    torque, cut = rolling_torque(rolling, law, pair, state, omega, pressed, slid, growth.since)
+    rolls = Sliding(omega, R, normal, now.turning, True)
+    put_row3(history.rolling_spring, c, spring_after(on, c, rolls, state, (slid, cut)))
     put_row3(on.contacts.forces.rolling_torque, c, torque)
 
 
@@ -251,6 +264,7 @@ def sphere_contact_forces(
     contacts: ContactList,
     before: float,
     after: float,
+    growth: Growth,
     v: float,
     w: float,
     first: int,
@@ -264,12 +278,13 @@ def sphere_contact_forces(
     model, workspace, contacts : ContactModel, Workspace, ContactList
     before, after : float [s]
         Lengths of the drifts before and after this instant; 0 where there is none.
+    growth : Growth
     v, w : float [m/s, rad/s]
         Largest of all bodies, see `max_speeds`.
     first, end, rank : int
         Contacts, `end` excluded, and the thread that is at them.
     """
-    on = Evaluation(model, workspace, contacts, before, after, rank)
+    on = Evaluation(model, workspace, contacts, before, after, growth, rank)
     firsts, seconds, active = contacts.first, contacts.second, contacts.active
     body, xyzr, bodies = model.spheres.body, workspace.xyzr, workspace.bodies
     longer = max(before, after)
@@ -311,8 +326,22 @@ def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
         begin_contact(on, pair, c, inv_mass, r_eff)
     if overlap > _MAX_OVERLAP * min(r_i, r_j):
         note_overlap(on, overlap, min(r_i, r_j), a)
-    now = Collision(overlap, normal, point, subtract(v_a, v_b), omega, boundary, r_eff)
+    turning = _normal_rate(on.growth.slope, on, i, j, d)
+    now = Collision(overlap, normal, point, subtract(v_a, v_b), omega, boundary, r_eff, turning)
     contact_force(on, pair, c, now)
+
+
+@lean
+def _normal_rate(slope: Slope | None, on: Evaluation, i: int, j: int, d: Vec3) -> Vec3:
+    """ṅ [1/s] between two spheres, d [m] from centre to centre, where a method asks for it."""
+    if slope is None:
+        return ZERO
+    body, xyzr, bodies = on.model.spheres.body, on.workspace.xyzr, on.workspace.bodies
+    v_i = velocity_at(bodies, body[i], row3(xyzr, i))
+    away, square = subtract(velocity_at(bodies, body[j], row3(xyzr, j)), v_i), dot(d, d)
+    if square == 0.0:
+        return ZERO
+    return scale(1.0 / math.sqrt(square), add_scaled(-dot(away, d) / square, d, away))
 
 
 @lean

@@ -110,6 +110,16 @@ EXTREMES: Final = record(
 )
 
 
+# When bodies were placed at the beginning of a step
+STEP_START: Final = record(
+    time=1,  # [s] since the segment began
+    before=1,  # [s] length of the step before, 0 where there is none
+)
+
+# Tangential springs of a contact within a step, for methods that take several slopes
+STAGES: Final = record(start=3, total=3, rolling_start=3, rolling_total=3)  # [m]
+
+
 def history_record(with_rolling: bool) -> np.dtype[Any]:
     """Record of what a contact remembers."""
     return _ROLLING_HISTORY if with_rolling else _HISTORY

@@ -29,7 +29,13 @@ how it changes at the vertices of a polyhedron.
 from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import lean, lean_kernel
-from particlerb.contact.contact_model import ContactList, ContactModel, Evaluation, Workspace
+from particlerb.contact.contact_model import (
+    ContactList,
+    ContactModel,
+    Evaluation,
+    Growth,
+    Workspace,
+)
 from particlerb.contact.pair_force import (
     Collision,
     begin_contact,
@@ -40,6 +46,7 @@ from particlerb.contact.pair_force import (
     velocity_at,
 )
 from particlerb.contact.records import Records, put_row3, row3, row4
+from particlerb.contact.wall_normals import wall_normal_rate
 from particlerb.contact.wall_pieces import (
     SphereAtWall,
     WallPiece,
@@ -106,6 +113,7 @@ def wall_contact_forces(
     contacts: ContactList,
     before: float,
     after: float,
+    growth: Growth,
     bounds: tuple[int, int, int, int],
     rank: int,
 ) -> None:
@@ -114,7 +122,7 @@ def wall_contact_forces(
     `bounds` are those of a shell, and between them those of the share of this thread: of spheres
     and walls whose contacts begin there.
     """
-    on = Evaluation(model, workspace, contacts, before, after, rank)
+    on = Evaluation(model, workspace, contacts, before, after, growth, rank)
     least, c, end, most = bounds
     if least < c < end:
         c = _end_of(model, contacts, c - 1, end)
@@ -191,7 +199,8 @@ def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
     is_thin = model.walls.kind[primitive] != PLANE
     if piece.is_too_weak or (piece.overlap > _MAX_OVERLAP * radius and is_thin):
         note_overlap(on, piece.overlap, radius, a)
-    now = Collision(overlap, normal, point, relative, omega, moving, radius)
+    turning = wall_normal_rate(on.growth.slope, on, at, piece, normal)
+    now = Collision(overlap, normal, point, relative, omega, moving, radius, turning)
     contact_force(on, pair, c, now)
     forces = contacts.forces
     put_row3(forces.correction_impulse, c, (0.0, 0.0, 0.0))

@@ -18,6 +18,7 @@ from particlerb.contact.law import (
 )
 from particlerb.contact.pair_force import ZERO, end_contact, velocity_at
 from particlerb.contact.records import put_row3, row3
+from particlerb.contact.spring_growth import hand_over_stages
 from particlerb.contact.walls import (
     NEAR,
     euler_count,
@@ -131,7 +132,7 @@ def next_piece(contacts: ContactList, at: SphereAtWall) -> int:
 
 
 @lean
-def _approach_velocity(workspace: Workspace, at: SphereAtWall) -> Vec3:
+def approach_velocity(workspace: Workspace, at: SphereAtWall) -> Vec3:
     """Velocity of the centre of a sphere relative to the wall there [m/s]."""
     d = subtract(at.x, row3(workspace.poses.position, at.wall))
     moving = wall_velocity(workspace.poses, at.wall, d)
@@ -149,7 +150,7 @@ def piece_at(on: Evaluation, at: SphereAtWall, root: int) -> WallPiece:
     material = model.spheres.material[contacts.first[root]]
     pair = model.pair_of[material, model.wall_material[contacts.second[root]]]
     first, n_points, total, pushes, hardest = root, 0, 0.0, 0.0, 0.0
-    v, force, elastic, impulse = _approach_velocity(on.workspace, at), ZERO, ZERO, ZERO
+    v, force, elastic, impulse = approach_velocity(on.workspace, at), ZERO, ZERO, ZERO
     energy, least = 0.0, math.inf
     for c in range(at.first, at.end):
         count, away = points.count[c], row3(points.gap, c)
@@ -191,6 +192,7 @@ def hand_over_history(on: Evaluation, at: SphereAtWall, root: int, to: int) -> N
             source = c
     if source >= 0 and source != to:
         history[to] = history[source]
+        hand_over_stages(contacts.stages, source, to)
         active[to] = True
     for c in range(at.first, at.end):
         if c != to and active[c] and _belongs_to(on, at, c, root):

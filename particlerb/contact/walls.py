@@ -104,7 +104,7 @@ def nearest_on_triangle(a: Vec3, b: Vec3, c: Vec3, x: Vec3) -> Vec3:  # noqa: PL
 
 
 @inline
-def _radial(c: Vec3, axis: Vec3, x: Vec3) -> tuple[float, float, Vec3]:
+def radial(c: Vec3, axis: Vec3, x: Vec3) -> tuple[float, float, Vec3]:
     """Height along the axis through c, distance from it, and the unit vector away from it.
 
     On the axis itself, where all points of a circle are equally near, it is any across.
@@ -123,21 +123,21 @@ def _radial(c: Vec3, axis: Vec3, x: Vec3) -> tuple[float, float, Vec3]:
 @inline
 def _nearest_on_cylinder(c: Vec3, axis: Vec3, radius: float, half: float, x: Vec3) -> Vec3:
     """Point of the side of a cylinder, ends at ± half from its centre c."""
-    z, _, away = _radial(c, axis, x)
+    z, _, away = radial(c, axis, x)
     return add_scaled(radius, away, add_scaled(min(max(z, -half), half), axis, c))
 
 
 @inline
 def _nearest_on_disc(c: Vec3, axis: Vec3, radius: float, x: Vec3) -> Vec3:
     """Point of a disc."""
-    _, rho, away = _radial(c, axis, x)
+    _, rho, away = radial(c, axis, x)
     return add_scaled(min(rho, radius), away, c)
 
 
 # A primitive and a centre
 
 
-class _Primitive(NamedTuple):
+class Primitive(NamedTuple):
     """Numbers of one primitive: arrays that enter a function in a loop are counted there."""
 
     kind: int
@@ -148,11 +148,11 @@ class _Primitive(NamedTuple):
 
 
 @lean
-def primitive_at(kind: Ints, rows: Floats, p: int) -> _Primitive:
+def primitive_at(kind: Ints, rows: Floats, p: int) -> Primitive:
     """Primitive p, from the kinds and parameters of `Walls`."""
     a, b = (rows[p, 0], rows[p, 1], rows[p, 2]), (rows[p, 3], rows[p, 4], rows[p, 5])
     c, n = (rows[p, 6], rows[p, 7], rows[p, 8]), (rows[p, 9], rows[p, 10], rows[p, 11])
-    return _Primitive(kind[p], a, b, c, n)
+    return Primitive(kind[p], a, b, c, n)
 
 
 @lean
@@ -162,7 +162,7 @@ def length(v: Vec3) -> float:
 
 
 @inline
-def nearest(one: _Primitive, x: Vec3) -> Vec3:  # noqa: PLR0911
+def nearest(one: Primitive, x: Vec3) -> Vec3:  # noqa: PLR0911
     """Point of a primitive nearest to x, whatever its neighbours are; wall's frame."""
     kind, a, b, c, _ = one
     if kind == PLANE:
@@ -181,7 +181,7 @@ def nearest(one: _Primitive, x: Vec3) -> Vec3:  # noqa: PLR0911
 
 
 @inline
-def squared_distance(one: _Primitive, x: Vec3) -> float:
+def squared_distance(one: Primitive, x: Vec3) -> float:
     """Square of the distance from a primitive [m²], behind a plane 0."""
     if one.kind == PLANE and dot(subtract(x, one.a), one.b) < 0.0:
         return 0.0
@@ -234,7 +234,7 @@ def _count_at_vertex(
 
 
 @lean
-def euler_count(one: _Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
+def euler_count(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
     """How often a point of a primitive counts, and whether it is nearer to x than all around it.
 
     1 where a sphere around x that grows meets a new piece of the wall there, -1 where two of its
@@ -249,7 +249,7 @@ def euler_count(one: _Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
         return _count_at_vertex(a, around, int(c[0]), int(c[1]), int(c[2]), x)
     is_opposite = True
     if kind != PLANE:
-        z, rho, _ = _radial(a, b, x)
+        z, rho, _ = radial(a, b, x)
         if kind == SIDE:
             is_opposite = abs(z) <= c[1]
         elif kind == DISC:
@@ -260,7 +260,7 @@ def euler_count(one: _Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
 
 
 @lean
-def gap_vector(one: _Primitive, x: Vec3) -> Vec3:
+def gap_vector(one: Primitive, x: Vec3) -> Vec3:
     """Vector to x from the nearest point of a primitive, of a face from that of its plane."""
     if one.kind == PLANE:
         return scale(max(dot(subtract(x, one.a), one.b), NEAR), one.b)

@@ -14,7 +14,7 @@ from particlerb.contact.contact_model import GroupContact
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity import UniformGravity, parts_of_gravity
 from particlerb.forces.kernels import Acting
-from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, VELOCITY, Kick
+from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, PISTONS, VELOCITY, Kick
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import (
     FIRST,
@@ -170,6 +170,8 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         needs["attraction"] = frozenset({BODIES})
     if terms.contact is not None:
         needs["contact"] = frozenset({CONTACT})
+        if terms.contact.pistons is not None:
+            needs["walls with a piston"] = frozenset({CONTACT, PISTONS})
     if terms.joints is not None:
         needs["joints"] = frozenset({JOINTS})
     return needs

@@ -15,12 +15,12 @@ import numpy as np
 
 from particlerb.compiled.barrier import Team, largest, meet, share_of
 from particlerb.compiled.jit import inline, kernel
-from particlerb.contact.body_loads import collect_loads, load_pistons, stored_energy
+from particlerb.contact.body_loads import collect_loads, load_pistons
 from particlerb.contact.contact_model import (
-    ContactChanges,
-    ContactList,
     GroupContact,
+    Growth,
     Instant,
+    LoadTimes,
     MovingContact,
     NeighbourLists,
     Workspace,
@@ -89,8 +89,43 @@ def place_contacts(
     """
     if contact is None or team is None:
         return True
+    step_start = contact.workspace.step_start
+    step_start.time[0], step_start.before[0] = instant.time, instant.before
+    return _place(contact, team, pairs, blocks, layout, first, last, instant)
+
+
+@kernel
+def place_within_step(
+    contact: MovingContact | None,
+    team: Team | None,
+    pairs: PairTerms | None,
+    blocks: Floats,
+    layout: Layout,
+    first: int,
+    last: int,
+    later: float,
+) -> None:
+    """Place them anew, so many seconds after the step began."""
+    if contact is None or team is None:
+        return
+    time = contact.workspace.step_start.time[0] + later
+    _place(contact, team, pairs, blocks, layout, first, last, Instant(0.0, 0.0, time, 0.0))
+
+
+@inline
+def _place(
+    contact: MovingContact,
+    team: Team,
+    pairs: PairTerms | None,
+    blocks: Floats,
+    layout: Layout,
+    first: int,
+    last: int,
+    instant: Instant,
+) -> bool:
+    """Do the work of `place_contacts`."""
     setup, workspace, lists, memory, _ = contact
-    before, after, time, ahead, _ = instant
+    before, after, time, ahead = instant
     model, t, path, v, w = setup.model, memory.start + time, 0.0, 0.0, 0.0
     allowance = _PART_OF_SKIN * setup.skin
     for k in range(first, last):
@@ -111,7 +146,19 @@ def place_contacts(
     extremes = memory.extremes
     extremes.displacement[0] = max(extremes.displacement[0], reached)
     extremes.speed[0], extremes.angular_speed[0] = v, w
-    return not (path > allowance or time >= memory.valid_until)
+    used = _used_up(lists.spheres.stages, path, reached)
+    return not (used > allowance or time >= memory.valid_until)
+
+
+@inline
+def _used_up(stages: Records | None, path: float, reached: float) -> float:
+    """How much of the skin is used up [m]: of new lists nothing.
+
+    Methods that take several slopes evaluate contacts within the step too.
+    """
+    if stages is None:
+        return path
+    return reached if path > 0.0 else 0.0
 
 
 @inline
@@ -188,6 +235,7 @@ def find_contact_forces(
     extremes: Records,
     before: float,
     after: float,
+    growth: Growth,
     team: Team,
 ) -> None:
     """Find the forces of contacts in shells that have come into reach, each shared out equally."""
@@ -198,12 +246,12 @@ def find_contact_forces(
         if SHELL_GAPS[s] * skin <= 2.0 * reached:  # both may come
             first, end = share_of(team, end_spheres, spheres.shell_ends[s])
             sphere_contact_forces(
-                model, workspace, spheres, before, after, v, w, first, end, team.rank
+                model, workspace, spheres, before, after, growth, v, w, first, end, team.rank
             )
         if SHELL_GAPS[s] * skin <= reached:
             first, end = share_of(team, end_walls, walls.shell_ends[s])
             bounds = end_walls, first, end, walls.shell_ends[s]
-            wall_contact_forces(model, workspace, walls, before, after, bounds, team.rank)
+            wall_contact_forces(model, workspace, walls, before, after, growth, bounds, team.rank)
         end_spheres, end_walls = spheres.shell_ends[s], walls.shell_ends[s]
 
 
@@ -216,7 +264,7 @@ def contact_loads(
     layout: Layout,
     first: int,
     last: int,
-    instant: Instant,
+    times: LoadTimes,
 ) -> None:
     """Evaluate contacts where bodies are placed, and write all loads of other bodies.
 
@@ -225,9 +273,11 @@ def contact_loads(
     if contact is None or team is None:
         return
     setup, workspace, lists, memory, _ = contact
-    before, after, _, _, span = instant
-    model, later = setup.model, after - before
-    find_contact_forces(setup, workspace, lists, memory.extremes, before, after, team)
+    since = workspace.step_start.before[0]
+    before, after = times.mean * since, times.mean * times.dt
+    growth = Growth(times.share_before * since, times.share_after * times.dt, since, times.slope)
+    model, later, span = setup.model, after - before, times.span
+    find_contact_forces(setup, workspace, lists, memory.extremes, before, after, growth, team)
     meet(team)
     for k in range(first, last):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
@@ -287,75 +337,3 @@ def drift_walls(contact: MovingContact | None, team: Team | None, dt: float) -> 
         return
     if team.rank == 0:
         drift_pistons(contact.setup.pistons, contact.memory.pistons, dt)
-
-
-# Partial steps, frames
-
-
-@kernel
-def save_contacts(
-    team: Team | None, changes: ContactChanges | None, saved: ContactChanges | None
-) -> None:
-    """Copy what a partial step changes."""
-    if team is None or changes is None or saved is None:
-        return
-    _copy(changes, saved, team)
-    meet(team)
-
-
-@kernel
-def restore_contacts(
-    contact: MovingContact | None,
-    team: Team | None,
-    changes: ContactChanges | None,
-    saved: ContactChanges | None,
-) -> None:
-    """Go back to what was saved; contacts that keep something act, so that they may forget it.
-
-    How far spheres have come stays: contacts that act now are looked at in the next step.
-    """
-    if contact is None or team is None or changes is None or saved is None:
-        return
-    meet(team)
-    _copy(saved, changes, team)
-    _recall(contact.lists.spheres, team)
-    _recall(contact.lists.walls, team)
-    meet(team)
-
-
-@inline
-def _copy(source: ContactChanges, target: ContactChanges, team: Team) -> None:
-    """Copy all that steps change."""
-    _copy_items(source.momenta.reshape(-1), target.momenta.reshape(-1), team)
-    _copy_items(source.spheres, target.spheres, team)
-    _copy_items(source.walls, target.walls, team)
-    _copy_items(source.pistons, target.pistons, team)
-    _copy_items(source.gross_work, target.gross_work, team)
-
-
-@inline
-def _copy_items(source: Records | Floats, target: Records | Floats, team: Team) -> None:
-    """Copy numbers or records of an array."""
-    first, end = share_of(team, 0, source.size)
-    for i in range(first, end):
-        target[i] = source[i]
-
-
-@inline
-def _recall(contacts: ContactList, team: Team) -> None:
-    """Let contacts that keep something act, so that they forget it where they have ended."""
-    first, end = share_of(team, 0, contacts.active.size)
-    for c in range(first, end):
-        contacts.active[c] = contacts.active[c] or contacts.history.inv_effective_mass[c] > 0.0
-
-
-@kernel
-def store_contacts(contact: MovingContact | None, team: Team | None, frame: int) -> None:
-    """Write the elastic energy and the pistons into a frame."""
-    if contact is None or team is None:
-        return
-    frames, lists, pistons = contact.frames, contact.lists, contact.memory.pistons
-    if team.rank == 0:
-        frames.elastic[frame] = stored_energy(lists.spheres) + stored_energy(lists.walls)
-        for k in range(pistons.size):
-            frames.pistons[frame, k] = pistons[k]

@@ -7,7 +7,9 @@ because its rates advance in its own axes, I ω̇ = Rᵀτ - ω × I ω. See doc
 
 from typing import Final
 
-from particlerb.contact.contact_model import NOW
+from particlerb.contact.contact_model import Instant, LoadTimes
+from particlerb.forces.kinds import CONTACT
+from particlerb.integrators.contact_limits import explicit
 from particlerb.integrators.external_work import book
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import (
@@ -19,7 +21,7 @@ from particlerb.integrators.slopes import (
     put_pose,
     slopes,
 )
-from particlerb.integrators.stages import MovingBodies, loads, stage, stages
+from particlerb.integrators.stages import MovingBodies, loads, place, stage, stages
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import add_scaled, component_product, cross
 from particlerb.model.block import INV_INERTIA, get3
@@ -45,9 +47,16 @@ def _advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> No
 
 @stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
-    """One stage, with all loads taken at the beginning."""
-    loads(moving, first, last, NOW)
+    """One stage, with all loads taken at the beginning; springs of contacts take old velocities."""
+    loads(moving, first, last, LoadTimes(dt, dt, 0.0, 0.0, 1.0, None))
     _advance_rates(moving, first, last, dt)
+
+
+@stages
+def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
+    """Contacts at a frame."""
+    place(moving, first, last, instant)
+    loads(moving, first, last, LoadTimes(0.0, 0.0, 0.0, 0.0, 1.0, None))
 
 
 METHOD: Final = Method(
@@ -55,11 +64,13 @@ METHOD: Final = Method(
     summary="order 1, baseline; explicit Euler on rates in the body; energy grows; any force",
     order=1,
     free_order=1,
-    accepts=ACCEPTED,
+    accepts=ACCEPTED | {CONTACT},
     cost=3.0,
     evaluations=1,
     keeps_angular_momentum=False,
     stability_limit=0.0,
     max_turn=0.5,
     step=step,
+    show=show,
+    contact_limit=explicit,
 )

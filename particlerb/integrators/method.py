@@ -43,6 +43,13 @@ class Method(NamedTuple):
     next step makes it, `open_kick` [s] long, together with its own first one."""
     coupled_step: Step | None = None
     """The same for bodies that act on each other, where that takes other stages."""
+    show: Callable[..., None] | None = None
+    """Of methods that take contact and end a step with no kick: what evaluates contacts at a frame,
+    `show(moving, first, last, open_kick, instant)`."""
+    takes_slopes: bool = False
+    """Whether tangential springs of contacts take several slopes in a step."""
+    contact_limit: Callable[[float], float] | None = None
+    """Largest hω of bodies that rest on contacts with a damping ratio ζ."""
     holds_joints: bool = False
     """Whether it is for bodies that joints hold, and for no others."""
     has_dashpot_flows: bool = False

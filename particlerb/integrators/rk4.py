@@ -10,9 +10,11 @@ the form; Kutta 1901 for the method.
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.contact.contact_model import NOW
+from particlerb.contact.contact_model import Instant, LoadTimes, Slope
 from particlerb.forces.kernels import shift_time
+from particlerb.forces.kinds import CONTACT
 from particlerb.forces.registry import STAGE
+from particlerb.integrators.contact_limits import four_slopes
 from particlerb.integrators.external_work import book
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import (
@@ -24,7 +26,14 @@ from particlerb.integrators.slopes import (
     put_pose,
     slopes,
 )
-from particlerb.integrators.stages import MovingBodies, loads, stage, stages
+from particlerb.integrators.stages import (
+    MovingBodies,
+    loads,
+    place,
+    place_later,
+    stage,
+    stages,
+)
 from particlerb.maths.quaternion import add_scaled4, length, matrix, matrix_along
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import SCRATCH, get, get3, get4, put, put3, put4
@@ -119,10 +128,20 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
 
 @stages
 def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
-    """One slope of all bodies after the other."""
+    """One slope of all bodies after the other, and of the tangential springs of contacts."""
     for k in range(len(_WEIGHTS)):
-        loads(moving, first, last, NOW)
+        if k > 0:
+            place_later(moving, first, last, _WHERE[k] * dt)
+        slope = Slope(dt, _WEIGHTS[k], _NEXT[k], k == 0)
+        loads(moving, first, last, LoadTimes(dt, _WEIGHTS[k] * dt, 0.0, 0.0, 0.0, slope))
         _one_slope(moving, first, last, k, dt)
+
+
+@stages
+def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
+    """Contacts at a frame."""
+    place(moving, first, last, instant)
+    loads(moving, first, last, LoadTimes(0.0, 0.0, 0.0, 0.0, 0.0, Slope(0.0, 0.0, 0.0, True)))
 
 
 METHOD: Final = Method(
@@ -130,11 +149,14 @@ METHOD: Final = Method(
     summary="order 4, baseline; Runge-Kutta on (x, Q, P, L); energy drifts; any force",
     order=4,
     free_order=4,
-    accepts=ACCEPTED,
+    accepts=ACCEPTED | {CONTACT},
     cost=6.0,
     evaluations=4,
     stability_limit=2.82,
     max_turn=0.5,
     step=step,
     coupled_step=coupled_step,
+    show=show,
+    takes_slopes=True,
+    contact_limit=four_slopes,
 )

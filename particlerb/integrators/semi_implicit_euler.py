@@ -11,7 +11,7 @@ others use.
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.contact.contact_model import NOW
+from particlerb.contact.contact_model import Instant, LoadTimes
 from particlerb.forces.kernels import (
     kick_others,
     kick_potential,
@@ -19,10 +19,12 @@ from particlerb.forces.kernels import (
     load_of_velocity,
     with_power,
 )
+from particlerb.forces.kinds import CONTACT
+from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.external_work import book, kick_entry
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED, Pose, pose, put_pose
-from particlerb.integrators.stages import MovingBodies, loads, stage, stages
+from particlerb.integrators.stages import MovingBodies, loads, place, stage, stages
 from particlerb.maths.quaternion import (
     add_scaled4,
     matrix,
@@ -93,9 +95,16 @@ def _kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> N
 
 @stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
-    """One stage, with all loads taken at the beginning."""
-    loads(moving, first, last, NOW)
+    """One stage, with all loads taken at the beginning; springs of contacts take new velocities."""
+    loads(moving, first, last, LoadTimes(dt, dt, 0.0, 1.0, 0.0, None))
     _kick_and_drift(moving, first, last, dt)
+
+
+@stages
+def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
+    """Contacts at a frame."""
+    place(moving, first, last, instant)
+    loads(moving, first, last, LoadTimes(0.0, 0.0, 0.0, 1.0, 0.0, None))
 
 
 METHOD: Final = Method(
@@ -103,11 +112,13 @@ METHOD: Final = Method(
     summary="order 1, baseline; the game standard, implicit gyroscopic term; damps; any force",
     order=1,
     free_order=1,
-    accepts=ACCEPTED,
+    accepts=ACCEPTED | {CONTACT},
     cost=4.0,
     evaluations=1,
     keeps_angular_momentum=False,
     stability_limit=2.0,
     max_turn=0.5,
     step=step,
+    show=show,
+    contact_limit=old_velocity,
 )

@@ -12,9 +12,14 @@ from typing import Any, Final, NamedTuple, TypeVar
 from particlerb.compiled.barrier import Team
 from particlerb.compiled.jit import Flag, in_python, inline, kernel, splice
 from particlerb.compiled.threads import THREADS
-from particlerb.contact.contact_model import NOW, Instant, MovingContact
+from particlerb.contact.contact_model import NOW, Instant, LoadTimes, MovingContact
 from particlerb.forces.kernels import Acting, load_at, prepare_kick, set_time
-from particlerb.integrators.contact_stages import contact_loads, kick_walls, place_contacts
+from particlerb.integrators.contact_stages import (
+    contact_loads,
+    kick_walls,
+    place_contacts,
+    place_within_step,
+)
 from particlerb.integrators.joint_stages import drift_jointed, project_jointed
 from particlerb.integrators.kick import kick_body
 from particlerb.integrators.pair_stages import Layout, PairTerms, flow_pairs, put_pair_loads
@@ -102,14 +107,18 @@ def place(moving: MovingBodies, first: int, last: int, instant: Instant) -> bool
 
 
 @stages
-def loads(moving: MovingBodies, first: int, last: int, instant: Instant) -> None:
-    """Write what bodies do to each other into their rows PAIR.
-
-    Contacts take the mean over half of the drift before an instant, and half of the one after it.
-    """
+def loads(moving: MovingBodies, first: int, last: int, times: LoadTimes) -> None:
+    """Write what bodies do to each other into their rows PAIR."""
     blocks, layout = moving.blocks, moving.layout
     put_pair_loads(moving.team, moving.pairs, blocks, layout)
-    contact_loads(moving.contact, moving.team, moving.pairs, blocks, layout, first, last, instant)
+    contact_loads(moving.contact, moving.team, moving.pairs, blocks, layout, first, last, times)
+
+
+@stages
+def place_later(moving: MovingBodies, first: int, last: int, later: float) -> None:
+    """Bring bodies to where they are so many seconds after the step began."""
+    blocks, layout = moving.blocks, moving.layout
+    place_within_step(moving.contact, moving.team, moving.pairs, blocks, layout, first, last, later)
 
 
 # Kicks and flows
@@ -202,10 +211,13 @@ def gather_loads(moving: MovingBodies, t: float, out: Floats) -> None:
 
 
 @kernel
-def close(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
-    """Make the kick that the last step has left open, at an instant."""
+def close(moving: MovingBodies, first: int, last: int, open_kick: float) -> None:
+    """Make the kick that the last step has left open.
+
+    Of contacts it is the mean over half of that step, for which their springs grow too.
+    """
     flow_dashpots(moving, open_kick, True)
-    loads(moving, first, last, instant)
+    loads(moving, first, last, LoadTimes(0.0, 0.0, 1.0, 0.5, 0.5, None))
     kick(moving, first, last, open_kick)
     project(moving)
     kick_walls(moving.contact, moving.team, open_kick, 0.0, False)

@@ -9,9 +9,10 @@ Source: Strang, SIAM J. Numer. Anal. 5, 506 (1968); the rotor: rotors/symmetric_
 
 from typing import Final
 
-from particlerb.contact.contact_model import Instant
+from particlerb.contact.contact_model import LoadTimes
 from particlerb.forces.kernels import prepare_kick
-from particlerb.forces.kinds import BODIES, CONTACT, POSE, TIME, VELOCITY
+from particlerb.forces.kinds import BODIES, CONTACT, PISTONS, POSE, TIME, VELOCITY
+from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
 from particlerb.integrators.kick import kick_body
 from particlerb.integrators.method import Method
@@ -76,7 +77,7 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
     contact, team = moving.contact, moving.team
     keep_momenta(contact, moving.blocks, moving.layout, first, last)
     flow_dashpots(moving, open_kick, True)
-    loads(moving, first, last, Instant(open_kick / CLOSING_KICK, dt, 0.0, 0.0, kick_dt))
+    loads(moving, first, last, LoadTimes(dt, kick_dt, 1.0, 0.5, 0.5, None))
     kick_walls(contact, team, open_kick, CLOSING_KICK * dt, True)
     kick(moving, first, last, kick_dt)
     flow_dashpots(moving, CLOSING_KICK * dt, False)
@@ -89,11 +90,12 @@ METHOD: Final = Method(
     summary="order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force",
     order=2,
     free_order=2,
-    accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT}),
+    accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, PISTONS}),
     cost=6.0,
     evaluations=1,
     keeps_rods=True,
     stability_limit=2.0,
+    contact_limit=old_velocity,
     max_turn=0.5,
     closing_kick=CLOSING_KICK,
     step=step,

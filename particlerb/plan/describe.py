@@ -8,6 +8,7 @@ from particlerb.case.forces import FORCES
 from particlerb.forces import Terms, has_potential, is_constant, needs_of, words_of
 from particlerb.forces.gravity_tree.opening_angle import SAMPLE
 from particlerb.forces.kinds import TIME
+from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Ints
 from particlerb.model.system import System
 from particlerb.plan.joint_words import joint_line
@@ -125,7 +126,8 @@ def _flying(plan: Plan) -> str:
 def _any_flies(plan: Plan) -> bool:
     """Whether a group of touching bodies may do so."""
     return any(
-        segment.terms.contact is not None and can_fly(segment.terms, group.members.size)
+        segment.terms.contact is not None
+        and can_fly(METHODS[segment.method], segment.terms, group.members.size)
         for group in plan.groups
         for segment in group.segments
     )

@@ -17,7 +17,7 @@ from particlerb.plan.groups import groups_of
 from particlerb.plan.joints import joints_of
 from particlerb.plan.links import coincident, links_of
 from particlerb.plan.segments import GroupPlan, Plan, cut_into_segments, refuse_method
-from particlerb.plan.stability import refuse_unstable
+from particlerb.plan.stability import growing_contacts, refuse_unstable
 from particlerb.plan.time_step import (
     Stepping,
     as_warning,
@@ -75,6 +75,6 @@ def make_plan(
     if any(choice):
         refuse_endless(system, groups)
     refuse_unstable(system, groups)
-    of_shapes = coarse(system) if now is None else ()  # bodies stay what they are
-    warnings = (*map(as_warning, of_shapes), *step_warnings(system, groups))
+    told = [*(coarse(system) if now is None else ()), *growing_contacts(system, groups)]
+    warnings = (*map(as_warning, told), *step_warnings(system, groups))
     return Plan(groups, step_reason(system, groups, choice), warnings)

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.case.problems import CaseError
+from particlerb.case.problems import CaseError, Problem
 from particlerb.case.source import problem_at
 from particlerb.contact.contact_frequency import initial_contact_frequency
 from particlerb.contact.contact_model import GroupContact
@@ -17,6 +17,7 @@ from particlerb.plan.rates import deepest_impact, falling_speed, fastest_contact
 from particlerb.plan.segments import GroupPlan, Plan, Segment
 
 STEPS_PER_CONTACT: Final = 20  # below which a contact is not accurate
+LONGEST_UNSTABLE: Final = 2.0  # ω dt [rad] of a contact with a method that has no stable step
 
 
 def refuse_unstable(system: System, groups: tuple[GroupPlan, ...]) -> None:
@@ -53,7 +54,9 @@ def _crowded_rate(system: System, group: GroupPlan) -> float:
 def _refuse_above(system: System, segment: Segment, rate: float, where: str) -> None:
     """Raise CaseError where the step of a segment is too long for contacts of a rate [rad/s]."""
     assert segment.terms.contact is not None
-    reach = METHODS[segment.method].stability_limit * damped_share(segment.terms.contact)
+    reach = contact_limit(segment.method, segment.terms.contact)
+    if METHODS[segment.method].stability_limit == 0.0:
+        reach = LONGEST_UNSTABLE
     if not segment.dt * rate > reach:
         return
     reason = f"the step of {segment.dt:.3g} s is above {reach / rate:.3g} s, {where}"
@@ -64,27 +67,53 @@ def _refuse_above(system: System, segment: Segment, rate: float, where: str) -> 
     raise CaseError([problem_at(system, step_key(system), reason, hint)])
 
 
+def growing_contacts(system: System, groups: tuple[GroupPlan, ...]) -> list[Problem]:
+    """Contacts on which a method without a stable step lets a body that rests oscillate ever more.
+
+    Impacts, which are short, may be taken by such a method all the same.
+    """
+    for group in groups:
+        for segment in group.segments:
+            contact = segment.terms.contact
+            if contact is None or METHODS[segment.method].stability_limit > 0.0:
+                continue
+            rate, limit = (
+                fastest_contact(system, group, segment),
+                contact_limit(segment.method, contact),
+            )
+            if segment.dt * rate > limit:
+                reason = f"with {segment.method} bodies that rest on contacts oscillate ever more"
+                reason += f" above {limit / rate:.3g} s" if limit > 0.0 else " at any step"
+                return [problem_at(system, "run.method", reason, 'take "strang"')]
+    return []
+
+
 def step_key(system: System) -> str:
     """Path of what a step is to be blamed on: that which was asked for, or the run."""
     return "run" if system.run.dt is None else "run.dt"
 
 
-def damped_share(contact: GroupContact) -> float:
-    """Share of the limit of an undamped contact at which the most damped one stays at rest.
-
-    A dashpot that acts on the velocity carried on to the kick: ω h < √(16 ζ² + 4) - 4 ζ.
-    """
-    ratio = float(contact.model.law.damping_ratio.max(initial=0.0))
-    return 2.0 / (math.hypot(4.0 * ratio, 2.0) + 4.0 * ratio)
+def contact_limit(method: str, contact: GroupContact) -> float:
+    """Largest ω dt [rad] at which bodies stay at rest on contacts, however these are damped."""
+    ratios = contact.model.law.damping_ratio
+    given = METHODS[method].contact_limit
+    assert given is not None
+    undamped = METHODS[method].stability_limit
+    return min(
+        (min(given(ratio), undamped or math.inf) for ratio in ratios.tolist()), default=undamped
+    )
 
 
 def stable_turn(plan: Plan) -> float:
-    """Largest ω dt [rad] at which bodies stay at rest on several damped contacts."""
+    """Largest ω dt [rad] at which bodies stay at rest on several damped contacts.
+
+    Of a method without a stable step the plan has warned.
+    """
     limits = [
-        METHODS[segment.method].stability_limit * damped_share(segment.terms.contact)
+        contact_limit(segment.method, segment.terms.contact)
         for group in plan.groups
         for segment in group.segments
-        if segment.terms.contact is not None
+        if segment.terms.contact is not None and METHODS[segment.method].stability_limit > 0.0
     ]
     return min(limits, default=math.inf)
 

@@ -47,7 +47,7 @@ def begin(
         adaptive = JointMotion if group.terms.is_coupled else AdaptiveMotion
         return adaptive(method, group, state, start, dt, tolerance)
     if group.terms.contact is not None:
-        motion = DiluteMotion if can_fly(group.terms, group.members.size) else ContactMotion
+        motion = DiluteMotion if can_fly(method, group.terms, group.members.size) else ContactMotion
         keeps = None if before is None else before.contact_start()
         if keeps is None:
             return motion(method, group, state, start, dt)

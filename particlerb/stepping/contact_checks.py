@@ -14,7 +14,7 @@ from particlerb.contact.wall_motion import motion_in
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.stepping.motion import Group, MotionError
 
-STABLE: Final = 2.0  # largest ω dt of a piston, and of bodies on undamped contacts
+STABLE: Final = 2.0  # largest ω dt of a piston, and of contacts where no step is stable
 _LOOKS: Final = 256  # lists from look to look at how fast the bodies swing
 
 
@@ -43,13 +43,17 @@ class ContactChecks:
     dt : float [s]
     watch : Watch, optional
         Of missed pairs, that continues from motions before this one.
+    limit : float
+        ω dt above which the method lets bodies on undamped contacts grow without bound; 0: always.
     """
 
-    def __init__(self, group: Group, dt: float, watch: Watch | None = None) -> None:
+    def __init__(
+        self, group: Group, dt: float, watch: Watch | None = None, limit: float = STABLE
+    ) -> None:
         contact = group.terms.contact
         assert contact is not None
         spheres, n = contact.model.spheres, group.members.size
-        self.members, self.dt = group.members, dt
+        self.members, self.dt, self.limit = group.members, dt, limit or STABLE
         self.watch = watch or Watch()
         self._radius = np.full(n, np.inf)
         np.minimum.at(self._radius, spheres.body, spheres.radius)
@@ -60,11 +64,11 @@ class ContactChecks:
         """Frequency of bodies on all their contacts [rad/s]; MotionError where it is too fast."""
         lists = contact.lists.spheres, contact.lists.walls
         rate = contact_frequency(contact.setup.model, y[:3], y[3:7], *lists)
-        if rate * self.dt > STABLE and not contact.setup.allow_unstable:
+        if rate * self.dt > self.limit and not contact.setup.allow_unstable:
             raise MotionError(
                 f"at t = {now:.6g} s bodies oscillate on all their"
                 f" contacts together with {rate:.3g} rad/s: a step of {self.dt:.3g} s is above"
-                f" {STABLE / rate:.3g} s, where that grows without bound;"
+                f" {self.limit / rate:.3g} s, where that grows without bound;"
                 f" dt = {0.1 * STABLE / rate:.2g} s or less is right, and"
                 " contact.allow_unstable = true takes it anyway"
             )

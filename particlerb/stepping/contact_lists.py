@@ -26,11 +26,13 @@ from particlerb.contact.neighbour_list import (
     order_contacts,
 )
 from particlerb.contact.records import (
+    STAGES,
     columns_of,
     forces_record,
     from_floats,
     history_record,
     to_floats,
+    zero_records,
 )
 from particlerb.contact.sphere_search import SphereSearch
 from particlerb.contact.wall_motion import farthest_distances, motion_in, wall_displacement
@@ -69,6 +71,8 @@ class ContactLists:
         Of the spheres, ascending, where they are some of more.
     histories : tuple of 2 ContactHistory, optional
         What contacts of spheres with these numbers, and with walls, keep from earlier steps.
+    with_stages : bool
+        Whether springs take several slopes in a step.
     """
 
     def __init__(
@@ -77,10 +81,11 @@ class ContactLists:
         dt: float,
         numbers: Ints | None = None,
         histories: Histories | None = None,
+        with_stages: bool = False,
     ) -> None:
         spheres, walls = contact.model.spheres, contact.model.walls
         n_spheres = spheres.radius.size
-        self.contact, self.dt = contact, dt
+        self.contact, self.dt, self.with_stages = contact, dt, with_stages
         self.skin = self.least_skin = contact.skin
         self.count = 0  # lists so far
         self.cost = _TO_MAKE + _TO_MAKE_SPHERE * n_spheres  # [ns]
@@ -213,7 +218,8 @@ class ContactLists:
         forces = from_floats(rows_of_forces, record)
         history = from_floats(values, history_record(with_rolling))
         active = history.inv_effective_mass > 0.0
-        return ContactList(first, second, history, forces, active, ends)
+        stages = zero_records(STAGES, m) if self.with_stages else None
+        return ContactList(first, second, history, forces, active, ends, stages)
 
     def _buffer(self, name: str, m: int, columns: int) -> Floats:
         """Memory for rows, which grows: to ask for new pages takes as long as to fill them."""

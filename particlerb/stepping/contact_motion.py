@@ -15,8 +15,10 @@ from particlerb.contact.contact_model import (
     ContactChanges,
     ContactFrames,
     ContactMemory,
+    Growth,
     Instant,
     MovingContact,
+    Slope,
     Workspace,
 )
 from particlerb.contact.contact_output import (
@@ -32,6 +34,7 @@ from particlerb.contact.records import (
     EXTREMES,
     PISTON,
     POSE,
+    STEP_START,
     Records,
     to_floats,
     zero_records,
@@ -100,12 +103,13 @@ class ContactMotion(SteppedMotion):
         self.step_cost = (method.cost + evaluation / n) * n  # [ns]
         self.cost += evaluation
         self.threads = len(self.blocks) if evaluation > WORTH_THREADS else 1
-        self.lists = ContactLists(setup, dt, numbers, histories)
-        self.checks = ContactChecks(group, dt, watch)
+        self.lists = ContactLists(setup, dt, numbers, histories, method.takes_slopes)
+        self.checks = ContactChecks(group, dt, watch, method.stability_limit)
         self.looks = numbers is None  # who steps some of more bodies looks at stability itself
         poses = zero_records(POSE, len(setup.motions))
         xyzr, bodies = np.zeros((n_spheres, 4)), zero_records(BODY, n)
-        workspace = Workspace(xyzr, poses, bodies, np.zeros((len(self.blocks), 3)), np.zeros(n))
+        deepest, step_start = np.zeros((len(self.blocks), 3)), zero_records(STEP_START, 1)
+        workspace = Workspace(xyzr, poses, bodies, deepest, np.zeros(n), step_start)
         y, pistons = np.vstack(state), initial_piston_state(setup.pistons)
         extremes = zero_records(EXTREMES, 1)
         memory = ContactMemory(y[7:].copy(), y[:7].copy(), start, np.inf, pistons, extremes)
@@ -154,7 +158,7 @@ class ContactMotion(SteppedMotion):
         """Place bodies and walls at the time of now, with the momenta of now."""
         place_contacts(
             self.contact, ALONE, None, self.blocks, self.layout, 0, len(self.blocks),
-            Instant(0.0, 0.0, self.grid_step * self.dt, 0.0, 0.0),
+            Instant(0.0, 0.0, self.grid_step * self.dt, 0.0),
         )  # fmt: skip
 
     def look(self) -> float:
@@ -180,9 +184,9 @@ class ContactMotion(SteppedMotion):
         """Go through a schedule, with new lists where they are used up."""
         forces, n, position = self.forces, len(self.blocks), Position(0, 0, self.grid_step)
         is_spread = forces is not None and forces.is_large
-        loop = compiled_loop(self.method, True)
+        loop = compiled_loop(self.method, True, True)
         if forces is not None and forces.is_large:
-            loop = loop_over_threads(self.method, forces)
+            loop = loop_over_threads(self.method, forces, True)
 
         def through(team: Team) -> Position:
             moving = self.moving._replace(contact=self.contact, team=team)
@@ -217,7 +221,9 @@ class ContactMotion(SteppedMotion):
         histories = lists.spheres.history.copy(), lists.walls.history.copy()
         self._place()
         memory.extremes.displacement[:] = np.inf
-        find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, ALONE)
+        slope = Slope(0.0, 0.0, 0.0, True) if self.method.takes_slopes else None
+        growth = Growth(0.0, 0.0, 0.0, slope)
+        find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, growth, ALONE)
         memory.extremes.displacement[:] = 0.0
         lists.spheres.history[:], lists.walls.history[:] = histories
         elastic = float(stored_energy(lists.spheres) + stored_energy(lists.walls))

@@ -14,12 +14,8 @@ import numpy as np
 
 from particlerb.compiled.jit import Flag, inline, kernel, kernel_from
 from particlerb.contact.contact_model import ContactChanges, Instant
-from particlerb.integrators.contact_stages import (
-    close_prescribed,
-    restore_contacts,
-    save_contacts,
-    store_contacts,
-)
+from particlerb.integrators.contact_copies import restore_contacts, save_contacts, store_contacts
+from particlerb.integrators.contact_stages import close_prescribed
 from particlerb.integrators.external_work import store_sums
 from particlerb.integrators.method import Method, Step
 from particlerb.integrators.pair_stages import Layout, PairTerms, gather_states, scatter_loads
@@ -137,7 +133,14 @@ def _close_at(
     if open_kick > 0.0:
         place(moving, first, last, instant)
         set_times(moving, first, last, instant.time)
-        close(moving, first, last, open_kick, instant)
+        close(moving, first, last, open_kick)
+
+
+@stages
+def _nothing_open(
+    moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant
+) -> None:
+    """Do nothing: there is no open kick, and nothing touches."""
 
 
 @inline
@@ -149,6 +152,12 @@ def _ratio(a: float, b: float) -> float:
 @inline
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Advance blocks by dt; stands for the step of a method."""
+    raise NotImplementedError
+
+
+@inline
+def finish(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
+    """Close the last step, for a frame or the end; stands for that of a method."""
     raise NotImplementedError
 
 
@@ -175,39 +184,39 @@ def advance(
     for lo in range(first, last, together):
         hi = min(lo + together, last)
         begin, step_number = position.step, position.steps_done
-        open_kick = CLOSING_KICK * dt if step_number > 0 else 0.0
+        last_step = dt if step_number > 0 else 0.0
+        open_kick = CLOSING_KICK * last_step
         last_kick = open_kick * min(step_number, 2)
         for s in range(position.stop, steps.size):
-            open_on_grid, kick_on_grid = open_kick, last_kick
+            step_on_grid, kick_on_grid = last_step, last_kick
             for i in range(begin, steps[s] + 1):
                 is_partial = i == steps[s]
                 if is_partial and frame[s] < 0 and partial[s] == 0.0:
                     break
                 h = partial[s] if is_partial else dt
-                time, before = step_number * dt, _ratio(open_kick, CLOSING_KICK)
-                instant = Instant(before, h, time, _ratio(open_kick, last_kick), 0.0)
+                time = step_number * dt
+                instant = Instant(last_step, h, time, _ratio(open_kick, last_kick))
                 if h > 0.0 and not place(moving, lo, hi, instant):
                     return Position(s, i, step_number)
                 if is_partial:
                     _save(moving, lo, hi, saved)
-                    open_on_grid, kick_on_grid = open_kick, last_kick
+                    step_on_grid, kick_on_grid = last_step, last_kick
                 if h > 0.0:
                     set_times(moving, lo, hi, time)
                     step(moving, lo, hi, open_kick, h)
                     last_kick = open_kick + CLOSING_KICK * h
-                    open_kick = CLOSING_KICK * h
+                    last_step, open_kick = h, CLOSING_KICK * h
                 step_number += 0 if is_partial else 1
             begin, time = 0, step_number * dt + partial[s]
-            if CLOSING_KICK > 0.0 and frame[s] != PAUSE:
-                ahead = _ratio(open_kick, last_kick)
-                instant = Instant(open_kick / CLOSING_KICK, 0.0, time, ahead, 0.0)
-                _close_at(moving, lo, hi, open_kick, instant)
             if frame[s] != PAUSE:
+                instant = Instant(last_step, 0.0, time, _ratio(open_kick, last_kick))
+                finish(moving, lo, hi, open_kick, instant)
                 close_prescribed(moving.contact, moving.blocks, moving.layout, lo, hi, time)
             if frame[s] >= 0:
                 _store(moving, lo, hi, recording, frame[s])
                 _restore(moving, lo, hi, saved)
-                open_kick, last_kick = open_on_grid, kick_on_grid
+                last_step, last_kick = step_on_grid, kick_on_grid
+                open_kick = CLOSING_KICK * last_step
     return Position(steps.size, 0, step_number)
 
 
@@ -219,15 +228,29 @@ def _step_of(method: Method, is_coupled: bool) -> Step:
     return chosen
 
 
+def _finish_of(method: Method, touches: bool) -> Step:
+    """How the last step is closed."""
+    if method.closing_kick > 0.0:
+        return _close_at
+    return method.show if touches and method.show is not None else _nothing_open
+
+
 @cache
-def compiled_loop(method: Method, is_coupled: bool) -> Callable[..., Position]:
+def compiled_loop(
+    method: Method, is_coupled: bool, touches: bool = False
+) -> Callable[..., Position]:
     """The loop with the step of a method, compiled."""
     name = f"{method.name}_coupled" if is_coupled else method.name
-    chosen = _step_of(method, is_coupled)
-    return kernel_from(advance, name, step=chosen, CLOSING_KICK=method.closing_kick)
+    chosen, closing = _step_of(method, is_coupled), _finish_of(method, touches)
+    if closing is method.show:
+        name += "_touching"
+    kick = method.closing_kick
+    return kernel_from(advance, name, step=chosen, finish=closing, CLOSING_KICK=kick)
 
 
-def loop_over_threads(method: Method, forces: PairForces) -> Callable[..., Position]:
+def loop_over_threads(
+    method: Method, forces: PairForces, touches: bool = False
+) -> Callable[..., Position]:
     """The same as Python, which spreads forces between bodies, and stages, over threads.
 
     A tree is grown and walked from Python, and a large direct sum has shares of pairs and not of
@@ -243,8 +266,9 @@ def loop_over_threads(method: Method, forces: PairForces) -> Callable[..., Posit
 
     others = {"put_pair_loads": put_pair_loads, "CLOSING_KICK": method.closing_kick}
     chosen = over_threads(_step_of(method, True), **others)
-    closing = over_threads(close, **others)
-    return over_threads(advance, step=chosen, close=closing, **others)
+    closing_kick = over_threads(close, **others)
+    closing = over_threads(_finish_of(method, touches), close=closing_kick, **others)
+    return over_threads(advance, step=chosen, finish=closing, **others)
 
 
 def grid_position(elapsed: Floats, dt: float, start: float = 0.0) -> tuple[Ints, Floats]:

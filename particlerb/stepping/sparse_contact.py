@@ -62,12 +62,15 @@ _DENSE: Final = 0.6  # share of active bodies from which on all are stepped,
 _DENSE_STEPS: Final = 512  # for so many steps
 
 
-def can_fly(terms: Terms, n: int) -> bool:
-    """Whether bodies without contact have a closed form, and are many enough."""
+def can_fly(method: Method, terms: Terms, n: int) -> bool:
+    """Whether bodies without contact have a closed form, and are many enough.
+
+    That is for methods whose own drift is one: the others would be better than they are.
+    """
     others = terms.loads or terms.links is not None or terms.attraction is not None
     contact = terms.contact
     is_moved = contact is not None and (contact.pistons or contact.model.prescribed) is not None
-    return n >= LEAST_BODIES and not is_moved and not others
+    return method.closing_kick > 0.0 and n >= LEAST_BODIES and not is_moved and not others
 
 
 class _Interval:

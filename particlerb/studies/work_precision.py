@@ -22,7 +22,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
 from particlerb.case.source import problem_at
 from particlerb.compiled.threads import THREADS
-from particlerb.integrators import METHODS, UNJOINTED
+from particlerb.integrators import UNJOINTED
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, as_frame, omega_world
 from particlerb.model.system import System
@@ -30,7 +30,7 @@ from particlerb.plan.make_plan import make_plan
 from particlerb.plan.rates import fastest_rate
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import Plan, has_step, is_adaptive
-from particlerb.plan.stability import damped_share
+from particlerb.plan.stability import contact_limit
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.trials import Error, drifts, errors, part, sample, seconds, states_at
 from particlerb.studies.peers import Engine, PeerScene, engines, peer_errors, peer_scene
@@ -275,10 +275,7 @@ class Study:
 
     def contact_limit(self) -> float:
         """ω dt [rad] of the stiffest contact in the longest step that leaves it bounded."""
-        return min(
-            float(METHODS[method].stability_limit) * damped_share(contact)
-            for method, contact in self.contacts
-        )
+        return min(contact_limit(method, contact) for method, contact in self.contacts)
 
     def ladder(self, method: str) -> Iterator[float]:
         """Ever shorter steps, or smaller tolerances, that one would write down."""

@@ -5,6 +5,7 @@ import pytest
 
 import particlerb
 from particlerb.case.to_system import to_system
+from particlerb.integrators import METHODS
 from particlerb.simulation.run import prepare, run_prepared
 from particlerb.stepping import sparse_contact as dilute
 
@@ -75,8 +76,9 @@ def test_dense_bodies_are_all_stepped(monkeypatch):
 def test_only_bodies_under_nothing_but_gravity_fly():
     case = gas(7)
     group = prepare(to_system(case)).plan.groups[0]
-    assert dilute.can_fly(group.segments[0].terms, group.members.size)
-    assert not dilute.can_fly(group.segments[0].terms, dilute.LEAST_BODIES - 1)
+    assert dilute.can_fly(METHODS["strang"], group.segments[0].terms, group.members.size)
+    assert not dilute.can_fly(METHODS["rk4"], group.segments[0].terms, group.members.size)
+    assert not dilute.can_fly(METHODS["strang"], group.segments[0].terms, dilute.LEAST_BODIES - 1)
     case["force"] = [{"type": "drag", "body": "d", "translation": 0.1}]
     group = prepare(to_system(case)).plan.groups[0]
-    assert not dilute.can_fly(group.segments[0].terms, group.members.size)
+    assert not dilute.can_fly(METHODS["strang"], group.segments[0].terms, group.members.size)

@@ -14,7 +14,6 @@ from particlerb.integrators import METHODS
 from particlerb.plan.rates import softest_turning
 from particlerb.plan.stability import STEPS_PER_CONTACT
 from particlerb.simulation.run import RunError, prepare
-from particlerb.stepping import contact_checks
 from particlerb.stepping.begin import begin
 
 
@@ -110,7 +109,8 @@ def test_the_limit_of_a_lone_body_is_where_it_begins_to_grow(share, is_stable):
 def test_a_body_that_gets_too_many_contacts_on_the_way_ends_the_run(monkeypatch):
     """Between four sides ω² is at least (2 + 2 · 2/7) k/m, as if less than that were the limit."""
     dt = 1e-3
-    monkeypatch.setattr(contact_checks, "STABLE", 0.99 * dt * math.sqrt(1e5 * (2.0 + 4.0 / 7.0)))
+    limit = 0.99 * dt * math.sqrt(1e5 * (2.0 + 4.0 / 7.0))
+    monkeypatch.setitem(METHODS, "strang", METHODS["strang"]._replace(stability_limit=limit))
     case = cage(dt, 0.3, gap=-1e-4)
     case["run"] |= {"t_end": 3.0, "every": 0.1}
     with pytest.raises(RunError, match=r"bodies oscillate on all their contacts together with"):

@@ -1,0 +1,127 @@
+"""How tangential springs grow between the evaluations of a method.
+
+ξ̇ = v - (ξ·ṅ) n - max(k̇/k, 0) ξ
+
+v slides, the second term turns ξ with the normal n, the third keeps the force of a spring that
+becomes stiffer (`hertz`: k ∝ √δ). Methods with one evaluation a step take v for a time before and
+after it, turn ξ by `rotated_spring`, and let `friction` keep the force. Those with several slopes
+take all three terms at each: turned by `rotated_spring` alone, they would be of order one. All cut
+ξ to the limit of friction once a step.
+"""
+
+from typing import NamedTuple
+
+from particlerb.compiled.jit import Flag, lean
+from particlerb.contact.contact_model import Evaluation, Slope
+from particlerb.contact.friction import rotated_spring
+from particlerb.contact.law import ContactState
+from particlerb.contact.records import Records, put_row3, row3
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale, subtract
+
+
+class Sliding(NamedTuple):
+    """How what touches slides, or rolls."""
+
+    velocity: Vec3  # [m/s] or [rad/s], in the tangent plane
+    lever: float  # 1, or the radius [m] by which angles count
+    normal: Vec3
+    turning: Vec3  # [1/s] ṅ, where a method asks for it
+    is_rolling: bool
+
+
+@lean
+def spring_at(slope: Slope | None, before: float, kept: Vec3, sliding: Vec3, normal: Vec3) -> Vec3:
+    """Spring [m] at an evaluation, from what was kept, in the tangent plane."""
+    if slope is None:
+        return add_scaled(before, sliding, rotated_spring(kept, normal))
+    if slope.is_first:
+        return rotated_spring(kept, normal)
+    return add_scaled(-dot(kept, normal), normal, kept)
+
+
+@lean
+def overlap_before(slope: Slope | None, kept: float, now: float) -> float:
+    """Overlap [m] to which what is kept belongs; with slopes, that of now."""
+    if slope is None:
+        return kept
+    return now
+
+
+@lean
+def begin_stages(stages: Records | None, c: int) -> None:
+    """A contact that begins within a step has had no spring so far."""
+    if stages is None:
+        return
+    zero = (0.0, 0.0, 0.0)
+    put_row3(stages.start, c, zero)
+    put_row3(stages.total, c, zero)
+    put_row3(stages.rolling_start, c, zero)
+    put_row3(stages.rolling_total, c, zero)
+
+
+@lean
+def hand_over_stages(stages: Records | None, source: int, to: int) -> None:
+    """Hand springs on with the history of a contact."""
+    if stages is None:
+        return
+    stages[to] = stages[source]
+
+
+@lean
+def _lost_share(hertz: Flag, state: ContactState, step: float) -> float:
+    """Share of a spring that the force kept of a stiffer one takes in a step, at most all of it."""
+    if hertz is None:
+        return 0.0
+    return min(0.5 * step * max(state.overlap_rate, 0.0) / state.overlap, 1.0)
+
+
+@lean
+def spring_after(
+    on: Evaluation, c: int, now: Sliding, state: ContactState, springs: tuple[Vec3, Vec3]
+) -> Vec3:
+    """Spring [m] to be kept until the next evaluation.
+
+    Parameters
+    ----------
+    on, c : Evaluation, int
+    now : Sliding
+    state : ContactState
+    springs : tuple of two vectors [m]
+        As it was at this evaluation, and cut to the limit of friction.
+    """
+    growth, contacts = on.growth, on.contacts
+    return _spring_after(
+        growth.slope, growth.after, contacts.stages, c, on.model.law.hertz, now, state, springs
+    )
+
+
+@lean
+def _spring_after(
+    slope: Slope | None,
+    after: float,
+    stages: Records | None,
+    c: int,
+    hertz: Flag,
+    now: Sliding,
+    state: ContactState,
+    springs: tuple[Vec3, Vec3],
+) -> Vec3:
+    """Do the work of `spring_after`."""
+    spring, cut = springs
+    if slope is None:
+        return add_scaled(after * now.lever, now.velocity, cut)
+    if stages is None:
+        return cut
+    start: Floats = stages.rolling_start if now.is_rolling else stages.start
+    total: Floats = stages.rolling_total if now.is_rolling else stages.total
+    if slope.is_first:
+        spring = cut
+        put_row3(start, c, cut)
+        put_row3(total, c, cut)
+    turned = add_scaled(-dot(spring, now.turning), now.normal, scale(now.lever, now.velocity))
+    lost = _lost_share(hertz, state, slope.step)
+    change = subtract(scale(slope.step, turned), scale(lost, spring))
+    put_row3(total, c, add_scaled(slope.share, change, row3(total, c)))
+    if slope.ahead > 0.0:
+        return add_scaled(slope.ahead, change, row3(start, c))
+    return row3(total, c)

@@ -1,0 +1,81 @@
+"""What contacts keep, around a partial step to a frame; and what frames show of them.
+
+Tangential springs and overlaps belong to the grid of steps: a partial step works on a copy. Nothing
+is done where there is no contact, as in `contact_stages`.
+"""
+
+from particlerb.compiled.barrier import Team, meet, share_of
+from particlerb.compiled.jit import inline, kernel
+from particlerb.contact.body_loads import stored_energy
+from particlerb.contact.contact_model import ContactChanges, ContactList, MovingContact
+from particlerb.contact.records import Records
+from particlerb.maths.vec3 import Floats
+
+
+@kernel
+def save_contacts(
+    team: Team | None, changes: ContactChanges | None, saved: ContactChanges | None
+) -> None:
+    """Copy what a partial step changes."""
+    if team is None or changes is None or saved is None:
+        return
+    _copy(changes, saved, team)
+    meet(team)
+
+
+@kernel
+def restore_contacts(
+    contact: MovingContact | None,
+    team: Team | None,
+    changes: ContactChanges | None,
+    saved: ContactChanges | None,
+) -> None:
+    """Go back to what was saved; contacts that keep something act, so that they may forget it.
+
+    How far spheres have come stays: contacts that act now are looked at in the next step.
+    """
+    if contact is None or team is None or changes is None or saved is None:
+        return
+    meet(team)
+    _copy(saved, changes, team)
+    _recall(contact.lists.spheres, team)
+    _recall(contact.lists.walls, team)
+    meet(team)
+
+
+@inline
+def _copy(source: ContactChanges, target: ContactChanges, team: Team) -> None:
+    """Copy all that steps change."""
+    _copy_items(source.momenta.reshape(-1), target.momenta.reshape(-1), team)
+    _copy_items(source.spheres, target.spheres, team)
+    _copy_items(source.walls, target.walls, team)
+    _copy_items(source.pistons, target.pistons, team)
+    _copy_items(source.gross_work, target.gross_work, team)
+
+
+@inline
+def _copy_items(source: Records | Floats, target: Records | Floats, team: Team) -> None:
+    """Copy numbers or records of an array."""
+    first, end = share_of(team, 0, source.size)
+    for i in range(first, end):
+        target[i] = source[i]
+
+
+@inline
+def _recall(contacts: ContactList, team: Team) -> None:
+    """Let contacts that keep something act, so that they forget it where they have ended."""
+    first, end = share_of(team, 0, contacts.active.size)
+    for c in range(first, end):
+        contacts.active[c] = contacts.active[c] or contacts.history.inv_effective_mass[c] > 0.0
+
+
+@kernel
+def store_contacts(contact: MovingContact | None, team: Team | None, frame: int) -> None:
+    """Write the elastic energy and the pistons into a frame."""
+    if contact is None or team is None:
+        return
+    frames, lists, pistons = contact.frames, contact.lists, contact.memory.pistons
+    if team.rank == 0:
+        frames.elastic[frame] = stored_energy(lists.spheres) + stored_energy(lists.walls)
+        for k in range(pistons.size):
+            frames.pistons[frame, k] = pistons[k]
