@@ -5,7 +5,7 @@ Where a group has no joints, the compiler leaves all of it out.
 
 from math import nan
 
-from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.jit import Flag, lean, lean_kernel
 from particlerb.integrators.external_work import book
 from particlerb.joints.coordinates import count_turns
 from particlerb.joints.records import Joints, Work, X
@@ -16,7 +16,7 @@ from particlerb.model.block import COM, get, put
 from particlerb.model.load import STATE_ROWS
 
 
-@inline
+@lean
 def _gather(joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints, c: int) -> None:
     """States of cluster c."""
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
@@ -24,7 +24,7 @@ def _gather(joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints,
             work.y[k, i] = get(blocks[block[k]], COM + i, lane[k])
 
 
-@inline
+@lean
 def _scatter(joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints, c: int) -> None:
     """States of cluster c, back into the blocks; nothing but NaN where it was lost."""
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
@@ -32,7 +32,7 @@ def _scatter(joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints
             put(blocks[block[k]], COM + i, lane[k], nan if work.lost[c] else work.y[k, i])
 
 
-@inline
+@lean
 def _book_world(
     books: Flag, joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints, c: int,
     at: Floats,
@@ -50,7 +50,7 @@ def _book_world(
             book(books, blocks[block[a]], lane[a], 1.0, (0.0, impulse, turning))
 
 
-@kernel
+@lean_kernel
 def drift_jointed(
     books: Flag, joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints, dt: float
 ) -> None:
@@ -63,7 +63,7 @@ def drift_jointed(
     count_turns(joints.coordinates, work.y, work.turned)
 
 
-@kernel
+@lean_kernel
 def project_jointed(
     books: Flag, joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints
 ) -> None:

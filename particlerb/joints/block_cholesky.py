@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.joints.records import Joints, Program, Work
 from particlerb.joints.rows import vector
 from particlerb.maths.vec3 import Bools, Floats, Ints, dot
@@ -139,7 +139,7 @@ def _shared(a: Ints, b: Ints, pair: Ints, inv_mass: Floats) -> tuple[Bools, Floa
     return shares, mass
 
 
-@kernel
+@lean_kernel
 def assemble(joints: Joints, work: Work, lo: int, hi: int) -> None:
     """A = G M⁻¹ Gᵀ in blocks lo to hi, and its diagonal."""
     start, pair, shares, mass = (
@@ -173,14 +173,16 @@ def assemble(joints: Joints, work: Work, lo: int, hi: int) -> None:
                 work.scale[r] = factor[k, r - start[i], r - start[i]]
 
 
-@inline
-def _factorise_diagonal(factor: Floats, k: int, n: int, smallest: float, scale: Floats) -> None:
+@lean
+def _factorise_diagonal(
+    factor: Floats, k: int, n: int, smallest: float, scale: Floats, at: int
+) -> None:
     """Cholesky factor of a block; 0 in place of 1/diagonal where a pivot is too small."""
     for c in range(n):
         v = factor[k, c, c]
         for i in range(c):
             v -= factor[k, c, i] * factor[k, c, i]
-        f = 1.0 / math.sqrt(v) if v > smallest * scale[c] else 0.0
+        f = 1.0 / math.sqrt(v) if v > smallest * scale[at + c] else 0.0
         factor[k, c, c] = f
         for r in range(c + 1, n):
             v = factor[k, r, c]
@@ -189,7 +191,7 @@ def _factorise_diagonal(factor: Floats, k: int, n: int, smallest: float, scale: 
             factor[k, r, c] = v * f
 
 
-@inline
+@lean
 def _factorise_below(factor: Floats, k: int, n: int, at: int, rows: int) -> None:
     """A block below the diagonal block k, over its factor."""
     for r in range(rows):
@@ -200,7 +202,7 @@ def _factorise_below(factor: Floats, k: int, n: int, at: int, rows: int) -> None
             factor[at, r, c] = v * factor[k, c, c]
 
 
-@inline
+@lean
 def _update(factor: Floats, updates: Ints, q: int, n: int) -> None:
     """Target -= block blockᵀ."""
     one, other, target = updates[q, 0], updates[q, 1], updates[q, 2]
@@ -212,7 +214,7 @@ def _update(factor: Floats, updates: Ints, q: int, n: int) -> None:
             factor[target, r, c] = v
 
 
-@kernel
+@lean_kernel
 def factorise(joints: Joints, work: Work, lo: int, hi: int, smallest_pivot: float) -> None:
     """Factors in place, of joints eliminated from lo to hi: 1/diagonal, and what is below it."""
     program, factor = joints.program, work.factor
@@ -220,7 +222,7 @@ def factorise(joints: Joints, work: Work, lo: int, hi: int, smallest_pivot: floa
     for e in range(lo, hi):
         k = program.order[e]
         n = start[k + 1] - start[k]
-        _factorise_diagonal(factor, k, n, smallest_pivot, work.scale[start[k] : start[k + 1]])
+        _factorise_diagonal(factor, k, n, smallest_pivot, work.scale, start[k])
         for q in range(program.column[e], program.column[e + 1]):
             i = program.below_joint[q]
             _factorise_below(factor, k, n, program.below[q], start[i + 1] - start[i])
@@ -228,7 +230,7 @@ def factorise(joints: Joints, work: Work, lo: int, hi: int, smallest_pivot: floa
             _update(factor, program.updates, q, n)
 
 
-@inline
+@lean
 def _solve_down(factor: Floats, k: int, at: int, n: int, z: Floats) -> None:
     """Forward substitution with the diagonal block k, whose rows begin at `at`."""
     for r in range(n):
@@ -238,7 +240,7 @@ def _solve_down(factor: Floats, k: int, at: int, n: int, z: Floats) -> None:
         z[at + r] = v * factor[k, r, r]
 
 
-@inline
+@lean
 def _solve_up(factor: Floats, k: int, at: int, n: int, z: Floats) -> None:
     """Back substitution with it."""
     for r in range(n - 1, -1, -1):
@@ -248,7 +250,7 @@ def _solve_up(factor: Floats, k: int, at: int, n: int, z: Floats) -> None:
         z[at + r] = v * factor[k, r, r]
 
 
-@kernel
+@lean_kernel
 def solve(joints: Joints, work: Work, lo: int, hi: int) -> None:
     """z <- A⁻¹ z, of joints eliminated from lo to hi."""
     program, factor, z = joints.program, work.factor, work.z

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import kernel
+from particlerb.compiled.jit import lean_kernel
 from particlerb.joints.block_cholesky import solve
 from particlerb.joints.records import DOT, Joints, Work
 from particlerb.joints.rows import accelerations
@@ -20,7 +20,7 @@ _DEPENDENT: Final = 1e-10  # singular values over the largest
 _OPEN: Final = 1e-8  # share of the largest component of a null vector that is not its rounding
 
 
-@kernel
+@lean_kernel
 def find_multipliers(joints: Joints, work: Work, load: Floats) -> None:
     """z = λ [N, of DOT N m] of all rows in the state y under loads (n + 1, 6), force and torque."""
     clusters, start = joints.clusters, joints.program.start

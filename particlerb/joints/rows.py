@@ -11,7 +11,7 @@ d = x_a + r_a - x_b - r_b, ∂g/∂x_b = -∂g/∂x_a, θ the turn in world axes
 ω_b × (ω_b × r_b); u̇ = ω × u, ü = ω × u̇. J = R I Rᵀ. See docs/joints.md.
 """
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.joints.records import (
     ALONG,
     DISTANCE,
@@ -39,31 +39,31 @@ from particlerb.maths.vec3 import (
 )
 
 
-@inline
+@lean
 def vector(values: Floats, k: int, at: int) -> Vec3:
     """Three numbers of row k from `at` on."""
     return values[k, at], values[k, at + 1], values[k, at + 2]
 
 
-@inline
+@lean
 def put_vector(values: Floats, k: int, at: int, v: Vec3) -> None:
     """Write three numbers of row k from `at` on."""
     values[k, at], values[k, at + 1], values[k, at + 2] = v
 
 
-@inline
+@lean
 def attitude(y: Floats, k: int) -> Quat:
     """Orientation of body k."""
     return y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3]
 
 
-@inline
+@lean
 def by_inverse_inertia(joints: Joints, q: Quat, k: int, v: Vec3) -> Vec3:
     """J⁻¹ v in world axes, of body k with the orientation q."""
     return to_world(q, component_product(row3(joints.inv_inertia, k), to_body(q, v)))
 
 
-@inline
+@lean
 def arms(joints: Joints, y: Floats, r: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """r_a (or n), r_b, u and d of row r, in world axes."""
     rows = joints.rows
@@ -77,7 +77,7 @@ def arms(joints: Joints, y: Floats, r: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     return ra, rb, u, d
 
 
-@inline
+@lean
 def residual(joints: Joints, y: Floats, r: int) -> float:
     """g of row r."""
     ra, _, u, d = arms(joints, y, r)
@@ -91,7 +91,7 @@ def residual(joints: Joints, y: Floats, r: int) -> float:
     return dot(u, d)
 
 
-@kernel
+@lean_kernel
 def residuals(joints: Joints, work: Work, lo: int, hi: int) -> tuple[float, int]:
     """g of rows lo to hi; the largest over its size and what rounding leaves, and its row."""
     worst, where = 0.0, lo
@@ -106,7 +106,7 @@ def residuals(joints: Joints, work: Work, lo: int, hi: int) -> tuple[float, int]
     return worst, where
 
 
-@kernel
+@lean_kernel
 def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
     """Gradients of rows lo to hi, and J⁻¹ times them."""
     for r in range(lo, hi):
@@ -132,7 +132,7 @@ def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
         put_vector(work.gradient, r, 12, of_b)
 
 
-@inline
+@lean
 def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
     """Row r of G M⁻¹ times momenta, or loads, that stand in y from `at` on."""
     a, b = joints.rows.a[r], joints.rows.b[r]
@@ -144,7 +144,7 @@ def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
     return found + dot(vector(gradient, r, 12), vector(y, b, at + 3))
 
 
-@kernel
+@lean_kernel
 def rates(joints: Joints, work: Work, lo: int, hi: int) -> float:
     """z = -ġ of rows lo to hi; the largest over its size [1/s]."""
     worst = 0.0
@@ -157,7 +157,7 @@ def rates(joints: Joints, work: Work, lo: int, hi: int) -> float:
     return worst
 
 
-@kernel
+@lean_kernel
 def add_impulses(joints: Joints, work: Work, lo: int, hi: int, y: Floats, at: int) -> None:
     """(P, L) += Gᵀ z of rows lo to hi, on momenta or loads that stand in y from `at` on."""
     for r in range(lo, hi):
@@ -173,7 +173,7 @@ def add_impulses(joints: Joints, work: Work, lo: int, hi: int, y: Floats, at: in
             put_vector(y, b, at + 3, add_scaled(z, turning, vector(y, b, at + 3)))
 
 
-@inline
+@lean
 def convective(joints: Joints, y: Floats, r: int) -> float:
     """g̈ of row r [g/s²] where no force acts, less what J⁻¹ (ω × L) gives."""
     rows = joints.rows
@@ -199,7 +199,7 @@ def convective(joints: Joints, y: Floats, r: int) -> float:
     return found
 
 
-@kernel
+@lean_kernel
 def accelerations(joints: Joints, work: Work, lo: int, hi: int, load: Floats) -> None:
     """z = -g̈ of rows lo to hi under loads (n + 1, 6), force and torque, without reactions."""
     for r in range(lo, hi):

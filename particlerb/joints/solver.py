@@ -12,7 +12,7 @@ Hairer, Lubich, Wanner, Geometric Numerical Integration, VII.1.
 
 from typing import Final
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.records import Joints, L, P, Q, Work, X
 from particlerb.joints.rows import add_impulses, attitude, linearise, rates, residuals, vector
@@ -27,7 +27,7 @@ _GAIN: Final = 0.5
 _MOST_PASSES: Final = 4  # of a projection of momenta
 
 
-@inline
+@lean
 def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
     """Drift of cluster c from where it began, with the momenta of now."""
     y, pose = work.y, work.pose
@@ -41,7 +41,7 @@ def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
         y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
 
 
-@inline
+@lean
 def factorise_cluster(joints: Joints, work: Work, c: int) -> None:
     """G and the factor of A of cluster c at its pose of now."""
     clusters, start = joints.clusters, joints.program.start
@@ -51,7 +51,7 @@ def factorise_cluster(joints: Joints, work: Work, c: int) -> None:
     factorise(joints, work, lo, hi, clusters.smallest_pivot[c])
 
 
-@kernel
+@lean_kernel
 def constrained_drift(joints: Joints, work: Work, c: int, dt: float) -> None:
     """Drift of cluster c over dt with the impulses that let it end where g = 0.
 
@@ -82,7 +82,7 @@ def constrained_drift(joints: Joints, work: Work, c: int, dt: float) -> None:
     work.lost[c] = 1 + where
 
 
-@kernel
+@lean_kernel
 def project_momenta(joints: Joints, work: Work, c: int) -> None:
     """Take from the momenta of cluster c what would break its joints; `total` has the impulses."""
     clusters, start = joints.clusters, joints.program.start
