@@ -65,6 +65,7 @@ class JointTable(Table):
     axis_to: _Direction | None = Field(
         None, description="Of universal: the axis of the other side, across `axis`. [-]"
     )
+    collide: Yes = Field(False, description="Whether the two bodies may touch each other. [-]")
     assemble: Yes = Field(
         False, description="Whether bodies may be moved at the start until it fits. [-]"
     )

@@ -77,7 +77,7 @@ def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, dep
     model = contact.model
     spheres, near = model.spheres, _TOUCHING * float(model.spheres.radius.min(initial=np.inf))
     x = np.ascontiguousarray(com[:, spheres.body] + rotate(q[:, spheres.body], spheres.arm))
-    first, second, _ = neighbours(x, spheres.radius, spheres.body, near)
+    first, second, _ = neighbours(x, spheres.radius, spheres.body, near, spheres.apart)
     away = x[:, second] - x[:, first]
     between = _initial_springs(model, (first, second), False, x, away, depth)
     motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]

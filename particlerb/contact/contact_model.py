@@ -19,6 +19,7 @@ class ContactSpheres(NamedTuple):
     body: Ints  # (n,) ascending
     material: Ints  # (n,)
     offset: Ints  # (n_bodies + 1,) those of body b are offset[b] to offset[b + 1]
+    apart: Ints  # (k,) pairs of bodies that do not touch: see `sphere_search.pair_keys`
 
 
 class ContactModel(NamedTuple):

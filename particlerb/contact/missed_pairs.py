@@ -13,6 +13,7 @@ import numpy as np
 from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.contact_model import ContactModel, ContactSpheres, NeighbourLists
 from particlerb.contact.records import Records, row3
+from particlerb.contact.sphere_search import KEY_BITS
 from particlerb.contact.wall_motion import PrescribedMotion, wall_displacement
 from particlerb.contact.walls import (
     gap_and_velocity,
@@ -56,10 +57,19 @@ class Missed(NamedTuple):
 
 
 @inline
+def _is_apart(spheres: ContactSpheres, a: int, b: int) -> bool:
+    """Whether two bodies do not touch each other."""
+    found = False
+    for key in spheres.apart:
+        found = found or key == min(a, b) << KEY_BITS | max(a, b)
+    return found
+
+
+@inline
 def _has_contact(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) -> bool:
     """Whether a contact acts between two spheres."""
     a, contacts, (offset, entry) = spheres.body[i], lists.spheres, lists.of_spheres
-    is_active = False
+    is_active = _is_apart(spheres, a, spheres.body[j])
     for k in range(offset[a], offset[a + 1]):
         c = entry[k]
         c = c if c >= 0 else ~c

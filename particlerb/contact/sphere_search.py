@@ -30,6 +30,8 @@ _MAX_CELLS: Final = 4  # per sphere: beyond, cells are numbered modulo a prime
 _MIN_CELLS: Final = 64
 _INITIAL_CAPACITY: Final = 8  # neighbours per sphere that fit at first
 _MAX_LEVELS: Final = 40  # anything smaller than the largest sphere by 2^40 is as good as a point
+KEY_BITS: Final = 32  # bits of a number of a body in a key of a pair
+_NO_PAIRS: Final = np.zeros(0, dtype=np.int64)
 _CELL_ROUNDING: Final = 2.0**-50  # of the number of a cell, relative
 
 
@@ -42,10 +44,13 @@ class SphereSearch:
         Not negative.
     body : ndarray, shape (n,)
         Body of each sphere, ascending.
+    apart : ndarray, shape (k,), optional
+        Pairs of bodies that do not touch each other, as `pair_keys` has them, ascending.
     """
 
-    def __init__(self, radius: Floats, body: Ints) -> None:
+    def __init__(self, radius: Floats, body: Ints, apart: Ints = _NO_PAIRS) -> None:
         n = radius.size
+        self.body, self.apart = body, apart
         level = levels_of(radius)
         before = np.searchsorted(body, body, side="left")
         self.owners = SphereBodies(radius, level, before, np.searchsorted(body, body, side="right"))
@@ -97,7 +102,16 @@ class SphereSearch:
         while found.missing.any():
             self.capacity += int(found.missing.max())
             found = self.search(grid, spheres, skin)
-        return self.sorted_pairs(found)
+        return self._without_apart(self.sorted_pairs(found))
+
+    def _without_apart(self, pairs: PairList) -> PairList:
+        """Pairs whose bodies may touch each other."""
+        if not self.apart.size:
+            return pairs
+        keys = pair_keys(self.body[pairs.first], self.body[pairs.second])
+        may_touch = ~np.isin(keys, self.apart)
+        first, second = pairs.first[may_touch], pairs.second[may_touch]
+        return PairList(first, second, np.searchsorted(first, np.arange(self.everyone.size + 1)))
 
     def search(self, grid: CellGrid, spheres: SortedSpheres, skin: float) -> FoundPairs:
         """Pairs as they are found, as far as there is memory."""
@@ -159,9 +173,16 @@ class SphereSearch:
         return self.integers[key][:size]
 
 
-def neighbours(points: Floats, radius: Floats, body: Ints, skin: float) -> PairList:
+def pair_keys(a: Ints, b: Ints) -> Ints:
+    """One number for each pair of bodies, in either order."""
+    return np.minimum(a, b) << KEY_BITS | np.maximum(a, b)
+
+
+def neighbours(
+    points: Floats, radius: Floats, body: Ints, skin: float, apart: Ints = _NO_PAIRS
+) -> PairList:
     """Pairs of spheres of different bodies nearer than `skin`: see `SphereSearch.pairs`."""
-    return SphereSearch(radius, body).pairs(points, skin)
+    return SphereSearch(radius, body, apart).pairs(points, skin)
 
 
 def levels_of(radius: Floats) -> Ints:

@@ -6,70 +6,119 @@ Where a group has no joints, the compiler leaves all of it out.
 from math import nan
 
 from particlerb.compiled.jit import Flag, lean, lean_kernel
+from particlerb.forces.kernels import Acting, kick_potential
+from particlerb.forces.registry import STAGE
 from particlerb.integrators.external_work import book
-from particlerb.joints.coordinates import count_turns
-from particlerb.joints.records import Joints, Work, X
-from particlerb.joints.rows import vector
+from particlerb.joints.records import Jointed, L, P, Q, X
+from particlerb.joints.rows import by_inverse_inertia, vector
 from particlerb.joints.solver import constrained_drift, project_momenta
-from particlerb.maths.vec3 import Floats, Ints, add_scaled, cross, scale
-from particlerb.model.block import COM, get, put
+from particlerb.maths.quaternion import Rows
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
+from particlerb.model.block import COM, get, get3, get4, put, put3
 from particlerb.model.load import STATE_ROWS
 
 
 @lean
-def _gather(joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints, c: int) -> None:
+def keep_given(
+    jointed: Jointed | None, acting: Acting, rows: Floats, b: int, R: Rows, dt: float,
+    old: tuple[Vec3, Vec3], new: tuple[Vec3, Vec3],
+) -> None:  # fmt: skip
+    """Keep what forces without potential gave body b in a kick, if joints hold its group."""
+    if jointed is None:
+        return
+    _keep(jointed.given, acting, rows, b, R, dt, old, new)
+
+
+@lean
+def _keep(
+    given: Flag, acting: Acting, rows: Floats, b: int, R: Rows, dt: float,
+    old: tuple[Vec3, Vec3], new: tuple[Vec3, Vec3],
+) -> None:  # fmt: skip
+    """Do the work of `keep_given`, if there are any."""
+    if given is None:
+        return
+    p, spin = kick_potential(acting, rows, b, get3(rows, COM, b), R, dt, old[0], old[1])
+    put3(rows, STAGE, b, subtract(new[0], p))
+    put3(rows, STAGE + 3, b, subtract(new[1], spin))
+
+
+@lean
+def _gather(jointed: Jointed, blocks: Floats, c: int) -> None:
     """States of cluster c."""
+    joints, work, block, lane, _ = jointed
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         for i in range(STATE_ROWS):
             work.y[k, i] = get(blocks[block[k]], COM + i, lane[k])
 
 
 @lean
-def _scatter(joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints, c: int) -> None:
+def _scatter(jointed: Jointed, blocks: Floats, c: int) -> None:
     """States of cluster c, back into the blocks; nothing but NaN where it was lost."""
+    joints, work, block, lane, _ = jointed
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         for i in range(STATE_ROWS):
             put(blocks[block[k]], COM + i, lane[k], nan if work.lost[c] else work.y[k, i])
 
 
 @lean
-def _book_world(
-    books: Flag, joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints, c: int,
-    at: Floats,
-) -> None:  # fmt: skip
+def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Floats) -> None:
     """Book the impulses of joints with the world of cluster c, whose bodies were at `at`."""
     if books is None:
         return
-    world, start = joints.inv_mass.size - 1, joints.program.start
+    joints, work, block, lane, _ = jointed
+    start = joints.program.start
     for r in range(start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]):
         a, b, z = joints.rows.a[r], joints.rows.b[r], work.total[r]
         by_x = vector(work.gradient, r, 0)
-        if b == world:
+        if joints.inv_mass[b] == 0.0 and joints.inv_mass[a] > 0.0:
             impulse = scale(z, by_x)
             turning = add_scaled(z, vector(work.gradient, r, 3), cross(vector(at, a, X), impulse))
             book(books, blocks[block[a]], lane[a], 1.0, (0.0, impulse, turning))
+        elif joints.inv_mass[a] == 0.0 and joints.inv_mass[b] > 0.0:
+            impulse = scale(-z, by_x)
+            turning = add_scaled(z, vector(work.gradient, r, 6), cross(vector(at, b, X), impulse))
+            book(books, blocks[block[b]], lane[b], 1.0, (0.0, impulse, turning))
+
+
+@lean
+def _book_given(books: Flag, given: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
+    """Book the work that forces without potential do along what joints changed of the velocities.
+
+    A kick has booked it with the velocities before the impulses of the joints.
+    """
+    if books is None or given is None:
+        return
+    joints, work, block, lane, _ = jointed
+    for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
+        rows, b = blocks[block[k]], lane[k]
+        by_joints = subtract(vector(work.y, k, P), get3(rows, COM + P, b))
+        turning = subtract(vector(work.y, k, L), get3(rows, COM + L, b))
+        q = get4(rows, COM + Q, b)
+        spin = by_inverse_inertia(joints, q, k, turning)
+        found = joints.inv_mass[k] * dot(get3(rows, STAGE, b), by_joints)
+        found += dot(get3(rows, STAGE + 3, b), spin)
+        book(books, rows, b, 0.5, (found, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
 @lean_kernel
 def drift_jointed(
-    books: Flag, joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints, dt: float
+    books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int, dt: float
 ) -> None:
-    """Constrained drift of all clusters."""
-    for c in range(joints.clusters.body.size - 1):
-        _gather(joints, work, blocks, block, lane, c)
-        constrained_drift(joints, work, c, dt)
-        _book_world(books, joints, work, blocks, block, lane, c, work.pose)
-        _scatter(joints, work, blocks, block, lane, c)
-    count_turns(joints.coordinates, work.y, work.turned)
+    """Constrained drift of clusters first to last, last excluded."""
+    for c in range(first, last):
+        _gather(jointed, blocks, c)
+        constrained_drift(jointed.joints, jointed.work, c, dt)
+        _book_world(books, jointed, blocks, c, jointed.work.pose)
+        _book_given(books, jointed.given, jointed, blocks, c)
+        _scatter(jointed, blocks, c)
 
 
 @lean_kernel
-def project_jointed(
-    books: Flag, joints: Joints, work: Work, blocks: Floats, block: Ints, lane: Ints
-) -> None:
-    """Projection of the momenta of all clusters."""
-    for c in range(joints.clusters.body.size - 1):
-        _gather(joints, work, blocks, block, lane, c)
-        project_momenta(joints, work, c)
-        _book_world(books, joints, work, blocks, block, lane, c, work.y)
-        _scatter(joints, work, blocks, block, lane, c)
+def project_jointed(books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int) -> None:
+    """Projection of the momenta of clusters first to last, last excluded."""
+    for c in range(first, last):
+        _gather(jointed, blocks, c)
+        project_momenta(jointed.joints, jointed.work, c)
+        _book_world(books, jointed, blocks, c, jointed.work.y)
+        _book_given(books, jointed.given, jointed, blocks, c)
+        _scatter(jointed, blocks, c)

@@ -9,8 +9,9 @@ Source: Andersen, J. Comput. Phys. 52, 24 (1983); Reich, SIAM J. Numer. Anal. 33
 
 from typing import Final
 
-from particlerb.contact.contact_model import NOW
-from particlerb.forces.kinds import BODIES, JOINTS, POSE, TIME
+from particlerb.contact.contact_model import Instant
+from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, POSE, TIME
+from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
 from particlerb.integrators.method import Method
 from particlerb.integrators.stages import (
     MovingBodies,
@@ -25,17 +26,21 @@ from particlerb.integrators.strang import CLOSING_KICK
 @stages
 def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Kick, constrained drift; the kick of dt/2 that belongs to the end stays open."""
-    loads(moving, first, last, NOW)
-    kick(moving, first, last, CLOSING_KICK * dt + open_kick)
+    kick_dt = CLOSING_KICK * dt + open_kick
+    keep_momenta(moving.contact, moving.blocks, moving.layout, first, last)
+    loads(moving, first, last, Instant(open_kick / CLOSING_KICK, dt, 0.0, 0.0, kick_dt))
+    kick_walls(moving.contact, moving.team, open_kick, CLOSING_KICK * dt, True)
+    kick(moving, first, last, kick_dt)
     constrained_drift(moving, dt)
+    drift_walls(moving.contact, moving.team, dt)
 
 
 METHOD: Final = Method(
     name="rattle",
-    summary="order 2, symplectic; strang with joints; forces with a potential",
+    summary="order 2, symplectic; strang with joints; forces that know no velocities, contact",
     order=2,
     free_order=2,
-    accepts=frozenset({POSE, TIME, BODIES, JOINTS}),
+    accepts=frozenset({POSE, TIME, BODIES, CONTACT, JOINTS}),
     cost=1500.0,
     evaluations=1,
     keeps_rods=True,

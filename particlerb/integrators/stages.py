@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final, NamedTuple, TypeVar
 
-from particlerb.compiled.barrier import Team
+from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import Flag, in_python, inline, kernel, splice
 from particlerb.compiled.threads import THREADS
 from particlerb.contact.contact_model import NOW, Instant, LoadTimes, MovingContact
@@ -20,10 +20,10 @@ from particlerb.integrators.contact_stages import (
     place_contacts,
     place_within_step,
 )
-from particlerb.integrators.joint_stages import drift_jointed, project_jointed
+from particlerb.integrators.joint_stages import drift_jointed, keep_given, project_jointed
 from particlerb.integrators.kick import kick_body
 from particlerb.integrators.pair_stages import Layout, PairTerms, flow_pairs, put_pair_loads
-from particlerb.joints.coordinates import store_turns
+from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import matrix
 from particlerb.maths.vec3 import Floats
@@ -138,7 +138,9 @@ def kick(moving: MovingBodies, first: int, last: int, dt: float) -> None:
         rows, n = moving.blocks[k], moving.layout.size[k]
         prepare_kick(moving.acting, rows, n, dt)
         for b in range(n):
-            kick_body(moving.acting, moving.books, rows, b, dt)
+            old = get3(rows, P, b), get3(rows, L, b)
+            p, spin, R = kick_body(moving.acting, moving.books, rows, b, dt)
+            keep_given(moving.jointed, moving.acting, rows, b, R, dt, old, (p, spin))
 
 
 @stages
@@ -149,34 +151,58 @@ def flow_dashpots(moving: MovingBodies, dt: float, backwards: bool) -> None:
     )
 
 
+@inline
+def _meet(team: Team | None) -> None:
+    """Wait for all of a team."""
+    if team is None:
+        return
+    meet(team)
+
+
+@inline
+def _share_of_clusters(jointed: Jointed, team: Team | None) -> tuple[int, int]:
+    """Mechanisms that this thread moves, once all have come here: they are of all blocks."""
+    n = jointed.joints.clusters.body.size - 1
+    if team is None:
+        return 0, n
+    meet(team)
+    return share_of(team, 0, n)
+
+
 @kernel
-def _drift_held(jointed: Jointed | None, books: Flag, blocks: Floats, dt: float) -> None:
+def _drift_held(
+    jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, dt: float
+) -> None:
     """Do the work of `constrained_drift`, if there are joints."""
     if jointed is None:
         return
-    joints, work, block, lane = jointed
-    drift_jointed(books, joints, work, blocks, block, lane, dt)
+    first, last = _share_of_clusters(jointed, team)
+    drift_jointed(books, jointed, blocks, first, last, dt)
+    _meet(team)
+    if first == 0:
+        count_turns(jointed.joints.coordinates, jointed.work.y, jointed.work.turned)
 
 
 @stages
 def constrained_drift(moving: MovingBodies, dt: float) -> None:
     """Drift over dt with the impulses of joints that let it end where they hold."""
-    _drift_held(moving.jointed, moving.books, moving.blocks, dt)
+    _drift_held(moving.jointed, moving.team, moving.books, moving.blocks, dt)
 
 
 @kernel
-def _project_held(jointed: Jointed | None, books: Flag, blocks: Floats) -> None:
+def _project_held(jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats) -> None:
     """Do the work of `project`, if there are joints."""
     if jointed is None:
         return
-    joints, work, block, lane = jointed
-    project_jointed(books, joints, work, blocks, block, lane)
+    first, last = _share_of_clusters(jointed, team)
+    project_jointed(books, jointed, blocks, first, last)
+    _meet(team)
 
 
 @stages
 def project(moving: MovingBodies) -> None:
     """Take from the momenta what would break a joint."""
-    _project_held(moving.jointed, moving.books, moving.blocks)
+    _project_held(moving.jointed, moving.team, moving.books, moving.blocks)
 
 
 @kernel

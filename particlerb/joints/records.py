@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from particlerb.compiled.jit import Flag
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 ALONG: Final = 0  # u·d = 0 with d = x_a + r_a - x_b - r_b, u fixed in b
@@ -109,6 +110,7 @@ class Jointed(NamedTuple):
     work: Work
     block: Ints  # (n,)
     lane: Ints  # (n,)
+    given: Flag  # whether forces without potential act: what they gave is kept
 
 
 def room_for_joints(joints: Joints) -> Work:

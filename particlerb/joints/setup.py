@@ -85,7 +85,8 @@ def _programs(
         if sign not in known:
             known[sign] = program_of(a, b, own_start, masses)
         parts.append(known[sign])
-        has_loop = hi - lo > n - 1 + int(is_world.any())
+        stands = masses == 0.0  # held bodies, and the world
+        has_loop = hi - lo > n - stands[:n].sum() - 1 + int(stands[:n].any() or is_world.any())
         pivot[c] = _LOOP_PIVOT if has_loop else 0.0
     block = _offsets([len(part.pair) for part in parts])
     return Clusters(first, joint, block, pivot), _joined(parts, joint, block, start)

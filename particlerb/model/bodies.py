@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from particlerb.geometry.mass_properties import MassProperties
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.rotors.rotor_class import POINT, ROD
 
 Record = TypeVar("Record", bound=tuple[Any, ...])
@@ -114,3 +114,13 @@ def taken(record: Record, index: Ints) -> Record:
     which = slice(None) if index.size == n and np.array_equal(index, np.arange(n)) else index
     arrays = (np.ascontiguousarray(array[..., which]) for array in record)
     return type(record)(*arrays)
+
+
+def held(bodies: Bodies, fixed: Bools) -> Bodies:
+    """Bodies of which some do not move, whatever acts on them."""
+    moves = ~fixed
+    return bodies._replace(
+        mass=bodies.mass * moves,
+        inv_mass=bodies.inv_mass * moves,
+        inv_inertia=bodies.inv_inertia * moves,
+    )

@@ -19,6 +19,7 @@ from particlerb.contact.walls import Walls
 from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.system import System
 from particlerb.plan.initial_overlaps import refuse_misplaced
+from particlerb.plan.joints import bodies_apart
 from particlerb.plan.material_pairs import MaterialPairs, pairs_of
 from particlerb.plan.wall_setup import drive_of, middle, motion_of, pistons_of, wall_of
 
@@ -40,6 +41,7 @@ class ContactSetup(NamedTuple):
     motions: tuple[PrescribedMotion, ...]  # (n_walls,)
     pistons: Pistons | None  # walls that slide
     wall_material: Ints  # (n_walls,) code
+    apart: Ints  # (k,) pairs of bodies of the system that joints keep from touching
 
 
 def contact_of(system: System) -> ContactSetup | None:
@@ -91,6 +93,7 @@ def contact_of(system: System) -> ContactSetup | None:
         motions=tuple(motion_of(table.motion, middle(table)) for table in system.wall),
         pistons=pistons_of(system),
         wall_material=wall_material,
+        apart=bodies_apart(system),
     )
     refuse_misplaced(system, contact)
     return contact

@@ -18,6 +18,7 @@ from particlerb.contact.contact_model import ContactModel, ContactSpheres, Group
 from particlerb.contact.interior_spheres import outer_spheres
 from particlerb.contact.law import TANGENTIAL_DAMPING, Law
 from particlerb.contact.prescribed_motion import PrescribedBodies
+from particlerb.contact.sphere_search import KEY_BITS, pair_keys
 from particlerb.contact.wall_motion import motion_records
 from particlerb.contact.wall_shapes import has_edges
 from particlerb.forces import Terms
@@ -277,6 +278,7 @@ def _contact_among(
         owner,
         touching.material[members][owner],
         np.searchsorted(owner, np.arange(members.size + 1)),
+        _apart_among(members, touching.apart),
     )
     material = touching.wall_material[touching.walls.wall]
     law = _law_of(touching)
@@ -294,6 +296,15 @@ def _contact_among(
     return GroupContact(
         touchable, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced
     )
+
+
+def _apart_among(members: Ints, apart: Ints) -> Ints:
+    """Pairs of bodies that do not touch, with numbers of a group."""
+    a, b = apart >> KEY_BITS, apart & ((1 << KEY_BITS) - 1)
+    inside = np.isin(a, members) & np.isin(b, members)
+    order = np.argsort(members)
+    own = order[np.searchsorted(members[order], np.stack([a[inside], b[inside]]))]
+    return np.unique(pair_keys(*own))
 
 
 def _drives_among(system: System, members: Ints, touching: ContactSetup) -> PrescribedBodies | None:

@@ -69,7 +69,7 @@ def _overlapping(
     """What is wrong with bodies that overlap: which, how deep, and how many."""
     if contact.record.relax:
         return
-    found = neighbours(spheres.place, spheres.radius, spheres.body, 0.0)
+    found = neighbours(spheres.place, spheres.radius, spheres.body, 0.0, contact.apart)
     i, j = found.first, found.second
     distance = lengths(spheres.place[:, j] - spheres.place[:, i])
     depth = spheres.radius[i] + spheres.radius[j] - distance

@@ -113,6 +113,7 @@ class _Count:
         linearise(joints, work, 0, joints.rows.kind.size)
         rotor_class = group.bodies.rotor_class[joints.order]
         freedom = 6 - (rotor_class == ROD) - 3 * (rotor_class == POINT)
+        freedom *= joints.inv_mass[:-1] > 0.0
         self.clusters = self.bodies = self.free = self.n_dependent = 0
         self.dependent: list[int] = []
         clusters, start = joints.clusters, joints.program.start

@@ -13,6 +13,7 @@ from particlerb.case.joints import InFrame, JointTable
 from particlerb.case.output import FIELDS_OF_JOINTS
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.source import problem_at
+from particlerb.contact.sphere_search import pair_keys
 from particlerb.joints.coordinates import COORDINATES, coordinates_of, united
 from particlerb.joints.records import Coordinates, Joints, Rows, Work, room_for_joints
 from particlerb.joints.rows import linearise, rates, residuals
@@ -20,7 +21,7 @@ from particlerb.joints.setup import joints_among
 from particlerb.joints.solver import constrained_drift, project_momenta
 from particlerb.joints.types import TYPES, Ends, rows_of
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.bodies import Bodies
+from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import State, lengths, quaternion_product, rotate, rotate_back
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
@@ -96,9 +97,9 @@ def joints_of(system: System) -> JointSetup | None:
     if not system.joint:
         return None
     system = system._replace(state=system.placed or system.state)
-    if system.contact is not None:
-        reason = "joints are not computed together with [contact] yet"
-        raise CaseError([problem_at(system, "joint[0]", reason, "leave one of the two out")])
+    if system.contact is not None and system.contact.relax:
+        reason = "bodies that joints hold are not pushed apart"
+        raise CaseError([problem_at(system, "contact.relax", reason, "place them apart")])
     if system.run.accuracy is not None:
         reason = "no step is chosen by an accuracy where joints are"
         raise CaseError([problem_at(system, "run.accuracy", reason, "give run.method and run.dt")])
@@ -110,6 +111,9 @@ def joints_of(system: System) -> JointSetup | None:
         if itself.size:
             reason = f"ties {system.names[int(first[itself[0]])]} to itself"
             problems.append(problem_at(system, f"joint[{number}].to", reason, "name another body"))
+            continue
+        if problem := _of_held_bodies(system, number, first, second):
+            problems.append(problem)
             continue
         ends = _ends(system, table, first, second)
         if table.type == "distance" and not ends.length.all():
@@ -148,9 +152,9 @@ def joints_of(system: System) -> JointSetup | None:
 
 def _held_impulses(system: System, setup: JointSetup) -> list[Problem]:
     """What is wrong with impulses on bodies that joints hold."""
-    held, problems = np.concatenate([setup.first, setup.second]), []
+    tied, problems = np.concatenate([setup.first, setup.second]), []
     for k, force in enumerate(system.force):
-        if force.type == "impulse" and np.isin(system.names.find(force.body), held).any():
+        if force.type == "impulse" and np.isin(system.names.find(force.body), tied).any():
             reason = "an impulse on a body that a joint holds is not computed yet"
             hint = "use a push for a short time"
             problems.append(problem_at(system, f"force[{k}].body", reason, hint))
@@ -166,6 +170,17 @@ def _pairs(system: System, table: JointTable) -> tuple[Ints, Ints]:
         return first, np.full(first.size, WORLD)
     second = np.broadcast_to(system.names.find_in_order(table.to), first.shape)
     return first, second.copy()
+
+
+def bodies_apart(system: System) -> Ints:
+    """Pairs of bodies that joints tie and that are not to touch each other, ascending keys."""
+    found = [np.zeros(0, dtype=np.int64)]
+    for table in system.joint:
+        first, second = _pairs(system, table)
+        if not table.collide:
+            inside = second != WORLD
+            found.append(pair_keys(first[inside], second[inside]))
+    return np.unique(np.concatenate(found))
 
 
 def joint_name(system: System, table: JointTable, first: Ints, second: Ints, k: int) -> str:
@@ -184,6 +199,20 @@ def _unique(names: list[str]) -> tuple[str, ...]:
         seen[name] = seen.get(name, 0) + 1
         found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
     return tuple(found)
+
+
+def _of_held_bodies(system: System, number: int, first: Ints, second: Ints) -> Problem | None:
+    """What is wrong with a joint of bodies that do not move, or that move as prescribed."""
+    is_held = np.array([body.is_held for body in system.body])[system.block]
+    moving = np.array([body.motion is not None for body in system.body])[system.block]
+    for a, b in zip(first.tolist(), second.tolist(), strict=True):
+        if moving[a] or (b != WORLD and moving[b]):
+            reason = "a joint of a body that moves as prescribed is not computed yet"
+            return problem_at(system, f"joint[{number}]", reason, "drive it by a stiff spring")
+        if is_held[a] and (b == WORLD or is_held[b]):
+            reason = f"{system.names[a]} is fixed, and so is the other side"
+            return problem_at(system, f"joint[{number}].body", reason, "name a body that moves")
+    return None
 
 
 def _frames(system: System, bodies: Ints) -> tuple[Floats, Floats, Floats]:
@@ -269,7 +298,8 @@ class _AtStart(NamedTuple):
 def _at_start(system: System, setup: JointSetup) -> _AtStart:
     """Joints of all bodies of a system."""
     n = system.n_bodies
-    joints = setup.within(np.arange(n), system.bodies)
+    is_held = np.array([body.is_held for body in system.body])[system.block]
+    joints = setup.within(np.arange(n), held(system.bodies, is_held))
     assert joints is not None
     work = room_for_joints(joints)
     work.y[:n] = np.vstack(system.state).T[joints.order]

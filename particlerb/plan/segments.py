@@ -14,7 +14,7 @@ from particlerb.forces import Terms, needs_of
 from particlerb.forces.impulse import Impulse
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Bools, Ints
-from particlerb.model.bodies import Bodies, taken
+from particlerb.model.bodies import Bodies, held, taken
 from particlerb.model.system import System
 from particlerb.plan.case_forces import acting_terms, acts, jumps_at
 from particlerb.plan.contact_setup import ContactSetup
@@ -70,7 +70,7 @@ def cut_into_segments(
     members, forces = group.members, group.forces
     bodies = taken(system.bodies, members)
     if touching is not None:
-        bodies = _held(bodies, touching.fixed[members])
+        bodies = held(bodies, touching.fixed[members])
     between: dict[tuple[int, ...], Terms] = {}  # by the numbers of the links
     segments, closed = [], []
     for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
@@ -94,16 +94,6 @@ def cut_into_segments(
         for which in parts
         for part in cut_into_segments(system, part_of(group, which), touching, begin)
     ]
-
-
-def _held(bodies: Bodies, fixed: Bools) -> Bodies:
-    """Bodies of which some do not move, whatever acts on them."""
-    moves = ~fixed
-    return bodies._replace(
-        mass=bodies.mass * moves,
-        inv_mass=bodies.inv_mass * moves,
-        inv_inertia=bodies.inv_inertia * moves,
-    )
 
 
 def _refused_terms(method: str, terms: Terms) -> list[str]:

@@ -92,7 +92,7 @@ class ContactLists:
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
         self.histories = histories or (empty_history(contact.model.law.rolling is not None),) * 2
-        self._search = SphereSearch(spheres.radius, spheres.body)
+        self._search = SphereSearch(spheres.radius, spheres.body, spheres.apart)
         self._walls = WallSearch(walls, spheres.radius)
         self._primitives = np.arange(walls.kind.size)
         self._max_contact_arm = float((contact.max_arm + 2.0 * spheres.radius.max()).max())

@@ -199,7 +199,7 @@ class ContactMotion(SteppedMotion):
             self.grid_step = position.steps_done
             self.checks.light_pistons(self.contact, self.now)
             self.checks.depth(self.contact, self.now)
-            if position.stop == schedule.steps.size:
+            if position.stop == schedule.steps.size or self.lost_joints():
                 break
             self.make_lists()
 

@@ -67,7 +67,8 @@ def can_fly(method: Method, terms: Terms, n: int) -> bool:
 
     That is for methods whose own drift is one: the others would be better than they are.
     """
-    others = terms.loads or terms.links is not None or terms.attraction is not None
+    between = terms.links, terms.attraction, terms.joints
+    others = terms.loads or any(term is not None for term in between)
     contact = terms.contact
     is_moved = contact is not None and (contact.pistons or contact.model.prescribed) is not None
     return method.closing_kick > 0.0 and n >= LEAST_BODIES and not is_moved and not others

@@ -8,7 +8,7 @@ import numpy as np
 
 from particlerb.compiled.jit import flag
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.forces import Terms, acting_of, row_count, rows_of_terms
+from particlerb.forces import Terms, acting_of, has_potential, row_count, rows_of_terms
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout
@@ -133,7 +133,8 @@ class SteppedMotion(Motion):
         work.y[:-1] = np.vstack(self.first).T[joints.order]
         count_turns(joints.coordinates, work.y, work.turned)
         work.turned[:, 2] = 0.0
-        return Jointed(joints, work, slots // BLOCK, slots % BLOCK)
+        given = flag(not has_potential(self.group.terms))
+        return Jointed(joints, work, slots // BLOCK, slots % BLOCK, given)
 
     def lost_joints(self) -> list[int]:
         """Joints of the system that no impulse keeps any more."""

@@ -64,13 +64,21 @@ def test_a_rod_is_not_asked_for_a_torque_about_its_axis():
         prepared(case([rod], [joint("hinge", "rod", None, [0, 0, 0], [0, 1, 0])]))
 
 
-def test_contact_and_joints_are_refused_together():
-    scene = rods(joint("ball", "b0"))
+def test_jointed_bodies_are_not_pushed_apart_and_have_ends_that_move():
     contact = {"stiffness": 1e4, "restitution": 0.5, "friction": 0.0}
-    ball = {"name": "ball", "shape": {"type": "sphere", "radius": 0.1}, "mass": 1.0}
-    scene["body"].append(ball | {"position": [0, 0, 9.0]})
-    with pytest.raises(CaseError, match="joints are not computed together with"):
-        prepared({**scene, "contact": contact})
+    ball = {"shape": {"type": "sphere", "radius": 0.1}, "mass": 1.0}
+    bodies = [ball | {"name": f"b{k}", "position": [k, 0, 0]} for k in range(2)]
+    scene = case(bodies, [joint("ball", "b0", "b1")], contact=contact | {"relax": True})
+    with pytest.raises(CaseError, match="bodies that joints hold are not pushed apart"):
+        prepared(scene)
+    bodies = [table | {"fixed": True} for table in bodies]
+    bodies.append(ball | {"name": "free", "position": [0, 3.0, 0]})
+    with pytest.raises(CaseError, match="b0 is fixed, and so is the other side"):
+        prepared(case(bodies, [joint("ball", "b0", "b1")], contact=contact))
+    motion = {"velocity": [0.1, 0, 0]}
+    bodies[1] = ball | {"name": "b1", "position": [1.0, 0, 0], "motion": motion}
+    with pytest.raises(CaseError, match="moves as prescribed is not computed yet"):
+        prepared(case(bodies, [joint("ball", "free", "b1")], contact=contact))
 
 
 def test_impulses_on_jointed_bodies_are_refused():
