@@ -1,19 +1,33 @@
 """The table of [[joint]]: which bodies it ties, where, and about which axes."""
 
+import math
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, Tag
 
 from particlerb.case.contact import Yes
+from particlerb.case.forces import During
 from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, bodies_named, given
-from particlerb.case.values import Name, Names, Table, Vector, broken, forms
+from particlerb.case.values import (
+    Name,
+    Names,
+    NonNegative,
+    Positive,
+    Real,
+    Table,
+    Vector,
+    broken,
+    forms,
+)
 
 JointType = Literal[
     "ball", "hinge", "slider", "universal", "cylindrical", "planar", "fixed", "distance"
 ]
 TYPES_WITH_COORDINATES = ("hinge", "slider", "universal", "cylindrical", "planar")
+WITH_COORDINATE = ("hinge", "slider")
+ACTIONS = ("spring", "damper", "limit", "motor")
 _WITHOUT_AXIS = ("ball", "fixed", "distance")
 
 
@@ -34,6 +48,21 @@ _Point = Annotated[
     Annotated[Vector, Tag("list")] | Annotated[InFrame, Tag("table")], forms("list", "table")
 ]
 _Direction = Annotated[_Point, AfterValidator(_is_direction)]
+
+
+class JointSpring(Table):
+    """A spring along the free coordinate of a joint, which is 0 at the start."""
+
+    stiffness: Positive = Field(description="Over the coordinate. [N m/rad or N/m]")
+    rest: Real = Field(0.0, description="Coordinate at which it does nothing. [rad or m]")
+
+
+class JointLimit(Table):
+    """Stops: springs beyond a range of the free coordinate."""
+
+    range: tuple[Real, Real] = Field(description="Least and largest coordinate. [rad or m]")
+    stiffness: Positive = Field(description="Beyond them. [N m/rad or N/m]")
+    damping: NonNegative = Field(0.0, description="Beyond them. [N m s/rad or N s/m]")
 
 
 class JointTable(Table):
@@ -65,10 +94,27 @@ class JointTable(Table):
     axis_to: _Direction | None = Field(
         None, description="Of universal: the axis of the other side, across `axis`. [-]"
     )
+    spring: JointSpring | None = Field(None, description="Along the free coordinate. [-]")
+    damper: NonNegative = Field(
+        0.0,
+        description="Of a hinge or slider: torque or force over the speed. [N m s/rad or N s/m]",
+    )
+    limit: JointLimit | None = Field(None, description="Stops of the free coordinate. [-]")
+    motor: Real = Field(
+        0.0, description="Constant torque of a hinge, or force of a slider, on `body`. [N m or N]"
+    )
+    during: During | None = Field(
+        None, description="Start, which is 0, and time of release; default: always. [s]"
+    )
     collide: Yes = Field(False, description="Whether the two bodies may touch each other. [-]")
     assemble: Yes = Field(
         False, description="Whether bodies may be moved at the start until it fits. [-]"
     )
+
+    @property
+    def until(self) -> float:
+        """When it is released [s]; inf: never."""
+        return math.inf if self.during is None else self.during[1]
 
 
 JOINT_TYPES: tuple[str, ...] = get_args(JointType)
@@ -84,6 +130,11 @@ def joint_rules(path: Path, raw: dict[str, Any], known: dict[str, range]) -> Ite
                 yield (*path, key), "missing", f"a {kind} joint needs one"
             elif given(raw, key) and not is_needed:
                 yield (*path, key), f"a {kind} joint has none", "leave it out"
+    yield from _action_rules(path, raw)
+    during = raw.get("during")
+    if isinstance(during, list) and during and during[0] != 0.0:
+        hint = "a body cannot be caught by a joint: give [0, time of release]"
+        yield (*path, "during"), "a joint acts from the start on", hint
     if kind == "distance" and not any(given(raw, key) for key in ("to", "at_to", "chain")):
         yield (*path, "at_to"), "missing", "give the other end, of a body with `to`"
     if isinstance(raw.get("at_to"), dict) and not given(raw, "to") and not raw.get("chain"):
@@ -110,3 +161,17 @@ def _chain_rules(path: Path, raw: dict[str, Any], bodies: list[range] | None) ->
         if isinstance(raw.get(key), list):
             hint = f"give {key} = {{ body = [..] }}"
             yield (*path, key), "each link of a chain is tied in its own frame", hint
+
+
+def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
+    """What acts along a coordinate needs one, and stops a range."""
+    kind = raw.get("type")
+    for key in ACTIONS:
+        if raw.get(key) and kind in JOINT_TYPES and kind not in WITH_COORDINATE:
+            yield (*path, key), f"a {kind} joint has no single coordinate", "take a hinge or slider"
+    ends = raw.get("limit", {}).get("range") if isinstance(raw.get("limit"), dict) else None
+    if isinstance(ends, list) and len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
+        if not ends[0] < ends[1]:
+            yield (*path, "limit", "range"), "must ascend", "give the least coordinate first"
+        elif kind == "hinge" and max(map(abs, ends)) >= math.pi:
+            yield (*path, "limit", "range"), "beyond half a turn", "give angles between -π and π"

@@ -22,7 +22,8 @@ from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import inertia_in_body, omega_world, quaternion_product, rotate
 from particlerb.model.system import System
-from particlerb.plan.joints import WORLD, JointSetup, joints_of
+from particlerb.plan.joint_ends import WORLD
+from particlerb.plan.joints import JointSetup, joints_of
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _ONLY_IN_TREES: Final = ("slider", "cylindrical", "universal", "planar")

@@ -6,7 +6,7 @@ kernel as a load, which `stepping.pair_forces` fills before each kick; they cost
 body acts on another.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,8 @@ from particlerb.joints.records import Joints
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.load import OTHER
+
+_FLOW_AMONG_JOINTS: Final = "flow among joints"  # which no method takes: it is not of order two
 
 
 class Terms(NamedTuple):
@@ -131,7 +133,8 @@ def has_potential(terms: Terms) -> bool:
     """Whether every force has one: then energy needs no booking on the way."""
     damped = terms.links is not None and terms.links.damping is not None
     others = all(kick.has_potential for kick, _ in _parts_of(terms))
-    return others and not damped and terms.contact is None
+    has_joints = terms.joints is not None and not terms.joints.has_potential
+    return others and not damped and not has_joints and terms.contact is None
 
 
 def is_constant(terms: Terms) -> bool:
@@ -161,7 +164,10 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
     needs: dict[str, frozenset[str]] = {}
     for load in terms.loads:
         term = term_of(load)
-        needs[term.name] = frozenset().union(*(kick.needs for kick, _ in term.parts(load)))
+        kicks = [kick for kick, _ in term.parts(load)]
+        needs[term.name] = frozenset().union(*(kick.needs for kick in kicks))
+        if terms.joints is not None and any(kick.flow is not None for kick in kicks):
+            needs[term.name] |= {_FLOW_AMONG_JOINTS}
     if terms.links is not None:
         needs["links"] = frozenset({BODIES})
         if terms.links.damping is not None:
@@ -174,6 +180,8 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
             needs["walls with a piston"] = frozenset({CONTACT, PISTONS})
     if terms.joints is not None:
         needs["joints"] = frozenset({JOINTS})
+        if terms.joints.damps is not None:
+            needs["damping among joints"] = frozenset({JOINTS, VELOCITY})
     return needs
 
 

@@ -33,7 +33,7 @@ def _coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float,
         h = WEIGHTS[k] * dt
         loads(moving, first, last, NOW)
         kick(moving, first, last, 0.5 * h + open_kick)
-        constrained_drift(moving, h)
+        constrained_drift(moving, 0.5 * h + open_kick, h)
         open_kick = 0.5 * h
 
 

@@ -4,18 +4,22 @@ Where a group has no joints, the compiler leaves all of it out.
 """
 
 from math import nan
+from typing import Final
 
 from particlerb.compiled.jit import Flag, lean, lean_kernel
 from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.external_work import book
-from particlerb.joints.records import Jointed, L, P, Q, X
+from particlerb.joints.actions import finish_damping, soften, softened, work_of_motor
+from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
 from particlerb.joints.rows import by_inverse_inertia, vector
 from particlerb.joints.solver import constrained_drift, project_momenta
 from particlerb.maths.quaternion import Rows
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import COM, get, get3, get4, put, put3
 from particlerb.model.load import STATE_ROWS
+
+_NOTHING: Final = (0.0, 0.0, 0.0)
 
 
 @lean
@@ -37,6 +41,8 @@ def _keep(
     """Do the work of `keep_given`, if there are any."""
     if given is None:
         return
+    put3(rows, STAGE + 6, b, subtract(new[0], old[0]))
+    put3(rows, STAGE + 9, b, subtract(new[1], old[1]))
     p, spin = kick_potential(acting, rows, b, get3(rows, COM, b), R, dt, old[0], old[1])
     put3(rows, STAGE, b, subtract(new[0], p))
     put3(rows, STAGE + 3, b, subtract(new[1], spin))
@@ -49,6 +55,8 @@ def _gather(jointed: Jointed, blocks: Floats, c: int) -> None:
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         for i in range(STATE_ROWS):
             work.y[k, i] = get(blocks[block[k]], COM + i, lane[k])
+        for i in range(6):
+            work.change[k, i] = get(blocks[block[k]], STAGE + 6 + i, lane[k])
 
 
 @lean
@@ -81,7 +89,9 @@ def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Float
 
 
 @lean
-def _book_given(books: Flag, given: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
+def _book_given(
+    books: Flag, given: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float
+) -> None:
     """Book the work that forces without potential do along what joints changed of the velocities.
 
     A kick has booked it with the velocities before the impulses of the joints.
@@ -89,6 +99,10 @@ def _book_given(books: Flag, given: Flag, jointed: Jointed, blocks: Floats, c: i
     if books is None or given is None:
         return
     joints, work, block, lane, _ = jointed
+    start, joint = joints.program.start, joints.clusters.joint
+    for r in range(start[joint[c]], start[joint[c + 1]]):
+        if joints.rows.action[r] != HOLDS:
+            _book_work(books, jointed, blocks, r, work_of_motor(joints, work, r, kick_dt))
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         rows, b = blocks[block[k]], lane[k]
         by_joints = subtract(vector(work.y, k, P), get3(rows, COM + P, b))
@@ -100,25 +114,57 @@ def _book_given(books: Flag, given: Flag, jointed: Jointed, blocks: Floats, c: i
         book(books, rows, b, 0.5, (found, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
+@lean
+def _book_work(books: Flag, jointed: Jointed, blocks: Floats, r: int, work: float) -> None:
+    """Book work of what acts along row r, on the first of its bodies that is in a block."""
+    n = jointed.block.size
+    k = jointed.joints.rows.a[r] if jointed.joints.rows.a[r] < n else jointed.joints.rows.b[r]
+    book(books, blocks[jointed.block[k]], jointed.lane[k], 1.0, (work, _NOTHING, _NOTHING))
+
+
+@lean
+def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, span: float) -> None:
+    """Let dampers, dashpots and drag of cluster c act over a span, within its constraints."""
+    if damps is None:
+        return
+    joints, work, block, lane, _ = jointed
+    start, joint = joints.program.start, joints.clusters.joint
+    soften(joints, work, c, span)
+    project_momenta(softened(joints, work), work, c, 0.0, span)
+    for r in range(start[joint[c]], start[joint[c + 1]]):
+        half = work.total[r]
+        work.total[r] = 2.0 * half
+        if joints.rows.action[r] != HOLDS and half != 0.0:
+            _book_work(books, jointed, blocks, r, -2.0 * work.compliance[r] * half * half)
+    _book_world(books, jointed, blocks, c, work.y)
+    for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
+        entry = finish_damping(joints, work, k, span)
+        book(books, blocks[block[k]], lane[k], 1.0, entry)
+
+
 @lean_kernel
 def drift_jointed(
-    books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int, dt: float
+    books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int, kick_dt: float, dt: float
 ) -> None:
-    """Constrained drift of clusters first to last, last excluded."""
+    """Kick of springs and constrained drift of clusters first to last, last excluded."""
     for c in range(first, last):
         _gather(jointed, blocks, c)
-        constrained_drift(jointed.joints, jointed.work, c, dt)
+        constrained_drift(jointed.joints, jointed.work, c, kick_dt, dt)
         _book_world(books, jointed, blocks, c, jointed.work.pose)
-        _book_given(books, jointed.given, jointed, blocks, c)
+        _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
         _scatter(jointed, blocks, c)
 
 
 @lean_kernel
-def project_jointed(books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int) -> None:
-    """Projection of the momenta of clusters first to last, last excluded."""
+def project_jointed(
+    books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int, kick_dt: float,
+    span: float,
+) -> None:  # fmt: skip
+    """Kick of springs, projection of the momenta and damping over a span of clusters, as above."""
     for c in range(first, last):
         _gather(jointed, blocks, c)
-        project_momenta(jointed.joints, jointed.work, c)
+        project_momenta(jointed.joints, jointed.work, c, kick_dt, 0.0)
         _book_world(books, jointed, blocks, c, jointed.work.y)
-        _book_given(books, jointed.given, jointed, blocks, c)
+        _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
+        _damp(books, jointed.joints.damps, jointed, blocks, c, span)
         _scatter(jointed, blocks, c)

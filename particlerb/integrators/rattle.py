@@ -10,13 +10,13 @@ Source: Andersen, J. Comput. Phys. 52, 24 (1983); Reich, SIAM J. Numer. Anal. 33
 from typing import Final
 
 from particlerb.contact.contact_model import Instant
-from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, POSE, TIME
+from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, POSE, TIME, VELOCITY
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
 from particlerb.integrators.method import Method
 from particlerb.integrators.stages import (
     MovingBodies,
     constrained_drift,
-    kick,
+    kick_jointed,
     loads,
     stages,
 )
@@ -30,17 +30,17 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
     keep_momenta(moving.contact, moving.blocks, moving.layout, first, last)
     loads(moving, first, last, Instant(open_kick / CLOSING_KICK, dt, 0.0, 0.0, kick_dt))
     kick_walls(moving.contact, moving.team, open_kick, CLOSING_KICK * dt, True)
-    kick(moving, first, last, kick_dt)
-    constrained_drift(moving, dt)
+    kick_jointed(moving, first, last, open_kick, CLOSING_KICK * dt)
+    constrained_drift(moving, CLOSING_KICK * dt if moving.damps is not None else kick_dt, dt)
     drift_walls(moving.contact, moving.team, dt)
 
 
 METHOD: Final = Method(
     name="rattle",
-    summary="order 2, symplectic; strang with joints; forces that know no velocities, contact",
+    summary="order 2, symplectic; strang with joints; any force but magnus",
     order=2,
     free_order=2,
-    accepts=frozenset({POSE, TIME, BODIES, CONTACT, JOINTS}),
+    accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, JOINTS}),
     cost=1500.0,
     evaluations=1,
     keeps_rods=True,

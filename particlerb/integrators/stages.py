@@ -53,6 +53,7 @@ class MovingBodies(NamedTuple):
     dashpots: Flag  # whether they act as flows
     jointed: Jointed | None = None  # None: no joint holds them
     contact: MovingContact | None = None  # None: nothing touches anything
+    damps: Flag = None  # whether something damps jointed bodies
     team: Team | None = None  # threads that share each step; None: blocks do not wait for others
 
 
@@ -134,6 +135,12 @@ def set_times(moving: MovingBodies, first: int, last: int, t: float) -> None:
 @stage
 def kick(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """Exact flow of the forces at a fixed pose, drag included."""
+    _kick_blocks(moving, first, last, dt)
+
+
+@inline
+def _kick_blocks(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+    """Do the work of `kick`."""
     for k in range(first, last):
         rows, n = moving.blocks[k], moving.layout.size[k]
         prepare_kick(moving.acting, rows, n, dt)
@@ -171,38 +178,82 @@ def _share_of_clusters(jointed: Jointed, team: Team | None) -> tuple[int, int]:
 
 @kernel
 def _drift_held(
-    jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, dt: float
-) -> None:
+    jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, kick_dt: float,
+    dt: float,
+) -> None:  # fmt: skip
     """Do the work of `constrained_drift`, if there are joints."""
     if jointed is None:
         return
     first, last = _share_of_clusters(jointed, team)
-    drift_jointed(books, jointed, blocks, first, last, dt)
+    drift_jointed(books, jointed, blocks, first, last, kick_dt, dt)
     _meet(team)
     if first == 0:
         count_turns(jointed.joints.coordinates, jointed.work.y, jointed.work.turned)
 
 
 @stages
-def constrained_drift(moving: MovingBodies, dt: float) -> None:
-    """Drift over dt with the impulses of joints that let it end where they hold."""
-    _drift_held(moving.jointed, moving.team, moving.books, moving.blocks, dt)
+def constrained_drift(moving: MovingBodies, kick_dt: float, dt: float) -> None:
+    """Drift over dt with the impulses of joints that let it end where they hold.
+
+    Springs and motors of joints kick before it.
+    """
+    _drift_held(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, dt)
 
 
 @kernel
-def _project_held(jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats) -> None:
+def _project_held(
+    jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, kick_dt: float,
+    span: float,
+) -> None:  # fmt: skip
     """Do the work of `project`, if there are joints."""
     if jointed is None:
         return
     first, last = _share_of_clusters(jointed, team)
-    project_jointed(books, jointed, blocks, first, last)
+    project_jointed(books, jointed, blocks, first, last, kick_dt, span)
     _meet(team)
 
 
+@inline
+def _damp_held(
+    damps: Flag, jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats,
+    closing: float, opening: float,
+) -> None:  # fmt: skip
+    """Project and damp, if something damps."""
+    if damps is None:
+        return
+    _project_held(jointed, team, books, blocks, closing, closing + opening)
+
+
+@inline
+def _kick_again(damps: Flag, moving: MovingBodies, first: int, last: int, dt: float) -> None:
+    """The kick after damping, if something damps."""
+    if damps is None:
+        return
+    _kick_blocks(moving, first, last, dt)
+
+
+@stage
+def _kick_damped(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+    """The same."""
+    _kick_again(moving.damps, moving, first, last, dt)
+
+
 @stages
-def project(moving: MovingBodies) -> None:
-    """Take from the momenta what would break a joint."""
-    _project_held(moving.jointed, moving.team, moving.books, moving.blocks)
+def kick_jointed(
+    moving: MovingBodies, first: int, last: int, closing: float, opening: float
+) -> None:
+    """Kick of jointed bodies; between its two parts what damps acts, for as long as both."""
+    kick(moving, first, last, closing if moving.damps is not None else closing + opening)
+    _damp_held(
+        moving.damps, moving.jointed, moving.team, moving.books, moving.blocks, closing, opening
+    )
+    _kick_damped(moving, first, last, opening)
+
+
+@stages
+def project(moving: MovingBodies, kick_dt: float) -> None:
+    """Take from the momenta what would break a joint; springs kick before, what damps acts then."""
+    _project_held(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, kick_dt)
 
 
 @kernel
@@ -245,5 +296,5 @@ def close(moving: MovingBodies, first: int, last: int, open_kick: float) -> None
     flow_dashpots(moving, open_kick, True)
     loads(moving, first, last, LoadTimes(0.0, 0.0, 1.0, 0.5, 0.5, None))
     kick(moving, first, last, open_kick)
-    project(moving)
+    project(moving, open_kick)
     kick_walls(moving.contact, moving.team, open_kick, 0.0, False)

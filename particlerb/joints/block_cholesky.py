@@ -105,12 +105,10 @@ def program_of(a: Ints, b: Ints, start: Ints, inv_mass: Floats) -> Program:
         column.append(len(below))
         update.append(len(updates))
     pair = _ints(pairs).reshape(-1, 2)
-    shares, mass = _shared(a, b, pair, inv_mass)
     return Program(
         start,
         pair,
-        shares,
-        mass,
+        _shared(a, b, pair, inv_mass),
         _ints(found.order),
         _ints(column),
         _ints(below),
@@ -125,33 +123,23 @@ def _ints(values: Sequence[Any]) -> Ints:
     return np.array(values, dtype=np.int64)
 
 
-def _shared(a: Ints, b: Ints, pair: Ints, inv_mass: Floats) -> tuple[Bools, Floats]:
-    """Which bodies the joints of each block share, and the sum of their signed 1/m."""
+def _shared(a: Ints, b: Ints, pair: Ints, inv_mass: Floats) -> Bools:
+    """Which bodies that move the joints of each block share: aa, ab, ba, bb."""
     i, j = pair.T
-    ends = ((a, a, 1.0), (a, b, -1.0), (b, a, -1.0), (b, b, 1.0))
-    mass = np.zeros(len(pair))
-    shares = np.zeros((len(pair), 4), dtype=np.bool_)
-    for k, (of_i, of_j, sign) in enumerate(ends):
-        same = of_i[i] == of_j[j]
-        weight = np.where(same, inv_mass[of_i[i]], 0.0)
-        shares[:, k] = weight > 0.0
-        mass += sign * weight
-    return shares, mass
+    ends = (a, a), (a, b), (b, a), (b, b)
+    return np.stack([(p[i] == q[j]) & (inv_mass[p[i]] > 0.0) for p, q in ends], axis=1)
 
 
 @lean_kernel
 def assemble(joints: Joints, work: Work, lo: int, hi: int) -> None:
     """A = G M⁻¹ Gᵀ in blocks lo to hi, and its diagonal."""
-    start, pair, shares, mass = (
-        joints.program.start,
-        joints.program.pair,
-        joints.program.shares,
-        joints.program.mass,
-    )
-    gradient, factor = work.gradient, work.factor
+    start, pair, shares = joints.program.start, joints.program.pair, joints.program.shares
+    gradient, factor, a, b = work.gradient, work.factor, joints.rows.a, joints.rows.b
     for k in range(lo, hi):
         i, j = pair[k, 0], pair[k, 1]
-        m = mass[k]
+        first, second = joints.inv_mass[a[start[i]]], joints.inv_mass[b[start[i]]]
+        m = (first if shares[k, 0] else 0.0) - (first if shares[k, 1] else 0.0)
+        m += (second if shares[k, 3] else 0.0) - (second if shares[k, 2] else 0.0)
         for r in range(start[i], start[i + 1]):
             by_x, by_a, by_b = (
                 vector(gradient, r, 0),
@@ -171,6 +159,7 @@ def assemble(joints: Joints, work: Work, lo: int, hi: int) -> None:
                 factor[k, r - start[i], s - start[j]] = v
             if i == j:
                 work.scale[r] = factor[k, r - start[i], r - start[i]]
+                factor[k, r - start[i], r - start[i]] += work.compliance[r]
 
 
 @lean

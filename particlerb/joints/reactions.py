@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import lean_kernel
+from particlerb.joints.actions import stored_energy
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.records import DOT, Joints, Work
+from particlerb.joints.records import DOT, HOLDS, STATE, Joints, P, Q, Work
 from particlerb.joints.rows import accelerations
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.vec3 import Bools, Floats
@@ -26,7 +27,7 @@ def find_multipliers(joints: Joints, work: Work, load: Floats) -> None:
     clusters, start = joints.clusters, joints.program.start
     for c in range(clusters.body.size - 1):
         first, last = clusters.joint[c], clusters.joint[c + 1]
-        factorise_cluster(joints, work, c)
+        factorise_cluster(joints, work, c, 0.0)
         accelerations(joints, work, start[first], start[last], load)
         solve(joints, work, first, last)
 
@@ -70,6 +71,16 @@ def dependent_rows(weighted: Floats) -> Floats:
     return null
 
 
+def null_vectors(joints: Joints, work: Work, c: int) -> Floats:
+    """Null vectors of Gᵀ of cluster c, (redundant, rows), 0 in rows that hold nothing."""
+    lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
+    holds = joints.rows.action[lo:hi] == HOLDS
+    found = dependent_rows(weighted_gradient(joints, work, c)[holds])
+    null = np.zeros((len(found), hi - lo))
+    null[:, holds] = found
+    return null
+
+
 def make_least(joints: Joints, work: Work) -> Bools:
     """Make λ in z the one of least norm, of clusters with closed loops.
 
@@ -83,7 +94,7 @@ def make_least(joints: Joints, work: Work) -> Bools:
     sizes = np.where(joints.rows.kind == DOT, _joint_sizes(joints), 1.0)
     for c in np.flatnonzero(joints.clusters.smallest_pivot > 0.0):
         lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
-        null = dependent_rows(weighted_gradient(joints, work, int(c)))
+        null = null_vectors(joints, work, int(c))
         if len(null):  # λ' = λ / size: along the null vectors of the rows times the size
             along = null / sizes[lo:hi]
             basis, _ = np.linalg.qr(along.T)
@@ -117,3 +128,13 @@ def forces_of_joints(joints: Joints, work: Work, z: Floats) -> Floats:
     turning = np.add.reduceat(z[:, None] * by_a, start)
     arm = _to_body(work.y[joints.rows.a[start], 3:7] * _CONJUGATE, joints.rows.first[start])
     return np.hstack([force, turning - np.cross(arm, force)])
+
+
+def energy_of_joints(joints: Joints, com: Floats, q: Floats) -> float:
+    """Energy of springs and stops in joints [J], bodies (3, n) [m] and (4, n) as in their group."""
+    if joints.acts is None:
+        return 0.0
+    y = np.zeros((joints.inv_mass.size, STATE))
+    y[-1, Q] = 1.0
+    y[:-1, :P] = np.vstack([com, q]).T[joints.order]
+    return float(stored_energy(joints, y))

@@ -16,6 +16,9 @@ ALONG: Final = 0  # u·d = 0 with d = x_a + r_a - x_b - r_b, u fixed in b
 WORLD_ALONG: Final = 1  # the same with u fixed in the world
 DOT: Final = 2  # n·u = 0, n fixed in a, u in b
 DISTANCE: Final = 3  # (d·d - l²) / (2 l) = 0
+TURN: Final = 4  # no constraint: the angle of n, fixed in a, from r_b about u, both fixed in b
+STRETCH: Final = 5  # no constraint: |d|
+HOLDS: Final = -1  # the action of a row that is a constraint
 LARGEST_BLOCK: Final = 6  # rows of a joint at most
 STATE: Final = 13  # x, q, p, L of a body
 X, Q, P, L = 0, 3, 7, 10
@@ -33,6 +36,20 @@ class Rows(NamedTuple):
     axis: Floats  # (m, 3) u
     length: Floats  # (m,) l of DISTANCE [m], 1 elsewhere
     size: Floats  # (m,) what a residual is measured by: the size of the joint [m], 1 of DOT
+    action: Ints  # (m,) which of `Actions` acts along it; HOLDS: it is a constraint
+
+
+class Actions(NamedTuple):
+    """What acts along coordinates of joints, [N, m] or [N m, rad]; `actions.py` has the kernels."""
+
+    stiffness: Floats  # (k,) of springs
+    rest: Floats  # (k,)
+    damping: Floats  # (k,) [N s/m or N m s/rad]
+    lower: Floats  # (k,) stops: beyond them
+    upper: Floats  # (k,)
+    stop: Floats  # (k,) a spring of this stiffness pushes back,
+    stop_damping: Floats  # (k,) and this damps
+    motor: Floats  # (k,) a constant force or torque
 
 
 class Clusters(NamedTuple):
@@ -50,7 +67,6 @@ class Program(NamedTuple):
     start: Ints  # (j + 1,) first row of each joint
     pair: Ints  # (blocks, 2) joints of each block
     shares: Bools  # (blocks, 4) bodies that both have and that move: aa, ab, ba, bb
-    mass: Floats  # (blocks,) [1/kg] factor of the product of their gradients by x
     order: Ints  # (j,) joints as they are eliminated
     column: Ints  # (j + 1,) blocks below each, from here on in the next two
     below: Ints  # blocks
@@ -79,8 +95,17 @@ class Joints(NamedTuple):
     rows: Rows
     clusters: Clusters
     program: Program
-    number: Ints  # (j,) which joints of the system these are
+    number: Ints  # (j,) which joints of the system these are; -1: dashpots
+    actions: Actions
+    drag: Floats  # (n + 1, 2) [N s/m], [N m s/rad]
+    acts: Flag = None  # whether there are springs, stops or motors,
+    damps: Flag = None  # or dampers, dashpots or drag
     coordinates: Coordinates | None = None  # None: nobody asks for them
+
+    @property
+    def has_potential(self) -> bool:
+        """Whether all that acts along coordinates has one."""
+        return self.damps is None and not self.actions.motor.any()
 
     @property
     def reach_out(self) -> bool:
@@ -97,10 +122,15 @@ class Work(NamedTuple):
     g: Floats  # (m,) residuals
     z: Floats  # (m,) right sides and solutions
     total: Floats  # (m,) impulses of a drift
+    before: Floats  # (m,) rates of coordinates before a kick
+    compliance: Floats  # (m,) what is added to the diagonal of A; inf: the row is left out
     scale: Floats  # (m,) diagonal of A
     factor: Floats  # (blocks, 6, 6)
     lost: Ints  # (k,) 1 + row that did not converge; 0: none
     turned: Floats  # (c, 3) cosine, sine and whole turns of each angle; or displacement [m], 0, 0
+    change: Floats  # (n + 1, 6) momenta that a kick gave; or those before damping
+    inv_mass: Floats  # (n + 1,) [1/kg] with drag in it
+    inv_inertia: Floats  # (n + 1, 3) [1/(kg m²)] likewise
 
 
 class Jointed(NamedTuple):
@@ -126,7 +156,12 @@ def room_for_joints(joints: Joints) -> Work:
         np.zeros(m),
         np.zeros(m),
         np.zeros(m),
+        np.where(joints.rows.action == HOLDS, 0.0, np.inf).astype(np.float64),
+        np.zeros(m),
         np.zeros((len(joints.program.pair), LARGEST_BLOCK, LARGEST_BLOCK)),
         np.zeros(k, dtype=np.int64),
         np.zeros((0 if joints.coordinates is None else joints.coordinates.a.size, 3)),
+        np.zeros((n, 6)),
+        np.zeros(n),
+        np.zeros((n, 3)),
     )

@@ -11,11 +11,16 @@ d = x_a + r_a - x_b - r_b, ∂g/∂x_b = -∂g/∂x_a, θ the turn in world axes
 ω_b × (ω_b × r_b); u̇ = ω × u, ü = ω × u̇. J = R I Rᵀ. See docs/joints.md.
 """
 
+from math import inf
+
 from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.joints.records import (
     ALONG,
     DISTANCE,
     DOT,
+    HOLDS,
+    STRETCH,
+    TURN,
     WORLD_ALONG,
     Joints,
     L,
@@ -33,6 +38,7 @@ from particlerb.maths.vec3 import (
     component_product,
     cross,
     dot,
+    norm,
     row3,
     scale,
     subtract,
@@ -96,7 +102,7 @@ def residuals(joints: Joints, work: Work, lo: int, hi: int) -> tuple[float, int]
     """g of rows lo to hi; the largest over its size and what rounding leaves, and its row."""
     worst, where = 0.0, lo
     for r in range(lo, hi):
-        g = residual(joints, work.y, r)
+        g = residual(joints, work.y, r) if joints.rows.action[r] == HOLDS else 0.0
         work.g[r] = g
         x, size = vector(work.y, joints.rows.a[r], X), joints.rows.size[r]
         far = 0.0 if joints.rows.kind[r] == DOT else abs(x[0]) + abs(x[1]) + abs(x[2])
@@ -112,8 +118,8 @@ def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
     for r in range(lo, hi):
         ra, rb, u, d = arms(joints, work.y, r)
         kind = joints.rows.kind[r]
-        if kind == DOT:
-            by_x, by_a = (0.0, 0.0, 0.0), cross(ra, u)
+        if kind in (DOT, TURN):
+            by_x, by_a = (0.0, 0.0, 0.0), cross(ra, u) if kind == DOT else u
             by_b = scale(-1.0, by_a)
         else:
             by_x, arm = u, rb
@@ -121,6 +127,8 @@ def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
                 arm = add(rb, d)
             elif kind == DISTANCE:
                 by_x = scale(1.0 / joints.rows.length[r], d)
+            elif kind == STRETCH:
+                by_x = scale(1.0 / max(norm(d), 1e-300), d)
             by_a, by_b = cross(ra, by_x), cross(by_x, arm)
         a, b = joints.rows.a[r], joints.rows.b[r]
         put_vector(work.gradient, r, 0, by_x)
@@ -150,6 +158,9 @@ def rates(joints: Joints, work: Work, lo: int, hi: int) -> float:
     worst = 0.0
     for r in range(lo, hi):
         found = rate(joints, work.gradient, r, work.y, P)
+        if joints.rows.action[r] != HOLDS:
+            soft = work.compliance[r]
+            found = found + soft * work.total[r] if soft < inf else 0.0
         work.z[r] = -found
         found = abs(found) / joints.rows.size[r]
         if not found <= worst:

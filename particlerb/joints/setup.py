@@ -1,20 +1,31 @@
 """Joints of a group of bodies, from rows and the constants of the bodies."""
 
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 
+from particlerb.compiled.jit import flag
 from particlerb.joints.block_cholesky import program_of
-from particlerb.joints.records import Clusters, Coordinates, Joints, Program, Rows
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.joints.records import (
+    HOLDS,
+    Actions,
+    Clusters,
+    Coordinates,
+    Joints,
+    Program,
+    Rows,
+)
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
 
 _LOOP_PIVOT = 1e-8  # over its diagonal: below it a row of a closed loop depends on those before
 
 
 def joints_among(
-    number: Ints, start: Ints, rows: Rows, bodies: Bodies, coordinates: Coordinates | None = None
-) -> Joints:
+    number: Ints, start: Ints, rows: Rows, bodies: Bodies, actions: Actions,
+    coordinates: Coordinates | None = None,
+) -> Joints:  # fmt: skip
     """Joints of a group.
 
     Parameters
@@ -27,6 +38,8 @@ def joints_among(
         With bodies as members of the group, the world behind the last.
     bodies : Bodies
         The n members.
+    actions : Actions
+        What acts along coordinates.
     coordinates : Coordinates, optional
         To be kept track of, with bodies likewise.
     """
@@ -47,8 +60,38 @@ def joints_among(
     if coordinates is not None:
         coordinates = coordinates._replace(a=place[coordinates.a], b=place[coordinates.b])
     first, rank = np.r_[0, ends], np.r_[0, np.cumsum(count)]
-    clusters, program = _programs(first, label[a[own]], label[order], rows, rank, inv_mass)
-    return Joints(order, inv_mass, inv_inertia, rows, clusters, program, number[own], coordinates)
+    holds = np.logical_or.reduceat(rows.action == HOLDS, rank[:-1])
+    clusters, program = _programs(first, label[a[own]], label[order], rows, rank, inv_mass, holds)
+    acts = any(values.any() for values in (actions.stiffness, actions.stop, actions.motor))
+    damps = actions.damping.any() or actions.stop_damping.any()
+    return Joints(
+        order, inv_mass, inv_inertia, rows, clusters, program, number[own], actions,
+        np.zeros((n + 1, 2)), flag(acts), flag(bool(damps)), coordinates,
+    )  # fmt: skip
+
+
+NO_ACTIONS: Final = Actions(*np.zeros((8, 0)))
+
+
+def action(
+    stiffness: float = 0.0, rest: float = 0.0, damping: float = 0.0, lower: float = -np.inf,
+    upper: float = np.inf, stop: float = 0.0, stop_damping: float = 0.0, motor: float = 0.0,
+) -> Actions:  # fmt: skip
+    """One action."""
+    numbers = stiffness, rest, damping, lower, upper, stop, stop_damping, motor
+    return Actions(*(np.array([number]) for number in numbers))
+
+
+def both_actions(one: Actions, other: Actions) -> Actions:
+    """Those of both, one after the other."""
+    return Actions(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))
+
+
+def with_drag(joints: Joints, linear: Floats, angular: Floats) -> Joints:
+    """Joints of bodies with drag, (n,) [N s/m] and [N m s/rad]."""
+    drag = np.zeros_like(joints.drag)
+    drag[:-1] = np.stack([linear, angular], axis=1)[joints.order]
+    return joints._replace(drag=drag, damps=flag(joints.damps is not None or bool(drag.any())))
 
 
 def _labels(n: int, a: Ints, b: Ints) -> Ints:
@@ -66,7 +109,13 @@ def _labels(n: int, a: Ints, b: Ints) -> Ints:
 
 
 def _programs(
-    first: Ints, of_joint: Ints, of_body: Ints, rows: Rows, start: Ints, inv_mass: Floats
+    first: Ints,
+    of_joint: Ints,
+    of_body: Ints,
+    rows: Rows,
+    start: Ints,
+    inv_mass: Floats,
+    holds: Bools,
 ) -> tuple[Clusters, Program]:
     """Programs of all clusters, one behind the other; equal ones are made once."""
     labels = of_body[first[:-1]]
@@ -86,7 +135,8 @@ def _programs(
             known[sign] = program_of(a, b, own_start, masses)
         parts.append(known[sign])
         stands = masses == 0.0  # held bodies, and the world
-        has_loop = hi - lo > n - stands[:n].sum() - 1 + int(stands[:n].any() or is_world.any())
+        is_tied = bool(stands[:n].any() or is_world.any())
+        has_loop = holds[lo:hi].sum() > n - stands[:n].sum() - 1 + int(is_tied)
         pivot[c] = _LOOP_PIVOT if has_loop else 0.0
     block = _offsets([len(part.pair) for part in parts])
     return Clusters(first, joint, block, pivot), _joined(parts, joint, block, start)
@@ -115,7 +165,6 @@ def _joined(parts: list[Program], joint: Ints, block: Ints, start: Ints) -> Prog
         start,
         shifted("pair", joint),
         np.concatenate([part.shares for part in parts]),
-        np.concatenate([part.mass for part in parts]),
         shifted("order", joint),
         np.append(np.concatenate(column), below[-1]),
         shifted("below", block),

@@ -13,6 +13,7 @@ Hairer, Lubich, Wanner, Geometric Numerical Integration, VII.1.
 from typing import Final
 
 from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.joints.actions import kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.records import Joints, L, P, Q, Work, X
 from particlerb.joints.rows import add_impulses, attitude, linearise, rates, residuals, vector
@@ -42,18 +43,21 @@ def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
 
 
 @lean
-def factorise_cluster(joints: Joints, work: Work, c: int) -> None:
-    """G and the factor of A of cluster c at its pose of now."""
+def factorise_cluster(joints: Joints, work: Work, c: int, span: float) -> None:
+    """G and the factor of A of cluster c at its pose of now; rows that damp do so over a span."""
     clusters, start = joints.clusters, joints.program.start
     lo, hi = clusters.joint[c], clusters.joint[c + 1]
+    for r in range(start[lo], start[hi]):
+        set_compliance(joints, work, r, span)
+        work.total[r] = 0.0
     linearise(joints, work, start[lo], start[hi])
     assemble(joints, work, clusters.block[c], clusters.block[c + 1])
     factorise(joints, work, lo, hi, clusters.smallest_pivot[c])
 
 
 @lean_kernel
-def constrained_drift(joints: Joints, work: Work, c: int, dt: float) -> None:
-    """Drift of cluster c over dt with the impulses that let it end where g = 0.
+def constrained_drift(joints: Joints, work: Work, c: int, kick_dt: float, dt: float) -> None:
+    """Kick of springs, and drift of cluster c over dt with impulses that let it end where g = 0.
 
     `work.total` has these impulses, `work.lost` the row that does not converge.
     """
@@ -63,9 +67,8 @@ def constrained_drift(joints: Joints, work: Work, c: int, dt: float) -> None:
     for k in range(clusters.body[c], clusters.body[c + 1]):
         for i in range(P):
             work.pose[k, i] = work.y[k, i]
-    factorise_cluster(joints, work, c)
-    for r in range(lo, hi):
-        work.total[r] = 0.0
+    factorise_cluster(joints, work, c, 0.0)
+    kick_actions(joints.acts, joints, work, lo, hi, kick_dt)
     before = 1e300
     for _ in range(MOST_ITERATIONS):
         fly(joints, work, c, dt)
@@ -83,14 +86,17 @@ def constrained_drift(joints: Joints, work: Work, c: int, dt: float) -> None:
 
 
 @lean_kernel
-def project_momenta(joints: Joints, work: Work, c: int) -> None:
-    """Take from the momenta of cluster c what would break its joints; `total` has the impulses."""
+def project_momenta(joints: Joints, work: Work, c: int, kick_dt: float, span: float) -> None:
+    """Kick of springs; take from the momenta of cluster c what would break its joints.
+
+    `total` has the impulses. Over a span, dampers take half of what they will, and drag, where the
+    masses have it in them.
+    """
     clusters, start = joints.clusters, joints.program.start
     first, last = clusters.joint[c], clusters.joint[c + 1]
     lo, hi = start[first], start[last]
-    factorise_cluster(joints, work, c)
-    for r in range(lo, hi):
-        work.total[r] = 0.0
+    factorise_cluster(joints, work, c, span)
+    kick_actions(joints.acts, joints, work, lo, hi, kick_dt)
     before = 1e300
     for _ in range(_MOST_PASSES):
         worst = rates(joints, work, lo, hi)

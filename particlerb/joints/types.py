@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.joints.records import ALONG, DISTANCE, DOT, WORLD_ALONG, Rows
+from particlerb.joints.records import ALONG, DISTANCE, DOT, HOLDS, TURN, WORLD_ALONG, Rows
 from particlerb.maths.vec3 import Floats, Ints
 
 
@@ -37,6 +37,12 @@ TYPES: Final[Mapping[str, tuple[Row, ...]]] = {
     "distance": (Row(DISTANCE),),
 }
 
+COORDINATES: Final[Mapping[str, Row]] = {
+    "hinge": Row(TURN, "n", "e"),
+    "slider": Row(ALONG, "n"),
+}
+"""The free coordinate of a joint along which springs, stops, motors and dampers act."""
+
 
 class Ends(NamedTuple):
     """Equal joints between pairs of bodies; vectors (k, 3) in rotor frames, or of the world."""
@@ -51,9 +57,12 @@ class Ends(NamedTuple):
     size: Floats  # (k,) [m]
 
 
-def rows_of(kind: str, ends: Ends) -> Rows:
-    """Rows of joints of a type, joint after joint."""
+def rows_of(kind: str, ends: Ends, action: int = HOLDS) -> Rows:
+    """Rows of joints of a type, joint after joint; the last ones of an action, if there is one."""
     parts = [_row_of(row, ends) for row in TYPES[kind]]
+    if action != HOLDS:
+        own = _row_of(COORDINATES[kind], ends)
+        parts.append(own._replace(action=np.full(ends.a.size, action)))
     stacked = (np.stack(arrays, axis=1) for arrays in zip(*parts, strict=True))
     return Rows(*(array.reshape(-1, *array.shape[2:]) for array in stacked))
 
@@ -62,14 +71,15 @@ def _row_of(row: Row, ends: Ends) -> Rows:
     """One row of each of the joints."""
     k = ends.a.size
     none, one = np.zeros((k, 3)), np.ones(k)
-    is_dot = row.kind == DOT
+    is_dot, is_turn = row.kind == DOT, row.kind == TURN
     return Rows(
         np.full(k, row.kind),
         ends.a,
         ends.b,
-        ends.first[row.first] if is_dot else ends.first_at,
-        none if is_dot else ends.second_at,
+        ends.first[row.first] if is_dot or is_turn else ends.first_at,
+        none if is_dot else ends.second[row.first] if is_turn else ends.second_at,
         ends.second[row.axis] if row.axis else none,
         ends.length if row.kind == DISTANCE else one,
-        one if is_dot else ends.size,
+        one if is_dot or is_turn else ends.size,
+        np.full(k, HOLDS),
     )

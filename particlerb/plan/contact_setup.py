@@ -19,7 +19,7 @@ from particlerb.contact.walls import Walls
 from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.system import System
 from particlerb.plan.initial_overlaps import refuse_misplaced
-from particlerb.plan.joints import bodies_apart
+from particlerb.plan.joint_ends import bodies_apart
 from particlerb.plan.material_pairs import MaterialPairs, pairs_of
 from particlerb.plan.wall_setup import drive_of, middle, motion_of, pistons_of, wall_of
 

@@ -193,8 +193,9 @@ def terms_between(
     bodies: Bodies,
     links: list[Link],
     touching: ContactSetup | None,
+    time: float,
 ) -> Terms:
-    """What the bodies of a group do to each other while these of its links act."""
+    """What the bodies of a group do to each other while these of its links act, from a time on."""
     terms = Terms()
     if links:
         terms = terms._replace(links=_links_among(group.members, bodies, links))
@@ -205,7 +206,10 @@ def terms_between(
     if group.touches and touching is not None:
         terms = terms._replace(contact=_contact_among(system, group.members, bodies, touching))
     if group.joints is not None:
-        terms = terms._replace(joints=group.joints.within(group.members, bodies))
+        held = group.joints.within(group.members, bodies, terms.links, time)
+        if held is not None and terms.links is not None:
+            terms = terms._replace(links=terms.links._replace(damping=None))
+        terms = terms._replace(joints=held)
     return terms
 
 

@@ -6,12 +6,11 @@ from typing import Final
 import numpy as np
 
 from particlerb.joints.reactions import (
-    dependent_rows,
     find_multipliers,
     forces_of_joints,
-    weighted_gradient,
+    null_vectors,
 )
-from particlerb.joints.records import DISTANCE, Joints, Work, room_for_joints
+from particlerb.joints.records import DISTANCE, HOLDS, Joints, Work, room_for_joints
 from particlerb.joints.rows import linearise
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
@@ -63,6 +62,14 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
         turning = _softness(arms[first], joints.inv_inertia[end])
         swinging = 2.0 * joints.inv_mass[end] / joints.rows.length[first]
         np.add.at(squared, end, own * (turning + np.where(is_distance, swinging, 0.0)))
+    rows = joints.rows
+    soft = np.flatnonzero(rows.action != HOLDS)
+    g, actions = work.gradient[soft], joints.actions
+    stiffness = (actions.stiffness + actions.stop)[rows.action[soft]]
+    inverse = (joints.inv_mass[rows.a] + joints.inv_mass[rows.b])[soft] * (g[:, :3] ** 2).sum(1)
+    inverse += (g[:, 3:9] * g[:, 9:15]).sum(1)
+    for end in (rows.a, rows.b):
+        np.add.at(squared, end[soft], stiffness * inverse)
     found = np.empty(bodies.mass.size)
     found[joints.order] = np.sqrt(squared[:-1])
     return found
@@ -94,7 +101,7 @@ def joint_line(system: System, plan: Plan) -> str:
         clusters, bodies, free = clusters + own.clusters, bodies + own.bodies, free + own.free
         dependent += [setup.names[k] for k in own.dependent]
         n_dependent += own.n_dependent
-    rows = setup.rows.kind.size
+    rows = int((setup.rows.action == HOLDS).sum())
     line = f"on: {counts}; {bodies} bodies in {clusters} cluster{'s' * (clusters > 1)}, {rows} rows"
     if n_dependent:
         names = ", ".join(dependent[:_MOST_NAMED])
@@ -121,10 +128,12 @@ class _Count:
             if lo == hi:
                 continue
             own = freedom[clusters.body[c] : clusters.body[c + 1]]
-            rows = int(start[hi] - start[lo])
+            rows = int((joints.rows.action[start[lo] : start[hi]] == HOLDS).sum())
             null = np.zeros((0, rows))
+            if not rows:
+                continue
             if clusters.smallest_pivot[c] > 0.0 and rows <= _MOST_ROWS:
-                null = dependent_rows(weighted_gradient(joints, work, c))
+                null = null_vectors(joints, work, c)
             self.clusters += 1
             self.bodies += own.size
             self.free += int(own.sum()) - rows + len(null)

@@ -5,29 +5,36 @@ with its bodies where all joints fit.
 """
 
 from itertools import pairwise
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.joints import InFrame, JointTable
+from particlerb.case.joints import ACTIONS, JointTable
 from particlerb.case.output import FIELDS_OF_JOINTS
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.source import problem_at
-from particlerb.contact.sphere_search import pair_keys
+from particlerb.forces.links import Links
 from particlerb.joints.coordinates import COORDINATES, coordinates_of, united
-from particlerb.joints.records import Coordinates, Joints, Rows, Work, room_for_joints
+from particlerb.joints.records import (
+    Actions,
+    Coordinates,
+    Joints,
+    Rows,
+    Work,
+    room_for_joints,
+)
 from particlerb.joints.rows import linearise, rates, residuals
-from particlerb.joints.setup import joints_among
+from particlerb.joints.setup import NO_ACTIONS, both_actions, joints_among
 from particlerb.joints.solver import constrained_drift, project_momenta
-from particlerb.joints.types import TYPES, Ends, rows_of
+from particlerb.joints.types import rows_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, held
-from particlerb.model.state import State, lengths, quaternion_product, rotate, rotate_back
+from particlerb.model.state import State, lengths, rotate_back
 from particlerb.model.system import System
+from particlerb.plan.joint_actions import action_of, with_dashpots
+from particlerb.plan.joint_ends import WORLD, ends_of, pairs_of
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
-WORLD: Final = -1
-Given: TypeAlias = tuple[float, float, float] | InFrame
 _ALLOWED: Final = 1e-6  # of its size that a joint may not fit at the start
 _FITS: Final = 1e-9  # of its size, once assembled
 _AXIAL_ROUNDING: Final = 1e-12
@@ -46,13 +53,17 @@ class JointSetup(NamedTuple):
     places: Floats  # (j, 4, 3) points of both, n in the first, m (or n) in the second; rotor frames
     coordinates: Coordinates  # with bodies of the system
     counts_turns: bool  # whether somebody asks for coordinates
+    actions: Actions
+    until: Floats  # (j,) [s] when each is released
 
-    def within(self, members: Ints, bodies: Bodies) -> Joints | None:
-        """Joints of a group of bodies; None where there are none."""
+    def within(
+        self, members: Ints, bodies: Bodies, links: Links | None = None, time: float = 0.0
+    ) -> Joints | None:
+        """Joints that act at a time in a group, and its dashpots; None where there are none."""
         n = int(max(members.max(), self.first.max())) + 1
         place = np.full(n + 1, WORLD)
         place[members] = np.arange(members.size)
-        which = np.flatnonzero(place[self.first] != WORLD)
+        which = np.flatnonzero((place[self.first] != WORLD) & (self.until > time))
         if not which.size:
             return None
         place[WORLD] = members.size
@@ -61,12 +72,16 @@ class JointSetup(NamedTuple):
         index = np.repeat(self.start[which] - start[:-1], count) + np.arange(start[-1])
         rows = Rows(*(values[index] for values in self.rows))
         rows = rows._replace(a=place[rows.a], b=place[rows.b])
-        coordinates = None
+        coordinates, actions = None, self.actions
         if self.counts_turns:
             taken = np.isin(self.coordinates.joint, which)
             coordinates = Coordinates._make(values[taken] for values in self.coordinates)
             coordinates = coordinates._replace(a=place[coordinates.a], b=place[coordinates.b])
-        return joints_among(which, start, rows, bodies, coordinates)
+        if links is not None and links.damping is not None:
+            rows, actions = with_dashpots(rows, actions, links, members.size)
+            start = np.r_[start, start[-1] + 1 + np.arange(links.first.size)]
+            which = np.r_[which, np.full(links.first.size, -1)]
+        return joints_among(which, start, rows, bodies, actions, coordinates)
 
     @property
     def coordinate_labels(self) -> list[tuple[str, str]]:
@@ -97,52 +112,48 @@ def joints_of(system: System) -> JointSetup | None:
     if not system.joint:
         return None
     system = system._replace(state=system.placed or system.state)
-    if system.contact is not None and system.contact.relax:
-        reason = "bodies that joints hold are not pushed apart"
-        raise CaseError([problem_at(system, "contact.relax", reason, "place them apart")])
-    if system.run.accuracy is not None:
-        reason = "no step is chosen by an accuracy where joints are"
-        raise CaseError([problem_at(system, "run.accuracy", reason, "give run.method and run.dt")])
-    names, records, rows, problems = [], [], [], []
+    _refuse_with_joints(system)
+    names, records, rows, count, problems = [], [], [], [], []
     coordinates, places = list[Coordinates](), list[Floats]()
+    actions = NO_ACTIONS
     for number, table in enumerate(system.joint):
-        first, second = _pairs(system, table)
-        itself = np.flatnonzero(first == second)
-        if itself.size:
-            reason = f"ties {system.names[int(first[itself[0]])]} to itself"
-            problems.append(problem_at(system, f"joint[{number}].to", reason, "name another body"))
-            continue
-        if problem := _of_held_bodies(system, number, first, second):
+        first, second = pairs_of(system, table)
+        if problem := _wrong_ends(system, number, first, second):
             problems.append(problem)
             continue
-        ends = _ends(system, table, first, second)
+        ends = ends_of(system, table, first, second)
         if table.type == "distance" and not ends.length.all():
             reason = f"{joint_name(system, table, first, second, 0)} has no length"
             hint = 'give points that lie apart, or type = "ball"'
             problems.append(problem_at(system, f"joint[{number}]", reason, hint))
             continue
         own = rows_of(table.type, ends)
+        if any(getattr(table, key) for key in ACTIONS):
+            own = rows_of(table.type, ends, actions.motor.size)
+            actions = both_actions(actions, action_of(table))
         names += [joint_name(system, table, first, second, k) for k in range(first.size)]
         records.append((np.full(first.size, number), first, second))
         rows.append(own)
         coordinates.append(coordinates_of(table.type, ends))
         axes = ends.first["n"], ends.second.get("m", ends.second["n"])
         places.append(np.stack([ends.first_at, ends.second_at, *axes], axis=1))
+        count.append(np.full(first.size, own.kind.size // first.size))
     if problems:
         raise CaseError(problems)
     record, first, second = (np.concatenate(arrays) for arrays in zip(*records, strict=True))
-    count = [len(TYPES[system.joint[k].type]) for k in record.tolist()]
     setup = JointSetup(
         _unique(names),
         tuple(system.joint[k].type for k in record.tolist()),
         record,
         first,
         second,
-        np.cumsum([0, *count]),
+        np.cumsum([0, *np.concatenate(count)]),
         Rows(*(np.concatenate(arrays) for arrays in zip(*rows, strict=True))),
         np.concatenate(places),
         united(coordinates, [own.size for _, own, _ in records]),
         "joint_coordinate" in asked_of_joints(system),
+        actions,
+        np.array([system.joint[k].until for k in record.tolist()]),
     )
     problems = _impossible(system, setup) + _held_impulses(system, setup)
     if problems:
@@ -161,26 +172,14 @@ def _held_impulses(system: System, setup: JointSetup) -> list[Problem]:
     return problems
 
 
-def _pairs(system: System, table: JointTable) -> tuple[Ints, Ints]:
-    """Bodies at both ends of each joint of a table."""
-    first = system.names.find_in_order(table.body)
-    if table.chain:
-        return first[1:], first[:-1]
-    if table.to is None:
-        return first, np.full(first.size, WORLD)
-    second = np.broadcast_to(system.names.find_in_order(table.to), first.shape)
-    return first, second.copy()
-
-
-def bodies_apart(system: System) -> Ints:
-    """Pairs of bodies that joints tie and that are not to touch each other, ascending keys."""
-    found = [np.zeros(0, dtype=np.int64)]
-    for table in system.joint:
-        first, second = _pairs(system, table)
-        if not table.collide:
-            inside = second != WORLD
-            found.append(pair_keys(first[inside], second[inside]))
-    return np.unique(np.concatenate(found))
+def _refuse_with_joints(system: System) -> None:
+    """Raise CaseError where something is asked for that does not go with joints."""
+    if system.contact is not None and system.contact.relax:
+        reason = "bodies that joints hold are not pushed apart"
+        raise CaseError([problem_at(system, "contact.relax", reason, "place them apart")])
+    if system.run.accuracy is not None:
+        reason = "no step is chosen by an accuracy where joints are"
+        raise CaseError([problem_at(system, "run.accuracy", reason, "give run.method and run.dt")])
 
 
 def joint_name(system: System, table: JointTable, first: Ints, second: Ints, k: int) -> str:
@@ -201,11 +200,14 @@ def _unique(names: list[str]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _of_held_bodies(system: System, number: int, first: Ints, second: Ints) -> Problem | None:
-    """What is wrong with a joint of bodies that do not move, or that move as prescribed."""
+def _wrong_ends(system: System, number: int, first: Ints, second: Ints) -> Problem | None:
+    """What is wrong with a joint of a body and itself, or of bodies that do not move freely."""
     is_held = np.array([body.is_held for body in system.body])[system.block]
     moving = np.array([body.motion is not None for body in system.body])[system.block]
     for a, b in zip(first.tolist(), second.tolist(), strict=True):
+        if a == b:
+            reason = f"ties {system.names[a]} to itself"
+            return problem_at(system, f"joint[{number}].to", reason, "name another body")
         if moving[a] or (b != WORLD and moving[b]):
             reason = "a joint of a body that moves as prescribed is not computed yet"
             return problem_at(system, f"joint[{number}]", reason, "drive it by a stiff spring")
@@ -213,75 +215,6 @@ def _of_held_bodies(system: System, number: int, first: Ints, second: Ints) -> P
             reason = f"{system.names[a]} is fixed, and so is the other side"
             return problem_at(system, f"joint[{number}].body", reason, "name a body that moves")
     return None
-
-
-def _frames(system: System, bodies: Ints) -> tuple[Floats, Floats, Floats]:
-    """Centres of mass (3, k), body frames and rotor frames (4, k); of the world 0 and no turn."""
-    inside = bodies != WORLD
-    index = np.where(inside, bodies, 0)
-    com = np.where(inside, system.state.com[:, index], 0.0)
-    none = np.array([[1.0], [0.0], [0.0], [0.0]])
-    rotor = np.where(inside, system.state.q[:, index], none)
-    inverse = system.bodies.rotor_frame[:, index] * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-    body = np.where(inside, quaternion_product(system.state.q[:, index], inverse), none)
-    return com, body, rotor
-
-
-def _ends(system: System, table: JointTable, first: Ints, second: Ints) -> Ends:
-    """Points and directions of the joints of a table, in rotor frames."""
-    k = first.size
-    com_a, body_a, rotor_a = _frames(system, first)
-    com_b, body_b, rotor_b = _frames(system, second)
-
-    def spread(vector: tuple[float, ...]) -> Floats:
-        return np.tile(np.array(vector)[:, None], k)
-
-    def in_world(given: Given, q: Floats) -> Floats:
-        return rotate(q, spread(given.body)) if isinstance(given, InFrame) else spread(given)
-
-    def place(given: Given | None, com: Floats, q: Floats, default: Floats) -> Floats:
-        if given is None:
-            return default
-        return in_world(given, q) + (com if isinstance(given, InFrame) else 0.0)
-
-    def direction(given: Given, q: Floats) -> Floats:
-        found = in_world(given, q)
-        return found / lengths(found)
-
-    here = place(table.at, com_a, body_a, com_a)
-    there = place(table.at_to, com_b, body_b, com_b if table.type == "distance" else here)
-    world = {"n": direction(table.axis or (0.0, 0.0, 1.0), body_a)}
-    world["e"], world["f"] = _across(world["n"])
-    if table.axis_to is not None:
-        world["m"] = direction(table.axis_to, body_b)
-        world["l"] = np.cross(world["m"], world["n"], axis=0)
-    first_at, second_at = rotate_back(rotor_a, here - com_a), rotate_back(rotor_b, there - com_b)
-    length = lengths(here - there)
-    size = np.maximum(lengths(first_at), np.where(second == WORLD, 0.0, lengths(second_at)))
-    size = np.maximum(size, length if table.type == "distance" else 0.0)
-    reach = system.reach[system.kind[first]]
-    size = np.where(size > 1e-3 * reach, size, np.where(reach > 0.0, reach, 1.0))
-    axes = dict(zip("xyz", np.eye(3)[:, :, None] * np.ones(k), strict=True))
-    return Ends(
-        first,
-        second,
-        first_at.T,
-        second_at.T,
-        {name: rotate_back(rotor_a, axis).T for name, axis in world.items()},
-        {name: rotate_back(rotor_b, axis).T for name, axis in world.items()}
-        | {name: axis.T for name, axis in axes.items()}
-        | {"at": rotate_back(rotor_b, here - com_b).T},
-        length,
-        size,
-    )
-
-
-def _across(n: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (3, k) across each n and each other, so that e, f, n are right-handed."""
-    least = np.eye(3)[:, np.argmin(np.abs(n), axis=0)]
-    e = np.cross(n, least, axis=0)
-    e /= lengths(e)
-    return e, np.cross(n, e, axis=0)
 
 
 # Whether they fit
@@ -364,12 +297,12 @@ def assembled(system: System) -> System:
         bodies = slice(joints.clusters.body[c], joints.clusters.body[c + 1])
         if own.start < own.stop and off[own].max() > 0.0:
             work.y[bodies, 7:] = 0.0
-            constrained_drift(joints, work, c, 1.0)
+            constrained_drift(joints, work, c, 0.0, 1.0)
             work.y[bodies, 7:] = before[bodies, 7:]
             _refuse_apart(system, setup, joints, work, own)
     _refuse_fast(system, setup, joints, work)
     for c in range(len(rows)):
-        project_momenta(joints, work, c)
+        project_momenta(joints, work, c, 0.0, 0.0)
     moved = float(lengths((work.y - before)[:n, :3].T).max())
     state = np.empty((13, n))
     state[:, joints.order] = work.y[:n].T

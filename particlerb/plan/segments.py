@@ -11,8 +11,10 @@ import numpy as np
 from particlerb.case.problems import CaseError
 from particlerb.case.source import problem_at
 from particlerb.forces import Terms, needs_of
+from particlerb.forces.drag import Drag
 from particlerb.forces.impulse import Impulse
 from particlerb.integrators import METHODS
+from particlerb.joints.setup import with_drag
 from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.bodies import Bodies, held, taken
 from particlerb.model.system import System
@@ -66,23 +68,30 @@ def cut_into_segments(
     edges = {begin}
     for form in (*(force.form for force in group.forces), *(link.force for link in group.links)):
         edges.update(form.edges)
-    starts = sorted(edge for edge in edges if edge >= begin)
+    if group.joints is not None:
+        edges.update(group.joints.until[np.isin(group.joints.first, group.members)].tolist())
+    starts = sorted(edge for edge in edges if begin <= edge < np.inf)
     members, forces = group.members, group.forces
     bodies = taken(system.bodies, members)
     if touching is not None:
         bodies = held(bodies, touching.fixed[members])
-    between: dict[tuple[int, ...], Terms] = {}  # by the numbers of the links
+    between: dict[tuple[int, ...], Terms] = {}  # by released joints and the numbers of the links
     segments, closed = [], []
     for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
         acting = [force for force in forces if acts(force.form, start)]
         links = [link for link in group.links if acts(link.force, start)]
-        key = tuple(link.number for link in links)
+        released = 0 if group.joints is None else int((group.joints.until <= start).sum())
+        key = released, *(link.number for link in links)
         if key not in between:
-            between[key] = terms_between(system, group, bodies, links, touching)
+            between[key] = terms_between(system, group, bodies, links, touching, start)
         alone = acting_terms(system, bodies, acting, start)
         terms = between[key]._replace(gravity=alone.gravity, loads=alone.loads)
+        if terms.joints is not None:
+            terms = _with_drag_among_joints(terms, bodies)
         jumps = jumps_at(forces, bodies, start) if start > begin or begin == 0.0 else ()
         method, is_closed = _chosen_method(system.run.method, bodies, terms)
+        if group.joints is not None:
+            is_closed[:] = is_closed.all()
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, system.run.tolerance))
         closed.append(is_closed)
     kinds, kind = np.unique(np.array(closed), axis=1, return_inverse=True)
@@ -96,6 +105,18 @@ def cut_into_segments(
     ]
 
 
+def _with_drag_among_joints(terms: Terms, bodies: Bodies) -> Terms:
+    """The same with drag that acts within the constraints of the joints."""
+    assert terms.joints is not None
+    joints, others = terms.joints, []
+    for load in terms.loads:
+        if isinstance(load, Drag):
+            joints = with_drag(joints, load.rate * bodies.mass, load.rotation)
+        else:
+            others.append(load)
+    return terms._replace(joints=joints, loads=tuple(others))
+
+
 def _refused_terms(method: str, terms: Terms) -> list[str]:
     """Names of the terms that need more than a method takes into account."""
     able = METHODS[method].accepts
@@ -104,7 +125,8 @@ def _refused_terms(method: str, terms: Terms) -> list[str]:
 
 def accepts(method: str, terms: Terms) -> bool:
     """Whether a method can integrate under these terms."""
-    return not _refused_terms(method, terms)
+    is_idle = METHODS[method].holds_joints and terms.joints is None
+    return not is_idle and not _refused_terms(method, terms)
 
 
 def has_step(method: str) -> bool:
@@ -146,6 +168,6 @@ def refuse_method(system: System, groups: list[GroupPlan]) -> None:
             if not refused or (is_closed and has_closed_form(group.bodies, segment.terms).all()):
                 continue
             acting = ", ".join(refused)
-            able = ", ".join(name for name in METHODS if accepts(name, segment.terms))
+            able = ", ".join(name for name in METHODS if accepts(name, segment.terms)) or "none"
             reason = f"{segment.method} does not accept what acts here: {acting}"
             raise CaseError([problem_at(system, "run.method", reason, f"methods that do: {able}")])

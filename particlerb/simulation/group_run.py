@@ -10,6 +10,7 @@ from particlerb.forces.gravity_tree.opening_angle import fitting_angle, sampled_
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.forces.impulse import apply_impulse
 from particlerb.integrators import METHODS
+from particlerb.joints.reactions import energy_of_joints
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, State, quaternion_product
 from particlerb.model.system import System
@@ -110,6 +111,8 @@ class GroupRun:
         energy = 0.0 if self.pairs is None else self.pairs.potential_energy(com, q)
         if self.tree is not None:
             self.tree_error = max(self.tree_error, sampled_error(self.tree))
+        joints = self.segment.terms.joints
+        energy += 0.0 if joints is None else energy_of_joints(joints, com, q)
         return energy + energy_of_loads(self.segment.terms, com, q)
 
     def begin(self, segment: Segment, state: State, before: Motion | None) -> Motion:

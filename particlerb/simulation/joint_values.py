@@ -13,9 +13,10 @@ from particlerb.case.problems import CaseError, nearest
 from particlerb.case.source import problem_at
 from particlerb.integrators import METHODS
 from particlerb.integrators.stages import gather_loads
+from particlerb.joints.actions import add_action_loads
 from particlerb.joints.coordinates import values_of
 from particlerb.joints.reactions import find_multipliers, forces_of_joints, make_least
-from particlerb.joints.rows import rates, residuals
+from particlerb.joints.rows import linearise, rates, residuals
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import COM, into_blocks
 from particlerb.model.state import State
@@ -127,18 +128,25 @@ class JointReader:
         work, m = work_at(joints, state), joints.rows.kind.size
         padded = np.zeros((joints.inv_mass.size, 6))
         padded[:-1] = loads.T[joints.order]
+        linearise(joints, work, 0, m)
+        add_action_loads(joints, work, padded)
         find_multipliers(joints, work, padded)
         is_open = make_least(joints, work)
-        carried = forces_of_joints(joints, work, work.z)
-        own = joints.number
-        values.joint_force[row, own], values.joint_torque[row, own] = np.hsplit(carried, 2)
-        values.joint_force_determined[row, own] = ~is_open[:, :3]
-        values.joint_torque_determined[row, own] = ~is_open[:, 3:]
+        carried, is_joint = forces_of_joints(joints, work, work.z), joints.number >= 0
+        if self.segment.terms.contact is not None:  # what contacts keep is not in the state
+            carried[:], is_open[:] = np.nan, True
+        own, is_known = joints.number[is_joint], ~is_open[is_joint]
+        force, torque = np.hsplit(carried[is_joint], 2)
+        values.joint_force[row, own], values.joint_torque[row, own] = force, torque
+        values.joint_force_determined[row, own] = is_known[:, :3]
+        values.joint_torque_determined[row, own] = is_known[:, 3:]
         residuals(joints, work, 0, m)
         rates(joints, work, 0, m)
         start, size = joints.program.start[:-1], joints.rows.size
-        values.joint_misfit[row, own] = np.maximum.reduceat(np.abs(work.g) / size, start)
-        values.joint_rate[row, own] = np.maximum.reduceat(np.abs(work.z) / size, start)
+        misfit = np.maximum.reduceat(np.abs(work.g) / size, start)
+        values.joint_misfit[row, own] = misfit[is_joint]
+        rate = np.maximum.reduceat(np.abs(work.z) / size, start)
+        values.joint_rate[row, own] = rate[is_joint]
         if turned is not None and joints.coordinates is not None:
             known = values_of(joints.coordinates, turned)
             values.joint_coordinate[row, joints.coordinates.number] = known

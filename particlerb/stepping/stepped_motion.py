@@ -109,6 +109,7 @@ class SteppedMotion(Motion):
             None if self.forces is None else self.forces.pairs,
             flag(has_dashpots and method.has_dashpot_flows),
             self.jointed(),
+            damps=None if terms.joints is None else terms.joints.damps,
         )
         self.cost = method.cost * n  # [ns] of a step, roughly
         self.cost += 0.0 if self.forces is None else method.evaluations * self.forces.cost
@@ -170,8 +171,13 @@ class SteppedMotion(Motion):
 
     def turn_on(self, before: Motion) -> None:
         """Count the turns of joints on from where the segment before has left them."""
-        if isinstance(before, SteppedMotion) and before.turned.shape == self.turned.shape:
-            self.turned[:] = before.turned
+        old = before.group.terms.joints if isinstance(before, SteppedMotion) else None
+        new = self.group.terms.joints
+        if old is None or new is None or old.coordinates is None or new.coordinates is None:
+            return
+        assert isinstance(before, SteppedMotion)
+        stayed = np.isin(old.coordinates.number, new.coordinates.number)
+        self.turned[:] = before.turned[stayed]
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""

@@ -7,7 +7,8 @@ import numpy as np
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import quaternion_product, rotate
 from particlerb.model.system import System
-from particlerb.plan.joints import WORLD, joints_of
+from particlerb.plan.joint_ends import WORLD
+from particlerb.plan.joints import joints_of
 
 _WITHOUT_AXIS: Final = ("ball", "fixed", "distance")
 _LENGTH: Final = 0.18  # of an axis, of the size of the scene

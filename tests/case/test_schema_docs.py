@@ -36,6 +36,8 @@ HEADINGS = {
     "force, torque = { table = .. }": "TimedLoad",
     "[[joint]]": "JointTable",
     "at, axis of a joint = { body = [..] }": "InFrame",
+    "spring of a joint": "JointSpring",
+    "limit of a joint": "JointLimit",
     "[contact]": "ContactTable",
     "[[contact.pair]]": "Pair",
     "[[material]]": "Material",

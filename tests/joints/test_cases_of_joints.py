@@ -90,7 +90,7 @@ def test_impulses_on_jointed_bodies_are_refused():
 
 
 @pytest.mark.parametrize(("method", "force"), [("strang", None), ("rattle6", "torque"),
-                                               ("rattle", "drag")])  # fmt: skip
+                                               ("rattle4", "drag")])  # fmt: skip
 def test_methods_that_cannot_keep_joints_say_so(method, force):
     scene = rods(joint("ball", "b0"), n=1)
     if force == "drag":

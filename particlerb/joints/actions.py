@@ -1,0 +1,192 @@
+"""What acts along the free coordinate of a joint: springs, stops, motors; and what damps.
+
+A row with an action holds nothing: its gradient says how fast its coordinate x changes, ẋ = w·v.
+Springs, stops and motors push along it. Dampers, dashpots and drag act within the constraints,
+
+    M (v⁺ - v) = -s D v* + 2 (Gᵀ λ + Wᵀ η),   v* = (v + v⁺)/2,   G v⁺ = 0,   η = -(s c/2) w·v*
+
+over a span s, which is symmetric, of order two, and dissipates at any step. A row that damps stands
+in the factor with 2/(s c) on its diagonal, drag in the masses: M + s D/2 in place of M.
+"""
+
+from math import atan2, inf, pi
+from typing import Final
+
+import numpy as np
+
+from particlerb.compiled.jit import Flag, lean, lean_kernel
+from particlerb.joints.records import (
+    HOLDS,
+    STRETCH,
+    TURN,
+    Actions,
+    Joints,
+    P,
+    Work,
+)
+from particlerb.joints.rows import add_impulses, arms, attitude, rate, vector
+from particlerb.maths.quaternion import to_body, to_world
+from particlerb.maths.vec3 import (
+    Floats,
+    Vec3,
+    add,
+    component_product,
+    cross,
+    dot,
+    norm,
+    row3,
+    scale,
+)
+
+_WHOLE_TURN: Final = 2.0 * pi
+
+
+@lean
+def coordinate(joints: Joints, y: Floats, r: int) -> float:
+    """Coordinate of row r [m or rad]; angles between -π and π."""
+    ra, rb, u, d = arms(joints, y, r)
+    kind = joints.rows.kind[r]
+    if kind == TURN:
+        return atan2(dot(ra, cross(u, rb)), dot(ra, rb))
+    return norm(d) if kind == STRETCH else dot(u, d)
+
+
+@lean
+def _from_rest(actions: Actions, k: int, kind: int, x: float) -> float:
+    """How far action k is from its rest; angles the shorter way."""
+    away: float = x - actions.rest[k]
+    return away - _WHOLE_TURN * np.floor(away / _WHOLE_TURN + 0.5) if kind == TURN else away
+
+
+@lean
+def _beyond(actions: Actions, k: int, x: float) -> float:
+    """How far x is beyond the stops of action k."""
+    found: float = max(x - actions.upper[k], 0.0) + min(x - actions.lower[k], 0.0)
+    return found
+
+
+@lean
+def set_compliance(joints: Joints, work: Work, r: int, span: float) -> None:
+    """What row r has on its diagonal over a span; inf where nothing damps."""
+    k = joints.rows.action[r]
+    if k == HOLDS:
+        return
+    c = 0.0
+    if span > 0.0:
+        c = joints.actions.damping[k]
+        if _beyond(joints.actions, k, coordinate(joints, work.y, r)) != 0.0:
+            c += joints.actions.stop_damping[k]
+    work.compliance[r] = 2.0 / (span * c) if c > 0.0 else inf
+
+
+@lean
+def kick_actions(acts: Flag, joints: Joints, work: Work, lo: int, hi: int, dt: float) -> None:
+    """Let springs, stops and motors of rows lo to hi act over dt; `total` has the impulses."""
+    if acts is None:
+        return
+    actions, kind = joints.actions, joints.rows.kind
+    for r in range(lo, hi):
+        k = joints.rows.action[r]
+        if k != HOLDS:
+            x = coordinate(joints, work.y, r)
+            f = -actions.stiffness[k] * _from_rest(actions, k, kind[r], x)
+            f += actions.motor[k] - actions.stop[k] * _beyond(actions, k, x)
+            work.z[r] = work.total[r] = f * dt
+            work.before[r] = rate(joints, work.gradient, r, work.y, P)
+            work.before[r] -= rate(joints, work.gradient, r, work.change, 0)
+            add_impulses(joints, work, r, r + 1, work.y, P)
+
+
+@lean
+def work_of_motor(joints: Joints, work: Work, r: int, dt: float) -> float:
+    """Work of a motor in a kick: with its rates before, and after the impulses of the joints."""
+    after = rate(joints, work.gradient, r, work.y, P)
+    found: float = 0.5 * dt * joints.actions.motor[joints.rows.action[r]] * (work.before[r] + after)
+    return found
+
+
+@lean_kernel
+def stored_energy(joints: Joints, y: Floats) -> float:
+    """Energy of all springs and stops [J] in the poses y."""
+    total, actions = 0.0, joints.actions
+    for r in range(joints.rows.kind.size):
+        k = joints.rows.action[r]
+        if k != HOLDS:
+            x = coordinate(joints, y, r)
+            away, beyond = _from_rest(actions, k, joints.rows.kind[r], x), _beyond(actions, k, x)
+            total += actions.stiffness[k] * away * away + actions.stop[k] * beyond * beyond
+    return 0.5 * total
+
+
+@lean_kernel
+def add_action_loads(joints: Joints, work: Work, load: Floats) -> None:
+    """Add drag, and what springs, stops, motors and dampers do, to loads (n + 1, 6).
+
+    Gradients are those of the poses.
+    """
+    actions = joints.actions
+    for r in range(joints.rows.kind.size):
+        k = joints.rows.action[r]
+        if k != HOLDS:
+            x, v = coordinate(joints, work.y, r), rate(joints, work.gradient, r, work.y, P)
+            beyond = _beyond(actions, k, x)
+            c = actions.damping[k] + (actions.stop_damping[k] if beyond != 0.0 else 0.0)
+            f = -actions.stiffness[k] * _from_rest(actions, k, joints.rows.kind[r], x)
+            work.z[r] = f + actions.motor[k] - actions.stop[k] * beyond - c * v
+            add_impulses(joints, work, r, r + 1, load, 0)
+    for b in range(joints.inv_mass.size):
+        q, c = attitude(work.y, b), joints.drag[b, 1]
+        m, inverse = to_body(q, vector(work.y, b, P + 3)), row3(joints.inv_inertia, b)
+        spin = to_world(q, component_product(inverse, m))
+        for i in range(3):
+            load[b, i] -= joints.drag[b, 0] * joints.inv_mass[b] * work.y[b, P + i]
+            load[b, 3 + i] -= c * spin[i]
+
+
+# Damping
+
+
+@lean
+def soften(joints: Joints, work: Work, c: int, span: float) -> None:
+    """Inverse masses of cluster c with half of its drag over a span; keep its momenta."""
+    for b in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
+        half = 0.5 * span * joints.inv_mass[b] * joints.drag[b, 0]
+        work.inv_mass[b] = joints.inv_mass[b] / (1.0 + half)
+        for i in range(3):
+            half = 0.5 * span * joints.inv_inertia[b, i] * joints.drag[b, 1]
+            work.inv_inertia[b, i] = joints.inv_inertia[b, i] / (1.0 + half)
+        for i in range(6):
+            work.change[b, i] = work.y[b, P + i]
+
+
+@lean
+def softened(joints: Joints, work: Work) -> Joints:
+    """The joints of bodies with these masses."""
+    return Joints(
+        joints.order,
+        work.inv_mass,
+        work.inv_inertia,
+        joints.rows,
+        joints.clusters,
+        joints.program,
+        joints.number,
+        joints.actions,
+        joints.drag,
+        joints.acts,
+        joints.damps,
+    )
+
+
+@lean
+def finish_damping(joints: Joints, work: Work, b: int, span: float) -> tuple[float, Vec3, Vec3]:
+    """Momenta of body b after the span, from those of the middle; work, impulse, torque of drag."""
+    q, at = attitude(work.y, b), vector(work.y, b, 0)
+    m = to_body(q, vector(work.y, b, P + 3))
+    v = scale(work.inv_mass[b], vector(work.y, b, P))
+    w = to_world(q, component_product(row3(work.inv_inertia, b), m))
+    impulse = scale(-span * joints.drag[b, 0], v)
+    turning = scale(-span * joints.drag[b, 1], w)
+    for i in range(3):  # M (2 v* - v) = 2 (p + half of the drag) - p
+        work.y[b, P + i] = 2.0 * work.y[b, P + i] + impulse[i] - work.change[b, i]
+        work.y[b, P + 3 + i] = 2.0 * work.y[b, P + 3 + i] + turning[i] - work.change[b, 3 + i]
+    return dot(impulse, v) + dot(turning, w), impulse, add(cross(at, impulse), turning)

@@ -1,0 +1,106 @@
+"""Between which bodies joints stand, where, and about which axes."""
+
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from particlerb.case.joints import InFrame, JointTable
+from particlerb.contact.sphere_search import pair_keys
+from particlerb.joints.types import Ends
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.state import lengths, quaternion_product, rotate, rotate_back
+from particlerb.model.system import System
+
+WORLD: Final = -1
+Given: TypeAlias = tuple[float, float, float] | InFrame
+
+
+def pairs_of(system: System, table: JointTable) -> tuple[Ints, Ints]:
+    """Bodies at both ends of each joint of a table."""
+    first = system.names.find_in_order(table.body)
+    if table.chain:
+        return first[1:], first[:-1]
+    if table.to is None:
+        return first, np.full(first.size, WORLD)
+    second = np.broadcast_to(system.names.find_in_order(table.to), first.shape)
+    return first, second.copy()
+
+
+def bodies_apart(system: System) -> Ints:
+    """Pairs of bodies that joints tie and that are not to touch each other, ascending keys."""
+    found = [np.zeros(0, dtype=np.int64)]
+    for table in system.joint:
+        first, second = pairs_of(system, table)
+        if not table.collide:
+            inside = second != WORLD
+            found.append(pair_keys(first[inside], second[inside]))
+    return np.unique(np.concatenate(found))
+
+
+def _frames(system: System, bodies: Ints) -> tuple[Floats, Floats, Floats]:
+    """Centres of mass (3, k), body frames and rotor frames (4, k); of the world 0 and no turn."""
+    inside = bodies != WORLD
+    index = np.where(inside, bodies, 0)
+    com = np.where(inside, system.state.com[:, index], 0.0)
+    none = np.array([[1.0], [0.0], [0.0], [0.0]])
+    rotor = np.where(inside, system.state.q[:, index], none)
+    inverse = system.bodies.rotor_frame[:, index] * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
+    body = np.where(inside, quaternion_product(system.state.q[:, index], inverse), none)
+    return com, body, rotor
+
+
+def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> Ends:
+    """Points and directions of the joints of a table, in rotor frames."""
+    k = first.size
+    com_a, body_a, rotor_a = _frames(system, first)
+    com_b, body_b, rotor_b = _frames(system, second)
+
+    def spread(vector: tuple[float, ...]) -> Floats:
+        return np.tile(np.array(vector)[:, None], k)
+
+    def in_world(given: Given, q: Floats) -> Floats:
+        return rotate(q, spread(given.body)) if isinstance(given, InFrame) else spread(given)
+
+    def place(given: Given | None, com: Floats, q: Floats, default: Floats) -> Floats:
+        if given is None:
+            return default
+        return in_world(given, q) + (com if isinstance(given, InFrame) else 0.0)
+
+    def direction(given: Given, q: Floats) -> Floats:
+        found = in_world(given, q)
+        return found / lengths(found)
+
+    here = place(table.at, com_a, body_a, com_a)
+    there = place(table.at_to, com_b, body_b, com_b if table.type == "distance" else here)
+    world = {"n": direction(table.axis or (0.0, 0.0, 1.0), body_a)}
+    world["e"], world["f"] = _across(world["n"])
+    if table.axis_to is not None:
+        world["m"] = direction(table.axis_to, body_b)
+        world["l"] = np.cross(world["m"], world["n"], axis=0)
+    first_at, second_at = rotate_back(rotor_a, here - com_a), rotate_back(rotor_b, there - com_b)
+    length = lengths(here - there)
+    size = np.maximum(lengths(first_at), np.where(second == WORLD, 0.0, lengths(second_at)))
+    size = np.maximum(size, length if table.type == "distance" else 0.0)
+    reach = system.reach[system.kind[first]]
+    size = np.where(size > 1e-3 * reach, size, np.where(reach > 0.0, reach, 1.0))
+    axes = dict(zip("xyz", np.eye(3)[:, :, None] * np.ones(k), strict=True))
+    return Ends(
+        first,
+        second,
+        first_at.T,
+        second_at.T,
+        {name: rotate_back(rotor_a, axis).T for name, axis in world.items()},
+        {name: rotate_back(rotor_b, axis).T for name, axis in world.items()}
+        | {name: axis.T for name, axis in axes.items()}
+        | {"at": rotate_back(rotor_b, here - com_b).T},
+        length,
+        size,
+    )
+
+
+def _across(n: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors (3, k) across each n and each other, so that e, f, n are right-handed."""
+    least = np.eye(3)[:, np.argmin(np.abs(n), axis=0)]
+    e = np.cross(n, least, axis=0)
+    e /= lengths(e)
+    return e, np.cross(n, e, axis=0)
