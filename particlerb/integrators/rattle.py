@@ -9,8 +9,9 @@ Source: Andersen, J. Comput. Phys. 52, 24 (1983); Reich, SIAM J. Numer. Anal. 33
 
 from typing import Final
 
-from particlerb.contact.contact_model import Instant
-from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, POSE, TIME, VELOCITY
+from particlerb.contact.contact_model import LoadTimes
+from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, PISTONS, POSE, TIME, VELOCITY
+from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
 from particlerb.integrators.method import Method
 from particlerb.integrators.stages import (
@@ -28,7 +29,7 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
     """Kick, constrained drift; the kick of dt/2 that belongs to the end stays open."""
     kick_dt = CLOSING_KICK * dt + open_kick
     keep_momenta(moving.contact, moving.blocks, moving.layout, first, last)
-    loads(moving, first, last, Instant(open_kick / CLOSING_KICK, dt, 0.0, 0.0, kick_dt))
+    loads(moving, first, last, LoadTimes(dt, kick_dt, 1.0, 0.5, 0.5, None))
     kick_walls(moving.contact, moving.team, open_kick, CLOSING_KICK * dt, True)
     kick_jointed(moving, first, last, open_kick, CLOSING_KICK * dt)
     constrained_drift(moving, CLOSING_KICK * dt if moving.damps is not None else kick_dt, dt)
@@ -40,11 +41,12 @@ METHOD: Final = Method(
     summary="order 2, symplectic; strang with joints; any force but magnus",
     order=2,
     free_order=2,
-    accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, JOINTS}),
+    accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, PISTONS, JOINTS}),
     cost=1500.0,
     evaluations=1,
     keeps_rods=True,
     stability_limit=2.0,
+    contact_limit=old_velocity,
     max_turn=0.5,
     closing_kick=CLOSING_KICK,
     coupled_step=coupled_step,
