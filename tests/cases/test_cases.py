@@ -46,6 +46,7 @@ MANY_STEPS = (
     "press",
     "rocking_block",
     "slide_to_roll",
+    "slope",
     "spring_net",
     "ten_thousand_clumps",
 )

@@ -4,6 +4,7 @@ test_cases.py runs each of them as a user does.
 """
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -76,6 +77,28 @@ def test_what_simbenchmark_counts_falls_as_the_fourth_power_of_the_step():
     ]
     assert mean[0] / mean[1] > 0.1 * 25**4
     assert mean[1] < 0.2  # ODE: 0.296, DART 30.6, Bullet 120 (simbenchmark_published.csv)
+
+
+# slope -------------------------------------------------------------------------------------------
+
+
+def test_a_ball_slides_down_a_slope_below_the_friction_that_makes_it_roll():
+    """The spring of friction takes 3 ms to stretch: so much of the speed of 0.5 s is open."""
+    frictions = [0.05, 0.12, 0.2, 0.4]
+    with ThreadPoolExecutor(1) as executor:
+        axes = {"contact.friction": frictions}
+        found = particlerb.sweep("slope", axes=axes, executor=executor)
+    theta = np.pi / 6
+    for mu, vx, spin in zip(
+        frictions, found.column("ball.velocity.x"),
+        found.column("ball.angular_velocity.y"), strict=True,
+    ):  # fmt: skip
+        is_rolling = mu > 2.0 / 7.0 * np.tan(theta)
+        grip = mu * 9.81 * np.cos(theta)
+        a = 5.0 / 7.0 * 9.81 * np.sin(theta) if is_rolling else 9.81 * np.sin(theta) - grip
+        alpha = a / 0.1 if is_rolling else 2.5 * grip / 0.1
+        assert vx == pytest.approx(0.5 * a * np.cos(theta), abs=2e-3)
+        assert spin == pytest.approx(0.5 * alpha, rel=6e-3)
 
 
 # slide_to_roll -----------------------------------------------------------------------------------
