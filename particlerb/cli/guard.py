@@ -13,9 +13,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from particlerb.cli.endings import FAILED, INTERRUPTED, Ending
+from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, Ending
 
 GUARDED: Final = ("info", "plot", "export", "resume")
+FILES: Final = (".h5", ".hdf5", ".vtkhdf")  # that `view` plays
 MARK: Final = "PARTICLERB_IS_GUARDED"
 _SECONDS_TO_END: Final = 2.0
 SECONDS_TO_LOOK: Final = 10  # of the processor: a file has some hundred objects
@@ -23,26 +24,33 @@ SECONDS_TO_LOOK: Final = 10  # of the processor: a file has some hundred objects
 
 def wants_guard(words: Sequence[str]) -> bool:
     """Whether a command line is to run in a process of its own."""
-    return bool(words) and words[0] in GUARDED and MARK not in os.environ
+    if not words or MARK in os.environ:
+        return False
+    is_played = any(Path(word).suffix.lower() in FILES for word in words[1:])
+    return words[0] in GUARDED or (words[0] == "view" and is_played)
 
 
 def guarded(words: Sequence[str]) -> int:
     """Run a command line in a process of its own; return its exit code.
 
     An interrupt goes on to that process. `resume` has its time to keep its frames, and ends at once
-    at the second one.
+    at the second one; it is how one ends `view`.
     """
+    is_page = words[0] == "view"
     command = [sys.executable, "-m", "particlerb", *words]
     with subprocess.Popen(command, env=os.environ | {MARK: "1"}) as process:
         try:
             code = process.wait()
         except KeyboardInterrupt:
             try:
-                process.terminate()  # Ctrl-C was sent to the other process too, SIGTERM was not
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    if is_page:  # Ctrl-C was sent to the other process too, SIGTERM was not
+                        return process.wait(_SECONDS_TO_END)
+                process.terminate()
                 process.wait(None if words[0] == "resume" else _SECONDS_TO_END)
             except (KeyboardInterrupt, subprocess.TimeoutExpired):
                 process.kill()
-            return INTERRUPTED
+            return DONE if is_page else INTERRUPTED
     if code >= 0:
         return code
     reason = f"HDF5 crashed on it (signal {-code})"

@@ -11,13 +11,12 @@ from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import opened, read_case, to_write
 from particlerb.cli.endings import DONE, FAILED, Ending, ending
-from particlerb.cli.guard import probe
+from particlerb.cli.guard import FILES, probe
 
 if TYPE_CHECKING:
     from particlerb.view.access import Access
     from particlerb.view.page import Page
 
-FILES: Final = (".h5", ".hdf5", ".vtkhdf")
 _MISSING: Final = 'the browser scene needs viser: pip install "particlerb[view]"'
 
 

@@ -392,6 +392,9 @@ def test_the_guard_is_for_commands_that_read_files(monkeypatch):
         *(True for _ in guard.GUARDED),
         False,
     ]
+    assert guard.wants_guard(["view", "--port", "8000", "run.H5"])
+    assert not guard.wants_guard(["view", "case.toml"])
+    assert not guard.wants_guard(["view"])
     monkeypatch.setenv(guard.MARK, "1")
     assert not guard.wants_guard(["info"])
 

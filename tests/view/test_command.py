@@ -3,13 +3,16 @@
 import os
 import re
 import signal
+import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 pytest.importorskip("viser")
 
+import particlerb
 import particlerb.cli.view as command
 from particlerb.case.reader import load
 from particlerb.cli import main
@@ -127,3 +130,29 @@ def test_without_viser_it_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main(["view"]) == 1
     assert 'pip install "particlerb[view]"' in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="finds a child as Linux tells it")
+@pytest.mark.parametrize(
+    ("crashes", "number", "code", "said"),
+    [
+        (True, signal.SIGSEGV, 1, "run.h5 is damaged: HDF5 crashed on it (signal 11)"),
+        (False, signal.SIGINT, 0, ""),
+        (False, signal.SIGTERM, 0, ""),
+    ],
+)
+def test_a_file_is_played_in_a_process_of_its_own(make, tmp_path, crashes, number, code, said):
+    """HDF5 may crash on a frame of a damaged file, long behind the first look at it."""
+    particlerb.run(make.case(make.body()), tmp_path / "run.h5").close()
+    words = [sys.executable, "-m", "particlerb", "view", "run.h5", "--port", "8450"]
+    with subprocess.Popen(
+        words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as page:
+        while "token" not in page.stdout.readline():
+            assert page.poll() is None, page.stderr.read()
+        child = int(Path(f"/proc/{page.pid}/task/{page.pid}/children").read_text())
+        os.kill(child if crashes else page.pid, number)
+        err = page.communicate(timeout=60)[1]
+        assert page.returncode == code, err
+        assert said in err
+        assert not Path(f"/proc/{child}").exists()
