@@ -100,7 +100,7 @@ def _bodies_of_case(case: Case, wanted: str | None) -> list[_Named]:
         b, k = bodies[i], system.kind[bodies[i]]
         local = kind_of(system.particles, k)
         particles = local._replace(position=local.position + system.properties.com[k])
-        spin = float(speed[bodies][which == which[i]].max())
+        spin = float(speed[bodies][which.ravel() == which.flat[i]].max())
         body = system.body[system.block[b]]
         notes = [line for name, line in system.notes if name.partition(", part ")[0] == body.name]
         matter = matter_of(system.files, body)._replace(notes=tuple(notes))
