@@ -3,9 +3,9 @@
 Maps: bodies on which nothing acts turn 10 000 times; the worst error of their energy says what
 became of them, for steps h|ω| [rad] from 0.02 to 4 and for many shapes and starts
 (stability_runs.py). Limits: steps up to which linear motions stay bounded, beside closed forms
-(stability_limits.py). Drift: energy against time over a million turns. Explained in
-docs/stability.md; in words in stability_table.py. Nothing here prints, draws or knows of cases
-and files.
+(stability_limits.py), also of a ball that rests on a floor (resting_contacts.py). Drift: energy
+against time over a million turns. Explained in docs/stability.md; in words in stability_table.py.
+Nothing here prints, draws or knows of cases and files.
 """
 
 import math
@@ -21,6 +21,7 @@ from particlerb.forces import Terms
 from particlerb.forces.spring import Spring
 from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.studies.resting_contacts import THEORY, contact_limits
 from particlerb.studies.stability_limits import LIMITS, Limit, limits_of, tops
 from particlerb.studies.stability_runs import (
     ACCURATE,
@@ -244,6 +245,11 @@ def _tasks_of(
         for name in stepped
     }
     tasks |= {("limits", name): partial(limits_of, name) for name in stepped}
+    tasks |= {
+        ("limits", name, "contact"): partial(contact_limits, name)
+        for name in stepped
+        if name in THEORY
+    }
     return tasks | {
         ("row", name, repr(pace)): partial(row_of, name, pace, _columns_of(name, budget), turns)
         for name in names

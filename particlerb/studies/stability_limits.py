@@ -48,6 +48,8 @@ class Limit(NamedTuple):
     theory: float
     """NaN where there is no closed form; inf: no limit."""
     measured: float
+    zeta: float = math.nan
+    """Damping ratio of a contact that rests; NaN of other limits."""
 
     @property
     def difference(self) -> float:
@@ -183,7 +185,7 @@ def damped_splitting(zeta: float) -> float:
     return z
 
 
-def _rk4_factor(z: complex) -> complex:
+def rk4_factor(z: complex) -> complex:
     """1 + z + z²/2 + z³/6 + z⁴/24."""
     return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
 
@@ -340,7 +342,7 @@ def rk4() -> Iterator[_LimitCase]:
     """The imaginary and the real axis of the stability region."""
     yield from undamped(math.sqrt(8.0), steps=300)
     yield from _energy_factors(lambda z: -(z**6) / 72.0 + z**8 / 576.0, 0.5, 1.0, 2.0)
-    yield _drag_alone(root(lambda z: _rk4_factor(-z).real - 1.0, 1.0, 4.0), steps=_LINGERING)
+    yield _drag_alone(root(lambda z: rk4_factor(-z).real - 1.0, 1.0, 4.0), steps=_LINGERING)
 
 
 def semi_implicit_euler() -> Iterator[_LimitCase]:

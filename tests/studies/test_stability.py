@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from particlerb.compiled.jit import config
 from particlerb.integrators import UNJOINTED
 from particlerb.integrators.rkn6 import DRIFTS, KICKS
 from particlerb.model.state import kinetic_energy
 from particlerb.studies import stability as studied
+from particlerb.studies.resting_contacts import RATIOS, THEORY, grows
 from particlerb.studies.stability import (
     MOTIONS,
     EnergyDrift,
@@ -51,6 +53,9 @@ from particlerb.studies.stability_runs import (
 from particlerb.studies.stability_table import csv_rows, number, table
 
 measured = functools.cache(limits_of)
+plain = pytest.mark.skipif(
+    not config.DISABLE_JIT, reason="takes long to compile, and shows no more"
+)
 compiled = pytest.mark.compiled
 
 
@@ -142,6 +147,23 @@ def test_limits_are_those_of_theory_to_one_per_cent(method):
     for one in found:
         if math.isinf(one.theory):
             assert one.measured == math.inf, one
+
+
+@plain
+@pytest.mark.parametrize("method", THEORY)
+def test_a_ball_that_rests_on_the_floor_has_the_limits_of_theory(method):
+    """hω = 2 at any damping, 2 (√(1 + ζ²) - ζ), 2√2 and 2ζ; of rk4 by its stability region."""
+    for zeta in RATIOS[method == "explicit_euler" :]:
+        theory = THEORY[method](zeta)
+        assert not grows(method, 0.99 * theory, zeta)
+        assert grows(method, 1.01 * theory, zeta)
+        expected = {"strang": 2.0, "semi_implicit_euler": 2.0 * (math.hypot(1, zeta) - zeta)}
+        expected["explicit_euler"] = 2.0 * zeta
+        if method in expected:
+            assert theory == pytest.approx(expected[method], rel=1e-14)
+    if method == "rk4":
+        assert THEORY[method](0.0) == pytest.approx(math.sqrt(8.0), rel=1e-12)
+        assert THEORY[method](1.0) == pytest.approx(2.78529, rel=1e-5)
 
 
 @compiled

@@ -27,6 +27,7 @@ from particlerb.studies.charts.style import (
     write_beside,
     write_inside,
 )
+from particlerb.studies.resting_contacts import RATIOS, THEORY
 from particlerb.studies.stability import (
     MOTIONS,
     EnergyDrift,
@@ -71,7 +72,14 @@ def draw_stability(study: Stability, path: Path) -> None:
     _draw_maps(rows[0], study, methods)
     if has_limits:
         left, right = rows[1].subfigures(1, 2, squeeze=False)[0]
-        _draw_limits(left, study.limits)
+        on_contacts = [one for one in study.limits if math.isfinite(one.zeta)]
+        others = [one for one in study.limits if not math.isfinite(one.zeta)]
+        if on_contacts:
+            above, below = left.subfigures(2, 1, height_ratios=(3.0, 1.0), squeeze=False)[:, 0]
+            _draw_limits(above, others)
+            _draw_resting(below, on_contacts)
+        else:
+            _draw_limits(left, others)
         _draw_drifts(right, study.drifts)
     figure.savefig(path, dpi=100)
 
@@ -270,6 +278,27 @@ def _draw_limits(figure: SubFigure, limits: Sequence[Limit]) -> None:
     axes.set_title("limits of the step, and factors per step", loc="left", fontsize=12)
     axes.spines["left"].set_visible(False)
     bare(axes)
+
+
+def _draw_resting(figure: SubFigure, limits: Sequence[Limit]) -> None:
+    """Limits of a body that rests on a contact over its damping: theory as lines, measured dots."""
+    axes = figure.subplots()
+    finish_panel(
+        axes, "a ball that rests on the floor: hω above which it oscillates more and more"
+        " (line: theory, dots: measured)",
+        xlim=(0.0, 1.5), ylim=(0.0, 3.2), xticks=RATIOS, ylabel="hω",
+    )  # fmt: skip
+    axes.set_xlabel("damping ratio ζ of the contact")
+    ends = []
+    for method in dict.fromkeys(one.method for one in limits):
+        own = [one for one in limits if one.method == method]
+        colour, zeta = METHOD_COLOURS[method], np.linspace(0.0, RATIOS[-1], 101)
+        theory = [THEORY[method](ratio) for ratio in zeta.tolist()]
+        axes.plot(zeta, theory, color=colour, lw=1.5)
+        axes.plot([one.zeta for one in own], [one.measured for one in own], "o", color=colour, ms=6)
+        ends.append((zeta[-1], theory[-1], _spoken(method), colour))
+    for x, y, text, colour in ends:
+        axes.text(x + 0.03, y, text, color=colour, va="top" if "strang" in text else "bottom")
 
 
 # Drift
