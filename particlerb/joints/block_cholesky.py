@@ -203,20 +203,38 @@ def _update(factor: Floats, updates: Ints, q: int, n: int) -> None:
             factor[target, r, c] = v
 
 
-@lean_kernel
-def factorise(joints: Joints, work: Work, lo: int, hi: int, smallest_pivot: float) -> None:
-    """Factors in place, of joints eliminated from lo to hi: 1/diagonal, and what is below it."""
+@lean
+def _eliminate(
+    joints: Joints, work: Work, e: int, k: int, d: int, n: int, smallest_pivot: float
+) -> None:
+    """Eliminate joint k, the one at place e, of n rows and with the diagonal block d."""
     program, factor = joints.program, work.factor
     start = program.start
+    _factorise_diagonal(factor, d, n, smallest_pivot, work.scale, start[k])
+    for q in range(program.column[e], program.column[e + 1]):
+        i = program.below_joint[q]
+        _factorise_below(factor, d, n, program.below[q], start[i + 1] - start[i])
+    for q in range(program.update[e], program.update[e + 1]):
+        _update(factor, program.updates, q, n)
+
+
+@lean_kernel
+def factorise(joints: Joints, work: Work, c: int) -> None:
+    """Factors in place, of cluster c: 1/diagonal, and what is below it.
+
+    Numbers of rows that are often met are constants for the compiler.
+    """
+    start, clusters = joints.program.start, joints.clusters
+    lo, hi, smallest_pivot = clusters.joint[c], clusters.joint[c + 1], clusters.smallest_pivot[c]
     for e in range(lo, hi):
-        k = program.order[e]
-        n = start[k + 1] - start[k]
-        _factorise_diagonal(factor, k, n, smallest_pivot, work.scale, start[k])
-        for q in range(program.column[e], program.column[e + 1]):
-            i = program.below_joint[q]
-            _factorise_below(factor, k, n, program.below[q], start[i + 1] - start[i])
-        for q in range(program.update[e], program.update[e + 1]):
-            _update(factor, program.updates, q, n)
+        k = joints.program.order[e]
+        n, d = start[k + 1] - start[k], clusters.block[c] + k - lo
+        if n == 5:
+            _eliminate(joints, work, e, k, d, 5, smallest_pivot)
+        elif n == 3:
+            _eliminate(joints, work, e, k, d, 3, smallest_pivot)
+        else:
+            _eliminate(joints, work, e, k, d, n, smallest_pivot)
 
 
 @lean
@@ -239,28 +257,57 @@ def _solve_up(factor: Floats, k: int, at: int, n: int, z: Floats) -> None:
         z[at + r] = v * factor[k, r, r]
 
 
-@lean_kernel
-def solve(joints: Joints, work: Work, lo: int, hi: int) -> None:
-    """z <- A⁻¹ z, of joints eliminated from lo to hi."""
+@lean
+def _down(joints: Joints, work: Work, e: int, k: int, d: int, n: int) -> None:
+    """Forward substitution with all blocks of joint k: see `_eliminate`."""
     program, factor, z = joints.program, work.factor, work.z
     start = program.start
+    at = start[k]
+    _solve_down(factor, d, at, n, z)
+    for q in range(program.column[e], program.column[e + 1]):
+        i, block = program.below_joint[q], program.below[q]
+        for r in range(start[i + 1] - start[i]):
+            v = z[start[i] + r]
+            for c in range(n):
+                v -= factor[block, r, c] * z[at + c]
+            z[start[i] + r] = v
+
+
+@lean
+def _up(joints: Joints, work: Work, e: int, k: int, d: int, n: int) -> None:
+    """Back substitution with them."""
+    program, factor, z = joints.program, work.factor, work.z
+    start = program.start
+    at = start[k]
+    for q in range(program.column[e], program.column[e + 1]):
+        i, block = program.below_joint[q], program.below[q]
+        for r in range(start[i + 1] - start[i]):
+            x = z[start[i] + r]
+            for c in range(n):
+                z[at + c] -= factor[block, r, c] * x
+    _solve_up(factor, d, at, n, z)
+
+
+@lean_kernel
+def solve(joints: Joints, work: Work, c: int) -> None:
+    """z <- A⁻¹ z of cluster c."""
+    order, start, clusters = joints.program.order, joints.program.start, joints.clusters
+    lo, hi = clusters.joint[c], clusters.joint[c + 1]
     for e in range(lo, hi):
-        k = program.order[e]
-        at, n = start[k], start[k + 1] - start[k]
-        _solve_down(factor, k, at, n, z)
-        for q in range(program.column[e], program.column[e + 1]):
-            i, block = program.below_joint[q], program.below[q]
-            for r in range(start[i + 1] - start[i]):
-                v = z[start[i] + r]
-                for c in range(n):
-                    v -= factor[block, r, c] * z[at + c]
-                z[start[i] + r] = v
+        k = order[e]
+        n, d = start[k + 1] - start[k], clusters.block[c] + k - lo
+        if n == 5:
+            _down(joints, work, e, k, d, 5)
+        elif n == 3:
+            _down(joints, work, e, k, d, 3)
+        else:
+            _down(joints, work, e, k, d, n)
     for e in range(hi - 1, lo - 1, -1):
-        k = program.order[e]
-        at, n = start[k], start[k + 1] - start[k]
-        for q in range(program.column[e], program.column[e + 1]):
-            i, block = program.below_joint[q], program.below[q]
-            for r in range(start[i + 1] - start[i]):
-                for c in range(n):
-                    z[at + c] -= factor[block, r, c] * z[start[i] + r]
-        _solve_up(factor, k, at, n, z)
+        k = order[e]
+        n, d = start[k + 1] - start[k], clusters.block[c] + k - lo
+        if n == 5:
+            _up(joints, work, e, k, d, 5)
+        elif n == 3:
+            _up(joints, work, e, k, d, 3)
+        else:
+            _up(joints, work, e, k, d, n)

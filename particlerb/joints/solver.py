@@ -52,7 +52,7 @@ def factorise_cluster(joints: Joints, work: Work, c: int, span: float) -> None:
         work.total[r] = 0.0
     linearise(joints, work, start[lo], start[hi])
     assemble(joints, work, clusters.block[c], clusters.block[c + 1])
-    factorise(joints, work, lo, hi, clusters.smallest_pivot[c])
+    factorise(joints, work, c)
 
 
 @lean_kernel
@@ -78,7 +78,7 @@ def constrained_drift(joints: Joints, work: Work, c: int, kick_dt: float, dt: fl
         before = worst
         for r in range(lo, hi):
             work.z[r] = -work.g[r] / dt
-        solve(joints, work, first, last)
+        solve(joints, work, c)
         for r in range(lo, hi):
             work.total[r] += work.z[r]
         add_impulses(joints, work, lo, hi, work.y, P)
@@ -103,7 +103,7 @@ def project_momenta(joints: Joints, work: Work, c: int, kick_dt: float, span: fl
         if not 0.0 < worst < _GAIN * before:
             return
         before = worst
-        solve(joints, work, first, last)
+        solve(joints, work, c)
         for r in range(lo, hi):
             work.total[r] += work.z[r]
         add_impulses(joints, work, lo, hi, work.y, P)
