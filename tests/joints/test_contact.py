@@ -144,5 +144,6 @@ def test_a_body_hangs_on_one_that_is_held():
     with moved(scene, 0.5, 2e-3, every=0.1) as trajectory:
         x = np.array(trajectory.position)
         assert (x[:, 0] == [0, 0, 1.0]).all()
+        assert np.abs(x[-1, 1] - x[0, 1]).max() > 0.1
         assert np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == pytest.approx([1.0] * 6, abs=1e-13)
         assert np.abs(trajectory.ledger.linear_momentum_error).max() < 1e-13
