@@ -12,5 +12,5 @@ from importlib import import_module
 
 ENGINES = {
     name: partial(import_module, f"{__name__}.with_{name}")
-    for name in ("mujoco", "lammps", "pybullet", "scipy", "rebound")
+    for name in ("mujoco", "lammps", "pybullet", "scipy", "rebound", "textbook")
 }

@@ -37,6 +37,12 @@ class Scene(NamedTuple):
     gravity: np.ndarray  # (3,) world [m/s²]
     pushes: tuple[Push, ...]
     t_end: float  # [s]
+    joints: tuple[np.ndarray, ...] | None = None  # rows of with_textbook.py: kind, a, b (-1: the
+    # world), r_a or n, r_b, u, l; vectors (m, 3) in rotor frames
+    has_loops: bool = False  # whether rows of joints depend on others
+    model: str = ""  # the same as MJCF, of which the bodies are named
+    names: tuple[str, ...] = ()
+    rotor_frame: np.ndarray | None = None  # (n, 4) rotor frame to the body frame of the model
 
 
 class Result(NamedTuple):

@@ -37,6 +37,7 @@ from .scene import (
 
 NAME = "MuJoCo"
 ADAPTIVE = False
+HOLDS_JOINTS = True
 VARIANTS = {
     "Euler": (0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001),
     "implicitfast": (0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001),
@@ -53,6 +54,8 @@ def missing() -> str | None:
 
 def refusal(scene: Scene) -> str | None:
     """Why MuJoCo cannot hold the scene."""
+    if scene.joints is not None and (scene.pushes or not scene.model):
+        return "it is given joints with gravity alone, in a model that it can hold"
     return needs_solid_bodies(scene, NAME)
 
 
@@ -130,6 +133,35 @@ def compiled_callback():
     return push
 
 
+def run_mechanism(scene: Scene, variant: str, step: float) -> Result:
+    """Integrate bodies with joints: a model, its equalities as stiff as the step lets."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(scene.model)
+    number, model.opt.timestep = equal_steps(scene, step)
+    model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{variant.upper()}")
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    model.eq_solref[:, 0] = 2.0 * model.opt.timestep
+    data = mujoco.MjData(model)
+    warn = mujoco.get_mju_user_warning()
+    try:
+        mujoco.set_mju_user_warning(lambda text: None)
+        mujoco.mj_step(model, data, 3)  # touches all memory once
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        started = perf_counter()
+        mujoco.mj_step(model, data, number)
+        seconds = perf_counter() - started
+        mujoco.mj_kinematics(model, data)
+    finally:
+        mujoco.set_mju_user_warning(warn)
+    own = [model.body(name).id for name in scene.names]
+    q, r = data.xquat[own], scene.rotor_frame
+    w = q[:, :1] * r[:, :1] - (q[:, 1:] * r[:, 1:]).sum(axis=1, keepdims=True)
+    turned = q[:, :1] * r[:, 1:] + r[:, :1] * q[:, 1:] + np.cross(q[:, 1:], r[:, 1:])
+    none = np.zeros_like(scene.position)
+    return result(scene, seconds, data.xpos[own], np.hstack([w, turned]), none, none)
+
+
 def run(scene: Scene, variant: str, step: float) -> Result:
     """Integrate the scene.
 
@@ -142,6 +174,8 @@ def run(scene: Scene, variant: str, step: float) -> Result:
     """
     import mujoco
 
+    if scene.model:
+        return run_mechanism(scene, variant, step)
     model, data = model_of(scene)
     number, model.opt.timestep = equal_steps(scene, step)
     model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{variant.upper()}")

@@ -25,9 +25,10 @@ def chart_command(options: argparse.Namespace) -> int:
     asked = options.methods, options.peers
     paths = _outputs(options, f"chart_{case.path.stem if case.path else 'case'}")
     with _measuring("curve") as bar:
-        bar.total = work_precision.curve_count(*asked)
+        system = to_system(case)
+        bar.total = work_precision.curve_count(system, *asked)
         how = options.error, options.budget, bar.update
-        found = work_precision.chart(to_system(case), *asked, *how)
+        found = work_precision.chart(system, *asked, *how)
     return _show(found, work_precision_table, draw_chart, paths)
 
 

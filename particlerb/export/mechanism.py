@@ -78,6 +78,9 @@ def mechanism(system: System) -> str:
     """
     setup = joints_of(system)
     assert setup is not None
+    for body in system.body:
+        if body.fixed or body.motion is not None:
+            raise ExportError(f"{body.name} is held, which the model of a mechanism does not say")
     for b in np.flatnonzero(np.isin(system.bodies.rotor_class, (POINT, ROD))).tolist():
         kind = NAMES[int(system.bodies.rotor_class[b])]
         raise ExportError(f"{system.names[b]} is a {kind}: MuJoCo needs three positive moments")
@@ -97,7 +100,7 @@ class _Writer:
         self.joints = [_joint_of(system, setup, j) for j in range(len(setup.names))]
         self.speeds: dict[str, list[float]] = {}  # by the names of bodies
         self.root = ET.Element("mujoco", model=system.title or "mechanism")
-        self.root.append(ET.Comment(f" {COMMENT}{'; forces are left out' * bool(system.force)} "))
+        self.root.append(ET.Comment(f" {COMMENT}; forces, and what acts in joints, are left out "))
         self.step = system.run.dt or _STEP
         options = {"timestep": numbers(self.step), "integrator": "RK4"}
         ET.SubElement(self.root, "option", options, gravity=numbers(system.acceleration))

@@ -11,3 +11,4 @@ METHODS: Final[dict[str, Method]] = {
 }
 UNJOINTED: Final = tuple(name for name, method in METHODS.items() if not method.holds_joints)
 """Methods for bodies that no joint holds."""
+JOINTED: Final = tuple(name for name, method in METHODS.items() if method.holds_joints)

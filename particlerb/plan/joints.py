@@ -177,9 +177,6 @@ def _refuse_with_joints(system: System) -> None:
     if system.contact is not None and system.contact.relax:
         reason = "bodies that joints hold are not pushed apart"
         raise CaseError([problem_at(system, "contact.relax", reason, "place them apart")])
-    if system.run.accuracy is not None:
-        reason = "no step is chosen by an accuracy where joints are"
-        raise CaseError([problem_at(system, "run.accuracy", reason, "give run.method and run.dt")])
 
 
 def joint_name(system: System, table: JointTable, first: Ints, second: Ints, k: int) -> str:
@@ -238,6 +235,11 @@ def _at_start(system: System, setup: JointSetup) -> _AtStart:
     work.y[:n] = np.vstack(system.state).T[joints.order]
     edges = joints.program.start[joints.clusters.joint].tolist()
     return _AtStart(joints, work, [slice(*ends) for ends in pairwise(edges)])
+
+
+def has_loops(system: System, setup: JointSetup) -> bool:
+    """Whether joints close a loop, so that rows may depend on others."""
+    return bool((_at_start(system, setup).joints.clusters.smallest_pivot > 0.0).any())
 
 
 def joint_of_row(joints: Joints, row: int) -> int:

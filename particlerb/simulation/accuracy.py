@@ -20,13 +20,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.source import problem_at
+from particlerb.integrators import METHODS
 from particlerb.model.system import System
 from particlerb.plan.describe import describe, group_name
 from particlerb.plan.make_plan import make_plan
-from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import GroupPlan, Plan, accepts, has_step
 from particlerb.plan.time_step import Stepping, stepped_by
-from particlerb.simulation.run import Prepared, prepare
+from particlerb.simulation.run import Prepared, made_ready, prepare
 from particlerb.simulation.step_ladder import (
     DEAREST,
     ENOUGH,
@@ -35,10 +35,12 @@ from particlerb.simulation.step_ladder import (
     ChosenStep,
     Ladder,
     Pilot,
-    candidates,
 )
 from particlerb.simulation.trials import drifts, part, states_at
 
+_CRUDE: Final = 1e-5  # accuracy below which a method of order 2 is no rival
+_JOINTED: Final = {1e-4: ("rattle", "rattle4"), 1e-7: ("rattle4", "rattle6")}  # down to these,
+_FINE: Final = ("rattle6", "rattle8")  # and below
 _SHARE: Final = 0.3  # of the wanted error of the energy that a step is chosen for
 
 
@@ -85,7 +87,7 @@ def prepare_accurately(system: System) -> Prepared:
     """
     if system.run.accuracy is None:
         return prepare(system)
-    system = remove_overlaps(system)
+    system = made_ready(system)
     free, found = system.with_run(method="auto"), []
 
     def choose(group: GroupPlan) -> Stepping | None:
@@ -124,7 +126,7 @@ def prepare_again(system: System, stepping: str | None) -> Prepared:
     if stepping is None:
         return prepare(system)
     choice = [None if one is None else Stepping(**one) for one in json.loads(stepping)]
-    system, chosen = remove_overlaps(system), iter(choice)
+    system, chosen = made_ready(system), iter(choice)
     plan = make_plan(system.with_run(method="auto"), lambda _: next(chosen))
     if next(chosen, None) is not None:
         raise ValueError("a method is chosen for a group that is not there")
@@ -150,10 +152,23 @@ def search(system: System, group: GroupPlan) -> ChosenStep | None:
     if not stepped:
         return None
     pilot = Pilot(system, group)
+    held = any(s.terms.joints is not None for s in stepped)
     if any(s.terms.contact is not None for s in stepped):
-        return by_energy(pilot, "strang")
-    able = [name for name in RATIO if all(accepts(name, s.terms) for s in stepped)]
+        return by_energy(pilot, "rattle" if held else "strang")
+    family = [name for name in RATIO if METHODS[name].holds_joints == held]
+    able = [name for name in family if all(accepts(name, s.terms) for s in stepped)]
     return cheapest(pilot, [Ladder(pilot, name) for name in candidates(pilot, able)])
+
+
+def candidates(pilot: Pilot, able: list[str]) -> list[str]:
+    """Methods worth a trial, of those that accept the forces."""
+    if pilot.own.segments[0].terms.joints is not None:
+        serving = next((names for least, names in _JOINTED.items() if pilot.wanted >= least), _FINE)
+        return [name for name in able if name in serving] or able
+    outdone = {"rk4"} if "rkn6" in able else set()
+    if pilot.wanted < _CRUDE and {"rkn6", "rk4"} & set(able):
+        outdone.add("strang")
+    return [name for name in RATIO if name in able and name not in outdone]
 
 
 def cheapest(pilot: Pilot, ladders: list[Ladder]) -> ChosenStep:

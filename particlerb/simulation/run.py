@@ -99,8 +99,8 @@ class Prepared(NamedTuple):
     parameters: Mapping[str, str] = MappingProxyType({})  # more for /parameters of the file
 
 
-def prepare(system: System) -> Prepared:
-    """Bodies and plan of a system.
+def made_ready(system: System) -> System:
+    """The system with its bodies where they begin: apart, and where all joints fit.
 
     Raises
     ------
@@ -109,6 +109,18 @@ def prepare(system: System) -> Prepared:
     """
     system = assembled(remove_overlaps(system))
     refuse_checks(system)
+    return system
+
+
+def prepare(system: System) -> Prepared:
+    """Bodies and plan of a system.
+
+    Raises
+    ------
+    CaseError
+        With all problems that show here.
+    """
+    system = made_ready(system)
     plan = make_plan(system)
     return Prepared(system, plan, describe(system, plan))
 

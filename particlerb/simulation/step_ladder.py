@@ -28,14 +28,17 @@ from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.simulation.trials import chosen, poses, relative_misfits, ways
 from particlerb.stepping.pair_forces import cost_of
 
-FIRST_TURN: Final = {"strang": 0.5, "rkn6": 4.0, "rk4": 0.5}  # rad of the first step that is tried
+FIRST_TURN: Final = {"rkn6": 4.0}  # rad of the first step that is tried; of others:
+_FIRST_TURN: Final = 0.5
 _FIRST_WANTED: Final = 1e-3  # for this accuracy, by half of the order for others
 _FIRST_TOLERANCE: Final = 0.01  # that is tried, in units of the accuracy,
 _COARSEST, _FINEST = 1e-3, 1e-14  # and its limits
-_CRUDE: Final = 1e-5  # accuracy below which a method of order 2 is no rival
 _ADAPTED: Final = 4.0  # rad of a step with a tolerance of 1, about,
 _LONGER: Final = 10.0  # and how many times longer steps may be later than at t = 0
-RATIO: Final = {"strang": 2.0, "rkn6": 1.6, "rk4": 1.8, "dop853": 30.0}  # of settings compared
+RATIO: Final = {
+    "strang": 2.0, "rkn6": 1.6, "rk4": 1.8, "dop853": 30.0,
+    "rattle": 2.0, "rattle4": 1.7, "rattle6": 1.5, "rattle8": 1.4,
+}  # of settings compared  # fmt: skip
 _DEARER: Final = 1.25  # a run may be than one whose error on the pilot is just what is wanted
 _PILOT: Final = 32  # bodies that are looked at, at most:
 _FASTEST: Final = 8  # these by their rates at t = 0, the others by their errors at
@@ -162,14 +165,6 @@ class Pilot:
             turns = stepping.dt * self.rate
             each *= 1.0 + self.asymmetric * (method.asymmetric_cost(turns) - 1.0)
         return float(steps * (lanes * each + method.evaluations * self.cost_between))
-
-
-def candidates(pilot: Pilot, able: list[str]) -> list[str]:
-    """Methods worth a trial, of those that accept the forces."""
-    outdone = {"rk4"} if "rkn6" in able else set()
-    if pilot.wanted < _CRUDE and {"rkn6", "rk4"} & set(able):
-        outdone.add("strang")
-    return [name for name in RATIO if name in able and name not in outdone]
 
 
 def _per_pack(rates: Floats) -> float:
@@ -359,7 +354,7 @@ class Ladder:
         if not self.is_stepped:
             return min(max(_FIRST_TOLERANCE * wanted, _FINEST), _COARSEST)
         share = (wanted / _FIRST_WANTED) ** (0.5 / self.order)
-        return self.pilot.longest(share * FIRST_TURN[self.name])
+        return self.pilot.longest(share * FIRST_TURN.get(self.name, _FIRST_TURN))
 
     def cost_of(self, setting: float, n: int) -> float:
         """Time of a run of n bodies with a setting, by the table [ns]."""

@@ -4,10 +4,12 @@ This module finds them, hands them a scene in plain arrays, and turns what they 
 errors of a chart. It knows no engine.
 """
 
+import contextlib
 import importlib.util
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -15,6 +17,10 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.case.forces import PushTable
+from particlerb.case.problems import CaseError
+from particlerb.case.source import problem_at
+from particlerb.export import ExportError
+from particlerb.export.mechanism import mechanism
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import (
@@ -25,6 +31,7 @@ from particlerb.model.state import (
     rotate_back,
 )
 from particlerb.model.system import System
+from particlerb.plan.joints import has_loops, joints_of
 from particlerb.simulation.trials import BodySubset, Error, errors
 from particlerb.studies.text import chosen_names
 
@@ -85,8 +92,17 @@ def engines(names: Sequence[str]) -> list[Engine]:
     asked = chosen_names(names, ("all", *known), "peer")
     modules = [known[name]() for name in (known if "all" in asked else asked)]
     return [
-        Engine(m.NAME, m.missing() or "", m.VARIANTS, m.ADAPTIVE, m.refusal, m.run) for m in modules
+        Engine(m.NAME, m.missing() or "", m.VARIANTS, m.ADAPTIVE, partial(_refusal, m), m.run)
+        for m in modules
     ]
+
+
+def _refusal(module: ModuleType, scene: PeerScene) -> str | None:
+    """Why an engine cannot hold a scene."""
+    if scene.joints is not None and not getattr(module, "HOLDS_JOINTS", False):
+        return "it is given no joints"
+    reason: str | None = module.refusal(scene)
+    return reason
 
 
 _GIVEN: Final = "other engines take gravity and constant pushes in the world frame only"
@@ -100,9 +116,10 @@ def peer_scene(system: System) -> PeerScene:
     ValueError
         If something acts that the adapters have no word for.
     """
-    types = sys.modules[f"{_adapters().__name__}.scene"]
+    types = import_module(f"{_adapters().__name__}.scene")
     bodies, state = system.bodies, system.state
-    if system.attraction is not None:
+    acting = ("spring", "damper", "limit", "motor", "during")
+    if system.attraction is not None or any(getattr(t, k) for t in system.joint for k in acting):
         raise ValueError(_GIVEN)
     pushes = []
     for force in system.force:
@@ -116,7 +133,41 @@ def peer_scene(system: System) -> PeerScene:
     velocity, omega = state.p * bodies.inv_mass, omega_world(bodies, state)
     columns = (bodies.inertia, state.com, state.q, velocity, omega)
     rows = (np.ascontiguousarray(column.T) for column in columns)
-    return types.Scene(bodies.mass, *rows, system.acceleration, tuple(pushes), system.run.t_end)
+    scene = types.Scene(bodies.mass, *rows, system.acceleration, tuple(pushes), system.run.t_end)
+    setup = joints_of(system)
+    if setup is None:
+        return scene
+    own = setup.rows
+    joints = own.kind, own.a, own.b, own.first, own.second, own.axis, own.length
+    model = ""
+    with contextlib.suppress(ExportError):
+        model = mechanism(system)
+    beside = {"model": model, "names": tuple(system.names), "rotor_frame": bodies.rotor_frame.T}
+    return scene._replace(joints=joints, has_loops=has_loops(system, setup), **beside)
+
+
+JOINT_ORACLE: Final = "DOP853 (SciPy) on accelerations with multipliers, tolerance 1e-13"
+
+
+def oracle_states(system: System, which: Ints, times: Floats) -> Frames:
+    """States of some bodies of a system with joints at ascending times, by another formulation.
+
+    Raises
+    ------
+    CaseError
+        If something acts that it does not take.
+    """
+    try:
+        scene = peer_scene(system)
+    except ValueError as error:
+        raise CaseError([problem_at(system, "joint", str(error), "")]) from None
+    textbook = import_module(f"{_adapters().__name__}.with_textbook")
+    y = textbook.oracle(scene, times)[:, which]
+    frame = system.bodies.rotor_frame[:, which] * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
+    q = [quaternion_product(np.ascontiguousarray(row.T), frame).T for row in y[:, :, 3:7]]
+    x, v, L = (np.ascontiguousarray(y[:, :, k : k + 3]) for k in (0, 7, 10))
+    momenta = v * system.bodies.mass[which, None], L
+    return Frames(x, np.array(q), *momenta, q[-1], np.ones(times.size, dtype=np.bool_))
 
 
 def _to_rotor(frame: Floats, vector: Sequence[float]) -> Floats:

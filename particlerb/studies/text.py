@@ -1,6 +1,10 @@
 """Words and tables that all studies share."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+_NICE: Final = (5.0, 2.0, 1.0)
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:
@@ -23,3 +27,13 @@ def chosen_names(asked: Sequence[str], known: Sequence[str], what: str) -> list[
     if unknown:
         raise ValueError(f"{', '.join(unknown)}: no such {what}; there are {', '.join(known)}")
     return list(dict.fromkeys(asked or known))
+
+
+def nice_steps(longest: float) -> Iterator[float]:
+    """Steps 5, 2, 1 times a power of ten, descending from the longest."""
+    exponent = math.floor(math.log10(longest))
+    for power in range(exponent, exponent - 16, -1):
+        for digit in _NICE:
+            step = float(f"{digit:.0f}e{power}")
+            if step <= longest:
+                yield step

@@ -20,12 +20,12 @@ import numpy as np
 
 from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
-from particlerb.case.source import problem_at
 from particlerb.compiled.threads import THREADS
-from particlerb.integrators import UNJOINTED
+from particlerb.integrators import JOINTED, UNJOINTED
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, as_frame, omega_world
 from particlerb.model.system import System
+from particlerb.plan.joints import assembled
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.rates import fastest_rate
 from particlerb.plan.remove_overlaps import remove_overlaps
@@ -33,8 +33,16 @@ from particlerb.plan.segments import Plan, has_step, is_adaptive
 from particlerb.plan.stability import contact_limit
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.trials import Error, drifts, errors, part, sample, seconds, states_at
-from particlerb.studies.peers import Engine, PeerScene, engines, peer_errors, peer_scene
-from particlerb.studies.text import chosen_names
+from particlerb.studies.peers import (
+    JOINT_ORACLE,
+    Engine,
+    PeerScene,
+    engines,
+    oracle_states,
+    peer_errors,
+    peer_scene,
+)
+from particlerb.studies.text import chosen_names, nice_steps
 
 _REPEATS: Final = 5  # at least,
 _LEAST_POINTS: Final = 3  # of a curve, unless the next takes twice the time that there is
@@ -43,6 +51,7 @@ _MOST_REPEATS: Final = 41
 _FILLED: Final = 0.02  # s that the repeats of a short run should fill: longer than a time slice
 _LOST: Final = 1.0  # rad: an orientation that is off by more says nothing
 FIRST_TURN: Final = 20.0  # rad of the longest step that is tried: a drift in closed form bears it
+_FIRST_JOINTED: Final = 2.0  # rad of a link against its tension
 _FIRST_CONTACT: Final = 0.5  # of the stability limit of contacts, for the longest step
 _USUAL_ERROR: Final = 1e-6
 _MOST_FRAMES: Final = 2000  # at which the energy of contact is looked at
@@ -52,7 +61,6 @@ _COARSEST_TOLERANCE: Final = 1e-3
 _FINEST_TOLERANCE: Final = 1e-14
 _REFERENCE_SHARE: Final = 0.25  # of the time that may be spent
 _ROUNDING: Final = float(np.finfo(np.float64).eps)
-_NICE: Final = (5.0, 2.0, 1.0)
 
 Progress = Callable[[int], object]
 
@@ -147,7 +155,7 @@ def chart(
     ValueError
         If there is no such method or peer.
     """
-    names = chosen_names(methods, UNJOINTED, "method")
+    names = chosen_names(methods, (JOINTED if system.joint else UNJOINTED), "method")
     rivals = engines(peers)
     with THREADS.using(1):
         study = Study(system, budget)
@@ -168,18 +176,18 @@ def chart(
     )
 
 
-def curve_count(methods: Sequence[str], peers: Sequence[str]) -> int:
+def curve_count(system: System, methods: Sequence[str], peers: Sequence[str]) -> int:
     """Curves that a chart will have, for a progress bar."""
-    return len(methods or UNJOINTED) + sum(len(engine.variants) for engine in engines(peers))
+    return len(methods or (JOINTED if system.joint else UNJOINTED)) + sum(
+        len(engine.variants) for engine in engines(peers)
+    )
 
 
 class Study:
     """A system with its reference, ready to be measured."""
 
     def __init__(self, system: System, budget: float) -> None:
-        if system.joint:
-            raise CaseError([problem_at(system, "joint", "a chart cannot judge joints yet")])
-        self.system = remove_overlaps(system)
+        self.system = assembled(remove_overlaps(system))
         self.t_end = system.run.t_end
         auto = self.plan("auto")
         segments = [segment for group in auto.groups for segment in group.segments]
@@ -248,8 +256,13 @@ class Study:
         if self.by_energy:
             frames = as_frame(self.system.bodies, self.system.state)  # nothing is compared with it
             return _Reference(frames, "the energy balance", _ROUNDING)
-        oracle = self.states("dop853", _FINEST_TOLERANCE)
         second = "rk4" if self.refusal("rkn6") else "rkn6"
+        if self.system.joint:
+            second, what = "rattle8", JOINT_ORACLE
+            oracle = oracle_states(self.system, self.which, self.times)
+        else:
+            what = f"dop853 with tolerance {_FINEST_TOLERANCE:g}"
+            oracle = self.states("dop853", _FINEST_TOLERANCE)
         step = self.first_step()
         self.states(second, step)  # compile
         start = time.monotonic()
@@ -261,9 +274,7 @@ class Study:
             stays = stays + 1 if found[-1] > 0.5 * min(found[:-1]) and found[-1] < 1e-6 else 0
         # where the difference no longer falls it is noise: the larger of two neighbours counts
         floor = min(map(max, pairwise(found[1:]))) if len(found) > 3 else found[-1]
-        what = (
-            f"dop853 with tolerance {_FINEST_TOLERANCE:g}, checked by {second} with shorter steps"
-        )
+        what = f"{what}, checked by {second} with shorter steps"
         return _Reference(oracle, what, floor)
 
     # Steps
@@ -271,6 +282,7 @@ class Study:
     def first_step(self) -> float:
         """Longest step that is worth a trial [s]."""
         first = _FIRST_CONTACT * self.contact_limit() if self.by_energy else FIRST_TURN
+        first = _FIRST_JOINTED if self.system.joint and not self.by_energy else first
         return min(first / self.rate, 0.5 * self.t_end) if self.rate > 0.0 else 0.5 * self.t_end
 
     def contact_limit(self) -> float:
@@ -381,13 +393,3 @@ def failure(error: Error) -> str:
     if error.position > _LOST:
         return f"position off by {error.position:.2g} times the size or path of the body"
     return f"orientation off by {error.worst:.2g} rad" if error.worst > _LOST else ""
-
-
-def nice_steps(longest: float) -> Iterator[float]:
-    """Steps 5, 2, 1 times a power of ten, descending from the longest."""
-    exponent = math.floor(math.log10(longest))
-    for power in range(exponent, exponent - 16, -1):
-        for digit in _NICE:
-            step = float(f"{digit:.0f}e{power}")
-            if step <= longest:
-                yield step

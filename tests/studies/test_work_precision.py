@@ -9,12 +9,12 @@ import pytest
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.simulation.trials import Error
+from particlerb.studies.text import nice_steps
 from particlerb.studies.work_precision import (
     Point,
     WorkPrecision,
     chart,
     failure,
-    nice_steps,
 )
 from particlerb.studies.work_precision_table import (
     advice,
