@@ -22,6 +22,7 @@ BUDGETS = {
     "tables of forces": 232,
 }
 BUDGETS |= {"contact with every method": 480}
+BUDGETS |= {"helpers without machine code": 50}
 BUDGETS |= {"vectors of 512 bits": 45, "opening angle fitted to a scene": 95}
 BUDGETS |= {"scenes in Python": 434, "sweeps": 605}
 BUDGETS |= {"reports of a run": 70, "what acts on jointed bodies": 605}

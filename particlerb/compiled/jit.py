@@ -1,13 +1,14 @@
 """The only caller of Numba's compiler: two decorators and the place of the disk cache.
 
-`inline` is for helpers of scalars and tuples, `kernel` for loops over bodies; kernels run without
-the interpreter's lock, so that `threads` can spread them. `splice` is for a function that does no
-more than call others: it is copied into its callers, and not compiled by itself. `lean` and
-`lean_kernel` do not count who uses an array, which costs 5 ns for each that a loop takes out of a
-tuple or hands to a helper: they can make none. Numba's cache does not notice an edit in
-another file, nor a changed NUMBA_* flag; so the cache folder has a hash of all of it in its name.
-Nor does it notice that a file was cut or changed, or give up where none can be written: each file
-has a hash of its content, what is damaged is compiled anew, and one warning says what is not kept.
+`inline` is for helpers of scalars and tuples, which have no code of their own (see `helper`),
+`kernel` for loops over bodies; kernels run without the interpreter's lock, so that `threads` can
+spread them. `splice` is for a function that does no more than call others: it is copied into its
+callers, and not compiled by itself. `lean` and `lean_kernel` do not count who uses an array, which
+costs 5 ns for each that a loop takes out of a tuple or hands to a helper: they can make none.
+Numba's cache does not notice an edit in another file, nor a changed NUMBA_* flag; so the cache
+folder has a hash of all of it in its name. Nor does it notice that a file was cut or changed, or
+give up where none can be written: each file has a hash of its content, what is damaged is compiled
+anew, and one warning says what is not kept.
 """
 
 import contextlib
@@ -27,6 +28,7 @@ from typing import Any, Final, TypeAlias, TypeVar, cast
 import numba
 from numba.core import caching
 
+from particlerb.compiled.helper import Helper
 from particlerb.compiled.vector_width import compiler_options
 
 config: Any = numba.config
@@ -230,10 +232,21 @@ def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Fu
     return decorate
 
 
-inline = compile_with(forceinline=True)
+def _helper(**options: Any) -> Callable[[Function], Function]:
+    """Return a decorator for functions that are copied into their callers."""
+
+    def decorate(function: Function) -> Function:
+        if CACHE_FOLDER is None:
+            return function
+        return cast(Function, Helper(function, _FLAGS | options, compile_with(**options)))
+
+    return decorate
+
+
+inline = _helper()
 splice = compile_with(inline="always")
 kernel = compile_with(cache=True, nogil=True)
-lean = compile_with(forceinline=True, _nrt=False)
+lean = _helper(_nrt=False)
 lean_kernel = compile_with(cache=True, nogil=True, _nrt=False)
 
 

@@ -1,0 +1,84 @@
+"""Helpers are copied into kernels, have no code of their own, and can be called from Python."""
+
+import math
+
+import numpy as np
+import pytest
+
+from particlerb.compiled.jit import config, inline, kernel
+
+pytestmark = [
+    pytest.mark.compiled,
+    pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled in plain Python"),
+]
+
+
+@inline
+def _cube(x):
+    return x * x * x
+
+
+@inline
+def _fourth(x):
+    return x * _cube(x)
+
+
+@kernel
+def _sum(values):
+    total = 0.0
+    for x in values:
+        total += _cube(x) + _fourth(x)
+    return total
+
+
+@inline
+def _checked(x):
+    if x < 0.0:
+        raise ValueError("below zero")
+    return math.sqrt(x)
+
+
+@kernel
+def _root(x):
+    return _checked(x)
+
+
+def machine_code(function):
+    """Names of the functions that LLVM has made code of, for the signatures of a helper."""
+    found = []
+    for result in function.overloads.values():
+        engine = result.library.codegen._engine
+        found += [
+            name for name in (result.fndesc.llvm_func_name,) if engine.is_symbol_defined(name)
+        ]
+    return found
+
+
+def test_kernels_copy_helpers_that_have_no_code_of_their_own():
+    assert _sum(np.array([1.0, 2.0, 0.5])) == 1.0 + 1.0 + 8.0 + 16.0 + 0.125 + 0.0625
+    for helper in (_cube, _fourth):
+        assert helper.overloads
+        assert machine_code(helper) == []
+    assert machine_code(_sum)
+    names = [result.fndesc.llvm_func_name for result in _cube.overloads.values()]
+    (code,) = (result.library.get_llvm_str() for result in _sum.overloads.values())
+    assert not any(name in code for name in names)
+
+
+def test_a_helper_can_be_called_from_python_before_and_behind_a_kernel():
+    @inline
+    def square(x):
+        return _cube(x) / x
+
+    assert square(3.0) == 9.0
+    assert square(x=2) == 4.0
+    assert square.py_func(5.0) == 25.0
+    assert _fourth(2.0) == 16.0
+
+
+def test_an_error_of_a_helper_leaves_the_kernel():
+    assert _root(4.0) == 2.0
+    with pytest.raises(ValueError, match="below zero"):
+        _root(-1.0)
+    with pytest.raises(ValueError, match="below zero"):
+        _checked(-1.0)
