@@ -623,7 +623,8 @@ def test_dashpots_between_bodies_act_beside_contact(make, monkeypatch):
 
 
 @pytest.mark.compiled
-def test_three_threads_with_blocks_of_their_own_give_the_bits_of_one(make):
+@pytest.mark.parametrize("method", ["strang", "rk4"])
+def test_three_threads_with_blocks_of_their_own_give_the_bits_of_one(make, method):
     """700 balls of unequal size fall into a heap; there are three blocks, lists are made often."""
     cells = np.stack(np.meshgrid(*[np.arange(k) for k in (7, 10, 10)]), axis=-1).reshape(-1, 3)
     rng = np.random.default_rng(1)
@@ -632,7 +633,7 @@ def test_three_threads_with_blocks_of_their_own_give_the_bits_of_one(make):
     balls = {"name": "ball", "shape": shape, "count": 700, "position": place}
     walls = [{"name": "bin", "type": "box", "lower": [-0.2, -0.2, 0], "upper": [1.6, 2.2, 4]}]
     fall = balls | {"velocity": rng.normal(size=place.shape) - [0, 0, 3.0]}
-    run = {"t_end": 0.1, "every": 0.0173, "dt": 2e-4, "method": "strang"}
+    run = {"t_end": 0.1, "every": 0.0173, "dt": 2e-4, "method": method}
     case = make.case(fall, contact=make.hooke(1e5, 0.5, 0.5), wall=walls, **WEIGHT)
     case["run"] |= run
     ends = [ran(case | {"run": case["run"] | {"threads": k}}) for k in (1, 2, 3)]
