@@ -23,6 +23,7 @@ BUDGETS = {
 }
 BUDGETS |= {"contact with every method": 480}
 BUDGETS |= {"helpers without machine code": 50}
+BUDGETS |= {"impulses": 1222}
 BUDGETS |= {"vectors of 512 bits": 45, "opening angle fitted to a scene": 95}
 BUDGETS |= {"scenes in Python": 434, "sweeps": 605}
 BUDGETS |= {"reports of a run": 70, "what acts on jointed bodies": 605}

@@ -69,7 +69,9 @@ class Pair(ContactNumbers):
 class ContactTable(ContactNumbers):
     """Contact between bodies and with walls; without this table nothing touches."""
 
-    law: Literal["hooke", "hertz"] = Field("hooke", description="Force by overlap. [-]")
+    law: Literal["hooke", "hertz", "impulse"] = Field(
+        "hooke", description="Force by overlap, or impulses without any. [-]"
+    )
     attract: Yes = Field(False, description="Whether damping may pull. [-]")
     skin: Positive | None = Field(
         None, description="Distance up to which pairs are kept; default: chosen. [m]"
@@ -80,6 +82,16 @@ class ContactTable(ContactNumbers):
     relax: Yes = Field(False, description="Whether to push apart what overlaps at t = 0. [-]")
     allow_unstable: Yes = Field(
         False, description="Whether a step above the stability limit is taken. [-]"
+    )
+    tolerance: Positive = Field(1e-3, description="Residual at which sweeps end, impulse. [-]")
+    iterations: Annotated[int, Strict(), Field(ge=1)] = Field(
+        20, description="Sweeps over all contacts in a step at most, impulse. [-]"
+    )
+    push_out: _Share = Field(
+        0.3, description="Share of an overlap that a step takes away, impulse. [-]"
+    )
+    slop: NonNegative = Field(
+        1e-4, description="Overlap that stays, over the smallest radius, impulse. [-]"
     )
     pair: tuple[Pair, ...] = Field((), description="Pairs of materials, [[contact.pair]]. [-]")
 

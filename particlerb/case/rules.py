@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from particlerb.case.body_rules import body_rules, file_rules, held_rules, many_bodies, shapes
+from particlerb.case.contact import ContactTable
 from particlerb.case.forces import FORCES, ForceTable
 from particlerb.case.joints import TYPES_WITH_COORDINATES, joint_rules
 from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_JOINTS, FIELDS_OF_WALLS
@@ -173,6 +174,7 @@ def _contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
         yield from _number_rules(path, pair, contact)
     if isinstance(contact, dict):
         yield from _number_rules(("contact",), contact, contact)
+        yield from _impulse_rules(raw, contact)
 
 
 def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -200,8 +202,33 @@ def material(path: Path, name: Any, known: list[str]) -> Iterator[Finding]:
         yield path, f'there is no material "{name}"', hint
 
 
+def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Finding]:
+    """Keys of impulses are for that law, and what it does not know is not there."""
+    if contact.get("law") != "impulse":
+        for key in ("tolerance", "iterations", "push_out", "slop"):
+            default = ContactTable.model_fields[key].default
+            if contact.get(key, default) != default:  # a case that was saved has all of them
+                yield ("contact", key), "is for impulses", 'take law = "impulse"'
+        return
+    for key in ("attract", "allow_unstable"):
+        if contact.get(key) is True:
+            yield ("contact", key), "impulses have neither damping nor stiffness", "leave it out"
+    for i, wall in tables(raw, "wall"):
+        if given(wall, "piston"):
+            reason = "impulses do not move pistons yet"
+            yield ("wall", i, "piston"), reason, 'take law = "hooke", or `motion`'
+
+
 def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[Finding]:
     """The law has a use for a number, and there is a damping for a restitution."""
+    if contact.get("law") == "impulse":
+        for key in ("stiffness", "tangential_stiffness"):
+            if given(table, key):
+                yield (*path, key), "impulses have no stiffness", "leave it out"
+        if given(table, "rolling_friction"):
+            reason = "impulses do not resist rolling yet"
+            yield (*path, "rolling_friction"), reason, 'leave it out, or take law = "hooke"'
+        return
     if contact.get("law") == "hertz":
         for key in ("stiffness", "tangential_stiffness"):
             if given(table, key):

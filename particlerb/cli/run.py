@@ -26,11 +26,27 @@ from particlerb.cli.report import Report
 from particlerb.compiled.jit import WHEN_COMPILING
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.gravity_tree.opening_angle import other_angle
+from particlerb.impulses.records import (
+    BOUNDARY_WORK,
+    CONTACTS,
+    DEEPEST,
+    FRICTION_WORK,
+    IMPACT_WORK,
+    PRESSING_WORK,
+    PUSH_OUT_WORK,
+    RESIDUAL,
+    STEPS,
+    SWEEPS,
+    UNENDED,
+    UNMET,
+    WORST_EVER,
+)
+from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.plan.stability import STEPS_PER_CONTACT, stable_turn
+from particlerb.record import schema
 from particlerb.record.file_size import SMALLEST_FILE, estimated_size
 from particlerb.record.output_file import DamagedError
-from particlerb.record.schema import CHECKPOINT, COLUMNS, CONTACTS
 from particlerb.record.trajectory import TrajectoryError, open_trajectory
 from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_accurately
@@ -147,9 +163,9 @@ def size_text(system: System, path: Path) -> str:
     n = frame_count(system.run)
     size = estimated_size(system, n) + SMALLEST_FILE + sum(map(len, system.files.contents.values()))
     text = f"{path}, {n} frames, about {amount(size)}"
-    if CONTACTS in system.output.fields:
+    if schema.CONTACTS in system.output.fields:
         item = np.dtype(system.output.dtype).itemsize
-        each = sum(max(c.width, 1) * (4 if c.is_count else item) for c in COLUMNS.values())
+        each = sum(max(c.width, 1) * (4 if c.is_count else item) for c in schema.COLUMNS.values())
         text += (
             f" and {each} bytes for each contact in a frame, whose number is not known in advance"
         )
@@ -226,7 +242,7 @@ def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
         with open_trajectory(path) as trajectory:
             n = trajectory.n_frames
             text = f"{n} {'frame is' if n == 1 else 'frames are'} kept in {path}"
-            if can_go_on and (CHECKPOINT in trajectory.file or not n):
+            if can_go_on and (schema.CHECKPOINT in trajectory.file or not n):
                 text += f"\ncontinue with: python -m particlerb resume {shlex.quote(str(path))}"
             return text
     except (OSError, TrajectoryError) as error:
@@ -242,6 +258,8 @@ def _drift_text(outcome: Outcome) -> str:
     ]
     if outcome.swing > 0.0:
         lines.insert(0, contact_text(outcome.swing))
+    if outcome.tally is not None:
+        lines.insert(0, impulse_text(outcome.tally))
     if (tree := outcome.tree) is not None:
         errs = f"accelerations erred by {tree.seen:.2g} at most, rms, of {tree.asked:.2g} asked for"
         lines.insert(0, f"tree of the attraction: opening angle {tree.angle:.3g}, {errs}")
@@ -249,6 +267,23 @@ def _drift_text(outcome: Outcome) -> str:
         share = f"{100.0 * outcome.flown:.3g} % of the body-steps"
         lines.insert(0, f"{share} were taken in closed form: no contact in reach")
     return "\n".join(lines)
+
+
+def impulse_text(tally: Floats) -> str:
+    """How well impulses were solved, and what they have done."""
+    n = max(tally[STEPS], 1.0)
+    works = {"impacts": IMPACT_WORK, "pressing": PRESSING_WORK, "friction": FRICTION_WORK}
+    works |= {"moving walls": BOUNDARY_WORK, "push-out": PUSH_OUT_WORK}
+    done = ", ".join(f"{name} {tally[k]:.3g} J" for name, k in works.items())
+    text = (
+        f"impulses: residual {tally[RESIDUAL]:.2g} in the last step, {tally[WORST_EVER]:.2g} at"
+        f" worst, above the tolerance in {tally[UNMET]:.0f} of {tally[STEPS]:.0f} steps;"
+        f" {tally[CONTACTS] / n:.3g} contacts and {tally[SWEEPS] / n:.3g} sweeps a step;"
+        f" largest overlap {tally[DEEPEST]:.3g} m\nwork: {done}"
+    )
+    if tally[UNENDED] > 0.0:
+        text += f"; in {tally[UNENDED]:.0f} steps impacts had not come to an end"
+    return text
 
 
 def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:

@@ -8,6 +8,7 @@ from particlerb.contact.piston import Pistons
 from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.records import Records
 from particlerb.contact.walls import Walls
+from particlerb.impulses.records import ImpulseRules, Impulses
 from particlerb.maths.vec3 import Bools, Floats, Indices, Ints
 
 
@@ -47,6 +48,7 @@ class GroupContact(NamedTuple):
     n_interior: int  # spheres so deep inside their bodies that nothing can reach them
     pistons: Pistons | None = None  # walls that slide under a load
     allow_unstable: bool = False  # whether steps above the limit of stability are taken
+    rules: ImpulseRules | None = None  # where contacts have no stiffness: how they are solved
 
 
 class ContactList(NamedTuple):
@@ -109,6 +111,7 @@ class Workspace(NamedTuple):
     deepest: Floats  # (threads, 3) deepest of contacts too deep: overlap and radius [m], body; or 0
     gross_work: Floats  # (n_bodies,) [J] gross work of contacts so far: see `collect_loads`
     step_start: Records  # (1,) STEP_START: all threads write the same
+    impulses: Impulses | None = None  # where contacts have no stiffness
 
 
 class Evaluation(NamedTuple):
@@ -139,6 +142,7 @@ class ContactFrames(NamedTuple):
 
     elastic: Floats  # (T,) [J] elastic energy
     pistons: Records  # (T, k) PISTON
+    tally: Floats  # (T, k) of impulses: see impulses/records.py
 
 
 class ContactChanges(NamedTuple):
@@ -149,6 +153,7 @@ class ContactChanges(NamedTuple):
     walls: Records
     pistons: Records
     gross_work: Floats
+    tally: Floats  # of impulses
 
 
 class MovingContact(NamedTuple):

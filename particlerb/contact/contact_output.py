@@ -69,6 +69,7 @@ def contact_rows(
     members: Ints,
     numbers: Ints,
     are_walls: bool,
+    with_gaps: bool = False,
 ) -> tuple[Ints, Floats]:
     """Contacts that were found active by the last evaluation.
 
@@ -80,6 +81,8 @@ def contact_rows(
         Bodies of the scene, and numbers of the spheres that say where a contact comes in the list.
     are_walls : bool
         Whether these are contacts with walls.
+    with_gaps : bool
+        Whether what presses counts where it does not overlap yet: an impulse ends a gap.
 
     Returns
     -------
@@ -105,9 +108,11 @@ def contact_rows(
         who[swap] = who[swap][:, [1, 0, 2, 4, 3]]
         sign = np.where(swap, -1.0, 1.0)[:, None]
         force, torque = sign * force, sign * torque
-    overlaps = overlap > 0.0  # the force is that of a step around the instant: it may begin before
+    counts = overlap > 0.0  # the force is that of a step around the instant: it may begin before
+    if with_gaps:
+        counts = (force != 0.0).any(axis=1)
     what = np.hstack([forces.point, force, torque, overlap[:, None]])
-    return who[overlaps], what[overlaps]
+    return who[counts], what[counts]
 
 
 def contact_numbers(contacts: ContactOutput, n_bodies: int) -> Ints:

@@ -1,14 +1,14 @@
 """Lists of contacts: those of each body, their history from list to list, how long lists hold."""
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.contact.cell_grid import pair_key
-from particlerb.contact.records import columns_of, history_record
+from particlerb.contact.records import columns_of
 from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, rows4
 from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3, load3, rows3, subtract
 
@@ -72,10 +72,10 @@ class ContactHistory(NamedTuple):
     values: Floats  # (m, ..)
 
 
-def empty_history(with_rolling: bool) -> ContactHistory:
-    """History of no contacts, with or without resistance to rolling."""
+def empty_history(record: np.dtype[Any]) -> ContactHistory:
+    """History of no contacts, of such records."""
     none = np.zeros(0, dtype=np.int64)
-    return ContactHistory(none, none, np.zeros((0, columns_of(history_record(with_rolling)))))
+    return ContactHistory(none, none, np.zeros((0, columns_of(record))))
 
 
 @kernel

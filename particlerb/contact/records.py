@@ -52,6 +52,10 @@ _HISTORY: Final = record(
     inv_effective_mass=1,  # [1/kg] where it began, 0 where the contact is not active
     damping=1,  # see `law.damping_coefficient`
 )
+_IMPULSE_HISTORY: Final = record(
+    force=3,  # [N] mean of the last step on the first body
+    inv_effective_mass=1,  # [1/kg] 0 where the contact is not active
+)
 _ROLLING_HISTORY: Final = record(_HISTORY, rolling_spring=3)  # [m]
 
 # Forces of a contact on its first body, world axes
@@ -120,8 +124,10 @@ STEP_START: Final = record(
 STAGES: Final = record(start=3, total=3, rolling_start=3, rolling_total=3)  # [m]
 
 
-def history_record(with_rolling: bool) -> np.dtype[Any]:
+def history_record(with_rolling: bool, with_impulses: bool = False) -> np.dtype[Any]:
     """Record of what a contact remembers."""
+    if with_impulses:
+        return _IMPULSE_HISTORY
     return _ROLLING_HISTORY if with_rolling else _HISTORY
 
 

@@ -14,7 +14,7 @@ from particlerb.contact.contact_model import GroupContact
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity import UniformGravity, parts_of_gravity
 from particlerb.forces.kernels import Acting
-from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, PISTONS, VELOCITY, Kick
+from particlerb.forces.kinds import BODIES, CONTACT, IMPULSES, JOINTS, PISTONS, VELOCITY, Kick
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import (
     FIRST,
@@ -44,6 +44,16 @@ class Terms(NamedTuple):
     tree_accuracy: float = 0.0  # for which the angle may be wider; 0: it may not
     contact: GroupContact | None = None
     joints: Joints | None = None
+
+    @property
+    def has_springy_contact(self) -> bool:
+        """Whether contacts have a stiffness: they are loads then, and impulses otherwise."""
+        return self.contact is not None and self.contact.rules is None
+
+    @property
+    def has_pair_loads(self) -> bool:
+        """Whether bodies act on each other by loads, and not by impulses alone."""
+        return self.is_coupled and (self.contact is None or self.has_springy_contact)
 
     @property
     def is_coupled(self) -> bool:
@@ -105,8 +115,8 @@ def acting_of(terms: Terms) -> Acting:
 
     return Acting(
         tuple(tag(kick) for kick in KICKS),
-        PAIR if terms.is_coupled else None,
-        PAIR + OTHER if terms.contact is not None else None,
+        PAIR if terms.has_pair_loads else None,
+        PAIR + OTHER if terms.has_springy_contact else None,
         1 if any(kick.flow is not None for kick in acting) else None,
         1 if any(kick.at_time is not None for kick in acting) else None,
     )
@@ -175,7 +185,7 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
     if terms.attraction is not None:
         needs["attraction"] = frozenset({BODIES})
     if terms.contact is not None:
-        needs["contact"] = frozenset({CONTACT})
+        needs["contact"] = frozenset({CONTACT if terms.has_springy_contact else IMPULSES})
         if terms.contact.pistons is not None:
             needs["walls with a piston"] = frozenset({CONTACT, PISTONS})
     if terms.joints is not None:

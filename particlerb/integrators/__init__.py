@@ -9,6 +9,8 @@ from particlerb.model.method_names import METHOD_NAMES
 METHODS: Final[dict[str, Method]] = {
     name: import_module(f"{__name__}.{name}").METHOD for name in METHOD_NAMES
 }
-UNJOINTED: Final = tuple(name for name, method in METHODS.items() if not method.holds_joints)
-"""Methods for bodies that no joint holds."""
+UNJOINTED: Final = tuple(
+    name for name, method in METHODS.items() if not (method.holds_joints or method.takes_impulses)
+)
+"""Methods for bodies that no joint holds, and that no impulse of a contact moves."""
 JOINTED: Final = tuple(name for name, method in METHODS.items() if method.holds_joints)

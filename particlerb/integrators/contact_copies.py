@@ -9,6 +9,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.body_loads import stored_energy
 from particlerb.contact.contact_model import ContactChanges, ContactList, MovingContact
 from particlerb.contact.records import Records
+from particlerb.impulses.records import WORST, Impulses
 from particlerb.maths.vec3 import Floats
 
 
@@ -38,6 +39,7 @@ def restore_contacts(
         return
     meet(team)
     _copy(saved, changes, team)
+    _forget_worst(contact.workspace.impulses, team)
     _recall(contact.lists.spheres, team)
     _recall(contact.lists.walls, team)
     meet(team)
@@ -51,6 +53,7 @@ def _copy(source: ContactChanges, target: ContactChanges, team: Team) -> None:
     _copy_items(source.walls, target.walls, team)
     _copy_items(source.pistons, target.pistons, team)
     _copy_items(source.gross_work, target.gross_work, team)
+    _copy_items(source.tally, target.tally, team)
 
 
 @inline
@@ -77,5 +80,24 @@ def store_contacts(contact: MovingContact | None, team: Team | None, frame: int)
     frames, lists, pistons = contact.frames, contact.lists, contact.memory.pistons
     if team.rank == 0:
         frames.elastic[frame] = stored_energy(lists.spheres) + stored_energy(lists.walls)
+        _store_tally(contact.workspace.impulses, frames.tally, frame)
         for k in range(pistons.size):
             frames.pistons[frame, k] = pistons[k]
+
+
+@inline
+def _forget_worst(impulses: Impulses | None, team: Team) -> None:
+    """Begin anew to look for the worst residual: a frame shows that since the last one."""
+    if impulses is None:
+        return
+    if team.rank == 0:
+        impulses.tally[WORST] = 0.0
+
+
+@inline
+def _store_tally(impulses: Impulses | None, tally: Floats, frame: int) -> None:
+    """Write what was counted of impulses into a frame, if there are any."""
+    if impulses is None:
+        return
+    for k in range(impulses.tally.size):
+        tally[frame, k] = impulses.tally[k]

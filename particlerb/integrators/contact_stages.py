@@ -42,6 +42,7 @@ from particlerb.contact.records import Records
 from particlerb.contact.wall_contacts import wall_contact_forces
 from particlerb.contact.wall_motion import put_poses
 from particlerb.forces.registry import PAIR, STEADY
+from particlerb.impulses.records import ImpulseRules
 from particlerb.integrators.pair_stages import Layout, PairTerms
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import (
@@ -60,6 +61,7 @@ from particlerb.model.block import (
 )
 from particlerb.model.load import CONTACT_ROWS
 
+_PART_FOR_IMPULSES: Final = 0.45  # of the skin, and of what the step after it brings
 _PART_OF_SKIN: Final = 0.4  # that bodies may use up before a step: a frame may lie ahead
 
 
@@ -147,7 +149,9 @@ def _place(
     extremes.displacement[0] = max(extremes.displacement[0], reached)
     extremes.speed[0], extremes.angular_speed[0] = v, w
     used = _used_up(lists.spheres.stages, path, reached)
-    return not (used > allowance or time >= memory.valid_until)
+    ahead = after * (v + 4.0 * w * lists.max_contact_arm)
+    is_too_far = _comes_too_far(setup.rules, path + 1.5 * ahead, setup.skin)
+    return not (is_too_far or used > allowance or time >= memory.valid_until)
 
 
 @inline
@@ -159,6 +163,12 @@ def _used_up(stages: Records | None, path: float, reached: float) -> float:
     if stages is None:
         return path
     return reached if path > 0.0 else 0.0
+
+
+@inline
+def _comes_too_far(rules: ImpulseRules | None, path: float, skin: float) -> bool:
+    """Whether contacts that close within the step after the next drift may not be listed."""
+    return rules is not None and path > _PART_FOR_IMPULSES * skin
 
 
 @inline

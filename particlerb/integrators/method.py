@@ -52,6 +52,8 @@ class Method(NamedTuple):
     """Largest hω of bodies that rest on contacts with a damping ratio ζ."""
     holds_joints: bool = False
     """Whether it is for bodies that joints hold, and for no others."""
+    takes_impulses: bool = False
+    """Whether it is for contacts without stiffness, and for no others."""
     has_dashpot_flows: bool = False
     """Whether dashpots between bodies are exact flows among the stages, and not loads."""
     rotor_constants: Callable[[Floats], Floats] | None = None

@@ -12,6 +12,7 @@ METHOD_NAMES: Final = (
     "rattle4",
     "rattle6",
     "rattle8",
+    "moreau",
     "rkn6",
     "dop853",
     "rk4",

@@ -11,6 +11,7 @@ from particlerb.forces.kinds import TIME
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Ints
 from particlerb.model.system import System
+from particlerb.plan.impulse_step import expected_overlap, touches_by_impulses
 from particlerb.plan.joint_words import joint_line
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.rotors.rotor_class import NAMES
@@ -112,10 +113,30 @@ def _contact_line(system: System, plan: Plan) -> str:
         what = f"{spheres} spheres and {walls} walls, {system.contact.law}"
         if found[0].n_interior:
             what += f", {found[0].n_interior} spheres inside that nothing can reach left out"
+        if found[0].rules is not None:
+            what += f", {_solved(system, plan)}"
         return f"on: {what}, pairs kept within {found[0].skin:.3g} m{_flying(plan)}"
     if not system.particles.radius.any():
         return "off: no particle has a radius"
     return "off: no [contact]; radii add to the inertia tensor only"
+
+
+def _solved(system: System, plan: Plan) -> str:
+    """How impulses are found, and what overlap is to be expected."""
+    table, overlaps = (
+        system.contact,
+        [
+            expected_overlap(system, group, segment)
+            for group in plan.groups
+            for segment in group.segments
+            if touches_by_impulses(segment)
+        ],
+    )
+    assert table is not None
+    return (
+        f"residual {table.tolerance:.3g} or {table.iterations} sweeps; the fastest impact may"
+        f" overlap by about {max(overlaps):.3g} m"
+    )
 
 
 def _flying(plan: Plan) -> str:

@@ -27,6 +27,7 @@ from particlerb.forces.gravity_tree.opening_angle import safe_angle
 from particlerb.forces.gravity_tree.tree import BREAK_EVEN
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import force_of
+from particlerb.impulses.records import ImpulseRules
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import rotate_back
@@ -298,8 +299,19 @@ def _contact_among(
     left_out = int(may_touch.sum()) - owner.size
     is_forced = touching.record.allow_unstable
     return GroupContact(
-        touchable, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced
-    )
+        touchable, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced,
+        _rules_of(touching, float(radius.min())),
+    )  # fmt: skip
+
+
+def _rules_of(touching: ContactSetup, radius: float) -> ImpulseRules | None:
+    """How contacts are solved that have no stiffness; `radius` [m] is the smallest."""
+    asked = touching.record
+    if asked.law != "impulse":
+        return None
+    restitution = touching.pairs.restitution.ravel()
+    slop = asked.slop * radius
+    return ImpulseRules(restitution, asked.tolerance, asked.iterations, asked.push_out, slop)
 
 
 def _apart_among(members: Ints, apart: Ints) -> Ints:

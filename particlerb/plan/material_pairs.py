@@ -51,13 +51,15 @@ def pairs_of(
         problems += _without_moduli(system, can_meet)
     for a, b in np.argwhere(np.triu(can_meet)).tolist():
         number, pair = own.get(frozenset((names[a], names[b])), (-1, None))
-        needed = ["restitution", "friction"] + ([] if is_hertz else ["stiffness"])
+        needed = ["restitution", "friction"] + (["stiffness"] if table.law == "hooke" else [])
         missing = [key for key in needed if _number_of(table, pair, key) is None]
         if missing:
             problems += [_missing_number(system, names, a, b, number, missing)]
             continue
         for key in (*needed, "rolling_friction"):
             _both(getattr(pairs, key), a, b, _number_of(table, pair, key) or 0.0)
+        if table.law == "impulse":
+            continue
         ratio = damping_ratio(float(pairs.restitution[a, b]), table.attract)
         _both(pairs.damping_ratio, a, b, ratio)
         if is_hertz:

@@ -124,8 +124,11 @@ def _refused_terms(method: str, terms: Terms) -> list[str]:
 
 
 def accepts(method: str, terms: Terms) -> bool:
-    """Whether a method can integrate under these terms."""
-    is_idle = METHODS[method].holds_joints and terms.joints is None
+    """Whether a method can integrate under these terms, and is meant for them."""
+    chosen = METHODS[method]
+    by_impulses = terms.contact is not None and not terms.has_springy_contact
+    is_idle = chosen.holds_joints and terms.joints is None
+    is_idle = is_idle or (chosen.takes_impulses and not by_impulses)
     return not is_idle and not _refused_terms(method, terms)
 
 
@@ -144,11 +147,17 @@ def _chosen_method(named: str, bodies: Bodies, terms: Terms) -> tuple[str, Bools
 
     A named method steps whatever rotates, `auto` does not.
     """
-    if terms.joints is None and named != "auto" and METHODS[named].holds_joints:
+    asked = METHODS.get(named)
+    if asked is not None and (
+        (asked.holds_joints and terms.joints is None)
+        or (asked.takes_impulses and terms.contact is None)
+    ):
         named = "auto"
     if named in ("auto", "exact"):
         is_closed = has_closed_form(bodies, terms)
         stepped = "strang" if terms.joints is None else "rattle"
+        if terms.contact is not None and not terms.has_springy_contact:
+            stepped = "moreau"
         return "exact" if is_closed.all() or named == "exact" else stepped, is_closed
     rotates = bool((bodies.rotor_class != POINT).any())
     is_stepped = rotates or not accepts("exact", terms)
@@ -160,6 +169,10 @@ def refuse_method(system: System, groups: list[GroupPlan]) -> None:
     named = system.run.method
     if named != "auto" and METHODS[named].holds_joints and not system.joint:
         reason = f"{named} is for bodies that joints hold, and the case has no [[joint]]"
+        raise CaseError([problem_at(system, "run.method", reason, 'use "strang"')])
+    by_impulses = system.contact is not None and system.contact.law == "impulse"
+    if named != "auto" and METHODS[named].takes_impulses and not by_impulses:
+        reason = f"{named} is for contact by impulses, and the case has none"
         raise CaseError([problem_at(system, "run.method", reason, 'use "strang"')])
     for group in groups:
         for segment in group.segments:

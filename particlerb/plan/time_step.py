@@ -10,6 +10,7 @@ from particlerb.case.problems import CaseError, Problem
 from particlerb.case.source import problem_at
 from particlerb.integrators import METHODS
 from particlerb.model.system import System
+from particlerb.plan.impulse_step import IMPULSE_RULE, impulse_step
 from particlerb.plan.rates import fastest_contact, fastest_rate
 from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
 from particlerb.plan.stability import STEPS_PER_CONTACT, stable_step, step_key
@@ -37,7 +38,8 @@ def step(system: System, group: GroupPlan) -> float:
     if not np.isfinite(rate):
         reason = "no step can be chosen: a torque over a moment of inertia overflows"
         raise CaseError([problem_at(system, "run", reason, "give run.dt")])
-    return min(system.run.every, RADIANS_PER_STEP / rate) if rate > 0 else system.run.every
+    step = min(system.run.every, impulse_step(system, group))
+    return min(step, RADIANS_PER_STEP / rate) if rate > 0 else step
 
 
 def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
@@ -89,6 +91,10 @@ def step_reason(
     (dt,) = steps
     rate = max(fastest_rate(system, group) for group, _ in stepped)
     why = "run.every" if dt == system.run.every else f"{RADIANS_PER_STEP} / ({rate:.6g} rad/s)"
+    if any(impulse_step(system, group) < math.inf for group, _ in stepped):
+        rule = f"the smallest of run.every, {IMPULSE_RULE}, and {RADIANS_PER_STEP} / fastest rate"
+        if dt == min(impulse_step(system, group) for group, _ in stepped):
+            why = "the rule of impulses"
     return f"{dt:.6g} s = {why}, {rule}"
 
 

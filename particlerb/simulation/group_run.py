@@ -235,6 +235,12 @@ def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:
     return Energies(*energies)
 
 
+def tally_of(runs: Sequence[GroupRun]) -> Floats | None:
+    """What was counted of impulses; None where there are none."""
+    found = [run.motion.impulse_tally() for run in runs]
+    return next((tally for tally in found if tally.size), None)
+
+
 def lost(system: System, runs: Sequence[GroupRun]) -> str:
     """What is to be said of a joint that no longer holds; empty where all do."""
     joints = [joint for run in runs for joint in run.motion.lost_joints()]

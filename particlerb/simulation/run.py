@@ -38,7 +38,7 @@ from particlerb.record.memory import Memory
 from particlerb.record.provenance import texts_of
 from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.simulation.frame_times import Batch, batches
-from particlerb.simulation.group_run import GroupRun, initial_energies, record_all
+from particlerb.simulation.group_run import GroupRun, initial_energies, record_all, tally_of
 from particlerb.simulation.joint_values import (
     JointValues,
     at_row,
@@ -88,6 +88,7 @@ class Outcome(NamedTuple):
     flown: float | None = None  # share of body-steps that closed forms saved; None: not known
     swing: float = 0.0  # [rad] per step, the fastest of bodies on all contacts that was seen
     tree: TreeError | None = None  # of the tree that sums the attraction, where it was fitted
+    tally: Floats | None = None  # of impulses: see impulses/records.py
 
 
 class Prepared(NamedTuple):
@@ -349,6 +350,7 @@ def advance(
         run.flown(),
         run.swing(),
         run.tree_error(),
+        tally_of(run.travellers),
     )
 
 

@@ -11,6 +11,7 @@ from particlerb.stepping.adaptive import AdaptiveMotion
 from particlerb.stepping.adaptive_joint import JointMotion
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.free_motion import FreeMotion
+from particlerb.stepping.impulse_motion import ImpulseMotion
 from particlerb.stepping.motion import CompositeMotion, Group, Motion, part_of
 from particlerb.stepping.sparse_contact import DiluteMotion, can_fly
 from particlerb.stepping.stepped_motion import SteppedMotion
@@ -48,12 +49,15 @@ def begin(
         return adaptive(method, group, state, start, dt, tolerance)
     if group.terms.contact is not None:
         motion = DiluteMotion if can_fly(method, group.terms, group.members.size) else ContactMotion
+        motion = motion if group.terms.has_springy_contact else ImpulseMotion
         keeps = None if before is None else before.contact_start()
         if keeps is None:
             return motion(method, group, state, start, dt)
         contact = group.terms.contact._replace(pistons=keeps.pistons)
         group = group._replace(terms=group.terms._replace(contact=contact))
-        return motion(method, group, state, start, dt, histories=keeps.histories)
+        begun = motion(method, group, state, start, dt, histories=keeps.histories)
+        begun.impulse_tally()[:] = keeps.tally
+        return begun
     parts: list[tuple[Ints, Motion]] = []
     for which in _parts_of(method, group):
         part = group if which.size == group.members.size else part_of(group, which)

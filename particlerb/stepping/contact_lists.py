@@ -91,7 +91,9 @@ class ContactLists:
         self.cost = _TO_MAKE + _TO_MAKE_SPHERE * n_spheres  # [ns]
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
-        self.histories = histories or (empty_history(contact.model.law.rolling is not None),) * 2
+        with_rolling = contact.model.law.rolling is not None
+        self.record = history_record(with_rolling, contact.rules is not None)
+        self.histories = histories or (empty_history(self.record),) * 2
         self._search = SphereSearch(spheres.radius, spheres.body, spheres.apart)
         self._walls = WallSearch(walls, spheres.radius)
         self._primitives = np.arange(walls.kind.size)
@@ -216,7 +218,7 @@ class ContactLists:
         rows_of_forces = self._buffer(f"forces {which}", m, columns_of(record))
         rows_of_forces[:] = 0.0  # a checkpoint has it, and none of the leftovers of other lists
         forces = from_floats(rows_of_forces, record)
-        history = from_floats(values, history_record(with_rolling))
+        history = from_floats(values, self.record)
         active = history.inv_effective_mass > 0.0
         stages = zero_records(STAGES, m) if self.with_stages else None
         return ContactList(first, second, history, forces, active, ends, stages)

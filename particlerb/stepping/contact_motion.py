@@ -15,6 +15,7 @@ from particlerb.contact.contact_model import (
     ContactChanges,
     ContactFrames,
     ContactMemory,
+    GroupContact,
     Growth,
     Instant,
     MovingContact,
@@ -39,6 +40,7 @@ from particlerb.contact.records import (
     to_floats,
     zero_records,
 )
+from particlerb.impulses.records import Impulses
 from particlerb.integrators.contact_stages import find_contact_forces, place_contacts
 from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Floats, Ints
@@ -84,6 +86,8 @@ class ContactMotion(SteppedMotion):
         That continues from motions before this one.
     """
 
+    room_for_tally = 0  # numbers that are counted of impulses
+
     def __init__(
         self,
         method: Method,
@@ -109,18 +113,34 @@ class ContactMotion(SteppedMotion):
         poses = zero_records(POSE, len(setup.motions))
         xyzr, bodies = np.zeros((n_spheres, 4)), zero_records(BODY, n)
         deepest, step_start = np.zeros((len(self.blocks), 3)), zero_records(STEP_START, 1)
-        workspace = Workspace(xyzr, poses, bodies, deepest, np.zeros(n), step_start)
+        workspace = Workspace(
+            xyzr, poses, bodies, deepest, np.zeros(n), step_start, self.impulses_of(setup)
+        )
         y, pistons = np.vstack(state), initial_piston_state(setup.pistons)
         extremes = zero_records(EXTREMES, 1)
         memory = ContactMemory(y[7:].copy(), y[:7].copy(), start, np.inf, pistons, extremes)
         self.grid_step, self.list_step = 0, 0  # on the grid: now, and when lists were made
         self.origin, self.farthest = y[:3].copy(), 0.0  # [m] path of a body so far, at new lists
-        self.frames = ContactFrames(np.zeros(0), zero_records(PISTON, 0, len(pistons)))
+        self.frames = self._room_for_frames(0, len(pistons))
         self.contacts: dict[int, ContactOutput] = {}  # in rows of the last `record`
         nothing = self.lists.empty(n)
         self.contact = MovingContact(setup, workspace, nothing, memory, self.frames)
         self.make_lists()
         self.initial_energies = self._elastic_energies()
+
+    def impulses_of(self, setup: GroupContact) -> Impulses | None:
+        """Room for impulses; None where contacts have a stiffness."""
+        return None
+
+    def impulse_tally(self) -> Floats:
+        """What is counted of impulses."""
+        impulses = self.contact.workspace.impulses
+        return np.zeros(0) if impulses is None else impulses.tally
+
+    def _room_for_frames(self, n: int, n_pistons: int) -> ContactFrames:
+        """Room for what n frames show of contacts."""
+        pistons, columns = zero_records(PISTON, n, n_pistons), self.room_for_tally
+        return ContactFrames(np.zeros(n), pistons, np.zeros((n, columns)))
 
     @property
     def now(self) -> float:
@@ -208,7 +228,7 @@ class ContactMotion(SteppedMotion):
         _, workspace, lists, memory, _ = self.contact
         changes = ContactChanges(
             memory.momenta, lists.spheres.history, lists.walls.history, memory.pistons,
-            workspace.gross_work,
+            workspace.gross_work, self.impulse_tally(),
         )  # fmt: skip
         empty: list[Any] = [np.empty_like(values) for values in changes]
         return Copies(self.saved, changes, ContactChanges(*empty))
@@ -233,10 +253,7 @@ class ContactMotion(SteppedMotion):
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         n, n_pistons = frames.position.shape[0], len(self.contact.memory.pistons)
-        self.frames, self.contacts = (
-            ContactFrames(np.zeros(n), zero_records(PISTON, n, n_pistons)),
-            {},
-        )
+        self.frames, self.contacts = self._room_for_frames(n, n_pistons), {}
         self.contact = self.contact._replace(frames=self.frames)
         booked = super().record(times, rows, frames)
         booked[:, 0] += [self.frames.pistons[row].booked_work.sum() for row in rows.tolist()]
@@ -260,7 +277,15 @@ class ContactMotion(SteppedMotion):
         setup, workspace, lists, *_ = self.contact
         members, numbers, motions = self.group.members, self.lists.numbers, self.lists.motions
         rows = [
-            contact_rows(contacts, setup.model, workspace, members, numbers, are_walls)
+            contact_rows(
+                contacts,
+                setup.model,
+                workspace,
+                members,
+                numbers,
+                are_walls,
+                setup.rules is not None,
+            )
             for contacts, are_walls in ((lists.spheres, False), (lists.walls, True))
         ]
         centre, velocity = wall_centres(motions, workspace.poses)
@@ -279,7 +304,7 @@ class ContactMotion(SteppedMotion):
         if pistons is not None:
             start = to_floats(self.contact.memory.pistons)[:, :2].copy()
             pistons = pistons._replace(start=start)
-        return ContactStart(self.lists.histories, pistons)
+        return ContactStart(self.lists.histories, pistons, self.impulse_tally())
 
     # Checkpoints
 

@@ -47,6 +47,7 @@ class ContactStart(NamedTuple):
 
     histories: tuple[ContactHistory, ContactHistory] | None  # between spheres, and with walls
     pistons: Pistons | None
+    tally: Floats  # of impulses
 
 
 class Motion(Protocol):
@@ -89,6 +90,10 @@ class Motion(Protocol):
     def gross_work(self) -> float:
         """Gross work of contacts without potential, and of walls, since the start [J]."""
         return 0.0
+
+    def impulse_tally(self) -> Floats:
+        """What is counted of impulses, (TALLY,); nothing where contacts are none."""
+        return np.zeros(0)
 
     def contact_start(self) -> ContactStart | None:
         """What contacts keep at the end, for the next segment."""

@@ -71,6 +71,7 @@ def can_fly(method: Method, terms: Terms, n: int) -> bool:
     others = terms.loads or any(term is not None for term in between)
     contact = terms.contact
     is_moved = contact is not None and (contact.pistons or contact.model.prescribed) is not None
+    is_moved = is_moved or not terms.has_springy_contact
     return method.closing_kick > 0.0 and n >= LEAST_BODIES and not is_moved and not others
 
 
@@ -355,7 +356,7 @@ class DiluteMotion(Motion):
 
     def contact_start(self) -> ContactStart:
         """What contacts keep at the end, for the next segment; there are no pistons."""
-        return ContactStart(self.histories, None)
+        return ContactStart(self.histories, None, self.impulse_tally())
 
     def checkpoint(self) -> Saved:
         """The state at the start of the interval, and who is stepped in it: it is taken again."""

@@ -90,7 +90,8 @@ def default_words(key: str, schema: dict, required: list[str]) -> str:
     default = schema.get("default")
     if default is None:
         return "-"
-    return f"`{json.dumps(default).replace('.0', '')}`"
+    text = re.sub(r"\.0(?!\d)", "", json.dumps(default))
+    return f"`{text}`"
 
 
 def rows(model: str) -> list[str]:

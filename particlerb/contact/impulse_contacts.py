@@ -1,0 +1,226 @@
+"""Contacts that are solved by impulses: which are near enough, where, and along which normal.
+
+The same pairs, walls and identities as those with a stiffness. A sphere has a contact with each
+point of a wall that is nearer to its centre than all of the wall around it: one on a plane however
+it is cut into triangles, one over an edge, two in a valley. A contact is taken in if the two could
+close the gap in a step by their relative velocity and by turning: so what an impulse at one end of
+a body does to the other end is foreseen.
+"""
+
+from typing import Final, NamedTuple
+
+from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.contact.contact_model import ContactList, GroupContact, NeighbourLists, Workspace
+from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS
+from particlerb.contact.records import put_row3, row3, row4
+from particlerb.contact.walls import PLANE, euler_count, gap_vector, length, primitive_at
+from particlerb.impulses.records import (
+    ARM,
+    DEEPEST,
+    FRICTION,
+    GAP,
+    INVERSE,
+    LEAST,
+    NORMAL,
+    RESTITUTION,
+    SLOW,
+    Impulses,
+)
+from particlerb.impulses.rows import column3, in_world, put_column3, write_frame
+from particlerb.maths.quaternion import to_body, to_world
+from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
+
+_ROUNDING: Final = 1e-12  # of the speeds: what approaches no faster is at rest
+_KICKS: Final = 4.0  # half kicks: what approaches no faster than two whole ones does not bounce
+
+
+class _Near(NamedTuple):
+    """Two that are near."""
+
+    first: int  # partner
+    second: int
+    pair: int  # of materials
+    entry: int  # of the list: see `impulses.records.Rows`
+    gap: float  # [m]
+    slow: float  # [m/s]
+    normal: Vec3  # from the second to the first
+    point: Vec3  # [m] in the middle of the gap
+
+
+@lean
+def _by_turning(impulses: Impulses, a: int, arm: float) -> tuple[float, float]:
+    """Speeds [m/s] of a body's points by turning, and by what half a kick gives in four."""
+    velocity, before = impulses.partners.velocity, impulses.partners.before
+    w = column3(velocity, a, 3)
+    given = length(subtract(column3(velocity, a, 0), column3(before, a, 0)))
+    turned = length(subtract(w, column3(before, a, 3)))
+    rounding = _ROUNDING * (length(column3(velocity, a, 0)) + arm * length(w))
+    return arm * length(w), _KICKS * (given + arm * turned) + rounding
+
+
+@lean
+def _is_near(
+    setup: GroupContact, impulses: Impulses, a: int, b: int, radii: float, gap: float,
+    between: Vec3, dt: float,
+) -> tuple[bool, float]:  # fmt: skip
+    """Whether partners a and b may close a gap [m] in a step, and what speed [m/s] is slow.
+
+    `between` [m/s] is the velocity of a relative to b, `radii` [m] the sum of those of spheres.
+    """
+    turning, slow = _by_turning(impulses, a, setup.max_arm[a] + radii)
+    if b < setup.max_arm.size:
+        turning_b, slow_b = _by_turning(impulses, b, setup.max_arm[b] + radii)
+        turning, slow = turning + turning_b, max(slow, slow_b)
+    return gap <= dt * (length(between) + turning + slow), slow
+
+
+@lean
+def _take_in(
+    setup: GroupContact, impulses: Impulses, force: Floats, near: _Near, dt: float
+) -> None:
+    """Write the row of a contact, which begins with the force of the step before."""
+    _, partners, rows, count, tally = impulses
+    k, gap, pair, entry = count[0], near.gap, near.pair, near.entry
+    count[0] = k + 1
+    rows.first[k], rows.second[k], rows.entry[k] = near.first, near.second, entry
+    write_frame(partners, rows, k, near.normal, near.point)
+    rows.frame[k, LEAST] = -max(gap, 0.0) / dt
+    rows.frame[k, FRICTION] = setup.model.law.friction[pair]
+    rows.limits[k, GAP], rows.limits[k, SLOW] = gap, near.slow
+    rows.limits[k, RESTITUTION] = impulses.rules.restitution[pair]
+    c = entry if entry >= 0 else ~entry
+    put_column3(rows.impulse, k, 0, scale(dt, row3(force, c)))
+    put_column3(rows.impact, k, 0, (0.0, 0.0, 0.0))
+    tally[DEEPEST] = max(tally[DEEPEST], -gap)
+
+
+@lean
+def _forget(contacts: ContactList, c: int) -> None:
+    """Contact c has no impulse: it is too far."""
+    if contacts.active[c]:
+        put_row3(contacts.history.force, c, (0.0, 0.0, 0.0))
+        contacts.history.inv_effective_mass[c] = 0.0
+        contacts.active[c] = False
+
+
+@lean
+def _sphere_contact(
+    setup: GroupContact, workspace: Workspace, contacts: ContactList, impulses: Impulses, c: int,
+    dt: float, far: float,
+) -> None:  # fmt: skip
+    """Take in contact c between two spheres if it is near; `far` [m] is a gap that none closes."""
+    model, xyzr, place = setup.model, workspace.xyzr, impulses.partners.velocity
+    i, j = contacts.first[c], contacts.second[c]
+    d, touching = subtract(row3(xyzr, i), row3(xyzr, j)), xyzr[i, 3] + xyzr[j, 3]
+    square = dot(d, d)
+    a, b = model.spheres.body[i], model.spheres.body[j]
+    is_held = model.inv_mass[a] == 0.0 and model.inv_mass[b] == 0.0
+    if square > (touching + far) * (touching + far) or is_held:
+        _forget(contacts, c)
+        return
+    distance = length(d)
+    gap, between = distance - touching, subtract(column3(place, a, 0), column3(place, b, 0))
+    is_near, slow = _is_near(setup, impulses, a, b, touching, gap, between, dt)
+    if not is_near:
+        _forget(contacts, c)
+        return
+    normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
+    point = add_scaled(-(xyzr[i, 3] + 0.5 * gap), normal, row3(xyzr, i))
+    pair = model.pair_of[model.spheres.material[i], model.spheres.material[j]]
+    near = _Near(a, b, pair, c, gap, slow, normal, point)
+    _take_in(setup, impulses, contacts.history.force, near, dt)
+
+
+@lean
+def _wall_contact(
+    setup: GroupContact, workspace: Workspace, contacts: ContactList, impulses: Impulses, c: int,
+    dt: float, far: float,
+) -> None:  # fmt: skip
+    """Take in contact c of a sphere with a primitive of a wall if it is near."""
+    model, walls, poses = setup.model, setup.model.walls, workspace.poses
+    i, primitive = contacts.first[c], contacts.second[c]
+    a, w, radius = model.spheres.body[i], walls.wall[primitive], workspace.xyzr[i, 3]
+    one = primitive_at(walls.kind, walls.parameter, primitive)
+    x, q = row3(workspace.xyzr, i), row4(poses.orientation, w)
+    y = to_body(q, subtract(x, row3(poses.position, w)))
+    away = gap_vector(one, y)
+    _, is_nearest = euler_count(one, walls.around, y)
+    distance = length(away)
+    if one.kind == PLANE:
+        distance, away = dot(subtract(y, one.a), one.b), one.b
+    else:
+        away = scale(1.0 / distance, away) if distance > 0.0 else (0.0, 0.0, 1.0)
+    gap = distance - radius
+    if not is_nearest or gap > far or model.inv_mass[a] == 0.0:
+        _forget(contacts, c)
+        return
+    normal = to_world(q, away)
+    point, b = add_scaled(-(radius + 0.5 * gap), normal, x), model.inv_mass.size + w
+    velocity, arm = impulses.partners.velocity, subtract(point, row3(poses.position, w))
+    moving = add_scaled(1.0, cross(column3(velocity, b, 3), arm), column3(velocity, b, 0))
+    between = subtract(column3(velocity, a, 0), moving)
+    is_near, slow = _is_near(setup, impulses, a, b, radius, gap, between, dt)
+    if not is_near:
+        _forget(contacts, c)
+        return
+    pair = model.pair_of[model.spheres.material[i], model.wall_material[primitive]]
+    near = _Near(a, b, pair, ~c, gap, slow, normal, point)
+    _take_in(setup, impulses, contacts.history.force, near, dt)
+
+
+@lean_kernel
+def find_impulse_contacts(
+    setup: GroupContact, workspace: Workspace, lists: NeighbourLists, impulses: Impulses,
+    reached: float, far: float, dt: float,
+) -> None:  # fmt: skip
+    """Write the rows of all contacts that two may close in a step.
+
+    Parameters
+    ----------
+    setup, workspace, lists : GroupContact, Workspace, NeighbourLists
+        Bodies and walls placed in the middle of the step.
+    impulses : Impulses
+        Partners with their velocities after half a kick.
+    reached : float [m]
+        How far a point of a body may have come since the lists were made, and comes in a step.
+    far : float [m]
+        A gap that none can close in a step.
+    dt : float [s]
+    """
+    impulses.filled[0] = 0
+    spheres, walls, skin = lists.spheres, lists.walls, setup.skin
+    begin_spheres, begin_walls = 0, 0
+    for s in range(N_SHELLS):
+        if SHELL_GAPS[s] * skin <= 2.0 * reached:
+            for c in range(begin_spheres, spheres.shell_ends[s]):
+                _sphere_contact(setup, workspace, spheres, impulses, c, dt, far)
+        if SHELL_GAPS[s] * skin <= reached:
+            for c in range(begin_walls, walls.shell_ends[s]):
+                _wall_contact(setup, workspace, walls, impulses, c, dt, far)
+        begin_spheres, begin_walls = spheres.shell_ends[s], walls.shell_ends[s]
+
+
+@lean
+def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) -> None:
+    """Keep the impulses of row k in contact c of its list."""
+    history, forces, rows = contacts.history, contacts.forces, impulses.rows
+    pressed, impact = column3(rows.impulse, k, 0), column3(rows.impact, k, 0)
+    put_row3(history.force, c, scale(1.0 / dt, in_world(rows.frame, k, pressed)))
+    history.inv_effective_mass[c] = rows.frame[k, INVERSE]
+    total = scale(1.0 / dt, add(pressed, impact))
+    put_row3(forces.elastic, c, scale(total[0], column3(rows.frame, k, NORMAL)))
+    put_row3(forces.other, c, in_world(rows.frame, k, (0.0, total[1], total[2])))
+    arm, place = column3(rows.frame, k, ARM), impulses.partners.place
+    put_row3(forces.point, c, add(arm, column3(place, rows.first[k], 0)))
+    contacts.active[c] = True
+
+
+@lean_kernel
+def keep_impulses(lists: NeighbourLists, impulses: Impulses, dt: float) -> None:
+    """Keep the impulses of a step of dt [s] as forces: for the next one, and for who looks."""
+    for k in range(impulses.filled[0]):
+        c = impulses.rows.entry[k]
+        if c >= 0:
+            _keep(lists.spheres, c, impulses, k, dt)
+        else:
+            _keep(lists.walls, ~c, impulses, k, dt)

@@ -1,0 +1,69 @@
+"""What the impulses of a step have done: work of each kind, and what walls and held bodies gave.
+
+The mean of the velocities before the kick and after the solve is that of the two drifts of the
+step. So the impulses that came in between do the work r·½(u⁰ + u¹), and gravity exactly what its
+potential says.
+"""
+
+from particlerb.compiled.jit import inline, lean_kernel
+from particlerb.impulses.records import (
+    ARM,
+    BOUNDARY_WORK,
+    FRICTION_WORK,
+    IMPACT_WORK,
+    PRESSING_WORK,
+    Impulses,
+    Partners,
+)
+from particlerb.impulses.rows import column3, in_frame, in_world, put_column3, velocity_between
+from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale
+
+
+@inline
+def _book_outside(
+    partners: Partners, frame: Floats, k: int, mine: int, other: int, at: int, p: Vec3
+) -> float:
+    """Book what a wall or a held body has given; the work [J] that it has done by moving.
+
+    `at` is the column of the arm of `other`, p [N s] the impulse on `mine`.
+    """
+    arm, booked = column3(frame, k, at), partners.booked
+    omega = column3(partners.velocity, other, 3)
+    moving = add_scaled(1.0, cross(omega, arm), column3(partners.velocity, other, 0))
+    point = add(arm, column3(partners.place, other, 0))
+    put_column3(booked, mine, 1, add(p, column3(booked, mine, 1)))
+    put_column3(booked, mine, 4, add(cross(point, p), column3(booked, mine, 4)))
+    return dot(p, moving)
+
+
+@lean_kernel
+def book_impulses(impulses: Impulses) -> None:
+    """Sum what all impulses of the step have done, by partners and in the tally."""
+    _, partners, rows, count, tally = impulses
+    frame, inverse, booked = rows.frame, partners.inverse, partners.booked
+    for b in range(booked.shape[0]):
+        for i in range(8):
+            booked[b, i] = 0.0
+    for k in range(count[0]):
+        a, b = rows.first[k], rows.second[k]
+        impact, pressed = column3(rows.impact, k, 0), column3(rows.impulse, k, 0)
+        r = add(impact, pressed)
+        if dot(r, r) == 0.0:
+            continue
+        begin = velocity_between(partners.before, frame, k, a, b)
+        end = velocity_between(partners.velocity, frame, k, a, b)
+        u = in_frame(frame, k, scale(0.5, add(begin, end)))
+        bounced, normal = dot(impact, u), pressed[0] * u[0]
+        rubbed, moved, p = pressed[1] * u[1] + pressed[2] * u[2], 0.0, in_world(frame, k, r)
+        mine = a
+        if inverse[b, 0] == 0.0:
+            moved = _book_outside(partners, frame, k, a, b, ARM + 3, p)
+        elif inverse[a, 0] == 0.0:
+            mine = b
+            moved = _book_outside(partners, frame, k, b, a, ARM, scale(-1.0, p))
+        booked[mine, 0] += bounced + normal + rubbed + moved
+        booked[mine, 7] += abs(bounced) + abs(normal) + abs(rubbed) + abs(moved)
+        tally[IMPACT_WORK] += bounced
+        tally[PRESSING_WORK] += normal
+        tally[FRICTION_WORK] += rubbed
+        tally[BOUNDARY_WORK] += moved

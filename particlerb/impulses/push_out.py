@@ -1,0 +1,54 @@
+"""Positions out of each other, by small moves that no velocity knows of.
+
+A share of what overlaps by more than the slop at the next middle of a step is taken away, by the
+same inverse masses as impulses, without friction. Contacts that part, or are about to bounce, are
+left alone. What the moves do to the energy and the angular momentum is booked.
+"""
+
+import math
+from typing import Final
+
+from particlerb.compiled.jit import lean_kernel
+from particlerb.impulses.records import GAP, INVERSE, LEAST, NEVER, NORMAL, SLOW, Impulses
+from particlerb.impulses.rows import approach, column3, in_frame, push_apart, velocity_between
+from particlerb.maths.vec3 import scale
+
+_SWEEPS: Final = 10  # at most
+_ENOUGH: Final = 0.1  # of the slop: moves smaller than this end the sweeps
+
+
+@lean_kernel
+def push_out(impulses: Impulses, dt: float) -> bool:
+    """Find the moves of all partners; whether there are any."""
+    rules, partners, rows, count, _ = impulses
+    frame, move, found = rows.frame, partners.move, False
+    for k in range(count[0]):
+        u = approach(partners, rows, k)
+        gap = rows.limits[k, GAP] + dt * u[0]
+        if u[0] > rows.limits[k, SLOW] or frame[k, LEAST] == NEVER:
+            gap = math.inf
+        rows.old[k, 0], rows.old[k, 1] = 0.0, gap
+        found = found or gap < -rules.slop
+    if not found or rules.push_out == 0.0:
+        return False
+    for b in range(move.shape[0]):
+        for i in range(6):
+            move[b, i] = 0.0
+    for _ in range(_SWEEPS):
+        largest = 0.0
+        for k in range(count[0]):
+            if rows.old[k, 1] == math.inf:
+                continue
+            a, b = rows.first[k], rows.second[k]
+            wanted = -rules.push_out * (rows.old[k, 1] + rules.slop)
+            comes = in_frame(frame, k, velocity_between(move, frame, k, a, b))[0]
+            push = max(rows.old[k, 0] + (wanted - comes) / frame[k, INVERSE], 0.0)
+            more = push - rows.old[k, 0]
+            if more != 0.0:
+                rows.old[k, 0] = push
+                p = scale(more, column3(frame, k, NORMAL))
+                push_apart(move, partners.inverse, frame, k, a, b, p)
+                largest = max(largest, abs(more) * frame[k, INVERSE])
+        if largest <= _ENOUGH * rules.slop:
+            break
+    return True

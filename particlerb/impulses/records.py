@@ -1,0 +1,110 @@
+"""Contacts as rows of numbers, and the bodies and walls that meet in them: what a solve works on.
+
+A partner is a body or a wall, in this order. A row keeps the frame of a contact: the normal n
+from the second partner to the first, and tangents t₁, t₂ for which the Schur complement
+S = W_tt - W_tn W_nt / W_nn of its 3 x 3 inverse mass W is diagonal.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.maths.vec3 import Floats, Ints, Vec3
+
+# Columns of `Rows.frame`
+NORMAL: Final = 0
+TANGENT: Final = 3  # and the other one at + 3
+ARM: Final = 9  # [m] from the first partner to the point, and from the second one at + 3
+INVERSE: Final = 15  # [1/kg] W_nn,
+COUPLING: Final = 16  # W_n1, W_n2,
+SCHUR: Final = 18  # S_11, S_22
+LEAST: Final = 20  # [m/s] least normal velocity after the solve
+FRICTION: Final = 21  # [-] μ
+_N_COLUMNS: Final = 22
+
+# Columns of `Rows.limits`
+GAP: Final = 0  # [m] at the middle of the step; negative: an overlap
+RESTITUTION: Final = 1
+SLOW: Final = 2  # [m/s] what approaches no faster does not bounce
+_N_LIMITS: Final = 3
+
+# Numbers of a tally
+STEPS: Final = 0  # steps in which something was near
+SWEEPS: Final = 1
+CONTACTS: Final = 2  # that were solved, of all steps together
+UNMET: Final = 3  # steps that ended above the tolerance
+RESIDUAL: Final = 4  # of the last step
+WORST: Final = 5  # residual since the last frame
+WORST_EVER: Final = 6
+IMPACTS: Final = 7
+IMPACT_WORK: Final = 8  # [J] of restitution and of friction in impacts
+PRESSING_WORK: Final = 9  # [J] of normal impulses without restitution
+FRICTION_WORK: Final = 10  # [J] of tangential ones
+PUSH_OUT_WORK: Final = 11  # [J]
+BOUNDARY_WORK: Final = 12  # [J] of walls and bodies that move as prescribed
+DEEPEST: Final = 13  # [m] largest overlap
+UNENDED: Final = 14  # steps whose impacts had not come to an end
+TALLY: Final = 15
+
+NEVER: Final = -1e300  # [m/s] least velocity of a contact that is left out of a solve
+
+
+class ImpulseRules(NamedTuple):
+    """How contacts are solved that have no stiffness."""
+
+    restitution: Floats  # (n_pairs,) of materials
+    tolerance: float  # of the residual
+    iterations: int  # sweeps at most
+    push_out: float  # share of an overlap that is taken away in a step
+    slop: float  # [m] overlap that stays
+
+
+class Partners(NamedTuple):
+    """Bodies and walls, (n + n_walls, ..)."""
+
+    velocity: Floats  # (.., 6) [m/s, rad/s] of the centre of mass, and angular; world axes
+    before: Floats  # (.., 6) before the kick
+    inverse: Floats  # (.., 7) [1/kg, 1/(kg m²)] mass; xx, xy, xz, yy, yz, zz of the inertia
+    move: Floats  # (.., 6) [m, rad] by which they are pushed out
+    place: Floats  # (.., 3) [m] centre of mass, or origin of the wall's frame
+    given: Floats  # (.., 6) [N s, N m s] impulse and angular impulse
+    booked: Floats  # (.., 8) work, impulse, angular impulse of a step, gross work
+
+
+class Rows(NamedTuple):
+    """Contacts of a step: room for `first.size`."""
+
+    first: Ints  # partner
+    second: Ints
+    entry: Ints  # k of the list of spheres, ~k of the list of walls
+    frame: Floats  # (.., 22)
+    limits: Floats  # (.., 3)
+    impulse: Floats  # (.., 3) [N s] along n, t₁, t₂, on the first
+    impact: Floats  # (.., 3) [N s] the same of impacts
+    old: Floats  # (.., 3) before a sweep, and shares of the push-out
+    direction: Floats  # (.., 3) of the conjugate gradients
+
+
+class Impulses(NamedTuple):
+    """All that a solve needs."""
+
+    rules: ImpulseRules
+    partners: Partners
+    rows: Rows
+    filled: Ints  # (1,) contacts of this step
+    tally: Floats  # (TALLY,) sums since the segment began
+
+
+def room_for_partners(n: int) -> Partners:
+    """Room for n bodies and walls."""
+    return Partners(*(np.zeros((n, width)) for width in (6, 6, 7, 6, 3, 6, 8)))
+
+
+def room_for_rows(n: int) -> Rows:
+    """Room for n contacts."""
+    first, second, entry = np.zeros((3, n), dtype=np.int64)
+    widths = (_N_COLUMNS, _N_LIMITS, 3, 3, 3, 3)
+    return Rows(first, second, entry, *(np.zeros((n, width)) for width in widths))
+
+
+ZERO: Final[Vec3] = (0.0, 0.0, 0.0)

@@ -1,0 +1,149 @@
+"""One contact: its frame and inverse mass, how its partners move, and what an impulse does."""
+
+import math
+
+from particlerb.compiled.jit import inline
+from particlerb.impulses.records import (
+    ARM,
+    COUPLING,
+    INVERSE,
+    NORMAL,
+    SCHUR,
+    TANGENT,
+    Partners,
+    Rows,
+)
+from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
+
+
+@inline
+def column3(array: Floats, i: int, at: int) -> Vec3:
+    """Vector in row i from a column on."""
+    return array[i, at], array[i, at + 1], array[i, at + 2]
+
+
+@inline
+def put_column3(array: Floats, i: int, at: int, v: Vec3) -> None:
+    """Write the vector in row i from a column on."""
+    array[i, at], array[i, at + 1], array[i, at + 2] = v
+
+
+@inline
+def inverse_inertia_times(inverse: Floats, b: int, m: Vec3) -> Vec3:
+    """I⁻¹ m of a partner, world axes."""
+    xx, xy, xz = inverse[b, 1], inverse[b, 2], inverse[b, 3]
+    yy, yz, zz = inverse[b, 4], inverse[b, 5], inverse[b, 6]
+    x, y, z = m
+    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+
+
+@inline
+def velocity_between(velocity: Floats, frame: Floats, c: int, a: int, b: int) -> Vec3:
+    """Velocity [m/s] of the first partner of contact c relative to the second, at the point."""
+    one = cross(column3(velocity, a, 3), column3(frame, c, ARM))
+    two = cross(column3(velocity, b, 3), column3(frame, c, ARM + 3))
+    one, two = add(one, column3(velocity, a, 0)), add(two, column3(velocity, b, 0))
+    return subtract(one, two)
+
+
+@inline
+def in_frame(frame: Floats, c: int, v: Vec3) -> Vec3:
+    """Components of a vector along n, t₁, t₂ of contact c."""
+    return (
+        dot(column3(frame, c, NORMAL), v),
+        dot(column3(frame, c, TANGENT), v),
+        dot(column3(frame, c, TANGENT + 3), v),
+    )
+
+
+@inline
+def in_world(frame: Floats, c: int, r: Vec3) -> Vec3:
+    """A vector of components along n, t₁, t₂ of contact c."""
+    along = scale(r[0], column3(frame, c, NORMAL))
+    along = add_scaled(r[1], column3(frame, c, TANGENT), along)
+    return add_scaled(r[2], column3(frame, c, TANGENT + 3), along)
+
+
+@inline
+def push_apart(
+    velocity: Floats, inverse: Floats, frame: Floats, c: int, a: int, b: int, p: Vec3
+) -> None:
+    """Change velocities by the impulse p [N s] on the first partner, and -p on the second."""
+    put_column3(velocity, a, 0, add_scaled(inverse[a, 0], p, column3(velocity, a, 0)))
+    put_column3(velocity, b, 0, add_scaled(-inverse[b, 0], p, column3(velocity, b, 0)))
+    turn_a = inverse_inertia_times(inverse, a, cross(column3(frame, c, ARM), p))
+    turn_b = inverse_inertia_times(inverse, b, cross(column3(frame, c, ARM + 3), p))
+    put_column3(velocity, a, 3, add_scaled(1.0, turn_a, column3(velocity, a, 3)))
+    put_column3(velocity, b, 3, add_scaled(-1.0, turn_b, column3(velocity, b, 3)))
+
+
+@inline
+def _across(n: Vec3) -> tuple[Vec3, Vec3]:
+    """Two unit vectors across a unit vector and each other."""
+    t = (0.0, n[2], -n[1]) if abs(n[0]) < 0.6 else (-n[2], 0.0, n[0])
+    t = scale(1.0 / math.sqrt(dot(t, t)), t)
+    return t, cross(n, t)
+
+
+@inline
+def _diagonal_turn(s11: float, s22: float, s12: float) -> tuple[float, float]:
+    """Cosine and sine of Jacobi's turn, after which the matrix is diagonal."""
+    if abs(s12) <= 1e-14 * (s11 + s22):
+        return 1.0, 0.0
+    z = (s22 - s11) / (2.0 * s12)
+    t = (1.0 if z >= 0.0 else -1.0) / (abs(z) + math.sqrt(1.0 + z * z))
+    c = 1.0 / math.sqrt(1.0 + t * t)
+    return c, -t * c
+
+
+@inline
+def write_frame(partners: Partners, rows: Rows, c: int, normal: Vec3, point: Vec3) -> None:
+    """Write frame and inverse mass of contact c, whose partners are known, at a point [m]."""
+    frame, inverse, place = rows.frame, partners.inverse, partners.place
+    a, b = rows.first[c], rows.second[c]
+    arm_a, arm_b = subtract(point, column3(place, a, 0)), subtract(point, column3(place, b, 0))
+    put_column3(frame, c, NORMAL, normal)
+    put_column3(frame, c, ARM, arm_a)
+    put_column3(frame, c, ARM + 3, arm_b)
+    t1, t2 = _across(normal)
+    na, nb = cross(arm_a, normal), cross(arm_b, normal)
+    xa, xb, ya, yb = cross(arm_a, t1), cross(arm_b, t1), cross(arm_a, t2), cross(arm_b, t2)
+    turn_a, turn_b = inverse_inertia_times(inverse, a, na), inverse_inertia_times(inverse, b, nb)
+    mass = inverse[a, 0] + inverse[b, 0]
+    w = mass + dot(na, turn_a) + dot(nb, turn_b)
+    w1, w2 = dot(xa, turn_a) + dot(xb, turn_b), dot(ya, turn_a) + dot(yb, turn_b)
+    turn_a, turn_b = inverse_inertia_times(inverse, a, xa), inverse_inertia_times(inverse, b, xb)
+    w11 = mass + dot(xa, turn_a) + dot(xb, turn_b)
+    w12 = dot(ya, turn_a) + dot(yb, turn_b)
+    turn_a, turn_b = inverse_inertia_times(inverse, a, ya), inverse_inertia_times(inverse, b, yb)
+    w22 = mass + dot(ya, turn_a) + dot(yb, turn_b)
+    s11, s22, s12 = w11 - w1 * w1 / w, w22 - w2 * w2 / w, w12 - w1 * w2 / w
+    c_, s_ = _diagonal_turn(s11, s22, s12)
+    put_column3(frame, c, TANGENT, add_scaled(c_, t1, scale(s_, t2)))
+    put_column3(frame, c, TANGENT + 3, add_scaled(-s_, t1, scale(c_, t2)))
+    frame[c, INVERSE] = w
+    frame[c, COUPLING], frame[c, COUPLING + 1] = c_ * w1 + s_ * w2, c_ * w2 - s_ * w1
+    frame[c, SCHUR] = c_ * c_ * s11 + 2.0 * c_ * s_ * s12 + s_ * s_ * s22
+    frame[c, SCHUR + 1] = s_ * s_ * s11 - 2.0 * c_ * s_ * s12 + c_ * c_ * s22
+
+
+@inline
+def approach(partners: Partners, rows: Rows, c: int) -> Vec3:
+    """Velocity [m/s] in contact c along n, t₁, t₂."""
+    a, b = rows.first[c], rows.second[c]
+    return in_frame(rows.frame, c, velocity_between(partners.velocity, rows.frame, c, a, b))
+
+
+@inline
+def give(partners: Partners, rows: Rows, c: int, r: Vec3) -> None:
+    """Give momenta: r [N s] along n, t₁, t₂ of contact c to the first partner, -r to the second."""
+    a, b, given = rows.first[c], rows.second[c], partners.given
+    p = in_world(rows.frame, c, r)
+    turn_a, turn_b = (
+        cross(column3(rows.frame, c, ARM), p),
+        cross(column3(rows.frame, c, ARM + 3), p),
+    )
+    put_column3(given, a, 0, add_scaled(1.0, p, column3(given, a, 0)))
+    put_column3(given, b, 0, add_scaled(-1.0, p, column3(given, b, 0)))
+    put_column3(given, a, 3, add_scaled(1.0, turn_a, column3(given, a, 3)))
+    put_column3(given, b, 3, add_scaled(-1.0, turn_b, column3(given, b, 3)))

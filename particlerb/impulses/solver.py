@@ -1,0 +1,191 @@
+"""All impulses of a step at once: sweeps inside nonlinear conjugate gradients.
+
+A sweep visits one contact after the other, with one cheap step each: the normal impulse by its own
+1/W_nn, friction by a projection onto the disc μ r_n. Fixed points are those of Coulomb's law with
+the exact cone; bodies that slide are not lifted. Conjugate gradients are mixed in from sweep to
+sweep, and every few sweeps the residual
+
+    |r - P_K(r - û / W_nn)| / |r|,   û = u - least + μ |u_t| n
+
+says how far that is from a solution, P_K the projection onto the cones.
+
+Sources: Silcowitz, Niebe and Erleben, Visual Computer 26, 893 (2010), conjugate gradients;
+De Saxcé and Feng, Mathematical and Computer Modelling 28, 225 (1998), û.
+"""
+
+import math
+from typing import Final
+
+from particlerb.compiled.jit import inline, lean_kernel
+from particlerb.impulses.cone import nearest_in_cone
+from particlerb.impulses.records import (
+    CONTACTS,
+    COUPLING,
+    FRICTION,
+    GAP,
+    INVERSE,
+    LEAST,
+    NEVER,
+    RESIDUAL,
+    RESTITUTION,
+    SCHUR,
+    SLOW,
+    STEPS,
+    SWEEPS,
+    UNMET,
+    WORST,
+    WORST_EVER,
+    Impulses,
+    Partners,
+    Rows,
+)
+from particlerb.impulses.rows import (
+    approach,
+    column3,
+    give,
+    in_frame,
+    in_world,
+    push_apart,
+    put_column3,
+)
+from particlerb.maths.vec3 import Vec3, dot, subtract
+
+_EVERY: Final = 5  # sweeps from residual to residual
+_FLOOR: Final = 1e-6  # of all impulses of the kick: what contacts carry less than this is nothing
+
+
+@inline
+def _on_disc(x: float, y: float, radius: float) -> tuple[float, float]:
+    """Nearest point within a disc."""
+    length = math.sqrt(x * x + y * y)
+    if length <= radius:
+        return x, y
+    return x * (radius / length), y * (radius / length)
+
+
+@inline
+def _change_by(partners: Partners, rows: Rows, k: int, r: Vec3) -> None:
+    """Change velocities by r [N s] along n, t₁, t₂ of contact k."""
+    a, b, p = rows.first[k], rows.second[k], in_world(rows.frame, k, r)
+    push_apart(partners.velocity, partners.inverse, rows.frame, k, a, b, p)
+
+
+@lean_kernel
+def leave_out_what_will_bounce(impulses: Impulses) -> None:
+    """Leave out contacts that have not closed yet and will bounce when they have."""
+    _, partners, rows, count, _ = impulses
+    for k in range(count[0]):
+        limits = rows.limits
+        will_bounce = limits[k, RESTITUTION] > 0.0 and limits[k, GAP] > 0.0
+        if will_bounce and approach(partners, rows, k)[0] < -limits[k, SLOW]:
+            rows.frame[k, LEAST] = NEVER
+
+
+@lean_kernel
+def _begin_where_it_ended(impulses: Impulses) -> None:
+    """Take the impulses of the step before, in the frames of now and within the cones."""
+    _, partners, rows, count, _ = impulses
+    for k in range(count[0]):
+        n, x, y = in_frame(rows.frame, k, column3(rows.impulse, k, 0))
+        if n <= 0.0 or rows.frame[k, LEAST] == NEVER:
+            put_column3(rows.impulse, k, 0, (0.0, 0.0, 0.0))
+            continue
+        x, y = _on_disc(x, y, rows.frame[k, FRICTION] * n)
+        put_column3(rows.impulse, k, 0, (n, x, y))
+        _change_by(partners, rows, k, (n, x, y))
+
+
+@lean_kernel
+def _sweep(partners: Partners, rows: Rows, count: int) -> float:
+    """One step of each contact in turn; the sum of all squared changes [(N s)²]."""
+    frame, impulse = rows.frame, rows.impulse
+    changed = 0.0
+    for k in range(count):
+        u = approach(partners, rows, k)
+        old = column3(impulse, k, 0)
+        w, a1, a2 = frame[k, INVERSE], frame[k, COUPLING], frame[k, COUPLING + 1]
+        n = max(old[0] - (u[0] - frame[k, LEAST]) / w, 0.0)
+        dn = n - old[0]
+        share = 1.0 / (max(frame[k, SCHUR], frame[k, SCHUR + 1]) + (a1 * a1 + a2 * a2) / w)
+        x = old[1] - share * (u[1] + a1 * dn)
+        y = old[2] - share * (u[2] + a2 * dn)
+        x, y = _on_disc(x, y, frame[k, FRICTION] * n)
+        change = (dn, x - old[1], y - old[2])
+        square = dot(change, change)
+        if square > 0.0:
+            put_column3(impulse, k, 0, (n, x, y))
+            _change_by(partners, rows, k, change)
+        changed += square
+    return changed
+
+
+@lean_kernel
+def residual(partners: Partners, rows: Rows, count: int, floor: float) -> float:
+    """How far impulses are from a solution, over their size, or a floor [N s]."""
+    frame, off, size = rows.frame, 0.0, 0.0
+    for k in range(count):
+        u, r = approach(partners, rows, k), column3(rows.impulse, k, 0)
+        mu, share = frame[k, FRICTION], 1.0 / frame[k, INVERSE]
+        lifted = u[0] - frame[k, LEAST] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
+        x, y = r[1] - share * u[1], r[2] - share * u[2]
+        miss = subtract(r, nearest_in_cone(r[0] - share * lifted, x, y, mu))
+        off += dot(miss, miss)
+        size += dot(r, r)
+    return math.sqrt(off) / max(math.sqrt(size), floor, 1e-300)
+
+
+@lean_kernel
+def _mix(partners: Partners, rows: Rows, count: int, beta: float, is_last: bool) -> None:
+    """Go on along the direction of before, by its share of the last change."""
+    impulse, old, direction = rows.impulse, rows.old, rows.direction
+    for k in range(count):
+        change = subtract(column3(impulse, k, 0), column3(old, k, 0))
+        on = (beta * direction[k, 0], beta * direction[k, 1], beta * direction[k, 2])
+        if not is_last and dot(on, on) > 0.0:
+            for i in range(3):
+                impulse[k, i] += on[i]
+            _change_by(partners, rows, k, on)
+        for i in range(3):
+            direction[k, i] = on[i] + change[i]
+
+
+@lean_kernel
+def solve(impulses: Impulses, moved: float) -> None:
+    """Find all impulses, and give momenta.
+
+    Parameters
+    ----------
+    impulses : Impulses
+        With frames, and velocities after the kick.
+    moved : float [N s]
+        Sum of the sizes of all impulses of the kick.
+    """
+    rules, partners, rows, count, tally = impulses
+    m = count[0]
+    if m == 0:
+        tally[RESIDUAL] = 0.0
+        return
+    _begin_where_it_ended(impulses)
+    sweeps, before, found, floor = 0, 0.0, math.inf, _FLOOR * moved
+    while sweeps < rules.iterations and found > rules.tolerance:
+        for k in range(m):
+            for i in range(3):
+                rows.old[k, i] = rows.impulse[k, i]
+        changed = _sweep(partners, rows, m)
+        sweeps += 1
+        if sweeps % _EVERY == 0 or sweeps == rules.iterations or changed == 0.0:
+            found = residual(partners, rows, m, floor)
+        if changed == 0.0:
+            break
+        beta = changed / before if 0.0 < changed < before else 0.0
+        before = changed
+        _mix(partners, rows, m, beta, sweeps == rules.iterations or found <= rules.tolerance)
+    for k in range(m):
+        give(partners, rows, k, column3(rows.impulse, k, 0))
+    tally[STEPS] += 1.0
+    tally[SWEEPS] += sweeps
+    tally[CONTACTS] += m
+    tally[UNMET] += 1.0 if found > rules.tolerance else 0.0
+    tally[RESIDUAL] = found
+    tally[WORST] = max(tally[WORST], found)
+    tally[WORST_EVER] = max(tally[WORST_EVER], found)

@@ -1,0 +1,240 @@
+"""Impulses of contacts among the stages of a step: places, velocities, solves, momenta.
+
+All happens in the middle of a step. Threads place and move their own blocks of bodies; the first
+one alone finds contacts and solves, so that no bit depends on how many there are.
+"""
+
+from particlerb.compiled.barrier import Team, meet
+from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.contact.contact_model import MovingContact
+from particlerb.contact.impulse_contacts import find_impulse_contacts, keep_impulses
+from particlerb.contact.records import row3
+from particlerb.forces.kernels import Acting, kick_potential, shift_time
+from particlerb.impulses.bookkeeping import book_impulses
+from particlerb.impulses.impacts import take_impacts
+from particlerb.impulses.push_out import push_out
+from particlerb.impulses.records import PUSH_OUT_WORK, ZERO, Impulses, Partners
+from particlerb.impulses.rows import column3, put_column3
+from particlerb.impulses.solver import leave_out_what_will_bounce, solve
+from particlerb.integrators.contact_stages import place_within_step
+from particlerb.integrators.external_work import book
+from particlerb.integrators.pair_stages import Layout
+from particlerb.maths.quaternion import Rows, add_scaled4, matrix, multiply, normalised, turn_back
+from particlerb.maths.vec3 import (
+    Floats,
+    Vec3,
+    add,
+    component_product,
+    cross,
+    dot,
+    norm,
+    scale,
+    subtract,
+)
+from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
+
+_FASTER: float = 4.0  # kicks that velocities may differ by from those that bodies were placed with
+
+
+@kernel
+def place_in_the_middle(
+    contact: MovingContact | None,
+    team: Team | None,
+    acting: Acting,
+    blocks: Floats,
+    layout: Layout,
+    first: int,
+    last: int,
+    dt: float,
+) -> None:
+    """Place bodies and walls, and take loads that depend on time, in the middle of a step."""
+    for k in range(first, last):
+        for b in range(layout.size[k]):
+            shift_time(acting, blocks[k], b, 0.5 * dt)
+    place_within_step(contact, team, None, blocks, layout, first, last, 0.5 * dt)
+
+
+# Velocities
+
+
+@inline
+def _put_inverse(inverse: Floats, b: int, mass: float, moments: Vec3, R: Rows) -> None:
+    """Write 1/M and the inverse inertia in world axes of body b."""
+    inverse[b, 0], at = mass, 1
+    for i in range(3):
+        for j in range(i, 3):
+            inverse[b, at] = dot(component_product(moments, R[i]), R[j])
+            at += 1
+
+
+@kernel
+def gather_velocities(
+    contact: MovingContact | None, blocks: Floats, layout: Layout, first: int, last: int
+) -> None:
+    """Bring velocities of bodies to where contacts are solved."""
+    if contact is None or contact.workspace.impulses is None:
+        return
+    inv_mass, bodies = contact.setup.model.inv_mass, contact.workspace.bodies
+    partners = contact.workspace.impulses.partners
+    for k in range(first, last):
+        rows, lo = blocks[k], layout.first[k]
+        for i in range(layout.size[k]):
+            b, v, omega = lo + i, get3(rows, P, i), get3(rows, L, i)
+            put_column3(partners.before, b, 0, row3(bodies.velocity, b))
+            put_column3(partners.before, b, 3, row3(bodies.angular_velocity, b))
+            R, moments = matrix(get4(rows, Q, i)), get3(rows, INV_INERTIA, i)
+            _put_inverse(partners.inverse, b, get(rows, INV_MASS, i), moments, R)
+            if inv_mass[b] > 0.0:
+                v = scale(inv_mass[b], v)
+                m = component_product(moments, turn_back(R, omega))
+                omega = (dot(R[0], m), dot(R[1], m), dot(R[2], m))
+            put_column3(partners.velocity, b, 0, v)
+            put_column3(partners.velocity, b, 3, omega)
+            put_column3(partners.place, b, 0, get3(rows, COM, i))
+
+
+@inline
+def _gather_walls(contact: MovingContact, partners: Partners) -> None:
+    """The same of walls, which come behind the bodies."""
+    poses, n = contact.workspace.poses, contact.setup.max_arm.size
+    for w in range(poses.size):
+        for to in (partners.velocity, partners.before):
+            put_column3(to, n + w, 0, row3(poses.velocity, w))
+            put_column3(to, n + w, 3, row3(poses.angular_velocity, w))
+        put_column3(partners.place, n + w, 0, row3(poses.position, w))
+
+
+@inline
+def _sizes_of_kick(contact: MovingContact, partners: Partners) -> tuple[float, float]:
+    """Largest change of a point's velocity [m/s] by half a kick, and all impulses of one [N s]."""
+    fastest, moved, arms = 0.0, 0.0, contact.setup.max_arm
+    for b in range(arms.size):
+        by = subtract(column3(partners.velocity, b, 0), column3(partners.before, b, 0))
+        turned = subtract(column3(partners.velocity, b, 3), column3(partners.before, b, 3))
+        size = norm(by)
+        fastest = max(fastest, size + arms[b] * norm(turned))
+        mass = partners.inverse[b, 0]
+        moved += 2.0 * size / mass if mass > 0.0 else 0.0
+    return fastest, moved
+
+
+# Momenta
+
+
+@inline
+def _apply_given(impulses: Impulses, blocks: Floats, layout: Layout) -> None:
+    """Add impulses to the momenta of all bodies."""
+    given = impulses.partners.given
+    for k in range(layout.first.size):
+        rows, lo = blocks[k], layout.first[k]
+        for i in range(layout.size[k]):
+            if get(rows, INV_MASS, i) > 0.0:
+                put3(rows, P, i, add(get3(rows, P, i), column3(given, lo + i, 0)))
+                put3(rows, L, i, add(get3(rows, L, i), column3(given, lo + i, 3)))
+            put_column3(given, lo + i, 0, ZERO)
+            put_column3(given, lo + i, 3, ZERO)
+
+
+@kernel
+def bounce(
+    contact: MovingContact | None, team: Team | None, blocks: Floats, layout: Layout, dt: float
+) -> None:
+    """Find contacts of a step, and let those bounce that touch and approach."""
+    if contact is None or team is None or contact.workspace.impulses is None:
+        return
+    setup, workspace, impulses = contact.setup, contact.workspace, contact.workspace.impulses
+    meet(team)
+    if team.rank == 0:
+        extremes = contact.memory.extremes
+        _gather_walls(contact, impulses.partners)
+        fastest, _ = _sizes_of_kick(contact, impulses.partners)
+        v, w = extremes.speed[0], extremes.angular_speed[0]
+        far = v + 4.0 * w * contact.lists.max_contact_arm + _FASTER * fastest
+        reached = extremes.displacement[0] + dt * far
+        lists = contact.lists
+        find_impulse_contacts(setup, workspace, lists, impulses, reached, 2.0 * dt * far, dt)
+        take_impacts(impulses)
+        _apply_given(impulses, blocks, layout)
+    meet(team)
+
+
+@inline
+def _turning_energy(moments: Vec3, R: Rows, spin: Vec3) -> float:
+    """½ L·I⁻¹ L [J]."""
+    m = turn_back(R, spin)
+    return 0.5 * dot(component_product(moments, m), m)
+
+
+@inline
+def _move(acting: Acting, books: Flag, rows: Floats, i: int, dx: Vec3, turn: Vec3) -> float:
+    """Move a body, and book what that does; its work [J].
+
+    The work is that against the mean of the forces before and after, and what a turn with the same
+    angular momentum does to the energy of rotation; the angular momentum about the origin changes
+    by dx × p.
+    """
+    x, q, p, spin = get3(rows, COM, i), get4(rows, Q, i), get3(rows, P, i), get3(rows, L, i)
+    R, moments = matrix(q), get3(rows, INV_INERTIA, i)
+    F, tau = kick_potential(acting, rows, i, x, R, 1.0, ZERO, ZERO)
+    x = add(x, dx)
+    turning = multiply((0.0, turn[0], turn[1], turn[2]), q)
+    q = normalised(add_scaled4(0.5, turning, q))
+    after = matrix(q)
+    F_after, tau_after = kick_potential(acting, rows, i, x, after, 1.0, ZERO, ZERO)
+    work = -0.5 * (dot(add(F, F_after), dx) + dot(add(tau, tau_after), turn))
+    work += _turning_energy(moments, after, spin) - _turning_energy(moments, R, spin)
+    put3(rows, COM, i, x)
+    put4(rows, Q, i, q)
+    book(books, rows, i, 1.0, (work, ZERO, cross(dx, p)))
+    return work
+
+
+@inline
+def _book_bodies(
+    contact: MovingContact, impulses: Impulses, books: Flag, blocks: Floats, layout: Layout
+) -> None:
+    """Book what impulses have done to each body."""
+    booked, gross = impulses.partners.booked, contact.workspace.gross_work
+    for k in range(layout.first.size):
+        lo = layout.first[k]
+        for i in range(layout.size[k]):
+            b = lo + i
+            entry = booked[b, 0], column3(booked, b, 1), column3(booked, b, 4)
+            book(books, blocks[k], i, 1.0, entry)
+            gross[b] += booked[b, 7]
+
+
+@kernel
+def press(
+    contact: MovingContact | None,
+    team: Team | None,
+    acting: Acting,
+    books: Flag,
+    blocks: Floats,
+    layout: Layout,
+    dt: float,
+) -> None:
+    """Solve all contacts of a step, and push out of each other what overlaps."""
+    if contact is None or team is None or contact.workspace.impulses is None:
+        return
+    impulses = contact.workspace.impulses
+    meet(team)
+    if team.rank == 0:
+        partners, move = impulses.partners, impulses.partners.move
+        _, moved = _sizes_of_kick(contact, partners)
+        leave_out_what_will_bounce(impulses)
+        solve(impulses, moved)
+        _apply_given(impulses, blocks, layout)
+        book_impulses(impulses)
+        _book_bodies(contact, impulses, books, blocks, layout)
+        keep_impulses(contact.lists, impulses, dt)
+        if push_out(impulses, dt):
+            for k in range(layout.first.size):
+                rows, lo = blocks[k], layout.first[k]
+                for i in range(layout.size[k]):
+                    dx, turn = column3(move, lo + i, 0), column3(move, lo + i, 3)
+                    if dot(dx, dx) + dot(turn, turn) > 0.0:
+                        work = _move(acting, books, rows, i, dx, turn)
+                        impulses.tally[PUSH_OUT_WORK] += work
+                        contact.workspace.gross_work[lo + i] += abs(work)
+    meet(team)

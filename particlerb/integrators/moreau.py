@@ -1,0 +1,54 @@
+"""Moreau's midpoint step with impulses: contacts without stiffness, Coulomb's exact cone.
+
+Half a drift; in the middle half a kick, impacts with restitution, half a kick, one solve for the
+impulses of all that touches or would within the step, and what overlaps is pushed apart; half a
+drift. Order 1 where bodies touch, 2 elsewhere. What forces have a potential do no work that is not
+theirs: half kick, flip, half kick retraces the path of an elastic bounce.
+
+Source: Moreau, Unilateral contact and dry friction in finite freedom dynamics (1988), section 14;
+docs/impulses.md.
+"""
+
+from typing import Final
+
+from particlerb.forces.kinds import IMPULSES, POSE, TIME, VELOCITY
+from particlerb.integrators.impulse_stages import (
+    bounce,
+    gather_velocities,
+    place_in_the_middle,
+    press,
+)
+from particlerb.integrators.method import Method
+from particlerb.integrators.stages import MovingBodies, kick, stages
+from particlerb.integrators.strang import drift
+
+
+@stages
+def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+    """Drift, kick, impacts, kick, solve, drift."""
+    contact, team, blocks, layout = moving.contact, moving.team, moving.blocks, moving.layout
+    drift(moving, first, last, 0.5 * dt)
+    place_in_the_middle(contact, team, moving.acting, blocks, layout, first, last, dt)
+    kick(moving, first, last, 0.5 * dt)
+    gather_velocities(contact, blocks, layout, first, last)
+    bounce(contact, team, blocks, layout, dt)
+    kick(moving, first, last, 0.5 * dt)
+    gather_velocities(contact, blocks, layout, first, last)
+    press(contact, team, moving.acting, moving.books, blocks, layout, dt)
+    drift(moving, first, last, 0.5 * dt)
+
+
+METHOD: Final = Method(
+    name="moreau",
+    summary="order 1 in contacts, for law = 'impulse': midpoint step with impulses, exact cone",
+    order=2,
+    free_order=2,
+    accepts=frozenset({POSE, VELOCITY, TIME, IMPULSES}),
+    cost=12.0,
+    evaluations=1,
+    keeps_rods=True,
+    stability_limit=2.0,
+    max_turn=0.5,
+    step=step,
+    takes_impulses=True,
+)

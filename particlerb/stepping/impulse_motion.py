@@ -1,0 +1,71 @@
+"""Bodies that touch without stiffness, on a grid of steps: impulses in place of forces."""
+
+from typing import Final
+
+import numpy as np
+
+from particlerb.contact.contact_model import GroupContact
+from particlerb.impulses.records import TALLY, Impulses, room_for_partners, room_for_rows
+from particlerb.stepping.contact_motion import ContactMotion
+from particlerb.stepping.motion import Energies, MotionError
+from particlerb.stepping.saved_arrays import Saved
+
+_REACH: Final = 8.0  # steps of the fastest body for which a skin is wide enough, at least
+_LEAST_REACH: Final = 4.0  # of a skin that the case gives
+_GROWTH: Final = 1.25  # of room for contacts
+
+
+class ImpulseMotion(ContactMotion):
+    """A group of bodies whose contacts have no stiffness; see `ContactMotion`."""
+
+    room_for_tally = TALLY
+
+    def impulses_of(self, setup: GroupContact) -> Impulses | None:
+        """Room for impulses."""
+        assert setup.rules is not None
+        partners = room_for_partners(self.group.members.size + len(setup.motions))
+        count = np.zeros(1, dtype=np.int64)
+        return Impulses(setup.rules, partners, room_for_rows(0), count, np.zeros(TALLY))
+
+    def make_lists(self) -> None:
+        """Pairs that may touch, kept within what bodies can cross in some steps."""
+        self.looks = False  # no contact has a frequency
+        self._place()
+        bodies, arm = self.contact.workspace.bodies, self.contact.lists.max_contact_arm
+        fastest = float(bodies.speed.max() + 4.0 * arm * bodies.angular_speed.max())
+        path = self.dt * fastest
+        if self.contact.setup.is_skin_fixed and self.contact.setup.skin < _LEAST_REACH * path:
+            raise MotionError(
+                f"at t = {self.now:.6g} s a body moves by {path:.3g} m in a step of"
+                f" {self.dt:.3g} s, and contact.skin = {self.contact.setup.skin:.3g} m does not"
+                f" hold what it may meet: leave out contact.skin, or take a shorter run.dt"
+            )
+        if not self.contact.setup.is_skin_fixed:
+            assert self.group.terms.contact is not None
+            self.lists.least_skin = max(self.group.terms.contact.skin, _REACH * path)
+            self.lists.skin = max(self.lists.skin, self.lists.least_skin)
+        super().make_lists()
+        self._make_room()
+
+    def _make_room(self) -> None:
+        """Room for all contacts of the lists."""
+        lists, workspace = self.contact.lists, self.contact.workspace
+        n, impulses = lists.spheres.first.size + lists.walls.first.size, workspace.impulses
+        assert impulses is not None
+        if n > impulses.rows.first.size:
+            impulses = impulses._replace(rows=room_for_rows(int(_GROWTH * n)))
+            self.contact = self.contact._replace(workspace=workspace._replace(impulses=impulses))
+
+    def _elastic_energies(self) -> Energies:
+        """Nothing is elastic."""
+        return Energies(np.zeros(1), np.zeros(1))
+
+    def checkpoint(self) -> Saved:
+        """What was counted as well."""
+        return super().checkpoint() | {"tally": self.impulse_tally().copy()}
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        super().restore(saved)
+        self._make_room()
+        self.impulse_tally()[:] = saved["tally"]

@@ -1,0 +1,55 @@
+"""Scenes of contact by impulses, run in memory."""
+
+import numpy as np
+
+import particlerb
+
+G = 9.81
+R = 0.1
+DOWN = {"acceleration": [0.0, 0.0, -G]}
+CORNERS = [[x, y, z] for x in (-R, R) for y in (-R, R) for z in (-R, R)]
+
+
+def sphere(name="ball", radius=R, **keys):
+    """Ball of 2 kg that touches."""
+    return {"name": name, "shape": {"type": "sphere", "radius": radius}, "mass": 2.0} | keys
+
+
+def plane(normal=(0, 0, 1), name="floor", **keys):
+    """Wall through the origin."""
+    return {"type": "plane", "name": name, "normal": list(normal)} | keys
+
+
+def case(*bodies, contact, t_end=1.0, every=0.1, **keys):
+    """Case; keys that are not tables belong to [run]."""
+    names = ("gravity", "material", "wall", "output", "force", "joint", "attraction")
+    tables = {k: keys.pop(k) for k in names if k in keys}
+    run = {"t_end": t_end, "every": every} | keys
+    return {"run": run, "body": list(bodies), "contact": contact} | tables
+
+
+def impulse(restitution=0.0, friction=0.5, **keys):
+    """[contact] without stiffness."""
+    return {"law": "impulse", "restitution": restitution, "friction": friction} | keys
+
+
+def exact(restitution=0.0, friction=0.5, **keys):
+    """The same, solved to rounding."""
+    return impulse(restitution, friction, tolerance=1e-13, iterations=2000) | keys
+
+
+def clump(name, mass=1.0, **keys):
+    """Eight balls on the corners of a cube."""
+    shape = {"type": "points", "mass": mass / 8.0, "radius": R, "position": CORNERS}
+    return {"name": name, "shape": shape} | keys
+
+
+def go(*bodies, contact, **keys):
+    """Trajectory of bodies."""
+    return particlerb.run(case(*bodies, contact=contact, **keys))
+
+
+def errors(t):
+    """Largest errors of the energy balance [J, N s, N m s] over frames."""
+    names = ("energy_error", "linear_momentum_error", "angular_momentum_error")
+    return [np.abs(t.observable(name)).max() for name in names]

@@ -1,0 +1,73 @@
+"""Impulses are kept from step to step: runs that are resumed, threads, frames between steps."""
+
+import numpy as np
+import pytest
+from impulse_scenes import DOWN, R, case, clump, go, impulse, plane, sphere
+
+import particlerb
+
+STATE = ("position", "orientation", "linear_momentum", "angular_momentum")
+
+
+def heap(n=3, contact=None, **keys):
+    """Clumps that fall onto each other."""
+    bodies = [
+        clump(f"c{i}", position=[0.07 * i, 0.05 * (i % 2), 0.35 + 0.6 * i],
+              orientation=[1.0, 0.2 * i, 0.1, -0.3], velocity=[0.0, 0.0, -3.0])
+        for i in range(n)
+    ]  # fmt: skip
+    return case(*bodies, contact=contact or impulse(0.2, 0.4), wall=[plane()], gravity=DOWN,
+                **({"dt": 5e-3, "t_end": 0.4, "every": 0.05} | keys))  # fmt: skip
+
+
+def assert_alike(one, other):
+    """The same bits in all that is recorded of a state."""
+    for name in STATE:
+        assert (getattr(one, name) == getattr(other, name)).all()
+
+
+def test_a_run_that_is_resumed_has_the_same_bits(tmp_path):
+    whole = particlerb.run(heap())
+    path = tmp_path / "part.h5"
+    particlerb.run(heap(t_end=0.2), path).close()
+    with particlerb.resume(path, t_end=0.4) as t:
+        assert_alike(t, whole)
+        for name in ("energy_error", "work"):
+            assert (t.observable(name) == whole.observable(name)).all()
+
+
+def test_frames_between_steps_change_nothing():
+    often = particlerb.run(heap(every=0.0125))
+    few = particlerb.run(heap())
+    for name in STATE:
+        assert (getattr(often, name)[::4] == getattr(few, name)).all()
+    assert np.abs(often.observable("energy_error")).max() < 1e-11 * often.energy[0]
+
+
+def test_a_new_segment_goes_on_with_the_forces_of_the_last_one():
+    boxes = [clump(f"b{i}", position=[0, 0, 2 * R + 4 * R * i]) for i in range(4)]
+    push = {"type": "push", "body": "b3", "force": [1e-300, 0, 0], "during": [0.4, 0.5]}
+    contact = impulse(0.0, 0.5, iterations=5, push_out=0.0)
+    cut, whole = (
+        go(*boxes, contact=contact, wall=[plane()], gravity=DOWN, dt=5e-3, t_end=0.5, every=0.1,
+           force=force)
+        for force in ([push], [])
+    )  # fmt: skip
+    assert whole.position[0, 3, 2] - whole.position[2, 3, 2] > 1e-5  # five sweeps are few
+    assert cut.position[-1] == pytest.approx(whole.position[-1], abs=1e-9)
+
+
+@pytest.mark.compiled
+def test_bits_do_not_depend_on_threads():
+    bodies = [clump("c", count=600, place={"type": "grid", "spacing": 0.6, "origin": [0, 0, 2.4],
+                                           "n": [10, 10, 6]}, orientation="random")]  # fmt: skip
+    keys = {"contact": impulse(0.3, 0.5), "wall": [plane()], "gravity": DOWN, "dt": 2e-3,
+            "t_end": 0.6, "every": 0.2}  # fmt: skip
+    one, two = (go(*bodies, threads=n, **keys) for n in (1, 2))
+    assert_alike(one, two)
+
+
+def test_an_impulse_law_finds_each_ball_of_a_row_where_it_lies():
+    balls = [sphere(f"b{i}", position=[0.3 * i, 0, R]) for i in range(3)]
+    t = go(*balls, contact=impulse(), wall=[plane()], gravity=DOWN, dt=5e-3, t_end=0.1, every=0.1)
+    assert t.position[-1] == pytest.approx(t.position[0], abs=1e-12)

@@ -1,0 +1,45 @@
+"""What contact by impulses does not do yet, and keys of the other laws, are refused in words."""
+
+import pytest
+from impulse_scenes import DOWN, R, case, go, impulse, plane, sphere
+
+from particlerb.case.problems import CaseError
+
+BALL = sphere(position=[0, 0, R])
+HOOKE = {"stiffness": 1e5, "restitution": 0.5, "friction": 0.5}
+PISTON = plane(piston={"mass": 1.0, "axis": [0, 0, 1]})
+SPRING = {"type": "spring", "body": "ball", "stiffness": 10.0, "at": [0, 0, 0],
+          "anchor": [0, 0, 1]}  # fmt: skip
+REFUSED = [
+    ({"contact": impulse(stiffness=1e5)}, "contact.stiffness: impulses have no stiffness"),
+    ({"contact": impulse(rolling_friction=0.1)}, "contact.rolling_friction: impulses do not"),
+    ({"contact": impulse(attract=True)}, "contact.attract: impulses have neither"),
+    ({"contact": HOOKE | {"slop": 0.1}}, 'contact.slop: is for impulses'),
+    ({"contact": impulse(), "wall": [PISTON]}, "wall[0].piston: impulses do not move pistons"),
+    ({"contact": impulse(), "method": "strang"}, "strang does not accept what acts here: contact"),
+    ({"contact": HOOKE, "method": "moreau"}, "moreau is for contact by impulses"),
+    ({"contact": impulse(iterations=0)}, "contact.iterations"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("keys", "words"), REFUSED, ids=[words for _, words in REFUSED])
+def test_what_impulses_do_not_know_is_refused(keys, words):
+    with pytest.raises(CaseError) as error:
+        go(BALL, **({"wall": [plane()], "gravity": DOWN, "dt": 1e-3} | keys))
+    assert words in str(error.value)
+    assert "methods that do: moreau" in str(error.value) or "strang does" not in words
+
+
+def test_a_step_is_chosen_by_size_and_speed_and_said_with_what_overlap_to_expect():
+    from particlerb.case.reader import load
+    from particlerb.case.to_system import to_system
+    from particlerb.simulation.run import prepare
+
+    fall = sphere(position=[0, 0, 1.0])
+    text = prepare(
+        to_system(load(case(fall, contact=impulse(0.3), wall=[plane()], gravity=DOWN)))
+    ).text
+    speed = (2 * 9.81 * 1.0) ** 0.5
+    assert f"{0.1 * R / speed:.6g} s = the rule of impulses" in text
+    assert f"may overlap by about {0.05 * R:.3g} m" in text
+    assert "coupled by contact, driven by gravity, moreau" in text

@@ -1,0 +1,118 @@
+"""Restitution: bounces, rows of balls, rods, clumps that meet in free space."""
+
+import numpy as np
+import pytest
+from impulse_scenes import DOWN, G, R, clump, errors, exact, go, impulse, plane, sphere
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.01])
+def test_an_elastic_ball_keeps_its_energy_at_any_step(dt):
+    ball = sphere(radius=1.0, position=[0, 0, 5.9])
+    keys = {"wall": [plane()], "gravity": DOWN, "t_end": 20.0, "every": 0.7}
+    t = go(ball, contact=impulse(1.0), dt=dt, **keys)
+    assert np.abs(t.energy / t.energy[0] - 1.0).max() < 1e-12
+    assert max(errors(t)) < 1e-11 * t.energy[0]
+
+
+def test_heights_of_bounces_follow_restitution_to_the_order_of_the_step():
+    misses = []
+    for dt in (4e-3, 1e-3):
+        t = go(sphere(position=[0, 0, 1.0 + R]), contact=impulse(0.8), wall=[plane()],
+               gravity=DOWN, dt=dt, t_end=1.2, every=dt)  # fmt: skip
+        z = t.position[:, 0, 2] - R
+        bounced = np.flatnonzero(np.diff(np.sign(t.linear_momentum[:, 0, 2])) > 0)[0]
+        misses.append(abs(z[bounced:].max() - 0.64))
+        assert misses[-1] < G * np.sqrt(2 * G) * dt * (1.0 - 0.64)
+    assert misses[1] < 0.5 * misses[0]
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_newtons_cradle_hands_on_as_many_balls_as_come_in(k):
+    balls = [
+        sphere(f"b{i}", position=[2 * R * i - 0.05 * (i < k), 0, 0], velocity=[float(i < k), 0, 0])
+        for i in range(5)
+    ]
+    t = go(*balls, contact=impulse(1.0, 0.0), dt=1e-3, t_end=0.2, every=0.1)
+    expected = [float(i >= 5 - k) for i in range(5)]
+    assert t.velocity[-1, :, 0] == pytest.approx(expected, abs=1e-14)
+
+
+def test_a_row_of_halved_masses_speeds_up_by_its_closed_form():
+    balls = [
+        sphere(f"b{i}", mass=0.5**i, position=[2 * R * i - 0.05 * (i < 1), 0, 0],
+               velocity=[float(i < 1), 0, 0])
+        for i in range(6)
+    ]  # fmt: skip
+    t = go(*balls, contact=impulse(1.0, 0.0), dt=1e-3, t_end=0.1, every=0.1)
+    assert t.velocity[-1, 5, 0] == pytest.approx((4.0 / 3.0) ** 5, rel=1e-13)
+    assert max(errors(t)) < 1e-14
+
+
+def test_a_ball_that_hits_the_tip_of_a_rod_follows_rigid_impact():
+    rod = {
+        "name": "rod",
+        "mass": 1.0,
+        "position": [0, 0, 0],
+        "shape": {
+            "type": "points",
+            "mass": 0.5,
+            "radius": R,
+            "position": [[-0.5, 0, 0], [0.5, 0, 0]],
+        },
+    }
+    ball = sphere("ball", mass=1.0, position=[0.5, 0, 0.25], velocity=[0, 0, -1.0])
+    del rod["mass"]
+    t = go(rod, ball, contact=impulse(1.0, 0.0), dt=1e-3, t_end=0.1, every=0.1)
+    inertia = 2 * 0.5 * (0.25 + 0.4 * R * R)
+    compliance = 1.0 + 1.0 + 0.25 / inertia
+    push = 2.0 / compliance
+    assert t.velocity[-1, 1, 2] == pytest.approx(-1.0 + push, abs=1e-14)
+    assert t.velocity[-1, 0, 2] == pytest.approx(-push, abs=1e-14)
+    assert t.angular_velocity[-1, 0, 1] == pytest.approx(0.5 * push / inertia, abs=1e-13)
+
+
+def converging(n=8, seed=3):
+    rng = np.random.default_rng(seed)
+    places = np.array([(i % 2, (i // 2) % 2, i // 4) for i in range(n)]) * 0.6 - 0.3
+    turns = rng.normal(size=(n, 4))
+    return [
+        clump(f"c{i}", position=list(places[i]), orientation=list(turns[i]),
+              velocity=list(rng.normal(size=3) - 2.0 * places[i]),
+              angular_velocity=list(3.0 * rng.normal(size=3)))
+        for i in range(n)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("restitution", "friction"), [(0.0, 0.5), (0.5, 2.0), (1.0, 0.3)])
+def test_clumps_that_meet_keep_their_momenta_and_gain_no_energy(restitution, friction):
+    contact = impulse(restitution, friction, push_out=0.0, tolerance=1e-6)
+    t = go(*converging(), contact=contact, dt=2e-3, t_end=0.4, every=2e-3)
+    sizes = t.momentum_sizes()
+    P, L = t.observable("linear_momentum"), t.observable("angular_momentum")
+    assert np.abs(P - P[0]).max() < 1e-13 * sizes[0]
+    assert np.abs(L - L[0]).max() < 1e-13 * sizes[1]
+    assert t.energy[-1] < 0.98 * t.energy[0]
+    assert np.diff(t.energy).max() < 1e-13 * t.energy[0]
+    assert errors(t)[0] < 1e-13 * t.energy[0]
+
+
+def test_push_out_changes_nothing_that_is_not_booked():
+    t = go(*converging(), contact=impulse(0.5, 0.5), dt=5e-3, t_end=0.4, every=5e-3, gravity=DOWN,
+           wall=[plane(point=[0, 0, -0.8])])  # fmt: skip
+    energy, linear, angular = errors(t)
+    assert energy < 1e-12 * t.energy.max()
+    assert max(linear, angular) < 1e-12 * t.momentum_sizes()[0]
+
+
+def test_symmetric_scenes_turned_in_space_move_alike():
+    def hit(axis, across):
+        side = [0.03 * c for c in across]
+        one = sphere("a", position=[0.3 * c for c in axis], velocity=[-2.0 * c for c in axis])
+        two = clump("b", position=side, angular_velocity=[2.0 * c for c in across])
+        t = go(one, two, contact=exact(0.4, 0.3), dt=2e-3, t_end=0.2, every=0.2)
+        return t.velocity[-1], t.angular_velocity[-1]
+
+    v, w = hit((1, 0, 0), (0, 1, 0))
+    v_turned, w_turned = hit((0, 1, 0), (0, 0, 1))
+    assert v_turned == pytest.approx(np.roll(v, 1, axis=1), abs=1e-13)
+    assert w_turned == pytest.approx(np.roll(w, 1, axis=1), abs=1e-12)
