@@ -18,8 +18,9 @@ PACKAGE = Path(particlerb.__file__).parent
 CASES = sorted((PACKAGE.parent / "cases").glob("*.toml"))
 GRID = {"place": {"type": "grid", "spacing": 9.0}}
 AUTHORS = {  # of cases: they read one, or write one
-    "__init__.py", "cli/bodies.py", "cli/common.py", "record/trajectory.py", "simulation/entry.py",
-    "simulation/resume.py",
+    "__init__.py", "cli/bodies.py", "cli/common.py", "cli/export.py", "record/trajectory.py",
+    "simulation/entry.py", "simulation/resume.py", "simulation/simulation.py",
+    "sweeping/driver.py", "sweeping/variants.py",
 }  # fmt: skip
 
 
@@ -37,7 +38,8 @@ def test_nothing_behind_the_system_knows_a_case():
 def test_a_system_states_the_case_that_it_was_made_of(path):
     case = load(path)
     again = to_case(SimpleNamespace(**records(case)))  # without particles, which may take long
-    assert again.model_dump_json() == case.model_dump_json()
+    known = case.model_copy(update={"sweep": None})  # which asks for other cases
+    assert again.model_dump_json() == known.model_dump_json()
     assert again.text == case.text
 
 
