@@ -28,6 +28,7 @@ BUDGETS |= {"vectors of 512 bits": 45, "opening angle fitted to a scene": 95}
 BUDGETS |= {"scenes in Python": 434, "sweeps": 605}
 BUDGETS |= {"reports of a run": 70, "what acts on jointed bodies": 605}
 BUDGETS |= {"unrolled columns in factors of joints, for speed": 30}
+BUDGETS |= {"force gradients": 324}
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 
 OVERSPENT = 588

@@ -195,6 +195,17 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
     return needs
 
 
+def without_gradient(terms: Terms) -> set[str]:
+    """Names of the terms of which no kernel knows how fast they change along a motion."""
+    parts = {term_of(load).name: term_of(load).parts(load) for load in terms.loads}
+    unknown = {
+        name
+        for name, kicks in parts.items()
+        if any(kick.change is None and not kick.is_steady for kick, _ in kicks)
+    }
+    return unknown if terms.attraction is None else unknown | {"attraction"}
+
+
 def words_of(terms: Terms) -> list[str]:
     """Names of gravity and the loads that act, as the plan has them."""
     gravity = [] if terms.gravity is None else ["gravity"]

@@ -25,7 +25,16 @@ from particlerb.forces.kinds import (
     same_for_all,
 )
 from particlerb.maths.quaternion import Rows, turn, turn_back
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.vec3 import (
+    Floats,
+    Vec3,
+    add_scaled,
+    component_product,
+    cross,
+    dot,
+    scale,
+    subtract,
+)
 from particlerb.model.block import get, get3
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, lengths, rotate_back
@@ -64,7 +73,36 @@ def _kick_central(
     return add_scaled(dt, force, p), add_scaled(dt, torque, L)
 
 
-KICK: Final = Kick("central", 8, _kick_central, has_potential=True, is_many=True)
+@inline
+def _change_central(
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, motion: Momenta, F: Vec3, tau: Vec3
+) -> Momenta:
+    """F + Ḟ,  τ + τ̇, with d(I n)/dt = ω × I n + I (ṅ - ω × n)."""
+    v, w = motion
+    r, inertia = subtract(x, get3(rows, at, b)), get3(rows, at + 5, b)
+    inverse = 1.0 / np.sqrt(dot(r, r))
+    n = scale(inverse, r)
+    away = dot(n, v)
+    dn = scale(inverse, add_scaled(-away, n, v))
+    moved = turn(R, component_product(inertia, turn_back(R, n)))
+    own = turn_back(R, subtract(dn, cross(w, n)))
+    dmoved = add_scaled(1.0, cross(w, moved), turn(R, component_product(inertia, own)))
+    size, fall = get(rows, at + 3, b) * inverse * inverse, -inverse * away
+    pull, near = size * get(rows, at + 4, b), 1.5 * size * inverse * inverse
+    shape = 5.0 * dot(n, moved) - (inertia[0] + inertia[1] + inertia[2])
+    dshape = 5.0 * (dot(dn, moved) + dot(n, dmoved))
+    along = near * shape - pull
+    dalong = near * (4.0 * fall * shape + dshape) - 2.0 * fall * pull
+    F = add_scaled(along, dn, add_scaled(dalong, n, F))
+    F = add_scaled(-2.0 * near, add_scaled(4.0 * fall, moved, dmoved), F)
+    across = add_scaled(1.0, cross(dn, moved), cross(n, dmoved))
+    across = add_scaled(3.0 * fall, cross(n, moved), across)
+    return F, add_scaled(3.0 * size * inverse, across, tau)
+
+
+KICK: Final = Kick(
+    "central", 8, _kick_central, has_potential=True, is_many=True, change=_change_central
+)
 _FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from particlerb.compiled.jit import inline
 from particlerb.forces.kinds import Kick, Momenta
-from particlerb.forces.registry import CLOCK, FIRST, KICKS, MANY, MANY_KICKS, PAIR
+from particlerb.forces.registry import CHANGE, CLOCK, FIRST, KICKS, MANY, MANY_KICKS, PAIR
 from particlerb.maths.quaternion import Rows
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, subtract
 from particlerb.model.block import get, get3, put
@@ -34,6 +34,14 @@ class Acting(NamedTuple):
     contact: int | None  # and contacts beside their potential
     flow: int | None  # whether something turns or slows momenta by a flow of its own
     clock: int | None  # whether something depends on time
+
+
+@inline
+def change_pair(pair: int | None, rows: Floats, b: int, F: Vec3, tau: Vec3) -> Momenta:
+    """F and τ with the rates at which the loads of other bodies change."""
+    if pair is None:
+        return F, tau
+    return kick_pair(pair, rows, CHANGE, b, 1.0, F, tau)
 
 
 @inline
@@ -117,6 +125,7 @@ def made(family: _Family, kicks: Iterable[Kick]) -> Callable[..., Any]:
     able = [kick for kick in kicks if getattr(kick, family.hook) is not None]
     names: dict[str, Any] = {
         "inline": inline, "kick_pair": kick_pair, "count": count, "PAIR": PAIR, "OTHER": OTHER,
+        "change_pair": change_pair,
         **{f"{kick.name}_{family.hook}": getattr(kick, family.hook) for kick in able},
     }  # fmt: skip
     source, file = _source_of(family, able), f"<{family.name} of {len(able)} forces>"
@@ -151,6 +160,14 @@ damp: Callable[..., Momenta] = made(
     _Family("damp", "damp", "b, R, p_old, L_old, p, L", "p, L"), KICKS
 )
 """(acting, rows, b, R, p_old, L_old, p, L): momenta after a kick with drag in it."""
+change_of: Callable[..., Momenta] = made(
+    _Family(
+        "change_of", "change", "b, x, R, motion, F, tau", "F, tau",
+        "F, tau = change_pair(acting.pair, rows, b, F, tau)",
+    ),
+    KICKS,
+)  # fmt: skip
+"""(acting, rows, b, x, R, motion, F, tau): F and τ with the rates at which all loads change."""
 prepare_kick: Callable[..., None] = made(_Family("prepare_kick", "prepare", "n, dt"), KICKS)
 """(acting, rows, n, dt): before a block is kicked over dt."""
 at_time: Callable[..., None] = made(_Family("at_time", "at_time", "b, t"), KICKS)

@@ -71,6 +71,9 @@ class Kick(NamedTuple):
     """(rows, at, n, dt): before a block of n bodies is kicked over dt."""
     at_time: Callable[..., None] | None = None
     """(rows, at, b, t): set what its `push` reads to the time t [s] since the segment began."""
+    change: Callable[..., Momenta] | None = None
+    """(rows, at, b, x, R, (v, ω), F, τ): F and τ with the rates added at which its own change while
+    the body moves at v [m/s] and ω [rad/s], world axes; of forces with a potential, if known."""
     power: Callable[..., float] | None = None
     """(rows, at, b, x, R, power): the power with ∂V/∂t [W] at that time added."""
 

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.forces.spring import Spring
+from particlerb.forces.spring import Spring, change_along
 from particlerb.maths.quaternion import Quat, Rows, matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     Floats,
@@ -167,6 +167,34 @@ def link_loads(links: Links | None, y: Floats, load: Floats, with_dashpots: bool
         else:
             _add_column3(load, FORCE, b, -1.0, force)
             _add_column3(load, TORQUE, b, -1.0, cross(ends[1].arm, force))
+
+
+@kernel
+def change_links(links: Links | None, y: Floats, change: Floats) -> None:
+    """Add the rates at which the loads (13, n) of all springs change, if y (13, n) moves so.
+
+    Those with the world change the rows OUTSIDE too; the dashpots do not count.
+    """
+    if links is None:
+        return
+    for s in range(links.first.size):
+        a, b = links.first[s], links.second[s]
+        ends = _first_end(links, y, s), _second_end(links, y, s)
+        v = velocity(links, y, a, ends[0]), (0.0, 0.0, 0.0)
+        if b != WORLD:
+            v = v[0], velocity(links, y, b, ends[1])
+        d, rate = subtract(ends[1].point, ends[0].point), subtract(v[1], v[0])
+        force, bent = change_along(links.stiffness[s], links.rest_length[s], d, rate)
+        for end, body, sign in ((0, a, 1.0), (1, b, -1.0)):
+            if body != WORLD:
+                own = subtract(v[end], scale(links.inv_mass[body], _column3(y, 7, body)))
+                turned = add_scaled(1.0, cross(own, force), cross(ends[end].arm, bent))
+                _add_column3(change, FORCE, body, sign, bent)
+                _add_column3(change, TORQUE, body, sign, turned)
+        if b == WORLD:
+            turned = add_scaled(1.0, cross(v[0], force), cross(ends[0].point, bent))
+            _add_column3(change, OUTSIDE, a, 1.0, bent)
+            _add_column3(change, OUTSIDE + 3, a, 1.0, turned)
 
 
 @kernel

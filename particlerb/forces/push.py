@@ -34,7 +34,7 @@ from particlerb.forces.ramp import (
     vectors_of,
 )
 from particlerb.maths.quaternion import Rows, turn
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale
 from particlerb.model.block import get3
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, lengths, rotate_back
@@ -81,6 +81,18 @@ def _kick_lever(
 
 
 @inline
+def _change_lever(
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, motion: Momenta, F: Vec3, tau: Vec3
+) -> Momenta:
+    """τ + R T ω - tr(R T) ω."""
+    (X, Y, Z), (_, w) = R, motion
+    t_x, t_y, t_z = get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
+    along = add_scaled(w[2], t_z, add_scaled(w[1], t_y, scale(w[0], t_x)))
+    trace = dot(X, t_x) + dot(Y, t_y) + dot(Z, t_z)
+    return F, add_scaled(-trace, w, add_scaled(1.0, turn(R, along), tau))
+
+
+@inline
 def _kick_follower(
     rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
@@ -92,7 +104,9 @@ def _kick_follower(
 FORCE_KICK: Final = Kick(
     "force", 3, _kick_force, has_potential=True, is_steady=True, is_uniform=True
 )
-_LEVER_KICK: Final = Kick("lever", 9, _kick_lever, has_potential=True, is_steady=True)
+_LEVER_KICK: Final = Kick(
+    "lever", 9, _kick_lever, has_potential=True, is_steady=True, change=_change_lever
+)
 _FOLLOWER_KICK: Final = Kick("follower", 6, _kick_follower)
 
 

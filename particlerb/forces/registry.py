@@ -53,6 +53,7 @@ CLOCK: Final = LOADS + sum(kick.rows for kick in _SINGLE)  # time since the segm
 PAIR: Final = CLOCK + 1  # rows of model/load.py
 MANY: Final = PAIR + CONTACT_ROWS
 STAGE: Final = 1024  # rows from here on, after all loads, are room for a method's stages
+CHANGE: Final = STAGE  # rows of model/load.py: rates at which the load of other bodies changes
 
 
 def force_of(table: Any) -> Force:

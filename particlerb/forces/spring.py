@@ -44,7 +44,32 @@ def _kick_spring(
     return add_scaled(dt, force, p), add_scaled(dt, cross(arm, force), L)
 
 
-KICK: Final = Kick("spring", 8, _kick_spring, has_potential=True, is_many=True)
+@inline
+def change_along(stiffness: float, rest: float, d: Vec3, rate: Vec3) -> tuple[Vec3, Vec3]:
+    """Force of a spring along d, and its rate of change where d changes at a rate [m/s]."""
+    squared = dot(d, d) + _TINY
+    share = rest / np.sqrt(squared)
+    bent = add_scaled(share * dot(d, rate) / squared, d, scale(1.0 - share, rate))
+    return scale(stiffness * (1.0 - share), d), scale(stiffness, bent)
+
+
+@inline
+def _change_spring(
+    rows: Floats, at: int, b: int, x: Vec3, R: Rows, motion: Momenta, F: Vec3, tau: Vec3
+) -> Momenta:
+    """F + Ḟ,  τ + (ω × R r) × F + (R r) × Ḟ."""
+    arm, (v, w) = turn(R, get3(rows, at, b)), motion
+    moved = cross(w, arm)
+    d = subtract(subtract(get3(rows, at + 3, b), x), arm)
+    rate = scale(-1.0, add_scaled(1.0, v, moved))
+    force, change = change_along(get(rows, at + 6, b), get(rows, at + 7, b), d, rate)
+    turned = add_scaled(1.0, cross(moved, force), cross(arm, change))
+    return add_scaled(1.0, change, F), add_scaled(1.0, turned, tau)
+
+
+KICK: Final = Kick(
+    "spring", 8, _kick_spring, has_potential=True, is_many=True, change=_change_spring
+)
 
 
 def _spring_energy(spring: Spring, com: Floats, q: Floats) -> Floats:

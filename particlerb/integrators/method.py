@@ -25,6 +25,8 @@ class Method(NamedTuple):
     """Time for a step, or a frame, of one body without its neighbours, roughly [ns]."""
     evaluations: int = 0
     """Evaluations of the forces in a step."""
+    takes_gradients: bool = False
+    """Whether it asks how fast forces change along a motion: `Kick.change`."""
     is_adaptive: bool = False
     """Whether it chooses its steps by a tolerance."""
     keeps_rods: bool = False

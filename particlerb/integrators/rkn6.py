@@ -11,10 +11,7 @@ of a step, are cut into pieces (rotors/moser_veselov.py).
 Source: Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002), coefficients SRKN₁₁ᵇ.
 """
 
-import math
 from typing import Final
-
-import numpy as np
 
 from particlerb.compiled.jit import Flag, inline
 from particlerb.contact.contact_model import NOW
@@ -22,36 +19,20 @@ from particlerb.forces.kernels import shift_time
 from particlerb.forces.kinds import BODIES, POSE, TIME
 from particlerb.integrators.kick import kick_body
 from particlerb.integrators.method import Method
-from particlerb.integrators.stages import MovingBodies, loads, stage, stages
-from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, dot, scale
-from particlerb.model.block import (
-    COM,
-    INV_INERTIA,
-    INV_MASS,
-    ROTOR,
-    SCRATCH,
-    L,
-    P,
-    Q,
-    get,
-    get3,
-    get4,
-    put,
-    put3,
-    put4,
+from particlerb.integrators.rotor_drift import (
+    drift_symmetric,
+    fastest_turn,
+    finish_drift,
+    start_drift,
 )
+from particlerb.integrators.stages import MovingBodies, loads, stage, stages
 from particlerb.rotors.moser_veselov import (
     LARGEST_SHARE,
     LONGEST_PIECE,
-    Cubic,
-    first_guess,
     iterations_of,
     modified_inertia,
-    newton,
     pieces_of,
 )
-from particlerb.rotors.symmetric_split import symmetric_split
 
 KICKS: Final = (
     0.0414649985182624,
@@ -81,69 +62,12 @@ DRIFTS: Final = (
 )
 _BEFORE: Final = tuple(sum(DRIFTS[:k], 0.0) for k in range(len(DRIFTS)))  # where each kick is made
 CLOSING_KICK: Final = KICKS[0]
-_U: Final = SCRATCH  # of the Moser-Veselov map: u, f, and the solution
-F: Final = SCRATCH + 3
-_V: Final = SCRATCH + 6
-_RATE: Final = SCRATCH + 9
 
 
 def _maps_of(turn: float) -> float:
     """Moser-Veselov maps per drift of a step in which a body turns so far [rad], about."""
     largest = max(turn / LONGEST_PIECE, 1.0 / LARGEST_SHARE)
     return sum(max(1.0, abs(share) * largest) for share in DRIFTS) / len(DRIFTS)
-
-
-@inline
-def _fly(rows: Floats, b: int, dt: float) -> None:
-    """x + p dt/M of body b."""
-    x, p = get3(rows, COM, b), get3(rows, P, b)
-    put3(rows, COM, b, add_scaled(dt * get(rows, INV_MASS, b), p, x))
-
-
-@inline
-def _body_momentum(rows: Floats, b: int) -> Vec3:
-    """Rᵀ L of body b."""
-    return turn_back(matrix(get4(rows, Q, b)), get3(rows, L, b))
-
-
-@inline
-def _fastest_turn(rows: Floats, n: int) -> float:
-    """Largest |ω| of a block at the beginning of a step [rad/s]; 0 where it is not finite."""
-    for b in range(n):
-        w = component_product(get3(rows, INV_INERTIA, b), _body_momentum(rows, b))
-        put(rows, _RATE, b, dot(w, w))
-    largest = 0.0
-    for b in range(n):
-        largest = max(largest, get(rows, _RATE, b))
-    return math.sqrt(largest) if largest < np.inf else 0.0
-
-
-@inline
-def _cubic(rows: Floats, at: int, b: int) -> Cubic:
-    """Nine coefficients of body b."""
-    return get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
-
-
-@inline
-def _start_map(rows: Floats, b: int, m: Vec3, dt: float) -> None:
-    """Modified inertia and a first guess for body b with the momentum m in its own axes."""
-    s, d = _cubic(rows, ROTOR + 4, b), _cubic(rows, ROTOR + 13, b)
-    turn = scale(dt * get(rows, ROTOR + 3, b), m)
-    u, f, v = first_guess(turn, get3(rows, ROTOR, b), s, d)
-    put3(rows, _U, b, u)
-    put3(rows, F, b, f)
-    put3(rows, _V, b, v)
-
-
-@inline
-def _finish_map(rows: Floats, n: int, iterations: int) -> None:
-    """Solve the map of a block, and turn its bodies."""
-    for _ in range(iterations - 1):
-        for b in range(n):
-            put3(rows, _V, b, newton(get3(rows, _U, b), get3(rows, F, b), get3(rows, _V, b)))
-    for b in range(n):
-        x, y, z = newton(get3(rows, _U, b), get3(rows, F, b), get3(rows, _V, b))
-        put4(rows, Q, b, normalised(multiply(get4(rows, Q, b), (1.0, x, y, z))))
 
 
 @inline
@@ -156,21 +80,14 @@ def _drift_asymmetric(
     drift_dt = DRIFTS[k] * dt
     for block in range(first, min(last, moving.layout.asymmetric)):
         rows, n = moving.blocks[block], moving.layout.size[block]
-        if k == 0:
-            put(rows, _RATE, 0, _fastest_turn(rows, n))
-        turn = abs(drift_dt) * get(rows, _RATE, 0)
+        turn = abs(drift_dt) * fastest_turn(rows, n, k == 0)
         pieces = pieces_of(turn, abs(DRIFTS[k]))
         iterations = iterations_of(turn / pieces)
         for b in range(n):
             shift_time(moving.acting, rows, b, _BEFORE[k] * dt)
-            _, L_b, R = kick_body(moving.acting, moving.books, rows, b, kick_dt)
-            _fly(rows, b, drift_dt)
-            _start_map(rows, b, turn_back(R, L_b), drift_dt / pieces)
-        _finish_map(rows, n, iterations)
-        for _ in range(pieces - 1):
-            for b in range(n):
-                _start_map(rows, b, _body_momentum(rows, b), drift_dt / pieces)
-            _finish_map(rows, n, iterations)
+            _, spin, R = kick_body(moving.acting, moving.books, rows, b, kick_dt)
+            start_drift(rows, b, spin, R, drift_dt, pieces)
+        finish_drift(rows, n, drift_dt, pieces, iterations)
 
 
 @inline
@@ -185,10 +102,7 @@ def _drift_symmetric(
         for b in range(moving.layout.size[block]):
             shift_time(moving.acting, rows, b, _BEFORE[k] * dt)
             kick_body(moving.acting, moving.books, rows, b, kick_dt)
-            _fly(rows, b, DRIFTS[k] * dt)
-            q = get4(rows, Q, b)
-            m = _body_momentum(rows, b)
-            put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), DRIFTS[k] * dt))
+            drift_symmetric(rows, b, DRIFTS[k] * dt)
 
 
 @stage

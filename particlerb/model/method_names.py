@@ -13,6 +13,7 @@ METHOD_NAMES: Final = (
     "rattle6",
     "rattle8",
     "moreau",
+    "force_gradient",
     "rkn6",
     "dop853",
     "rk4",

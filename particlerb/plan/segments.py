@@ -4,15 +4,16 @@ Each segment is free (closed form) or driven (stepped). Forces that do not act i
 computed nor compiled.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from particlerb.case.problems import CaseError
 from particlerb.case.source import problem_at
-from particlerb.forces import Terms, needs_of
+from particlerb.forces import Terms, needs_of, without_gradient
 from particlerb.forces.drag import Drag
 from particlerb.forces.impulse import Impulse
+from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, PISTONS, POSE, TIME, VELOCITY
 from particlerb.integrators import METHODS
 from particlerb.joints.setup import with_drag
 from particlerb.maths.vec3 import Bools, Ints
@@ -24,6 +25,16 @@ from particlerb.plan.groups import BodyGroup, part_of, terms_between
 from particlerb.rotors.rotor_class import POINT
 from particlerb.stepping.closed_forms import has_closed_form
 from particlerb.stepping.motion import Group
+
+_NEEDS: Final = {
+    POSE: "it depends on the pose",
+    VELOCITY: "it depends on velocities",
+    TIME: "it depends on time",
+    BODIES: "bodies act on each other",
+    CONTACT: "bodies touch",
+    PISTONS: "walls slide",
+    JOINTS: "joints hold bodies",
+}
 
 
 class Segment(NamedTuple):
@@ -118,9 +129,15 @@ def _with_drag_among_joints(terms: Terms, bodies: Bodies) -> Terms:
 
 
 def _refused_terms(method: str, terms: Terms) -> list[str]:
-    """Names of the terms that need more than a method takes into account."""
-    able = METHODS[method].accepts
-    return sorted(name for name, needs in needs_of(terms).items() if not needs <= able)
+    """Terms that need more than a method takes into account; what that is, where it steps."""
+    chosen, refused = METHODS[method], {}
+    for name, needs in needs_of(terms).items():
+        lacking = sorted(_NEEDS.get(need, _NEEDS[JOINTS]) for need in needs - chosen.accepts)
+        if lacking:
+            refused[name] = f" ({lacking[0]})" if has_step(method) else ""
+    if chosen.takes_gradients:
+        refused = dict.fromkeys(without_gradient(terms), " (its gradient is not known)") | refused
+    return sorted(name + why for name, why in refused.items())
 
 
 def accepts(method: str, terms: Terms) -> bool:

@@ -47,9 +47,11 @@ _TOLERANCES: Final = np.geomspace(1e-12, 1e-2, 11)  # in their place for adaptiv
 COLUMNS: Final = 33  # of a map, with the default budget
 _ADAPTIVE_COLUMNS: Final = 13
 _MOST_COLUMNS: Final = 99  # two families are one block of bodies
-_LEAST_PACE: Final = {"rkn6": 0.1}  # below, a row costs as much as all others
+_LEAST_PACE: Final = {"rkn6": 0.1, "force_gradient": 0.1}
+"""Below, a row costs as much as all others."""
 _DRIFT_PACE: Final = 0.25  # h|ω| of a drift
-_DRIFT_PACES: Final = {"rkn6": 0.5}  # where it is another: eleven kicks, and errors above rounding
+_DRIFT_PACES: Final = {"rkn6": 0.5, "force_gradient": 0.5}
+"""Where it is another: many kicks, and errors above rounding."""
 FREE: Final = "free body"
 
 

@@ -1,7 +1,7 @@
 """Limits of the step, by theory and measured: for the study of `stability`.
 
 Steps up to which linear motions stay bounded, found by bisection, and factors of one step. The
-closed forms are written here and share nothing with the methods but, for rkn6, its coefficients.
+closed forms are written here and share nothing with the methods but coefficients of splittings.
 `LIMITS` lists them by method. Explained in docs/stability.md.
 """
 
@@ -16,6 +16,7 @@ from particlerb.forces import Terms
 from particlerb.forces.drag import Drag
 from particlerb.forces.links import Links
 from particlerb.forces.spring import Spring
+from particlerb.integrators import force_gradient
 from particlerb.integrators.rkn6 import DRIFTS, KICKS
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.state import State, rotate_back
@@ -190,28 +191,35 @@ def rk4_factor(z: complex) -> complex:
     return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
 
 
-def half_trace(kicks: Sequence[float], drifts: Sequence[float], z: Floats) -> Floats:
+def half_trace(
+    kicks: Sequence[float], drifts: Sequence[float], z: Floats, gradient: float = 0.0
+) -> Floats:
     """½ tr of a step of kicks and drifts of an oscillator with hω = z; bounded while |½ tr| <= 1.
 
-    The last kick, which closes the step, is the first one again.
+    The last kick, which closes the step, is the first one again. All others may be bent: of kicks
+    by -ω² x, and of ω⁴ x as its rate of change along a motion with that as velocity.
     """
     (x, p), (y, q) = (np.ones_like(z), np.zeros_like(z)), (np.zeros_like(z), np.ones_like(z))
-    for kick, drift in zip((*kicks, kicks[0]), (*drifts, 0.0), strict=True):
-        p, q = p - kick * z * x, q - kick * z * y
+    bent = (0.0, *(gradient for _ in kicks[1:]), 0.0)
+    for kick, bend, drift in zip((*kicks, kicks[0]), bent, (*drifts, 0.0), strict=True):
+        push = kick * z - bend * z**3
+        p, q = p - push * x, q - push * y
         x, y = x + drift * z * p, y + drift * z * q
     return 0.5 * (x + q)
 
 
-def splitting_limit(kicks: Sequence[float], drifts: Sequence[float]) -> float:
+def splitting_limit(
+    kicks: Sequence[float], drifts: Sequence[float], gradient: float = 0.0
+) -> float:
     """hω from which |½ tr| exceeds 1 by more than 1e-6, the size of narrow resonances."""
     z = np.linspace(0.0, 12.0, 600_001)
-    beyond = np.abs(half_trace(kicks, drifts, z)) > 1.0 + 1e-6
+    beyond = np.abs(half_trace(kicks, drifts, z, gradient)) > 1.0 + 1e-6
     return float(z[beyond.argmax()])
 
 
-def _resonance(z: float) -> float:
-    """Energy per step of rkn6, less 1, of an oscillator with hω = z where it is not bounded."""
-    half = abs(float(half_trace(KICKS, DRIFTS, np.array([z]))[0]))
+def _resonance(kicks: Sequence[float], drifts: Sequence[float], gradient: float, z: float) -> float:
+    """Energy per step of a splitting, less 1, of an oscillator with hω = z: not bounded there."""
+    half = abs(float(half_trace(kicks, drifts, np.array([z]), gradient)[0]))
     return math.expm1(2.0 * math.acosh(half))
 
 
@@ -329,10 +337,17 @@ def strang() -> Iterator[_LimitCase]:
     yield _drag_alone(math.inf, high=1e3)
 
 
+def force_gradient_limits() -> Iterator[_LimitCase]:
+    """Four kicks of which two are bent by the gradient, up to the first resonance."""
+    splitting = force_gradient.KICKS, force_gradient.DRIFTS, force_gradient.GRADIENT
+    yield from undamped(splitting_limit(*splitting), low=3.0, high=3.2, steps=2000)
+    yield from _energy_factors(partial(_resonance, *splitting), 3.13, steps=200)
+
+
 def rkn6() -> Iterator[_LimitCase]:
     """Eleven kicks and drifts; the Moser-Veselov map without and with cutting."""
     yield from undamped(splitting_limit(KICKS, DRIFTS), low=8.5, high=9.5, steps=60)
-    yield from _energy_factors(_resonance, 3.14188, steps=30_000)
+    yield from _energy_factors(partial(_resonance, KICKS, DRIFTS, 0.0), 3.14188, steps=30_000)
     yield _LimitCase("plain map, steady: largest turn", 0.5 * math.pi, lambda _: _steady_limit())
     yield _LimitCase("plain map, (1, 2, 3): largest h|ω|", math.nan, lambda _: _tumbling_limit())
     yield _LimitCase("map cut in pieces: largest h|ω|", math.inf, lambda _: _cut_limit())
@@ -368,9 +383,11 @@ def momentum_euler() -> Iterator[_LimitCase]:
     return explicit_euler(1.5 * (1.5 - 1.0) * 0.2**2 / (1.0 + 0.1**2))
 
 
+_BY_NAME: Final = (
+    strang, force_gradient_limits, rkn6, rk4, semi_implicit_euler, explicit_euler, momentum_euler,
+)  # fmt: skip
 LIMITS: Final[dict[str, Callable[[], Iterator[_LimitCase]]]] = {
-    case.__name__: case
-    for case in (strang, rkn6, rk4, semi_implicit_euler, explicit_euler, momentum_euler)
+    case.__name__.removesuffix("_limits"): case for case in _BY_NAME
 }
 
 

@@ -15,6 +15,7 @@ COLOURS: Final = ("#0072b2", "#d55e00", "#009e73")  # told apart also by the col
 METHOD_COLOURS: Final = {
     "exact": "#333333",
     "strang": "#0072b2",
+    "force_gradient": "#56b4e9",
     "rkn6": "#009e73",
     "dop853": "#7b3294",
     "rk4": "#b8860b",
