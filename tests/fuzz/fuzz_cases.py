@@ -70,6 +70,7 @@ ROUND_ABOUT = {
     "mesh": [{"file": "solid.stl", "position": [0, 0, -4.0], "scale": 1.0}],
 }  # fmt: skip
 OTHERS = 0.2  # chance of an optional key that is not named above
+AXES = ("run.dt", "run.seed", "body.0.mass", "contact.friction", "no.key", "run")
 TEXTS = ("", "a", "\u00e9", "\u03c9\u0301", "\U0001f600", "\u202e", "\u0000", "\x1b[31m", "a[",
          "]]", "../../x", "/dev/zero", "<img src=x onerror=1>", "a" * 5000, "\ufeff", "\n", "%s{0}",
          "n\u0131l", "\u2028", "\x7f")  # fmt: skip
@@ -193,6 +194,8 @@ def made(dice: random.Random, node: dict[str, Any], key: str, at: str = "") -> A
 def table(dice: random.Random, node: dict[str, Any]) -> dict[str, Any]:
     """A table with what it must have and some of what it may have."""
     must = node.get("required", ())
+    if "properties" not in node:  # axes of a sweep
+        return {dice.choice(AXES): made(dice, node["additionalProperties"], "") for _ in "ab"}
     if "times" in node["properties"] and dice.random() < 0.5:  # by chance they hardly fit
         n = dice.choice((2, 2, 3, 5))
         times = sorted(dice.choice((0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 1e-9)) for _ in range(n))
