@@ -366,12 +366,16 @@ def test_the_elastic_energy_of_a_frame_is_that_of_its_own_instant(method):
 def test_a_method_that_cannot_move_pistons_says_so(method):
     lid = {"type": "plane", "name": "lid", "normal": [0, 0, -1], "point": [0, 0, 0.3]}
     lid |= {"piston": {"mass": 1.0, "axis": [0, 0, 1]}}
-    with pytest.raises(CaseError, match=r"walls with a piston\n.*methods that do: strang$"):
+    with pytest.raises(
+        CaseError, match=r"walls with a piston( \(.*\))?\n.*methods that do: strang$"
+    ):
         prepare(to_system(scene(method, 1e-3, 0.1, ball(), wall=(FLOOR, lid))))
 
 
 def test_momentum_euler_takes_no_contact():
-    with pytest.raises(CaseError, match=r"here: contact\n.*strang, rk4, semi_implicit_euler, exp"):
+    with pytest.raises(
+        CaseError, match=r"here: contact \(.*\)\n.*strang, rk4, semi_implicit_euler, exp"
+    ):
         prepare(to_system(scene("momentum_euler", 1e-3, 0.1, ball())))
 
 

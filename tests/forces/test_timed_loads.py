@@ -16,7 +16,7 @@ from particlerb.case.to_system import to_system
 from particlerb.compiled.jit import config
 from particlerb.forces.kinds import TIME
 from particlerb.forces.push import Push
-from particlerb.integrators import METHODS
+from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.plan.make_plan import make_plan
 
 MASS = 2.0
@@ -345,7 +345,7 @@ def test_exact_has_no_closed_form_for_it(make):
     with pytest.raises(CaseError, match="exact does not accept what acts here: ramp") as error:
         particlerb.run(case)
     assert (
-        f"methods that do: {', '.join(name for name in METHODS if TIME in METHODS[name].accepts)}"
+        f"methods that do: {', '.join(name for name in UNJOINTED if TIME in METHODS[name].accepts)}"
         in str(error.value)
     )
 
