@@ -1,5 +1,6 @@
 """Impulses are kept from step to step: runs that are resumed, threads, frames between steps."""
 
+import numba
 import numpy as np
 import pytest
 from impulse_scenes import DOWN, R, case, clump, go, impulse, plane, sphere
@@ -7,6 +8,11 @@ from impulse_scenes import DOWN, R, case, clump, go, impulse, plane, sphere
 import particlerb
 
 STATE = ("position", "orientation", "linear_momentum", "angular_momentum")
+
+
+plain = pytest.mark.skipif(
+    not numba.config.DISABLE_JIT, reason="takes long to compile, and shows no more"
+)
 
 
 def heap(n=3, contact=None, **keys):
@@ -36,6 +42,7 @@ def test_a_run_that_is_resumed_has_the_same_bits(tmp_path):
             assert (t.observable(name) == whole.observable(name)).all()
 
 
+@plain
 def test_frames_between_steps_change_nothing():
     often = particlerb.run(heap(every=0.0125))
     few = particlerb.run(heap())
@@ -44,6 +51,7 @@ def test_frames_between_steps_change_nothing():
     assert np.abs(often.observable("energy_error")).max() < 1e-11 * often.energy[0]
 
 
+@plain
 def test_a_new_segment_goes_on_with_the_forces_of_the_last_one():
     boxes = [clump(f"b{i}", position=[0, 0, 2 * R + 4 * R * i]) for i in range(4)]
     push = {"type": "push", "body": "b3", "force": [1e-300, 0, 0], "during": [0.4, 0.5]}

@@ -1,8 +1,13 @@
 """Restitution: bounces, rows of balls, rods, clumps that meet in free space."""
 
+import numba
 import numpy as np
 import pytest
 from impulse_scenes import DOWN, G, R, clump, errors, exact, go, impulse, plane, sphere
+
+plain = pytest.mark.skipif(
+    not numba.config.DISABLE_JIT, reason="takes long to compile, and shows no more"
+)
 
 
 @pytest.mark.parametrize("dt", [0.1, 0.01])
@@ -14,6 +19,7 @@ def test_an_elastic_ball_keeps_its_energy_at_any_step(dt):
     assert max(errors(t)) < 1e-11 * t.energy[0]
 
 
+@plain
 def test_heights_of_bounces_follow_restitution_to_the_order_of_the_step():
     misses = []
     for dt in (4e-3, 1e-3):
@@ -37,6 +43,7 @@ def test_newtons_cradle_hands_on_as_many_balls_as_come_in(k):
     assert t.velocity[-1, :, 0] == pytest.approx(expected, abs=1e-14)
 
 
+@plain
 def test_a_row_of_halved_masses_speeds_up_by_its_closed_form():
     balls = [
         sphere(f"b{i}", mass=0.5**i, position=[2 * R * i - 0.05 * (i < 1), 0, 0],
@@ -48,6 +55,7 @@ def test_a_row_of_halved_masses_speeds_up_by_its_closed_form():
     assert max(errors(t)) < 1e-14
 
 
+@plain
 def test_a_ball_that_hits_the_tip_of_a_rod_follows_rigid_impact():
     rod = {
         "name": "rod",
@@ -96,6 +104,7 @@ def test_clumps_that_meet_keep_their_momenta_and_gain_no_energy(restitution, fri
     assert errors(t)[0] < 1e-13 * t.energy[0]
 
 
+@plain
 def test_push_out_changes_nothing_that_is_not_booked():
     t = go(*converging(), contact=impulse(0.5, 0.5), dt=5e-3, t_end=0.4, every=5e-3, gravity=DOWN,
            wall=[plane(point=[0, 0, -0.8])])  # fmt: skip
@@ -104,6 +113,7 @@ def test_push_out_changes_nothing_that_is_not_booked():
     assert max(linear, angular) < 1e-12 * t.momentum_sizes()[0]
 
 
+@plain
 def test_symmetric_scenes_turned_in_space_move_alike():
     def hit(axis, across):
         side = [0.03 * c for c in across]

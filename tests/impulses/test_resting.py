@@ -2,9 +2,14 @@
 
 import math
 
+import numba
 import numpy as np
 import pytest
 from impulse_scenes import DOWN, G, R, clump, errors, exact, go, impulse, plane, sphere
+
+plain = pytest.mark.skipif(
+    not numba.config.DISABLE_JIT, reason="takes long to compile, and shows no more"
+)
 
 
 def tilted(angle, heading=0.0):
@@ -28,6 +33,7 @@ def test_a_ball_that_slides_comes_to_roll_with_five_sevenths_of_its_speed():
     assert misses[1] < 0.1 * misses[0] < 1e-5
 
 
+@plain
 @pytest.mark.parametrize("share", [0.99, 1.01])
 def test_a_box_slides_from_the_angle_of_friction_on_and_is_not_lifted(share):
     angle = math.atan(0.3 * share)
@@ -82,6 +88,7 @@ def test_a_pyramid_of_balls_falls_below_its_critical_frictions(pair, floor):
         assert sinks > 1e-3
 
 
+@plain
 def test_a_ball_rolls_over_seams_of_a_box_as_on_a_plane():
     ball = sphere(position=[0.1, 0.2, R], velocity=[1.0, 0.4, 0.0])
     keys = {"contact": exact(0.0, 0.3), "gravity": DOWN, "dt": 5e-3, "t_end": 0.5, "every": 0.5}
@@ -91,6 +98,7 @@ def test_a_ball_rolls_over_seams_of_a_box_as_on_a_plane():
     assert seamed.velocity[-1] == pytest.approx(smooth.velocity[-1], abs=1e-13)
 
 
+@plain
 def test_a_ball_in_a_corner_presses_on_all_three_faces():
     box = {"type": "box", "name": "bin", "lower": [0, 0, 0], "upper": [2, 2, 2]}
     g = [-3.0, -2.0, -G]
@@ -102,6 +110,7 @@ def test_a_ball_in_a_corner_presses_on_all_three_faces():
     assert t.wall_force[-1, 0] == pytest.approx(2.0 * np.array(g), rel=1e-9)
 
 
+@plain
 def test_a_conveyor_takes_a_box_along_and_its_work_is_booked():
     belt = plane(motion={"velocity": [0.5, 0.0, 0.0]})
     t = go(clump("box", position=[0, 0, 2 * R]), contact=exact(0.0, 0.3), wall=[belt],
@@ -111,6 +120,7 @@ def test_a_conveyor_takes_a_box_along_and_its_work_is_booked():
     assert max(errors(t)) < 1e-12
 
 
+@plain
 def test_a_table_that_swings_lifts_a_ball_with_all_that_it_gives_booked():
     swing = {"oscillation": {"amplitude": [0.0, 0.0, 0.02], "frequency": 2.0}}
     t = go(sphere(position=[0, 0, R]), contact=exact(0.0, 0.3), wall=[plane(motion=swing)],
@@ -120,6 +130,7 @@ def test_a_table_that_swings_lifts_a_ball_with_all_that_it_gives_booked():
     assert errors(t)[0] < 1e-11
 
 
+@plain
 def test_a_driven_body_and_a_held_one_carry_and_stop_others():
     drive = sphere("lift", position=[0, 0, 0], motion={"velocity": [0, 0, 0.3]})
     held = sphere("stop", position=[0, 0, 4.5 * R], fixed=True)

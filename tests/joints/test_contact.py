@@ -1,5 +1,6 @@
 """Jointed bodies that touch: stops, floors, energy, order, resuming, threads."""
 
+import numba
 import numpy as np
 import pytest
 from holds import misfits
@@ -14,6 +15,11 @@ G = 9.81
 FIELDS = ["position", "orientation", "linear_momentum", "angular_momentum"]
 FIELDS += ["velocity", "angular_velocity"]
 ELASTIC = {"stiffness": 2e4, "restitution": 1.0, "friction": 0.0}
+
+
+plain = pytest.mark.skipif(
+    not numba.config.DISABLE_JIT, reason="takes long to compile, and shows no more"
+)
 
 
 def string_of(n, length, radius=0.05, **keys):
@@ -76,11 +82,13 @@ def order(x, y):
     return (x, y) if x[0] < x[1] else (x[::-1], y[::-1])
 
 
+@plain
 def test_contact_that_does_not_act_changes_nothing():
     with moved(door(), 0.3, 5e-3) as free, moved(door(ELASTIC, -9.0), 0.3, 5e-3) as other:
         assert np.abs(np.array(free.position) - np.array(other.position)).max() < 1e-14
 
 
+@plain
 def test_a_door_above_a_floor_falls_at_order_two():
     ends = []
     for dt in (8e-3, 4e-3, 2e-3):
@@ -90,6 +98,7 @@ def test_a_door_above_a_floor_falls_at_order_two():
     assert coarse / fine == pytest.approx(4.0, rel=0.02)
 
 
+@plain
 def test_the_energy_of_a_bounce_with_friction_and_damping_is_of_order_two():
     contact = {"stiffness": 3000.0, "restitution": 0.4, "friction": 0.3}
     errors = []
@@ -100,6 +109,7 @@ def test_the_energy_of_a_bounce_with_friction_and_damping_is_of_order_two():
     assert errors[0] / errors[1] > 10.0
 
 
+@plain
 def test_a_chain_falls_on_the_floor_and_its_joints_hold():
     contact = {"stiffness": 2e4, "restitution": 0.3, "friction": 0.3}
     with moved(chain(contact), 0.5, 5e-4, every=0.02) as trajectory:
@@ -116,6 +126,7 @@ def test_a_chain_falls_on_the_floor_and_its_joints_hold():
     assert np.linalg.norm(p0 - p1) < 0.2 + 1e-12
 
 
+@plain
 def test_jointed_bodies_touch_each_other_only_if_they_are_told_to():
     contact = {"stiffness": 2e4, "restitution": 0.3, "friction": 0.3}
     times = {"t_end": 0.1, "every": 0.1}
@@ -136,6 +147,7 @@ def test_a_chain_that_touches_goes_on_bit_for_bit(tmp_path):
         assert (np.array(resumed.angular_momentum) == np.array(whole.angular_momentum)).all()
 
 
+@plain
 def test_a_body_hangs_on_one_that_is_held():
     ball = {"shape": {"type": "sphere", "radius": 0.1}, "mass": 1.0}
     bodies = [ball | {"name": "hook", "position": [0, 0, 1.0], "fixed": True},
