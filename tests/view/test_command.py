@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -146,11 +145,10 @@ def test_a_file_is_played_in_a_process_of_its_own(make, tmp_path, crashes, numbe
     """HDF5 may crash on a frame of a damaged file, long behind the first look at it."""
     particlerb.run(make.case(make.body()), tmp_path / "run.h5").close()
     words = [sys.executable, "-m", "particlerb", "view", "run.h5", "--port", "8450"]
-    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # jobs of a shell ignore it
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs of a shell ignore it
     with subprocess.Popen(
-        words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        preexec_fn=heard,
-    ) as page:  # fmt: skip
+        words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as page:
         while "token" not in page.stdout.readline():
             assert page.poll() is None, page.stderr.read()
         child = int(Path(f"/proc/{page.pid}/task/{page.pid}/children").read_text())
