@@ -161,8 +161,10 @@ def _types_at(raw: Any, path: Path, root: type[Table]) -> list[Any]:
     node = raw
     for part in path:
         if isinstance(part, str):
-            fields = [t.model_fields[part] for t in _tables(types, node) if part in t.model_fields]
-            types = _alternatives(fields[0].annotation) if fields else []
+            tables = _tables(types, node)
+            found = [t.model_fields[part].annotation for t in tables if part in t.model_fields]
+            found += [get_args(t)[1] for t in types if get_origin(t) is dict]
+            types = _alternatives(found[0]) if found else []
         node = child(node, part)
     return types
 
