@@ -13,6 +13,8 @@ from typing import Any, Final, TypeAlias, cast
 
 from numba.core import codegen, compiler, registry
 
+from particlerb.compiled.vector_width import numbas_compiler
+
 Function: TypeAlias = Callable[..., Any]
 Compiles: TypeAlias = Callable[[Function], Function]
 _ONLY_COPIED: Final = {
@@ -36,8 +38,8 @@ class _CopiedCode(codegen.JITCodeLibrary):
         self._finalized = True
 
 
-class _Copying(compiler.Compiler):
-    """Numba's compiler, which stops before machine code."""
+class _Copying(compiler.CompilerBase):
+    """What Numba's compiler does, but for machine code; comes before that compiler."""
 
     def _compile_bytecode(self) -> Any:
         numbas, library, state = cast(Any, super()), cast(Any, _CopiedCode), self.state
@@ -60,7 +62,8 @@ class Helper(registry.CPUDispatcher):
     """
 
     def __init__(self, function: Function, options: Mapping[str, Any], compiled: Compiles) -> None:
-        super().__init__(function, {}, {**options, **_ONLY_COPIED}, _Copying)
+        stops_early = type("_CopyingCompiler", (_Copying, numbas_compiler()), {})
+        super().__init__(function, {}, {**options, **_ONLY_COPIED}, stops_early)
         self.compiled = compiled
 
     @cached_property

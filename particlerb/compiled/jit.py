@@ -29,7 +29,7 @@ import numba
 from numba.core import caching
 
 from particlerb.compiled.helper import Helper
-from particlerb.compiled.vector_width import compiler_options
+from particlerb.compiled.vector_width import numbas_compiler
 
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -224,7 +224,7 @@ def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Fu
     def decorate(function: Function) -> Function:
         if CACHE_FOLDER is None:
             return function
-        dispatcher = numba.njit(**_FLAGS, **compiler_options(), **options)(function)
+        dispatcher = numba.njit(pipeline_class=numbas_compiler(), **_FLAGS, **options)(function)
         if cache:
             keep(dispatcher)
         return cast(Function, dispatcher)

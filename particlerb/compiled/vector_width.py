@@ -64,6 +64,6 @@ def machine() -> str:
     return f"{system}, {processor()}{vectors}"
 
 
-def compiler_options() -> dict[str, Any]:
-    """Options of Numba's decorator for the processor that is compiled for."""
-    return {"pipeline_class": _WideCompiler} if processor() in WIDE else {}
+def numbas_compiler() -> type[Any]:
+    """Numba's compiler for the processor that is compiled for."""
+    return _WideCompiler if processor() in WIDE else compiler.Compiler
