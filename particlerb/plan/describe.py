@@ -1,10 +1,13 @@
 """The plan in words: what is computed, what is left out, and why, one line each."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from particlerb.case.forces import FORCES
+from particlerb.case.run import AttractionTable
+from particlerb.contact.contact_model import GroupContact
 from particlerb.forces import Terms, has_potential, is_constant, needs_of, words_of
 from particlerb.forces.gravity_tree.opening_angle import SAMPLE
 from particlerb.forces.kinds import TIME
@@ -14,13 +17,13 @@ from particlerb.model.system import System
 from particlerb.plan.impulse_step import expected_overlap, touches_by_impulses
 from particlerb.plan.joint_words import joint_line
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
-from particlerb.rotors.rotor_class import NAMES
 from particlerb.stepping.closed_forms import lever_of
 from particlerb.stepping.sparse_contact import can_fly
 
 _GROUPS_SHOWN = 20
 _SEGMENTS_SHOWN = 12
 _RUNS_SHOWN = 4
+_CLASSES = ("point", "rod", "spherical top", "symmetric top", "asymmetric top")
 
 
 def describe(system: System, plan: Plan, accuracy: str = "") -> str:
@@ -29,11 +32,8 @@ def describe(system: System, plan: Plan, accuracy: str = "") -> str:
         ("bodies", _bodies_line(system)),
         ("particles", _particles_line(system)),
         *system.notes,
-        ("gravity", _gravity_line(system)),
-        ("attraction", _attraction_line(system, plan)),
-        *((kind, _force_line(system, kind)) for kind in FORCES),
-        *([("joints", joint_line(system, plan))] if system.joint else []),
-        ("contact", _contact_line(system, plan)),
+        *_acting_lines(system, plan),
+        ("left out", _left_out_line(system, plan)),
         ("step", plan.step),
         *([("accuracy", accuracy)] if accuracy else []),
         ("energy balance", _balance_line(plan)),
@@ -48,9 +48,9 @@ def describe(system: System, plan: Plan, accuracy: str = "") -> str:
 
 def _bodies_line(system: System) -> str:
     """How many bodies of which rotor class."""
-    counts = np.bincount(system.bodies.rotor_class, minlength=len(NAMES))
-    classes = ", ".join(f"{n} {name}" for n, name in zip(counts, NAMES, strict=True) if n)
-    return f"{len(system.kind)}: {classes}"
+    counts = np.bincount(system.bodies.rotor_class, minlength=len(_CLASSES))
+    found = zip(counts.tolist(), _CLASSES, strict=True)
+    return ", ".join(f"{n} {name}{'s' * (n > 1)}" for n, name in found if n)
 
 
 def _particles_line(system: System) -> str:
@@ -69,20 +69,39 @@ def _particles_line(system: System) -> str:
     return f"{line}; of {system.summed[is_reduced].sum()} are kept {rest}6 points a set: {why}"
 
 
-def _gravity_line(system: System) -> str:
-    """Whether there is gravity."""
-    if system.gravity is None or not any(system.gravity.acceleration):
-        return "off: no [gravity], or zero"
-    return f"on: {vector(system.gravity.acceleration)} m/s²"
+def _acting_lines(system: System, plan: Plan) -> Iterator[tuple[str, str]]:
+    """What acts, one line each."""
+    if system.acceleration.any():
+        yield "gravity", f"{vector(system.acceleration.tolist())} m/s²"
+    if system.attraction is not None:
+        yield "attraction", _attraction_line(system.attraction, plan)
+    for kind, count in Counter(force.type for force in system.force).items():
+        yield kind, f"{count} of them"
+    if system.joint:
+        yield "joints", joint_line(system, plan)
+    if _contacts(plan):
+        yield "contact", _contact_line(system, plan)
 
 
-def _attraction_line(system: System, plan: Plan) -> str:
-    """Whether bodies attract each other, and how it is summed."""
-    if system.attraction is None:
-        return "off: no [attraction]"
+def _left_out_line(system: System, plan: Plan) -> str:
+    """What does not act, and why nothing touches."""
+    out = {"gravity": not system.acceleration.any(), "attraction": system.attraction is None}
+    out |= {"joints": not system.joint}
+    if not _contacts(plan):
+        has_radii = system.particles.radius.any()
+        why = "no [contact]" if has_radii else "no particle has a radius"
+        out[f"contact ({why})"] = True
+    acting = {force.type for force in system.force}
+    absent = ", ".join(kind for kind in FORCES if kind not in acting)
+    out[f"forces of type {absent}"] = bool(absent)
+    return ", ".join(name for name, is_out in out.items() if is_out)
+
+
+def _attraction_line(table: AttractionTable, plan: Plan) -> str:
+    """How attraction is summed."""
     terms = [s.terms for g in plan.groups for s in g.segments if s.terms.attraction is not None]
     assert terms[0].attraction is not None
-    n, softening = terms[0].attraction.mass.size, system.attraction.softening
+    n, softening = terms[0].attraction.mass.size, table.softening
     angle, accuracy = terms[0].opening_angle, terms[0].tree_accuracy
     how = "each particle with all those of other bodies"
     if angle:
@@ -91,7 +110,7 @@ def _attraction_line(system: System, plan: Plan) -> str:
         how += f", where no scene errs by more than {accuracy:.3g}, or wider: as wide as"
         how += f" {min(n, SAMPLE)} particles, summed directly at the start, allow"
     soft = f"softened by {softening:.6g} m" if softening else "not softened"
-    return f"on: {n} particles, {how}; G = {system.attraction.G:.9g} m³/(kg s²), {soft}"
+    return f"{n} particles, {how}; G = {table.G:.9g} m³/(kg s²), {soft}"
 
 
 def vector(values: Sequence[float]) -> str:
@@ -99,39 +118,33 @@ def vector(values: Sequence[float]) -> str:
     return "(" + ", ".join(f"{value:.9g}" for value in values) + ")"
 
 
-def _force_line(system: System, kind: str) -> str:
-    """Whether there are forces of a kind."""
-    count = sum(force.type == kind for force in system.force)
-    return f"on: {count} of them" if count else f"off: no [[force]] of type {kind}"
+def _contacts(plan: Plan) -> list[GroupContact]:
+    """Contact of the segments that have it."""
+    return [s.terms.contact for g in plan.groups for s in g.segments if s.terms.contact]
 
 
 def _contact_line(system: System, plan: Plan) -> str:
-    """What may touch, by which law, or why nothing touches."""
-    found = [s.terms.contact for g in plan.groups for s in g.segments if s.terms.contact]
-    if system.contact is not None and found:
-        spheres, walls = found[0].model.spheres.radius.size, len(found[0].motions)
-        what = f"{spheres} spheres and {walls} walls, {system.contact.law}"
-        if found[0].n_interior:
-            what += f", {found[0].n_interior} spheres inside that nothing can reach left out"
-        if found[0].rules is not None:
-            what += f", {_solved(system, plan)}"
-        return f"on: {what}, pairs kept within {found[0].skin:.3g} m{_flying(plan)}"
-    if not system.particles.radius.any():
-        return "off: no particle has a radius"
-    return "off: no [contact]; radii add to the inertia tensor only"
+    """What may touch, by which law."""
+    assert system.contact is not None
+    contact = _contacts(plan)[0]
+    spheres, walls = contact.model.spheres.radius.size, len(contact.motions)
+    what = f"{spheres} spheres and {walls} walls, {system.contact.law}"
+    if contact.n_interior:
+        what += f", {contact.n_interior} spheres inside that nothing can reach left out"
+    if contact.rules is not None:
+        what += f", {_solved(system, plan)}"
+    return f"{what}, pairs kept within {contact.skin:.3g} m{_flying(plan)}"
 
 
 def _solved(system: System, plan: Plan) -> str:
     """How impulses are found, and what overlap is to be expected."""
-    table, overlaps = (
-        system.contact,
-        [
-            expected_overlap(system, group, segment)
-            for group in plan.groups
-            for segment in group.segments
-            if touches_by_impulses(segment)
-        ],
-    )
+    table = system.contact
+    overlaps = [
+        expected_overlap(system, group, segment)
+        for group in plan.groups
+        for segment in group.segments
+        if touches_by_impulses(segment)
+    ]
     assert table is not None
     return (
         f"residual {table.tolerance:.3g} or {table.iterations} sweeps; the fastest impact may"
@@ -141,17 +154,13 @@ def _solved(system: System, plan: Plan) -> str:
 
 def _flying(plan: Plan) -> str:
     """Whether bodies with nothing in reach fly in closed form."""
-    return ", closed form where none is in reach" if _any_flies(plan) else ""
-
-
-def _any_flies(plan: Plan) -> bool:
-    """Whether a group of touching bodies may do so."""
-    return any(
+    flies = any(
         segment.terms.contact is not None
         and can_fly(METHODS[segment.method], segment.terms, group.members.size)
         for group in plan.groups
         for segment in group.segments
     )
+    return ", closed form where none is in reach" if flies else ""
 
 
 def _balance_line(plan: Plan) -> str:

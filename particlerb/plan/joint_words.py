@@ -102,7 +102,7 @@ def joint_line(system: System, plan: Plan) -> str:
         dependent += [setup.names[k] for k in own.dependent]
         n_dependent += own.n_dependent
     rows = int((setup.rows.action == HOLDS).sum())
-    line = f"on: {counts}; {bodies} bodies in {clusters} cluster{'s' * (clusters > 1)}, {rows} rows"
+    line = f"{counts}; {bodies} bodies in {clusters} cluster{'s' * (clusters > 1)}, {rows} rows"
     if n_dependent:
         names = ", ".join(dependent[:_MOST_NAMED])
         more = ", ..." if len(dependent) > _MOST_NAMED else ""
