@@ -29,6 +29,7 @@ from particlerb.compiled.threads import THREADS
 _LINE: Final = 16  # numbers of two lines of the cache: nobody writes beside what others look at
 _ARRIVED: Final = 0  # how often somebody has come to a meeting
 _OVER: Final = _LINE  # whether nobody waits any more
+_TURN: Final = 6  # 1 in every other call of `largest`, behind two places of three numbers
 _PATIENCE: Final = 1000  # times to ask before others are let run
 Result = TypeVar("Result")
 
@@ -103,17 +104,24 @@ def meet(team: Team) -> None:
 def largest(team: Team, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Meet, and tell all the largest x, y and z that anybody has brought; inf once all is over.
 
-    Another meeting has to come before the next call: others may still look at what was brought.
+    Calls write in turn into two places: who is late still looks at what was brought to this call
+    while others bring something to the next one, and nobody comes to the one behind it before.
     """
     wishes, rank = team.wishes, team.rank
     if team.size == 1:
         return x, y, z
-    wishes[rank, 0], wishes[rank, 1], wishes[rank, 2] = x, y, z
+    at = 0 if wishes[rank, _TURN] == 0.0 else 3
+    wishes[rank, _TURN] = 1.0 - wishes[rank, _TURN]
+    wishes[rank, at], wishes[rank, at + 1], wishes[rank, at + 2] = x, y, z
     meet(team)
     if _read_atomically(team.arrivals, _OVER) != 0:
         return np.inf, np.inf, np.inf
     for k in range(team.size):
-        x, y, z = max(x, wishes[k, 0]), max(y, wishes[k, 1]), max(z, wishes[k, 2])
+        x, y, z = (
+            max(x, wishes[k, at]),
+            max(y, wishes[k, at + 1]),
+            max(z, wishes[k, at + 2]),
+        )
     return x, y, z
 
 

@@ -87,7 +87,6 @@ class ContactMotion(SteppedMotion):
     """
 
     room_for_tally = 0  # numbers that are counted of impulses
-    can_share = True  # whether threads may share a step
 
     def __init__(
         self,
@@ -107,8 +106,7 @@ class ContactMotion(SteppedMotion):
         evaluation = _NANOSECONDS_PER_SPHERE * n_spheres
         self.step_cost = (method.cost + evaluation / n) * n  # [ns]
         self.cost += evaluation
-        is_worth_it = self.can_share and evaluation > WORTH_THREADS
-        self.threads = len(self.blocks) if is_worth_it else 1
+        self.threads = len(self.blocks) if evaluation > WORTH_THREADS else 1
         self.lists = ContactLists(setup, dt, numbers, histories, method.takes_slopes)
         self.checks = ContactChecks(group, dt, watch, method.stability_limit)
         self.looks = numbers is None  # who steps some of more bodies looks at stability itself

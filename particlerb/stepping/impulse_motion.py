@@ -19,7 +19,6 @@ class ImpulseMotion(ContactMotion):
     """A group of bodies whose contacts have no stiffness; see `ContactMotion`."""
 
     room_for_tally = TALLY
-    can_share = False  # threads that share a step were seen to wait for each other for ever
 
     def impulses_of(self, setup: GroupContact) -> Impulses | None:
         """Room for impulses."""

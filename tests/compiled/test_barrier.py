@@ -36,6 +36,16 @@ def tell(rounds, team):
     return total
 
 
+@kernel
+def tell_again(rounds, team):
+    """In how many rounds others were told of than this thread: each brings as much to all."""
+    wrong = 0
+    for k in range(rounds):
+        x, _, _ = largest(team, float(k), 0.0, 0.0)
+        wrong += x != float(k)
+    return wrong
+
+
 @pytest.fixture
 def threads():
     """As many as asked for; as before afterwards."""
@@ -67,6 +77,19 @@ def test_all_are_told_the_largest(threads, size):
     rounds = 1000
     expected = rounds * (size - 1) + sum(range(rounds)) - rounds
     assert together(partial(tell, rounds), size) == expected
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("size", [2, 3])
+def test_who_is_late_is_told_what_was_brought_to_this_call(threads, size):
+    threads(size)
+    every = []
+
+    def enter(team):
+        every.append(tell_again(20_000, team))
+
+    together(enter, size)
+    assert every == [0] * size
 
 
 @pytest.mark.compiled
