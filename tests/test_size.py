@@ -19,27 +19,27 @@ BUDGETS = {
     "closed forms under force": 950,
     "joints": 1500,
     "what users see of joints": 831,
+    "what acts on jointed bodies": 605,
+    "unrolled columns in factors of joints, for speed": 30,
+    "contact with every method": 480,
+    "impulses": 1222,
     "tables of forces": 232,
+    "force gradients": 324,
+    "opening angle fitted to a scene": 95,
+    "scenes in Python": 434,
+    "sweeps": 605,
+    "reports of a run": 70,
+    "helpers without machine code": 50,
+    "vectors of 512 bits": 45,
 }
-BUDGETS |= {"contact with every method": 480}
-BUDGETS |= {"helpers without machine code": 50}
-BUDGETS |= {"impulses": 1222}
-BUDGETS |= {"vectors of 512 bits": 45, "opening angle fitted to a scene": 95}
-BUDGETS |= {"scenes in Python": 434, "sweeps": 605}
-BUDGETS |= {"reports of a run": 70, "what acts on jointed bodies": 605}
-BUDGETS |= {"unrolled columns in factors of joints, for speed": 30}
-BUDGETS |= {"force gradients": 324}
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 
-OVERSPENT = 588
+OVERSPENT = 332
 """Lines above all budgets, by what came beside joints, which use 1500 of theirs, and 210 by contact
 in the one loop, of which each part has its own module: to be saved."""
 
 LONGEST_MODULE = 400
-LONG_MODULES = {
-    "particlerb/forces/attraction.py": 409,
-    "particlerb/forces/gravity_tree/walk.py": 405,
-}
+LONG_MODULES: dict[str, int] = {}
 """Lines at most of modules that are longer."""
 
 LONGEST_FUNCTION = 60

@@ -13,14 +13,7 @@ from particlerb.case.forces import FORCES, ForceTable
 from particlerb.case.joints import TYPES_WITH_COORDINATES, joint_rules
 from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_JOINTS, FIELDS_OF_WALLS
 from particlerb.case.problems import Path, nearest
-from particlerb.case.raw import (
-    Finding,
-    bodies_named,
-    given,
-    members,
-    number,
-    tables,
-)
+from particlerb.case.raw import Finding, bodies_named, given, members, number, tables
 from particlerb.files import Files
 from particlerb.model.names import REFERENCE
 

@@ -198,14 +198,12 @@ def _for_each(value: Any) -> Any:
 
 
 _Each = Annotated[
-    tuple[NonNegative, ...],
-    BeforeValidator(_for_each, NonNegative | tuple[NonNegative, ...]),
+    tuple[NonNegative, ...], BeforeValidator(_for_each, NonNegative | tuple[NonNegative, ...])
 ]
 
 
 _PositiveEach = Annotated[
-    tuple[Positive, ...],
-    BeforeValidator(_for_each, Positive | tuple[Positive, ...]),
+    tuple[Positive, ...], BeforeValidator(_for_each, Positive | tuple[Positive, ...])
 ]
 
 

@@ -15,12 +15,7 @@ import numpy as np
 
 from particlerb.case.bodies import Body, NormalDistribution, ShapePart
 from particlerb.case.matter import solid_of, spheres_of
-from particlerb.case.placement import (
-    Placement,
-    place,
-    quaternion_of,
-    random_stream,
-)
+from particlerb.case.placement import Placement, place, quaternion_of, random_stream
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import load
 from particlerb.case.reduction import reduced

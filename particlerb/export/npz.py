@@ -9,13 +9,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from particlerb.export import Selection
-from particlerb.record.schema import (
-    COLUMNS,
-    CONTACT_FIELDS,
-    CONTACTS,
-    FIELDS,
-    OBSERVED,
-)
+from particlerb.record.schema import COLUMNS, CONTACT_FIELDS, CONTACTS, FIELDS, OBSERVED
 
 NEEDS: Final = ()
 HOLDS: Final = (*FIELDS, *CONTACT_FIELDS, *OBSERVED, CONTACTS)

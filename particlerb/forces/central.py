@@ -15,15 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.forces.kinds import (
-    Force,
-    ForceError,
-    Kick,
-    Momenta,
-    Rates,
-    Term,
-    same_for_all,
-)
+from particlerb.forces.kinds import Force, ForceError, Kick, Momenta, Rates, Term, same_for_all
 from particlerb.maths.quaternion import Rows, turn, turn_back
 from particlerb.maths.vec3 import (
     Floats,

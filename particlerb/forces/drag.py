@@ -11,14 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.forces.kinds import (
-    Force,
-    Kick,
-    Momenta,
-    Rates,
-    Term,
-    same_for_all,
-)
+from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, same_for_all
 from particlerb.maths.quaternion import Rows, turn, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, subtract
 from particlerb.model.block import INV_INERTIA, get, get3, put

@@ -12,14 +12,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.forces.drag import angular_velocity
-from particlerb.forces.kinds import (
-    Force,
-    Kick,
-    Momenta,
-    Rates,
-    Term,
-    same_for_all,
-)
+from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, same_for_all
 from particlerb.maths.quaternion import Rows, to_world
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, scale
 from particlerb.model.block import get

@@ -15,15 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.forces.kinds import (
-    Force,
-    Kick,
-    Momenta,
-    Rates,
-    Term,
-    refuse_overflow,
-    same_for_all,
-)
+from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, refuse_overflow, same_for_all
 from particlerb.forces.ramp import (
     RAMP_KICKS,
     RAMP_TERMS,
@@ -72,11 +64,7 @@ def _kick_lever(
     """L + axial(R T) dt."""
     X, Y, Z = R
     t_x, t_y, t_z = get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
-    torque = (
-        dot(Y, t_z) - dot(Z, t_y),
-        dot(Z, t_x) - dot(X, t_z),
-        dot(X, t_y) - dot(Y, t_x),
-    )
+    torque = (dot(Y, t_z) - dot(Z, t_y), dot(Z, t_x) - dot(X, t_z), dot(X, t_y) - dot(Y, t_x))
     return p, add_scaled(dt, torque, L)
 
 

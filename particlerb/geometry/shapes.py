@@ -21,15 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from particlerb.geometry.particles import Particles, one_kind
-from particlerb.geometry.sections import (
-    BALL,
-    CONE,
-    Profile,
-    hollow,
-    ring,
-    section_particles,
-    tube,
-)
+from particlerb.geometry.sections import BALL, CONE, Profile, hollow, ring, section_particles, tube
 from particlerb.maths.vec3 import Floats
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])  # six unit vectors: +x +y +z -x -y -z
@@ -218,11 +210,7 @@ def cone(
 
 
 def torus(
-    major_radius: float,
-    minor_radius: float,
-    mass: float,
-    n: int = 10,
-    arrangement: str = "lattice",
+    major_radius: float, minor_radius: float, mass: float, n: int = 10, arrangement: str = "lattice"
 ) -> Particles:
     """Ring about z: circle of the minor radius a led round the circle of the major radius c.
 

@@ -18,15 +18,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
-from particlerb.geometry.caps import (
-    SAME,
-    Caps,
-    caps_of,
-    circle,
-    exposed_arcs,
-    open_by,
-    point,
-)
+from particlerb.geometry.caps import SAME, Caps, caps_of, circle, exposed_arcs, open_by, point
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, cross, dot, norm, row3, subtract
 
 _PIECE: Final = 0.5 * math.pi  # [rad] an arc is integrated in pieces of at most this

@@ -27,12 +27,7 @@ from particlerb.contact.contact_model import (
 )
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS, max_displacement
 from particlerb.contact.pair_force import max_speeds, place_bodies, sphere_contact_forces
-from particlerb.contact.piston import (
-    drift_pistons,
-    kick_pistons,
-    pistons_have_moved,
-    place_pistons,
-)
+from particlerb.contact.piston import drift_pistons, kick_pistons, pistons_have_moved, place_pistons
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
     prescribed_momenta,
@@ -180,12 +175,7 @@ def _gather_states(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> No
 
 @inline
 def _put_prescribed(
-    prescribed: PrescribedBodies | None,
-    t: float,
-    with_momenta: bool,
-    rows: Floats,
-    lo: int,
-    n: int,
+    prescribed: PrescribedBodies | None, t: float, with_momenta: bool, rows: Floats, lo: int, n: int
 ) -> None:
     """Write prescribed bodies into their block, with velocities or, as others are, momenta."""
     if prescribed is None:
@@ -327,11 +317,7 @@ def keep_momenta(
 
 @kernel
 def kick_walls(
-    contact: MovingContact | None,
-    team: Team | None,
-    closing: float,
-    opening: float,
-    is_step: bool,
+    contact: MovingContact | None, team: Team | None, closing: float, opening: float, is_step: bool
 ) -> None:
     """Kick pistons over the end of a step and the beginning of another [s]."""
     if contact is None or team is None:

@@ -83,12 +83,7 @@ def add_rows(h: float, weights: Floats, K: Floats, count: int, out: Floats) -> N
     """out ← out + h Σ w_k K_k over the first rows: four at a time, to load `out` less often."""
     k = 0
     while k + 4 <= count:
-        a, b, c, d = (
-            h * weights[k],
-            h * weights[k + 1],
-            h * weights[k + 2],
-            h * weights[k + 3],
-        )
+        a, b, c, d = (h * weights[k], h * weights[k + 1], h * weights[k + 2], h * weights[k + 3])
         p, q, r, s = K[k], K[k + 1], K[k + 2], K[k + 3]
         for i in range(out.size):
             out[i] += (a * p[i] + b * q[i]) + (c * r[i] + d * s[i])
@@ -166,10 +161,7 @@ def _scales_of(
     mass, moment = 1.0 / get(rows, INV_MASS, b), _largest_moment(rows, b)
     size = math.sqrt(moment / mass)
     way = max(moved(w, y, new, b), size, noise * larger(w, y, new, 0, 3, b))
-    p = max(
-        larger(w, y, new, 7, 10, b),
-        noise * mass * max(way, larger(w, y, new, 0, 3, b)) / h,
-    )
+    p = max(larger(w, y, new, 7, 10, b), noise * mass * max(way, larger(w, y, new, 0, 3, b)) / h)
     return way, 1.0, p, max(larger(w, y, new, 10, 13, b), noise * moment / h)
 
 
@@ -270,14 +262,7 @@ def find_step(
 
 @kernel
 def interpolate(
-    n: int,
-    w: int,
-    y: Floats,
-    new: Floats,
-    K: Floats,
-    h: float,
-    share: float,
-    out: Floats,
+    n: int, w: int, y: Floats, new: Floats, K: Floats, h: float, share: float, out: Floats
 ) -> None:
     """State at a share of a step by the polynomial of order 7; |q| = 1."""
     rest = 1.0 - share

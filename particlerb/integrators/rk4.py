@@ -26,14 +26,7 @@ from particlerb.integrators.slopes import (
     put_pose,
     slopes,
 )
-from particlerb.integrators.stages import (
-    MovingBodies,
-    loads,
-    place,
-    place_later,
-    stage,
-    stages,
-)
+from particlerb.integrators.stages import MovingBodies, loads, place, place_later, stage, stages
 from particlerb.maths.quaternion import add_scaled4, length, matrix, matrix_along
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import SCRATCH, get, get3, get4, put, put3, put4

@@ -33,14 +33,7 @@ from particlerb.maths.quaternion import (
     turn,
     turn_back,
 )
-from particlerb.maths.vec3 import (
-    Vec3,
-    add_scaled,
-    component_product,
-    cross,
-    dot,
-    scale,
-)
+from particlerb.maths.vec3 import Vec3, add_scaled, component_product, cross, dot, scale
 from particlerb.model.block import INV_INERTIA, INV_MASS, get, get3
 
 

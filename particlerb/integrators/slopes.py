@@ -9,14 +9,7 @@ from typing import Final, NamedTuple
 from particlerb.compiled.jit import inline
 from particlerb.forces.kernels import Acting, Entry, less_internal, load_at, with_power
 from particlerb.forces.kinds import BODIES, POSE, TIME, VELOCITY
-from particlerb.maths.quaternion import (
-    Quat,
-    Rows,
-    add_scaled4,
-    normalised,
-    times_vector,
-    turn_back,
-)
+from particlerb.maths.quaternion import Quat, Rows, add_scaled4, normalised, times_vector, turn_back
 from particlerb.maths.vec3 import (
     Floats,
     Vec3,

@@ -16,14 +16,7 @@ from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
 from particlerb.integrators.kick import kick_body
 from particlerb.integrators.method import Method
-from particlerb.integrators.stages import (
-    MovingBodies,
-    flow_dashpots,
-    kick,
-    loads,
-    stage,
-    stages,
-)
+from particlerb.integrators.stages import MovingBodies, flow_dashpots, kick, loads, stage, stages
 from particlerb.maths.quaternion import matrix, turn_back
 from particlerb.maths.vec3 import add_scaled
 from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4

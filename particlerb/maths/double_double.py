@@ -136,8 +136,4 @@ def to_body(q: tuple[float, float, float, float], v: Vec3) -> _DoubleDouble3:
     turned1 = add(times(t1, w), _cross_part_wide(y, t3, z, t2))
     turned2 = add(times(t2, w), _cross_part_wide(z, t1, x, t3))
     turned3 = add(times(t3, w), _cross_part_wide(x, t2, y, t1))
-    return (
-        add((v[0], 0.0), turned1),
-        add((v[1], 0.0), turned2),
-        add((v[2], 0.0), turned3),
-    )
+    return (add((v[0], 0.0), turned1), add((v[1], 0.0), turned2), add((v[2], 0.0), turned3))

@@ -72,11 +72,7 @@ def divide(x: Vec3, a: float) -> Vec3:
 @inline
 def cross(x: Vec3, y: Vec3) -> Vec3:
     """x × y."""
-    return (
-        x[1] * y[2] - x[2] * y[1],
-        x[2] * y[0] - x[0] * y[2],
-        x[0] * y[1] - x[1] * y[0],
-    )
+    return (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
 
 
 @inline

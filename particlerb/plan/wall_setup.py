@@ -3,14 +3,7 @@
 import numpy as np
 
 from particlerb.case.bodies import Body
-from particlerb.case.contact import (
-    AnyWall,
-    BoxWall,
-    CylinderWall,
-    MeshWall,
-    PlaneWall,
-    Prescribed,
-)
+from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, MeshWall, PlaneWall, Prescribed
 from particlerb.case.placement import quaternion_of
 from particlerb.case.problems import CaseError
 from particlerb.case.source import problem_at

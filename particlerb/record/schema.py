@@ -76,24 +76,16 @@ JOINTS: Final[dict[str, Element]] = {
         "xyz", "N m", "on the first body of each joint, about its point", "world"
     ),
     "joint_force_determined": Element(
-        "xyz",
-        "1",
-        "0 where redundant rows leave it open, else 1",
-        "world",
-        is_count=True,
+        "xyz", "1", "0 where redundant rows leave it open, else 1", "world", is_count=True
     ),
     "joint_torque_determined": Element(
-        "xyz",
-        "1",
-        "0 where redundant rows leave it open, else 1",
-        "world",
-        is_count=True,
+        "xyz", "1", "0 where redundant rows leave it open, else 1", "world", is_count=True
     ),
     "joint_misfit": Element("", "1", "largest error of a row, of lengths over the joint's size"),
     "joint_rate": Element("", "s-1", "largest rate of these errors"),
 }
 COORDINATES: Final[dict[str, Element]] = {
-    "joint_coordinate": Element("", "1", "angles [rad], with their turns, and displacements [m]"),
+    "joint_coordinate": Element("", "1", "angles [rad], with their turns, and displacements [m]")
 }
 LEDGER: Final[dict[str, Element]] = {
     "kinetic_energy": Element("", "J", "of all bodies"),

@@ -92,14 +92,7 @@ def moduli(inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, ou
 
 @kernel
 def fill(
-    inertia: Floats,
-    q: Floats,
-    L: Floats,
-    units: Floats,
-    which: Ints,
-    lo: int,
-    hi: int,
-    s: Floats,
+    inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, lo: int, hi: int, s: Floats
 ) -> None:
     """Copy bodies which[lo:hi] into the first rows of a scratch block; the last one fills it up."""
     for b in range(_BLOCK):
@@ -145,13 +138,7 @@ def _rows_4(s: Floats, i: int) -> tuple[Floats, Floats, Floats, Floats]:
 
 @kernel
 def theta_table(
-    inertia: Floats,
-    q: Floats,
-    L: Floats,
-    units: Floats,
-    which: Ints,
-    table: Floats,
-    right: Bytes,
+    inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, table: Floats, right: Bytes
 ) -> None:
     """Constants of ThetaTurn: right, and in one table clock, left, series."""
     s = np.empty((_INPUTS + 4 + THETA_ROWS, _BLOCK))
@@ -174,13 +161,7 @@ def theta_table(
 
 @kernel
 def near_table(
-    inertia: Floats,
-    q: Floats,
-    L: Floats,
-    units: Floats,
-    which: Ints,
-    table: Floats,
-    right: Bytes,
+    inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, table: Floats, right: Bytes
 ) -> None:
     """Constants of HyperbolicTurn: right, and in one table clock, left, scale, cosines, sines."""
     s = np.empty((_INPUTS + 4 + NEAR_ROWS, _BLOCK))

@@ -186,10 +186,7 @@ def phases(local: tuple[Pair, Pair], slopes: tuple[Pair, Pair], nu: Pair, of: Re
     weight = 1.0 / (4.0 * of.lam * of.lam + nu[0] * nu[0] + nu[1] * nu[1] + TINY)
     df, dg = (
         (df[0] + growth * f[0], df[1] + growth * f[1]),
-        (
-            dg[0] + growth * g[0],
-            dg[1] + growth * g[1],
-        ),
+        (dg[0] + growth * g[0], dg[1] + growth * g[1]),
     )
     return (
         _fitted(f, df, of.values[0], of.rates[0], weight),

@@ -25,12 +25,7 @@ def _turn_about_1(half_angle: float, m: Vec3, q: Quat) -> tuple[Vec3, Quat]:
     s = x * s
     sin, cos = 2 * s * c, 1 - 2 * s * s
     m = (m[0], cos * m[1] + sin * m[2], cos * m[2] - sin * m[1])
-    q = (
-        c * q[0] - s * q[1],
-        c * q[1] + s * q[0],
-        c * q[2] + s * q[3],
-        c * q[3] - s * q[2],
-    )
+    q = (c * q[0] - s * q[1], c * q[1] + s * q[0], c * q[2] + s * q[3], c * q[3] - s * q[2])
     return m, q
 
 
@@ -42,12 +37,7 @@ def _turn_about_3(half_angle: float, m: Vec3, q: Quat) -> tuple[Vec3, Quat]:
     s = x * s
     sin, cos = 2 * s * c, 1 - 2 * s * s
     m = (cos * m[0] + sin * m[1], cos * m[1] - sin * m[0], m[2])
-    q = (
-        c * q[0] - s * q[3],
-        c * q[1] + s * q[2],
-        c * q[2] - s * q[1],
-        c * q[3] + s * q[0],
-    )
+    q = (c * q[0] - s * q[3], c * q[1] + s * q[2], c * q[2] - s * q[1], c * q[3] + s * q[0])
     return m, q
 
 

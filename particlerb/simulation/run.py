@@ -20,12 +20,7 @@ from particlerb.contact.contact_output import ContactOutput
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
 from particlerb.model.bodies import Bodies, taken
-from particlerb.model.state import (
-    Frames,
-    State,
-    as_frame,
-    room_for,
-)
+from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.system import System
 from particlerb.plan.describe import describe
 from particlerb.plan.joints import asked_of_joints, assembled, joints_of

@@ -237,10 +237,7 @@ class AdaptiveMotion(AdaptiveRun):
     def checkpoint(self) -> Saved:
         """States at the start of each pack's step, when that is, and how long the step is."""
         n = self.group.members.size
-        return {
-            "changing": out_of_blocks(self.blocks, 0, CHANGING, n),
-            "clock": self.clock.copy(),
-        }
+        return {"changing": out_of_blocks(self.blocks, 0, CHANGING, n), "clock": self.clock.copy()}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""

@@ -150,11 +150,7 @@ class ContactLists:
         return lists, time + duration
 
     def _fit_skin(
-        self,
-        lists: NeighbourLists,
-        workspace: Workspace,
-        reach: Sequence[float],
-        lasted: Lasted,
+        self, lists: NeighbourLists, workspace: Workspace, reach: Sequence[float], lasted: Lasted
     ) -> None:
         """Widen the skin where making lists costs more than going through them, and the reverse.
 

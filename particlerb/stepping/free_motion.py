@@ -248,11 +248,7 @@ class FreeMotion(Motion):
             kind: Any = {"top" if len(table) == N_THETA else "near": blocks}
             frame = bodies.rotor_frame.copy()
             frame[:, own] = quaternion_product(frame[:, own], axes[:, which])
-            part = self.part(own)._replace(
-                rotor_frame=frame,
-                changes_spin=flag(True),
-                **kind,
-            )
+            part = self.part(own)._replace(rotor_frame=frame, changes_spin=flag(True), **kind)
             first = np.array([work[which].sum(), 0.0, 0.0, 0.0, *state.L[:, which].sum(axis=1)])
             yield own, part, _Turned(axes[:, which], first)
 

@@ -10,26 +10,9 @@ from particlerb.compiled.jit import compile_with, inline
 from particlerb.maths.quaternion import Quat, multiply, to_world
 from particlerb.maths.trig import cos_sin_half_turns, half_turns
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
-from particlerb.model.block import (
-    BOOKED,
-    L,
-    Q,
-    get,
-    get3,
-    get4,
-    put,
-    put3,
-    put4,
-)
+from particlerb.model.block import BOOKED, L, Q, get, get3, get4, put, put3, put4
 from particlerb.rotors.lagrange import Pair
-from particlerb.rotors.lagrange_forms import (
-    Five,
-    Local,
-    NearTop,
-    ThetaTop,
-    near_local,
-    theta_local,
-)
+from particlerb.rotors.lagrange_forms import Five, Local, NearTop, ThetaTop, near_local, theta_local
 from particlerb.rotors.tops import AXIAL, DELTA, LEFT, OWN
 
 _spliced = compile_with(inline="always")  # used once: not compiled apart from its caller

@@ -81,10 +81,7 @@ SOLIDS: Final[dict[str, _ReferenceSolid]] = {
     "shell": _ReferenceSolid("shell", {"radius": 0.5, "inner_radius": 0.3}, ("cells",)),
     "cylinder": _ReferenceSolid("cylinder", {"radius": 0.25, "height": 0.75}, ("cells",)),
     "tube": _ReferenceSolid(
-        "cylinder",
-        {"radius": 0.25, "height": 0.75, "inner_radius": 0.15},
-        ("cells",),
-        coarsest=3,
+        "cylinder", {"radius": 0.25, "height": 0.75, "inner_radius": 0.15}, ("cells",), coarsest=3
     ),
     "cone": _ReferenceSolid("cone", {"radius": 0.25, "height": 0.75}, ("cells",)),
     "torus": _ReferenceSolid("torus", {"major_radius": 0.5, "minor_radius": 0.2}, ("cells",)),

@@ -23,13 +23,7 @@ from particlerb.view.forms import meet
 from particlerb.view.page import FIGURES, UPDATES, Page, note
 from particlerb.view.recording import recorded
 from particlerb.view.server import finite, vector
-from particlerb.view.session import (
-    AppliedPush,
-    Session,
-    SessionError,
-    UserPush,
-    decimals,
-)
+from particlerb.view.session import AppliedPush, Session, SessionError, UserPush, decimals
 
 _CHARTS: Final = 0.25  # [s] between two charts
 _BUSY: Final = 0.05  # [s] that one update may compute

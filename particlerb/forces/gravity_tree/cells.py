@@ -152,11 +152,7 @@ def _graft(kinds: Nodes, lo: int, hi: int, b: int, k: int, placed: int, nodes: N
 
 @kernel
 def grow(
-    items: tuple[Floats, Ints, Ints],
-    kinds: Nodes,
-    node_offset: Ints,
-    nodes: Nodes,
-    stack: Ints,
+    items: tuple[Floats, Ints, Ints], kinds: Nodes, node_offset: Ints, nodes: Nodes, stack: Ints
 ) -> int:
     """Write the tree of items of given places and numbers of particles; return its size.
 

@@ -92,13 +92,7 @@ def _load_far(cells: Cells, X: Vec3, far: Ints, count: int, rows: Floats) -> Non
 
 @kernel
 def _meet_far(
-    cells: Cells,
-    X: Vec3,
-    far: Ints,
-    count: int,
-    eps2: float,
-    rows: Floats,
-    scaled: Floats,
+    cells: Cells, X: Vec3, far: Ints, count: int, eps2: float, rows: Floats, scaled: Floats
 ) -> None:
     """Add the fields of some cells to that of a cell at X, given its moments over its mass."""
     _load_far(cells, X, far, count, rows)
@@ -107,13 +101,7 @@ def _meet_far(
 
 @kernel
 def _meet_far_point(
-    cells: Cells,
-    X: Vec3,
-    far: Ints,
-    count: int,
-    eps2: float,
-    rows: Floats,
-    scaled: Floats,
+    cells: Cells, X: Vec3, far: Ints, count: int, eps2: float, rows: Floats, scaled: Floats
 ) -> None:
     """Add the fields of some cells to that at a point."""
     _load_far(cells, X, far, count, rows)
