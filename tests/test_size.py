@@ -39,7 +39,7 @@ OVERSPENT = 332
 in the one loop, of which each part has its own module: to be saved."""
 
 LONGEST_MODULE = 400
-LONG_MODULES: dict[str, int] = {}
+LONG_MODULES = {"particlerb/forces/attraction.py": 409}
 """Lines at most of modules that are longer."""
 
 LONGEST_FUNCTION = 60
