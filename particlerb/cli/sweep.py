@@ -34,10 +34,8 @@ def sweep_command(options: argparse.Namespace) -> int:
             found = sweep(case, path, axes=axes, workers=options.workers, progress=bar.update)
         except KeyboardInterrupt:
             again = f"particlerb {shlex.join(sys.argv[1:])}"
-            message = (
-                f"interrupted: {path} has the rows so far; the same command continues: {again}"
-            )
-            raise Ending(message, INTERRUPTED) from None
+            rest = f"{path} has the rows so far; the same command continues: {again}"
+            raise Ending(f"interrupted: {rest}", INTERRUPTED) from None
     print(tamed(summary(found)))
     written = [path]
     if options.plot:

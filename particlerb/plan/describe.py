@@ -33,7 +33,7 @@ def describe(system: System, plan: Plan, accuracy: str = "") -> str:
         ("particles", _particles_line(system)),
         *system.notes,
         *_acting_lines(system, plan),
-        ("left out", _left_out_line(system, plan)),
+        ("without", _left_out_line(system, plan)),
         ("step", plan.step),
         *([("accuracy", accuracy)] if accuracy else []),
         ("energy balance", _balance_line(plan)),
@@ -87,10 +87,8 @@ def _left_out_line(system: System, plan: Plan) -> str:
     """What does not act, and why nothing touches."""
     out = {"gravity": not system.acceleration.any(), "attraction": system.attraction is None}
     out |= {"joints": not system.joint}
-    if not _contacts(plan):
-        has_radii = system.particles.radius.any()
-        why = "no [contact]" if has_radii else "no particle has a radius"
-        out[f"contact ({why})"] = True
+    why = "no [contact]" if system.particles.radius.any() else "no particle has a radius"
+    out[f"contact ({why})"] = not _contacts(plan)
     acting = {force.type for force in system.force}
     absent = ", ".join(kind for kind in FORCES if kind not in acting)
     out[f"forces of type {absent}"] = bool(absent)

@@ -128,28 +128,28 @@ def step_warnings(system: System, groups: tuple[GroupPlan, ...]) -> list[str]:
         for segment in stepped:
             method, turn = METHODS[segment.method], segment.dt * rate
             limit = stable_step(system, group, segment) if turn > method.stability_limit else np.inf
-            contact = 0.0
-            if segment.terms.contact is not None:
-                contact = fastest_contact(system, group, segment)
+            touches = segment.terms.contact is not None
+            contact = fastest_contact(system, group, segment) if touches else 0.0
+            advised = RADIANS_PER_STEP / rate if rate else math.inf
+            reason = f"the step of {segment.dt:.6g} s"
             if segment.dt * contact > math.pi / STEPS_PER_CONTACT:
-                steps = math.pi / (segment.dt * contact)
-                reason = f"the step of {segment.dt:.6g} s is taken {steps:.2g} times in a contact"
-                reason += f" of bodies like {name}, and {STEPS_PER_CONTACT} make it accurate"
-                found["contact"] = max(found.get("contact", (0.0, "", 0.0)), (turn, reason, rate))
+                kind, advised = "contact", math.pi / (contact * STEPS_PER_CONTACT)
+                reason += f" is taken {math.pi / (segment.dt * contact):.2g} times in a contact of"
+                reason += f" bodies like {name}, and {STEPS_PER_CONTACT} make it accurate"
             elif segment.dt > limit:
-                reason = (
-                    f"the step of {segment.dt:.6g} s is above the limit of {segment.method}: on the"
-                    f" springs of bodies like {name} it grows without bound above {limit:.6g} s"
-                )
-                found["limit"] = max(found.get("limit", (0.0, "", 0.0)), (turn, reason, rate))
+                kind = "limit"
+                reason += f" is above the limit of {segment.method}: on the springs of bodies like"
+                reason += f" {name} it grows without bound above {limit:.6g} s"
             elif turn > method.max_turn:
-                reason = f"the step of {segment.dt:.6g} s turns bodies like {name} by up to"
-                reason += f" {turn:.3g} rad"
-                found["turn"] = max(found.get("turn", (0.0, "", 0.0)), (turn, reason, rate))
+                kind = "turn"
+                reason += f" turns bodies like {name} by up to {turn:.3g} rad"
+            else:
+                continue
+            found[kind] = max(found.get(kind, (0.0, "", 0.0)), (turn, reason, advised))
     key = step_key(system)
     problems = [
-        problem_at(system, key, reason, f"advised: dt = {RADIANS_PER_STEP / rate:.3g} s or less")
-        for _, reason, rate in found.values()
+        problem_at(system, key, reason, f"advised: dt = {advised:.3g} s or less")
+        for _, reason, advised in found.values()
     ]
     return [as_warning(problem) for problem in problems]
 

@@ -58,6 +58,7 @@ class TableFile(Closing):
         self._lock: WriterLock | None = None
         if path is None:
             return
+        path.parent.mkdir(parents=True, exist_ok=True)
         self._lock = WriterLock(path)
         text = self._whole_lines(path)
         lines = list(csv.reader(io.StringIO(text)))

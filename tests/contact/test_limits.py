@@ -123,6 +123,7 @@ def test_few_steps_in_a_contact_are_worth_a_warning():
     limit = math.pi / RATE / STEPS_PER_CONTACT
     (warning,) = prepare(to_system(drop(1.1 * limit))).plan.warnings
     assert "is taken 18 times in a contact of bodies like ball, and 20 make it accurate" in warning
+    assert f"advised: dt = {limit:.3g} s or less" in warning
     assert not prepare(to_system(drop(0.9 * limit))).plan.warnings
 
 

@@ -165,13 +165,13 @@ def test_plan_gives_a_reason_for_what_is_left_out(make):
     assert text["bodies"] == "1 asymmetric top\n"
     forces = "push, torque, impulse, drag, spring, field, central, magnus"
     left_out = "gravity, attraction, joints, contact (no particle has a radius), forces of type"
-    assert text["left out"] == f"{left_out} {forces}\n"
+    assert text["without"] == f"{left_out} {forces}\n"
     assert not {"gravity", "attraction", "joints", "contact", "push"} & text.keys()
     assert text["step"] == "no step: nothing is stepped\n"
     assert text["energy balance"].strip().endswith("every force has a potential")
     assert text["body"] == "0 s on: free, closed form, no step (nothing acts)\n"
     zero = lines(make.case(make.body(), gravity={"acceleration": [0, 0, 0]}))
-    assert zero["left out"].startswith("gravity, ")
+    assert zero["without"].startswith("gravity, ")
 
 
 def test_plan_gives_a_reason_for_what_is_done(make):
@@ -187,7 +187,7 @@ def test_plan_gives_a_reason_for_what_is_done(make):
     text = lines(make.case(*bodies, force=forces, dt=0.1, gravity=gravity))
     assert text["gravity"] == "(0, 0, -9.8) m/s²\n"
     assert text["push"] == "3 of them\n"
-    assert text["left out"].startswith("attraction, joints, contact (no [contact]), forces of")
+    assert text["without"].startswith("attraction, joints, contact (no [contact]), forces of")
     assert text["step"] == "0.1 s, as the case says\n"
     assert "step by step: a force without potential acts" in text["energy balance"]
     assert text["body"].splitlines() == [

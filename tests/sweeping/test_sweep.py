@@ -185,7 +185,7 @@ def test_a_dead_worker_costs_no_row_but_its_own(way, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_the_command_writes_the_table_and_continues(tmp_path, capsys):
-    case, table = tmp_path / "case.toml", tmp_path / "t.csv"
+    case, table = tmp_path / "case.toml", tmp_path / "new" / "t.csv"
     case.write_text(fallen().to_toml())
     command = ["sweep", str(case), "-o", str(table), "--workers", "1"]
     assert main(command) == 0
