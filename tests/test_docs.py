@@ -1,23 +1,62 @@
-"""What pages show in Python runs as it stands."""
+"""What pages show runs as it stands: cases, commands, Python, and what these print."""
 
 import re
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-import particlerb
+from particlerb.cli import main
 
 DOCS = Path(__file__).parents[1] / "docs"
+TUTORIALS = sorted(f"tutorials/{path.name}" for path in (DOCS / "tutorials").glob("*.md"))
+SLOW = {"tutorials/accuracy.md", "tutorials/heap.md", "tutorials/sweep.md"}
 
 
-@pytest.mark.parametrize("page", ["python.md"])
-def test_code_of_a_page_runs(page, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def blocks(page):
+    """Language and text of all fenced blocks of a page."""
+    return re.findall(r"^```(\w+)\n(.*?)^```$", (DOCS / page).read_text(), re.S | re.M)
+
+
+def follow(page, capsys):
+    """Do what a page shows, block after block.
+
+    A case is written to the file that its first line names, commands are run, and each line of a
+    text must be in what was printed before.
+    """
     names: dict = {}
-    for block in re.findall(r"^```python\n(.*?)^```$", (DOCS / page).read_text(), re.S | re.M):
-        exec(block, names)
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 13
-    assert float(lines[-1]) < 1e-3
-    with particlerb.open("cube.h5") as trajectory:
-        assert trajectory.n_frames == 101
+    printed = ""
+    for language, text in blocks(page):
+        if language == "toml" and (name := re.match(r"# (\S+\.toml)\n", text)):
+            Path(name[1]).write_text(text)
+        elif language == "sh":
+            for line in text.splitlines():
+                python, m, program, *words = shlex.split(line)
+                assert (python, m, program) == ("python", "-m", "particlerb")
+                assert main(words) == 0, line
+        elif language == "python":
+            exec(compile(text, f"block of {page}", "exec"), names)
+        elif language == "text":
+            for line in text.splitlines():
+                assert " ".join(line.split()) in printed
+        printed += " " + " ".join(capsys.readouterr().out.split())
+
+
+PAGES = [pytest.param(p, marks=[pytest.mark.slow] * (p in SLOW)) for p in ["python.md", *TUTORIALS]]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_does_what_it_says(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    follow(page, capsys)
+
+
+def test_the_site_is_built_without_a_warning(tmp_path):
+    """Links, anchors and pictures are there; no page is left out of the table of contents."""
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "-n", str(DOCS), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    outside = re.compile(r'(?:src|<link[^>]* href)="https?:')
+    assert not [p for p in tmp_path.rglob("*.html") if outside.search(p.read_text())]

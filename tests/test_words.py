@@ -84,7 +84,7 @@ def idioms_of(path: Path) -> list[str]:
 
 
 FILES = [*sorted((ROOT / "particlerb").rglob("*.py")), ROOT / "README.md"]
-FILES += sorted((ROOT / "docs").glob("*.md"))
+FILES += sorted((ROOT / "docs").glob("*.md")) + sorted((ROOT / "docs/tutorials").glob("*.md"))
 
 
 def test_users_read_standard_terms():

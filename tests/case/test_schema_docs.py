@@ -33,7 +33,7 @@ HEADINGS = {
     **{f"place: {name}": model.__name__ for name, model in by_type(AnyPlace).items()},
     **{f"shape: {name}": model.__name__ for name, model in SHAPES.items()},
     **{f"force: {name}": model.__name__ for name, model in FORCES.items()},
-    "force, torque = { table = .. }": "TimedLoad",
+    "force and torque by knots": "TimedLoad",
     "[[joint]]": "JointTable",
     "at, axis of a joint = { body = [..] }": "InFrame",
     "spring of a joint": "JointSpring",
