@@ -42,14 +42,6 @@ IDIOMS = {
 PLAIN = r"(in (one of )?(two|three|many) ways|there is no|wrong way|other way|no(t| longer) dear)"
 """Phrases with such words that are plain English."""
 
-EXCEPTIONS = {
-    "particlerb/plan/remove_overlaps.py": 1,
-    "particlerb/plan/stability.py": 1,
-    "particlerb/simulation/accuracy.py": 3,
-    "particlerb/simulation/resume.py": 4,
-}
-"""Idioms that a file still has, at most: numbers that may only shrink."""
-
 
 def user_strings(path: Path) -> Iterator[tuple[int, str]]:
     """Line and text of the literals of a module with a blank in them, without docstrings."""
@@ -88,12 +80,8 @@ FILES += sorted((ROOT / "docs").glob("*.md")) + sorted((ROOT / "docs/tutorials")
 
 
 def test_users_read_standard_terms():
-    found = {str(path.relative_to(ROOT)): idioms_of(path) for path in FILES}
-    too_many = [line for name, lines in found.items() if len(lines) > EXCEPTIONS.get(name, 0)
-                for line in lines]  # fmt: skip
-    assert not too_many, "\n".join(too_many)
-    clean = [name for name in EXCEPTIONS if not found.get(name)]
-    assert not clean, f"take off the list of exceptions: {clean}"
+    found = [line for path in FILES for line in idioms_of(path)]
+    assert not found, "\n".join(found)
 
 
 @pytest.mark.parametrize(

@@ -79,4 +79,4 @@ def _pushed_apart(system: System, contact: ContactSetup) -> Floats:
             total = np.bincount(bodies, pushes[c], moves.size)
             com[c] += _LENGTHENED * total / counts * moves
     reason = f"bodies still overlap by {deepest:.3g} m after {ROUNDS} rounds of pushing them apart"
-    raise CaseError([problem_at(system, "contact.relax", reason, "give them more room")])
+    raise CaseError([problem_at(system, "contact.relax", reason, "give them more space")])

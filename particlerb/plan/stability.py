@@ -62,7 +62,7 @@ def _refuse_above(system: System, segment: Segment, rate: float, where: str) -> 
     reason = f"the step of {segment.dt:.3g} s is above {reach / rate:.3g} s, {where}"
     hint = (
         f"dt = {math.pi / rate / STEPS_PER_CONTACT:.2g} s or less is accurate;"
-        " contact.allow_unstable = true takes it all the same"
+        " contact.allow_unstable = true takes it anyway"
     )
     raise CaseError([problem_at(system, step_key(system), reason, hint)])
 

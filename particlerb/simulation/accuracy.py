@@ -62,10 +62,10 @@ class _Estimate(NamedTuple):
     def text(self) -> str:
         """In one line."""
         if not self.groups:
-            return f"{self.wanted:.3g} wanted; nothing is stepped: closed form, to rounding"
+            return f"{self.wanted:.3g} requested; nothing is stepped: closed form, to rounding"
         verdict = "" if self.is_met else f"; NOT met: it holds until {self.until:.6g} s"
         looked = f", on {self.verified} of {self.of} bodies" if self.verified < self.of else ""
-        return f"{self.wanted:.3g} wanted, {self.error:.2g} estimated at t_end{looked}{verdict}"
+        return f"{self.wanted:.3g} requested, {self.error:.2g} estimated at t_end{looked}{verdict}"
 
     def json(self) -> str:
         """For the file."""
@@ -194,7 +194,7 @@ def by_energy(pilot: Pilot, method: str) -> ChosenStep:
     """
     system, n = pilot.system, pilot.which.size
     first = min(pilot.longest(1.0), 0.25 * min(pilot.lengths))
-    reason = f"{method}, by the energy ledger of a pilot run"
+    reason = f"{method}, by the energy balance of a pilot run"
     stepping = Stepping(method, first, system.run.tolerance, reason)
     stepped_time = sum(pilot.lengths)
     share = min(1.0, DEAREST / pilot.cost(stepping, stepped_time / (0.05 * first), n))

@@ -82,7 +82,7 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
         require_self_contained(file)
         _refuse_other_version(path, _text_in(file, "versions"), _text_in(file, "git_revision"))
         if _text_in(file, "case_resolved") is None or _text_in(file, "identity") is None:
-            raise ResumeError(f"{path} does not say how it was made, so it cannot go on")
+            raise ResumeError(f"{path} does not say how it was made, so it cannot be continued")
         source = stored_case(file)
         system = to_system(_case_of(source, t_end, threads))
         prepared = prepare_again(system, _text_in(file, "stepping"))
@@ -101,7 +101,7 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
         try:
             checkpoint = read_checkpoint(file) if n else None
         except CheckpointError as error:
-            raise ResumeError(f"{error}: it cannot go on; run the case anew") from None
+            raise ResumeError(f"{error}: it cannot be continued; run the case anew") from None
         start = checkpoint.n_frames if checkpoint else 0
         if start > known:
             raise ResumeError(f"{path}: the checkpoint lies behind the frames; run the case anew")
@@ -152,7 +152,9 @@ def _refuse_other_version(path: Path, stored: str | None, revision: str | None) 
     except ValueError:
         made = None
     if not isinstance(made, dict):
-        raise ResumeError(f"{path} does not say which versions have made it, so it cannot go on")
+        raise ResumeError(
+            f"{path} does not say which versions made it, so it cannot be continued"
+        )
     now = versions()
     for name in _DECIDES:
         if name in made and name in now and made[name] == now[name]:
@@ -163,7 +165,7 @@ def _refuse_other_version(path: Path, stored: str | None, revision: str | None) 
         else:
             other = f"{name} {made.get(name)}, and this is {now.get(name)}"
         raise ResumeError(
-            f"{path} was made with {other}: it would not go on bit for bit; install what it was"
+            f"{path} was made with {other}: it would not continue bit for bit; install what it was"
             " made with, or run the case anew"
         )
 

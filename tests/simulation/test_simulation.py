@@ -157,7 +157,7 @@ def test_its_file_says_that_it_cannot_be_resumed(tmp_path):
         simulation.advance(5.0)
     with particlerb.open(tmp_path / "a.h5") as trajectory:
         assert trajectory.time.tolist() == [0, 1, 2, 3, 4, 5]
-    with pytest.raises(particlerb.ResumeError, match="cannot go on"):
+    with pytest.raises(particlerb.ResumeError, match="cannot be continued"):
         particlerb.resume(tmp_path / "a.h5")
     with pytest.raises(FileExistsError):
         Simulation(turned_box(), tmp_path / "a.h5")
