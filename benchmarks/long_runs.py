@@ -116,7 +116,7 @@ def forced(method: str, dt: float) -> Callable[[float], dict]:
         ]  # fmt: skip
         run: dict = {"method": method}
         if method == "dop853":
-            made = case([body], 1.0, dt * steps, gravity=WEIGHT, force=force, run=run)
+            made = case([body], dt, steps, gravity=WEIGHT, force=force, run=run)
             made["run"].pop("dt")
             return made | {"run": made["run"] | {"tolerance": 1e-10}}
         return case([body], dt, steps, gravity=WEIGHT, force=force, run=run)

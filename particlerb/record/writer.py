@@ -32,6 +32,7 @@ from particlerb.record.writer_lock import WriterLock
 
 SECONDS_BETWEEN_COMMITS = 1.0
 SHARE_OF_CHECKPOINTS = 0.02  # of the time of a run that may go into them
+MOST_WAITING = 4_000_000  # bytes of small arrays in memory
 
 _OF_BODIES = {path for path, element in schema.SERIES.items() if element.per == "body"}
 
@@ -103,7 +104,7 @@ class Recorder:
         output = OutputFile(path, WriterLock(path), "r+", system.output.durable)
         with output.writing():
             self.begin(output, system)
-            self.n_committed, self.known = n_frames, known
+            self.n_frames, self.n_written, self.known = n_frames, n_frames, known
             self.cut(known)
         return self
 
@@ -118,9 +119,8 @@ class Recorder:
         paths += (schema.OFFSET,) if schema.CONTACTS in fields else ()
         self.series = {p: self.of_bodies.get(p) or opened(self.file, p) for p in paths}
         self.contacts = ContactList(self.file) if schema.CONTACTS in fields else None
-        self.n_committed = 0
-        # Of frames that are not committed, how many lie before them, and their small arrays.
-        self.pending: list[tuple[int, dict[str, _Rows]]] = []
+        self.n_frames = self.n_written = 0  # that were appended; and without those in `pending`
+        self.pending: list[dict[str, _Rows]] = []  # small arrays that wait
         self.known = 0  # frames that were there before
         # Of a checkpoint, that counts from the next commit on: how many frames lie before it.
         self.waiting: tuple[int, Mapping[str, Any]] | None = None
@@ -142,17 +142,12 @@ class Recorder:
         resize_vtkhdf(self.file, {p.split("/")[-2]: own for p, own in self.of_bodies.items()}, n)
 
     @property
-    def n_frames(self) -> int:
-        """Frames that were appended."""
-        return self.pending[-1][0] if self.pending else self.n_committed
-
-    @property
     def n_contacts(self) -> int:
         """Contacts that were appended."""
         assert self.contacts is not None
         if self.pending:
-            return int(self.pending[-1][1][schema.OFFSET][-1])
-        return int(self.contacts.offset[self.n_committed])
+            return int(self.pending[-1][schema.OFFSET][-1])
+        return int(self.contacts.offset[self.n_written])
 
     def append(
         self,
@@ -165,7 +160,7 @@ class Recorder:
     ) -> None:
         """Append rows of the frames with times, energy balance, contacts and joints if wanted.
 
-        Large arrays are written now, small ones wait until the next commit.
+        Large arrays are written now, small ones when they are many, or at the next commit.
         """
         with self.output.writing():
             n = self.n_frames
@@ -178,16 +173,19 @@ class Recorder:
             new = slice(self.recognise(n, sums), None)
             if not len(sums[new]):
                 return
-            known = self.n_frames
             values |= {schema.CHECKSUMS: sums, schema.STEP: np.arange(n, n + len(times))}
             if STEP_TIMES in self.series:
                 values |= steps_of(n, times, self.system.n_bodies)
             for path, dataset in self.of_bodies.items():
-                _append_rows(dataset, known, values.pop(path)[new])
+                _append_rows(dataset, self.n_frames, values.pop(path)[new])
             small = {path: value[new] for path, value in values.items()}
             if self.contacts is not None:
                 small[schema.OFFSET] = self.contacts.write(self.n_contacts, touches[new])
-            self.pending.append((n + len(times), small))
+            self.pending.append(small)
+            self.n_frames = n + len(times)
+            size = sum(values[:1].nbytes for values in small.values())
+            if size * (self.n_frames - self.n_written) > MOST_WAITING:
+                self.write_small()
 
     def recognise(self, first: int, sums: Words) -> int:
         """Number of frames, from `first` on, that were in the file before: they must be the same.
@@ -206,8 +204,7 @@ class Recorder:
                 f" {self.output.path}: the file was changed, or written on another kind of"
                 " processor"
             )
-        if known:
-            self.n_committed, self.pending = first + known, []
+        self.n_frames, self.n_written = first + known, self.n_written + known
         return known
 
     def save_checkpoint(self, checkpoint: Callable[[], Mapping[str, Any]]) -> None:
@@ -231,20 +228,23 @@ class Recorder:
     def commit(self) -> None:
         """Let the file have all frames that were appended."""
         with self.output.writing():
-            self.write_small()
+            self.write_all()
             self.output.commit()
-            self.n_committed, self.pending = self.n_frames, []
         self.last_commit = time.monotonic()
 
     def write_small(self) -> None:
-        """Write the small arrays and the checkpoint, and count what is there."""
-        first, n = self.n_committed, self.n_frames
-        for path in self.pending[0][1] if self.pending else ():
-            values = np.concatenate([part[path] for _, part in self.pending])
+        """Write the small arrays that wait."""
+        for path in self.pending[0] if self.pending else ():
+            values = np.concatenate([part[path] for part in self.pending])
             # The offset of contacts has one entry more than there are frames.
-            _append_rows(self.series[path], first + (path == schema.OFFSET), values)
-        count_steps(self.file, n)
-        change(self.file.id, schema.COMMITTED, np.int64(n))
+            _append_rows(self.series[path], self.n_written + (path == schema.OFFSET), values)
+        self.n_written, self.pending = self.n_frames, []
+
+    def write_all(self) -> None:
+        """Write all that waits, and the checkpoint, and count what is there."""
+        self.write_small()
+        count_steps(self.file, self.n_frames)
+        change(self.file.id, schema.COMMITTED, np.int64(self.n_frames))
         if self.waiting is not None:
             write_checkpoint(self.file, *self.waiting)
             self.waiting = None
@@ -255,7 +255,7 @@ class Recorder:
             return
         with self.output.writing():
             if self.n_frames >= self.known:
-                self.write_small()
+                self.write_all()
             self.resize_views(max(self.n_frames, self.known))
             self.output.close()
 

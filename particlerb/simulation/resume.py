@@ -152,9 +152,7 @@ def _refuse_other_version(path: Path, stored: str | None, revision: str | None) 
     except ValueError:
         made = None
     if not isinstance(made, dict):
-        raise ResumeError(
-            f"{path} does not say which versions made it, so it cannot be continued"
-        )
+        raise ResumeError(f"{path} does not say which versions made it, so it cannot be continued")
     now = versions()
     for name in _DECIDES:
         if name in made and name in now and made[name] == now[name]:

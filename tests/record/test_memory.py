@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.record import schema
+from particlerb.record import schema, writer
 from particlerb.record.trajectory import TrajectoryError
 
 OF_CONTACT = (*schema.CONTACT_FIELDS, *schema.WALLS, schema.CONTACTS)
@@ -27,8 +27,10 @@ def scene(make, dtype):
     )
 
 
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-def test_memory_reads_as_a_file(make, tmp_path, dtype):
+@pytest.mark.parametrize(("dtype", "waiting"), [("float64", 0), ("float32", 4_000_000)])
+def test_memory_reads_as_a_file(make, tmp_path, monkeypatch, dtype, waiting):
+    """Whether small arrays wait for the next commit or not."""
+    monkeypatch.setattr(writer, "MOST_WAITING", waiting)
     case = scene(make, dtype)
     with particlerb.run(case) as kept, particlerb.run(case, tmp_path / "run.h5") as written:
         assert kept.n_frames == written.n_frames == 6
