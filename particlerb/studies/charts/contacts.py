@@ -4,18 +4,18 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from particlerb.maths.vec3 import Floats
 from particlerb.record.trajectory import Contacts, Trajectory
+from particlerb.studies.charts.bodies import draw_particles, side_axes
 from particlerb.studies.charts.style import COLOURS, INK, bare
 from particlerb.studies.text import count_of
 
 _WIDTH = 11.0  # inches, of the picture
 _WIDEST = 4.0  # points, of the strongest force
 _WEAK, _STRONG = "#9aa5b1", COLOURS[1]
-BODY = "#eceff2"
 
 
 def draw_contacts(trajectory: Trajectory, path: Path, frame: int = -1) -> None:
@@ -37,14 +37,14 @@ def draw_contacts(trajectory: Trajectory, path: Path, frame: int = -1) -> None:
     k = range(trajectory.n_frames)[frame]
     x = trajectory.read("position", slice(k, k + 1))[0]
     contacts = trajectory.contacts(k)
-    shown = _axes_of(trajectory, x)
+    shown = side_axes(trajectory, x)
     centres = trajectory.particle_positions(k)[:, shown]
     radii = trajectory.particles.radius[trajectory.constituents[1]]
     width, height = np.ptp(centres, axis=0) + 2.0 * radii.max()
     size = _WIDTH, float(np.clip(_WIDTH * height / width + 1.4, 2.6, 9.0))
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot()
-    _draw_particles(axes, centres, radii)
+    draw_particles(axes, centres, radii)
     if contacts.wall.size:
         _draw_forces(axes, x[:, shown], contacts, shown)
     axes.set_aspect("equal")
@@ -57,28 +57,6 @@ def draw_contacts(trajectory: Trajectory, path: Path, frame: int = -1) -> None:
     axes.set_title(summary(contacts), fontsize=10, loc="left", color=INK)
     bare(axes)
     figure.savefig(path, dpi=130)
-
-
-def _axes_of(trajectory: Trajectory, x: Floats) -> list[int]:
-    """Axes of the picture, across and up: up is that along which gravity is largest, else z."""
-    gravity = trajectory.parameter("case_resolved")["gravity"]
-    g = np.abs(gravity["acceleration"]) if gravity else np.zeros(3)
-    up = int(np.argmax(g)) if g.any() else 2
-    level = [c for c in range(3) if c != up]
-    extent = np.ptp(x, axis=0)
-    return [max(level, key=lambda c: float(extent[c])), up]
-
-
-def _draw_particles(axes: Axes, centres: Floats, radii: Floats) -> None:
-    """Outlines of particles, in the units of the axes."""
-    width = 2.0 * radii
-    circles = EllipseCollection(
-        width, width, np.zeros_like(width), units="xy", offsets=centres,
-        offset_transform=axes.transData, facecolor=BODY, edgecolor="#c9d0d6", linewidth=0.3,
-    )  # fmt: skip
-    axes.add_collection(circles)
-    low, high = (centres - radii[:, None]).min(axis=0), (centres + radii[:, None]).max(axis=0)
-    axes.update_datalim([low, high])
 
 
 def _draw_forces(axes: Axes, com: Floats, contacts: Contacts, shown: list[int]) -> None:

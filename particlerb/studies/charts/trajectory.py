@@ -1,24 +1,39 @@
-"""Picture of a trajectory: paths, angular velocity, an axis in the world, conservation errors."""
+"""Picture of a trajectory: the bodies, what moves them on, and conservation errors.
 
+The panels depend on the scene: for many bodies that touch a side view, for orbits distances, for
+joints their coordinates or forces, for a top nutation and precession, for one body its rates.
+"""
+
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import Axes3D
+from matplotlib.gridspec import SubplotSpec
 
-from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats
-from particlerb.model.state import derived
+from particlerb.model.state import derived, rotate
 from particlerb.record.trajectory import Trajectory
+from particlerb.rotors.rotor_class import SYMMETRIC
+from particlerb.studies.charts.bodies import (
+    direction,
+    draw_attitudes,
+    draw_paths,
+    draw_side,
+    draw_trace,
+    upright,
+)
 from particlerb.studies.charts.style import COLOURS, INK, finish_panel, write_beside
 from particlerb.studies.text import count_of
 
-_PATHS = 12  # bodies whose trajectories are drawn
+_PATHS: Final = 12  # bodies whose trajectories are drawn
+_LINES: Final = 6  # in a panel over time
 
 
 def draw_trajectory(trajectory: Trajectory, path: Path, body: int | None = None) -> None:
-    """Draw where bodies go, the angular velocity of one, and the drifts; as PNG, SVG or PDF.
+    """Draw the bodies, two panels that fit the scene, and conservation errors; PNG, SVG or PDF.
 
     Parameters
     ----------
@@ -27,19 +42,35 @@ def draw_trajectory(trajectory: Trajectory, path: Path, body: int | None = None)
     path : Path
         Where to; the suffix is the format.
     body : int, optional
-        Index of the body whose angular velocity and axis are drawn; default: the fastest to spin.
+        Index of a body whose angular velocity and axis are drawn instead of what fits the scene.
     """
-    if body is None:
-        body = _fastest(trajectory)
     figure = Figure(figsize=(11, 7.2), layout="constrained")
-    grid = figure.add_gridspec(2, 2)
     title = trajectory.parameter("case_resolved")["title"] or Path(trajectory.file.filename).name
     counts = f"{count_of(trajectory.n_bodies, 'body', 'bodies')}, {trajectory.n_frames} frames"
     figure.suptitle(f"{title}   ({counts})", color=INK)
-    _draw_paths(figure.add_subplot(grid[0, 0], projection="3d"), trajectory, body)
-    _draw_angular_velocity(figure.add_subplot(grid[0, 1]), trajectory, body)
-    _draw_axis(figure.add_subplot(grid[1, 0]), trajectory, body)
-    _draw_conservation_errors(figure.add_subplot(grid[1, 1]), trajectory)
+    one = _fastest(trajectory) if body is None else body
+    case, is_top = trajectory.parameter("case_resolved"), _is_top(trajectory, one)
+    is_still = not np.ptp(trajectory.read("position"), axis=0).any()
+    is_shown_turning = is_still and not is_top and trajectory.omega_body(one)[0].any()
+    if is_shown_turning:
+        grid = figure.add_gridspec(2, 3, height_ratios=(0.6, 1.0), width_ratios=(1.0, 1.0, 1.3))
+        draw_attitudes(figure.add_subplot(grid[0, :]), trajectory, one)
+        places = [grid[1, 0], grid[1, 1], grid[1, 2]]
+    else:
+        grid = figure.add_gridspec(2, 2)
+        _draw_bodies(figure, grid[0, 0], trajectory, one, is_chosen=body is not None)
+        places = [grid[0, 1], grid[1, 0], grid[1, 1]]
+    above, below, last = (figure.add_subplot(place) for place in places)
+    if body is None and case["joint"]:
+        _draw_joints(above, trajectory, case)
+        _draw_energies(below, trajectory)
+    elif body is None and trajectory.n_bodies > 1 and not is_still:
+        _draw_energies(above, trajectory)
+        _draw_heights(below, trajectory, case)
+    else:
+        _draw_angular_velocity(above, trajectory, one)
+        (_draw_nutation if is_top else _draw_axis)(below, trajectory, one)
+    _draw_conservation_errors(last, trajectory)
     figure.savefig(path, dpi=130)
 
 
@@ -51,51 +82,92 @@ def _fastest(trajectory: Trajectory) -> int:
     return int(np.argmax(np.linalg.norm(omega[0], axis=1)))
 
 
-def _draw_paths(axes: Axes3D, trajectory: Trajectory, body: int) -> None:
-    """Trajectories of some bodies; where none moves, that of a point of one body."""
-    n, name = trajectory.n_bodies, trajectory.names[body]
-    shown = np.unique(np.append(np.linspace(0, n - 1, min(n, _PATHS)).astype(int), body))
-    position = trajectory.read("position")[:, shown]
-    if np.ptp(position, axis=0).max() > 0.0:
-        for k, b in enumerate(shown):
-            x, y, z = position[:, k].T
-            colour = COLOURS[1] if b == body else COLOURS[0]
-            axes.plot(x, y, z, lw=1.2, color=colour, alpha=1.0 if b == body else 0.6)
-            axes.plot(x[-1:], y[-1:], z[-1:], "o", ms=3.5, color=colour)
-        counts = f"{len(shown)} of {n}" if n > len(shown) else f"all {n}"
-        title = f"trajectories ({counts})" if n > 1 else "trajectory"
-        points = position.reshape(-1, 3)
+def _draw_bodies(
+    figure: Figure, place: SubplotSpec, trajectory: Trajectory, body: int, *, is_chosen: bool
+) -> None:
+    """Many bodies from the side, a few by their trajectories, a top by the path of its axis."""
+    n = trajectory.n_bodies
+    shown = sorted({*np.linspace(0, n - 1, min(n, _PATHS)).astype(int).tolist(), body})
+    if n > _PATHS and not is_chosen:
+        draw_side(figure.add_subplot(place), trajectory, trajectory.n_frames - 1)
+        return
+    axes = figure.add_subplot(place, projection="3d")
+    if _is_top(trajectory, body):
+        draw_trace(axes, trajectory, body, _symmetry_axis(trajectory, body))
     else:
-        centre = position[0, int(np.flatnonzero(shown == body)[0])]
-        points = centre + _reach_of(trajectory, body) * _axis_of(trajectory, body)
-        axes.plot(*points.T, lw=0.9, color=COLOURS[1])
-        title = f"path of the end of the x axis of {name}, whose centre of mass is at rest"
-    axes.set_title(title, fontsize=10)
-    _set_equal_scale(axes, points)
+        draw_paths(axes, trajectory, shown, body)
 
 
-def _set_equal_scale(axes: Axes3D, points: Floats) -> None:
-    """Give all three axes the same scale, and none less than a third of the longest."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    half = np.maximum(high - low, (high - low).max() / 3.0) / 2.0
-    half = np.where(half > 0.0, 1.05 * half, 1.0)
-    middle = (low + high) / 2.0
-    x, y, z = zip(middle - half, middle + half, strict=True)
-    axes.set(xlim=x, ylim=y, zlim=z, xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    axes.set_box_aspect(half / half.max())
-    axes.locator_params(nbins=4)
+def _is_top(trajectory: Trajectory, body: int) -> bool:
+    """Whether a body with two equal moments is moved by forces while its centre rests."""
+    has_forces = bool(trajectory.parameter("case_resolved")["force"])
+    is_symmetric = int(trajectory.bodies.rotor_class[body]) == SYMMETRIC
+    return has_forces and is_symmetric and not np.ptp(trajectory.read("position"), axis=0).any()
 
 
-def _reach_of(trajectory: Trajectory, body: int) -> float:
-    """Distance of the farthest particle of a body from its centre [m]; 1 for a point."""
-    own = kind_of(trajectory.particles, trajectory.kind[body]).position
-    return float(np.linalg.norm(own, axis=1).max(initial=0.0)) or 1.0
+def _symmetry_axis(trajectory: Trajectory, body: int) -> int:
+    """Axis of the body frame nearest to that of the moment that differs from the other two."""
+    moments = trajectory.bodies.inertia[:, body]
+    odd = int(np.argmax(np.abs(moments - np.median(moments))))
+    frame = trajectory.bodies.rotor_frame[:, body : body + 1]
+    return int(np.argmax(np.abs(rotate(frame, np.eye(3)[:, odd : odd + 1]))))
 
 
-def _axis_of(trajectory: Trajectory, body: int) -> Floats:
-    """The body's x axis in the world, (T, 3)."""
-    w, x, y, z = trajectory.read("orientation", bodies=body).T
-    return np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
+def _draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -> None:
+    """A line for each of a few, else the median and the range that holds 80 % of them."""
+    if values.shape[1] <= _LINES:
+        for k, name in enumerate(names):
+            colour, dashes = COLOURS[k % len(COLOURS)], ("-", "--")[k // len(COLOURS)]
+            axes.plot(time, values[:, k], dashes, color=colour, lw=1.3, label=name)
+        return
+    low, middle, high = np.percentile(values, (10.0, 50.0, 90.0), axis=1)
+    axes.fill_between(time, low, high, color=COLOURS[0], alpha=0.2, lw=0, label="10 to 90 %")
+    axes.plot(time, middle, color=COLOURS[0], lw=1.3, label=f"median of {values.shape[1]}")
+
+
+def _draw_energies(axes: Axes, trajectory: Trajectory) -> None:
+    """Energies of all bodies together, and the work that they were given."""
+    ledger = trajectory.ledger
+    parts = {"kinetic": ledger.kinetic_energy, "potential": ledger.potential_energy}
+    parts |= {"both": ledger.energy, "work": ledger.work}
+    for (name, values), dashes in zip(parts.items(), ("-", "-", "-", "--"), strict=True):
+        if values.any():
+            colour = (*COLOURS, INK)[list(parts).index(name)]
+            axes.plot(trajectory.time, values, dashes, color=colour, lw=1.3, label=name)
+    finish(axes, "energies", "E [J]")
+
+
+def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
+    """Contacts if they were recorded, heights under gravity, else distances from the centre."""
+    time, x = trajectory.time, trajectory.read("position")
+    if "contact_number" in trajectory.other_fields:
+        _draw_lines(axes, time, trajectory.contact_number.astype(float), trajectory.names)
+        finish(axes, "contacts of a body", "number")
+    elif case["gravity"]:
+        up = upright(trajectory)
+        _draw_lines(axes, time, x[:, :, up], trajectory.names)
+        finish(axes, "height of bodies", f"{'xyz'[up]} [m]")
+    else:
+        centre = np.average(x, axis=1, weights=trajectory.mass)[:, None]
+        _draw_lines(axes, time, np.linalg.norm(x - centre, axis=2), trajectory.names)
+        finish(axes, "distance from the common centre of mass", "r [m]")
+
+
+def _draw_joints(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
+    """Joint coordinates or forces, if they were recorded, else angular velocities."""
+    time, fields = trajectory.time, trajectory.other_fields
+    if "joint_coordinate" in fields:
+        values = trajectory.joint_coordinate
+        _draw_lines(axes, time, values, [f"coordinate {k}" for k in range(values.shape[1])])
+        finish(axes, "joint coordinates", "angle [rad] or length [m]")
+    elif "joint_force" in fields:
+        names = [joint["name"] or f"joint {k}" for k, joint in enumerate(case["joint"])]
+        _draw_lines(axes, time, np.linalg.norm(trajectory.joint_force, axis=2), names)
+        finish(axes, "forces in joints", "|F| [N]")
+    else:
+        rates = np.linalg.norm(trajectory.angular_velocity, axis=2)
+        _draw_lines(axes, time, rates, trajectory.names)
+        finish(axes, "angular velocities", "|ω| [rad/s]")
 
 
 def _draw_angular_velocity(axes: Axes, trajectory: Trajectory, body: int) -> None:
@@ -109,11 +181,25 @@ def _draw_angular_velocity(axes: Axes, trajectory: Trajectory, body: int) -> Non
 
 def _draw_axis(axes: Axes, trajectory: Trajectory, body: int) -> None:
     """Where the body's x axis points."""
-    axis = _axis_of(trajectory, body)
+    axis = direction(trajectory, body, 0)
     for k, letter in enumerate("xyz"):
         axes.plot(trajectory.time, axis[:, k], color=COLOURS[k], lw=1.3, label=letter)
     axes.set_ylim(-1.08, 1.08)
     finish(axes, f"x axis of {trajectory.names[body]} in the world", "direction cosine")
+
+
+def _draw_nutation(axes: Axes, trajectory: Trajectory, body: int) -> None:
+    """How far the axis of a top leans, and about the vertical how far it has come."""
+    axis, up = direction(trajectory, body, _symmetry_axis(trajectory, body)), upright(trajectory)
+    across = [(up + 1) % 3, (up + 2) % 3]
+    nutation = np.degrees(np.arccos(np.clip(axis[:, up], -1.0, 1.0)))
+    precession = np.degrees(np.unwrap(np.arctan2(axis[:, across[1]], axis[:, across[0]])))
+    axes.plot(trajectory.time, nutation, color=COLOURS[0], lw=1.3, label="nutation")
+    other = axes.twinx()
+    line = other.plot(trajectory.time, precession, color=COLOURS[1], lw=1.3)
+    axes.plot([], [], color=line[0].get_color(), label="precession (right)")
+    other.set_ylabel("precession [°]", color=COLOURS[1])
+    finish(axes, f"axis of {trajectory.names[body]}", f"angle with {'xyz'[up]} [°]")
 
 
 def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
@@ -139,9 +225,13 @@ def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
 
 
 def finish(axes: Axes, title: str, label: str) -> None:
-    """What all panels over time have in common."""
-    finish_panel(axes, title, xlabel="t [s]", ylabel=label)
+    """What all panels over time have in common: a legend below the title, values that differ."""
+    finish_panel(axes, xlabel="t [s]", ylabel=label)
+    axes.set_title(title, fontsize=10, loc="left", color=INK, pad=18)
     axes.legend(
-        fontsize=8, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False,
-        handlelength=1.4, columnspacing=1.0, borderaxespad=0.2,
+        fontsize=7.5, ncols=_LINES, loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False,
+        handlelength=1.4, columnspacing=1.0, borderaxespad=0.2, borderpad=0.0,
     )  # fmt: skip
+    low, high = axes.get_ylim()
+    if axes.get_yscale() == "linear" and high - low < 1e-6 * max(abs(low), abs(high)):
+        axes.set_ylim(*sorted((0.0, 2.0 * low)))

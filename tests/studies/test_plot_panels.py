@@ -1,0 +1,112 @@
+"""The picture of a trajectory has the panels that fit the scene, and these show what happened."""
+
+import math
+
+import numpy as np
+import pytest
+
+import particlerb
+from particlerb.studies.charts import trajectory as chart
+
+BALL = {"type": "sphere", "radius": 0.1}
+BAR = {"type": "box", "size": [1.0, 0.1, 0.1], "arrangement": "exact"}
+GRAVITY = {"acceleration": [0.0, 0.0, -9.81]}
+FLOOR = {"name": "floor", "type": "plane", "normal": [0.0, 0.0, 1.0]}
+
+
+def heap(make):
+    grid = {"type": "grid", "spacing": 0.3, "n": [5, 3, 1], "origin": [0, 0, 0.2]}
+    ball = {"name": "ball", "shape": BALL, "mass": 2.0, "count": 15, "place": grid}
+    contact = {"law": "hooke", "stiffness": 1e4, "restitution": 0.5, "friction": 0.0}
+    return make.case(ball, t_end=0.02, every=0.01, dt=1e-3, gravity=GRAVITY, contact=contact,
+                     wall=[FLOOR])  # fmt: skip
+
+
+def orbits(make):
+    point = {"type": "points", "position": [[0, 0, 0]], "mass": [1.0]}
+    two = [{"name": n, "shape": point, "position": [x, 0, 0], "velocity": [0, x, 0]}
+           for n, x in (("left", -0.5), ("right", 0.5))]  # fmt: skip
+    return make.case(*two, t_end=0.2, attraction={"G": 1.0}, dt=0.1)
+
+
+def linkage(make):
+    joint = {"type": "hinge", "body": "bar", "at": [-0.5, 0, 0], "axis": [0, 1, 0]}
+    bar = {"name": "bar", "shape": BAR, "mass": 1.0}
+    return make.case(bar, t_end=0.2, dt=0.05, joint=[joint], gravity=GRAVITY)
+
+
+def top(make):
+    spun = make.body(inertia=(1.0, 1.0, 0.5), angular_velocity={"body": [0, 0, 9.0]},
+                     orientation={"euler_deg": [0.0, 30.0, 0.0]})  # fmt: skip
+    weight = {"type": "push", "body": "body", "at": [0, 0, 0.5], "force": [0, 0, -1.0]}
+    hold = {"type": "push", "body": "body", "at": [0, 0, 0], "force": [0, 0, 1.0]}
+    return make.case(spun, force=[weight, hold], t_end=1.0, dt=0.05)
+
+
+def flip(make):
+    return make.case(make.body(inertia=(1.0, 2.0, 3.0), angular_velocity=[1e-3, 1.0, 1e-3]),
+                     t_end=30.0, every=0.25)  # fmt: skip
+
+
+SCENES = {
+    heap: ["energies", "height of bodies"],
+    orbits: ["energies", "distance from the common centre of mass"],
+    linkage: ["angular velocities", "energies"],
+    top: ["angular velocity of body, body frame", "axis of body"],
+    flip: ["angular velocity of body, body frame", "x axis of body in the world"],
+}
+
+
+def drawn(case, monkeypatch, body=None):
+    """The figure, and the trajectory that it shows."""
+    figures = []
+    monkeypatch.setattr(chart.Figure, "savefig", lambda self, *_, **__: figures.append(self))
+    trajectory = particlerb.run(case)
+    chart.draw_trajectory(trajectory, "out.png", body)
+    return figures[0], trajectory
+
+
+def panel(figure, title):
+    """The panel of a title on its left."""
+    (found,) = [axes for axes in figure.axes if axes.get_title(loc="left") == title]
+    return found
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.__name__)
+def test_panels_fit_the_scene(scene, make, monkeypatch):
+    figure, _ = drawn(scene(make), monkeypatch)
+    titles = [axes.get_title(loc="left") for axes in figure.axes[1:]]
+    assert [title for title in titles if title] == [*SCENES[scene], "conservation errors"]
+
+
+def test_a_body_that_is_named_has_its_own_panels(make, monkeypatch):
+    figure, trajectory = drawn(heap(make), monkeypatch, body=3)
+    assert panel(figure, "angular velocity of ball[3], body frame").lines
+    assert trajectory.names[3] == "ball[3]"
+
+
+def test_energies_are_those_of_the_balance(make, monkeypatch):
+    figure, trajectory = drawn(orbits(make), monkeypatch)
+    lines = {line.get_label(): line.get_ydata() for line in panel(figure, "energies").lines}
+    assert np.array_equal(lines["kinetic"] + lines["potential"], lines["both"])
+    assert lines["kinetic"][0] == 2 * 0.5 * 1.0 * 0.5**2
+    assert trajectory.ledger.potential_energy[0] == pytest.approx(-1.0, rel=1e-15)
+
+
+def test_nutation_starts_at_the_tilt_of_the_top(make, monkeypatch):
+    figure, _ = drawn(top(make), monkeypatch)
+    assert panel(figure, "axis of body").lines[0].get_ydata()[0] == pytest.approx(30.0, rel=1e-14)
+
+
+def test_attitudes_show_the_flip(make, monkeypatch):
+    """Half a period of the flip is 13.77 s: before it the axis points up, after it down."""
+    figure, trajectory = drawn(flip(make), monkeypatch)
+    strip = figure.axes[0]
+    times = [float(text.get_text().split()[0]) for text in strip.texts]
+    assert len(times) == 7
+    assert 10.0 < times[0] < 13.77 < times[-1] < 20.0
+    assert np.allclose(np.diff(times), np.diff(times)[0], atol=0.25)
+    tips = [line.get_ydata()[-1] for line in strip.lines if len(line.get_xdata()) == 2]
+    assert tips[0] > 0.3 > -0.3 > tips[-1]
+    assert math.isclose(tips[0], -tips[-1], rel_tol=0.2)
+    assert trajectory.n_frames == 121
