@@ -29,10 +29,13 @@ FIELDS_OF_JOINTS = (
     "joint_rate",
     "joint_coordinate",
 )
+FIELDS_OF_IMPULSES = ("impulse_residual", "impulse_overlap", "push_out_work")
 FIELDS_OF_CONTACT = ("contacts", "contact_number", "contact_overlap", *FIELDS_OF_WALLS)
-_FieldName = Annotated[str, one_of(*_OF_BODIES, *FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS)]
+_NAMES = (*_OF_BODIES, *FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS, *FIELDS_OF_IMPULSES)
+_FieldName = Annotated[str, one_of(*_NAMES)]
 _OF_JOINTS = tuple(name for name in FIELDS_OF_JOINTS if not name.endswith("_determined"))
-_Quantity = Annotated[str, one_of(*_OF_BODIES, "kinetic_energy", "inertia", *_OF_JOINTS)]
+_OTHERS = ("kinetic_energy", "inertia", *_OF_JOINTS, *FIELDS_OF_IMPULSES)
+_Quantity = Annotated[str, one_of(*_OF_BODIES, *_OTHERS)]
 
 
 def _are_unique(fields: tuple[str, ...]) -> tuple[str, ...]:
@@ -63,8 +66,9 @@ _EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
     "joint_misfit": ((),),
     "joint_rate": ((),),
     "joint_coordinate": ((), (1,), (2,), (3,)),
+    **dict.fromkeys(FIELDS_OF_IMPULSES, ((),)),
 }
-_FRAMELESS = ("position", "orientation", "kinetic_energy", *FIELDS_OF_JOINTS)
+_FRAMELESS = ("position", "orientation", "kinetic_energy", *FIELDS_OF_JOINTS, *FIELDS_OF_IMPULSES)
 
 
 def _shape_of(value: Any) -> tuple[int, ...] | None:
@@ -76,7 +80,7 @@ def _shape_of(value: Any) -> tuple[int, ...] | None:
 
 
 class Asked(Table):
-    """A value of a run: of which body or joint, what, and when."""
+    """A value of a run: of which body or joint, or of all contacts by impulses, what, and when."""
 
     body: Name | None = Field(
         None, description="Name of a [[body]] block, or of one body as name[3]. [-]"
@@ -89,11 +93,19 @@ class Asked(Table):
     @model_validator(mode="after")
     def has_an_owner(self) -> Self:
         """Require whom the quantity is of, and a frame that it can have."""
-        owner, other = ("joint", "body") if self.quantity in _OF_JOINTS else ("body", "joint")
-        if getattr(self, owner) is None:
-            raise broken("missing", owner, f"{self.quantity} is of a {owner}")
-        if getattr(self, other) is not None:
-            raise broken(f"{self.quantity} is of a {owner}", other, f"give `{owner}` alone")
+        owner, others = ("joint", ["body"]) if self.quantity in _OF_JOINTS else ("body", ["joint"])
+        of, hint = f"{self.quantity} is of a {owner}", f"give `{owner}` alone"
+        if self.quantity in FIELDS_OF_IMPULSES:
+            of, hint, others = (
+                f"{self.quantity} is of all contacts",
+                "leave it out",
+                ["body", "joint"],
+            )
+        elif getattr(self, owner) is None:
+            raise broken("missing", owner, of)
+        for other in others:
+            if getattr(self, other) is not None:
+                raise broken(of, other, hint)
         if self.frame == "body" and self.quantity in _FRAMELESS:
             raise broken(f"{self.quantity} is not given in the body frame", "frame")
         return self

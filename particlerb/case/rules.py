@@ -11,7 +11,12 @@ from particlerb.case.body_rules import body_rules, file_rules, held_rules, many_
 from particlerb.case.contact import ContactTable
 from particlerb.case.forces import FORCES, ForceTable
 from particlerb.case.joints import TYPES_WITH_COORDINATES, joint_rules
-from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_JOINTS, FIELDS_OF_WALLS
+from particlerb.case.output import (
+    FIELDS_OF_CONTACT,
+    FIELDS_OF_IMPULSES,
+    FIELDS_OF_JOINTS,
+    FIELDS_OF_WALLS,
+)
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import Finding, bodies_named, given, members, number, tables
 from particlerb.files import Files
@@ -171,13 +176,24 @@ def _contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
-    """What is to be recorded of contacts, walls and joints is there."""
+    """What is to be recorded of contacts, walls and joints, or checked of impulses, is there."""
     output = raw.get("output")
     fields = output.get("fields") if isinstance(output, dict) else None
+    contact = raw.get("contact")
+    by_impulses = isinstance(contact, dict) and contact.get("law") == "impulse"
+    for parent in ("check", "sweep"):
+        for i, value in tables(raw.get(parent), "value"):
+            if value.get("quantity") in FIELDS_OF_IMPULSES and not by_impulses:
+                reason = f"there is no {value['quantity']} without impulses"
+                hint = 'take contact.law = "impulse", or leave it out'
+                yield (parent, "value", i, "quantity"), reason, hint
     for i, name in enumerate(fields if isinstance(fields, list) else []):
         path: Path = ("output", "fields", i)
         if name in FIELDS_OF_CONTACT and raw.get("contact") is None:
             yield path, f"there is no {name} without [contact]", "add [contact], or leave it out"
+        elif name in FIELDS_OF_IMPULSES and not by_impulses:
+            hint = 'take contact.law = "impulse", or leave it out'
+            yield path, f"there is no {name} without impulses", hint
         elif name in FIELDS_OF_WALLS and not tables(raw, "wall"):
             yield path, f"there is no {name} without a [[wall]]", "leave it out"
         elif name in FIELDS_OF_JOINTS and not tables(raw, "joint"):

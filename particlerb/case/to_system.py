@@ -15,6 +15,7 @@ import numpy as np
 
 from particlerb.case.bodies import Body, NormalDistribution, ShapePart
 from particlerb.case.matter import solid_of, spheres_of
+from particlerb.case.output import FIELDS_OF_IMPULSES
 from particlerb.case.placement import Placement, place, quaternion_of, random_stream
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import load
@@ -98,7 +99,11 @@ def to_system(
 def records(case: Case) -> dict[str, Any]:
     """What a system holds of its case."""
     keys = Case.model_fields.keys() & System._fields
-    return {key: getattr(case, key) for key in (*keys, "source")}
+    found = {key: getattr(case, key) for key in (*keys, "source")}
+    if case.contact is not None and case.contact.law == "impulse":  # how well it is solved is shown
+        fields = dict.fromkeys((*case.output.fields, *FIELDS_OF_IMPULSES))
+        found["output"] = case.output.model_copy(update={"fields": tuple(fields)})
+    return found
 
 
 def with_records(system: System, case: Case) -> System:

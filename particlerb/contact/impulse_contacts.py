@@ -17,6 +17,7 @@ from particlerb.contact.walls import PLANE, euler_count, gap_vector, length, pri
 from particlerb.impulses.records import (
     ARM,
     DEEPEST,
+    DEEPEST_NOW,
     FRICTION,
     GAP,
     INVERSE,
@@ -91,7 +92,8 @@ def _take_in(
     c = entry if entry >= 0 else ~entry
     put_column3(rows.impulse, k, 0, scale(dt, row3(force, c)))
     put_column3(rows.impact, k, 0, (0.0, 0.0, 0.0))
-    tally[DEEPEST] = max(tally[DEEPEST], -gap)
+    for deepest in (DEEPEST, DEEPEST_NOW):
+        tally[deepest] = max(tally[deepest], -gap)
 
 
 @lean

@@ -44,7 +44,8 @@ PUSH_OUT_WORK: Final = 11  # [J]
 BOUNDARY_WORK: Final = 12  # [J] of walls and bodies that move as prescribed
 DEEPEST: Final = 13  # [m] largest overlap
 UNENDED: Final = 14  # steps whose impacts had not come to an end
-TALLY: Final = 15
+DEEPEST_NOW: Final = 15  # [m] largest overlap since the last frame
+TALLY: Final = 16
 
 NEVER: Final = -1e300  # [m/s] least velocity of a contact that is left out of a solve
 

@@ -9,7 +9,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.body_loads import stored_energy
 from particlerb.contact.contact_model import ContactChanges, ContactList, MovingContact
 from particlerb.contact.records import Records
-from particlerb.impulses.records import WORST, Impulses
+from particlerb.impulses.records import DEEPEST_NOW, WORST, Impulses
 from particlerb.maths.vec3 import Floats
 
 
@@ -87,11 +87,11 @@ def store_contacts(contact: MovingContact | None, team: Team | None, frame: int)
 
 @inline
 def _forget_worst(impulses: Impulses | None, team: Team) -> None:
-    """Begin anew to look for the worst residual: a frame shows that since the last one."""
+    """Begin anew to look for the worst: a frame shows residual and overlap since the last one."""
     if impulses is None:
         return
     if team.rank == 0:
-        impulses.tally[WORST] = 0.0
+        impulses.tally[WORST] = impulses.tally[DEEPEST_NOW] = 0.0
 
 
 @inline

@@ -194,7 +194,7 @@ class FrameReader(Closing):
     def other_fields(self) -> list[str]:
         """Names of the recorded fields of contacts, walls and joints."""
         places = dict.fromkeys(schema.CONTACT_FIELDS, schema.TRAJECTORY)
-        places |= dict.fromkeys(schema.OBSERVED, schema.OBSERVABLES)
+        places |= dict.fromkeys((*schema.OBSERVED, *schema.IMPULSES), schema.OBSERVABLES)
         with trajectory_errors(self.file):
             found = [f for f, place in places.items() if has(self.file, f"{place}/{f}/value")]
             return found + ([schema.CONTACTS] if has(self.file, schema.OFFSET) else [])

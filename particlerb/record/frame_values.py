@@ -20,20 +20,20 @@ def values_of(
     rows: Ints,
     ledger: Any,
     touches: Sequence[ContactOutput],
-    joints: Mapping[str, Floats | Ints],
+    others: Mapping[str, Floats | Ints],
 ) -> dict[str, Any]:
     """Arrays of some rows of the frames, by their paths, in the order of the checksums."""
     fields = system.output.fields
     found: dict[str, Any] = contact_values(fields, touches, system.n_bodies)
     found |= _fields_of(frames, rows, system, fields)
-    found |= joints
+    found |= others
     dtype, values = np.dtype(system.output.dtype), {}
     for path, element in schema.series_of(fields).items():
         name = path.split("/")[-2]
         if path == schema.TIME:
             value = times
         else:
-            value = found[name] if element.per else getattr(ledger, name)[rows]
+            value = found[name] if element.per or element.is_asked else getattr(ledger, name)[rows]
         values[path] = value.astype(schema.dtype_of(element, dtype), copy=False)
     return values
 

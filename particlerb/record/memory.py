@@ -80,12 +80,12 @@ class Memory:
         rows: Ints,
         ledger: Any,
         touches: Sequence[ContactOutput] = (),
-        joints: Mapping[str, Floats | Ints] = MappingProxyType({}),
+        others: Mapping[str, Floats | Ints] = MappingProxyType({}),
     ) -> None:
-        """Keep rows of the frames with times, energy balance, contacts and joints if wanted."""
+        """Keep rows of the frames with times, energy balance, contacts and others if wanted."""
         new = slice(self.n_frames, self.n_frames + len(times))
         for path, values in values_of(
-            self.system, times, frames, rows, ledger, touches, joints
+            self.system, times, frames, rows, ledger, touches, others
         ).items():
             self.content[path][new] = values
         self.n_frames = new.stop

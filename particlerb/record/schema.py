@@ -48,6 +48,7 @@ class Element(NamedTuple):
     frame: str = "-"
     is_count: bool = False  # an integer
     per: str = ""  # what a frame has an entry of: `body` or one of `PARTS`, or one for all
+    is_asked: bool = False  # whether a file that names it alone has it, though there is one for all
 
 
 FIELDS: Final[dict[str, Element]] = {
@@ -87,6 +88,15 @@ JOINTS: Final[dict[str, Element]] = {
 COORDINATES: Final[dict[str, Element]] = {
     "joint_coordinate": Element("", "1", "angles [rad], with their turns, and displacements [m]")
 }
+IMPULSES: Final[dict[str, Element]] = {
+    "impulse_residual": Element(
+        "", "1", "largest of all contacts by impulses since the last frame", is_asked=True
+    ),
+    "impulse_overlap": Element(
+        "", "m", "largest of all contacts by impulses since the last frame", is_asked=True
+    ),
+    "push_out_work": Element("", "J", "of all that was pushed out since t = 0", is_asked=True),
+}
 LEDGER: Final[dict[str, Element]] = {
     "kinetic_energy": Element("", "J", "of all bodies"),
     "potential_energy": Element(
@@ -124,7 +134,7 @@ SERIES: Final[dict[str, Element]] = {  # by their datasets, in the order of the 
     },
     TIME: Element("", "s", "of each frame; linked into every element"),
     **{f"{OBSERVABLES}/{name}/value": element for name, element in LEDGER.items()},
-    **{f"{OBSERVABLES}/{name}/value": element for name, element in OBSERVED.items()},
+    **{f"{OBSERVABLES}/{name}/value": one for name, one in (OBSERVED | IMPULSES).items()},
 }
 
 
@@ -133,7 +143,7 @@ def series_of(fields: Collection[str]) -> dict[str, Element]:
     return {
         path: element
         for path, element in SERIES.items()
-        if not element.per or path.split("/")[-2] in fields
+        if not (element.per or element.is_asked) or path.split("/")[-2] in fields
     }
 
 

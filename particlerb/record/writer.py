@@ -156,15 +156,15 @@ class Recorder:
         rows: Ints,
         ledger: Any,
         touches: Sequence[ContactOutput] = (),
-        joints: Mapping[str, Floats | Ints] = MappingProxyType({}),
+        others: Mapping[str, Floats | Ints] = MappingProxyType({}),
     ) -> None:
-        """Append rows of the frames with times, energy balance, contacts and joints if wanted.
+        """Append rows of the frames with times, energy balance, contacts and others if wanted.
 
         Large arrays are written now, small ones when they are many, or at the next commit.
         """
         with self.output.writing():
             n = self.n_frames
-            values = values_of(self.system, times, frames, rows, ledger, touches, joints)
+            values = values_of(self.system, times, frames, rows, ledger, touches, others)
             lists = []
             if self.contacts is not None:
                 columns, ends = contact_columns(touches, self.contacts.dtype)

@@ -21,6 +21,7 @@ from particlerb.model.state import (
 )
 from particlerb.model.system import System
 from particlerb.plan.joints import JointSetup, joints_of
+from particlerb.simulation.impulse_values import impulse_quantity
 from particlerb.simulation.joint_values import JointValues
 from particlerb.simulation.run import Outcome
 
@@ -69,8 +70,11 @@ def results(system: System, outcome: Outcome) -> list[Result]:
                 _value_result(check, time, system, int(b), probes[time].frame)
                 for b in system.names.find(check.body)
             ]
+        elif check.joint is None:
+            values.append(_number_result(check, time, impulse_quantity(check, probes[time].tally)))
         elif setup is not None:
-            values.append(_joint_result(check, time, setup, probes[time].joints))
+            found = joint_quantity(check, setup, probes[time].joints)
+            values.append(_number_result(check, time, found))
     return limits + values
 
 
@@ -122,14 +126,12 @@ def quantity(check: Asked, system: System, b: int, frames: Frames) -> Floats:
     return vector[:, 0]
 
 
-def _joint_result(
-    check: CheckValue, time: float, setup: JointSetup, values: JointValues | None
-) -> Result:
-    """One expected value of one joint."""
-    found = joint_quantity(check, setup, values)
+def _number_result(check: CheckValue, time: float, found: Floats) -> Result:
+    """One expected value of one joint, or of all contacts by impulses."""
     expected = np.atleast_1d(np.array(check.value, dtype=np.float64))
     error = float(np.abs(found - expected).max())
-    name = f"{check.quantity} of {check.joint} at {time:.9g} s"
+    owner = "all contacts" if check.joint is None else check.joint
+    name = f"{check.quantity} of {owner} at {time:.9g} s"
     return Result(name, numbers(expected), numbers(found), error, check.tolerance)
 
 

@@ -45,6 +45,7 @@ class GroupRun:
         self.contacts: dict[
             int, ContactOutput
         ] = {}  # in rows of the last `record`, where asked for
+        self.tallies: dict[int, Floats] = {}  # of impulses, in these rows
 
     def checkpoint(self) -> Saved:
         """The segment, how it began, and its motion."""
@@ -173,7 +174,7 @@ class GroupRun:
         """
         booked = np.empty((times.size, 7))
         potential, kinetic = np.zeros(times.size), np.zeros(times.size)
-        self.contacts = {}
+        self.contacts, self.tallies = {}, {}
         done = 0
         while done < times.size:
             until = int(np.searchsorted(times, self.segment.stop, side="left"))
@@ -188,6 +189,7 @@ class GroupRun:
                 potential[rows] += contacts.potential
                 kinetic[rows] += contacts.kinetic
                 self.contacts |= self.motion.contacts
+                self.tallies |= self.motion.impulse_tallies(rows)
                 if self.joint_values is not None:
                     self.read_joints(times, rows, frames, self.joint_values)
                 done = until

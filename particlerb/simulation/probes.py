@@ -1,4 +1,4 @@
-"""States, and what joints carry, at the times that checks ask for."""
+"""States, what joints carry, and how impulses were solved, at the times that checks ask for."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,6 +19,7 @@ class Probe(NamedTuple):
     time: float  # [s]
     frame: Frames  # one row
     joints: JointValues | None = None  # one row
+    tally: Floats | None = None  # of impulses: see impulses/records.py
 
 
 def saved_probes(probes: Sequence[Probe]) -> Saved:
@@ -26,6 +27,8 @@ def saved_probes(probes: Sequence[Probe]) -> Saved:
     saved: Saved = {"probes": np.array([probe.time for probe in probes])}
     for k, probe in enumerate(probes):
         saved |= {f"probe.{k}.{name}": getattr(probe.frame, name) for name in _FIELDS}
+        if probe.tally is not None:
+            saved[f"probe.{k}.tally"] = probe.tally
         if probe.joints is not None:
             saved |= {f"probe.{k}.{name}": own for name, own in probe.joints._asdict().items()}
     return saved
@@ -38,5 +41,6 @@ def restored_probes(saved: Saved, last: Floats) -> list[Probe]:
         x, q, p, L = (saved[f"probe.{k}.{name}"] for name in _FIELDS)
         names = JointValues._fields if f"probe.{k}.{JointValues._fields[0]}" in saved else ()
         joints = JointValues(*(saved[f"probe.{k}.{name}"] for name in names)) if names else None
-        found.append(Probe(time, Frames(x, q, p, L, last, np.zeros(1, dtype=np.bool_)), joints))
+        frame = Frames(x, q, p, L, last, np.zeros(1, dtype=np.bool_))
+        found.append(Probe(time, frame, joints, saved.get(f"probe.{k}.tally")))
     return found

@@ -34,6 +34,7 @@ from particlerb.record.provenance import texts_of
 from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.simulation.frame_times import Batch, batches
 from particlerb.simulation.group_run import GroupRun, initial_energies, record_all, tally_of
+from particlerb.simulation.impulse_values import impulse_fields
 from particlerb.simulation.joint_values import (
     JointValues,
     at_row,
@@ -142,6 +143,7 @@ class Run:
 
         self.setup = joints_of(self.system) if asked_of_joints(self.system) else None
         self.joints: JointValues | None = None  # in rows of the last frames, where asked for
+        self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows
         self.n_frames = 0  # that lie behind
         self.probes: list[Probe] = []
 
@@ -222,6 +224,7 @@ class Run:
         if self.setup is not None:
             self.joints = room_for_values(self.setup, times.size)
         booked, energies = record_all(self.travellers, times, frames, self.joints)
+        self.tallies = next((one.tallies for one in self.travellers if one.tallies), {})
         booked += self.before
         now = totals(frames, self.counted, self.gravity, *energies)
         sizes = now.kinetic_energy + now.potential_energy + now.momentum_size + now.spin_size
@@ -234,9 +237,10 @@ class Run:
         turned_over = self.turned_over_before + sum(t.turned_over() for t in self.travellers)
         return frames, self.ledger.enter(now, booked[:sound], turned_over), error
 
-    def joint_fields(self, rows: Ints) -> dict[str, Floats | Ints]:
-        """Fields of joints in rows of the last frames, where they are to be recorded."""
-        return recorded_values(self.joints, self.system.output.fields, rows)
+    def other_fields(self, rows: Ints) -> dict[str, Floats | Ints]:
+        """Fields of joints, where they are to be recorded, and of impulses in rows of frames."""
+        of_joints = recorded_values(self.joints, self.system.output.fields, rows)
+        return of_joints | impulse_fields(self.tallies, rows.tolist())
 
     def touches(self, rows: Ints) -> list[ContactOutput]:
         """Contacts in rows of the last frames; empty where nobody asks."""
@@ -357,11 +361,12 @@ def _one_batch(
     sound = len(frames.position)
     rows = np.flatnonzero(batch.is_frame[:sound])
     if rows.size:
-        beside = run.touches(rows), run.joint_fields(rows)
+        beside = run.touches(rows), run.other_fields(rows)
         recorder.append(batch.times[rows], frames, rows, entries, *beside)
     for row in np.flatnonzero(batch.is_probe[:sound]):
         values = None if run.joints is None else at_row(run.joints, int(row))
-        run.probes.append(Probe(float(batch.times[row]), _one_row(frames, int(row)), values))
+        probed = _one_row(frames, int(row)), values, run.tallies.get(int(row))
+        run.probes.append(Probe(float(batch.times[row]), *probed))
     run.n_frames += rows.size
     last = (values[-1] if sound else np.nan for values in (batch.times[:sound], *entries[2:5:2]))
     return Reached(rows.size, *map(float, last)), error

@@ -6,6 +6,7 @@ import numpy as np
 
 from particlerb.contact.contact_model import GroupContact
 from particlerb.impulses.records import TALLY, Impulses, room_for_partners, room_for_rows
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.motion import Energies, MotionError
 from particlerb.stepping.saved_arrays import Saved
@@ -55,6 +56,10 @@ class ImpulseMotion(ContactMotion):
         if n > impulses.rows.first.size:
             impulses = impulses._replace(rows=room_for_rows(int(_GROWTH * n)))
             self.contact = self.contact._replace(workspace=workspace._replace(impulses=impulses))
+
+    def impulse_tallies(self, rows: Ints) -> dict[int, Floats]:
+        """What was counted, in rows of the frames of the last `record`."""
+        return {row: self.frames.tally[row] for row in rows.tolist()}
 
     def _elastic_energies(self) -> Energies:
         """Nothing is elastic."""

@@ -91,6 +91,10 @@ class Motion(Protocol):
         """Gross work of contacts without potential, and of walls, since the start [J]."""
         return 0.0
 
+    def impulse_tallies(self, rows: Ints) -> dict[int, Floats]:
+        """What was counted of impulses, in rows of the frames of the last `record`."""
+        return {}
+
     def impulse_tally(self) -> Floats:
         """What is counted of impulses, (TALLY,); nothing where contacts are none."""
         return np.zeros(0)

@@ -17,6 +17,7 @@ from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.checks import joint_quantity, quantity, results
+from particlerb.simulation.impulse_values import impulse_quantity
 from particlerb.simulation.run import Outcome, RunError, run_prepared
 
 _LETTERS = {3: "xyz", 4: "wxyz"}
@@ -88,6 +89,8 @@ def _found(asked: Asked, system: System, outcome: Outcome) -> list[float]:
     if asked.body is not None:
         bodies = system.names.find(asked.body)
         found = [quantity(asked, system, int(b), probe.frame) for b in bodies]
+    elif asked.joint is None:
+        found = [impulse_quantity(asked, probe.tally)]
     else:
         setup = joints_of(system)
         assert setup is not None
@@ -101,6 +104,8 @@ def columns(asked: Asked, system: System) -> list[str]:
     if asked.body is not None:
         owners = [system.names[int(b)] for b in system.names.find(asked.body)]
         size = {"orientation": 4, "kinetic_energy": 1, "inertia": 9}.get(asked.quantity, 3)
+    elif asked.joint is None:
+        owners, size = ["contacts"], 1
     else:
         setup = joints_of(system)
         assert setup is not None

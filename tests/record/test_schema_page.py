@@ -17,6 +17,7 @@ from particlerb.record.schema import (
     CONTACT_FIELDS,
     FIELDS,
     FILES,
+    IMPULSES,
     LEDGER,
     OBSERVABLES,
     OBSERVED,
@@ -124,8 +125,8 @@ def shown(place, key, value) -> tuple[str, str]:
 def frame_of(path: str) -> str:
     name = path.removesuffix("/value").rpartition("/")[2]
     if path.endswith("/value"):
-        of_bodies = path.startswith(TRAJECTORY)
-        return ({**FIELDS, **CONTACT_FIELDS} if of_bodies else {**LEDGER, **OBSERVED})[name].frame
+        of_bodies, others = path.startswith(TRAJECTORY), {**LEDGER, **OBSERVED, **IMPULSES}
+        return ({**FIELDS, **CONTACT_FIELDS} if of_bodies else others)[name].frame
     return STATIC[path].frame if path in STATIC else ""
 
 
@@ -156,6 +157,11 @@ SORTS = {
             {"type": "plane", "name": f"w{k}", "normal": [0, 0, 1], "point": [0, 0, -50.0 - k]}
             for k in range(W)
         ],
+        "dt": 0.05,
+    },
+    "impulses": {
+        "contact": {"law": "impulse", "restitution": 0.5, "friction": 0.1},
+        "wall": [{"type": "plane", "name": "w", "normal": [0, 0, 1], "point": [0, 0, -50.0]}],
         "dt": 0.05,
     },
     "joints": {
@@ -205,10 +211,8 @@ def test_what_a_file_holds_is_on_the_page(files, name):
 
 def test_what_is_on_the_page_is_in_a_file(files):
     listed, described = page()
-    (rows, attributes), (more, _), (joints, _) = (
-        files[name] for name in ("all", "contact", "joints")
-    )
-    assert set(listed) == set(rows) | set(more) | set(joints)
+    (rows, attributes), *others = (files[name] for name in ("all", "contact", "joints", "impulses"))
+    assert set(listed) == set(rows).union(*(set(more) for more, _ in others))
     assert set(described) == set(attributes)
 
 

@@ -1,0 +1,82 @@
+"""How well contacts were solved is in every frame, and checks may ask for it."""
+
+import numpy as np
+import pytest
+from impulse_scenes import DOWN, G, R, case, clump, impulse, plane, sphere
+
+import particlerb
+from particlerb.case.problems import CaseError
+from particlerb.case.to_system import to_system
+from particlerb.simulation.checks import results
+from particlerb.simulation.run import prepare, run_prepared
+
+NAMES = ("impulse_residual", "impulse_overlap", "push_out_work")
+
+
+def stack(**keys):
+    """Boxes that one sweep does not hold, and that are let fall a little."""
+    boxes = [clump(f"b{i}", position=[0, 0, 2.1 * R + 4.1 * R * i]) for i in range(3)]
+    contact = impulse(0.0, 0.5, iterations=1, tolerance=1e-6)
+    return case(*boxes, contact=contact, wall=[plane()], gravity=DOWN,
+                **({"dt": 5e-3, "t_end": 0.4, "every": 0.1} | keys))  # fmt: skip
+
+
+def test_frames_show_the_overlap_of_a_bounce_where_it_was():
+    dt, height = 5e-3, 0.5
+    ball = sphere(position=[0, 0, height + R])
+    t = particlerb.run(
+        case(ball, contact=impulse(1.0), wall=[plane()], gravity=DOWN, dt=dt, t_end=0.6, every=0.1)
+    )
+    overlap, speed = t.observable("impulse_overlap"), np.sqrt(2 * G * height)
+    hit = int(np.ceil(np.sqrt(2 * height / G) / 0.1))
+    assert 0.0 < overlap[hit] < speed * dt
+    assert overlap[:hit] == pytest.approx(0.0, abs=0.0)
+    assert overlap[hit + 1 :] == pytest.approx(0.0, abs=0.0)
+    assert t.observable("push_out_work") == pytest.approx(0.0, abs=0.0)
+
+
+def test_frames_show_residuals_and_what_was_pushed_out_and_a_resumed_run_the_same(tmp_path):
+    whole = particlerb.run(stack())
+    residual, work = whole.observable("impulse_residual"), whole.observable("push_out_work")
+    assert residual[0] == 0.0
+    assert (residual[1:] > 1e-6).any()
+    assert work[-1] > 0.0
+    gained = np.diff(whole.energy)  # a step may gain what it pushes out, and m (g h)²/2 a contact
+    assert (gained <= np.diff(work) + 20 * 12 * 0.5 * (G * 5e-3) ** 2).all()
+    path = tmp_path / "part.h5"
+    particlerb.run(stack(t_end=0.2), path).close()
+    with particlerb.resume(path, t_end=0.4) as resumed:
+        for name in NAMES:
+            assert (resumed.observable(name) == whole.observable(name)).all()
+
+
+def test_a_check_asks_for_the_largest_residual_and_overlap_until_then():
+    asked = [{"quantity": name, "value": 0.0, "tolerance": 1e-6} for name in NAMES]
+    asked.append({"quantity": "impulse_overlap", "value": 0.0, "tolerance": 1.0, "time": 0.05})
+    system = to_system(stack() | {"check": {"value": asked}})
+    outcome = run_prepared(prepare(system), None)
+    residual, overlap, work, early = results(system, outcome)
+    t = particlerb.run(stack())
+    assert residual.error == t.observable("impulse_residual").max()
+    assert overlap.error == t.observable("impulse_overlap").max()
+    assert work.error == t.observable("push_out_work")[-1]
+    assert not residual.holds
+    assert early.holds
+    assert residual.name == "impulse_residual of all contacts at 0.4 s"
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"contact": {"stiffness": 1e5, "restitution": 0.5, "friction": 0.5}},
+         "there is no impulse_residual without impulses"),
+        ({"contact": impulse(), "body": "ball"}, "impulse_residual is of all contacts"),
+    ],
+)  # fmt: skip
+def test_a_check_of_impulses_is_refused_where_it_asks_for_nothing(keys, words):
+    asked = {"quantity": "impulse_residual", "value": 0.0, "tolerance": 1e-6}
+    asked |= {"body": keys["body"]} if "body" in keys else {}
+    scene = case(sphere(position=[0, 0, R]), contact=keys["contact"], wall=[plane()])
+    with pytest.raises(CaseError) as error:
+        to_system(scene | {"check": {"value": [asked]}})
+    assert words in str(error.value)
