@@ -22,7 +22,7 @@ BUDGETS = {
     "what acts on jointed bodies": 605,
     "unrolled columns in factors of joints, for speed": 30,
     "contact with every method": 480,
-    "impulses": 1222,
+    "impulses": 1313,
     "tables of forces": 232,
     "force gradients": 324,
     "opening angle fitted to a scene": 95,
