@@ -77,10 +77,16 @@ def held_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterato
     key, is_held = ("motion", "driven") if is_driven else ("fixed", "fixed")
     if is_driven and body.get("fixed") is True:
         yield (*path, "fixed"), "given beside motion", "give one of them"
-    if raw.get("contact") is None:
+    name = body.get("name")
+    is_tied = any(
+        isinstance(name, str) and name in bases(joint.get(end))
+        for _, joint in tables(raw, "joint")
+        for end in ("body", "to")
+    )
+    if raw.get("contact") is None and not is_tied:
         reason = f"a {is_held} body is an obstacle of [contact], which is not there"
-        yield (*path, key), reason, ""
-    if body.get("contact") is False:
+        yield (*path, key), reason, "or tie a [[joint]] to it"
+    if body.get("contact") is False and not is_tied:
         reason = f"a {is_held} body that nothing touches has no effect"
         yield (*path, "contact"), reason, "leave it out"
     for key in ("velocity", "angular_velocity"):
@@ -88,7 +94,6 @@ def held_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterato
             reason = "a fixed body does not move"
             reason = "a driven body has its velocities in motion" if is_driven else reason
             yield (*path, key), reason, "leave it out"
-    name = body.get("name")
     hint = f"leave the {is_held} body out; a spring has `anchor` for the world"
     for i, force in tables(raw, "force"):
         for key in ("body", "to"):

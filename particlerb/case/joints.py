@@ -2,23 +2,27 @@
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import AfterValidator, Field, Tag
+import numpy as np
+from pydantic import AfterValidator, Field, Tag, model_validator
 
 from particlerb.case.contact import Yes
 from particlerb.case.forces import During
 from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, bodies_named, given
 from particlerb.case.values import (
+    FloatArray,
     Name,
     Names,
     NonNegative,
     Positive,
     Real,
+    Rows2,
     Table,
     Vector,
     broken,
+    first_out_of_order,
     forms,
 )
 
@@ -28,7 +32,13 @@ JointType = Literal[
 TYPES_WITH_COORDINATES = ("hinge", "slider", "universal", "cylindrical", "planar")
 WITH_COORDINATE = ("hinge", "slider")
 ACTIONS = ("spring", "damper", "limit", "motor")
+"""What acts along a coordinate."""
 _WITHOUT_AXIS = ("ball", "fixed", "distance")
+
+
+_Speed = Annotated[
+    Annotated[Real, Tag("number")] | Annotated[Rows2, Tag("rows")], forms("number", "rows")
+]
 
 
 class InFrame(Table):
@@ -63,6 +73,52 @@ class JointLimit(Table):
     range: tuple[Real, Real] = Field(description="Least and largest coordinate. [rad or m]")
     stiffness: Positive = Field(description="Beyond them. [N m/rad or N/m]")
     damping: NonNegative = Field(0.0, description="Beyond them. [N m s/rad or N s/m]")
+
+
+class JointDrive(Table):
+    """What the free coordinate of a joint is prescribed to be; it starts at 0."""
+
+    position: Rows2 | None = Field(
+        None, description="Knots [t, coordinate] of a cubic spline, from [0, 0] on. [s, rad or m]"
+    )
+    end_speeds: tuple[Real, Real] = Field(
+        (0.0, 0.0), description="At its first and last knot, and after it. [rad/s or m/s]"
+    )
+    speed: _Speed | None = Field(
+        None,
+        description="Constant, or knots [t, speed] between which it is linear, and after which it"
+        " stays. [rad/s or m/s]",
+    )
+    amplitude: Real | None = Field(None, description="A of A (sin(2π f t + φ) - sin φ). [rad or m]")
+    frequency: Positive | None = Field(None, description="Frequency f. [1/s]")
+    phase: Real = Field(0.0, description="Phase φ. [rad]")
+
+    @model_validator(mode="after")
+    def has_one_course(self) -> Self:
+        """Require one way to prescribe it, with knots that ascend from 0 on."""
+        ways = "position", "speed", "amplitude"
+        given_ways = [name for name in ways if getattr(self, name) is not None]
+        if len(given_ways) != 1:
+            raise broken("takes one of position, speed and amplitude")
+        if (self.amplitude is None) != (self.frequency is None):
+            raise broken("goes with amplitude: give both", "frequency")
+        knots = getattr(self, given_ways[0])
+        if isinstance(knots, np.ndarray):
+            _check_knots(knots, given_ways[0])
+        return self
+
+
+def _check_knots(knots: FloatArray, key: str) -> None:
+    """Require knots of a drive that begin at 0 and ascend."""
+    if len(knots) < 2:
+        raise broken(f"needs two knots at least, has {len(knots)}", key)
+    k = first_out_of_order(knots[:, 0].tolist())
+    if k is not None:
+        hint = "a jump of speed takes an infinite force: let it rise" if key == "speed" else ""
+        raise broken(f"must ascend in time, knot {k} is at {knots[k, 0]} s", key, hint)
+    if knots[0, 0] != 0.0 or (key == "position" and knots[0, 1] != 0.0):
+        start = "[0, 0]: where the bodies stand" if key == "position" else "the time 0"
+        raise broken(f"must begin at {start}", key)
 
 
 class JointTable(Table):
@@ -102,6 +158,9 @@ class JointTable(Table):
     limit: JointLimit | None = Field(None, description="Stops of the free coordinate. [-]")
     motor: Real = Field(
         0.0, description="Constant torque of a hinge, or force of a slider, on `body`. [N m or N]"
+    )
+    drive: JointDrive | None = Field(
+        None, description="Prescribes the free coordinate of a hinge or slider. [-]"
     )
     during: During | None = Field(
         None, description="Start, which is 0, and time of release; default: always. [s]"
@@ -166,7 +225,7 @@ def _chain_rules(path: Path, raw: dict[str, Any], bodies: list[range] | None) ->
 def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
     """What acts along a coordinate needs one, and stops a range."""
     kind = raw.get("type")
-    for key in ACTIONS:
+    for key in (*ACTIONS, "drive"):
         if raw.get(key) and kind in JOINT_TYPES and kind not in WITH_COORDINATE:
             yield (*path, key), f"a {kind} joint has no single coordinate", "take a hinge or slider"
     ends = raw.get("limit", {}).get("range") if isinstance(raw.get("limit"), dict) else None

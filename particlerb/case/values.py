@@ -208,6 +208,7 @@ Numbers = Annotated[
     PlainValidator(_nested_numbers, json_schema_input_type=float | list[float] | list[list[float]]),
 ]
 _AS_LISTS = PlainSerializer(lambda array: array.tolist(), return_type=list, when_used="json")
+Rows2 = Annotated[FloatArray, rows(2), _AS_LISTS]
 Rows3 = Annotated[FloatArray, rows(3), _AS_LISTS]
 Rows4 = Annotated[FloatArray, rows(4), _AS_LISTS]
 Frame = Literal["world", "body"]

@@ -4,13 +4,14 @@ A prescribed body has no inverse mass, so nothing pushes it. Where the states of
 momenta, its state has velocities while contacts are evaluated.
 """
 
+import math
 from typing import NamedTuple
 
 from particlerb.compiled.jit import inline
 from particlerb.contact.records import Records
 from particlerb.contact.wall_motion import motion_in, pose_at
 from particlerb.maths.quaternion import Quat, multiply, to_body, to_world
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, component_product, cross
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, component_product, cross, subtract
 
 
 class PrescribedBodies(NamedTuple):
@@ -34,6 +35,17 @@ def prescribed_pose(
     arm = to_world(turn, (com[0, k], com[1, k], com[2, k]))
     orientation = multiply(turn, (q[0, k], q[1, k], q[2, k], q[3, k]))
     return add_scaled(1.0, arm, x), orientation, add_scaled(1.0, cross(omega, arm), v), omega
+
+
+@inline
+def prescribed_acceleration(prescribed: PrescribedBodies, k: int, t: float) -> Vec3:
+    """Acceleration of the centre of mass of prescribed body k at a time [m/s²]."""
+    motion, com = motion_in(prescribed.motions, k), prescribed.com
+    _, turn, _, omega = pose_at(motion, t)
+    arm = to_world(turn, subtract((com[0, k], com[1, k], com[2, k]), motion.centre))
+    rate = 2.0 * math.pi * motion.frequency
+    swing = -rate * rate * math.sin(rate * t + motion.phase)
+    return add_scaled(swing, motion.amplitude, cross(omega, cross(omega, arm)))
 
 
 @inline

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from particlerb.contact.contact_model import GroupContact
+from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity import UniformGravity, parts_of_gravity
 from particlerb.forces.kernels import Acting
@@ -44,6 +45,7 @@ class Terms(NamedTuple):
     tree_accuracy: float = 0.0  # for which the angle may be wider; 0: it may not
     contact: GroupContact | None = None
     joints: Joints | None = None
+    driven: PrescribedBodies | None = None  # bodies that joints tie to others
 
     @property
     def has_springy_contact(self) -> bool:

@@ -29,12 +29,13 @@ WEIGHTS: Final = (1.0,)  # stands for those of a method
 
 def _coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Stages of a step."""
+    ahead = 0.0
     for k in range(len(WEIGHTS)):
         h = WEIGHTS[k] * dt
         loads(moving, first, last, NOW)
         kick(moving, first, last, 0.5 * h + open_kick)
-        constrained_drift(moving, 0.5 * h + open_kick, h)
-        open_kick = 0.5 * h
+        constrained_drift(moving, 0.5 * h + open_kick, ahead, h)
+        open_kick, ahead = 0.5 * h, ahead + h
 
 
 def _with_weights(function: Step, weights: tuple[float, ...]) -> Step:

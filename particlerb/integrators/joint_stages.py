@@ -7,12 +7,18 @@ from math import nan
 from typing import Final
 
 from particlerb.compiled.jit import Flag, lean, lean_kernel
+from particlerb.contact.prescribed_motion import (
+    PrescribedBodies,
+    prescribed_acceleration,
+    prescribed_momenta,
+    prescribed_pose,
+)
 from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.external_work import book
 from particlerb.joints.actions import finish_damping, soften, softened, work_of_motor
 from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
-from particlerb.joints.rows import by_inverse_inertia, vector
+from particlerb.joints.rows import by_inverse_inertia, put_vector, vector
 from particlerb.joints.solver import constrained_drift, project_momenta
 from particlerb.maths.quaternion import Rows
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
@@ -51,7 +57,7 @@ def _keep(
 @lean
 def _gather(jointed: Jointed, blocks: Floats, c: int) -> None:
     """States of cluster c."""
-    joints, work, block, lane, _ = jointed
+    joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         for i in range(STATE_ROWS):
             work.y[k, i] = get(blocks[block[k]], COM + i, lane[k])
@@ -60,9 +66,36 @@ def _gather(jointed: Jointed, blocks: Floats, c: int) -> None:
 
 
 @lean
+def place_driven(
+    driven: PrescribedBodies | None, jointed: Jointed, t: float, dt: float, first: int, last: int
+) -> None:
+    """Put bodies first to last that are driven where they are at t, with momenta if dt is 0."""
+    if driven is None:
+        return
+    y, motion, time = jointed.work.y, jointed.work.motion, jointed.start + t
+    for k in range(driven.which.size):
+        b = driven.which[k]
+        if first <= b < last:
+            x, q, v, w = prescribed_pose(driven, k, time)
+            put_vector(y, b, X, x)
+            y[b, Q], y[b, Q + 1], y[b, Q + 2], y[b, Q + 3] = q
+            put_vector(motion, b, 0, v)
+            put_vector(motion, b, 3, w)
+            put_vector(motion, b, 6, prescribed_acceleration(driven, k, time))
+            if dt == 0.0:
+                p, spin = prescribed_momenta(driven, k, q, v, w)
+                put_vector(y, b, P, p)
+                put_vector(y, b, L, spin)
+            x, q, v, w = prescribed_pose(driven, k, time + dt)
+            later = jointed.work.later
+            put_vector(later, b, X, x)
+            later[b, Q], later[b, Q + 1], later[b, Q + 2], later[b, Q + 3] = q
+
+
+@lean
 def _scatter(jointed: Jointed, blocks: Floats, c: int) -> None:
     """States of cluster c, back into the blocks; nothing but NaN where it was lost."""
-    joints, work, block, lane, _ = jointed
+    joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         for i in range(STATE_ROWS):
             put(blocks[block[k]], COM + i, lane[k], nan if work.lost[c] else work.y[k, i])
@@ -73,7 +106,7 @@ def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Float
     """Book the impulses of joints with the world of cluster c, whose bodies were at `at`."""
     if books is None:
         return
-    joints, work, block, lane, _ = jointed
+    joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
     start = joints.program.start
     for r in range(start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]):
         a, b, z = joints.rows.a[r], joints.rows.b[r], work.total[r]
@@ -98,7 +131,7 @@ def _book_given(
     """
     if books is None or given is None:
         return
-    joints, work, block, lane, _ = jointed
+    joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
     start, joint = joints.program.start, joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
         if joints.rows.action[r] != HOLDS:
@@ -123,20 +156,32 @@ def _book_work(books: Flag, jointed: Jointed, blocks: Floats, r: int, work: floa
 
 
 @lean
+def _book_drives(books: Flag, moves: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
+    """Book the work -λ ∂g/∂t of constraints of cluster c that move by themselves."""
+    if books is None or moves is None:
+        return
+    work, start, joint = jointed.work, jointed.joints.program.start, jointed.joints.clusters.joint
+    for r in range(start[joint[c]], start[joint[c + 1]]):
+        if work.moving[r] != 0.0:
+            _book_work(books, jointed, blocks, r, -work.moving[r] * work.total[r])
+
+
+@lean
 def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, span: float) -> None:
     """Let dampers, dashpots and drag of cluster c act over a span, within its constraints."""
     if damps is None:
         return
-    joints, work, block, lane, _ = jointed
+    joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
     start, joint = joints.program.start, joints.clusters.joint
     soften(joints, work, c, span)
-    project_momenta(softened(joints, work), work, c, 0.0, span)
+    project_momenta(softened(joints, work), work, c, 0.0, work.clock[0], span)
     for r in range(start[joint[c]], start[joint[c + 1]]):
         half = work.total[r]
         work.total[r] = 2.0 * half
         if joints.rows.action[r] != HOLDS and half != 0.0:
             _book_work(books, jointed, blocks, r, -2.0 * work.compliance[r] * half * half)
     _book_world(books, jointed, blocks, c, work.y)
+    _book_drives(books, joints.moves, jointed, blocks, c)
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         entry = finish_damping(joints, work, k, span)
         book(books, blocks[block[k]], lane[k], 1.0, entry)
@@ -144,13 +189,20 @@ def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, sp
 
 @lean_kernel
 def drift_jointed(
-    books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int, kick_dt: float, dt: float
-) -> None:
-    """Kick of springs and constrained drift of clusters first to last, last excluded."""
+    books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int, kick_dt: float,
+    ahead: float, dt: float,
+) -> None:  # fmt: skip
+    """Kick of springs and constrained drift of clusters first to last, last excluded.
+
+    The drift begins so long [s] after the step did.
+    """
+    t, body = jointed.work.clock[0] + ahead, jointed.joints.clusters.body
     for c in range(first, last):
         _gather(jointed, blocks, c)
-        constrained_drift(jointed.joints, jointed.work, c, kick_dt, dt)
+        place_driven(jointed.driven, jointed, t, dt, body[c], body[c + 1])
+        constrained_drift(jointed.joints, jointed.work, c, kick_dt, t, dt)
         _book_world(books, jointed, blocks, c, jointed.work.pose)
+        _book_drives(books, jointed.joints.moves, jointed, blocks, c)
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
         _scatter(jointed, blocks, c)
 
@@ -161,10 +213,13 @@ def project_jointed(
     span: float,
 ) -> None:  # fmt: skip
     """Kick of springs, projection of the momenta and damping over a span of clusters, as above."""
+    t, body = jointed.work.clock[0], jointed.joints.clusters.body
     for c in range(first, last):
         _gather(jointed, blocks, c)
-        project_momenta(jointed.joints, jointed.work, c, kick_dt, 0.0)
+        place_driven(jointed.driven, jointed, t, 0.0, body[c], body[c + 1])
+        project_momenta(jointed.joints, jointed.work, c, kick_dt, t, 0.0)
         _book_world(books, jointed, blocks, c, jointed.work.y)
+        _book_drives(books, jointed.joints.moves, jointed, blocks, c)
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
         _damp(books, jointed.joints.damps, jointed, blocks, c, span)
         _scatter(jointed, blocks, c)

@@ -32,7 +32,8 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
     loads(moving, first, last, LoadTimes(dt, kick_dt, 1.0, 0.5, 0.5, None))
     kick_walls(moving.contact, moving.team, open_kick, CLOSING_KICK * dt, True)
     kick_jointed(moving, first, last, open_kick, CLOSING_KICK * dt)
-    constrained_drift(moving, CLOSING_KICK * dt if moving.damps is not None else kick_dt, dt)
+    own_kick = CLOSING_KICK * dt if moving.damps is not None else kick_dt
+    constrained_drift(moving, own_kick, 0.0, dt)
     drift_walls(moving.contact, moving.team, dt)
 
 

@@ -130,6 +130,15 @@ def set_times(moving: MovingBodies, first: int, last: int, t: float) -> None:
     """Take loads that depend on time at t [s] since the segment began."""
     for k in range(first, last):
         set_time(moving.acting, moving.blocks[k], moving.layout.size[k], t)
+    _set_clock(moving.jointed, t)
+
+
+@inline
+def _set_clock(jointed: Jointed | None, t: float) -> None:
+    """Tell joints the time, if there are any."""
+    if jointed is None:
+        return
+    jointed.work.clock[0] = t
 
 
 @stage
@@ -179,25 +188,25 @@ def _share_of_clusters(jointed: Jointed, team: Team | None) -> tuple[int, int]:
 @kernel
 def _drift_held(
     jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, kick_dt: float,
-    dt: float,
+    ahead: float, dt: float,
 ) -> None:  # fmt: skip
     """Do the work of `constrained_drift`, if there are joints."""
     if jointed is None:
         return
     first, last = _share_of_clusters(jointed, team)
-    drift_jointed(books, jointed, blocks, first, last, kick_dt, dt)
+    drift_jointed(books, jointed, blocks, first, last, kick_dt, ahead, dt)
     _meet(team)
     if first == 0:
         count_turns(jointed.joints.coordinates, jointed.work.y, jointed.work.turned)
 
 
 @stages
-def constrained_drift(moving: MovingBodies, kick_dt: float, dt: float) -> None:
+def constrained_drift(moving: MovingBodies, kick_dt: float, ahead: float, dt: float) -> None:
     """Drift over dt with the impulses of joints that let it end where they hold.
 
-    Springs and motors of joints kick before it.
+    It begins so long [s] after the step did. Springs and motors of joints kick before it.
     """
-    _drift_held(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, dt)
+    _drift_held(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, ahead, dt)
 
 
 @kernel

@@ -9,22 +9,17 @@ over a span s, which is symmetric, of order two, and dissipates at any step. A r
 in the factor with 2/(s c) on its diagonal, drag in the masses: M + s D/2 in place of M.
 """
 
-from math import atan2, inf, pi
-from typing import Final
-
-import numpy as np
+from math import inf
 
 from particlerb.compiled.jit import Flag, lean, lean_kernel
 from particlerb.joints.records import (
     HOLDS,
-    STRETCH,
-    TURN,
     Actions,
     Joints,
     P,
     Work,
 )
-from particlerb.joints.rows import add_impulses, arms, attitude, rate, vector
+from particlerb.joints.rows import add_impulses, attitude, coordinate, rate, shorter, vector
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import (
     Floats,
@@ -33,29 +28,15 @@ from particlerb.maths.vec3 import (
     component_product,
     cross,
     dot,
-    norm,
     row3,
     scale,
 )
-
-_WHOLE_TURN: Final = 2.0 * pi
-
-
-@lean
-def coordinate(joints: Joints, y: Floats, r: int) -> float:
-    """Coordinate of row r [m or rad]; angles between -π and π."""
-    ra, rb, u, d = arms(joints, y, r)
-    kind = joints.rows.kind[r]
-    if kind == TURN:
-        return atan2(dot(ra, cross(u, rb)), dot(ra, rb))
-    return norm(d) if kind == STRETCH else dot(u, d)
 
 
 @lean
 def _from_rest(actions: Actions, k: int, kind: int, x: float) -> float:
     """How far action k is from its rest; angles the shorter way."""
-    away: float = x - actions.rest[k]
-    return away - _WHOLE_TURN * np.floor(away / _WHOLE_TURN + 0.5) if kind == TURN else away
+    return shorter(kind, x - actions.rest[k])
 
 
 @lean
@@ -93,14 +74,14 @@ def kick_actions(acts: Flag, joints: Joints, work: Work, lo: int, hi: int, dt: f
             f += actions.motor[k] - actions.stop[k] * _beyond(actions, k, x)
             work.z[r] = work.total[r] = f * dt
             work.before[r] = rate(joints, work.gradient, r, work.y, P)
-            work.before[r] -= rate(joints, work.gradient, r, work.change, 0)
+            work.before[r] += work.moving[r] - rate(joints, work.gradient, r, work.change, 0)
             add_impulses(joints, work, r, r + 1, work.y, P)
 
 
 @lean
 def work_of_motor(joints: Joints, work: Work, r: int, dt: float) -> float:
     """Work of a motor in a kick: with its rates before, and after the impulses of the joints."""
-    after = rate(joints, work.gradient, r, work.y, P)
+    after = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
     found: float = 0.5 * dt * joints.actions.motor[joints.rows.action[r]] * (work.before[r] + after)
     return found
 
@@ -128,7 +109,8 @@ def add_action_loads(joints: Joints, work: Work, load: Floats) -> None:
     for r in range(joints.rows.kind.size):
         k = joints.rows.action[r]
         if k != HOLDS:
-            x, v = coordinate(joints, work.y, r), rate(joints, work.gradient, r, work.y, P)
+            x = coordinate(joints, work.y, r)
+            v = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
             beyond = _beyond(actions, k, x)
             c = actions.damping[k] + (actions.stop_damping[k] if beyond != 0.0 else 0.0)
             f = -actions.stiffness[k] * _from_rest(actions, k, joints.rows.kind[r], x)
@@ -174,6 +156,10 @@ def softened(joints: Joints, work: Work) -> Joints:
         joints.drag,
         joints.acts,
         joints.damps,
+        None,
+        joints.drives,
+        joints.carried,
+        joints.moves,
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from particlerb.compiled.jit import lean_kernel
 from particlerb.joints.actions import stored_energy
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.records import DOT, HOLDS, STATE, Joints, P, Q, Work
+from particlerb.joints.records import DOT, HOLDS, STATE, TURN, Joints, P, Q, Work
 from particlerb.joints.rows import accelerations
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.vec3 import Bools, Floats
@@ -23,11 +23,11 @@ _OPEN: Final = 1e-8  # share of the largest component of a null vector that is n
 
 @lean_kernel
 def find_multipliers(joints: Joints, work: Work, load: Floats) -> None:
-    """z = λ [N, of DOT N m] of all rows in the state y under loads (n + 1, 6), force and torque."""
+    """z = λ [N, or N m] of all rows in the state y under loads (n + 1, 6), force and torque."""
     clusters, start = joints.clusters, joints.program.start
     for c in range(clusters.body.size - 1):
         first, last = clusters.joint[c], clusters.joint[c + 1]
-        factorise_cluster(joints, work, c, 0.0)
+        factorise_cluster(joints, work, c, 0.0, work.clock[0])
         accelerations(joints, work, start[first], start[last], load)
         solve(joints, work, c)
 
@@ -91,7 +91,8 @@ def make_least(joints: Joints, work: Work) -> Bools:
         something there.
     """
     is_open = np.zeros((joints.number.size, 6), dtype=np.bool_)
-    sizes = np.where(joints.rows.kind == DOT, _joint_sizes(joints), 1.0)
+    is_turning = np.isin(joints.rows.kind, (DOT, TURN))
+    sizes = np.where(is_turning, _joint_sizes(joints), 1.0)
     for c in np.flatnonzero(joints.clusters.smallest_pivot > 0.0):
         lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
         null = null_vectors(joints, work, int(c))

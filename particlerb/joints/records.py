@@ -5,12 +5,15 @@ the order of clusters, the bodies that joints tie together; behind them stands t
 that nothing moves. Arrays have the body or the row first: joints reach for single bodies.
 """
 
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.jit import Flag
 from particlerb.maths.vec3 import Bools, Floats, Ints
+
+if TYPE_CHECKING:
+    from particlerb.contact.prescribed_motion import PrescribedBodies
 
 ALONG: Final = 0  # u·d = 0 with d = x_a + r_a - x_b - r_b, u fixed in b
 WORLD_ALONG: Final = 1  # the same with u fixed in the world
@@ -19,6 +22,7 @@ DISTANCE: Final = 3  # (d·d - l²) / (2 l) = 0
 TURN: Final = 4  # no constraint: the angle of n, fixed in a, from r_b about u, both fixed in b
 STRETCH: Final = 5  # no constraint: |d|
 HOLDS: Final = -1  # the action of a row that is a constraint
+AT_REST: Final = -1  # the drive of a row that has none
 LARGEST_BLOCK: Final = 6  # rows of a joint at most
 STATE: Final = 13  # x, q, p, L of a body
 X, Q, P, L = 0, 3, 7, 10
@@ -37,6 +41,7 @@ class Rows(NamedTuple):
     length: Floats  # (m,) l of DISTANCE [m], 1 elsewhere
     size: Floats  # (m,) what a residual is measured by: the size of the joint [m], 1 of DOT
     action: Ints  # (m,) which of `Actions` acts along it; HOLDS: it is a constraint
+    drive: Ints  # (m,) which of `Drives` says what its coordinate is; AT_REST: 0
 
 
 class Actions(NamedTuple):
@@ -50,6 +55,16 @@ class Actions(NamedTuple):
     stop: Floats  # (k,) a spring of this stiffness pushes back,
     stop_damping: Floats  # (k,) and this damps
     motor: Floats  # (k,) a constant force or torque
+
+
+class Drives(NamedTuple):
+    """Coordinates c(t) that are prescribed, [m or rad], t [s] since the segment began.
+
+    c = p₀ + p₁ t + p₂ t² + p₃ t³ + A sin(ω t + φ).
+    """
+
+    polynomial: Floats  # (k, 4)
+    wave: Floats  # (k, 3) A, ω [rad/s], φ
 
 
 class Clusters(NamedTuple):
@@ -101,6 +116,9 @@ class Joints(NamedTuple):
     acts: Flag = None  # whether there are springs, stops or motors,
     damps: Flag = None  # or dampers, dashpots or drag
     coordinates: Coordinates | None = None  # None: nobody asks for them
+    drives: Drives | None = None  # None: no coordinate is prescribed
+    carried: Bools | None = None  # (n + 1,) bodies that move as prescribed; None: there are none
+    moves: Flag = None  # whether constraints move by themselves
 
     @property
     def has_potential(self) -> bool:
@@ -109,8 +127,9 @@ class Joints(NamedTuple):
 
     @property
     def reach_out(self) -> bool:
-        """Whether one ties a body to the world."""
-        return bool((self.rows.b == self.inv_mass.size - 1).any())
+        """Whether one ties a body to the world or to one that is held, or moves by itself."""
+        ends = np.concatenate([self.rows.a, self.rows.b])
+        return self.moves is not None or bool((self.inv_mass[ends] == 0.0).any())
 
 
 class Work(NamedTuple):
@@ -120,6 +139,10 @@ class Work(NamedTuple):
     pose: Floats  # (n + 1, 7) where a drift begins
     gradient: Floats  # (m, 15)
     g: Floats  # (m,) residuals
+    moving: Floats  # (m,) ∂g/∂t
+    motion: Floats  # (n + 1, 9) v, ω and dv/dt of bodies that move as prescribed, 0 of others
+    later: Floats  # (n + 1, 7) where those are at the end of a drift
+    clock: Floats  # (1,) [s] since the segment began, at the start of a step
     z: Floats  # (m,) right sides and solutions
     total: Floats  # (m,) impulses of a drift
     before: Floats  # (m,) rates of coordinates before a kick
@@ -141,6 +164,8 @@ class Jointed(NamedTuple):
     block: Ints  # (n,)
     lane: Ints  # (n,)
     given: Flag  # whether forces without potential act: what they gave is kept
+    driven: "PrescribedBodies | None"  # in the order of the clusters; None: there are none
+    start: float  # [s] when the segment began
 
 
 def room_for_joints(joints: Joints) -> Work:
@@ -153,6 +178,10 @@ def room_for_joints(joints: Joints) -> Work:
         np.zeros((n, P)),
         np.zeros((m, GRADIENT)),
         np.zeros(m),
+        np.zeros(m),
+        np.zeros((n, 9)),
+        np.zeros((n, P)),
+        np.zeros(1),
         np.zeros(m),
         np.zeros(m),
         np.zeros(m),

@@ -6,14 +6,20 @@
 | along, u in the world | u·d | u | r_a × u | u × r_b | u·k |
 | dot | n·u | 0 | n × u | -n × u | n̈·u + 2 ṅ·u̇ + n·ü |
 | distance | (d·d - l²)/(2 l) | d/l | r_a × d/l | d/l × r_b | (ḋ·ḋ + d·k)/l |
+| turn, n across u | angle of n from r_b | 0 | u | -u | u̇·(ω_a - ω_b) |
 
 d = x_a + r_a - x_b - r_b, ∂g/∂x_b = -∂g/∂x_a, θ the turn in world axes, k = ω_a × (ω_a × r_a) -
-ω_b × (ω_b × r_b); u̇ = ω × u, ü = ω × u̇. J = R I Rᵀ. See docs/joints.md.
+ω_b × (ω_b × r_b); u̇ = ω × u, ü = ω × u̇. J = R I Rᵀ. Of a row with a drive g has -c(t) more.
+See docs/joints.md.
 """
 
-from math import inf
+from math import atan2, inf, pi
+from typing import Final
+
+import numpy as np
 
 from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.joints.drives import course
 from particlerb.joints.records import (
     ALONG,
     DISTANCE,
@@ -43,6 +49,8 @@ from particlerb.maths.vec3 import (
     scale,
     subtract,
 )
+
+_WHOLE_TURN: Final = 2.0 * pi
 
 
 @lean
@@ -84,28 +92,48 @@ def arms(joints: Joints, y: Floats, r: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
 
 
 @lean
-def residual(joints: Joints, y: Floats, r: int) -> float:
-    """g of row r."""
-    ra, _, u, d = arms(joints, y, r)
+def coordinate(joints: Joints, y: Floats, r: int) -> float:
+    """Coordinate of row r [m or rad]; angles between -π and π."""
+    ra, rb, u, d = arms(joints, y, r)
     kind = joints.rows.kind[r]
+    if kind == TURN:
+        return atan2(dot(ra, cross(u, rb)), dot(ra, rb))
+    return norm(d) if kind == STRETCH else dot(u, d)
+
+
+@lean
+def shorter(kind: int, away: float) -> float:
+    """A difference of coordinates; of angles the shorter way."""
+    return away - _WHOLE_TURN * np.floor(away / _WHOLE_TURN + 0.5) if kind == TURN else away
+
+
+@lean
+def residual(joints: Joints, y: Floats, r: int, t: float) -> float:
+    """g of row r at a time."""
+    kind = joints.rows.kind[r]
+    if kind == TURN:
+        target = course(joints.drives, joints.rows.drive[r], t)[0]
+        return shorter(kind, coordinate(joints, y, r) - target)
+    ra, _, u, d = arms(joints, y, r)
     if kind == DOT:
         return dot(ra, u)
     if kind == DISTANCE:
         length = joints.rows.length[r]
         stretch: float = 0.5 * (dot(d, d) / length - length)
         return stretch
-    return dot(u, d)
+    along: float = dot(u, d) - course(joints.drives, joints.rows.drive[r], t)[0]
+    return along
 
 
 @lean_kernel
-def residuals(joints: Joints, work: Work, lo: int, hi: int) -> tuple[float, int]:
-    """g of rows lo to hi; the largest over its size and what rounding leaves, and its row."""
+def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[float, int]:
+    """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row."""
     worst, where = 0.0, lo
     for r in range(lo, hi):
-        g = residual(joints, work.y, r) if joints.rows.action[r] == HOLDS else 0.0
+        g = residual(joints, work.y, r, t) if joints.rows.action[r] == HOLDS else 0.0
         work.g[r] = g
         x, size = vector(work.y, joints.rows.a[r], X), joints.rows.size[r]
-        far = 0.0 if joints.rows.kind[r] == DOT else abs(x[0]) + abs(x[1]) + abs(x[2])
+        far = 0.0 if joints.rows.kind[r] in (DOT, TURN) else abs(x[0]) + abs(x[1]) + abs(x[2])
         g = abs(g) / (size + far)
         if not g <= worst:
             worst, where = g, r
@@ -157,7 +185,7 @@ def rates(joints: Joints, work: Work, lo: int, hi: int) -> float:
     """z = -ġ of rows lo to hi; the largest over its size [1/s]."""
     worst = 0.0
     for r in range(lo, hi):
-        found = rate(joints, work.gradient, r, work.y, P)
+        found = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
         if joints.rows.action[r] != HOLDS:
             soft = work.compliance[r]
             found = found + soft * work.total[r] if soft < inf else 0.0
@@ -185,24 +213,24 @@ def add_impulses(joints: Joints, work: Work, lo: int, hi: int, y: Floats, at: in
 
 
 @lean
-def convective(joints: Joints, y: Floats, r: int) -> float:
-    """g̈ of row r [g/s²] where no force acts, less what J⁻¹ (ω × L) gives."""
-    rows = joints.rows
+def convective(joints: Joints, work: Work, r: int) -> float:
+    """g̈ of row r [g/s²] at rest where no force acts, less what J⁻¹ (ω × L) gives."""
+    rows, y, motion = joints.rows, work.y, work.motion
     a, b, kind = rows.a[r], rows.b[r], rows.kind[r]
     ra, rb, u, d = arms(joints, y, r)
-    wa = by_inverse_inertia(joints, attitude(y, a), a, vector(y, a, L))
-    wb = by_inverse_inertia(joints, attitude(y, b), b, vector(y, b, L))
+    wa = add(by_inverse_inertia(joints, attitude(y, a), a, vector(y, a, L)), vector(motion, a, 3))
+    wb = add(by_inverse_inertia(joints, attitude(y, b), b, vector(y, b, L)), vector(motion, b, 3))
     ra1, rb1, u1 = cross(wa, ra), cross(wb, rb), cross(wb, u)
     ra2, rb2, u2 = cross(wa, ra1), cross(wb, rb1), cross(wb, u1)
     if kind == DOT:
         return dot(ra2, u) + 2.0 * dot(ra1, u1) + dot(ra, u2)
-    k = subtract(ra2, rb2)
+    if kind == TURN:
+        return dot(u1, subtract(wa, wb))
+    k = add(subtract(ra2, rb2), subtract(vector(motion, a, 6), vector(motion, b, 6)))
     if kind == WORLD_ALONG:
         return dot(u, k)
-    va, vb = (
-        scale(joints.inv_mass[a], vector(y, a, P)),
-        scale(joints.inv_mass[b], vector(y, b, P)),
-    )
+    va = add_scaled(joints.inv_mass[a], vector(y, a, P), vector(motion, a, 0))
+    vb = add_scaled(joints.inv_mass[b], vector(y, b, P), vector(motion, b, 0))
     d1 = subtract(add(va, ra1), add(vb, rb1))
     if kind == ALONG:
         return dot(u, k) + 2.0 * dot(u1, d1) + dot(u2, d)
@@ -215,7 +243,8 @@ def accelerations(joints: Joints, work: Work, lo: int, hi: int, load: Floats) ->
     """z = -g̈ of rows lo to hi under loads (n + 1, 6), force and torque, without reactions."""
     for r in range(lo, hi):
         a, b = joints.rows.a[r], joints.rows.b[r]
-        found = convective(joints, work.y, r) + rate(joints, work.gradient, r, load, 0)
+        found = convective(joints, work, r) + rate(joints, work.gradient, r, load, 0)
+        found -= course(joints.drives, joints.rows.drive[r], work.clock[0])[2]
         for k, at in ((a, 9), (b, 12)):
             spin = vector(work.y, k, L)
             w = by_inverse_inertia(joints, attitude(work.y, k), k, spin)

@@ -12,6 +12,7 @@ from particlerb.joints.records import (
     Actions,
     Clusters,
     Coordinates,
+    Drives,
     Joints,
     Program,
     Rows,
@@ -24,7 +25,8 @@ _LOOP_PIVOT = 1e-8  # over its diagonal: below it a row of a closed loop depends
 
 def joints_among(
     number: Ints, start: Ints, rows: Rows, bodies: Bodies, actions: Actions,
-    coordinates: Coordinates | None = None,
+    coordinates: Coordinates | None = None, drives: Drives | None = None,
+    carried: Bools | None = None,
 ) -> Joints:  # fmt: skip
     """Joints of a group.
 
@@ -42,6 +44,10 @@ def joints_among(
         What acts along coordinates.
     coordinates : Coordinates, optional
         To be kept track of, with bodies likewise.
+    drives : Drives, optional
+        What is prescribed.
+    carried : ndarray, shape (n,), optional
+        Which members move as prescribed.
     """
     n = bodies.mass.size
     a, b = rows.a[start[:-1]], rows.b[start[:-1]]
@@ -66,7 +72,9 @@ def joints_among(
     damps = actions.damping.any() or actions.stop_damping.any()
     return Joints(
         order, inv_mass, inv_inertia, rows, clusters, program, number[own], actions,
-        np.zeros((n + 1, 2)), flag(acts), flag(bool(damps)), coordinates,
+        np.zeros((n + 1, 2)), flag(acts), flag(bool(damps)), coordinates, drives,
+        None if carried is None else np.append(carried[order], False),
+        flag(drives is not None or carried is not None),
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from typing import Final
 from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.joints.actions import kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
+from particlerb.joints.drives import carry, set_moving
 from particlerb.joints.records import Joints, L, P, Q, Work, X
 from particlerb.joints.rows import add_impulses, attitude, linearise, rates, residuals, vector
 from particlerb.maths.quaternion import to_body
@@ -40,24 +41,28 @@ def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
         m = to_body(q, vector(y, k, L))
         q = symmetric_split(q, m, row3(joints.inv_inertia, k), dt)
         y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
+    carry(joints.carried, work, joints.clusters.body[c], joints.clusters.body[c + 1])
 
 
 @lean
-def factorise_cluster(joints: Joints, work: Work, c: int, span: float) -> None:
-    """G and the factor of A of cluster c at its pose of now; rows that damp do so over a span."""
+def factorise_cluster(joints: Joints, work: Work, c: int, span: float, t: float) -> None:
+    """G and the factor of A of cluster c at its pose and at t; rows that damp do so over a span."""
     clusters, start = joints.clusters, joints.program.start
     lo, hi = clusters.joint[c], clusters.joint[c + 1]
     for r in range(start[lo], start[hi]):
         set_compliance(joints, work, r, span)
         work.total[r] = 0.0
     linearise(joints, work, start[lo], start[hi])
+    set_moving(joints.moves, joints, work, start[lo], start[hi], t)
     assemble(joints, work, clusters.block[c], clusters.block[c + 1])
     factorise(joints, work, c)
 
 
 @lean_kernel
-def constrained_drift(joints: Joints, work: Work, c: int, kick_dt: float, dt: float) -> None:
-    """Kick of springs, and drift of cluster c over dt with impulses that let it end where g = 0.
+def constrained_drift(
+    joints: Joints, work: Work, c: int, kick_dt: float, t: float, dt: float
+) -> None:
+    """Kick of springs at t, and drift of cluster c over dt with impulses so that g = 0 at its end.
 
     `work.total` has these impulses, `work.lost` the row that does not converge.
     """
@@ -67,12 +72,12 @@ def constrained_drift(joints: Joints, work: Work, c: int, kick_dt: float, dt: fl
     for k in range(clusters.body[c], clusters.body[c + 1]):
         for i in range(P):
             work.pose[k, i] = work.y[k, i]
-    factorise_cluster(joints, work, c, 0.0)
+    factorise_cluster(joints, work, c, 0.0, t)
     kick_actions(joints.acts, joints, work, lo, hi, kick_dt)
     before = 1e300
     for _ in range(MOST_ITERATIONS):
         fly(joints, work, c, dt)
-        worst, where = residuals(joints, work, lo, hi)
+        worst, where = residuals(joints, work, lo, hi, t + dt)
         if worst <= _ROUNDING or (worst < _NEAR and worst > _GAIN * before):
             return
         before = worst
@@ -86,8 +91,10 @@ def constrained_drift(joints: Joints, work: Work, c: int, kick_dt: float, dt: fl
 
 
 @lean_kernel
-def project_momenta(joints: Joints, work: Work, c: int, kick_dt: float, span: float) -> None:
-    """Kick of springs; take from the momenta of cluster c what would break its joints.
+def project_momenta(
+    joints: Joints, work: Work, c: int, kick_dt: float, t: float, span: float
+) -> None:
+    """Kick of springs; take from the momenta of cluster c what would break its joints at t.
 
     `total` has the impulses. Over a span, dampers take half of what they will, and drag, where the
     masses have it in them.
@@ -95,7 +102,7 @@ def project_momenta(joints: Joints, work: Work, c: int, kick_dt: float, span: fl
     clusters, start = joints.clusters, joints.program.start
     first, last = clusters.joint[c], clusters.joint[c + 1]
     lo, hi = start[first], start[last]
-    factorise_cluster(joints, work, c, span)
+    factorise_cluster(joints, work, c, span, t)
     kick_actions(joints.acts, joints, work, lo, hi, kick_dt)
     before = 1e300
     for _ in range(_MOST_PASSES):

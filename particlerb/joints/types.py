@@ -9,7 +9,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.joints.records import ALONG, DISTANCE, DOT, HOLDS, TURN, WORLD_ALONG, Rows
+from particlerb.joints.records import (
+    ALONG,
+    AT_REST,
+    DISTANCE,
+    DOT,
+    HOLDS,
+    TURN,
+    WORLD_ALONG,
+    Rows,
+)
 from particlerb.maths.vec3 import Floats, Ints
 
 
@@ -41,7 +50,7 @@ COORDINATES: Final[Mapping[str, Row]] = {
     "hinge": Row(TURN, "n", "e"),
     "slider": Row(ALONG, "n"),
 }
-"""The free coordinate of a joint along which springs, stops, motors and dampers act."""
+"""The free coordinate of a joint, along which springs, stops, motors, dampers and drives act."""
 
 
 class Ends(NamedTuple):
@@ -57,14 +66,22 @@ class Ends(NamedTuple):
     size: Floats  # (k,) [m]
 
 
-def rows_of(kind: str, ends: Ends, action: int = HOLDS) -> Rows:
-    """Rows of joints of a type, joint after joint; the last ones of an action, if there is one."""
+def rows_of(kind: str, ends: Ends, action: int = HOLDS, drive: int = AT_REST) -> Rows:
+    """Rows of joints of a type, joint after joint; the last ones of an action and of a drive."""
     parts = [_row_of(row, ends) for row in TYPES[kind]]
     if action != HOLDS:
-        own = _row_of(COORDINATES[kind], ends)
-        parts.append(own._replace(action=np.full(ends.a.size, action)))
+        parts.append(_coordinate_of(kind, ends)._replace(action=np.full(ends.a.size, action)))
+    if drive != AT_REST:
+        parts.append(_coordinate_of(kind, ends)._replace(drive=np.full(ends.a.size, drive)))
     stacked = (np.stack(arrays, axis=1) for arrays in zip(*parts, strict=True))
     return Rows(*(array.reshape(-1, *array.shape[2:]) for array in stacked))
+
+
+def _coordinate_of(kind: str, ends: Ends) -> Rows:
+    """The free coordinate of each of the joints, 0 at the start."""
+    row = COORDINATES[kind]
+    own = _row_of(row, ends)
+    return own if row.kind == TURN else own._replace(second=ends.second["at"])
 
 
 def _row_of(row: Row, ends: Ends) -> Rows:
@@ -82,4 +99,5 @@ def _row_of(row: Row, ends: Ends) -> Rows:
         ends.length if row.kind == DISTANCE else one,
         one if is_dot or is_turn else ends.size,
         np.full(k, HOLDS),
+        np.full(k, AT_REST),
     )

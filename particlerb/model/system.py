@@ -15,7 +15,7 @@ import numpy as np
 from particlerb.files import Files
 from particlerb.geometry.mass_properties import MassProperties
 from particlerb.geometry.particles import Particles
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.names import BodyNames
 from particlerb.model.state import State
@@ -83,6 +83,11 @@ class System(NamedTuple):
     def n_bodies(self) -> int:
         """Number of bodies."""
         return len(self.block)
+
+    @property
+    def is_held(self) -> Bools:
+        """Whether nothing can push a body: it is fixed, or moves as prescribed; (n_bodies,)."""
+        return np.array([body.is_held for body in self.body])[self.block]
 
     @property
     def acceleration(self) -> Floats:

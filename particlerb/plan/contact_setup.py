@@ -13,15 +13,17 @@ from particlerb.case.contact import ContactTable
 from particlerb.case.problems import CaseError, Problem, nearest
 from particlerb.case.source import problem_at
 from particlerb.contact.piston import Pistons
+from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.wall_motion import PrescribedMotion
 from particlerb.contact.wall_shapes import joined
 from particlerb.contact.walls import Walls
 from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.system import System
+from particlerb.plan.driven_bodies import driven_bodies
 from particlerb.plan.initial_overlaps import refuse_misplaced
 from particlerb.plan.joint_ends import bodies_apart
 from particlerb.plan.material_pairs import MaterialPairs, pairs_of
-from particlerb.plan.wall_setup import drive_of, middle, motion_of, pistons_of, wall_of
+from particlerb.plan.wall_setup import middle, motion_of, pistons_of, wall_of
 
 NOTHING: Final = -1  # material of a body that touches nothing
 
@@ -35,8 +37,7 @@ class ContactSetup(NamedTuple):
     body: Ints  # (m,) bodies of the system that may touch, ascending
     material: Ints  # (n_bodies,) code; NOTHING for the others
     fixed: Bools  # (n_bodies,) whether a body is held: it stays, or moves as prescribed
-    driven: Ints  # (n_driven,) bodies of the system that move as prescribed, ascending,
-    drives: tuple[PrescribedMotion, ...]  # (n_driven,) and how
+    driven: PrescribedBodies | None  # bodies of the system that move as prescribed
     walls: Walls  # primitives of all walls
     motions: tuple[PrescribedMotion, ...]  # (n_walls,)
     pistons: Pistons | None  # walls that slide
@@ -63,8 +64,7 @@ def contact_of(system: System) -> ContactSetup | None:
     touches = np.array([body.contact for body in system.body])
     block = system.block
     material = np.where(touches[block], code[block], NOTHING)
-    fixed = np.array([body.is_held for body in system.body])[block]
-    driven = np.flatnonzero([system.body[i].motion is not None for i in block])
+    fixed = system.is_held
     parts: list[Walls] = []
     for number, table in enumerate(system.wall):
         try:
@@ -87,8 +87,7 @@ def contact_of(system: System) -> ContactSetup | None:
         body=np.flatnonzero(material != NOTHING),
         material=material,
         fixed=fixed,
-        driven=driven,
-        drives=tuple(drive_of(system.body[block[b]], system.state.com[:, b]) for b in driven),
+        driven=driven_bodies(system),
         walls=joined(parts),
         motions=tuple(motion_of(table.motion, middle(table)) for table in system.wall),
         pistons=pistons_of(system),

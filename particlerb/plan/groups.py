@@ -5,7 +5,6 @@ or through others, are a cluster and share one too; clusters that are copies of 
 the same step suits them, share one group again. Asymmetric bodies of a cluster come first.
 """
 
-import math
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -17,7 +16,6 @@ from particlerb.compiled.jit import flag
 from particlerb.contact.contact_model import ContactModel, ContactSpheres, GroupContact
 from particlerb.contact.interior_spheres import outer_spheres
 from particlerb.contact.law import TANGENTIAL_DAMPING, Law
-from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.sphere_search import KEY_BITS, pair_keys
 from particlerb.contact.wall_motion import motion_records
 from particlerb.contact.wall_shapes import has_edges
@@ -34,6 +32,7 @@ from particlerb.model.state import rotate_back
 from particlerb.model.system import System
 from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce
 from particlerb.plan.contact_setup import ContactSetup
+from particlerb.plan.driven_bodies import driven_among
 from particlerb.plan.joints import JointSetup
 from particlerb.plan.links import Link, attracted, components, particles_of, tree_accuracy
 from particlerb.rotors.rotor_class import ASYMMETRIC
@@ -210,7 +209,8 @@ def terms_between(
         held = group.joints.within(group.members, bodies, terms.links, time)
         if held is not None and terms.links is not None:
             terms = terms._replace(links=terms.links._replace(damping=None))
-        terms = terms._replace(joints=held)
+        driven = driven_among(group.joints.driven, group.members)
+        terms = terms._replace(joints=held, driven=None if held is None else driven)
     return terms
 
 
@@ -291,7 +291,7 @@ def _contact_among(
     skin = touching.record.skin or SKIN * float(radius.min())
     touchable = ContactModel(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
-        _drives_among(system, members, touching),
+        driven_among(touching.driven, members),
     )  # fmt: skip
     motions = motion_records(touching.motions)
     is_shown = any(name in FIELDS_OF_CONTACT for name in system.output.fields)
@@ -321,26 +321,6 @@ def _apart_among(members: Ints, apart: Ints) -> Ints:
     order = np.argsort(members)
     own = order[np.searchsorted(members[order], np.stack([a[inside], b[inside]]))]
     return np.unique(pair_keys(*own))
-
-
-def _drives_among(system: System, members: Ints, touching: ContactSetup) -> PrescribedBodies | None:
-    """Bodies of a group that move as prescribed, if there are any."""
-    which = np.flatnonzero(np.isin(members, touching.driven))
-    if not which.size:
-        return None
-    own = members[which]
-    numbers = np.searchsorted(touching.driven, own)
-    motions = [touching.drives[k] for k in numbers]
-    at_start = np.array([math.sin(motion.phase) * np.array(motion.amplitude) for motion in motions])
-    bodies, state = system.bodies, system.state
-    return PrescribedBodies(
-        which,
-        motion_records(motions),
-        np.ascontiguousarray(state.com[:, own] - at_start.T),
-        np.ascontiguousarray(state.q[:, own]),
-        bodies.mass[own],
-        np.ascontiguousarray(bodies.inertia[:, own]),
-    )
 
 
 def _reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:

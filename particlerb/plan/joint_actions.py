@@ -4,7 +4,7 @@ import numpy as np
 
 from particlerb.case.joints import JointTable
 from particlerb.forces.links import WORLD, Links
-from particlerb.joints.records import STRETCH, Actions, Rows
+from particlerb.joints.records import AT_REST, STRETCH, Actions, Rows
 from particlerb.joints.setup import action, both_actions
 
 
@@ -33,6 +33,7 @@ def with_dashpots(rows: Rows, actions: Actions, links: Links, n: int) -> tuple[R
         np.ones(m),
         np.ones(m),
         actions.motor.size + np.arange(m),
+        np.full(m, AT_REST),
     )
     none = np.zeros((8, m))
     damping = Actions(*none)._replace(

@@ -4,6 +4,7 @@
 with its bodies where all joints fit.
 """
 
+import math
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -13,9 +14,17 @@ from particlerb.case.joints import ACTIONS, JointTable
 from particlerb.case.output import FIELDS_OF_JOINTS
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.source import problem_at
+from particlerb.contact.prescribed_motion import (
+    PrescribedBodies,
+    prescribed_momenta,
+    prescribed_pose,
+)
 from particlerb.forces.links import Links
 from particlerb.joints.coordinates import COORDINATES, coordinates_of, united
+from particlerb.joints.drives import set_moving
 from particlerb.joints.records import (
+    AT_REST,
+    HOLDS,
     Actions,
     Coordinates,
     Joints,
@@ -31,7 +40,9 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import State, lengths, rotate_back
 from particlerb.model.system import System
+from particlerb.plan.driven_bodies import driven_bodies
 from particlerb.plan.joint_actions import action_of, with_dashpots
+from particlerb.plan.joint_drives import Course, course_of, drives_from
 from particlerb.plan.joint_ends import WORLD, ends_of, pairs_of
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
@@ -55,6 +66,8 @@ class JointSetup(NamedTuple):
     counts_turns: bool  # whether somebody asks for coordinates
     actions: Actions
     until: Floats  # (j,) [s] when each is released
+    courses: tuple[Course, ...]  # what is prescribed
+    driven: PrescribedBodies | None  # bodies of the system that move as prescribed
 
     def within(
         self, members: Ints, bodies: Bodies, links: Links | None = None, time: float = 0.0
@@ -81,7 +94,14 @@ class JointSetup(NamedTuple):
             rows, actions = with_dashpots(rows, actions, links, members.size)
             start = np.r_[start, start[-1] + 1 + np.arange(links.first.size)]
             which = np.r_[which, np.full(links.first.size, -1)]
-        return joints_among(which, start, rows, bodies, actions, coordinates)
+        drives = drives_from(self.courses, time) if self.drives_among(members) else None
+        carried = None if self.driven is None else np.isin(members, self.driven.which)
+        return joints_among(which, start, rows, bodies, actions, coordinates, drives, carried)
+
+    def drives_among(self, members: Ints) -> list[Course]:
+        """What is prescribed among the members of a group."""
+        own = np.unique(self.rows.drive[np.isin(self.rows.a, members)])
+        return [self.courses[k] for k in own[own != AT_REST].tolist()]
 
     @property
     def coordinate_labels(self) -> list[tuple[str, str]]:
@@ -115,7 +135,7 @@ def joints_of(system: System) -> JointSetup | None:
     _refuse_with_joints(system)
     names, records, rows, count, problems = [], [], [], [], []
     coordinates, places = list[Coordinates](), list[Floats]()
-    actions = NO_ACTIONS
+    actions, driven = NO_ACTIONS, [k for k, t in enumerate(system.joint) if t.drive is not None]
     for number, table in enumerate(system.joint):
         first, second = pairs_of(system, table)
         if problem := _wrong_ends(system, number, first, second):
@@ -127,10 +147,10 @@ def joints_of(system: System) -> JointSetup | None:
             hint = 'give points that lie apart, or type = "ball"'
             problems.append(problem_at(system, f"joint[{number}]", reason, hint))
             continue
-        own = rows_of(table.type, ends)
-        if any(getattr(table, key) for key in ACTIONS):
-            own = rows_of(table.type, ends, actions.motor.size)
-            actions = both_actions(actions, action_of(table))
+        acts, is_driven = any(getattr(table, key) for key in ACTIONS), number in driven
+        action, drive = actions.motor.size, driven.index(number) if is_driven else AT_REST
+        own = rows_of(table.type, ends, action if acts else HOLDS, drive)
+        actions = both_actions(actions, action_of(table)) if acts else actions
         names += [joint_name(system, table, first, second, k) for k in range(first.size)]
         records.append((np.full(first.size, number), first, second))
         rows.append(own)
@@ -154,9 +174,10 @@ def joints_of(system: System) -> JointSetup | None:
         "joint_coordinate" in asked_of_joints(system),
         actions,
         np.array([system.joint[k].until for k in record.tolist()]),
+        tuple(course_of(table.drive) for table in system.joint if table.drive is not None),
+        driven_bodies(system),
     )
-    problems = _impossible(system, setup) + _held_impulses(system, setup)
-    if problems:
+    if problems := _impossible(system, setup) + _held_impulses(system, setup):
         raise CaseError(problems)
     return setup
 
@@ -199,18 +220,21 @@ def _unique(names: list[str]) -> tuple[str, ...]:
 
 def _wrong_ends(system: System, number: int, first: Ints, second: Ints) -> Problem | None:
     """What is wrong with a joint of a body and itself, or of bodies that do not move freely."""
-    is_held = np.array([body.is_held for body in system.body])[system.block]
-    moving = np.array([body.motion is not None for body in system.body])[system.block]
+    is_held, table = system.is_held, system.joint[number]
+    moves = np.array([body.motion is not None for body in system.body])[system.block]
     for a, b in zip(first.tolist(), second.tolist(), strict=True):
         if a == b:
             reason = f"ties {system.names[a]} to itself"
             return problem_at(system, f"joint[{number}].to", reason, "name another body")
-        if moving[a] or (b != WORLD and moving[b]):
-            reason = "a joint of a body that moves as prescribed is not computed yet"
-            return problem_at(system, f"joint[{number}]", reason, "drive it by a stiff spring")
         if is_held[a] and (b == WORLD or is_held[b]):
-            reason = f"{system.names[a]} is fixed, and so is the other side"
-            return problem_at(system, f"joint[{number}].body", reason, "name a body that moves")
+            reason = f"{system.names[a]} is fixed or driven, and so is the other side"
+            return problem_at(system, f"joint[{number}].body", reason, "name a body that is free")
+        carrier = next((end for end in (a, b) if end != WORLD and moves[end]), None)
+        if carrier is not None and system.contact is None and table.until < math.inf:
+            reason = f"{system.names[carrier]} is driven, and would stand still once it is released"
+            return problem_at(
+                system, f"joint[{number}].during", reason, "add [contact], or keep it"
+            )
     return None
 
 
@@ -228,11 +252,16 @@ class _AtStart(NamedTuple):
 def _at_start(system: System, setup: JointSetup) -> _AtStart:
     """Joints of all bodies of a system."""
     n = system.n_bodies
-    is_held = np.array([body.is_held for body in system.body])[system.block]
-    joints = setup.within(np.arange(n), held(system.bodies, is_held))
+    joints = setup.within(np.arange(n), held(system.bodies, system.is_held))
     assert joints is not None
     work = room_for_joints(joints)
     work.y[:n] = np.vstack(system.state).T[joints.order]
+    for k in range(0 if setup.driven is None else setup.driven.which.size):
+        assert setup.driven is not None
+        x, q, v, w = prescribed_pose(setup.driven, k, 0.0)
+        own = int(np.flatnonzero(joints.order == setup.driven.which[k])[0])
+        work.y[own] = [*x, *q, *np.concatenate(prescribed_momenta(setup.driven, k, q, v, w))]
+        work.motion[own, :6], work.later[own] = [*v, *w], [*x, *q]
     edges = joints.program.start[joints.clusters.joint].tolist()
     return _AtStart(joints, work, [slice(*ends) for ends in pairwise(edges)])
 
@@ -291,7 +320,7 @@ def assembled(system: System) -> System:
     joints, work, rows = _at_start(system, setup)
     n, m = system.n_bodies, joints.rows.kind.size
     if m:
-        residuals(joints, work, 0, m)
+        residuals(joints, work, 0, m, 0.0)
         off = np.abs(work.g) / joints.rows.size
         _refuse_misfits(system, setup, joints, off, "{name} does not fit where its bodies start:")
     before = work.y.copy()
@@ -299,12 +328,12 @@ def assembled(system: System) -> System:
         bodies = slice(joints.clusters.body[c], joints.clusters.body[c + 1])
         if own.start < own.stop and off[own].max() > 0.0:
             work.y[bodies, 7:] = 0.0
-            constrained_drift(joints, work, c, 0.0, 1.0)
+            constrained_drift(joints, work, c, 0.0, -1.0, 1.0)
             work.y[bodies, 7:] = before[bodies, 7:]
             _refuse_apart(system, setup, joints, work, own)
     _refuse_fast(system, setup, joints, work)
     for c in range(len(rows)):
-        project_momenta(joints, work, c, 0.0, 0.0)
+        project_momenta(joints, work, c, 0.0, 0.0, 0.0)
     moved = float(lengths((work.y - before)[:n, :3].T).max())
     state = np.empty((13, n))
     state[:, joints.order] = work.y[:n].T
@@ -327,6 +356,8 @@ def _refuse_misfits(
             continue
         reason = f"{what.format(name=setup.names[joint])} off by {off[row]:.3g} of its size"
         hint = "mend it, or give assemble = true to let bodies be moved until it fits"
+        if system.joint[number].drive is not None:
+            hint += "; bodies begin with the speed of a drive"
         problems[number] = problem_at(system, f"joint[{number}]", reason, hint)
     if problems:
         raise CaseError(problems.values())
@@ -336,7 +367,7 @@ def _refuse_apart(
     system: System, setup: JointSetup, joints: Joints, work: Work, own: slice
 ) -> None:
     """Raise CaseError where the joints of a cluster have not come together."""
-    residuals(joints, work, own.start, own.stop)
+    residuals(joints, work, own.start, own.stop, 0.0)
     off = np.abs(work.g[own]) / joints.rows.size[own]
     if (off <= _FITS).all():  # of NaN it is not
         return
@@ -350,6 +381,7 @@ def _refuse_fast(system: System, setup: JointSetup, joints: Joints, work: Work) 
     """Raise CaseError where velocities at the start break a joint that may not be assembled."""
     m = joints.rows.kind.size
     linearise(joints, work, 0, m)
+    set_moving(joints.moves, joints, work, 0, m, 0.0)
     rates(joints, work, 0, m)
     speed = np.zeros(m)
     for end in (joints.rows.a, joints.rows.b):

@@ -22,6 +22,7 @@ from particlerb.model.system import System
 from particlerb.plan.case_forces import acting_terms, acts, jumps_at
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.groups import BodyGroup, part_of, terms_between
+from particlerb.plan.joint_drives import drives_from
 from particlerb.rotors.rotor_class import POINT
 from particlerb.stepping.closed_forms import has_closed_form
 from particlerb.stepping.motion import Group
@@ -81,11 +82,11 @@ def cut_into_segments(
         edges.update(form.edges)
     if group.joints is not None:
         edges.update(group.joints.until[np.isin(group.joints.first, group.members)].tolist())
+        driven = group.joints.drives_among(group.members)
+        edges.update(*(course.knots.tolist() for course in driven))
     starts = sorted(edge for edge in edges if begin <= edge < np.inf)
     members, forces = group.members, group.forces
-    bodies = taken(system.bodies, members)
-    if touching is not None:
-        bodies = held(bodies, touching.fixed[members])
+    bodies = held(taken(system.bodies, members), system.is_held[members])
     between: dict[tuple[int, ...], Terms] = {}  # by released joints and the numbers of the links
     segments, closed = [], []
     for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
@@ -97,7 +98,10 @@ def cut_into_segments(
             between[key] = terms_between(system, group, bodies, links, touching, start)
         alone = acting_terms(system, bodies, acting, start)
         terms = between[key]._replace(gravity=alone.gravity, loads=alone.loads)
-        if terms.joints is not None:
+        if terms.joints is not None and group.joints is not None:
+            if terms.joints.drives is not None:
+                drives = drives_from(group.joints.courses, start)
+                terms = terms._replace(joints=terms.joints._replace(drives=drives))
             terms = _with_drag_among_joints(terms, bodies)
         jumps = jumps_at(forces, bodies, start) if start > begin or begin == 0.0 else ()
         method, is_closed = _chosen_method(system.run.method, bodies, terms)

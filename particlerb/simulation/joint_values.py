@@ -12,9 +12,11 @@ import numpy as np
 from particlerb.case.problems import CaseError, nearest
 from particlerb.case.source import problem_at
 from particlerb.integrators import METHODS
+from particlerb.integrators.joint_stages import place_driven
 from particlerb.integrators.stages import gather_loads
 from particlerb.joints.actions import add_action_loads
 from particlerb.joints.coordinates import values_of
+from particlerb.joints.drives import set_moving
 from particlerb.joints.reactions import find_multipliers, forces_of_joints, make_least
 from particlerb.joints.rows import linearise, rates, residuals
 from particlerb.maths.vec3 import Floats, Ints
@@ -128,6 +130,11 @@ class JointReader:
         work, m = work_at(joints, state), joints.rows.kind.size
         padded = np.zeros((joints.inv_mass.size, 6))
         padded[:-1] = loads.T[joints.order]
+        work.clock[0] = time - self.segment.start
+        assert motion.moving.jointed is not None
+        jointed = motion.moving.jointed._replace(work=work)
+        place_driven(jointed.driven, jointed, work.clock[0], 0.0, 0, len(work.y))
+        set_moving(joints.moves, joints, work, 0, m, work.clock[0])
         linearise(joints, work, 0, m)
         add_action_loads(joints, work, padded)
         find_multipliers(joints, work, padded)
@@ -140,7 +147,7 @@ class JointReader:
         values.joint_force[row, own], values.joint_torque[row, own] = force, torque
         values.joint_force_determined[row, own] = is_known[:, :3]
         values.joint_torque_determined[row, own] = is_known[:, 3:]
-        residuals(joints, work, 0, m)
+        residuals(joints, work, 0, m, work.clock[0])
         rates(joints, work, 0, m)
         start, size = joints.program.start[:-1], joints.rows.size
         misfit = np.maximum.reduceat(np.abs(work.g) / size, start)

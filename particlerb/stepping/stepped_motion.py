@@ -135,7 +135,10 @@ class SteppedMotion(Motion):
         count_turns(joints.coordinates, work.y, work.turned)
         work.turned[:, 2] = 0.0
         given = flag(not has_potential(self.group.terms))
-        return Jointed(joints, work, slots // BLOCK, slots % BLOCK, given)
+        driven = self.group.terms.driven
+        if driven is not None:
+            driven = driven._replace(which=np.argsort(joints.order)[driven.which])
+        return Jointed(joints, work, slots // BLOCK, slots % BLOCK, given, driven, self.start)
 
     def lost_joints(self) -> list[int]:
         """Joints of the system that no impulse keeps any more."""

@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.case.forces import PushTable
+from particlerb.case.joints import ACTIONS
 from particlerb.case.problems import CaseError
 from particlerb.case.source import problem_at
 from particlerb.export import ExportError
@@ -118,7 +119,7 @@ def peer_scene(system: System) -> PeerScene:
     """
     types = import_module(f"{_adapters().__name__}.scene")
     bodies, state = system.bodies, system.state
-    acting = ("spring", "damper", "limit", "motor", "during")
+    acting = (*ACTIONS, "drive", "during")
     if system.attraction is not None or any(getattr(t, k) for t in system.joint for k in acting):
         raise ValueError(_GIVEN)
     pushes = []

@@ -38,6 +38,7 @@ HEADINGS = {
     "at, axis of a joint = { body = [..] }": "InFrame",
     "spring of a joint": "JointSpring",
     "limit of a joint": "JointLimit",
+    "drive of a joint": "JointDrive",
     "[contact]": "ContactTable",
     "[[contact.pair]]": "Pair",
     "[[material]]": "Material",

@@ -1,0 +1,71 @@
+"""Prescribed coordinates of joints: polynomials between knots, and an oscillation."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.case.joints import JointDrive
+from particlerb.joints.records import Drives
+from particlerb.maths.vec3 import Floats
+
+
+class Course(NamedTuple):
+    """A coordinate in time: polynomials of degree three, the last one without end, and a wave."""
+
+    knots: Floats  # (k,) [s] where each begins; the first at 0
+    polynomial: Floats  # (k, 4) coefficients, of the time since its knot
+    wave: tuple[float, float, float]  # A sin(ω t + φ)
+
+    def since(self, start: float) -> tuple[Floats, tuple[float, float, float]]:
+        """The same from a time on, until the next knot: of the time since then."""
+        k = int(np.searchsorted(self.knots, start, side="right")) - 1
+        s, (a, b, c, d) = start - self.knots[k], self.polynomial[k]
+        shifted = [a + s * (b + s * (c + s * d)), b + s * (2 * c + 3 * s * d), c + 3 * s * d, d]
+        amplitude, rate, phase = self.wave
+        return np.array(shifted), (amplitude, rate, math.remainder(phase + rate * start, math.tau))
+
+
+def course_of(drive: JointDrive) -> Course:
+    """What a table prescribes."""
+    if drive.position is not None:
+        t, x = drive.position.T
+        return Course(t, _spline(t, x, drive.end_speeds), (0.0, 0.0, 0.0))
+    if drive.amplitude is not None:
+        rate = math.tau * (drive.frequency or 0.0)
+        polynomial = np.array([[-drive.amplitude * math.sin(drive.phase), 0.0, 0.0, 0.0]])
+        return Course(np.zeros(1), polynomial, (drive.amplitude, rate, drive.phase))
+    rows = np.array([[0.0, drive.speed]]) if isinstance(drive.speed, float) else drive.speed
+    assert rows is not None
+    t, v = rows.T
+    gains = np.append(np.diff(v) / np.diff(t), 0.0)
+    x = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
+    return Course(t, np.stack([x, v, 0.5 * gains, 0.0 * t], axis=1), (0.0, 0.0, 0.0))
+
+
+def _spline(t: Floats, x: Floats, ends: tuple[float, float]) -> Floats:
+    """Cubic polynomials through knots, of continuous curvature, with these speeds at both ends.
+
+    After the last knot the speed stays. Source: de Boor, A Practical Guide to Splines, chapter IV.
+    """
+    h, slope = np.diff(t), np.diff(x) / np.diff(t)
+    n = t.size
+    speeds = np.array([ends[0], *np.zeros(n - 2), ends[1]])
+    A = np.eye(n)
+    for k in range(1, n - 1):
+        A[k, k - 1 : k + 2] = h[k], 2.0 * (h[k - 1] + h[k]), h[k - 1]
+        speeds[k] = 3.0 * (h[k] * slope[k - 1] + h[k - 1] * slope[k])
+    v = np.linalg.solve(A, speeds)
+    curvature = (3.0 * slope - 2.0 * v[:-1] - v[1:]) / h
+    rest = (v[:-1] + v[1:] - 2.0 * slope) / (h * h)
+    last = np.array([[x[-1], ends[1], 0.0, 0.0]])
+    return np.vstack([np.stack([x[:-1], v[:-1], curvature, rest], axis=1), last])
+
+
+def drives_from(courses: Sequence[Course], start: float) -> Drives | None:
+    """All of them from a time on; None where there are none."""
+    if not courses:
+        return None
+    polynomials, waves = zip(*(course.since(start) for course in courses), strict=True)
+    return Drives(np.array(polynomials), np.array(waves))
