@@ -21,7 +21,7 @@ BUDGETS = {
     "what users see of joints": 831,
     "what acts on jointed bodies": 605,
     "unrolled columns in factors of joints, for speed": 30,
-    "prescribed motion in joints, and driven bodies there": 326,
+    "prescribed motion in joints, and driven bodies there": 335,
     "contact with every method": 480,
     "impulses": 1313,
     "tables of forces": 232,

@@ -212,8 +212,8 @@ def test_knots_of_a_drive_leave_other_mechanisms_alone():
 
 # Bodies that move as prescribed
 
-SHAKEN = {"velocity": [0.1, 0.0, 0.0], "angular_velocity": [0.0, 2.0, 0.0],
-          "oscillation": {"amplitude": [0.05, 0.0, 0.02], "frequency": 1.5, "phase": 0.3}}  # fmt: skip
+WAVE = {"amplitude": [0.05, 0.0, 0.02], "frequency": 1.5, "phase": 0.3}
+SHAKEN = {"velocity": [0.1, 0, 0], "angular_velocity": [0, 2.0, 0], "oscillation": WAVE}
 
 
 def shaken(t):
@@ -234,7 +234,7 @@ def platform(kind="fixed", **keys):
     arm = np.array([0.4, 0.0, 0.2])
     block = body("block", 0.5, [0.01, 0.02, 0.025], shift + arm, v + np.cross(spin, arm), spin)
     axis = None if kind == "fixed" else Y
-    tie = joint(kind, "block", "base", shift + [0.1, 0, 0], axis, **keys)
+    tie = joint(kind, "block", "base", shift + np.array([0.1, 0, 0]), axis, **keys)
     return case([base, block], [tie], output=OUTPUT)
 
 
@@ -247,7 +247,7 @@ def test_a_body_fixed_to_a_driven_one_goes_with_it():
         arm = np.stack([0.4 * c + 0.2 * s, 0 * t, 0.2 * c - 0.4 * s], axis=1)
         assert x[:, 1] == pytest.approx(x[:, 0] + arm, abs=1e-13)
         a = shaken(t)[1] - 4.0 * arm
-        assert loads.force[:, 0] == pytest.approx(0.5 * (a + [0, 0, 9.81]), abs=1e-11)
+        assert loads.force[:, 0] == pytest.approx(0.5 * (a + np.array([0, 0, 9.81])), abs=1e-11)
         assert loads.misfit.max() < 1e-13
         assert loads.rate.max() < 1e-12
         assert np.abs(trajectory.ledger.energy_error).max() < 2e-3
@@ -280,11 +280,11 @@ def test_contact_beside_it_changes_nothing():
     lone = ball | {"position": [0, 9, 9]}
     scene["body"] = [table | {"contact": False} for table in scene["body"]]
     scene["body"] += [lone, ball | {"name": "other", "position": [0, -9, 9]}]
-    with moved(scene, 0.3, 0.005, every=0.1) as alone:
-        with moved({**scene, "contact": contact}, 0.3, 0.005, every=0.1) as beside:
-            x, y = np.array(alone.position), np.array(beside.position)
-            assert x == pytest.approx(y, abs=1e-14)
-            assert alone.velocity == pytest.approx(np.array(beside.velocity), abs=1e-13)
+    both = moved({**scene, "contact": contact}, 0.3, 0.005, every=0.1)
+    with moved(scene, 0.3, 0.005, every=0.1) as alone, both as beside:
+        x, y = np.array(alone.position), np.array(beside.position)
+        assert x == pytest.approx(y, abs=1e-14)
+        assert alone.velocity == pytest.approx(np.array(beside.velocity), abs=1e-13)
 
 
 def test_a_driven_body_is_not_left_behind():
