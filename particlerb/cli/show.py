@@ -10,13 +10,13 @@ from particlerb.cli.common import PICTURES, amount, opened, readable, to_write
 from particlerb.cli.endings import DONE, FAILED, Ending, tamed
 from particlerb.compiled.jit import CACHE_FOLDER
 from particlerb.compiled.vector_width import machine
+from particlerb.model.state import STATE_FIELDS
 from particlerb.record.provenance import versions
 from particlerb.record.schema import CONTACTS
 from particlerb.record.trajectory import Trajectory
 from particlerb.record.verify import Finding, verify
 
 _LONGEST_TEXT: Final = 10_000
-_PLOTTED: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
 _CHAINS: Final = ("position", "orientation", "contacts")
 
 
@@ -116,7 +116,7 @@ def plot_command(options: argparse.Namespace) -> int:
         to_write(path, options.overwrite, Path(options.file))
         names = list(trajectory.names)
         recorded = [*trajectory.fields, *trajectory.other_fields]
-        wanted = _CHAINS if options.contacts else _PLOTTED
+        wanted = _CHAINS if options.contacts else STATE_FIELDS
         lacking = [field for field in wanted if field not in recorded]
         if lacking:
             raise Ending(f"{options.file} lacks {', '.join(lacking)}: see [output] fields")

@@ -20,7 +20,15 @@ from particlerb.export import ExportError
 from particlerb.export.bodies import COMMENT, numbers
 from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import inertia_in_body, omega_world, quaternion_product, rotate
+from particlerb.model.state import (
+    CONJUGATE,
+    body_orientation,
+    inertia_in_body,
+    omega_world,
+    quaternion_product,
+    rotate,
+    rotate_back,
+)
 from particlerb.model.system import System
 from particlerb.plan.joint_ends import WORLD
 from particlerb.plan.joints import JointSetup, joints_of
@@ -29,7 +37,6 @@ from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 _ONLY_IN_TREES: Final = ("slider", "cylindrical", "universal", "planar")
 _STEP: Final = 1e-3  # [s] where the case gives none
 _STIFF: Final = 2.0  # time constant of equalities, in steps: the least that MuJoCo takes
-_CONJUGATE: Final = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 class _Body(NamedTuple):
@@ -42,7 +49,7 @@ class _Body(NamedTuple):
 
     def turned_back(self, v: Floats) -> Floats:
         """A vector of the world in the frame of the body."""
-        found: Floats = rotate((self.orientation * _CONJUGATE)[:, None], v[:, None])[:, 0]
+        found: Floats = rotate_back(self.orientation[:, None], v[:, None])[:, 0]
         return found
 
     def local(self, x: Floats) -> Floats:
@@ -92,7 +99,7 @@ class _Writer:
 
     def __init__(self, system: System, setup: JointSetup) -> None:
         self.system = system
-        q = quaternion_product(system.state.q, system.bodies.rotor_frame * _CONJUGATE[:, None])
+        q = body_orientation(system.state.q, system.bodies.rotor_frame)
         v, w = system.state.p * system.bodies.inv_mass, omega_world(system.bodies, system.state)
         columns = (system.state.com.T, q.T, v.T, w.T)
         self.bodies = [_Body(*rows) for rows in zip(*columns, strict=True)]
@@ -165,9 +172,9 @@ class _Writer:
     def add_body(self, b: int, parent: int, j: int) -> None:
         """Add a body to the one that it hangs from."""
         own, other = self.bodies[b], self.bodies[parent]
-        turn = other.orientation * _CONJUGATE
         place = numbers(other.local(own.position))
-        turned = numbers(quaternion_product(turn[:, None], own.orientation[:, None])[:, 0])
+        turn = other.orientation[:, None] * CONJUGATE
+        turned = numbers(quaternion_product(turn, own.orientation[:, None])[:, 0])
         name = self.system.names[b]
         element = ET.SubElement(self.elements[parent], "body", name=name, pos=place, quat=turned)
         self.elements[b] = element

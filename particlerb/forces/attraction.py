@@ -18,10 +18,9 @@ from collections.abc import Callable
 from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
 
-from particlerb.compiled.jit import config, inline, kernel
+from particlerb.compiled.instructions import BITS, instruction
+from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import load4, matrix, rows4, turn
 from particlerb.maths.vec3 import (
@@ -82,27 +81,17 @@ def tiles_of(n_points: int) -> int:
 # Powers of a squared distance
 
 
-def _seed_in_python(x: float) -> float:
+def _plain_seed(x: float) -> float:
     """About x^{-1/2}."""
     bits = _SEED - (struct.unpack("<q", struct.pack("<d", x))[0] >> 1)
     return cast(float, struct.unpack("<d", struct.pack("<q", bits))[0])
 
 
-def _seed_instruction(typing: Any, x: Any) -> Any:
+@instruction(_plain_seed)
+def seed(builder: Any, x: Any) -> Any:
     """About x^{-1/2} of a normal x > 0: the bits of a double are, roughly, its logarithm."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        integer = context.get_value_type(types.int64)
-        bits = builder.lshr(builder.bitcast(arguments[0], integer), integer(1))
-        return builder.bitcast(builder.sub(integer(_SEED), bits), arguments[0].type)
-
-    return types.float64(types.float64), generate
-
-
-seed = cast(
-    Callable[[float], float],
-    _seed_in_python if config.DISABLE_JIT else intrinsic(_seed_instruction),
-)
+    bits = builder.lshr(builder.bitcast(x, BITS), BITS(1))
+    return builder.bitcast(builder.sub(BITS(_SEED), bits), x.type)
 
 
 @inline

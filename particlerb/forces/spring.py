@@ -14,7 +14,7 @@ from particlerb.maths.quaternion import Rows, turn
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import get, get3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, lengths, quaternion_product, rotate, rotate_back
+from particlerb.model.state import State, body_orientation, lengths, rotate, rotate_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import SpringTable
@@ -114,8 +114,7 @@ def places(system: "System", bodies: Ints, at: Floats | tuple[float, float, floa
     """
     own = np.array(at, dtype=np.float64)
     own = np.tile(own[:, None], bodies.size) if own.ndim == 1 else own
-    inverse = system.bodies.rotor_frame[:, bodies] * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-    q = quaternion_product(system.state.q[:, bodies], inverse)
+    q = body_orientation(system.state.q[:, bodies], system.bodies.rotor_frame[:, bodies])
     place: Floats = system.state.com[:, bodies] + rotate(q, own)
     return place
 

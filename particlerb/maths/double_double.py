@@ -9,13 +9,10 @@ Sources: Dekker, Numer. Math. 18, 224 (1971); Knuth, The Art of Computer Program
 Joldes, Muller, Popescu, ACM Trans. Math. Softw. 44, 15res (2017), algorithms 6 and 11.
 """
 
-from collections.abc import Callable
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
-from numba import types
-from numba.extending import intrinsic
-
-from particlerb.compiled.jit import config, inline
+from particlerb.compiled.instructions import instruction
+from particlerb.compiled.jit import inline
 from particlerb.maths.vec3 import Vec3
 
 _DoubleDouble: TypeAlias = tuple[float, float]
@@ -30,7 +27,7 @@ def split(a: float) -> _DoubleDouble:
     return high, a - high
 
 
-def _fused_in_python(a: float, b: float, c: float) -> float:
+def _plain_fused(a: float, b: float, c: float) -> float:
     """a b + c with the product exact (Dekker), so that a b - round(a b) is exact as well."""
     product = a * b
     (a1, a2), (b1, b2) = split(a), split(b)
@@ -38,19 +35,10 @@ def _fused_in_python(a: float, b: float, c: float) -> float:
     return (product + c) + rest
 
 
-def _fused_instruction(typing: Any, a: Any, b: Any, c: Any) -> Any:
+@instruction(_plain_fused)
+def _fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
     """a b + c in one rounding: LLVM's fma, which vectorises."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.fma(*arguments)
-
-    return types.float64(types.float64, types.float64, types.float64), generate
-
-
-_fused = cast(
-    Callable[[float, float, float], float],
-    _fused_in_python if config.DISABLE_JIT else intrinsic(_fused_instruction),
-)
+    return builder.fma(a, b, c)
 
 
 @inline

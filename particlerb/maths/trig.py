@@ -5,13 +5,10 @@ of a quaternion may be reduced modulo π, because q and -q are the same rotation
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
-from numba import types
-from numba.extending import intrinsic
-
-from particlerb.compiled.jit import config, inline
+from particlerb.compiled.instructions import BITS, instruction
+from particlerb.compiled.jit import inline
 
 _INV_PI = 0.3183098861837907
 _PI_HIGH = 3.141592651605606  # the first 29 bits of π: a product with an integer below 2²⁴ is exact
@@ -112,27 +109,16 @@ def angle_of(cos: float, sin: float) -> float:
     return angle if cos >= 0.0 else supplement
 
 
-def _power_of_two_in_python(rounded: float) -> float:
+def _plain_power_of_two(rounded: float) -> float:
     """2ⁿ of n + ROUNDING."""
     return math.ldexp(1.0, int(rounded - _ROUNDING))
 
 
-def _power_of_two_instruction(typing: Any, rounded: Any) -> Any:
+@instruction(_plain_power_of_two)
+def _power_of_two(builder: Any, rounded: Any) -> Any:
     """2ⁿ of n + ROUNDING: the last bits of that sum are n, shifted into the exponent."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        integer = context.get_value_type(types.int64)
-        bits = builder.bitcast(arguments[0], integer)
-        exponent = builder.add(bits, integer(1023))
-        return builder.bitcast(builder.shl(exponent, integer(52)), arguments[0].type)
-
-    return types.float64(types.float64), generate
-
-
-_power_of_two = cast(
-    Callable[[float], float],
-    _power_of_two_in_python if config.DISABLE_JIT else intrinsic(_power_of_two_instruction),
-)
+    exponent = builder.add(builder.bitcast(rounded, BITS), BITS(1023))
+    return builder.bitcast(builder.shl(exponent, BITS(52)), rounded.type)
 
 
 @inline
@@ -158,27 +144,17 @@ def decay(x: float) -> float:
     return exp * _power_of_two(rounded)
 
 
-def _exponent_in_python(x: float) -> float:
+def _plain_exponent(x: float) -> float:
     """Floor of log₂ x."""
     return math.frexp(x)[1] - 1.0
 
 
-def _exponent_instruction(typing: Any, x: Any) -> Any:
+@instruction(_plain_exponent)
+def exponent(builder: Any, x: Any) -> Any:
     """Floor of log₂ x of a normal x > 0: the exponent bits, as a double."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        integer = context.get_value_type(types.int64)
-        bits = builder.lshr(builder.bitcast(arguments[0], integer), integer(52))
-        double = builder.bitcast(builder.add(bits, integer(_TWO_52_BITS)), arguments[0].type)
-        return builder.fsub(double, arguments[0].type(2.0**52 + 1023.0))
-
-    return types.float64(types.float64), generate
-
-
-exponent = cast(
-    Callable[[float], float],
-    _exponent_in_python if config.DISABLE_JIT else intrinsic(_exponent_instruction),
-)
+    bits = builder.lshr(builder.bitcast(x, BITS), BITS(52))
+    double = builder.bitcast(builder.add(bits, BITS(_TWO_52_BITS)), x.type)
+    return builder.fsub(double, x.type(2.0**52 + 1023.0))
 
 
 @inline

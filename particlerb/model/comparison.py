@@ -14,8 +14,6 @@ from particlerb.maths.vec3 import Floats, Ints, cross, dot
 from particlerb.model.bodies import Bodies
 from particlerb.rotors.rotor_class import POINT, ROD
 
-CONJUGATE = np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-
 
 @inline
 def _angle_between(code: int, frame: Quat, a: Quat, b: Quat) -> float:

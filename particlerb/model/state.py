@@ -5,7 +5,7 @@ fill SIMD lanes. Outside (`Frames`, files, the API): (frame, body, component), o
 user's body frame, sign of q continuous in time.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,20 @@ class Frames(NamedTuple):
     angular_momentum: Floats  # (T, N, 3) [kg m²/s], about the centre of mass
     last: Floats  # (N, 4) orientation of the last frame, for a continuous sign
     is_frame: Bools  # (T,) whether a row is a frame, or only looked at by a check
+
+    def rows(self, which: slice) -> "Frames":
+        """View of some rows."""
+        x, q, p, L = (values[which] for values in self[:4])
+        return Frames(x, q, p, L, self.last, self.is_frame[which])
+
+    def copied_row(self, k: int) -> "Frames":
+        """Copy of one row."""
+        x, q, p, L = (values[k][None].copy() for values in self[:4])
+        return Frames(x, q, p, L, self.last, self.is_frame[k][None])
+
+
+STATE_FIELDS: Final = Frames._fields[:4]  # what the state of a body is, in a file and elsewhere
+CONJUGATE: Final = np.array([[1.0], [-1.0], [-1.0], [-1.0]])  # quaternions (4, n) times it
 
 
 def room_for(n_frames: int, n_bodies: int, last: Floats) -> Frames:
@@ -117,7 +131,12 @@ def rotate(q: Floats, v: Floats) -> Floats:
 
 def rotate_back(q: Floats, v: Floats) -> Floats:
     """Rᵀ v: vectors (3, n) of the world frame in the rotating frame."""
-    return rotate(q * np.array([[1.0], [-1.0], [-1.0], [-1.0]]), v)
+    return rotate(q * CONJUGATE, v)
+
+
+def body_orientation(q: Floats, rotor_frame: Floats) -> Floats:
+    """Orientations (4, n) of body frames, from those of rotor frames."""
+    return quaternion_product(q, rotor_frame * CONJUGATE)
 
 
 def lengths(vectors: Floats) -> Floats:

@@ -8,7 +8,7 @@ from particlerb.case.joints import InFrame, JointTable
 from particlerb.contact.sphere_search import pair_keys
 from particlerb.joints.types import Ends
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import lengths, quaternion_product, rotate, rotate_back
+from particlerb.model.state import body_orientation, lengths, rotate, rotate_back
 from particlerb.model.system import System
 
 WORLD: Final = -1
@@ -44,8 +44,8 @@ def _frames(system: System, bodies: Ints) -> tuple[Floats, Floats, Floats]:
     com = np.where(inside, system.state.com[:, index], 0.0)
     none = np.array([[1.0], [0.0], [0.0], [0.0]])
     rotor = np.where(inside, system.state.q[:, index], none)
-    inverse = system.bodies.rotor_frame[:, index] * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-    body = np.where(inside, quaternion_product(system.state.q[:, index], inverse), none)
+    own = body_orientation(system.state.q[:, index], system.bodies.rotor_frame[:, index])
+    body = np.where(inside, own, none)
     return com, body, rotor
 
 

@@ -10,8 +10,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from particlerb.model.balance import totals
-from particlerb.model.bodies import Bodies
-from particlerb.model.state import Frames
+from particlerb.model.bodies import Bodies, held
+from particlerb.model.state import STATE_FIELDS, Frames
 from particlerb.record import schema
 from particlerb.record.checked_reading import (
     TrajectoryError,
@@ -25,7 +25,6 @@ from particlerb.record.checkpoint import slot_in
 from particlerb.record.checksums import digest, frame_checksums, list_checksums
 from particlerb.record.trajectory import Trajectory
 
-_STATE: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
 _SUMMED: Final = {  # what is summed again, and the size of what is summed
     "kinetic_energy": "kinetic_energy",
     "linear_momentum": "momentum_size",
@@ -128,7 +127,7 @@ def _verify_checksums(trajectory: Trajectory) -> str:
 def _verify_balance(trajectory: Trajectory) -> str:
     """Sum energy and momenta of the frames again, and compare with the recorded balance."""
     _balance(trajectory)
-    lacking = [name for name in _STATE if name not in trajectory.fields]
+    lacking = [name for name in STATE_FIELDS if name not in trajectory.fields]
     if lacking:
         return f"closes; not summed again, {', '.join(lacking)} was not recorded"
     worst = 0.0
@@ -153,9 +152,9 @@ def _balance(trajectory: Trajectory) -> None:
 
 def _summed_again(trajectory: Trajectory, part: slice) -> float:
     """Largest difference between observables and the sums of some frames, relative."""
-    values = {name: trajectory.read(name, part) for name in _STATE}
+    values = {name: trajectory.read(name, part) for name in STATE_FIELDS}
     precise = values["position"].dtype == np.float64
-    x, q, p, L = (np.ascontiguousarray(values[name], dtype=np.float64) for name in _STATE)
+    x, q, p, L = (np.ascontiguousarray(values[name], dtype=np.float64) for name in STATE_FIELDS)
     n_frames = len(x)
     frames = Frames(x, q, p, L, q[-1].copy(), np.ones(n_frames, dtype=np.bool_))
     now = totals(frames, counted(trajectory), np.zeros(3))
@@ -179,16 +178,12 @@ def counted(trajectory: Trajectory) -> Bodies:
     bodies = trajectory.bodies
     with trajectory_errors(trajectory.file):
         blocks = trajectory.parameter("case_resolved")["body"]
-        held = [bool(block.get("fixed") or block.get("motion")) for block in blocks]
+        fixed = [bool(block.get("fixed") or block.get("motion")) for block in blocks]
         counts = [int(block["count"]) for block in blocks]
         if sum(counts) != trajectory.n_bodies:
             raise ValueError(f"its case has {sum(counts)} bodies, its frames {trajectory.n_bodies}")
-        free = ~np.repeat(held, counts)
-    return bodies._replace(
-        mass=bodies.mass * free,
-        inv_mass=bodies.inv_mass * free,
-        inv_inertia=bodies.inv_inertia * free,
-    )
+        is_held = np.repeat(fixed, counts)
+    return held(bodies, is_held)
 
 
 def _has_pistons(trajectory: Trajectory) -> bool:

@@ -8,7 +8,7 @@ from particlerb.case.output import Asked, CheckValue
 from particlerb.case.placement import normalised
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
-from particlerb.model.comparison import CONJUGATE, angles
+from particlerb.model.comparison import angles
 from particlerb.model.state import (
     Frames,
     State,
@@ -16,7 +16,7 @@ from particlerb.model.state import (
     kinetic_energy,
     omega_world,
     quaternion_product,
-    rotate,
+    rotate_back,
     rotation_matrix,
 )
 from particlerb.model.system import System
@@ -122,7 +122,7 @@ def quantity(check: Asked, system: System, b: int, frames: Frames) -> Floats:
     }
     vector = vectors[check.quantity]
     if check.frame == "body":
-        vector = rotate(orientation[0, index].T * CONJUGATE, vector)
+        vector = rotate_back(orientation[0, index].T, vector)
     return vector[:, 0]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from particlerb.case.to_system import to_system
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import State, quaternion_product
+from particlerb.model.state import STATE_FIELDS, State, quaternion_product
 from particlerb.plan.joints import joints_of
 from particlerb.record.trajectory import Trajectory
 from particlerb.simulation.joint_values import JointReader, room_for_values
@@ -51,8 +51,7 @@ def joint_loads(trajectory: Trajectory) -> JointLoads:
         raise KeyError("the trajectory has no joints")
     times = trajectory.time
     found = room_for_values(setup, times.size)
-    fields = "position", "orientation", "linear_momentum", "angular_momentum"
-    states = [np.asarray(getattr(trajectory, name)) for name in fields]
+    states = [np.asarray(getattr(trajectory, name)) for name in STATE_FIELDS]
     for group in system.plan.groups:
         for segment in group.segments:
             if segment.terms.joints is None:

@@ -6,11 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from particlerb.maths.vec3 import Floats
-from particlerb.model.state import Frames
+from particlerb.model.state import STATE_FIELDS, Frames
 from particlerb.simulation.joint_values import JointValues
 from particlerb.stepping.saved_arrays import Saved
-
-_FIELDS = ("position", "orientation", "linear_momentum", "angular_momentum")
 
 
 class Probe(NamedTuple):
@@ -26,7 +24,7 @@ def saved_probes(probes: Sequence[Probe]) -> Saved:
     """Probes as a checkpoint holds them."""
     saved: Saved = {"probes": np.array([probe.time for probe in probes])}
     for k, probe in enumerate(probes):
-        saved |= {f"probe.{k}.{name}": getattr(probe.frame, name) for name in _FIELDS}
+        saved |= {f"probe.{k}.{name}": getattr(probe.frame, name) for name in STATE_FIELDS}
         if probe.tally is not None:
             saved[f"probe.{k}.tally"] = probe.tally
         if probe.joints is not None:
@@ -38,7 +36,7 @@ def restored_probes(saved: Saved, last: Floats) -> list[Probe]:
     """Probes of a checkpoint; `last` are the orientations of the last frame."""
     found = []
     for k, time in enumerate(saved["probes"].tolist()):
-        x, q, p, L = (saved[f"probe.{k}.{name}"] for name in _FIELDS)
+        x, q, p, L = (saved[f"probe.{k}.{name}"] for name in STATE_FIELDS)
         names = JointValues._fields if f"probe.{k}.{JointValues._fields[0]}" in saved else ()
         joints = JointValues(*(saved[f"probe.{k}.{name}"] for name in names)) if names else None
         frame = Frames(x, q, p, L, last, np.zeros(1, dtype=np.bool_))

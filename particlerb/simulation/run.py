@@ -48,8 +48,6 @@ from particlerb.simulation.state_checks import StateChecks
 from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
 
-_FIELDS_OF_STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
-
 
 class Reached(NamedTuple):
     """How far a run has come."""
@@ -219,7 +217,7 @@ class Run:
         """
         if times.size > len(self.room.position):
             self.room = room_for(times.size, len(self.system.kind), self.last)
-        frames = first_rows(self.room, times.size)
+        frames = self.room.rows(slice(times.size))
         frames.is_frame[:] = is_frame
         if self.setup is not None:
             self.joints = room_for_values(self.setup, times.size)
@@ -232,7 +230,7 @@ class Run:
         sound, problem = self.checks.sound_frames(times, frames, is_finite, self.travellers)
         error = RunError(problem) if problem else None
         if sound < times.size:
-            frames = first_rows(frames, sound)
+            frames = frames.rows(slice(sound))
             now = totals(frames, self.counted, self.gravity, *(e[:sound] for e in energies))
         turned_over = self.turned_over_before + sum(t.turned_over() for t in self.travellers)
         return frames, self.ledger.enter(now, booked[:sound], turned_over), error
@@ -365,7 +363,7 @@ def _one_batch(
         recorder.append(batch.times[rows], frames, rows, entries, *beside)
     for row in np.flatnonzero(batch.is_probe[:sound]):
         values = None if run.joints is None else at_row(run.joints, int(row))
-        probed = _one_row(frames, int(row)), values, run.tallies.get(int(row))
+        probed = frames.copied_row(int(row)), values, run.tallies.get(int(row))
         run.probes.append(Probe(float(batch.times[row]), *probed))
     run.n_frames += rows.size
     last = (values[-1] if sound else np.nan for values in (batch.times[:sound], *entries[2:5:2]))
@@ -385,15 +383,3 @@ def identity(prepared: Prepared) -> str:
             found.update(repr((s.start, s.stop, s.method, s.dt, s.tolerance)).encode())
         found.update(group.members.tobytes())
     return found.hexdigest()
-
-
-def first_rows(frames: Frames, n: int) -> Frames:
-    """View of the first n rows of the frames."""
-    position, orientation, p, L, last, is_frame = frames
-    return Frames(position[:n], orientation[:n], p[:n], L[:n], last, is_frame[:n])
-
-
-def _one_row(frames: Frames, row: int) -> Frames:
-    """Copy of one row of the frames."""
-    position, orientation, p, L = (a[row : row + 1].copy() for a in frames[:4])
-    return Frames(position, orientation, p, L, frames.last, frames.is_frame[row : row + 1])

@@ -7,13 +7,12 @@ import numpy as np
 
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import Frames, quaternion_product, rotate_back
+from particlerb.model.state import STATE_FIELDS, Frames, quaternion_product, rotate_back
 from particlerb.model.system import System
 from particlerb.plan.segments import Plan
 from particlerb.rotors.rotor_class import ROD
 from particlerb.simulation.group_run import GroupRun, lost
 
-_FIELDS: Final = ("position", "orientation", "linear_momentum", "angular_momentum")
 _ROD_ROUNDING: Final = 1e-9  # share of L along a rod that exact drifts may leave
 _ROD_ERROR: Final = 0.2  # that others may leave: more is a torque about the axis, or no result
 
@@ -33,7 +32,7 @@ class StateChecks:
 
         Where all totals are finite, so are the states; the reverse does not hold, squares overflow.
         """
-        names = () if is_finite else _FIELDS
+        names = () if is_finite else STATE_FIELDS
         for name in names:
             values = getattr(frames, name)
             if np.isfinite(values[-1]).all():  # what is not finite stays so

@@ -18,8 +18,7 @@ from particlerb.maths.quaternion import Rows4, load4, rows4, store4
 from particlerb.maths.vec3 import Floats, Ints, load3, rows3, store3
 from particlerb.model.block import BOOKED, COM, STRIDE, L, P, Q, get, get3, in_blocks
 from particlerb.model.bodies import taken
-from particlerb.model.comparison import CONJUGATE
-from particlerb.model.state import Frames, State, quaternion_product, rotate, store_frame
+from particlerb.model.state import CONJUGATE, Frames, State, quaternion_product, rotate, store_frame
 from particlerb.rotors.exact import (
     HyperbolicTurn,
     SteadyTurn,

@@ -26,9 +26,9 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import (
     Frames,
+    body_orientation,
     kinetic_energy,
     omega_world,
-    quaternion_product,
     rotate_back,
 )
 from particlerb.model.system import System
@@ -164,8 +164,8 @@ def oracle_states(system: System, which: Ints, times: Floats) -> Frames:
         raise CaseError([problem_at(system, "joint", str(error), "")]) from None
     textbook = import_module(f"{_adapters().__name__}.with_textbook")
     y = textbook.oracle(scene, times)[:, which]
-    frame = system.bodies.rotor_frame[:, which] * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-    q = [quaternion_product(np.ascontiguousarray(row.T), frame).T for row in y[:, :, 3:7]]
+    frame = system.bodies.rotor_frame[:, which]
+    q = [body_orientation(row.T, frame).T for row in y[:, :, 3:7]]
     x, v, L = (np.ascontiguousarray(y[:, :, k : k + 3]) for k in (0, 7, 10))
     momenta = v * system.bodies.mass[which, None], L
     return Frames(x, np.array(q), *momenta, q[-1], np.ones(times.size, dtype=np.bool_))
@@ -184,8 +184,7 @@ def peer_errors(
     Its drifts count where nothing acts; elsewhere they are NaN.
     """
     bodies = taken(scene.bodies, which)
-    inverse = bodies.rotor_frame * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-    orientation = quaternion_product(np.ascontiguousarray(result.orientation[which].T), inverse).T
+    orientation = body_orientation(result.orientation[which].T, bodies.rotor_frame).T
 
     position, turned = (
         np.repeat(column[None], times.size, axis=0)

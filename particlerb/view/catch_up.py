@@ -11,7 +11,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.state import room_for
 from particlerb.plan.segments import GroupPlan
 from particlerb.simulation.group_run import GroupRun, record_all
-from particlerb.simulation.run import Run, first_rows
+from particlerb.simulation.run import Run
 
 CHUNK: Final = 256  # frames that are computed together
 
@@ -57,4 +57,4 @@ def catch_up(run: Run, before: Run | None, frames: Floats, time: float) -> None:
     room = room_for(min(CHUNK, max(frames.size, 1)), run.system.n_bodies, run.last)
     for lo in range(0, frames.size, CHUNK):
         times = frames[lo : lo + CHUNK]
-        record_all(fresh, times, first_rows(room, times.size))
+        record_all(fresh, times, room.rows(slice(times.size)))

@@ -148,9 +148,7 @@ class Session:
             raise SessionError(str(problem)) from None
         if error is not None:
             raise SessionError(str(error)) from None
-        x, q, p, L = (a[-1:].copy() for a in frames[:4])
-        row = Frames(x, q, p, L, frames.last, frames.is_frame[-1:])
-        return row, Entries(*(values[-1:].copy() for values in entries))
+        return frames.copied_row(-1), Entries(*(values[-1:].copy() for values in entries))
 
     def apply(self, push: UserPush) -> AppliedPush:
         """Push a body from now on, or from the next step of its grid on.

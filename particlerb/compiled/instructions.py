@@ -1,0 +1,37 @@
+"""Functions of doubles written in LLVM's code, each with a stand-in in Python."""
+
+import inspect
+from collections.abc import Callable
+from typing import Any, Final, TypeVar
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from particlerb.compiled.jit import config
+
+BITS: Final = ir.IntType(64)  # of a double, as an integer
+_Plain = TypeVar("_Plain", bound=Callable[..., float])
+
+
+def instruction(plain: _Plain) -> Callable[[Callable[..., Any]], _Plain]:
+    """Return a decorator for a function that takes LLVM's builder and values, and builds a result.
+
+    `plain` has the same arguments and gives the same result, where nothing is compiled.
+    """
+
+    def decorate(build: Callable[..., Any]) -> Any:
+        if config.DISABLE_JIT:
+            return plain
+
+        def typed(typing: Any, *given: Any) -> Any:
+            def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+                return build(builder, *arguments)
+
+            return types.float64(*(types.float64 for _ in given)), generate
+
+        typed.__signature__ = inspect.signature(build)  # type: ignore[attr-defined]
+        typed.__name__, typed.__doc__ = build.__name__, build.__doc__
+        return intrinsic(typed)
+
+    return decorate
