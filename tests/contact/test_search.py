@@ -258,7 +258,7 @@ def test_a_list_misses_no_pair_before_a_body_has_moved(seed, size):
     arm, body = rng.uniform(-0.5, 0.5, (3, 4 * n)), np.repeat(np.arange(n), 4)
     r, y = np.full(4 * n, 0.2), np.zeros((13, n))
     y[:3] = rng.uniform(0, 2.5, (3, n))
-    y[3:7] = Rotation.random(n, rng=rng).as_quat(scalar_first=True).T
+    y[3:7] = Rotation.random(n, rng).as_quat(scalar_first=True).T
     later = y.copy()
     later[:3] += size * skin * rng.uniform(-0.5, 0.5, (3, n))
     turn = Rotation.from_rotvec(size * skin * rng.uniform(-0.6, 0.6, (n, 3)))

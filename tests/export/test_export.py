@@ -234,6 +234,7 @@ def test_npz_holds_contacts_and_walls(pile, tmp_path):
             assert (found[f"contacts_{name}"][offset[row] : offset[row + 1]] == values).all()
 
 
+@pytest.mark.filterwarnings("ignore:Guessed all Masses")  # MDAnalysis 2.8
 def test_lammps_dump_is_read_by_mdanalysis(trajectory, tmp_path):
     import MDAnalysis
 

@@ -98,7 +98,10 @@ MORE = (  # how, and which of these
     "resumed driven", "resumed contact", "resumed dop853", "resumed joints", "prolonged driven",
     "prolonged contact", "prolonged dop853", "whole chunks contact", "whole chunks driven",
 )  # fmt: skip
-ONE_FRAME = {"particlerb.record.schema.MOST_IN_CHUNK": 1}  # in a chunk: each is whole
+ONE_FRAME = {  # in a chunk: each is whole; and small arrays do not wait for a commit
+    "particlerb.record.schema.MOST_IN_CHUNK": 1,
+    "particlerb.record.writer.MOST_WAITING": 0,
+}
 
 
 @dataclass
