@@ -13,40 +13,24 @@ Source: Suzuki, Phys. Lett. A 201, 425 (1995), and Omelyan, Mryglod, Folk, Compu
 
 from typing import Final
 
-from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.jit import kernel
 from particlerb.contact.contact_model import NOW
-from particlerb.forces.kernels import Acting, Entry, change_of, kick_potential, less_internal
+from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.kinds import BODIES, POSE
 from particlerb.forces.links import change_links
-from particlerb.forces.registry import CHANGE, PAIR
-from particlerb.integrators.external_work import book, kick_entry
-from particlerb.integrators.kick import kick_body
+from particlerb.forces.registry import CHANGE
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, PairTerms, clear, gather_states, scatter
-from particlerb.integrators.rotor_drift import (
-    drift_symmetric,
-    fastest_turn,
-    finish_drift,
-    start_drift,
-)
-from particlerb.integrators.stages import MovingBodies, loads, stage, stages
-from particlerb.maths.quaternion import Rows, matrix, turn, turn_back
+from particlerb.integrators.rotor_drift import KickAndDrift, kick_then_drift
+from particlerb.integrators.stages import MovingBodies, loads, stages
+from particlerb.maths.quaternion import matrix
 from particlerb.maths.vec3 import (
     Floats,
-    Vec3,
-    add_scaled,
-    component_product,
-    cross,
-    scale,
-    subtract,
 )
-from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3
-from particlerb.model.load import OUTSIDE, TORQUE
+from particlerb.model.block import COM, Q, get3, get4
 from particlerb.rotors.moser_veselov import (
     LONGEST_PIECE,
-    iterations_of,
     modified_inertia,
-    pieces_of,
 )
 
 A: Final = 0.2775
@@ -69,95 +53,6 @@ _NO_SHARE: Final = 0.0  # no drift is cut for its share of the step: maps of ord
 def _maps_of(turn: float) -> float:
     """Moser-Veselov maps per drift of a step in which a body turns so far [rad], about."""
     return sum(max(1.0, share * turn / LONGEST_PIECE) for share in DRIFTS) / len(DRIFTS)
-
-
-@inline
-def _less_internal(
-    pair: int | None, rows: Floats, b: int, x: Vec3, v: Vec3, weight: float, entry: Entry
-) -> Entry:
-    """What is booked, without what the gradients of other bodies' forces give.
-
-    As a rate, that of x × F + τ has the part v × F.
-    """
-    if pair is None:
-        return entry
-    work, impulse, angular = entry
-    F, tau = get3(rows, CHANGE, b), get3(rows, CHANGE + TORQUE, b)
-    turning = add_scaled(1.0, cross(x, F), add_scaled(1.0, cross(v, get3(rows, PAIR, b)), tau))
-    F = subtract(F, get3(rows, CHANGE + OUTSIDE, b))
-    turning = subtract(turning, get3(rows, CHANGE + OUTSIDE + 3, b))
-    return work, add_scaled(-weight, F, impulse), add_scaled(-weight, turning, angular)
-
-
-@inline
-def _kick(
-    bent: Flag, moving: MovingBodies, rows: Floats, b: int, dt: float, weight: float
-) -> tuple[Vec3, Rows]:
-    """Kick body b over dt, bent by the gradient or not; L, which is stored with p, and R."""
-    acting = moving.acting
-    if bent is None:
-        _, spin, R = kick_body(acting, moving.books, rows, b, dt)
-        return spin, R
-    x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
-    old = get3(rows, P, b), get3(rows, L, b)
-    F, tau = kick_potential(acting, rows, b, x, R, 1.0, _ZERO, _ZERO)
-    v = scale(get(rows, INV_MASS, b), F)
-    w = turn(R, component_product(get3(rows, INV_INERTIA, b), turn_back(R, tau)))
-    dF, dtau = change_of(acting, rows, b, x, R, (v, w), _ZERO, _ZERO)
-    p = add_scaled(weight, dF, add_scaled(dt, F, old[0]))
-    spin = add_scaled(weight, dtau, add_scaled(dt, tau, old[1]))
-    put3(rows, P, b, p)
-    put3(rows, L, b, spin)
-    entry = kick_entry(rows, b, x, R, old, (p, spin), (p, spin))
-    entry = less_internal(acting.pair, None, rows, b, x, dt, entry)
-    book(moving.books, rows, b, 1.0, _less_internal(acting.pair, rows, b, x, v, weight, entry))
-    return spin, R
-
-
-@inline
-def _drift_asymmetric(
-    kind: Flag, bent: Flag, moving: MovingBodies, span: tuple[int, int], k: int, kick_dt: float,
-    dt: float,
-) -> None:  # fmt: skip
-    """Kick, and drift k, of asymmetric bodies."""
-    if kind is None:
-        return
-    drift_dt, weight = DRIFTS[k] * dt, GRADIENT * (dt * dt * dt)
-    for block in range(span[0], min(span[1], moving.layout.asymmetric)):
-        rows, n = moving.blocks[block], moving.layout.size[block]
-        turned = abs(drift_dt) * fastest_turn(rows, n, k == 0)
-        pieces = pieces_of(turned, _NO_SHARE)
-        iterations = iterations_of(turned / pieces)
-        for b in range(n):
-            spin, R = _kick(bent, moving, rows, b, kick_dt, weight)
-            start_drift(rows, b, spin, R, drift_dt, pieces)
-        finish_drift(rows, n, drift_dt, pieces, iterations)
-
-
-@inline
-def _drift_symmetric(
-    kind: Flag, bent: Flag, moving: MovingBodies, span: tuple[int, int], k: int, kick_dt: float,
-    dt: float,
-) -> None:  # fmt: skip
-    """Kick, and drift k, of bodies whose drift has a closed form."""
-    if kind is None:
-        return
-    drift_dt, weight = DRIFTS[k] * dt, GRADIENT * (dt * dt * dt)
-    for block in range(max(span[0], moving.layout.asymmetric), span[1]):
-        rows = moving.blocks[block]
-        for b in range(moving.layout.size[block]):
-            _kick(bent, moving, rows, b, kick_dt, weight)
-            drift_symmetric(rows, b, drift_dt)
-
-
-@stage
-def _kick_and_drift(
-    moving: MovingBodies, first: int, last: int, k: int, bent: Flag, kick_dt: float, dt: float
-) -> None:
-    """A kick, and drift k of a step dt."""
-    span, rotors = (first, last), moving.rotors
-    _drift_asymmetric(rotors.asymmetric, bent, moving, span, k, kick_dt, dt)
-    _drift_symmetric(rotors.symmetric, bent, moving, span, k, kick_dt, dt)
 
 
 @kernel
@@ -187,11 +82,14 @@ def _change_pairs(acting: Acting, pairs: PairTerms | None, blocks: Floats, layou
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """A kick, three drifts with two bent kicks between them; the last kick stays open."""
     loads(moving, first, last, NOW)
-    _kick_and_drift(moving, first, last, 0, None, CLOSING_KICK * dt + open_kick, dt)
+    part = KickAndDrift(CLOSING_KICK * dt + open_kick, 0.0, 0.0, DRIFTS[0] * dt, _NO_SHARE, True)
+    kick_then_drift(moving, first, last, None, part)
     for k in range(1, len(DRIFTS)):
         loads(moving, first, last, NOW)
         _change_pairs(moving.acting, moving.pairs, moving.blocks, moving.layout)
-        _kick_and_drift(moving, first, last, k, 1, KICKS[k] * dt, dt)
+        weight, drift_dt = GRADIENT * (dt * dt * dt), DRIFTS[k] * dt
+        part = KickAndDrift(KICKS[k] * dt, weight, _TIMES[k] * dt, drift_dt, _NO_SHARE, False)
+        kick_then_drift(moving, first, last, 1, part)
 
 
 METHOD: Final = Method(

@@ -13,26 +13,12 @@ Source: Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002), coefficients SR
 
 from typing import Final
 
-from particlerb.compiled.jit import Flag, inline
 from particlerb.contact.contact_model import NOW
-from particlerb.forces.kernels import shift_time
 from particlerb.forces.kinds import BODIES, POSE, TIME
-from particlerb.integrators.kick import kick_body
 from particlerb.integrators.method import Method
-from particlerb.integrators.rotor_drift import (
-    drift_symmetric,
-    fastest_turn,
-    finish_drift,
-    start_drift,
-)
-from particlerb.integrators.stages import MovingBodies, loads, stage, stages
-from particlerb.rotors.moser_veselov import (
-    LARGEST_SHARE,
-    LONGEST_PIECE,
-    iterations_of,
-    modified_inertia,
-    pieces_of,
-)
+from particlerb.integrators.rotor_drift import KickAndDrift, kick_then_drift
+from particlerb.integrators.stages import MovingBodies, loads, stages
+from particlerb.rotors.moser_veselov import LARGEST_SHARE, LONGEST_PIECE, modified_inertia
 
 KICKS: Final = (
     0.0414649985182624,
@@ -70,57 +56,15 @@ def _maps_of(turn: float) -> float:
     return sum(max(1.0, abs(share) * largest) for share in DRIFTS) / len(DRIFTS)
 
 
-@inline
-def _drift_asymmetric(
-    kind: Flag, moving: MovingBodies, first: int, last: int, k: int, kick_dt: float, dt: float
-) -> None:
-    """Kick, and drift k, of asymmetric bodies, as long as the fastest of a block asks for."""
-    if kind is None:
-        return
-    drift_dt = DRIFTS[k] * dt
-    for block in range(first, min(last, moving.layout.asymmetric)):
-        rows, n = moving.blocks[block], moving.layout.size[block]
-        turn = abs(drift_dt) * fastest_turn(rows, n, k == 0)
-        pieces = pieces_of(turn, abs(DRIFTS[k]))
-        iterations = iterations_of(turn / pieces)
-        for b in range(n):
-            shift_time(moving.acting, rows, b, _BEFORE[k] * dt)
-            _, spin, R = kick_body(moving.acting, moving.books, rows, b, kick_dt)
-            start_drift(rows, b, spin, R, drift_dt, pieces)
-        finish_drift(rows, n, drift_dt, pieces, iterations)
-
-
-@inline
-def _drift_symmetric(
-    kind: Flag, moving: MovingBodies, first: int, last: int, k: int, kick_dt: float, dt: float
-) -> None:
-    """Kick, and drift k, of bodies whose drift has a closed form."""
-    if kind is None:
-        return
-    for block in range(max(first, moving.layout.asymmetric), last):
-        rows = moving.blocks[block]
-        for b in range(moving.layout.size[block]):
-            shift_time(moving.acting, rows, b, _BEFORE[k] * dt)
-            kick_body(moving.acting, moving.books, rows, b, kick_dt)
-            drift_symmetric(rows, b, DRIFTS[k] * dt)
-
-
-@stage
-def _kick_and_drift(
-    moving: MovingBodies, first: int, last: int, k: int, kick_dt: float, dt: float
-) -> None:
-    """A kick, and drift k of a step dt."""
-    _drift_asymmetric(moving.rotors.asymmetric, moving, first, last, k, kick_dt, dt)
-    _drift_symmetric(moving.rotors.symmetric, moving, first, last, k, kick_dt, dt)
-
-
 @stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Eleven kicks and drifts; the last kick stays open."""
     for k in range(len(DRIFTS)):
         loads(moving, first, last, NOW)
         kick_dt = KICKS[k] * dt if k > 0 else CLOSING_KICK * dt + open_kick
-        _kick_and_drift(moving, first, last, k, kick_dt, dt)
+        drift_dt, share = DRIFTS[k] * dt, abs(DRIFTS[k])
+        part = KickAndDrift(kick_dt, 0.0, _BEFORE[k] * dt, drift_dt, share, k == 0)
+        kick_then_drift(moving, first, last, None, part)
 
 
 METHOD: Final = Method(

@@ -1,14 +1,19 @@
-"""Drifts of whole blocks: centres of mass fly, bodies turn; what splittings of high order share.
+"""Kicks and drifts of whole blocks, one after the other: what splittings of high order share.
 
-Asymmetric bodies turn by the preprocessed Moser-Veselov map of order 8, in as many pieces and by as
-many iterations as the fastest of a block asks for; all others in closed form.
+In a drift centres of mass fly and bodies turn: asymmetric ones by the preprocessed Moser-Veselov
+map of order 8, in as many pieces and by as many iterations as the fastest of a block asks for, all
+others in closed form.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline
+from particlerb.compiled.jit import Flag, inline
+from particlerb.forces.kernels import shift_time
+from particlerb.integrators.kick import kick_bent
+from particlerb.integrators.stages import MovingBodies, stage
 from particlerb.maths.quaternion import Rows, matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, dot, scale
 from particlerb.model.block import (
@@ -27,7 +32,7 @@ from particlerb.model.block import (
     put3,
     put4,
 )
-from particlerb.rotors.moser_veselov import Cubic, first_guess, newton
+from particlerb.rotors.moser_veselov import Cubic, first_guess, iterations_of, newton, pieces_of
 from particlerb.rotors.symmetric_split import symmetric_split
 
 _U = SCRATCH  # of the Moser-Veselov map: u, f, and the solution
@@ -62,7 +67,7 @@ def _fastest_turn(rows: Floats, n: int) -> float:
 
 
 @inline
-def fastest_turn(rows: Floats, n: int, is_first: bool) -> float:
+def _turn_rate(rows: Floats, n: int, is_first: bool) -> float:
     """The same, found at the first drift of a step and kept for the others."""
     if is_first:
         put(rows, _RATE, 0, _fastest_turn(rows, n))
@@ -98,14 +103,14 @@ def _finish_map(rows: Floats, n: int, iterations: int) -> None:
 
 
 @inline
-def start_drift(rows: Floats, b: int, spin: Vec3, R: Rows, dt: float, pieces: int) -> None:
+def _start_drift(rows: Floats, b: int, spin: Vec3, R: Rows, dt: float, pieces: int) -> None:
     """Begin the drift of asymmetric body b, whose L is `spin`: its way, and the first map."""
     _fly(rows, b, dt)
     _start_map(rows, b, turn_back(R, spin), dt / pieces)
 
 
 @inline
-def finish_drift(rows: Floats, n: int, dt: float, pieces: int, iterations: int) -> None:
+def _finish_drift(rows: Floats, n: int, dt: float, pieces: int, iterations: int) -> None:
     """End the drift of a block of asymmetric bodies."""
     _finish_map(rows, n, iterations)
     for _ in range(pieces - 1):
@@ -115,8 +120,62 @@ def finish_drift(rows: Floats, n: int, dt: float, pieces: int, iterations: int) 
 
 
 @inline
-def drift_symmetric(rows: Floats, b: int, dt: float) -> None:
+def _fly_and_split(rows: Floats, b: int, dt: float) -> None:
     """Drift of body b of any other class."""
     _fly(rows, b, dt)
     q, m = get4(rows, Q, b), _body_momentum(rows, b)
     put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), dt))
+
+
+class KickAndDrift(NamedTuple):
+    """A kick, and the drift after it."""
+
+    kick: float  # [s]
+    weight: float  # [s³] of the gradient, where the kick is bent by it
+    before: float  # [s] since the step began, when it is made
+    drift: float  # [s]
+    share: float  # of the step that the drift takes, by which maps are cut; 0: they are not
+    is_first: bool  # of the step
+
+
+@inline
+def _drift_asymmetric(
+    kind: Flag, bent: Flag, moving: MovingBodies, first: int, last: int, part: KickAndDrift
+) -> None:
+    """Kick and drift of asymmetric bodies, as long as the fastest of a block asks for."""
+    if kind is None:
+        return
+    for block in range(first, min(last, moving.layout.asymmetric)):
+        rows, n = moving.blocks[block], moving.layout.size[block]
+        turned = abs(part.drift) * _turn_rate(rows, n, part.is_first)
+        pieces = pieces_of(turned, part.share)
+        iterations = iterations_of(turned / pieces)
+        for b in range(n):
+            shift_time(moving.acting, rows, b, part.before)
+            spin, R = kick_bent(bent, moving.acting, moving.books, rows, b, part.kick, part.weight)
+            _start_drift(rows, b, spin, R, part.drift, pieces)
+        _finish_drift(rows, n, part.drift, pieces, iterations)
+
+
+@inline
+def _drift_symmetric(
+    kind: Flag, bent: Flag, moving: MovingBodies, first: int, last: int, part: KickAndDrift
+) -> None:
+    """Kick and drift of bodies whose drift has a closed form."""
+    if kind is None:
+        return
+    for block in range(max(first, moving.layout.asymmetric), last):
+        rows = moving.blocks[block]
+        for b in range(moving.layout.size[block]):
+            shift_time(moving.acting, rows, b, part.before)
+            kick_bent(bent, moving.acting, moving.books, rows, b, part.kick, part.weight)
+            _fly_and_split(rows, b, part.drift)
+
+
+@stage
+def kick_then_drift(
+    moving: MovingBodies, first: int, last: int, bent: Flag, part: KickAndDrift
+) -> None:
+    """A kick, bent by the gradient or not, and the drift after it."""
+    _drift_asymmetric(moving.rotors.asymmetric, bent, moving, first, last, part)
+    _drift_symmetric(moving.rotors.symmetric, bent, moving, first, last, part)
