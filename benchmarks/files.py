@@ -31,6 +31,7 @@ from particlerb.model.state import Frames, as_frame
 from particlerb.model.system import System
 from particlerb.record.atomic import AtomicFile
 from particlerb.record.checksums import frame_checksums
+from particlerb.record.frame_values import NewFrames
 from particlerb.record.layout import tables_of
 from particlerb.record.provenance import texts_of
 from particlerb.record.schema import frames_per_chunk, rows_per_chunk
@@ -76,7 +77,7 @@ def with_recorder(
     recorder = Recorder(path, system, content, overwrite=True)
     for lo in range(0, frames, batch):
         rows = np.arange(min(batch, frames - lo))
-        recorder.append(lo + rows.astype(float), given, rows, entries)
+        recorder.append(NewFrames(lo + rows.astype(float), given, rows, entries))
         recorder.commit_if_due(checkpoint)
     recorder.finish()
     return time.perf_counter() - start

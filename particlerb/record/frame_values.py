@@ -1,7 +1,8 @@
 """What is recorded of frames, as a file or the memory holds it."""
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,18 +14,22 @@ from particlerb.record import schema
 from particlerb.record.contact_writer import contact_values
 
 
-def values_of(
-    system: System,
-    times: Floats,
-    frames: Frames,
-    rows: Ints,
-    ledger: Any,
-    touches: Sequence[ContactOutput],
-    others: Mapping[str, Floats | Ints],
-) -> dict[str, Any]:
-    """Arrays of some rows of the frames, by their paths, in the order of the checksums."""
+class NewFrames(NamedTuple):
+    """What a recorder is given of some rows of the frames."""
+
+    times: Floats  # (T,) [s] of these rows
+    frames: Frames
+    rows: Ints  # (T,)
+    balance: Any  # of all rows: `Entries`
+    contacts: Sequence[ContactOutput] = ()  # of these rows, where wanted
+    others: Mapping[str, Floats | Ints] = MappingProxyType({})  # fields of joints and impulses
+
+
+def values_of(system: System, given: NewFrames) -> dict[str, Any]:
+    """Arrays of new frames, by their paths, in the order of the checksums."""
+    times, frames, rows, balance, contacts, others = given
     fields = system.output.fields
-    found: dict[str, Any] = contact_values(fields, touches, system.n_bodies)
+    found: dict[str, Any] = contact_values(fields, contacts, system.n_bodies)
     found |= _fields_of(frames, rows, system, fields)
     found |= others
     dtype, values = np.dtype(system.output.dtype), {}
@@ -33,7 +38,7 @@ def values_of(
         if path == schema.TIME:
             value = times
         else:
-            value = found[name] if element.per or element.is_asked else getattr(ledger, name)[rows]
+            value = found[name] if element.per or element.is_asked else getattr(balance, name)[rows]
         values[path] = value.astype(schema.dtype_of(element, dtype), copy=False)
     return values
 

@@ -4,20 +4,17 @@ Whoever reads a trajectory reads this too: see `record.checked_reading`. It take
 in place of `record.writer.Recorder`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
 
 from particlerb.case.run import frame_count
 from particlerb.contact.contact_output import ContactOutput
-from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import Frames
 from particlerb.model.system import System
 from particlerb.record import schema
 from particlerb.record.contact_writer import contact_columns
-from particlerb.record.frame_values import values_of
+from particlerb.record.frame_values import NewFrames, values_of
 
 
 class Memory:
@@ -73,23 +70,13 @@ class Memory:
         """Forget everything."""
         self.content = {}
 
-    def append(
-        self,
-        times: Floats,
-        frames: Frames,
-        rows: Ints,
-        ledger: Any,
-        touches: Sequence[ContactOutput] = (),
-        others: Mapping[str, Floats | Ints] = MappingProxyType({}),
-    ) -> None:
-        """Keep rows of the frames with times, energy balance, contacts and others if wanted."""
-        new = slice(self.n_frames, self.n_frames + len(times))
-        for path, values in values_of(
-            self.system, times, frames, rows, ledger, touches, others
-        ).items():
+    def append(self, given: NewFrames) -> None:
+        """Keep new frames."""
+        new = slice(self.n_frames, self.n_frames + len(given.times))
+        for path, values in values_of(self.system, given).items():
             self.content[path][new] = values
         self.n_frames = new.stop
-        self.touches += touches if schema.CONTACTS in self.system.output.fields else ()
+        self.touches += given.contacts if schema.CONTACTS in self.system.output.fields else ()
 
     def save_checkpoint(self, checkpoint: Callable[[], Mapping[str, Any]]) -> None:
         """Do nothing: it ends with the process."""

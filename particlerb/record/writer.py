@@ -5,9 +5,8 @@ used and no file lock, so that the file opens after a crash and can be read whil
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Self
 
 import h5py
@@ -15,15 +14,13 @@ import numpy as np
 from h5py import h5s
 
 from particlerb.case.run import frame_count
-from particlerb.contact.contact_output import ContactOutput
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import Frames
 from particlerb.model.system import System
 from particlerb.record import schema
 from particlerb.record.checkpoint import write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
 from particlerb.record.contact_writer import ContactList, contact_columns
-from particlerb.record.frame_values import values_of
+from particlerb.record.frame_values import NewFrames, values_of
 from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import lay_out
 from particlerb.record.output_file import OutputFile, new_file
@@ -149,25 +146,17 @@ class Recorder:
             return int(self.pending[-1][schema.OFFSET][-1])
         return int(self.contacts.offset[self.n_written])
 
-    def append(
-        self,
-        times: Floats,
-        frames: Frames,
-        rows: Ints,
-        ledger: Any,
-        touches: Sequence[ContactOutput] = (),
-        others: Mapping[str, Floats | Ints] = MappingProxyType({}),
-    ) -> None:
-        """Append rows of the frames with times, energy balance, contacts and others if wanted.
+    def append(self, given: NewFrames) -> None:
+        """Append new frames, but for those that the file had before.
 
         Large arrays are written now, small ones when they are many, or at the next commit.
         """
         with self.output.writing():
             n = self.n_frames
-            values = values_of(self.system, times, frames, rows, ledger, touches, others)
+            times, values = given.times, values_of(self.system, given)
             lists = []
             if self.contacts is not None:
-                columns, ends = contact_columns(touches, self.contacts.dtype)
+                columns, ends = contact_columns(given.contacts, self.contacts.dtype)
                 lists.append(list_checksums(columns.values(), ends))
             sums = frame_checksums(len(times), [*values.values(), *lists])
             new = slice(self.recognise(n, sums), None)
@@ -180,7 +169,7 @@ class Recorder:
                 _append_rows(dataset, self.n_frames, values.pop(path)[new])
             small = {path: value[new] for path, value in values.items()}
             if self.contacts is not None:
-                small[schema.OFFSET] = self.contacts.write(self.n_contacts, touches[new])
+                small[schema.OFFSET] = self.contacts.write(self.n_contacts, given.contacts[new])
             self.pending.append(small)
             self.n_frames = n + len(times)
             size = sum(values[:1].nbytes for values in small.values())

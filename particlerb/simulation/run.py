@@ -16,7 +16,6 @@ import numpy as np
 
 from particlerb.case.to_system import to_case
 from particlerb.compiled.threads import THREADS
-from particlerb.contact.contact_output import ContactOutput
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
 from particlerb.model.bodies import Bodies, taken
@@ -28,6 +27,7 @@ from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import GroupPlan, Plan
 from particlerb.record.checkpoint import Checkpoint
+from particlerb.record.frame_values import NewFrames
 from particlerb.record.layout import tables_of
 from particlerb.record.memory import Memory
 from particlerb.record.provenance import texts_of
@@ -235,15 +235,13 @@ class Run:
         turned_over = self.turned_over_before + sum(t.turned_over() for t in self.travellers)
         return frames, self.ledger.enter(now, booked[:sound], turned_over), error
 
-    def other_fields(self, rows: Ints) -> dict[str, Floats | Ints]:
-        """Fields of joints, where they are to be recorded, and of impulses in rows of frames."""
-        of_joints = recorded_values(self.joints, self.system.output.fields, rows)
-        return of_joints | impulse_fields(self.tallies, rows.tolist())
-
-    def touches(self, rows: Ints) -> list[ContactOutput]:
-        """Contacts in rows of the last frames; empty where nobody asks."""
-        found = [t.contacts for t in self.travellers if t.contacts]
-        return [found[0][row] for row in rows.tolist()] if found else []
+    def to_record(self, times: Floats, frames: Frames, rows: Ints, entries: Entries) -> NewFrames:
+        """What is recorded of rows of the last frames, which are at these times [s]."""
+        fields = recorded_values(self.joints, self.system.output.fields, rows)
+        fields |= impulse_fields(self.tallies, rows.tolist())
+        asked = next((t.contacts for t in self.travellers if t.contacts), {})
+        contacts = [asked[row] for row in rows.tolist()] if asked else []
+        return NewFrames(times[rows], frames, rows, entries, contacts, fields)
 
 
 def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
@@ -359,8 +357,7 @@ def _one_batch(
     sound = len(frames.position)
     rows = np.flatnonzero(batch.is_frame[:sound])
     if rows.size:
-        beside = run.touches(rows), run.other_fields(rows)
-        recorder.append(batch.times[rows], frames, rows, entries, *beside)
+        recorder.append(run.to_record(batch.times, frames, rows, entries))
     for row in np.flatnonzero(batch.is_probe[:sound]):
         values = None if run.joints is None else at_row(run.joints, int(row))
         probed = frames.copied_row(int(row)), values, run.tallies.get(int(row))

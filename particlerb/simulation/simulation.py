@@ -291,8 +291,7 @@ class Simulation(Closing):
             raise RunError(str(problem)) from None
         rows = np.flatnonzero(is_frame[: len(frames.position)])
         if self._recorder is not None and rows.size:
-            beside = self._run.touches(rows), self._run.other_fields(rows)
-            self._recorder.append(times[rows], frames, rows, entries, *beside)
+            self._recorder.append(self._run.to_record(times, frames, rows, entries))
             self._recorder.commit_if_due(None)
         if error is not None:
             self.close()

@@ -8,6 +8,7 @@ import numpy as np
 from particlerb.case.to_system import to_system
 from particlerb.model.balance import Entries
 from particlerb.record import schema, writer
+from particlerb.record.frame_values import NewFrames
 from particlerb.record.layout import tables_of
 from particlerb.record.provenance import texts_of
 from particlerb.simulation import frame_times
@@ -31,7 +32,8 @@ def recorder_of(make, path, frames):
     states, ledger, _ = Run(prepare(system)).frames_at(times, np.ones(1000, dtype=bool))
 
     def append(n):
-        recorder.append(times[:n], states, np.arange(n), Entries(*(e[:n] for e in ledger)))
+        entries = Entries(*(e[:n] for e in ledger))
+        recorder.append(NewFrames(times[:n], states, np.arange(n), entries))
 
     return recorder, append
 
