@@ -1,4 +1,4 @@
-"""The ledger: energy and momenta of every frame, and what is left when the booked is taken away.
+"""The energy balance: energy and momenta of every frame, less what forces have given since.
 
 total - initial - booked is the error of integration alone. It is judged against the largest
 kinetic energy, work or gross work of contacts, Σ|p| and Σ|L|, never against a value that may be
@@ -153,7 +153,7 @@ def totals(
 
 
 class Entries(NamedTuple):
-    """What the ledger says of some frames; the observables of the file, in this order."""
+    """The energy balance of some frames; the observables of the file, in this order."""
 
     kinetic_energy: Floats  # (T,) [J]
     potential_energy: Floats  # (T,) [J]

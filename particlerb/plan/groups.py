@@ -289,7 +289,7 @@ def _contact_among(
     law = _law_of(touching)
     pair_of = np.arange(k * k).reshape(k, k)
     skin = touching.record.skin or SKIN * float(radius.min())
-    touchable = ContactModel(
+    model = ContactModel(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
         driven_among(touching.driven, members),
     )  # fmt: skip
@@ -299,7 +299,7 @@ def _contact_among(
     left_out = int(may_touch.sum()) - owner.size
     is_forced = touching.record.allow_unstable
     return GroupContact(
-        touchable, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced,
+        model, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced,
         _rules_of(touching, float(radius.min())),
     )  # fmt: skip
 

@@ -1,8 +1,8 @@
 """The loop: plan, segments, frames, recorder.
 
-Groups advance one after the other through a batch of times; then the batch is complete, the ledger
-is written and the recorder appends it. Frames and times that only a check asks for change nothing
-in the motion, so a run can be prolonged, or recorded more finely, without changing a bit of it.
+Groups advance one after the other through a batch of times; then the batch is complete, the energy
+balance is taken and the recorder appends it. Frames and times that only a check asks for change
+nothing in the motion, so a run can be prolonged, or recorded more finely, without changing a bit.
 """
 
 import hashlib
@@ -130,12 +130,12 @@ class Run:
         self.last = initial.last
         self.room = initial  # used again and again: fresh memory costs more than what fills it
         self.checks = StateChecks(self.system, plan)
-        self.travellers = [
+        self.group_runs = [
             GroupRun(group, taken(self.system.state, group.members)) for group in plan.groups
         ]
         self.counted = counted(plan.groups, self.system.bodies)
-        energies = initial_energies(self.travellers, initial)
-        self.ledger = EnergyBalance(totals(initial, self.counted, self.gravity, *energies))
+        energies = initial_energies(self.group_runs, initial)
+        self.balance = EnergyBalance(totals(initial, self.counted, self.gravity, *energies))
         self.before = np.zeros(7)  # booked before the last restart,
         self.turned_over_before = 0.0  # and gross work of contacts [J]
 
@@ -148,12 +148,12 @@ class Run:
     def finish(self, time: float) -> State:
         """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
         whole = State(*(np.empty_like(values) for values in self.system.state))
-        for traveller in self.travellers:
-            state, booked = traveller.finish(time)
+        for group_run in self.group_runs:
+            state, booked = group_run.finish(time)
             self.before += booked
             for values, own in zip(whole, state, strict=True):
-                values[:, traveller.plan.members] = own
-        self.turned_over_before += sum(t.turned_over() for t in self.travellers)
+                values[:, group_run.plan.members] = own
+        self.turned_over_before += sum(t.turned_over() for t in self.group_runs)
         return whole
 
     def restart(self, system: System, plan: Plan, state: State, last: Entries) -> None:
@@ -162,16 +162,16 @@ class Run:
         What changes the energy and the momenta is booked: `last` are the entries before it.
         Contacts keep what they kept where their group stays the same.
         """
-        known = {t.plan.members.tobytes(): t.motion for t in self.travellers}
+        known = {t.plan.members.tobytes(): t.motion for t in self.group_runs}
         self.system, self.gravity = system, system.acceleration
         self.checks = StateChecks(system, plan)
-        self.travellers = [
+        self.group_runs = [
             GroupRun(group, taken(state, group.members), known.get(group.members.tobytes()))
             for group in plan.groups
         ]
         self.counted = counted(plan.groups, system.bodies)
         frame = as_frame(system.bodies, state)
-        energies = initial_energies(self.travellers, frame)
+        energies = initial_energies(self.group_runs, frame)
         now = totals(frame, self.counted, self.gravity, *energies)
         self.before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
         self.before[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
@@ -179,38 +179,38 @@ class Run:
 
     def checkpoint(self) -> Saved:
         """All that a run that goes on from here has to know, beside its system."""
-        saved = {"last": self.last.copy()} | under("ledger", self.ledger.checkpoint())
-        for k, traveller in enumerate(self.travellers):
-            saved |= under(f"group.{k}", traveller.checkpoint())
+        saved = {"last": self.last.copy()} | under("ledger", self.balance.checkpoint())
+        for k, group_run in enumerate(self.group_runs):
+            saved |= under(f"group.{k}", group_run.checkpoint())
         return saved | saved_probes(self.probes)
 
     def restore(self, n_frames: int, saved: Saved) -> None:
         """Go on behind so many frames from what was saved then."""
         self.n_frames = n_frames
         self.last[:] = saved["last"]
-        self.ledger.restore(within("ledger", saved))
-        for k, traveller in enumerate(self.travellers):
-            traveller.restore(within(f"group.{k}", saved))
+        self.balance.restore(within("ledger", saved))
+        for k, group_run in enumerate(self.group_runs):
+            group_run.restore(within(f"group.{k}", saved))
         self.probes = restored_probes(saved, self.last)
 
     def flown(self) -> float | None:
         """Share of body-steps of touching bodies that were saved by closed forms."""
-        saved, steps = np.sum([one.motion.flown for one in self.travellers], axis=0)
+        saved, steps = np.sum([one.motion.flown for one in self.group_runs], axis=0)
         return float(saved / steps) if steps else None
 
     def swing(self) -> float:
         """Fastest swing of bodies on their contacts that was seen, ω dt [rad]."""
-        motions = [one.motion for one in self.travellers]
+        motions = [one.motion for one in self.group_runs]
         return max((motion.contact_frequency * motion.dt for motion in motions), default=0.0)
 
     def tree_error(self) -> TreeError | None:
         """What the tree of the attraction has erred at frames; None where none was asked for."""
-        runs = [run for run in self.travellers if run.angle]
+        runs = [run for run in self.group_runs if run.angle]
         fitted = [TreeError(r.angle, r.tree_error, r.terms.tree_accuracy) for r in runs]
         return fitted[0] if fitted else None  # bodies that attract each other are one group
 
     def frames_at(self, times: Floats, is_frame: Bools) -> tuple[Frames, Entries, RunError | None]:
-        """States at ascending times, not before those asked for earlier, and their ledger.
+        """States at ascending times, not before those asked for earlier, and their energy balance.
 
         Where a state is not finite, or a torque has turned a rod about its own axis, they end
         before it, and the error says so. The next call writes over the frames.
@@ -221,31 +221,31 @@ class Run:
         frames.is_frame[:] = is_frame
         if self.setup is not None:
             self.joints = room_for_values(self.setup, times.size)
-        booked, energies = record_all(self.travellers, times, frames, self.joints)
-        self.tallies = next((one.tallies for one in self.travellers if one.tallies), {})
+        booked, energies = record_all(self.group_runs, times, frames, self.joints)
+        self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
         booked += self.before
         now = totals(frames, self.counted, self.gravity, *energies)
         sizes = now.kinetic_energy + now.potential_energy + now.momentum_size + now.spin_size
         is_finite = bool(np.isfinite(sizes).all())
-        sound, problem = self.checks.sound_frames(times, frames, is_finite, self.travellers)
+        sound, problem = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
         error = RunError(problem) if problem else None
         if sound < times.size:
             frames = frames.rows(slice(sound))
             now = totals(frames, self.counted, self.gravity, *(e[:sound] for e in energies))
-        turned_over = self.turned_over_before + sum(t.turned_over() for t in self.travellers)
-        return frames, self.ledger.enter(now, booked[:sound], turned_over), error
+        turned_over = self.turned_over_before + sum(t.turned_over() for t in self.group_runs)
+        return frames, self.balance.enter(now, booked[:sound], turned_over), error
 
     def to_record(self, times: Floats, frames: Frames, rows: Ints, entries: Entries) -> NewFrames:
         """What is recorded of rows of the last frames, which are at these times [s]."""
         fields = recorded_values(self.joints, self.system.output.fields, rows)
         fields |= impulse_fields(self.tallies, rows.tolist())
-        asked = next((t.contacts for t in self.travellers if t.contacts), {})
+        asked = next((t.contacts for t in self.group_runs if t.contacts), {})
         contacts = [asked[row] for row in rows.tolist()] if asked else []
         return NewFrames(times[rows], frames, rows, entries, contacts, fields)
 
 
 def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
-    """Bodies as the ledger counts them: those that are held have no mass."""
+    """Bodies as the energy balance counts them: those that are held have no mass."""
     mass, inv_mass = bodies.mass.copy(), bodies.inv_mass.copy()
     for group in groups:
         mass[group.members], inv_mass[group.members] = group.bodies.mass, group.bodies.inv_mass
@@ -339,13 +339,13 @@ def advance(
     finally:
         recorder.finish()
     return Outcome(
-        run.ledger.drift(),
+        run.balance.drift(),
         tuple(run.probes),
         recorder.file,
         run.flown(),
         run.swing(),
         run.tree_error(),
-        tally_of(run.travellers),
+        tally_of(run.group_runs),
     )
 
 

@@ -40,7 +40,7 @@ class BodySubset(NamedTuple):
 
 
 class _Books(NamedTuple):
-    """What a ledger needs beside the frames of a run."""
+    """What a balance needs beside the frames of a run."""
 
     given: Floats  # (T, 7) work, impulse, angular impulse
     initial: Energies  # beside those of the bodies, at t = 0
@@ -109,10 +109,10 @@ def states_at(part: BodySubset, times: Floats) -> tuple[Frames, _Books]:
     """Frames at ascending times, and what was booked until then."""
     initial = as_frame(part.bodies, part.state)
     frames = room_for(times.size, part.bodies.mass.size, initial.last)
-    travellers = [GroupRun(group, taken(part.state, group.members)) for group in part.groups]
-    first = initial_energies(travellers, initial)
-    given, later = record_all(travellers, times, frames)
-    gross = sum(traveller.turned_over() for traveller in travellers)
+    group_runs = [GroupRun(group, taken(part.state, group.members)) for group in part.groups]
+    first = initial_energies(group_runs, initial)
+    given, later = record_all(group_runs, times, frames)
+    gross = sum(group_run.turned_over() for group_run in group_runs)
     return frames, _Books(given, first, later, gross)
 
 
@@ -125,13 +125,13 @@ def seconds(part: BodySubset, t_end: float) -> float:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def drifts(part: BodySubset, frames: Frames, books: _Books) -> tuple[float, float]:
-    """Largest errors of energy and of angular momentum, relative as in the ledger of a run."""
+    """Largest errors of energy and of angular momentum, relative as in the balance of a run."""
     initial = as_frame(part.bodies, part.state)
     bodies = counted(part.groups, part.bodies)
-    ledger = EnergyBalance(totals(initial, bodies, part.gravity, *books.initial))
+    balance = EnergyBalance(totals(initial, bodies, part.gravity, *books.initial))
     now = totals(frames, bodies, part.gravity, *books.later)
-    ledger.enter(now, books.given, books.gross)
-    drift = ledger.drift()
+    balance.enter(now, books.given, books.gross)
+    drift = balance.drift()
     return drift.energy, drift.angular_momentum
 
 

@@ -178,23 +178,21 @@ class DiluteMotion(Motion):
     def part(self, which: Ints) -> tuple[Group, Ints]:
         """Some bodies of the group, ascending, and the numbers of their spheres."""
         contact, group = self.contact, self.group
-        scene = contact.model
-        kept = np.flatnonzero(np.isin(scene.spheres.body, which))
+        model = contact.model
+        kept = np.flatnonzero(np.isin(model.spheres.body, which))
         number = np.full(group.members.size, -1)
         number[which] = np.arange(which.size)
-        body = number[scene.spheres.body[kept]]
-        spheres = scene.spheres._replace(
-            arm=np.ascontiguousarray(scene.spheres.arm[:, kept]),
-            radius=scene.spheres.radius[kept],
+        body = number[model.spheres.body[kept]]
+        spheres = model.spheres._replace(
+            arm=np.ascontiguousarray(model.spheres.arm[:, kept]),
+            radius=model.spheres.radius[kept],
             body=body,
-            material=scene.spheres.material[kept],
+            material=model.spheres.material[kept],
             offset=np.searchsorted(body, np.arange(which.size + 1)),
         )
-        inertia = np.ascontiguousarray(scene.inv_inertia[:, which])
-        touchable = scene._replace(
-            spheres=spheres, inv_mass=scene.inv_mass[which], inv_inertia=inertia
-        )
-        part = GroupContact(touchable, contact.motions, contact.max_arm[which], *contact[3:])
+        inertia = np.ascontiguousarray(model.inv_inertia[:, which])
+        own = model._replace(spheres=spheres, inv_mass=model.inv_mass[which], inv_inertia=inertia)
+        part = GroupContact(own, contact.motions, contact.max_arm[which], *contact[3:])
         terms = terms_on(group.terms._replace(contact=None), which)._replace(contact=part)
         return Group(group.members[which], taken(group.bodies, which), terms), kept
 
@@ -285,17 +283,17 @@ class DiluteMotion(Motion):
 
     def keep_watch(self) -> None:
         """Raise MotionError where one that has flown overlaps something; now and then."""
-        scene, n, now = self.contact.model, self.active.size, self.time(self.done)
+        model, n, now = self.contact.model, self.active.size, self.time(self.done)
         work = self.method.cost * (_TO_BEGIN * n + self.steps * float(self.active.sum()))
-        if not self.watch_of_flights.is_due(n, scene.walls.kind.size, work):
+        if not self.watch_of_flights.is_due(n, model.walls.kind.size, work):
             return
-        (com, q, p, L), spheres = self.state, scene.spheres
+        (com, q, p, L), spheres = self.state, model.spheres
         x = com[:, spheres.body] + rotate(q[:, spheres.body], spheres.arm)
-        turning = np.sqrt((L**2).sum(axis=0)) * scene.inv_inertia.max(axis=0)
+        turning = np.sqrt((L**2).sum(axis=0)) * model.inv_inertia.max(axis=0)
         bodies = WatchedBodies(
             np.ascontiguousarray(np.vstack([x, spheres.radius]).T),
             np.ascontiguousarray(com),
-            p * scene.inv_mass,
+            p * model.inv_mass,
             turning,
             self.bound,
             np.zeros(n),
@@ -303,7 +301,7 @@ class DiluteMotion(Motion):
         )
         poses = poses_at(self.wall_motions, now)
         swings = np.array([peak_speed(motion, self.dt) for motion in self.wall_motions])
-        missed = self.watch_of_flights.look(scene, self.nothing, bodies, poses, swings, self.dt)
+        missed = self.watch_of_flights.look(model, self.nothing, bodies, poses, swings, self.dt)
         if missed.depth > 0.0:
             raise MotionError(lost_pair(missed, self.group.members, now, self.skin))
 

@@ -25,10 +25,10 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def _continues(traveller: GroupRun, plan: GroupPlan, time: float) -> bool:
+def _continues(group_run: GroupRun, plan: GroupPlan, time: float) -> bool:
     """Whether a group that went on by its old plan until a time has gone on by the new one."""
-    n = traveller.number + 1
-    was, now = traveller.plan.segments[:n], plan.segments[:n]
+    n = group_run.number + 1
+    was, now = group_run.plan.segments[:n], plan.segments[:n]
     if len(now) < n or now[-1].stop < time or not same(was[:-1], now[:-1]):
         return False
     return same(was[-1]._replace(stop=0.0), now[-1]._replace(stop=0.0))
@@ -40,18 +40,18 @@ def catch_up(run: Run, before: Run | None, frames: Floats, time: float) -> None:
     Groups with the same past take over what the other has computed; the others go through all
     frames, whose orientations set the sign of the next.
     """
-    known = {t.plan.members.tobytes(): t for t in before.travellers} if before else {}
+    known = {t.plan.members.tobytes(): t for t in before.group_runs} if before else {}
     fresh = []
-    for k, traveller in enumerate(run.travellers):
-        old = known.get(traveller.plan.members.tobytes())
-        if before and old and _continues(old, traveller.plan, time):
-            old.plan = traveller.plan
-            run.travellers[k] = old
+    for k, group_run in enumerate(run.group_runs):
+        old = known.get(group_run.plan.members.tobytes())
+        if before and old and _continues(old, group_run.plan, time):
+            old.plan = group_run.plan
+            run.group_runs[k] = old
             run.last[old.plan.members] = before.last[old.plan.members]
         else:
-            fresh.append(traveller)
+            fresh.append(group_run)
     if before:
-        run.ledger.errors, run.ledger.scales = before.ledger.errors, before.ledger.scales
+        run.balance.errors, run.balance.scales = before.balance.errors, before.balance.scales
     if not fresh:
         return
     room = room_for(min(CHUNK, max(frames.size, 1)), run.system.n_bodies, run.last)

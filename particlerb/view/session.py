@@ -140,7 +140,7 @@ class Session:
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def computed_at(self, times: Floats, is_frame: Any) -> tuple[Frames, Entries]:
-        """State and ledger at the last of some ascending times."""
+        """State and energy balance at the last of some ascending times."""
         try:
             with THREADS.using(self.system.run.threads):
                 frames, entries, error = self.run.frames_at(times, is_frame)
@@ -265,10 +265,10 @@ class Session:
         """Segments that outlast the session on whose grids these bodies are."""
         chosen = np.fromiter(bodies, dtype=np.int64)
         return [
-            traveller.segment
-            for traveller in self.run.travellers
-            if _on_grid(traveller.segment, self.longest)
-            and np.isin(chosen, traveller.plan.members).any()
+            group_run.segment
+            for group_run in self.run.group_runs
+            if _on_grid(group_run.segment, self.longest)
+            and np.isin(chosen, group_run.plan.members).any()
         ]
 
     def next_step(self, bodies: Any) -> float:

@@ -123,7 +123,7 @@ def test_push_of_the_paper_is_in_closed_form_as_what_follows(make):
     """L = ∫ r × F dt = 0.20100005 after 0.02 s: the arm turns while the push acts."""
     session = Session(to_system(make.case(CUBE, t_end=2.0, dt=1e-5)))
     session.apply(UserPush(0, CORNER, UP, 0.02))
-    segments = session.run.travellers[0].plan.segments
+    segments = session.run.group_runs[0].plan.segments
     assert [segment.method for segment in segments] == ["exact", "exact"]
     session.advance(1.0)
     expected = [0.20100005, -0.20100005, 0.0]
