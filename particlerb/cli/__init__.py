@@ -80,9 +80,13 @@ def main(words: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks Σ shows ? and goes on
             stream.reconfigure(errors="replace")
     top = parser()
-    if words and words[0] not in (*COMMANDS, "-h", "--help", "--version"):
-        words.insert(0, "run")
     try:
+        if words and words[0] not in (*COMMANDS, "-h", "--help", "--version"):
+            if not words[0].startswith("-"):
+                from particlerb.cli.common import find_case
+
+                find_case(words[0], tuple(COMMANDS))
+            words.insert(0, "run")
         options = top.parse_args(words)
         module = import_module(f"particlerb.cli.{COMMANDS[options.command].module}")
         code: int = getattr(module, f"{options.command}_command")(options)

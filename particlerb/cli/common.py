@@ -54,6 +54,20 @@ def to_write(path: Path, overwrite: bool, source: Path | None = None) -> Path:
         raise Ending(f"{path} cannot be made: {error.strerror}") from None
 
 
+def named_output(options: argparse.Namespace, default: Path) -> Path:
+    """File that -o names, else the default; a new name without a suffix gets its own."""
+    path = Path(options.output or default)
+    is_new = bool(path.name) and not os.path.lexists(path)
+    return path.with_suffix(default.suffix) if is_new and not path.suffix else path
+
+
+def output_of(options: argparse.Namespace, default: Path, source: Path | None = None) -> Path:
+    """The same, where it may be written."""
+    path = named_output(options, default)
+    to_write(path, options.overwrite, source)
+    return path
+
+
 def opened(path: str) -> Trajectory:
     """Trajectory in a file; wrong usage where it is none."""
     with ending(TrajectoryError, FileNotFoundError, IsADirectoryError):

@@ -12,7 +12,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system
 from particlerb.cli.bodies import case_with_joints, holds_bodies, named_bodies
-from particlerb.cli.common import opened, readable, to_write
+from particlerb.cli.common import opened, output_of, readable, to_write
 from particlerb.cli.endings import DONE, FAILED, Ending, ending
 from particlerb.export import FORMATS, ExportError, export
 from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies, file_name
@@ -47,7 +47,7 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
         for body in named_bodies(options, name)
     ]
     stem = file_name(found[0].name if len(found) == 1 else Path(options.file).stem)
-    path = _export_path(options, Path(stem + BODY_FORMATS[options.to].suffix))
+    path = output_of(options, Path(stem + BODY_FORMATS[options.to].suffix), Path(options.file))
     if options.to == "lammps":
         to_write(path.with_suffix(".rigid"), options.overwrite, Path(options.file))
     with _writing(path):
@@ -61,7 +61,7 @@ def _export_mechanism(options: argparse.Namespace, case: Case) -> int:
     from particlerb.export.mechanism import mechanism
     from particlerb.simulation.run import prepare
 
-    path = _export_path(options, Path(options.file).with_suffix(".xml"))
+    path = output_of(options, Path(options.file).with_suffix(".xml"), Path(options.file))
     with ending(CaseError), _writing(path):
         path.write_text(mechanism(prepare(to_system(case)).system), encoding="utf-8")
     print(f"written: {path}")
@@ -74,18 +74,11 @@ def _export_trajectory(options: argparse.Namespace) -> int:
         raise Ending(f"--to {options.to}: trajectories become {', '.join(FORMATS)}")
     source = Path(options.file)
     named = source.with_name(f"{source.stem}_particles") if options.to == "particles" else source
-    path = _export_path(options, named.with_suffix(FORMATS[options.to][0]))
+    path = output_of(options, named.with_suffix(FORMATS[options.to][0]), Path(options.file))
     with opened(options.file) as trajectory, readable(), _writing(path):
         n = export(trajectory, path, options.to, options.bodies, options.frames, options.fields)
     print(f"written: {path} ({count_of(n, 'frame')})")
     return DONE
-
-
-def _export_path(options: argparse.Namespace, default: Path) -> Path:
-    """File to write, which is neither the input nor, unless told, an existing one."""
-    path = Path(options.output or default)
-    to_write(path, options.overwrite, Path(options.file))
-    return path
 
 
 @contextlib.contextmanager

@@ -19,7 +19,7 @@ import numpy as np
 from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
 from particlerb.case.to_system import to_system
-from particlerb.cli.common import amount, read_case, to_write
+from particlerb.cli.common import amount, output_of, read_case
 from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.cli.guard import probe
 from particlerb.cli.report import Report
@@ -135,9 +135,7 @@ def _output_path(options: argparse.Namespace, system: System) -> Path:
     """File of a run, which may be written."""
     source = system.source.path
     stem = source.stem if source else "run"
-    path = Path(options.output) if options.output else Path("output") / f"{stem}.h5"
-    to_write(path, options.overwrite, source)
-    return path
+    return output_of(options, Path("output") / f"{stem}.h5", source)
 
 
 def _disk_warnings(system: System, path: Path, done: int = 0) -> list[str]:

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from particlerb.cli.common import PICTURES, amount, opened, readable, to_write
+from particlerb.cli.common import PICTURES, amount, opened, output_of, readable
 from particlerb.cli.endings import DONE, FAILED, Ending, tamed
 from particlerb.compiled.jit import CACHE_FOLDER
 from particlerb.compiled.vector_width import machine
@@ -112,8 +112,8 @@ def _text_of(name: str, value: Any) -> str:
 def plot_command(options: argparse.Namespace) -> int:
     """`plot`: a picture of a trajectory."""
     with opened(options.file) as trajectory, readable():
-        path = Path(options.output or Path(options.file).with_suffix(".png"))
-        to_write(path, options.overwrite, Path(options.file))
+        source = Path(options.file)
+        path = output_of(options, source.with_suffix(".png"), source)
         names = list(trajectory.names)
         recorded = [*trajectory.fields, *trajectory.other_fields]
         wanted = _CHAINS if options.contacts else STATE_FIELDS

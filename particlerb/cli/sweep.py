@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from particlerb.case.problems import CaseError
-from particlerb.cli.common import read_case, to_write
+from particlerb.cli.common import named_output, read_case, to_write
 from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.sweeping.driver import sweep
 from particlerb.sweeping.table import SweepRows
@@ -24,7 +24,7 @@ def sweep_command(options: argparse.Namespace) -> int:
     """`sweep`: run all variants that the table does not have yet."""
     case = read_case(options)
     stem = case.path.stem if case.path else "case"
-    path = Path(options.output) if options.output else Path("output") / f"{stem}_sweep.csv"
+    path = named_output(options, Path("output") / f"{stem}_sweep.csv")
     path = to_write(path, True, case.path)
     if options.overwrite:
         path.unlink(missing_ok=True)

@@ -348,6 +348,19 @@ def test_no_text_of_a_file_gives_orders_to_the_terminal(here, capsys):
         assert not {"\x1b", "\x07", "\x9b"} & set(said.out + said.err), words
 
 
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["chek", "cube.toml"], "did you mean check"),
+        (["cube"], "did you mean cube.toml"),
+        (["--json", "cub.tml"], "cub.tml"),
+    ],
+)
+def test_a_word_that_is_neither_command_nor_case_gets_a_hint(words, hint, here, capsys):
+    assert main(words) == 2
+    assert hint in capsys.readouterr().err
+
+
 def test_info_and_plot_of_a_file(here, capsys):
     main(["cube.toml"])
     capsys.readouterr()

@@ -53,6 +53,14 @@ def place(made, tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_new_name_without_a_suffix_gets_the_usual_one(name, place):
+    words, suffix = COMMANDS[name]
+    assert main([*words, "-o", "fresh"]) == 0
+    assert Path("fresh").with_suffix(suffix).is_file()
+    assert not Path("fresh").exists()
+
+
 STAYS = {
     "/dev/null": "is not a regular file",
     "to_device": "is not a regular file",
