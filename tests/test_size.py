@@ -22,6 +22,7 @@ BUDGETS = {
     "what acts on jointed bodies": 605,
     "unrolled columns in factors of joints, for speed": 30,
     "prescribed motion in joints, and driven bodies there": 335,
+    "joints that break": 128,
     "contact with every method": 480,
     "impulses": 1313,
     "tables of forces": 232,

@@ -75,6 +75,20 @@ class JointLimit(Table):
     damping: NonNegative = Field(0.0, description="Beyond them. [N m s/rad or N s/m]")
 
 
+class JointLoad(Table):
+    """The load at which a joint breaks: any of these."""
+
+    force: Positive | None = Field(None, description="Size of its force. [N]")
+    torque: Positive | None = Field(None, description="Size of its torque, at its point. [N m]")
+
+    @model_validator(mode="after")
+    def has_one(self) -> Self:
+        """Require one of both."""
+        if self.force is None and self.torque is None:
+            raise broken("names neither force nor torque")
+        return self
+
+
 class JointDrive(Table):
     """What the free coordinate of a joint is prescribed to be; it starts at 0."""
 
@@ -165,6 +179,9 @@ class JointTable(Table):
     during: During | None = Field(
         None, description="Start, which is 0, and time of release; default: always. [s]"
     )
+    breaks_at: JointLoad | None = Field(
+        None, description="Load at which it is released, at the end of a step; default: none. [-]"
+    )
     collide: Yes = Field(False, description="Whether the two bodies may touch each other. [-]")
     assemble: Yes = Field(
         False, description="Whether bodies may be moved at the start until it fits. [-]"
@@ -228,6 +245,8 @@ def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
     for key in (*ACTIONS, "drive"):
         if raw.get(key) and kind in JOINT_TYPES and kind not in WITH_COORDINATE:
             yield (*path, key), f"a {kind} joint has no single coordinate", "take a hinge or slider"
+        if raw.get(key) and given(raw, "breaks_at"):
+            yield (*path, "breaks_at"), f"given beside {key}", "let a second joint have one of them"
     ends = raw.get("limit", {}).get("range") if isinstance(raw.get("limit"), dict) else None
     if isinstance(ends, list) and len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
         if not ends[0] < ends[1]:

@@ -28,6 +28,7 @@ FIELDS_OF_JOINTS = (
     "joint_misfit",
     "joint_rate",
     "joint_coordinate",
+    "joint_break_time",
 )
 FIELDS_OF_IMPULSES = ("impulse_residual", "impulse_overlap", "push_out_work")
 FIELDS_OF_CONTACT = ("contacts", "contact_number", "contact_overlap", *FIELDS_OF_WALLS)
@@ -65,6 +66,7 @@ _EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
     "inertia": ((3,), (3, 3)),
     "joint_misfit": ((),),
     "joint_rate": ((),),
+    "joint_break_time": ((),),
     "joint_coordinate": ((), (1,), (2,), (3,)),
     **dict.fromkeys(FIELDS_OF_IMPULSES, ((),)),
 }

@@ -100,8 +100,11 @@ def records(case: Case) -> dict[str, Any]:
     """What a system holds of its case."""
     keys = Case.model_fields.keys() & System._fields
     found = {key: getattr(case, key) for key in (*keys, "source")}
-    if case.contact is not None and case.contact.law == "impulse":  # how well it is solved is shown
-        fields = dict.fromkeys((*case.output.fields, *FIELDS_OF_IMPULSES))
+    shown = FIELDS_OF_IMPULSES if case.contact and case.contact.law == "impulse" else ()
+    if any(joint.breaks_at is not None for joint in case.joint):
+        shown = (*shown, "joint_break_time")
+    if shown:  # how well impulses are solved, and which joints have broken
+        fields = dict.fromkeys((*case.output.fields, *shown))
         found["output"] = case.output.model_copy(update={"fields": tuple(fields)})
     return found
 

@@ -261,6 +261,8 @@ def _drift_text(outcome: Outcome) -> str:
     if (tree := outcome.tree) is not None:
         errs = f"accelerations erred by {tree.seen:.2g} at most, rms, of {tree.asked:.2g} asked for"
         lines.insert(0, f"tree of the attraction: opening angle {tree.angle:.3g}, {errs}")
+    for name, time in outcome.broken:
+        lines.insert(0, f"joint {name} broke at t = {time:.6g} s")
     if outcome.flown is not None:
         share = f"{100.0 * outcome.flown:.3g} % of the body-steps"
         lines.insert(0, f"{share} were taken in closed form: no contact in reach")
@@ -316,6 +318,7 @@ def summary(path: Path, outcome: Outcome, checks: list[Result]) -> dict[str, Any
         "file": str(path),
         "drift": outcome.drift._asdict(),
         "swing": outcome.swing,
+        **({"broken": dict(outcome.broken)} if outcome.broken else {}),
         **({"tree": outcome.tree._asdict()} if outcome.tree is not None else {}),
         "checks": [{**check._asdict(), "holds": check.holds} for check in checks],
     }

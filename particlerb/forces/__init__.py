@@ -194,6 +194,8 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         needs["joints"] = frozenset({JOINTS})
         if terms.joints.damps is not None:
             needs["damping among joints"] = frozenset({JOINTS, VELOCITY})
+        if terms.joints.breaks is not None:
+            needs["joints that break"] = frozenset({JOINTS, VELOCITY})
     return needs
 
 

@@ -17,6 +17,7 @@ from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.external_work import book
 from particlerb.joints.actions import finish_damping, soften, softened, work_of_motor
+from particlerb.joints.breaking import break_joints
 from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
 from particlerb.joints.rows import by_inverse_inertia, put_vector, vector
 from particlerb.joints.solver import constrained_drift, project_momenta
@@ -201,6 +202,9 @@ def drift_jointed(
         _gather(jointed, blocks, c)
         place_driven(jointed.driven, jointed, t, dt, body[c], body[c + 1])
         constrained_drift(jointed.joints, jointed.work, c, kick_dt, t, dt)
+        if dt == jointed.work.clock[1]:  # and not a part of a step, to a frame
+            end = jointed.start + t + dt
+            break_joints(jointed.joints.breaks, jointed.joints, jointed.work, c, kick_dt, end)
         _book_world(books, jointed, blocks, c, jointed.work.pose)
         _book_drives(books, jointed.joints.moves, jointed, blocks, c)
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)

@@ -160,6 +160,7 @@ def softened(joints: Joints, work: Work) -> Joints:
         joints.drives,
         joints.carried,
         joints.moves,
+        joints.breaks,
     )
 
 

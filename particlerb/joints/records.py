@@ -67,6 +67,13 @@ class Drives(NamedTuple):
     wave: Floats  # (k, 3) A, ω [rad/s], φ
 
 
+class Breaks(NamedTuple):
+    """Loads at which joints break; inf: never."""
+
+    force: Floats  # (j,) [N]
+    torque: Floats  # (j,) [N m]
+
+
 class Clusters(NamedTuple):
     """Where each cluster begins in other arrays, and where the last one ends."""
 
@@ -119,6 +126,7 @@ class Joints(NamedTuple):
     drives: Drives | None = None  # None: no coordinate is prescribed
     carried: Bools | None = None  # (n + 1,) bodies that move as prescribed; None: there are none
     moves: Flag = None  # whether constraints move by themselves
+    breaks: Breaks | None = None  # None: no joint does
 
     @property
     def has_potential(self) -> bool:
@@ -142,7 +150,8 @@ class Work(NamedTuple):
     moving: Floats  # (m,) ∂g/∂t
     motion: Floats  # (n + 1, 9) v, ω and dv/dt of bodies that move as prescribed, 0 of others
     later: Floats  # (n + 1, 7) where those are at the end of a drift
-    clock: Floats  # (1,) [s] since the segment began, at the start of a step
+    clock: Floats  # (2,) [s] since the segment began, at the start of a step; the whole step
+    broken: Floats  # (j,) [s] when each joint has broken, since t = 0; inf: it holds
     z: Floats  # (m,) right sides and solutions
     total: Floats  # (m,) impulses of a drift
     before: Floats  # (m,) rates of coordinates before a kick
@@ -181,7 +190,8 @@ def room_for_joints(joints: Joints) -> Work:
         np.zeros(m),
         np.zeros((n, 9)),
         np.zeros((n, P)),
-        np.zeros(1),
+        np.zeros(2),
+        np.full(joints.number.size, np.inf),
         np.zeros(m),
         np.zeros(m),
         np.zeros(m),

@@ -24,7 +24,6 @@ from particlerb.joints.records import (
     ALONG,
     DISTANCE,
     DOT,
-    HOLDS,
     STRETCH,
     TURN,
     WORLD_ALONG,
@@ -130,7 +129,7 @@ def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[f
     """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row."""
     worst, where = 0.0, lo
     for r in range(lo, hi):
-        g = residual(joints, work.y, r, t) if joints.rows.action[r] == HOLDS else 0.0
+        g = residual(joints, work.y, r, t) if work.compliance[r] == 0.0 else 0.0
         work.g[r] = g
         x, size = vector(work.y, joints.rows.a[r], X), joints.rows.size[r]
         far = 0.0 if joints.rows.kind[r] in (DOT, TURN) else abs(x[0]) + abs(x[1]) + abs(x[2])
@@ -186,8 +185,8 @@ def rates(joints: Joints, work: Work, lo: int, hi: int) -> float:
     worst = 0.0
     for r in range(lo, hi):
         found = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
-        if joints.rows.action[r] != HOLDS:
-            soft = work.compliance[r]
+        soft = work.compliance[r]
+        if soft > 0.0:
             found = found + soft * work.total[r] if soft < inf else 0.0
         work.z[r] = -found
         found = abs(found) / joints.rows.size[r]

@@ -15,6 +15,7 @@ from typing import Final
 from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.joints.actions import kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
+from particlerb.joints.breaking import leave_out
 from particlerb.joints.drives import carry, set_moving
 from particlerb.joints.records import Joints, L, P, Q, Work, X
 from particlerb.joints.rows import add_impulses, attitude, linearise, rates, residuals, vector
@@ -52,6 +53,7 @@ def factorise_cluster(joints: Joints, work: Work, c: int, span: float, t: float)
     for r in range(start[lo], start[hi]):
         set_compliance(joints, work, r, span)
         work.total[r] = 0.0
+    leave_out(joints.breaks, joints, work, c)
     linearise(joints, work, start[lo], start[hi])
     set_moving(joints.moves, joints, work, start[lo], start[hi], t)
     assemble(joints, work, clusters.block[c], clusters.block[c + 1])

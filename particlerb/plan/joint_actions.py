@@ -2,10 +2,12 @@
 
 import numpy as np
 
-from particlerb.case.joints import JointTable
+from particlerb.case.joints import JointLoad, JointTable
 from particlerb.forces.links import WORLD, Links
-from particlerb.joints.records import AT_REST, STRETCH, Actions, Rows
+from particlerb.joints.records import AT_REST, STRETCH, Actions, Breaks, Rows
 from particlerb.joints.setup import action, both_actions
+from particlerb.maths.vec3 import Ints
+from particlerb.model.system import System
 
 
 def action_of(table: JointTable) -> Actions:
@@ -17,6 +19,13 @@ def action_of(table: JointTable) -> Actions:
         *((*limit.range, limit.stiffness, limit.damping) if limit else (-np.inf, np.inf, 0.0, 0.0)),
         table.motor,
     )
+
+
+def breaks_of(system: System, record: Ints) -> Breaks:
+    """Loads at which joints break, of these records."""
+    loads = [table.breaks_at or JointLoad.model_construct() for table in system.joint]
+    each = [(load.force or np.inf, load.torque or np.inf) for load in loads]
+    return Breaks(*np.ascontiguousarray(np.array(each)[record].T))
 
 
 def with_dashpots(rows: Rows, actions: Actions, links: Links, n: int) -> tuple[Rows, Actions]:

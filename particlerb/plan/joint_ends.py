@@ -104,3 +104,13 @@ def _across(n: Floats) -> tuple[Floats, Floats]:
     e = np.cross(n, least, axis=0)
     e /= lengths(e)
     return e, np.cross(n, e, axis=0)
+
+
+def unique(names: list[str]) -> tuple[str, ...]:
+    """The names, those that were there before with a number behind them."""
+    seen: dict[str, int] = {}
+    found = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return tuple(found)

@@ -26,6 +26,7 @@ from particlerb.joints.records import (
     AT_REST,
     HOLDS,
     Actions,
+    Breaks,
     Coordinates,
     Joints,
     Rows,
@@ -41,9 +42,9 @@ from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import State, lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.plan.driven_bodies import driven_bodies
-from particlerb.plan.joint_actions import action_of, with_dashpots
+from particlerb.plan.joint_actions import action_of, breaks_of, with_dashpots
 from particlerb.plan.joint_drives import Course, course_of, drives_from
-from particlerb.plan.joint_ends import WORLD, ends_of, pairs_of
+from particlerb.plan.joint_ends import WORLD, ends_of, pairs_of, unique
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _ALLOWED: Final = 1e-6  # of its size that a joint may not fit at the start
@@ -67,6 +68,7 @@ class JointSetup(NamedTuple):
     actions: Actions
     until: Floats  # (j,) [s] when each is released
     courses: tuple[Course, ...]  # what is prescribed
+    breaks: Breaks  # (j,)
     driven: PrescribedBodies | None  # bodies of the system that move as prescribed
 
     def within(
@@ -96,7 +98,10 @@ class JointSetup(NamedTuple):
             which = np.r_[which, np.full(links.first.size, -1)]
         drives = drives_from(self.courses, time) if self.drives_among(members) else None
         carried = None if self.driven is None else np.isin(members, self.driven.which)
-        return joints_among(which, start, rows, bodies, actions, coordinates, drives, carried)
+        joints = joints_among(which, start, rows, bodies, actions, coordinates, drives, carried)
+        limits = Breaks(*(np.append(limit, np.inf)[joints.number] for limit in self.breaks))
+        breaks = limits if np.isfinite(limits).any() else None
+        return joints._replace(breaks=breaks)
 
     def drives_among(self, members: Ints) -> list[Course]:
         """What is prescribed among the members of a group."""
@@ -144,8 +149,7 @@ def joints_of(system: System) -> JointSetup | None:
         ends = ends_of(system, table, first, second)
         if table.type == "distance" and not ends.length.all():
             reason = f"{joint_name(system, table, first, second, 0)} has no length"
-            hint = 'give points that lie apart, or type = "ball"'
-            problems.append(problem_at(system, f"joint[{number}]", reason, hint))
+            problems.append(problem_at(system, f"joint[{number}]", reason, "give points apart"))
             continue
         acts, is_driven = any(getattr(table, key) for key in ACTIONS), number in driven
         action, drive = actions.motor.size, driven.index(number) if is_driven else AT_REST
@@ -162,7 +166,7 @@ def joints_of(system: System) -> JointSetup | None:
         raise CaseError(problems)
     record, first, second = (np.concatenate(arrays) for arrays in zip(*records, strict=True))
     setup = JointSetup(
-        _unique(names),
+        unique(names),
         tuple(system.joint[k].type for k in record.tolist()),
         record,
         first,
@@ -175,6 +179,7 @@ def joints_of(system: System) -> JointSetup | None:
         actions,
         np.array([system.joint[k].until for k in record.tolist()]),
         tuple(course_of(table.drive) for table in system.joint if table.drive is not None),
+        breaks_of(system, record),
         driven_bodies(system),
     )
     if problems := _impossible(system, setup) + _held_impulses(system, setup):
@@ -206,16 +211,6 @@ def joint_name(system: System, table: JointTable, first: Ints, second: Ints, k: 
         return table.name if first.size == 1 else f"{table.name}[{k}]"
     other = "world" if second[k] == WORLD else system.names[int(second[k])]
     return f"{system.names[int(first[k])]}-{other}"
-
-
-def _unique(names: list[str]) -> tuple[str, ...]:
-    """The names, those that were there before with a number behind them."""
-    seen: dict[str, int] = {}
-    found = []
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
-    return tuple(found)
 
 
 def _wrong_ends(system: System, number: int, first: Ints, second: Ints) -> Problem | None:

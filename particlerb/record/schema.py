@@ -84,6 +84,7 @@ JOINTS: Final[dict[str, Element]] = {
     ),
     "joint_misfit": Element("", "1", "largest error of a row, of lengths over the joint's size"),
     "joint_rate": Element("", "s-1", "largest rate of these errors"),
+    "joint_break_time": Element("", "s", "when it has broken; 0 while it holds"),
 }
 COORDINATES: Final[dict[str, Element]] = {
     "joint_coordinate": Element("", "1", "angles [rad], with their turns, and displacements [m]")

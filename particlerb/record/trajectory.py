@@ -215,6 +215,11 @@ class Trajectory(LabelledReader):
         return self.observed("joint_rate")
 
     @property
+    def joint_break_time(self) -> Floats:
+        """When each joint has broken [s], (T, j); 0 while it holds."""
+        return self.observed("joint_break_time")
+
+    @property
     def joint_coordinate(self) -> Floats:
         """Angles [rad] with their turns, and displacements [m], (T, c): see coordinate_names."""
         return self.observed("joint_coordinate")

@@ -208,7 +208,8 @@ class GroupRun:
             p, L = frames.linear_momentum[row], frames.angular_momentum[row]
             state = State(x, q, p[self.plan.members].T, L[self.plan.members].T)
             turned = self.motion.coordinates[row] if self.motion.coordinates.size else None
-            self.reader.read(float(times[row]), state, turned, values, row)
+            broken = self.motion.broken
+            self.reader.read(float(times[row]), state, turned, broken, values, row)
 
     def pose(self, frames: Frames, row: int) -> tuple[Floats, Floats]:
         """Centres of mass (3, n) and orientations of the rotor frames (4, n) in a frame."""

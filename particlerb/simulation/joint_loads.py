@@ -52,6 +52,7 @@ def joint_loads(trajectory: Trajectory) -> JointLoads:
     times = trajectory.time
     found = room_for_values(setup, times.size)
     states = [np.asarray(getattr(trajectory, name)) for name in STATE_FIELDS]
+    broken_at = trajectory.joint_break_time if np.isfinite(setup.breaks).any() else np.zeros(0)
     for group in system.plan.groups:
         for segment in group.segments:
             if segment.terms.joints is None:
@@ -61,7 +62,11 @@ def joint_loads(trajectory: Trajectory) -> JointLoads:
                 x, q, p, L = (np.ascontiguousarray(v[k, group.members].T) for v in states)
                 state = State(x, quaternion_product(q, group.bodies.rotor_frame), p, L)
                 reader = reader or JointReader(group, segment, state)
-                reader.read(float(times[k]), state, None, found, k)
+                broken = np.full(reader.joints.number.size, np.inf)
+                if broken_at.size:
+                    own = np.append(np.where(broken_at[k] > 0.0, broken_at[k], np.inf), np.inf)
+                    broken = own[reader.joints.number]
+                reader.read(float(times[k]), state, None, broken, found, k)
     return JointLoads(
         setup.names,
         found.joint_force,

@@ -39,6 +39,7 @@ class JointValues(NamedTuple):
     joint_misfit: Floats  # (T, j) largest |g|, of lengths over the size of the joint
     joint_rate: Floats  # (T, j) largest |dg/dt| [1/s], the same way
     joint_coordinate: Floats  # (T, c) [rad or m]
+    joint_break_time: Floats  # (T, j) [s]; 0 while it holds
 
 
 def room_for_values(setup: JointSetup, n: int) -> JointValues:
@@ -52,6 +53,7 @@ def room_for_values(setup: JointSetup, n: int) -> JointValues:
         np.zeros(vectors[:2]),
         np.zeros(vectors[:2]),
         np.zeros((n, setup.coordinates.a.size)),
+        np.zeros(vectors[:2]),
     )
 
 
@@ -85,6 +87,17 @@ def labels_of(system: System) -> dict[str, list[tuple[str, str]]]:
     return {"joint": joints, "coordinate": setup.coordinate_labels}
 
 
+def broken_joints(
+    setup: JointSetup | None, values: JointValues | None
+) -> tuple[tuple[str, float], ...]:
+    """Names of joints that have broken by the last of some instants, and when [s]."""
+    if setup is None or values is None:
+        return ()
+    times = values.joint_break_time[-1].tolist()
+    found = [(name, t) for name, t in zip(setup.names, times, strict=True) if t > 0.0]
+    return tuple(sorted(found, key=lambda one: one[1]))
+
+
 def at_row(values: JointValues, row: int) -> JointValues:
     """Copy of the values of one instant."""
     return JointValues._make(array[row : row + 1].copy() for array in values)
@@ -109,7 +122,13 @@ class JointReader:
         self.motion = SteppedMotion(method, moving, first, segment.start, segment.dt)
 
     def read(
-        self, time: float, state: State, turned: Floats | None, values: JointValues, row: int
+        self,
+        time: float,
+        state: State,
+        turned: Floats | None,
+        broken: Floats,
+        values: JointValues,
+        row: int,
     ) -> None:
         """Write a row of the values.
 
@@ -120,6 +139,8 @@ class JointReader:
             Of the group.
         turned : ndarray, shape (c, 3), or None
             Coordinates as the motion tracks them.
+        broken : ndarray, shape (j,) [s]
+            When joints of the group have broken; inf: they hold.
         values, row : JointValues, int
             What to write.
         """
@@ -131,6 +152,7 @@ class JointReader:
         padded = np.zeros((joints.inv_mass.size, 6))
         padded[:-1] = loads.T[joints.order]
         work.clock[0] = time - self.segment.start
+        work.broken[:] = np.where(broken <= time, broken, np.inf)
         assert motion.moving.jointed is not None
         jointed = motion.moving.jointed._replace(work=work)
         place_driven(jointed.driven, jointed, work.clock[0], 0.0, 0, len(work.y))
@@ -147,6 +169,8 @@ class JointReader:
         values.joint_force[row, own], values.joint_torque[row, own] = force, torque
         values.joint_force_determined[row, own] = is_known[:, :3]
         values.joint_torque_determined[row, own] = is_known[:, 3:]
+        times = work.broken[is_joint]
+        values.joint_break_time[row, own] = np.where(times < np.inf, times, 0.0)
         residuals(joints, work, 0, m, work.clock[0])
         rates(joints, work, 0, m)
         start, size = joints.program.start[:-1], joints.rows.size

@@ -38,6 +38,7 @@ from particlerb.simulation.impulse_values import impulse_fields
 from particlerb.simulation.joint_values import (
     JointValues,
     at_row,
+    broken_joints,
     labels_of,
     recorded_values,
     refuse_checks,
@@ -83,6 +84,7 @@ class Outcome(NamedTuple):
     swing: float = 0.0  # [rad] per step, the fastest of bodies on all contacts that was seen
     tree: TreeError | None = None  # of the tree that sums the attraction, where it was fitted
     tally: Floats | None = None  # of impulses: see impulses/records.py
+    broken: tuple[tuple[str, float], ...] = ()  # joints that have broken, and when [s]
 
 
 class Prepared(NamedTuple):
@@ -283,10 +285,8 @@ def run_prepared(
         If the run fails; the frames until then are committed.
     """
     system = prepared.system
-    own = {"plan": prepared.text, "identity": identity(prepared)}
-    content = tables_of(system, labels_of(system)) | texts_of(
-        system, {**own, **prepared.parameters}
-    )
+    own = {"plan": prepared.text, "identity": identity(prepared), **prepared.parameters}
+    content = tables_of(system, labels_of(system)) | texts_of(system, own)
     recorder: Recorder | Memory = Memory(system, content)
     if path is not None:
         recorder = Recorder(path, system, content, overwrite)
@@ -294,9 +294,7 @@ def run_prepared(
         return advance(prepared, recorder, None, progress)
 
 
-@np.errstate(
-    over="ignore", invalid="ignore", divide="ignore"
-)  # what is not finite is found in the frames
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # it is found in the frames
 def advance(
     prepared: Prepared,
     recorder: Recorder | Memory,
@@ -346,6 +344,7 @@ def advance(
         run.swing(),
         run.tree_error(),
         tally_of(run.group_runs),
+        broken_joints(run.setup, run.joints),
     )
 
 

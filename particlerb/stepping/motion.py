@@ -75,6 +75,11 @@ class Motion(Protocol):
     def restore(self, saved: Saved) -> None:
         """Go on, bit for bit, from what a motion has saved that began at the same state."""
 
+    @property
+    def broken(self) -> Floats:
+        """When joints of the group have broken [s], (j,): inf where they hold."""
+        return np.zeros(0)
+
     def lost_joints(self) -> list[int]:
         """Joints of the system that no impulse keeps any more."""
         return []

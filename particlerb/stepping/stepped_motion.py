@@ -117,6 +117,9 @@ class SteppedMotion(Motion):
     def set_off_again(self, blocks: Floats, dt: float) -> None:
         """Set off once more, with blocks as they were at first, and another step."""
         self.blocks[:], self.dt, self.steps_done = blocks, dt, 0
+        if self.moving.jointed is not None:
+            self.moving.jointed.work.clock[1] = dt
+            self.moving.jointed.work.broken[:] = np.inf
 
     def spaced(self, values: Floats) -> Floats:
         """Rows of all bodies with the gaps of the blocks between them."""
@@ -134,6 +137,7 @@ class SteppedMotion(Motion):
         work.y[:-1] = np.vstack(self.first).T[joints.order]
         count_turns(joints.coordinates, work.y, work.turned)
         work.turned[:, 2] = 0.0
+        work.clock[1] = self.dt
         given = flag(not has_potential(self.group.terms))
         driven = self.group.terms.driven
         if driven is not None:
@@ -157,7 +161,8 @@ class SteppedMotion(Motion):
     def checkpoint(self) -> Saved:
         """States on the grid with what was booked, and the steps until there."""
         saved = {"changing": self.values(0, CHANGING), "done": np.array(self.steps_done)}
-        return saved | ({"turned": self.turned.copy()} if self.turned.size else {})
+        saved |= {"turned": self.turned.copy()} if self.turned.size else {}
+        return saved | ({"broken": self.broken.copy()} if self.breaks else {})
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
@@ -165,6 +170,20 @@ class SteppedMotion(Motion):
         self.steps_done = int(saved["done"])
         if self.turned.size:
             self.turned[:] = saved["turned"]
+        if self.breaks:
+            self.broken[:] = saved["broken"]
+
+    @property
+    def breaks(self) -> bool:
+        """Whether joints of the group may break."""
+        joints = self.group.terms.joints
+        return joints is not None and joints.breaks is not None
+
+    @property
+    def broken(self) -> Floats:
+        """When joints have broken [s], (j,): inf where they hold."""
+        jointed = self.moving.jointed
+        return np.zeros(0) if jointed is None else jointed.work.broken
 
     @property
     def turned(self) -> Floats:
@@ -176,9 +195,12 @@ class SteppedMotion(Motion):
         """Count the turns of joints on from where the segment before has left them."""
         old = before.group.terms.joints if isinstance(before, SteppedMotion) else None
         new = self.group.terms.joints
-        if old is None or new is None or old.coordinates is None or new.coordinates is None:
+        if old is None or new is None or not isinstance(before, SteppedMotion):
             return
-        assert isinstance(before, SteppedMotion)
+        known = dict(zip(old.number.tolist(), before.broken.tolist(), strict=True))
+        self.broken[:] = [known.get(number, np.inf) for number in new.number.tolist()]
+        if old.coordinates is None or new.coordinates is None:
+            return
         stayed = np.isin(old.coordinates.number, new.coordinates.number)
         self.turned[:] = before.turned[stayed]
 

@@ -39,6 +39,7 @@ HEADINGS = {
     "spring of a joint": "JointSpring",
     "limit of a joint": "JointLimit",
     "drive of a joint": "JointDrive",
+    "breaks_at of a joint": "JointLoad",
     "[contact]": "ContactTable",
     "[[contact.pair]]": "Pair",
     "[[material]]": "Material",

@@ -11,8 +11,8 @@ from particlerb.case.to_system import to_system
 from particlerb.plan.joint_drives import course_of
 from particlerb.simulation.run import prepare
 
-PLAIN = pytest.mark.skipif(
-    not config.DISABLE_JIT, reason="a loop more to compile; in plain Python it has the same bits"
+pytestmark = pytest.mark.skipif(
+    not config.DISABLE_JIT, reason="test_compiled_drives.py has one loop with all of it"
 )
 SWING = {"amplitude": 0.1, "frequency": 1.5, "phase": 0.25 * np.pi}
 RATE = 2 * np.pi * 1.5
@@ -54,9 +54,9 @@ def exact_pendulum(t):
 @pytest.mark.parametrize(
     ("method", "steps"),
     [("rattle", (0.02, 0.01, 0.005)),
-     pytest.param("rattle4", (0.04, 0.02, 0.01), marks=PLAIN),
-     pytest.param("rattle6", (0.05, 0.04, 0.02), marks=PLAIN),
-     pytest.param("rattle8", (0.0625, 0.05, 0.04), marks=PLAIN)],
+     ("rattle4", (0.04, 0.02, 0.01)),
+     ("rattle6", (0.05, 0.04, 0.02)),
+     ("rattle8", (0.0625, 0.05, 0.04))],
 )  # fmt: skip
 def test_a_driven_cart_swings_its_pendulum_at_the_order_of_the_method(method, steps):
     errors, theta = [], exact_pendulum(1.0)
@@ -76,8 +76,8 @@ def test_a_driven_cart_swings_its_pendulum_at_the_order_of_the_method(method, st
     ("method", "ratio"),
     [
         ("rattle", 4),
-        pytest.param("rattle4", 16, marks=PLAIN),
-        pytest.param("rattle6", 64, marks=PLAIN),
+        ("rattle4", 16),
+        ("rattle6", 64),
     ],
 )
 def test_the_work_of_a_drive_closes_the_balance_of_energy(method, ratio):
@@ -136,7 +136,6 @@ def test_a_speed_that_rises_between_knots():
 KNOTS = [[0.0, 0.0], [0.3, 0.2], [0.5, -0.1], [1.0, 0.4]]
 
 
-@PLAIN
 def test_a_position_through_points_is_the_clamped_cubic_spline():
     """As SciPy's; the method has its order across knots, as its steps end there."""
     from scipy.interpolate import CubicSpline
@@ -255,9 +254,7 @@ def test_a_body_fixed_to_a_driven_one_goes_with_it():
         assert np.abs(trajectory.ledger.angular_momentum_error).max() < 1e-12
 
 
-@pytest.mark.parametrize(
-    ("method", "ratio"), [("rattle", 4), pytest.param("rattle4", 16, marks=PLAIN)]
-)
+@pytest.mark.parametrize(("method", "ratio"), [("rattle", 4), ("rattle4", 16)])
 def test_a_pendulum_on_a_driven_body_is_of_the_order_of_the_method(method, ratio):
     """In motion and energy, with a spring between them."""
     ends, errors = [], []
@@ -271,7 +268,6 @@ def test_a_pendulum_on_a_driven_body_is_of_the_order_of_the_method(method, ratio
     assert errors[1] / errors[2] == pytest.approx(ratio, rel=0.15)
 
 
-@PLAIN
 def test_contact_beside_it_changes_nothing():
     """A driven body that others may touch is moved by contact too: the same motion."""
     contact = {"stiffness": 1e4, "restitution": 0.5, "friction": 0.0}

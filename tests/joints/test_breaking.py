@@ -1,0 +1,144 @@
+"""Joints that break under a load: when, with what motion after it, and what is said."""
+
+import numpy as np
+import pytest
+from numba import config
+from scenes import Y, Z, bar, body, case, joint, moved
+from test_actions import OUTPUT, flap
+
+import particlerb
+from particlerb import CaseError, joint_loads
+from particlerb.case.to_system import to_system
+from particlerb.simulation.run import prepare
+
+pytestmark = pytest.mark.skipif(
+    not config.DISABLE_JIT, reason="test_compiled_drives.py has one loop with all of it"
+)
+
+
+def weight_on_a_wire(limit, **keys):
+    """A ball that swings down from the horizontal: its wire carries 3 m g sin φ."""
+    bob = body("bob", 1.0, [0.1, 0.1, 0.1], [1.0, 0, 0])
+    wire = {"type": "distance", "body": "bob", "at_to": [0.0, 0, 0], "name": "wire"}
+    return case([bob], [wire | {"breaks_at": {"force": limit}} | keys], output=OUTPUT)
+
+
+@pytest.mark.parametrize("dt", [0.004, 0.001])
+def test_a_wire_snaps_where_its_tension_is_reached(dt):
+    """3 m g sin φ = F at sin φ = 2/3; then a parabola from there, at 2 g sin φ = v²."""
+    with moved(weight_on_a_wire(2 * 9.81), 0.8, dt, every=0.0333) as trajectory:
+        t, x = trajectory.time, np.array(trajectory.position)[:, 0]
+        v = np.array(trajectory.velocity)[:, 0]
+        at = np.array(trajectory.joint_break_time)[:, 0]
+        loads = joint_loads(trajectory)
+        ledger = trajectory.ledger
+    from scipy.integrate import quad
+
+    when = quad(lambda s: 2 / np.sqrt(2 * 9.81 * np.sin(s * s)) * s, 0, np.sqrt(np.arcsin(2 / 3)))[
+        0
+    ]
+    assert when < at[-1] < when + 2.1 * dt
+    assert (at[t < at[-1]] == 0.0).all()
+    assert (at[t >= at[-1]] == at[-1]).all()
+    holds = t < at[-1]
+    assert np.linalg.norm(x[holds], axis=1) == pytest.approx(1.0, abs=1e-13)
+    tension = np.linalg.norm(loads.force[:, 0], axis=1)
+    assert tension[holds] == pytest.approx(-3 * 9.81 * x[holds, 2], abs=30 * dt)
+    assert (tension[~holds] == 0.0).all()
+    k = np.flatnonzero(~holds)[0]
+    s = (t[k:] - t[k])[:, None]
+    assert x[k:] == pytest.approx(x[k] + v[k] * s - 0.5 * 9.81 * s * s * np.array(Z), abs=1e-12)
+    sin = -x[k, 2] + v[k, 2] * (t[k] - at[k]) - 0.5 * 9.81 * (t[k] - at[k]) ** 2
+    assert sin == pytest.approx(2 / 3, abs=20 * dt)
+    assert np.abs(ledger.energy_error).max() < 60 * dt * dt
+    assert np.abs(ledger.linear_momentum_error).max() < 1e-12
+    assert np.abs(ledger.angular_momentum_error).max() < 1e-12
+
+
+def test_a_hinge_breaks_under_a_torque_and_leaves_its_neighbour():
+    """Of two bars in a chain the second one breaks off; the first goes on about its hinge."""
+    bars = [bar("a", [0, 0, 0], [1, 0, 0]), bar("b", [1, 0, 0], [2, 0, 0])]
+    weld = joint("fixed", "b", "a", [1, 0, 0], breaks_at={"torque": 1.0})
+    scene = case(bars, [joint("hinge", "a", None, [0, 0, 0], Y), weld], output=OUTPUT)
+    with moved(scene, 0.2, 0.005, every=0.05) as trajectory:
+        at, x = np.array(trajectory.joint_break_time), np.array(trajectory.position)
+        v = np.array(trajectory.velocity)[1, 1, 2]
+        loads = joint_loads(trajectory)
+    assert (at[:, 0] == 0.0).all()
+    assert at[-1, 1] == pytest.approx(0.005)  # at the end of the first step
+    assert np.linalg.norm(x[:, 0], axis=1) == pytest.approx(0.5, abs=1e-13)
+    fall = x[-1, 1, 2] - x[1, 1, 2]
+    assert fall == pytest.approx(v * 0.15 - 0.5 * 9.81 * 0.15**2, abs=1e-12)
+    assert loads.force[0, 1, 2] != 0.0
+    assert (loads.force[1:, 1] == 0.0).all()
+
+
+def test_frames_and_pauses_do_not_move_the_instant(tmp_path):
+    """Bit for bit: with frames between steps, and gone on with after the break and before."""
+    scene, times = weight_on_a_wire(20.0), {"dt": 0.004}
+    whole = particlerb.run({"run": {"t_end": 0.6, "every": 0.1, **times}, **scene})
+    often = particlerb.run({"run": {"t_end": 0.6, "every": 0.002, **times}, **scene})
+    with whole, often:
+        assert (np.array(whole.position) == np.array(often.position)[::50]).all()
+        assert whole.joint_break_time[-1] == often.joint_break_time[-1]
+        for n, first in enumerate((0.2, 0.5)):
+            path = tmp_path / f"{n}.h5"
+            particlerb.run({"run": {"t_end": first, "every": 0.1, **times}, **scene}, path).close()
+            particlerb.resume(path, 0.6).close()
+            with particlerb.open(path) as resumed:
+                assert (np.array(resumed.position) == np.array(whole.position)).all()
+                ends = resumed.joint_break_time, whole.joint_break_time
+                assert np.array_equal(*ends)
+
+
+def test_a_joint_that_carries_less_holds():
+    with moved(weight_on_a_wire(30.0), 0.8, 0.004, every=0.1) as trajectory:
+        assert (np.array(trajectory.joint_break_time) == 0.0).all()
+        assert np.linalg.norm(trajectory.position[:, 0], axis=1) == pytest.approx(1.0, abs=1e-13)
+
+
+def test_the_command_says_what_has_broken(tmp_path, capsys):
+    from particlerb.cli import main
+
+    path = tmp_path / "wire.toml"
+    path.write_text("""
+[run]
+t_end = 0.8
+every = 0.1
+dt = 0.004
+[gravity]
+acceleration = [0, 0, -9.81]
+[[body]]
+name = "bob"
+shape = { type = "moments", inertia = [0.1, 0.1, 0.1] }
+mass = 1.0
+position = [1, 0, 0]
+[[joint]]
+type = "distance"
+name = "wire"
+body = "bob"
+at_to = [0, 0, 0]
+breaks_at = { force = 20.0 }
+""")
+    assert main(["run", str(path), "--output", str(tmp_path / "wire.h5")]) == 0
+    text = capsys.readouterr().out
+    assert "joint wire broke at t = 0.4 s" in text, text
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"breaks_at": {}}, "neither force nor torque"),
+        ({"breaks_at": {"force": -1.0}}, "greater than 0|> 0"),
+        ({"breaks_at": {"force": 1.0}, "damper": 1.0}, "given beside damper"),
+    ],
+)
+def test_a_limit_that_makes_no_sense_is_named(keys, words):
+    with pytest.raises(CaseError, match=words):
+        prepare(to_system({"run": {"t_end": 1.0, "every": 0.1}, **flap(**keys)}))
+
+
+def test_high_orders_do_not_see_loads():
+    times = {"t_end": 1.0, "every": 0.1, "dt": 0.01, "method": "rattle4"}
+    with pytest.raises(CaseError, match="does not accept what acts here: joints that break"):
+        prepare(to_system({"run": times, **weight_on_a_wire(20.0)}))

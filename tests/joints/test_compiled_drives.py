@@ -1,0 +1,35 @@
+"""Prescribed motion, a driven body and a joint that breaks, in one mechanism: one loop to compile.
+
+Plain Python has the closed forms of each; here all of them run as compiled.
+"""
+
+import numpy as np
+import pytest
+from scenes import X, body, case, joint, moved
+from test_actions import OUTPUT
+from test_joint_drives import SWING, swung
+
+
+@pytest.mark.compiled
+def test_a_load_tears_off_a_cart_that_slides_on_a_driven_base():
+    """The cart is where both motions put it; its bob flies on a parabola once its wire snaps."""
+    base = body("base", 3.0, [1, 1, 1], [0, 0, 0]) | {"motion": {"velocity": [0.1, 0, 0]}}
+    del base["velocity"], base["angular_velocity"]
+    cart = body("cart", 2.0, [0.1, 0.2, 0.3], [0, 0, 0.5], [0.1 + swung(0.0)[1], 0, 0])
+    bob = body("bob", 1.0, [0.1, 0.1, 0.1], [0, 0, -0.5])
+    wire = {"type": "distance", "body": "bob", "to": "cart", "breaks_at": {"force": 11.0}}
+    joints = [joint("slider", "cart", "base", [0, 0, 0.5], X, drive=SWING), wire]
+    with moved(case([base, cart, bob], joints, output=OUTPUT), 1.0, 2e-3, every=0.02) as t:
+        time, x, v = t.time, np.array(t.position), np.array(t.velocity)
+        at = float(t.joint_break_time[-1, 1])
+        assert np.abs(t.ledger.energy_error).max() < 1e-4
+        assert np.abs(t.ledger.linear_momentum_error).max() < 1e-12
+    assert x[:, 1, 0] == pytest.approx(0.1 * time + swung(time)[0], abs=1e-13)
+    assert v[:, 1, 0] == pytest.approx(0.1 + swung(time)[1], abs=1e-12)
+    length = np.linalg.norm(x[:, 2] - x[:, 1], axis=1)
+    assert 0.02 < at < 0.9
+    assert length[time < at] == pytest.approx(1.0, abs=1e-13)
+    k = np.flatnonzero(time >= at)[0]
+    s = (time[k:] - time[k])[:, None]
+    parabola = x[k, 2] + v[k, 2] * s - 0.5 * 9.81 * s * s * np.array([0, 0, 1])
+    assert x[k:, 2] == pytest.approx(parabola, abs=1e-12)
