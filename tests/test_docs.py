@@ -60,3 +60,13 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     outside = re.compile(r'(?:src|<link[^>]* href)="https?:')
     assert not [p for p in tmp_path.rglob("*.html") if outside.search(p.read_text())]
+
+
+def test_a_page_begins_with_what_its_reader_can_do_afterwards():
+    pages = {*DOCS.glob("*.md"), *(DOCS / "tutorials").glob("*.md")}
+    pages -= {DOCS / name for name in ("index.md", "api.md")}
+    for page in sorted(pages):
+        title, blank, first = page.read_text().splitlines()[:3]
+        assert title.startswith("# "), page
+        assert not blank
+        assert first.startswith("After this page you "), page
