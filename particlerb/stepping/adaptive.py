@@ -20,7 +20,7 @@ from particlerb.integrators.dop853 import PACK
 from particlerb.integrators.dop853_step import ALONE, find_step, interpolate, take_stages
 from particlerb.integrators.dop853_table import STAGES
 from particlerb.integrators.method import Method
-from particlerb.maths.quaternion import rows4
+from particlerb.maths.quaternion import Rows4, rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.model.block import (
     BOOKED,
@@ -70,6 +70,21 @@ def _give_pack(y: Floats, w: int, blocks: Floats, pack: int, n: int) -> None:
             put(target, c, first + b, y[c * w + b])
 
 
+@inline
+def store_vectors(
+    frames: Frames, f: int, members: Ints, rotor_frame: Rows4, out: Floats, w: int, sums: Floats,
+    block: int,
+) -> None:  # fmt: skip
+    """Write bodies from vectors as `dop853_step` has them into frame f, and what they book."""
+    n, shown = members.size, out.reshape(out.size // w, w)
+    com, q = rows3(shown[COM : COM + 3], 0, n), rows4(shown[Q : Q + 4], 0, n)
+    p, spin = rows3(shown[P : P + 3], 0, n), rows3(shown[L : L + 3], 0, n)
+    store_frame(frames, f, members, rotor_frame, com, q, p, spin)
+    for c in range(shown.shape[0] - ALONE):
+        for b in range(n):
+            sums[f, block, c] += shown[BOOKED + c, b]
+
+
 @kernel
 def advance(
     blocks: Floats,
@@ -117,15 +132,8 @@ def advance(
                     take_stages(acting, books, rows, n, w, y, K, out, t, h, 13, STAGES)
                     is_dense = True
                 interpolate(n, w, y, new, K, h, (times[f] - t) / h, out)
-            shown = out.reshape(size, w)
-            store_frame(
-                frames, index[f], members[lo : lo + n], rows4(rotor_frame, lo, lo + n),
-                rows3(shown[COM : COM + 3], 0, n), rows4(shown[Q : Q + 4], 0, n),
-                rows3(shown[P : P + 3], 0, n), rows3(shown[L : L + 3], 0, n),
-            )  # fmt: skip
-            for c in range(size - ALONE):
-                for b in range(n):
-                    sums[index[f], lo // BLOCK, c] += shown[BOOKED + c, b]
+            own = members[lo : lo + n], rows4(rotor_frame, lo, lo + n)
+            store_vectors(frames, index[f], *own, out, w, sums, lo // BLOCK)
         while t + h < until:
             t += h
             assign(y, new)

@@ -31,13 +31,9 @@ from particlerb.integrators.dop853_table import NODES, STAGES, A
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
-from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import (
-    BOOKED,
     CHANGING,
-    COM,
-    L,
-    P,
     Q,
     assign,
     get,
@@ -45,8 +41,8 @@ from particlerb.model.block import (
     put,
     state_rows,
 )
-from particlerb.model.state import Frames, State, store_frame
-from particlerb.stepping.adaptive import AdaptiveRun
+from particlerb.model.state import Frames, State
+from particlerb.stepping.adaptive import AdaptiveRun, store_vectors
 from particlerb.stepping.loop import Recording
 from particlerb.stepping.motion import Group
 from particlerb.stepping.pair_forces import PairForces
@@ -206,15 +202,8 @@ def _store_blocks(
     w = room.width
     for k in range(layout.first.size):
         lo, n = layout.first[k], layout.size[k]
-        shown = room.out[k].reshape(room.out[k].size // w, w)
-        store_frame(
-            frames, f, members[lo : lo + n], rows4(rotor_frame, lo, lo + n),
-            rows3(shown[COM : COM + 3], 0, n), rows4(shown[Q : Q + 4], 0, n),
-            rows3(shown[P : P + 3], 0, n), rows3(shown[L : L + 3], 0, n),
-        )  # fmt: skip
-        for c in range(shown.shape[0] - ALONE):
-            for b in range(n):
-                sums[f, k, c] += shown[BOOKED + c, b]
+        own = members[lo : lo + n], rows4(rotor_frame, lo, lo + n)
+        store_vectors(frames, f, *own, room.out[k], w, sums, k)
 
 
 def advance_joint(
