@@ -13,8 +13,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from particlerb.case.case_names import case_path, nearest_names
 from particlerb.case.messages import Complaint, complaints, without_typos
-from particlerb.case.named import case_path, nearest_names
 from particlerb.case.overrides import overridden
 from particlerb.case.problems import CaseError, Problem, key_of, nearest
 from particlerb.case.rules import findings

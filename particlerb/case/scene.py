@@ -17,7 +17,7 @@ from particlerb.case.reader import load
 from particlerb.case.run import AttractionTable, Gravity, RunTable
 from particlerb.case.schema import Case
 from particlerb.case.sweep import SweepTable
-from particlerb.case.text import toml_text
+from particlerb.case.toml_writer import toml_text
 from particlerb.case.values import Table, plain
 from particlerb.files import Files
 

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple, NoReturn
 
 import particlerb
 from particlerb.cli import arguments
-from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, Ending, tamed
+from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, Ending, tamed
 from particlerb.cli.guard import guarded, wants_guard
 
 _EPILOG = """\

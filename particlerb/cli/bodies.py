@@ -12,7 +12,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import find_case, read_case
-from particlerb.cli.endings import Ending, ending
+from particlerb.cli.exit_codes import Ending, ending
 from particlerb.geometry.fill import mesh_particles
 from particlerb.geometry.mass_properties import MassProperties, mass_properties, of_kind
 from particlerb.geometry.mesh import read_mesh

@@ -7,11 +7,11 @@ import os
 from pathlib import Path
 from typing import Final
 
-from particlerb.case.named import case_path, nearest_names
+from particlerb.case.case_names import case_path, nearest_names
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
-from particlerb.cli.endings import FAILED, Ending, ending
+from particlerb.cli.exit_codes import FAILED, Ending, ending
 from particlerb.record.output_path import output_path
 from particlerb.record.trajectory import Trajectory, TrajectoryError, open_trajectory
 

@@ -13,7 +13,7 @@ from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system
 from particlerb.cli.bodies import case_with_joints, holds_bodies, named_bodies
 from particlerb.cli.common import opened, output_of, readable, to_write
-from particlerb.cli.endings import DONE, FAILED, Ending, ending
+from particlerb.cli.exit_codes import DONE, FAILED, Ending, ending
 from particlerb.export import FORMATS, ExportError, export
 from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies, file_name
 from particlerb.studies.text import count_of

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, Ending
+from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, Ending
 
 GUARDED: Final = ("info", "plot", "export", "resume")
 FILES: Final = (".h5", ".hdf5", ".vtkhdf")  # that `view` plays

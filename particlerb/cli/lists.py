@@ -4,8 +4,8 @@ import argparse
 import json
 import tomllib
 
-from particlerb.case.named import case_folders
-from particlerb.cli.endings import DONE
+from particlerb.case.case_names import case_folders
+from particlerb.cli.exit_codes import DONE
 from particlerb.studies.text import aligned
 
 

@@ -4,7 +4,7 @@ import argparse
 import json
 
 from particlerb.cli.bodies import named_bodies
-from particlerb.cli.endings import DONE, Ending
+from particlerb.cli.exit_codes import DONE, Ending
 from particlerb.plan.time_step import RADIANS_PER_STEP
 from particlerb.studies.mass_report import record_of, text_of
 

@@ -11,7 +11,7 @@ from typing import Final, TextIO
 
 from tqdm import tqdm
 
-from particlerb.cli.endings import Ending
+from particlerb.cli.exit_codes import Ending
 from particlerb.files import Closing
 from particlerb.simulation.run import Reached
 

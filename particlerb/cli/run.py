@@ -20,7 +20,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import amount, output_of, read_case
-from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
+from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.cli.guard import probe
 from particlerb.cli.report import Report
 from particlerb.compiled.jit import WHEN_COMPILING

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from particlerb.cli.common import PICTURES, amount, opened, output_of, readable
-from particlerb.cli.endings import DONE, FAILED, Ending, tamed
+from particlerb.cli.exit_codes import DONE, FAILED, Ending, tamed
 from particlerb.compiled.jit import CACHE_FOLDER
 from particlerb.compiled.vector_width import machine
 from particlerb.model.state import STATE_FIELDS

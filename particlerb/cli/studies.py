@@ -13,7 +13,7 @@ from tqdm import tqdm
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import read_case, to_write
-from particlerb.cli.endings import DONE, Ending, ending
+from particlerb.cli.exit_codes import DONE, Ending, ending
 
 
 def chart_command(options: argparse.Namespace) -> int:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from particlerb.case.problems import CaseError
 from particlerb.cli.common import named_output, read_case, to_write
-from particlerb.cli.endings import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
+from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.sweeping.driver import sweep
 from particlerb.sweeping.table import SweepRows
 

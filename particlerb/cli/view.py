@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import opened, read_case, to_write
-from particlerb.cli.endings import DONE, FAILED, Ending, ending
+from particlerb.cli.exit_codes import DONE, FAILED, Ending, ending
 from particlerb.cli.guard import FILES, probe
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import numpy as np
 
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import rotation_matrix
-from particlerb.view.figures import BodyMotion
+from particlerb.view.number_tables import BodyMotion
 from particlerb.view.session import Session
 from particlerb.view.stage import Stage
 

@@ -18,12 +18,12 @@ from particlerb.model.state import rotate
 from particlerb.model.system import System
 from particlerb.view.arrows import Arrows
 from particlerb.view.controls import ALONG_VIEW, AXES, INTO_SURFACE, Controls
-from particlerb.view.figures import BodyMotion, hand_part, motion_of, push_part, state_parts
-from particlerb.view.forms import meet
-from particlerb.view.page import FIGURES, UPDATES, Page, note
+from particlerb.view.number_tables import BodyMotion, hand_part, motion_of, push_part, state_parts
+from particlerb.view.page import NUMBERS_EVERY, UPDATES, Page, note
 from particlerb.view.recording import recorded
 from particlerb.view.server import finite, vector
 from particlerb.view.session import AppliedPush, Session, SessionError, UserPush, decimals
+from particlerb.view.surfaces import meet
 
 _CHARTS: Final = 0.25  # [s] between two charts
 _BUSY: Final = 0.05  # [s] that one update may compute
@@ -68,11 +68,11 @@ class Live(Page):
         self.arrows.forget()
         self.history: deque[tuple[float, ...]] = deque(maxlen=_MOST_POINTS)
         self.reference: tuple[float, float] | None = None  # energy error, |L| after the push
-        self.next_figures = self.next_charts = 0.0
+        self.next_numbers = self.next_charts = 0.0
 
     def corner(self) -> Floats:
         """A point of the surface of the body that is looked at, far from its centre [m]."""
-        vertices = self.stage.surfaces.form(self.session.system.kind[self.body]).mesh.vertices
+        vertices = self.stage.surfaces.of_kind(self.session.system.kind[self.body]).mesh.vertices
         far: Floats = vertices[int(np.argmax(np.round((vertices**2).sum(axis=1), 12)))]
         return far
 
@@ -160,7 +160,7 @@ class Live(Page):
     def normal_at(self, b: int, at: Floats) -> Floats:
         """Outward normal where the ray from outside through a point meets body b, in its axes."""
         size = float(np.linalg.norm(at))
-        surface = self.stage.surfaces.form(self.session.system.kind[b])
+        surface = self.stage.surfaces.of_kind(self.session.system.kind[b])
         start = at * (3.0 * surface.reach / size) if size > 0.0 else at
         found = meet(surface, start, -at / size) if size > 0.0 else None
         if found is None:
@@ -182,7 +182,7 @@ class Live(Page):
         self.clock = max(self.clock, self.session.time)
         self.arm, self.reference = np.array(point), None
         self.arrows.trail.clear()
-        self.next_figures = 0.0
+        self.next_numbers = 0.0
         self.say("")
         self.explain(applied)
 
@@ -274,8 +274,8 @@ class Live(Page):
         if not self.history or self.history[-1][0] != session.time:
             rates = tuple(motion.angular_velocity.tolist())
             self.history.append((session.time, *rates, float(kinetic), float(total)))
-        if now >= self.next_figures:
-            self.next_figures = now + FIGURES
+        if now >= self.next_numbers:
+            self.next_numbers = now + NUMBERS_EVERY
             self.write(motion)
         if now >= self.next_charts and len(self.history) > 1:
             self.next_charts = now + _CHARTS

@@ -15,14 +15,14 @@ import numpy as np
 import viser
 
 from particlerb.model.system import System
-from particlerb.view.figures import MOST_DIGITS, FigurePart, table
-from particlerb.view.forms import Hit
+from particlerb.view.number_tables import MOST_DIGITS, NumberGroup, table
 from particlerb.view.server import finite
 from particlerb.view.session import SessionError
 from particlerb.view.stage import Stage
+from particlerb.view.surfaces import Hit
 
 UPDATES: Final = 60.0  # per second
-FIGURES: Final = 0.1  # [s] between two tables of numbers
+NUMBERS_EVERY: Final = 0.1  # [s] between two tables of numbers
 _LONGEST_UPDATE: Final = 0.1  # [s] that an update goes on at most
 _MOST_WAITING: Final = 1000  # clicks and changes that wait to be dealt with
 _MOST_LISTED: Final = 60  # bodies among which one chooses from a list
@@ -59,7 +59,7 @@ class Page:
         self.stage = Stage(server, system)
         self.names = [str(name) for name in system.names]  # checked, as those of a case are
         self.index = {name: b for b, name in enumerate(self.names)}
-        self.body, self.speed, self.next_figures = 0, 1.0, 0.0
+        self.body, self.speed, self.next_numbers = 0, 1.0, 0.0
 
     def add_speed_field(self) -> None:
         """The field of the speed."""
@@ -169,7 +169,7 @@ class Page:
 
     def look_at(self, b: int) -> None:
         """Show the numbers of body b."""
-        self.body, self.next_figures = b, 0.0
+        self.body, self.next_numbers = b, 0.0
         if self.body_field.value != self.names[b]:
             self.body_field.value = self.names[b]
 
@@ -182,7 +182,7 @@ class Page:
 
     # What the page says
 
-    def write_numbers(self, parts: Iterable[FigurePart]) -> None:
+    def write_numbers(self, parts: Iterable[NumberGroup]) -> None:
         """The table of numbers."""
         digits = int(min(max(self.digits.value, 1), MOST_DIGITS))
         write(self.numbers, table(self.names[self.body], parts, digits))

@@ -4,7 +4,7 @@ import copy
 from typing import Any, Final
 
 import particlerb
-from particlerb.case.text import toml_text
+from particlerb.case.toml_writer import toml_text
 from particlerb.view.session import Session
 
 _NEAREST: Final = 80  # characters of a title that is quoted

@@ -20,8 +20,8 @@ from particlerb.model.state import derived
 from particlerb.model.system import System
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.record.trajectory import Trajectory, TrajectoryError
-from particlerb.view.figures import motion_of, state_parts
-from particlerb.view.page import FIGURES, Page, note, write
+from particlerb.view.number_tables import motion_of, state_parts
+from particlerb.view.page import NUMBERS_EVERY, Page, note, write
 from particlerb.view.stage import COLOURS
 
 _COLOURED_BY: Final = ("body", "speed", "energy")
@@ -258,8 +258,8 @@ class Replay(Page):
             with self.server.atomic():
                 self.stage.show(self.state[0], self.state[1], follow)
             self.is_new, self.followed = False, follow
-        if now >= self.next_figures:
-            self.next_figures = now + FIGURES
+        if now >= self.next_numbers:
+            self.next_numbers = now + NUMBERS_EVERY
             self.write()
 
     def write(self) -> None:

@@ -14,8 +14,8 @@ import viser
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import quaternion_product
 from particlerb.model.system import System
-from particlerb.view.forms import Surfaces, extent_of, walls_of
 from particlerb.view.joint_lines import JointLines
+from particlerb.view.surfaces import Surfaces, extent_of, walls_of
 
 _Colour = tuple[int, int, int]
 COLOURS: Final[tuple[_Colour, ...]] = (

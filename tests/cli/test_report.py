@@ -5,7 +5,7 @@ import time
 import pytest
 
 from particlerb.cli import main, report
-from particlerb.cli.endings import Ending
+from particlerb.cli.exit_codes import Ending
 from particlerb.simulation.run import Reached
 
 

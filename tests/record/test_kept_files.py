@@ -128,13 +128,13 @@ def test_the_run_goes_on_and_repeats(moved):
 
 
 def test_it_is_shown_and_exported(moved):
-    from particlerb.view.forms import form_of, walls_of
     from particlerb.view.replay import system_of
+    from particlerb.view.surfaces import surface_of, walls_of
 
     path, last = moved
     with particlerb.open(path) as t:
         system = system_of(t)
-    forms = [form_of(system, body, k, 1) for k, body in enumerate(system.body)]
+    forms = [surface_of(system, body, k, 1) for k, body in enumerate(system.body)]
     assert all(len(form.mesh.faces) for form in forms)
     assert len(walls_of(system, 1.0)[0].faces) == 1
     assert np.array_equal(system.state.com.T[1:], [[0, 0, 3], [9, 0, 0]])

@@ -177,7 +177,7 @@ def test_an_end_is_a_number(case_file, tmp_path, t_end):
 
 
 def test_examples_are_found_by_the_names_of_the_command_line(tmp_path, monkeypatch, capsys):
-    from particlerb.case.named import case_folders
+    from particlerb.case.case_names import case_folders
     from particlerb.cli import main
 
     monkeypatch.chdir(tmp_path)

@@ -41,7 +41,7 @@ class Row(NamedTuple):
     values: tuple[float, ...]
 
 
-class FigurePart(NamedTuple):
+class NumberGroup(NamedTuple):
     """Quantities under a heading."""
 
     title: str
@@ -90,7 +90,7 @@ def euler_deg(q: Floats) -> Floats:
     return np.degrees([roll, pitch, yaw])
 
 
-def state_parts(system: System, b: int, motion: BodyMotion) -> list[FigurePart]:
+def state_parts(system: System, b: int, motion: BodyMotion) -> list[NumberGroup]:
     """Everything that is known of a body now."""
     q = motion.orientation
     body = inertia_in_body(system.bodies, b)
@@ -117,14 +117,14 @@ def state_parts(system: System, b: int, motion: BodyMotion) -> list[FigurePart]:
     mass = (row("mass", "mass  kg", [system.bodies.mass[b]]),)
     principal = (row("moments", "principal", np.sort(system.bodies.inertia[:, b])),)
     return [
-        FigurePart("where", where),
-        FigurePart("how it moves", moves),
-        FigurePart("inertia, body axes  kg m²", mass + tensor("inertia", body) + principal),
-        FigurePart("inertia, world axes  kg m²", tensor("inertia_world", world)),
+        NumberGroup("where", where),
+        NumberGroup("how it moves", moves),
+        NumberGroup("inertia, body axes  kg m²", mass + tensor("inertia", body) + principal),
+        NumberGroup("inertia, world axes  kg m²", tensor("inertia_world", world)),
     ]
 
 
-def push_part(applied: AppliedPush, drift: tuple[float, float] | None) -> FigurePart:
+def push_part(applied: AppliedPush, drift: tuple[float, float] | None) -> NumberGroup:
     """What was done to the body last, and the drifts of energy and |L| since it ended."""
     push = applied.push
     is_push = push.duration > 0.0
@@ -138,10 +138,10 @@ def push_part(applied: AppliedPush, drift: tuple[float, float] | None) -> Figure
     ]
     if drift is not None:
         rows.append(row("drift", "errors: E, |L|", drift))
-    return FigurePart("last push", tuple(rows))
+    return NumberGroup("last push", tuple(rows))
 
 
-def hand_part(system: System, applied: AppliedPush, motion: BodyMotion) -> FigurePart:
+def hand_part(system: System, applied: AppliedPush, motion: BodyMotion) -> NumberGroup:
     """The hand calculation of the paper beside the solver: I, ΔL = r × F Δt, ΔP = F Δt, ω = L/I.
 
     The lever arm is taken as it is at the start. A push turns the body away under it, so that the
@@ -160,7 +160,7 @@ def hand_part(system: System, applied: AppliedPush, motion: BodyMotion) -> Figur
     if moments is not None and np.ptp(moments) == 0.0:
         rows += beside("omega", "ω = L/I", hand_L / moments[0], motion.angular_velocity)
     rows += beside("v", "v = P/M  m/s", hand_P / mass, motion.velocity)
-    return FigurePart("by hand, and by the solver", tuple(rows))
+    return NumberGroup("by hand, and by the solver", tuple(rows))
 
 
 def _hand_moments(shape: AnyShape | None, mass: float) -> Floats | None:
@@ -188,7 +188,7 @@ def row(key: str, label: str, values: Iterable[float]) -> Row:
     return Row(key, label, tuple(float(value) for value in values))
 
 
-def table(title: str, parts: Iterable[FigurePart], digits: int) -> str:
+def table(title: str, parts: Iterable[NumberGroup], digits: int) -> str:
     """HTML of quantities; the numbers of each lie in elements that carry its key."""
     lines = [_STYLE, f'<div class="pb" style="display:block"><b>{html.escape(title)}</b>']
     for part in parts:

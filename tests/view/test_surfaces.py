@@ -7,8 +7,8 @@ pytest.importorskip("trimesh")
 
 from particlerb.case.to_system import to_system
 from particlerb.model.state import as_frame
-from particlerb.view.figures import FigurePart, Row, euler_deg, shown, table
-from particlerb.view.forms import Surfaces, equal_ellipsoid, walls_of
+from particlerb.view.number_tables import NumberGroup, Row, euler_deg, shown, table
+from particlerb.view.surfaces import Surfaces, equal_ellipsoid, walls_of
 
 BOX = {"name": "box", "shape": {"type": "box", "size": [1.0, 2.0, 3.0]}, "mass": 1.0}
 HALF = np.sqrt(0.5)
@@ -87,7 +87,7 @@ SHAPES = [
 def test_every_shape_has_a_surface_around_its_centre_of_mass(shape):
     """Rays from all sides at corners of what is shown meet it there or before."""
     which = surfaces({"name": "b", "shape": shape, "mass": 1.0})
-    form = which.form(0)
+    form = which.of_kind(0)
     reach = which.reach[0]
     corners = form.mesh.vertices
     assert np.linalg.norm(corners, axis=1).max() == pytest.approx(reach, rel=0.05)
@@ -165,6 +165,6 @@ def test_euler_angles_are_those_of_a_case(make):
 
 
 def test_the_table_escapes_what_a_case_calls_its_bodies():
-    text = table("<script>", [FigurePart("a & b", (Row("k", "<i>", (1.0,)),))], 5)
+    text = table("<script>", [NumberGroup("a & b", (Row("k", "<i>", (1.0,)),))], 5)
     assert "<script>" not in text
     assert "&lt;script&gt;" in text

@@ -44,7 +44,7 @@ class SurfaceMesh(NamedTuple):
         return self._replace(vertices=self.vertices @ R.T + shift)
 
 
-class _Form(NamedTuple):
+class _Surface(NamedTuple):
     """Surface of one kind of body."""
 
     mesh: SurfaceMesh  # what is shown
@@ -83,31 +83,31 @@ class Surfaces:
 
     def __init__(self, system: System) -> None:
         self.system = system
-        self.known: dict[int, _Form] = {}
+        self.known: dict[int, _Surface] = {}
         self.layers: list[_Layer] = []
         self.reach: Floats = np.zeros(system.n_bodies)  # radius of a ball that holds each [m]
         for i in range(len(system.body)):
             own = np.flatnonzero(system.block == i)
             kinds, of_body = np.unique(system.kind[own], return_inverse=True)
-            self.reach[own] = np.array([self.form(kind).reach for kind in kinds])[of_body]
+            self.reach[own] = np.array([self.of_kind(kind).reach for kind in kinds])[of_body]
             if kinds.size == 1:
-                self.layers.append(_Layer(self.form(kinds[0]).mesh, own, None, None))
+                self.layers.append(_Layer(self.of_kind(kinds[0]).mesh, own, None, None))
             else:
                 axes = np.array([equal_ellipsoid(system, b) for b in own.tolist()])
                 frame = system.bodies.rotor_frame[:, own]
                 self.layers.append(_Layer(ball(1.0, own.size), own, frame, axes))
 
-    def form(self, kind: int) -> _Form:
+    def of_kind(self, kind: int) -> _Surface:
         """Surface of a kind of body."""
         kind = int(kind)
         if kind not in self.known:
             first = int(np.argmax(self.system.kind == kind))
             body = self.system.body[self.system.block[first]]
             if body.count > 1 and body.shape is not None and body.shape.type == "cloud":
-                self.known[kind] = _ellipsoid_form(self.system, first)
+                self.known[kind] = _ellipsoid_surface(self.system, first)
             else:
                 copies = int(np.count_nonzero(self.system.kind == kind))
-                self.known[kind] = form_of(self.system, body, kind, copies)
+                self.known[kind] = surface_of(self.system, body, kind, copies)
         return self.known[kind]
 
     def hit(self, position: Floats, q: Floats, origin: Floats, direction: Floats) -> Hit | None:
@@ -135,16 +135,16 @@ class Surfaces:
             turn = q[b][:, None]
             start = rotate_back(turn, -away[b][:, None])[:, 0]
             way = rotate_back(turn, direction[:, None])[:, 0]
-            found = meet(self.form(self.system.kind[b]), start, way)
+            found = meet(self.of_kind(self.system.kind[b]), start, way)
             if found is not None and (best is None or found[0] < best.distance):
                 best = Hit(b, start + found[0] * way, found[1], found[0])
         return best
 
 
-def meet(form: _Form, start: Floats, way: Floats) -> tuple[float, Floats] | None:
-    """Distance to the first point of a form in front of a ray, and the outward normal there."""
-    found = [*_meet_triangles(form.corners, start, way)]
-    found += _meet_ellipsoids(form.centre, form.semi_axes, start, way)
+def meet(surface: _Surface, start: Floats, way: Floats) -> tuple[float, Floats] | None:
+    """Distance to the first point of a surface in front of a ray, and the outward normal there."""
+    found = [*_meet_triangles(surface.corners, start, way)]
+    found += _meet_ellipsoids(surface.centre, surface.semi_axes, start, way)
     return min(found, key=lambda one: one[0], default=None)
 
 
@@ -192,20 +192,20 @@ def _meet_ellipsoids(
     return [(float(t[k]), normal / np.linalg.norm(normal))]
 
 
-def form_of(system: System, body: Body, kind: int, copies: int) -> _Form:
+def surface_of(system: System, body: Body, kind: int, copies: int) -> _Surface:
     """Surface of the bodies of a record."""
     com = system.properties.com[kind]
     shapes = [(body.shape, np.eye(3), np.zeros(3))] if body.shape is not None else []
     for part in body.part:
         shapes.append((part.shape, turn_of(part), np.array(part.position)))
-    forms = [solid(system.files, shape, R, place - com, copies) for shape, R, place in shapes]
-    known = [form for form in forms if form is not None]
-    if len(known) < len(forms):
-        return _particles_form(system, body, kind, copies)
+    surfaces = [solid(system.files, shape, R, place - com, copies) for shape, R, place in shapes]
+    known = [surface for surface in surfaces if surface is not None]
+    if len(known) < len(surfaces):
+        return _particles_surface(system, body, kind, copies)
     return together(known)
 
 
-def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _Form | None:
+def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _Surface | None:
     """Surface of a shape where it stands in its body; None for loose particles."""
     kind, own = shape.type, shape
     round_axes: dict[str, Callable[[], Floats]] = {
@@ -219,7 +219,7 @@ def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _F
         mesh = mesh._replace(vertices=mesh.vertices * axes).moved(R, shift)
         is_aligned = np.ptp(axes) == 0.0 or np.array_equal(R, np.eye(3))
         if is_aligned:
-            return _Form(mesh, np.zeros((0, 3, 3)), shift[None], axes[None])
+            return _Surface(mesh, np.zeros((0, 3, 3)), shift[None], axes[None])
         return triangles(mesh)
     if kind == "mesh":
         surface = read_mesh(files.read(own.file), own.scale)
@@ -251,10 +251,10 @@ def _as_mesh(made: Any, is_smooth: bool = False) -> SurfaceMesh:
     return SurfaceMesh(np.array(made.vertices, dtype=np.float64), np.array(made.faces), is_smooth)
 
 
-def triangles(mesh: SurfaceMesh) -> _Form:
+def triangles(mesh: SurfaceMesh) -> _Surface:
     """Form that a ray meets where its triangles are."""
     none = np.zeros((0, 3))
-    return _Form(mesh, mesh.vertices[mesh.faces], none, none)
+    return _Surface(mesh, mesh.vertices[mesh.faces], none, none)
 
 
 def ball(radius: float, copies: int) -> SurfaceMesh:
@@ -263,7 +263,7 @@ def ball(radius: float, copies: int) -> SurfaceMesh:
     return _as_mesh(trimesh.creation.icosphere(subdivisions=fineness, radius=radius), True)
 
 
-def _particles_form(system: System, body: Body, kind: int, copies: int) -> _Form:
+def _particles_surface(system: System, body: Body, kind: int, copies: int) -> _Surface:
     """A body of loose particles: their balls; six particles with given moments as an octahedron."""
     own = kind_of(system.particles, kind)
     place, radius = own.position, own.radius.copy()
@@ -271,14 +271,14 @@ def _particles_form(system: System, body: Body, kind: int, copies: int) -> _Form
         place, radius = place[radius > 0.0], radius[radius > 0.0]
     extent = float(np.linalg.norm(place, axis=1).max())
     radius[radius == 0.0] = _MARKER * extent if extent > 0.0 else 1.0
-    form = _balls_of(place, radius, copies)
+    surface = _balls_of(place, radius, copies)
     if body.shape is not None and body.shape.type == "moments":
         axes = np.abs(place).max(axis=0) * 0.999
         corners = np.concatenate([np.diag(axes), -np.diag(axes)])
         faces = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2],
                           [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])  # fmt: skip
-        return together([triangles(SurfaceMesh(corners, faces)), form])
-    return form
+        return together([triangles(SurfaceMesh(corners, faces)), surface])
+    return surface
 
 
 def equal_ellipsoid(system: System, b: int) -> Floats:
@@ -289,7 +289,7 @@ def equal_ellipsoid(system: System, b: int) -> Floats:
     return np.asarray(np.sqrt(np.maximum(squares, 1e-4 * largest)))
 
 
-def _ellipsoid_form(system: System, b: int) -> _Form:
+def _ellipsoid_surface(system: System, b: int) -> _Surface:
     """A body that shares its shape with no other, as the ellipsoid with its mass and moments."""
     unit = ball(1.0, _MANY)
     R = rotation_matrix(system.bodies.rotor_frame[:, b])
@@ -297,14 +297,14 @@ def _ellipsoid_form(system: System, b: int) -> _Form:
     return triangles(mesh.moved(R, np.zeros(3)))
 
 
-def _balls_of(place: Floats, radius: Floats, copies: int) -> _Form:
-    """Balls as one form."""
+def _balls_of(place: Floats, radius: Floats, copies: int) -> _Surface:
+    """Balls as one surface."""
     unit = ball(1.0, copies * len(place))
     meshes = [
         unit._replace(vertices=r * unit.vertices + x) for x, r in zip(place, radius, strict=True)
     ]
     mesh = _joined(meshes)
-    return _Form(mesh, np.zeros((0, 3, 3)), place, np.tile(radius[:, None], 3))
+    return _Surface(mesh, np.zeros((0, 3, 3)), place, np.tile(radius[:, None], 3))
 
 
 def _joined(meshes: Sequence[SurfaceMesh]) -> SurfaceMesh:
@@ -315,12 +315,14 @@ def _joined(meshes: Sequence[SurfaceMesh]) -> SurfaceMesh:
     return SurfaceMesh(vertices, np.concatenate(faces), all(mesh.is_smooth for mesh in meshes))
 
 
-def together(forms: Sequence[_Form]) -> _Form:
-    """Several forms as one."""
-    if len(forms) == 1:
-        return forms[0]
-    mesh = _joined([form.mesh for form in forms])
-    return _Form(mesh, *(np.concatenate([form[k] for form in forms]) for k in (1, 2, 3)))
+def together(surfaces: Sequence[_Surface]) -> _Surface:
+    """Several surfaces as one."""
+    if len(surfaces) == 1:
+        return surfaces[0]
+    mesh = _joined([surface.mesh for surface in surfaces])
+    return _Surface(
+        mesh, *(np.concatenate([surface[k] for surface in surfaces]) for k in (1, 2, 3))
+    )
 
 
 def walls_of(system: System, size: float) -> list[SurfaceMesh]:
