@@ -105,7 +105,7 @@ def cut_into_segments(
             terms = _with_drag_among_joints(terms, bodies)
         jumps = jumps_at(forces, bodies, start) if start > begin or begin == 0.0 else ()
         method, is_closed = _chosen_method(system.run.method, bodies, terms)
-        if group.joints is not None:
+        if group.joints is not None or group.links:
             is_closed[:] = is_closed.all()
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, system.run.tolerance))
         closed.append(is_closed)

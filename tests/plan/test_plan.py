@@ -272,3 +272,18 @@ def test_a_named_method_steps_a_top_and_exact_takes_it(make):
     both = make.case(body, make.body("brick"), force=[*force, make.push(FORCE, AT, "brick")])
     with pytest.raises(CaseError, match="exact does not accept what acts here: push"):
         plan_of(both | {"run": both["run"] | {"method": "exact"}})
+
+
+def test_bodies_that_a_spring_has_tied_stay_together(make):
+    """Once it has ended only one of them has a closed form: the spring still knows both."""
+    bodies = make.body("a", (1.0, 1.0, 1.0)), make.body("b", position=[1, 0, 0])
+    spring = make.tie("b", 10.0, "a", rest_length=0.5, during=[0, 0.1])
+    force = [spring, make.push([0.1, 0.2, 0.3], [0.1, 0.05, 0], ["a", "b"])]
+    scene = make.case(*bodies, force=force, t_end=0.3, dt=0.01)
+    (group,) = prepare(to_system(scene)).plan.groups
+    assert sorted(group.members.tolist()) == [0, 1]
+    with particlerb.run(scene) as t:
+        x, p = np.array(t.position), np.array(t.linear_momentum)
+        assert np.abs(t.ledger.linear_momentum_error).max() < 1e-14
+    assert p[-1] - p[1] == pytest.approx(np.tile([0.02, 0.04, 0.06], (2, 1)), abs=1e-13)
+    assert x[1, 0, 0] > x[0, 0, 0] + 0.01
