@@ -186,7 +186,7 @@ def _share_of_clusters(jointed: Jointed, team: Team | None) -> tuple[int, int]:
 
 
 @kernel
-def _drift_held(
+def _drift_if_jointed(
     jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, kick_dt: float,
     ahead: float, dt: float,
 ) -> None:  # fmt: skip
@@ -206,11 +206,11 @@ def constrained_drift(moving: MovingBodies, kick_dt: float, ahead: float, dt: fl
 
     It begins so long [s] after the step did. Springs and motors of joints kick before it.
     """
-    _drift_held(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, ahead, dt)
+    _drift_if_jointed(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, ahead, dt)
 
 
 @kernel
-def _project_held(
+def _project_if_jointed(
     jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, kick_dt: float,
     span: float,
 ) -> None:  # fmt: skip
@@ -223,14 +223,14 @@ def _project_held(
 
 
 @inline
-def _damp_held(
+def _damp_if_jointed(
     damps: Flag, jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats,
     closing: float, opening: float,
 ) -> None:  # fmt: skip
     """Project and damp, if something damps."""
     if damps is None:
         return
-    _project_held(jointed, team, books, blocks, closing, closing + opening)
+    _project_if_jointed(jointed, team, books, blocks, closing, closing + opening)
 
 
 @inline
@@ -253,7 +253,7 @@ def kick_jointed(
 ) -> None:
     """Kick of jointed bodies; between its two parts what damps acts, for as long as both."""
     kick(moving, first, last, closing if moving.damps is not None else closing + opening)
-    _damp_held(
+    _damp_if_jointed(
         moving.damps, moving.jointed, moving.team, moving.books, moving.blocks, closing, opening
     )
     _kick_damped(moving, first, last, opening)
@@ -262,11 +262,11 @@ def kick_jointed(
 @stages
 def project(moving: MovingBodies, kick_dt: float) -> None:
     """Take from the momenta what would break a joint; springs kick before, what damps acts then."""
-    _project_held(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, kick_dt)
+    _project_if_jointed(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, kick_dt)
 
 
 @kernel
-def _store_held(jointed: Jointed | None, stored: Floats, frame: int) -> None:
+def _store_if_jointed(jointed: Jointed | None, stored: Floats, frame: int) -> None:
     """Do the work of `store_coordinates`, if there are joints."""
     if jointed is None:
         return
@@ -276,7 +276,7 @@ def _store_held(jointed: Jointed | None, stored: Floats, frame: int) -> None:
 @stages
 def store_coordinates(moving: MovingBodies, stored: Floats, frame: int) -> None:
     """Keep the coordinates of joints, (T, c, 3), for a frame."""
-    _store_held(moving.jointed, stored, frame)
+    _store_if_jointed(moving.jointed, stored, frame)
 
 
 @kernel

@@ -8,7 +8,7 @@ from particlerb.model.bodies import taken
 from particlerb.model.state import State
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.adaptive import AdaptiveMotion
-from particlerb.stepping.adaptive_joint import JointMotion
+from particlerb.stepping.adaptive_coupled import CoupledAdaptiveMotion
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.free_motion import FreeMotion
 from particlerb.stepping.impulse_motion import ImpulseMotion
@@ -45,7 +45,7 @@ def begin(
     if method.order == 0:
         return FreeMotion(group, state, start)
     if method.is_adaptive:
-        adaptive = JointMotion if group.terms.is_coupled else AdaptiveMotion
+        adaptive = CoupledAdaptiveMotion if group.terms.is_coupled else AdaptiveMotion
         return adaptive(method, group, state, start, dt, tolerance)
     if group.terms.contact is not None:
         motion = DiluteMotion if can_fly(method, group.terms, group.members.size) else ContactMotion

@@ -49,7 +49,7 @@ from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 
 
-class _JointWorkspace(NamedTuple):
+class _CommonVectors(NamedTuple):
     """Vectors of all bodies, (blocks, size * w) each."""
 
     y: Floats
@@ -92,7 +92,7 @@ def _slopes_of_blocks(
         take_slopes(acting, books, blocks[k], layout.size[k], w, t, y[k], own[k])
 
 
-def _joint_slopes(
+def _common_slopes(
     acting: Acting,
     books: Flag,
     blocks: Floats,
@@ -118,21 +118,21 @@ def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None
     add_rows(h, A[stage], K, stage, new.reshape(new.size))
 
 
-def _joint_stages(
+def _common_stages(
     acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
-    room: _JointWorkspace,
+    room: _CommonVectors,
     new: Floats, t: float, h: float, i: int, j: int,
 ) -> None:  # fmt: skip
     """Slopes of the stages i .. j - 1 of a step h from t; `new` is the state of the last one."""
     for stage in range(i, j):
         _add_stages(h, stage, room.K, room.y, new)
         now = t + NODES[stage] * h
-        _joint_slopes(acting, books, blocks, layout, pairs, room.width, now, new, room.K[stage])
+        _common_slopes(acting, books, blocks, layout, pairs, room.width, now, new, room.K[stage])
 
 
 @kernel
-def _joint_error(
-    blocks: Floats, layout: Layout, room: _JointWorkspace, h: float, tolerance: float
+def _common_error(
+    blocks: Floats, layout: Layout, room: _CommonVectors, h: float, tolerance: float
 ) -> float:
     """Largest error of a step over the tolerance, of the bodies that are numbers."""
     y, new, _, five, three, K, errors, w = room
@@ -154,7 +154,7 @@ def _normalise_blocks(values: Floats, layout: Layout, w: int) -> None:
 
 
 @kernel
-def _give_up(layout: Layout, room: _JointWorkspace) -> None:
+def _give_up(layout: Layout, room: _CommonVectors) -> None:
     """Make bodies NaN whose error no step is short enough for."""
     for k in range(layout.first.size):
         for b in range(layout.size[k]):
@@ -163,17 +163,17 @@ def _give_up(layout: Layout, room: _JointWorkspace) -> None:
                     room.y[k, c * room.width + b] = np.nan
 
 
-def _find_joint_step(
+def _find_common_step(
     acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
-    room: _JointWorkspace,
+    room: _CommonVectors,
     t: float, h: float, tolerance: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Longest step up to h that is accurate, and the one to try after it; see `find_step`."""
-    _joint_slopes(acting, books, blocks, layout, pairs, room.width, t, room.y, room.K[0])
+    _common_slopes(acting, books, blocks, layout, pairs, room.width, t, room.y, room.K[0])
     longest = h
     while True:
-        _joint_stages(acting, books, blocks, layout, pairs, room, room.new, t, h, 1, 13)
-        error = _joint_error(blocks, layout, room, h, tolerance)
+        _common_stages(acting, books, blocks, layout, pairs, room, room.new, t, h, 1, 13)
+        error = _common_error(blocks, layout, room, h, tolerance)
         if error < 1.0:
             _normalise_blocks(room.new, layout, room.width)
             return h, h * factor_of(error)
@@ -184,7 +184,7 @@ def _find_joint_step(
 
 
 @kernel
-def _interpolate_blocks(layout: Layout, room: _JointWorkspace, h: float, share: float) -> None:
+def _interpolate_blocks(layout: Layout, room: _CommonVectors, h: float, share: float) -> None:
     """State at a share of a step, into `out`."""
     y, new, out, _, _, K, _, w = room
     own = K.reshape((K.shape[0], y.shape[0], y.shape[1]))
@@ -195,7 +195,7 @@ def _interpolate_blocks(layout: Layout, room: _JointWorkspace, h: float, share: 
 
 @kernel
 def _store_blocks(
-    layout: Layout, room: _JointWorkspace, rotor_frame: Floats, members: Ints, frames: Frames,
+    layout: Layout, room: _CommonVectors, rotor_frame: Floats, members: Ints, frames: Frames,
     sums: Floats, f: int,
 ) -> None:  # fmt: skip
     """Write `out` into frame f."""
@@ -206,9 +206,9 @@ def _store_blocks(
         store_vectors(frames, f, *own, room.out[k], w, sums, k)
 
 
-def advance_joint(
+def advance_together(
     acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
-    room: _JointWorkspace,
+    room: _CommonVectors,
     clock: Floats, tolerance: float, times: Floats, index: Ints, until: float, stop: float,
     rotor_frame: Floats, members: Ints, frames: Frames, sums: Floats,
 ) -> None:  # fmt: skip
@@ -218,31 +218,31 @@ def advance_joint(
     """
     y, new, out = room.y, room.new, room.out
     t, h = clock[0], clock[1]
-    h, h_next = _find_joint_step(acting, books, blocks, layout, pairs, room, t, h, tolerance)
+    h, h_next = _find_common_step(acting, books, blocks, layout, pairs, room, t, h, tolerance)
     is_dense = False
     for f in range(times.size):
         while times[f] > t + h:
             t += h
             assign(y, new)
-            h, h_next = _find_joint_step(
+            h, h_next = _find_common_step(
                 acting, books, blocks, layout, pairs, room, t, h_next, tolerance
             )
             is_dense = False
         assign(out, y)
         if times[f] > t or not h > 0.0:
             if not is_dense:
-                _joint_stages(acting, books, blocks, layout, pairs, room, out, t, h, 13, STAGES)
+                _common_stages(acting, books, blocks, layout, pairs, room, out, t, h, 13, STAGES)
                 is_dense = True
             _interpolate_blocks(layout, room, h, (times[f] - t) / h)
         _store_blocks(layout, room, rotor_frame, members, frames, sums, index[f])
     while t + h < until:
         t += h
         assign(y, new)
-        h, h_next = _find_joint_step(
+        h, h_next = _find_common_step(
             acting, books, blocks, layout, pairs, room, t, h_next, tolerance
         )
     while t < stop < np.inf:  # the last step may have to be cut again
-        h, h_next = _find_joint_step(
+        h, h_next = _find_common_step(
             acting, books, blocks, layout, pairs, room, t, min(stop - t, h), tolerance
         )
         assign(y, new)
@@ -253,17 +253,17 @@ def advance_joint(
 
 
 def family(make: Callable[..., Callable[..., Any]], **names: Any) -> Callable[..., None]:
-    """`advance_joint` and what it calls, made anew with other globals."""
-    for function in (_joint_slopes, _joint_stages, _find_joint_step, advance_joint):
+    """`advance_together` and what it calls, made anew with other globals."""
+    for function in (_common_slopes, _common_stages, _find_common_step, advance_together):
         names[function.__name__] = make(function, **names)
-    advance: Callable[..., None] = names["advance_joint"]
+    advance: Callable[..., None] = names["advance_together"]
     return advance
 
 
 compiled = family(partial(kernel_from, name="here"))
 
 
-class JointMotion(AdaptiveRun):
+class CoupledAdaptiveMotion(AdaptiveRun):
     """A group of bodies that act on each other, with common steps; see `motion.Motion`."""
 
     def __init__(
@@ -288,13 +288,13 @@ class JointMotion(AdaptiveRun):
         self.cost = method.cost * n + method.evaluations * self.forces.cost
         _take_blocks(self.blocks, self.layout, self.room)
 
-    def make_room(self, size: int) -> _JointWorkspace:
+    def make_room(self, size: int) -> _CommonVectors:
         """Vectors of `size` numbers for each body."""
         width = int(self.layout.size[0])
         shape = (len(self.blocks), size * width)
         y, new, out, five, three = (np.zeros(shape) for _ in range(5))
         K = np.zeros((STAGES, shape[0] * shape[1]))
-        return _JointWorkspace(
+        return _CommonVectors(
             y, new, out, five, three, K, np.zeros((len(self.blocks), width)), width
         )
 
@@ -327,7 +327,7 @@ class JointMotion(AdaptiveRun):
 
 
 @kernel
-def _take_blocks(blocks: Floats, layout: Layout, room: _JointWorkspace) -> None:
+def _take_blocks(blocks: Floats, layout: Layout, room: _CommonVectors) -> None:
     """Bring the states of all blocks into vectors."""
     w = room.width
     for k in range(layout.first.size):
@@ -337,7 +337,7 @@ def _take_blocks(blocks: Floats, layout: Layout, room: _JointWorkspace) -> None:
 
 
 @kernel
-def _give_blocks(blocks: Floats, layout: Layout, room: _JointWorkspace) -> None:
+def _give_blocks(blocks: Floats, layout: Layout, room: _CommonVectors) -> None:
     """Write the vectors back."""
     w = room.width
     for k in range(layout.first.size):
