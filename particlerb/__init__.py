@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from particlerb.simulation.run import RunError
     from particlerb.simulation.simulation import Simulation
     from particlerb.sweeping.driver import sweep
+    from particlerb.user_force import force
 
 __version__ = "0.1.0"
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "Trajectory",
     "TrajectoryError",
     "__version__",
+    "force",
     "joint_loads",
     "open",
     "resume",
@@ -47,6 +49,7 @@ HOMES = {
     "Simulation": ("particlerb.simulation.simulation", "Simulation"),
     "Trajectory": ("particlerb.record.trajectory", "Trajectory"),
     "TrajectoryError": ("particlerb.record.trajectory", "TrajectoryError"),
+    "force": ("particlerb.user_force", "force"),
     "joint_loads": ("particlerb.simulation.joint_loads", "joint_loads"),
     "open": ("particlerb.record.trajectory", "open_trajectory"),
     "resume": ("particlerb.simulation.entry", "resume"),

@@ -48,13 +48,22 @@ class Files:
         That names are relative to; None where nothing may be looked up on disk.
     contents : mapping of str to bytes, optional
         What is known already, by the names in the case.
+    allows_code : bool
+        Whether code in them may be run.
     """
 
     def __init__(
-        self, folder: FilePath | None = None, contents: Mapping[str, bytes] | None = None
+        self,
+        folder: FilePath | None = None,
+        contents: Mapping[str, bytes] | None = None,
+        allows_code: bool = False,
     ) -> None:
-        self.folder = folder
+        self.folder, self.allows_code = folder, allows_code
         self.contents = dict(contents or {})
+
+    def with_code(self) -> "Files":
+        """The same files, whose code may be run."""
+        return Files(self.folder, self.contents, True)
 
     def read(self, name: str) -> File:
         """A file by its name in the case; from disk the first time only.

@@ -1,5 +1,6 @@
 """What pages show runs as it stands: cases, commands, Python, and what these print."""
 
+import linecache
 import re
 import shlex
 import subprocess
@@ -12,6 +13,7 @@ from particlerb.cli import main
 
 DOCS = Path(__file__).parents[1] / "docs"
 TUTORIALS = sorted(f"tutorials/{path.name}" for path in (DOCS / "tutorials").glob("*.md"))
+SCENES = ["python.md", "forces.md"]
 SLOW = {"tutorials/accuracy.md", "tutorials/heap.md", "tutorials/sweep.md"}
 
 
@@ -37,14 +39,16 @@ def follow(page, capsys):
                 assert (python, m, program) == ("python", "-m", "particlerb")
                 assert main(words) == 0, line
         elif language == "python":
-            exec(compile(text, f"block of {page}", "exec"), names)
+            file = f"{page}, block {len(linecache.cache)}"  # whose functions have a source
+            linecache.cache[file] = len(text), None, text.splitlines(keepends=True), file
+            exec(compile(text, file, "exec"), names)
         elif language == "text":
             for line in text.splitlines():
                 assert " ".join(line.split()) in printed
         printed += " " + " ".join(capsys.readouterr().out.split())
 
 
-PAGES = [pytest.param(p, marks=[pytest.mark.slow] * (p in SLOW)) for p in ["python.md", *TUTORIALS]]
+PAGES = [pytest.param(p, marks=[pytest.mark.slow] * (p in SLOW)) for p in [*SCENES, *TUTORIALS]]
 
 
 @pytest.mark.parametrize("page", PAGES)

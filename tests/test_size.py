@@ -27,6 +27,7 @@ BUDGETS = {
     "impulses": 1313,
     "tables of forces": 232,
     "force gradients": 324,
+    "forces written by users": 841,
     "opening angle fitted to a scene": 95,
     "scenes in Python": 434,
     "sweeps": 605,

@@ -7,7 +7,8 @@ compiler. A new one is a class, and a member of `AnyForce`.
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, Tag, model_validator
+import numpy as np
+from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, Tag, model_validator
 
 from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, bodies_named, given, out_of_place
@@ -20,6 +21,7 @@ from particlerb.case.values import (
     Positive,
     Real,
     Rows3,
+    RowsPerBody,
     Table,
     Vector,
     broken,
@@ -30,6 +32,7 @@ from particlerb.case.values import (
 )
 from particlerb.files import File
 from particlerb.text_tables import Columns, read_table
+from particlerb.user_force import UserForce
 
 KIND = "Kind of force or placement. [-]"
 _FRAME = "Axes of the vector: world or body. [-]"
@@ -56,6 +59,11 @@ class ForceTable(Table):
     def needs_particles(self) -> bool:
         """Whether it acts on the particles of a body, and not on its mass and tensor alone."""
         return False
+
+    @property
+    def likeness(self) -> tuple[object, ...]:
+        """What, beside the type, forces have in common that act on bodies of one group."""
+        return ()
 
     @property
     def edges(self) -> tuple[float, ...]:
@@ -306,6 +314,52 @@ class MagnusTable(LastingForceTable):
     coefficient: Real = Field(description="Coefficient c. [kg/rad]")
 
 
+def _is_function(value: Any) -> "str | UserForce":
+    """Require a name, or a force that `particlerb.force` has made."""
+    if isinstance(value, UserForce) or (isinstance(value, str) and value):
+        return value
+    hint = 'write @particlerb.force above its `def`, or give its name: function = "magnet"'
+    raise broken("must be a force of yours", hint=hint)
+
+
+Function = Annotated[
+    Any,
+    PlainValidator(_is_function, json_schema_input_type=str),
+    PlainSerializer(
+        lambda f: f if isinstance(f, str) else f.name, return_type=str, when_used="json"
+    ),
+]
+_Parameter = Annotated[
+    Annotated[Real, Tag("number")] | Annotated[tuple[Real, ...], Field(min_length=1), Tag("list")],
+    forms("number", "list"),
+]
+
+
+class PythonTable(LastingForceTable):
+    """A force written in Python; see docs/forces.md."""
+
+    type: Literal["python"] = Field(init=False, description=KIND)
+    function: Function = Field(
+        description="Name of the function; from Python the function itself. [-]"
+    )
+    file: Name | None = Field(
+        None, description="File with it; default: its name with .py. Needs --allow-code. [-]"
+    )
+    parameters: dict[Name, _Parameter] = Field(
+        {}, description="Its parameters, the same for all bodies: numbers or lists. [any]"
+    )
+    per_body: dict[Name, RowsPerBody] = Field(
+        {}, description="Others: for each an entry per body, a number or a list. [any]"
+    )
+
+    @property
+    def likeness(self) -> tuple[object, ...]:
+        """Forces of the same function share kernels, with parameters of the same lengths."""
+        alike = {k: np.shape(value) for k, value in self.parameters.items()}
+        alike |= {k: value.shape[1:] for k, value in self.per_body.items()}
+        return (self.file, self.function, tuple(sorted(alike.items())))
+
+
 AnyForce = (
     PushTable
     | TorqueTable
@@ -315,5 +369,6 @@ AnyForce = (
     | UniformField
     | CentralTable
     | MagnusTable
+    | PythonTable
 )
 FORCES: dict[str, type[ForceTable]] = by_type(AnyForce)

@@ -46,7 +46,9 @@ _PLAIN_WORDS = {
 
 
 def load(
-    source: str | PathLike[str] | Mapping[str, Any] | Case, overrides: Sequence[str] = ()
+    source: str | PathLike[str] | Mapping[str, Any] | Case,
+    overrides: Sequence[str] = (),
+    allow_code: bool = False,
 ) -> Case:
     """Case from a file, from a dict with the same keys, or from another case.
 
@@ -58,6 +60,8 @@ def load(
     overrides : sequence of str
         `"run.dt=1e-4"`, `"body.0.mass=2"`: set before the case is checked. The value is read as
         TOML, else taken as text.
+    allow_code : bool
+        Whether Python code that it names may be run, later, with the rights of this program.
 
     Returns
     -------
@@ -73,6 +77,17 @@ def load(
     """
     if isinstance(overrides, str) or not all(isinstance(one, str) for one in overrides):
         raise TypeError(f'overrides must be a list of texts like "run.dt=1e-4", got {overrides!r}')
+    case = _loaded(source, overrides)
+    if allow_code:
+        case = case.model_copy()
+        case._source = case.source._replace(files=case.source.files.with_code())
+    return case
+
+
+def _loaded(
+    source: str | PathLike[str] | Mapping[str, Any] | Case, overrides: Sequence[str]
+) -> Case:
+    """Do the work of `load`."""
     if isinstance(source, Case):
         origin = source.source
         return build(origin, overrides) if overrides else source

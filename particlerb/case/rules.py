@@ -21,6 +21,7 @@ from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import Finding, bodies_named, given, members, number, tables
 from particlerb.files import Files
 from particlerb.model.names import REFERENCE
+from particlerb.user_force import UserForce
 
 _MOST_FRAMES = 10**9
 
@@ -38,6 +39,7 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
             if isinstance(load, dict):
                 path = ("force", i, table.load_key, "table")
                 yield from file_rules(path, load.get("table"), files)
+    yield from _code_rules(raw, files)
     for i, joint in tables(raw, "joint"):
         yield from joint_rules(("joint", i), joint, members(raw))
     yield from _attraction_rules(raw.get("attraction"), members(raw))
@@ -49,6 +51,22 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
         yield from shapes(("body", i), body, files)
     for i, wall in tables(raw, "wall"):
         yield from file_rules(("wall", i, "file"), wall.get("file"), files)
+
+
+def _code_rules(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
+    """Files with code are there; of functions the texts go along with the case. Nothing is run."""
+    texts: dict[str, bytes] = {}
+    for i, force in tables(raw, "force"):
+        function = force.get("function")
+        if isinstance(function, UserForce):
+            text = function.text() or f"# {function.name} has no source that could be kept\n"
+            if texts.setdefault(function.file, text.encode()) != text.encode():
+                reason = f"two forces are called {function.name}: rename one of them"
+                yield ("force", i, "function"), reason, ""
+        elif isinstance(function, str) and force.get("type") == "python":
+            file = force.get("file") or f"{function}.py"
+            yield from file_rules(("force", i, "file"), file, files)
+    files.contents.update(texts)
 
 
 def _table_of(force: dict[str, Any]) -> type[ForceTable] | None:

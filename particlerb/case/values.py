@@ -125,6 +125,18 @@ def rows(width: int) -> PlainValidator:
     return PlainValidator(check, json_schema_input_type=list[list[float]])
 
 
+def _entry_per_body(value: Any) -> FloatArray:
+    """Read-only array with an entry per body, each a number or a list of the same length."""
+    try:
+        array = np.asarray(_nested_numbers(value), dtype=np.float64)
+    except ValueError:
+        array = np.zeros(())
+    if array.ndim not in (1, 2) or not array.size:
+        raise broken("must be a list with an entry per body: numbers, or lists of one length")
+    array.setflags(write=False)
+    return array
+
+
 def is_rows(value: Any) -> bool:
     """Whether a value has one row per body rather than one for all."""
     if isinstance(value, np.ndarray):
@@ -211,6 +223,11 @@ _AS_LISTS = PlainSerializer(lambda array: array.tolist(), return_type=list, when
 Rows2 = Annotated[FloatArray, rows(2), _AS_LISTS]
 Rows3 = Annotated[FloatArray, rows(3), _AS_LISTS]
 Rows4 = Annotated[FloatArray, rows(4), _AS_LISTS]
+RowsPerBody = Annotated[
+    FloatArray,
+    PlainValidator(_entry_per_body, json_schema_input_type=list[float] | list[list[float]]),
+    _AS_LISTS,
+]
 Frame = Literal["world", "body"]
 
 

@@ -92,10 +92,16 @@ def _add_threads(command: _Parser) -> None:
     command.add_argument("--threads", type=int, metavar="N", help="default: all cores")
 
 
+def _add_code(command: _Parser) -> None:
+    """Add --allow-code."""
+    _add_flag(command, "--allow-code", help="run Python code that the case names, as you may")
+
+
 def _add_case(command: _Parser) -> None:
     """Add options of all commands that read a case."""
     command.add_argument("case", metavar="CASE")
     _add_overrides(command)
+    _add_code(command)
     _add_json(command)
 
 
@@ -148,6 +154,7 @@ def add_resume(resume: _Parser) -> None:
     resume.add_argument(
         "--t-end", type=positive, metavar="SECONDS", help="where to end; default: as its case says"
     )
+    _add_code(resume)
     _add_json(resume)
     _add_plan(resume)
     _add_report(resume)

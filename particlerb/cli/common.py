@@ -39,7 +39,8 @@ def read_case(options: argparse.Namespace) -> Case:
     if getattr(options, "threads", None) is not None:
         overrides.append(f"run.threads={options.threads}")
     with ending(CaseError):
-        return load(find_case(options.case, options.commands), overrides)
+        allow_code = getattr(options, "allow_code", False)
+        return load(find_case(options.case, options.commands), overrides, allow_code)
 
 
 def to_write(path: Path, overwrite: bool, source: Path | None = None) -> Path:

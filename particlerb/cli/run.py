@@ -95,7 +95,7 @@ def resume_command(options: argparse.Namespace) -> int:
     path = Path(options.file)
     probe(path)
     try:
-        pending = look_at(path, options.t_end, options.threads)
+        pending = look_at(path, options.t_end, options.threads, options.allow_code)
     except (CaseError, ResumeError, TrajectoryError, FileNotFoundError) as error:
         raise Ending(str(error)) from None
     _warn(options, list(pending.warnings))

@@ -14,6 +14,7 @@ anew, and one warning says what is not kept.
 import contextlib
 import functools
 import hashlib
+import linecache
 import os
 import pickle
 import shutil
@@ -196,6 +197,8 @@ class _KernelCache(caching.FunctionCache):
         """Keep the compiled code of a signature, if that can be."""
         try:
             super().save_overload(signature, compiled)
+        except pickle.PicklingError:  # of functions without a text
+            return
         except OSError:
             warn_once(str(CACHE_FOLDER))
 
@@ -261,6 +264,14 @@ def kernel_from(template: Function, name: str, **names: Any) -> Function:
     function.__qualname__ = f"{template.__qualname__}_{name}"
     function.__doc__ = template.__doc__
     return kernel(cast(Function, function))
+
+
+def inline_from(source: str, file: str, name: str, names: dict[str, Any]) -> Callable[..., Any]:
+    """A helper from a source, with these globals; messages call the source so."""
+    linecache.cache[file] = len(source), None, source.splitlines(True), file  # for tracebacks
+    names.setdefault("__name__", __name__)  # a module that the cache finds again
+    exec(compile(source, file, "exec"), names)
+    return inline(cast(Callable[..., Any], names[name]))
 
 
 def flag(is_present: bool) -> Flag:

@@ -14,7 +14,7 @@ from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity import UniformGravity, parts_of_gravity
-from particlerb.forces.kernels import Acting
+from particlerb.forces.kernels import Acting, own_functions
 from particlerb.forces.kinds import BODIES, CONTACT, IMPULSES, JOINTS, PISTONS, VELOCITY, Kick
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import (
@@ -67,7 +67,7 @@ class Terms(NamedTuple):
 def summed(loads: list[Any]) -> tuple[Any, ...]:
     """Loads in the order of the registry: those of a kind added up, but for those that stay apart.
 
-    What is zero for every body is left out.
+    What is zero for every body is left out. Forces that users wrote come last, as they were given.
     """
     found: list[Any] = []
     for parameters, term in TERMS.items():
@@ -77,7 +77,7 @@ def summed(loads: list[Any]) -> tuple[Any, ...]:
             continue
         total = [sum(arrays, np.zeros(arrays[0].shape)) for arrays in zip(*own, strict=True)]
         found += [parameters(*total)] if any(array.any() for array in total) else []
-    return tuple(found)
+    return (*found, *(load for load in loads if type(load) not in TERMS))
 
 
 def _parts_of(terms: Terms) -> list[tuple[Kick, Floats]]:
@@ -99,7 +99,7 @@ def rows_of_terms(terms: Terms) -> list[tuple[int, Floats]]:
         at = FIRST[kick.name]
         parts[at] = values + parts[at] if at in parts else values
     at = MANY
-    for kick, values in sorted(apart, key=lambda part: MANY_KICKS.index(part[0])):
+    for kick, values in sorted(apart, key=lambda part: (*MANY_KICKS, part[0]).index(part[0])):
         parts[at] = values
         at += kick.rows
     return list(parts.items())
@@ -107,8 +107,9 @@ def rows_of_terms(terms: Terms) -> list[tuple[int, Floats]]:
 
 def acting_of(terms: Terms) -> Acting:
     """What a kernel is to be compiled for."""
-    names = [kick.name for kick, _ in _parts_of(terms)]
-    acting = [kick for kick in KICKS if kick.name in names]
+    parts = [kick for kick, _ in _parts_of(terms)]
+    names, own = [kick.name for kick in parts], tuple(kick for kick in parts if kick not in KICKS)
+    acting = [*(kick for kick in KICKS if kick.name in names), *own]
 
     def tag(kick: Kick) -> int | tuple[int, ...] | None:
         if kick not in acting:
@@ -121,6 +122,7 @@ def acting_of(terms: Terms) -> Acting:
         PAIR + OTHER if terms.has_springy_contact else None,
         1 if any(kick.flow is not None for kick in acting) else None,
         1 if any(kick.at_time is not None for kick in acting) else None,
+        own_functions(own) if own else None,
     )
 
 

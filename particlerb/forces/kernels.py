@@ -6,11 +6,12 @@ tuple, would never be found in the cache on disk; names in a source are, as each
 line. Forces of other bodies are loads in the rows PAIR, which are filled before each kick.
 """
 
-import linecache
 from collections.abc import Callable, Iterable
+from functools import cache
 from typing import Any, Final, NamedTuple, TypeAlias
 
-from particlerb.compiled.jit import inline
+from particlerb.compiled.function_set import FunctionSet
+from particlerb.compiled.jit import inline, inline_from
 from particlerb.forces.kinds import Kick, Momenta
 from particlerb.forces.registry import CHANGE, CLOCK, FIRST, KICKS, MANY, MANY_KICKS, PAIR
 from particlerb.maths.quaternion import Rows
@@ -34,6 +35,7 @@ class Acting(NamedTuple):
     contact: int | None  # and contacts beside their potential
     flow: int | None  # whether something turns or slows momenta by a flow of its own
     clock: int | None  # whether something depends on time
+    own: FunctionSet | None = None  # functions of forces that users wrote: see `own_functions`
 
 
 @inline
@@ -88,6 +90,16 @@ class _Family(NamedTuple):
     given: str  # arguments, after the rows
     changed: str = ""  # which of them it returns anew; empty: nothing
     last: str = ""  # lines at the end
+    is_reversed: bool = False  # whether the last kick comes first
+    has_potential: bool | None = None  # of which kicks; None: of all
+
+    def has(self, kick: Kick) -> bool:
+        """Whether it calls a kick."""
+        is_meant = self.has_potential in {None, kick.has_potential}
+        return is_meant and getattr(kick, self.hook) is not None
+
+
+_FAMILIES: Final[list[_Family]] = []
 
 
 def _source_of(family: _Family, kicks: Iterable[Kick]) -> str:
@@ -106,6 +118,13 @@ def _source_of(family: _Family, kicks: Iterable[Kick]) -> str:
         tag = f"acting.loads[{KICKS.index(kick)}]"
         step = f"{own}({tag}, rows, {_first_row(kick)}, {family.given})"
         calls.append(f"{family.changed} = {step}" if family.changed else step)
+    head = f"def {family.name}_own(own, rows, at, {family.given}):\n    if own is None:\n"
+    parts.append(
+        f"@inline\n{head}        {result}\n    return own.{family.name}(rows, at, {family.given})\n"
+    )
+    own = f"{family.name}_own(acting.own, rows, {_after(MANY_KICKS)}, {family.given})"
+    own = f"{family.changed} = {own}" if family.changed else own
+    calls = [own, *calls] if family.is_reversed else [*calls, own]
     body = "\n    ".join([*calls, *([family.last] if family.last else []), result])
     return "\n\n".join([*parts, f"def {family.name}(acting, rows, {family.given}):\n    {body}\n"])
 
@@ -114,66 +133,88 @@ def _first_row(kick: Kick) -> str:
     """First row of a kick, as source: constant for a kernel."""
     if not kick.is_many:
         return str(FIRST[kick.name])
-    before = MANY_KICKS[: MANY_KICKS.index(kick)]
+    return _after(MANY_KICKS[: MANY_KICKS.index(kick)])
+
+
+def _after(before: Iterable[Kick]) -> str:
+    """First row after those of kicks that a body may have several times."""
     return " + ".join(
         [str(MANY), *(f"{one.rows} * count(acting.loads[{KICKS.index(one)}])" for one in before)]
     )
 
 
-def made(family: _Family, kicks: Iterable[Kick]) -> Callable[..., Any]:
+def made(family: _Family) -> Callable[..., Any]:
     """Compile a family of those kicks that have its hook."""
-    able = [kick for kick in kicks if getattr(kick, family.hook) is not None]
+    able = [kick for kick in KICKS if family.has(kick)]
+    able = able[::-1] if family.is_reversed else able
     names: dict[str, Any] = {
         "inline": inline, "kick_pair": kick_pair, "count": count, "PAIR": PAIR, "OTHER": OTHER,
         "change_pair": change_pair,
         **{f"{kick.name}_{family.hook}": getattr(kick, family.hook) for kick in able},
     }  # fmt: skip
-    source, file = _source_of(family, able), f"<{family.name} of {len(able)} forces>"
-    linecache.cache[file] = len(source), None, source.splitlines(True), file  # for tracebacks
-    exec(compile(source, file, "exec"), names)
-    function: Callable[..., Any] = inline(names[family.name])
-    return function
+    _FAMILIES.append(family)
+    source = _source_of(family, able)
+    return inline_from(source, f"<{family.name} of {len(able)} forces>", family.name, names)
+
+
+@cache
+def own_functions(kicks: tuple[Kick, ...]) -> FunctionSet:
+    """What kernels call for forces that users wrote, their rows one after the other from `at` on.
+
+    For each family a function that calls those of the kicks.
+    """
+    key = "+".join(kick.name for kick in kicks)
+    found = {}
+    for family in _FAMILIES:
+        hooks = [getattr(kick, family.hook) if family.has(kick) else None for kick in kicks]
+        rows, calls = 0, []
+        for k, kick in enumerate(kicks):
+            call = f"hook{k}(rows, at + {rows}, {family.given})"
+            calls.append(f"{family.changed} = {call}" if family.changed else call)
+            rows += kick.rows
+        calls = [call for call, hook in zip(calls, hooks, strict=True) if hook is not None]
+        ordered = calls[::-1] if family.is_reversed else calls
+        body = "\n    ".join([*ordered, f"return {family.changed}".rstrip()])
+        source = f"def {family.name}(rows, at, {family.given}):\n    {body}\n"
+        names = {f"hook{k}": hook for k, hook in enumerate(hooks)}
+        found[family.name] = inline_from(source, f"<{family.name} of {key}>", family.name, names)
+    return FunctionSet(key, found, all(kick.is_kept for kick in kicks))
 
 
 _PAIR_KICK: Final = "p, L = kick_pair(acting.{}, rows, {}, b, dt, p, L)"
 kick_potential: Callable[..., Momenta] = made(
-    _Family("kick_potential", "push", _POSE, "p, L", _PAIR_KICK.format("pair", "PAIR")),
-    [kick for kick in KICKS if kick.has_potential],
-)
+    _Family("kick_potential", "push", _POSE, "p, L", _PAIR_KICK.format("pair", "PAIR"),
+            has_potential=True)
+)  # fmt: skip
 """(acting, rows, b, x, R, dt, p, L): momenta after dt of the forces that have a potential."""
 kick_others: Callable[..., Momenta] = made(
-    _Family("kick_others", "push", _POSE, "p, L", _PAIR_KICK.format("contact", "PAIR + OTHER")),
-    [kick for kick in KICKS if not kick.has_potential],
-)
+    _Family("kick_others", "push", _POSE, "p, L", _PAIR_KICK.format("contact", "PAIR + OTHER"),
+            has_potential=False)
+)  # fmt: skip
 """(acting, rows, b, x, R, dt, p, L): momenta after dt of those without, that know no velocities."""
 load_of_velocity: Callable[..., Momenta] = made(
-    _Family("load_of_velocity", "load", "b, x, R, p, L, F, tau", "F, tau"), KICKS
+    _Family("load_of_velocity", "load", "b, x, R, p, L, F, tau", "F, tau")
 )
 """(acting, rows, b, x, R, p, L, F, tau): F and τ with what depends on velocities added."""
-flow_in: Callable[..., Momenta] = made(_Family("flow_in", "flow", "b, R, dt, p, L", "p, L"), KICKS)
+flow_in: Callable[..., Momenta] = made(_Family("flow_in", "flow", "b, R, dt, p, L", "p, L"))
 """(acting, rows, b, R, dt, p, L): momenta after the flows of such forces, one after the other."""
 flow_out: Callable[..., Momenta] = made(
-    _Family("flow_out", "flow", "b, R, dt, p, L", "p, L"), KICKS[::-1]
+    _Family("flow_out", "flow", "b, R, dt, p, L", "p, L", is_reversed=True)
 )
 """The same in the other order: both in turn, about a kick, are symmetric."""
-damp: Callable[..., Momenta] = made(
-    _Family("damp", "damp", "b, R, p_old, L_old, p, L", "p, L"), KICKS
-)
+damp: Callable[..., Momenta] = made(_Family("damp", "damp", "b, R, p_old, L_old, p, L", "p, L"))
 """(acting, rows, b, R, p_old, L_old, p, L): momenta after a kick with drag in it."""
 change_of: Callable[..., Momenta] = made(
     _Family(
         "change_of", "change", "b, x, R, motion, F, tau", "F, tau",
         "F, tau = change_pair(acting.pair, rows, b, F, tau)",
-    ),
-    KICKS,
+    )
 )  # fmt: skip
 """(acting, rows, b, x, R, motion, F, tau): F and τ with the rates at which all loads change."""
-prepare_kick: Callable[..., None] = made(_Family("prepare_kick", "prepare", "n, dt"), KICKS)
+prepare_kick: Callable[..., None] = made(_Family("prepare_kick", "prepare", "n, dt"))
 """(acting, rows, n, dt): before a block is kicked over dt."""
-at_time: Callable[..., None] = made(_Family("at_time", "at_time", "b, t"), KICKS)
-add_power: Callable[..., float] = made(
-    _Family("add_power", "power", "b, x, R, power", "power"), KICKS
-)
+at_time: Callable[..., None] = made(_Family("at_time", "at_time", "b, t"))
+add_power: Callable[..., float] = made(_Family("add_power", "power", "b, x, R, power", "power"))
 
 
 @inline

@@ -76,6 +76,7 @@ class Kick(NamedTuple):
     the body moves at v [m/s] and ω [rad/s], world axes; of forces with a potential, if known."""
     power: Callable[..., float] | None = None
     """(rows, at, b, x, R, power): the power with ∂V/∂t [W] at that time added."""
+    is_kept: bool = True  # whether the cache on disk may keep kernels with it
 
     @property
     def needs(self) -> frozenset[str]:

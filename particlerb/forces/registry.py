@@ -62,5 +62,6 @@ def force_of(table: Any) -> Force:
 
 
 def term_of(parameters: Any) -> Term:
-    """What parameters of bodies are."""
-    return TERMS[type(parameters)]
+    """What parameters of bodies are; those of a force that a user wrote know it themselves."""
+    own: Term | None = getattr(parameters, "term", None)
+    return own or TERMS[type(parameters)]

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.forces import AnyForce, LoadTable, read_load
+from particlerb.case.forces import AnyForce, LoadTable, PythonTable, read_load
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.source import problem_at
 from particlerb.forces import Terms, summed
@@ -23,6 +23,7 @@ from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.plan.links import AXIAL_ROUNDING, is_link
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
+from particlerb.user_force import UserForce, UserForceError, load_force
 
 N_NUMBERS: Final = 12
 
@@ -43,7 +44,7 @@ class ResolvedForce(NamedTuple):
         if knots is not None:  # as bytes, whose hash is found once
             when = np.array(knots.times).tobytes(), np.asarray(knots.values).tobytes()
         has_arm = force_of(force).has_arm and any(self.numbers[:3])
-        return force.type, getattr(force, "frame", None), when, has_arm
+        return force.type, getattr(force, "frame", None), when, has_arm, *force.likeness
 
 
 class Forces(NamedTuple):
@@ -68,7 +69,7 @@ def loads_of(system: System) -> list[ResolvedForce]:
             continue
         members = system.names.find(given.body)
         try:
-            force = _with_knots(given, system)
+            force = _with_code(_with_knots(given, system), system)
             found = force_of(force).resolve(force, members, system)
         except ForceError as error:
             problems.append(_problem_of(system, number, members, error))
@@ -100,6 +101,33 @@ def _with_knots(force: AnyForce, system: System) -> AnyForce:
         reason = f"the first knot, {force.edges[0]!r} s, must be before run.t_end"
         raise ForceError(where, f"{reason} = {system.run.t_end!r}")
     return force
+
+
+def _with_code(force: AnyForce, system: System) -> AnyForce:
+    """A force whose function, if it has any, is there; what was written elsewhere is run for it.
+
+    Raises
+    ------
+    ForceError
+        If the code may not be run, fails, or has no such function.
+    """
+    if not isinstance(force, PythonTable):
+        return force
+    function = force.function
+    if isinstance(function, UserForce):
+        return force
+    file = force.file or f"{function}.py"
+    if not system.files.allows_code:
+        reason = f'"{file}" holds code, and code of a case runs only where it is allowed'
+        hint = "read it first; then --allow-code, or allow_code=True in Python"
+        raise ForceError("function" if force.file is None else "file", reason, hint)
+    try:
+        found = load_force(system.files.read(file), function)
+    except ValueError as error:
+        raise ForceError("function" if force.file is None else "file", str(error)) from None
+    except UserForceError as error:
+        raise ForceError("function", str(error)) from None
+    return force.model_copy(update={"function": found})
 
 
 def _problem_of(system: System, number: int, members: Ints, error: ForceError) -> Problem:

@@ -102,7 +102,7 @@ def _groups_alone(
     members: defaultdict[tuple[object, ...], list[int]] = defaultdict(list)
     for b in sorted(acting):
         members[tuple(forms[k] for k in acting[b])].append(b)
-    numbers = np.zeros((len(loads), N_NUMBERS))
+    numbers = np.zeros((len(loads), max([N_NUMBERS, *(len(load.numbers) for load in loads)])))
     for k, load in enumerate(loads):
         numbers[k, : len(load.numbers)] = load.numbers
     groups = []
@@ -176,7 +176,7 @@ def _aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
         free = next((room for room in rooms if not room[1][own].any()), None)
         if free is None:
             free = (
-                Forces(load.force, np.zeros((N_NUMBERS, members.size))),
+                Forces(load.force, np.zeros((max(N_NUMBERS, len(load.numbers)), members.size))),
                 np.zeros(members.size, dtype=bool),
             )
             free[0].numbers[:3] = force_of(load.force).nowhere

@@ -21,6 +21,7 @@ def run(
     *,
     overwrite: bool = False,
     overrides: Sequence[str] = (),
+    allow_code: bool = False,
 ) -> Trajectory:
     """Run a case.
 
@@ -35,6 +36,8 @@ def run(
         Whether an existing file may be replaced.
     overrides : sequence of str
         `"run.dt=1e-4"`: set before the case is checked.
+    allow_code : bool
+        Whether Python code that the case names may be run, with the rights of this program.
 
     Returns
     -------
@@ -53,12 +56,12 @@ def run(
         If the run fails; the frames until then are in the file.
     """
     path = None if output is None else path_of(output, "output")
-    prepared = prepare_accurately(to_system(load(case, overrides)))
+    prepared = prepare_accurately(to_system(load(case, overrides, allow_code)))
     outcome = run_prepared(prepared, path, overwrite)
     return open_trajectory(path) if path else Trajectory(outcome.file)
 
 
-def resume(path: str | Path, t_end: float | None = None) -> Trajectory:
+def resume(path: str | Path, t_end: float | None = None, *, allow_code: bool = False) -> Trajectory:
     """Go on with a run that was killed, interrupted, or that is to end later; bit for bit.
 
     Parameters
@@ -67,6 +70,8 @@ def resume(path: str | Path, t_end: float | None = None) -> Trajectory:
         File of the run; it grows.
     t_end : float, optional
         Where to end [s]; left out, where its case says.
+    allow_code : bool
+        Whether Python code in the file may be run, with the rights of this program.
 
     Returns
     -------
@@ -89,5 +94,5 @@ def resume(path: str | Path, t_end: float | None = None) -> Trajectory:
     file = path_of(path, "what is resumed")
     if t_end is not None and (isinstance(t_end, bool) or not isinstance(t_end, Real)):
         raise TypeError(f"t_end must be a number, got {type(t_end).__name__}")
-    resume_pending(look_at(file, None if t_end is None else float(t_end)))
+    resume_pending(look_at(file, None if t_end is None else float(t_end), allow_code=allow_code))
     return open_trajectory(file)

@@ -1,5 +1,6 @@
 """One group of bodies on its way through its segments, and the sums over all groups."""
 
+import traceback
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,6 +10,8 @@ from particlerb.forces import Terms, energy_of_loads, has_energy
 from particlerb.forces.gravity_tree.opening_angle import fitting_angle, sampled_error
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.forces.impulse import apply_impulse
+from particlerb.forces.python import wrong_result
+from particlerb.forces.user_kicks import Written
 from particlerb.integrators import METHODS
 from particlerb.joints.reactions import energy_of_joints
 from particlerb.maths.vec3 import Floats, Ints
@@ -21,6 +24,7 @@ from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import Energies, Motion
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved, under, within
+from particlerb.user_force import place_of, told
 
 _STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
 
@@ -204,12 +208,15 @@ class GroupRun:
         if self.reader is None or self.reader.segment is not self.segment:
             self.reader = JointReader(self.plan, self.segment, self.first)
         for row in rows.tolist():
-            x, q = self.pose(frames, row)
-            p, L = frames.linear_momentum[row], frames.angular_momentum[row]
-            state = State(x, q, p[self.plan.members].T, L[self.plan.members].T)
+            state = self.state_in(frames, row)
             turned = self.motion.coordinates[row] if self.motion.coordinates.size else None
             broken = self.motion.broken
             self.reader.read(float(times[row]), state, turned, broken, values, row)
+
+    def state_in(self, frames: Frames, row: int) -> State:
+        """State of the group in a frame."""
+        p, L = frames.linear_momentum[row], frames.angular_momentum[row]
+        return State(*self.pose(frames, row), p[self.plan.members].T, L[self.plan.members].T)
 
     def pose(self, frames: Frames, row: int) -> tuple[Floats, Floats]:
         """Centres of mass (3, n) and orientations of the rotor frames (4, n) in a frame."""
@@ -242,6 +249,29 @@ def tally_of(runs: Sequence[GroupRun]) -> Floats | None:
     """What was counted of impulses; None where there are none."""
     found = [run.motion.impulse_tally() for run in runs]
     return next((tally for tally in found if tally.size), None)
+
+
+def own_failure(error: Exception, runs: Sequence[GroupRun]) -> str:
+    """What is to be said of an error in a force that a user wrote; empty where it is none."""
+    files = {of.file for run in runs for of in run.segment.terms.loads if isinstance(of, Written)}
+    passed = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
+    return next((told(error, name) for name in reversed(passed) if name in files), "")
+
+
+def own_forces_on(b: int, runs: Sequence[GroupRun], times: Floats, frames: Frames, f: int) -> str:
+    """What forces that users wrote have to do with body b, which is not finite in frame f."""
+    words = ""
+    for run in runs:
+        where = np.flatnonzero(run.plan.members == b)
+        loads = [load for load in run.segment.terms.loads if isinstance(load, Written)]
+        for load in loads if where.size else ():
+            words = f"; {place_of(load.force.function)}: {load.force.name} acts on it"
+            if f > 0:
+                state = run.state_in(frames, f - 1)
+                wrong = wrong_result(load, run.plan.bodies, state, int(where[0]), float(times[f]))
+                if wrong:
+                    return f": {wrong}"
+    return words
 
 
 def lost(system: System, runs: Sequence[GroupRun]) -> str:

@@ -56,7 +56,9 @@ class _Pending(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def look_at(path: Path, t_end: float | None = None, threads: int | None = None) -> _Pending:
+def look_at(
+    path: Path, t_end: float | None = None, threads: int | None = None, allow_code: bool = False
+) -> _Pending:
     """What there is to do for a file; it is only read.
 
     Parameters
@@ -67,6 +69,8 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
         Where to end [s]; left out, where the case says.
     threads : int, optional
         In place of those that the case says.
+    allow_code : bool
+        Whether code in it may be run.
 
     Raises
     ------
@@ -84,6 +88,8 @@ def look_at(path: Path, t_end: float | None = None, threads: int | None = None) 
         if _text_in(file, "case_resolved") is None or _text_in(file, "identity") is None:
             raise ResumeError(f"{path} does not say how it was made, so it cannot be continued")
         source = stored_case(file)
+        if allow_code:
+            source = source._replace(files=source.files.with_code())
         system = to_system(_case_of(source, t_end, threads))
         prepared = prepare_again(system, _text_in(file, "stepping"))
         if identity(prepared) != _text_in(file, "identity"):

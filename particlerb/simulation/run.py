@@ -33,7 +33,13 @@ from particlerb.record.memory import Memory
 from particlerb.record.provenance import texts_of
 from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.simulation.frame_times import Batch, batches
-from particlerb.simulation.group_run import GroupRun, initial_energies, record_all, tally_of
+from particlerb.simulation.group_run import (
+    GroupRun,
+    initial_energies,
+    own_failure,
+    record_all,
+    tally_of,
+)
 from particlerb.simulation.impulse_values import impulse_fields
 from particlerb.simulation.joint_values import (
     JointValues,
@@ -223,7 +229,12 @@ class Run:
         frames.is_frame[:] = is_frame
         if self.setup is not None:
             self.joints = room_for_values(self.setup, times.size)
-        booked, energies = record_all(self.group_runs, times, frames, self.joints)
+        try:
+            booked, energies = record_all(self.group_runs, times, frames, self.joints)
+        except Exception as failure:
+            if words := own_failure(failure, self.group_runs):
+                raise RunError(words) from None
+            raise
         self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
         booked += self.before
         now = totals(frames, self.counted, self.gravity, *energies)

@@ -88,6 +88,8 @@ class Simulation(Closing):
         Whether an existing file may be replaced.
     overrides : sequence of str
         `"run.dt=1e-4"`: set before the scene is checked.
+    allow_code : bool
+        Whether Python code that the scene names may be run, with the rights of this program.
 
     Raises
     ------
@@ -104,9 +106,10 @@ class Simulation(Closing):
         *,
         overwrite: bool = False,
         overrides: Sequence[str] = (),
+        allow_code: bool = False,
     ) -> None:
         path = None if output is None else file_path_of(output, "output")
-        prepared = prepare_accurately(to_system(load(scene, overrides)))
+        prepared = prepare_accurately(to_system(load(scene, overrides, allow_code)))
         system = prepared.system
         self._recorder: Recorder | None = None
         if path is not None:

@@ -11,7 +11,7 @@ from particlerb.model.state import STATE_FIELDS, Frames, quaternion_product, rot
 from particlerb.model.system import System
 from particlerb.plan.segments import Plan
 from particlerb.rotors.rotor_class import ROD
-from particlerb.simulation.group_run import GroupRun, lost
+from particlerb.simulation.group_run import GroupRun, lost, own_forces_on
 
 _ROD_ROUNDING: Final = 1e-9  # share of L along a rod that exact drifts may leave
 _ROD_ERROR: Final = 0.2  # that others may leave: more is a torque about the axis, or no result
@@ -41,11 +41,14 @@ class StateChecks:
             f = int(np.argmin(finite.all(axis=1)))
             if why := lost(self.system, runs):
                 return f, f"by t = {float(times[f])!r} s {why}"
-            body = self.system.names[int(np.argmin(finite[f]))]
+            b = int(np.argmin(finite[f]))
+            when = f"{name} of {self.system.names[b]} is not finite at t = {float(times[f])!r} s"
+            why = own_forces_on(b, runs, times, frames, f)
+            if why.startswith(":"):
+                return f, when + why
             return f, (
-                f"{name} of {body} is not finite at t = {float(times[f])!r} s: the step is too"
-                " long for this force, the body met a singular point of it, or a number is too"
-                " large for float64"
+                f"{when}: the step is too long for this force, the body met a singular point of it,"
+                f" or a number is too large for float64{why}"
             )
         rods = self.rods
         if not self._spinning(rods, frames, -1).size:

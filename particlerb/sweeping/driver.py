@@ -29,6 +29,7 @@ from particlerb.case.source import file_problem
 from particlerb.case.sweep import SweepTable
 from particlerb.case.to_system import to_system
 from particlerb.case.values import plain
+from particlerb.plan.case_forces import loads_of
 from particlerb.sweeping.table import SweepRows, TableFile
 from particlerb.sweeping.variants import Variant, label, variants
 from particlerb.sweeping.worker import Row, Task, columns, failed, start_worker, work
@@ -47,6 +48,7 @@ def sweep(
     axes: Mapping[str, Any] | None = None,
     executor: Executor | None = None,
     workers: int | None = None,
+    allow_code: bool = False,
     progress: Progress = lambda n: None,
 ) -> SweepRows:
     """Run all variants of a case.
@@ -63,6 +65,8 @@ def sweep(
         Where to run them; left out, in processes on this machine.
     workers : int, optional
         Processes, if no executor is given; left out, one for each core.
+    allow_code : bool
+        Whether Python code that the case names may be run.
     progress : callable
         Called with the number of rows that were added.
 
@@ -78,13 +82,13 @@ def sweep(
     OSError
         Of the table.
     """
-    base = load(case)
+    base = load(case, (), allow_code)
     asked = _asked(base, axes)
     found = variants(base, asked)
-    system = to_system(found[0].case)
+    loads_of(system := to_system(found[0].case))  # whose code may have to be allowed
     names = [name for one in asked.value for name in columns(one, system)]
-    heads = [label(key) for key in asked.axes]
-    with TableFile(None if table is None else Path(table), heads, names) as file:
+    path, heads = None if table is None else Path(table), [label(key) for key in asked.axes]
+    with TableFile(path, heads, names) as file:
         left = [variant for variant in found if variant.hash not in file.known]
         progress(len(found) - len(left))
         by_number = {variant.number: variant for variant in found}

@@ -163,7 +163,7 @@ def lines(case):
 def test_plan_gives_a_reason_for_what_is_left_out(make):
     text = lines(make.case(make.body()))
     assert text["bodies"] == "1 asymmetric top\n"
-    forces = "push, torque, impulse, drag, spring, field, central, magnus"
+    forces = "push, torque, impulse, drag, spring, field, central, magnus, python"
     left_out = "gravity, attraction, joints, contact (no particle has a radius), forces of type"
     assert text["without"] == f"{left_out} {forces}\n"
     assert not {"gravity", "attraction", "joints", "contact", "push"} & text.keys()

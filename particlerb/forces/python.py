@@ -1,0 +1,220 @@
+"""Forces that users write in Python: from a table to parameters, and what can be wrong with it.
+
+`user_kicks` makes kicks of their functions.
+"""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numba.core.errors import NumbaError, UnsupportedBytecodeError
+
+from particlerb.forces.kinds import Force, ForceError
+from particlerb.forces.user_kicks import (
+    DIFFERENCE,
+    Lengths,
+    Written,
+    class_of,
+    energies,
+    gradient,
+    loads_in,
+    scales,
+)
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import Bodies, taken
+from particlerb.model.state import (
+    State,
+    lengths,
+    omega_world,
+    quaternion_product,
+    rotate,
+    rotation_matrix,
+)
+from particlerb.rotors.rotor_class import POINT
+from particlerb.user_force import UserForce, place_of, told
+
+if TYPE_CHECKING:
+    from particlerb.case.forces import PythonTable
+    from particlerb.model.system import System
+
+_TOLERANCE: Final = 1e-4  # share of a force by which that of its potential may be another
+_LOOKED_AT: Final = 64  # bodies on which a potential is compared,
+_ASIDE: Final = np.array([[0.31], [-0.23], [0.17]])  # and where, beside their places
+_BOILERPLATE: Final = ("Failed in", "During:", "File ", "[1", "[2", "- Resolution", "<source")
+
+# From a table to parameters
+
+
+def _parameters_of(table: "PythonTable", force: UserForce, n: int) -> dict[str, Floats]:
+    """Values of the parameters, (1 or n, numbers), in the order of the function.
+
+    Raises
+    ------
+    ForceError
+        If one is missing, unknown, or not as long as others are.
+    """
+    known, where = force.parameters, place_of(force.function)
+    for kind, given in (("parameters", table.parameters), ("per_body", table.per_body)):
+        for key in given.keys() - known.keys():
+            reason = f"{force.name} ({where}) has no parameter of this name"
+            raise ForceError(f"{kind}.{key}", reason, f"it has: {', '.join(known) or 'none'}")
+    found: dict[str, Floats] = {}
+    for name, default in known.items():
+        if name in table.per_body:
+            found[name] = table.per_body[name]
+            if len(found[name]) != n:
+                reason = f"has {len(found[name])} entries, and acts on {n} bodies"
+                raise ForceError(f"per_body.{name}", reason, "give an entry for each")
+            continue
+        value = table.parameters.get(name, default)
+        if value is ...:
+            reason = f"{force.name} ({where}) has a parameter {name}, which is missing"
+            raise ForceError("parameters", reason, f"give parameters = {{ {name} = .. }}")
+        found[name] = np.asarray(value, dtype=np.float64)[None]
+    return found
+
+
+def lengths_of(table: "PythonTable", force: UserForce) -> Lengths:
+    """Lengths of the parameters, 0 for numbers."""
+    n = max((len(value) for value in table.per_body.values()), default=1)
+    values = _parameters_of(table, force, n)
+    return tuple((name, value.shape[1] if value.ndim > 1 else 0) for name, value in values.items())
+
+
+def resolve(
+    table: "PythonTable", members: Ints, system: "System"
+) -> list[tuple[Ints, tuple[float, ...]]]:
+    """Whether it acts, and the parameters; for each body where they differ."""
+    force: UserForce = table.function
+    values = _parameters_of(table, force, members.size)
+    n = members.size if table.per_body else 1
+    flat = [value.reshape(len(value), -1) for value in values.values()]
+    wide = [np.broadcast_to(value, (n, value.shape[1])) for value in flat]
+    rows = np.concatenate([np.ones((n, 1)), *wide], axis=1)
+    _try(table, rows, members, system)
+    if n == 1:
+        return [(members, tuple(rows[0].tolist()))]
+    return [(members[i : i + 1], tuple(row)) for i, row in enumerate(rows.tolist())]
+
+
+def _term_of(table: "PythonTable", numbers: Floats, bodies: Bodies, start: float) -> Written:
+    """Parameters, the time, and the axes of the rotor frame."""
+    force: UserForce = table.function
+    of = lengths_of(table, force)
+    count = 1 + sum(max(length, 1) for _, length in of)
+    parts, n = [numbers[:count]], bodies.mass.size
+    if "t" in force.signature:
+        parts.append(np.array([[start], [start]]).repeat(n, axis=1))
+    if "R" in force.signature:
+        axes = (np.eye(3)[:, k, None].repeat(n, axis=1) for k in range(3))
+        columns = [rotate(bodies.rotor_frame, axis) for axis in axes]
+        parts.append(np.stack(columns, axis=1).reshape(9, n))
+    return class_of(force, of)(np.ascontiguousarray(np.concatenate(parts)))
+
+
+# What can be wrong with it
+
+
+def _try(table: "PythonTable", rows: Floats, members: Ints, system: "System") -> None:
+    """Let the force act on the bodies as they begin.
+
+    Raises
+    ------
+    ForceError
+        If it fails, is not a number, is not what its potential says, or turns points.
+    """
+    bodies, state = taken(system.bodies, members), taken(system.state, members)
+    force: UserForce = table.function
+    where, start = place_of(force.function), table.edges[0] if table.edges else 0.0
+    numbers = np.broadcast_to(rows, (members.size, rows.shape[1])).T
+    load = _term_of(table, numbers, bodies, start)
+    if wrong := wrong_result(load, bodies, state, 0, start):
+        raise ForceError("function", wrong)
+    try:
+        values = loads_in(load, bodies, state)
+    except (NumbaError, UnsupportedBytecodeError) as error:
+        raise ForceError("function", _compilers_words(error, force)) from None
+    except Exception as error:
+        raise ForceError("function", told(error, where.rpartition(":")[0])) from None
+    finite = np.isfinite(values).all(axis=0)
+    if not finite.all():
+        b = int(np.argmin(finite))
+        reason = f"{where}: {force.name} gives {values[:, b].tolist()} for {{name}} at its start"
+        raise ForceError("function", reason, "force and torque must be finite", b)
+    turned = np.flatnonzero((bodies.rotor_class == POINT) & values[3:].any(axis=0))
+    if turned.size:
+        reason = f"{where}: {force.name} turns {{name}}, which is a point: nothing can turn it"
+        raise ForceError("function", reason, "return a torque of zeros", int(turned[0]))
+    if force.potential is not None:
+        few = np.arange(0, members.size, -(-members.size // _LOOKED_AT))
+        _compare(type(load)(load.rows[:, few]), taken(bodies, few), taken(state, few))
+
+
+def wrong_result(load: Written, bodies: Bodies, state: State, b: int, t: float) -> str:
+    """What is wrong with what the function returns for body b at t [s]; empty: nothing."""
+    force, row = load.force, 1
+    where = place_of(force.function)
+    R = rotation_matrix(state.q[:, b]) @ rotation_matrix(bodies.rotor_frame[:, b]).T
+    vectors = state.com[:, b], state.p[:, b] * bodies.inv_mass[b], omega_world(bodies, state)[:, b]
+    given: dict[str, Any] = {"t": t, "R": tuple(tuple(line) for line in R.tolist())}
+    given |= {k: tuple(v.tolist()) for k, v in zip(("x", "v", "omega"), vectors, strict=True)}
+    for name, length in load.lengths:
+        values = load.rows[row : row + max(length, 1), b].tolist()
+        given[name] = tuple(values) if length else values[0]
+        row += max(length, 1)
+    try:
+        result = force.function(**{name: given[name] for name in force.signature})
+    except Exception as error:
+        return told(error, where.rpartition(":")[0])
+    try:
+        numbers = np.array(result, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.shape != (2, 3):
+        wanted = "return a force and a torque, three numbers each: (Fx, Fy, Fz), (Tx, Ty, Tz)"
+        return f"{where}: {force.name} returns {result!r}: {wanted}"
+    if np.isfinite(numbers).all():
+        return ""
+    return f"{where}: {force.name} returns {numbers.tolist()} at t = {t!r} s: it must be finite"
+
+
+def _compare(load: Written, bodies: Bodies, state: State) -> None:
+    """Raise ForceError where a force is not that of its potential: as bodies begin, and nearby."""
+    away = state._replace(com=state.com + 3e4 * scales(bodies, state) * _ASIDE)
+    half = np.array([[np.cos(0.4)], [0.3], [-0.2], [0.1]])
+    turn = np.repeat(half / np.linalg.norm(half), len(state.q.T), axis=1)
+    for now in (state, away._replace(q=quaternion_product(turn, state.q))):
+        with np.errstate(all="ignore"):
+            given, energy = loads_in(load, bodies, now), energies(load, now.com, now.q)
+            found = -gradient(lambda s: energies(load, s.com, s.q)[None], bodies, now)[:6, 0]
+            steps = np.where(np.arange(6)[:, None] < 3, scales(bodies, now), DIFFERENCE)
+            noise = 1e-14 * np.abs(energy) / steps
+        for part, what in ((slice(0, 3), "force [N]"), (slice(3, 6), "torque [N m]")):
+            size = np.maximum(lengths(given[part]), lengths(found[part]))
+            error = lengths(given[part] - found[part])
+            wrong = np.flatnonzero(error > _TOLERANCE * size + lengths(noise[part]))
+            if wrong.size:
+                b = int(wrong[0])
+                numbers = [np.array2string(one[part, b], precision=6) for one in (given, found)]
+                reason = (
+                    f"{place_of(load.force.function)}: {load.force.name} gives the {what}"
+                    f" {numbers[0]} for {{name}}, and its potential {numbers[1]}"
+                )
+                hint = "F = -dV/dx, and the torque is -dV per angle turned; or leave potential out"
+                raise ForceError("function", reason, hint, b)
+
+
+def _compilers_words(error: Exception, force: UserForce) -> str:
+    """What the compiler says against a function, with the last of the user's lines it names."""
+    text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
+    file, line = place_of(force.function).rsplit(":", 1)
+    lines = re.findall(rf'File "{re.escape(Path(file).name)}", line (\d+)', text)
+    lines += re.findall(rf"{re.escape(file)} \((\d+)\)", text)
+    words = [one.strip() for one in text.splitlines() if one.strip()]
+    first = next((k for k, one in enumerate(words) if not one.startswith(_BOILERPLATE)), 0)
+    said = " ".join(words[first : first + 2 if words[first].endswith(":") else first + 1])
+    return f"{file}:{lines[-1] if lines else line}: the compiler does not take {force.name}: {said}"
+
+
+FORCE: Final = Force(resolve, _term_of)

@@ -1,0 +1,325 @@
+"""Kicks of forces that users write in Python: see `particlerb.user_force`.
+
+A function becomes the hooks of a `Kick` by a source that hands it what it names. One that takes
+velocities is a flow at a fixed pose, by the implicit midpoint rule, iterated until only rounding
+changes: half before and half after the other kicks, so that splittings keep their order, and their
+symmetry. Energies and estimates of rates call the same functions.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from types import CellType, FunctionType
+from typing import Any, ClassVar, Final, NamedTuple
+
+import numpy as np
+
+from particlerb.compiled.function_set import FunctionSet
+from particlerb.compiled.jit import CacheWarning, config, inline, inline_from, kernel
+from particlerb.compiled.threads import BLOCK
+from particlerb.forces.drag import angular_velocity
+from particlerb.forces.kinds import Kick, Momenta, Rates, Term
+from particlerb.maths.quaternion import Rows, matrix
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale
+from particlerb.model.block import (
+    COM,
+    INV_MASS,
+    LOADS,
+    L,
+    P,
+    Q,
+    get,
+    get3,
+    get4,
+    in_blocks,
+    put,
+    state_rows,
+)
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import (
+    State,
+    lengths,
+    quaternion_product,
+)
+from particlerb.user_force import (
+    UserForce,
+    arguments_of,
+    digest_of,
+    place_of,
+    python_of,
+    reached,
+)
+
+_MOST: Final = 200  # iterations of a kick that depends on velocities,
+_ROUNDING: Final = 4e-16  # until it changes by such a share
+DIFFERENCE: Final = 1e-5  # step of differences, in units of the place or the size of a body
+_NO_TURN: Final = np.array([[1.0], [0.0], [0.0], [0.0]])
+_UNKEPT: Final = (
+    "{force} has no source that stands alone, as in a console: it is compiled anew at every start"
+)
+_CLASSES: Final[dict[Any, Any]] = {}  # by text, or what stands for it, and lengths of parameters
+Lengths = tuple[tuple[str, int], ...]  # of parameters: 0 for a number
+
+
+class _Rows(NamedTuple):
+    """Parameters of a term for n bodies."""
+
+    rows: Floats
+    """(r, n): whether it acts, parameters; then where it takes them the time when the segment
+    began and a row for that of the kick [s], and the rotation matrix of the rotor frame."""
+
+
+class Written(_Rows):
+    """The same for one force; each has a class of its own, made of this one."""
+
+    term: ClassVar[Term]
+    force: ClassVar[UserForce]
+    lengths: ClassVar[Lengths]
+    file: ClassVar[str]
+    own: ClassVar[FunctionSet]
+    energy: ClassVar[FunctionSet]
+
+
+# From a function to a kick
+
+
+@inline
+def _body_axes(R: Rows, rows: Floats, at: int, b: int) -> Rows:
+    """Rotation matrix of the body frame: R Fᵀ, with that of the rotor frame F."""
+    f, g, h = get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
+    return (
+        (dot(R[0], f), dot(R[0], g), dot(R[0], h)),
+        (dot(R[1], f), dot(R[1], g), dot(R[1], h)),
+        (dot(R[2], f), dot(R[2], g), dot(R[2], h)),
+    )
+
+
+@inline
+def _chosen(acts: float, load: Any) -> Momenta:
+    """Force and torque as numbers, or zero on a body on which it does not act."""
+    F, tau = load
+    if acts > 0.0:
+        return (float(F[0]), float(F[1]), float(F[2])), (
+            float(tau[0]), float(tau[1]), float(tau[2]),
+        )  # fmt: skip
+    return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+
+@inline
+def _mean(a: Vec3, b: Vec3) -> Vec3:
+    """(a + b)/2."""
+    return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
+
+
+@inline
+def _is_same(a: Vec3, b: Vec3) -> bool:
+    """Whether two vectors differ by rounding alone."""
+    size = abs(b[0]) + abs(b[1]) + abs(b[2])
+    return abs(a[0] - b[0]) + abs(a[1] - b[1]) + abs(a[2] - b[2]) <= _ROUNDING * size
+
+
+_SOURCES: Final = {
+    "load": """(rows, at, b, x, R, p, L, F, tau):
+    dF, dtau = chosen(get(rows, at, b), function({arguments}))
+    return add_scaled(1.0, dF, F), add_scaled(1.0, dtau, tau)
+""",
+    "push": """(rows, at, b, x, R, dt, p, L):
+    F, tau = chosen(get(rows, at, b), function({arguments}))
+    return add_scaled(dt, F, p), add_scaled(dt, tau, L)
+""",
+    "at_time": """(rows, at, b, t):
+    put(rows, at + {start} + 1, b, get(rows, at + {start}, b) + t)
+""",
+    "energy": """(rows, at, b, x, R):
+    return float(potential({of_potential})) if get(rows, at, b) > 0.0 else 0.0
+""",
+    "flow": """(rows, at, b, R, dt, p, L):
+    x, old, new = get3(rows, COM, b), (p, L), (p, L)
+    for _ in range({most}):
+        between = mean(p, new[0]), mean(L, new[1])
+        F, tau = load(rows, at, b, x, R, between[0], between[1], zero, zero)
+        old, new = new, (add_scaled(dt, F, p), add_scaled(dt, tau, L))
+        if is_same(old[0], new[0]) and is_same(old[1], new[1]):
+            return new
+    return (np.nan, np.nan, np.nan), L
+""",
+}
+"""Of the hooks of a kick, after their names: docs/theory.md."""
+
+
+def _compiled(function: Any, known: dict[FunctionType, Any] | None = None) -> Any:
+    """A function of a user with all of his that it reaches, inlined."""
+    plain = python_of(function)
+    known = {} if known is None else known
+    if plain is None or config.DISABLE_JIT:
+        return function
+    if plain in known:
+        return known[plain]
+    cells = tuple(CellType(cell.cell_contents) for cell in plain.__closure__ or ())
+    names = plain.__globals__ | {"__name__": __name__}  # a module that the cache finds again
+    copy = FunctionType(plain.__code__, names, plain.__name__, plain.__defaults__, cells)
+    known[plain] = made = inline(copy)
+    others = {name: _compiled(value, known) for name, value in reached(plain) if python_of(value)}
+    names.update(others)
+    for name, cell in zip(plain.__code__.co_freevars, cells, strict=True):
+        cell.cell_contents = others.get(name, cell.cell_contents)
+    return made
+
+
+def _argument(name: str, at: int, length: int) -> str:
+    """Source of a parameter from a row on."""
+    if not length:
+        return f"get(rows, at + {at}, b)"
+    return "(" + "".join(f"get(rows, at + {at + k}, b), " for k in range(length)) + ")"
+
+
+def _kick_of(force: UserForce, lengths_: Lengths, name: str, is_kept: bool) -> tuple[Kick, Any]:
+    """Kick of a force, and its energy if it has a potential."""
+    rows, known = 1, {}
+    for parameter, length in lengths_:
+        known[parameter] = _argument(parameter, rows, length)
+        rows += max(length, 1)
+    start = rows
+    rows += 2 if "t" in force.signature else 0
+    known |= {"t": f"get(rows, at + {start + 1}, b)", "x": "x"}
+    known["R"] = f"body_axes(R, rows, at + {rows}, b)"
+    known["v"], known["omega"] = "scale(get(rows, INV_MASS, b), p)", "spin_of(rows, b, R, L)"
+    rows += 9 if "R" in force.signature else 0
+    words = {"arguments": ", ".join(known[one] for one in force.signature), "of_potential": ""}
+    if force.potential is not None:
+        words["of_potential"] = ", ".join(known[one] for one in arguments_of(force.potential))
+    names: dict[str, Any] = {
+        "get": get, "get3": get3, "put": put, "add_scaled": add_scaled, "scale": scale, "np": np,
+        "mean": _mean, "is_same": _is_same, "chosen": _chosen, "body_axes": _body_axes,
+        "spin_of": angular_velocity, "COM": COM, "INV_MASS": INV_MASS, "zero": (0.0, 0.0, 0.0),
+        "function": _compiled(force.function), "potential": _compiled(force.potential),
+    }  # fmt: skip
+
+    def hook(which: str) -> Callable[..., Any]:
+        text = f"def {which}{_SOURCES[which].format(**words, start=start, most=_MOST)}"
+        names[which] = made = inline_from(text, f"<{which} of {name}>", which, names)
+        return made
+
+    moves = force.depends_on_velocity
+    load = hook("load") if moves else None
+    kick = Kick(
+        name, rows, None if moves else hook("push"), force.potential is not None,
+        load=load, flow=hook("flow") if moves else None,
+        at_time=hook("at_time") if "t" in force.signature else None, is_many=True, is_kept=is_kept,
+    )  # fmt: skip
+    return kick, None if force.potential is None else hook("energy")
+
+
+def class_of(force: UserForce, lengths_: Lengths) -> type[Written]:
+    """Class of the parameters of a force; the same one for all functions of the same text."""
+    from particlerb.forces.kernels import own_functions  # which are made of all kicks
+
+    text = force.text()
+    key = text or (force, repr([*reached(force.function)]))
+    made: Any = _CLASSES.get((key, lengths_))
+    if made is None:
+        sign = digest_of(text) if text else f"without_text_{len(_CLASSES)}"
+        name = "_".join([force.name, sign, *(str(length) for _, length in lengths_)])
+        made = _CLASSES[key, lengths_] = type(force.name, (Written,), {})
+        kick, energy = _kick_of(force, lengths_, name, text is not None)
+        made.force, made.lengths = force, lengths_
+        made.file = place_of(force.function).rpartition(":")[0]
+        made.own = own_functions((kick,))
+        made.energy = FunctionSet(f"energy of {name}", {"energy": energy}, kick.is_kept)
+        words = f"{force.name} of {made.file}"
+        of_energy = None if energy is None else energies
+        made.term = Term(made, words, kick, _estimated_rates, energy=of_energy)
+        if text is None:
+            warnings.warn(CacheWarning(_UNKEPT.format(force=force)), stacklevel=2)
+    found: type[Written] = made
+    return found
+
+
+# What it does in given states
+
+
+@kernel
+def _sample_loads(own: FunctionSet, blocks: Floats, n: int, out: Floats) -> None:
+    """Force and torque on n bodies, (6, n), when the segment begins."""
+    zero = (0.0, 0.0, 0.0)
+    for k in range(len(blocks)):
+        rows = blocks[k]
+        for b in range(min(BLOCK, n - k * BLOCK)):
+            x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
+            own.at_time(rows, LOADS, b, 0.0)
+            F, tau = own.kick_potential(rows, LOADS, b, x, R, 1.0, zero, zero)
+            F, tau = own.kick_others(rows, LOADS, b, x, R, 1.0, F, tau)
+            p, spin = get3(rows, P, b), get3(rows, L, b)
+            F, tau = own.load_of_velocity(rows, LOADS, b, x, R, p, spin, F, tau)
+            for i in range(3):
+                out[i, k * BLOCK + b] = F[i]
+                out[3 + i, k * BLOCK + b] = tau[i]
+
+
+@kernel
+def _sample_energies(own: FunctionSet, blocks: Floats, n: int, out: Floats) -> None:
+    """Potential energy of n bodies, (1, n)."""
+    for k in range(len(blocks)):
+        rows = blocks[k]
+        for b in range(min(BLOCK, n - k * BLOCK)):
+            x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
+            out[0, k * BLOCK + b] = own.energy(rows, LOADS, b, x, R)
+
+
+def _sampled(load: Written, com: Floats, q: Floats, more: Sequence[tuple[int, Floats]]) -> Floats:
+    """Loads (6, n) of n bodies; without more than their poses, their energies (1, n)."""
+    n = com.shape[1]
+    parts = [(COM, com), (Q, q), (LOADS, load.rows), *more]
+    blocks = in_blocks(n, LOADS + len(load.rows), parts)
+    out = np.zeros((6 if more else 1, n))
+    (_sample_loads if more else _sample_energies)(load.own if more else load.energy, blocks, n, out)
+    return out
+
+
+def energies(load: Written, com: Floats, q: Floats) -> Floats:
+    """Potential energy, (n,) [J]."""
+    energy: Floats = _sampled(load, com, q, ())[0]
+    return energy
+
+
+def loads_in(load: Written, bodies: Bodies, state: State) -> Floats:
+    """Force and torque, (6, n) [N, N m], when the segment begins."""
+    return _sampled(load, state.com, state.q, state_rows(state, bodies))
+
+
+def scales(bodies: Bodies, state: State) -> Floats:
+    """Steps of differences along a place, (n,) [m]."""
+    size = np.sqrt(bodies.inertia.max(axis=0) / bodies.mass)
+    scale_ = np.maximum(size, lengths(state.com))
+    return DIFFERENCE * np.where(scale_ > 0.0, scale_, 1.0)
+
+
+def gradient(of: Callable[[State], Floats], bodies: Bodies, state: State) -> Floats:
+    """Differences of a function (m, n) of states along places and turns, momenta, (12, m, n)."""
+    turn, still = np.full(state.com.shape[1], DIFFERENCE), np.maximum(bodies.inertia.max(0), 1e-99)
+    faster = DIFFERENCE * np.maximum(lengths(state.p), bodies.mass)
+    steps = scales(bodies, state), turn, faster, DIFFERENCE * np.maximum(lengths(state.L), still)
+    found = []
+    for k in range(12):
+        step, unit = steps[k // 3], np.zeros((4, turn.size))
+        unit[k % 3 + 1] = 1.0
+        ends = []
+        for way in (0.5 * step * unit, -0.5 * step * unit):
+            turned = quaternion_product(0.5 * way + _NO_TURN, state.q)
+            moved = State(state.com + way[1:], turned, state.p + way[1:], state.L + way[1:])
+            ends.append(of(state._replace(**{State._fields[k // 3]: moved[k // 3]})))
+        found.append((ends[0] - ends[1]) / step)
+    return np.array(found)
+
+
+@np.errstate(all="ignore")
+def _estimated_rates(load: Written, bodies: Bodies, state: State) -> Rates:
+    """How fast the force lets bodies swing and slow down at first, by differences."""
+    inv_inertia, first = bodies.inv_inertia.max(axis=0), loads_in(load, bodies, state)
+    change = np.nan_to_num(gradient(lambda now: loads_in(load, bodies, now), bodies, state))
+    size = np.linalg.norm(change.reshape(4, 3, 2, 3, -1), axis=(1, 3))  # by what, of what, body
+    squared = size[0, 0] * bodies.inv_mass + size[1, 1] * inv_inertia
+    moves = load.term.kick.load is not None
+    return Rates(
+        turning=lengths(first[3:]), squared=squared,
+        rate=np.maximum(size[2, 0], size[3, 1]) if moves else np.zeros(()),
+    )  # fmt: skip

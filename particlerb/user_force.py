@@ -1,0 +1,310 @@
+"""Forces that users write: plain functions whose arguments say what they need; no compiler here.
+
+A function is told apart from others by its text: its own source with all functions and constants
+that it reaches, made into a module that stands alone. That text is hashed for the cache of compiled
+code, and kept in trajectories.
+"""
+
+import ast
+import hashlib
+import inspect
+import linecache
+import textwrap
+import traceback
+from collections.abc import Callable, Iterator
+from functools import cached_property, lru_cache
+from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
+from typing import Any, Final, overload
+
+import numpy as np
+
+from particlerb.files import File
+
+GIVEN: Final = ("t", "x", "R", "v", "omega")
+"""Arguments that have a meaning: time [s], place [m], rotation matrix, velocities [m/s, rad/s]."""
+_MOVING: Final = ("v", "omega")
+_POSE: Final = ("x", "R")
+_LIBRARIES: Final = ("math", "numpy", "numba", "particlerb")  # whose functions have no text here
+
+
+class UserForceError(Exception):
+    """A function that is no force: where, and why."""
+
+
+class _NotClosedError(Exception):
+    """A function that reaches what has no text."""
+
+
+class UserForce:
+    """A force that `particlerb.force` has made of a function; called, it is this function."""
+
+    def __init__(
+        self, function: Callable[..., Any], potential: Callable[..., Any] | None = None
+    ) -> None:
+        if not isinstance(function, FunctionType):
+            raise TypeError("a force is a function that `def` has made")
+        self.function, self.potential, self.__doc__ = function, potential, function.__doc__
+        self.name = function.__name__
+        self.signature = arguments_of(function)
+        if potential is not None:
+            self._refuse_potential(potential)
+
+    def _refuse_potential(self, potential: Callable[..., Any]) -> None:
+        """Raise TypeError where a potential cannot belong to the force."""
+        where = f"{place_of(potential)}: the potential of {self.name}"
+        changing = [name for name in ("t", *_MOVING) if name in self.signature]
+        if changing:
+            raise TypeError(f"{where}: a force of {', '.join(changing)} has none; leave it out")
+        others = arguments_of(potential).keys() - {*_POSE, *self.signature}
+        if others:
+            known = ", ".join(dict.fromkeys((*_POSE, *self.signature)))
+            raise TypeError(f"{where} takes {', '.join(sorted(others))}; it may take {known}")
+
+    def __call__(self, *args: Any, **keys: Any) -> Any:
+        """What the function returns."""
+        return self.function(*args, **keys)
+
+    def __repr__(self) -> str:
+        """Name and place."""
+        return f"<force {self.name}, {place_of(self.function)}>"
+
+    @property
+    def py_func(self) -> Callable[..., Any]:
+        """The function, under the name that compiled functions have for it."""
+        return self.function
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Its arguments that have no meaning of their own, with their defaults; `...`: none."""
+        return {name: value for name, value in self.signature.items() if name not in GIVEN}
+
+    @property
+    def depends_on_velocity(self) -> bool:
+        """Whether it takes one of the velocities."""
+        return any(name in self.signature for name in _MOVING)
+
+    @cached_property
+    def file(self) -> str:
+        """Name of the file of its text, where it has no other."""
+        return f"{self.name}.py"
+
+    def text(self) -> str | None:
+        """Module that stands alone with what it reaches now; None where something has no text."""
+        closed = _Closed()
+        try:
+            closed.add(self.function)
+            if self.potential is not None:
+                closed.add(self.potential)
+        except (_NotClosedError, OSError, SyntaxError, TypeError, ValueError):
+            return None
+        return closed.module(self)
+
+
+@overload
+def force(function: Callable[..., Any]) -> UserForce: ...
+@overload
+def force(
+    *, potential: Callable[..., Any] | None = None
+) -> Callable[[Callable[..., Any]], UserForce]: ...
+def force(
+    function: Callable[..., Any] | None = None, *, potential: Callable[..., Any] | None = None
+) -> UserForce | Callable[[Callable[..., Any]], UserForce]:
+    """Make a force of a function, for `PythonTable` and `[[force]] type = "python"`.
+
+    Parameters
+    ----------
+    function : callable
+        Returns the force on one body [N], three numbers, which acts at its centre of mass; or the
+        force and the torque about the centre of mass [N m], both in the world. It takes what it
+        names: `t` time [s], `x` centre of mass [m], `R` rows of the rotation matrix, body frame to
+        world, `v` velocity [m/s], `omega` angular velocity, world [rad/s]; vectors are tuples. Its
+        other arguments are parameters: numbers, or tuples of them.
+    potential : callable, optional
+        Energy [J] of the force; takes `x`, `R`, and parameters of the force by their names.
+
+    Raises
+    ------
+    TypeError
+        If the arguments are others, or the force depends on what a potential cannot have.
+    """
+    if function is not None:
+        return UserForce(function, potential)
+    return lambda function: UserForce(function, potential)
+
+
+def load_force(file: File, name: str) -> UserForce:
+    """The force of a name in a file of Python code, which is run, once for each content.
+
+    Raises
+    ------
+    UserForceError
+        If the code fails, or there is no such force in it.
+    """
+    source = file.data.decode("utf-8-sig", "replace")
+    lines = source.splitlines(keepends=True)
+    linecache.cache[file.name] = len(source), None, lines, file.name  # for messages and texts
+    names = _run(source, file.name)
+    found = names.get(name)
+    if isinstance(found, UserForce):
+        return found
+    if callable(found):
+        raise UserForceError(f"{place_of(found)}: write @particlerb.force above `def {name}`")
+    known = ", ".join(key for key, value in names.items() if isinstance(value, UserForce))
+    raise UserForceError(f'{file.name} has no force "{name}"; it has: {known or "none"}')
+
+
+@lru_cache(maxsize=64)
+def _run(source: str, file: str) -> dict[str, Any]:
+    """What a text of Python code defines."""
+    names: dict[str, Any] = {"__name__": "<code of a case>", "__file__": file}
+    try:
+        exec(compile(source, file, "exec"), names)
+    except Exception as error:
+        raise UserForceError(told(error, file)) from None
+    return names
+
+
+def place_of(function: Any) -> str:
+    """File and line of a function."""
+    code = getattr(getattr(function, "py_func", function), "__code__", None)
+    return f"{code.co_filename}:{code.co_firstlineno}" if code else "?"
+
+
+def told(error: BaseException, file: str) -> str:
+    """An error of a user's code in one line, with the last of its lines that it has passed."""
+    line: int | None = None
+    if isinstance(error, SyntaxError) and error.filename == file:
+        line = error.lineno
+    for frame in traceback.extract_tb(error.__traceback__):
+        line = frame.lineno if frame.filename == file else line
+    words = str(error.msg) if isinstance(error, SyntaxError) else str(error)
+    return f"{file}:{line or 1}: {type(error).__name__}: {words}".rstrip(": ")
+
+
+def arguments_of(function: Callable[..., Any]) -> dict[str, Any]:
+    """Arguments with their defaults; `...` where there is none.
+
+    Raises
+    ------
+    TypeError
+        If some have no name.
+    """
+    found: dict[str, Any] = {}
+    for name, one in inspect.signature(function).parameters.items():
+        if one.kind is not inspect.Parameter.POSITIONAL_OR_KEYWORD:
+            raise TypeError(
+                f"{place_of(function)}: {one} cannot be an argument of a force: name each one"
+            )
+        found[name] = ... if one.default is inspect.Parameter.empty else one.default
+    return found
+
+
+# What a function reaches
+
+
+def reached(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
+    """Globals and variables around it that a function names, with their values."""
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    around = {name: cell.cell_contents for name, cell in cells}
+    for name in sorted(_names_in(function.__code__) | around.keys()):
+        if name in around:
+            yield name, around[name]
+        elif name in function.__globals__:
+            yield name, function.__globals__[name]
+
+
+def _names_in(code: CodeType) -> set[str]:
+    """Names in the code of a function, and of those inside."""
+    inner = (_names_in(one) for one in code.co_consts if isinstance(one, CodeType))
+    return set(code.co_names).union(*inner)
+
+
+def python_of(value: Any) -> FunctionType | None:
+    """A function of users that is compiled into a force, as Python; None: it is something else."""
+    plain = getattr(value, "py_func", value)
+    is_own = isinstance(plain, FunctionType) and not _is_library(plain.__module__)
+    return plain if is_own else None
+
+
+def _is_library(module: str | None) -> bool:
+    """Whether a module is one of the libraries."""
+    return (module or "").partition(".")[0] in _LIBRARIES
+
+
+@lru_cache(maxsize=256)
+def _source_of(function: Callable[..., Any]) -> tuple[str, list[str], str]:
+    """Name of a function, names in the defaults of its arguments, and its source as one writes it.
+
+    Decorators, comments and spaces are left out.
+    """
+    tree = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
+    if not isinstance(tree, ast.FunctionDef):
+        raise _NotClosedError
+    tree.decorator_list = []
+    defaults = [node.id for node in ast.walk(tree.args) if isinstance(node, ast.Name)]
+    return tree.name, defaults, ast.unparse(tree) + "\n"
+
+
+class _Closed:
+    """A module that stands alone, as it is put together."""
+
+    def __init__(self) -> None:
+        self.lines: dict[str, str] = {}  # by the name that they define
+        self.values: dict[str, Any] = {}
+
+    def add(self, function: Callable[..., Any]) -> None:
+        """Add a function, after what it reaches."""
+        own, defaults, text = _source_of(function)
+        if not self._is_new(own, function):
+            return
+        around = [(name, function.__globals__.get(name)) for name in defaults]
+        for name, value in (*reached(function), *around):
+            plain = python_of(value)
+            if not self._is_new(name, plain or value, marks=plain is None):
+                continue
+            if plain is None:
+                self.lines[name] = self._line_of(name, value)
+            elif plain.__name__ == name:
+                self.add(plain)
+            else:
+                raise _NotClosedError
+        self.lines[own] = text
+
+    def _is_new(self, name: str, value: Any, marks: bool = True) -> bool:
+        """Whether a name is not known yet; of another value it may not be."""
+        if name not in self.values:
+            if marks:
+                self.values[name] = value
+            return True
+        known = self.values[name]
+        if known is value or (type(known) is type(value) and repr(known) == repr(value)):
+            return False
+        raise _NotClosedError
+
+    def _line_of(self, name: str, value: Any) -> str:
+        """Line that gives a name its value."""
+        if isinstance(value, (bool, int, float, str, tuple, type(None))):
+            ast.literal_eval(repr(value))  # raises ValueError where a number is not finite
+            return f"{name} = {value!r}\n"
+        if isinstance(value, np.ndarray):
+            return f"import numpy\n{name} = numpy.array({value.tolist()!r}, '{value.dtype}')\n"
+        if isinstance(value, ModuleType) and _is_library(value.__name__):
+            return f"import {value.__name__} as {name}\n"
+        home, own = getattr(value, "__module__", None), getattr(value, "__name__", None)
+        if _is_library(home) and own:
+            return f"from {home} import {own} as {name}\n"
+        if isinstance(value, (BuiltinFunctionType, np.ufunc)):
+            return f"from {home or 'numpy'} import {own} as {name}\n"
+        raise _NotClosedError
+
+    def module(self, force: UserForce) -> str:
+        """Text of it, with the decorator before the force."""
+        potential = "" if force.potential is None else f"potential={force.potential.__name__}"
+        own = self.lines.pop(force.name)
+        head = ["from __future__ import annotations\n", "import particlerb\n"]
+        return "".join([*head, *self.lines.values(), f"@particlerb.force({potential})\n", own])
+
+
+def digest_of(text: str) -> str:
+    """Short hash of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
