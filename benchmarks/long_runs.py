@@ -150,7 +150,7 @@ def attraction(steps: float) -> dict:
     shape = {"type": "points", "mass": 0.5, "position": [[-0.1, 0, 0], [0.1, 0, 0]]}
     bodies = [
         {"name": n, "shape": shape, "position": [x, 0, 0], "velocity": [0, v, 0]}
-        for n, x, v in (("a", -1.0, -0.5), ("b", 1.0, 0.5))
+        for n, x, v in (("a", -1.0, -0.7), ("b", 1.0, 0.7))
     ]
     return case(bodies, 1e-2, steps, attraction={"G": 2.0}, run={"method": "strang"})
 
@@ -316,6 +316,12 @@ SCENES: dict[str, tuple[Callable[[float], Any], float, float]] = {  # case, step
     "lid on a column": (piston, 1e7, 1.5),
     "stirrer": (driven_body, 1e7, 2.0),
     "walls of triangles": (mesh_walls, 1e7, 2.0),
+    "lossless balls in a box, rk4": (
+        bounces(hooke(1.0, 0.0), run={"method": "rk4"}), 1e7, 2.5
+    ),
+    "balls in a box by impulses": (
+        bounces({"law": "impulse", "restitution": 0.5, "friction": 0.5}, run={}), 1e7, 2.5
+    ),
     "gas of 400 balls": (gas, 1e6, 2.0),
     "60 lossless dumbbells": (dumbbells, 1e6, 2.0),
     "8 attracting boxes on springs": (eight_boxes, 1e6, 1.0),

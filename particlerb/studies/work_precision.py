@@ -33,6 +33,7 @@ from particlerb.plan.segments import Plan, has_step, is_adaptive
 from particlerb.plan.stability import contact_limit
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.trials import Error, drifts, errors, part, sample, seconds, states_at
+from particlerb.stepping.motion import MotionError
 from particlerb.studies.peers import (
     JOINT_ORACLE,
     Engine,
@@ -266,16 +267,14 @@ class Study:
         step = self.first_step()
         self.states(second, step)  # compile
         start = time.monotonic()
-        found = [np.inf, np.inf]
-        stays = 0
+        found, stays = [np.inf, np.inf], 0
         while time.monotonic() - start < budget and stays < 2:
             step *= 0.5
             found.append(self.difference(self.states(second, step), oracle))
             stays = stays + 1 if found[-1] > 0.5 * min(found[:-1]) and found[-1] < 1e-6 else 0
         # where the difference no longer falls it is noise: the larger of two neighbours counts
         floor = min(map(max, pairwise(found[1:]))) if len(found) > 3 else found[-1]
-        what = f"{what}, checked by {second} with shorter steps"
-        return _Reference(oracle, what, floor)
+        return _Reference(oracle, f"{what}, checked by {second} with shorter steps", floor)
 
     # Steps
 
@@ -335,9 +334,8 @@ class Study:
             if not point.failure:
                 stays = stays + 1 if point.size > 0.7 * best else 0
                 best = min(best, point.size)
-            runs = 1 + (0 if point.seconds > _LONG else _REPEATS)
             is_done = best < 3.0 * self.reference.floor or (stays > 1 and best < 1e-3)
-            ahead = 2.2 * runs * point.seconds
+            ahead = 2.2 * (1 if point.seconds > _LONG else 1 + _REPEATS) * point.seconds
             is_curve = n_points >= _LEAST_POINTS or ahead > 2.0 * budget
             if is_done or (is_curve and spent + ahead > budget):
                 return
@@ -345,26 +343,26 @@ class Study:
     def measured(self, method: str, step: float | None, repeats: int = _REPEATS) -> Point:
         """One point."""
         plan = self.plan(method, step)
-        everyone = np.arange(self.system.n_bodies)
         own = part(self.system, plan, self.which)
+        made = partial(Point, method, "", step or 0.0, has_step(method) and is_adaptive(method))
         before = THREADS.busy
-        frames, booked = states_at(own, self.times)
+        try:
+            frames, booked = states_at(own, self.times)
+        except MotionError as problem:
+            error = Error(np.nan, np.nan, np.nan)
+            return made(THREADS.busy - before, error, np.nan, np.nan, str(problem))
         spent = THREADS.busy - before
         energy, spin = drifts(own, frames, booked)
-        if self.by_energy:
-            error = Error(energy, energy, 0.0)
-        else:
+        error = Error(energy, energy, 0.0)
+        if not self.by_energy:
             error = errors(own, self.times, frames, self.reference.frames)[-1]
-        if spent < _LONG or self.which.size < everyone.size:
-            whole = part(self.system, plan, everyone)
+        if spent < _LONG or self.which.size < self.system.n_bodies:
+            whole = part(self.system, plan, np.arange(self.system.n_bodies))
             times = [seconds(whole, self.t_end) for _ in range(repeats)]
             while repeats > 1 and sum(times) < _FILLED and len(times) < _MOST_REPEATS:
                 times.append(seconds(whole, self.t_end))
             spent = float(np.median(times))
-        is_tolerance = has_step(method) and is_adaptive(method)
-        return Point(
-            method, "", step or 0.0, is_tolerance, spent, error, energy, spin, failure(error)
-        )
+        return made(spent, error, energy, spin, failure(error))
 
     def peer_curve(self, engine: Engine, variant: str, budget: float) -> Iterator[Point]:
         """Points of one variant of a peer."""

@@ -131,6 +131,20 @@ def test_failed_points_are_marked_and_kept(tumbling):
     assert all(p not in failed for p in frontier(found.points))
 
 
+def test_a_run_that_ends_in_an_error_is_a_failed_point(make):
+    """Explicit Euler lets the ball on its spring swing more widely, until a step is too long."""
+    ball = make.sphere(position=[0.3, 0.0, 0.0], velocity=[1.0, 0.0, 0.0])
+    spring = make.spring([0.0, 0.0, 0.0], 2e3, rest_length=0.1, body="ball")
+    wall = [make.plane([-1.0, 0.0, 0.0]) | {"point": [9.0, 0.0, 0.0]}]
+    keys = {"contact": make.hooke(1e4, 1.0, 0.0), "wall": wall, "t_end": 2.0}
+    system = to_system(load(make.case(ball, force=[spring], **keys)))
+    found = chart(system, ["explicit_euler", "strang"], budget=0.5)
+    failed = [p for p in found.points if p.method == "explicit_euler"]
+    assert failed
+    assert all(math.isnan(p.size) and "more than its smallest radius" in p.failure for p in failed)
+    assert not any(p.failure for p in found.points if p.method == "strang")
+
+
 @pytest.mark.compiled
 def test_free_scene_is_best_served_by_the_closed_form(tumbling):
     _, found = tumbling

@@ -79,7 +79,7 @@ def limits(chart: WorkPrecision) -> dict[str, Any]:
     """Limits of the axes: all points, the limit of the reference, and names at the right."""
     times = [p.seconds for p in chart.points] or [1e-3, 1.0]
     heights = [height(p, chart.floor) for p in chart.points if not p.failure] or [1e-3]
-    low = min(*heights, chart.floor, chart.target) / 5.0
+    low = min(*heights, chart.target) / 5.0
     right = max(times) * (30.0 if chart.published else 8.0)
     return {"ylim": (max(low, 1e-18), 20.0), "xlim": (min(times) / 2.0, right)}
 
@@ -112,9 +112,11 @@ def together(published: tuple[tuple[str, float], ...]) -> list[tuple[str, float]
 
 def _mark_levels(axes: Axes, chart: WorkPrecision) -> None:
     """Mark the target error, the limit of the reference, and published errors."""
-    axes.axhspan(axes.get_ylim()[0], chart.floor, color="#eeeeee", zorder=0)
-    write_beside(axes, 0.995, chart.floor, "limit of the reference", fontsize=8, color="#777777",
-                 ha="right", va="top")  # fmt: skip
+    low = axes.get_ylim()[0]
+    if chart.floor > low:
+        axes.axhspan(low, chart.floor, color="#eeeeee", zorder=0)
+        write_beside(axes, 0.995, chart.floor, "limit of the reference", fontsize=8,
+                     color="#777777", ha="right", va="top")  # fmt: skip
     axes.axhline(chart.target, color=INK, lw=0.9, ls=":")
     write_beside(axes, 0.005, chart.target, f"target: {chart.target:.3g}", fontsize=8, color=INK,
                  va="bottom")  # fmt: skip
@@ -144,6 +146,6 @@ def _mark_cheapest(axes: Axes, chart: WorkPrecision) -> None:
     where = best.seconds, height(best, chart.floor)
     axes.plot(*where, "o", ms=13, mfc="none", mec=INK, mew=1.6, zorder=6)
     axes.annotate(
-        duration(best.seconds), where, (-9, 8), textcoords="offset points", fontsize=9, color=INK,
+        duration(best.seconds), where, (-9, -16), textcoords="offset points", fontsize=9, color=INK,
         ha="right",
     )  # fmt: skip
