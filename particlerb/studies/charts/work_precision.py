@@ -79,7 +79,7 @@ def limits(chart: WorkPrecision) -> dict[str, Any]:
     """Limits of the axes: all points, the limit of the reference, and names at the right."""
     times = [p.seconds for p in chart.points] or [1e-3, 1.0]
     heights = [height(p, chart.floor) for p in chart.points if not p.failure] or [1e-3]
-    low = min(*heights, chart.target) / 5.0
+    low = min(*heights, chart.target) / 10.0
     right = max(times) * (30.0 if chart.published else 8.0)
     return {"ylim": (max(low, 1e-18), 20.0), "xlim": (min(times) / 2.0, right)}
 
