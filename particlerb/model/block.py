@@ -143,6 +143,11 @@ def into_blocks(blocks: Floats, at: int, values: Floats) -> None:
     rows[:, at : at + count, :BLOCK] = room.reshape(count, -1, BLOCK).swapaxes(0, 1)
 
 
+def changing(blocks: Floats) -> Floats:
+    """The rows of all blocks that change with time, as a view."""
+    return blocks[:, : CHANGING * STRIDE]
+
+
 def aligned_zeros(size: int) -> Floats:
     """Zeros from the beginning of a line of the cache on: registers never straddle two lines."""
     room = np.zeros(size + LINE)

@@ -6,43 +6,27 @@ step: no choice depends on a clock.
 """
 
 import math
-import sys
-import time
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.problems import CaseError
-from particlerb.case.source import problem_at
 from particlerb.integrators import METHODS
-from particlerb.integrators.dop853 import PACK
-from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.bodies import taken
 from particlerb.model.state import Frames
-from particlerb.model.system import System
-from particlerb.plan.describe import group_name
-from particlerb.plan.rates import rates
-from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
-from particlerb.plan.time_step import Stepping, stepped_by
-from particlerb.rotors.rotor_class import ASYMMETRIC
-from particlerb.simulation.trials import chosen, poses, relative_misfits, ways
-from particlerb.stepping.pair_forces import cost_of
+from particlerb.plan.time_step import Stepping
+from particlerb.simulation.pilot import SET_UP, Pilot
 
-FIRST_TURN: Final = {"rkn6": 4.0}  # rad of the first step that is tried; of others:
+FIRST_TURN: Final = {"strang": 0.25, "force_gradient": 3.0, "rkn6": 4.0}  # rad; of others:
 _FIRST_TURN: Final = 0.5
-_FIRST_WANTED: Final = 1e-3  # for this accuracy, by half of the order for others
+_FIRST_WANTED: Final = 1e-3  # in the first step for this accuracy, by half of the order for others
 _FIRST_TOLERANCE: Final = 0.01  # that is tried, in units of the accuracy,
 _COARSEST, _FINEST = 1e-3, 1e-14  # and its limits
 _ADAPTED: Final = 4.0  # rad of a step with a tolerance of 1, about,
 _LONGER: Final = 10.0  # and how many times longer steps may be later than at t = 0
 RATIO: Final = {
-    "strang": 2.0, "rkn6": 1.6, "rk4": 1.8, "dop853": 30.0,
+    "strang": 2.0, "force_gradient": 1.7, "rkn6": 1.6, "rk4": 1.8, "dop853": 30.0,
     "rattle": 2.0, "rattle4": 1.7, "rattle6": 1.5, "rattle8": 1.4,
 }  # of settings compared  # fmt: skip
 _DEARER: Final = 1.25  # a run may be than one whose error on the pilot is just what is wanted
-_PILOT: Final = 32  # bodies that are looked at, at most:
-_FASTEST: Final = 8  # these by their rates at t = 0, the others by their errors at
-_COARSE: Final = (1.5, 0.75)  # rad of a step of strang
 TIMES: Final = 8  # that are looked at; the largest error counts
 _LAST: Final = 3  # at so many of them: at a single one it may pass through 0
 MORE_TIMES: Final = 32  # that are looked at where an accuracy is not met
@@ -55,11 +39,10 @@ _ORDERLY: Final = (0.75, 1.75)  # within these shares of it
 _NEAR: Final = 1.5  # ratio of costs between which nothing else is looked for
 _NOISE: Final = 1e-13  # no error below it is foretold
 ENOUGH: Final = 0.6  # of what is wanted, where errors are seen and not foretold
+_AGREED: Final = 0.1  # of the error aimed at, by which two runs may differ that both are right
 _MOST_GROWTH: Final = 5  # of the setting, in powers of it
 _FURTHER: Final = 300.0  # ratio of errors beyond what was tried, where a run would be too dear
 _TINY: Final = 1e-300  # in place of errors of 0
-_FEW: Final = 12  # bodies that cost as much as one, in the lanes of a register
-_SAY_SO: Final = 2.0  # s after which a search says what it does
 
 
 class ChosenStep(NamedTuple):
@@ -71,105 +54,6 @@ class ChosenStep(NamedTuple):
     bodies: int  # on which it was verified
     cost: float  # of the run, by the table [ns]
     spent: float  # on the search, by the table [ns]
-
-
-class Pilot:
-    """Some bodies of a group, to be moved with different methods and steps."""
-
-    def __init__(self, system: System, group: GroupPlan) -> None:
-        self.system, self.group = system, group
-        self.wanted, t_end = system.run.accuracy or 0.0, system.run.t_end
-        self.spent = 0.0  # ns, by the table
-        self.start, self.has_said = time.monotonic(), False
-        self.rates = rates(system, group, t_end)
-        self.rate = float(self.rates.max())
-        if not np.isfinite(self.rate):
-            reason = "no step can be chosen: a torque over a moment of inertia overflows"
-            raise CaseError([problem_at(system, "run.accuracy", reason, "give run.dt")])
-        self.lengths = [
-            min(s.stop, t_end) - s.start
-            for s in group.segments
-            if has_step(s.method) and s.start < t_end
-        ]
-        self.cost_between = max(cost_of(segment.terms) for segment in group.segments)
-        self.is_coupled = any(segment.terms.is_coupled for segment in group.segments)
-        self.asymmetric = float(np.mean(group.bodies.rotor_class == ASYMMETRIC))
-        self.gone: tuple[Frames | None, Floats] = (None, np.empty(0))  # ways of the last reference
-        self.take(np.arange(group.members.size))
-        self.calm = 1.0  # steps that the whole group takes beside the pilot, where it adapts them
-        if self.which.size > _PILOT and not self.is_coupled:
-            self.take(self.worst())
-            self.calm = _per_pack(self.rates) / _per_pack(self.rates[self.which])
-
-    def take(self, which: Ints) -> None:
-        """Let the pilot have these bodies of the group."""
-        own = self.group.members[which]
-        self.which, self.state = which, taken(self.system.state, own)
-        self.own = chosen(self.group, which, np.arange(which.size))
-        self.begun: dict[str, Any] = {}  # motions of these bodies, by their methods
-        self.size = self.system.reach[self.system.kind[own]]
-
-    def longest(self, turn: float) -> float:
-        """Step in which the fastest body turns so far, or the shortest segment [s]."""
-        return min([turn / self.rate if self.rate > 0.0 else math.inf, *self.lengths])
-
-    def worst(self) -> Ints:
-        """Bodies that are fastest, and those that err most with coarse steps."""
-        times = np.array([self.system.run.t_end])
-        coarse, fine = (
-            self.poses(Stepping("strang", self.longest(turn), 0.0, ""), times)[0]
-            for turn in _COARSE
-        )
-        error = self.errors(times, coarse, fine)[0]
-        fastest = np.argsort(-self.rates, kind="stable")[:_FASTEST]
-        error[fastest] = np.inf
-        return np.sort(np.argsort(-error, kind="stable")[:_PILOT])
-
-    def poses(self, stepping: Stepping, times: Floats) -> tuple[Frames, float]:
-        """States at some times, and the steps of the whole run that were taken until the last."""
-        self.say_so(stepping.method)
-        again = None if self.is_coupled else self.begun
-        frames, steps = poses(stepped_by(self.own, stepping), self.state, times, again)
-        looks = 0 if is_adaptive(stepping.method) else times.size
-        self.spent += self.cost(stepping, steps + looks, self.which.size)
-        return frames, steps
-
-    def say_so(self, method: str) -> None:
-        """Tell, once, what takes so long."""
-        if not self.has_said and time.monotonic() - self.start > _SAY_SO:
-            self.has_said = True
-            name = group_name(self.system, self.group.members)
-            text = f"{name}: looking for method and step for run.accuracy, now with {method} ..."
-            print(text, file=sys.stderr, flush=True)
-
-    def errors(
-        self, times: Floats, found: Frames, expected: Frames, rows: slice = slice(None)
-    ) -> Floats:
-        """Errors of the bodies in rows, (T, n): the larger of orientation and position."""
-        bodies = self.own.bodies
-        if self.gone[0] is not expected:
-            self.gone = expected, ways(bodies, times, expected, self.state.p.T)
-        scale = np.maximum(self.size, self.gone[1][rows])
-        error = np.maximum(*relative_misfits(bodies, scale, found, expected, rows))
-        error[np.isnan(error)] = np.inf
-        return error
-
-    def cost(self, stepping: Stepping, steps: float, n: int) -> float:
-        """Time that n bodies of the group take for so many steps, by the table [ns]."""
-        method = METHODS[stepping.method]
-        lanes = max(n, _FEW)
-        if method.is_adaptive and n > 1 and not self.is_coupled:
-            lanes = -(-n // PACK) * PACK
-        each = method.cost
-        if method.asymmetric_cost is not None:
-            turns = stepping.dt * self.rate
-            each *= 1.0 + self.asymmetric * (method.asymmetric_cost(turns) - 1.0)
-        return float(steps * (lanes * each + method.evaluations * self.cost_between))
-
-
-def _per_pack(rates: Floats) -> float:
-    """Mean over packs of the largest rate."""
-    return float(np.mean(np.maximum.reduceat(rates, np.arange(0, rates.size, PACK))))
 
 
 class _Tried(NamedTuple):
@@ -192,7 +76,20 @@ class Ladder:
         self.errors: list[float] = []  # of all but the finest, which stands for the truth
         self.apart: dict[tuple[float, float], float] = {}  # largest error between two settings
         self.setting, self.is_verified = 0.0, False
-        self.cost = 0.0 if self.is_stepped else self.least_cost()
+        self.cost = self.first_cost() if self.is_stepped else self.least_cost()
+
+    def first_cost(self) -> float:
+        """What a run with the first step takes, and to find out more: who is dearer is not tried.
+
+        The first step is longer than what most scenes need [ns].
+        """
+        return self.cost_of(self.first_setting(), self.pilot.group.members.size) + 2.0 * SET_UP
+
+    def usual_cost(self) -> float:
+        """What a run takes in most scenes [ns]."""
+        step = self.pilot.longest(self.first_turn(1.0))
+        n = self.pilot.group.members.size
+        return self.cost_of(step, n) if self.is_stepped else self.cost
 
     def least_cost(self) -> float:
         """What an adaptive method costs at least, by the rate at t = 0; never too little [ns].
@@ -202,7 +99,7 @@ class Ladder:
         turn = _LONGER * _ADAPTED * self.pilot.wanted ** (1.0 / self.method.order)
         steps = self.pilot.rate * sum(self.pilot.lengths) / turn
         n = self.pilot.group.members.size
-        return max(self.pilot.cost(self.stepping(_COARSEST), steps, n), LEAST)
+        return max(self.pilot.cost(self.stepping(_COARSEST), steps, n), LEAST) + 2.0 * SET_UP
 
     def stepping(self, setting: float) -> Stepping:
         """How bodies are stepped with a setting."""
@@ -300,7 +197,8 @@ class Ladder:
             return setting * (coarser / setting) ** share, True
         if coarser > self.near * setting:
             return math.sqrt(setting * coarser), False
-        is_sure = settings[-1] * ratio < 1.01 * setting  # else the finest errs as much
+        is_sure = settings[-1] * ratio < 1.01 * setting  # else the finest may err as much
+        is_sure |= error <= _AGREED * self.goal
         return setting if is_sure else settings[-1] / ratio, is_sure
 
     @property
@@ -353,8 +251,12 @@ class Ladder:
         wanted = self.pilot.wanted
         if not self.is_stepped:
             return min(max(_FIRST_TOLERANCE * wanted, _FINEST), _COARSEST)
-        share = (wanted / _FIRST_WANTED) ** (0.5 / self.order)
-        return self.pilot.longest(share * FIRST_TURN.get(self.name, _FIRST_TURN))
+        return self.pilot.longest(self.first_turn(0.5))
+
+    def first_turn(self, share: float) -> float:
+        """Turn in a step for the wanted accuracy by a share of the order [rad]."""
+        ratio = float((self.pilot.wanted / _FIRST_WANTED) ** (share / self.order))
+        return ratio * FIRST_TURN.get(self.name, _FIRST_TURN)
 
     def cost_of(self, setting: float, n: int) -> float:
         """Time of a run of n bodies with a setting, by the table [ns]."""

@@ -16,6 +16,7 @@ from particlerb.integrators import METHODS
 from particlerb.integrators.dop853 import PACK
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.balance import EnergyBalance, totals
+from particlerb.model.block import changing
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.comparison import misfits
 from particlerb.model.state import Frames, State, as_frame, room_for
@@ -148,7 +149,7 @@ def poses(
     -------
     frames : Frames
     steps : float
-        Taken until the last time; about, where the method is adaptive.
+        Taken until the last time; the mean over packs, where the method is adaptive.
     """
     n = state.com.shape[1]
     frames = room_for(times.size, n, np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
@@ -158,20 +159,15 @@ def poses(
             state, _ = apply_impulse(jump, group.bodies, state)
         motion = _motion(group, segment, state, begun if segment is group.segments[0] else None)
         rows = np.arange(done, np.searchsorted(times, segment.stop, side="left"))
-        adapts, before = is_adaptive(segment.method), segment.start
-        for own in np.split(rows, rows.size) if adapts and rows.size else [rows]:
-            if own.size:
-                motion.record(times[own], own, frames)
-            if own.size and adapts:
-                steps += (times[own[-1]] - before) * float(np.mean(1.0 / motion.clock[1]))
-                before = times[own[-1]]
+        if rows.size:
+            motion.record(times[rows], rows, frames)
         done += rows.size
-        end = min(segment.stop, times[-1])
         if done < times.size:
             state, _ = motion.finish(segment.stop)
-        if adapts:
-            steps += (end - before) * float(np.mean(1.0 / motion.clock[1]))
+        if is_adaptive(segment.method):
+            steps += float(np.mean(motion.clock[2])) + 1.0
         elif has_step(segment.method):
+            end = min(segment.stop, times[-1])
             steps += np.ceil((end - segment.start) / segment.dt)
         if done == times.size:
             break
@@ -190,7 +186,7 @@ def _motion(group: GroupPlan, segment: Segment, state: State, begun: dict[str, A
     _forget_accounts(motion)
     parts = _parts(motion)
     if begun is not None and all(isinstance(one, SteppedMotion) for one in parts):
-        begun[segment.method] = motion, [one.blocks.copy() for one in parts]
+        begun[segment.method] = motion, [changing(one.blocks).copy() for one in parts]
     return motion
 
 

@@ -105,7 +105,7 @@ def advance(
 ) -> None:
     """All frames of some blocks, then on to the step around `until`, or to `stop` if it is finite.
 
-    The clock (2, packs) has the time from which a pack's next step starts, and the step to try.
+    The clock (3, packs): time from which a pack's next step starts, step to try, steps taken.
     """
     size = ALONE if books is None else CHANGING
     rows = np.zeros((WORK + 2 * CHANGING) * STRIDE)
@@ -117,12 +117,12 @@ def advance(
         lo = pack * PACK
         n = min(members.size - lo, PACK)
         _take_pack(blocks, pack, n, w, rows, y)
-        t, h = clock[0, pack], clock[1, pack]
+        t, h, taken = clock[0, pack], clock[1, pack], clock[2, pack]
         h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h, tolerance)
         is_dense = False
         for f in range(times.size):
             while times[f] > t + h:
-                t += h
+                t, taken = t + h, taken + 1.0
                 assign(y, new)
                 h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h_next, tolerance)
                 is_dense = False
@@ -135,7 +135,7 @@ def advance(
             own = members[lo : lo + n], rows4(rotor_frame, lo, lo + n)
             store_vectors(frames, index[f], *own, out, w, sums, lo // BLOCK)
         while t + h < until:
-            t += h
+            t, taken = t + h, taken + 1.0
             assign(y, new)
             h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h_next, tolerance)
         while t < stop < np.inf:  # the last step may have to be cut again
@@ -145,8 +145,8 @@ def advance(
             assign(y, new)
             if not h > 0.0:
                 break
-            t = stop if h >= stop - t else t + h
-        clock[0, pack], clock[1, pack] = t, h
+            t, taken = stop if h >= stop - t else t + h, taken + 1.0
+        clock[0, pack], clock[1, pack], clock[2, pack] = t, h, taken
         _give_pack(y, w, blocks, pack, n)
 
 
@@ -154,7 +154,7 @@ class AdaptiveRun(Motion):
     """What groups of bodies with steps of their own choice share; see `motion.Motion`."""
 
     blocks: Floats
-    clock: Floats  # (2, ...) [s] time from which a step starts, and the step to try
+    clock: Floats  # (3, ...) time [s] from which a step starts, step [s] to try, steps taken
     cost: float  # [ns] of a step of all, roughly
 
     def __init__(self, group: Group, state: State, start: float, tolerance: float) -> None:
@@ -239,18 +239,19 @@ class AdaptiveMotion(AdaptiveRun):
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
         assert row_count(terms) <= WORK
         self.blocks = in_blocks(n, row_count(terms), parts)
-        self.clock = np.zeros((2, -(-n // PACK)))
+        self.clock = np.zeros((3, -(-n // PACK)))
         self.clock[1] = first_step
 
     def checkpoint(self) -> Saved:
         """States at the start of each pack's step, when that is, and how long the step is."""
         n = self.group.members.size
-        return {"changing": out_of_blocks(self.blocks, 0, CHANGING, n), "clock": self.clock.copy()}
+        changing = out_of_blocks(self.blocks, 0, CHANGING, n)
+        return {"changing": changing, "clock": self.clock[:2].copy()}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         into_blocks(self.blocks, 0, saved["changing"])
-        self.clock[:] = saved["clock"]
+        self.clock[:2] = saved["clock"]
 
     def advance_some(
         self, times: Floats, rows: Ints, until: float, stop: float, recording: Recording

@@ -214,15 +214,15 @@ def advance_together(
 ) -> None:  # fmt: skip
     """All frames, then on to the step around `until`, or to `stop` if it is finite.
 
-    The clock has the time from which the next step starts, and the step to try.
+    The clock has the time from which the next step starts, the step to try, and the steps taken.
     """
     y, new, out = room.y, room.new, room.out
-    t, h = clock[0], clock[1]
+    t, h, taken = clock[0], clock[1], clock[2]
     h, h_next = _find_common_step(acting, books, blocks, layout, pairs, room, t, h, tolerance)
     is_dense = False
     for f in range(times.size):
         while times[f] > t + h:
-            t += h
+            t, taken = t + h, taken + 1.0
             assign(y, new)
             h, h_next = _find_common_step(
                 acting, books, blocks, layout, pairs, room, t, h_next, tolerance
@@ -236,7 +236,7 @@ def advance_together(
             _interpolate_blocks(layout, room, h, (times[f] - t) / h)
         _store_blocks(layout, room, rotor_frame, members, frames, sums, index[f])
     while t + h < until:
-        t += h
+        t, taken = t + h, taken + 1.0
         assign(y, new)
         h, h_next = _find_common_step(
             acting, books, blocks, layout, pairs, room, t, h_next, tolerance
@@ -248,8 +248,8 @@ def advance_together(
         assign(y, new)
         if not h > 0.0:
             break
-        t = stop if h >= stop - t else t + h
-    clock[0], clock[1] = t, h
+        t, taken = stop if h >= stop - t else t + h, taken + 1.0
+    clock[0], clock[1], clock[2] = t, h, taken
 
 
 def family(make: Callable[..., Callable[..., Any]], **names: Any) -> Callable[..., None]:
@@ -284,7 +284,7 @@ class CoupledAdaptiveMotion(AdaptiveRun):
         first = np.arange(0, n, BLOCK)
         self.layout = Layout(first, np.minimum(BLOCK, n - first), 0)
         self.room = self.make_room(ALONE if self.account.books is None else CHANGING)
-        self.clock = np.array([0.0, first_step])
+        self.clock = np.array([0.0, first_step, 0.0])
         self.cost = method.cost * n + method.evaluations * self.forces.cost
         _take_blocks(self.blocks, self.layout, self.room)
 
@@ -304,12 +304,12 @@ class CoupledAdaptiveMotion(AdaptiveRun):
 
     def checkpoint(self) -> Saved:
         """States at the start of the step, when that is, and how long the step is."""
-        return {"y": self.room.y.copy(), "clock": self.clock.copy()}
+        return {"y": self.room.y.copy(), "clock": self.clock[:2].copy()}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         self.room.y[:] = saved["y"]
-        self.clock[:] = saved["clock"]
+        self.clock[:2] = saved["clock"]
 
     def advance_some(
         self, times: Floats, rows: Ints, until: float, stop: float, recording: Recording

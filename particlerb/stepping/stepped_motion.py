@@ -25,6 +25,7 @@ from particlerb.model.block import (
     L,
     P,
     Q,
+    changing,
     in_blocks,
     into_blocks,
     out_of_blocks,
@@ -114,9 +115,9 @@ class SteppedMotion(Motion):
         self.cost = method.cost * n  # [ns] of a step, roughly
         self.cost += 0.0 if self.forces is None else method.evaluations * self.forces.cost
 
-    def set_off_again(self, blocks: Floats, dt: float) -> None:
-        """Set off once more, with blocks as they were at first, and another step."""
-        self.blocks[:], self.dt, self.steps_done = blocks, dt, 0
+    def set_off_again(self, first: Floats, dt: float) -> None:
+        """Set off once more, with what changes in blocks as it was at first, and another step."""
+        changing(self.blocks)[:], self.dt, self.steps_done = first, dt, 0
         if self.moving.jointed is not None:
             self.moving.jointed.work.clock[1] = dt
             self.moving.jointed.work.broken[:] = np.inf

@@ -1,0 +1,135 @@
+"""The pilot of a search for `run.accuracy`: a few bodies of a group, and what their runs cost.
+
+Costs come from a table, ns per body and step, and never from a clock.
+"""
+
+import math
+import sys
+import time
+from typing import Any, Final
+
+import numpy as np
+
+from particlerb.case.problems import CaseError
+from particlerb.case.source import problem_at
+from particlerb.integrators import METHODS
+from particlerb.integrators.dop853 import PACK
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.block import LINE
+from particlerb.model.bodies import taken
+from particlerb.model.state import Frames
+from particlerb.model.system import System
+from particlerb.plan.describe import group_name
+from particlerb.plan.rates import rates
+from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
+from particlerb.plan.time_step import Stepping, stepped_by
+from particlerb.rotors.rotor_class import ASYMMETRIC
+from particlerb.simulation.trials import chosen, poses, relative_misfits, ways
+from particlerb.stepping.pair_forces import cost_of
+
+_PILOT: Final = 32  # bodies that are looked at, at most:
+_FASTEST: Final = 8  # these by their rates at t = 0, the others by their errors at
+_COARSE: Final = (2.0, 1.0)  # rad of a step of strang
+SET_UP: Final = 2e5  # ns of a trial beside its steps, roughly
+_ALONE: Final = 6  # bodies in the lanes of a register that one without a full register costs
+_SAY_SO: Final = 2.0  # s after which a search says what it does
+
+
+class Pilot:
+    """Some bodies of a group, to be moved with different methods and steps."""
+
+    def __init__(self, system: System, group: GroupPlan) -> None:
+        self.system, self.group = system, group
+        self.wanted, t_end = system.run.accuracy or 0.0, system.run.t_end
+        self.spent = 0.0  # ns, by the table
+        self.start, self.has_said = time.monotonic(), False
+        self.rates = rates(system, group, t_end)
+        self.rate = float(self.rates.max())
+        if not np.isfinite(self.rate):
+            reason = "no step can be chosen: a torque over a moment of inertia overflows"
+            raise CaseError([problem_at(system, "run.accuracy", reason, "give run.dt")])
+        self.lengths = [
+            min(s.stop, t_end) - s.start
+            for s in group.segments
+            if has_step(s.method) and s.start < t_end
+        ]
+        self.cost_between = max(cost_of(segment.terms) for segment in group.segments)
+        self.is_coupled = any(segment.terms.is_coupled for segment in group.segments)
+        self.asymmetric = float(np.mean(group.bodies.rotor_class == ASYMMETRIC))
+        self.gone: tuple[Frames | None, Floats] = (None, np.empty(0))  # ways of the last reference
+        self.take(np.arange(group.members.size))
+        self.calm = 1.0  # steps that the whole group takes beside the pilot, where it adapts them
+        if self.which.size > _PILOT and not self.is_coupled:
+            self.take(self.worst())
+            self.calm = _per_pack(self.rates) / _per_pack(self.rates[self.which])
+
+    def take(self, which: Ints) -> None:
+        """Let the pilot have these bodies of the group."""
+        own = self.group.members[which]
+        self.which, self.state = which, taken(self.system.state, own)
+        self.own = chosen(self.group, which, np.arange(which.size))
+        self.begun: dict[str, Any] = {}  # motions of these bodies, by their methods
+        self.size = self.system.reach[self.system.kind[own]]
+
+    def longest(self, turn: float) -> float:
+        """Step in which the fastest body turns so far, or the shortest segment [s]."""
+        return min([turn / self.rate if self.rate > 0.0 else math.inf, *self.lengths])
+
+    def worst(self) -> Ints:
+        """Bodies that are fastest, and those that err most with coarse steps."""
+        times = np.array([self.system.run.t_end])
+        coarse, fine = (
+            self.poses(Stepping("strang", self.longest(turn), 0.0, ""), times)[0]
+            for turn in _COARSE
+        )
+        error = self.errors(times, coarse, fine)[0]
+        fastest = np.argsort(-self.rates, kind="stable")[:_FASTEST]
+        error[fastest] = np.inf
+        return np.sort(np.argsort(-error, kind="stable")[:_PILOT])
+
+    def poses(self, stepping: Stepping, times: Floats) -> tuple[Frames, float]:
+        """States at some times, and the steps of the whole run that were taken until the last."""
+        self.say_so(stepping.method)
+        again = None if self.is_coupled else self.begun
+        frames, steps = poses(stepped_by(self.own, stepping), self.state, times, again)
+        looks = 0 if is_adaptive(stepping.method) else times.size
+        self.spent += self.cost(stepping, steps + looks, self.which.size) + SET_UP
+        return frames, steps
+
+    def say_so(self, method: str) -> None:
+        """Tell, once, what takes so long."""
+        if not self.has_said and time.monotonic() - self.start > _SAY_SO:
+            self.has_said = True
+            name = group_name(self.system, self.group.members)
+            text = f"{name}: looking for method and step for run.accuracy, now with {method} ..."
+            print(text, file=sys.stderr, flush=True)
+
+    def errors(
+        self, times: Floats, found: Frames, expected: Frames, rows: slice = slice(None)
+    ) -> Floats:
+        """Errors of the bodies in rows, (T, n): the larger of orientation and position."""
+        bodies = self.own.bodies
+        if self.gone[0] is not expected:
+            self.gone = expected, ways(bodies, times, expected, self.state.p.T)
+        scale = np.maximum(self.size, self.gone[1][rows])
+        error = np.maximum(*relative_misfits(bodies, scale, found, expected, rows))
+        error[np.isnan(error)] = np.inf
+        return error
+
+    def cost(self, stepping: Stepping, steps: float, n: int) -> float:
+        """Time that n bodies of the group take for so many steps, by the table [ns]."""
+        method = METHODS[stepping.method]
+        lanes, rest = n + (_ALONE - 1) * (n % LINE), n % PACK
+        if method.is_adaptive:
+            full = n - rest + (rest > 0) * LINE + (rest > LINE) * LINE
+            lanes = 2 * lanes if self.is_coupled else full
+        each = method.cost
+        if method.asymmetric_cost is not None:
+            turns = stepping.dt * self.rate
+            each *= 1.0 + self.asymmetric * (method.asymmetric_cost(turns) - 1.0)
+        return float(steps * (lanes * each + method.evaluations * self.cost_between))
+
+
+def _per_pack(rates: Floats) -> float:
+    """Mean over packs of the largest rate."""
+    return float(np.mean(np.maximum.reduceat(rates, np.arange(0, rates.size, PACK))))
