@@ -28,6 +28,7 @@ BUDGETS = {
     "tables of forces": 232,
     "force gradients": 324,
     "forces written by users": 841,
+    "orbits about a centre and of two points": 188,
     "trials of a search that count what they cost": 18,
     "opening angle fitted to a scene": 95,
     "scenes in Python": 434,

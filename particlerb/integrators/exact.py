@@ -9,7 +9,7 @@ from particlerb.integrators.method import Method
 
 METHOD: Final = Method(
     name="exact",
-    summary="closed form, no step; free bodies, tops, linear drag, some springs",
+    summary="closed form, no step; free bodies, tops, linear drag, some springs, orbits",
     order=0,
     free_order=0,
     accepts=frozenset(),

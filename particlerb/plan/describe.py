@@ -218,11 +218,13 @@ def _segment_line(segment: Segment) -> str:
 
 def _closed_reason(terms: Terms) -> str:
     """Why a segment has a closed form."""
-    acting = " and ".join(words_of(terms))
-    names = needs_of(terms)
+    acting, names = " and ".join(words_of(terms)), needs_of(terms)
+    if terms.is_coupled:
+        return f"{_driving(terms)}, closed form, no step (two points: Kepler's orbits)"
     why = ["one force on the axis: Lagrange's top"] if lever_of(terms) is not None else []
     why += ["linear drag: exponentials"] if "drag" in names else []
     why += ["springs without length at the centre of mass: an oscillator"] * ("spring" in names)
+    why += ["a centre attracts points or spheres: Kepler's orbits"] * ("central" in names)
     if why:
         return f"driven by {acting}, closed form, no step ({'; '.join(why)})"
     reason = f"{acting} through the centre of mass: a parabola" if acting else "nothing acts"

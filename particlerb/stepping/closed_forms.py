@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.forces import Terms
+from particlerb.forces.central import Central
 from particlerb.forces.drag import Drag
 from particlerb.forces.push import Push
 from particlerb.forces.spring import Spring
@@ -92,10 +93,25 @@ def translations_of(group: Group) -> tuple[Damping | None, Oscillator | None, Fl
     return None, Oscillator(stiffness * inv_mass, pull / stiffness, pushed), None
 
 
+def _is_pair(bodies: Bodies, terms: Terms) -> bool:
+    """Whether two bodies attract each other as points, and nothing but uniform gravity acts."""
+    attraction = terms.attraction
+    others = terms.links, terms.joints, terms.contact
+    if bodies.mass.size != 2 or attraction is None or terms.loads or any(others):
+        return False
+    is_bare = attraction.softening == 0.0 and attraction.offset.tolist() == [0, 1, 2]
+    return is_bare and not attraction.arm.any() and bool((attraction.mass == bodies.mass).all())
+
+
 def has_closed_form(bodies: Bodies, terms: Terms) -> Bools:
     """Which bodies of a group move in closed form, (n,)."""
     n = bodies.mass.size
     kinds = {type(load) for load in terms.loads}
+    if kinds == {Central} and not terms.is_coupled and terms.gravity is None:
+        centres = np.sum([load.mu > 0.0 for load in terms.loads], axis=0)
+        return np.asarray((centres == 1) & np.isin(bodies.rotor_class, (POINT, SPHERE)))
+    if _is_pair(bodies, terms):
+        return np.ones(n, dtype=bool)
     if terms.is_coupled or not kinds <= {Push, Drag, Spring}:
         return np.zeros(n, dtype=bool)
     is_closed, lever = np.ones(n, dtype=bool), lever_of(terms)

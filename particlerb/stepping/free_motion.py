@@ -29,7 +29,8 @@ from particlerb.rotors.exact import (
 )
 from particlerb.rotors.tops import N_THETA, prepare_tops
 from particlerb.stepping.closed_forms import Levers, lever_of, levers_on, translations_of
-from particlerb.stepping.motion import Group, Motion, constant_force, force_of
+from particlerb.stepping.motion import Group, Motion, MotionError, constant_force, force_of
+from particlerb.stepping.orbits import Orbit, orbited, orbits_of
 from particlerb.stepping.saved_arrays import Saved
 from particlerb.stepping.top_rows import top_block
 from particlerb.stepping.translations import (
@@ -59,6 +60,7 @@ class _Part(NamedTuple):
     which: Ints  # of the group are these
     drag: Damping | None = None
     spring: Oscillator | None = None
+    orbit: Orbit | None = None
     slowing: Slowing | None = None
     steady: SteadyTurn | None = None
     theta: ThetaTurn | None = None
@@ -66,11 +68,13 @@ class _Part(NamedTuple):
     top: Floats | None = None  # blocks of the tables of rotors/tops.py
     near: Floats | None = None
     changes_spin: Flag = None
+    is_pair: Flag = None  # bodies that attract each other, and book nothing
 
     @property
     def sums(self) -> bool:
         """Whether what forces give is summed by the kernel."""
-        return any(one is not None for one in (self.drag, self.spring, self.changes_spin))
+        moved = None if self.is_pair else self.orbit
+        return any(one is not None for one in (self.drag, self.spring, moved, self.changes_spin))
 
 
 class _Turned(NamedTuple):
@@ -99,14 +103,17 @@ def _slow_down(
 
 @inline
 def _translate(
-    drag: Damping | None, spring: Oscillator | None, of: Centres, lo: int, t: float, given: Any
-) -> None:
+    drag: Damping | None, spring: Oscillator | None, orbit: Orbit | None, of: Centres, lo: int,
+    t: float, given: Any,
+) -> None:  # fmt: skip
     """Centres of mass; Numba leaves out what is None."""
     if drag is not None:
         damped(of, drag, lo, t, given)
     if spring is not None:
         sprung(of, spring, lo, t, given)
-    if drag is None and spring is None:
+    if orbit is not None:
+        orbited(of, orbit, lo, t, given)
+    if drag is None and spring is None and orbit is None:
         parabola(of, t)
 
 
@@ -135,7 +142,7 @@ def _move_block(
     _slow_down(part.slowing, lo, hi, t, out, given)
     top_block(part.top, part.near, k, t, hi - lo, out)
     _add_turned(part.top, part.near, hi - lo, out, given)
-    _translate(part.drag, part.spring, of, lo, t, given)
+    _translate(part.drag, part.spring, part.orbit, of, lo, t, given)
 
 
 @kernel
@@ -201,7 +208,9 @@ class FreeMotion(Motion):
         self.group, self.state, self.start = group, state, start
         self.force = force_of(group)[1]
         self.drag, self.spring, self.rotation = translations_of(group)
+        self.orbit = orbits_of(group, state)
         is_constant = self.drag is None and self.spring is None
+        is_constant &= self.orbit is None or group.terms.is_coupled
         self.constant = constant_force(group, state) if is_constant else None
         self.parts = list(self.sorted_parts())
 
@@ -262,6 +271,8 @@ class FreeMotion(Motion):
             which,
             None if self.drag is None else taken(self.drag, which),
             None if self.spring is None else taken(self.spring, which),
+            None if self.orbit is None else taken(self.orbit, which),
+            is_pair=flag(self.group.terms.is_coupled),
         )
 
     def booked(self, elapsed: Floats) -> Floats:
@@ -270,9 +281,19 @@ class FreeMotion(Motion):
             return np.zeros((elapsed.size, GIVEN))
         return self.constant.booked(elapsed)
 
+    def refuse_fall(self, t: float) -> None:
+        """Raise MotionError where a body passes through what attracts it within a time t [s]."""
+        if self.orbit is not None and self.orbit.until.min() <= t:
+            first = self.orbit.until.argmin()
+            when = self.start + self.orbit.until[first]
+            what = f"body {self.group.members[first]} falls into what attracts it"
+            hint = "end the run before, or let it pass beside the centre"
+            raise MotionError(f"{what} at t = {when:.6g} s: {hint}")
+
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         elapsed = times - self.start
+        self.refuse_fall(elapsed.max(initial=0.0))
         booked = self.booked(elapsed)
         for which, part, turned in self.parts:
             n_blocks = -(-which.size // BLOCK)
@@ -288,6 +309,7 @@ class FreeMotion(Motion):
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
         t = stop - self.start
+        self.refuse_fall(t)
         end = State(*(values.copy() for values in self.state))
         booked = self.booked(np.array([t]))[0]
         for which, part, turned in self.parts:
