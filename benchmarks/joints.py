@@ -4,8 +4,8 @@
     python benchmarks/joints.py --peers      # also chain6 and Bricard's mechanism by MuJoCo
 
 Processor seconds, medians of interleaved rounds; each figure is the difference of a long and a
-short run, so that what happens once does not count. Goal: 1000 links cost at most 1.3 times as much
-per link and step as 10.
+short run, so that what happens once does not count. Goals: 1000 links cost at most 1.3 times as
+much per link and step as 10, and each of 1000 equal mechanisms a third of one alone.
 """
 
 import argparse
@@ -24,6 +24,7 @@ from scenes import SCENES, X, Y, Z, hinge_chain, reference
 
 LINKS = (10, 100, 1000)
 ROUNDS = 3
+MECHANISMS = 1000
 STEP = 1e-4  # s
 LENGTH = 0.1  # m, of a link
 LINK_STEPS = 1_000_000
@@ -60,6 +61,23 @@ def chains() -> None:
         print(f"{n:5d} links: {1e6 * medians[n]:.2f} µs a link and step")
     ratio = medians[LINKS[-1]] / medians[LINKS[0]]
     print(f"1000 links over 10 links, per link: {ratio:.2f} (goal 1.3)")
+
+
+def equal_mechanisms() -> None:
+    """Time per mechanism and step of a thousand equal double rods, beside one."""
+    one = SCENES["double_rod"]()
+    bodies = [
+        b | {"count": MECHANISMS, "position": [b["position"]] * MECHANISMS} for b in one["body"]
+    ]
+    scenes = {1: one, MECHANISMS: {**one, "body": bodies}}
+    found: dict[int, list[float]] = {n: [] for n in scenes}
+    seconds(one, "rattle", STEP, 1)
+    for _, n in itertools.product(range(ROUNDS), scenes):
+        steps = LINK_STEPS // (4 * n)
+        found[n].append(seconds(scenes[n], "rattle", STEP, steps) / (steps * n))
+    medians = {n: statistics.median(values) for n, values in found.items()}
+    ratio = medians[MECHANISMS] / medians[1]
+    print(f"{MECHANISMS} equal mechanisms over one, each: {ratio:.2f} (goal 0.33)")
 
 
 def ours(name: str) -> None:
@@ -139,6 +157,7 @@ def main() -> None:
     parser.add_argument("--peers", action="store_true", help="MuJoCo beside")
     chosen = parser.parse_args()
     chains()
+    equal_mechanisms()
     if chosen.peers:
         for name in ERRORS:
             ours(name)

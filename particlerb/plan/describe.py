@@ -246,5 +246,5 @@ def _driving(terms: Terms) -> str:
     if terms.contact is not None:
         between.append("contact")
     if terms.joints is not None:
-        between.append(f"{terms.joints.number.size} joints")
+        between.append(f"{(terms.joints.number >= 0).sum()} joints")
     return f"coupled by {' and '.join(between)}{outside and f', {outside}'}"

@@ -36,7 +36,10 @@ MANY_STEPS = (
     "double_rod",
     "four_bar",
     "dominoes",
+    "gimbals",
+    "governor",
     "heap",
+    "hundred_mechanisms",
     "incline",
     "kepler",
     "mesh_body",
@@ -47,7 +50,9 @@ MANY_STEPS = (
     "rocking_block",
     "slide_to_roll",
     "slope",
+    "snapping_wire",
     "spring_net",
+    "squeezer",
     "ten_thousand_clumps",
 )
 LIGHTER = {"ten_thousand_clumps": ("run.every=1",)}  # 11 frames instead of 1001
