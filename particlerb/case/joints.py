@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, Tag, model_validator
 
 from particlerb.case.contact import Yes
 from particlerb.case.forces import During
-from particlerb.case.problems import Path
+from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import Finding, bodies_named, given
 from particlerb.case.values import (
     FloatArray,
@@ -30,7 +30,13 @@ JointType = Literal[
     "ball", "hinge", "slider", "universal", "cylindrical", "planar", "fixed", "distance"
 ]
 TYPES_WITH_COORDINATES = ("hinge", "slider", "universal", "cylindrical", "planar")
-WITH_COORDINATE = ("hinge", "slider")
+ALONG = {
+    "hinge": ("angle",),
+    "slider": ("displacement",),
+    "cylindrical": ("displacement", "angle"),
+    "planar": ("first displacement", "second displacement", "angle"),
+}
+"""Names of coordinates along which something may act."""
 ACTIONS = ("spring", "damper", "limit", "motor")
 """What acts along a coordinate."""
 _WITHOUT_AXIS = ("ball", "fixed", "distance")
@@ -164,18 +170,21 @@ class JointTable(Table):
     axis_to: _Direction | None = Field(
         None, description="Of universal: the axis of the other side, across `axis`. [-]"
     )
+    along: Name | None = Field(
+        None,
+        description="Coordinate along which spring, damper, limit, motor and drive act: see"
+        " docs/joints.md; default: the only one. [-]",
+    )
     spring: JointSpring | None = Field(None, description="Along the free coordinate. [-]")
     damper: NonNegative = Field(
         0.0,
-        description="Of a hinge or slider: torque or force over the speed. [N m s/rad or N s/m]",
+        description="Torque or force over the speed. [N m s/rad or N s/m]",
     )
     limit: JointLimit | None = Field(None, description="Stops of the free coordinate. [-]")
     motor: Real = Field(
-        0.0, description="Constant torque of a hinge, or force of a slider, on `body`. [N m or N]"
+        0.0, description="Constant torque about, or force along it, on `body`. [N m or N]"
     )
-    drive: JointDrive | None = Field(
-        None, description="Prescribes the free coordinate of a hinge or slider. [-]"
-    )
+    drive: JointDrive | None = Field(None, description="Prescribes the free coordinate. [-]")
     during: During | None = Field(
         None, description="Start, which is 0, and time of release; default: always. [s]"
     )
@@ -243,13 +252,19 @@ def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
     """What acts along a coordinate needs one, and stops a range."""
     kind = raw.get("type")
     for key in (*ACTIONS, "drive"):
-        if raw.get(key) and kind in JOINT_TYPES and kind not in WITH_COORDINATE:
-            yield (*path, key), f"a {kind} joint has no single coordinate", "take a hinge or slider"
+        if raw.get(key) and kind in JOINT_TYPES and kind not in ALONG:
+            reason = f"nothing acts along a {kind} joint yet"
+            yield (*path, key), reason, f"take one of {', '.join(ALONG)}"
+        elif raw.get(key) and len(ALONG.get(str(kind), "")) > 1 and not given(raw, "along"):
+            yield (*path, "along"), f"missing: a {kind} joint has several coordinates", ""
         if raw.get(key) and given(raw, "breaks_at"):
             yield (*path, "breaks_at"), f"given beside {key}", "let a second joint have one of them"
+    names, along = ALONG.get(str(kind), ()), raw.get("along")
+    if isinstance(along, str) and along not in names:
+        yield (*path, "along"), f"a {kind} joint has no {along}", nearest(along, list(names))
     ends = raw.get("limit", {}).get("range") if isinstance(raw.get("limit"), dict) else None
     if isinstance(ends, list) and len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
         if not ends[0] < ends[1]:
             yield (*path, "limit", "range"), "must ascend", "give the least coordinate first"
-        elif kind == "hinge" and max(map(abs, ends)) >= math.pi:
+        elif "angle" in (along, *names[:1]) and max(map(abs, ends)) >= math.pi:
             yield (*path, "limit", "range"), "beyond half a turn", "give angles between -π and π"

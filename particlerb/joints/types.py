@@ -46,11 +46,18 @@ TYPES: Final[Mapping[str, tuple[Row, ...]]] = {
     "distance": (Row(DISTANCE),),
 }
 
-COORDINATES: Final[Mapping[str, Row]] = {
-    "hinge": Row(TURN, "n", "e"),
-    "slider": Row(ALONG, "n"),
+_ANGLE: Final = Row(TURN, "n", "e")
+COORDINATES: Final[Mapping[str, Mapping[str, Row]]] = {
+    "hinge": {"angle": _ANGLE},
+    "slider": {"displacement": Row(ALONG, "n")},
+    "cylindrical": {"displacement": Row(ALONG, "n"), "angle": _ANGLE},
+    "planar": {
+        "first displacement": Row(ALONG, "e"),
+        "second displacement": Row(ALONG, "f"),
+        "angle": _ANGLE,
+    },
 }
-"""The free coordinate of a joint, along which springs, stops, motors, dampers and drives act."""
+"""Free coordinates of joints, along which springs, stops, motors, dampers and drives act."""
 
 
 class Ends(NamedTuple):
@@ -66,20 +73,27 @@ class Ends(NamedTuple):
     size: Floats  # (k,) [m]
 
 
-def rows_of(kind: str, ends: Ends, action: int = HOLDS, drive: int = AT_REST) -> Rows:
-    """Rows of joints of a type, joint after joint; the last ones of an action and of a drive."""
+def rows_of(
+    kind: str, ends: Ends, action: int = HOLDS, drive: int = AT_REST, along: str | None = None
+) -> Rows:
+    """Rows of joints of a type, joint after joint; the last ones of an action and of a drive.
+
+    These are along the coordinate of that name, or the only one.
+    """
     parts = [_row_of(row, ends) for row in TYPES[kind]]
     if action != HOLDS:
-        parts.append(_coordinate_of(kind, ends)._replace(action=np.full(ends.a.size, action)))
+        own = _coordinate_of(kind, ends, along)
+        parts.append(own._replace(action=np.full(ends.a.size, action)))
     if drive != AT_REST:
-        parts.append(_coordinate_of(kind, ends)._replace(drive=np.full(ends.a.size, drive)))
+        own = _coordinate_of(kind, ends, along)
+        parts.append(own._replace(drive=np.full(ends.a.size, drive)))
     stacked = (np.stack(arrays, axis=1) for arrays in zip(*parts, strict=True))
     return Rows(*(array.reshape(-1, *array.shape[2:]) for array in stacked))
 
 
-def _coordinate_of(kind: str, ends: Ends) -> Rows:
-    """The free coordinate of each of the joints, 0 at the start."""
-    row = COORDINATES[kind]
+def _coordinate_of(kind: str, ends: Ends, along: str | None) -> Rows:
+    """A free coordinate of each of the joints, 0 at the start."""
+    row = COORDINATES[kind][along or next(iter(COORDINATES[kind]))]
     own = _row_of(row, ends)
     return own if row.kind == TURN else own._replace(second=ends.second["at"])
 

@@ -153,7 +153,7 @@ def joints_of(system: System) -> JointSetup | None:
             continue
         acts, is_driven = any(getattr(table, key) for key in ACTIONS), number in driven
         action, drive = actions.motor.size, driven.index(number) if is_driven else AT_REST
-        own = rows_of(table.type, ends, action if acts else HOLDS, drive)
+        own = rows_of(table.type, ends, action if acts else HOLDS, drive, table.along)
         actions = both_actions(actions, action_of(table)) if acts else actions
         names += [joint_name(system, table, first, second, k) for k in range(first.size)]
         records.append((np.full(first.size, number), first, second))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numba import config
 from scenes import X, Y, bar, body, case, joint, moved
 
 import particlerb
@@ -163,7 +164,7 @@ def test_a_damped_mechanism_goes_on_bit_for_bit(tmp_path):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"type": "ball", "damper": 1.0}, "a ball joint has no single coordinate"),
+        ({"type": "ball", "damper": 1.0}, "nothing acts along a ball joint"),
         ({"limit": {"range": [0.2, 0.1], "stiffness": 1.0}}, "must ascend"),
         ({"limit": {"range": [0.0, 4.0], "stiffness": 1.0}}, "beyond half a turn"),
     ],
@@ -218,3 +219,43 @@ def test_a_spring_that_is_released_takes_its_energy_with_it():
 def test_a_joint_does_not_catch_bodies():
     with pytest.raises(CaseError, match="a joint acts from the start on"):
         prepare(to_system({"run": {"t_end": 1.0, "every": 0.1}, **flap(during=[0.1, 0.2])}))
+
+
+@pytest.mark.skipif(not config.DISABLE_JIT, reason="loops with coordinates run in other tests")
+@pytest.mark.parametrize(
+    ("kind", "along", "inertia"),
+    [("cylindrical", "displacement", 2.0), ("cylindrical", "angle", 0.1),
+     ("planar", "first displacement", 2.0), ("planar", "second displacement", 2.0),
+     ("planar", "angle", 0.1)],
+)  # fmt: skip
+def test_a_spring_acts_along_the_coordinate_that_is_named(kind, along, inertia):
+    """x = v/ω sin ωt with ω² = k/m; the other coordinates go on as they began."""
+    block = body("block", 2.0, [0.1, 0.1, 0.1], [0, 0, 0], [0.3, 0.3, 0.3], [0, 0, 0.4])
+    if kind == "cylindrical":
+        block["velocity"] = [0, 0, 0.3]
+    tie = joint(kind, "block", None, [0, 0, 0], [0, 0, 1], spring={"stiffness": 5.0}, along=along)
+    if kind == "planar":
+        block["velocity"] = [0.3, 0.3, 0]
+    output = {"fields": [*FIELDS, "joint_coordinate", "joint_rate"]}
+    scene = case([block], [tie], (0, 0, 0), output=output)
+    with moved(scene, 1.0, 2e-3, every=0.1) as trajectory:
+        t, x = trajectory.time, np.array(trajectory.joint_coordinate)
+        names = [name.split(", ")[1] for name in trajectory.coordinate_names]
+        assert np.abs(trajectory.ledger.energy_error).max() < 1e-5
+    w = np.sqrt(5.0 / inertia)
+    for name, values in zip(names, x.T, strict=True):
+        free = np.abs(values - values[1] / 0.1 * t).max()
+        if name == along:
+            v = 0.4 if name == "angle" else 0.3
+            assert np.abs(values) == pytest.approx(np.abs(v / w * np.sin(w * t)), abs=1e-5)
+        else:
+            assert free < 1e-12
+
+
+def test_a_coordinate_is_named_where_there_are_several():
+    times = {"t_end": 1.0, "every": 0.1}
+    rod = bar("rod", [0, 0, 0], [1, 0, 0])
+    for keys, words in (({}, "has several coordinates"), ({"along": "twist"}, "has no twist")):
+        tie = joint("cylindrical", "rod", None, [0, 0, 0], X, damper=1.0, **keys)
+        with pytest.raises(CaseError, match=words):
+            prepare(to_system({"run": times, **case([rod], [tie])}))
