@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from particlerb.case.problems import CaseError
     from particlerb.case.scene import Scene
     from particlerb.case.schema import Case
+    from particlerb.record.provenance import show_versions
     from particlerb.record.trajectory import Trajectory, TrajectoryError
     from particlerb.record.trajectory import open_trajectory as open
     from particlerb.simulation.entry import resume, run
@@ -37,6 +38,7 @@ __all__ = [
     "open",
     "resume",
     "run",
+    "show_versions",
     "sweep",
 ]
 
@@ -54,6 +56,7 @@ HOMES = {
     "open": ("particlerb.record.trajectory", "open_trajectory"),
     "resume": ("particlerb.simulation.entry", "resume"),
     "run": ("particlerb.simulation.entry", "run"),
+    "show_versions": ("particlerb.record.provenance", "show_versions"),
     "sweep": ("particlerb.sweeping.driver", "sweep"),
 }
 

@@ -8,10 +8,8 @@ from typing import Any, Final
 
 from particlerb.cli.common import PICTURES, amount, opened, output_of, readable
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, tamed
-from particlerb.compiled.jit import CACHE_FOLDER
-from particlerb.compiled.vector_width import machine
 from particlerb.model.state import STATE_FIELDS
-from particlerb.record.provenance import versions
+from particlerb.record.provenance import this_machine
 from particlerb.record.schema import CONTACTS
 from particlerb.record.trajectory import Trajectory
 from particlerb.record.verify import Finding, verify
@@ -25,7 +23,7 @@ def info_command(options: argparse.Namespace) -> int:
     if options.machine == (options.file is not None):
         raise Ending("info takes a FILE, or --machine")
     if options.machine:
-        print(json.dumps(_this_machine()) if options.json else _lines_of(_this_machine()))
+        print(json.dumps(this_machine()) if options.json else _lines_of(this_machine()))
         return DONE
     with opened(options.file) as trajectory, readable():
         facts, texts = _facts_of(trajectory), _texts_of(trajectory)
@@ -50,15 +48,6 @@ def info_command(options: argparse.Namespace) -> int:
 def _lines_of(facts: dict[str, Any]) -> str:
     """Facts in lines."""
     return "\n".join(f"{name:<13} {tamed(_text_of(name, value))}" for name, value in facts.items())
-
-
-def _this_machine() -> dict[str, Any]:
-    """What results and speed may depend on here."""
-    return {
-        "machine": machine(),
-        "versions": versions(),
-        "compiled code": CACHE_FOLDER or "(plain Python: NUMBA_DISABLE_JIT)",
-    }
 
 
 def _facts_of(trajectory: Trajectory) -> dict[str, Any]:

@@ -19,7 +19,7 @@ import numpy as np
 import particlerb
 from particlerb.case.source import Source
 from particlerb.case.to_system import to_case
-from particlerb.compiled.jit import source_hash
+from particlerb.compiled.jit import CACHE_FOLDER, source_hash
 from particlerb.compiled.vector_width import machine
 from particlerb.files import Files
 from particlerb.model.system import System
@@ -129,6 +129,21 @@ def versions() -> dict[str, str]:
     found = {name: str(sys.modules[name].__version__) for name in names if name in sys.modules}
     own = {"particlerb": particlerb.__version__, "sources": source_hash()}
     return {**own, "python": platform.python_version(), **found}
+
+
+def this_machine() -> dict[str, Any]:
+    """What results and speed may depend on here."""
+    return {
+        "machine": machine(),
+        "versions": versions(),
+        "compiled code": CACHE_FOLDER or "(plain Python: NUMBA_DISABLE_JIT)",
+    }
+
+
+def show_versions() -> None:
+    """Print versions, processor, and where compiled code is kept: for reports of errors."""
+    for name, value in this_machine().items():
+        print(f"{name}: {value}")
 
 
 @cache

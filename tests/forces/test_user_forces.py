@@ -424,7 +424,7 @@ def test_code_runs_only_where_it_is_allowed_on_the_command_line(foreign):
         done = command(foreign, *words)
         assert (done.returncode, trace.exists()) == (2, False), done.stderr
         assert "--allow-code" in done.stderr
-        assert "case.toml:16" in done.stderr
+        assert ("case.toml:16" if words[0] != "sweep" else "case.toml") in done.stderr
     done = command(foreign, "run", "case.toml", "-o", "a.h5", "--allow-code")
     assert done.returncode == 0, done.stderr
     assert trace.exists()

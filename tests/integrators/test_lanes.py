@@ -28,7 +28,18 @@ from particlerb.forces.push import Follower, Push
 from particlerb.forces.spring import Spring
 from particlerb.forces.torque import Torque
 
+import particlerb
+from particlerb.forces.user_kicks import class_of
+from particlerb.maths.quaternion import turn
+from particlerb.maths.vec3 import cross, dot, scale
+
+@particlerb.force
+def pull(x, R, k, m):
+    r2 = dot(x, x)
+    return scale(-k / (r2 * np.sqrt(r2)), x), cross(turn(R, m), x)
+
 one = np.ones
+own = class_of(pull, (("k", 0), ("m", 3)))
 bodies = Bodies(one(1), one(1), np.array([[1.0], [2], [2.5]]), 1 / np.array([[1.0], [2], [2.5]]),
                 np.array([[1.0], [0], [0], [0]]), np.full(1, 4))
 state = State(one((3, 1)), np.array([[1.0], [0], [0], [0]]), one((3, 1)), one((3, 1)))
@@ -39,6 +50,7 @@ terms = {
     "drag": Terms(loads=(Drag(one(1), one(1)),)),
     "fields": Terms(loads=(*2 * (Spring(one((3, 1)), one((3, 1)), one(1), one(1)),),
                            Central(np.zeros((3, 1)), one(1), one(1), one((3, 1))))),
+    "a user's force": Terms(loads=(own(one((14, 1))),)),
 }
 none = room_for(0, 0, np.empty((0, 4)))
 chosen = {"strang": terms, "rkn6": ["fields"], "rk4": ["push", "drag"],
@@ -64,8 +76,10 @@ print(json.dumps(share))
 @pytest.mark.compiled
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads x86-64 code")
 def test_steps_have_packed_arithmetic(tmp_path):
+    script = tmp_path / "script.py"  # a user's force has a source
+    script.write_text(SCRIPT)
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT],
+        [sys.executable, script],
         env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
         capture_output=True,
         text=True,
@@ -73,7 +87,7 @@ def test_steps_have_packed_arithmetic(tmp_path):
         timeout=600,
     )
     shares = json.loads(done.stdout)
-    assert len(shares) == 11
+    assert len(shares) == 12
     # Beside the loop in lanes stands the same one for the bodies that are left over; frames and
     # sums are not in lanes either. A step that has lost its lanes has a share of some per cent.
     assert {name: round(share, 2) for name, share in shares.items() if share < 0.25} == {}

@@ -1,5 +1,6 @@
 """The Python entry: what `run` and `open` take, and that importing the package is cheap."""
 
+import numba
 import numpy as np
 import pytest
 
@@ -225,3 +226,12 @@ def test_files_that_are_none(tmp_path):
 def test_dicts_with_wrong_keys_are_case_errors(case):
     with pytest.raises(CaseError):
         particlerb.run(case)
+
+
+def test_show_versions_prints_what_a_report_of_an_error_needs(capsys):
+    particlerb.show_versions()
+    printed = capsys.readouterr().out
+    assert [line.split(":")[0] for line in printed.splitlines()] == [
+        "machine", "versions", "compiled code",
+    ]  # fmt: skip
+    assert f"'numba': '{numba.__version__}'" in printed
