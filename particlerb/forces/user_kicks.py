@@ -35,19 +35,8 @@ from particlerb.model.block import (
     state_rows,
 )
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import (
-    State,
-    lengths,
-    quaternion_product,
-)
-from particlerb.user_force import (
-    UserForce,
-    arguments_of,
-    digest_of,
-    place_of,
-    python_of,
-    reached,
-)
+from particlerb.model.state import State, lengths, quaternion_product
+from particlerb.user_force import UserForce, arguments_of, digest_of, place_of, python_of, reached
 
 _MOST: Final = 200  # iterations of a kick that depends on velocities,
 _ROUNDING: Final = 4e-16  # until it changes by such a share
