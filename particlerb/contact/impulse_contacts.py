@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.contact.contact_model import ContactList, GroupContact, NeighbourLists, Workspace
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS
-from particlerb.contact.records import put_row3, row3, row4
+from particlerb.contact.records import Records, put_row3, row3, row4
 from particlerb.contact.walls import PLANE, euler_count, gap_vector, length, primitive_at
 from particlerb.impulses.records import (
     ARM,
@@ -108,16 +108,18 @@ def _forget(contacts: ContactList, c: int) -> None:
 @lean
 def _sphere_contact(
     setup: GroupContact, workspace: Workspace, contacts: ContactList, impulses: Impulses, c: int,
-    dt: float, far: float,
+    dt: float,
 ) -> None:  # fmt: skip
-    """Take in contact c between two spheres if it is near; `far` [m] is a gap that none closes."""
+    """Take in contact c between two spheres if it is near."""
     model, xyzr, place = setup.model, workspace.xyzr, impulses.partners.velocity
+    reach = impulses.partners.reach
     i, j = contacts.first[c], contacts.second[c]
     d, touching = subtract(row3(xyzr, i), row3(xyzr, j)), xyzr[i, 3] + xyzr[j, 3]
     square = dot(d, d)
     a, b = model.spheres.body[i], model.spheres.body[j]
+    far = touching + reach[a, 0] + reach[b, 0]
     is_held = model.inv_mass[a] == 0.0 and model.inv_mass[b] == 0.0
-    if square > (touching + far) * (touching + far) or is_held:
+    if square > far * far or is_held:
         _forget(contacts, c)
         return
     distance = length(d)
@@ -136,7 +138,7 @@ def _sphere_contact(
 @lean
 def _wall_contact(
     setup: GroupContact, workspace: Workspace, contacts: ContactList, impulses: Impulses, c: int,
-    dt: float, far: float,
+    dt: float,
 ) -> None:  # fmt: skip
     """Take in contact c of a sphere with a primitive of a wall if it is near."""
     model, walls, poses = setup.model, setup.model.walls, workspace.poses
@@ -153,7 +155,7 @@ def _wall_contact(
     else:
         away = scale(1.0 / distance, away) if distance > 0.0 else (0.0, 0.0, 1.0)
     gap = distance - radius
-    if not is_nearest or gap > far or model.inv_mass[a] == 0.0:
+    if not is_nearest or model.inv_mass[a] == 0.0:
         _forget(contacts, c)
         return
     normal = to_world(q, away)
@@ -170,10 +172,21 @@ def _wall_contact(
     _take_in(setup, impulses, contacts.history.force, near, dt)
 
 
+@lean
+def _find_reach(setup: GroupContact, impulses: Impulses, arm: float, dt: float) -> float:
+    """Write how far points of bodies come in a step, at most; the farthest [m]."""
+    reach, velocity, farthest = impulses.partners.reach, impulses.partners.velocity, 0.0
+    for b in range(setup.max_arm.size):
+        turning, slow = _by_turning(impulses, b, arm)
+        reach[b, 0] = dt * (length(column3(velocity, b, 0)) + turning + slow)
+        farthest = max(farthest, reach[b, 0])
+    return farthest
+
+
 @lean_kernel
 def find_impulse_contacts(
     setup: GroupContact, workspace: Workspace, lists: NeighbourLists, impulses: Impulses,
-    reached: float, far: float, dt: float,
+    extremes: Records, dt: float,
 ) -> None:  # fmt: skip
     """Write the rows of all contacts that two may close in a step.
 
@@ -183,22 +196,24 @@ def find_impulse_contacts(
         Bodies and walls placed in the middle of the step.
     impulses : Impulses
         Partners with their velocities after half a kick.
-    reached : float [m]
-        How far a point of a body may have come since the lists were made, and comes in a step.
-    far : float [m]
-        A gap that none can close in a step.
+    extremes : Records
+        How far points have come since the lists were made, and how far they come in a step: the
+        most so far, as what was looked at once has something to forget.
     dt : float [s]
     """
     impulses.filled[0] = 0
     spheres, walls, skin = lists.spheres, lists.walls, setup.skin
     begin_spheres, begin_walls = 0, 0
+    farthest = _find_reach(setup, impulses, lists.max_contact_arm, dt)
+    extremes.ahead[0] = max(extremes.ahead[0], farthest)
+    reached = extremes.displacement[0] + extremes.ahead[0]
     for s in range(N_SHELLS):
         if SHELL_GAPS[s] * skin <= 2.0 * reached:
             for c in range(begin_spheres, spheres.shell_ends[s]):
-                _sphere_contact(setup, workspace, spheres, impulses, c, dt, far)
+                _sphere_contact(setup, workspace, spheres, impulses, c, dt)
         if SHELL_GAPS[s] * skin <= reached:
             for c in range(begin_walls, walls.shell_ends[s]):
-                _wall_contact(setup, workspace, walls, impulses, c, dt, far)
+                _wall_contact(setup, workspace, walls, impulses, c, dt)
         begin_spheres, begin_walls = spheres.shell_ends[s], walls.shell_ends[s]
 
 

@@ -137,6 +137,18 @@ def max_speeds(bodies: Records, first: int, end: int) -> tuple[float, float]:
 
 
 @lean
+def max_point_speed(bodies: Records, arm: float, first: int, end: int) -> float:
+    """Largest speed [m/s] of points of bodies first to end, within an arm [m] of their centres.
+
+    Twice the speed by turning counts: an asymmetric body may turn faster soon.
+    """
+    v = 0.0
+    for b in range(first, end):
+        v = max(v, bodies.speed[b] + 2.0 * arm * bodies.angular_speed[b])
+    return v
+
+
+@lean
 def velocity_at(bodies: Records, b: int, point: Vec3) -> Vec3:
     """Velocity of a point of body b [m/s]."""
     arm = subtract(point, row3(bodies.position, b))

@@ -111,6 +111,7 @@ EXTREMES: Final = record(
     displacement=1,  # [m] that spheres have come since the lists were made
     speed=1,  # [m/s] at the last evaluation
     angular_speed=1,  # [rad/s]
+    ahead=1,  # [m] that points have come in a step since then, by impulses
 )
 
 

@@ -21,7 +21,7 @@ _ENOUGH: Final = 0.1  # of the slop: moves smaller than this end the sweeps
 def push_out(impulses: Impulses, dt: float) -> bool:
     """Find the moves of all partners; whether there are any."""
     rules, partners, rows, count, _ = impulses
-    frame, move, found = rows.frame, partners.move, False
+    frame, move, has_moved, found = rows.frame, partners.move, partners.has_moved, False
     for k in range(count[0]):
         u = approach(partners, rows, k)
         gap = rows.limits[k, GAP] + dt * u[0]
@@ -32,20 +32,25 @@ def push_out(impulses: Impulses, dt: float) -> bool:
     if not found or rules.push_out == 0.0:
         return False
     for b in range(move.shape[0]):
+        has_moved[b] = False
         for i in range(6):
             move[b, i] = 0.0
     for _ in range(_SWEEPS):
         largest = 0.0
         for k in range(count[0]):
-            if rows.old[k, 1] == math.inf:
+            a, b, gap = rows.first[k], rows.second[k], rows.old[k, 1]
+            if gap == math.inf or (gap >= -rules.slop and not (has_moved[a] or has_moved[b])):
                 continue
-            a, b = rows.first[k], rows.second[k]
-            wanted = -rules.push_out * (rows.old[k, 1] + rules.slop)
+            wanted = -rules.push_out * (gap + rules.slop)
             comes = in_frame(frame, k, velocity_between(move, frame, k, a, b))[0]
             push = max(rows.old[k, 0] + (wanted - comes) / frame[k, INVERSE], 0.0)
             more = push - rows.old[k, 0]
             if more != 0.0:
                 rows.old[k, 0] = push
+                has_moved[a], has_moved[b] = (
+                    partners.inverse[a, 0] > 0.0,
+                    partners.inverse[b, 0] > 0.0,
+                )
                 p = scale(more, column3(frame, k, NORMAL))
                 push_apart(move, partners.inverse, frame, k, a, b, p)
                 largest = max(largest, abs(more) * frame[k, INVERSE])

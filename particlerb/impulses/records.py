@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.maths.vec3 import Floats, Ints, Vec3
+from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3
 
 # Columns of `Rows.frame`
 NORMAL: Final = 0
@@ -67,7 +67,9 @@ class Partners(NamedTuple):
     before: Floats  # (.., 6) before the kick
     inverse: Floats  # (.., 7) [1/kg, 1/(kg m²)] mass; xx, xy, xz, yy, yz, zz of the inertia
     move: Floats  # (.., 6) [m, rad] by which they are pushed out
+    has_moved: Bools  # (..,) whether anything has
     place: Floats  # (.., 3) [m] centre of mass, or origin of the wall's frame
+    reach: Floats  # (.., 1) [m] that any point comes in a step, at most
     given: Floats  # (.., 6) [N s, N m s] impulse and angular impulse
     booked: Floats  # (.., 8) work, impulse, angular impulse of a step, gross work
 
@@ -98,7 +100,10 @@ class Impulses(NamedTuple):
 
 def room_for_partners(n: int) -> Partners:
     """Room for n bodies and walls."""
-    return Partners(*(np.zeros((n, width)) for width in (6, 6, 7, 6, 3, 6, 8)))
+    velocity, before, inverse, move = (np.zeros((n, width)) for width in (6, 6, 7, 6))
+    place, reach, given, booked = (np.zeros((n, width)) for width in (3, 1, 6, 8))
+    has_moved = np.zeros(n, dtype=np.bool_)
+    return Partners(velocity, before, inverse, move, has_moved, place, reach, given, booked)
 
 
 def room_for_rows(n: int) -> Rows:

@@ -26,7 +26,12 @@ from particlerb.contact.contact_model import (
     Workspace,
 )
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS, max_displacement
-from particlerb.contact.pair_force import max_speeds, place_bodies, sphere_contact_forces
+from particlerb.contact.pair_force import (
+    max_point_speed,
+    max_speeds,
+    place_bodies,
+    sphere_contact_forces,
+)
 from particlerb.contact.piston import drift_pistons, kick_pistons, pistons_have_moved, place_pistons
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
@@ -130,7 +135,7 @@ def _place(
         _put_prescribed(model.prescribed, t, False, rows, lo, n)
         path = max(path, farthest(memory.listed_pose, rows, setup.max_arm, lo, n))
         place_bodies(model, workspace, rows, memory.momenta, ahead, lo, n)
-        speeds = max_speeds(workspace.bodies, lo, lo + n)
+        speeds = _speeds(setup, workspace.bodies, lists.max_contact_arm, lo, lo + n)
         v, w = max(v, speeds[0]), max(w, speeds[1])
         _gather_states(pairs, rows, lo, n)
     if team.rank == 0:
@@ -139,7 +144,9 @@ def _place(
         if pistons_have_moved(setup.pistons, memory.pistons, allowance):
             path = np.inf
     path, v, w = largest(team, path, v, w)
-    reached = path + max(before, after) * (v + 4.0 * w * lists.max_contact_arm)
+    reached = path
+    if setup.rules is None:
+        reached += max(before, after) * (v + 4.0 * w * lists.max_contact_arm)
     extremes = memory.extremes
     extremes.displacement[0] = max(extremes.displacement[0], reached)
     extremes.speed[0], extremes.angular_speed[0] = v, w
@@ -147,6 +154,16 @@ def _place(
     ahead = after * (v + 4.0 * w * lists.max_contact_arm)
     is_too_far = _comes_too_far(setup.rules, path + 1.5 * ahead, setup.skin)
     return not (is_too_far or used > allowance or time >= memory.valid_until)
+
+
+@inline
+def _speeds(
+    setup: GroupContact, bodies: Records, arm: float, first: int, end: int
+) -> tuple[float, float]:
+    """Largest speed [m/s] and angular speed [rad/s] of bodies; of points alone for impulses."""
+    if setup.rules is None:
+        return max_speeds(bodies, first, end)
+    return max_point_speed(bodies, arm, first, end), 0.0
 
 
 @inline

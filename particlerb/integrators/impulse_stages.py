@@ -33,8 +33,6 @@ from particlerb.maths.vec3 import (
 )
 from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
 
-_FASTER: float = 4.0  # kicks that velocities may differ by from those that bodies were placed with
-
 
 @kernel
 def place_in_the_middle(
@@ -105,17 +103,14 @@ def _gather_walls(contact: MovingContact, partners: Partners) -> None:
 
 
 @inline
-def _sizes_of_kick(contact: MovingContact, partners: Partners) -> tuple[float, float]:
-    """Largest change of a point's velocity [m/s] by half a kick, and all impulses of one [N s]."""
-    fastest, moved, arms = 0.0, 0.0, contact.setup.max_arm
-    for b in range(arms.size):
+def _size_of_kick(contact: MovingContact, partners: Partners) -> float:
+    """All impulses of a kick [N s]."""
+    moved = 0.0
+    for b in range(contact.setup.max_arm.size):
         by = subtract(column3(partners.velocity, b, 0), column3(partners.before, b, 0))
-        turned = subtract(column3(partners.velocity, b, 3), column3(partners.before, b, 3))
-        size = norm(by)
-        fastest = max(fastest, size + arms[b] * norm(turned))
         mass = partners.inverse[b, 0]
-        moved += 2.0 * size / mass if mass > 0.0 else 0.0
-    return fastest, moved
+        moved += 2.0 * norm(by) / mass if mass > 0.0 else 0.0
+    return moved
 
 
 # Momenta
@@ -147,12 +142,7 @@ def bounce(
     if team.rank == 0:
         extremes = contact.memory.extremes
         _gather_walls(contact, impulses.partners)
-        fastest, _ = _sizes_of_kick(contact, impulses.partners)
-        v, w = extremes.speed[0], extremes.angular_speed[0]
-        far = v + 4.0 * w * contact.lists.max_contact_arm + _FASTER * fastest
-        reached = extremes.displacement[0] + dt * far
-        lists = contact.lists
-        find_impulse_contacts(setup, workspace, lists, impulses, reached, 2.0 * dt * far, dt)
+        find_impulse_contacts(setup, workspace, contact.lists, impulses, extremes, dt)
         take_impacts(impulses)
         _apply_given(impulses, blocks, layout)
     meet(team)
@@ -221,7 +211,7 @@ def press(
     meet(team)
     if team.rank == 0:
         partners, move = impulses.partners, impulses.partners.move
-        _, moved = _sizes_of_kick(contact, partners)
+        moved = _size_of_kick(contact, partners)
         leave_out_what_will_bounce(impulses)
         solve(impulses, moved)
         _apply_given(impulses, blocks, layout)

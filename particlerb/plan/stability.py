@@ -113,7 +113,9 @@ def stable_turn(plan: Plan) -> float:
         contact_limit(segment.method, segment.terms.contact)
         for group in plan.groups
         for segment in group.segments
-        if segment.terms.contact is not None and METHODS[segment.method].stability_limit > 0.0
+        if segment.terms.contact is not None
+        and segment.terms.has_springy_contact
+        and METHODS[segment.method].stability_limit > 0.0
     ]
     return min(limits, default=math.inf)
 

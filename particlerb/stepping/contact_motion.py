@@ -164,7 +164,7 @@ class ContactMotion(SteppedMotion):
         self.checks.tunnelling(contact, y, self.now)
         memory.listed_pose[:] = y[:7]
         memory.pistons.listed_displacement[:] = memory.pistons.displacement
-        memory.extremes.displacement[:] = 0.0
+        memory.extremes.displacement[:] = memory.extremes.ahead[:] = 0.0
         path = np.sqrt(((y[:3] - self.origin) ** 2).sum(axis=0)).max()
         self.farthest, self.list_step = max(self.farthest, float(path)), self.grid_step
         lists, until = self.lists.make(contact.lists, contact.workspace, memory, time, lasted)

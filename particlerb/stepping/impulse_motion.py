@@ -5,13 +5,14 @@ from typing import Final
 import numpy as np
 
 from particlerb.contact.contact_model import GroupContact
+from particlerb.contact.pair_force import max_point_speed
 from particlerb.impulses.records import TALLY, Impulses, room_for_partners, room_for_rows
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.motion import Energies, MotionError
 from particlerb.stepping.saved_arrays import Saved
 
-_REACH: Final = 8.0  # steps of the fastest body for which a skin is wide enough, at least
+_REACH: Final = 5.0  # steps of the fastest body for which a skin is wide enough, at least
 _LEAST_REACH: Final = 4.0  # of a skin that the case gives
 _GROWTH: Final = 1.25  # of room for contacts
 
@@ -33,8 +34,7 @@ class ImpulseMotion(ContactMotion):
         self.looks = False  # no contact has a frequency
         self._place()
         bodies, arm = self.contact.workspace.bodies, self.contact.lists.max_contact_arm
-        fastest = float(bodies.speed.max() + 4.0 * arm * bodies.angular_speed.max())
-        path = self.dt * fastest
+        path = self.dt * max_point_speed(bodies, arm, 0, bodies.size)
         if self.contact.setup.is_skin_fixed and self.contact.setup.skin < _LEAST_REACH * path:
             raise MotionError(
                 f"at t = {self.now:.6g} s a body moves by {path:.3g} m in a step of"

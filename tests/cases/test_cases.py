@@ -53,6 +53,7 @@ MANY_STEPS = (
     "snapping_wire",
     "spring_net",
     "squeezer",
+    "stack",
     "ten_thousand_clumps",
 )
 LIGHTER = {"ten_thousand_clumps": ("run.every=1",)}  # 11 frames instead of 1001
