@@ -110,3 +110,15 @@ def test_a_long_run_of_few_bodies_is_not_made_again_and_again(monkeypatch):
     found = choice(FakePilot(1e-9, {"sixth": law(1e-3, 6)}, 1, 1), "sixth")
     assert law(1e-3, 6)(found.stepping.dt) < 1e-9
     assert found.spent < 2.0 * found.cost
+
+
+@pytest.mark.parametrize(("bodies", "tried"), [(1, {"second"}), (1_000_000, {"second", "sixth"})])
+def test_another_method_is_tried_where_it_gains_more_than_trials_take(monkeypatch, bodies, tried):
+    """`second` is the usual choice, and `sixth` costs a tenth: that counts for many bodies."""
+    costs = {"second": 40.0, "sixth": 11.0}
+    pilot = FakePilot(1e-4, {"second": law(1e-3, 2), "sixth": law(1e-9, 6)}, bodies, 1)
+    pilot.cost = lambda stepping, steps, n: steps * n * costs[stepping.method]
+    ladders = [Ladder(pilot, name) for name in ORDERS]
+    monkeypatch.setattr(Ladder, "usual_cost", lambda ladder: float(ladder.name != "second"))
+    cheapest(pilot, ladders)
+    assert {stepping.method for stepping in pilot.steps} == tried
