@@ -198,15 +198,29 @@ def test_bodies_have_parameters_of_their_own():
         assert np.array_equal(together[:, b], alone[:, 0])
 
 
+@particlerb.force
+def own_lift():
+    return (0.0, 0.0, 3.0), NO_TORQUE
+
+
+PLACES = {"count": 2, "position": np.array([[0.0, 0, 0], [1.0, 0, 0]])}
+
+
+@plain
+def test_bodies_with_different_functions_feel_each_its_own():
+    first, second = table(own_lift, "body[0]"), table(own_ramp, "body[1]", slope=(1.0, 2.0, 3.0))
+    both = states(scene(first, second, **PLACES))
+    assert np.array_equal(both[:, 0], states(scene(first, **PLACES))[:, 0])
+    assert np.array_equal(both[:, 1], states(scene(second, **PLACES))[:, 1])
+    assert np.abs(both[-1, :, 7:10] - both[0, :, 7:10]).max(axis=1) == pytest.approx([1.5, 0.75])
+
+
 @plain
 def test_one_of_two_bodies_that_a_link_holds_feels_it():
     """In a group of bodies a force is zero on those that it does not name."""
     link = SpringTable(body="body[0]", to="body[1]", stiffness=1.0, rest_length=1.0)
-    places = {"position": np.array([[0.0, 0, 0], [1.0, 0, 0]])}
-    own = scene(link, table(own_spring, "body[1]", anchor=(1.0, 0, 1.0), k=2.0), count=2, **places)
-    built_in = scene(
-        link, SpringTable(body="body[1]", anchor=(1.0, 0, 1.0), stiffness=2.0), count=2, **places
-    )
+    own = scene(link, table(own_lift, "body[1]"), **PLACES)
+    built_in = scene(link, PushTable(body="body[1]", force=(0.0, 0.0, 3.0)), **PLACES)
     assert np.abs(states(own) - states(built_in)).max() < 1e-12
 
 
