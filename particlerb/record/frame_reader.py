@@ -117,7 +117,7 @@ class FrameReader(Closing):
                     found: Floats = values[lo:hi:stride]
                 else:
                     found = _without_cache(values)[lo:hi:stride, bodies]
-                if not np.isfinite(found).all():
+                if np.isinf(found).any() or (np.isnan(found).any() and not element.has_gaps):
                     raise ValueError(f"{path} has entries that are not finite")
             return found if found.base is None else found.copy()  # a view of what is in memory
 

@@ -49,6 +49,7 @@ class Element(NamedTuple):
     is_count: bool = False  # an integer
     per: str = ""  # what a frame has an entry of: `body` or one of `PARTS`, or one for all
     is_asked: bool = False  # whether a file that names it alone has it, though there is one for all
+    has_gaps: bool = False  # NaN where it is not known
 
 
 FIELDS: Final[dict[str, Element]] = {
@@ -72,9 +73,15 @@ WALLS: Final[dict[str, Element]] = {
     "wall_velocity": Element("xyz", "m s-1", "of the centre of each wall", "world"),
 }
 JOINTS: Final[dict[str, Element]] = {
-    "joint_force": Element("xyz", "N", "on the first body of each joint, at its point", "world"),
+    "joint_force": Element(
+        "xyz",
+        "N",
+        "on the first body, at the joint; NaN where contact acts",
+        "world",
+        has_gaps=True,
+    ),
     "joint_torque": Element(
-        "xyz", "N m", "on the first body of each joint, about its point", "world"
+        "xyz", "N m", "on it about the joint; NaN where contact acts", "world", has_gaps=True
     ),
     "joint_force_determined": Element(
         "xyz", "1", "0 where redundant rows leave it open, else 1", "world", is_count=True

@@ -9,6 +9,7 @@ from scenes import Y, case, joint, moved
 import particlerb
 from particlerb import CaseError
 from particlerb.case.to_system import to_system
+from particlerb.record.verify import verify
 from particlerb.simulation.run import prepare
 
 G = 9.81
@@ -86,6 +87,19 @@ def order(x, y):
 def test_contact_that_does_not_act_changes_nothing():
     with moved(door(), 0.3, 5e-3) as free, moved(door(ELASTIC, -9.0), 0.3, 5e-3) as other:
         assert np.abs(np.array(free.position) - np.array(other.position)).max() < 1e-14
+
+
+@plain
+def test_reactions_that_are_not_known_are_gaps_of_a_whole_file(tmp_path):
+    scene = door(ELASTIC, -9.0)
+    fields = [*scene["output"]["fields"], "joint_force", "joint_force_determined"]
+    run = {"t_end": 0.02, "every": 0.01, "dt": 5e-3}
+    path = tmp_path / "door.h5"
+    particlerb.run({**scene, "run": run, "output": {"fields": fields}}, path).close()
+    with particlerb.open(path) as t:
+        assert np.isnan(t.joint_force).all()
+        assert not t.joint_force_determined.any()
+        assert all(finding.is_whole for finding in verify(t))
 
 
 @plain
