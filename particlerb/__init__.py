@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from particlerb.simulation.resume import ResumeError
     from particlerb.simulation.run import RunError
     from particlerb.simulation.simulation import Simulation
+    from particlerb.studies.charts.trajectory import plot
     from particlerb.sweeping.driver import sweep
     from particlerb.user_force import force
 
@@ -36,6 +37,7 @@ __all__ = [
     "force",
     "joint_loads",
     "open",
+    "plot",
     "resume",
     "run",
     "show_versions",
@@ -54,6 +56,7 @@ HOMES = {
     "force": ("particlerb.user_force", "force"),
     "joint_loads": ("particlerb.simulation.joint_loads", "joint_loads"),
     "open": ("particlerb.record.trajectory", "open_trajectory"),
+    "plot": ("particlerb.studies.charts.trajectory", "plot"),
     "resume": ("particlerb.simulation.entry", "resume"),
     "run": ("particlerb.simulation.entry", "run"),
     "show_versions": ("particlerb.record.provenance", "show_versions"),

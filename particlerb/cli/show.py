@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
+import particlerb
 from particlerb.cli.common import PICTURES, amount, opened, output_of, readable
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, tamed
 from particlerb.model.state import STATE_FIELDS
@@ -122,8 +123,6 @@ def plot_command(options: argparse.Namespace) -> int:
 
             draw_contacts(trajectory, path)
         else:
-            from particlerb.studies.charts.trajectory import draw_trajectory
-
-            draw_trajectory(trajectory, path, names.index(options.body) if options.body else None)
+            particlerb.plot(trajectory, path, body=options.body)
     print(f"written: {path}")
     return DONE

@@ -62,8 +62,9 @@ def drawn(case, monkeypatch, body=None):
     figures = []
     monkeypatch.setattr(chart.Figure, "savefig", lambda self, *_, **__: figures.append(self))
     trajectory = particlerb.run(case)
-    chart.draw_trajectory(trajectory, "out.png", body)
-    return figures[0], trajectory
+    figure = particlerb.plot(trajectory, "out.png", body=body)
+    assert figures == [figure]
+    return figure, trajectory
 
 
 def panel(figure, title):
@@ -80,7 +81,7 @@ def test_panels_fit_the_scene(scene, make, monkeypatch):
 
 
 def test_a_body_that_is_named_has_its_own_panels(make, monkeypatch):
-    figure, trajectory = drawn(heap(make), monkeypatch, body=3)
+    figure, trajectory = drawn(heap(make), monkeypatch, body="ball[3]")
     assert panel(figure, "angular velocity of ball[3], body frame").lines
     assert trajectory.names[3] == "ball[3]"
 

@@ -5,6 +5,7 @@ joints their coordinates or forces, for a top nutation and precession, for one b
 """
 
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,23 +33,37 @@ _PATHS: Final = 12  # bodies whose trajectories are drawn
 _LINES: Final = 6  # in a panel over time
 
 
-def draw_trajectory(trajectory: Trajectory, path: Path, body: int | None = None) -> None:
-    """Draw the bodies, two panels that fit the scene, and conservation errors; PNG, SVG or PDF.
+def plot(
+    trajectory: Trajectory, path: str | PathLike[str] | None = None, *, body: str | None = None
+) -> Figure:
+    """Draw the bodies, two panels that fit the scene, and conservation errors.
 
     Parameters
     ----------
     trajectory : Trajectory
         With positions, orientations and momenta.
-    path : Path
-        Where to; the suffix is the format.
-    body : int, optional
-        Index of a body whose angular velocity and axis are drawn instead of what fits the scene.
+    path : path, optional
+        Where to; the suffix is the format: .png, .svg or .pdf.
+    body : str, optional
+        A body whose angular velocity and axis are drawn instead of what fits the scene.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The picture; a notebook shows it.
+
+    Raises
+    ------
+    ValueError
+        If there is no such body, or matplotlib does not know the format.
+    KeyError
+        If positions, orientations or momenta were not recorded.
     """
     figure = Figure(figsize=(11, 7.2), layout="constrained")
     title = trajectory.parameter("case_resolved")["title"] or Path(trajectory.file.filename).name
     counts = f"{count_of(trajectory.n_bodies, 'body', 'bodies')}, {trajectory.n_frames} frames"
     figure.suptitle(f"{title}   ({counts})", color=INK)
-    one = _fastest(trajectory) if body is None else body
+    one = _fastest(trajectory) if body is None else trajectory.names.index(body)
     case, is_top = trajectory.parameter("case_resolved"), _is_top(trajectory, one)
     is_still = not np.ptp(trajectory.read("position"), axis=0).any()
     is_shown_turning = is_still and not is_top and trajectory.omega_body(one)[0].any()
@@ -71,7 +86,9 @@ def draw_trajectory(trajectory: Trajectory, path: Path, body: int | None = None)
         _draw_angular_velocity(above, trajectory, one)
         (_draw_nutation if is_top else _draw_axis)(below, trajectory, one)
     _draw_conservation_errors(last, trajectory)
-    figure.savefig(path, dpi=130)
+    if path is not None:
+        figure.savefig(path, dpi=130)
+    return figure
 
 
 def _fastest(trajectory: Trajectory) -> int:
