@@ -139,9 +139,10 @@ def test_a_run_that_ends_in_an_error_is_a_failed_point(make):
     keys = {"contact": make.hooke(1e4, 1.0, 0.0), "wall": wall, "t_end": 2.0}
     system = to_system(load(make.case(ball, force=[spring], **keys)))
     found = chart(system, ["explicit_euler", "strang"], budget=0.5)
-    failed = [p for p in found.points if p.method == "explicit_euler"]
-    assert failed
-    assert all(math.isnan(p.size) and "more than its smallest radius" in p.failure for p in failed)
+    why = "more than its smallest radius"  # shorter steps, that a fast machine has time for, do not
+    ended = [p for p in found.points if p.method == "explicit_euler" and why in p.failure]
+    assert ended
+    assert all(math.isnan(p.size) for p in ended)
     assert not any(p.failure for p in found.points if p.method == "strang")
 
 
