@@ -70,7 +70,7 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
 
 def draw_paths(axes: Axes3D, trajectory: Trajectory, shown: list[int], body: int) -> None:
     """Trajectories of some bodies, one of them in another colour."""
-    position = trajectory.read("position")[:, shown]
+    position = trajectory.read("position", bodies=shown)
     for k, b in enumerate(shown):
         x, y, z = position[:, k].T
         colour, opacity = (COLOURS[1], 1.0) if b == body else (COLOURS[0], 0.6)

@@ -31,6 +31,7 @@ from particlerb.studies.text import count_of
 
 _PATHS: Final = 12  # bodies whose trajectories are drawn
 _LINES: Final = 6  # in a panel over time
+_SAMPLED: Final = 1000  # bodies whose heights are looked at
 
 
 def plot(
@@ -65,7 +66,8 @@ def plot(
     figure.suptitle(f"{title}   ({counts})", color=INK)
     one = _fastest(trajectory) if body is None else trajectory.names.index(body)
     case, is_top = trajectory.parameter("case_resolved"), _is_top(trajectory, one)
-    is_still = not np.ptp(trajectory.read("position"), axis=0).any()
+    shown = _shown(trajectory.n_bodies, _PATHS, one)
+    is_still = not np.ptp(trajectory.read("position", bodies=shown), axis=0).any()
     is_shown_turning = is_still and not is_top and trajectory.omega_body(one)[0].any()
     if is_shown_turning:
         grid = figure.add_gridspec(2, 3, height_ratios=(0.6, 1.0), width_ratios=(1.0, 1.0, 1.3))
@@ -73,7 +75,8 @@ def plot(
         places = [grid[1, 0], grid[1, 1], grid[1, 2]]
     else:
         grid = figure.add_gridspec(2, 2)
-        _draw_bodies(figure, grid[0, 0], trajectory, one, is_chosen=body is not None)
+        is_many = trajectory.n_bodies > _PATHS and body is None
+        _draw_bodies(figure, grid[0, 0], trajectory, one, [] if is_many else shown)
         places = [grid[0, 1], grid[1, 0], grid[1, 1]]
     above, below, last = (figure.add_subplot(place) for place in places)
     if body is None and case["joint"]:
@@ -99,13 +102,16 @@ def _fastest(trajectory: Trajectory) -> int:
     return int(np.argmax(np.linalg.norm(omega[0], axis=1)))
 
 
+def _shown(n: int, most: int, body: int) -> list[int]:
+    """Some of n bodies at equal distances, and one that is named."""
+    return sorted({*np.linspace(0, n - 1, min(n, most)).astype(int).tolist(), body})
+
+
 def _draw_bodies(
-    figure: Figure, place: SubplotSpec, trajectory: Trajectory, body: int, *, is_chosen: bool
+    figure: Figure, place: SubplotSpec, trajectory: Trajectory, body: int, shown: list[int]
 ) -> None:
-    """Many bodies from the side, a few by their trajectories, a top by the path of its axis."""
-    n = trajectory.n_bodies
-    shown = sorted({*np.linspace(0, n - 1, min(n, _PATHS)).astype(int).tolist(), body})
-    if n > _PATHS and not is_chosen:
+    """Trajectories of those shown, a top by the path of its axis; none shown: all from the side."""
+    if not shown:
         draw_side(figure.add_subplot(place), trajectory, trajectory.n_frames - 1)
         return
     axes = figure.add_subplot(place, projection="3d")
@@ -119,7 +125,8 @@ def _is_top(trajectory: Trajectory, body: int) -> bool:
     """Whether a body with two equal moments is moved by forces while its centre rests."""
     has_forces = bool(trajectory.parameter("case_resolved")["force"])
     is_symmetric = int(trajectory.bodies.rotor_class[body]) == SYMMETRIC
-    return has_forces and is_symmetric and not np.ptp(trajectory.read("position"), axis=0).any()
+    way = trajectory.read("position", bodies=body)
+    return has_forces and is_symmetric and not np.ptp(way, axis=0).any()
 
 
 def _symmetry_axis(trajectory: Trajectory, body: int) -> int:
@@ -156,15 +163,17 @@ def _draw_energies(axes: Axes, trajectory: Trajectory) -> None:
 
 def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
     """Contacts if they were recorded, heights under gravity, else distances from the centre."""
-    time, x = trajectory.time, trajectory.read("position")
+    time = trajectory.time
     if "contact_number" in trajectory.other_fields:
         _draw_lines(axes, time, trajectory.contact_number.astype(float), trajectory.names)
         finish(axes, "contacts of a body", "number")
     elif case["gravity"]:
-        up = upright(trajectory)
-        _draw_lines(axes, time, x[:, :, up], trajectory.names)
+        up, some = upright(trajectory), _shown(trajectory.n_bodies, _SAMPLED, 0)
+        heights = trajectory.read("position", bodies=some)[:, :, up]
+        _draw_lines(axes, time, heights, trajectory.names)
         finish(axes, "height of bodies", f"{'xyz'[up]} [m]")
     else:
+        x = trajectory.read("position")
         centre = np.average(x, axis=1, weights=trajectory.mass)[:, None]
         _draw_lines(axes, time, np.linalg.norm(x - centre, axis=2), trajectory.names)
         finish(axes, "distance from the common centre of mass", "r [m]")
@@ -173,7 +182,7 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
 def _draw_joints(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
     """Joint coordinates or forces, if they were recorded, else angular velocities."""
     time, fields = trajectory.time, trajectory.other_fields
-    if "joint_coordinate" in fields:
+    if "joint_coordinate" in fields and trajectory.joint_coordinate.size:
         values = trajectory.joint_coordinate
         _draw_lines(axes, time, values, [f"coordinate {k}" for k in range(values.shape[1])])
         finish(axes, "joint coordinates", "angle [rad] or length [m]")
