@@ -6,6 +6,7 @@ all bodies, with tolerances of several times what they changed by between seeds.
 
 import numpy as np
 import pytest
+from commands import has_met_its_checks
 
 import particlerb
 from particlerb.contact.sphere_search import neighbours
@@ -16,9 +17,16 @@ CUBE = 0.1 * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)  # spheres of clu
 FREE_FALL = 15_300.0  # J, 1000 clumps by 1.56 m
 
 
-def run(case: str, *overrides: str) -> particlerb.Trajectory:
-    """A case of cases/, in memory."""
-    return particlerb.run(f"cases/{case}.toml", overrides=overrides)
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """File of a case of cases/, run as a user does, on one thread: tests run side by side."""
+
+    def run_once(case: str) -> particlerb.Trajectory:
+        folder = tmp_path_factory.mktemp(case)
+        has_met_its_checks(case, folder, "run.threads=1")
+        return particlerb.open(folder / "run.h5")
+
+    return run_once
 
 
 def centres(x: np.ndarray, q: np.ndarray, arms: np.ndarray) -> np.ndarray:
@@ -36,7 +44,7 @@ def overlaps(points: np.ndarray, radius: float, of_each: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def drop():
+def drop(run):
     with run("clump_drop") as found:
         yield found
 
@@ -72,7 +80,7 @@ def slope(x: np.ndarray) -> float:
     return float(np.degrees(np.arctan2(2.0 * (x[:, 2].mean() - 0.04), away.mean())))
 
 
-def test_clumps_make_a_steeper_heap_than_balls_and_both_come_to_rest():
+def test_clumps_make_a_steeper_heap_than_balls_and_both_come_to_rest(run):
     """What falls where is chaotic: over 18 runs balls have 14.4 to 16.5°, clumps 17.1 to 23.4°."""
     with run("heap") as found:
         balls, clumps = (slope(found.position[-1][own]) for own in (slice(270), slice(270, 540)))
@@ -85,7 +93,7 @@ def test_clumps_make_a_steeper_heap_than_balls_and_both_come_to_rest():
     assert np.abs(ledger.energy_error).max() < 1.5e-3 * 900.0
 
 
-def test_a_drum_lifts_its_balls_steadily_and_mixes_them():
+def test_a_drum_lifts_its_balls_steadily_and_mixes_them(run):
     with run("mixer") as found:
         x, time, ledger = found.position, found.time, found.ledger
     middle = x.mean(axis=1)
