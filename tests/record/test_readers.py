@@ -12,6 +12,7 @@ import pytest
 
 import particlerb
 from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_JOINTS
+from particlerb.compiled.jit import config
 from particlerb.record.schema import FIELDS, SERIES
 
 ALL = list(FIELDS)
@@ -178,7 +179,13 @@ OPTIONAL = {name: [name] for name in (*FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS)} | 
 }
 
 
-@pytest.fixture(scope="module", params=[*OPTIONAL, "all, float32"])
+plain = pytest.mark.skipif(
+    not config.DISABLE_JIT, reason="takes long to compile, and shows no more"
+)
+EACH = [pytest.param(name, marks=plain) for name in OPTIONAL]
+
+
+@pytest.fixture(scope="module", params=[*EACH, "all, float32"])
 def optional(make, tmp_path_factory, request):
     """A file with an optional output, or all, with two walls and a table; or joints."""
     folder = tmp_path_factory.mktemp("optional")
