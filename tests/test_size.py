@@ -29,6 +29,7 @@ BUDGETS = {
     "tables of forces": 232,
     "force gradients": 324,
     "forces written by users": 841,
+    "their flows by velocities, in lanes": 85,
     "orbits about a centre and of two points": 188,
     "trials of a search that count what they cost": 18,
     "opening angle fitted to a scene": 95,

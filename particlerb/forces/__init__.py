@@ -123,6 +123,7 @@ def acting_of(terms: Terms) -> Acting:
         1 if any(kick.flow is not None for kick in acting) else None,
         1 if any(kick.at_time is not None for kick in acting) else None,
         own_functions(own) if own else None,
+        1 if any(kick.load is not None for kick in own) else None,
     )
 
 
@@ -180,7 +181,8 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         term = term_of(load)
         kicks = [kick for kick, _ in term.parts(load)]
         needs[term.name] = frozenset().union(*(kick.needs for kick in kicks))
-        if terms.joints is not None and any(kick.flow is not None for kick in kicks):
+        flows = any(kick.load is not None and kick.damp is None for kick in kicks)
+        if terms.joints is not None and flows:
             needs[term.name] |= {_FLOW_AMONG_JOINTS}
     if terms.links is not None:
         needs["links"] = frozenset({BODIES})

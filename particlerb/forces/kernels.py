@@ -36,6 +36,7 @@ class Acting(NamedTuple):
     flow: int | None  # whether something turns or slows momenta by a flow of its own
     clock: int | None  # whether something depends on time
     own: FunctionSet | None = None  # functions of forces that users wrote: see `own_functions`
+    own_flow: int | None = None  # whether one of these depends on velocities
 
 
 @inline
@@ -92,6 +93,7 @@ class _Family(NamedTuple):
     last: str = ""  # lines at the end
     is_reversed: bool = False  # whether the last kick comes first
     has_potential: bool | None = None  # of which kicks; None: of all
+    is_of_users: bool = False  # whether it calls none but theirs
 
     def has(self, kick: Kick) -> bool:
         """Whether it calls a kick."""
@@ -145,7 +147,7 @@ def _after(before: Iterable[Kick]) -> str:
 
 def made(family: _Family) -> Callable[..., Any]:
     """Compile a family of those kicks that have its hook."""
-    able = [kick for kick in KICKS if family.has(kick)]
+    able = [kick for kick in KICKS if family.has(kick) and not family.is_of_users]
     able = able[::-1] if family.is_reversed else able
     names: dict[str, Any] = {
         "inline": inline, "kick_pair": kick_pair, "count": count, "PAIR": PAIR, "OTHER": OTHER,
@@ -196,6 +198,10 @@ load_of_velocity: Callable[..., Momenta] = made(
     _Family("load_of_velocity", "load", "b, x, R, p, L, F, tau", "F, tau")
 )
 """(acting, rows, b, x, R, p, L, F, tau): F and τ with what depends on velocities added."""
+load_of_users: Callable[..., Momenta] = made(
+    _Family("load_of_users", "load", "b, x, R, p, L, F, tau", "F, tau", is_of_users=True)
+)
+"""The same of forces that users wrote alone."""
 flow_in: Callable[..., Momenta] = made(_Family("flow_in", "flow", "b, R, dt, p, L", "p, L"))
 """(acting, rows, b, R, dt, p, L): momenta after the flows of such forces, one after the other."""
 flow_out: Callable[..., Momenta] = made(

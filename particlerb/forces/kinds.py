@@ -48,8 +48,8 @@ class Kick(NamedTuple):
     All functions are `inline`: scalars and tuples in and out, their rows from `at` on, body b. At
     a fixed pose, position x and rotation matrix R, p and L are the momenta. A force that depends
     on the pose alone brings `push`; one that depends on velocities `load`, and `flow` or `damp`
-    for splittings; one that depends on time `at_time` beside `push`, and where it has a potential
-    `power`.
+    for splittings, where it is no user's; one that depends on time `at_time` beside `push`, and
+    where it has a potential `power`.
     """
 
     name: str  # of the rows; unique

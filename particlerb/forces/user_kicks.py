@@ -1,9 +1,8 @@
 """Kicks of forces that users write in Python: see `particlerb.user_force`.
 
 A function becomes the hooks of a `Kick` by a source that hands it what it names. One that takes
-velocities is a flow at a fixed pose, by the implicit midpoint rule, iterated until only rounding
-changes: half before and half after the other kicks, so that splittings keep their order, and their
-symmetry. Energies and estimates of rates call the same functions.
+velocities brings its load: splittings iterate the implicit midpoint rule (integrators/kick.py).
+Energies and estimates of rates call the same functions.
 """
 
 import warnings
@@ -19,7 +18,7 @@ from particlerb.compiled.threads import BLOCK
 from particlerb.forces.drag import angular_velocity
 from particlerb.forces.kinds import Kick, Momenta, Rates, Term
 from particlerb.maths.quaternion import Rows, matrix
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale
+from particlerb.maths.vec3 import Floats, add_scaled, dot, scale
 from particlerb.model.block import (
     COM,
     INV_MASS,
@@ -38,8 +37,6 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, lengths, quaternion_product
 from particlerb.user_force import UserForce, arguments_of, digest_of, place_of, python_of, reached
 
-_MOST: Final = 200  # iterations of a kick that depends on velocities,
-_ROUNDING: Final = 4e-16  # until it changes by such a share
 DIFFERENCE: Final = 1e-5  # step of differences, in units of the place or the size of a body
 _NO_TURN: Final = np.array([[1.0], [0.0], [0.0], [0.0]])
 _UNKEPT: Final = (
@@ -93,19 +90,6 @@ def _chosen(acts: float, load: Any) -> Momenta:
     return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
-@inline
-def _mean(a: Vec3, b: Vec3) -> Vec3:
-    """(a + b)/2."""
-    return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
-
-
-@inline
-def _is_same(a: Vec3, b: Vec3) -> bool:
-    """Whether two vectors differ by rounding alone."""
-    size = abs(b[0]) + abs(b[1]) + abs(b[2])
-    return abs(a[0] - b[0]) + abs(a[1] - b[1]) + abs(a[2] - b[2]) <= _ROUNDING * size
-
-
 _SOURCES: Final = {
     "load": """(rows, at, b, x, R, p, L, F, tau):
     dF, dtau = chosen(get(rows, at, b), function({arguments}))
@@ -120,16 +104,6 @@ _SOURCES: Final = {
 """,
     "energy": """(rows, at, b, x, R):
     return float(potential({of_potential})) if get(rows, at, b) > 0.0 else 0.0
-""",
-    "flow": """(rows, at, b, R, dt, p, L):
-    x, old, new = get3(rows, COM, b), (p, L), (p, L)
-    for _ in range({most}):
-        between = mean(p, new[0]), mean(L, new[1])
-        F, tau = load(rows, at, b, x, R, between[0], between[1], zero, zero)
-        old, new = new, (add_scaled(dt, F, p), add_scaled(dt, tau, L))
-        if is_same(old[0], new[0]) and is_same(old[1], new[1]):
-            return new
-    return (np.nan, np.nan, np.nan), L
 """,
 }
 """Of the hooks of a kick, after their names: docs/theory.md."""
@@ -177,22 +151,21 @@ def _kick_of(force: UserForce, lengths_: Lengths, name: str, is_kept: bool) -> t
     if force.potential is not None:
         words["of_potential"] = ", ".join(known[one] for one in arguments_of(force.potential))
     names: dict[str, Any] = {
-        "get": get, "get3": get3, "put": put, "add_scaled": add_scaled, "scale": scale, "np": np,
-        "mean": _mean, "is_same": _is_same, "chosen": _chosen, "body_axes": _body_axes,
-        "spin_of": angular_velocity, "COM": COM, "INV_MASS": INV_MASS, "zero": (0.0, 0.0, 0.0),
+        "get": get, "get3": get3, "put": put, "add_scaled": add_scaled, "scale": scale,
+        "chosen": _chosen, "body_axes": _body_axes, "spin_of": angular_velocity,
+        "INV_MASS": INV_MASS,
         "function": _compiled(force.function), "potential": _compiled(force.potential),
     }  # fmt: skip
 
     def hook(which: str) -> Callable[..., Any]:
-        text = f"def {which}{_SOURCES[which].format(**words, start=start, most=_MOST)}"
+        text = f"def {which}{_SOURCES[which].format(**words, start=start)}"
         names[which] = made = inline_from(text, f"<{which} of {name}>", which, names)
         return made
 
     moves = force.depends_on_velocity
-    load = hook("load") if moves else None
     kick = Kick(
         name, rows, None if moves else hook("push"), force.potential is not None,
-        load=load, flow=hook("flow") if moves else None,
+        load=hook("load") if moves else None,
         at_time=hook("at_time") if "t" in force.signature else None, is_many=True, is_kept=is_kept,
     )  # fmt: skip
     return kick, None if force.potential is None else hook("energy")

@@ -21,7 +21,7 @@ from particlerb.integrators.contact_stages import (
     place_within_step,
 )
 from particlerb.integrators.joint_stages import drift_jointed, keep_given, project_jointed
-from particlerb.integrators.kick import kick_body
+from particlerb.integrators.kick import begin_kick, kick_body
 from particlerb.integrators.pair_stages import Layout, PairTerms, flow_pairs, put_pair_loads
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.records import Jointed
@@ -152,7 +152,7 @@ def _kick_blocks(moving: MovingBodies, first: int, last: int, dt: float) -> None
     """Do the work of `kick`."""
     for k in range(first, last):
         rows, n = moving.blocks[k], moving.layout.size[k]
-        prepare_kick(moving.acting, rows, n, dt)
+        begin_kick(moving.acting, moving.books, rows, n, dt)
         for b in range(n):
             old = get3(rows, P, b), get3(rows, L, b)
             p, spin, R = kick_body(moving.acting, moving.books, rows, b, dt)

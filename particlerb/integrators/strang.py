@@ -10,11 +10,10 @@ Source: Strang, SIAM J. Numer. Anal. 5, 506 (1968); the rotor: rotors/symmetric_
 from typing import Final
 
 from particlerb.contact.contact_model import LoadTimes
-from particlerb.forces.kernels import prepare_kick
 from particlerb.forces.kinds import BODIES, CONTACT, PISTONS, POSE, TIME, VELOCITY
 from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
-from particlerb.integrators.kick import kick_body
+from particlerb.integrators.kick import begin_kick, kick_body
 from particlerb.integrators.method import Method
 from particlerb.integrators.stages import MovingBodies, flow_dashpots, kick, loads, stage, stages
 from particlerb.maths.quaternion import matrix, turn_back
@@ -45,7 +44,7 @@ def kick_and_drift(
     """`kick` and `drift` in one go, without a way to memory in between."""
     for k in range(first, last):
         rows, n = moving.blocks[k], moving.layout.size[k]
-        prepare_kick(moving.acting, rows, n, kick_dt)
+        begin_kick(moving.acting, moving.books, rows, n, kick_dt)
         for b in range(n):
             p, spin, R = kick_body(moving.acting, moving.books, rows, b, kick_dt)
             x, q = get3(rows, COM, b), get4(rows, Q, b)

@@ -15,11 +15,13 @@ import pytest
 import particlerb
 from particlerb import CaseError, RunError, Scene, Simulation
 from particlerb.compiled.jit import config
+from particlerb.forces import Terms, acting_of, row_count, rows_of_terms
 from particlerb.forces.user_kicks import class_of
 from particlerb.integrators import METHODS
+from particlerb.integrators.kick import flow_block
 from particlerb.maths.quaternion import turn
 from particlerb.maths.vec3 import cross, dot, scale
-from particlerb.model.block import INV_INERTIA, INV_MASS, LOADS, put, put3
+from particlerb.model.block import INV_INERTIA, INV_MASS, STRIDE, L, P, Q, get3, put, put3, put4
 from particlerb.tables import (
     Body,
     DragTable,
@@ -171,29 +173,40 @@ def test_strang_keeps_order_two_with_a_force_that_depends_on_velocity():
 
 def test_a_kick_by_velocities_is_undone_by_the_kick_back():
     """The midpoint rule is symmetric, if it is iterated to rounding."""
-    kick = class_of(cubic_drag, (("c", 0), ("axis", 3))).term.kick
-    rows = np.zeros((LOADS + kick.rows) * 264)
+    values = [1.0, 0.4, 0.6, 0.0, 0.8, 0.0, 0.3, 1, 0, 0, 0, 1, 0, 0, 0, 1]
+    own = class_of(cubic_drag, (("c", 0), ("axis", 3)))(np.array(values)[:, None])
+    terms = Terms(loads=(own,))
+    rows = np.zeros(row_count(terms) * STRIDE)
     put(rows, INV_MASS, 0, 0.5)
     put3(rows, INV_INERTIA, 0, (1.0, 0.5, 0.4))
-    for k, value in enumerate([1.0, 0.4, 0.6, 0.0, 0.8, 0.0, 0.3, 1, 0, 0, 0, 1, 0, 0, 0, 1]):
-        put(rows, LOADS + k, 0, value)
-    R = ((0.6, -0.8, 0.0), (0.8, 0.6, 0.0), (0.0, 0.0, 1.0))
-    p, L = (1.3, -0.4, 2.2), (0.5, 1.5, -0.7)
-    after = kick.flow(rows, LOADS, 0, R, 0.3, p, L)
-    before = kick.flow(rows, LOADS, 0, R, -0.3, *after)
-    assert np.abs(np.subtract(after, (p, L))).max() > 0.1
-    assert np.abs(np.subtract(before, (p, L))).max() < 4e-15
+    for at, load in rows_of_terms(terms):
+        for k, value in enumerate(load[:, 0]):
+            put(rows, at + k, 0, value)
+    put4(rows, Q, 0, (np.sqrt(0.8), 0.0, 0.0, np.sqrt(0.2)))
+    first = (1.3, -0.4, 2.2), (0.5, 1.5, -0.7)
+    put3(rows, P, 0, first[0])
+    put3(rows, L, 0, first[1])
+    found = []
+    for dt in (0.3, -0.3):
+        flow_block(acting_of(terms), rows, 1, dt)
+        found.append((get3(rows, P, 0), get3(rows, L, 0)))
+    assert np.abs(np.subtract(found[0], first)).max() > 0.1
+    assert np.abs(np.subtract(found[1], first)).max() < 4e-15
 
 
 @plain
-def test_bodies_have_parameters_of_their_own():
-    """Three bodies with a spring constant each move as three scenes with one."""
-    k = np.array([1.0, 2.5, 6.0])
-    own = table(own_spring, anchor=(0, 0, 0), per_body={"k": k})
+@pytest.mark.parametrize(
+    ("force", "name", "others"),
+    [(own_spring, "k", {"anchor": (0, 0, 0)}), (cubic_drag, "c", {"axis": (0.6, 0.0, 0.8)})],
+)
+def test_bodies_have_parameters_of_their_own(force, name, others):
+    """Three bodies with a constant each move as three scenes with one, to the bit."""
+    values = np.array([1.0, 2.5, 6.0])
+    own = table(force, per_body={name: values}, **others)
     places = np.array([[0.5, -0.2, 0.4], [1.0, 2.0, 3.0], [0.0, 1.0, 0.0]])
     together = states(scene(own, count=3, position=places))
-    for b, one in enumerate(k):
-        own = table(own_spring, anchor=(0, 0, 0), k=one)
+    for b, one in enumerate(values):
+        own = table(force, **{name: one}, **others)
         alone = states(scene(own, position=tuple(places[b])))
         assert np.array_equal(together[:, b], alone[:, 0])
 
