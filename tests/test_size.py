@@ -23,6 +23,7 @@ BUDGETS = {
     "unrolled columns in factors of joints, for speed": 30,
     "prescribed motion in joints, and driven bodies there": 335,
     "joints that break": 128,
+    "joints that merge bodies": 360,
     "coordinates by name, along which something acts": 21,
     "contact with every method": 480,
     "impulses": 1350,

@@ -191,6 +191,9 @@ class JointTable(Table):
     breaks_at: JointLoad | None = Field(
         None, description="Load at which it is released, at the end of a step; default: none. [-]"
     )
+    merge: bool = Field(
+        True, description="Of fixed: whether the two become one body, where that is exact. [-]"
+    )
     collide: Yes = Field(False, description="Whether the two bodies may touch each other. [-]")
     assemble: Yes = Field(
         False, description="Whether bodies may be moved at the start until it fits. [-]"

@@ -17,6 +17,7 @@ from particlerb.geometry.mass_properties import MassProperties
 from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
+from particlerb.model.merging import Merging
 from particlerb.model.names import BodyNames
 from particlerb.model.state import State
 
@@ -76,6 +77,8 @@ class System(NamedTuple):
     """At t = 0."""
     placed: State | None = None
     """Where joints were placed; None: at `state`. Assembly moves bodies from there."""
+    merging: Merging | None = None
+    """Bodies that move as one; None: each moves by itself."""
     notes: tuple[tuple[str, str], ...] = ()
     """Name of a record and a line on how its shape became particles: what was tried, or changed."""
 
@@ -87,7 +90,8 @@ class System(NamedTuple):
     @property
     def is_held(self) -> Bools:
         """Whether nothing can push a body: it is fixed, or moves as prescribed; (n_bodies,)."""
-        return np.array([body.is_held for body in self.body])[self.block]
+        own = np.array([body.is_held for body in self.body])[self.block]
+        return own if self.merging is None else own | self.merging.is_held
 
     @property
     def acceleration(self) -> Floats:

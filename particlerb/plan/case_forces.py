@@ -19,6 +19,7 @@ from particlerb.forces.ramp import vectors_of
 from particlerb.forces.registry import force_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
+from particlerb.model.merging import Merging
 from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.plan.links import AXIAL_ROUNDING, is_link
@@ -64,20 +65,38 @@ def loads_of(system: System) -> list[ResolvedForce]:
     """
     loads: list[ResolvedForce] = []
     problems: list[Problem] = []
+    whole = system if system.merging is None else system.merging.whole
     for number, given in enumerate(system.force):
         if is_link(given):
             continue
         members = system.names.find(given.body)
         try:
             force = _with_code(_with_knots(given, system), system)
-            found = force_of(force).resolve(force, members, system)
+            found = force_of(force).resolve(force, members, whole)
         except ForceError as error:
             problems.append(_problem_of(system, number, members, error))
             continue
-        loads += [ResolvedForce(number, force, *one) for one in found]
+        resolved = [ResolvedForce(number, force, *one) for one in found]
+        if system.merging is not None:
+            resolved = [one for load in resolved for one in _on_hosts(load, system.merging)]
+        loads += resolved
     if problems:
         raise CaseError(problems)
     return loads
+
+
+def _on_hosts(load: ResolvedForce, merging: Merging) -> list[ResolvedForce]:
+    """The same force on the bodies that carry those on which it acts."""
+    own = merging.is_merged[load.members]
+    found = [load._replace(members=load.members[~own])] if not own.all() else []
+    in_body = getattr(load.force, "frame", "world") == "body"
+    for b in load.members[own].tolist():
+        body, given = np.array([b]), np.array(load.numbers)[:, None]
+        arm = merging.placed(body, given[:3]) if force_of(load.force).has_arm else given[:3]
+        rest = merging.turned(body, given[3:6]) if in_body else given[3:]
+        numbers = (*arm[:, 0].tolist(), *rest[:, 0].tolist())
+        found.append(load._replace(members=merging.host[body], numbers=numbers))
+    return found
 
 
 def _with_knots(force: AnyForce, system: System) -> AnyForce:

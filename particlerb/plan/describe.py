@@ -16,6 +16,7 @@ from particlerb.maths.vec3 import Ints
 from particlerb.model.system import System
 from particlerb.plan.impulse_step import expected_overlap, touches_by_impulses
 from particlerb.plan.joint_words import joint_line
+from particlerb.plan.merging import merged
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.stepping.closed_forms import lever_of
 from particlerb.stepping.sparse_contact import can_fly
@@ -78,7 +79,7 @@ def _acting_lines(system: System, plan: Plan) -> Iterator[tuple[str, str]]:
     for kind, count in Counter(force.type for force in system.force).items():
         yield kind, f"{count} of them"
     if system.joint:
-        yield "joints", joint_line(system, plan)
+        yield "joints", joint_line(merged(system), plan)
     if _contacts(plan):
         yield "contact", _contact_line(system, plan)
 

@@ -33,6 +33,7 @@ from particlerb.model.system import System
 from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.driven_bodies import driven_among
+from particlerb.plan.joint_ends import Ties
 from particlerb.plan.joints import JointSetup
 from particlerb.plan.links import Link, attracted, components, particles_of, tree_accuracy
 from particlerb.rotors.rotor_class import ASYMMETRIC
@@ -62,23 +63,25 @@ def groups_of(
     """Groups of a system, in the order of their first bodies."""
     heavy = attracted(system)
     solid = np.zeros(0, dtype=np.int64) if touching is None else touching.body
-    ties: list[Link | JointSetup] = [*links, *([] if joints is None else [joints])]
+    held = None if joints is None else joints.acting
+    ties: list[Link | Ties] = [*links, *([] if held is None else [held])]
     ends = [end[end != WORLD] for tie in ties for end in (tie.first, tie.second)]
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
+    absent = bound if system.merging is None else np.union1d(bound, system.merging.carried)
     groups = [
         BodyGroup(members, forces, [], False, False)
-        for members, forces in _groups_alone(system, loads, bound)
+        for members, forces in _groups_alone(system, loads, absent)
     ]
     label = components(len(system.kind), ties, heavy, solid)
-    for members in clusters(system, loads, links, label, bound, joints):
+    for members in clusters(system, loads, links, label, bound, held):
         own = np.zeros(len(system.kind), dtype=bool)
         own[members] = True
         inside = [within(link, own) for link in links if own[link.first].any()]
         attracts = bool(heavy.size) and bool(own[heavy[0]])
         touches = bool(solid.size) and bool(own[solid[0]])
-        held = joints if joints is not None and own[joints.first].any() else None
+        tied = joints if held is not None and own[held.first].any() else None
         forces = _aligned(loads, members)
-        groups.append(BodyGroup(members, forces, inside, attracts, touches, held))
+        groups.append(BodyGroup(members, forces, inside, attracts, touches, tied))
     return sorted(groups, key=lambda group: int(group.members.min()))
 
 
@@ -122,7 +125,7 @@ def clusters(
     links: Sequence[Link],
     label: Ints,
     bound: Ints,
-    joints: JointSetup | None = None,
+    joints: Ties | None = None,
 ) -> list[Ints]:
     """Bodies of each group of clusters that are copies of each other; asymmetric ones first."""
     if not bound.size:

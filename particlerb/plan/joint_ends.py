@@ -1,6 +1,6 @@
 """Between which bodies joints stand, where, and about which axes."""
 
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -8,11 +8,20 @@ from particlerb.case.joints import InFrame, JointTable
 from particlerb.contact.sphere_search import pair_keys
 from particlerb.joints.types import Ends
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.merging import Merging
 from particlerb.model.state import body_orientation, lengths, rotate, rotate_back
 from particlerb.model.system import System
 
 WORLD: Final = -1
 Given: TypeAlias = tuple[float, float, float] | InFrame
+
+
+class Ties(NamedTuple):
+    """Bodies that joints tie."""
+
+    record: Ints  # index of [[joint]]
+    first: Ints  # bodies of the system
+    second: Ints  # bodies, or WORLD
 
 
 def pairs_of(system: System, table: JointTable) -> tuple[Ints, Ints]:
@@ -98,12 +107,42 @@ def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> End
     )
 
 
+def in_hosts(ends: Ends, merging: Merging) -> Ends:
+    """The same joints between the bodies that carry theirs."""
+
+    def carried(bodies: Ints, name: str, vectors: Floats) -> Floats:
+        inside, found = bodies != WORLD, vectors.copy()
+        if name not in ("x", "y", "z"):
+            found[inside] = merging.in_hosts(bodies[inside], vectors[inside], name == "at")
+        return found
+
+    def host(bodies: Ints) -> Ints:
+        return np.where(bodies == WORLD, WORLD, merging.host[bodies])
+
+    return ends._replace(
+        a=host(ends.a),
+        b=host(ends.b),
+        first_at=carried(ends.a, "at", ends.first_at),
+        second_at=carried(ends.b, "at", ends.second_at),
+        first={name: carried(ends.a, name, axis) for name, axis in ends.first.items()},
+        second={name: carried(ends.b, name, axis) for name, axis in ends.second.items()},
+    )
+
+
 def _across(n: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors (3, k) across each n and each other, so that e, f, n are right-handed."""
     least = np.eye(3)[:, np.argmin(np.abs(n), axis=0)]
     e = np.cross(n, least, axis=0)
     e /= lengths(e)
     return e, np.cross(n, e, axis=0)
+
+
+def joint_name(system: System, table: JointTable, first: Ints, second: Ints, k: int) -> str:
+    """Name of one joint of a table."""
+    if table.name is not None:
+        return table.name if first.size == 1 else f"{table.name}[{k}]"
+    other = "world" if second[k] == WORLD else system.names[int(second[k])]
+    return f"{system.names[int(first[k])]}-{other}"
 
 
 def unique(names: list[str]) -> tuple[str, ...]:

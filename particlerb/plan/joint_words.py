@@ -105,14 +105,27 @@ def joint_line(system: System, plan: Plan) -> str:
         clusters, bodies, free = clusters + own.clusters, bodies + own.bodies, free + own.free
         dependent += [setup.names[k] for k in own.dependent]
         n_dependent += own.n_dependent
-    rows = int((setup.rows.action == HOLDS).sum())
+    lasting = np.repeat(setup.until > 0.0, np.diff(setup.start))
+    rows = int((setup.rows.action[lasting] == HOLDS).sum())
     line = f"{counts}; {bodies} bodies in {clusters} cluster{'s' * (clusters > 1)}, {rows} rows"
     if n_dependent:
         names = ", ".join(dependent[:_MOST_NAMED])
         more = ", ..." if len(dependent) > _MOST_NAMED else ""
         line += f", {n_dependent} of them redundant among those of {names}{more}"
         line += " (of reactions there only sums are determined)"
-    return f"{line}; {free} degree{'s' * (free != 1)} of freedom"
+    line = f"{line}; {free} degree{'s' * (free != 1)} of freedom" if bodies else counts
+    return line + _merged_words(system)
+
+
+def _merged_words(system: System) -> str:
+    """Which bodies are merged; empty where none are."""
+    if system.merging is None:
+        return ""
+    own = np.flatnonzero(system.merging.is_merged)
+    names = ", ".join(system.names[b] for b in own[:_MOST_NAMED].tolist())
+    more = ", ..." if own.size > _MOST_NAMED else ""
+    parts = np.unique(system.merging.host[own]).size
+    return f"; {own.size} bodies are merged into {parts}: {names}{more}"
 
 
 class _Count:

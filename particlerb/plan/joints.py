@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.joints import ACTIONS, JointTable
+from particlerb.case.joints import ACTIONS
 from particlerb.case.output import FIELDS_OF_JOINTS
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.source import problem_at
@@ -20,7 +20,7 @@ from particlerb.contact.prescribed_motion import (
     prescribed_pose,
 )
 from particlerb.forces.links import Links
-from particlerb.joints.coordinates import COORDINATES, coordinates_of, united
+from particlerb.joints.coordinates import COORDINATES, united
 from particlerb.joints.drives import set_moving
 from particlerb.joints.records import (
     AT_REST,
@@ -36,7 +36,6 @@ from particlerb.joints.records import (
 from particlerb.joints.rows import linearise, rates, residuals
 from particlerb.joints.setup import NO_ACTIONS, both_actions, joints_among
 from particlerb.joints.solver import constrained_drift, project_momenta
-from particlerb.joints.types import rows_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import State, lengths, rotate_back
@@ -44,7 +43,8 @@ from particlerb.model.system import System
 from particlerb.plan.driven_bodies import driven_bodies
 from particlerb.plan.joint_actions import action_of, breaks_of, with_dashpots
 from particlerb.plan.joint_drives import Course, course_of, drives_from
-from particlerb.plan.joint_ends import WORLD, ends_of, pairs_of, unique
+from particlerb.plan.joint_ends import WORLD, Ties, ends_of, joint_name, pairs_of, unique
+from particlerb.plan.joint_rows import TableJoints, joints_of_table
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _ALLOWED: Final = 1e-6  # of its size that a joint may not fit at the start
@@ -66,7 +66,7 @@ class JointSetup(NamedTuple):
     coordinates: Coordinates  # with bodies of the system
     counts_turns: bool  # whether somebody asks for coordinates
     actions: Actions
-    until: Floats  # (j,) [s] when each is released
+    until: Floats  # (j,) [s] when each is released; -inf: its bodies are merged
     courses: tuple[Course, ...]  # what is prescribed
     breaks: Breaks  # (j,)
     driven: PrescribedBodies | None  # bodies of the system that move as prescribed
@@ -103,6 +103,12 @@ class JointSetup(NamedTuple):
         breaks = limits if np.isfinite(limits).any() else None
         return joints._replace(breaks=breaks)
 
+    @property
+    def acting(self) -> Ties:
+        """Joints that ever act."""
+        own = np.flatnonzero(self.until > 0.0)
+        return Ties(self.record[own], self.first[own], self.second[own])
+
     def drives_among(self, members: Ints) -> list[Course]:
         """What is prescribed among the members of a group."""
         own = np.unique(self.rows.drive[np.isin(self.rows.a, members)])
@@ -136,10 +142,12 @@ def joints_of(system: System) -> JointSetup | None:
     """
     if not system.joint:
         return None
+    merging = system.merging
+    if merging is not None:
+        system = merging.whole
     system = system._replace(state=system.placed or system.state)
     _refuse_with_joints(system)
-    names, records, rows, count, problems = [], [], [], [], []
-    coordinates, places = list[Coordinates](), list[Floats]()
+    problems, found = list[Problem](), list[TableJoints]()
     actions, driven = NO_ACTIONS, [k for k, t in enumerate(system.joint) if t.drive is not None]
     for number, table in enumerate(system.joint):
         first, second = pairs_of(system, table)
@@ -151,38 +159,36 @@ def joints_of(system: System) -> JointSetup | None:
             reason = f"{joint_name(system, table, first, second, 0)} has no length"
             problems.append(problem_at(system, f"joint[{number}]", reason, "give points apart"))
             continue
-        acts, is_driven = any(getattr(table, key) for key in ACTIONS), number in driven
-        action, drive = actions.motor.size, driven.index(number) if is_driven else AT_REST
-        own = rows_of(table.type, ends, action if acts else HOLDS, drive, table.along)
+        acts = any(getattr(table, key) for key in ACTIONS)
+        drive = driven.index(number) if number in driven else AT_REST
+        rows = actions.motor.size if acts else HOLDS, drive
+        found.append(joints_of_table(system, number, ends, merging, rows))
         actions = both_actions(actions, action_of(table)) if acts else actions
-        names += [joint_name(system, table, first, second, k) for k in range(first.size)]
-        records.append((np.full(first.size, number), first, second))
-        rows.append(own)
-        coordinates.append(coordinates_of(table.type, ends))
-        axes = ends.first["n"], ends.second.get("m", ends.second["n"])
-        places.append(np.stack([ends.first_at, ends.second_at, *axes], axis=1))
-        count.append(np.full(first.size, own.kind.size // first.size))
     if problems:
         raise CaseError(problems)
-    record, first, second = (np.concatenate(arrays) for arrays in zip(*records, strict=True))
+    columns = list(zip(*found, strict=True))
+    record, first, second, places, n_rows, until = map(np.concatenate, columns[3:])
     setup = JointSetup(
-        unique(names),
+        unique([name for own in found for name in own.names]),
         tuple(system.joint[k].type for k in record.tolist()),
         record,
         first,
         second,
-        np.cumsum([0, *np.concatenate(count)]),
-        Rows(*(np.concatenate(arrays) for arrays in zip(*rows, strict=True))),
-        np.concatenate(places),
-        united(coordinates, [own.size for _, own, _ in records]),
+        np.cumsum([0, *n_rows]),
+        Rows(*map(np.concatenate, zip(*(own.rows for own in found), strict=True))),
+        places,
+        united(columns[1], [len(own.names) for own in found]),
         "joint_coordinate" in asked_of_joints(system),
         actions,
-        np.array([system.joint[k].until for k in record.tolist()]),
+        until,
         tuple(course_of(table.drive) for table in system.joint if table.drive is not None),
         breaks_of(system, record),
         driven_bodies(system),
     )
-    if problems := _impossible(system, setup) + _held_impulses(system, setup):
+    problems = _held_impulses(system, setup)
+    if merging is None:
+        problems = _impossible(system, setup) + problems
+    if problems:
         raise CaseError(problems)
     return setup
 
@@ -203,14 +209,6 @@ def _refuse_with_joints(system: System) -> None:
     if system.contact is not None and system.contact.relax:
         reason = "bodies that joints hold are not pushed apart"
         raise CaseError([problem_at(system, "contact.relax", reason, "place them apart")])
-
-
-def joint_name(system: System, table: JointTable, first: Ints, second: Ints, k: int) -> str:
-    """Name of one joint of a table."""
-    if table.name is not None:
-        return table.name if first.size == 1 else f"{table.name}[{k}]"
-    other = "world" if second[k] == WORLD else system.names[int(second[k])]
-    return f"{system.names[int(first[k])]}-{other}"
 
 
 def _wrong_ends(system: System, number: int, first: Ints, second: Ints) -> Problem | None:

@@ -64,17 +64,17 @@ def links_of(system: System) -> list[Link]:
         there is none or too many, a point off the centre of mass of a body without extent or off
         the axis of a rod.
     """
-    links: list[Link] = []
-    problems: list[Problem] = []
+    links, problems = list[Link](), list[Problem]()
+    whole = system if system.merging is None else system.merging.whole
     for number, force in enumerate(system.force):
         if not is_link(force) or not isinstance(force, SpringTable):
             continue
         try:
-            link = _link_of(system, number, force)
+            link = _link_of(whole, number, force)
         except CaseError as error:
             problems += error.problems
             continue
-        problems += _misplaced_ends(system, link)
+        problems += _misplaced_ends(whole, link)
         links.append(link)
     if problems:
         raise CaseError(problems)
@@ -233,7 +233,8 @@ def attracted(system: System) -> Ints:
     if system.attraction is None:
         return np.zeros(0, dtype=np.int64)
     if system.attraction.body is None:
-        return np.arange(len(system.kind))
+        found = np.arange(len(system.kind))
+        return found if system.merging is None else np.setdiff1d(found, system.merging.carried)
     return system.names.find(system.attraction.body)
 
 

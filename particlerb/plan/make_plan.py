@@ -16,6 +16,7 @@ from particlerb.plan.contact_setup import contact_of
 from particlerb.plan.groups import groups_of
 from particlerb.plan.joints import joints_of
 from particlerb.plan.links import coincident, links_of
+from particlerb.plan.merging import merged, on_hosts
 from particlerb.plan.segments import GroupPlan, Plan, cut_into_segments, refuse_method
 from particlerb.plan.stability import growing_contacts, refuse_unstable
 from particlerb.plan.time_step import (
@@ -53,13 +54,18 @@ def make_plan(
         If a torque overflows or turns a body that cannot turn so, if the method does not accept a
         force, or if no step can be chosen.
     """
+    system = merged(system)
     loads = loads_of(system)
     links = links_of(system)
+    if system.merging is not None:
+        links = [on_hosts(link, system.merging) for link in links]
     problems = impossible(system, loads) + coincident(system)
     if problems:
         raise CaseError(problems)
     touching, joints = contact_of(system), joints_of(system)
     start, state = now or (0.0, system.state)
+    if now is not None and system.merging is not None:
+        state = system.merging.together(state)
     system = system._replace(state=state)
     grouped = groups_of(system, loads, links, touching, joints)
     cut = [part for group in grouped for part in cut_into_segments(system, group, touching, start)]

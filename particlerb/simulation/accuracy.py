@@ -24,6 +24,7 @@ from particlerb.integrators import METHODS
 from particlerb.model.system import System
 from particlerb.plan.describe import describe, group_name
 from particlerb.plan.make_plan import make_plan
+from particlerb.plan.merging import merged
 from particlerb.plan.segments import GroupPlan, Plan, accepts, has_step
 from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.simulation.pilot import Pilot
@@ -82,7 +83,7 @@ def prepare_accurately(system: System) -> Prepared:
     if system.run.accuracy is None:
         return prepare(system)
     system = made_ready(system)
-    free, found = system.with_run(method="auto"), []
+    free, found = merged(system.with_run(method="auto")), []
 
     def choose(group: GroupPlan) -> Stepping | None:
         found.append(search(free, group))
@@ -90,7 +91,7 @@ def prepare_accurately(system: System) -> Prepared:
 
     chosen = make_plan(free, choose)
     choice = [None if one is None else one.stepping for one in found]
-    estimate = _estimate_of(system, chosen, found)
+    estimate = _estimate_of(free, chosen, found)
     warnings = chosen.warnings
     if not estimate.is_met:
         worst = max(estimate.groups, key=lambda group: group[2])[0]

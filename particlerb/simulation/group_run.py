@@ -15,6 +15,7 @@ from particlerb.forces.user_kicks import Written
 from particlerb.integrators import METHODS
 from particlerb.joints.reactions import energy_of_joints
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, State, quaternion_product
 from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
@@ -223,6 +224,16 @@ class GroupRun:
         members = self.plan.members
         q = quaternion_product(frames.orientation[row, members].T, self.plan.bodies.rotor_frame)
         return frames.position[row, members].T, q
+
+
+def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
+    """Bodies as the energy balance counts them: those that are held have no mass."""
+    mass, inv_mass = bodies.mass.copy(), bodies.inv_mass.copy()
+    for group in groups:
+        mass[group.members], inv_mass[group.members] = group.bodies.mass, group.bodies.inv_mass
+    return bodies._replace(
+        mass=mass, inv_mass=inv_mass, inv_inertia=bodies.inv_inertia * (mass > 0)
+    )
 
 
 def record_all(

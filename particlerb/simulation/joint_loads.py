@@ -10,10 +10,10 @@ import numpy as np
 
 from particlerb.case.to_system import to_system
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import STATE_FIELDS, State, quaternion_product
+from particlerb.model.state import STATE_FIELDS, Frames
 from particlerb.plan.joints import joints_of
 from particlerb.record.trajectory import Trajectory
-from particlerb.simulation.joint_values import JointReader, room_for_values
+from particlerb.simulation.joint_values import LoadReader, room_for_values
 from particlerb.simulation.run import prepare
 
 
@@ -45,28 +45,16 @@ def joint_loads(trajectory: Trajectory) -> JointLoads:
     KeyError
         If it has no joints.
     """
-    system = prepare(to_system(trajectory.case))
-    setup = joints_of(system.system)
+    system = prepare(to_system(trajectory.case)).system
+    setup = joints_of(system)
     if setup is None:
         raise KeyError("the trajectory has no joints")
     times = trajectory.time
     found = room_for_values(setup, times.size)
-    states = [np.asarray(getattr(trajectory, name)) for name in STATE_FIELDS]
-    broken_at = trajectory.joint_break_time if np.isfinite(setup.breaks).any() else np.zeros(0)
-    for group in system.plan.groups:
-        for segment in group.segments:
-            if segment.terms.joints is None:
-                continue
-            reader: JointReader | None = None
-            for k in np.flatnonzero((segment.start <= times) & (times < segment.stop)).tolist():
-                x, q, p, L = (np.ascontiguousarray(v[k, group.members].T) for v in states)
-                state = State(x, quaternion_product(q, group.bodies.rotor_frame), p, L)
-                reader = reader or JointReader(group, segment, state)
-                broken = np.full(reader.joints.number.size, np.inf)
-                if broken_at.size:
-                    own = np.append(np.where(broken_at[k] > 0.0, broken_at[k], np.inf), np.inf)
-                    broken = own[reader.joints.number]
-                reader.read(float(times[k]), state, None, broken, found, k)
+    if np.isfinite(setup.breaks).any():
+        found.joint_break_time[:] = trajectory.joint_break_time
+    x, q, p, L = (np.asarray(getattr(trajectory, name)) for name in STATE_FIELDS)
+    LoadReader(system).read(times, Frames(x, q, p, L, q[0], times > 0.0), found)
     return JointLoads(
         setup.names,
         found.joint_force,

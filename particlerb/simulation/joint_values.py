@@ -21,10 +21,12 @@ from particlerb.joints.reactions import find_multipliers, forces_of_joints, make
 from particlerb.joints.rows import linearise, rates, residuals
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import COM, into_blocks
-from particlerb.model.state import State
+from particlerb.model.state import Frames, State, quaternion_product
 from particlerb.model.system import System
 from particlerb.plan.joint_words import work_at
 from particlerb.plan.joints import JointSetup, asked_of_joints, joints_of
+from particlerb.plan.make_plan import make_plan
+from particlerb.plan.merging import unmerged
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.stepping.stepped_motion import SteppedMotion
 
@@ -109,6 +111,45 @@ def recorded_values(
     """Those of the fields, for some rows."""
     asked = () if values is None else [name for name in JointValues._fields if name in fields]
     return {name: getattr(values, name)[rows] for name in asked}
+
+
+class LoadReader:
+    """Finds what joints carry from frames alone, those inside of merged bodies included.
+
+    It is found as if no bodies were merged: the constraints of all joints, in the same states.
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = unmerged(system)
+        self.plan = make_plan(self.system.with_run(method="auto", accuracy=None))
+        self.readers: dict[tuple[int, int], JointReader] = {}
+
+    @classmethod
+    def of(cls, system: System) -> "LoadReader | None":
+        """One for a system with merged bodies; None where there are none."""
+        return None if system.merging is None else cls(system)
+
+    def read(self, times: Floats, frames: Frames, values: JointValues) -> None:
+        """Write all rows but coordinates and times of breaking, which are there."""
+        for k, time in enumerate(times.tolist()):
+            self._read_row(time, frames, values, k)
+
+    def _read_row(self, time: float, frames: Frames, values: JointValues, k: int) -> None:
+        """Write one row."""
+        x, q, p, L = (values_[k] for values_ in frames[:4])
+        broken = np.append(values.joint_break_time[k], 0.0)
+        broken = np.where(broken > 0.0, broken, np.inf)
+        for g, group in enumerate(self.plan.groups):
+            of = group.members
+            s = next(s for s, own in enumerate(group.segments) if own.start <= time < own.stop)
+            if group.segments[s].terms.joints is None:
+                continue
+            rotor = quaternion_product(q[of].T, group.bodies.rotor_frame)
+            state = State(*(np.ascontiguousarray(v) for v in (x[of].T, rotor, p[of].T, L[of].T)))
+            if (g, s) not in self.readers:
+                self.readers[g, s] = JointReader(group, group.segments[s], state)
+            reader = self.readers[g, s]
+            reader.read(time, state, None, broken[reader.joints.number], values, k)
 
 
 class JointReader:

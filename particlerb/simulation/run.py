@@ -6,7 +6,7 @@ nothing in the motion, so a run can be prolonged, or recorded more finely, witho
 """
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -18,14 +18,15 @@ from particlerb.case.to_system import to_case
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
-from particlerb.model.bodies import Bodies, taken
+from particlerb.model.bodies import taken
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.system import System
 from particlerb.plan.describe import describe
 from particlerb.plan.joints import asked_of_joints, assembled, joints_of
 from particlerb.plan.make_plan import make_plan
+from particlerb.plan.merging import merged
 from particlerb.plan.remove_overlaps import remove_overlaps
-from particlerb.plan.segments import GroupPlan, Plan
+from particlerb.plan.segments import Plan
 from particlerb.record.checkpoint import Checkpoint
 from particlerb.record.frame_values import NewFrames
 from particlerb.record.layout import tables_of
@@ -35,6 +36,7 @@ from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.simulation.frame_times import Batch, batches
 from particlerb.simulation.group_run import (
     GroupRun,
+    counted,
     initial_energies,
     own_failure,
     record_all,
@@ -43,6 +45,7 @@ from particlerb.simulation.group_run import (
 from particlerb.simulation.impulse_values import impulse_fields
 from particlerb.simulation.joint_values import (
     JointValues,
+    LoadReader,
     at_row,
     broken_joints,
     labels_of,
@@ -133,21 +136,23 @@ class Run:
 
     def __init__(self, prepared: Prepared) -> None:
         self.system, plan = prepared.system, prepared.plan
+        self.moving = merged(self.system)  # with bodies that move as one
         self.gravity = self.system.acceleration
-        initial = as_frame(self.system.bodies, self.system.state)
+        initial = as_frame(self.moving.bodies, self.moving.state)
         self.last = initial.last
         self.room = initial  # used again and again: fresh memory costs more than what fills it
-        self.checks = StateChecks(self.system, plan)
+        self.checks = StateChecks(self.moving, plan)
         self.group_runs = [
-            GroupRun(group, taken(self.system.state, group.members)) for group in plan.groups
+            GroupRun(group, taken(self.moving.state, group.members)) for group in plan.groups
         ]
-        self.counted = counted(plan.groups, self.system.bodies)
+        self.counted = counted(plan.groups, self.moving.bodies)
         energies = initial_energies(self.group_runs, initial)
         self.balance = EnergyBalance(totals(initial, self.counted, self.gravity, *energies))
         self.before = np.zeros(7)  # booked before the last restart,
         self.turned_over_before = 0.0  # and gross work of contacts [J]
 
         self.setup = joints_of(self.system) if asked_of_joints(self.system) else None
+        self.loads = LoadReader.of(self.moving) if self.setup is not None else None
         self.joints: JointValues | None = None  # in rows of the last frames, where asked for
         self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows
         self.n_frames = 0  # that lie behind
@@ -155,14 +160,14 @@ class Run:
 
     def finish(self, time: float) -> State:
         """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
-        whole = State(*(np.empty_like(values) for values in self.system.state))
+        whole = State(*(values.copy() for values in self.moving.state))
         for group_run in self.group_runs:
             state, booked = group_run.finish(time)
             self.before += booked
             for values, own in zip(whole, state, strict=True):
                 values[:, group_run.plan.members] = own
         self.turned_over_before += sum(t.turned_over() for t in self.group_runs)
-        return whole
+        return whole if self.moving.merging is None else self.moving.merging.apart(whole)
 
     def restart(self, system: System, plan: Plan, state: State, last: Entries) -> None:
         """Go on from a state, where the run was finished, by another plan.
@@ -171,14 +176,16 @@ class Run:
         Contacts keep what they kept where their group stays the same.
         """
         known = {t.plan.members.tobytes(): t.motion for t in self.group_runs}
-        self.system, self.gravity = system, system.acceleration
-        self.checks = StateChecks(system, plan)
+        self.system, self.gravity, self.moving = system, system.acceleration, merged(system)
+        if self.moving.merging is not None:
+            state = self.moving.merging.together(state)
+        self.checks = StateChecks(self.moving, plan)
         self.group_runs = [
             GroupRun(group, taken(state, group.members), known.get(group.members.tobytes()))
             for group in plan.groups
         ]
-        self.counted = counted(plan.groups, system.bodies)
-        frame = as_frame(system.bodies, state)
+        self.counted = counted(plan.groups, self.moving.bodies)
+        frame = as_frame(self.moving.bodies, state)
         energies = initial_energies(self.group_runs, frame)
         now = totals(frame, self.counted, self.gravity, *energies)
         self.before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
@@ -225,6 +232,8 @@ class Run:
         """
         if times.size > len(self.room.position):
             self.room = room_for(times.size, len(self.system.kind), self.last)
+            if self.moving.merging is not None:
+                self.moving.merging.clear(self.room)
         frames = self.room.rows(slice(times.size))
         frames.is_frame[:] = is_frame
         if self.setup is not None:
@@ -246,7 +255,12 @@ class Run:
             frames = frames.rows(slice(sound))
             now = totals(frames, self.counted, self.gravity, *(e[:sound] for e in energies))
         turned_over = self.turned_over_before + sum(t.turned_over() for t in self.group_runs)
-        return frames, self.balance.enter(now, booked[:sound], turned_over), error
+        entries = self.balance.enter(now, booked[:sound], turned_over)
+        if self.moving.merging is not None:
+            frames = self.moving.merging.shown(frames)
+        if self.loads is not None and self.joints is not None:
+            self.loads.read(times[:sound], frames, self.joints)
+        return frames, entries, error
 
     def to_record(self, times: Floats, frames: Frames, rows: Ints, entries: Entries) -> NewFrames:
         """What is recorded of rows of the last frames, which are at these times [s]."""
@@ -255,16 +269,6 @@ class Run:
         asked = next((t.contacts for t in self.group_runs if t.contacts), {})
         contacts = [asked[row] for row in rows.tolist()] if asked else []
         return NewFrames(times[rows], frames, rows, entries, contacts, fields)
-
-
-def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
-    """Bodies as the energy balance counts them: those that are held have no mass."""
-    mass, inv_mass = bodies.mass.copy(), bodies.inv_mass.copy()
-    for group in groups:
-        mass[group.members], inv_mass[group.members] = group.bodies.mass, group.bodies.inv_mass
-    return bodies._replace(
-        mass=mass, inv_mass=inv_mass, inv_inertia=bodies.inv_inertia * (mass > 0)
-    )
 
 
 def run_prepared(

@@ -23,8 +23,7 @@ from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.system import System
 from particlerb.plan.rates import rates
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
-from particlerb.simulation.group_run import GroupRun, initial_energies, record_all
-from particlerb.simulation.run import counted
+from particlerb.simulation.group_run import GroupRun, counted, initial_energies, record_all
 from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import CompositeMotion, Energies, part_of
 from particlerb.stepping.stepped_motion import SteppedMotion

@@ -27,6 +27,7 @@ from particlerb.model.state import Frames, as_frame, omega_world
 from particlerb.model.system import System
 from particlerb.plan.joints import assembled
 from particlerb.plan.make_plan import make_plan
+from particlerb.plan.merging import unmerged
 from particlerb.plan.rates import fastest_rate
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import Plan, has_step, is_adaptive
@@ -188,7 +189,7 @@ class Study:
     """A system with its reference, ready to be measured."""
 
     def __init__(self, system: System, budget: float) -> None:
-        self.system = assembled(remove_overlaps(system))
+        self.system = unmerged(assembled(remove_overlaps(system)))  # as peers have it
         self.t_end = system.run.t_end
         auto = self.plan("auto")
         segments = [segment for group in auto.groups for segment in group.segments]

@@ -1,0 +1,189 @@
+"""Bodies that `fixed` joints hold together for good become one: no rows, no iterations.
+
+They are merged where all that acts on them is known to act on a rigid body alike: gravity,
+attraction, pushes, torques, springs and other joints. What they carry between them follows from the
+motion (simulation/joint_values.py), which asking for it does not change.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.case.joints import JointTable
+from particlerb.geometry.mass_properties import MassProperties, mass_properties
+from particlerb.geometry.particles import Particles, concatenate, kind_of, transformed, united
+from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.model.bodies import Bodies, bodies_of_kind, held
+from particlerb.model.merging import Merging
+from particlerb.model.state import (
+    CONJUGATE,
+    body_orientation,
+    quaternion_product,
+    rotate_back,
+    rotation_matrix,
+)
+from particlerb.model.system import System
+from particlerb.plan.joint_ends import WORLD, pairs_of
+from particlerb.plan.links import Link, attracted, components
+
+_KNOWN: Final = ("push", "torque", "spring")  # forces that act on merged bodies
+
+
+def merges(table: JointTable) -> bool:
+    """Whether a joint asks for one body in place of two."""
+    lasts = table.until == math.inf and table.breaks_at is None
+    return table.type == "fixed" and table.merge and lasts
+
+
+def unmerged(system: System) -> System:
+    """The system in which each body moves by itself."""
+    whole = system if system.merging is None else system.merging.whole
+    tables = (
+        t.model_copy(update={"merge": False}) if t.type == "fixed" else t for t in whole.joint
+    )
+    return whole._replace(joint=tuple(tables))
+
+
+def merged(system: System) -> System:
+    """The system with bodies merged that joints hold together for good; itself without such.
+
+    It has the same numbers of bodies and joints: what another body carries takes no part.
+    """
+    if system.merging is not None or not any(map(merges, system.joint)):
+        return system
+    parts = _parts_of(system)
+    return _with_parts(system, *parts) if parts.is_merged.any() else system
+
+
+class _Parts(NamedTuple):
+    """Which bodies are merged."""
+
+    host: Ints  # (n,) the body that carries each
+    is_merged: Bools  # (n,)
+    is_held: Bools  # (n,) by the world, or a body that does not move
+
+
+class _Tie:
+    """Bodies that joints hold together, or to the world, which has number n."""
+
+    def __init__(self, system: System, tables: list[JointTable]) -> None:
+        n = system.n_bodies
+        pairs = [pairs_of(system, table) for table in tables]
+        self.first, self.second = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
+        self.second = np.where(self.second == WORLD, n, self.second)
+
+
+def _parts_of(system: System) -> _Parts:
+    """Who carries whom."""
+    n = system.n_bodies
+    still = np.flatnonzero(system.is_held)
+    tie = _Tie(system, [table for table in system.joint if merges(table)])
+    label = components(n + 1, [tie], np.r_[n, still])
+    kept = label[_kept_apart(system)]
+    others = [table for table in system.joint if not merges(table)]
+    if others:
+        ends = _Tie(system, others)
+        kept = np.r_[kept, label[ends.first[label[ends.first] == label[ends.second]]]]
+    label, of_world = label[:n], label[n]
+    is_merged = (np.bincount(label, minlength=n) + (np.arange(n) == of_world) > 1)[label]
+    is_merged &= ~np.isin(label, kept)
+    is_merged[still] = False
+    host, own = np.arange(n), np.flatnonzero(is_merged)
+    _, first, part = np.unique(label[own], return_index=True, return_inverse=True)
+    host[own] = own[first[part]]
+    return _Parts(host, is_merged, is_merged & (label == of_world))
+
+
+def _kept_apart(system: System) -> Ints:
+    """Bodies on which something acts that is not known to act on merged bodies alike."""
+    n = system.n_bodies
+    if system.contact is not None:
+        return np.arange(n)
+    moves = np.array([body.motion is not None for body in system.body])[system.block]
+    found = [np.flatnonzero(moves)]
+    for force in system.force:
+        turns = getattr(force, "frame", "world") == "body" and force.timed is not None
+        if force.type not in _KNOWN or turns or getattr(force, "reach", None) is not None:
+            found.append(system.names.find(force.body))
+    heavy = attracted(system)
+    if heavy.size and heavy.size < n:
+        found.append(np.arange(n))
+    return np.unique(np.concatenate(found))
+
+
+def _with_parts(system: System, host: Ints, is_merged: Bools, is_held: Bools) -> System:
+    """The system whose bodies of a host are one."""
+    n, own = system.n_bodies, np.flatnonzero(is_merged)
+    com, q, _, _ = system.state
+    axes = body_orientation(q, system.bodies.rotor_frame)
+    turn = np.zeros((4, n))
+    turn[0] = 1.0
+    turn[:, own] = quaternion_product(axes[:, host[own]] * CONJUGATE, axes[:, own])
+    shift = np.zeros((3, n))
+    shift[:, own] = rotate_back(axes[:, host[own]], com[:, own] - com[:, host[own]])
+    hosts = np.unique(host[own])
+    sets = [_united(system, np.flatnonzero(host == h), turn, shift) for h in hosts.tolist()]
+    particles = concatenate(sets)
+    properties = mass_properties(particles)
+    for k, h in enumerate(hosts.tolist()):
+        shift[:, host == h] -= properties.com[k][:, None]
+    counts = np.diff(particles.offset)
+    centres = np.repeat(properties.com, counts, axis=0)
+    particles = particles._replace(position=particles.position - centres)
+    reach = np.linalg.norm(particles.position, axis=1) + particles.radius
+    kind = system.kind.copy()
+    kind[hosts] = len(system.reach) + np.arange(hosts.size)
+    bodies = _bodies_of(system.bodies, properties, hosts)
+    absent = is_merged & (host != np.arange(n))
+    merging = Merging(system, held(bodies, absent | is_held), host, turn, shift, is_merged, is_held)
+    united_properties = (
+        np.concatenate(pair) for pair in zip(system.properties, properties, strict=True)
+    )
+    return system._replace(
+        kind=kind,
+        particles=concatenate([system.particles, particles]),
+        properties=MassProperties(*united_properties),
+        summed=np.r_[system.summed, counts],
+        reach=np.r_[system.reach, np.maximum.reduceat(reach, particles.offset[:-1])],
+        bodies=held(bodies, absent),
+        state=merging.together(system.state),
+        merging=merging,
+    )
+
+
+def _united(system: System, members: Ints, turn: Floats, shift: Floats) -> Particles:
+    """Particles of bodies as one set, body frame of their host."""
+    sets = [
+        transformed(
+            kind_of(system.particles, int(system.kind[b])), rotation_matrix(turn[:, b]), shift[:, b]
+        )
+        for b in members.tolist()
+    ]
+    return united(concatenate(sets))
+
+
+def _bodies_of(bodies: Bodies, properties: MassProperties, hosts: Ints) -> Bodies:
+    """Constants of bodies, those of hosts from the mass properties of all that they carry."""
+    found = bodies_of_kind(properties, np.arange(hosts.size))
+    changed = Bodies._make(values.copy() for values in bodies)
+    for values, own in zip(changed, found, strict=True):
+        values[..., hosts] = own
+    return changed
+
+
+def on_hosts(link: Link, merging: Merging) -> Link:
+    """The same springs between the bodies that carry theirs; without those inside of one."""
+    inside = link.second != WORLD
+    second = np.where(inside, merging.host[link.second], WORLD)
+    first = merging.host[link.first]
+    kept = first != second
+    at, to_at = link.first_at, link.second_at.copy()
+    to_at[:, inside] = merging.placed(link.second[inside], to_at[:, inside])
+    return link._replace(
+        first=first[kept],
+        second=second[kept],
+        first_at=merging.placed(link.first, at)[:, kept],
+        second_at=to_at[:, kept],
+        rest_length=link.rest_length[kept],
+    )
