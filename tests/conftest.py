@@ -19,12 +19,12 @@ PLAIN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs the compiler where it is switched off."""
-    if not PLAIN:
-        return
+    """Skip what needs the compiler where it is switched off, and what does not where it is on."""
+    marker = "compiled" if PLAIN else "plain"
+    reason = "NUMBA_DISABLE_JIT is set" if PLAIN else "takes long to compile, and shows no more"
     for item in items:
-        if item.get_closest_marker("compiled"):
-            item.add_marker(pytest.mark.skip(reason="NUMBA_DISABLE_JIT is set"))
+        if item.get_closest_marker(marker):
+            item.add_marker(pytest.mark.skip(reason=reason))
 
 
 def body(name: str = "body", inertia: Sequence[float] = (1.0, 2.0, 2.5), **keys) -> dict:

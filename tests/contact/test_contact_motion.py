@@ -592,6 +592,7 @@ def test_threads_give_the_same_bits(make, shaken, monkeypatch, threads):
     same(shaken, ran(case))
 
 
+@pytest.mark.plain
 def test_the_loop_in_python_that_spreads_attraction_gives_the_same_bits(make, monkeypatch):
     case = crowd(make, t_end=0.01, every=0.0031, dt=1e-3, wall=[shaking(make)])
     case["attraction"] = {"G": 0.1}
@@ -613,6 +614,7 @@ def two_on_a_dashpot(make, contact):
     return make.case(*balls, force=[spring | {"rest_length": 1.0}], **keys) | {"run": run}
 
 
+@pytest.mark.plain
 def test_dashpots_between_bodies_act_beside_contact(make, monkeypatch):
     free, beside = (ran(two_on_a_dashpot(make, contact)) for contact in (False, True))
     assert np.abs(free.v[-1] - free.v[0]).max() > 0.02

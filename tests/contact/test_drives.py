@@ -168,6 +168,7 @@ def test_bodies_of_a_block_go_round_one_centre_together(make):
         assert t.position[-1, :4] - [1.0, 0, 0] == pytest.approx(turn.apply(arms), abs=1e-14)
 
 
+@pytest.mark.plain
 def test_a_file_with_a_driven_body_is_whole(make, tmp_path):
     """Summed again, the ledger counts no bodies that are held either, and lids beside bodies."""
     bodies = [

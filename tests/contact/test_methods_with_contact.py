@@ -11,7 +11,6 @@ from collision import displacement, hertz_duration, hooke_duration
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
-from particlerb.compiled.jit import config
 from particlerb.contact.restitution import damping_ratio
 from particlerb.integrators import METHODS
 from particlerb.simulation.run import prepare
@@ -23,9 +22,7 @@ METHODS_OF_CONTACT = ("strang", *OTHERS)
 ORDER = {"strang": 2.0, "semi_implicit_euler": 1.0, "explicit_euler": 1.0, "rk4": 4.0}
 FLOOR = {"type": "plane", "name": "floor", "normal": [0, 0, 1]}
 SHEAR = 2.0 / 7.0 * K
-plain = pytest.mark.skipif(
-    not config.DISABLE_JIT, reason="takes long to compile, and shows no more"
-)
+plain = pytest.mark.plain
 
 
 def ball(height=RADIUS - REST, name="ball", **keys):

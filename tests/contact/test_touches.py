@@ -191,6 +191,7 @@ def test_contacts_are_in_the_precision_asked_for(make):
         assert t.contact_number.tolist()[0] == [0, 2, 2, 1]
 
 
+@pytest.mark.plain
 def test_a_run_that_is_resumed_shows_the_same_contacts_bodies_and_walls(make, tmp_path):
     """With a lid that slides and a body that is driven: the file is that of a straight run."""
     lid = make.plane([0, 0, -1], "lid", point=[0, 0, 0.2])

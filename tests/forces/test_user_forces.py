@@ -14,7 +14,6 @@ import pytest
 
 import particlerb
 from particlerb import CaseError, RunError, Scene, Simulation
-from particlerb.compiled.jit import config
 from particlerb.forces import Terms, acting_of, row_count, rows_of_terms
 from particlerb.forces.user_kicks import class_of
 from particlerb.integrators import METHODS
@@ -35,9 +34,7 @@ from particlerb.tables import (
 )
 
 NO_TORQUE = (0.0, 0.0, 0.0)
-plain = pytest.mark.skipif(
-    not config.DISABLE_JIT, reason="physics: in plain Python alone, to compile no more kernels"
-)
+plain = pytest.mark.plain
 
 
 def stretch(x, anchor):
@@ -443,6 +440,7 @@ def command(folder, *words):
     )  # fmt: skip
 
 
+@pytest.mark.plain
 @pytest.mark.slow
 def test_code_runs_only_where_it_is_allowed_on_the_command_line(foreign):
     trace = foreign / "trace"

@@ -1,6 +1,5 @@
 """Impulses are kept from step to step: runs that are resumed, threads, frames between steps."""
 
-import numba
 import numpy as np
 import pytest
 from impulse_scenes import DOWN, R, case, clump, go, impulse, plane, sphere
@@ -10,9 +9,7 @@ import particlerb
 STATE = ("position", "orientation", "linear_momentum", "angular_momentum")
 
 
-plain = pytest.mark.skipif(
-    not numba.config.DISABLE_JIT, reason="takes long to compile, and shows no more"
-)
+plain = pytest.mark.plain
 
 
 def heap(n=3, contact=None, **keys):

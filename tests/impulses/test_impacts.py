@@ -1,13 +1,10 @@
 """Restitution: bounces, rows of balls, rods, clumps that meet in free space."""
 
-import numba
 import numpy as np
 import pytest
 from impulse_scenes import DOWN, G, R, clump, errors, exact, go, impulse, plane, sphere
 
-plain = pytest.mark.skipif(
-    not numba.config.DISABLE_JIT, reason="takes long to compile, and shows no more"
-)
+plain = pytest.mark.plain
 
 
 @pytest.mark.parametrize("dt", [0.1, 0.01])

@@ -2,14 +2,11 @@
 
 import math
 
-import numba
 import numpy as np
 import pytest
 from impulse_scenes import DOWN, G, R, clump, errors, exact, go, impulse, plane, sphere
 
-plain = pytest.mark.skipif(
-    not numba.config.DISABLE_JIT, reason="takes long to compile, and shows no more"
-)
+plain = pytest.mark.plain
 
 
 def tilted(angle, heading=0.0):

@@ -1,6 +1,5 @@
 """Whole steps beside dense ones in NumPy that share no code with them: see moreau_by_numpy.py."""
 
-import numba
 import numpy as np
 import pytest
 from impulse_scenes import CORNERS, DOWN, G, R, case, exact, plane
@@ -60,7 +59,7 @@ SCENES = {
 }  # fmt: skip
 
 
-@pytest.mark.skipif(not numba.config.DISABLE_JIT, reason="takes long to compile, and shows no more")
+@pytest.mark.plain
 @pytest.mark.parametrize("name", SCENES)
 def test_a_hundred_steps_are_those_of_dense_matrices(name):
     pairs, normals, e, mu, impacts, slides, moves = SCENES[name]

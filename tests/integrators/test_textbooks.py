@@ -233,6 +233,7 @@ def test_a_baseline_takes_rods_and_points_as_its_textbook_does(make, method, kin
     compare(make, method, *THIN[kind], force)
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("acting", FORCES)
 def test_stages_of_dop853_are_those_of_its_textbook(make, acting):
     """One long step at a time, with a tolerance that lets all of them through."""

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numba import config
 from scenes import X, Y, bar, body, case, joint, moved
 
 import particlerb
@@ -17,9 +16,7 @@ OUTPUT = {"fields": FIELDS}
 
 LIGHT = (0.0, 0.0, -1e-300)  # too small to change a bit, as are
 GHOSTS = {"damper": 1e-300, "motor": 1e-300}  # these: with them all share one compiled loop
-plain = pytest.mark.skipif(
-    not config.DISABLE_JIT, reason="takes long to compile, and shows no more"
-)
+plain = pytest.mark.plain
 
 
 def flap(speed=0.0, g=(0.0, 0.0, 0.0), **keys):

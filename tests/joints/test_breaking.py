@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numba import config
 from scenes import Y, Z, bar, body, case, joint, moved
 from test_actions import OUTPUT, flap
 
@@ -11,9 +10,7 @@ from particlerb import CaseError, joint_loads
 from particlerb.case.to_system import to_system
 from particlerb.simulation.run import prepare
 
-pytestmark = pytest.mark.skipif(
-    not config.DISABLE_JIT, reason="test_compiled_drives.py has one loop with all of it"
-)
+pytestmark = pytest.mark.plain  # test_compiled_drives.py has one loop with all of it
 
 
 def weight_on_a_wire(limit, **keys):

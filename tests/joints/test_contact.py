@@ -1,6 +1,5 @@
 """Jointed bodies that touch: stops, floors, energy, order, resuming, threads."""
 
-import numba
 import numpy as np
 import pytest
 from holds import misfits
@@ -18,9 +17,7 @@ FIELDS += ["velocity", "angular_velocity"]
 ELASTIC = {"stiffness": 2e4, "restitution": 1.0, "friction": 0.0}
 
 
-plain = pytest.mark.skipif(
-    not numba.config.DISABLE_JIT, reason="takes long to compile, and shows no more"
-)
+plain = pytest.mark.plain
 
 
 def string_of(n, length, radius=0.05, **keys):

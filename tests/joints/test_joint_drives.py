@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numba import config
 from scenes import X, Y, Z, bar, body, case, joint, moved
 from test_actions import MOMENT, OUTPUT, angle, flap
 
@@ -11,9 +10,7 @@ from particlerb.case.to_system import to_system
 from particlerb.plan.joint_drives import course_of
 from particlerb.simulation.run import prepare
 
-pytestmark = pytest.mark.skipif(
-    not config.DISABLE_JIT, reason="test_compiled_drives.py has one loop with all of it"
-)
+pytestmark = pytest.mark.plain  # test_compiled_drives.py has one loop with all of it
 SWING = {"amplitude": 0.1, "frequency": 1.5, "phase": 0.25 * np.pi}
 RATE = 2 * np.pi * 1.5
 

@@ -36,6 +36,7 @@ def test_a_bar_let_go_leaves_a_quarter_of_its_weight_on_the_pivot():
     assert np.abs(loads.torque[0, 0]).max() < 1e-12
 
 
+@pytest.mark.plain
 def test_a_push_and_a_spring_are_carried_too():
     block = body("block", 2.0, [0.1, 0.2, 0.3], [0, 0, 0])
     push = {"type": "push", "body": "block", "at": [0, 0.3, 0], "force": [5.0, 0.0, 0.0]}

@@ -99,6 +99,7 @@ def pulled():
     return case(bodies, joints, force=force, attraction={"G": 0.5, "softening": 0.3})
 
 
+@pytest.mark.plain
 def test_forces_with_a_potential_act_on_jointed_bodies_at_order_two():
     errors, ends = [], []
     for dt in (0.01, 0.005, 0.0025):

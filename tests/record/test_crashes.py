@@ -8,10 +8,8 @@ import pytest
 from crashes import Session, build
 from every_prefix import Recorded, faults, kills, power_cuts
 
-from particlerb.compiled.jit import config
-
 pytestmark = [
-    pytest.mark.skipif(not config.DISABLE_JIT, reason="takes long to compile, and shows no more"),
+    pytest.mark.plain,
     pytest.mark.skipif(sys.platform != "linux", reason="libraries are preloaded as Linux does"),
 ]
 

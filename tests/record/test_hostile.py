@@ -15,7 +15,6 @@ import pytest
 from h5py import h5d, h5p, h5s
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numba import config
 
 import particlerb
 from particlerb.case.output import FIELDS_OF_CONTACT
@@ -140,7 +139,7 @@ def stored(dataset):
     return dataset.id.get_chunk_info(0).byte_offset, row * min(len(dataset), dataset.chunks[0])
 
 
-@pytest.mark.skipif(not config.DISABLE_JIT, reason="takes long to compile, and shows no more")
+@pytest.mark.plain
 def test_a_changed_byte_of_any_dataset_is_found(make, tmp_path):
     """In a file that has everything: contacts, walls, both slots of the checkpoint."""
     path, places = tmp_path / "run.h5", {}

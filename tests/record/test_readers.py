@@ -12,7 +12,6 @@ import pytest
 
 import particlerb
 from particlerb.case.output import FIELDS_OF_CONTACT, FIELDS_OF_JOINTS
-from particlerb.compiled.jit import config
 from particlerb.record.schema import FIELDS, SERIES
 
 ALL = list(FIELDS)
@@ -179,9 +178,7 @@ OPTIONAL = {name: [name] for name in (*FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS)} | 
 }
 
 
-plain = pytest.mark.skipif(
-    not config.DISABLE_JIT, reason="takes long to compile, and shows no more"
-)
+plain = pytest.mark.plain
 EACH = [pytest.param(name, marks=plain) for name in OPTIONAL]
 
 

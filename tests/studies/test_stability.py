@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from particlerb.compiled.jit import config
 from particlerb.integrators import UNJOINTED
 from particlerb.integrators.rkn6 import DRIFTS, KICKS
 from particlerb.model.state import kinetic_energy
@@ -53,9 +52,7 @@ from particlerb.studies.stability_runs import (
 from particlerb.studies.stability_table import csv_rows, number, table
 
 measured = functools.cache(limits_of)
-plain = pytest.mark.skipif(
-    not config.DISABLE_JIT, reason="takes long to compile, and shows no more"
-)
+plain = pytest.mark.plain
 compiled = pytest.mark.compiled
 
 

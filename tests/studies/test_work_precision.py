@@ -131,6 +131,7 @@ def test_failed_points_are_marked_and_kept(tumbling):
     assert all(p not in failed for p in frontier(found.points))
 
 
+@pytest.mark.plain
 def test_a_run_that_ends_in_an_error_is_a_failed_point(make):
     """Explicit Euler lets the ball on its spring swing more widely, until a step is too long."""
     ball = make.sphere(position=[0.3, 0.0, 0.0], velocity=[1.0, 0.0, 0.0])
