@@ -15,10 +15,11 @@ and were the method ever to switch, its error control would still hold with the 
 """
 
 from contextlib import AbstractContextManager, nullcontext
-from time import perf_counter
 from types import ModuleType
 
 import numpy as np
+
+from particlerb.compiled.threads import THREADS
 
 from .scene import Result, Scene, absent, loads, result, to_rotor, to_world
 
@@ -137,9 +138,9 @@ def run(scene: Scene, variant: str, step: float) -> Result:
 
     slope(0.0, state)
     with one_thread():
-        started = perf_counter()
+        started = THREADS.own.clock()
         state = SOLVERS[method](integrate, slope, state, scene.t_end, step)
-        seconds = perf_counter() - started
+        seconds = THREADS.own.clock() - started
     return gathered(scene, seconds, state, constants, unit, bool(world))
 
 

@@ -244,6 +244,7 @@ def add_chart(chart: _Parser) -> None:
         "--error", type=positive, metavar="RAD",
         help="error to advise for; default: 1e-6, for contact the energy_drift of the case",
     )  # fmt: skip
+    _add_flag(chart, "--processor-time", help="in place of that by the clock: beside other work")
     _add_study(chart, 30.0)
 
 

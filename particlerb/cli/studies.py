@@ -27,7 +27,7 @@ def chart_command(options: argparse.Namespace) -> int:
     with _measuring("curve") as bar:
         system = to_system(case)
         bar.total = work_precision.curve_count(system, *asked)
-        how = options.error, options.budget, bar.update
+        how = options.error, options.budget, bar.update, options.processor_time
         found = work_precision.chart(system, *asked, *how)
     return _show(found, work_precision_table, draw_chart, paths)
 

@@ -12,7 +12,6 @@ another call has the threads, it runs on this thread alone.
 
 import os
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import wait
 from typing import Any, Final, NamedTuple, TypeVar
@@ -152,11 +151,11 @@ def together(kernel: Callable[[Team], Result], most: int) -> Result:
     THREADS.heed()
     size = 1 if config.DISABLE_JIT else min(THREADS.count, most)
     has_lock = size > 1 and TOGETHER.acquire(blocking=False)
-    start = time.perf_counter()
+    start = THREADS.own.clock()
     try:
         return _enter_all(kernel, size) if has_lock else kernel(ALONE)
     finally:
-        THREADS.own.busy += time.perf_counter() - start
+        THREADS.own.busy += THREADS.own.clock() - start
         if has_lock:
             TOGETHER.release()
 

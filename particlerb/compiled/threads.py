@@ -14,9 +14,10 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from typing import Final, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 Result = TypeVar("Result")
+Clock: TypeAlias = Callable[[], float]
 
 BLOCK: Final = 256  # bodies a kernel takes at a time: its rows fit into the first levels of cache
 LEAST_WORK: Final = 20_000  # body-steps or body-frames below which a second thread does not pay
@@ -28,7 +29,8 @@ class _Own(threading.local):
     """What is a matter of one Python thread."""
 
     count: int | None = None  # threads that it uses; None: all cores
-    busy = 0.0  # [s] wall time in kernels so far: what studies compare
+    busy = 0.0  # [s] in kernels so far, by
+    clock: Clock = time.perf_counter  # this: what studies compare
 
 
 class _Threads:
@@ -53,7 +55,7 @@ class _Threads:
 
     @property
     def busy(self) -> float:
-        """Wall time [s] in kernels that this thread has called."""
+        """Time [s] in kernels that this thread has called."""
         return self.own.busy
 
     def use(self, count: int | None) -> None:
@@ -61,14 +63,14 @@ class _Threads:
         self.own.count = count
 
     @contextmanager
-    def using(self, count: int | None) -> Iterator[None]:
-        """Let calls from this thread use so many meanwhile; None for all cores."""
-        before = self.own.count
-        self.use(count)
+    def using(self, count: int | None, clock: Clock = time.perf_counter) -> Iterator[None]:
+        """Let calls from this thread use so many meanwhile, None for all cores, timed so."""
+        before = self.own.count, self.own.clock
+        self.own.count, self.own.clock = count, clock
         try:
             yield
         finally:
-            self.use(before)
+            self.own.count, self.own.clock = before
 
     @property
     def workers(self) -> ThreadPoolExecutor:
@@ -100,12 +102,7 @@ class _Threads:
             If a signal has asked for the end. Raised here, between kernels, because an exception
             that a signal handler raises is lost where it meets a destructor of HDF5.
         """
-        self.heed()
-        start = time.perf_counter()
-        try:
-            self.share_out(kernel, units, work)
-        finally:
-            self.own.busy += time.perf_counter() - start
+        self.timed(self.share_out, kernel, units, work)
 
     def heed(self) -> None:
         """Raise KeyboardInterrupt if a signal has asked for the end: they reach the main thread."""
@@ -120,10 +117,11 @@ class _Threads:
     def timed(self, kernel: Callable[..., Result], *arguments: object) -> Result:
         """Call a kernel on this thread for what it returns; KeyboardInterrupt as in `share`."""
         self.heed()
-        start = time.perf_counter()
-        result = kernel(*arguments)
-        self.own.busy += time.perf_counter() - start
-        return result
+        start = self.own.clock()
+        try:
+            return kernel(*arguments)
+        finally:
+            self.own.busy += self.own.clock() - start
 
     def share_out(self, kernel: Callable[[int, int], object], units: int, work: int) -> None:
         """Do the work of `share`."""

@@ -69,7 +69,7 @@ def table(found: WorkPrecision) -> str:
     heads = columns(found, ("worst rad", "rms rad", "position", "energy", "|L|"))
     return "\n".join(
         [
-            f"{found.title}: {bodies} to t = {found.t_end:.6g} s, one thread",
+            f"{found.title}: {bodies} to t = {found.t_end:.6g} s, {found.clock} on one thread",
             f"{found.measure}, against {found.reference}, good to {found.floor:.1g}"
             + (sampled if found.n_sampled < found.n_bodies else ""),
             "",

@@ -39,7 +39,7 @@ def test_chart_prints_a_table_and_writes_three_files(here, capsys):
     words = ["chart", "top.toml", "--methods", "strang,rk4", "--budget", "1.5", "--error", "1e-4"]
     assert main(words) == 0
     out = capsys.readouterr().out
-    assert "a top: 1 body to t = 1 s, one thread" in out
+    assert "a top: 1 body to t = 1 s, time on one thread" in out
     assert "for an error of 0.0001 take " in out
     written = [Path("output") / f"chart_top.{suffix}" for suffix in ("csv", "png", "svg")]
     assert all(path.stat().st_size > 500 for path in written)
@@ -47,7 +47,8 @@ def test_chart_prints_a_table_and_writes_three_files(here, capsys):
         assert {row["method"] for row in csv.DictReader(file)} == {"strang", "rk4"}
     assert main(words) == 2
     assert "output/chart_top.csv exists" in capsys.readouterr().err
-    assert main([*words, "-o", "other/name.png"]) == 0
+    assert main([*words, "-o", "other/name.png", "--processor-time"]) == 0
+    assert "time of the processor on one thread" in capsys.readouterr().out
     assert Path("other/name.svg").exists()
 
 

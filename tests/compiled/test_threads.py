@@ -1,5 +1,7 @@
 """Runs side by side in Python threads: each with its own number of threads, and the same bits."""
 
+import math
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -77,3 +79,15 @@ def test_a_number_of_threads_is_that_of_one_python_thread():
             assert THREADS.count == 1
         assert THREADS.count == before + 3
     assert THREADS.count == before
+
+
+@pytest.mark.parametrize(
+    ("clock", "least", "most"), [(time.perf_counter, 0.05, math.inf), (time.thread_time, 0.0, 0.04)]
+)
+def test_time_in_kernels_is_that_of_the_clock_asked_for(clock, least, most):
+    """Time of the processor does not count what a thread waits for."""
+    with THREADS.using(1, clock):
+        before = THREADS.busy
+        THREADS.alone(time.sleep, 0.05)
+        assert least <= THREADS.busy - before < most
+    assert THREADS.own.clock is time.perf_counter

@@ -38,7 +38,7 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     )  # fmt: skip
     finish_panel(
         axes, xscale="log", yscale="log", **limits(chart),
-        xlabel="time in kernels for the whole run [s]   (faster to the left)",
+        xlabel=f"{chart.clock} in kernels for the whole run [s]   (faster to the left)",
         ylabel=f"largest {chart.measure}   (better below)",
     )  # fmt: skip
     axes.set_title(advice(chart), fontsize=11, loc="left", color=INK, fontweight="bold")
