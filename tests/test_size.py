@@ -38,6 +38,8 @@ BUDGETS = {
     "sweeps": 605,
     "reports of a run, names of files": 77,
     "pictures that fit the scene": 198,
+    "size and time of a run, told before it": 85,
+    "a page that explains itself": 145,
     "helpers without machine code": 50,
     "vectors of 512 bits": 45,
 }

@@ -231,6 +231,7 @@ def add_view(view: _Parser) -> None:
     )  # fmt: skip
     no_token = "let in every program of those who reach the port, without the token of the address"
     _add_flag(view, "--no-token", help=no_token)
+    _add_flag(view, "--no-browser", help="open no browser, where there is a display")
     saved = "of a saved session; output/<case>_session.toml"
     view.add_argument("-o", "--output", metavar="FILE", help=saved)
 

@@ -84,3 +84,11 @@ def amount(size: float) -> str:
     """Number of bytes in words."""
     power = int(min(max(math.log10(max(size, 1.0)) // 3, 1), 4))
     return f"{size / 1000.0**power:.3g} {('', 'kB', 'MB', 'GB', 'TB')[power]}"
+
+
+def wall_time(seconds: float) -> str:
+    """A wall time in words."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ import numpy as np
 from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
 from particlerb.case.to_system import to_system
-from particlerb.cli.common import amount, output_of, read_case
+from particlerb.cli.common import amount, output_of, read_case, wall_time
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.cli.guard import probe
 from particlerb.cli.report import Report
@@ -51,6 +52,7 @@ from particlerb.record.trajectory import TrajectoryError, open_trajectory
 from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.checks import Result, results, table
+from particlerb.simulation.estimate import estimated_seconds
 from particlerb.simulation.resume import ResumeError, look_at, resume_pending
 from particlerb.simulation.run import Outcome, Prepared, Progress, RunError, run_prepared
 
@@ -83,7 +85,8 @@ def run_command(options: argparse.Namespace) -> int:
     if not (options.quiet or options.json):
         title = system.title or path.stem
         print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
-        print(f"  file: {size_text(system, path)}\n", flush=True)
+        free = amount(_free_bytes(path))
+        print(f"  file: {path}, {size_text(system)}; {free} are free\n", flush=True)
 
     run, total = partial(run_prepared, prepared, path, options.overwrite), frame_count(system.run)
     outcome = _execute(run, path, options, total, before=_number_of(path))
@@ -156,18 +159,22 @@ def _free_bytes(path: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
-def size_text(system: System, path: Path) -> str:
-    """File, frames and size of a run, and the room that there is."""
-    n = frame_count(system.run)
-    size = estimated_size(system, n) + SMALLEST_FILE + sum(map(len, system.files.contents.values()))
-    text = f"{path}, {n} frames, about {amount(size)}"
+def _expected_size(system: System) -> int:
+    """Bytes of a whole file, contacts aside."""
+    n_bytes = estimated_size(system, frame_count(system.run))
+    return n_bytes + SMALLEST_FILE + sum(map(len, system.files.contents.values()))
+
+
+def size_text(system: System) -> str:
+    """Frames and size of a run."""
+    text = f"{frame_count(system.run)} frames, about {amount(_expected_size(system))}"
     if schema.CONTACTS in system.output.fields:
         item = np.dtype(system.output.dtype).itemsize
         each = sum(max(c.width, 1) * (4 if c.is_count else item) for c in schema.COLUMNS.values())
         text += (
             f" and {each} bytes for each contact in a frame, whose number is not known in advance"
         )
-    return f"{text}; {amount(_free_bytes(path))} are free"
+    return text
 
 
 def _execute(
@@ -325,10 +332,18 @@ def summary(path: Path, outcome: Outcome, checks: list[Result]) -> dict[str, Any
 
 
 def check_command(options: argparse.Namespace) -> int:
-    """`check`: the plan without a run."""
+    """`check`: the plan of a case, and how large and how long its run will be."""
     prepared = _prepared_case(options)
+    started = process_time()  # a warm run needs as much before its first step
+    try:
+        seconds = started + estimated_seconds(prepared)
+    except RunError as error:
+        raise Ending(f"{options.case} can be run, but fails soon: {error}", FAILED) from None
     if options.json:
-        print(json.dumps({"plan": prepared.text, "warnings": prepared.plan.warnings}))
+        told = {"plan": prepared.text, "warnings": prepared.plan.warnings}
+        size = _expected_size(prepared.system)
+        print(json.dumps(told | {"bytes": size, "seconds": seconds}))
     else:
         print(tamed(f"{options.case} is a case that can be run\n\nplan\n{prepared.text}"))
+        print(f"  its run         {size_text(prepared.system)}; about {wall_time(seconds)}")
     return DONE

@@ -2,8 +2,12 @@
 
 import argparse
 import contextlib
+import os
 import signal
 import sys
+import tempfile
+import webbrowser
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -14,9 +18,16 @@ from particlerb.cli.exit_codes import DONE, FAILED, Ending, ending
 from particlerb.cli.guard import FILES, probe
 
 if TYPE_CHECKING:
-    from particlerb.view.access import Access
-    from particlerb.view.page import Page
+    import viser
 
+    from particlerb.view.access import Access
+    from particlerb.view.live import Live
+
+SCENES: Final = {
+    "cube": "cube_at_rest", "T-handle": "dzhanibekov", "gyroscope": "heavy_top",
+    "cradle": "newtons_cradle", "linkage": "four_bar", "heap": "heap",
+}  # fmt: skip
+"""Examples that may be chosen on the page, by what they are called there."""
 _MISSING: Final = 'the browser scene needs viser: pip install "particlerb[view]"'
 
 
@@ -53,8 +64,28 @@ def view_command(options: argparse.Namespace) -> int:
         raise Ending(str(error), FAILED) from None
 
 
-def push(options: argparse.Namespace, server: object, access: "Access") -> int:
-    """Serve a case."""
+def push(options: argparse.Namespace, server: "viser.ViserServer", access: "Access") -> int:
+    """Serve a case, and the scenes that are chosen on its page after it."""
+    live = _live(options, server)
+    with open_to(access, options.no_browser):
+        while True:
+            live.go()
+            _save(live)
+            if live.chosen is None:
+                break
+            server.gui.reset()
+            server.scene.reset()
+            server.gui.add_html("<p>making ready; the first time compiles, up to a minute</p>")
+            options.case, options.overrides = SCENES[live.chosen], []
+            live = _live(options, server)
+    if not live.is_over:  # a signal has ended it
+        live.stop()
+        _save(live)
+    return DONE
+
+
+def _live(options: argparse.Namespace, server: "viser.ViserServer") -> "Live":
+    """The page of a case, made ready."""
     from particlerb.view.live import Live, rehearse
 
     case = read_case(options)
@@ -62,40 +93,57 @@ def push(options: argparse.Namespace, server: object, access: "Access") -> int:
     path = Path(options.output) if options.output else Path("output") / f"{stem}_session.toml"
     to_write(path, overwrite=True)  # where it exists, a number is added
     with ending(CaseError):
-        print("making ready (the first time compiles, some 15 s or longer) ...", file=sys.stderr)
         system = to_system(case)
+        print("making ready (the first time compiles, some 15 s or longer) ...", file=sys.stderr)
         rehearse(system)
-        live = Live(system, server, path)  # type: ignore[arg-type]
-    serve(live, access)
+        server.gui.reset()
+        return Live(system, server, path, tuple(SCENES))
+
+
+def _save(live: "Live") -> None:
+    """Keep what was pushed and not saved."""
     if not live.is_saved:
         with contextlib.suppress(ValueError):
             live.save()
             print(live.message)
-    return DONE
 
 
-def _play(options: argparse.Namespace, server: object, access: "Access") -> int:
+def _play(options: argparse.Namespace, server: "viser.ViserServer", access: "Access") -> int:
     """Serve a file."""
     from particlerb.view.replay import Replay, ReplayError
 
     probe(Path(options.case))
     with opened(options.case) as trajectory:
         try:
-            replay = Replay(trajectory, server, Path(options.case))  # type: ignore[arg-type]
+            replay = Replay(trajectory, server, Path(options.case))
         except ReplayError as error:
             raise Ending(f"{options.case}: {error}") from None
-        serve(replay, access)
+        with open_to(access, options.no_browser):
+            replay.go()
     return DONE
 
 
-def serve(page: "Page", access: "Access") -> None:
-    """Say where the page is, and keep it up to date until Ctrl-C or SIGTERM."""
-    print("open this address in a browser; Ctrl-C ends", *access.addresses(), sep="\n", flush=True)
+@contextlib.contextmanager
+def open_to(access: "Access", no_browser: bool) -> Iterator[None]:
+    """Say where the page is, and open it where there is a display; until Ctrl-C or SIGTERM."""
+    addresses = access.addresses()
+    print("open this address in a browser; Ctrl-C ends", *addresses, sep="\n", flush=True)
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        page.go()
+        with tempfile.TemporaryDirectory() as folder:  # which only this user can read
+            if not no_browser and _has_display():
+                door = Path(folder) / "particlerb.html"
+                door.write_text(f'<meta http-equiv="refresh" content="0;url={addresses[0]}">')
+                webbrowser.open(door.as_uri())
+            yield
     except KeyboardInterrupt:
         pass
     finally:
         signal.signal(signal.SIGTERM, before)
-    page.stop()
+
+
+def _has_display() -> bool:
+    """Whether there is a screen for a browser."""
+    return sys.platform in ("darwin", "win32") or any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+    )

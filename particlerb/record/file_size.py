@@ -7,7 +7,7 @@ import numpy as np
 from particlerb.model.system import System
 from particlerb.record.schema import CONTACT_FIELDS, COORDINATES, FIELDS, JOINTS, WALLS
 
-SMALLEST_FILE: Final = 600_000  # bytes of a file of few bodies and frames
+SMALLEST_FILE: Final = 260_000  # bytes of a file of few bodies and frames
 
 
 def estimated_size(system: System, n_frames: int) -> int:

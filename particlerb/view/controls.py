@@ -1,10 +1,13 @@
 """The fields and panels of the live page, in the order in which they stand. Decides nothing."""
 
+import html
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from particlerb.view.page import Page
+from particlerb.view.stage import ARROWS, WORLD
 
 _DIRECTIONS: Final = (
     "along the view", "into the surface", "+x", "-x", "+y", "-y", "+z", "-z",
@@ -20,45 +23,78 @@ _SHOWN: Final = {"force": "last force", "omega": "ω", "L": "L", "axes": "princi
                 "trail": "trail of the point"}  # fmt: skip
 
 
-class Controls:
-    """Handles of what is on the live page beside what every page has."""
+_HELP: Final = """
+**Push** a body by a click on it, or at the point of the field by the button. *at once* gives the
+impulse force × duration at one instant; else the force acts for its duration and turns with nothing
+but stays on its body point.
 
-    def __init__(self, page: Page) -> None:
+**Numbers**: of the body that was clicked last, and the hand calculation of its last push beside the
+solver. `…` means that a number has more digits: raise *digits* to see them.
+
+**Camera**: drag to turn, right button or two fingers to move, wheel to come near.
+
+**Keep** what you did: *save the session as a case* writes a file that repeats it bit for bit.
+"""
+
+
+class Controls:
+    """Handles of what is on the live page beside what every page has.
+
+    Parameters
+    ----------
+    page : Page
+        Where they stand.
+    scenes : sequence of str
+        Names of cases among which one may choose; the first is the one on the page.
+    """
+
+    def __init__(self, page: Page, scenes: Sequence[str]) -> None:
         gui: Any = page.server.gui
-        gui.set_panel_label("motion")
+        gui.set_panel_label("push: click on a body")
         page.status = gui.add_html("")
         self.run = gui.add_button_group("time", ["run / pause", "step", "reset"])
+        self.force = gui.add_text("force [N]", "50", hint="an impulse in N s if duration is 0")
+        self.duration = gui.add_text("duration [s]", "0.02", hint="0: an impulse in N s")
+        self.at_once = gui.add_checkbox(
+            "at once", True, hint="the impulse force × duration at one instant, as in the paper"
+        )
+        self.direction = gui.add_dropdown("direction", _DIRECTIONS)
+        self.point = gui.add_text(
+            "point [m]", "0.2, 0.2, -0.5", hint="in the body, from the centre of mass"
+        )
+        self.apply = gui.add_button("push at this point")
+        self.outcome = gui.add_html("")
+        self.gravity = gui.add_checkbox("gravity", False)
         page.add_speed_field()
-        with gui.add_folder("show", expand_by_default=False):
-            self.shown = {key: gui.add_checkbox(label, True) for key, label in _SHOWN.items()}
-            self.shown["follow"] = gui.add_checkbox("camera stays on the body", False)
-        self.rates = chart(gui, "ω of the body, world axes  rad/s", ("x", "y", "z"))
-        self.energy = chart(gui, "energy of the scene  J", ("kinetic", "total"))
-        panel = gui.add_panel()
-        with panel.add_tab("numbers"):
+        self.scene = gui.add_dropdown("scene", scenes, visible=len(scenes) > 1)
+        self.save = gui.add_button("save the session as a case", color="gray")
+        with gui.add_folder("help", expand_by_default=False):
+            gui.add_markdown(_HELP)
+        gui.main_panel.set_width(340)
+        numbers = gui.add_panel()
+        with numbers.add_tab("numbers"):
             page.add_body_field(visible=len(page.names) > 1)
             page.add_numbers()
-        panel.dock_left()
-        panel.set_width(410)
-        panel = gui.add_panel()
-        with panel.add_tab("push: click on a body"):
-            self.force = gui.add_text("force [N]", "50", hint="an impulse in N s if duration is 0")
-            self.duration = gui.add_text("duration [s]", "0.02", hint="0: an impulse in N s")
-            self.at_once = gui.add_checkbox(
-                "at once",
-                False,
-                hint="the impulse force × duration at one instant, as in the paper",
-            )
-            self.direction = gui.add_dropdown("direction", _DIRECTIONS)
-            self.point = gui.add_text(
-                "point [m]", "0.2, 0.2, -0.5", hint="in the body, from the centre of mass"
-            )
-            self.apply = gui.add_button("push at this point")
-            self.outcome = gui.add_html("")
-            self.gravity = gui.add_checkbox("gravity", False)
-            self.save = gui.add_button("save the session as a case", color="gray")
-        gui.main_panel.set_width(340)
-        panel.dock_below(gui.main_panel)
+        numbers.dock_left()
+        numbers.set_width(410)
+        charts = gui.add_panel()
+        with charts.add_tab("charts"):
+            self.rates = chart(gui, "ω of the body, world axes  rad/s", ("x", "y", "z"))
+            self.energy = chart(gui, "energy of the scene  J", ("kinetic", "total"))
+        with charts.add_tab("show"):
+            gui.add_html(legend())
+            self.shown = {key: gui.add_checkbox(label, True) for key, label in _SHOWN.items()}
+            self.shown["follow"] = gui.add_checkbox("camera stays on the body", False)
+        charts.dock_below(gui.main_panel)
+
+
+def legend() -> str:
+    """HTML: what the colours of arrows and lines mean."""
+    named = {_SHOWN[key]: colour for key, colour in ARROWS.items()}
+    named |= {f"{axis} of the world": colour for axis, colour in zip("xyz", WORLD, strict=True)}
+    swatch = '<span style="color:rgb{};font-weight:700">━▶</span> {} &nbsp; '
+    words = "".join(swatch.format(colour, html.escape(word)) for word, colour in named.items())
+    return f'<div style="font:12px/1.7 system-ui,sans-serif;padding:2px 8px">{words}</div>'
 
 
 def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:
@@ -73,6 +109,7 @@ def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:
         series=({"label": "t  s"}, *lines),
         title=title,
         scales={"x": {"time": False}},
-        height=92,
+        axes=({}, {"space": 18}),  # pixels between two values, at least
+        height=130,
         legend={"show": True, "live": False},
     )

@@ -7,6 +7,7 @@ time that it covers.
 import contextlib
 import time
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +26,7 @@ from particlerb.view.server import finite, vector
 from particlerb.view.session import AppliedPush, Session, SessionError, UserPush, decimals
 from particlerb.view.surfaces import meet
 
+_THIS_SCENE: Final = "this one"
 _CHARTS: Final = 0.25  # [s] between two charts
 _BUSY: Final = 0.05  # [s] that one update may compute
 _MOST_POINTS: Final = 600  # of a chart
@@ -44,24 +46,33 @@ class Live(Page):
         Fresh.
     path : Path
         Where a session is saved; a number is added where the file exists.
+    scenes : sequence of str
+        Names of cases that may take its place.
     """
 
-    def __init__(self, system: System, server: viser.ViserServer, path: Path) -> None:
+    def __init__(
+        self, system: System, server: viser.ViserServer, path: Path, scenes: Sequence[str] = ()
+    ) -> None:
         self.session, self.written = Session(system), 0
+        self.chosen: str | None = None  # the scene that shall take its place
         super().__init__(server, system, path)
         length = system.run.t_end
         is_ours = _COMFORTABLE[0] <= length <= _COMFORTABLE[1]
         self.speed = 1.0 if is_ours else float(f"{length / _WATCHED:.1g}")
-        self.controls = Controls(self)
+        self.controls = Controls(self, (_THIS_SCENE, *scenes))
         self.arrows = Arrows(self.stage, self.controls.shown)
         self.controls.gravity.value = self.session.has_gravity
+        self.controls.at_once.value = not system.joint  # no impulse is computed on jointed bodies
         self.controls.shown["follow"].value = len(self.names) == 1
         self.cost = 0.0  # [s] of computing per simulated second
         self.begin()
+        self.is_running = not self.waits
         self.listen()
 
     def begin(self) -> None:
-        """Forget what belongs to a motion that was reset."""
+        """Forget what belongs to a motion that was reset; one that rests waits for a push."""
+        self.waits = rests(self.session.system)
+        self.is_running = False
         self.clock = self.session.time
         self.saved = self.session.raw["force"]  # what need not be saved
         self.arm = self.corner()
@@ -86,6 +97,7 @@ class Live(Page):
         self.body_field.on_update(self.later(self.choose_body))
         c.save.on_click(self.later(lambda _: self.save()))
         c.apply.on_click(self.later(self.push_at_point))
+        c.scene.on_update(self.later(self.change_scene))
         for handle in (c.force, c.duration, c.at_once, c.direction):
             handle.on_update(self.later(lambda _: self.explain()))
         self.explain()
@@ -103,8 +115,14 @@ class Live(Page):
             self.session.reset()
             self.begin()
             self.controls.gravity.value = self.session.has_gravity
-            self.say("")
-            self.explain()
+
+    def change_scene(self, event: Any) -> None:
+        """End the page, so that another case can take its place."""
+        del event
+        name = str(self.controls.scene.value)
+        if name != _THIS_SCENE:
+            self.chosen = name
+            self.stop()
 
     def switch_gravity(self, event: Any) -> None:
         """Gravity as the box says."""
@@ -179,6 +197,7 @@ class Live(Page):
         x, y, z = (size * float(c) for c in direction)
         point = (float(at[0]), float(at[1]), float(at[2]))
         applied = self.session.apply(UserPush(b, point, (x, y, z), duration))
+        self.is_running, self.waits = self.is_running or self.waits, False
         self.clock = max(self.clock, self.session.time)
         self.arm, self.reference = np.array(point), None
         self.arrows.trail.clear()
@@ -236,6 +255,12 @@ class Live(Page):
 
     # What happens all the time
 
+    def clear(self) -> None:
+        """Take away what was said of the action before, below the fields too."""
+        if self.is_refusal:
+            self.explain()
+        super().clear()
+
     def refuse(self, reason: str) -> None:
         """Say below the fields and beside the clock why something was not done."""
         super().refuse(reason)
@@ -287,14 +312,19 @@ class Live(Page):
         """The table of numbers and the line of the clock."""
         session, b = self.session, self.body
         parts = state_parts(session.system, b, motion)
-        pushes = [applied for applied in session.applied if applied.push.body == b]
+        pushes = [k for k, one in enumerate(session.applied) if one.push.body == b]
         if pushes:
-            parts = [push_part(pushes[-1], self.drift(pushes[-1], motion)), *parts]
+            last, end = session.applied[pushes[-1]], session.ends.get(pushes[-1])
+            parts = [push_part(last, self.drift(last, motion)), *parts]
             joints = self.stage.joints
             if joints is None or b not in joints.held:  # whose joints push too
-                parts = [hand_part(session.system, pushes[-1], motion), *parts]
+                rows = () if end is None else tuple(values[0] for values in end[:4])
+                met = motion_of(session.system, b, *rows) if rows else motion
+                told = end is not None, session.has_gravity
+                parts = [hand_part(session.system, last, met, *told), *parts]
         self.write_numbers(parts)
         state = "running" if self.is_running else "paused"
+        state = "waits for a push" if self.waits else state
         pace = f"{self.rate:.0f} updates/s"
         if self.cost * self.speed > 1.0:
             pace += f", computing reaches {1.0 / self.cost:.2g} × real time"
@@ -311,6 +341,15 @@ class Live(Page):
             self.reference = error, size
         energy = max(abs(float(entries.kinetic_energy[0])), 1e-300)
         return (error - self.reference[0]) / energy, (size - self.reference[1]) / max(size, 1e-300)
+
+
+def rests(system: System) -> bool:
+    """Whether nothing moves, and nothing can before it is pushed."""
+    acts = system.force or system.gravity or system.attraction or system.joint
+    driven = [*system.body, *system.wall]
+    is_driven = any(getattr(one, "motion", None) is not None for one in driven)
+    momenta = system.state.p, system.state.L
+    return not (acts or is_driven or any(one.any() for one in momenta))
 
 
 def rehearse(system: System) -> None:

@@ -19,6 +19,8 @@ from particlerb.model.system import System
 from particlerb.view.session import AppliedPush
 
 MOST_DIGITS: Final = 17  # that a float64 needs to be told from all others
+_NOISE: Final = 13  # digits of the largest number of a quantity behind which rounding begins
+_DIFFERENCE: Final = 2  # digits of a difference
 _NARROW: Final = 6  # digits up to which three numbers stand side by side
 _MORE: Final = "…"
 _STYLE: Final = """<style>
@@ -30,6 +32,7 @@ letter-spacing:.04em;border-bottom:1px solid #e6e8eb}
 .pb div{display:flex;gap:5px;white-space:pre}.pb div.t{margin-top:4px}
 .pb u{flex:0 0 8em;font:12px/1.45 system-ui,sans-serif;color:#57606a;text-decoration:none}
 .pb u.s{flex-basis:1.5em}.pb span{flex:1 1 0;text-align:right}
+.pb p{margin:0 0 3px;font:12px/1.4 system-ui,sans-serif;color:#57606a;white-space:normal}
 .pb i{color:#8b949e;font-style:normal}</style>"""
 
 
@@ -39,6 +42,8 @@ class Row(NamedTuple):
     key: str
     label: str
     values: tuple[float, ...]
+    scale: float
+    """What is small is told by it: the largest number of the vector, or tensor."""
 
 
 class NumberGroup(NamedTuple):
@@ -46,6 +51,7 @@ class NumberGroup(NamedTuple):
 
     title: str
     rows: tuple[Row, ...]
+    remarks: tuple[str, ...] = ()
 
 
 class BodyMotion(NamedTuple):
@@ -81,6 +87,20 @@ def shown(value: float, digits: int) -> str:
     return repr(value) if float(rounded) == value else f"{rounded}{_MORE}"
 
 
+def _texts(one: Row, digits: int) -> list[str]:
+    """Its numbers as they are shown; what rounding leaves beside larger ones is `0…`.
+
+    With all 17 digits that is shown as well.
+    """
+    own = _DIFFERENCE if one.key.startswith("difference_") else digits
+    least = 0.0 if digits == MOST_DIGITS else one.scale * 10.0 ** -max(digits, _NOISE)
+    is_noise = [0.0 < abs(value) < least for value in one.values]
+    return [
+        f"0{_MORE}" if small else shown(value, own)
+        for value, small in zip(one.values, is_noise, strict=True)
+    ]
+
+
 def euler_deg(q: Floats) -> Floats:
     """Roll, pitch, yaw [°] of a unit quaternion: intrinsic z-y-x, as in a case."""
     w, x, y, z = (float(c) for c in q)
@@ -99,7 +119,8 @@ def state_parts(system: System, b: int, motion: BodyMotion) -> list[NumberGroup]
     spin = rotate_back(q[:, None], motion.angular_velocity[:, None])[:, 0]
 
     def tensor(key: str, values: Floats) -> tuple[Row, ...]:
-        return tuple(row(f"{key}-{k}", "xyz"[k], values[k]) for k in range(3))
+        largest = float(np.abs(values).max())
+        return tuple(row(f"{key}-{k}", "xyz"[k], values[k], largest) for k in range(3))
 
     where = (
         row("position", "position  m", motion.position),
@@ -137,15 +158,22 @@ def push_part(applied: AppliedPush, drift: tuple[float, float] | None) -> Number
         row("time", "from, to  s" if is_push else "at  s", times),
     ]
     if drift is not None:
-        rows.append(row("drift", "errors: E, |L|", drift))
+        rows.append(row("drift", "errors: E, |L|", drift, 1.0))
     return NumberGroup("last push", tuple(rows))
 
 
-def hand_part(system: System, applied: AppliedPush, motion: BodyMotion) -> NumberGroup:
+def hand_part(
+    system: System, applied: AppliedPush, motion: BodyMotion, is_over: bool, has_gravity: bool
+) -> NumberGroup:
     """The hand calculation of the paper beside the solver: I, ΔL = r × F Δt, ΔP = F Δt, ω = L/I.
 
     The lever arm is taken as it is at the start. A push turns the body away under it, so that the
     solver's L differs by what the arm has changed; an impulse leaves no time for that.
+
+    Parameters
+    ----------
+    motion : BodyMotion
+        When the push ended, or now if it is not over.
     """
     push, b = applied.push, applied.push.body
     J = np.array(push.vector) * (push.duration or 1.0)
@@ -160,7 +188,27 @@ def hand_part(system: System, applied: AppliedPush, motion: BodyMotion) -> Numbe
     if moments is not None and np.ptp(moments) == 0.0:
         rows += beside("omega", "ω = L/I", hand_L / moments[0], motion.angular_velocity)
     rows += beside("v", "v = P/M  m/s", hand_P / mass, motion.velocity)
-    return NumberGroup("by hand, and by the solver", tuple(rows))
+    remarks = _why_they_differ(applied, motion, is_over, has_gravity)
+    return NumberGroup("by hand, and by the solver", tuple(rows), remarks)
+
+
+def _why_they_differ(
+    applied: AppliedPush, motion: BodyMotion, is_over: bool, has_gravity: bool
+) -> tuple[str, ...]:
+    """When both are compared, and why they differ by more than rounding."""
+    if not is_over:
+        return ("The push still acts.",)
+    told = [f"At t = {applied.stop!r} s, when the push ended."]
+    if applied.push.duration == 0.0:
+        return (f"At t = {applied.stop!r} s, right after the impulse.",)
+    turn = 2.0 * math.acos(min(1.0, abs(float(applied.orientation @ motion.orientation))))
+    if turn > 0.0:
+        told.append(
+            f"The body turned by {math.degrees(turn):.2g}° under it, and its lever arm with it."
+        )
+    if has_gravity:
+        told.append("Gravity acted too: v differs by g Δt, and ever more later.")
+    return tuple(told)
 
 
 def _hand_moments(shape: AnyShape | None, mass: float) -> Floats | None:
@@ -176,16 +224,18 @@ def _hand_moments(shape: AnyShape | None, mass: float) -> Floats | None:
 def beside(key: str, label: str, hand: Iterable[float], solver: Iterable[float]) -> list[Row]:
     """By hand, by the solver, and the difference."""
     hand, solver = np.array(list(hand)), np.array(list(solver))
+    largest = float(np.abs(hand).max())
     return [
         row(f"hand_{key}", f"{label}", hand),
-        row(f"solver_{key}", "  solver", solver),
-        row(f"difference_{key}", "  differs by", solver - hand),
+        row(f"solver_{key}", "  solver", solver, largest),
+        row(f"difference_{key}", "  differs by", solver - hand, largest),
     ]
 
 
-def row(key: str, label: str, values: Iterable[float]) -> Row:
-    """Row of plain floats."""
-    return Row(key, label, tuple(float(value) for value in values))
+def row(key: str, label: str, values: Iterable[float], scale: float = 0.0) -> Row:
+    """Row of plain floats; its scale is at least the largest of them."""
+    numbers = tuple(float(value) for value in values)
+    return Row(key, label, numbers, max(scale, *map(abs, numbers)))
 
 
 def table(title: str, parts: Iterable[NumberGroup], digits: int) -> str:
@@ -193,13 +243,14 @@ def table(title: str, parts: Iterable[NumberGroup], digits: int) -> str:
     lines = [_STYLE, f'<div class="pb" style="display:block"><b>{html.escape(title)}</b>']
     for part in parts:
         lines.append(f"<h4>{html.escape(part.title)}</h4>")
-        lines += [_html_row(one, 2 if one.key.startswith("diff") else digits) for one in part.rows]
+        lines += [f"<p>{html.escape(remark)}</p>" for remark in part.remarks]
+        lines += [_html_row(one, digits) for one in part.rows]
     return "".join([*lines, "</div>"])
 
 
 def _html_row(one: Row, digits: int) -> str:
     """One quantity: side by side while there is room, else one below the other."""
-    texts = [shown(value, digits).replace(_MORE, f"<i>{_MORE}</i>") for value in one.values]
+    texts = [text.replace(_MORE, f"<i>{_MORE}</i>") for text in _texts(one, digits)]
     if digits > _NARROW:
         texts = ["<br>".join(texts)]
     begins = ' class="t"' if one.key.startswith("hand_") else ""

@@ -120,6 +120,7 @@ class Page:
                 action, event = self.commands.get_nowait()
             except queue.Empty:
                 break
+            self.clear()
             self.attempt(action, event)
         if self.is_running:
             self.attempt(self.advance, min(elapsed, _LONGEST_UPDATE))
@@ -131,6 +132,10 @@ class Page:
             action(argument)
         except (SessionError, ValueError, TypeError, OSError, OverflowError) as problem:
             self.refuse(str(problem))
+
+    def clear(self) -> None:
+        """Take away what was said of the action before."""
+        self.say("")
 
     def say(self, message: str) -> None:
         """Say on the page what was done."""

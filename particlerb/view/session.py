@@ -62,6 +62,7 @@ class AppliedPush(NamedTuple):
     lever: Floats  # (3,) [m] from the centre of mass, world frame, at the start
     linear_momentum: Floats  # (3,) [kg m/s] before
     angular_momentum: Floats  # (3,) [kg m²/s] before
+    orientation: Floats  # (4,) at the start
 
     @property
     def torque(self) -> Floats:
@@ -101,6 +102,7 @@ class Session:
         self.system, self.warnings, self.run = self.prepared()
         self.time, self.next_frame = 0.0, 0
         self.applied: list[AppliedPush] = []
+        self.ends: dict[int, Frames] = {}  # all bodies when a push, by its number, was over
         self.has_gravity = self.own_gravity
         self.gravity_pushes: list[int] = []  # the forces that stand for switched gravity now
         self.frame, self.entries = self.computed_at(np.zeros(1), np.ones(1, dtype=np.bool_))
@@ -124,6 +126,13 @@ class Session:
             return
         if time > self.longest:
             raise SessionError(f"a session of this case ends at {self.longest:g} s: reset it")
+        ends = {applied.stop for applied in self.applied if self.time < applied.stop < time}
+        for until in (*sorted(ends), time):
+            self.compute_until(until)
+            self.keep_ends()
+
+    def compute_until(self, time: float) -> None:
+        """Frames of the case until a time [s], and the state at that time."""
         while self.time < time:
             due = self.frames_until(time)[:CHUNK]
             is_whole = due.size < CHUNK
@@ -131,6 +140,12 @@ class Session:
             self.frame, self.entries = self.computed_at(times, np.isin(times, due))
             self.time = float(times[-1])
             self.next_frame += due.size
+
+    def keep_ends(self) -> None:
+        """Keep the state in which a push ends now."""
+        for k, applied in enumerate(self.applied):
+            if applied.stop == self.time:
+                self.ends.setdefault(k, self.frame)
 
     def frames_until(self, time: float) -> Floats:
         """Times of the frames of the case that lie after those taken, up to a time [s]."""
@@ -182,9 +197,11 @@ class Session:
         _, orientation, p, L, _, _ = self.frame
         lever = rotate(orientation[0, push.body][:, None], np.array(push.at)[:, None])[:, 0]
         momenta = p[0, push.body].copy(), L[0, push.body].copy()
-        applied = AppliedPush(push, start, stop, lever, *momenta)
+        turned = orientation[0, push.body].copy()
+        applied = AppliedPush(push, start, stop, lever, *momenta, turned)
         self.continue_with([*self.raw["force"], entry])
         self.applied.append(applied)
+        self.keep_ends()
         return applied
 
     def switch_gravity(self, on: bool) -> None:

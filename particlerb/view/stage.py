@@ -23,14 +23,17 @@ COLOURS: Final[tuple[_Colour, ...]] = (
     (140, 110, 80), (218, 139, 195), (120, 130, 140), (190, 180, 50), (60, 180, 190),
 )  # fmt: skip
 _WALL: Final[_Colour] = (176, 184, 192)
-_ARROWS: Final[dict[str, _Colour]] = {
+ARROWS: Final[dict[str, _Colour]] = {
     "force": (214, 39, 40), "omega": (31, 119, 180), "L": (148, 60, 189),
     "axes": (90, 98, 106),
 }  # fmt: skip
+WORLD: Final[tuple[_Colour, ...]] = ((209, 73, 91), (46, 139, 87), (31, 111, 181))
+"""Colours of x, y and z, in the scene and on charts."""
 _TRAIL: Final[_Colour] = (20, 20, 20)
 _JOINTS: Final[_Colour] = (200, 0, 120)
 _LIGHT: Final = 0.8, 2.0  # of the sky and of the sun
 _VIEW: Final = (1.15, -1.85, 1.1)  # where the camera stands at first, in sizes of the scene
+_NARROW: Final = 0.75  # width over height of a phone, at most
 
 
 class Stage:
@@ -65,6 +68,7 @@ class Stage:
         self.furnish(size)
         server.initial_camera.position = self.size * np.array(_VIEW)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        server.on_client_connect(self.step_back)
 
     def add_layer(self, k: int) -> Any:
         """Instances of one mesh."""
@@ -98,6 +102,7 @@ class Stage:
     def furnish(self, size: float) -> None:
         """Walls, light and a grid below the bodies."""
         scene = self.server.scene
+        self.draw_axes()
         for k, mesh in enumerate(walls_of(self.system, size)):
             scene.add_mesh_simple(
                 f"/fixed/walls/{k}",
@@ -127,6 +132,26 @@ class Stage:
         scene.add_light_directional(
             "/lights/sun", intensity=_LIGHT[1], position=(3.0, -1.2, 5.0), cast_shadow=True
         )
+
+    def step_back(self, client: viser.ClientHandle) -> None:
+        """Show a narrow screen the scene from farther away, above the fields."""
+        if client.camera.aspect < _NARROW:
+            client.camera.position = 1.8 * self.size * np.array(_VIEW)
+            client.camera.look_at = (0.0, 0.0, -1.5 * self.size)
+
+    def draw_axes(self) -> None:
+        """Arrows along x, y and z of the world, with their names, where the camera looks."""
+        scene, length = self.server.scene, 0.35 * self.size
+        corner = np.array([-0.75, -0.3, -0.55]) * self.size
+        for axis, name, colour in zip(np.eye(3), "xyz", WORLD, strict=True):
+            ends = np.stack([corner, corner + length * axis])[None].astype(np.float32)
+            r = 0.012 * self.size
+            scene.add_arrows(
+                f"/axes/{name}", ends, linear(colour),
+                shaft_radius=r, head_radius=2.4 * r, head_length=6.0 * r,
+            )  # fmt: skip
+            tip = ends[0, 1] + 0.15 * length * axis
+            scene.add_label(f"/axes/{name}/name", name, position=tip)
 
     def show(self, position: Floats, q: Floats, follow: int | None = None) -> None:
         """Put the bodies where they are; with the camera on one of them, or on the scene.
@@ -179,7 +204,7 @@ class Stage:
         if handle is None:
             r = 0.018 * self.size * thickness
             self.arrows[name] = self.server.scene.add_arrows(
-                f"/arrows/{name}", points, linear(_ARROWS[name]),
+                f"/arrows/{name}", points, linear(ARROWS[name]),
                 shaft_radius=r, head_radius=2.4 * r, head_length=6.0 * r,
             )  # fmt: skip
             return

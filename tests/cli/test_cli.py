@@ -190,7 +190,7 @@ def test_a_disk_that_is_too_small_is_warned_of_with_the_size(here, capsys, monke
     monkeypatch.setattr("shutil.disk_usage", lambda folder: usage)
     main(["cube.toml"])
     err = capsys.readouterr().err
-    assert "cube.h5 would take 601 kB, the disk has 0.001 kB free" in err
+    assert "cube.h5 would take 261 kB, the disk has 0.001 kB free" in err
     assert main(["cube.toml", "--overwrite", "--strict"]) == 2
 
 
@@ -626,7 +626,7 @@ def test_the_size_that_is_told_and_what_info_tells(make, tmp_path, capsys, dtype
         wall=[make.plane()],
         output={"fields": fields, "dtype": dtype},
     )
-    told = size_text(to_system(case), tmp_path / "run.h5")
+    told = size_text(to_system(case))
     number, unit = re.search(r"about ([\d.]+) ([kM])B", told).groups()
     most = float(number) * {"k": 1e3, "M": 1e6}[unit]
     assert f" and {each} bytes for each contact in a frame, whose number is not known in" in told
@@ -683,3 +683,26 @@ def test_what_the_tree_errs_is_told(make, tmp_path, capsys, monkeypatch, factor,
     assert re.search(r"opening angle 0\.[3-9]\d*, accelerations erred by .* of 0\.0001", said.out)
     assert ("the scene has changed since" in said.err) == warns
     assert ("attraction.opening_angle = 0." in said.err) == warns
+
+
+def test_check_tells_the_size_and_the_time_of_a_run(make, tmp_path, capsys):
+    """Bytes within a factor of 2; seconds of 1e5 times as many steps are 1e4 to 1e6 times more."""
+    from particlerb.case.reader import load
+    from particlerb.case.to_system import to_system
+    from particlerb.simulation.estimate import estimated_seconds
+    from particlerb.simulation.run import prepare
+
+    times = {"dt": 1e-3, "t_end": 10.0, "every": 0.01}
+    case = make.case(make.body(), force=[make.torque([0.1, 0.2, 0.3])], method="strang", **times)
+    (tmp_path / "case.toml").write_text(tomlkit.dumps(case))
+    assert main(["check", str(tmp_path / "case.toml"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    particlerb.run(case, tmp_path / "run.h5").close()
+    assert 0.5 < told["bytes"] / (tmp_path / "run.h5").stat().st_size < 2.0
+    assert told["seconds"] > 0.0
+
+    case["run"] |= {"t_end": 1e4, "every": 1e4}
+    few = estimated_seconds(prepare(to_system(load(case))))
+    case["run"] |= {"dt": 1e-8}
+    many = estimated_seconds(prepare(to_system(load(case))))
+    assert 1e4 < many / few < 1e6

@@ -94,9 +94,13 @@ class Served:
 
     def numbers(self, key: str) -> np.ndarray:
         """Numbers of the table as people read them; only differences may have more digits."""
-        texts = self.page.locator(f"[data-key={key}]").all_inner_texts()
-        more = "…" if key.startswith("difference") else ""
-        return np.array([float(word.rstrip(more)) for text in texts for word in text.split()])
+        texts = self.page.eval_on_selector_all(  # at one instant, as the table is replaced often
+            f"[data-key={key}]",
+            r"cells => cells.map(cell => cell.innerHTML.replace(/<[^>]*>/g, ' '))",
+        )
+        if key.startswith("difference"):
+            texts = [text.replace("…", "") for text in texts]
+        return np.array([float(word) for text in texts for word in text.split()])
 
     def canvas(self):
         """Middle of the picture, in pixels of the page."""

@@ -15,6 +15,7 @@ pytest.importorskip("viser")
 import particlerb
 import particlerb.cli.view as command
 from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.cli import main
 from particlerb.view.live import Live
 from particlerb.view.session import UserPush
@@ -24,8 +25,14 @@ from particlerb.view.session import UserPush
 def served(monkeypatch, tmp_path):
     """Pages that would be served, each ended at once; in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    pages = []
-    monkeypatch.setattr(command, "serve", lambda page, access: pages.append((page, access)))
+    pages, doors, real = [], [], command.open_to
+
+    def watched(access, no_browser):
+        doors.append(access)
+        return real(access, no_browser)
+
+    monkeypatch.setattr(command, "open_to", watched)
+    monkeypatch.setattr(Live, "go", lambda page: pages.append((page, doors[-1])))
     return pages
 
 
@@ -62,11 +69,11 @@ def test_the_address_stands_alone_on_its_line(monkeypatch, tmp_path, capsys):
 def test_a_session_is_saved_at_the_end(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
 
-    def pushed(page, access):
+    def pushed(page):
         page.session.advance(0.25)
         page.session.apply(UserPush(0, (0.2, 0.2, -0.5), (0.0, 0.0, 1.0), 0.0))
 
-    monkeypatch.setattr(command, "serve", pushed)
+    monkeypatch.setattr(Live, "go", pushed)
     for name in ("cube_at_rest_session", "cube_at_rest_session_2"):  # nothing is written over
         assert main(["view", "--port", "8420"]) == 0
         case = load(tmp_path / "output" / f"{name}.toml")
@@ -93,9 +100,65 @@ def test_gravity_that_was_switched_is_saved_at_a_signal(monkeypatch, tmp_path, c
     assert "cube_at_rest_session.toml" in capsys.readouterr().out
 
 
+def test_a_scene_that_is_chosen_takes_the_place_of_the_first(monkeypatch, tmp_path, capsys):
+    """What was pushed before is saved; the address stays."""
+    monkeypatch.chdir(tmp_path)
+    seen = []
+
+    def go(page):
+        seen.append([str(name) for name in page.session.system.names])
+        if len(seen) == 1:
+            page.session.advance(0.25)
+            page.session.apply(UserPush(0, (0.2, 0.2, -0.5), (0.0, 0.0, 1.0), 0.0))
+            page.controls.scene.value = "T-handle"
+            page.change_scene(None)
+
+    monkeypatch.setattr(Live, "go", go)
+    assert main(["view", "--port", "8460"]) == 0
+    told = capsys.readouterr().out
+    assert seen[0] == ["cube"]
+    assert seen[1] == [str(name) for name in system_of_example("dzhanibekov").names]
+    assert told.count("token=") == 1
+    assert [path.name for path in (tmp_path / "output").iterdir()] == ["cube_at_rest_session.toml"]
+
+
+@pytest.mark.parametrize("name", command.SCENES)
+def test_every_scene_of_the_page_is_an_example(name):
+    assert system_of_example(command.SCENES[name]).n_bodies
+
+
+def system_of_example(name):
+    """System of an example by its name."""
+    return to_system(load(name))
+
+
+def test_the_browser_opens_the_page_where_there_is_a_display(served, monkeypatch):
+    """The address, which lets in whoever knows it, lies in a file that nobody else reads."""
+    doors = []
+
+    def opened(address):
+        file = Path(address.removeprefix("file://"))
+        doors.append((file.read_text(), file.parent.stat().st_mode & 0o077, file))
+
+    monkeypatch.setattr(command.webbrowser, "open", opened)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(command.sys, "platform", "linux")
+    assert main(["view", "--port", "8470"]) == 0
+    assert not doors
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert main(["view", "--port", "8470", "--no-browser"]) == 0
+    assert not doors
+    assert main(["view", "--port", "8470"]) == 0
+    ((text, others, file),) = doors
+    assert served[-1][1].addresses()[0] in text
+    assert not others
+    assert not file.exists()
+
+
 def test_a_session_without_changes_is_not_saved(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "serve", lambda page, access: page.session.advance(0.25))
+    monkeypatch.setattr(Live, "go", lambda page: page.session.advance(0.25))
     assert main(["view", "--port", "8440"]) == 0
     assert not (tmp_path / "output").exists()
 

@@ -36,7 +36,7 @@ def page(tmp_path_factory):
     access = Access()
     with listening(access, 8300) as server:
         live = Live(to_system(case), server, tmp_path_factory.mktemp("s") / "session.toml")
-        live.is_running, live.token = False, access.token
+        live.is_running, live.waits, live.token = False, False, access.token
         thread = threading.Thread(target=live.go, daemon=True)
         thread.start()
         yield live

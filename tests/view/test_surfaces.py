@@ -165,6 +165,6 @@ def test_euler_angles_are_those_of_a_case(make):
 
 
 def test_the_table_escapes_what_a_case_calls_its_bodies():
-    text = table("<script>", [NumberGroup("a & b", (Row("k", "<i>", (1.0,)),))], 5)
+    text = table("<script>", [NumberGroup("a & b", (Row("k", "<i>", (1.0,), 1.0),))], 5)
     assert "<script>" not in text
     assert "&lt;script&gt;" in text

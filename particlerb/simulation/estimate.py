@@ -1,0 +1,61 @@
+"""How long a run will take: a trial of its first steps, by the clock."""
+
+import time
+from typing import Final
+
+import numpy as np
+
+from particlerb.case.run import frame_count
+from particlerb.compiled.threads import THREADS
+from particlerb.maths.vec3 import Floats
+from particlerb.model.system import System
+from particlerb.record.file_size import estimated_size
+from particlerb.simulation.frame_times import frame_times
+from particlerb.simulation.run import Prepared, Run, RunError
+from particlerb.stepping.motion import MotionError
+
+_ENOUGH: Final = 0.3  # s, that the last piece of a trial takes
+_FIRST_PIECE: Final = 2.0**-24  # of the run; it compiles
+_WRITING: Final = 2e8  # bytes a second, to a file
+
+
+def estimated_seconds(prepared: Prepared) -> float:
+    """Wall time of the motion of a run and of its file [s], compilation aside.
+
+    The run is made in pieces, each twice as long as that before, until one has taken 0.3 s;
+    the rest is taken to go on at the speed of that one.
+
+    Raises
+    ------
+    RunError
+        If one of these pieces fails, as the run would.
+    """
+    run, end = Run(prepared), prepared.system.run.t_end
+    spent, reached, length = 0.0, 0.0, end * _FIRST_PIECE
+    with THREADS.using(prepared.system.run.threads):
+        while reached < end:
+            until = min(reached + length, end)
+            times = _frames_between(prepared.system, reached, until)
+            start = time.perf_counter()
+            try:
+                *_, error = run.frames_at(times, np.full(times.size, True))
+            except (MotionError, FloatingPointError) as problem:
+                raise RunError(str(problem)) from None
+            if error is not None:
+                raise error
+            piece = time.perf_counter() - start
+            spent += piece if reached else 0.0
+            length, last, reached = 2.0 * length, until - reached, until
+            if piece >= _ENOUGH and last > end * _FIRST_PIECE:
+                spent += piece * (end - reached) / last
+                break
+    n_bytes = estimated_size(prepared.system, frame_count(prepared.system.run))
+    return spent + n_bytes / _WRITING
+
+
+def _frames_between(system: System, reached: float, until: float) -> Floats:
+    """Times of the frames behind a time, up to another one [s]; this one as well."""
+    every, n = system.run.every, frame_count(system.run)
+    first, stop = int(reached / every), min(int(until / every) + 2, n)
+    times = frame_times(system.run, min(first, n - 1), stop)
+    return np.union1d(times[(times > reached) & (times <= until)], until)
