@@ -30,6 +30,7 @@ from particlerb.joints.records import Joints
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.load import OTHER
+from particlerb.model.worlds import Worlds, over_bodies
 
 _FLOW_AMONG_JOINTS: Final = "flow among joints"  # which no method takes: it is not of order two
 
@@ -220,13 +221,13 @@ def words_of(terms: Terms) -> list[str]:
     return gravity + list(dict.fromkeys(term_of(load).words for load in terms.loads))
 
 
-def work_of_potentials(terms: Terms, com: Floats, q: Floats, t: float = 0.0) -> float:
-    """Work [J] of potentials at t [s] since the segment began, up to a constant."""
-    work = 0.0
-    for load in terms.loads:
-        of = term_of(load).work
-        work += 0.0 if of is None else float(of(load, com, q, t).sum())
-    return work
+def work_of_potentials(
+    terms: Terms, com: Floats, q: Floats, t: float = 0.0, worlds: Worlds | None = None
+) -> Floats | float:
+    """Work [J] of potentials at t [s] since the segment began, up to a constant; of each world."""
+    of = [(term_of(load).work, load) for load in terms.loads]
+    found = [over_bodies(work(load, com, q, t), worlds) for work, load in of if work is not None]
+    return sum(found, 0.0)
 
 
 def energies_of(load: Any, com: Floats, q: Floats) -> Floats | None:
@@ -240,7 +241,9 @@ def has_energy(terms: Terms) -> bool:
     return any(term_of(load).energy is not None for load in terms.loads)
 
 
-def energy_of_loads(terms: Terms, com: Floats, q: Floats) -> float:
+def energy_of_loads(
+    terms: Terms, com: Floats, q: Floats, worlds: Worlds | None = None
+) -> Floats | float:
     """Potential energy [J] of loads that have one: springs that are not among the links."""
     energies = [energies_of(load, com, q) for load in terms.loads]
-    return sum(float(energy.sum()) for energy in energies if energy is not None)
+    return sum((over_bodies(one, worlds) for one in energies if one is not None), 0.0)

@@ -8,7 +8,7 @@ integration alone. Where nobody asks (`books` is None), the compiler leaves all 
 from particlerb.compiled.jit import Flag, inline
 from particlerb.forces.kernels import Entry
 from particlerb.maths.quaternion import Rows, turn_back
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, cross, dot, subtract
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, component_product, cross, dot, subtract
 from particlerb.model.block import BOOKED, INV_INERTIA, INV_MASS, get, get3, put
 
 
@@ -49,12 +49,17 @@ def book(books: Flag, rows: Floats, b: int, dt: float, entry: Entry) -> None:
 
 
 @inline
-def store_sums(sums: Floats, f: int, k: int, books: Flag, rows: Floats, n: int) -> None:
-    """Write the sums over the block into frame f."""
+def store_sums(sums: Floats, f: int, bins: Ints, books: Flag, rows: Floats) -> None:
+    """Add what the bodies of a block have booked, in their order, to their bins in frame f."""
     if books is None:
         return
     for c in range(7):
-        total = 0.0
-        for b in range(n):
+        last = bins[0]
+        total = sums[f, last, c]
+        for b in range(bins.size):
+            if bins[b] != last:
+                sums[f, last, c] = total
+                last = bins[b]
+                total = sums[f, last, c]
             total += get(rows, BOOKED + c, b)
-        sums[f, k, c] = total
+        sums[f, last, c] = total

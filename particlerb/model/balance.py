@@ -6,7 +6,6 @@ zero.
 Sums run over fixed blocks of bodies in a fixed order: the same bits for any number of threads.
 """
 
-import math
 from collections.abc import Mapping
 from functools import partial
 from typing import NamedTuple
@@ -18,6 +17,7 @@ from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.maths.quaternion import Rows4, load4, rows4, to_body
 from particlerb.maths.vec3 import (
     Floats,
+    Ints,
     Rows3,
     Vec3,
     add_scaled,
@@ -35,8 +35,8 @@ _N_TOTALS = 10
 _NEAR = 1e-6  # share of |x| |p| that an angular momentum is never judged below: x × p rounds
 
 
-class _Totals(NamedTuple):
-    """Sums over all bodies, per frame."""
+class Totals(NamedTuple):
+    """Sums over all bodies, per frame; (T, n_worlds) in place of (T,) for scenes in a batch."""
 
     kinetic_energy: Floats  # (T,) [J]
     potential_energy: Floats  # (T,) [J] of gravity, attraction, springs, contacts, piston loads
@@ -93,14 +93,14 @@ def _add_turning(q: Rows4, L: Rows3, frame: Rows4, inverse: Rows3, kinetic: Floa
 
 @kernel
 def _sum_blocks(
-    frames: Frames, bodies: Bodies, gravity: Floats, sums: Floats, first: int, last: int
+    frames: Frames, bodies: Bodies, gravity: Floats, ends: Ints, sums: Floats, first: int, last: int
 ) -> None:
-    """Sums over some blocks of bodies, for all frames, into sums (T, blocks, 10)."""
+    """Sums over some blocks, between their ends, for all frames, into sums (T, blocks, 10)."""
     mass, inv_mass, _, inv_inertia, rotor_frame, _ = bodies
     g = (gravity[0], gravity[1], gravity[2])
     local, out = np.empty((13, BLOCK)), np.empty((_N_TOTALS, BLOCK))
     for k in range(first, last):
-        lo, hi = k * BLOCK, min((k + 1) * BLOCK, mass.size)
+        lo, hi = ends[k], ends[k + 1]
         n = hi - lo
         x, p, L = rows3(local[0:3], 0, n), rows3(local[3:6], 0, n), rows3(local[6:9], 0, n)
         q, frame = rows4(local[9:13], 0, n), rows4(rotor_frame, lo, hi)
@@ -124,7 +124,8 @@ def totals(
     gravity: Floats,
     potential: Floats | float = 0.0,
     kinetic: Floats | float = 0.0,
-) -> _Totals:
+    n_worlds: int = 1,
+) -> Totals:
     """Totals of frames.
 
     Parameters
@@ -137,23 +138,34 @@ def totals(
         Potential energy of springs, of forces between bodies, and of loads on pistons [J].
     kinetic : ndarray, shape (T,)
         Kinetic energy of pistons [J].
+    n_worlds : int
+        Scenes that the bodies are of, one after the other, with as many each.
     """
     n, n_frames = bodies.mass.size, len(frames.position)
-    blocks = np.empty((n_frames, -(-n // BLOCK), _N_TOTALS))
-    THREADS.spread(partial(_sum_blocks, frames, bodies, gravity, blocks), n, n * n_frames)
+    starts = np.arange(0, n // n_worlds, BLOCK)
+    own = np.arange(n_worlds)[:, None] * (n // n_worlds)
+    ends = np.append((own + starts).ravel(), n)
+    blocks = np.empty((n_frames, ends.size - 1, _N_TOTALS))
+    add_up = partial(_sum_blocks, frames, bodies, gravity, ends, blocks)
+    THREADS.share(add_up, ends.size - 1, n * n_frames)
     sums = blocks.sum(axis=1)
-    return _Totals(
-        sums[:, 0] + kinetic,
-        sums[:, 1] + potential,
-        sums[:, 2:5],
-        sums[:, 5:8],
-        sums[:, 8],
-        sums[:, 9],
+    if n_worlds > 1:
+        sums = blocks.reshape(n_frames, n_worlds, starts.size, _N_TOTALS).sum(axis=2)
+    return Totals(
+        sums[..., 0] + kinetic,
+        sums[..., 1] + potential,
+        sums[..., 2:5],
+        sums[..., 5:8],
+        sums[..., 8],
+        sums[..., 9],
     )
 
 
 class Entries(NamedTuple):
-    """The energy balance of some frames; the observables of the file, in this order."""
+    """The energy balance of some frames; the observables of the file, in this order.
+
+    (T, n_worlds) in place of (T,) for scenes in a batch.
+    """
 
     kinetic_energy: Floats  # (T,) [J]
     potential_energy: Floats  # (T,) [J]
@@ -167,53 +179,58 @@ class Entries(NamedTuple):
 
 
 class ConservationError(NamedTuple):
-    """Largest errors of integration so far, each relative to its scale."""
+    """Largest errors of integration so far, each relative to its scale; of worlds, (n_worlds,)."""
 
     energy: float
     linear_momentum: float
     angular_momentum: float
 
 
+def _largest(values: Floats, least: float = 0.0) -> Floats:
+    """Largest over the frames, (T, ...), and at least so much."""
+    return np.asarray(values.max(axis=0, initial=least))
+
+
 class EnergyBalance:
     """Books a run from its initial totals on."""
 
-    def __init__(self, initial: _Totals) -> None:
-        self.energy = float(initial.kinetic_energy[0] + initial.potential_energy[0])
+    def __init__(self, initial: Totals) -> None:
+        self.energy = np.asarray(initial.kinetic_energy[0] + initial.potential_energy[0])
         self.linear = initial.linear_momentum[0].copy()
         self.angular = initial.angular_momentum[0].copy()
-        self.errors = np.zeros(3)
-        self.scales = np.zeros(3)
+        self.errors = np.zeros((3, *self.energy.shape))  # a column for each world
+        self.scales = np.zeros((3, *self.energy.shape))
         self.widen(initial, np.zeros(1), 0.0)
 
     def checkpoint(self) -> dict[str, Floats]:
         """Initial totals, largest errors and scales so far."""
-        initial = np.array([self.energy, *self.linear, *self.angular])
+        initial = np.array([float(self.energy), *self.linear, *self.angular])
         return {"initial": initial, "errors": self.errors.copy(), "scales": self.scales.copy()}
 
     def restore(self, saved: Mapping[str, Floats]) -> None:
         """Go on from what was saved."""
         initial = saved["initial"]
-        self.energy, self.linear, self.angular = float(initial[0]), *np.split(initial[1:7], 2)
+        self.energy, (self.linear, self.angular) = initial[0], np.split(initial[1:7], 2)
         self.errors, self.scales = saved["errors"], saved["scales"]
 
-    def widen(self, now: _Totals, work: Floats, gross: float) -> None:
+    def widen(self, now: Totals, work: Floats, gross: float) -> None:
         """Let the scales grow with what is turned over."""
-        energies = np.maximum(now.kinetic_energy, np.abs(work)).max(initial=gross)
-        sizes = (now.momentum_size.max(initial=0.0), now.spin_size.max(initial=0.0))
+        energies = _largest(np.maximum(now.kinetic_energy, np.abs(work)), gross)
+        sizes = (_largest(now.momentum_size), _largest(now.spin_size))
         self.scales = np.maximum(self.scales, (energies, *sizes))
 
-    def enter(self, now: _Totals, booked: Floats, gross: float = 0.0) -> Entries:
+    def enter(self, now: Totals, booked: Floats, gross: float = 0.0) -> Entries:
         """Entries of some frames.
 
         Parameters
         ----------
         now : Totals
-        booked : ndarray, shape (T, 7)
+        booked : ndarray, shape (T, 7) or (T, n_worlds, 7)
         gross : float [J]
             Sum of the sizes of all that contacts have taken or given until the last of them: what
             goes in by one wall and out by friction cancels in `booked`.
         """
-        work = booked[:, 0]
+        work = booked[..., 0]
         energy = now.kinetic_energy + now.potential_energy
         entries = Entries(
             now.kinetic_energy,
@@ -222,21 +239,21 @@ class EnergyBalance:
             work,
             energy - self.energy - work,
             now.linear_momentum,
-            now.linear_momentum - self.linear - booked[:, 1:4],
+            now.linear_momentum - self.linear - booked[..., 1:4],
             now.angular_momentum,
-            now.angular_momentum - self.angular - booked[:, 4:7],
+            now.angular_momentum - self.angular - booked[..., 4:7],
         )
         self.widen(now, work, gross)
         linear, angular = entries.linear_momentum_error, entries.angular_momentum_error
         largest = (
-            np.abs(entries.energy_error).max(initial=0.0),
-            math.sqrt((linear * linear).sum(axis=1).max(initial=0.0)),
-            math.sqrt((angular * angular).sum(axis=1).max(initial=0.0)),
+            _largest(np.abs(entries.energy_error)),
+            np.sqrt(_largest((linear * linear).sum(axis=-1))),
+            np.sqrt(_largest((angular * angular).sum(axis=-1))),
         )
         self.errors = np.maximum(self.errors, largest)
         return entries
 
     def drift(self) -> ConservationError:
         """Largest errors until now over the largest scales."""
-        safe = np.where(self.scales > 0.0, self.scales, 1.0)
+        safe: Floats = np.where(self.scales > 0.0, self.scales, 1.0)
         return ConservationError(*(self.errors / safe).tolist())

@@ -8,6 +8,8 @@ t = 0. Nothing that takes a `System` knows whether there ever was a file.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
@@ -79,6 +81,10 @@ class System(NamedTuple):
     """Where joints were placed; None: at `state`. Assembly moves bodies from there."""
     merging: Merging | None = None
     """Bodies that move as one; None: each moves by itself."""
+    n_worlds: int = 1
+    """Scenes that share the arrays, one after the other; the records are those of the first."""
+    others: Mapping[int, tuple[AnyForce, ...]] = MappingProxyType({})
+    """Forces that differ from world to world: the record of each, by the number of the first."""
     notes: tuple[tuple[str, str], ...] = ()
     """Name of a record and a line on how its shape became particles: what was tried, or changed."""
 
@@ -86,6 +92,11 @@ class System(NamedTuple):
     def n_bodies(self) -> int:
         """Number of bodies."""
         return len(self.block)
+
+    @property
+    def world(self) -> Ints:
+        """Number of the scene of each body, shape (n_bodies,)."""
+        return np.arange(self.n_bodies) // (self.n_bodies // self.n_worlds)
 
     @property
     def is_held(self) -> Bools:

@@ -19,6 +19,7 @@ from particlerb.joints.setup import with_drag
 from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.bodies import Bodies, held, taken
 from particlerb.model.system import System
+from particlerb.model.worlds import Worlds, worlds_among
 from particlerb.plan.case_forces import acting_terms, acts, jumps_at
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.groups import BodyGroup, part_of, terms_between
@@ -56,10 +57,11 @@ class GroupPlan(NamedTuple):
     members: Ints  # (n,) which bodies of the system these are
     bodies: Bodies  # their constants
     segments: tuple[Segment, ...]  # to infinity
+    worlds: Worlds | None = None  # scenes that share the group, if they are several
 
     def group(self, segment: Segment) -> Group:
         """What a method needs for one segment."""
-        return Group(self.members, self.bodies, segment.terms)
+        return Group(self.members, self.bodies, segment.terms, self.worlds)
 
 
 class Plan(NamedTuple):
@@ -111,7 +113,10 @@ def cut_into_segments(
         closed.append(is_closed)
     kinds, kind = np.unique(np.array(closed), axis=1, return_inverse=True)
     if kinds.shape[1] == 1:
-        return [GroupPlan(members, bodies, tuple(segments))]
+        worlds = None
+        if system.n_worlds > 1:
+            worlds = worlds_among(system.world[members], system.n_worlds)
+        return [GroupPlan(members, bodies, tuple(segments), worlds)]
     parts = [np.flatnonzero(kind == k) for k in range(kinds.shape[1])]
     return [
         part

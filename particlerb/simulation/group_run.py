@@ -18,6 +18,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, State, quaternion_product
 from particlerb.model.system import System
+from particlerb.model.worlds import shape_of
 from particlerb.plan.joints import joints_of
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.simulation.joint_values import JointReader, JointValues
@@ -37,7 +38,7 @@ class GroupRun:
         self.joint_values: JointValues | None = None  # rows of the next `record`, where asked for
         self.reader: JointReader | None = None
         self.plan = plan
-        self.before = np.zeros(7)  # booked in earlier segments
+        self.before = np.zeros((*shape_of(plan.worlds), 7))  # booked in earlier segments
         self.turnover = 0.0  # [J] gross work of contacts in them
         self.number = 0
         self.first = state  # of this segment
@@ -109,23 +110,25 @@ class GroupRun:
         """Whether the bodies have a potential energy beside that of uniform gravity."""
         return self.pairs is not None or has_energy(self.segment.terms)
 
-    def potential(self, com: Floats, q: Floats) -> float:
+    def potential(self, com: Floats, q: Floats) -> Floats | float:
         """Potential energy of all springs, and of the bodies with each other [J].
 
         Where an error of the tree was asked for, this looks at what it is.
         """
-        energy = 0.0 if self.pairs is None else self.pairs.potential_energy(com, q)
+        energy: Floats | float = 0.0
+        if self.pairs is not None:
+            energy = self.pairs.potential_energy(com, q, self.plan.worlds)
         if self.tree is not None:
             self.tree_error = max(self.tree_error, sampled_error(self.tree))
         joints = self.segment.terms.joints
-        energy += 0.0 if joints is None else energy_of_joints(joints, com, q)
-        return energy + energy_of_loads(self.segment.terms, com, q)
+        energy = energy + (0.0 if joints is None else energy_of_joints(joints, com, q))
+        return energy + energy_of_loads(self.segment.terms, com, q, self.plan.worlds)
 
     def begin(self, segment: Segment, state: State, before: Motion | None) -> Motion:
         """Apply the impulses at the start of a segment and set off, after another motion."""
         for jump in segment.jumps:
-            state, booked = apply_impulse(jump, self.plan.bodies, state)
-            self.before += booked
+            state, booked = apply_impulse(jump, self.plan.bodies, state, self.plan.worlds)
+            self.before = self.before + booked
         self.first = state
         return self.set_off(before)
 
@@ -149,11 +152,11 @@ class GroupRun:
         state, booked = self.motion.finish(self.segment.stop)
         self.turnover = self.turned_over()
         self.before += booked
-        self.before[0] -= self.potential(state.com, state.q)
+        self.before[..., 0] -= self.potential(state.com, state.q)
         self.number, self.first = self.number + 1, state
         self.fit_tree()
         self.pairs = self.pair_forces()
-        self.before[0] += self.potential(state.com, state.q)
+        self.before[..., 0] += self.potential(state.com, state.q)
         self.motion = self.begin(self.segment, state, self.motion)
 
     def finish(self, time: float) -> tuple[State, Floats]:
@@ -172,13 +175,13 @@ class GroupRun:
 
         Returns
         -------
-        booked : ndarray, shape (T, 7)
+        booked : ndarray, shape (T, 7) or (T, n_worlds, 7)
             What was booked since t = 0.
         energies : Energies
             Beside those of the bodies themselves.
         """
-        booked = np.empty((times.size, 7))
-        potential, kinetic = np.zeros(times.size), np.zeros(times.size)
+        each = times.size, *shape_of(self.plan.worlds)
+        booked, potential, kinetic = np.empty((*each, 7)), np.zeros(each), np.zeros(each)
         self.contacts, self.tallies = {}, {}
         done = 0
         while done < times.size:
@@ -190,9 +193,10 @@ class GroupRun:
                     potential[rows] = [
                         self.potential(*self.pose(frames, row)) for row in rows.tolist()
                     ]
-                contacts = self.motion.contact_energies(rows)
-                potential[rows] += contacts.potential
-                kinetic[rows] += contacts.kinetic
+                if self.plan.worlds is None:
+                    contacts = self.motion.contact_energies(rows)
+                    potential[rows] += contacts.potential
+                    kinetic[rows] += contacts.kinetic
                 self.contacts |= self.motion.contacts
                 self.tallies |= self.motion.impulse_tallies(rows)
                 if self.joint_values is not None:
@@ -240,7 +244,8 @@ def record_all(
     runs: Sequence[GroupRun], times: Floats, frames: Frames, joints: JointValues | None = None
 ) -> tuple[Floats, Energies]:
     """Sums over the groups of what `GroupRun.record` returns; values of joints where asked for."""
-    booked, energies = np.zeros((times.size, 7)), np.zeros((2, times.size))
+    each = times.size, *shape_of(runs[0].plan.worlds)
+    booked, energies = np.zeros((*each, 7)), np.zeros((2, *each))
     for run in runs:
         run.joint_values = joints
         given, beside = run.record(times, frames)
@@ -250,10 +255,12 @@ def record_all(
 
 
 def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:
-    """Energies at t = 0 beside those of the bodies themselves, (1,)."""
+    """Energies at t = 0 beside those of the bodies themselves, (1,) or (1, n_worlds)."""
     energies = np.sum([run.motion.initial_energies for run in runs], axis=0)
-    energies[0] += sum(run.potential(*run.pose(initial, 0)) for run in runs if run.is_bound)
-    return Energies(*energies)
+    bound = sum(run.potential(*run.pose(initial, 0)) for run in runs if run.is_bound)
+    if runs[0].plan.worlds is not None:
+        energies = energies[..., None]
+    return Energies(energies[0] + bound, energies[1])
 
 
 def tally_of(runs: Sequence[GroupRun]) -> Floats | None:

@@ -17,7 +17,7 @@ import numpy as np
 from particlerb.case.to_system import to_case
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
+from particlerb.model.balance import ConservationError, EnergyBalance, Entries, Totals, totals
 from particlerb.model.bodies import taken
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.system import System
@@ -147,7 +147,7 @@ class Run:
         ]
         self.counted = counted(plan.groups, self.moving.bodies)
         energies = initial_energies(self.group_runs, initial)
-        self.balance = EnergyBalance(totals(initial, self.counted, self.gravity, *energies))
+        self.balance = EnergyBalance(self.totals_of(initial, *energies))
         self.before = np.zeros(7)  # booked before the last restart,
         self.turned_over_before = 0.0  # and gross work of contacts [J]
 
@@ -157,6 +157,11 @@ class Run:
         self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows
         self.n_frames = 0  # that lie behind
         self.probes: list[Probe] = []
+
+    def totals_of(self, frames: Frames, potential: Floats, kinetic: Floats) -> Totals:
+        """Totals of frames; the energies are those beside the bodies' own."""
+        n_worlds = self.system.n_worlds
+        return totals(frames, self.counted, self.gravity, potential, kinetic, n_worlds)
 
     def finish(self, time: float) -> State:
         """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
@@ -187,7 +192,7 @@ class Run:
         self.counted = counted(plan.groups, self.moving.bodies)
         frame = as_frame(self.moving.bodies, state)
         energies = initial_energies(self.group_runs, frame)
-        now = totals(frame, self.counted, self.gravity, *energies)
+        now = self.totals_of(frame, *energies)
         self.before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
         self.before[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
         self.before[4:] += (now.angular_momentum - last.angular_momentum)[-1]
@@ -246,14 +251,14 @@ class Run:
             raise
         self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
         booked += self.before
-        now = totals(frames, self.counted, self.gravity, *energies)
+        now = self.totals_of(frames, *energies)
         sizes = now.kinetic_energy + now.potential_energy + now.momentum_size + now.spin_size
         is_finite = bool(np.isfinite(sizes).all())
         sound, problem = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
         error = RunError(problem) if problem else None
         if sound < times.size:
             frames = frames.rows(slice(sound))
-            now = totals(frames, self.counted, self.gravity, *(e[:sound] for e in energies))
+            now = self.totals_of(frames, *(e[:sound] for e in energies))
         turned_over = self.turned_over_before + sum(t.turned_over() for t in self.group_runs)
         entries = self.balance.enter(now, booked[:sound], turned_over)
         if self.moving.merging is not None:

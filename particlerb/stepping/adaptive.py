@@ -190,9 +190,8 @@ class AdaptiveRun(Motion):
         """Through all times; sums of what was booked, for each row of the frames."""
         group = self.group
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
-        recording = Recording(
-            group.bodies.rotor_frame, group.members, frames, sums, np.zeros((0, 0, 3))
-        )
+        where, nobody = (group.bodies.rotor_frame, group.members), np.zeros(0, dtype=np.int64)
+        recording = Recording(*where, frames, sums, nobody, np.zeros((0, 0, 3)))
         for lo, hi, until in self.calls(times, stop):
             cut = stop if until == stop else np.inf
             self.advance_some(times[lo:hi], rows[lo:hi], until, cut, recording)

@@ -19,6 +19,14 @@ from particlerb.maths.vec3 import Floats, Ints, load3, rows3, store3
 from particlerb.model.block import BOOKED, COM, STRIDE, L, P, Q, get, get3, in_blocks
 from particlerb.model.bodies import taken
 from particlerb.model.state import CONJUGATE, Frames, State, quaternion_product, rotate, store_frame
+from particlerb.model.worlds import (
+    Worlds,
+    bins_of,
+    over_bins,
+    over_bodies,
+    part_of_worlds,
+    shape_of,
+)
 from particlerb.rotors.exact import (
     HyperbolicTurn,
     SteadyTurn,
@@ -37,6 +45,7 @@ from particlerb.stepping.translations import (
     GIVEN,
     Centres,
     Damping,
+    Given,
     Oscillator,
     Slowing,
     add_given,
@@ -81,15 +90,17 @@ class _Turned(NamedTuple):
     """What a force on their axis gives tops."""
 
     axes: Floats  # (4, n) from those in which it acts on axis 3 to the rotor frame
-    first: Floats  # (7,) work, up to a constant, and L, when the segment begins
+    first: Floats  # (..., 7) work, up to a constant, and L, when the segment begins
 
 
 @inline
-def _add_turned(top: Floats | None, near: Floats | None, n: int, out: Floats, given: Any) -> None:
+def _add_turned(
+    top: Floats | None, near: Floats | None, lo: int, n: int, out: Floats, given: Any
+) -> None:
     """Sums over the tops of a block of the work of what turns them, and of L."""
     if top is not None or near is not None:
         for b in range(n):
-            add_given(given, get(out, BOOKED, b), (0.0, 0.0, 0.0), get3(out, L, b))
+            add_given(given, lo + b, get(out, BOOKED, b), (0.0, 0.0, 0.0), get3(out, L, b))
 
 
 @inline
@@ -141,7 +152,7 @@ def _move_block(
     turn_block(part.steady, part.theta, part.hyperbolic, t, lo, hi, q)
     _slow_down(part.slowing, lo, hi, t, out, given)
     top_block(part.top, part.near, k, t, hi - lo, out)
-    _add_turned(part.top, part.near, hi - lo, out, given)
+    _add_turned(part.top, part.near, lo, hi - lo, out, given)
     _translate(part.drag, part.spring, part.orbit, of, lo, t, given)
 
 
@@ -153,6 +164,7 @@ def _fly_blocks(
     members: Ints,
     frames: Frames,
     given: Floats | None,
+    bins: Ints,
     first: int,
     last: int,
 ) -> None:
@@ -173,13 +185,13 @@ def _fly_blocks(
             spin = rows3(local[L : L + 3], 0, n)
         frame = rows4(own[12:16], 0, n)
         for f in range(times.size):
-            sums = None if given is None else given[k, f]
+            sums = None if given is None else Given(given[f], bins)
             _move_block(part, k, times[f], of, q, out, sums)
             store_frame(frames, rows[f], place[:n], frame, com, q, p, spin)
 
 
 @kernel
-def _end_blocks(part: _Part, t: float, end: State, given: Floats | None) -> None:
+def _end_blocks(part: _Part, t: float, end: State, given: Given | None) -> None:
     """State of the bodies of a part at one time; L only where it changes."""
     out, own = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, BLOCK))
     local = out.reshape((BOOKED + 1, STRIDE))
@@ -257,7 +269,9 @@ class FreeMotion(Motion):
             frame = bodies.rotor_frame.copy()
             frame[:, own] = quaternion_product(frame[:, own], axes[:, which])
             part = self.part(own)._replace(rotor_frame=frame, changes_spin=flag(True), **kind)
-            first = np.array([work[which].sum(), 0.0, 0.0, 0.0, *state.L[:, which].sum(axis=1)])
+            worlds = part_of_worlds(self.group.worlds, own)
+            before = over_bodies(work[None, which], worlds), over_bodies(state.L[:, which], worlds)
+            first = np.concatenate([before[0], 0.0 * before[1], before[1]], axis=-1)
             yield own, part, _Turned(axes[:, which], first)
 
     def part(self, which: Ints) -> _Part:
@@ -278,7 +292,7 @@ class FreeMotion(Motion):
     def booked(self, elapsed: Floats) -> Floats:
         """What forces have given that are constant in the world, (T, 7)."""
         if self.constant is None:
-            return np.zeros((elapsed.size, GIVEN))
+            return np.zeros((elapsed.size, *shape_of(self.group.worlds), GIVEN))
         return self.constant.booked(elapsed)
 
     def refuse_fall(self, t: float) -> None:
@@ -296,15 +310,21 @@ class FreeMotion(Motion):
         self.refuse_fall(elapsed.max(initial=0.0))
         booked = self.booked(elapsed)
         for which, part, turned in self.parts:
-            n_blocks = -(-which.size // BLOCK)
-            given = np.zeros((n_blocks, times.size, GIVEN)) if part.sums else None
-            fly = partial(_fly_blocks, part, elapsed, rows, self.group.members, frames, given)
+            worlds = self.worlds_of(which, part)
+            m = which.size if worlds is None else worlds.bodies.shape[1]
+            bins = bins_of(np.arange(m) // BLOCK, worlds)
+            given = np.zeros((times.size, int(bins.max()) + 1, GIVEN)) if part.sums else None
+            fly = partial(_fly_blocks, part, elapsed, rows, self.group.members, frames, given, bins)
             THREADS.spread(fly, which.size, which.size * times.size)
             if given is not None:
-                booked += given.sum(axis=0)
+                booked += over_bins(given, worlds)
             if turned is not None:
                 booked -= turned.first
         return booked
+
+    def worlds_of(self, which: Ints, part: _Part) -> Worlds | None:
+        """Worlds of the bodies of a part, where something is summed over them."""
+        return part_of_worlds(self.group.worlds, which) if part.sums else None
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
@@ -313,10 +333,14 @@ class FreeMotion(Motion):
         end = State(*(values.copy() for values in self.state))
         booked = self.booked(np.array([t]))[0]
         for which, part, turned in self.parts:
-            given = np.zeros(GIVEN) if part.sums else None
+            worlds, given = self.worlds_of(which, part), None
+            if part.sums:
+                m = which.size if worlds is None else worlds.bodies.shape[1]
+                bins = bins_of(np.zeros(m, dtype=np.int64), worlds)
+                given = Given(np.zeros((int(bins.max()) + 1, GIVEN)), bins)
             THREADS.alone(_end_blocks, part, t, end, given)
             if given is not None:
-                booked += given
+                booked += given.sums[0] if worlds is None else given.sums
             if turned is not None:
                 end.q[:, which] = quaternion_product(end.q[:, which], turned.axes * CONJUGATE)
                 booked -= turned.first

@@ -70,7 +70,8 @@ class Recording(NamedTuple):
     rotor_frame: Floats  # (4, n)
     members: Ints  # (n,) which bodies of the scene these are
     frames: Frames
-    sums: Floats  # (T, blocks, 7) what was booked
+    sums: Floats  # (T, bins, 7) what was booked
+    bins: Ints  # (n,) where each body is summed: see model/worlds.py
     turned: Floats  # (T, c, 3) of joints
 
 
@@ -92,7 +93,7 @@ def store_blocks(
     last: int,
 ) -> None:
     """Write the bodies of some blocks into a frame."""
-    rotor_frame, members, frames, sums, _ = recording
+    rotor_frame, members, frames, sums, bins, _ = recording
     for k in range(first, last):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         local = rows.reshape(rows.size // STRIDE, STRIDE)
@@ -100,7 +101,7 @@ def store_blocks(
         p, spin = rows3(local[P : P + 3], 0, n), rows3(local[L : L + 3], 0, n)
         turn = rows4(rotor_frame, lo, lo + n)
         store_frame(frames, frame, members[lo : lo + n], turn, com, q, p, spin)
-        store_sums(sums, frame, k, books, rows, n)
+        store_sums(sums, frame, bins[lo : lo + n], books, rows)
 
 
 @stages

@@ -6,9 +6,9 @@ numbers, the work [J], the impulse [N s] and the angular impulse about the world
 the last two with gravity's. The error of integration is the total less the initial less these.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
-from typing import Final, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from particlerb.forces import Terms, force_of_loads, is_constant, terms_on, work
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import Frames, State, cross_columns, quaternion_product
+from particlerb.model.worlds import Worlds, over_all, over_bodies, part_of_worlds, shape_of
 from particlerb.stepping.saved_arrays import Saved, under, within
 
 
@@ -33,6 +34,7 @@ class Group(NamedTuple):
     members: Ints  # (n,) which bodies of the scene these are
     bodies: Bodies  # their constants
     terms: Terms  # what acts on them
+    worlds: Worlds | None = None  # scenes that share the group, if they are several
 
 
 class Energies(NamedTuple):
@@ -116,15 +118,16 @@ class _ConstantForce(NamedTuple):
     for F parallel to a.
     """
 
-    work: Floats  # (2,) coefficients of t, t²: of the pushes alone
-    impulse: Floats  # (3,) coefficient of t
-    angular: Floats  # (2, 3) coefficients of t, t²
+    work: Floats  # (2, ..., 1) coefficients of t, t²: of the pushes alone
+    impulse: Floats  # (..., 3) coefficient of t
+    angular: Floats  # (2, ..., 3) coefficients of t, t²; ... is the number of worlds, if several
 
     def booked(self, t: Floats) -> Floats:
-        """Work, impulse and angular impulse after the times t [s], shape (T, 7)."""
-        t = np.atleast_1d(t)[:, None]
+        """Work, impulse and angular impulse after the times t [s], shape (T, ..., 7)."""
+        t = np.reshape(t, (-1, *(1,) * self.impulse.ndim))
         work = t * (self.work[0] + t * self.work[1])
-        return np.hstack([work, t * self.impulse, t * self.angular[0] + t * t * self.angular[1]])
+        angular = t * self.angular[0] + t * t * self.angular[1]
+        return np.concatenate([work, t * self.impulse, angular], axis=-1)
 
 
 def force_of(group: Group) -> tuple[Floats, Floats]:
@@ -136,25 +139,20 @@ def force_of(group: Group) -> tuple[Floats, Floats]:
     return pushed, pushed + gravity.mass * gravity.acceleration[:, None]
 
 
-_NO_FORCE: Final = _ConstantForce(np.zeros(2), np.zeros(3), np.zeros((2, 3)))
-
-
 def constant_force(group: Group, state: State) -> _ConstantForce:
     """Sums over a group whose force is constant, from its state at the beginning."""
+    worlds = group.worlds
     if group.terms.gravity is None and not group.terms.loads:
-        return _NO_FORCE
+        each = shape_of(worlds)
+        nothing = np.zeros((2, *each, 3))
+        return _ConstantForce(nothing[..., :1], nothing[0], nothing)
     pushed, force = force_of(group)
     velocity = state.p * group.bodies.inv_mass
-    return _ConstantForce(
-        np.array([(pushed * velocity).sum(), 0.5 * (pushed * force * group.bodies.inv_mass).sum()]),
-        force.sum(axis=1),
-        np.stack(
-            [
-                cross_columns(state.com, force).sum(axis=1),
-                0.5 * cross_columns(velocity, force).sum(axis=1),
-            ]
-        ),
-    )
+    gained = over_all(pushed * force * group.bodies.inv_mass, worlds)
+    work = np.stack([over_all(pushed * velocity, worlds), 0.5 * gained])
+    turned = cross_columns(state.com, force), cross_columns(velocity, force)
+    angular = over_bodies(turned[0], worlds), 0.5 * over_bodies(turned[1], worlds)
+    return _ConstantForce(work[..., None], over_bodies(force, worlds), np.stack(angular))
 
 
 class WorkAccount:
@@ -178,36 +176,47 @@ class WorkAccount:
         return constant_force(self.group, self.first)
 
     @cached_property
-    def work_before(self) -> float:
+    def work_before(self) -> Floats | float:
         """Work of potentials at the start, up to a constant [J]."""
-        return work_of_potentials(self.group.terms, self.first.com, self.first.q)
+        first = self.first
+        return work_of_potentials(self.group.terms, first.com, first.q, 0.0, self.group.worlds)
 
     def of_state(self, elapsed: float, com: Floats, q: Floats, L: Floats, sums: Floats) -> Floats:
-        """Work, impulse and angular impulse (7,) until a state; `sums` were booked by kernels."""
+        """Work, impulse and angular impulse (7,) until a state; `sums` were booked by kernels.
+
+        (n_worlds, 7) where there are several worlds.
+        """
+        worlds = self.group.worlds
         if not self.is_kept:
-            return np.zeros(7)
-        potential = work_of_potentials(self.group.terms, com, q, elapsed) - self.work_before
+            return np.zeros((*shape_of(worlds), 7))
+        potential = work_of_potentials(self.group.terms, com, q, elapsed, worlds)
+        potential = potential - self.work_before
         if self.books is None:
             given: Floats = self.constant.booked(np.array([elapsed]))[0]
-            given[0] = potential
+            given[..., 0] = potential
             if not self.group.terms.is_coupled:
-                given[4:] += (L - self.first.L).sum(axis=1)
+                given[..., 4:] += over_bodies(L - self.first.L, worlds)
             return given
         given = sums.copy()
-        given[0] += potential
+        given[..., 0] += potential
         return given
 
     def of_frames(self, elapsed: Floats, rows: Ints, frames: Frames, sums: Floats) -> Floats:
-        """The same (T, 7) until rows of the frames."""
+        """The same (T, ..., 7) until rows of the frames."""
+        given = np.zeros((elapsed.size, *shape_of(self.group.worlds), 7))
         if not self.is_kept:
-            return np.zeros((elapsed.size, 7))
+            return given
         own, frame = self.group.members, self.group.bodies.rotor_frame
-        given = np.empty((elapsed.size, 7))
         for k, row in enumerate(rows):
             q = quaternion_product(np.ascontiguousarray(frames.orientation[row, own].T), frame)
             com, L = frames.position[row, own].T, frames.angular_momentum[row, own].T
             given[k] = self.of_state(float(elapsed[k]), com, q, L, sums[row])
         return given
+
+
+def sum_of(booked: Iterable[Floats]) -> Floats:
+    """Sum of what was booked, from zero on, in this order."""
+    return sum(booked, np.zeros(7))
 
 
 class CompositeMotion(Motion):
@@ -224,22 +233,19 @@ class CompositeMotion(Motion):
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
-        given = np.zeros((times.size, 7))
-        for _, motion in self.parts:
-            given += motion.record(times, rows, frames)
-        return given
+        return sum_of(motion.record(times, rows, frames) for _, motion in self.parts)
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
         n = sum(which.size for which, _ in self.parts)
         state = State(*(np.empty((rows, n)) for rows in (3, 4, 3, 3)))
-        booked = np.zeros(7)
+        booked = []
         for which, motion in self.parts:
             part, given = motion.finish(stop)
             for whole, own in zip(state, part, strict=True):
                 whole[:, which] = own
-            booked += given
-        return state, booked
+            booked.append(given)
+        return state, sum_of(booked)
 
     def checkpoint(self) -> Saved:
         """What each part has changed."""
@@ -256,4 +262,5 @@ class CompositeMotion(Motion):
 
 def part_of(group: Group, which: Ints) -> Group:
     """Some bodies of a group with what acts on them."""
-    return Group(group.members[which], taken(group.bodies, which), terms_on(group.terms, which))
+    bodies, terms = taken(group.bodies, which), terms_on(group.terms, which)
+    return Group(group.members[which], bodies, terms, part_of_worlds(group.worlds, which))

@@ -148,7 +148,7 @@ def orbited(of: Centres, orbit: Orbit, lo: int, t: float, given: Any) -> None:
         if given is not None and not is_there:
             impulse = add_scaled(-1.0, load3(p0, b), scale(M, v))
             work = M * mu * ((orbit.first[lo + b] - r) / (orbit.first[lo + b] * r))
-            add_given(given, work, impulse, cross(load3(middle, b), impulse))
+            add_given(given, lo + b, work, impulse, cross(load3(middle, b), impulse))
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")

@@ -17,6 +17,7 @@ from particlerb.forces.links import link_energy, link_loads
 from particlerb.integrators.pair_stages import PairTerms
 from particlerb.maths.vec3 import Floats
 from particlerb.model.load import LOAD_ROWS, STATE_ROWS
+from particlerb.model.worlds import Worlds
 
 _NANOSECONDS_PER_PAIR: Final = 0.4  # of the direct sum, roughly, for one of the two
 _NANOSECONDS_PER_LINK: Final = 15.0
@@ -84,11 +85,13 @@ class PairForces:
         if attraction is not None and work is not None:
             spread_loads(attraction, work, y, load)
 
-    def potential_energy(self, com: Floats, q: Floats) -> float:
-        """Of the bodies with each other, and of links to the world [J]."""
-        energy = 0.0
+    def potential_energy(
+        self, com: Floats, q: Floats, worlds: Worlds | None = None
+    ) -> Floats | float:
+        """Of the bodies with each other, and of links to the world [J]; in each world."""
+        energy: Floats | float = 0.0
         if self.pairs.links is not None:
-            energy += link_energy(self.pairs.links, com, q)
+            energy = energy + link_energy(self.pairs.links, com, q, worlds)
         y = np.zeros((STATE_ROWS, com.shape[1]))
         y[:3], y[3:7] = com, q
         if self.pairs.attraction is not None and self.pairs.work is not None:

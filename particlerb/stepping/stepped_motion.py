@@ -33,6 +33,7 @@ from particlerb.model.block import (
 )
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State, room_for
+from particlerb.model.worlds import bins_of, over_bins, over_bodies
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.loop import (
     CLOSE,
@@ -84,6 +85,7 @@ class SteppedMotion(Motion):
         self.layout = _layout_of(is_asymmetric & has_own_blocks)
         full = self.layout.size.tolist()
         self.slots = np.concatenate([k * BLOCK + np.arange(m) for k, m in enumerate(full)])
+        self.bins = self.bins_of(is_asymmetric & has_own_blocks)
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
         rotors = RotorClasses()
         if method.rotor_constants is not None:
@@ -127,6 +129,13 @@ class SteppedMotion(Motion):
         spaced = np.zeros((len(values), len(self.layout.first) * BLOCK))
         spaced[:, self.slots] = values
         return spaced
+
+    def bins_of(self, in_own_blocks: Bools) -> Ints:
+        """Where each body is summed: a bin for each block, of one scene or of each world."""
+        worlds, layout = self.group.worlds, self.layout
+        if worlds is not None:
+            layout = _layout_of(in_own_blocks[worlds.bodies[0]])
+        return bins_of(np.repeat(np.arange(layout.size.size), layout.size), worlds)
 
     def jointed(self) -> Jointed | None:
         """Joints with room to work in; None where there are none."""
@@ -216,7 +225,7 @@ class SteppedMotion(Motion):
         elapsed = np.array([stop - self.start])
         none = room_for(0, 0, np.empty((0, 4)))
         self.advance(*grid_position(elapsed, self.dt, self.start), np.array([CLOSE]), none)
-        sums = self.values(BOOKED, 7).sum(axis=1)
+        sums = over_bodies(self.values(BOOKED, 7), self.group.worlds)
         state = State(*(self.values(*rows) for rows in ((COM, 3), (Q, 4), (P, 3), (L, 3))))
         given = self.account.of_state(stop - self.start, state.com, state.q, state.L, sums)
         return state, given
@@ -224,13 +233,14 @@ class SteppedMotion(Motion):
     def advance(self, steps: Ints, partial: Floats, rows: Ints, frames: Frames) -> Floats:
         """Go through stops given by their distance from the start; sums of what was booked."""
         bodies, members = self.group.bodies, self.group.members
-        sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
+        sums = np.zeros((frames.position.shape[0], int(self.bins.max()) + 1, 7))
         self.coordinates = np.zeros((frames.position.shape[0], *self.turned.shape))
-        recording = Recording(bodies.rotor_frame, members, frames, sums, self.coordinates)
+        where = bodies.rotor_frame, members, frames, sums, self.bins
+        recording = Recording(*where, self.coordinates)
         for schedule in self.schedules(np.diff(steps, prepend=self.steps_done), partial, rows):
             self.run(schedule, recording)
             self.steps_done += int(schedule.steps.sum())
-        return np.asarray(sums.sum(axis=1))
+        return over_bins(sums, self.group.worlds)
 
     def run(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule."""

@@ -13,6 +13,7 @@ from particlerb.maths.quaternion import Quat, load4, multiply, rows4
 from particlerb.maths.trig import cos_sin_half_turns, decay
 from particlerb.maths.vec3 import (
     Floats,
+    Ints,
     Rows3,
     Vec3,
     add,
@@ -30,6 +31,13 @@ from particlerb.model.block import L, Q, put3, put4
 _TINY: Final = 1e-300  # in place of |L| = 0
 _SERIES: Final = tuple(1.0 / math.factorial(n) for n in range(20, 2, -1))  # of φ₃, the last first
 GIVEN: Final = 7  # work, impulse, angular impulse
+
+
+class Given(NamedTuple):
+    """What forces have given the bodies of a part since the start."""
+
+    sums: Floats  # (bins, 7)
+    bins: Ints  # (n,) of each body
 
 
 class Damping(NamedTuple):
@@ -97,16 +105,17 @@ def parabola(of: Centres, t: float) -> None:
 
 
 @inline
-def add_given(given: Floats, work: float, impulse: Vec3, angular: Vec3) -> None:
-    """Add to the sums of a block."""
-    given[0] += work
+def add_given(given: Given, j: int, work: float, impulse: Vec3, angular: Vec3) -> None:
+    """Add what body j of a part was given to the sums of its bin."""
+    own = given.sums[given.bins[j]]
+    own[0] += work
     for k in range(3):
-        given[1 + k] += impulse[k]
-        given[4 + k] += angular[k]
+        own[1 + k] += impulse[k]
+        own[4 + k] += angular[k]
 
 
 @inline
-def damped(of: Centres, drag: Damping, lo: int, t: float, given: Floats) -> None:
+def damped(of: Centres, drag: Damping, lo: int, t: float, given: Given) -> None:
     """p = p₀ e^{-γt} + F E₁,  x = x₀ + (p₀ E₁ + F E₂)/M; E_k = tᵏ φ_k(γt)."""
     start, p0, force, inv_mass, com, p = of
     n = inv_mass.size
@@ -128,11 +137,11 @@ def damped(of: Centres, drag: Damping, lo: int, t: float, given: Floats) -> None
         impulse = add_scaled(-rate[b], J, scale(t, F))
         turned = inv * (E2 - rate[b] * (2.0 * G - E1 * E2))
         angular = add_scaled(turned, cross(p_b, F), cross(x0, impulse))
-        add_given(given, work, impulse, angular)
+        add_given(given, lo + b, work, impulse, angular)
 
 
 @inline
-def sprung(of: Centres, spring: Oscillator, lo: int, t: float, given: Floats) -> None:
+def sprung(of: Centres, spring: Oscillator, lo: int, t: float, given: Given) -> None:
     """x = a + (x₀ - a) cos ωt + (p₀/M) sin ωt/ω, about the place of balance a."""
     start, p0, _, inv_mass, com, p = of
     n = inv_mass.size
@@ -152,11 +161,11 @@ def sprung(of: Centres, spring: Oscillator, lo: int, t: float, given: Floats) ->
         lost = add_scaled(sine, y, scale(fall, v))  # ∫ (x - a) dt
         k = M * squared[b]
         angular = scale(k, cross(lost, a))
-        add_given(given, dot(load3(pushed, b), moved), scale(-k, lost), angular)
+        add_given(given, lo + b, dot(load3(pushed, b), moved), scale(-k, lost), angular)
 
 
 @inline
-def slowed(slowing: Slowing, lo: int, hi: int, t: float, out: Floats, given: Floats) -> None:
+def slowed(slowing: Slowing, lo: int, hi: int, t: float, out: Floats, given: Given) -> None:
     """L = L₀ e^{-λt}, and q turned about L by |L₀|/I E₁, in rows of a block."""
     L0, q0 = rows3(slowing.L, lo, hi), rows4(slowing.q, lo, hi)
     for b in range(hi - lo):
@@ -169,4 +178,4 @@ def slowed(slowing: Slowing, lo: int, hi: int, t: float, out: Floats, given: Flo
         put3(out, L, b, scale(exp, L_b))
         lost = rate * t * first
         work = -0.5 * inverse * lost * (1.0 + exp) * size * size
-        add_given(given, work, (0.0, 0.0, 0.0), scale(-lost, L_b))
+        add_given(given, lo + b, work, (0.0, 0.0, 0.0), scale(-lost, L_b))

@@ -1,0 +1,93 @@
+"""Scenes that share a batch: which bodies belong to each, and sums over each alone.
+
+Worlds have as many bodies each, numbered one world after the other. A sum over a world takes its
+bodies in the order, and in the blocks, in which a run of that world alone would take them: it has
+the same bits. Where there is one scene only there is no `Worlds`, and a sum is one number.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.maths.vec3 import Floats, Ints
+
+
+class WorldsDiffer(Exception):
+    """Scenes that cannot share a batch: what differs."""
+
+
+class Worlds(NamedTuple):
+    """Which bodies of a group belong to which scene."""
+
+    bodies: Ints
+    """Rows of the group, shape (n_worlds, m), in their order."""
+
+    @property
+    def numbers(self) -> Ints:
+        """World of each body of the group, shape (n_worlds m,)."""
+        world = np.empty(self.bodies.size, dtype=np.int64)
+        world[self.bodies] = np.arange(len(self.bodies))[:, None]
+        return world
+
+
+def worlds_among(world: Ints, n_worlds: int) -> Worlds:
+    """Worlds of bodies that are numbered by their world, (n,).
+
+    Raises
+    ------
+    WorldsDiffer
+        If some have more bodies here than others.
+    """
+    if np.unique(np.bincount(world, minlength=n_worlds)).size != 1:
+        raise WorldsDiffer("bodies that advance together are not as many in each")
+    return Worlds(np.argsort(world, kind="stable").reshape(n_worlds, -1))
+
+
+def part_of_worlds(worlds: Worlds | None, which: Ints) -> Worlds | None:
+    """Worlds of some bodies of a group, ascending."""
+    if worlds is None:
+        return None
+    return worlds_among(worlds.numbers[which], len(worlds.bodies))
+
+
+def shape_of(worlds: Worlds | None) -> tuple[int, ...]:
+    """Shape of one number for each world."""
+    return () if worlds is None else (len(worlds.bodies),)
+
+
+def over_bodies(values: Floats, worlds: Worlds | None) -> Floats:
+    """Sums over the last axis, (..., n), of one scene or of each world: (...) or (n_worlds, ...)."""
+    if worlds is None:
+        return np.asarray(values.sum(axis=-1))
+    each = np.ascontiguousarray(np.moveaxis(values[..., worlds.bodies], -2, 0))
+    return np.asarray(each.sum(axis=-1))
+
+
+def over_all(values: Floats, worlds: Worlds | None) -> Floats:
+    """Sums over all components and bodies, (k, n), of one scene or of each world."""
+    if worlds is None:
+        return np.asarray(values.sum())
+    each = np.ascontiguousarray(np.moveaxis(values[..., worlds.bodies], -2, 0))
+    return np.asarray(each.reshape(len(each), -1).sum(axis=-1))
+
+
+def bins_of(block: Ints, worlds: Worlds | None) -> Ints:
+    """Where each of n bodies is summed: a bin for each block, of one scene or of each world.
+
+    Parameters
+    ----------
+    block : ndarray, shape (n,) or (m,)
+        Block of each body of the scene, or of one world alone.
+    """
+    if worlds is None:
+        return block
+    n_worlds, bins = len(worlds.bodies), np.empty(worlds.bodies.size, dtype=np.int64)
+    bins[worlds.bodies] = (int(block[-1]) + 1) * np.arange(n_worlds)[:, None] + block
+    return bins
+
+
+def over_bins(sums: Floats, worlds: Worlds | None) -> Floats:
+    """Sums over the bins, (T, bins, 7), of one scene or of each world: (T, 7), (T, n_worlds, 7)."""
+    if worlds is None:
+        return np.asarray(sums.sum(axis=1))
+    return np.asarray(sums.reshape(len(sums), len(worlds.bodies), -1, sums.shape[-1]).sum(axis=2))
