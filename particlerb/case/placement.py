@@ -51,8 +51,8 @@ def place(case: Case) -> Placement:
         own = slice(first[i], first[i + 1])
         position[own] = positions(case, i)
         orientation[own] = q = orientations(case, i)
-        velocity[own] = _vectors(case, i, "velocity", body.velocity, q)
-        angular_velocity[own] = _vectors(case, i, "angular_velocity", body.angular_velocity, q)
+        velocity[own] = vectors(case, i, "velocity", body.velocity, q)
+        angular_velocity[own] = vectors(case, i, "angular_velocity", body.angular_velocity, q)
     return Placement(block, position, orientation, velocity, angular_velocity, names)
 
 
@@ -161,7 +161,7 @@ def _random_quaternions(stream: np.random.Generator, count: int) -> FloatArray:
     return normalised(stream.standard_normal((count, 4)))
 
 
-def _vectors(case: Case, block: int, key: str, motion: Motion, q: FloatArray) -> FloatArray:
+def vectors(case: Case, block: int, key: str, motion: Motion, q: FloatArray) -> FloatArray:
     """Velocities or angular velocities of a block, world frame, shape (count, 3) or (3,)."""
     if isinstance(motion, NormalDistribution):
         drawn = random_stream(case.run.seed, block, key).standard_normal(
@@ -169,11 +169,11 @@ def _vectors(case: Case, block: int, key: str, motion: Motion, q: FloatArray) ->
         )
         return motion.random * drawn
     if isinstance(motion, InBody):
-        return _to_world(q, np.array(motion.body))
+        return in_world(q, np.array(motion.body))
     return np.asarray(motion, dtype=np.float64)
 
 
-def _to_world(q: FloatArray, v: FloatArray) -> FloatArray:
+def in_world(q: FloatArray, v: FloatArray) -> FloatArray:
     """R v = v + w t + u × t with u = (x, y, z), t = 2 u × v; q of shape (..., 4)."""
     w, u = q[..., :1], q[..., 1:]
     t = 2.0 * np.cross(u, v)

@@ -77,10 +77,7 @@ def to_system(
     for i, body in enumerate(case.body):
         if body.motion is not None:
             position[placement.block == i] += body.motion.shift
-    counts = np.diff(particles.offset)
-    centred = particles._replace(
-        position=particles.position - np.repeat(properties.com, counts, axis=0)
-    )
+    counts, centred = np.diff(particles.offset), centred_at_com(particles, properties)
     return System(
         **records(case),
         names=placement.names,
@@ -94,6 +91,12 @@ def to_system(
         state=initial_state(bodies, position, placement.orientation, placement.velocity, omega),
         notes=tuple(notes),
     )
+
+
+def centred_at_com(particles: Particles, properties: MassProperties) -> Particles:
+    """Particles with the centre of mass of each kind at the origin."""
+    shift = np.repeat(properties.com, np.diff(particles.offset), axis=0)
+    return particles._replace(position=particles.position - shift)
 
 
 def records(case: Case) -> dict[str, Any]:
@@ -131,32 +134,43 @@ def farthest(particles: Particles) -> Floats:
 
 def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProperties, Ints]:
     """Particles of all kinds, their mass properties, and the (first) kind of each block."""
-    sets, properties, first, problems = [], [], [], []
+    sets, owners, first, problems = list[Particles](), list[int](), list[int](), list[Problem]()
     known: dict[tuple[object, ...], tuple[int, list[tuple[str, str]]]] = {}
     n_kinds = 0
+
+    def refuse(i: int, error: Exception) -> None:
+        key = f"body[{i}].shape" if case.body[i].shape is not None else f"body[{i}].part"
+        why = _OUT_OF_RANGE if isinstance(error, ArithmeticError) else error
+        problems.append(problem_at(case, key, f"{case.body[i].name}: {why}"))
+
     for i, body in enumerate(case.body):
         matter = (i if _is_drawn(body) else -1, body.shape, body.part, body.mass, body.density)
         if matter not in known:
             try:
                 particles, lines = _particle_sets(case, i, body)
-                found = mass_properties(particles)
-                _refuse_underflow(found)
             except (ValueError, ArithmeticError) as error:
-                key = f"body[{i}].shape" if body.shape is not None else f"body[{i}].part"
-                why = _OUT_OF_RANGE if isinstance(error, ArithmeticError) else error
-                problems.append(problem_at(case, key, f"{body.name}: {why}"))
+                refuse(i, error)
                 continue
             sets.append(particles)
-            properties.append(found)
+            owners.append(i)
             known[matter] = n_kinds, lines
-            n_kinds += len(found.mass)
+            n_kinds += len(particles.offset) - 1
         kind, lines = known[matter]
         first.append(kind)
         notes += [(body.name + which, line) for which, line in lines]
+    try:
+        together = concatenate(sets)
+        properties = mass_properties(together)
+        _refuse_underflow(properties)
+    except (ValueError, ArithmeticError):  # of which?
+        for i, particles in zip(owners, sets, strict=True):
+            try:
+                _refuse_underflow(mass_properties(particles))
+            except (ValueError, ArithmeticError) as error:
+                refuse(i, error)
     if problems:
         raise CaseError(problems)
-    together = MassProperties(*(np.concatenate(a) for a in zip(*properties, strict=True)))
-    return concatenate(sets), together, np.array(first)
+    return together, properties, np.array(first)
 
 
 def _is_drawn(body: Body) -> bool:
@@ -256,39 +270,49 @@ def _possible_spin(case: Case, placement: Placement, bodies: Bodies) -> Floats:
     CaseError
         If the case itself, and no random draw, gives a point a spin or a rod one about its axis.
     """
-    omega = placement.angular_velocity.copy()
-    q = np.ascontiguousarray(placement.orientation.T)
-    axes = np.zeros((3, len(omega)))
-    axes[2] = 1.0
-    axes = rotate(q, rotate(bodies.rotor_frame, axes)).T
-    points, rods = bodies.rotor_class == POINT, bodies.rotor_class == ROD
-    about = np.einsum("ij,ij->i", omega, axes)
-    impossible = np.zeros_like(omega)
-    impossible[points] = omega[points]
-    impossible[rods] = about[rods, None] * axes[rods]
-    size, total = np.abs(impossible).max(axis=1), np.abs(omega).max(axis=1)
+    possible, size, rounding = spins_of(placement, bodies)
     problems: list[Problem] = []
     for i, body in enumerate(case.body):
         own = placement.block == i
         if isinstance(body.angular_velocity, NormalDistribution):
             continue
-        wrong = np.flatnonzero(own & (size > _SPIN_ROUNDING * total))
+        wrong = np.flatnonzero(own & (size > rounding))
         if len(wrong):
-            problems.append(_spin_problem(case, i, int(wrong[0]), placement, bodies, about))
+            problems.append(_spin_problem(case, i, int(wrong[0]), placement, bodies))
     if problems:
         raise CaseError(problems)
-    return np.asarray(omega - impossible)
+    return possible
 
 
-def _spin_problem(
-    case: Case, i: int, b: int, placement: Placement, bodies: Bodies, about: Floats
-) -> Problem:
+def spins_of(placement: Placement, bodies: Bodies) -> tuple[Floats, Floats, Floats]:
+    """Angular velocities that bodies can have, what was taken off, and what rounds of it, (n,)."""
+    omega = placement.angular_velocity
+    axes, about = _spins_about_axes(placement, bodies)
+    points, rods = bodies.rotor_class == POINT, bodies.rotor_class == ROD
+    impossible = np.zeros_like(omega)
+    impossible[points] = omega[points]
+    impossible[rods] = about[rods, None] * axes[rods]
+    size, total = np.abs(impossible).max(axis=1), np.abs(omega).max(axis=1)
+    return np.asarray(omega - impossible), size, _SPIN_ROUNDING * total
+
+
+def _spins_about_axes(placement: Placement, bodies: Bodies) -> tuple[Floats, Floats]:
+    """Third axes of the rotor frames in the world, (n, 3), and the spins about them, (n,)."""
+    q = np.ascontiguousarray(placement.orientation.T)
+    axes = np.zeros((3, len(placement.block)))
+    axes[2] = 1.0
+    axes = rotate(q, rotate(bodies.rotor_frame, axes)).T
+    return axes, np.einsum("ij,ij->i", placement.angular_velocity, axes)
+
+
+def _spin_problem(case: Case, i: int, b: int, placement: Placement, bodies: Bodies) -> Problem:
     """What is wrong with the spin of body b, in full precision."""
     key, name = f"body[{i}].angular_velocity", placement.names[b]
     if bodies.rotor_class[b] == POINT:
         value = placement.angular_velocity[b].tolist()
         reason = f"{name} is a point (all moments are zero): it cannot spin, got {value} rad/s"
         return problem_at(case, key, reason, "leave angular_velocity out, or give it extent")
+    about = _spins_about_axes(placement, bodies)[1]
     reason = (
         f"{name} is a rod, moments {sorted(bodies.inertia[:, b].tolist())} kg m²: it cannot spin"
         f" about its own axis, got {float(about[b])!r} rad/s about it"

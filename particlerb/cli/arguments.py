@@ -257,6 +257,11 @@ def add_sweep(sweep: _Parser) -> None:
         help="values of a key, as 'run.dt=[1e-3, 1e-4]'; in place of [sweep.axes]; repeatable",
     )  # fmt: skip
     sweep.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
+    sweep.add_argument(
+        "--executor", choices=("local", "mpi", "dask"), default="local",
+        help="processes here, ranks (mpiexec -n N python -m particlerb sweep ..), or dask",
+    )  # fmt: skip
+    sweep.add_argument("--address", default="", metavar="URL", help="scheduler of a dask cluster")
     _add_flag(sweep, "--plot", help="a picture beside the table")
     _add_output(sweep, "FILE.csv", "table; rows that it has are not run again", "the table")
 

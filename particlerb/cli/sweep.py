@@ -17,11 +17,23 @@ from particlerb.case.problems import CaseError
 from particlerb.cli.common import named_output, read_case, to_write
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.sweeping.driver import sweep
+from particlerb.sweeping.executors import NoExecutorError, Workers, cluster
 from particlerb.sweeping.table import SweepRows
 
 
 def sweep_command(options: argparse.Namespace) -> int:
-    """`sweep`: run all variants that the table does not have yet."""
+    """`sweep`: run all variants that the table does not have yet, where it is asked to."""
+    if options.executor == "local":
+        return _sweep(options, None)
+    with (
+        ending(NoExecutorError),
+        cluster(options.executor, options.workers, options.address) as workers,
+    ):
+        return DONE if workers is None else _sweep(options, workers)
+
+
+def _sweep(options: argparse.Namespace, workers: Workers | None) -> int:
+    """The same on workers of a cluster, or in processes of this machine."""
     case = read_case(options)
     stem = case.path.stem if case.path else "case"
     path = named_output(options, Path("output") / f"{stem}_sweep.csv")
@@ -31,7 +43,8 @@ def sweep_command(options: argparse.Namespace) -> int:
     axes = dict(_axis(text) for text in options.axes) or None
     with ending(CaseError, ValueError), tqdm(unit="run", delay=0.5, disable=None) as bar:
         try:
-            found = sweep(case, path, axes=axes, workers=options.workers, progress=bar.update)
+            executor, n = workers or (None, options.workers)
+            found = sweep(case, path, axes=axes, executor=executor, workers=n, progress=bar.update)
         except KeyboardInterrupt:
             again = f"particlerb {shlex.join(sys.argv[1:])}"
             rest = f"{path} has the rows so far; the same command continues: {again}"

@@ -8,7 +8,16 @@ integration alone. Where nobody asks (`books` is None), the compiler leaves all 
 from particlerb.compiled.jit import Flag, inline
 from particlerb.forces.kernels import Entry
 from particlerb.maths.quaternion import Rows, turn_back
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, component_product, cross, dot, subtract
+from particlerb.maths.vec3 import (
+    Floats,
+    Ints,
+    Vec3,
+    add_scaled,
+    component_product,
+    cross,
+    dot,
+    subtract,
+)
 from particlerb.model.block import BOOKED, INV_INERTIA, INV_MASS, get, get3, put
 
 

@@ -84,3 +84,44 @@ class BodyNames(Sequence[str]):
         if int(match["index"]) >= hi - lo:
             raise KeyError(name)
         return np.array([lo + int(match["index"])])
+
+
+class NamesInWorlds(BodyNames):
+    """Names of the bodies of scenes that stand side by side: in each scene the same.
+
+    Parameters
+    ----------
+    records : iterable of (str, int)
+        Of one scene.
+    n_worlds : int
+        Scenes.
+    """
+
+    def __init__(self, records: Iterable[tuple[str, int]], n_worlds: int) -> None:
+        super().__init__(records)
+        self.n_worlds, self.in_each = n_worlds, super().__len__()
+
+    def __len__(self) -> int:
+        """Number of bodies."""
+        return self.n_worlds * self.in_each
+
+    @overload
+    def __getitem__(self, b: int) -> str: ...
+    @overload
+    def __getitem__(self, b: slice) -> list[str]: ...
+    def __getitem__(self, b: int | slice) -> str | list[str]:
+        """Name of body b in its scene, or of several."""
+        if isinstance(b, slice):
+            return [self[i] for i in range(*b.indices(len(self)))]
+        return super().__getitem__(range(len(self))[b] % self.in_each)
+
+    def __iter__(self) -> Iterator[str]:
+        """All names."""
+        for _ in range(self.n_worlds):
+            yield from super().__iter__()
+
+    def find_in_order(self, names: str | Sequence[str]) -> _Ints:
+        """As for one scene, in one scene after the other."""
+        found = super().find_in_order(names)
+        worlds = np.arange(self.n_worlds, dtype=np.int64)[:, None]
+        return (worlds * self.in_each + found).ravel()

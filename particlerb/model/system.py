@@ -18,7 +18,7 @@ from particlerb.files import Files
 from particlerb.geometry.mass_properties import MassProperties
 from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.bodies import Bodies
+from particlerb.model.bodies import Bodies, taken
 from particlerb.model.merging import Merging
 from particlerb.model.names import BodyNames
 from particlerb.model.state import State
@@ -94,9 +94,26 @@ class System(NamedTuple):
         return len(self.block)
 
     @property
+    def in_each(self) -> int:
+        """Number of bodies in each world."""
+        return self.n_bodies // self.n_worlds
+
+    @property
     def world(self) -> Ints:
         """Number of the scene of each body, shape (n_bodies,)."""
-        return np.arange(self.n_bodies) // (self.n_bodies // self.n_worlds)
+        return np.arange(self.n_bodies) // self.in_each
+
+    def scene(self, world: int) -> Self:
+        """One of several worlds, but for forces that differ there."""
+        own = np.arange(self.in_each) + world * self.in_each
+        return self._replace(
+            names=BodyNames(self.names.records),
+            block=self.block[own],
+            kind=self.kind[own],
+            bodies=taken(self.bodies, own),
+            state=taken(self.state, own),
+            n_worlds=1,
+        )
 
     @property
     def is_held(self) -> Bools:

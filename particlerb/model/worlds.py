@@ -12,7 +12,7 @@ import numpy as np
 from particlerb.maths.vec3 import Floats, Ints
 
 
-class WorldsDiffer(Exception):
+class WorldsDifferError(Exception):
     """Scenes that cannot share a batch: what differs."""
 
 
@@ -35,11 +35,11 @@ def worlds_among(world: Ints, n_worlds: int) -> Worlds:
 
     Raises
     ------
-    WorldsDiffer
+    WorldsDifferError
         If some have more bodies here than others.
     """
     if np.unique(np.bincount(world, minlength=n_worlds)).size != 1:
-        raise WorldsDiffer("bodies that advance together are not as many in each")
+        raise WorldsDifferError("bodies that advance together are not as many in each")
     return Worlds(np.argsort(world, kind="stable").reshape(n_worlds, -1))
 
 
@@ -56,7 +56,7 @@ def shape_of(worlds: Worlds | None) -> tuple[int, ...]:
 
 
 def over_bodies(values: Floats, worlds: Worlds | None) -> Floats:
-    """Sums over the last axis, (..., n), of one scene or of each world: (...) or (n_worlds, ...)."""
+    """Sums over the last axis of (..., n): (...) of one scene, or (n_worlds, ...)."""
     if worlds is None:
         return np.asarray(values.sum(axis=-1))
     each = np.ascontiguousarray(np.moveaxis(values[..., worlds.bodies], -2, 0))
@@ -90,4 +90,5 @@ def over_bins(sums: Floats, worlds: Worlds | None) -> Floats:
     """Sums over the bins, (T, bins, 7), of one scene or of each world: (T, 7), (T, n_worlds, 7)."""
     if worlds is None:
         return np.asarray(sums.sum(axis=1))
-    return np.asarray(sums.reshape(len(sums), len(worlds.bodies), -1, sums.shape[-1]).sum(axis=2))
+    n_worlds, (n_frames, bins, width) = len(worlds.bodies), sums.shape
+    return np.asarray(sums.reshape(n_frames, n_worlds, bins // n_worlds, width).sum(axis=2))

@@ -4,6 +4,7 @@ Bodies with forces of the same forms share a group, however different the sizes,
 points of these forces are. What a type of force is, its file in `particlerb.forces` says.
 """
 
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -66,10 +67,7 @@ def loads_of(system: System) -> list[ResolvedForce]:
     loads: list[ResolvedForce] = []
     problems: list[Problem] = []
     whole = system if system.merging is None else system.merging.whole
-    for number, given in enumerate(system.force):
-        if is_link(given):
-            continue
-        members = system.names.find(given.body)
+    for number, given, members in _acting_forces(system):
         try:
             force = _with_code(_with_knots(given, system), system)
             found = force_of(force).resolve(force, members, whole)
@@ -97,6 +95,20 @@ def _on_hosts(load: ResolvedForce, merging: Merging) -> list[ResolvedForce]:
         numbers = (*arm[:, 0].tolist(), *rest[:, 0].tolist())
         found.append(load._replace(members=merging.host[body], numbers=numbers))
     return found
+
+
+def _acting_forces(system: System) -> Iterator[tuple[int, AnyForce, Ints]]:
+    """Forces on one body each, and on whom they act; what differs in each world by itself."""
+    for number, given in enumerate(system.force):
+        if is_link(given):
+            continue
+        members = system.names.find(given.body)
+        if number not in system.others:
+            yield number, given, members
+            continue
+        each = members.reshape(system.n_worlds, -1)
+        for own, here in zip(system.others[number], each, strict=True):
+            yield number, own, here
 
 
 def _with_knots(force: AnyForce, system: System) -> AnyForce:
@@ -202,9 +214,8 @@ def jumps_at(forces: list[Forces], bodies: Bodies, start: float) -> tuple[Impuls
 
 def _impossible_torques(system: System, load: ResolvedForce) -> list[Problem]:
     """What is wrong with a force that turns a point, or a rod about its own axis."""
-    cannot = np.isin(system.bodies.rotor_class[load.members], (POINT, ROD))
-    index = load.members[cannot]
-    kind = force_of(load.force)
+    kind, own = force_of(load.force), system.bodies.rotor_class[load.members]
+    index = load.members[(own == POINT) | (own == ROD)]
     if not index.size or not (kind.has_arm or kind.is_torque):
         return []
     bodies, state = taken(system.bodies, index), taken(system.state, index)

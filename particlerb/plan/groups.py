@@ -97,25 +97,29 @@ def _groups_alone(
     """Bodies that no other body acts on, with forces of the same forms, and these forces."""
     alone = np.ones(len(system.kind), dtype=bool)
     alone[bound] = False
-    acting: defaultdict[int, list[int]] = defaultdict(list)
-    for k, load in enumerate(loads):
-        for b in load.members[alone[load.members]].tolist():
-            acting[b].append(k)
-    forms = [load.form for load in loads]
-    members: defaultdict[tuple[object, ...], list[int]] = defaultdict(list)
-    for b in sorted(acting):
-        members[tuple(forms[k] for k in acting[b])].append(b)
+    like = np.zeros(alone.size, dtype=np.int64)  # number of the sequence of forms on each body
+    sequences: dict[tuple[object, ...], int] = {}
     numbers = np.zeros((len(loads), max([N_NUMBERS, *(len(load.numbers) for load in loads)])))
     for k, load in enumerate(loads):
         numbers[k, : len(load.numbers)] = load.numbers
+        form, before = load.form, like[load.members]
+        for one in np.unique(before).tolist():
+            longer = sequences.setdefault((one, form), len(sequences) + 1)
+            like[load.members[before == one]] = longer
+    none = np.zeros(0, dtype=np.int64)
+    bodies = np.concatenate([none, *(load.members for load in loads)])
+    order = np.argsort(bodies, kind="stable")
+    sizes = np.array([load.members.size for load in loads], dtype=np.int64)
+    acting = np.repeat(np.arange(len(loads)), sizes)[order]
+    bodies, free = bodies[order], np.flatnonzero(alone)
+    free = free[np.argsort(like[free], kind="stable")]
     groups = []
-    for bodies in members.values():
-        own = np.array([acting[b] for b in bodies])
+    for members in np.split(free, np.flatnonzero(np.diff(like[free])) + 1) if free.size else []:
+        first = np.searchsorted(bodies, members)
+        length = np.searchsorted(bodies, members[0], side="right") - first[0]
+        own = acting[first[:, None] + np.arange(length)]
         forces = [Forces(loads[k[0]].force, numbers[k].T) for k in own.T]
-        groups.append((np.array(bodies), forces))
-    alone[list(acting)] = False
-    if alone.any():
-        groups.append((np.flatnonzero(alone), []))
+        groups.append((members, forces))
     return groups
 
 
@@ -133,7 +137,7 @@ def clusters(
     order = bound[np.argsort(label[bound], kind="stable")]
     starts = np.flatnonzero(np.diff(label[order], prepend=-1))
     signs: dict[int, list[object]] = {
-        int(label[part[0]]): [tuple(system.kind[part].tolist())]
+        int(label[part[0]]): [tuple(system.kind[part % system.in_each].tolist())]
         for part in np.split(order, starts[1:])
     }
     for link in links:

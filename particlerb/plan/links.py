@@ -18,6 +18,7 @@ from particlerb.forces.spring import places
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
+from particlerb.plan.links_in_worlds import in_worlds
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _REACH_ROUNDING: Final = 1e-9  # share by which a pair may be further apart than reach
@@ -27,8 +28,6 @@ MOST_AT_ONCE: Final = 1_000_000  # pairs that are looked at together
 _MOST_SOUGHT: Final = 30_000_000  # pairs that are looked at for the distance in a message
 _SHARE_OF_RUN: Final = 0.1  # of run.accuracy that a tree may take
 _TREE_ACCURACY: Final = 1e-4  # of a tree where the case asks for none
-
-
 _NOBODY: Final = np.zeros(0, dtype=np.int64)
 
 
@@ -70,12 +69,12 @@ def links_of(system: System) -> list[Link]:
         if not is_link(force) or not isinstance(force, SpringTable):
             continue
         try:
-            link = _link_of(whole, number, force)
+            found = in_worlds(whole, number, force, _link_of)
         except CaseError as error:
             problems += error.problems
             continue
-        problems += _misplaced_ends(whole, link)
-        links.append(link)
+        problems += [problem for link in found for problem in _misplaced_ends(whole, link)]
+        links += found
     if problems:
         raise CaseError(problems)
     return links

@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.case.output import Asked, CheckValue
+from particlerb.case.output import Asked, Check, CheckValue
 from particlerb.case.placement import normalised
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.balance import ConservationError
 from particlerb.model.bodies import taken
 from particlerb.model.comparison import angles
 from particlerb.model.state import (
@@ -41,25 +42,17 @@ class Result(NamedTuple):
         return self.error <= self.tolerance
 
 
+def limits(check: Check, drift: ConservationError) -> list[Result]:
+    """Limits of drift."""
+    return [
+        Result(f"{name}_drift", "0", f"{value:.3g}", float(value), limit)
+        for name, value in drift._asdict().items()
+        if (limit := getattr(check, f"{name}_drift")) is not None
+    ]
+
+
 def results(system: System, outcome: Outcome) -> list[Result]:
     """All checks of a system, limits of drift first."""
-    limits = [
-        Result(name, "0", f"{value:.3g}", value, limit)
-        for name, value, limit in (
-            ("energy_drift", outcome.drift.energy, system.check.energy_drift),
-            (
-                "linear_momentum_drift",
-                outcome.drift.linear_momentum,
-                system.check.linear_momentum_drift,
-            ),
-            (
-                "angular_momentum_drift",
-                outcome.drift.angular_momentum,
-                system.check.angular_momentum_drift,
-            ),
-        )
-        if limit is not None
-    ]
     probes = {probe.time: probe for probe in outcome.probes}
     setup = joints_of(system) if any(check.joint for check in system.check.value) else None
     values = []
@@ -75,7 +68,7 @@ def results(system: System, outcome: Outcome) -> list[Result]:
         elif setup is not None:
             found = joint_quantity(check, setup, probes[time].joints)
             values.append(_number_result(check, time, found))
-    return limits + values
+    return limits(system.check, outcome.drift) + values
 
 
 def _value_result(check: CheckValue, time: float, system: System, b: int, frames: Frames) -> Result:
@@ -97,7 +90,11 @@ def _value_result(check: CheckValue, time: float, system: System, b: int, frames
 
 def quantity(check: Asked, system: System, b: int, frames: Frames) -> Floats:
     """Value of a quantity of body b."""
-    index = np.array([b])
+    return np.asarray(quantities(check, system, np.array([b]), frames)[0])
+
+
+def quantities(check: Asked, system: System, index: Ints, frames: Frames) -> Floats:
+    """Value of a quantity of some bodies, (n, ...)."""
     bodies = taken(system.bodies, index)
     position, orientation, linear, angular, _, _ = frames
     state = State(
@@ -107,12 +104,15 @@ def quantity(check: Asked, system: System, b: int, frames: Frames) -> Floats:
         angular[0, index].T,
     )
     if check.quantity == "kinetic_energy":
-        return np.asarray(kinetic_energy(bodies, state)[0])
+        return kinetic_energy(bodies, state)
     if check.quantity == "inertia":
-        tensor = inertia_in_body(system.bodies, b)
-        return tensor if check.frame == "body" else _rotated(orientation[0, b], tensor)
+        tensors = [inertia_in_body(system.bodies, b) for b in index.tolist()]
+        if check.frame == "world":
+            turned = zip(orientation[0, index], tensors, strict=True)
+            tensors = [_rotated(q, tensor) for q, tensor in turned]
+        return np.array(tensors)
     if check.quantity == "orientation":
-        return np.asarray(orientation[0, b])
+        return np.asarray(orientation[0, index])
     vectors = {
         "position": state.com,
         "velocity": state.p * bodies.inv_mass,
@@ -123,7 +123,7 @@ def quantity(check: Asked, system: System, b: int, frames: Frames) -> Floats:
     vector = vectors[check.quantity]
     if check.frame == "body":
         vector = rotate_back(orientation[0, index].T, vector)
-    return vector[:, 0]
+    return vector.T
 
 
 def _number_result(check: CheckValue, time: float, found: Floats) -> Result:

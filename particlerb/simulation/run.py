@@ -9,9 +9,8 @@ import hashlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import h5py
 import numpy as np
 
 from particlerb.case.to_system import to_case
@@ -88,7 +87,7 @@ class Outcome(NamedTuple):
 
     drift: ConservationError
     probes: tuple[Probe, ...]
-    file: h5py.File | Memory  # closed, or what is in memory
+    file: Any  # closed, or what is in memory; None: nowhere
     flown: float | None = None  # share of body-steps that closed forms saved; None: not known
     swing: float = 0.0  # [rad] per step, the fastest of bodies on all contacts that was seen
     tree: TreeError | None = None  # of the tree that sums the attraction, where it was fitted
@@ -317,7 +316,7 @@ def run_prepared(
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # it is found in the frames
 def advance(
     prepared: Prepared,
-    recorder: Recorder | Memory,
+    recorder: Any,
     checkpoint: Checkpoint | None,
     progress: Progress,
 ) -> Outcome:
@@ -368,9 +367,7 @@ def advance(
     )
 
 
-def _one_batch(
-    run: "Run", recorder: Recorder | Memory, batch: Batch
-) -> tuple[Reached, RunError | None]:
+def _one_batch(run: "Run", recorder: Any, batch: Batch) -> tuple[Reached, RunError | None]:
     """Compute and append a batch; what it reached, and what was wrong behind that."""
     frames, entries, error = run.frames_at(batch.times, batch.is_frame)
     sound = len(frames.position)
@@ -382,7 +379,8 @@ def _one_batch(
         probed = frames.copied_row(int(row)), values, run.tallies.get(int(row))
         run.probes.append(Probe(float(batch.times[row]), *probed))
     run.n_frames += rows.size
-    last = (values[-1] if sound else np.nan for values in (batch.times[:sound], *entries[2:5:2]))
+    told = (batch.times[:sound], *entries[2:5:2])  # of several worlds, the largest
+    last = (np.max(values[-1]) if sound else np.nan for values in told)
     return Reached(rows.size, *map(float, last)), error
 
 

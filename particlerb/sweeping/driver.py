@@ -12,30 +12,35 @@ from concurrent.futures import (
     BrokenExecutor,
     Executor,
     Future,
-    ProcessPoolExecutor,
     wait,
 )
 from contextlib import AbstractContextManager
-from itertools import pairwise
-from multiprocessing import get_context
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
-from particlerb.case.problems import CaseError
+from particlerb.case.problems import CaseError, path_of
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
 from particlerb.case.source import file_problem
 from particlerb.case.sweep import SweepTable
 from particlerb.case.to_system import to_system
 from particlerb.case.values import plain
+from particlerb.model.system import System
 from particlerb.plan.case_forces import loads_of
+from particlerb.sweeping.executors import processes
+from particlerb.sweeping.rows import Row, columns, failed
 from particlerb.sweeping.table import SweepRows, TableFile
+from particlerb.sweeping.together import likeness, may_share
 from particlerb.sweeping.variants import Variant, label, variants
-from particlerb.sweeping.worker import Row, Task, columns, failed, start_worker, work
+from particlerb.sweeping.worker import Task, work
 
 _ATTEMPTS: Final = 3  # of a task whose worker dies
-_MOST_IN_TASK: Final = 16  # variants
+_DIED: Final = "the worker died"
+_MOST_IN_TASK: Final = 16  # variants that run one after the other,
+_MOST_IN_BATCH: Final = 1024  # or together
+_SECONDS_IN_BATCH: Final = 1e-4  # of a variant beside its motion, about,
+_SECONDS_PER_STEP: Final = 2e-8  # and of a step of one of its bodies
 
 Progress = Callable[[int], object]
 Pool = Callable[[], AbstractContextManager[Executor]]
@@ -99,7 +104,7 @@ def sweep(
 
         if left:
             n = workers or os.cpu_count() or 1
-            _drive(_pool(executor, n), _tasks(base, asked, left, n), 2 * n, take)
+            _drive(_pool(executor, n), _tasks(base, system, asked, left, n), 2 * n, take)
         return file.finish(found)
 
 
@@ -114,33 +119,36 @@ def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
     return SweepTable(axes=plain(axes), value=value)
 
 
-def _tasks(base: Case, asked: SweepTable, left: list[Variant], n: int) -> Iterator[Task]:
-    """Tasks: one variant first, which compiles, then a few at a time."""
-    size = min(_MOST_IN_TASK, max(1, len(left) // (8 * n)))
-    bounds = [0, 1, *range(1 + size, len(left), size), len(left)]
-    source = base.source._replace(raw={}, text="")
-    for lo, hi in pairwise(bounds):
-        part = left[lo:hi]
-        if part:
-            raw = tuple(dict(variant.case.source.raw) for variant in part)
-            yield Task(tuple(variant.number for variant in part), raw, source, asked.value)
+def _tasks(
+    base: Case, system: System, asked: SweepTable, left: list[Variant], n: int
+) -> Iterator[Task]:
+    """Tasks: one variant first, which compiles, then a few at a time, or many in a batch."""
+    paths = tuple(map(path_of, asked.axes))
+    raw = {key: value for key, value in base.source.raw.items() if key != "sweep"}
+    source, share = base.source._replace(raw=raw, text=""), may_share(system)
+    alike: dict[Any, list[Variant]] = {}
+    for variant in left[1:]:
+        like = likeness(paths, variant.values) if share else None
+        alike.setdefault(like, []).append(variant)
+    fewest, most = 1, _MOST_IN_TASK
+    if share:  # as much work as it takes to start another worker, at least
+        steps = 0.0 if base.run.dt is None else base.run.t_end / base.run.dt
+        seconds = _SECONDS_IN_BATCH + _SECONDS_PER_STEP * steps * system.n_bodies
+        most = _MOST_IN_BATCH
+        fewest = min(most, int(1.0 / seconds) + 1)
+    for part in ([left[0]], *alike.values()):
+        size = min(most, max(fewest, len(part) // (8 * n)))
+        for lo in range(0, len(part), size):
+            own = part[lo : lo + size]
+            numbers, values = (tuple(getattr(v, key) for v in own) for key in ("number", "values"))
+            yield Task(numbers, values, paths, source, asked.value, share)
 
 
 def _pool(executor: Executor | None, n: int) -> Pool:
     """What makes the executor, and makes it anew where it breaks."""
     if executor is not None:
         return lambda: contextlib.nullcontext(executor)
-    return lambda: _processes(n)
-
-
-@contextlib.contextmanager
-def _processes(n: int) -> Iterator[Executor]:
-    """Processes of this machine; where the sweep ends early, they drop what waits."""
-    executor = ProcessPoolExecutor(n, get_context("spawn"), start_worker)
-    try:
-        yield executor
-    finally:
-        executor.shutdown(cancel_futures=True)
+    return lambda: processes(n)
 
 
 def _drive(
@@ -150,9 +158,9 @@ def _drive(
 
     The first one runs alone, as it compiles, and so does who was there when a worker died.
     """
-    waiting, lost = deque(tasks), list[Task]()
+    waiting, lost = deque(tasks), list[tuple[Task, str]]()
     running: dict[Future[list[Row]], Task] = {}
-    at_once = 1
+    at_once, is_broken = 1, False
     with contextlib.ExitStack() as stack:
         executor = stack.enter_context(pool())
         while waiting or running:
@@ -161,7 +169,8 @@ def _drive(
                 try:
                     running[executor.submit(work, task)] = task
                 except BrokenExecutor:
-                    lost.append(task)
+                    lost.append((task, _DIED))
+                    is_broken = True
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 task = running.pop(future)
@@ -169,14 +178,19 @@ def _drive(
                     take(future.result())
                     at_once = ahead
                 except BrokenExecutor:
-                    lost.append(task)
-            if lost:
-                for task in (*lost, *running.values()):
-                    waiting.extendleft(_again(task, take))
-                lost.clear()
+                    lost.append((task, _DIED))
+                    is_broken = True
+                except Exception as error:  # a killed worker of dask, or a fault of ours
+                    lost.append((task, f"{type(error).__name__}: {error}".splitlines()[0]))
+            if is_broken:
+                lost += [(task, _DIED) for task in running.values()]
                 running.clear()
                 stack.pop_all().close()
                 executor = stack.enter_context(pool())
+                is_broken = False
+            for task, why in lost:
+                waiting.extendleft(_again(task, why, take))
+            lost.clear()
 
 
 def _room(task: Task, running: Mapping[Any, Task], at_once: int) -> int:
@@ -184,12 +198,12 @@ def _room(task: Task, running: Mapping[Any, Task], at_once: int) -> int:
     return 1 if any(one.attempt for one in (task, *running.values())) else at_once
 
 
-def _again(task: Task, take: Callable[[list[Row]], None]) -> list[Task]:
-    """Tasks of a task whose worker died: each variant alone; none after the last attempt."""
+def _again(task: Task, why: str, take: Callable[[list[Row]], None]) -> list[Task]:
+    """Tasks of a task that was lost: each variant alone; none after the last attempt."""
     if task.attempt + 1 == _ATTEMPTS:
-        take([failed(number, "the worker died") for number in task.numbers])
+        take([failed(number, why) for number in task.numbers])
         return []
     return [
-        task._replace(numbers=(number,), raw=(raw,), attempt=task.attempt + 1)
-        for number, raw in zip(task.numbers, task.raw, strict=True)
+        task._replace(numbers=(number,), values=(values,), attempt=task.attempt + 1)
+        for number, values in zip(task.numbers, task.values, strict=True)
     ]

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from particlerb.files import Closing
 from particlerb.record.writer_lock import WriterLock
+from particlerb.sweeping.rows import Row
 from particlerb.sweeping.variants import Variant
-from particlerb.sweeping.worker import Row
 
 _FIRST = ("run", "hash", "status", "energy_drift", "checks_missed")
 

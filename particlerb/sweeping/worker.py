@@ -1,46 +1,48 @@
-"""One variant in a worker: a run in memory, and the row that it leaves."""
+"""Variants in a worker: runs without a file, one by one or in a batch, and their rows."""
 
-import math
 import signal
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from particlerb.case.output import Asked, Check, CheckValue
-from particlerb.case.problems import CaseError
+from particlerb.case.output import Asked
+from particlerb.case.overrides import with_value
+from particlerb.case.problems import CaseError, Path
 from particlerb.case.reader import build
+from particlerb.case.side_by_side import variants_side_by_side
 from particlerb.case.source import Source
 from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.model.system import System
+from particlerb.model.worlds import WorldsDifferError
 from particlerb.plan.joints import joints_of
 from particlerb.simulation.accuracy import prepare_accurately
-from particlerb.simulation.checks import joint_quantity, quantity, results
+from particlerb.simulation.checks import joint_quantity, limits, quantity
 from particlerb.simulation.impulse_values import impulse_quantity
-from particlerb.simulation.run import Outcome, RunError, run_prepared
-
-_LETTERS = {3: "xyz", 4: "wxyz"}
+from particlerb.simulation.run import Outcome, RunError
+from particlerb.simulation.unrecorded import run_unrecorded
+from particlerb.sweeping.rows import Row, asked_as_checks, failed
+from particlerb.sweeping.together import rows_together
 
 
 class Task(NamedTuple):
-    """Variants that one worker runs one after the other."""
+    """Variants that one worker runs, one after the other or in a batch."""
 
     numbers: tuple[int, ...]
-    raw: tuple[dict[str, Any], ...]
-    source: Source  # of the case that they are variants of, without its data
+    values: tuple[tuple[Any, ...], ...]  # of the axes, for each
+    paths: tuple[Path, ...]  # of the axes
+    source: Source  # of the case that they are variants of
     asked: tuple[Asked, ...]
+    is_batch: bool = False
     attempt: int = 0
 
-
-class Row(NamedTuple):
-    """What a variant came to."""
-
-    number: int
-    status: str  # "done", or "failed: " and why
-    energy_drift: float
-    missed: int  # limits of drift
-    values: tuple[float, ...]
+    def raw(self, k: int) -> Any:
+        """Data of variant k of these."""
+        changed: Any = self.source.raw
+        for path, value in zip(self.paths, self.values[k], strict=True):
+            changed = with_value(changed, path, value)
+        return changed
 
 
 def start_worker() -> None:
@@ -49,35 +51,37 @@ def start_worker() -> None:
     THREADS.use(1)
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in the frames, and the row
 def work(task: Task) -> list[Row]:
     """Rows of a task; a variant that fails fails alone."""
-    rows = []
-    for number, raw in zip(task.numbers, task.raw, strict=True):
+    if task.is_batch and len(task.numbers) > 1:
         try:
-            rows.append(_row(number, task.source._replace(raw=raw), task.asked))
+            return rows_together(task.numbers, batch_of(task), task.asked)
+        except (CaseError, RunError, WorldsDifferError, ArithmeticError, ValueError):
+            pass  # each alone says what is wrong
+    rows = []
+    for k, number in enumerate(task.numbers):
+        try:
+            rows.append(_row(number, task.source._replace(raw=task.raw(k)), task.asked))
         except (CaseError, RunError, ArithmeticError, ValueError) as error:
             lines = str(error).splitlines() or [type(error).__name__]
             rows.append(failed(number, lines[0]))
     return rows
 
 
-def failed(number: int, reason: str) -> Row:
-    """Row of a variant that came to nothing."""
-    return Row(number, f"failed: {reason}", math.nan, 0, ())
+def batch_of(task: Task) -> System:
+    """All variants of a task as worlds of one system; raises as `side_by_side`."""
+    raw = [task.raw(k) for k in range(len(task.numbers))]
+    return variants_side_by_side(task.source, raw, task.paths)
 
 
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in the frames, and the row
 def _row(number: int, source: Source, asked: Sequence[Asked]) -> Row:
     """Run a variant."""
     prepared = prepare_accurately(to_system(build(source, ())))
-    system = prepared.system
-    looked_at = tuple(
-        CheckValue.model_construct(**dict(one), value=0.0, tolerance=math.inf) for one in asked
-    )
-    check = Check.model_construct(**dict(system.check))
-    check = check.model_copy(update={"value": looked_at})
-    outcome = run_prepared(prepared._replace(system=system._replace(check=check)), None)
-    missed = sum(not one.holds for one in results(system, outcome))
+    system = prepared.system.with_run(threads=1)
+    check = system.check.model_copy(update={"value": asked_as_checks(asked)})
+    outcome = run_unrecorded(prepared._replace(system=system._replace(check=check)))
+    missed = sum(not one.holds for one in limits(check, outcome.drift))
     values = [x for one in asked for x in _found(one, system, outcome)]
     return Row(number, "done", outcome.drift.energy, missed, tuple(values))
 
@@ -96,27 +100,3 @@ def _found(asked: Asked, system: System, outcome: Outcome) -> list[float]:
         assert setup is not None
         found = [joint_quantity(asked, setup, probe.joints)]
     return [x for one in found for x in np.ravel(one).tolist()]
-
-
-def columns(asked: Asked, system: System) -> list[str]:
-    """Names of the numbers of a value that is asked for."""
-    when = "" if asked.time is None else f"@{asked.time:g}"
-    if asked.body is not None:
-        owners = [system.names[int(b)] for b in system.names.find(asked.body)]
-        size = {"orientation": 4, "kinetic_energy": 1, "inertia": 9}.get(asked.quantity, 3)
-    elif asked.joint is None:
-        owners, size = ["contacts"], 1
-    else:
-        setup = joints_of(system)
-        assert setup is not None
-        owners = [str(asked.joint)]
-        size = {"joint_force": 3, "joint_torque": 3}.get(asked.quantity, 1)
-        if asked.quantity == "joint_coordinate":
-            size = int((setup.coordinates.joint == setup.names.index(owners[0])).sum())
-    parts = [f".{letter}" for letter in _LETTERS.get(size, "")] or _numbered(size)
-    return [f"{owner}.{asked.quantity}{part}{when}" for owner in owners for part in parts]
-
-
-def _numbered(size: int) -> list[str]:
-    """Ends of the names of numbers without letters."""
-    return [""] if size == 1 else [f".{k}" for k in range(size)]

@@ -1,0 +1,45 @@
+"""Springs between bodies of scenes that share a batch: tied in one scene after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from particlerb.forces.links import WORLD
+from particlerb.model.system import System
+
+if TYPE_CHECKING:
+    from particlerb.case.forces import SpringTable
+    from particlerb.plan.links import Link
+
+
+def in_worlds(
+    system: System, number: int, force: SpringTable, link_of: Callable[..., Link]
+) -> list[Link]:
+    """Springs of one [[force]]; where it differs from world to world, those of each by themselves.
+
+    Parameters
+    ----------
+    system : System
+    number : int
+        Index of the [[force]].
+    force : SpringTable
+        In the first world.
+    link_of : callable
+        (system, number, force): its springs in one scene.
+    """
+    if system.n_worlds == 1:
+        return [link_of(system, number, force)]
+    found = []
+    for world in range(system.n_worlds):
+        own = system.others[number][world] if number in system.others else force
+        link = link_of(system.scene(world), number, own)
+        second = np.where(link.second == WORLD, WORLD, link.second + world * system.in_each)
+        first = link.first + world * system.in_each
+        found.append(link._replace(first=first, second=second))
+    if number in system.others:
+        return found
+    arrays = (np.concatenate(one, axis=-1) for one in zip(*(a[2:] for a in found), strict=True))
+    return [type(found[0])(number, force, *arrays)]

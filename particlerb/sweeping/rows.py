@@ -1,0 +1,57 @@
+"""The row that a variant leaves, and the names of its columns."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from particlerb.case.output import Asked, CheckValue
+from particlerb.model.system import System
+from particlerb.plan.joints import joints_of
+
+_LETTERS = {3: "xyz", 4: "wxyz"}
+
+
+class Row(NamedTuple):
+    """What a variant came to."""
+
+    number: int
+    status: str  # "done", or "failed: " and why
+    energy_drift: float
+    missed: int  # limits of drift
+    values: tuple[float, ...]
+
+
+def failed(number: int, reason: str) -> Row:
+    """Row of a variant that came to nothing."""
+    return Row(number, f"failed: {reason}", math.nan, 0, ())
+
+
+def asked_as_checks(asked: Sequence[Asked]) -> tuple[CheckValue, ...]:
+    """What is asked for as checks that always hold, so that a run looks at it."""
+    return tuple(
+        CheckValue.model_construct(**dict(one), value=0.0, tolerance=math.inf) for one in asked
+    )
+
+
+def columns(asked: Asked, system: System) -> list[str]:
+    """Names of the numbers of a value that is asked for."""
+    when = "" if asked.time is None else f"@{asked.time:g}"
+    if asked.body is not None:
+        owners = [system.names[int(b)] for b in system.names.find(asked.body)]
+        size = {"orientation": 4, "kinetic_energy": 1, "inertia": 9}.get(asked.quantity, 3)
+    elif asked.joint is None:
+        owners, size = ["contacts"], 1
+    else:
+        setup = joints_of(system)
+        assert setup is not None
+        owners = [str(asked.joint)]
+        size = {"joint_force": 3, "joint_torque": 3}.get(asked.quantity, 1)
+        if asked.quantity == "joint_coordinate":
+            size = int((setup.coordinates.joint == setup.names.index(owners[0])).sum())
+    parts = [f".{letter}" for letter in _LETTERS.get(size, "")] or _numbered(size)
+    return [f"{owner}.{asked.quantity}{part}{when}" for owner in owners for part in parts]
+
+
+def _numbered(size: int) -> list[str]:
+    """Ends of the names of numbers without letters."""
+    return [""] if size == 1 else [f".{k}" for k in range(size)]

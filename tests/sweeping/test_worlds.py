@@ -1,0 +1,202 @@
+"""Variants in one batch: each has the bits of a run alone, its own drift, its own failure."""
+
+import numpy as np
+import pytest
+
+from particlerb import CaseError
+from particlerb.case.problems import path_of
+from particlerb.case.reader import load
+from particlerb.case.sweep import SweepTable
+from particlerb.case.to_system import to_system
+from particlerb.model.worlds import WorldsDifferError, bins_of, over_all, over_bodies, worlds_among
+from particlerb.sweeping import worker
+from particlerb.sweeping.together import likeness, may_share, rows_together
+from particlerb.sweeping.variants import variants
+from particlerb.sweeping.worker import Task, batch_of, work
+
+BOX = {"type": "box", "size": [0.4, 0.6, 1.0], "n": [2, 2, 2]}
+PUSH = {"type": "push", "body": "body", "at": [0.1, 0.2, 0.0], "force": [0.0, 0.0, 5.0]}
+DRAG = {"type": "drag", "body": "body", "translation": 0.3, "rotation": 0.1}
+ANCHOR = {
+    "type": "spring",
+    "body": "body",
+    "at": [0.1, 0, 0.2],
+    "anchor": [0, 0, 2],
+    "stiffness": 50.0,
+}
+CENTRE = {"type": "central", "body": "body", "centre": [3.0, 0.0, 0.0], "mu": 2.0}
+IMPULSE = {
+    "type": "impulse",
+    "body": "body",
+    "at": [0, 0.1, 0],
+    "impulse": [0.2, 0, 0],
+    "time": 0.017,
+}
+TORQUE = {"type": "torque", "body": "body", "torque": [0.3, 0.0, 0.1], "frame": "body"}
+TIED = [
+    {"type": "spring", "body": "body", "to": "other", "at": [0.1, 0.0, 0.0], "stiffness": 30.0,
+     "damping": 0.2, "rest_length": "initial"},
+    {"type": "spring", "body": "other", "anchor": [0.0, 0.0, 3.0], "stiffness": 20.0,
+     "damping": 0.1},
+]  # fmt: skip
+ASKED = [
+    {"body": "body", "quantity": "position"},
+    {"body": "body", "quantity": "orientation"},
+    {"body": "body", "quantity": "kinetic_energy"},
+    {"body": "body", "quantity": "angular_velocity", "frame": "body", "time": 0.013},
+    {"body": "body", "quantity": "inertia"},
+]
+MASS = {"body.0.mass": [1.0, 2.5, 3.0]}
+SPIN = {"body.0.angular_velocity": [[0.5, 1, 2], [1, 2, 0.3], [0.2, 5, 1]]}
+RATE = {"force.0.translation": [0.1, 0.5, 0.9]}
+
+
+def scene(*forces, method="strang", dt=2e-3, gravity=True, others=(), **body) -> dict:
+    """A box under forces."""
+    moving = {"angular_velocity": [1.0, 2.0, 0.5], "velocity": [0.1, 0.2, 0.3]}
+    run = {"t_end": 0.03, "every": 0.01, "method": method} | ({"dt": dt} if dt else {})
+    own = {"name": "body", "shape": BOX, "mass": 2.0} | moving | body
+    falls = {"gravity": {"acceleration": [0.1, 0.0, -9.81]}} if gravity else {}
+    return {"run": run, "body": [own, *others], "force": list(forces)} | falls
+
+
+def pair(*forces) -> dict:
+    """The same, tied to a symmetric body that hangs on a spring."""
+    other = {"name": "other", "mass": 1.5, "position": [1.0, 0.0, 0.0]}
+    other["shape"] = {"type": "moments", "inertia": [1.0, 2.0, 2.0]}
+    return scene(*TIED, *forces, others=[other])
+
+
+def top(**run) -> dict:
+    """A top of Lagrange."""
+    shape = {"type": "moments", "inertia": [15.0, 0.5, 15.0]}
+    weight = {"type": "push", "body": "body", "at": [0.0, 1.0, 0.0], "force": [0.0, 0.0, -147.0]}
+    case = scene(weight, shape=shape, angular_velocity={"body": [0.0, 150.0, -4.6]}, gravity=False)
+    case["run"] = {"t_end": 0.02, "every": 0.01} | run
+    return case
+
+
+DRAWN = {
+    "count": 5, "velocity": {"random": 1.0}, "orientation": "random",
+    "place": {"type": "random", "lower": [0, 0, 0], "upper": [5, 5, 5]},
+}  # fmt: skip
+GRID = {"count": 300, "place": {"type": "grid", "spacing": 2.0}}
+BALL = {"shape": {"type": "moments", "inertia": [2.0, 2.0, 2.0]}}
+SHORT = {"t_end": 0.02, "every": 0.02, "method": "strang", "dt": 1e-2}
+LATER = PUSH | {"during": [0.0, 0.013]}
+WEIGHTS = {"force.0.force": [[0.0, 0.0, -9.0], [0.0, 0.0, 5.0]]}
+PLACES = {"body.1.position": [[1.0, 0.1, 0.2], [2.0, 0.5, 0.3]]}
+BATCHES = {
+    "free": (scene(method="auto", dt=None), SPIN),
+    "mass and seed": (scene(DRAG, **DRAWN), MASS | {"run.seed": [0, 7]}),
+    "drag, closed": (scene(DRAG | {"rotation": 0.0}, method="auto", dt=None), RATE),
+    "kepler, closed": (scene(CENTRE, method="auto", dt=None, gravity=False, **BALL), MASS),
+    "top, closed": (top(), MASS),
+    "top, strang": (top(method="strang", dt=1e-3), WEIGHTS),
+    "top, rk4": (top(method="rk4", dt=1e-3), MASS),
+    "all forces": (scene(DRAG, TORQUE, LATER, ANCHOR, CENTRE, IMPULSE), RATE | MASS),
+    "rkn6": (scene(ANCHOR, CENTRE, method="rkn6"), MASS),
+    "blocks of bodies": (scene(DRAG, ANCHOR, **GRID) | {"run": SHORT}, RATE),
+    "springs between": (pair(DRAG), MASS),
+    "stiffness": (pair(DRAG), {"force.0.stiffness": [10.0, 25.0, 40.0]}),
+    "rest length": (pair(), PLACES),
+}
+"""Cases, and axes of their variants."""
+
+
+def batch(case: dict, axes: dict, asked=()) -> Task:
+    """All variants as one task."""
+    loaded = load(case)
+    table = SweepTable(axes=axes, value=asked)
+    rows = tuple(v.values for v in variants(loaded, table))
+    paths = tuple(map(path_of, axes))
+    return Task(tuple(range(len(rows))), rows, paths, loaded.source, table.value, True)
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_rows_of_a_batch_have_the_bits_of_rows_alone(name):
+    task = batch(*BATCHES[name], asked=ASKED)
+    assert may_share(to_system(BATCHES[name][0]))
+    together = rows_together(task.numbers, batch_of(task), task.asked)
+    assert repr(together) == repr(work(task._replace(is_batch=False)))
+    assert len({row.values for row in together}) == len(together) > 1
+    assert len({row.energy_drift for row in together}) > 1 or name in ("free", "top, closed")
+
+
+@pytest.mark.parametrize(
+    ("case", "why"),
+    [
+        (scene(ANCHOR, CENTRE, method="dop853", dt=None), "chooses steps"),
+        (scene(ANCHOR, CENTRE, dt=None), "a step of its own"),
+    ],
+)
+def test_who_steps_by_his_neighbours_runs_alone(case, why):
+    task = batch(case, MASS)
+    with pytest.raises(WorldsDifferError, match=why):
+        rows_together(task.numbers, batch_of(task), ())
+    assert work(task) == work(task._replace(is_batch=False))
+
+
+def test_a_variant_that_fails_in_a_batch_fails_alone():
+    case = scene(DRAG)
+    case["check"] = {"energy_drift": 1e-30}
+    task = batch(case, {"body.0.velocity": [[1, 0, 0], [1e308, 0, 0], [0, 1, 0]]}, ASKED)
+    rows = work(task)
+    assert [row.status[:6] for row in rows] == ["done", "failed", "done"]
+    assert [row.missed for row in rows] == [1, 0, 1]
+
+
+def test_each_world_misses_its_own_checks():
+    """The error of strang grows with the stiffness of a spring: one of three is above the limit."""
+    case, axes = scene(ANCHOR), {"force.0.stiffness": [5.0, 5000.0, 4.0]}
+    drifts = [row.energy_drift for row in work(batch(case, axes))]
+    assert drifts[1] > 10.0 * max(drifts[0], drifts[2])
+    case["check"] = {"energy_drift": drifts[1] / 2.0}
+    assert [row.missed for row in work(batch(case, axes))] == [0, 1, 0]
+
+
+def test_who_shares_a_batch():
+    paths = [path_of(key) for key in ("run.dt", "body.0.mass", "force.0.force", "force.0.time")]
+    like = likeness(paths, (1e-3, 1.0, [0.0, 1.0, 2.0], 0.5))
+    assert like == likeness(paths, (1e-3, 2.0, [0.0, 3.0, 4.0], 0.5))
+    for others in (
+        (2e-3, 1.0, [0.0, 1.0, 2.0], 0.5),
+        (1e-3, 1.0, [0.1, 1.0, 2.0], 0.5),
+        (1e-3, 1.0, [0.0, 1.0, 2.0], 0.6),
+    ):
+        assert like != likeness(paths, others)
+    for name in ("bouncing", "pendulum", "dumbbell_pair"):  # contact, joints, attraction
+        assert not may_share(to_system(name))
+
+
+def test_a_batch_falls_back_where_kinds_of_rotors_differ(monkeypatch):
+    """A box that becomes a cube is a spherical top, which other kernels turn."""
+    axes = {"body.0.shape.size": [[0.4, 0.6, 1.0], [1.0, 1.0, 1.0]]}
+    task = batch(scene(ANCHOR), axes, ASKED)
+    assert repr(work(task)) == repr(work(task._replace(is_batch=False)))
+    monkeypatch.setattr(worker, "rows_together", lambda *a: pytest.fail("shared a batch"))
+    work(task._replace(is_batch=False))
+
+
+def test_what_is_wrong_with_a_body_is_still_told_with_its_name():
+    case = scene(others=[{"name": "tiny", "shape": BOX, "mass": 1e-320}])
+    task = batch(case, MASS)
+    with pytest.raises(CaseError, match=r"tiny: .*too small"):
+        rows_together(task.numbers, batch_of(task), ())
+    assert all("tiny: " in row.status for row in work(task))
+
+
+def test_sums_over_worlds_take_bodies_as_one_world_alone_would():
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=(3, 40)) * 10.0 ** rng.integers(-8, 8, size=40)
+    world = np.tile(np.arange(4), 10)
+    worlds = worlds_among(world, 4)
+    for w in range(4):
+        own = np.ascontiguousarray(values[:, world == w])
+        assert np.array_equal(over_bodies(values, worlds)[w], own.sum(axis=1))
+        assert over_all(values, worlds)[w] == own.sum()
+    bins = bins_of(np.arange(10) // 4, worlds)
+    assert bins.max() == 11
+    assert all(np.array_equal(bins[world == w], 3 * w + np.arange(10) // 4) for w in range(4))
+    with pytest.raises(WorldsDifferError):
+        worlds_among(world[1:], 4)
