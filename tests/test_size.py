@@ -27,6 +27,7 @@ BUDGETS = {
     "coordinates by name, along which something acts": 21,
     "contact with every method": 480,
     "impulses": 1350,
+    "Newton's method for impulses, the order of bodies in it, a band": 355,
     "tables of forces": 232,
     "force gradients": 324,
     "forces written by users": 841,

@@ -87,6 +87,9 @@ class ContactTable(ContactNumbers):
     iterations: Annotated[int, Strict(), Field(ge=1)] = Field(
         20, description="Sweeps over all contacts in a step at most, impulse. [-]"
     )
+    solver: Literal["auto", "sweeps", "newton"] = Field(
+        "auto", description="Whether Newton's method follows where sweeps do not end, impulse. [-]"
+    )
     push_out: _Share = Field(
         0.3, description="Share of an overlap that a step takes away, impulse. [-]"
     )

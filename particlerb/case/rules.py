@@ -232,7 +232,7 @@ def material(path: Path, name: Any, known: list[str]) -> Iterator[Finding]:
 def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Finding]:
     """Keys of impulses are for that law, and what it does not know is not there."""
     if contact.get("law") != "impulse":
-        for key in ("tolerance", "iterations", "push_out", "slop"):
+        for key in ("tolerance", "iterations", "solver", "push_out", "slop"):
             default = ContactTable.model_fields[key].default
             if contact.get(key, default) != default:  # a case that was saved has all of them
                 yield ("contact", key), "is for impulses", 'take law = "impulse"'

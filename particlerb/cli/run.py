@@ -33,6 +33,7 @@ from particlerb.impulses.records import (
     DEEPEST,
     FRICTION_WORK,
     IMPACT_WORK,
+    NEWTON_STEPS,
     PRESSING_WORK,
     PUSH_OUT_WORK,
     RESIDUAL,
@@ -285,7 +286,8 @@ def impulse_text(tally: Floats) -> str:
     text = (
         f"impulses: residual {tally[RESIDUAL]:.2g} in the last step, {tally[WORST_EVER]:.2g} at"
         f" worst, above the tolerance in {tally[UNMET]:.0f} of {tally[STEPS]:.0f} steps;"
-        f" {tally[CONTACTS] / n:.3g} contacts and {tally[SWEEPS] / n:.3g} sweeps a step;"
+        f" {tally[CONTACTS] / n:.3g} contacts, {tally[SWEEPS] / n:.3g} sweeps and"
+        f" {tally[NEWTON_STEPS] / n:.3g} of Newton's a step;"
         f" largest overlap {tally[DEEPEST]:.3g} m\nwork: {done}"
     )
     if tally[UNENDED] > 0.0:

@@ -80,7 +80,7 @@ def _take_in(
     setup: GroupContact, impulses: Impulses, force: Floats, near: _Near, dt: float
 ) -> None:
     """Write the row of a contact, which begins with the force of the step before."""
-    _, partners, rows, count, tally = impulses
+    _, partners, rows, count, tally, _ = impulses
     k, gap, pair, entry = count[0], near.gap, near.pair, near.entry
     count[0] = k + 1
     rows.first[k], rows.second[k], rows.entry[k] = near.first, near.second, entry

@@ -39,7 +39,7 @@ def _book_outside(
 @lean_kernel
 def book_impulses(impulses: Impulses) -> None:
     """Sum what all impulses of the step have done, by partners and in the tally."""
-    _, partners, rows, count, tally = impulses
+    _, partners, rows, count, tally, _ = impulses
     frame, inverse, booked = rows.frame, partners.inverse, partners.booked
     for b in range(booked.shape[0]):
         for i in range(8):

@@ -84,10 +84,19 @@ def _slide(frame: Floats, k: int, b: float, c1: float, c2: float) -> float:
 def nearest_in_cone(n: float, x: float, y: float, mu: float) -> Vec3:
     """Point of the cone |r_t| <= μ r_n nearest to (n, x, y)."""
     t = math.sqrt(x * x + y * y)
-    if t <= mu * n:
-        return n, x, y
     if mu * t <= -n:
         return ZERO
+    if t <= mu * n:
+        return n, x, y
     height = (n + mu * t) / (1.0 + mu * mu)
     shorter = mu * height / max(t, 1e-300)
     return height, shorter * x, shorter * y
+
+
+@inline
+def on_disc(x: float, y: float, radius: float) -> tuple[float, float]:
+    """Nearest point within a disc."""
+    length = math.sqrt(x * x + y * y)
+    if length <= radius:
+        return x, y
+    return x * (radius / length), y * (radius / length)

@@ -61,7 +61,7 @@ def impact(frame: Floats, k: int, u: Vec3, restitution: float) -> Vec3:
 @lean_kernel
 def take_impacts(impulses: Impulses) -> None:
     """Let contacts bounce, and give momenta."""
-    _, partners, rows, count, tally = impulses
+    _, partners, rows, count, tally, _ = impulses
     frame, limits = rows.frame, rows.limits
     for _ in range(_PASSES):
         hits = 0

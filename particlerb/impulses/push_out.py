@@ -20,7 +20,7 @@ _ENOUGH: Final = 0.1  # of the slop: moves smaller than this end the sweeps
 @lean_kernel
 def push_out(impulses: Impulses, dt: float) -> bool:
     """Find the moves of all partners; whether there are any."""
-    rules, partners, rows, count, _ = impulses
+    rules, partners, rows, count, _, _ = impulses
     frame, move, has_moved, found = rows.frame, partners.move, partners.has_moved, False
     for k in range(count[0]):
         u = approach(partners, rows, k)

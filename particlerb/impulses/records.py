@@ -45,7 +45,8 @@ BOUNDARY_WORK: Final = 12  # [J] of walls and bodies that move as prescribed
 DEEPEST: Final = 13  # [m] largest overlap
 UNENDED: Final = 14  # steps whose impacts had not come to an end
 DEEPEST_NOW: Final = 15  # [m] largest overlap since the last frame
-TALLY: Final = 16
+NEWTON_STEPS: Final = 16
+TALLY: Final = 17
 
 NEVER: Final = -1e300  # [m/s] least velocity of a contact that is left out of a solve
 
@@ -58,6 +59,7 @@ class ImpulseRules(NamedTuple):
     iterations: int  # sweeps at most
     push_out: float  # share of an overlap that is taken away in a step
     slop: float  # [m] overlap that stays
+    newton: bool  # whether Newton's method goes on where sweeps do not end
 
 
 class Partners(NamedTuple):
@@ -65,6 +67,7 @@ class Partners(NamedTuple):
 
     velocity: Floats  # (.., 6) [m/s, rad/s] of the centre of mass, and angular; world axes
     before: Floats  # (.., 6) before the kick
+    free: Floats  # (.., 6) after it, without impulses of the solve
     inverse: Floats  # (.., 7) [1/kg, 1/(kg m²)] mass; xx, xy, xz, yy, yz, zz of the inertia
     move: Floats  # (.., 6) [m, rad] by which they are pushed out
     has_moved: Bools  # (..,) whether anything has
@@ -88,6 +91,18 @@ class Rows(NamedTuple):
     direction: Floats  # (.., 3) of the conjugate gradients
 
 
+class Newton(NamedTuple):
+    """Bodies that move as unknowns of Newton's method: nothing where it is not taken."""
+
+    place: Ints  # (partners,) first of its six rows in the matrix; -1: it does not move
+    cluster: Ints  # (partners,) those of one number may act on each other; -1
+    reach: Ints  # (1,) columns beside the diagonal
+    matrix: Floats  # (6 n, 3 reach + 1) band
+    change: Floats  # (6 n,) [N s, N m s] what bodies get of contacts
+    slopes: Floats  # (rows, 12) step of an impulse, c and the rows of K, see `newton`
+    clusters: Floats  # (n_clusters, 4) |F|², |F| that was best, share of a step, state
+
+
 class Impulses(NamedTuple):
     """All that a solve needs."""
 
@@ -96,14 +111,15 @@ class Impulses(NamedTuple):
     rows: Rows
     filled: Ints  # (1,) contacts of this step
     tally: Floats  # (TALLY,) sums since the segment began
+    newton: Newton
 
 
 def room_for_partners(n: int) -> Partners:
     """Room for n bodies and walls."""
-    velocity, before, inverse, move = (np.zeros((n, width)) for width in (6, 6, 7, 6))
+    velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 6, 6, 7, 6))
     place, reach, given, booked = (np.zeros((n, width)) for width in (3, 1, 6, 8))
     has_moved = np.zeros(n, dtype=np.bool_)
-    return Partners(velocity, before, inverse, move, has_moved, place, reach, given, booked)
+    return Partners(velocity, before, free, inverse, move, has_moved, place, reach, given, booked)
 
 
 def room_for_rows(n: int) -> Rows:

@@ -147,3 +147,10 @@ def give(partners: Partners, rows: Rows, c: int, r: Vec3) -> None:
     put_column3(given, b, 0, add_scaled(-1.0, p, column3(given, b, 0)))
     put_column3(given, a, 3, add_scaled(1.0, turn_a, column3(given, a, 3)))
     put_column3(given, b, 3, add_scaled(-1.0, turn_b, column3(given, b, 3)))
+
+
+@inline
+def change_by(partners: Partners, rows: Rows, c: int, r: Vec3) -> None:
+    """Change velocities by r [N s] along n, t₁, t₂ of contact c."""
+    a, b, p = rows.first[c], rows.second[c], in_world(rows.frame, c, r)
+    push_apart(partners.velocity, partners.inverse, rows.frame, c, a, b, p)

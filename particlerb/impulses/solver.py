@@ -16,8 +16,9 @@ De Saxcé and Feng, Mathematical and Computer Modelling 28, 225 (1998), û.
 import math
 from typing import Final
 
-from particlerb.compiled.jit import inline, lean_kernel
-from particlerb.impulses.cone import nearest_in_cone
+from particlerb.compiled.jit import lean_kernel
+from particlerb.impulses.cone import nearest_in_cone, on_disc
+from particlerb.impulses.newton import take_newton_steps
 from particlerb.impulses.records import (
     CONTACTS,
     COUPLING,
@@ -41,39 +42,25 @@ from particlerb.impulses.records import (
 )
 from particlerb.impulses.rows import (
     approach,
+    change_by,
     column3,
     give,
     in_frame,
-    in_world,
-    push_apart,
     put_column3,
 )
-from particlerb.maths.vec3 import Vec3, dot, subtract
+from particlerb.maths.vec3 import dot, subtract
 
 _EVERY: Final = 5  # sweeps from residual to residual
+_ROUNDS: Final = 4  # of Newton's method
+_MORE: Final = 4  # times as many sweeps after one that has not come to an end
+_WITHIN: Final = 0.1  # of the tolerance, for Newton's method
 _FLOOR: Final = 1e-6  # of all impulses of the kick: what contacts carry less than this is nothing
-
-
-@inline
-def _on_disc(x: float, y: float, radius: float) -> tuple[float, float]:
-    """Nearest point within a disc."""
-    length = math.sqrt(x * x + y * y)
-    if length <= radius:
-        return x, y
-    return x * (radius / length), y * (radius / length)
-
-
-@inline
-def _change_by(partners: Partners, rows: Rows, k: int, r: Vec3) -> None:
-    """Change velocities by r [N s] along n, t₁, t₂ of contact k."""
-    a, b, p = rows.first[k], rows.second[k], in_world(rows.frame, k, r)
-    push_apart(partners.velocity, partners.inverse, rows.frame, k, a, b, p)
 
 
 @lean_kernel
 def leave_out_what_will_bounce(impulses: Impulses) -> None:
     """Leave out contacts that have not closed yet and will bounce when they have."""
-    _, partners, rows, count, _ = impulses
+    _, partners, rows, count, _, _ = impulses
     for k in range(count[0]):
         limits = rows.limits
         will_bounce = limits[k, RESTITUTION] > 0.0 and limits[k, GAP] > 0.0
@@ -84,15 +71,15 @@ def leave_out_what_will_bounce(impulses: Impulses) -> None:
 @lean_kernel
 def _begin_where_it_ended(impulses: Impulses) -> None:
     """Take the impulses of the step before, in the frames of now and within the cones."""
-    _, partners, rows, count, _ = impulses
+    _, partners, rows, count, _, _ = impulses
     for k in range(count[0]):
         n, x, y = in_frame(rows.frame, k, column3(rows.impulse, k, 0))
         if n <= 0.0 or rows.frame[k, LEAST] == NEVER:
             put_column3(rows.impulse, k, 0, (0.0, 0.0, 0.0))
             continue
-        x, y = _on_disc(x, y, rows.frame[k, FRICTION] * n)
+        x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
         put_column3(rows.impulse, k, 0, (n, x, y))
-        _change_by(partners, rows, k, (n, x, y))
+        change_by(partners, rows, k, (n, x, y))
 
 
 @lean_kernel
@@ -109,12 +96,12 @@ def _sweep(partners: Partners, rows: Rows, count: int) -> float:
         share = 1.0 / (max(frame[k, SCHUR], frame[k, SCHUR + 1]) + (a1 * a1 + a2 * a2) / w)
         x = old[1] - share * (u[1] + a1 * dn)
         y = old[2] - share * (u[2] + a2 * dn)
-        x, y = _on_disc(x, y, frame[k, FRICTION] * n)
+        x, y = on_disc(x, y, frame[k, FRICTION] * n)
         change = (dn, x - old[1], y - old[2])
         square = dot(change, change)
         if square > 0.0:
             put_column3(impulse, k, 0, (n, x, y))
-            _change_by(partners, rows, k, change)
+            change_by(partners, rows, k, change)
         changed += square
     return changed
 
@@ -144,9 +131,41 @@ def _mix(partners: Partners, rows: Rows, count: int, beta: float, is_last: bool)
         if not is_last and dot(on, on) > 0.0:
             for i in range(3):
                 impulse[k, i] += on[i]
-            _change_by(partners, rows, k, on)
+            change_by(partners, rows, k, on)
         for i in range(3):
             direction[k, i] = on[i] + change[i]
+
+
+@lean_kernel
+def _sweeps(impulses: Impulses, most: int, floor: float) -> float:
+    """Sweep over all contacts until the residual is within the tolerance; the last one."""
+    rules, partners, rows, count, tally, _ = impulses
+    m, sweeps, before, found = count[0], 0, 0.0, math.inf
+    while sweeps < most and found > rules.tolerance:
+        for k in range(m):
+            for i in range(3):
+                rows.old[k, i] = rows.impulse[k, i]
+        changed = _sweep(partners, rows, m)
+        sweeps += 1
+        if sweeps % _EVERY == 0 or sweeps == most or changed == 0.0:
+            found = residual(partners, rows, m, floor)
+        if changed == 0.0:
+            break
+        beta = changed / before if 0.0 < changed < before else 0.0
+        before = changed
+        _mix(partners, rows, m, beta, sweeps == most or found <= rules.tolerance)
+    tally[SWEEPS] += sweeps
+    return found
+
+
+@lean_kernel
+def _size(rows: Rows, count: int, floor: float) -> float:
+    """Size of all impulses [N s], or a floor."""
+    size = 0.0
+    for k in range(count):
+        r = column3(rows.impulse, k, 0)
+        size += dot(r, r)
+    return max(math.sqrt(size), floor)
 
 
 @lean_kernel
@@ -160,30 +179,29 @@ def solve(impulses: Impulses, moved: float) -> None:
     moved : float [N s]
         Sum of the sizes of all impulses of the kick.
     """
-    rules, partners, rows, count, tally = impulses
+    rules, partners, rows, count, tally, newton = impulses
     m = count[0]
     if m == 0:
         tally[RESIDUAL] = 0.0
         return
+    for b in range(partners.free.shape[0]):
+        for i in range(6):
+            partners.free[b, i] = partners.velocity[b, i]
     _begin_where_it_ended(impulses)
-    sweeps, before, found, floor = 0, 0.0, math.inf, _FLOOR * moved
-    while sweeps < rules.iterations and found > rules.tolerance:
-        for k in range(m):
-            for i in range(3):
-                rows.old[k, i] = rows.impulse[k, i]
-        changed = _sweep(partners, rows, m)
-        sweeps += 1
-        if sweeps % _EVERY == 0 or sweeps == rules.iterations or changed == 0.0:
-            found = residual(partners, rows, m, floor)
-        if changed == 0.0:
+    floor, most, is_done = _FLOOR * moved, rules.iterations, newton.change.size == 0
+    found = _sweeps(impulses, most, floor)
+    for _ in range(_ROUNDS):
+        if found <= rules.tolerance or is_done:
             break
-        beta = changed / before if 0.0 < changed < before else 0.0
-        before = changed
-        _mix(partners, rows, m, beta, sweeps == rules.iterations or found <= rules.tolerance)
+        size = _size(rows, m, floor)
+        is_done = take_newton_steps(impulses, _WITHIN * rules.tolerance, size)
+        found = residual(partners, rows, m, floor)
+        if found > rules.tolerance and not is_done:
+            most *= _MORE
+            found = _sweeps(impulses, most, floor)
     for k in range(m):
         give(partners, rows, k, column3(rows.impulse, k, 0))
     tally[STEPS] += 1.0
-    tally[SWEEPS] += sweeps
     tally[CONTACTS] += m
     tally[UNMET] += 1.0 if found > rules.tolerance else 0.0
     tally[RESIDUAL] = found

@@ -4,6 +4,8 @@ All happens in the middle of a step. Threads place and move their own blocks of 
 one alone finds contacts and solves, so that no bit depends on how many there are.
 """
 
+from typing import Final
+
 from particlerb.compiled.barrier import Team, meet
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.contact_model import MovingContact
@@ -32,6 +34,8 @@ from particlerb.maths.vec3 import (
     subtract,
 )
 from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
+
+_NONE: Final = 1e-9  # of momenta, beside impulses of a kick
 
 
 @kernel
@@ -104,12 +108,13 @@ def _gather_walls(contact: MovingContact, partners: Partners) -> None:
 
 @inline
 def _size_of_kick(contact: MovingContact, partners: Partners) -> float:
-    """All impulses of a kick [N s]."""
+    """All impulses of a kick, and of momenta what is as good as none [N s]."""
     moved = 0.0
     for b in range(contact.setup.max_arm.size):
         by = subtract(column3(partners.velocity, b, 0), column3(partners.before, b, 0))
         mass = partners.inverse[b, 0]
-        moved += 2.0 * norm(by) / mass if mass > 0.0 else 0.0
+        size = 2.0 * norm(by) + _NONE * norm(column3(partners.velocity, b, 0))
+        moved += size / mass if mass > 0.0 else 0.0
     return moved
 
 

@@ -14,6 +14,7 @@ from particlerb.forces.kinds import TIME
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Ints
 from particlerb.model.system import System
+from particlerb.plan.groups import MOST_BODIES
 from particlerb.plan.impulse_step import expected_overlap, touches_by_impulses
 from particlerb.plan.joint_words import joint_line
 from particlerb.plan.merging import merged
@@ -146,9 +147,25 @@ def _solved(system: System, plan: Plan) -> str:
     ]
     assert table is not None
     return (
-        f"residual {table.tolerance:.3g} or {table.iterations} sweeps; the fastest impact may"
-        f" overlap by about {max(overlaps):.3g} m"
+        f"residual {table.tolerance:.3g} or {table.iterations} sweeps,"
+        f" {_after_sweeps(table.solver, plan)}; the fastest impact may overlap by about"
+        f" {max(overlaps):.3g} m"
     )
+
+
+def _after_sweeps(solver: str, plan: Plan) -> str:
+    """Whether Newton's method goes on where sweeps do not end, and why."""
+    n = max(
+        group.members.size
+        for group in plan.groups
+        for segment in group.segments
+        if touches_by_impulses(segment)
+    )
+    if solver != "auto":
+        return f"{'then' if solver == 'newton' else 'not'} Newton's method, as the case says"
+    if n <= MOST_BODIES:
+        return f"then Newton's method, as {n} bodies are no more than {MOST_BODIES}"
+    return f"not Newton's method, as {n} bodies are more than {MOST_BODIES}"
 
 
 def _flying(plan: Plan) -> str:

@@ -39,6 +39,7 @@ from particlerb.plan.links import Link, attracted, components, particles_of, tre
 from particlerb.rotors.rotor_class import ASYMMETRIC
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
+MOST_BODIES: Final = 64  # that Newton's method for impulses is taken for unasked
 _DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet
 
 
@@ -307,18 +308,21 @@ def _contact_among(
     is_forced = touching.record.allow_unstable
     return GroupContact(
         model, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced,
-        _rules_of(touching, float(radius.min())),
+        _rules_of(touching, float(radius.min()), members.size),
     )  # fmt: skip
 
 
-def _rules_of(touching: ContactSetup, radius: float) -> ImpulseRules | None:
-    """How contacts are solved that have no stiffness; `radius` [m] is the smallest."""
+def _rules_of(touching: ContactSetup, radius: float, n: int) -> ImpulseRules | None:
+    """How contacts of n bodies are solved that have no stiffness; `radius` [m] is the smallest."""
     asked = touching.record
     if asked.law != "impulse":
         return None
     restitution = touching.pairs.restitution.ravel()
     slop = asked.slop * radius
-    return ImpulseRules(restitution, asked.tolerance, asked.iterations, asked.push_out, slop)
+    newton = asked.solver == "newton" or (asked.solver == "auto" and n <= MOST_BODIES)
+    return ImpulseRules(
+        restitution, asked.tolerance, asked.iterations, asked.push_out, slop, newton
+    )
 
 
 def _apart_among(members: Ints, apart: Ints) -> Ints:

@@ -6,6 +6,7 @@ import numpy as np
 
 from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.pair_force import max_point_speed
+from particlerb.impulses.order import room_for_newton
 from particlerb.impulses.records import TALLY, Impulses, room_for_partners, room_for_rows
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.stepping.contact_motion import ContactMotion
@@ -27,7 +28,9 @@ class ImpulseMotion(ContactMotion):
         assert setup.rules is not None
         partners = room_for_partners(self.group.members.size + len(setup.motions))
         count = np.zeros(1, dtype=np.int64)
-        return Impulses(setup.rules, partners, room_for_rows(0), count, np.zeros(TALLY))
+        nothing = np.zeros(0, dtype=np.int64)
+        newton = room_for_newton(np.zeros(0, dtype=np.bool_), nothing, nothing, 0)
+        return Impulses(setup.rules, partners, room_for_rows(0), count, np.zeros(TALLY), newton)
 
     def make_lists(self) -> None:
         """Pairs that may touch, kept within what bodies can cross in some steps."""
@@ -50,12 +53,17 @@ class ImpulseMotion(ContactMotion):
 
     def _make_room(self) -> None:
         """Room for all contacts of the lists."""
-        lists, workspace = self.contact.lists, self.contact.workspace
+        setup, lists, workspace = self.contact.setup, self.contact.lists, self.contact.workspace
         n, impulses = lists.spheres.first.size + lists.walls.first.size, workspace.impulses
         assert impulses is not None
         if n > impulses.rows.first.size:
             impulses = impulses._replace(rows=room_for_rows(int(_GROWTH * n)))
-            self.contact = self.contact._replace(workspace=workspace._replace(impulses=impulses))
+        if impulses.rules.newton:
+            owner, (first, second, *_) = setup.model.spheres.body, lists.spheres
+            moves = np.append(setup.model.inv_mass > 0.0, np.zeros(len(setup.motions), np.bool_))
+            newton = room_for_newton(moves, owner[first], owner[second], impulses.rows.first.size)
+            impulses = impulses._replace(newton=newton)
+        self.contact = self.contact._replace(workspace=workspace._replace(impulses=impulses))
 
     def impulse_tallies(self, rows: Ints) -> dict[int, Floats]:
         """What was counted, in rows of the frames of the last `record`."""

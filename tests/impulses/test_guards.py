@@ -15,6 +15,7 @@ REFUSED = [
     ({"contact": impulse(rolling_friction=0.1)}, "contact.rolling_friction: impulses do not"),
     ({"contact": impulse(attract=True)}, "contact.attract: impulses have neither"),
     ({"contact": HOOKE | {"slop": 0.1}}, 'contact.slop: is for impulses'),
+    ({"contact": HOOKE | {"solver": "newton"}}, 'contact.solver: is for impulses'),
     ({"contact": impulse(), "wall": [PISTON]}, "wall[0].piston: impulses do not move pistons"),
     ({"contact": impulse(), "method": "strang"}, "strang does not accept what acts here: contact"),
     ({"contact": HOOKE, "method": "moreau"}, "moreau is for contact by impulses"),

@@ -16,7 +16,7 @@ NAMES = ("impulse_residual", "impulse_overlap", "push_out_work")
 def stack(**keys):
     """Boxes that one sweep does not hold, and that are let fall a little."""
     boxes = [clump(f"b{i}", position=[0, 0, 2.1 * R + 4.1 * R * i]) for i in range(3)]
-    contact = impulse(0.0, 0.5, iterations=1, tolerance=1e-6)
+    contact = impulse(0.0, 0.5, iterations=1, tolerance=1e-6, solver="sweeps")
     return case(*boxes, contact=contact, wall=[plane()], gravity=DOWN,
                 **({"dt": 5e-3, "t_end": 0.4, "every": 0.1} | keys))  # fmt: skip
 

@@ -1,0 +1,305 @@
+"""Newton's method on Coulomb's law, where sweeps do not come to an end.
+
+Impulses are a solution where the residual of the solver is zero,
+
+    F = r - P(r - û / W_nn) = 0,   û = u - least + μ |u_t| n,   P the projection onto the cone
+
+F has slopes almost everywhere: E dr + B du = -F with blocks of 3 x 3 for each contact, and du the
+velocity that dr brings. E has a small part of the unit matrix more, so that each contact gives
+dr = -c - K du by itself, however many hold one body. What is left are six equations for each body
+that moves, for the impulse p that it gets of all its contacts, with rows G of its velocity at them:
+
+    p + Gᵀ K G M⁻¹ p = -Gᵀ c
+
+They are solved by elimination along a band. Bodies that can act on each other are a cluster, with a
+share of the step and an end of its own.
+
+Sources: De Saxcé and Feng, Mathematical and Computer Modelling 28, 225 (1998), F; Qi and Sun,
+Mathematical Programming 58, 353 (1993), Newton's method with such slopes.
+"""
+
+import math
+from typing import Final
+
+from particlerb.compiled.jit import inline, lean_kernel
+from particlerb.impulses.band import solve_band
+from particlerb.impulses.cone import nearest_in_cone, on_disc
+from particlerb.impulses.records import (
+    ARM,
+    FRICTION,
+    INVERSE,
+    LEAST,
+    NEWTON_STEPS,
+    NORMAL,
+    TANGENT,
+    ZERO,
+    Impulses,
+    Newton,
+    Partners,
+    Rows,
+)
+from particlerb.impulses.rows import (
+    approach,
+    change_by,
+    column3,
+    in_frame,
+    in_world,
+    inverse_inertia_times,
+    put_column3,
+    velocity_between,
+)
+from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
+
+_MOST: Final = 40  # evaluations of F
+_SMALL: Final = 1e-9  # part of the unit matrix in E
+_ROUNDING: Final = 1e-13  # of all impulses: where |F| may stop to fall
+_GAIN: Final = 0.5  # of |F|, by which it falls else
+_TINY: Final = 1e-300  # [N s]
+_LEAST_SHARE: Final = 0.02  # of a step; what is not better then is taken nevertheless
+_UNITS: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+# Columns of `Newton.clusters`
+_SIZE, _BEST, _SHARE, _STATE = 0, 1, 2, 3
+_DONE, _HALVED, _TO_SOLVE = 0.0, 1.0, 2.0
+
+
+@lean_kernel
+def refresh_velocities(partners: Partners, rows: Rows, count: int) -> None:
+    """Velocities without impulses of contacts, and what these add."""
+    for b in range(partners.velocity.shape[0]):
+        for i in range(6):
+            partners.velocity[b, i] = partners.free[b, i]
+    for k in range(count):
+        r = column3(rows.impulse, k, 0)
+        if dot(r, r) > 0.0:
+            change_by(partners, rows, k, r)
+
+
+@inline
+def _cluster_of(newton: Newton, rows: Rows, k: int) -> int:
+    """Cluster of a contact: that of the partner that moves."""
+    return max(int(newton.cluster[rows.first[k]]), int(newton.cluster[rows.second[k]]))
+
+
+@inline
+def _put_slopes(slopes: Floats, k: int, c: Vec3, kn: Vec3, k1: Vec3, k2: Vec3) -> None:
+    """Write c and the rows of K of contact k."""
+    put_column3(slopes, k, 0, c)
+    put_column3(slopes, k, 3, kn)
+    put_column3(slopes, k, 6, k1)
+    put_column3(slopes, k, 9, k2)
+
+
+@lean_kernel
+def _linearise(partners: Partners, rows: Rows, newton: Newton, k: int) -> float:
+    """Write c = E⁻¹ F and K = E⁻¹ B of contact k; |F|².
+
+    The slope of P is one along e, which is any direction within the cone and its edge where it
+    slides, g across the edge and none else.
+    """
+    frame, u, r = rows.frame, approach(partners, rows, k), column3(rows.impulse, k, 0)
+    mu, share = frame[k, FRICTION], 1.0 / frame[k, INVERSE]
+    speed = math.sqrt(u[1] * u[1] + u[2] * u[2])
+    n = r[0] - share * (u[0] - frame[k, LEAST] + mu * speed)
+    x, y = r[1] - share * u[1], r[2] - share * u[2]
+    f, t = subtract(r, nearest_in_cone(n, x, y, mu)), max(math.sqrt(x * x + y * y), _TINY)
+    up = mu / speed if speed > 0.0 else 0.0
+    lift, stiff, one = (1.0, up * u[1], up * u[2]), share / _SMALL, 1.0 + _SMALL
+    if mu * t <= -n:
+        _put_slopes(newton.slopes, k, scale(1.0 / one, f), ZERO, ZERO, ZERO)
+    elif t <= mu * n and mu > 0.0:
+        rest = (0.0, stiff, 0.0), (0.0, 0.0, stiff)
+        _put_slopes(newton.slopes, k, scale(1.0 / _SMALL, f), scale(stiff, lift), *rest)
+    else:
+        a1, a2, long = x / t, y / t, math.sqrt(1.0 + mu * mu)
+        e, out = (1.0 / long, mu * a1 / long, mu * a2 / long), (-mu / long, a1 / long, a2 / long)
+        g = mu * (n + mu * t) / ((1.0 + mu * mu) * t)
+        across, soft = (0.0, -a2, a1), share * g / (one - g)
+        c = scale(dot(e, f) / _SMALL, e)
+        c = add_scaled(dot(across, f) / (one - g), across, add_scaled(dot(out, f) / one, out, c))
+        el = scale(stiff, (e[0], e[0] * lift[1] + e[1], e[0] * lift[2] + e[2]))
+        k1, k2 = add_scaled(-soft * a2, across, scale(e[1], el)), scale(e[2], el)
+        _put_slopes(newton.slopes, k, c, scale(e[0], el), k1, add_scaled(soft * a1, across, k2))
+    return dot(f, f)
+
+
+@inline
+def _k_times(slopes: Floats, k: int, du: Vec3) -> Vec3:
+    """K du of contact k."""
+    return (
+        dot(column3(slopes, k, 3), du),
+        dot(column3(slopes, k, 6), du),
+        dot(column3(slopes, k, 9), du),
+    )
+
+
+@inline
+def _add_column(
+    newton: Newton, rows: Rows, k: int, at: int, of: int, sign: float, r: Vec3, column: int
+) -> None:
+    """Add impulses r along n, t₁, t₂ on a partner to a column of the matrix.
+
+    `at` is the first row of the partner, `of` the column of its arm.
+    """
+    frame, matrix, reach = rows.frame, newton.matrix, newton.reach[0]
+    p = scale(sign * r[0], column3(frame, k, NORMAL))
+    q, o = column3(frame, k, TANGENT), column3(frame, k, TANGENT + 3)
+    p = (
+        p[0] + sign * (r[1] * q[0] + r[2] * o[0]),
+        p[1] + sign * (r[1] * q[1] + r[2] * o[1]),
+        p[2] + sign * (r[1] * q[2] + r[2] * o[2]),
+    )
+    m = cross(column3(frame, k, of), p)
+    for i in range(3):
+        matrix[at + i, column - at - i + reach] += p[i]
+        matrix[at + 3 + i, column - at - 3 - i + reach] += m[i]
+
+
+@inline
+def _add_contact(partners: Partners, rows: Rows, newton: Newton, k: int) -> None:
+    """Add Gᵀ K G M⁻¹ and -Gᵀ c of contact k."""
+    frame, slopes, inverse = rows.frame, newton.slopes, partners.inverse
+    a, b = rows.first[k], rows.second[k]
+    one, two = newton.place[a], newton.place[b]
+    for other in range(2):
+        body, column, arm = (a, one, ARM) if other == 0 else (b, two, ARM + 3)
+        if column < 0:
+            continue
+        sign, arms = 1.0 - 2.0 * other, column3(frame, k, arm)
+        for i in range(6):
+            unit = _UNITS[i % 3]
+            v = scale(sign * inverse[body, 0], unit)
+            if i >= 3:
+                v = scale(sign, cross(inverse_inertia_times(inverse, body, unit), arms))
+            r = _k_times(slopes, k, in_frame(frame, k, v))
+            if one >= 0:
+                _add_column(newton, rows, k, one, ARM, 1.0, r, column + i)
+            if two >= 0:
+                _add_column(newton, rows, k, two, ARM + 3, -1.0, r, column + i)
+
+
+@lean_kernel
+def _evaluate(partners: Partners, rows: Rows, newton: Newton, count: int) -> None:
+    """Slopes of all contacts, and |F| of each cluster, which then goes on, halves or is done."""
+    clusters = newton.clusters
+    for j in range(clusters.shape[0]):
+        clusters[j, _SIZE] = 0.0
+    for k in range(count):
+        clusters[_cluster_of(newton, rows, k), _SIZE] += _linearise(partners, rows, newton, k)
+
+
+@lean_kernel
+def _decide(newton: Newton, enough: float, rounding: float) -> bool:
+    """What each cluster does now; whether any goes on."""
+    clusters, goes_on = newton.clusters, False
+    for j in range(clusters.shape[0]):
+        off = math.sqrt(clusters[j, _SIZE])
+        if clusters[j, _STATE] == _DONE:
+            continue
+        if off <= enough or (off <= rounding and off > _GAIN * clusters[j, _BEST]):
+            clusters[j, _STATE] = _DONE
+            continue
+        goes_on = True
+        if off < clusters[j, _BEST] or clusters[j, _SHARE] <= _LEAST_SHARE:
+            clusters[j, _BEST], clusters[j, _SHARE], clusters[j, _STATE] = off, 1.0, _TO_SOLVE
+        else:
+            clusters[j, _SHARE] *= 0.5
+            clusters[j, _STATE] = _HALVED
+    return goes_on
+
+
+@lean_kernel
+def _solve_for_bodies(partners: Partners, rows: Rows, newton: Newton, count: int) -> None:
+    """Write p of the bodies in clusters to solve, and what it does to velocities, as moves."""
+    matrix, change, reach = newton.matrix, newton.change, newton.reach[0]
+    for i in range(change.size):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+        matrix[i, reach], change[i] = 1.0, 0.0
+    for k in range(count):
+        if newton.clusters[_cluster_of(newton, rows, k), _STATE] != _TO_SOLVE:
+            continue
+        _add_contact(partners, rows, newton, k)
+        p = scale(-1.0, in_world(rows.frame, k, column3(newton.slopes, k, 0)))
+        for body, arm, sign in ((rows.first[k], ARM, 1.0), (rows.second[k], ARM + 3, -1.0)):
+            at = newton.place[body]
+            if at >= 0:
+                m = cross(column3(rows.frame, k, arm), p)
+                for i in range(3):
+                    change[at + i] += sign * p[i]
+                    change[at + 3 + i] += sign * m[i]
+    solve_band(matrix, change, reach)
+    for b in range(partners.move.shape[0]):
+        at, v, omega = newton.place[b], ZERO, ZERO
+        if at >= 0:
+            v = scale(partners.inverse[b, 0], (change[at], change[at + 1], change[at + 2]))
+            m = (change[at + 3], change[at + 4], change[at + 5])
+            omega = inverse_inertia_times(partners.inverse, b, m)
+        put_column3(partners.move, b, 0, v)
+        put_column3(partners.move, b, 3, omega)
+
+
+@lean_kernel
+def _step(partners: Partners, rows: Rows, newton: Newton, count: int) -> None:
+    """Take the step of each cluster, or the share of it that is left."""
+    impulse, old, direction = rows.impulse, rows.old, rows.direction
+    for k in range(count):
+        j = _cluster_of(newton, rows, k)
+        state, share = newton.clusters[j, _STATE], newton.clusters[j, _SHARE]
+        if state == _TO_SOLVE:
+            a, b = rows.first[k], rows.second[k]
+            du = in_frame(rows.frame, k, velocity_between(partners.move, rows.frame, k, a, b))
+            step = add(column3(newton.slopes, k, 0), _k_times(newton.slopes, k, du))
+            put_column3(direction, k, 0, scale(-1.0, step))
+            put_column3(old, k, 0, column3(impulse, k, 0))
+        if state != _DONE:
+            r = add_scaled(share, column3(direction, k, 0), column3(old, k, 0))
+            put_column3(impulse, k, 0, r)
+
+
+@lean_kernel
+def _into_the_cones(rows: Rows, count: int) -> None:
+    """Take away by what impulses leave their cones: no more than F."""
+    for k in range(count):
+        n, x, y = column3(rows.impulse, k, 0)
+        n = max(n, 0.0)
+        x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
+        put_column3(rows.impulse, k, 0, (n, x, y))
+
+
+@lean_kernel
+def take_newton_steps(impulses: Impulses, tolerance: float, size: float) -> bool:
+    """Go on from impulses until |F| is within the tolerance, or does not fall any more.
+
+    Parameters
+    ----------
+    impulses : Impulses
+        With the velocities that belong to the impulses.
+    tolerance : float
+        Of |F| of each cluster, over the size.
+    size : float [N s]
+        Of all impulses.
+
+    Returns
+    -------
+    bool
+        Whether each cluster has come to an end; the others are where they last went on from.
+    """
+    _, partners, rows, filled, tally, newton = impulses
+    clusters, count, goes_on = newton.clusters, filled[0], True
+    for j in range(clusters.shape[0]):
+        clusters[j, _BEST], clusters[j, _SHARE], clusters[j, _STATE] = math.inf, 1.0, _TO_SOLVE
+    for _ in range(_MOST):
+        tally[NEWTON_STEPS] += 1.0
+        _evaluate(partners, rows, newton, count)
+        goes_on = _decide(newton, tolerance * size, _ROUNDING * size)
+        if not goes_on:
+            break
+        _solve_for_bodies(partners, rows, newton, count)
+        _step(partners, rows, newton, count)
+        refresh_velocities(partners, rows, count)
+    for k in range(count):
+        if clusters[_cluster_of(newton, rows, k), _STATE] != _DONE:
+            put_column3(rows.impulse, k, 0, column3(rows.old, k, 0))
+    _into_the_cones(rows, count)
+    refresh_velocities(partners, rows, count)
+    return not goes_on

@@ -1,0 +1,54 @@
+"""The order of bodies in Newton's method: neighbours near each other, so that the band is narrow.
+
+Source: Cuthill and McKee, Proc. 24th ACM National Conference, 157 (1969).
+"""
+
+import numpy as np
+
+from particlerb.impulses.records import Newton
+from particlerb.maths.vec3 import Bools, Ints
+
+
+def _layers(near: list[set[int]], first: int) -> list[int]:
+    """All that can be reached from a body, the nearest first, few neighbours before many."""
+    found, seen = [first], {first}
+    for k in found:
+        new = sorted(near[k] - seen, key=lambda other: (len(near[other]), other))
+        found += new
+        seen.update(new)
+    return found
+
+
+def room_for_newton(moves: Bools, a: Ints, b: Ints, rows: int) -> Newton:
+    """Room for bodies that may act on each other.
+
+    Parameters
+    ----------
+    moves : ndarray, shape (partners,)
+        Which partners impulses move.
+    a, b : ndarray, shape (m,)
+        Pairs of partners that may touch.
+    rows : int
+        Contacts at most.
+    """
+    near: list[set[int]] = [set() for _ in moves]
+    inner = moves[a] & moves[b]
+    for one, two in set(zip(a[inner].tolist(), b[inner].tolist(), strict=True)):
+        near[one].add(two)
+        near[two].add(one)
+    place, cluster = np.full((2, moves.size), -1)
+    order: list[int] = []
+    n_clusters = 0
+    for k in sorted(np.flatnonzero(moves).tolist(), key=lambda k: len(near[k])):
+        if cluster[k] < 0:
+            own = _layers(near, _layers(near, k)[-1])
+            cluster[own] = n_clusters
+            n_clusters += 1
+            order += own
+    place[order] = 6 * np.arange(len(order))
+    away = np.abs(place[a[inner]] - place[b[inner]]).max(initial=0)
+    n, reach = 6 * len(order), int(away) + 5
+    return Newton(
+        place, cluster, np.array([reach]), np.zeros((n, 3 * reach + 1)), np.zeros(n),
+        np.zeros((rows, 12)), np.zeros((n_clusters, 4)),
+    )  # fmt: skip
