@@ -20,7 +20,7 @@ BUDGETS = {
     "joints": 1500,
     "what users see of joints": 831,
     "what acts on jointed bodies": 605,
-    "unrolled columns in factors of joints, for speed": 30,
+    "unrolled columns in factors of joints, for speed": 69,
     "prescribed motion in joints, and driven bodies there": 335,
     "joints that break": 128,
     "joints that merge bodies": 360,

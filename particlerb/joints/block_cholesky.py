@@ -1,4 +1,4 @@
-"""Sparse block Cholesky factors of A = G M⁻¹ Gᵀ, one block of rows for each joint.
+"""Sparse block factors L D Lᵀ of A = G M⁻¹ Gᵀ, one block of rows for each joint.
 
 Two joints couple where they share a body that moves. The order of the joints (minimum degree) and
 the list of block operations are made once, as integers; the kernels run that list, so that any
@@ -8,7 +8,6 @@ left out of this factor.
 """
 
 import heapq
-import math
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -130,76 +129,103 @@ def _shared(a: Ints, b: Ints, pair: Ints, inv_mass: Floats) -> Bools:
     return np.stack([(p[i] == q[j]) & (inv_mass[p[i]] > 0.0) for p, q in ends], axis=1)
 
 
+@lean
+def _on_diagonal(work: Work, k: int, at: int, n: int, m: float) -> None:
+    """Lower half of the diagonal block k of n rows from `at` on, and its diagonal."""
+    gradient, factor = work.gradient, work.factor
+    for r in range(n):
+        by_x, by_a = vector(gradient, at + r, 0), vector(gradient, at + r, 3)
+        by_b = vector(gradient, at + r, 6)
+        for s in range(r + 1):
+            v = m * dot(by_x, vector(gradient, at + s, 0))
+            v += dot(by_a, vector(gradient, at + s, 9))
+            factor[k, r, s] = v + dot(by_b, vector(gradient, at + s, 12))
+        work.scale[at + r] = factor[k, r, r]
+        factor[k, r, r] += work.compliance[at + r]
+
+
+@lean
+def _add_shared(
+    work: Work, k: int, i: int, j: int, rows: int, columns: int, of: tuple[float, int, int]
+) -> None:
+    """Add to block k, of rows from i on with those from j on, what a body that both share gives.
+
+    1/M with its sign, and where ∂g/∂θ, and J⁻¹ times it, of the body stand in a gradient.
+    """
+    gradient, factor, (m, by_i, by_j) = work.gradient, work.factor, of
+    for r in range(rows):
+        by_x, turning = vector(gradient, i + r, 0), vector(gradient, i + r, by_i)
+        for s in range(columns):
+            v = m * dot(by_x, vector(gradient, j + s, 0))
+            factor[k, r, s] += v + dot(turning, vector(gradient, j + s, by_j))
+
+
 @lean_kernel
 def assemble(joints: Joints, work: Work, lo: int, hi: int) -> None:
     """A = G M⁻¹ Gᵀ in blocks lo to hi, and its diagonal."""
     start, pair, shares = joints.program.start, joints.program.pair, joints.program.shares
-    gradient, factor, a, b = work.gradient, work.factor, joints.rows.a, joints.rows.b
+    factor, a, b = work.factor, joints.rows.a, joints.rows.b
     for k in range(lo, hi):
         i, j = pair[k, 0], pair[k, 1]
-        first, second = joints.inv_mass[a[start[i]]], joints.inv_mass[b[start[i]]]
-        m = (first if shares[k, 0] else 0.0) - (first if shares[k, 1] else 0.0)
-        m += (second if shares[k, 3] else 0.0) - (second if shares[k, 2] else 0.0)
-        for r in range(start[i], start[i + 1]):
-            by_x, by_a, by_b = (
-                vector(gradient, r, 0),
-                vector(gradient, r, 3),
-                vector(gradient, r, 6),
-            )
-            for s in range(start[j], start[j + 1]):
-                v = m * dot(by_x, vector(gradient, s, 0))
-                if shares[k, 0]:
-                    v += dot(by_a, vector(gradient, s, 9))
-                if shares[k, 1]:
-                    v += dot(by_a, vector(gradient, s, 12))
-                if shares[k, 2]:
-                    v += dot(by_b, vector(gradient, s, 9))
-                if shares[k, 3]:
-                    v += dot(by_b, vector(gradient, s, 12))
-                factor[k, r - start[i], s - start[j]] = v
-            if i == j:
-                work.scale[r] = factor[k, r - start[i], r - start[i]]
-                factor[k, r - start[i], r - start[i]] += work.compliance[r]
+        at, to = start[i], start[j]
+        rows, columns = start[i + 1] - at, start[j + 1] - to
+        first, second = joints.inv_mass[a[at]], joints.inv_mass[b[at]]
+        if i == j:
+            if rows == 5:
+                _on_diagonal(work, k, at, 5, first + second)
+            else:
+                _on_diagonal(work, k, at, rows, first + second)
+            continue
+        for r in range(rows):
+            for s in range(columns):
+                factor[k, r, s] = 0.0
+        if shares[k, 0]:
+            _add_shared(work, k, at, to, rows, columns, (first, 3, 9))
+        if shares[k, 1]:
+            _add_shared(work, k, at, to, rows, columns, (-first, 3, 12))
+        if shares[k, 2]:
+            _add_shared(work, k, at, to, rows, columns, (-second, 6, 9))
+        if shares[k, 3]:
+            _add_shared(work, k, at, to, rows, columns, (second, 6, 12))
 
 
 @lean
 def _factorise_diagonal(
     factor: Floats, k: int, n: int, smallest: float, scale: Floats, at: int
 ) -> None:
-    """Cholesky factor of a block; 0 in place of 1/diagonal where a pivot is too small."""
+    """L D Lᵀ of a block: L below the diagonal, 1/D on it, 0 where a pivot is too small."""
     for c in range(n):
         v = factor[k, c, c]
-        for i in range(c):
-            v -= factor[k, c, i] * factor[k, c, i]
-        f = 1.0 / math.sqrt(v) if v > smallest * scale[at + c] else 0.0
+        f = 1.0 / v if v > smallest * scale[at + c] else 0.0
         factor[k, c, c] = f
-        for r in range(c + 1, n):
-            v = factor[k, r, c]
-            for i in range(c):
-                v -= factor[k, r, i] * factor[k, c, i]
-            factor[k, r, c] = v * f
+        for r in range(n - 1, c, -1):
+            share = factor[k, r, c] * f
+            for i in range(c + 1, r + 1):
+                factor[k, r, i] -= share * factor[k, i, c]
+            factor[k, r, c] = share
 
 
 @lean
 def _factorise_below(factor: Floats, k: int, n: int, at: int, rows: int) -> None:
-    """A block below the diagonal block k, over its factor."""
+    """B L⁻ᵀ of a block B below the diagonal block k, L D of the whole factor."""
     for r in range(rows):
-        for c in range(n):
+        for c in range(1, n):
             v = factor[at, r, c]
             for i in range(c):
                 v -= factor[at, r, i] * factor[k, c, i]
-            factor[at, r, c] = v * factor[k, c, c]
+            factor[at, r, c] = v
 
 
 @lean
-def _update(factor: Floats, updates: Ints, q: int, n: int) -> None:
-    """Target -= block blockᵀ."""
-    one, other, target = updates[q, 0], updates[q, 1], updates[q, 2]
-    for r in range(updates[q, 3]):
-        for c in range(updates[q, 4]):
+def _update(
+    factor: Floats, k: int, one: int, other: int, target: int, rows: int, columns: int, n: int
+) -> None:
+    """Target -= one D⁻¹ otherᵀ, with D of the diagonal block k."""
+    for r in range(rows):
+        for c in range(columns):
             v = factor[target, r, c]
             for i in range(n):
-                v -= factor[one, r, i] * factor[other, c, i]
+                v -= factor[one, r, i] * factor[k, i, i] * factor[other, c, i]
             factor[target, r, c] = v
 
 
@@ -207,20 +233,32 @@ def _update(factor: Floats, updates: Ints, q: int, n: int) -> None:
 def _eliminate(
     joints: Joints, work: Work, e: int, k: int, d: int, n: int, smallest_pivot: float
 ) -> None:
-    """Eliminate joint k, the one at place e, of n rows and with the diagonal block d."""
+    """Eliminate joint k, the one at place e, of n rows and with the diagonal block d.
+
+    Blocks with as many rows have constant loops.
+    """
     program, factor = joints.program, work.factor
     start = program.start
     _factorise_diagonal(factor, d, n, smallest_pivot, work.scale, start[k])
     for q in range(program.column[e], program.column[e + 1]):
-        i = program.below_joint[q]
-        _factorise_below(factor, d, n, program.below[q], start[i + 1] - start[i])
+        i, at = program.below_joint[q], program.below[q]
+        rows = start[i + 1] - start[i]
+        if rows == n:
+            _factorise_below(factor, d, n, at, n)
+        else:
+            _factorise_below(factor, d, n, at, rows)
     for q in range(program.update[e], program.update[e + 1]):
-        _update(factor, program.updates, q, n)
+        one, other, target = program.updates[q, 0], program.updates[q, 1], program.updates[q, 2]
+        rows, columns = program.updates[q, 3], program.updates[q, 4]
+        if rows == n and columns == n:
+            _update(factor, d, one, other, target, n, n, n)
+        else:
+            _update(factor, d, one, other, target, rows, columns, n)
 
 
 @lean_kernel
 def factorise(joints: Joints, work: Work, c: int) -> None:
-    """Factors in place, of cluster c: 1/diagonal, and what is below it.
+    """Factors in place, of cluster c.
 
     Numbers of rows that are often met are constants for the compiler.
     """
@@ -238,23 +276,13 @@ def factorise(joints: Joints, work: Work, c: int) -> None:
 
 
 @lean
-def _solve_down(factor: Floats, k: int, at: int, n: int, z: Floats) -> None:
-    """Forward substitution with the diagonal block k, whose rows begin at `at`."""
-    for r in range(n):
-        v = z[at + r]
-        for c in range(r):
-            v -= factor[k, r, c] * z[at + c]
-        z[at + r] = v * factor[k, r, r]
-
-
-@lean
-def _solve_up(factor: Floats, k: int, at: int, n: int, z: Floats) -> None:
-    """Back substitution with it."""
-    for r in range(n - 1, -1, -1):
-        v = z[at + r]
-        for c in range(r + 1, n):
-            v -= factor[k, c, r] * z[at + c]
-        z[at + r] = v * factor[k, r, r]
+def _take_below(factor: Floats, block: int, at: int, to: int, n: int, z: Floats, rows: int) -> None:
+    """z of the rows of a block below, from `to` on, without what z of joint k gives them."""
+    for r in range(rows):
+        v = z[to + r]
+        for c in range(n):
+            v -= factor[block, r, c] * z[at + c]
+        z[to + r] = v
 
 
 @lean
@@ -263,14 +291,32 @@ def _down(joints: Joints, work: Work, e: int, k: int, d: int, n: int) -> None:
     program, factor, z = joints.program, work.factor, work.z
     start = program.start
     at = start[k]
-    _solve_down(factor, d, at, n, z)
+    for r in range(1, n):
+        v = z[at + r]
+        for c in range(r):
+            v -= factor[d, r, c] * z[at + c]
+        z[at + r] = v
+    for r in range(n):
+        z[at + r] *= factor[d, r, r]
     for q in range(program.column[e], program.column[e + 1]):
         i, block = program.below_joint[q], program.below[q]
-        for r in range(start[i + 1] - start[i]):
-            v = z[start[i] + r]
-            for c in range(n):
-                v -= factor[block, r, c] * z[at + c]
-            z[start[i] + r] = v
+        rows = start[i + 1] - start[i]
+        if rows == n:
+            _take_below(factor, block, at, start[i], n, z, n)
+        else:
+            _take_below(factor, block, at, start[i], n, z, rows)
+
+
+@lean
+def _give_below(
+    factor: Floats, k: int, block: int, at: int, to: int, n: int, z: Floats, rows: int
+) -> None:
+    """z of joint k without what z of the rows of a block below gives it."""
+    for c in range(n):
+        v = 0.0
+        for r in range(rows):
+            v += factor[block, r, c] * z[to + r]
+        z[at + c] -= factor[k, c, c] * v
 
 
 @lean
@@ -281,11 +327,16 @@ def _up(joints: Joints, work: Work, e: int, k: int, d: int, n: int) -> None:
     at = start[k]
     for q in range(program.column[e], program.column[e + 1]):
         i, block = program.below_joint[q], program.below[q]
-        for r in range(start[i + 1] - start[i]):
-            x = z[start[i] + r]
-            for c in range(n):
-                z[at + c] -= factor[block, r, c] * x
-    _solve_up(factor, d, at, n, z)
+        rows = start[i + 1] - start[i]
+        if rows == n:
+            _give_below(factor, d, block, at, start[i], n, z, n)
+        else:
+            _give_below(factor, d, block, at, start[i], n, z, rows)
+    for r in range(n - 1, -1, -1):
+        v = z[at + r]
+        for c in range(r + 1, n):
+            v -= factor[d, c, r] * z[at + c]
+        z[at + r] = v
 
 
 @lean_kernel
