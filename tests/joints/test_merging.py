@@ -6,7 +6,7 @@ from scenes import bar, body, case, joint, moved
 
 from particlerb import Simulation, joint_loads, resume, run
 from particlerb.case.to_system import to_system
-from particlerb.maths.quaternion import multiply, to_body, to_world
+from particlerb.maths import quaternion
 from particlerb.plan.merging import merged
 from particlerb.simulation.run import prepare
 
@@ -15,6 +15,18 @@ Q, KNOB_Q = np.array([0.9, 0.1, -0.3, 0.3]), np.array([0.5, 0.5, 0.1, -0.7])
 OFF = np.array([0.5, 0.2, 0.3])
 RECORDED = ["position", "orientation", "linear_momentum", "angular_momentum"]
 LOADS = ["joint_force", "joint_torque"]
+
+
+def to_world(q, v):
+    return np.array(quaternion.to_world(tuple(q), tuple(v)))
+
+
+def to_body(q, v):
+    return np.array(quaternion.to_body(tuple(q), tuple(v)))
+
+
+def multiply(p, q):
+    return np.array(quaternion.multiply(tuple(p), tuple(q)))
 
 
 def points(name, at, mass, position, q, v, w=W):
@@ -44,13 +56,13 @@ def as_one(plate, knob):
     own = [to_world(knob["orientation"], r) for r in np.array(knob["shape"]["position"])]
     at = [*plate["shape"]["position"], *(to_body(q, OFF + r) for r in own)]
     masses = np.concatenate([mass(plate), mass(knob)])
-    com = np.array(to_world(q, masses @ np.array(at) / masses.sum()))
+    com = to_world(q, masses @ np.array(at) / masses.sum())
     return points("one", at, masses, com, q, V + np.cross(W, com)), com
 
 
 def turned_into(q, knob, vector):
     """A vector of the knob, in the axes of the plate."""
-    return np.array(to_body(q, to_world(np.array(knob["orientation"]), vector)))
+    return to_body(q, to_world(knob["orientation"], vector))
 
 
 def scene(bodies, joints, on_plate, on_knob, force):
@@ -73,8 +85,8 @@ def test_bodies_that_are_merged_move_as_one_body_of_all_particles(method):
     two = scene([plate, knob], [joint("fixed", "knob", "plate", [0.3, 0.1, 0.2])],
                 on_plate, {"body": "knob", "at": point.tolist()}, force)  # fmt: skip
     one, com = as_one(plate, knob)
-    shift = np.array(to_body(q, com))
-    there = np.array(to_body(q, OFF)) + turned_into(q, knob, point) - shift
+    shift = to_body(q, com)
+    there = to_body(q, OFF) + turned_into(q, knob, point) - shift
     on_one = {"body": "one", "at": (np.array(on_plate["at"]) - shift).tolist()}
     whole = scene([one], [], on_one, {"body": "one", "at": there.tolist()},
                   turned_into(q, knob, force))  # fmt: skip
@@ -88,10 +100,10 @@ def test_bodies_that_are_merged_move_as_one_body_of_all_particles(method):
     assert np.abs(turn[:, 0] - expected[:, 0]).max() < 1e-13
     assert np.abs(x[:, 2] - y[:, 1]).max() < 1e-13
     for k in range(4):
-        carried = np.array(to_world(expected[k, 0], to_body(q, OFF) - shift))
+        carried = to_world(expected[k, 0], to_body(q, OFF) - shift)
         assert x[k, 1] == pytest.approx(y[k, 0] + carried, abs=1e-13)
         own = multiply(expected[k, 0], multiply(q * [1, -1, -1, -1], knob["orientation"]))
-        assert turn[k, 1] == pytest.approx(np.array(own), abs=1e-13)
+        assert turn[k, 1] == pytest.approx(own, abs=1e-13)
         assert p[k, :2].sum(axis=0) == pytest.approx(sum_p[k, 0], abs=1e-13)
         about = np.cross(x[k, :2] - y[k, 0], p[k, :2]) + L[k, :2]
         assert about.sum(axis=0) == pytest.approx(sum_L[k, 0], abs=1e-13)

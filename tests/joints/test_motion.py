@@ -215,6 +215,25 @@ def test_a_pendulum_follows_elliptic_functions():
         assert place == pytest.approx(exact, abs=1e-9)
 
 
+@pytest.mark.parametrize("root", [-1.0, 1.0])
+def test_a_gyroscope_precesses_steadily_in_both_ways(root):
+    """A Ω² cos θ - C ω₃ Ω + M g l = 0, slow and fast: Goldstein, Classical Mechanics, 5.7."""
+    arm, cosine, spin = 0.2, np.cos(1.0), 80.0
+    A, C, weight = 0.02 + arm * arm, 0.01, 9.81 * arm
+    turning = (C * spin + root * np.sqrt((C * spin) ** 2 - 4 * A * cosine * weight)) / (
+        2 * A * cosine
+    )
+    axis = np.array([np.sin(1.0), 0.0, cosine])
+    w = turning * np.array(Z) + (spin - turning * cosine) * axis
+    q = [np.cos(0.5), 0.0, np.sin(0.5), 0.0]
+    top = body("top", 1.0, [0.02, 0.02, C], arm * axis, np.cross(w, arm * axis), w, q)
+    with moved(case([top], [joint("ball", "top")]), 0.25, 2.5e-3, "rattle8") as trajectory:
+        x = np.array(trajectory.position)[-1, 0]
+    angle = turning * 0.25
+    exact = [np.sin(1.0) * np.cos(angle), np.sin(1.0) * np.sin(angle), cosine]
+    assert x == pytest.approx(arm * np.array(exact), abs=1e-11)
+
+
 def test_a_pendulum_keeps_the_energy_that_the_benchmark_asks_for():
     """IFToMM A01: 10 s, 5e-5 J."""
     with moved(point_pendulum(), 1.0, 1e-3, every=0.05) as trajectory:
