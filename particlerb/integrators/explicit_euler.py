@@ -8,8 +8,9 @@ because its rates advance in its own axes, I ω̇ = Rᵀτ - ω × I ω. See doc
 from typing import Final
 
 from particlerb.contact.contact_model import Instant, LoadTimes
-from particlerb.forces.kinds import CONTACT
+from particlerb.forces.kinds import CONTACT, PISTONS
 from particlerb.integrators.contact_limits import explicit
+from particlerb.integrators.contact_stages import drift_walls, kick_walls
 from particlerb.integrators.external_work import book
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import (
@@ -49,6 +50,8 @@ def _advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> No
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning; springs of contacts take old velocities."""
     loads(moving, first, last, LoadTimes(dt, dt, 0.0, 0.0, 1.0, None))
+    drift_walls(moving.contact, moving.team, dt)
+    kick_walls(moving.contact, moving.team, dt, 0.0, True)
     _advance_rates(moving, first, last, dt)
 
 
@@ -64,7 +67,7 @@ METHOD: Final = Method(
     summary="order 1, baseline; explicit Euler on rates in the body; energy grows; any force",
     order=1,
     free_order=1,
-    accepts=ACCEPTED | {CONTACT},
+    accepts=ACCEPTED | {CONTACT, PISTONS},
     cost=3.0,
     evaluations=1,
     keeps_angular_momentum=False,

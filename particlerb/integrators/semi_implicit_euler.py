@@ -19,8 +19,9 @@ from particlerb.forces.kernels import (
     load_of_velocity,
     with_power,
 )
-from particlerb.forces.kinds import CONTACT
+from particlerb.forces.kinds import CONTACT, PISTONS
 from particlerb.integrators.contact_limits import old_velocity
+from particlerb.integrators.contact_stages import drift_walls, kick_walls
 from particlerb.integrators.external_work import book, kick_entry
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED, Pose, pose, put_pose
@@ -90,7 +91,9 @@ def _kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> N
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning; springs of contacts take new velocities."""
     loads(moving, first, last, LoadTimes(dt, dt, 0.0, 1.0, 0.0, None))
+    kick_walls(moving.contact, moving.team, dt, 0.0, True)
     _kick_and_drift(moving, first, last, dt)
+    drift_walls(moving.contact, moving.team, dt)
 
 
 @stages
@@ -105,7 +108,7 @@ METHOD: Final = Method(
     summary="order 1, baseline; the game standard, implicit gyroscopic term; damps; any force",
     order=1,
     free_order=1,
-    accepts=ACCEPTED | {CONTACT},
+    accepts=ACCEPTED | {CONTACT, PISTONS},
     cost=4.0,
     evaluations=1,
     keeps_angular_momentum=False,

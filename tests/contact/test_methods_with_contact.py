@@ -359,14 +359,14 @@ def test_the_elastic_energy_of_a_frame_is_that_of_its_own_instant(method):
     assert run.ledger.energy == pytest.approx(energy, abs=1e-13)
 
 
-@pytest.mark.parametrize("method", OTHERS)
-def test_a_method_that_cannot_move_pistons_says_so(method):
+def test_a_method_that_cannot_move_pistons_says_so():
     lid = {"type": "plane", "name": "lid", "normal": [0, 0, -1], "point": [0, 0, 0.3]}
     lid |= {"piston": {"mass": 1.0, "axis": [0, 0, 1]}}
     with pytest.raises(
-        CaseError, match=r"walls with a piston( \(.*\))?\n.*methods that do: strang$"
+        CaseError,
+        match=r"walls with a piston( \(.*\))?\n.*do: strang, semi_implicit_euler, explicit_euler$",
     ):
-        prepare(to_system(scene(method, 1e-3, 0.1, ball(), wall=(FLOOR, lid))))
+        prepare(to_system(scene("rk4", 1e-3, 0.1, ball(), wall=(FLOOR, lid))))
 
 
 def test_momentum_euler_takes_no_contact():

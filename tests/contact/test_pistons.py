@@ -81,6 +81,42 @@ def test_a_lid_swings_on_elastic_balls_as_a_chain_does_to_order_two(make, n):
     assert np.log2(np.array(energy[:-1]) / energy[1:]).min() > 3.5
 
 
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("method", "order", "within"),
+    [("semi_implicit_euler", 2.0, 2e-6), ("explicit_euler", 1.0, 2e-4)],
+)
+def test_a_lid_swings_by_the_baselines_too(make, method, order, within):
+    """From normal modes; without damping semi-implicit Euler is half a step beside strang."""
+    off, energy = [], []
+    for dt in (2e-4, 1e-4):
+        case = column(make, 1, velocity=0.5)
+        case["run"] |= {"dt": dt, "t_end": 0.0303, "every": 0.0101, "method": method}
+        with particlerb.run(case) as t:
+            up = np.hstack([t.position[:, :, 2], t.wall_position[:, 1:, 2]])
+            off.append(np.abs(up - up[0] - chain(1, 2.0, 10.0, 0.5, t.time)).max())
+            energy.append(np.abs(t.ledger.energy_error).max())
+            assert np.abs(t.ledger.linear_momentum_error).max() < 1e-12
+    assert off[0] < within
+    assert np.log2(off[0] / off[1]) == pytest.approx(order, abs=0.25)
+    assert np.log2(energy[0] / energy[1]) == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("method", ["semi_implicit_euler", "explicit_euler"])
+def test_what_dashpots_take_from_a_lid_is_that_of_strang_to_order_one(make, method):
+    def taken(method, dt):
+        case = column(make, 1, e=0.6, velocity=0.5)
+        case["run"] |= {"dt": dt, "t_end": 0.0303, "every": 0.0101, "method": method}
+        with particlerb.run(case) as t:
+            return t.ledger.work[-1]
+
+    exact = taken("strang", 1e-4)
+    coarse, fine = (taken(method, dt) - exact for dt in (2e-4, 1e-4))
+    assert abs(coarse) < 0.06 * abs(exact)
+    assert np.log2(coarse / fine) == pytest.approx(1.0, abs=0.2)
+
+
 @pytest.mark.compiled
 def test_the_period_of_a_heavy_lid_on_light_balls_is_that_of_springs_in_a_row(make):
     """T = 2π √(M (n + 1)/k), with a third of the balls' mass on top (Rayleigh), to 1e-3."""
