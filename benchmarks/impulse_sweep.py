@@ -1,4 +1,4 @@
-"""Measure what parts of a solve for impulses take a contact: sweeps, residual, push-out, booking.
+"""Measure what parts of a solve for impulses take a contact: sweeps, residual, push-out, work.
 
     python benchmarks/impulse_sweep.py [--bodies 1000] [--contacts 3700] [--record]
 
@@ -85,7 +85,7 @@ def main() -> None:
         "sweep": lambda: _sweep(partners, rows, m),
         "sweep with conjugate gradients": with_gradients,
         "residual": lambda: residual(partners, rows, m, 1e-6),
-        "booking": lambda: book_impulses(impulses),
+        "work": lambda: book_impulses(impulses),
     }
     figures = [(f"{name} [ns]", nanoseconds(part, m)) for name, part in parts.items()]
     for name, x in figures:
