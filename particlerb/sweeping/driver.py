@@ -36,6 +36,7 @@ from particlerb.sweeping.variants import Variant, label, variants
 from particlerb.sweeping.worker import Task, work
 
 _ATTEMPTS: Final = 3  # of a task whose worker dies
+_STARTS: Final = 20  # of workers that die before they do anything
 _DIED: Final = "the worker died"
 _MOST_IN_TASK: Final = 16  # variants that run one after the other,
 _MOST_IN_BATCH: Final = 1024  # or together
@@ -162,7 +163,7 @@ def _drive(
     running: dict[Future[list[Row]], Task] = {}
     at_once, is_broken = 1, False
     with contextlib.ExitStack() as stack:
-        executor = stack.enter_context(pool())
+        executor = _awake(stack, pool)
         while waiting or running:
             while waiting and not lost and len(running) < _room(waiting[0], running, at_once):
                 task = waiting.popleft()
@@ -186,11 +187,24 @@ def _drive(
                 lost += [(task, _DIED) for task in running.values()]
                 running.clear()
                 stack.pop_all().close()
-                executor = stack.enter_context(pool())
+                executor = _awake(stack, pool)
                 is_broken = False
             for task, why in lost:
                 waiting.extendleft(_again(task, why, take))
             lost.clear()
+
+
+def _awake(stack: contextlib.ExitStack, pool: Pool) -> Executor:
+    """An executor with a worker that has started: who dies before costs no task an attempt."""
+    for _ in range(_STARTS):
+        executor = stack.enter_context(pool())
+        try:
+            executor.submit(os.getpid).result()
+        except BrokenExecutor:
+            stack.pop_all().close()
+        else:
+            return executor
+    return stack.enter_context(pool())
 
 
 def _room(task: Task, running: Mapping[Any, Task], at_once: int) -> int:
