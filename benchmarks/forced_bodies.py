@@ -24,7 +24,7 @@ from particlerb.integrators import METHODS
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import State, room_for
 from particlerb.stepping.begin import begin
-from particlerb.stepping.motion import Group
+from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.stepped_motion import SteppedMotion
 
 N, ROUNDS, DT = 100_000, 15, 0.01
@@ -67,7 +67,8 @@ class Burst:
 
     def __init__(self, method: str, bodies: Bodies, state: State, terms: Terms) -> None:
         n = bodies.mass.size
-        motion = begin(METHODS[method], Group(np.arange(n), bodies, terms), state, 0.0, DT, 1e-10)
+        group = SegmentGroup(np.arange(n), bodies, terms)
+        motion = begin(METHODS[method], group, state, 0.0, DT, 1e-10)
         assert isinstance(motion, SteppedMotion)
         self.motion, self.n = motion, n
         self.steps = STEPS.get(method, BURST) * (1 if n > 1 else 500)
@@ -110,7 +111,7 @@ def order(method: str, coarsest: float, n: int = 32) -> tuple[float, np.ndarray]
     """Fitted order of the orientation at t = 4, and the errors over four halvings."""
     bodies, state, terms = scene(n)
     loads = Terms(loads=terms["push"].loads + terms["follower, booked"].loads)
-    group = Group(np.arange(n), bodies, loads)
+    group = SegmentGroup(np.arange(n), bodies, loads)
 
     def end(name: str, dt: float) -> np.ndarray:
         q = begin(METHODS[name], group, state, 0.0, dt, 1e-14).finish(4.0)[0].q

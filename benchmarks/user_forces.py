@@ -28,7 +28,7 @@ from particlerb.maths.vec3 import cross, dot, scale, subtract
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, room_for
 from particlerb.stepping.begin import begin
-from particlerb.stepping.motion import Group
+from particlerb.stepping.motion import SegmentGroup
 from particlerb.user_force import UserForce
 
 N, ROUNDS, DT, STEPS = 10_000, 15, 0.01, 40
@@ -114,7 +114,8 @@ class Burst:
     """Some steps of a group, again and again."""
 
     def __init__(self, bodies: Bodies, state: State, terms: Terms) -> None:
-        self.motion = begin(METHODS["strang"], Group(np.arange(N), bodies, terms), state, 0, DT, 0)
+        group = SegmentGroup(np.arange(N), bodies, terms)
+        self.motion = begin(METHODS["strang"], group, state, 0, DT, 0)
         self.none = room_for(0, 0, np.empty((0, 4)))
         self.run()
 

@@ -7,6 +7,8 @@ from pydantic import AfterValidator, Field, Tag, model_validator
 from particlerb.case.contact import Prescribed, Yes
 from particlerb.case.shapes import Shape
 from particlerb.case.values import (
+    Array3,
+    Array4,
     Count,
     Counts,
     Euler,
@@ -15,8 +17,6 @@ from particlerb.case.values import (
     OneOrientation,
     Positive,
     Quaternion,
-    Rows3,
-    Rows4,
     Spacing,
     Table,
     Vector,
@@ -66,20 +66,20 @@ class RandomBox(Table):
 
 
 _Position = Annotated[
-    Annotated[Vector, Tag("list")] | Annotated[Rows3, Tag("rows")], forms("list", "rows")
+    Annotated[Vector, Tag("list")] | Annotated[Array3, Tag("rows")], forms("list", "rows")
 ]
 _Orientation = Annotated[
     Annotated[Quaternion, Tag("list")]
     | Annotated[Euler, Tag("table")]
     | Annotated[Literal["random"], Tag("word")]
-    | Annotated[Rows4, Tag("rows")],
+    | Annotated[Array4, Tag("rows")],
     forms("list", "table", "word", "rows"),
 ]
 Motion = Annotated[
     Annotated[Vector, Tag("list")]
     | Annotated[InBody, Tag("table")]
     | Annotated[NormalDistribution, Tag("random")]
-    | Annotated[Rows3, Tag("rows")],
+    | Annotated[Array3, Tag("rows")],
     forms("list", "table", "random", "rows"),
 ]
 AnyPlace = GridPlacement | RandomBox

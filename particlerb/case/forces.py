@@ -13,6 +13,8 @@ from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, Tag
 from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, bodies_named, given, out_of_place
 from particlerb.case.values import (
+    Array3,
+    ArrayPerBody,
     Frame,
     Knots,
     Name,
@@ -20,8 +22,6 @@ from particlerb.case.values import (
     NonNegative,
     Positive,
     Real,
-    Rows3,
-    RowsPerBody,
     Table,
     Vector,
     broken,
@@ -104,7 +104,7 @@ class TimedLoad(Table):
         None, description="Text or CSV file with columns t, x, y, z. [s, and the unit of the load]"
     )
     times: Knots | None = Field(None, description="Knots, ascending; instead of a file. [s]")
-    values: Rows3 | None = Field(None, description="Load at each of them. [N; N m]")
+    values: Array3 | None = Field(None, description="Load at each of them. [N; N m]")
 
     @model_validator(mode="after")
     def has_one_source(self) -> Self:
@@ -348,7 +348,7 @@ class PythonTable(LastingForceTable):
     parameters: dict[Name, _Parameter] = Field(
         {}, description="Its parameters, the same for all bodies: numbers or lists. [any]"
     )
-    per_body: dict[Name, RowsPerBody] = Field(
+    per_body: dict[Name, ArrayPerBody] = Field(
         {}, description="Others: for each an entry per body, a number or a list. [any]"
     )
 

@@ -12,13 +12,13 @@ from particlerb.case.forces import During
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import Finding, bodies_named, given
 from particlerb.case.values import (
+    Array2,
     FloatArray,
     Name,
     Names,
     NonNegative,
     Positive,
     Real,
-    Rows2,
     Table,
     Vector,
     broken,
@@ -43,7 +43,7 @@ _WITHOUT_AXIS = ("ball", "fixed", "distance")
 
 
 _Speed = Annotated[
-    Annotated[Real, Tag("number")] | Annotated[Rows2, Tag("rows")], forms("number", "rows")
+    Annotated[Real, Tag("number")] | Annotated[Array2, Tag("rows")], forms("number", "rows")
 ]
 
 
@@ -98,7 +98,7 @@ class JointLoad(Table):
 class JointDrive(Table):
     """What the free coordinate of a joint is prescribed to be; it starts at 0."""
 
-    position: Rows2 | None = Field(
+    position: Array2 | None = Field(
         None, description="Knots [t, coordinate] of a cubic spline, from [0, 0] on. [s, rad or m]"
     )
     end_speeds: tuple[Real, Real] = Field(

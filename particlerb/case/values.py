@@ -220,10 +220,10 @@ Numbers = Annotated[
     PlainValidator(_nested_numbers, json_schema_input_type=float | list[float] | list[list[float]]),
 ]
 _AS_LISTS = PlainSerializer(lambda array: array.tolist(), return_type=list, when_used="json")
-Rows2 = Annotated[FloatArray, rows(2), _AS_LISTS]
-Rows3 = Annotated[FloatArray, rows(3), _AS_LISTS]
-Rows4 = Annotated[FloatArray, rows(4), _AS_LISTS]
-RowsPerBody = Annotated[
+Array2 = Annotated[FloatArray, rows(2), _AS_LISTS]
+Array3 = Annotated[FloatArray, rows(3), _AS_LISTS]
+Array4 = Annotated[FloatArray, rows(4), _AS_LISTS]
+ArrayPerBody = Annotated[
     FloatArray,
     PlainValidator(_entry_per_body, json_schema_input_type=list[float] | list[list[float]]),
     _AS_LISTS,

@@ -91,15 +91,27 @@ class Growth(NamedTuple):
     slope: Slope | None  # None: springs grow by the times above
 
 
+class StepShares(NamedTuple):
+    """What an evaluation of contacts stands for, in shares of the steps before and after it."""
+
+    mean: float  # 1: forces of contacts are means over half of both steps; 0: those of the instant
+    before: float  # of the step before, for which springs grow by what slides now
+    after: float  # of the step that begins
+
+
+LEAPFROG: Final = StepShares(1.0, 0.5, 0.5)
+OLD_VELOCITIES: Final = StepShares(0.0, 0.0, 1.0)  # springs grow by those before the kick
+NEW_VELOCITIES: Final = StepShares(0.0, 1.0, 0.0)  # and by those after it
+BY_SLOPES: Final = StepShares(0.0, 0.0, 0.0)
+
+
 class LoadTimes(NamedTuple):
     """When and how a method takes loads."""
 
     dt: float  # [s] length of the step that begins; 0: none, at a frame
     span: float  # [s] for which the loads count in the gross work
-    mean: float  # 1: forces of contacts are means over half of the steps before and after; 0: now
-    share_before: float  # of the step before, for which springs grow by what slides now
-    share_after: float  # of the step that begins
-    slope: Slope | None  # None: the times above count
+    shares: StepShares
+    slope: Slope | None  # None: the shares count
 
 
 class Workspace(NamedTuple):
@@ -175,4 +187,4 @@ class Instant(NamedTuple):
     ahead: float  # share of their last change by which momenta are then carried on to the instant
 
 
-NOW: Final = LoadTimes(0.0, 0.0, 0.0, 0.0, 0.0, None)
+NOW: Final = LoadTimes(0.0, 0.0, BY_SLOPES, None)

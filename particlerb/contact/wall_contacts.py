@@ -34,9 +34,11 @@ from particlerb.contact.contact_model import (
     ContactModel,
     Evaluation,
     Growth,
+    Slope,
     Workspace,
 )
 from particlerb.contact.pair_force import (
+    ZERO,
     Collision,
     begin_contact,
     contact_force,
@@ -46,10 +48,10 @@ from particlerb.contact.pair_force import (
     velocity_at,
 )
 from particlerb.contact.records import Records, put_row3, row3, row4
-from particlerb.contact.wall_normals import wall_normal_rate
 from particlerb.contact.wall_pieces import (
     SphereAtWall,
     WallPiece,
+    approach_velocity,
     end_leftovers,
     hand_over_history,
     join_pieces,
@@ -58,9 +60,62 @@ from particlerb.contact.wall_pieces import (
     point_in_reach,
     write_points,
 )
-from particlerb.contact.walls import PLANE, length, wall_velocity
+from particlerb.contact.walls import (
+    EDGE,
+    PLANE,
+    RIM,
+    SIDE,
+    VERTEX,
+    Primitive,
+    length,
+    primitive_at,
+    radial,
+    wall_velocity,
+)
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import Vec3, add_scaled, cross, dot, scale, subtract
+
+
+@lean
+def _gap_rate(one: Primitive, y: Vec3, v: Vec3) -> Vec3:
+    """How the gap to a primitive changes [m/s] where that may turn it; all in the wall's frame.
+
+    The nearest point stays at a vertex, goes along an edge or the side of a cylinder, and round
+    with its rim; above planes, faces and discs the gap keeps its direction.
+    """
+    kind, a, b, c, _ = one
+    if kind == VERTEX:
+        return v
+    if kind == EDGE:
+        e = subtract(b, a)
+        return add_scaled(-dot(v, e) / dot(e, e), e, v)
+    if kind in (SIDE, RIM):
+        _, rho, away = radial(a, b, y)
+        across = add_scaled(-dot(v, b), b, v)
+        round_it = add_scaled(-dot(across, away), away, across)
+        stays = across if kind == SIDE else v
+        return add_scaled(-c[0] / rho, round_it, stays) if rho > 0.0 else ZERO
+    return ZERO
+
+
+@lean
+def wall_normal_rate(
+    slope: Slope | None, on: Evaluation, at: SphereAtWall, piece: WallPiece, normal: Vec3
+) -> Vec3:
+    """ṅ [1/s] of a piece of a wall, world axes; of several points only by how the wall turns."""
+    if slope is None:
+        return ZERO
+    walls, poses = on.model.walls, on.workspace.poses
+    turning = cross(row3(poses.angular_velocity, at.wall), normal)
+    distance = length(piece.gap)
+    if piece.points > 1 or distance <= 0.0:
+        return turning
+    one = primitive_at(walls.kind, walls.parameter, on.contacts.second[piece.nearest])
+    v = to_body(at.q, approach_velocity(on.workspace, at))
+    rate = to_world(at.q, _gap_rate(one, at.y, v))
+    across = add_scaled(-dot(rate, normal), normal, rate)
+    return add_scaled(1.0, turning, scale(-1.0 / distance, across))
+
 
 _MAX_OVERLAP: Final = 0.8  # with a thin wall, in radii: beyond 1 it pushes to its other side
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.forces.kinds import Force, ForceError, Kick, Momenta, Rates, Term, same_for_all
-from particlerb.maths.quaternion import Rows, turn, turn_back
+from particlerb.maths.quaternion import Matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     Floats,
     Vec3,
@@ -46,7 +46,7 @@ class Central(NamedTuple):
 
 @inline
 def _kick_central(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + F dt,  L + τ dt."""
     r = subtract(x, get3(rows, at, b))
@@ -67,7 +67,7 @@ def _kick_central(
 
 @inline
 def _change_central(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, motion: Momenta, F: Vec3, tau: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, motion: Momenta, F: Vec3, tau: Vec3
 ) -> Momenta:
     """F + Ḟ,  τ + τ̇, with d(I n)/dt = ω × I n + I (ṅ - ω × n)."""
     v, w = motion

@@ -12,7 +12,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, same_for_all
-from particlerb.maths.quaternion import Rows, turn, turn_back
+from particlerb.maths.quaternion import Matrix, turn, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, subtract
 from particlerb.model.block import INV_INERTIA, get, get3, put
 from particlerb.model.bodies import Bodies
@@ -30,14 +30,14 @@ class Drag(NamedTuple):
 
 
 @inline
-def angular_velocity(rows: Floats, b: int, R: Rows, L: Vec3) -> Vec3:
+def angular_velocity(rows: Floats, b: int, R: Matrix, L: Vec3) -> Vec3:
     """ω of body b, world frame [rad/s]."""
     return turn(R, component_product(get3(rows, INV_INERTIA, b), turn_back(R, L)))
 
 
 @inline
 def _drag_load(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3, F: Vec3, tau: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, p: Vec3, L: Vec3, F: Vec3, tau: Vec3
 ) -> Momenta:
     """F - γ p,  τ - c_r ω."""
     w, rotation = angular_velocity(rows, b, R, L), get(rows, at + 1, b)
@@ -62,7 +62,7 @@ def _prepare_decay(rows: Floats, at: int, n: int, dt: float) -> None:
 
 @inline
 def damp(
-    rows: Floats, at: int, b: int, R: Rows, p_old: Vec3, L_old: Vec3, p: Vec3, L: Vec3
+    rows: Floats, at: int, b: int, R: Matrix, p_old: Vec3, L_old: Vec3, p: Vec3, L: Vec3
 ) -> Momenta:
     """Exact flow: p and L are p_old and L_old with the kicks of all other forces."""
     first = at + _DRAG_ROWS

@@ -21,7 +21,7 @@ from particlerb.forces.kinds import (
     refuse_overflow,
 )
 from particlerb.forces.push import Push
-from particlerb.maths.quaternion import Rows, turn
+from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale
 from particlerb.model.block import get, get3, put3
@@ -63,7 +63,7 @@ def _turn_field(rows: Floats, at: int, b: int, t: float) -> None:
 
 @inline
 def _kick_field(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + q E dt,  L + (R m) × E dt."""
     E, moment = get3(rows, at + _FIELD, b), turn(R, get3(rows, at + 10, b))
@@ -71,7 +71,7 @@ def _kick_field(
 
 
 @inline
-def _field_power(rows: Floats, at: int, b: int, x: Vec3, R: Rows, power: float) -> float:
+def _field_power(rows: Floats, at: int, b: int, x: Vec3, R: Matrix, power: float) -> float:
     """∂U/∂t = -(q x + R m)·(Ω × E)."""
     moment = turn(R, get3(rows, at + 10, b))
     return power - dot(add_scaled(get(rows, at + 13, b), x, moment), get3(rows, at + _CHANGE, b))

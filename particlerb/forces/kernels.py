@@ -14,7 +14,7 @@ from particlerb.compiled.function_set import FunctionSet
 from particlerb.compiled.jit import inline, inline_from
 from particlerb.forces.kinds import Kick, Momenta
 from particlerb.forces.registry import CHANGE, CLOCK, FIRST, KICKS, MANY, MANY_KICKS, PAIR
-from particlerb.maths.quaternion import Rows
+from particlerb.maths.quaternion import Matrix
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, subtract
 from particlerb.model.block import get, get3, put
 from particlerb.model.load import OTHER, OUTSIDE, POWER
@@ -247,7 +247,7 @@ def shift_time(acting: Acting, rows: Floats, b: int, share: float) -> None:
 
 @inline
 def with_power(
-    clock: int | None, acting: Acting, rows: Floats, b: int, x: Vec3, R: Rows, dt: float,
+    clock: int | None, acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, dt: float,
     entry: Entry,
 ) -> Entry:  # fmt: skip
     """What is booked, with dt ∂V/∂t of body b, where something depends on time."""
@@ -259,7 +259,7 @@ def with_power(
 
 @inline
 def load_at(
-    acting: Acting, rows: Floats, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3
+    acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, p: Vec3, L: Vec3
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """Force and torque of all terms, and the part of both that has a potential."""
     own_force, own_torque = kick_potential(acting, rows, b, x, R, 1.0, _ZERO, _ZERO)

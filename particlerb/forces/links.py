@@ -14,7 +14,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.forces.spring import Spring, change_along
-from particlerb.maths.quaternion import Quat, Rows, matrix, turn, turn_back
+from particlerb.maths.quaternion import Matrix, Quat, matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     Floats,
     Ints,
@@ -65,7 +65,7 @@ def _add_column3(rows: Floats, at: int, b: int, a: float, v: Vec3) -> None:
 
 
 @inline
-def attitude(y: Floats, b: int) -> Rows:
+def attitude(y: Floats, b: int) -> Matrix:
     """Rotation matrix of body b."""
     q: Quat = (y[3, b], y[4, b], y[5, b], y[6, b])
     return matrix(q)
@@ -76,7 +76,7 @@ class _End(NamedTuple):
 
     arm: Vec3  # [m] from the centre of mass, world axes
     point: Vec3  # [m] world
-    R: Rows
+    R: Matrix
 
 
 @inline

@@ -13,7 +13,7 @@ import numpy as np
 from particlerb.compiled.jit import inline
 from particlerb.forces.drag import angular_velocity
 from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, same_for_all
-from particlerb.maths.quaternion import Rows, to_world
+from particlerb.maths.quaternion import Matrix, to_world
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, scale
 from particlerb.model.block import get
 from particlerb.model.bodies import Bodies
@@ -29,14 +29,14 @@ class Magnus(NamedTuple):
 
 @inline
 def _magnus_load(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, p: Vec3, L: Vec3, F: Vec3, tau: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, p: Vec3, L: Vec3, F: Vec3, tau: Vec3
 ) -> Momenta:
     """F + c ω × v."""
     return add_scaled(get(rows, at, b), cross(angular_velocity(rows, b, R, L), p), F), tau
 
 
 @inline
-def _magnus_flow(rows: Floats, at: int, b: int, R: Rows, dt: float, p: Vec3, L: Vec3) -> Momenta:
+def _magnus_flow(rows: Floats, at: int, b: int, R: Matrix, dt: float, p: Vec3, L: Vec3) -> Momenta:
     """p turned about ω by c |ω| dt/M; up to a whole turn."""
     half = scale(0.5 * dt * get(rows, at, b), angular_velocity(rows, b, R, L))
     return to_world(turn_by(half, (1.0, 0.0, 0.0, 0.0)), p), L

@@ -25,7 +25,7 @@ from particlerb.forces.ramp import (
     load_numbers,
     vectors_of,
 )
-from particlerb.maths.quaternion import Rows, turn
+from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale
 from particlerb.model.block import get3
 from particlerb.model.bodies import Bodies
@@ -51,7 +51,7 @@ class Follower(NamedTuple):
 
 @inline
 def _kick_force(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + F dt, with F constant in the world: pushes and gravity."""
     return add_scaled(dt, get3(rows, at, b), p), L
@@ -59,7 +59,7 @@ def _kick_force(
 
 @inline
 def _kick_lever(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """L + axial(R T) dt."""
     X, Y, Z = R
@@ -70,7 +70,7 @@ def _kick_lever(
 
 @inline
 def _change_lever(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, motion: Momenta, F: Vec3, tau: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, motion: Momenta, F: Vec3, tau: Vec3
 ) -> Momenta:
     """τ + R T ω - tr(R T) ω."""
     (X, Y, Z), (_, w) = R, motion
@@ -82,7 +82,7 @@ def _change_lever(
 
 @inline
 def _kick_follower(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + R F dt,  L + R τ dt."""
     force, torque = turn(R, get3(rows, at, b)), turn(R, get3(rows, at + 3, b))

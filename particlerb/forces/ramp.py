@@ -11,7 +11,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.forces.kinds import Kick, Momenta, Rates, Term
-from particlerb.maths.quaternion import Rows, turn
+from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross
 from particlerb.model.block import get, get3, put3
 from particlerb.model.bodies import Bodies
@@ -57,7 +57,7 @@ def _set_load(rows: Floats, at: int, b: int, t: float) -> None:
 
 @inline
 def _kick_ramp(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + F dt,  L + (τ + (R r) × F) dt."""
     force, arm = get3(rows, at + _NOW, b), turn(R, get3(rows, at + _ARM, b))
@@ -67,7 +67,7 @@ def _kick_ramp(
 
 @inline
 def _kick_follower_ramp(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + R F dt,  L + R τ dt."""
     force, torque = turn(R, get3(rows, at + _NOW, b)), turn(R, get3(rows, at + _NOW + 3, b))

@@ -10,7 +10,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term
-from particlerb.maths.quaternion import Rows, turn
+from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import get, get3
 from particlerb.model.bodies import Bodies
@@ -34,7 +34,7 @@ class Spring(NamedTuple):
 
 @inline
 def _kick_spring(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + F dt,  L + (R r) × F dt."""
     arm = turn(R, get3(rows, at, b))
@@ -55,7 +55,7 @@ def change_along(stiffness: float, rest: float, d: Vec3, rate: Vec3) -> tuple[Ve
 
 @inline
 def _change_spring(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, motion: Momenta, F: Vec3, tau: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, motion: Momenta, F: Vec3, tau: Vec3
 ) -> Momenta:
     """F + Ḟ,  τ + (ω × R r) × F + (R r) × Ḟ."""
     arm, (v, w) = turn(R, get3(rows, at, b)), motion

@@ -11,7 +11,7 @@ from particlerb.compiled.jit import inline
 from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, same_for_all
 from particlerb.forces.push import Follower
 from particlerb.forces.ramp import FollowerRamp, Ramp, course_of, load_numbers
-from particlerb.maths.quaternion import Rows
+from particlerb.maths.quaternion import Matrix
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled
 from particlerb.model.block import get3
 from particlerb.model.bodies import Bodies
@@ -29,7 +29,7 @@ class Torque(NamedTuple):
 
 @inline
 def _kick_torque(
-    rows: Floats, at: int, b: int, x: Vec3, R: Rows, dt: float, p: Vec3, L: Vec3
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """L + τ dt."""
     return p, add_scaled(dt, get3(rows, at, b), L)

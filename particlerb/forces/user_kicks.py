@@ -17,7 +17,7 @@ from particlerb.compiled.jit import CacheWarning, config, inline, inline_from, k
 from particlerb.compiled.threads import BLOCK
 from particlerb.forces.drag import angular_velocity
 from particlerb.forces.kinds import Kick, Momenta, Rates, Term
-from particlerb.maths.quaternion import Rows, matrix
+from particlerb.maths.quaternion import Matrix, matrix
 from particlerb.maths.vec3 import Floats, add_scaled, dot, scale
 from particlerb.model.block import (
     COM,
@@ -46,7 +46,7 @@ _CLASSES: Final[dict[Any, Any]] = {}  # by text, or what stands for it, and leng
 Lengths = tuple[tuple[str, int], ...]  # of parameters: 0 for a number
 
 
-class _Rows(NamedTuple):
+class _Parameters(NamedTuple):
     """Parameters of a term for n bodies."""
 
     rows: Floats
@@ -54,7 +54,7 @@ class _Rows(NamedTuple):
     began and a row for that of the kick [s], and the rotation matrix of the rotor frame."""
 
 
-class Written(_Rows):
+class Written(_Parameters):
     """The same for one force; each has a class of its own, made of this one."""
 
     term: ClassVar[Term]
@@ -69,7 +69,7 @@ class Written(_Rows):
 
 
 @inline
-def _body_axes(R: Rows, rows: Floats, at: int, b: int) -> Rows:
+def _body_axes(R: Matrix, rows: Floats, at: int, b: int) -> Matrix:
     """Rotation matrix of the body frame: R Fᵀ, with that of the rotor frame F."""
     f, g, h = get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
     return (

@@ -33,10 +33,10 @@ from particlerb.impulses.records import (
     NORMAL,
     TANGENT,
     ZERO,
+    ImpulseRows,
     Impulses,
     Newton,
     Partners,
-    Rows,
 )
 from particlerb.impulses.rows import (
     approach,
@@ -63,7 +63,7 @@ _DONE, _HALVED, _TO_SOLVE = 0.0, 1.0, 2.0
 
 
 @lean_kernel
-def refresh_velocities(partners: Partners, rows: Rows, count: int) -> None:
+def refresh_velocities(partners: Partners, rows: ImpulseRows, count: int) -> None:
     """Velocities without impulses of contacts, and what these add."""
     for b in range(partners.velocity.shape[0]):
         for i in range(6):
@@ -75,7 +75,7 @@ def refresh_velocities(partners: Partners, rows: Rows, count: int) -> None:
 
 
 @inline
-def _cluster_of(newton: Newton, rows: Rows, k: int) -> int:
+def _cluster_of(newton: Newton, rows: ImpulseRows, k: int) -> int:
     """Cluster of a contact: that of the partner that moves."""
     return max(int(newton.cluster[rows.first[k]]), int(newton.cluster[rows.second[k]]))
 
@@ -90,7 +90,7 @@ def _put_slopes(slopes: Floats, k: int, c: Vec3, kn: Vec3, k1: Vec3, k2: Vec3) -
 
 
 @lean_kernel
-def _linearise(partners: Partners, rows: Rows, newton: Newton, k: int) -> float:
+def _linearise(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) -> float:
     """Write c = E⁻¹ F and K = E⁻¹ B of contact k; |F|².
 
     The slope of P is one along e, which is any direction within the cone and its edge where it
@@ -134,7 +134,7 @@ def _k_times(slopes: Floats, k: int, du: Vec3) -> Vec3:
 
 @inline
 def _add_column(
-    newton: Newton, rows: Rows, k: int, at: int, of: int, sign: float, r: Vec3, column: int
+    newton: Newton, rows: ImpulseRows, k: int, at: int, of: int, sign: float, r: Vec3, column: int
 ) -> None:
     """Add impulses r along n, t₁, t₂ on a partner to a column of the matrix.
 
@@ -155,7 +155,7 @@ def _add_column(
 
 
 @inline
-def _add_contact(partners: Partners, rows: Rows, newton: Newton, k: int) -> None:
+def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) -> None:
     """Add Gᵀ K G M⁻¹ and -Gᵀ c of contact k."""
     frame, slopes, inverse = rows.frame, newton.slopes, partners.inverse
     a, b = rows.first[k], rows.second[k]
@@ -178,7 +178,7 @@ def _add_contact(partners: Partners, rows: Rows, newton: Newton, k: int) -> None
 
 
 @lean_kernel
-def _evaluate(partners: Partners, rows: Rows, newton: Newton, count: int) -> None:
+def _evaluate(partners: Partners, rows: ImpulseRows, newton: Newton, count: int) -> None:
     """Slopes of all contacts, and |F| of each cluster, which then goes on, halves or is done."""
     clusters = newton.clusters
     for j in range(clusters.shape[0]):
@@ -208,7 +208,7 @@ def _decide(newton: Newton, enough: float, rounding: float) -> bool:
 
 
 @lean_kernel
-def _solve_for_bodies(partners: Partners, rows: Rows, newton: Newton, count: int) -> None:
+def _solve_for_bodies(partners: Partners, rows: ImpulseRows, newton: Newton, count: int) -> None:
     """Write p of the bodies in clusters to solve, and what it does to velocities, as moves."""
     matrix, change, reach = newton.matrix, newton.change, newton.reach[0]
     for i in range(change.size):
@@ -239,7 +239,7 @@ def _solve_for_bodies(partners: Partners, rows: Rows, newton: Newton, count: int
 
 
 @lean_kernel
-def _step(partners: Partners, rows: Rows, newton: Newton, count: int) -> None:
+def _step(partners: Partners, rows: ImpulseRows, newton: Newton, count: int) -> None:
     """Take the step of each cluster, or the share of it that is left."""
     impulse, old, direction = rows.impulse, rows.old, rows.direction
     for k in range(count):
@@ -257,7 +257,7 @@ def _step(partners: Partners, rows: Rows, newton: Newton, count: int) -> None:
 
 
 @lean_kernel
-def _into_the_cones(rows: Rows, count: int) -> None:
+def _into_the_cones(rows: ImpulseRows, count: int) -> None:
     """Take away by what impulses leave their cones: no more than F."""
     for k in range(count):
         n, x, y = column3(rows.impulse, k, 0)

@@ -77,7 +77,7 @@ class Partners(NamedTuple):
     booked: Floats  # (.., 8) work, impulse, angular impulse of a step, gross work
 
 
-class Rows(NamedTuple):
+class ImpulseRows(NamedTuple):
     """Contacts of a step: room for `first.size`."""
 
     first: Ints  # partner
@@ -108,7 +108,7 @@ class Impulses(NamedTuple):
 
     rules: ImpulseRules
     partners: Partners
-    rows: Rows
+    rows: ImpulseRows
     filled: Ints  # (1,) contacts of this step
     tally: Floats  # (TALLY,) sums since the segment began
     newton: Newton
@@ -122,11 +122,11 @@ def room_for_partners(n: int) -> Partners:
     return Partners(velocity, before, free, inverse, move, has_moved, place, reach, given, booked)
 
 
-def room_for_rows(n: int) -> Rows:
+def room_for_rows(n: int) -> ImpulseRows:
     """Room for n contacts."""
     first, second, entry = np.zeros((3, n), dtype=np.int64)
     widths = (_N_COLUMNS, _N_LIMITS, 3, 3, 3, 3)
-    return Rows(first, second, entry, *(np.zeros((n, width)) for width in widths))
+    return ImpulseRows(first, second, entry, *(np.zeros((n, width)) for width in widths))
 
 
 ZERO: Final[Vec3] = (0.0, 0.0, 0.0)

@@ -10,8 +10,8 @@ from particlerb.impulses.records import (
     NORMAL,
     SCHUR,
     TANGENT,
+    ImpulseRows,
     Partners,
-    Rows,
 )
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
@@ -97,7 +97,7 @@ def _diagonal_turn(s11: float, s22: float, s12: float) -> tuple[float, float]:
 
 
 @inline
-def write_frame(partners: Partners, rows: Rows, c: int, normal: Vec3, point: Vec3) -> None:
+def write_frame(partners: Partners, rows: ImpulseRows, c: int, normal: Vec3, point: Vec3) -> None:
     """Write frame and inverse mass of contact c, whose partners are known, at a point [m]."""
     frame, inverse, place = rows.frame, partners.inverse, partners.place
     a, b = rows.first[c], rows.second[c]
@@ -128,14 +128,14 @@ def write_frame(partners: Partners, rows: Rows, c: int, normal: Vec3, point: Vec
 
 
 @inline
-def approach(partners: Partners, rows: Rows, c: int) -> Vec3:
+def approach(partners: Partners, rows: ImpulseRows, c: int) -> Vec3:
     """Velocity [m/s] in contact c along n, t₁, t₂."""
     a, b = rows.first[c], rows.second[c]
     return in_frame(rows.frame, c, velocity_between(partners.velocity, rows.frame, c, a, b))
 
 
 @inline
-def give(partners: Partners, rows: Rows, c: int, r: Vec3) -> None:
+def give(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
     """Give momenta: r [N s] along n, t₁, t₂ of contact c to the first partner, -r to the second."""
     a, b, given = rows.first[c], rows.second[c], partners.given
     p = in_world(rows.frame, c, r)
@@ -150,7 +150,7 @@ def give(partners: Partners, rows: Rows, c: int, r: Vec3) -> None:
 
 
 @inline
-def change_by(partners: Partners, rows: Rows, c: int, r: Vec3) -> None:
+def change_by(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
     """Change velocities by r [N s] along n, t₁, t₂ of contact c."""
     a, b, p = rows.first[c], rows.second[c], in_world(rows.frame, c, r)
     push_apart(partners.velocity, partners.inverse, rows.frame, c, a, b, p)

@@ -36,9 +36,9 @@ from particlerb.impulses.records import (
     UNMET,
     WORST,
     WORST_EVER,
+    ImpulseRows,
     Impulses,
     Partners,
-    Rows,
 )
 from particlerb.impulses.rows import (
     approach,
@@ -83,7 +83,7 @@ def _begin_where_it_ended(impulses: Impulses) -> None:
 
 
 @lean_kernel
-def _sweep(partners: Partners, rows: Rows, count: int) -> float:
+def _sweep(partners: Partners, rows: ImpulseRows, count: int) -> float:
     """One step of each contact in turn; the sum of all squared changes [(N s)²]."""
     frame, impulse = rows.frame, rows.impulse
     changed = 0.0
@@ -107,7 +107,7 @@ def _sweep(partners: Partners, rows: Rows, count: int) -> float:
 
 
 @lean_kernel
-def residual(partners: Partners, rows: Rows, count: int, floor: float) -> float:
+def residual(partners: Partners, rows: ImpulseRows, count: int, floor: float) -> float:
     """How far impulses are from a solution, over their size, or a floor [N s]."""
     frame, off, size = rows.frame, 0.0, 0.0
     for k in range(count):
@@ -122,7 +122,7 @@ def residual(partners: Partners, rows: Rows, count: int, floor: float) -> float:
 
 
 @lean_kernel
-def _mix(partners: Partners, rows: Rows, count: int, beta: float, is_last: bool) -> None:
+def _mix(partners: Partners, rows: ImpulseRows, count: int, beta: float, is_last: bool) -> None:
     """Go on along the direction of before, by its share of the last change."""
     impulse, old, direction = rows.impulse, rows.old, rows.direction
     for k in range(count):
@@ -159,7 +159,7 @@ def _sweeps(impulses: Impulses, most: int, floor: float) -> float:
 
 
 @lean_kernel
-def _size(rows: Rows, count: int, floor: float) -> float:
+def _size(rows: ImpulseRows, count: int, floor: float) -> float:
     """Size of all impulses [N s], or a floor."""
     size = 0.0
     for k in range(count):

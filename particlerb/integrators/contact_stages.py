@@ -291,8 +291,9 @@ def contact_loads(
         return
     setup, workspace, lists, memory, _ = contact
     since = workspace.step_start.before[0]
-    before, after = times.mean * since, times.mean * times.dt
-    growth = Growth(times.share_before * since, times.share_after * times.dt, since, times.slope)
+    shares = times.shares
+    before, after = shares.mean * since, shares.mean * times.dt
+    growth = Growth(shares.before * since, shares.after * times.dt, since, times.slope)
     model, later, span = setup.model, after - before, times.span
     find_contact_forces(setup, workspace, lists, memory.extremes, before, after, growth, team)
     meet(team)

@@ -7,7 +7,7 @@ because its rates advance in its own axes, I ω̇ = Rᵀτ - ω × I ω. See doc
 
 from typing import Final
 
-from particlerb.contact.contact_model import Instant, LoadTimes
+from particlerb.contact.contact_model import OLD_VELOCITIES, Instant, LoadTimes
 from particlerb.forces.kinds import CONTACT, PISTONS
 from particlerb.integrators.contact_limits import explicit
 from particlerb.integrators.contact_stages import drift_walls, kick_walls
@@ -49,7 +49,7 @@ def _advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> No
 @stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning; springs of contacts take old velocities."""
-    loads(moving, first, last, LoadTimes(dt, dt, 0.0, 0.0, 1.0, None))
+    loads(moving, first, last, LoadTimes(dt, dt, OLD_VELOCITIES, None))
     drift_walls(moving.contact, moving.team, dt)
     kick_walls(moving.contact, moving.team, dt, 0.0, True)
     _advance_rates(moving, first, last, dt)
@@ -59,7 +59,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
 def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
     """Contacts at a frame."""
     place(moving, first, last, instant)
-    loads(moving, first, last, LoadTimes(0.0, 0.0, 0.0, 0.0, 1.0, None))
+    loads(moving, first, last, LoadTimes(0.0, 0.0, OLD_VELOCITIES, None))
 
 
 METHOD: Final = Method(

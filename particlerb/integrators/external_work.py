@@ -7,7 +7,7 @@ integration alone. Where nobody asks (`books` is None), the compiler leaves all 
 
 from particlerb.compiled.jit import Flag, inline
 from particlerb.forces.kernels import Entry
-from particlerb.maths.quaternion import Rows, turn_back
+from particlerb.maths.quaternion import Matrix, turn_back
 from particlerb.maths.vec3 import (
     Floats,
     Ints,
@@ -26,7 +26,7 @@ def kick_entry(
     rows: Floats,
     b: int,
     x: Vec3,
-    R: Rows,
+    R: Matrix,
     old: tuple[Vec3, Vec3],
     middle: tuple[Vec3, Vec3],
     new: tuple[Vec3, Vec3],

@@ -21,7 +21,7 @@ from particlerb.impulses.solver import leave_out_what_will_bounce, solve
 from particlerb.integrators.contact_stages import place_within_step
 from particlerb.integrators.external_work import book
 from particlerb.integrators.pair_stages import Layout
-from particlerb.maths.quaternion import Rows, add_scaled4, matrix, multiply, normalised, turn_back
+from particlerb.maths.quaternion import Matrix, add_scaled4, matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import (
     Floats,
     Vec3,
@@ -60,7 +60,7 @@ def place_in_the_middle(
 
 
 @inline
-def _put_inverse(inverse: Floats, b: int, mass: float, moments: Vec3, R: Rows) -> None:
+def _put_inverse(inverse: Floats, b: int, mass: float, moments: Vec3, R: Matrix) -> None:
     """Write 1/M and the inverse inertia in world axes of body b."""
     inverse[b, 0], at = mass, 1
     for i in range(3):
@@ -154,7 +154,7 @@ def bounce(
 
 
 @inline
-def _turning_energy(moments: Vec3, R: Rows, spin: Vec3) -> float:
+def _turning_energy(moments: Vec3, R: Matrix, spin: Vec3) -> float:
     """½ L·I⁻¹ L [J]."""
     m = turn_back(R, spin)
     return 0.5 * dot(component_product(moments, m), m)

@@ -21,7 +21,7 @@ from particlerb.joints.breaking import break_joints
 from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
 from particlerb.joints.rows import by_inverse_inertia, put_vector, vector
 from particlerb.joints.solver import constrained_drift, project_momenta
-from particlerb.maths.quaternion import Rows
+from particlerb.maths.quaternion import Matrix
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import COM, get, get3, get4, put, put3
 from particlerb.model.load import STATE_ROWS
@@ -31,7 +31,7 @@ _NOTHING: Final = (0.0, 0.0, 0.0)
 
 @lean
 def keep_given(
-    jointed: Jointed | None, acting: Acting, rows: Floats, b: int, R: Rows, dt: float,
+    jointed: Jointed | None, acting: Acting, rows: Floats, b: int, R: Matrix, dt: float,
     old: tuple[Vec3, Vec3], new: tuple[Vec3, Vec3],
 ) -> None:  # fmt: skip
     """Keep what forces without potential gave body b in a kick, if joints hold its group."""
@@ -42,7 +42,7 @@ def keep_given(
 
 @lean
 def _keep(
-    given: Flag, acting: Acting, rows: Floats, b: int, R: Rows, dt: float,
+    given: Flag, acting: Acting, rows: Floats, b: int, R: Matrix, dt: float,
     old: tuple[Vec3, Vec3], new: tuple[Vec3, Vec3],
 ) -> None:  # fmt: skip
     """Do the work of `keep_given`, if there are any."""

@@ -25,7 +25,7 @@ from particlerb.forces.kernels import (
 )
 from particlerb.forces.registry import CHANGE, PAIR
 from particlerb.integrators.external_work import book, kick_entry
-from particlerb.maths.quaternion import Rows, matrix, turn, turn_back
+from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     Floats,
     Vec3,
@@ -59,7 +59,7 @@ _CHANGES: Final = SCRATCH + 6  # row: 1 until then; before it momenta when the f
 
 @inline
 def _with_flow(
-    flow: Flag, rows: Floats, b: int, x: Vec3, R: Rows, old: tuple[Vec3, Vec3],
+    flow: Flag, rows: Floats, b: int, x: Vec3, R: Matrix, old: tuple[Vec3, Vec3],
     new: tuple[Vec3, Vec3], entry: Entry,
 ) -> Entry:  # fmt: skip
     """What is booked, with what a flow did from old to new momenta."""
@@ -132,7 +132,7 @@ def flow_block(acting: Acting, rows: Floats, n: int, dt: float) -> None:
 
 @inline
 def _iterated(
-    acting: Acting, rows: Floats, b: int, x: Vec3, R: Rows, dt: float,
+    acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, dt: float,
     start: tuple[Vec3, Vec3], end: tuple[Vec3, Vec3],
 ) -> tuple[Vec3, Vec3]:  # fmt: skip
     """Momenta at the end of a flow, by the loads half way to where it seemed to end."""
@@ -165,7 +165,7 @@ def _one_of(is_first: bool, a: Vec3, b: Vec3) -> Vec3:
 @inline
 def kick_body(
     acting: Acting, books: Flag, rows: Floats, b: int, dt: float
-) -> tuple[Vec3, Vec3, Rows]:
+) -> tuple[Vec3, Vec3, Matrix]:
     """Kick body b over dt after `begin_kick`; its new momenta, stored, and its rotation matrix."""
     return _unless_kicked(acting.own_flow, acting, books, rows, b, dt)
 
@@ -173,7 +173,7 @@ def kick_body(
 @inline
 def _unless_kicked(
     own_flow: Flag, acting: Acting, books: Flag, rows: Floats, b: int, dt: float
-) -> tuple[Vec3, Vec3, Rows]:
+) -> tuple[Vec3, Vec3, Matrix]:
     """The same, where `begin_kick` has not done all of it."""
     if own_flow is None:
         return _kick_one(acting, books, rows, b, dt)
@@ -183,7 +183,7 @@ def _unless_kicked(
 @inline
 def _kick_one(
     acting: Acting, books: Flag, rows: Floats, b: int, dt: float
-) -> tuple[Vec3, Vec3, Rows]:
+) -> tuple[Vec3, Vec3, Matrix]:
     """Do the work of `kick_body`."""
     x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
     old = get3(rows, P, b), get3(rows, L, b)
@@ -223,7 +223,7 @@ def _less_change(
 @inline
 def kick_bent(
     bent: Flag, acting: Acting, books: Flag, rows: Floats, b: int, dt: float, weight: float
-) -> tuple[Vec3, Rows]:
+) -> tuple[Vec3, Matrix]:
     """Kick body b over dt, bent by the gradient or not; L, which is stored with p, and R.
 
     `weight` [s³] is that of the rates at which force and torque change: see `force_gradient`.

@@ -9,7 +9,7 @@ Source: Andersen, J. Comput. Phys. 52, 24 (1983); Reich, SIAM J. Numer. Anal. 33
 
 from typing import Final
 
-from particlerb.contact.contact_model import LoadTimes
+from particlerb.contact.contact_model import LEAPFROG, LoadTimes
 from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, PISTONS, POSE, TIME, VELOCITY
 from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
@@ -29,7 +29,7 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
     """Kick, constrained drift; the kick of dt/2 that belongs to the end stays open."""
     kick_dt = CLOSING_KICK * dt + open_kick
     keep_momenta(moving.contact, moving.blocks, moving.layout, first, last)
-    loads(moving, first, last, LoadTimes(dt, kick_dt, 1.0, 0.5, 0.5, None))
+    loads(moving, first, last, LoadTimes(dt, kick_dt, LEAPFROG, None))
     kick_walls(moving.contact, moving.team, open_kick, CLOSING_KICK * dt, True)
     kick_jointed(moving, first, last, open_kick, CLOSING_KICK * dt)
     own_kick = CLOSING_KICK * dt if moving.damps is not None else kick_dt

@@ -10,7 +10,7 @@ the form; Kutta 1901 for the method.
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.contact.contact_model import Instant, LoadTimes, Slope
+from particlerb.contact.contact_model import BY_SLOPES, Instant, LoadTimes, Slope
 from particlerb.forces.kernels import shift_time
 from particlerb.forces.kinds import CONTACT
 from particlerb.forces.registry import STAGE
@@ -126,7 +126,7 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
         if k > 0:
             place_later(moving, first, last, _WHERE[k] * dt)
         slope = Slope(dt, _WEIGHTS[k], _NEXT[k], k == 0)
-        loads(moving, first, last, LoadTimes(dt, _WEIGHTS[k] * dt, 0.0, 0.0, 0.0, slope))
+        loads(moving, first, last, LoadTimes(dt, _WEIGHTS[k] * dt, BY_SLOPES, slope))
         _one_slope(moving, first, last, k, dt)
 
 
@@ -134,7 +134,7 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
 def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
     """Contacts at a frame."""
     place(moving, first, last, instant)
-    loads(moving, first, last, LoadTimes(0.0, 0.0, 0.0, 0.0, 0.0, Slope(0.0, 0.0, 0.0, True)))
+    loads(moving, first, last, LoadTimes(0.0, 0.0, BY_SLOPES, Slope(0.0, 0.0, 0.0, True)))
 
 
 METHOD: Final = Method(

@@ -14,7 +14,7 @@ from particlerb.compiled.jit import Flag, inline
 from particlerb.forces.kernels import shift_time
 from particlerb.integrators.kick import kick_bent
 from particlerb.integrators.stages import MovingBodies, stage
-from particlerb.maths.quaternion import Rows, matrix, multiply, normalised, turn_back
+from particlerb.maths.quaternion import Matrix, matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, dot, scale
 from particlerb.model.block import (
     COM,
@@ -103,7 +103,7 @@ def _finish_map(rows: Floats, n: int, iterations: int) -> None:
 
 
 @inline
-def _start_drift(rows: Floats, b: int, spin: Vec3, R: Rows, dt: float, pieces: int) -> None:
+def _start_drift(rows: Floats, b: int, spin: Vec3, R: Matrix, dt: float, pieces: int) -> None:
     """Begin the drift of asymmetric body b, whose L is `spin`: its way, and the first map."""
     _fly(rows, b, dt)
     _start_map(rows, b, turn_back(R, spin), dt / pieces)

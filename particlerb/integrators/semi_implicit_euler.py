@@ -11,7 +11,7 @@ others use.
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.contact.contact_model import Instant, LoadTimes
+from particlerb.contact.contact_model import NEW_VELOCITIES, Instant, LoadTimes
 from particlerb.forces.kernels import (
     kick_others,
     kick_potential,
@@ -90,7 +90,7 @@ def _kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> N
 @stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning; springs of contacts take new velocities."""
-    loads(moving, first, last, LoadTimes(dt, dt, 0.0, 1.0, 0.0, None))
+    loads(moving, first, last, LoadTimes(dt, dt, NEW_VELOCITIES, None))
     kick_walls(moving.contact, moving.team, dt, 0.0, True)
     _kick_and_drift(moving, first, last, dt)
     drift_walls(moving.contact, moving.team, dt)
@@ -100,7 +100,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
 def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
     """Contacts at a frame."""
     place(moving, first, last, instant)
-    loads(moving, first, last, LoadTimes(0.0, 0.0, 0.0, 1.0, 0.0, None))
+    loads(moving, first, last, LoadTimes(0.0, 0.0, NEW_VELOCITIES, None))
 
 
 METHOD: Final = Method(

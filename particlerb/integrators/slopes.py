@@ -9,7 +9,14 @@ from typing import Final, NamedTuple
 from particlerb.compiled.jit import inline
 from particlerb.forces.kernels import Acting, Entry, less_internal, load_at, with_power
 from particlerb.forces.kinds import BODIES, POSE, TIME, VELOCITY
-from particlerb.maths.quaternion import Quat, Rows, add_scaled4, normalised, times_vector, turn_back
+from particlerb.maths.quaternion import (
+    Matrix,
+    Quat,
+    add_scaled4,
+    normalised,
+    times_vector,
+    turn_back,
+)
 from particlerb.maths.vec3 import (
     Floats,
     Vec3,
@@ -67,7 +74,7 @@ def on_sphere(y: Pose) -> Pose:
 
 
 @inline
-def slopes(acting: Acting, rows: Floats, b: int, y: Pose, R: Rows) -> tuple[Pose, Entry]:
+def slopes(acting: Acting, rows: Floats, b: int, y: Pose, R: Matrix) -> tuple[Pose, Entry]:
     """Slopes of body b in a state with the attitude R, and the rates of what it books."""
     m = turn_back(R, y.L)
     w = component_product(get3(rows, INV_INERTIA, b), m)

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import Flag, in_python, inline, kernel, splice
 from particlerb.compiled.threads import THREADS
-from particlerb.contact.contact_model import NOW, Instant, LoadTimes, MovingContact
+from particlerb.contact.contact_model import LEAPFROG, NOW, Instant, LoadTimes, MovingContact
 from particlerb.forces.kernels import Acting, load_at, prepare_kick, set_time
 from particlerb.integrators.contact_stages import (
     contact_loads,
@@ -303,7 +303,7 @@ def close(moving: MovingBodies, first: int, last: int, open_kick: float) -> None
     Of contacts it is the mean over half of that step, for which their springs grow too.
     """
     flow_dashpots(moving, open_kick, True)
-    loads(moving, first, last, LoadTimes(0.0, 0.0, 1.0, 0.5, 0.5, None))
+    loads(moving, first, last, LoadTimes(0.0, 0.0, LEAPFROG, None))
     kick(moving, first, last, open_kick)
     project(moving, open_kick)
     kick_walls(moving.contact, moving.team, open_kick, 0.0, False)

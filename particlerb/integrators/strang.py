@@ -9,7 +9,7 @@ Source: Strang, SIAM J. Numer. Anal. 5, 506 (1968); the rotor: rotors/symmetric_
 
 from typing import Final
 
-from particlerb.contact.contact_model import LoadTimes
+from particlerb.contact.contact_model import LEAPFROG, LoadTimes
 from particlerb.forces.kinds import BODIES, CONTACT, PISTONS, POSE, TIME, VELOCITY
 from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
@@ -69,7 +69,7 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
     contact, team = moving.contact, moving.team
     keep_momenta(contact, moving.blocks, moving.layout, first, last)
     flow_dashpots(moving, open_kick, True)
-    loads(moving, first, last, LoadTimes(dt, kick_dt, 1.0, 0.5, 0.5, None))
+    loads(moving, first, last, LoadTimes(dt, kick_dt, LEAPFROG, None))
     kick_walls(contact, team, open_kick, CLOSING_KICK * dt, True)
     kick(moving, first, last, kick_dt)
     flow_dashpots(moving, CLOSING_KICK * dt, False)

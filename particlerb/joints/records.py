@@ -29,7 +29,7 @@ X, Q, P, L = 0, 3, 7, 10
 GRADIENT: Final = 15  # of a row: by x, by θ_a and by θ_b, and the last two times J⁻¹
 
 
-class Rows(NamedTuple):
+class ConstraintRows(NamedTuple):
     """Rows of constraints; vectors in rotor frames, those of the world in its axes."""
 
     kind: Ints  # (m,)
@@ -114,7 +114,7 @@ class Joints(NamedTuple):
     order: Ints  # (n,) members of the group, in the order of the clusters
     inv_mass: Floats  # (n + 1,) [1/kg]
     inv_inertia: Floats  # (n + 1, 3) [1/(kg m²)] rotor frame
-    rows: Rows
+    rows: ConstraintRows
     clusters: Clusters
     program: Program
     number: Ints  # (j,) which joints of the system these are; -1: dashpots

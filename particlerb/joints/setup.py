@@ -11,11 +11,11 @@ from particlerb.joints.records import (
     HOLDS,
     Actions,
     Clusters,
+    ConstraintRows,
     Coordinates,
     Drives,
     Joints,
     Program,
-    Rows,
 )
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
@@ -24,7 +24,7 @@ _LOOP_PIVOT = 1e-8  # over its diagonal: below it a row of a closed loop depends
 
 
 def joints_among(
-    number: Ints, start: Ints, rows: Rows, bodies: Bodies, actions: Actions,
+    number: Ints, start: Ints, rows: ConstraintRows, bodies: Bodies, actions: Actions,
     coordinates: Coordinates | None = None, drives: Drives | None = None,
     carried: Bools | None = None,
 ) -> Joints:  # fmt: skip
@@ -36,7 +36,7 @@ def joints_among(
         Which joints of the system these are.
     start : ndarray, shape (j + 1,)
         First row of each.
-    rows : Rows
+    rows : ConstraintRows
         With bodies as members of the group, the world behind the last.
     bodies : Bodies
         The n members.
@@ -58,7 +58,7 @@ def joints_among(
     own = np.argsort(label[a], kind="stable")  # joints, cluster by cluster
     count = np.diff(start)[own]
     taken = np.repeat(start[own] - (np.cumsum(count) - count), count) + np.arange(count.sum())
-    rows = Rows(*(array[taken] for array in rows))
+    rows = ConstraintRows(*(array[taken] for array in rows))
     rows = rows._replace(a=place[rows.a], b=place[rows.b])
     inv_mass = np.append(bodies.inv_mass[order], 0.0)
     inv_inertia = np.vstack([bodies.inv_inertia.T[order], np.zeros(3)])
@@ -120,7 +120,7 @@ def _programs(
     first: Ints,
     of_joint: Ints,
     of_body: Ints,
-    rows: Rows,
+    rows: ConstraintRows,
     start: Ints,
     inv_mass: Floats,
     holds: Bools,

@@ -17,7 +17,7 @@ from particlerb.joints.records import (
     HOLDS,
     TURN,
     WORLD_ALONG,
-    Rows,
+    ConstraintRows,
 )
 from particlerb.maths.vec3 import Floats, Ints
 
@@ -75,7 +75,7 @@ class Ends(NamedTuple):
 
 def rows_of(
     kind: str, ends: Ends, action: int = HOLDS, drive: int = AT_REST, along: str | None = None
-) -> Rows:
+) -> ConstraintRows:
     """Rows of joints of a type, joint after joint; the last ones of an action and of a drive.
 
     These are along the coordinate of that name, or the only one.
@@ -88,22 +88,22 @@ def rows_of(
         own = _coordinate_of(kind, ends, along)
         parts.append(own._replace(drive=np.full(ends.a.size, drive)))
     stacked = (np.stack(arrays, axis=1) for arrays in zip(*parts, strict=True))
-    return Rows(*(array.reshape(-1, *array.shape[2:]) for array in stacked))
+    return ConstraintRows(*(array.reshape(-1, *array.shape[2:]) for array in stacked))
 
 
-def _coordinate_of(kind: str, ends: Ends, along: str | None) -> Rows:
+def _coordinate_of(kind: str, ends: Ends, along: str | None) -> ConstraintRows:
     """A free coordinate of each of the joints, 0 at the start."""
     row = COORDINATES[kind][along or next(iter(COORDINATES[kind]))]
     own = _row_of(row, ends)
     return own if row.kind == TURN else own._replace(second=ends.second["at"])
 
 
-def _row_of(row: Row, ends: Ends) -> Rows:
+def _row_of(row: Row, ends: Ends) -> ConstraintRows:
     """One row of each of the joints."""
     k = ends.a.size
     none, one = np.zeros((k, 3)), np.ones(k)
     is_dot, is_turn = row.kind == DOT, row.kind == TURN
-    return Rows(
+    return ConstraintRows(
         np.full(k, row.kind),
         ends.a,
         ends.b,

@@ -13,7 +13,7 @@ from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot
 
 Quat: TypeAlias = tuple[float, float, float, float]
 Rows4: TypeAlias = tuple[Floats, Floats, Floats, Floats]
-Rows: TypeAlias = tuple[Vec3, Vec3, Vec3]  # of a rotation matrix
+Matrix: TypeAlias = tuple[Vec3, Vec3, Vec3]  # of a rotation matrix
 
 
 @inline
@@ -80,19 +80,19 @@ def to_body(q: Quat, v: Vec3) -> Vec3:
 
 
 @inline
-def matrix(q: Quat) -> Rows:
+def matrix(q: Quat) -> Matrix:
     """Rows of the rotation matrix R of a unit quaternion; cheaper than `to_world` from three on."""
     return _scaled_matrix(q, 2.0)
 
 
 @inline
-def matrix_along(q: Quat) -> Rows:
+def matrix_along(q: Quat) -> Matrix:
     """Rows of the rotation matrix of q/|q|, for any q but 0."""
     return _scaled_matrix(q, 2.0 / (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]))
 
 
 @inline
-def _scaled_matrix(q: Quat, double: float) -> Rows:
+def _scaled_matrix(q: Quat, double: float) -> Matrix:
     """Rows of the rotation matrix of q/|q|, with double = 2/|q|²."""
     w, x, y, z = q
     x2, y2, z2 = double * x, double * y, double * z
@@ -107,13 +107,13 @@ def _scaled_matrix(q: Quat, double: float) -> Rows:
 
 
 @inline
-def turn(R: Rows, v: Vec3) -> Vec3:
+def turn(R: Matrix, v: Vec3) -> Vec3:
     """R v."""
     return dot(R[0], v), dot(R[1], v), dot(R[2], v)
 
 
 @inline
-def turn_back(R: Rows, v: Vec3) -> Vec3:
+def turn_back(R: Matrix, v: Vec3) -> Vec3:
     """Rᵀ v."""
     x, y, z = R
     return (

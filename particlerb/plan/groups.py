@@ -43,7 +43,7 @@ MOST_BODIES: Final = 64  # that Newton's method for impulses is taken for unaske
 _DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet
 
 
-class BodyGroup(NamedTuple):
+class GroupSetup(NamedTuple):
     """Bodies that share a group, and all that ever acts on them."""
 
     members: Ints  # (n,) bodies of the system
@@ -60,7 +60,7 @@ def groups_of(
     links: Sequence[Link],
     touching: ContactSetup | None,
     joints: JointSetup | None = None,
-) -> list[BodyGroup]:
+) -> list[GroupSetup]:
     """Groups of a system, in the order of their first bodies."""
     heavy = attracted(system)
     solid = np.zeros(0, dtype=np.int64) if touching is None else touching.body
@@ -70,7 +70,7 @@ def groups_of(
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
     absent = bound if system.merging is None else np.union1d(bound, system.merging.carried)
     groups = [
-        BodyGroup(members, forces, [], False, False)
+        GroupSetup(members, forces, [], False, False)
         for members, forces in _groups_alone(system, loads, absent)
     ]
     label = components(len(system.kind), ties, heavy, solid)
@@ -82,11 +82,11 @@ def groups_of(
         touches = bool(solid.size) and bool(own[solid[0]])
         tied = joints if held is not None and own[held.first].any() else None
         forces = _aligned(loads, members)
-        groups.append(BodyGroup(members, forces, inside, attracts, touches, tied))
+        groups.append(GroupSetup(members, forces, inside, attracts, touches, tied))
     return sorted(groups, key=lambda group: int(group.members.min()))
 
 
-def part_of(group: BodyGroup, which: Ints) -> BodyGroup:
+def part_of(group: GroupSetup, which: Ints) -> GroupSetup:
     """Some bodies of a group that do not act on each other."""
     forces = [Forces(form, numbers[:, which]) for form, numbers in group.forces]
     return group._replace(members=group.members[which], forces=forces)
@@ -197,7 +197,7 @@ def _aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
 
 def terms_between(
     system: System,
-    group: BodyGroup,
+    group: GroupSetup,
     bodies: Bodies,
     links: list[Link],
     touching: ContactSetup | None,

@@ -4,7 +4,7 @@ import numpy as np
 
 from particlerb.case.joints import JointLoad, JointTable
 from particlerb.forces.links import WORLD, Links
-from particlerb.joints.records import AT_REST, STRETCH, Actions, Breaks, Rows
+from particlerb.joints.records import AT_REST, STRETCH, Actions, Breaks, ConstraintRows
 from particlerb.joints.setup import action, both_actions
 from particlerb.maths.vec3 import Ints
 from particlerb.model.system import System
@@ -28,11 +28,13 @@ def breaks_of(system: System, record: Ints) -> Breaks:
     return Breaks(*np.ascontiguousarray(np.array(each)[record].T))
 
 
-def with_dashpots(rows: Rows, actions: Actions, links: Links, n: int) -> tuple[Rows, Actions]:
+def with_dashpots(
+    rows: ConstraintRows, actions: Actions, links: Links, n: int
+) -> tuple[ConstraintRows, Actions]:
     """Rows and actions of joints of n bodies, with the dashpots among them."""
     assert links.damping is not None
     m = links.first.size
-    own = Rows(
+    own = ConstraintRows(
         np.full(m, STRETCH),
         links.first,
         np.where(links.second == WORLD, n, links.second),
@@ -48,5 +50,5 @@ def with_dashpots(rows: Rows, actions: Actions, links: Links, n: int) -> tuple[R
     damping = Actions(*none)._replace(
         damping=links.damping, lower=none[3] - np.inf, upper=none[4] + np.inf
     )
-    both = Rows(*(np.concatenate(pair) for pair in zip(rows, own, strict=True)))
+    both = ConstraintRows(*(np.concatenate(pair) for pair in zip(rows, own, strict=True)))
     return both, both_actions(actions, damping)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particlerb.joints.coordinates import coordinates_of
-from particlerb.joints.records import Coordinates, Rows
+from particlerb.joints.records import ConstraintRows, Coordinates
 from particlerb.joints.types import Ends, rows_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.merging import Merging
@@ -19,7 +19,7 @@ class TableJoints(NamedTuple):
 
     names: list[str]
     coordinates: Coordinates
-    rows: Rows
+    rows: ConstraintRows
     record: Ints
     first: Ints
     second: Ints

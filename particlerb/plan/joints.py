@@ -27,9 +27,9 @@ from particlerb.joints.records import (
     HOLDS,
     Actions,
     Breaks,
+    ConstraintRows,
     Coordinates,
     Joints,
-    Rows,
     Work,
     room_for_joints,
 )
@@ -61,7 +61,7 @@ class JointSetup(NamedTuple):
     first: Ints  # (j,) bodies of the system
     second: Ints  # (j,) bodies, or WORLD
     start: Ints  # (j + 1,) first row of each
-    rows: Rows  # with bodies of the system
+    rows: ConstraintRows  # with bodies of the system
     places: Floats  # (j, 4, 3) points of both, n in the first, m (or n) in the second; rotor frames
     coordinates: Coordinates  # with bodies of the system
     counts_turns: bool  # whether somebody asks for coordinates
@@ -85,7 +85,7 @@ class JointSetup(NamedTuple):
         count = np.diff(self.start)[which]
         start = np.r_[0, np.cumsum(count)]
         index = np.repeat(self.start[which] - start[:-1], count) + np.arange(start[-1])
-        rows = Rows(*(values[index] for values in self.rows))
+        rows = ConstraintRows(*(values[index] for values in self.rows))
         rows = rows._replace(a=place[rows.a], b=place[rows.b])
         coordinates, actions = None, self.actions
         if self.counts_turns:
@@ -175,7 +175,7 @@ def joints_of(system: System) -> JointSetup | None:
         first,
         second,
         np.cumsum([0, *n_rows]),
-        Rows(*map(np.concatenate, zip(*(own.rows for own in found), strict=True))),
+        ConstraintRows(*map(np.concatenate, zip(*(own.rows for own in found), strict=True))),
         places,
         united(columns[1], [len(own.names) for own in found]),
         "joint_coordinate" in asked_of_joints(system),

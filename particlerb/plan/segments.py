@@ -22,11 +22,11 @@ from particlerb.model.system import System
 from particlerb.model.worlds import Worlds, worlds_among
 from particlerb.plan.case_forces import acting_terms, acts, jumps_at
 from particlerb.plan.contact_setup import ContactSetup
-from particlerb.plan.groups import BodyGroup, part_of, terms_between
+from particlerb.plan.groups import GroupSetup, part_of, terms_between
 from particlerb.plan.joint_drives import drives_from
 from particlerb.rotors.rotor_class import POINT
 from particlerb.stepping.closed_forms import has_closed_form
-from particlerb.stepping.motion import Group
+from particlerb.stepping.motion import SegmentGroup
 
 _NEEDS: Final = {
     POSE: "it depends on the pose",
@@ -59,9 +59,9 @@ class GroupPlan(NamedTuple):
     segments: tuple[Segment, ...]  # to infinity
     worlds: Worlds | None = None  # scenes that share the group, if they are several
 
-    def group(self, segment: Segment) -> Group:
+    def group(self, segment: Segment) -> SegmentGroup:
         """What a method needs for one segment."""
-        return Group(self.members, self.bodies, segment.terms, self.worlds)
+        return SegmentGroup(self.members, self.bodies, segment.terms, self.worlds)
 
 
 class Plan(NamedTuple):
@@ -73,7 +73,7 @@ class Plan(NamedTuple):
 
 
 def cut_into_segments(
-    system: System, group: BodyGroup, touching: ContactSetup | None, begin: float
+    system: System, group: GroupSetup, touching: ContactSetup | None, begin: float
 ) -> list[GroupPlan]:
     """Segments of a group from a time on, between the edges of its forces; steps are set later.
 

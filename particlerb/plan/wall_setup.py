@@ -81,16 +81,16 @@ def motion_of(motion: Prescribed | None, own: Vec3) -> PrescribedMotion:
     if motion is None:
         return PrescribedMotion(own)
     centre = own if motion.centre is None else motion.centre
-    swing = motion.oscillation
-    if swing is None:
+    oscillation = motion.oscillation
+    if oscillation is None:
         return PrescribedMotion(centre, motion.velocity, motion.angular_velocity)
     return PrescribedMotion(
         centre,
         motion.velocity,
         motion.angular_velocity,
-        swing.amplitude,
-        swing.frequency,
-        swing.phase,
+        oscillation.amplitude,
+        oscillation.frequency,
+        oscillation.phase,
     )
 
 

@@ -13,8 +13,7 @@ from particlerb.case.run import frame_count
 from particlerb.contact.contact_output import ContactOutput
 from particlerb.model.system import System
 from particlerb.record import schema
-from particlerb.record.contact_writer import contact_columns
-from particlerb.record.frame_values import NewFrames, values_of
+from particlerb.record.frame_values import NewFrames, contact_columns, values_of
 
 
 class Memory:

@@ -19,8 +19,7 @@ from particlerb.model.system import System
 from particlerb.record import schema
 from particlerb.record.checkpoint import write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
-from particlerb.record.contact_writer import ContactList, contact_columns
-from particlerb.record.frame_values import NewFrames, values_of
+from particlerb.record.frame_values import ContactList, NewFrames, contact_columns, values_of
 from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import lay_out
 from particlerb.record.output_file import OutputFile, new_file

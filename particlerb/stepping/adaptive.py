@@ -41,7 +41,7 @@ from particlerb.model.block import (
 )
 from particlerb.model.state import Frames, State, room_for, store_frame
 from particlerb.stepping.loop import Recording
-from particlerb.stepping.motion import Group, Motion, WorkAccount
+from particlerb.stepping.motion import Motion, SegmentGroup, WorkAccount
 from particlerb.stepping.saved_arrays import Saved
 
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
@@ -157,7 +157,7 @@ class AdaptiveRun(Motion):
     clock: Floats  # (3, ...) time [s] from which a step starts, step [s] to try, steps taken
     cost: float  # [ns] of a step of all, roughly
 
-    def __init__(self, group: Group, state: State, start: float, tolerance: float) -> None:
+    def __init__(self, group: SegmentGroup, state: State, start: float, tolerance: float) -> None:
         self.group, self.start, self.tolerance = group, start, tolerance
         self.account = WorkAccount(group, state)
 
@@ -226,7 +226,7 @@ class AdaptiveMotion(AdaptiveRun):
     def __init__(
         self,
         method: Method,
-        group: Group,
+        group: SegmentGroup,
         state: State,
         start: float,
         first_step: float,

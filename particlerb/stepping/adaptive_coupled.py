@@ -44,7 +44,7 @@ from particlerb.model.block import (
 from particlerb.model.state import Frames, State
 from particlerb.stepping.adaptive import AdaptiveRun, store_vectors
 from particlerb.stepping.loop import Recording
-from particlerb.stepping.motion import Group
+from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 
@@ -269,7 +269,7 @@ class CoupledAdaptiveMotion(AdaptiveRun):
     def __init__(
         self,
         method: Method,
-        group: Group,
+        group: SegmentGroup,
         state: State,
         start: float,
         first_step: float,

@@ -12,14 +12,14 @@ from particlerb.stepping.adaptive_coupled import CoupledAdaptiveMotion
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.free_motion import FreeMotion
 from particlerb.stepping.impulse_motion import ImpulseMotion
-from particlerb.stepping.motion import CompositeMotion, Group, Motion, part_of
+from particlerb.stepping.motion import CompositeMotion, Motion, SegmentGroup, part_of
 from particlerb.stepping.sparse_contact import DiluteMotion, can_fly
 from particlerb.stepping.stepped_motion import SteppedMotion
 
 
 def begin(
     method: Method,
-    group: Group,
+    group: SegmentGroup,
     state: State,
     start: float,
     dt: float,
@@ -31,7 +31,7 @@ def begin(
     Parameters
     ----------
     method : Method
-    group : Group
+    group : SegmentGroup
     state : State
         Of the group.
     start : float [s]
@@ -66,7 +66,7 @@ def begin(
     return parts[0][1] if len(parts) == 1 else CompositeMotion(tuple(parts))
 
 
-def _parts_of(method: Method, group: Group) -> list[Ints]:
+def _parts_of(method: Method, group: SegmentGroup) -> list[Ints]:
     """Bodies that share a kernel: those of one kind of rotor, if the method asks for it."""
     everyone = np.arange(group.members.size)
     if group.terms.is_coupled or method.rotor_constants is None:

@@ -18,7 +18,7 @@ from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.bodies import Bodies
 from particlerb.rotors.rotor_class import POINT, ROD, SPHERE, SYMMETRIC
 from particlerb.rotors.tops import Tops
-from particlerb.stepping.motion import Group, force_of
+from particlerb.stepping.motion import SegmentGroup, force_of
 from particlerb.stepping.translations import Damping, Oscillator
 
 _ROUNDING: Final = 1e-14  # share of a lever tensor that is its rounding
@@ -73,7 +73,7 @@ def _up_frames(axis: Floats) -> Floats:
     return np.asarray(n * np.where(z > 0.0, up, down))
 
 
-def translations_of(group: Group) -> tuple[Damping | None, Oscillator | None, Floats | None]:
+def translations_of(group: SegmentGroup) -> tuple[Damping | None, Oscillator | None, Floats | None]:
     """Drag and springs on the centres of mass of a group, and drag on its rotation (n,)."""
     n, inv_mass = group.members.size, group.bodies.inv_mass
     pushed, force = force_of(group)

@@ -12,7 +12,7 @@ from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.missed_pairs import Missed, Watch, WatchedBodies, bounding_radii, peak_speed
 from particlerb.contact.wall_motion import motion_in
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.stepping.motion import Group, MotionError
+from particlerb.stepping.motion import MotionError, SegmentGroup
 
 STABLE: Final = 2.0  # largest ω dt of a piston, and of contacts where no step is stable
 _LOOKS: Final = 256  # lists from look to look at how fast the bodies swing
@@ -39,7 +39,7 @@ class ContactChecks:
 
     Parameters
     ----------
-    group : Group
+    group : SegmentGroup
     dt : float [s]
     watch : Watch, optional
         Of missed pairs, that continues from motions before this one.
@@ -48,7 +48,7 @@ class ContactChecks:
     """
 
     def __init__(
-        self, group: Group, dt: float, watch: Watch | None = None, limit: float = STABLE
+        self, group: SegmentGroup, dt: float, watch: Watch | None = None, limit: float = STABLE
     ) -> None:
         contact = group.terms.contact
         assert contact is not None

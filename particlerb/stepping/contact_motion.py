@@ -55,7 +55,7 @@ from particlerb.stepping.loop import (
     compiled_loop,
     loop_over_threads,
 )
-from particlerb.stepping.motion import ContactStart, Energies, Group
+from particlerb.stepping.motion import ContactStart, Energies, SegmentGroup
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 from particlerb.stepping.stepped_motion import SteppedMotion
 
@@ -91,7 +91,7 @@ class ContactMotion(SteppedMotion):
     def __init__(
         self,
         method: Method,
-        group: Group,
+        group: SegmentGroup,
         state: State,
         start: float,
         dt: float,

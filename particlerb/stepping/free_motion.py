@@ -37,7 +37,7 @@ from particlerb.rotors.exact import (
 )
 from particlerb.rotors.tops import N_THETA, prepare_tops
 from particlerb.stepping.closed_forms import Levers, lever_of, levers_on, translations_of
-from particlerb.stepping.motion import Group, Motion, MotionError, constant_force, force_of
+from particlerb.stepping.motion import Motion, MotionError, SegmentGroup, constant_force, force_of
 from particlerb.stepping.orbits import Orbit, orbited, orbits_of
 from particlerb.stepping.saved_arrays import Saved
 from particlerb.stepping.top_rows import top_block
@@ -216,7 +216,7 @@ def _end_blocks(part: _Part, t: float, end: State, given: Given | None) -> None:
 class FreeMotion(Motion):
     """A group of bodies in closed form, sorted into kinds of turn; see `motion.Motion`."""
 
-    def __init__(self, group: Group, state: State, start: float) -> None:
+    def __init__(self, group: SegmentGroup, state: State, start: float) -> None:
         self.group, self.state, self.start = group, state, start
         self.force = force_of(group)[1]
         self.drag, self.spring, self.rotation = translations_of(group)

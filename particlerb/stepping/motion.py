@@ -28,7 +28,7 @@ class MotionError(Exception):
     """A motion that cannot go on: why."""
 
 
-class Group(NamedTuple):
+class SegmentGroup(NamedTuple):
     """Bodies that advance together through one segment."""
 
     members: Ints  # (n,) which bodies of the scene these are
@@ -130,7 +130,7 @@ class _ConstantForce(NamedTuple):
         return np.concatenate([work, t * self.impulse, angular], axis=-1)
 
 
-def force_of(group: Group) -> tuple[Floats, Floats]:
+def force_of(group: SegmentGroup) -> tuple[Floats, Floats]:
     """Force of the pushes alone, and of all that is constant in the world; (3, n) [N]."""
     gravity = group.terms.gravity
     pushed = force_of_loads(group.terms, group.members.size)
@@ -139,7 +139,7 @@ def force_of(group: Group) -> tuple[Floats, Floats]:
     return pushed, pushed + gravity.mass * gravity.acceleration[:, None]
 
 
-def constant_force(group: Group, state: State) -> _ConstantForce:
+def constant_force(group: SegmentGroup, state: State) -> _ConstantForce:
     """Sums over a group whose force is constant, from its state at the beginning."""
     worlds = group.worlds
     if group.terms.gravity is None and not group.terms.loads:
@@ -165,7 +165,9 @@ class WorkAccount:
     step. Who looks at poses alone clears `is_kept`: then all that was given is 0.
     """
 
-    def __init__(self, group: Group, state: State, keeps_angular_momentum: bool = True) -> None:
+    def __init__(
+        self, group: SegmentGroup, state: State, keeps_angular_momentum: bool = True
+    ) -> None:
         self.group, self.first = group, state
         self.books = flag(not (is_constant(group.terms) and keeps_angular_momentum))
         self.is_kept = True
@@ -260,7 +262,7 @@ class CompositeMotion(Motion):
             motion.restore(within(str(k), saved))
 
 
-def part_of(group: Group, which: Ints) -> Group:
+def part_of(group: SegmentGroup, which: Ints) -> SegmentGroup:
     """Some bodies of a group with what acts on them."""
     bodies, terms = taken(group.bodies, which), terms_on(group.terms, which)
-    return Group(group.members[which], bodies, terms, part_of_worlds(group.worlds, which))
+    return SegmentGroup(group.members[which], bodies, terms, part_of_worlds(group.worlds, which))

@@ -29,7 +29,7 @@ from particlerb.maths.vec3 import (
     store3,
 )
 from particlerb.model.state import State, cross_columns
-from particlerb.stepping.motion import Group
+from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.translations import Centres, add_given
 
 _ROUND: Final = 0.25  # eccentricity below which an orbit is seen from its start
@@ -186,7 +186,7 @@ def _orbits(frame: tuple[Floats, Floats], x: Floats, v: Floats, mu: Floats, shar
     return found._replace(until=np.where(nearest <= _FALLEN * r, until, np.inf))
 
 
-def orbits_of(group: Group, state: State) -> Orbit | None:
+def orbits_of(group: SegmentGroup, state: State) -> Orbit | None:
     """Orbits of a group that has a closed form; None where nothing attracts."""
     velocity, attraction = state.p * group.bodies.inv_mass, group.terms.attraction
     n = group.members.size

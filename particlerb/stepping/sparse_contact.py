@@ -47,9 +47,9 @@ from particlerb.stepping.motion import (
     CompositeMotion,
     ContactStart,
     Energies,
-    Group,
     Motion,
     MotionError,
+    SegmentGroup,
 )
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 
@@ -100,7 +100,7 @@ class _Interval:
             self.motions.append((stepped, self.contact))
         if flying.size:
             terms = terms_on(group.terms._replace(contact=None), flying)
-            free = Group(group.members[flying], taken(group.bodies, flying), terms)
+            free = SegmentGroup(group.members[flying], taken(group.bodies, flying), terms)
             self.motions.append((flying, FreeMotion(free, taken(state, flying), start)))
         self.together = CompositeMotion(tuple(self.motions))
 
@@ -141,7 +141,7 @@ class DiluteMotion(Motion):
     def __init__(
         self,
         method: Method,
-        group: Group,
+        group: SegmentGroup,
         state: State,
         start: float,
         dt: float,
@@ -175,7 +175,7 @@ class DiluteMotion(Motion):
         self.contact_frequency, self.count = 0.0, 0  # [rad/s]; intervals
         self.plan()
 
-    def part(self, which: Ints) -> tuple[Group, Ints]:
+    def part(self, which: Ints) -> tuple[SegmentGroup, Ints]:
         """Some bodies of the group, ascending, and the numbers of their spheres."""
         contact, group = self.contact, self.group
         model = contact.model
@@ -194,7 +194,7 @@ class DiluteMotion(Motion):
         own = model._replace(spheres=spheres, inv_mass=model.inv_mass[which], inv_inertia=inertia)
         part = GroupContact(own, contact.motions, contact.max_arm[which], *contact[3:])
         terms = terms_on(group.terms._replace(contact=None), which)._replace(contact=part)
-        return Group(group.members[which], taken(group.bodies, which), terms), kept
+        return SegmentGroup(group.members[which], taken(group.bodies, which), terms), kept
 
     def time(self, steps: int) -> float:
         """Time after so many steps of the segment [s]."""

@@ -46,7 +46,7 @@ from particlerb.stepping.loop import (
     grid_position,
     loop_over_threads,
 )
-from particlerb.stepping.motion import Group, Motion, WorkAccount
+from particlerb.stepping.motion import Motion, SegmentGroup, WorkAccount
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 
@@ -73,7 +73,9 @@ def _pairs_of(method: Method, terms: Terms, n: int) -> PairForces | None:
 class SteppedMotion(Motion):
     """A group of bodies on a grid of steps; see `motion.Motion`."""
 
-    def __init__(self, method: Method, group: Group, state: State, start: float, dt: float) -> None:
+    def __init__(
+        self, method: Method, group: SegmentGroup, state: State, start: float, dt: float
+    ) -> None:
         self.method, self.group, self.start, self.dt = method, group, start, dt
         self.first = state
         terms, n = group.terms, group.members.size

@@ -25,7 +25,7 @@ from particlerb.model.state import (
 )
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, SYMMETRIC
 from particlerb.stepping.begin import begin
-from particlerb.stepping.motion import Group
+from particlerb.stepping.motion import SegmentGroup
 
 TURNS: Final = 1e4  # of each body of a map
 _EVERY: Final = 0.25  # [s] grid of the times of methods without a step of their own
@@ -122,7 +122,7 @@ def history(
         How often to look whether anything is left.
     """
     n = moved.bodies.mass.size
-    group = Group(np.arange(n), moved.bodies, moved.terms)
+    group = SegmentGroup(np.arange(n), moved.bodies, moved.terms)
     motion = begin(METHODS[method], group, moved.state, 0.0, dt, tolerance)
     frames = room_for(times.size, n, np.tile(_UPRIGHT, (n, 1)))
     for array in frames[:4]:

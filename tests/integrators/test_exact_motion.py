@@ -14,7 +14,7 @@ from particlerb.integrators import METHODS
 from particlerb.model.bodies import taken
 from particlerb.model.state import room_for
 from particlerb.stepping.begin import begin
-from particlerb.stepping.motion import Group
+from particlerb.stepping.motion import SegmentGroup
 
 START = {
     "position": [0.1, -0.2, 0.3],
@@ -100,7 +100,7 @@ def group_of(make, push=None, gravity=None, n=300):
     scene = to_system(make.case(*blocks, flip))
     members = np.arange(len(scene.kind))
     own = taken(scene.bodies, members)
-    return Group(members, own, Terms(gravity, () if push is None else (push,))), scene.state
+    return SegmentGroup(members, own, Terms(gravity, () if push is None else (push,))), scene.state
 
 
 @pytest.mark.compiled

@@ -20,7 +20,7 @@ from particlerb.model.state import State, room_for
 from particlerb.integrators import METHODS
 from particlerb.stepping.begin import begin
 from particlerb.stepping.loop import compiled_loop
-from particlerb.stepping.motion import Group
+from particlerb.stepping.motion import SegmentGroup
 from particlerb.forces import Terms
 from particlerb.forces.central import Central
 from particlerb.forces.drag import Drag
@@ -60,7 +60,7 @@ share = {}
 for name, loads in chosen.items():
     for load in loads:
         method, acting = METHODS[name], terms[load]
-        motion = begin(method, Group(np.arange(1), bodies, acting), state, 0.0, 0.01, 0.0)
+        motion = begin(method, SegmentGroup(np.arange(1), bodies, acting), state, 0.0, 0.01, 0.0)
         motion.advance(np.array([1]), np.zeros(1), np.array([-1]), none)
         code = list(compiled_loop(method, False).inspect_asm().values())[-1]
         packed, single = (

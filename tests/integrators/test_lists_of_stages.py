@@ -17,7 +17,7 @@ from particlerb.maths.vec3 import add_scaled, dot
 from particlerb.model.block import COM, INV_MASS, P, get, get3, put3
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, room_for
-from particlerb.stepping.motion import Group
+from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.stepped_motion import SteppedMotion
 
 LENGTH, G = 1.0, 9.81
@@ -101,7 +101,7 @@ def moved(name, step, place, velocity, times, dt):
     v = np.tile(np.array(velocity)[:, None], n)
     state = State(x, frame.copy(), v * mass, np.zeros((3, n)))
     gravity = UniformGravity(mass, np.array([0.0, 0.0, -G]))
-    group = Group(np.arange(n), bodies, Terms(gravity=gravity))
+    group = SegmentGroup(np.arange(n), bodies, Terms(gravity=gravity))
     motion = SteppedMotion(method(name, step), group, state, 0.0, dt)
     frames = room_for(times.size, n, frame.T.copy())
     motion.record(times, np.arange(times.size), frames)
