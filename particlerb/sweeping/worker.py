@@ -1,6 +1,9 @@
 """Variants in a worker: runs without a file, one by one or in a batch, and their rows."""
 
+import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -48,7 +51,16 @@ class Task(NamedTuple):
 def start_worker() -> None:
     """One thread, as there is a worker on every core; the driver alone hears of Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    driver = multiprocessing.parent_process()
+    if driver is not None:
+        threading.Thread(target=_end_after, args=(driver,), daemon=True).start()
     THREADS.use(1)
+
+
+def _end_after(driver: Any) -> None:
+    """End this process where the one that started it is gone: a killed driver leaves nobody."""
+    driver.join()
+    os._exit(1)
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in the frames, and the row

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -122,3 +123,26 @@ def test_a_plain_run_imports_neither_mpi_nor_dask(tmp_path):
     )
     command = [sys.executable, "-c", code]
     subprocess.run(command, cwd=tmp_path, env=PLAIN, check=True, capture_output=True, timeout=120)
+
+
+@pytest.mark.slow
+def test_workers_end_with_a_killed_driver(tmp_path):
+    case, table = tmp_path / "case.toml", tmp_path / "t.csv"
+    axes = CASE.replace("[0.5, 0.75, 1.0]", "{ low = 0.5, high = 1.0, n = 3000 }")
+    case.write_text(axes)
+    options = ["sweep", str(case), "-o", str(table), "--workers", "1"]
+    driver = subprocess.Popen([sys.executable, "-m", "particlerb", *options], env=PLAIN)
+    children = Path(f"/proc/{driver.pid}/task/{driver.pid}/children")
+    if not children.exists():
+        driver.kill()
+        pytest.skip("this system does not list the children of a process")
+    while driver.poll() is None and (not table.exists() or table.read_bytes().count(b"\n") < 2):
+        time.sleep(0.1)
+    own = [Path("/proc") / pid for pid in children.read_text().split()]
+    driver.kill()
+    driver.wait()
+    assert own
+    late = time.monotonic() + 30.0
+    while any(one.exists() for one in own) and time.monotonic() < late:
+        time.sleep(0.1)
+    assert not any(one.exists() for one in own)
