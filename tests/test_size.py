@@ -38,7 +38,7 @@ BUDGETS = {
     "scenes in Python": 434,
     "sweeps": 605,
     "variants of a sweep in one batch": 490,
-    "sweeps over ranks and dask": 65,
+    "sweeps over ranks and dask, workers that die": 75,
     "reports of a run, names of files": 77,
     "pictures that fit the scene": 198,
     "size and time of a run, told before it": 85,
