@@ -15,10 +15,10 @@ from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Ints
 from particlerb.model.system import System
 from particlerb.plan.groups import MOST_BODIES
-from particlerb.plan.impulse_step import expected_overlap, touches_by_impulses
 from particlerb.plan.joint_words import joint_line
 from particlerb.plan.merging import merged
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
+from particlerb.plan.time_step import expected_overlap, touches_by_impulses
 from particlerb.stepping.closed_forms import lever_of
 from particlerb.stepping.sparse_contact import can_fly
 

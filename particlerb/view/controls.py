@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from particlerb.view.page import Page
-from particlerb.view.stage import ARROWS, WORLD
+from particlerb.view.stage import ARROWS, AXIS_COLOURS
 
 _DIRECTIONS: Final = (
     "along the view", "into the surface", "+x", "-x", "+y", "-y", "+z", "-z",
@@ -91,7 +91,9 @@ class Controls:
 def legend() -> str:
     """HTML: what the colours of arrows and lines mean."""
     named = {_SHOWN[key]: colour for key, colour in ARROWS.items()}
-    named |= {f"{axis} of the world": colour for axis, colour in zip("xyz", WORLD, strict=True)}
+    named |= {
+        f"{axis} of the world": colour for axis, colour in zip("xyz", AXIS_COLOURS, strict=True)
+    }
     swatch = '<span style="color:rgb{};font-weight:700">━▶</span> {} &nbsp; '
     words = "".join(swatch.format(colour, html.escape(word)) for word, colour in named.items())
     return f'<div style="font:12px/1.7 system-ui,sans-serif;padding:2px 8px">{words}</div>'

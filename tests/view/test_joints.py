@@ -8,7 +8,7 @@ import pytest
 
 import particlerb
 from particlerb.case.to_system import to_system
-from particlerb.view.joint_lines import JointLines
+from particlerb.view.stage import JointLines
 
 PICTURES = os.environ.get("PARTICLERB_PICTURES")
 BAR = {"type": "box", "size": [0.8, 0.1, 0.1], "arrangement": "exact"}
