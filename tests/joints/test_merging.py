@@ -77,6 +77,7 @@ def scene(bodies, joints, on_plate, on_knob, force):
                 attraction={"G": 0.5, "softening": 0.1})  # fmt: skip
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("method", ["auto", "rk4"])
 def test_bodies_that_are_merged_move_as_one_body_of_all_particles(method):
     plate, knob = plate_and_knob()
@@ -139,6 +140,7 @@ def test_what_a_merged_joint_carries_is_the_change_of_momentum_of_its_part():
         assert loads.force_determined.all()
 
 
+@pytest.mark.plain
 def test_joints_on_merged_bodies_and_loops_of_them_move_as_with_rows():
     """A pendulum on a part of a part; three bodies fixed in a ring."""
     bodies = [
@@ -195,6 +197,7 @@ def test_the_plan_names_merged_bodies():
     assert "1 fixed; 2 bodies are merged into 1: a, b" in text
 
 
+@pytest.mark.plain
 def test_runs_with_merged_bodies_go_on_and_change(tmp_path):
     """A resumed run has the same bits; a change of a force leaves the states."""
     first, whole = tmp_path / "first.h5", tmp_path / "whole.h5"
@@ -217,6 +220,7 @@ def test_runs_with_merged_bodies_go_on_and_change(tmp_path):
     assert after == pytest.approx([0.5 * 0.4 + 1.0 * 0.1, 0, 0], abs=1e-13)
 
 
+@pytest.mark.plain
 def test_accuracy_is_sought_for_merged_bodies_as_for_others():
     push = {"type": "push", "body": "b", "at": [0, 0.1, 0], "force": [0.5, 0.0, 1.0]}
     given = {**spinning(), "force": [push]}

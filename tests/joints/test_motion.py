@@ -215,6 +215,7 @@ def test_a_pendulum_follows_elliptic_functions():
         assert place == pytest.approx(exact, abs=1e-9)
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("root", [-1.0, 1.0])
 def test_a_gyroscope_precesses_steadily_in_both_ways(root):
     """A Ω² cos θ - C ω₃ Ω + M g l = 0, slow and fast: Goldstein, Classical Mechanics, 5.7."""
