@@ -18,7 +18,7 @@ from particlerb.model.state import rotate
 from particlerb.record.hdf5 import describe, growing, put
 from particlerb.record.layout import link_clock, make_box, make_clock, write_h5md
 from particlerb.record.schema import FIELDS, STEP, TIME, TRAJECTORY, frames_per_chunk
-from particlerb.record.vtkhdf import count_steps, create_vtkhdf, steps_of
+from particlerb.record.vtkhdf import count_steps, create_vtkhdf, steps_of, topology_of
 
 NEEDS: Final = ("position", "orientation")
 HOLDS: Final = tuple(FIELDS)
@@ -49,6 +49,8 @@ def write(selection: Selection, path: Path) -> None:
         clockwork = make_clock(file, n_frames)
         times = trajectory.time[selection.frames]
         ids = {name: element(file, name, len(row), n_frames, clockwork) for name in names}
+        for place, own in topology_of(ids, len(row)).items():
+            put(file, place, own)
         create_vtkhdf(file, ids, shown, n_frames)
         numbers = {STEP: selection.frames, TIME: times, **steps_of(0, times, len(row))}
         for place, values in numbers.items():

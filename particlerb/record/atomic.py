@@ -128,6 +128,11 @@ class AtomicFile:
             self.put_all_new()
         return len(view)
 
+    def begin(self, content: bytearray) -> None:
+        """Let a new file have a content, in memory."""
+        self.remember(0, memoryview(content))
+        self.size = len(content)
+
     def remember(self, place: int, view: memoryview) -> None:
         """Write into pages in memory."""
         for number, offset, start, stop in pieces(place, len(view)):

@@ -3,8 +3,9 @@
 Paths are from the root; groups on the way are made.
 """
 
+import math
 from functools import cache, lru_cache
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import h5py
 import numpy as np
@@ -12,6 +13,8 @@ from h5py import h5a, h5d, h5ds, h5o, h5p, h5s, h5t
 
 WITH_GROUPS: Final = h5p.create(h5p.LINK_CREATE)
 WITH_GROUPS.set_create_intermediate_group(True)
+Form: TypeAlias = tuple["np.dtype[Any]", tuple[int, ...]]  # type of the numbers, and shape
+_LARGE: Final = 2**20  # bytes
 _ANY_TEXT: Final = h5t.py_create(h5py.string_dtype(), logical=True)
 
 
@@ -23,14 +26,34 @@ def put(file: h5py.File, path: str, values: Any) -> h5d.DatasetID:
     """
     if isinstance(values, bytes):
         kind = h5t.py_create(h5py.string_dtype("utf-8", max(len(values), 1)), logical=True)
-        data = np.array(values, dtype=f"S{max(len(values), 1)}")
+        values = np.array(values, dtype=f"S{max(len(values), 1)}")
     else:
-        data = np.ascontiguousarray(values).reshape(np.shape(values))
-        kind = _type_of(data.dtype)
-    made = h5d.create(file.id, path.encode(), kind, _space(data.shape), _plan(), WITH_GROUPS)
-    if data.size:
-        made.write(h5s.ALL, h5s.ALL, data, kind)
+        kind = _type_of(np.asarray(values).dtype)
+    made = h5d.create(file.id, path.encode(), kind, _space(np.shape(values)), _plan(), WITH_GROUPS)
+    if np.size(values):
+        made.write(h5s.ALL, h5s.ALL, np.ascontiguousarray(values), kind)
     return made
+
+
+def form_of(values: Any) -> Form:
+    """What `reserve` has to know of an array."""
+    return np.asarray(values).dtype, np.shape(values)
+
+
+def is_large(form: Form) -> bool:
+    """Whether an array is given its place when it is written, and not before."""
+    return form[0].itemsize * math.prod(form[1]) > _LARGE
+
+
+def reserve(file: h5py.File, path: str, form: Form) -> h5d.DatasetID:
+    """An array that does not change, still without numbers."""
+    kind, space, plan = _type_of(form[0]), _space(form[1]), _plan(is_early=not is_large(form))
+    return h5d.create(file.id, path.encode(), kind, space, plan, WITH_GROUPS)
+
+
+def fill(file: h5py.File, path: str, values: Any) -> None:
+    """Write an array of which the form is known."""
+    h5d.open(file.id, path.encode()).write(h5s.ALL, h5s.ALL, np.ascontiguousarray(values))
 
 
 def growing(
@@ -104,12 +127,18 @@ def _type_of(dtype: "np.dtype[Any]") -> Any:
 
 
 @lru_cache(maxsize=256)
-def _plan(chunk: tuple[int, ...] = (), fill: tuple[float, "np.dtype[Any]"] | None = None) -> Any:
+def _plan(
+    chunk: tuple[int, ...] = (),
+    fill: tuple[float, "np.dtype[Any]"] | None = None,
+    is_early: bool = False,
+) -> Any:
     """Properties of a new dataset: without times, so that the same content has the same bytes."""
     plan = h5p.create(h5p.DATASET_CREATE)
     plan.set_obj_track_times(False)
     if chunk:
         plan.set_chunk(chunk)
+    if is_early:
+        plan.set_alloc_time(h5d.ALLOC_TIME_EARLY)
     if fill is not None:
         plan.set_fill_value(np.array(*fill))
     return plan

@@ -1,8 +1,9 @@
 """What a trajectory file has before its first frame: header, bodies, clock, empty elements."""
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import h5py
 import numpy as np
@@ -14,7 +15,20 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.record import schema
 from particlerb.record.checksums import digest_of
-from particlerb.record.hdf5 import attach, describe, group, growing, link, note, put
+from particlerb.record.hdf5 import (
+    Form,
+    attach,
+    describe,
+    fill,
+    form_of,
+    group,
+    growing,
+    is_large,
+    link,
+    note,
+    put,
+    reserve,
+)
 from particlerb.record.vtkhdf import create_vtkhdf
 
 _THINNEST: Final = 0.02  # edge of a glyph, of the longest one: rods and points are to be seen
@@ -26,42 +40,90 @@ _SHOWN: Final = {  # what VTK shows of each body beside the recorded fields
     "kind": f"{schema.BODIES}/kind",
 }
 
+_DIGEST: Final = f"{schema.INTEGRITY}/digest"
+_NO_DIGEST: Final = b"?" * 64  # until the digest is known
+
 Content = Mapping[str, Any]  # arrays, and texts as bytes, by their paths
 Made = Mapping[str, h5d.DatasetID]  # by their paths
 Labels = Mapping[str, Sequence[tuple[str, str]]]  # names and units, by what they are of
 
 
-def lay_out(file: h5py.File, system: System, content: Content) -> None:
-    """Write all that a file without frames has.
+class Layout(NamedTuple):
+    """What decides how a file without frames looks, beside numbers and texts."""
+
+    fields: tuple[str, ...]
+    dtype: str  # of what is recorded
+    n_frames: int
+    n_bodies: int
+    tables: tuple[tuple[str, Form], ...]  # paths of arrays that do not change, and their forms
+
+
+def laid_out(system: System, content: Content) -> bytearray:
+    """The file of a run without frames, with small arrays: its bytes.
 
     Parameters
     ----------
-    file : h5py.File
-        Empty.
     system : System
         What is run.
     content : mapping of str to ndarray or bytes
-        What does not change in time: `tables_of` and `provenance.texts_of`.
+        What does not change in time: `tables_of`, `topology_of` and `provenance.texts_of`.
     """
-    n, fields = frame_count(system.run), system.output.fields
+    fields, dtype, n_frames = system.output.fields, system.output.dtype, frame_count(system.run)
+    tables = tuple((p, form_of(v)) for p, v in content.items() if not isinstance(v, bytes))
+    empty, places = _empty_file(Layout(tuple(fields), dtype, n_frames, system.n_bodies, tables))
+    image = bytearray(empty)
+    for path, place in places.items():
+        value = digest_of(content).encode() if path == _DIGEST else content[path]
+        data = np.ascontiguousarray(value).tobytes()
+        image[place : place + len(data)] = data
+    return image
+
+
+@lru_cache(maxsize=8)
+def _empty_file(of: Layout) -> tuple[bytes, Mapping[str, int]]:
+    """The file of all runs of this form, and where small arrays and the digest go.
+
+    HDF5 takes much longer to make it than it takes to fill it.
+    """
+    with h5py.File("empty", "w", driver="core", backing_store=False) as file:
+        made = _lay_out(file, of)
+        file.flush()
+        image: bytes = file.id.get_file_image()
+        places = {p: made[p].get_offset() for p, _ in of.tables if made[p].get_storage_size()}
+    return image, places | {_DIGEST: image.index(_NO_DIGEST)}
+
+
+def write_rest(file: h5py.File, content: Content) -> None:
+    """Write texts and large arrays among what does not change."""
+    for path, value in content.items():
+        if isinstance(value, bytes):
+            put(file, path, value)
+        elif is_large(form_of(value)):
+            fill(file, path, value)
+
+
+def _lay_out(file: h5py.File, of: Layout) -> Made:
+    """Make all that a file without frames has; return its arrays."""
     note(file.id, schema=np.array(schema.SCHEMA_VERSION, dtype=np.int32))
     write_h5md(file)
     make_box(file)
-    made = {path: put(file, path, values) for path, values in content.items()}
+    made = {path: reserve(file, path, form) for path, form in of.tables}
     _describe_tables(made)
-    made |= make_clock(file, n)
+    made |= make_clock(file, of.n_frames)
     shown = {}
-    for path, element in schema.series_of(fields).items():
+    for path, element in schema.series_of(of.fields).items():
         if path != schema.TIME:
-            value = _make_series(file, path, system, made)
+            value = _make_series(file, path, of, made)
             if element.per == "body":
                 shown[path.split("/")[-2]] = value
-    if schema.CONTACTS in fields:
-        _make_contacts(file, system, made)
-    topology = create_vtkhdf(file, shown, {name: made[path] for name, path in _SHOWN.items()}, n)
-    place = _make_checksums(file, n, made[schema.TIME])
-    note(place, digest=np.bytes_(digest_of({**content, **topology})))
+    if schema.CONTACTS in of.fields:
+        _make_contacts(file, of, made)
+    views = {name: made[path] for name, path in _SHOWN.items()}
+    create_vtkhdf(file, shown, views, of.n_frames)
+    place = _make_checksums(file, of.n_frames, made[schema.TIME])
+    note(place, digest=np.bytes_(_NO_DIGEST))
     note(file.id, **{schema.COMMITTED: np.int64(0)})
+    return made
 
 
 def write_h5md(file: h5py.File) -> None:
@@ -171,16 +233,16 @@ def _make_checksums(file: h5py.File, n_frames: int, clock: h5d.DatasetID) -> Any
     return place
 
 
-def _make_series(file: h5py.File, path: str, system: System, made: Made) -> h5d.DatasetID:
+def _make_series(file: h5py.File, path: str, of: Layout, made: Made) -> h5d.DatasetID:
     """One H5MD element: step, time, and an empty value that can grow."""
     place, element = path.removesuffix("/value"), schema.SERIES[path]
     scales = [made[schema.SCALE_OF[element.per]]] if element.per else []
     if element.components:
         scales.append(made[element.components])
     width = tuple(scale.shape[0] for scale in scales)
-    kind = schema.dtype_of(element, np.dtype(system.output.dtype))
-    of, n = width[0] if element.per else 1, frame_count(system.run)
-    rows = schema.frames_per_chunk(of, len(element.components), kind.itemsize, n)
+    kind = schema.dtype_of(element, np.dtype(of.dtype))
+    n = width[0] if element.per else 1
+    rows = schema.frames_per_chunk(n, len(element.components), kind.itemsize, of.n_frames)
     fill = None if element.is_count else np.nan  # what was never written is NaN
     value = growing(file, path, kind, width, rows=rows, fill=fill)
     describe(value, element.units, element.meaning)
@@ -193,10 +255,10 @@ def _make_series(file: h5py.File, path: str, system: System, made: Made) -> h5d.
     return value
 
 
-def _make_contacts(file: h5py.File, system: System, made: Made) -> None:
+def _make_contacts(file: h5py.File, of: Layout, made: Made) -> None:
     """Empty columns for the contacts of all frames."""
-    dtype = np.dtype(system.output.dtype)
-    rows = int(np.clip(frame_count(system.run) * system.n_bodies, *_CONTACTS_PER_CHUNK))
+    dtype = np.dtype(of.dtype)
+    rows = int(np.clip(of.n_frames * of.n_bodies, *_CONTACTS_PER_CHUNK))
     for name, column in schema.COLUMNS.items():
         kind = np.dtype("i4") if column.is_count else dtype
         width = (column.width,) if column.width else ()

@@ -29,13 +29,13 @@ class OutputFile:
         Its name, for errors.
     lock : WriterLock
         The open file; closed with this one.
-    mode : str
-        `w` for a new file, `r+` for one from before.
     is_durable : bool
         Whether commits wait for the disk.
     place : Path, optional
         Where a new file comes to lie with its first commit; until then it has this name with `.new`
         behind it.
+    empty : bytes
+        Content of a new file, without frames.
 
     Attributes
     ----------
@@ -46,14 +46,17 @@ class OutputFile:
     """
 
     def __init__(
-        self, path: Path, lock: WriterLock, mode: str, is_durable: bool, place: Path | None = None
-    ) -> None:
-        self.path, self.is_from_before, self.is_broken = path, mode == "r+", False
+        self, path: Path, lock: WriterLock, is_durable: bool, place: Path | None = None,
+        empty: bytearray | None = None,
+    ) -> None:  # fmt: skip
+        self.path, self.is_from_before, self.is_broken = path, place is None, False
         self.place = place  # None: it is there
         try:
             self.disk = AtomicFile(lock, path, is_durable)
             self.disk.settle()
-            self.file = h5py.File(self.disk, mode)
+            if empty is not None:
+                self.disk.begin(empty)
+            self.file = h5py.File(self.disk, "r+")
         except BaseException:
             lock.close()
             raise
@@ -112,7 +115,7 @@ def _waiting(place: Path) -> Path:
     return place.with_name(f"{place.name}.new")
 
 
-def new_file(path: Path, overwrite: bool, is_durable: bool) -> OutputFile:
+def new_file(path: Path, overwrite: bool, is_durable: bool, empty: bytearray) -> OutputFile:
     """A new file, which takes its name with its first commit, and is none without.
 
     Raises
@@ -130,7 +133,7 @@ def new_file(path: Path, overwrite: bool, is_durable: bool) -> OutputFile:
         WriterLock(place).close()  # nobody else writes it
     lock = WriterLock(_waiting(place))
     os.ftruncate(lock.fileno(), 0)
-    return OutputFile(path, lock, "w", is_durable, place)
+    return OutputFile(path, lock, is_durable, place, empty)
 
 
 def _sync_folder(path: Path) -> None:

@@ -8,7 +8,7 @@ per frame; `Steps/Values` is a copy of the times, since a dimension scale with a
 h5netcdf.
 """
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Final
 
 import h5py
@@ -16,7 +16,7 @@ import numpy as np
 from h5py import h5d, h5p, h5s
 
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.record.hdf5 import WITH_GROUPS, change, group, growing, note, put
+from particlerb.record.hdf5 import WITH_GROUPS, change, growing, note
 from particlerb.record.schema import VTKHDF, rows_per_chunk
 
 _CELLS: Final = ("Vertices", "Lines", "Polygons", "Strips")
@@ -46,8 +46,8 @@ def create_vtkhdf(
     fields: Mapping[str, h5d.DatasetID],
     static: Mapping[str, h5d.DatasetID],
     n_frames: int,
-) -> dict[str, Ints]:
-    """Make /VTKHDF for a file that is still without frames.
+) -> None:
+    """Make /VTKHDF for a file that is still without frames; it has `topology_of` already.
 
     Parameters
     ----------
@@ -59,24 +59,11 @@ def create_vtkhdf(
         Arrays that do not change, (N, ...), by the names that VTK is to show.
     n_frames : int
         Frames that the file may come to hold; `resize_vtkhdf` changes it.
-
-    Returns
-    -------
-    dict of str to ndarray
-        What was written of it that does not change, by paths.
     """
     if _POINTS not in fields:
-        return {}
-    n = fields[_POINTS].shape[1]
-    root = group(file, VTKHDF)
+        return
+    root = h5py.h5g.open(file.id, VTKHDF.encode())
     note(root, Version=np.array([2, 0], dtype=np.int64), Type=np.bytes_("PolyData"))
-    counts = [np.array([n])]
-    for name in _CELLS:
-        count = n if name == _CELLS[0] else 0
-        counts += [np.array([count])] * 2 + [np.arange(count + 1), np.arange(count)]
-    topology = dict(zip(TOPOLOGY, counts, strict=True))
-    for path, values in topology.items():
-        put(file, path, values)
     for name, values in static.items():
         view(file, f"{_DATA}/{name}", values)
         _constant(file, f"{_STEPS}/PointDataOffsets/{name}", 0, n_frames)
@@ -88,7 +75,17 @@ def create_vtkhdf(
     for name, (value, *width) in _CONSTANTS.items():
         _constant(file, f"{_STEPS}/{name}", value, n_frames, *width)
     note(h5py.h5g.open(file.id, _STEPS.encode()), NSteps=np.int64(0))
-    return topology
+
+
+def topology_of(fields: Container[str], n: int) -> dict[str, Ints]:
+    """What VTK is told once of n bodies, by paths: each is a vertex, if its place is recorded."""
+    if _POINTS not in fields:
+        return {}
+    counts = [np.array([n])]
+    for name in _CELLS:
+        count = n if name == _CELLS[0] else 0
+        counts += [np.array([count])] * 2 + [np.arange(count + 1), np.arange(count)]
+    return dict(zip(TOPOLOGY, counts, strict=True))
 
 
 def _constant(file: h5py.File, path: str, value: int, n_frames: int, *width: int) -> None:

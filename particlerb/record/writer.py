@@ -21,9 +21,16 @@ from particlerb.record.checkpoint import write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
 from particlerb.record.frame_values import ContactList, NewFrames, contact_columns, values_of
 from particlerb.record.hdf5 import change, opened
-from particlerb.record.layout import lay_out
+from particlerb.record.layout import laid_out, write_rest
 from particlerb.record.output_file import OutputFile, new_file
-from particlerb.record.vtkhdf import STEP_STARTS, STEP_TIMES, count_steps, resize_vtkhdf, steps_of
+from particlerb.record.vtkhdf import (
+    STEP_STARTS,
+    STEP_TIMES,
+    count_steps,
+    resize_vtkhdf,
+    steps_of,
+    topology_of,
+)
 from particlerb.record.writer_lock import WriterLock
 
 SECONDS_BETWEEN_COMMITS = 1.0
@@ -67,9 +74,11 @@ class Recorder:
     def __init__(
         self, path: Path, system: System, content: Mapping[str, Any], overwrite: bool = False
     ) -> None:
-        output = new_file(path, overwrite, system.output.durable)
+        content = {**content, **topology_of(system.output.fields, system.n_bodies)}
+        empty = laid_out(system, content)
+        output = new_file(path, overwrite, system.output.durable, empty)
         with output.writing():
-            lay_out(output.file, system, content)
+            write_rest(output.file, content)
             self.begin(output, system)
 
     @classmethod
@@ -97,7 +106,7 @@ class Recorder:
             If it cannot be opened or written.
         """
         self = cls.__new__(cls)
-        output = OutputFile(path, WriterLock(path), "r+", system.output.durable)
+        output = OutputFile(path, WriterLock(path), system.output.durable)
         with output.writing():
             self.begin(output, system)
             self.n_frames, self.n_written, self.known = n_frames, n_frames, known
@@ -105,7 +114,7 @@ class Recorder:
         return self
 
     def begin(self, output: OutputFile, system: System) -> None:
-        """Begin with a file that `lay_out` has made."""
+        """Begin with a file that has no frames."""
         self.output, self.file, self.system = output, output.file, system
         fields = system.output.fields
         paths = [*schema.series_of(fields), schema.STEP, schema.CHECKSUMS]

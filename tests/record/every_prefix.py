@@ -40,6 +40,7 @@ from tqdm import tqdm
 import particlerb
 from particlerb.cli import main as command
 from particlerb.record import schema
+from particlerb.record.atomic import MARK
 from particlerb.record.verify import verify
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
@@ -193,13 +194,13 @@ class Recorded:
         return disk.killed()
 
     def cut_off_commit(self) -> int:
-        """Operations until a kill in a commit, of which h5py cannot open what is left."""
+        """Operations until a kill in a commit, of which no page is in its place yet."""
+
+        def is_cut_off(k: int) -> bool:
+            return MARK in self.state_behind(k).get("a.h5", b"")[-64:]
+
         last = 6 * len(self.done.operations) // 10
-        for k in range(last, 0, -1):
-            place(self.state_behind(k), self.folder / "state")
-            if self.read(self.folder / "state", 0, (plainly,))[1]:
-                return k
-        return last
+        return next(k for k in range(last, 0, -1) if is_cut_off(k) and not is_cut_off(k - 1))
 
     def run(self, fault: Fault | None = None) -> Done:
         """Run it again from its beginning."""
