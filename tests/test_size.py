@@ -39,6 +39,7 @@ BUDGETS = {
     "scenes in Python": 434,
     "sweeps": 605,
     "variants of a sweep in one batch": 490,
+    "variants of a sweep judged together": 110,
     "sweeps over ranks and dask, workers that die": 75,
     "reports of a run, names of files": 77,
     "pictures that fit the scene": 198,

@@ -3,15 +3,18 @@
 What no case changes is made once; what some change is made for each of them, as if alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from particlerb.case.bodies import Body, InBody, NormalDistribution, RandomBox
+from particlerb.case.bodies import InBody, NormalDistribution, RandomBox
+from particlerb.case.changes import changed
+from particlerb.case.overrides import with_value
 from particlerb.case.placement import (
     Placement,
     in_world,
+    normalised,
     orientations,
     place,
     positions,
@@ -29,131 +32,130 @@ from particlerb.model.state import initial_state
 from particlerb.model.system import System
 from particlerb.model.worlds import WorldsDifferError
 
-_RANDOM = ("place", "orientation", "velocity", "angular_velocity")
+_MATTER = ("shape", "mass", "density")
+_DRAWN = (NormalDistribution, RandomBox, str)
+_Changes = Mapping[Path, Sequence[Any]]
 
 
-def variants_side_by_side(
-    source: Source, raw: Sequence[dict[str, Any]], paths: Sequence[Path]
-) -> System:
-    """System of variants that have been checked as cases before: what differs is read anew.
+def side_by_side(source: Source, paths: Sequence[Path], rows: Sequence[Sequence[Any]]) -> System:
+    """System of variants of a case: what differs is read anew.
 
     Parameters
     ----------
     source : Source
         Of the case that they are variants of.
-    raw : sequence of dict
-        Data of each.
     paths : sequence of Path
-        Keys in which they differ: of [run], of a body, or of a force.
-
-    Raises
-    ------
-    CaseError, WorldsDifferError
-        As `side_by_side`.
-    """
-    first = build(source._replace(raw=raw[0]), ())
-    cases = [first]
-    for own in raw[1:]:
-        update: dict[str, Any] = {"run": type(first.run).model_validate(own["run"])}
-        for table in ("body", "force"):
-            records = list(getattr(first, table))
-            for i in {int(path[1]) for path in paths if path[0] == table}:
-                records[i] = type(records[i]).model_validate(own[table][i])
-            update[table] = tuple(records)
-        cases.append(first.model_copy(update=update))
-    return side_by_side(cases)
-
-
-def side_by_side(cases: Sequence[Case]) -> System:
-    """System of cases that have the same records but for numbers of bodies, forces and seeds.
-
-    Records that are the same object in a case and in the first one are taken to be unchanged.
+        Keys in which they differ: numbers of a body or a force, or run.seed.
+    rows : sequence
+        Values of these keys, for each variant, of the same `likeness`.
 
     Raises
     ------
     CaseError
-        As `to_system`.
+        As `to_system`, of the first.
     WorldsDifferError
-        If a body spins as it cannot, as `to_system` would say of its case.
+        If another is wrong: each alone says in what.
     """
-    first, n_worlds = to_system(cases[0]), len(cases)
-    changed = [
-        (w, i)
-        for w, case in enumerate(cases)
-        for i, body in enumerate(case.body)
-        if body is not cases[0].body[i] or _draws_anew(body, case, cases[0])
-    ]
-    placement = _placement(cases, changed)
-    kind = np.tile(first.kind, (n_worlds, 1))
-    records = (*cases[0].body, *(cases[w].body[i] for w, i in changed))
-    particles, properties, of_record = kinds(cases[0].model_copy(update={"body": records}), [])
-    own = {i: first.block == i for i in range(len(cases[0].body))}
-    for (w, i), k in zip(changed, of_record[len(cases[0].body) :].tolist(), strict=True):
-        kind[w, own[i]] = k
-    bodies = bodies_of_kind(properties, kind.ravel())
+    raw: Any = source.raw
+    for path, value in zip(paths, rows[0], strict=True):
+        raw = with_value(raw, path, value)
+    case, n_worlds = build(source._replace(raw=raw), ()), len(rows)
+    changes, wrong = changed(case, paths, rows)
+    if wrong:
+        raise WorldsDifferError("some are no cases")
+    first = to_system(case)
+    placement = _placement(case, changes, n_worlds)
+    made = _kinds(case, changes, first, n_worlds)
+    bodies = bodies_of_kind(made["properties"], made["kind"])
     omega, size, total = spins_of(placement, bodies)
-    is_drawn = [isinstance(body.angular_velocity, NormalDistribution) for body in cases[0].body]
+    is_drawn = [isinstance(body.angular_velocity, NormalDistribution) for body in case.body]
     if (size > total)[~np.array(is_drawn)[placement.block]].any():
         raise WorldsDifferError("a body spins as it cannot")
     x, q, v = placement.position, placement.orientation, placement.velocity
-    centred = centred_at_com(particles, properties)
     return first._replace(
         names=placement.names,
         block=placement.block,
-        kind=kind.ravel(),
-        particles=centred,
-        properties=properties,
-        summed=np.diff(particles.offset),
-        reach=farthest(centred),
+        **made,
         bodies=bodies,
         state=initial_state(bodies, x, q, v, omega),
         n_worlds=n_worlds,
-        others={
-            j: tuple(case.force[j] for case in cases)
-            for j, force in enumerate(cases[0].force)
-            if any(case.force[j] is not force for case in cases)
-        },
+        others={int(at[1]): tuple(each) for at, each in changes.items() if at[0] == "force"},
     )
 
 
-def _draws_anew(body: Body, case: Case, first: Case) -> bool:
-    """Whether another seed gives a body other initial values."""
-    if case.run.seed == first.run.seed:
-        return False
-    drawn = NormalDistribution, RandomBox, str
-    return any(isinstance(getattr(body, key), drawn) for key in _RANDOM)
+def _kinds(case: Case, changes: _Changes, first: System, n_worlds: int) -> dict[str, Any]:
+    """Kinds of the bodies of all worlds, and what a system says of them."""
+    kind, n, records = np.tile(first.kind, (n_worlds, 1)), len(case.body), list(case.body)
+    owners = []
+    for i, body in enumerate(case.body):
+        own = {key: changes["body", i, key] for key in _MATTER if ("body", i, key) in changes}
+        if own:
+            owners.append(i)
+            each = zip(*own.values(), strict=True)
+            records += [body.model_copy(update=dict(zip(own, one, strict=True))) for one in each]
+    if not owners:
+        return {"kind": kind.ravel(), "properties": first.properties}
+    all_records = case.model_copy(update={"body": tuple(records)})
+    particles, properties, of_record = kinds(all_records, [])
+    for i, own_kinds in zip(owners, of_record[n:].reshape(-1, n_worlds), strict=True):
+        kind[:, first.block == i] = own_kinds[:, None]
+    for i in set(range(n)) - set(owners):
+        kind[:, first.block == i] = of_record[i]
+    centred = centred_at_com(particles, properties)
+    return {
+        "kind": kind.ravel(),
+        "particles": centred,
+        "properties": properties,
+        "summed": np.diff(particles.offset),
+        "reach": farthest(centred),
+    }
 
 
-def _placement(cases: Sequence[Case], changed: Sequence[tuple[int, int]]) -> Placement:
-    """Initial values of the bodies of all cases."""
-    base, n_worlds = place(cases[0]), len(cases)
+def _placement(case: Case, changes: _Changes, n_worlds: int) -> Placement:
+    """Initial values of the bodies of all worlds."""
+    base = place(case)
     values = [np.tile(array, (n_worlds, 1, 1)) for array in base[1:5]]
     position, orientation, velocity, spin = values
-    by_record: dict[int, list[int]] = {}
-    for w, i in changed:
-        by_record.setdefault(i, []).append(w)
-    for i, which in by_record.items():
+    for i, body in enumerate(case.body):
+
+        def differs(key: str, i: int = i, body: Any = body) -> bool:
+            is_drawn = ("run",) in changes and isinstance(getattr(body, key), _DRAWN)
+            return is_drawn or ("body", i, key) in changes
+
         own = slice(base.names.first[i], base.names.first[i + 1])
-        for w in which:
-            position[w, own] = positions(cases[w], i)
-            turn = cases[w].body[i].orientation
-            if isinstance(turn, str) or turn != cases[0].body[i].orientation:
-                orientation[w, own] = orientations(cases[w], i)
-        q = orientation[which, own]
-        velocity[which, own] = _vectors(cases, which, i, "velocity", q)
-        spin[which, own] = _vectors(cases, which, i, "angular_velocity", q)
+        if differs("position") or differs("place"):
+            key = "position" if body.place is None else "place"
+            position[:, own] = _of_worlds(case, changes, n_worlds, i, key)
+        turns = differs("orientation")
+        if turns:
+            orientation[:, own] = _of_worlds(case, changes, n_worlds, i, "orientation")
+        for key, array in (("velocity", velocity), ("angular_velocity", spin)):
+            if differs(key) or (turns and isinstance(getattr(body, key), InBody)):
+                q = orientation[:, own]
+                array[:, own] = _of_worlds(case, changes, n_worlds, i, key, q)
     x, q, v, omega = (array.reshape(-1, array.shape[-1]) for array in values)
     names = NamesInWorlds(base.names.records, n_worlds)
     return Placement(np.tile(base.block, n_worlds), x, q, v, omega, names)
 
 
-def _vectors(cases: Sequence[Case], which: Sequence[int], i: int, key: str, q: Floats) -> Floats:
-    """Velocities, or angular velocities, of a record in some cases, (k, count, 3) or (k, 1, 3)."""
-    given = [getattr(cases[w].body[i], key) for w in which]
-    if all(isinstance(one, InBody) for one in given):
+def _of_worlds(
+    case: Case, changes: _Changes, n_worlds: int, i: int, key: str, q: Floats | None = None
+) -> Floats:
+    """Initial values of a record in all worlds, (n_worlds, count or 1, k)."""
+    body = case.body[i]
+    given = changes.get(("body", i, key), [getattr(body, key)] * n_worlds)
+    if all(type(one) is tuple for one in given):
+        values = np.array(given)[:, None]
+        return normalised(values) if key == "orientation" else values
+    if q is not None and all(isinstance(one, InBody) for one in given):
         return in_world(q, np.array([one.body for one in given])[:, None])
-    found = [
-        np.atleast_2d(vectors(cases[w], i, key, one, turn))
-        for w, one, turn in zip(which, given, q, strict=True)
-    ]
-    return np.array(found)
+    found, records = [], list(case.body)
+    runs = changes.get(("run",), [case.run] * n_worlds)
+    for w, (one, run) in enumerate(zip(given, runs, strict=True)):
+        records[i] = body.model_copy(update={key: one})
+        own = case.model_copy(update={"run": run, "body": tuple(records)})
+        if q is not None:
+            found.append(vectors(own, i, key, one, q[w]))
+        else:
+            found.append(orientations(own, i) if key == "orientation" else positions(own, i))
+    return np.array([np.atleast_2d(one) for one in found])

@@ -93,14 +93,23 @@ def _add_turning(q: Rows4, L: Rows3, frame: Rows4, inverse: Rows3, kinetic: Floa
 
 @kernel
 def _sum_blocks(
-    frames: Frames, bodies: Bodies, gravity: Floats, ends: Ints, sums: Floats, first: int, last: int
+    frames: Frames,
+    bodies: Bodies,
+    gravity: Floats,
+    bins: Ints | None,
+    sums: Floats,
+    first: int,
+    last: int,
 ) -> None:
-    """Sums over some blocks, between their ends, for all frames, into sums (T, blocks, 10)."""
+    """Add some blocks of bodies, for all frames, to sums (T, bins, 10): those of the bodies' bins.
+
+    Without bins each block is one.
+    """
     mass, inv_mass, _, inv_inertia, rotor_frame, _ = bodies
     g = (gravity[0], gravity[1], gravity[2])
     local, out = np.empty((13, BLOCK)), np.empty((_N_TOTALS, BLOCK))
     for k in range(first, last):
-        lo, hi = ends[k], ends[k + 1]
+        lo, hi = k * BLOCK, min(k * BLOCK + BLOCK, mass.size)
         n = hi - lo
         x, p, L = rows3(local[0:3], 0, n), rows3(local[3:6], 0, n), rows3(local[6:9], 0, n)
         q, frame = rows4(local[9:13], 0, n), rows4(rotor_frame, lo, hi)
@@ -111,11 +120,10 @@ def _sum_blocks(
             for c in range(3):
                 for b in range(n):
                     out[2 + c, b] = local[3 + c, b]
-            for c in range(_N_TOTALS):
-                sums[f, k, c] = 0.0
             for b in range(n):
+                bin_of_body = k if bins is None else bins[lo + b]
                 for c in range(_N_TOTALS):
-                    sums[f, k, c] += out[c, b]
+                    sums[f, bin_of_body, c] += out[c, b]
 
 
 def totals(
@@ -139,18 +147,21 @@ def totals(
     kinetic : ndarray, shape (T,)
         Kinetic energy of pistons [J].
     n_worlds : int
-        Scenes that the bodies are of, one after the other, with as many each.
+        Scenes that the bodies are of, one after the other, with as many each; on one thread.
     """
     n, n_frames = bodies.mass.size, len(frames.position)
-    starts = np.arange(0, n // n_worlds, BLOCK)
-    own = np.arange(n_worlds)[:, None] * (n // n_worlds)
-    ends = np.append((own + starts).ravel(), n)
-    blocks = np.empty((n_frames, ends.size - 1, _N_TOTALS))
-    add_up = partial(_sum_blocks, frames, bodies, gravity, ends, blocks)
-    THREADS.share(add_up, ends.size - 1, n * n_frames)
-    sums = blocks.sum(axis=1)
-    if n_worlds > 1:
-        sums = blocks.reshape(n_frames, n_worlds, starts.size, _N_TOTALS).sum(axis=2)
+    n_blocks, in_each = -(-n // BLOCK), -(-(n // n_worlds) // BLOCK)
+    if n_worlds == 1:
+        blocks = np.zeros((n_frames, n_blocks, _N_TOTALS))
+        add_up = partial(_sum_blocks, frames, bodies, gravity, None, blocks)
+        THREADS.share(add_up, n_blocks, n * n_frames)
+        sums = blocks.sum(axis=1)
+    else:
+        blocks = np.zeros((n_frames, n_worlds * in_each, _N_TOTALS))
+        world, b = np.divmod(np.arange(n), n // n_worlds)
+        _sum_blocks(frames, bodies, gravity, in_each * world + b // BLOCK, blocks, 0, n_blocks)
+        sums = blocks.reshape(n_frames, n_worlds, in_each, _N_TOTALS)
+        sums = sums[:, :, 0] if in_each == 1 else sums.sum(axis=2)
     return Totals(
         sums[..., 0] + kinetic,
         sums[..., 1] + potential,
@@ -189,6 +200,12 @@ class ConservationError(NamedTuple):
 def _largest(values: Floats, least: float = 0.0) -> Floats:
     """Largest over the frames, (T, ...), and at least so much."""
     return np.asarray(values.max(axis=0, initial=least))
+
+
+def _squared(values: Floats) -> Floats:
+    """Squares of vectors (..., 3); a sum over so short an axis is slow."""
+    x, y, z = np.moveaxis(values * values, -1, 0)
+    return np.asarray(x + y + z)
 
 
 class EnergyBalance:
@@ -247,8 +264,8 @@ class EnergyBalance:
         linear, angular = entries.linear_momentum_error, entries.angular_momentum_error
         largest = (
             _largest(np.abs(entries.energy_error)),
-            np.sqrt(_largest((linear * linear).sum(axis=-1))),
-            np.sqrt(_largest((angular * angular).sum(axis=-1))),
+            np.sqrt(_largest(_squared(linear))),
+            np.sqrt(_largest(_squared(angular))),
         )
         self.errors = np.maximum(self.errors, largest)
         return entries

@@ -19,6 +19,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
+from particlerb.case.changes import likeness
 from particlerb.case.problems import CaseError, path_of
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
@@ -31,8 +32,8 @@ from particlerb.plan.case_forces import loads_of
 from particlerb.sweeping.executors import processes
 from particlerb.sweeping.rows import Row, columns, failed
 from particlerb.sweeping.table import SweepRows, TableFile
-from particlerb.sweeping.together import likeness, may_share
-from particlerb.sweeping.variants import Variant, label, variants
+from particlerb.sweeping.together import may_share
+from particlerb.sweeping.variants import Variant, built, label, variants
 from particlerb.sweeping.worker import Task, work
 
 _ATTEMPTS: Final = 3  # of a task whose worker dies
@@ -91,16 +92,16 @@ def sweep(
     base = load(case, (), allow_code)
     asked = _asked(base, axes)
     found = variants(base, asked)
-    loads_of(system := to_system(found[0].case))  # whose code may have to be allowed
+    system = to_system(built(base, list(map(path_of, asked.axes)), found[0].values))
+    loads_of(system)  # whose code may have to be allowed
     names = [name for one in asked.value for name in columns(one, system)]
     path, heads = None if table is None else Path(table), [label(key) for key in asked.axes]
     with TableFile(path, heads, names) as file:
         left = [variant for variant in found if variant.hash not in file.known]
         progress(len(found) - len(left))
-        by_number = {variant.number: variant for variant in found}
 
         def take(rows: list[Row]) -> None:
-            file.add([(by_number[row.number], row) for row in rows])
+            file.add([(found[row.number], row) for row in rows])
             progress(len(rows))
 
         if left:

@@ -54,7 +54,8 @@ class TableFile(Closing):
 
     def __init__(self, path: Path | None, axes: Sequence[str], values: Sequence[str]) -> None:
         self.path, self.columns, self.n_axes = path, (*_FIRST, *axes, *values), len(axes)
-        self.known: dict[str, list[str]] = {}  # rows that are done, by their hash
+        self.known: dict[str, tuple[Any, ...]] = {}  # rows that are done, by their hash
+        self._order: list[str] = []  # hashes in the file
         self._lock: WriterLock | None = None
         if path is None:
             return
@@ -67,7 +68,8 @@ class TableFile(Closing):
             raise ValueError(f"{path} has other columns than this sweep: give another name")
         if not lines:
             self._append([self.columns])
-        self.known = {line[1]: line for line in lines[1:] if line[2] == "done"}
+        self._order = [line[1] for line in lines[1:]]
+        self.known = {line[1]: _parsed(line) for line in lines[1:] if line[2] == "done"}
 
     @staticmethod
     def _whole_lines(path: Path) -> str:
@@ -90,31 +92,39 @@ class TableFile(Closing):
         """Add rows."""
         lines = []
         for variant, row in rows:
-            numbers = [repr(x) for x in (row.energy_drift, row.missed)]
-            axes = [x if isinstance(x, str) else repr(x) for x in variant.values]
-            first = [str(row.number), variant.hash, row.status, *numbers]
-            lines.append([*first, *axes, *map(repr, row.values)])
+            axes = (x if isinstance(x, (str, int, float)) else repr(x) for x in variant.values)
+            first = row.number, variant.hash, row.status, row.energy_drift, row.missed
+            lines.append((*first, *axes, *row.values))
             self.known[variant.hash] = lines[-1]
+            self._order.append(variant.hash)
         if self.path is not None:
             self._append(lines)
 
     def finish(self, variants: Sequence[Variant]) -> SweepRows:
         """Rows of all variants in their order; the file then has these and no others."""
-        lines = [[str(v.number), *self.known[v.hash][1:]] for v in variants]
-        if self.path is not None:
+        rows = tuple((v.number, *self.known[v.hash][1:]) for v in variants)
+        known = [self.known[v.hash][0] for v in variants]
+        if self.path is not None and (
+            self._order != [v.hash for v in variants] or known != list(range(len(variants)))
+        ):
             beside = self.path.with_name(self.path.name + ".new")
             with beside.open("w", newline="", encoding="utf-8") as file:
-                csv.writer(file).writerows([self.columns, *lines])
+                csv.writer(file).writerows([self.columns, *rows])
                 file.flush()
                 os.fsync(file.fileno())
             beside.replace(self.path)
-        rows = tuple(tuple(map(_number, line)) for line in lines)
         return SweepRows(self.columns, rows, self.n_axes)
 
     def close(self) -> None:
         """Let others write it."""
         if self._lock is not None:
             self._lock.close()
+
+
+def _parsed(line: Sequence[str]) -> tuple[Any, ...]:
+    """Row of a line of the file."""
+    number, known, status, *rest = line
+    return (int(number), known, status, *map(_number, rest))
 
 
 def _number(text: str) -> Any:

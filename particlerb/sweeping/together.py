@@ -6,32 +6,22 @@ bodies stand in one system, as worlds (model/worlds.py); each world has the bits
 """
 
 from collections.abc import Sequence
-from typing import Any, Final
 
 import numpy as np
 
 from particlerb.case.bodies import Body
 from particlerb.case.forces import PythonTable, SpringTable
 from particlerb.case.output import Asked
-from particlerb.case.problems import Path
 from particlerb.case.shapes import Cloud
 from particlerb.maths.vec3 import Floats
-from particlerb.model.balance import ConservationError
 from particlerb.model.system import System
 from particlerb.model.worlds import WorldsDifferError
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
-from particlerb.simulation.checks import limits, quantities
+from particlerb.simulation.checks import quantities
 from particlerb.simulation.run import Outcome, Prepared
 from particlerb.simulation.unrecorded import run_unrecorded
 from particlerb.sweeping.rows import Row, asked_as_checks
-
-_OF_BODIES: Final = frozenset(
-    ("shape", "mass", "density", "position", "orientation", "velocity", "angular_velocity")
-)
-_OF_TIME: Final = frozenset(("during", "time", "times", "table", "file", "body", "to", "type"))
-
-_SEED: Final = ("run", "seed")
 
 
 def may_share(system: System) -> bool:
@@ -49,32 +39,6 @@ def _is_its_own(body: Body) -> bool:
     """Whether a record has particles drawn at random, or moves as prescribed."""
     shapes = [body.shape, *(part.shape for part in body.part)]
     return body.motion is not None or any(isinstance(shape, Cloud) for shape in shapes)
-
-
-def likeness(paths: Sequence[Path], values: Sequence[Any]) -> tuple[object, ...]:
-    """What variants of a sweep that share a batch have in common: of their axes."""
-    return tuple(
-        "" if path == _SEED else _pattern(value) if _is_number(path) else repr(value)
-        for path, value in zip(paths, values, strict=True)
-    )
-
-
-def _is_number(path: Path) -> bool:
-    """Whether a key may differ from world to world."""
-    if len(path) < 3 or path[0] not in ("body", "force"):
-        return False
-    return path[2] in _OF_BODIES if path[0] == "body" else _OF_TIME.isdisjoint(path)
-
-
-def _pattern(value: Any) -> object:
-    """A value without its numbers, but for which of them are zero."""
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return value != 0
-    if isinstance(value, (list, tuple)):
-        return tuple(map(_pattern, value))
-    if isinstance(value, dict):
-        return tuple((key, _pattern(one)) for key, one in sorted(value.items()))
-    return repr(value)
 
 
 def rows_together(numbers: Sequence[int], system: System, asked: Sequence[Asked]) -> list[Row]:
@@ -95,12 +59,13 @@ def rows_together(numbers: Sequence[int], system: System, asked: Sequence[Asked]
     outcome = run_unrecorded(Prepared(system, plan, ""))
     values = [_found(one, system, outcome) for one in asked]
     found = np.hstack([np.zeros((len(numbers), 0)), *values]).tolist()
-    drifts = np.transpose(outcome.drift).tolist()
-    rows = []
-    for number, drift, own in zip(numbers, drifts, found, strict=True):
-        missed = sum(not one.holds for one in limits(check, ConservationError(*drift)))
-        rows.append(Row(number, "done", drift[0], missed, tuple(own)))
-    return rows
+    drift = outcome.drift
+    missed = np.zeros(len(numbers), dtype=np.int64)
+    for name, each in drift._asdict().items():
+        limit = getattr(check, f"{name}_drift")
+        missed += 0 if limit is None else ~(np.asarray(each) <= limit)
+    rows = zip(numbers, np.asarray(drift.energy).tolist(), missed.tolist(), found, strict=True)
+    return [Row(number, "done", energy, n, tuple(own)) for number, energy, n, own in rows]
 
 
 def _refuse_different(system: System, group: GroupPlan) -> None:

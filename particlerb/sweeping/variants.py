@@ -1,15 +1,17 @@
 """Which variants a sweep has, and their cases: all are checked before the first one runs."""
 
+import contextlib
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from particlerb.case.changes import changed, likeness
 from particlerb.case.overrides import with_value
-from particlerb.case.problems import CaseError, Problem, key_of, path_of
+from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of
 from particlerb.case.reader import build
 from particlerb.case.schema import Case
 from particlerb.case.source import problem_at
@@ -24,41 +26,78 @@ class Variant(NamedTuple):
 
     number: int
     values: tuple[Any, ...]  # of the axes
-    case: Case
     hash: str  # of all that decides its row
 
 
 def variants(case: Case, sweep: SweepTable) -> list[Variant]:
     """All variants of a case.
 
+    Of variants that differ in numbers alone the first is judged as a whole, of the others what
+    changes.
+
     Raises
     ------
     CaseError
         If a key leads nowhere, or a variant is not a case: all that is wrong.
     """
+    paths, rows = list(map(path_of, sweep.axes)), list(_rows(sweep))
+    alike: dict[Any, list[int]] = {}
+    for number, row in enumerate(rows):
+        alike.setdefault(likeness(paths, row), []).append(number)
     found: list[Variant] = []
     problems: dict[tuple[str, str], Problem] = {}
-    raw = {key: value for key, value in case.source.raw.items() if key != "sweep"}
-    for number, row in enumerate(_rows(sweep)):
-        changed: Any = raw
-        try:
-            for key, value in zip(sweep.axes, row, strict=True):
-                changed = with_value(changed, path_of(key), value)
-            one = build(case.source._replace(raw=changed, text=""), ())
-        except LookupError as error:
-            raise CaseError([problem_at(case, "sweep.axes", str(error.args[0]))]) from None
-        except CaseError as error:
-            values = ", ".join(f"{k} = {v!r}" for k, v in zip(sweep.axes, row, strict=True))
-            for one_problem in error.problems:
-                named = one_problem._replace(reason=f"{one_problem.reason} (with {values})")
-                problems.setdefault((one_problem.key, one_problem.reason), named)
-            if len(problems) >= _MOST_PROBLEMS:
-                break
-            continue
-        found.append(Variant(number, row, one, _hash_of(one, sweep)))
+    for numbers in alike.values():
+        start, suspects = None, set(numbers)
+        for number in numbers:
+            if number in suspects:
+                try:
+                    one = built(case, paths, rows[number])
+                except CaseError as error:
+                    _tell(error, sweep, rows[number], problems)
+                    if len(problems) >= _MOST_PROBLEMS:
+                        raise CaseError(problems.values()) from None
+                    continue
+                if start is None:
+                    start = _hash_start(one, sweep, paths)
+                    others = [rows[k] for k in numbers[1:]]
+                    suspects = {numbers[1 + k] for k in changed(one, paths, others)[1]}
+            assert start is not None
+            hashed = start.copy()
+            hashed.update(json.dumps(rows[number], default=_as_list).encode())
+            found.append(Variant(number, rows[number], hashed.hexdigest()[:16]))
     if problems:
         raise CaseError(problems.values())
-    return found
+    return sorted(found, key=lambda one: one.number)
+
+
+def built(case: Case, paths: Sequence[Path], row: Sequence[Any]) -> Case:
+    """A variant as a case.
+
+    Raises
+    ------
+    CaseError
+        If it is none.
+    """
+    raw: Any = {key: value for key, value in case.source.raw.items() if key != "sweep"}
+    try:
+        for path, value in zip(paths, row, strict=True):
+            raw = with_value(raw, path, value)
+    except LookupError as error:
+        raise CaseError([problem_at(case, "sweep.axes", str(error.args[0]))]) from None
+    return build(case.source._replace(raw=raw, text=""), ())
+
+
+def _tell(
+    error: CaseError,
+    sweep: SweepTable,
+    row: Sequence[Any],
+    problems: dict[tuple[str, str], Problem],
+) -> None:
+    """Add what is wrong with a variant to what is known, with its values."""
+    values = ", ".join(f"{key} = {value!r}" for key, value in zip(sweep.axes, row, strict=True))
+    for one in error.problems:
+        named = one._replace(reason=f"{one.reason} (with {values})")
+        problems.setdefault((one.key, one.reason), named)
 
 
 def _rows(sweep: SweepTable) -> Iterator[tuple[Any, ...]]:
@@ -91,15 +130,34 @@ def _drawn(sweep: SweepTable, k: int, axis: tuple[Any, ...] | Spread, n: int) ->
     return [axis[int(share * len(axis))] for share in shares.tolist()]
 
 
-def _hash_of(case: Case, sweep: SweepTable) -> str:
-    """Hash of a resolved case, the files it names, what is asked, and the sources."""
+def _hash_start(case: Case, sweep: SweepTable, paths: Sequence[Path]) -> Any:
+    """Hash of a resolved case but for the keys of axes, of its files, what is asked, the sources.
+
+    With the values of the axes it is that of a variant.
+    """
     own = case.model_dump(mode="json", exclude={"title": True, "sweep": True, "run": {"threads"}})
+    for path in paths:
+        _forget(own, path)
     files = {
         name: hashlib.sha256(data).hexdigest() for name, data in case.source.files.contents.items()
     }
     asked = [value.model_dump(mode="json") for value in sweep.value]
-    text = json.dumps([own, files, asked, source_hash()], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    text = json.dumps([own, list(sweep.axes), files, asked, source_hash()], sort_keys=True)
+    return hashlib.sha256(text.encode())
+
+
+def _forget(own: Any, path: Path) -> None:
+    """Leave out what stands at a path, if it has the form there that was given."""
+    *parts, last = path
+    with contextlib.suppress(LookupError, TypeError):
+        for part in parts:
+            own = own[part]
+        own[last] = None
+
+
+def _as_list(value: Any) -> Any:
+    """An array of an axis as lists."""
+    return value.tolist()
 
 
 def label(sweep_key: str) -> str:

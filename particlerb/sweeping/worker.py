@@ -13,7 +13,7 @@ from particlerb.case.output import Asked
 from particlerb.case.overrides import with_value
 from particlerb.case.problems import CaseError, Path
 from particlerb.case.reader import build
-from particlerb.case.side_by_side import variants_side_by_side
+from particlerb.case.side_by_side import side_by_side
 from particlerb.case.source import Source
 from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
@@ -83,8 +83,7 @@ def work(task: Task) -> list[Row]:
 
 def batch_of(task: Task) -> System:
     """All variants of a task as worlds of one system; raises as `side_by_side`."""
-    raw = [task.raw(k) for k in range(len(task.numbers))]
-    return variants_side_by_side(task.source, raw, task.paths)
+    return side_by_side(task.source, task.paths, task.values)
 
 
 def _row(number: int, source: Source, asked: Sequence[Asked]) -> Row:

@@ -12,6 +12,7 @@ import pytest
 
 import particlerb
 from particlerb import CaseError, Scene
+from particlerb.case import reader
 from particlerb.case.reader import load
 from particlerb.case.sweep import Spread, SweepTable
 from particlerb.cli import main
@@ -90,6 +91,72 @@ def test_drawn_runs_lie_within_and_repeat(design):
 def test_what_is_no_variant_is_refused_before_anything_runs(axes, more, words):
     with pytest.raises(CaseError, match=words):
         values_of(axes, **more)
+
+
+JUDGED = {
+    "body.0.mass": [2.0, -1.0, 3, 0.0, "a", True, 1e400],
+    "body.0.velocity": [[1, 0, 0], [2.0, 1.0, 0], [1, 0], {"body": [1, 2, 3]}, [1, "x", 0]],
+    "body.0.orientation": [[1, 0, 0, 0], [0, 0, 0, 0], {"euler_deg": [1, 2, 3]}, "random", "no"],
+    "body.0.shape.size": [[1, 1, 2], [1, 1, -2], [1, 2], 3.0],
+    "force.0.translation": [0.1, 0.2, -0.1, 0.0],
+    "force.0.during": [[0.0, 0.5], [0.5, 0.1], [2.0, 3.0]],
+    "run.dt": [1e-3, 0.0, 2e-3],
+    "run.every": [0.5, 2.0],
+    "run.seed": [1, 2, -1, 0.5],
+    "body.0.count": [1, 2],
+}
+
+
+@pytest.mark.parametrize("key", JUDGED)
+@pytest.mark.parametrize("others", [{}, {"body.0.angular_velocity": [[0.5, 0, 1], [1.5, 0, 1]]}])
+def test_variants_are_judged_together_as_each_would_be_alone(key, others):
+    case, axes = load(fallen()), {key: JUDGED[key]} | others
+    alone = set()
+    for value in JUDGED[key]:
+        try:
+            values_of({key: [value]})
+        except CaseError as error:
+            alone |= {(one.key, one.reason.split(" (with")[0]) for one in error.problems}
+    good = [v for v in JUDGED[key] if not _is_refused(key, v)]
+    assert [v[0] for v in values_of({key: good} | others)][:: 2 if others else 1] == good
+    if alone:
+        with pytest.raises(CaseError) as caught:
+            variants(case, SweepTable(axes=axes))
+        found = {(one.key, one.reason.split(" (with")[0]) for one in caught.value.problems}
+        assert found == alone
+
+
+def _is_refused(key, value) -> bool:
+    """Whether a variant alone is no case."""
+    try:
+        values_of({key: [value]})
+    except CaseError:
+        return True
+    return False
+
+
+def test_numbers_are_judged_without_reading_the_whole_case_again(monkeypatch):
+    read, build = [], reader.build
+    monkeypatch.setattr(
+        "particlerb.sweeping.variants.build", lambda *a: read.append(1) or build(*a)
+    )
+    found = values_of({DRAG: {"low": 0.1, "high": 1.0, "n": 50}, "run.dt": [1e-3, 2e-3]})
+    assert (len(found), len(read)) == (100, 2)
+
+
+def test_a_hash_is_that_of_the_variant_and_not_of_its_neighbours():
+    case = load(fallen())
+
+    def hashes(**axes):
+        return [v.hash for v in variants(case, SweepTable(axes=axes))]
+
+    axes = {"body.0.mass": [1.0, 2.0, 3.0], "run.dt": [1e-3, 2e-3]}
+    every = hashes(**axes)
+    assert len(set(every)) == 6
+    assert hashes(**axes | {"body.0.mass": [3.0, 7.0]})[:2] == every[4:]
+    assert set(hashes(**axes | {"run.dt": [2e-3, 5e-3]})) & set(every) == set(every[1::2])
+    case = load(fallen(), ["run.t_end=0.9"])
+    assert not set(hashes(**axes)) & set(every)
 
 
 # Rows

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from particlerb import CaseError
+from particlerb.case.changes import likeness
 from particlerb.case.problems import path_of
 from particlerb.case.reader import load
 from particlerb.case.sweep import SweepTable
 from particlerb.case.to_system import to_system
 from particlerb.model.worlds import WorldsDifferError, bins_of, over_all, over_bodies, worlds_among
 from particlerb.sweeping import worker
-from particlerb.sweeping.together import likeness, may_share, rows_together
+from particlerb.sweeping.together import may_share, rows_together
 from particlerb.sweeping.variants import variants
 from particlerb.sweeping.worker import Task, batch_of, work
 
@@ -86,6 +87,7 @@ SHORT = {"t_end": 0.02, "every": 0.02, "method": "strang", "dt": 1e-2}
 LATER = PUSH | {"during": [0.0, 0.013]}
 WEIGHTS = {"force.0.force": [[0.0, 0.0, -9.0], [0.0, 0.0, 5.0]]}
 PLACES = {"body.1.position": [[1.0, 0.1, 0.2], [2.0, 0.5, 0.3]]}
+TURNS = [[0.1, 0.7, 0.2, 0.4], [0.5, -0.5, 0.3, 0.1], {"euler_deg": [10, 20, 30]}]
 BATCHES = {
     "free": (scene(method="auto", dt=None), SPIN),
     "mass and seed": (scene(DRAG, **DRAWN), MASS | {"run.seed": [0, 7]}),
@@ -100,6 +102,8 @@ BATCHES = {
     "springs between": (pair(DRAG), MASS),
     "stiffness": (pair(DRAG), {"force.0.stiffness": [10.0, 25.0, 40.0]}),
     "rest length": (pair(), PLACES),
+    "turned": (scene(ANCHOR, velocity={"body": [0.1, 0.2, 0.3]}), {"body.0.orientation": TURNS}),
+    "shape and mass": (pair(DRAG), {"body.0.shape.size.1": [0.5, 0.7, 0.9]} | MASS),
 }
 """Cases, and axes of their variants."""
 

@@ -1,0 +1,108 @@
+"""Cases that are one but for the values of some keys: what changes is judged, the rest is not.
+
+Most numbers cannot break a rule that involves other keys, unless they become zero, or have another
+form: of such variants one is judged as a whole, and of the others what changes.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Final
+
+from pydantic import TypeAdapter, ValidationError
+
+from particlerb.case.bodies import Body
+from particlerb.case.overrides import with_value
+from particlerb.case.problems import Path
+from particlerb.case.schema import Case
+
+_OF_BODIES: Final = frozenset(
+    ("shape", "mass", "density", "position", "orientation", "velocity", "angular_velocity")
+)
+_OF_TIME: Final = frozenset(("during", "time", "times", "table", "file", "body", "to", "type"))
+_OF_CONTACT: Final = frozenset(("friction", "restitution", "rolling_friction", "stiffness"))
+_SEED: Final = ("run", "seed")
+
+
+def likeness(paths: Sequence[Path], values: Sequence[Any]) -> tuple[object, ...]:
+    """What variants have in common that differ in nothing but numbers, none of them zero in one."""
+    return tuple(
+        repr(value) if not _is_number(path) else "" if path == _SEED else _pattern(value)
+        for path, value in zip(paths, values, strict=True)
+    )
+
+
+def _is_number(path: Path) -> bool:
+    """Whether no rule compares the numbers at a key with other keys."""
+    if len(path) == 2:
+        return path == _SEED or (path[0] == "contact" and path[1] in _OF_CONTACT)
+    if len(path) < 3 or path[0] not in ("body", "force"):
+        return False
+    return path[2] in _OF_BODIES if path[0] == "body" else _OF_TIME.isdisjoint(path)
+
+
+def _pattern(value: Any) -> object:
+    """A value without its numbers, but for which of them are zero."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return value != 0
+    if isinstance(value, (list, tuple)):
+        return tuple(map(_pattern, value))
+    if isinstance(value, dict):
+        return tuple((key, _pattern(one)) for key, one in sorted(value.items()))
+    return repr(value)
+
+
+def changed(
+    case: Case, paths: Sequence[Path], rows: Sequence[Sequence[Any]]
+) -> tuple[dict[Path, list[Any]], set[int]]:
+    """Records, or entries of bodies, in which variants of a case differ.
+
+    Parameters
+    ----------
+    case : Case
+        One of them.
+    paths : sequence of Path
+        Keys that are given.
+    rows : sequence
+        Values of these keys, for each variant, of the same `likeness`.
+
+    Returns
+    -------
+    dict of Path to list
+        By paths as ("force", 0), or ("body", 0, "mass"): what each variant has there.
+    set of int
+        Numbers of variants that are wrong. If there are some, the dict lacks what is wrong.
+    """
+    found, wrong = dict[Path, list[Any]](), set[int]()
+    numbers = [(k, path, _place_of(path)) for k, path in enumerate(paths) if _is_number(path)]
+    for place in dict.fromkeys(place for _, _, place in numbers):
+        own = [(k, path[len(place) :]) for k, path, there in numbers if there == place]
+        start: Any = case.source.raw
+        for part in place:
+            start = start.get(part) if isinstance(start, dict) else start[part]
+        start = {} if start is None else start
+        values = []
+        for row in rows:
+            value = start
+            for k, rest in own:
+                value = with_value(value, rest, row[k])
+            values.append(value)
+        try:
+            found[place] = _adapter(case, place).validate_python(values)
+        except ValidationError as error:
+            wrong |= {int(one["loc"][0]) for one in error.errors(include_url=False)}
+    return found, wrong
+
+
+def _place_of(path: Path) -> Path:
+    """Record of a key; of a body its entry, as no rule of the schema involves two of them."""
+    return path[: {"body": 3, "force": 2}.get(str(path[0]), 1)]
+
+
+def _adapter(case: Case, place: Path) -> TypeAdapter[list[Any]]:
+    """What reads a list of records, or of entries."""
+    record: Any = getattr(case, str(place[0]))
+    if place[0] == "body":
+        entry = Body.model_fields[str(place[2])]
+        each: Any = list[Annotated[entry.annotation, entry]]  # type: ignore[name-defined]
+        return TypeAdapter(each, config=Body.model_config)
+    kind = type(record if len(place) == 1 else record[place[1]])
+    return TypeAdapter(list[kind])  # type: ignore[valid-type]
