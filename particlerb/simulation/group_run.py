@@ -206,6 +206,12 @@ class GroupRun:
                 self.cross()
         return booked, Energies(potential, kinetic)
 
+    def pose_at(self, time: float, frames: Frames) -> None:
+        """Write the states at a time [s] into the first row of the frames, and book nothing."""
+        while time >= self.segment.stop:
+            self.cross()
+        self.motion.pose(time, frames)
+
     def read_joints(self, times: Floats, rows: Ints, frames: Frames, values: JointValues) -> None:
         """Find what joints carry in rows of the frames, all of this segment."""
         if self.segment.terms.joints is None:

@@ -6,6 +6,7 @@ nothing in the motion, so a run can be prolonged, or recorded more finely, witho
 """
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -139,6 +140,7 @@ class Run:
         self.gravity = self.system.acceleration
         initial = as_frame(self.moving.bodies, self.moving.state)
         self.last = initial.last
+        self.single: tuple[Frames, Frames] | None = None  # room, and its first row, of `pose_at`
         self.room = initial  # used again and again: fresh memory costs more than what fills it
         self.checks = StateChecks(self.moving, plan)
         self.group_runs = [
@@ -265,6 +267,32 @@ class Run:
         if self.loads is not None and self.joints is not None:
             self.loads.read(times[:sound], frames, self.joints)
         return frames, entries, error
+
+    def pose_at(self, time: float) -> tuple[Frames, RunError | None]:
+        """States at a time [s], not before those asked for earlier, alone: nothing is booked.
+
+        Where one is not finite, or a torque has turned a rod about its own axis, the error says so.
+        The next call writes over the frame.
+        """
+        if self.single is None or self.single[0] is not self.room:
+            self.single = self.room, self.room.rows(slice(1))
+        frames = self.single[1]
+        frames.is_frame[0] = True
+        try:
+            for group_run in self.group_runs:
+                group_run.pose_at(time, frames)
+        except Exception as failure:
+            if words := own_failure(failure, self.group_runs):
+                raise RunError(words) from None
+            raise
+        is_finite = math.isfinite(sum(np.add.reduce(values, axis=None) for values in frames[:4]))
+        problem = ""
+        if not is_finite or self.checks.rods.size:
+            times = np.array([time])
+            _, problem = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
+        if self.moving.merging is not None:
+            frames = self.moving.merging.shown(frames)
+        return frames, RunError(problem) if problem else None
 
     def to_record(self, times: Floats, frames: Frames, rows: Ints, entries: Entries) -> NewFrames:
         """What is recorded of rows of the last frames, which are at these times [s]."""

@@ -117,7 +117,8 @@ class Simulation(Closing):
             content |= texts_of(system, {"plan": prepared.text})
             self._recorder = Recorder(path, system, content, overwrite)
         self._run, self._due = Run(prepared), 0  # frame that comes next
-        self._state, self._entries = self._go_to(0.0)
+        self._known: Entries | None = None  # the energy balance of now, where it has been asked for
+        self._state = self._go_to(0.0)
 
     @property
     def system(self) -> System:
@@ -161,7 +162,7 @@ class Simulation(Closing):
                 " s; a time between them is right"
             )
         if until > self.time:
-            self._state, self._entries = self._go_to(until)
+            self._state = self._go_to(until)
         return self._state
 
     def frames(self, every: float) -> Iterator[BodyStates]:
@@ -255,10 +256,11 @@ class Simulation(Closing):
     def _restart(self, system: System, state: State | None) -> None:
         """Go on as another system, from the state of now or another one."""
         plan = make_plan(system, now=(self.time, state or self._state_now()))
+        entries = self._entries
         with THREADS.using(system.run.threads):
             reached = self._run.finish(self.time)
-            self._run.restart(system, plan, state or reached, self._entries)
-            self._state, self._entries = self._look(np.array([self.time]), np.zeros(1, np.bool_))
+            self._run.restart(system, plan, state or reached, entries)
+            self._state = self._look(np.array([self.time]), np.zeros(1, np.bool_))
 
     def _state_now(self) -> State:
         """State of now, as a system has it at its start."""
@@ -267,12 +269,21 @@ class Simulation(Closing):
             self.system.bodies, position, orientation, now.velocity, now.angular_velocity
         )
 
-    def _go_to(self, until: float) -> tuple[BodyStates, Entries]:
-        """State and energy balance at a time; frames in between go to the file."""
+    @property
+    def _entries(self) -> Entries:
+        """The energy balance of now."""
+        if self._known is None:
+            with THREADS.using(self.system.run.threads):
+                self._state = self._look(np.array([self.time]), np.ones(1, np.bool_))
+            assert self._known is not None
+        return self._known
+
+    def _go_to(self, until: float) -> BodyStates:
+        """State at a time; frames in between go to the file."""
         run = self._run.system.run
         with THREADS.using(run.threads):
             if self._recorder is None:
-                return self._look(np.array([until]), np.ones(1, np.bool_))
+                return self._glance(until)
             while True:
                 stop = min(self._due + BATCH_FRAMES, frame_count(run))
                 due = frames_of(run, self._due, stop) if self._due < stop else np.zeros(0)
@@ -285,19 +296,32 @@ class Simulation(Closing):
                     return found
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in the state
-    def _look(self, times: Floats, is_frame: Any) -> tuple[BodyStates, Entries]:
+    def _glance(self, time: float) -> BodyStates:
+        """State at a time, and nothing else."""
+        self._known = None
+        try:
+            frames, error = self._run.pose_at(time)
+        except (MotionError, FloatingPointError) as problem:
+            raise RunError(str(problem)) from None
+        if error is not None:
+            raise error
+        x, q, p, L, _, _ = frames
+        return BodyStates(time, x[0], q[0], p[0], L[0], self._run.system.bodies)
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in the state
+    def _look(self, times: Floats, is_frame: Any) -> BodyStates:
         """State and energy balance at the last of some ascending times."""
         try:
-            frames, entries, error = self._run.frames_at(times, is_frame)
+            frames, self._known, error = self._run.frames_at(times, is_frame)
         except (MotionError, FloatingPointError) as problem:
             self.close()
             raise RunError(str(problem)) from None
         rows = np.flatnonzero(is_frame[: len(frames.position)])
         if self._recorder is not None and rows.size:
-            self._recorder.append(self._run.to_record(times, frames, rows, entries))
+            self._recorder.append(self._run.to_record(times, frames, rows, self._known))
             self._recorder.commit_if_due(None)
         if error is not None:
             self.close()
             raise error
         x, q, p, L = (values[-1] for values in frames[:4])
-        return BodyStates(float(times[-1]), x, q, p, L, self._run.system.bodies), entries
+        return BodyStates(float(times[-1]), x, q, p, L, self._run.system.bodies)

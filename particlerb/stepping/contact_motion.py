@@ -55,7 +55,7 @@ from particlerb.stepping.loop import (
     compiled_loop,
     loop_over_threads,
 )
-from particlerb.stepping.motion import ContactStart, Energies, SegmentGroup
+from particlerb.stepping.motion import ContactStart, Energies, Motion, SegmentGroup
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 from particlerb.stepping.stepped_motion import SteppedMotion
 
@@ -258,6 +258,10 @@ class ContactMotion(SteppedMotion):
         booked = super().record(times, rows, frames)
         booked[:, 0] += [self.frames.pistons[row].booked_work.sum() for row in rows.tolist()]
         return booked
+
+    def pose(self, time: float, frames: Frames) -> None:
+        """Write the states at a time [s] into the first row of the frames."""
+        Motion.pose(self, time, frames)
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""

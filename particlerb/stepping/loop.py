@@ -6,6 +6,7 @@ block takes all its steps before the next one does, in the cache; where they do,
 each step together.
 """
 
+import math
 from collections.abc import Callable
 from functools import cache
 from typing import Final, NamedTuple
@@ -281,3 +282,12 @@ def grid_position(elapsed: Floats, dt: float, start: float = 0.0) -> tuple[Ints,
     on_grid = np.abs(elapsed - nearest * dt) <= _TIME_ROUNDING * (np.abs(elapsed) + abs(start))
     steps = np.where(on_grid, nearest, np.floor(elapsed / dt))
     return steps.astype(np.int64), np.where(on_grid, 0.0, elapsed - steps * dt)
+
+
+def grid_stop(elapsed: float, dt: float, start: float = 0.0) -> tuple[int, float]:
+    """The same of one time."""
+    steps = round(elapsed / dt)
+    if abs(elapsed - steps * dt) <= _TIME_ROUNDING * (abs(elapsed) + abs(start)):
+        return steps, 0.0
+    steps = math.floor(elapsed / dt)
+    return steps, elapsed - steps * dt

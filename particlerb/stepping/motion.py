@@ -68,6 +68,10 @@ class Motion(Protocol):
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times [s] into rows of the frames; return (T, 7) booked."""
 
+    def pose(self, time: float, frames: Frames) -> None:
+        """Write the states at a time [s] into the first row of the frames, and book nothing."""
+        self.record(np.array([time]), np.zeros(1, dtype=np.int64), frames)
+
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment [s], and (7,) booked until then."""
 
@@ -236,6 +240,11 @@ class CompositeMotion(Motion):
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         return sum_of(motion.record(times, rows, frames) for _, motion in self.parts)
+
+    def pose(self, time: float, frames: Frames) -> None:
+        """Write the states at a time [s] into the first row of the frames, and book nothing."""
+        for _, motion in self.parts:
+            motion.pose(time, frames)
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""

@@ -44,6 +44,7 @@ from particlerb.stepping.loop import (
     Schedule,
     compiled_loop,
     grid_position,
+    grid_stop,
     loop_over_threads,
 )
 from particlerb.stepping.motion import Motion, SegmentGroup, WorkAccount
@@ -102,6 +103,7 @@ class SteppedMotion(Motion):
         self.blocks = in_blocks(len(full) * BLOCK, n_rows, spaced)
         self.saved = np.empty((len(full), CHANGING * STRIDE))
         self.steps_done = 0
+        self.single: tuple[Frames, Schedule, Recording] | None = None  # of `pose`
         self.account = WorkAccount(group, state, method.keeps_angular_momentum)
         links = terms.links
         has_dashpots = links is not None and links.damping is not None
@@ -222,6 +224,22 @@ class SteppedMotion(Motion):
         sums = self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)
         return self.account.of_frames(elapsed, rows, frames, sums)
 
+    def pose(self, time: float, frames: Frames) -> None:
+        """Write the states at a time [s] into the first row of the frames, and book nothing."""
+        steps, partial = grid_stop(time - self.start, self.dt, self.start)
+        count = steps - self.steps_done
+        if count * self.cost > NANOSECONDS_PER_CALL or self.turned.size:
+            super().pose(time, frames)
+            return
+        if self.single is None or self.single[0] is not frames:
+            schedule = Schedule(self.dt, np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.int64))
+            self.single = frames, schedule, self.recording(frames)
+        _, schedule, recording = self.single
+        schedule.steps[0], schedule.partial[0] = count, partial
+        recording.sums.fill(0.0)
+        self.run(schedule, recording)
+        self.steps_done = steps
+
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
         elapsed = np.array([stop - self.start])
@@ -234,15 +252,19 @@ class SteppedMotion(Motion):
 
     def advance(self, steps: Ints, partial: Floats, rows: Ints, frames: Frames) -> Floats:
         """Go through stops given by their distance from the start; sums of what was booked."""
-        bodies, members = self.group.bodies, self.group.members
-        sums = np.zeros((frames.position.shape[0], int(self.bins.max()) + 1, 7))
-        self.coordinates = np.zeros((frames.position.shape[0], *self.turned.shape))
-        where = bodies.rotor_frame, members, frames, sums, self.bins
-        recording = Recording(*where, self.coordinates)
+        recording = self.recording(frames)
         for schedule in self.schedules(np.diff(steps, prepend=self.steps_done), partial, rows):
             self.run(schedule, recording)
             self.steps_done += int(schedule.steps.sum())
-        return over_bins(sums, self.group.worlds)
+        return over_bins(recording.sums, self.group.worlds)
+
+    def recording(self, frames: Frames) -> Recording:
+        """Where frames go, with room for what is booked and for coordinates of joints."""
+        n_frames = len(frames.position)
+        sums = np.zeros((n_frames, int(self.bins.max()) + 1, 7))
+        self.coordinates = np.zeros((n_frames, *self.turned.shape))
+        where = self.group.bodies.rotor_frame, self.group.members, frames, sums, self.bins
+        return Recording(*where, self.coordinates)
 
     def run(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule."""
@@ -251,7 +273,7 @@ class SteppedMotion(Motion):
         arguments = self.moving, schedule, recording, Copies(self.saved), position
         if not self.is_coupled:
             apart = partial(compiled_loop(self.method, False), *arguments, 1)
-            stops = int(schedule.steps.sum()) + schedule.steps.size
+            stops = sum(schedule.steps.tolist()) + schedule.steps.size
             THREADS.share(apart, n_blocks, n * stops)
         elif self.forces is not None and self.forces.is_large:
             loop_over_threads(self.method, self.forces)(*arguments, n_blocks, 0, n_blocks)

@@ -42,6 +42,28 @@ SCENES = {
 
 
 @pytest.mark.parametrize("name", SCENES)
+def test_without_a_file_it_comes_to_the_same_and_knows_its_energy_when_asked(name):
+    scene = SCENES[name]()
+    scene.check = None
+    straight = particlerb.run(scene)
+    simulation, t_end = Simulation(scene), scene.run.t_end
+    for k, time in enumerate(np.sort(np.random.default_rng(3).uniform(0.0, t_end, 9))):
+        simulation.advance(time)
+        if k % 2:
+            before = simulation.state.position.copy()
+            error = simulation.energy_error
+            assert np.array_equal(simulation.state.position, before)
+    state = simulation.advance(t_end)
+    for field in STATES:
+        there, here = getattr(straight, field)[-1], getattr(state, field)
+        same = np.abs if field == "orientation" else np.array  # its sign follows from looks before
+        assert np.array_equal(same(here), same(there)), field
+    assert (simulation.energy, simulation.time) == (straight.energy[-1], t_end)
+    assert abs(error) < 1e-5
+    assert abs(simulation.energy_error) < 1e-5
+
+
+@pytest.mark.parametrize("name", SCENES)
 def test_in_any_pieces_it_comes_to_the_states_of_one_run(name, tmp_path):
     scene = SCENES[name]()
     scene.check = None
