@@ -73,14 +73,13 @@ def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[_Named
     return _bodies_of_case(read_case(options), wanted)
 
 
-def case_with_joints(options: argparse.Namespace) -> Case | None:
-    """The case of a command line, where joints hold its bodies."""
+def case_of(options: argparse.Namespace) -> Case | None:
+    """The case of a command line; None where its file holds a body."""
     path = find_case(options.file, options.commands)
     if path.suffix.lower() in _READERS:
         return None
     options.case = options.file
-    case = read_case(options)
-    return case if case.joint else None
+    return read_case(options)
 
 
 def _bodies_of_case(case: Case, wanted: str | None) -> list[_Named]:

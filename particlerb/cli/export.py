@@ -7,16 +7,19 @@ import argparse
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system
-from particlerb.cli.bodies import case_with_joints, holds_bodies, named_bodies
+from particlerb.cli.bodies import case_of, holds_bodies, named_bodies
 from particlerb.cli.common import opened, output_of, readable, to_write
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, ending
 from particlerb.export import FORMATS, ExportError, export
 from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies, file_name
 from particlerb.studies.text import count_of
+
+_SCENES: Final = {"mjcf": ".xml", "lammps": ".in"}  # formats that hold a whole case, and suffixes
 
 
 def export_command(options: argparse.Namespace) -> int:
@@ -39,8 +42,8 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
         )
     if options.frames != slice(None) or options.fields:
         raise Ending("--frames and --fields are for trajectories")
-    if options.to == "mjcf" and not options.bodies and (case := case_with_joints(options)):
-        return _export_mechanism(options, case)
+    if options.to in _SCENES and not options.bodies and (case := case_of(options)):
+        return _export_scene(options, case)
     found = [
         Exported(body.name, body.particles, body.properties)
         for name in options.bodies or [None]
@@ -56,15 +59,30 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _export_mechanism(options: argparse.Namespace, case: Case) -> int:
-    """Export all bodies of a case with the joints between them."""
-    from particlerb.export.mechanism import mechanism
+def _export_scene(options: argparse.Namespace, case: Case) -> int:
+    """Export all of a case: bodies where they start, joints, contact, walls and gravity."""
+    from particlerb.export.lammps_scene import lammps_scene
+    from particlerb.export.mjcf_scene import mjcf_scene
+    from particlerb.export.scene import left_out, step_of
     from particlerb.simulation.run import prepare
 
-    path = output_of(options, Path(options.file).with_suffix(".xml"), Path(options.file))
+    source = Path(options.file)
+    path = output_of(options, source.with_suffix(_SCENES[options.to]), source)
     with ending(CaseError), _writing(path):
-        path.write_text(mechanism(prepare(to_system(case)).system), encoding="utf-8")
-    print(f"written: {path}")
+        prepared = prepare(to_system(case))
+        system, step = prepared.system, step_of(prepared)
+        if options.to == "lammps":
+            texts = lammps_scene(system, step, path.stem)
+        else:
+            texts = {".xml": mjcf_scene(system, step)}
+        written = [path, *(path.with_suffix(suffix) for suffix in list(texts)[1:])]
+        for own in written[1:]:
+            to_write(own, options.overwrite, source)
+        for own, text in zip(written, texts.values(), strict=True):
+            own.write_text(text, encoding="utf-8")
+    print(f"written: {', '.join(map(str, written))}")
+    for line in left_out(system):
+        print(f"left out: {line}")
     return DONE
 
 

@@ -25,7 +25,7 @@ from particlerb.model.bodies import quaternions
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 COMMENT: Final = "made by particlerb; SI units"
-_SMALLEST: Final = 1e-6  # diameter of a point in LAMMPS, of the size of its body
+SMALLEST: Final = 1e-6  # diameter of a point in LAMMPS, of the size of its body
 
 
 class Exported(NamedTuple):
@@ -46,20 +46,24 @@ class _Carriers(NamedTuple):
     radius: Floats  # (n,) [m], 0 for points
 
 
-def carriers(body: Exported) -> _Carriers:
-    """Spheres of a body, or its masses where it has no radius.
+def carriers(particles: Particles, total: float) -> _Carriers:
+    """Spheres of a body of a mass [kg], or its masses where it has no radius.
 
     Spheres without mass, whose matter is elsewhere, share the body's by their volume: other codes
     want a mass of every particle, and do not use it once they are told that of the body.
     """
-    position, mass, radius, _ = body.particles
-    total = float(body.properties.mass[0])
+    position, mass, radius, _ = particles
     chosen = radius > 0.0 if radius.any() else mass > 0.0
     position, mass, radius = position[chosen], mass[chosen], radius[chosen]
     if not (mass > 0.0).all() or (radius.any() and not np.isclose(mass.sum(), total, rtol=1e-12)):
         weight = radius**3
         mass = total * weight / weight.sum()
     return _Carriers(position, mass, radius)
+
+
+def _carriers_of(body: Exported) -> _Carriers:
+    """The same of an exported body."""
+    return carriers(body.particles, float(body.properties.mass[0]))
 
 
 def _in_principal_axes(body: Exported, position: Floats) -> Floats:
@@ -108,7 +112,7 @@ def numbers(*values: Any) -> str:
     return " ".join(repr(float(value)) for value in flat.reshape(-1))
 
 
-def _six(tensor: Floats) -> Floats:
+def six(tensor: Floats) -> Floats:
     """xx yy zz xy xz yz."""
     return tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
@@ -139,10 +143,10 @@ def lammps(bodies: Sequence[Exported]) -> dict[str, str]:
     body = only(bodies, "lammps")
     _refuse_degenerate(body, "fix rigid", POINT)
     mass, com, _, moments, axes, _ = (array[0] for array in body.properties)
-    own = carriers(body)
+    own = _carriers_of(body)
     place = _in_principal_axes(body, own.position)
     reach = np.linalg.norm(place, axis=1).max()
-    diameter = np.where(own.radius > 0.0, 2.0 * own.radius, _SMALLEST * reach)
+    diameter = np.where(own.radius > 0.0, 2.0 * own.radius, SMALLEST * reach)
     columns = {
         "Coords": map(numbers, place),
         "Types": ["1"] * len(place),
@@ -184,10 +188,10 @@ def mjcf(bodies: Sequence[Exported]) -> dict[str, str]:
         mass, com, tensor, *_ = (array[0] for array in body.properties)
         element = ET.SubElement(world, "body", name=body.name)
         ET.SubElement(element, "freejoint")
-        tensor_text = numbers(_six(tensor))
+        tensor_text = numbers(six(tensor))
         inertial = {"pos": numbers(com), "mass": numbers(mass), "fullinertia": tensor_text}
         ET.SubElement(element, "inertial", inertial)
-        own = carriers(body)
+        own = _carriers_of(body)
         for position, radius in zip(own.position, own.radius, strict=True):
             place = {"type": "sphere", "pos": numbers(position)}
             if radius > 0.0:
@@ -208,7 +212,7 @@ def yade(bodies: Sequence[Exported]) -> dict[str, str]:
     ]
     for k, body in enumerate(bodies):
         mass, com, _, moments, axes, _ = (array[0] for array in body.properties)
-        own = carriers(body)
+        own = _carriers_of(body)
         if not own.radius.any():
             raise ExportError(f"{body.name} has no particle with a radius: YADE holds spheres")
         lines += [
@@ -247,7 +251,7 @@ def _write_gsd(bodies: Sequence[Exported], path: Path) -> None:
 
 def _shape_of(body: Exported) -> dict[str, Any]:
     """Shape of a body for OVITO; none where it has no radius."""
-    own = carriers(body)
+    own = _carriers_of(body)
     return (
         sphere_union(_in_principal_axes(body, own.position), own.radius) if own.radius.any() else {}
     )

@@ -21,7 +21,8 @@ from particlerb.case.joints import ACTIONS
 from particlerb.case.problems import CaseError
 from particlerb.case.source import problem_at
 from particlerb.export import ExportError
-from particlerb.export.mechanism import mechanism
+from particlerb.export.mjcf_scene import mjcf_scene
+from particlerb.export.scene import FREE_STEP
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import (
@@ -142,7 +143,7 @@ def peer_scene(system: System) -> PeerScene:
     joints = own.kind, own.a, own.b, own.first, own.second, own.axis, own.length
     model = ""
     with contextlib.suppress(ExportError):
-        model = mechanism(system)
+        model = mjcf_scene(system, system.run.dt or FREE_STEP)
     beside = {"model": model, "names": tuple(system.names), "rotor_frame": bodies.rotor_frame.T}
     return scene._replace(joints=joints, has_loops=has_loops(system, setup), **beside)
 

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from particlerb.cli import main
 from particlerb.export import ExportError
-from particlerb.export.bodies import BODY_FORMATS, Exported, carriers, export_bodies
+from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies
+from particlerb.export.bodies import carriers as carriers_of
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.overlapping_spheres import spheres
 from particlerb.geometry.particles import one_kind
@@ -34,6 +35,11 @@ def cloud():
 def needle():
     particles = one_kind([[0, 0, 0], [1, 2, 3], [2, 4, 6]], 1.0)
     return Exported("needle", particles, mass_properties(particles))
+
+
+def carriers(body):
+    """Spheres, or masses, of an exported body."""
+    return carriers_of(body.particles, body.properties.mass[0])
 
 
 @pytest.fixture

@@ -7,9 +7,10 @@ from scenes import SCENES, X, Y, Z, bar, body, case, joint, moved
 from particlerb.case.to_system import to_system
 from particlerb.cli import main
 from particlerb.export import ExportError
-from particlerb.export.mechanism import mechanism
+from particlerb.export.mjcf_scene import mjcf_scene
 from particlerb.simulation.run import prepare
 
+OF_BALLS = 2e-7  # [m] before release 4, MuJoCo's RK4 turned balls and free bodies to order 2
 STATE = ["position", "orientation", "linear_momentum", "angular_momentum"]
 
 
@@ -18,7 +19,7 @@ def in_mujoco(scene, t, dt):
     mujoco = pytest.importorskip("mujoco")
     times = {"t_end": t, "every": t, "dt": dt, "method": "rattle"}
     system = prepare(to_system({"run": times, **scene})).system
-    model = mujoco.MjModel.from_xml_string(mechanism(system))
+    model = mujoco.MjModel.from_xml_string(mjcf_scene(system, dt))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     for _ in range(round(t / dt)):
@@ -61,7 +62,7 @@ def test_a_tree_moves_in_mujoco_as_here(kind, flipped):
     assert model.nv == 1 + {"ball": 3, "cylindrical": 2, "universal": 2, "planar": 3,
                             "fixed": 0}.get(kind, 1)  # fmt: skip
     assert model.neq == 0
-    assert found == pytest.approx(expected, abs=1e-8)
+    assert found == pytest.approx(expected, abs=OF_BALLS if kind == "ball" else 1e-8)
 
 
 def test_coordinates_of_mujoco_are_those_of_the_file():
@@ -91,7 +92,7 @@ def test_speeds_at_the_start_and_free_bodies_go_along():
         expected = np.array(t.position)[-1]
     model, _, found = in_mujoco(scene, 0.2, 1e-3)
     assert model.nv == 6 + 3 + 2
-    assert found == pytest.approx(expected, abs=1e-8)
+    assert found == pytest.approx(expected, abs=OF_BALLS)
 
 
 @pytest.mark.parametrize(("name", "n_equalities"), [("bricard", 2), ("mixed_chain", 1)])
@@ -111,11 +112,13 @@ def test_what_mujoco_cannot_hold_is_named():
     joints = [joint("slider", "a", None, [0, 0, 0], Z), joint("slider", "b", "a", [1, 0, 0], Z),
               joint("slider", "b", None, [2, 0, 0], Z)]  # fmt: skip
     with pytest.raises(ExportError, match="b-world closes a loop: MuJoCo has no slider"):
-        mechanism(prepare(to_system({"run": {"t_end": 1, "every": 1}, **case(two, joints)})).system)
+        mjcf_scene(
+            prepare(to_system({"run": {"t_end": 1, "every": 1}, **case(two, joints)})).system
+        )
     point = {"name": "p", "shape": {"type": "points", "position": [[0, 0, 0]], "mass": [1.0]}}
     table = {"type": "distance", "body": "p", "at_to": [0, 0, 1]}
     with pytest.raises(ExportError, match="p is a point"):
-        mechanism(prepare(to_system({"run": {"t_end": 1, "every": 1}, **case([point], [table])}))
+        mjcf_scene(prepare(to_system({"run": {"t_end": 1, "every": 1}, **case([point], [table])}))
                   .system)  # fmt: skip
 
 

@@ -1,14 +1,20 @@
-"""A whole mechanism as an MJCF model of MuJoCo: bodies where they start, joints, gravity, speeds.
+"""A whole scene as an MJCF model of MuJoCo: bodies where they start, joints, contact, gravity.
 
 Joints of a spanning tree become joints of nested bodies, whose coordinates are those of
 docs/joints.md; each other one closes a loop, and becomes an equality `connect` (a hinge two, on its
 axis) or `weld`, which MuJoCo keeps softly. A distance is an equality of a tendon. Universal,
 cylindrical, planar joints and sliders have no such equality: they come first into the tree.
 
-Source: mujoco.readthedocs.io, XML reference. Joints of a body act in the order in which they stand,
-the last one next to the body.
+Contact with `hooke` is MuJoCo's reference acceleration -k r/m - c v/m, r the gap, of a body of mass
+m against what does not move, at so small an impedance that it acts as a spring; between two bodies
+it is softer, by m_eff/m. Other laws become a critically damped contact, as stiff as the step bears.
+Faces of a box are planes, which go on beyond its edges.
+
+Source: mujoco.readthedocs.io, XML reference, and «Solver parameters» for `solref` and `solimp`.
+Joints of a body act in the order in which they stand, the last one next to the body.
 """
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -16,8 +22,10 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, PlaneWall
 from particlerb.export import ExportError
-from particlerb.export.bodies import COMMENT, numbers
+from particlerb.export.bodies import COMMENT, numbers, six
+from particlerb.export.scene import FREE_STEP, left_out
 from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import (
@@ -30,13 +38,19 @@ from particlerb.model.state import (
     rotate_back,
 )
 from particlerb.model.system import System
+from particlerb.plan.contact_setup import NOTHING, ContactSetup, contact_of
 from particlerb.plan.joint_ends import WORLD
 from particlerb.plan.joints import JointSetup, joints_of
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _ONLY_IN_TREES: Final = ("slider", "cylindrical", "universal", "planar")
-_STEP: Final = 1e-3  # [s] where the case gives none
-_STIFF: Final = 2.0  # time constant of equalities, in steps: the least that MuJoCo takes
+_STIFF: Final = 2.0  # time constant of what is kept softly, in steps: the least MuJoCo takes
+_HELD: Final = -2  # in place of a joint, of bodies that stay where they are,
+_FREE: Final = -1  # and of those that nothing holds
+_RIGID: Final = "0.9999 0.9999 0.001 0.5 2"  # solimp of contacts that hold what presses them,
+_SPRING: Final = "0.01 0.01 0.001 0.5 2"  # and of springs, within 1 %, whose friction holds
+_IMPRATIO: Final = 100.0  # against creeping where contacts are springs
+_AXES: Final = {"x": 0, "y": 1, "z": 2}
 
 
 class _Body(NamedTuple):
@@ -75,46 +89,57 @@ class _Joint(NamedTuple):
     axis_to: Floats
 
 
-def mechanism(system: System) -> str:
-    """MJCF text of an assembled system with joints, with a keyframe `start` that has its speeds.
+def mjcf_scene(system: System, step: float = FREE_STEP) -> str:
+    """MJCF text of a system made ready, with a keyframe `start` that has its speeds.
+
+    Parameters
+    ----------
+    system : System
+    step : float
+        Step of the model [s].
 
     Raises
     ------
     ExportError
-        If a body has no three positive moments, or a loop closes by a joint that MuJoCo has not.
+        If a body has no three positive moments or moves as prescribed, a loop closes by a joint, or
+        bodies touch a wall, that MuJoCo has not, or contact differs from pair to pair.
     """
-    setup = joints_of(system)
-    assert setup is not None
     for body in system.body:
-        if body.fixed or body.motion is not None:
-            raise ExportError(f"{body.name} is held, which the model of a mechanism does not say")
-    for b in np.flatnonzero(np.isin(system.bodies.rotor_class, (POINT, ROD))).tolist():
+        if body.motion is not None:
+            raise ExportError(f"{body.name} moves as prescribed, which is not written")
+    thin = np.isin(system.bodies.rotor_class, (POINT, ROD)) & ~system.is_held
+    for b in np.flatnonzero(thin).tolist():
         kind = NAMES[int(system.bodies.rotor_class[b])]
         raise ExportError(f"{system.names[b]} is a {kind}: MuJoCo needs three positive moments")
-    return _Writer(system, setup).text()
+    return _Writer(system, step).text()
 
 
 class _Writer:
     """The model as it grows."""
 
-    def __init__(self, system: System, setup: JointSetup) -> None:
-        self.system = system
+    def __init__(self, system: System, step: float) -> None:
+        self.system, self.step = system, step
         q = body_orientation(system.state.q, system.bodies.rotor_frame)
         v, w = system.state.p * system.bodies.inv_mass, omega_world(system.bodies, system.state)
         columns = (system.state.com.T, q.T, v.T, w.T)
         self.bodies = [_Body(*rows) for rows in zip(*columns, strict=True)]
         self.bodies.append(_Body(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3)))
-        self.joints = [_joint_of(system, setup, j) for j in range(len(setup.names))]
+        setup, self.contact = joints_of(system), contact_of(system)
+        n_joints = 0 if setup is None else len(setup.names)
+        self.joints = [_joint_of(system, setup, j) for j in range(n_joints) if setup is not None]
         self.speeds: dict[str, list[float]] = {}  # by the names of bodies
-        self.root = ET.Element("mujoco", model=system.title or "mechanism")
-        self.root.append(ET.Comment(f" {COMMENT}; forces, and what acts in joints, are left out "))
-        self.step = system.run.dt or _STEP
-        options = {"timestep": numbers(self.step), "integrator": "RK4"}
-        ET.SubElement(self.root, "option", options, gravity=numbers(system.acceleration))
+        self.root = ET.Element("mujoco", model=system.title or "scene")
+        for line in (COMMENT, *(f"left out: {line}" for line in left_out(system))):
+            self.root.append(ET.Comment(f" {line} "))
+        options = {"timestep": numbers(step), "gravity": numbers(system.acceleration)}
+        options |= {"integrator": "RK4" if self.contact is None else "implicitfast"}
+        self.option = ET.SubElement(self.root, "option", options, cone="elliptic")
         default = ET.SubElement(self.root, "default")
-        ET.SubElement(default, "geom", contype="0", conaffinity="0")
+        self.geoms = ET.SubElement(default, "geom", contype="0", conaffinity="0")
         self.world = ET.SubElement(self.root, "worldbody")
         self.elements = {WORLD: self.world}
+        if self.contact is not None:
+            self.add_contact(self.contact)
 
     def text(self) -> str:
         """The whole model."""
@@ -139,9 +164,12 @@ class _Writer:
         return np.concatenate([self.speeds[str(body.get("name"))] for body in bodies])
 
     def spanning_tree(self) -> dict[int, tuple[int, int]]:
-        """Parent of each body, and the number of the joint with it, -1: none; parents first."""
+        """Parent of each body, and the number of the joint with it, or no joint; parents first."""
         kept: dict[int, list[tuple[int, int]]] = {}
         label = {b: b for b in range(WORLD, self.system.n_bodies)}
+        for b in np.flatnonzero(self.system.is_held).tolist():
+            label[b] = WORLD
+            kept.setdefault(WORLD, []).append((b, _HELD))
         ranks = [0 if joint.type in _ONLY_IN_TREES else 1 for joint in self.joints]
         for j in np.argsort(ranks, kind="stable").tolist():
             one = self.joints[j]
@@ -159,7 +187,7 @@ class _Writer:
             ahead = deque([root])
             seen.add(root)
             if root != WORLD:
-                found[root] = WORLD, -1
+                found[root] = WORLD, _FREE
             while ahead:
                 b = ahead.popleft()
                 for other, j in kept.get(b, ()):
@@ -178,12 +206,14 @@ class _Writer:
         name = self.system.names[b]
         element = ET.SubElement(self.elements[parent], "body", name=name, pos=place, quat=turned)
         self.elements[b] = element
-        tensor = inertia_in_body(self.system.bodies, b)
-        inertia = numbers(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+        self.add_particles(element, b)
+        if j == _HELD:
+            self.speeds[name] = []
+            return
+        inertia = numbers(six(inertia_in_body(self.system.bodies, b)))
         mass = numbers(self.system.bodies.mass[b])
         ET.SubElement(element, "inertial", pos="0 0 0", mass=mass, fullinertia=inertia)
-        self.add_particles(element, b)
-        if j < 0:
+        if j == _FREE:
             ET.SubElement(element, "freejoint", name=name)
             self.speeds[name] = [*own.velocity.tolist(), *own.turned_back(own.spin).tolist()]
         else:
@@ -192,13 +222,46 @@ class _Writer:
     def add_particles(self, element: ET.Element, b: int) -> None:
         """Spheres of a body as geoms without mass, its points as sites."""
         position, _, radius, _ = kind_of(self.system.particles, int(self.system.kind[b]))
+        touching = self.contact is not None and self.contact.material[b] != NOTHING
+        text = {"type": "sphere", "mass": "0"} | (self.touch(b) if touching else {})
         for x, r in zip(position, radius, strict=True):
             if r > 0.0:
-                ET.SubElement(
-                    element, "geom", type="sphere", pos=numbers(x), size=numbers(r), mass="0"
-                )
+                ET.SubElement(element, "geom", text, pos=numbers(x), size=numbers(r))
             else:
                 ET.SubElement(element, "site", type="sphere", pos=numbers(x))
+
+    def touch(self, b: int) -> dict[str, str]:
+        """What makes a geom of a body touch others, and how stiffly."""
+        assert self.contact is not None
+        text = {"contype": "1", "conaffinity": "1"}
+        if self.contact.record.law == "hooke":
+            stiffness = float(self.contact.pairs.stiffness.max()) * self.system.bodies.inv_mass[b]
+            damping = 2.0 * float(self.contact.pairs.damping_ratio.max()) * math.sqrt(stiffness)
+            text["solref"] = numbers(-stiffness, -damping)
+        return text
+
+    def add_contact(self, contact: ContactSetup) -> None:
+        """What holds for all geoms that touch, and the walls."""
+        pairs = contact.pairs
+        for name, values in pairs._asdict().items():
+            if name != "can_meet" and np.unique(values[pairs.can_meet]).size > 1:
+                raise ExportError(f"{name} differs from pair to pair: MuJoCo has one for a body")
+        self.geoms.set("friction", numbers(pairs.friction.max(), 0.0, 0.0))
+        self.geoms.set("solref", numbers(_STIFF * self.step, 1.0))
+        is_spring = contact.record.law == "hooke"
+        self.geoms.set("solimp", _SPRING if is_spring else _RIGID)
+        if is_spring:
+            self.option.set("impratio", numbers(_IMPRATIO))
+        for wall in self.system.wall:
+            for k, text in enumerate(_geoms_of(wall)):
+                name = wall.name + (f" {k}" if k else "")
+                # Without a stiffness of its own, so that the body's counts.
+                ET.SubElement(self.world, "geom", text, name=name, contype="1", conaffinity="1")
+        if contact.apart.size:
+            excluded = ET.SubElement(self.root, "contact")
+            for a, b in contact.apart.tolist():
+                ends = {"body1": self.system.names[a], "body2": self.system.names[b]}
+                ET.SubElement(excluded, "exclude", ends)
 
     def add_joints(self, element: ET.Element, b: int, parent: int, joint: _Joint) -> list[float]:
         """Add what a joint of the tree leaves free; its speeds."""
@@ -289,3 +352,33 @@ def _freedoms(joint: _Joint) -> list[tuple[str, Floats]]:
         "universal": [("hinge", m), ("hinge", n)],
     }
     return kinds.get(joint.type, [])
+
+
+def _geoms_of(wall: AnyWall) -> list[dict[str, str]]:
+    """A wall as geoms that bodies touch from where they are."""
+    if wall.motion is not None or wall.piston is not None:
+        raise ExportError(f"{wall.name} moves, which is not written")
+    if isinstance(wall, PlaneWall):
+        return [_plane(np.array(wall.point), np.array(wall.normal))]
+    if isinstance(wall, BoxWall):
+        low, high = np.array(wall.lower), np.array(wall.upper)
+        if wall.inside:
+            return [
+                _plane(low if sign > 0 else high, sign * np.eye(3)[_AXES[axis]])
+                for axis in _AXES
+                for end, sign in (("-", 1.0), ("+", -1.0))
+                if end + axis not in wall.open
+            ]
+        if not wall.open:
+            middle, half = numbers(0.5 * (low + high)), numbers(0.5 * (high - low))
+            return [{"type": "box", "pos": middle, "size": half}]
+    if isinstance(wall, CylinderWall) and not wall.inside and not wall.open:
+        size = numbers(wall.radius, 0.5 * wall.length)
+        place = {"pos": numbers(wall.centre), "zaxis": numbers(wall.axis)}
+        return [{"type": "cylinder", "size": size, **place}]
+    raise ExportError(f"{wall.name} is hollow: walls of MuJoCo are planes and solid bodies")
+
+
+def _plane(point: Floats, normal: Floats) -> dict[str, str]:
+    """A plane, drawn without end."""
+    return {"type": "plane", "size": "0 0 1", "pos": numbers(point), "zaxis": numbers(normal)}

@@ -1,0 +1,301 @@
+"""A whole scene as an input that LAMMPS runs: bodies, gravity, contact and walls.
+
+Bodies of several particles are those of `fix rigid/nve/small` with mass, centre, tensor, velocity
+and angular momentum from an infile; balls are spheres of `fix nve/sphere`, points small ones, and
+fixed bodies are integrated by nothing. Contact is `pair_style granular` with the dashpot of docs/
+contact.md: there `coeff_restitution` means the ratio of damping ζ of contacts that attract,
+e = exp(-πζ/√(1 - ζ²)), and `limit_damping` ends the attraction.
+
+Source: docs.lammps.org for the commands; weight that acts on the atoms of a body would act at the
+centre of its atoms, which is why the rigid fix takes it (keyword gravity).
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, PlaneWall
+from particlerb.contact.law import TANGENTIAL_DAMPING
+from particlerb.export import ExportError
+from particlerb.export.bodies import COMMENT, SMALLEST, carriers, numbers, six
+from particlerb.export.scene import left_out
+from particlerb.geometry.particles import kind_of
+from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.model.state import body_orientation, omega_world, rotate
+from particlerb.model.system import System
+from particlerb.plan.contact_setup import NOTHING, ContactSetup, contact_of
+from particlerb.rotors.rotor_class import POINT
+
+_FACES: Final = {"-x": 1, "+x": 2, "-y": 3, "+y": 4, "-z": 5, "+z": 6, "-": 1, "+": 2}
+_SKIN: Final = 0.3  # of the lists of neighbours, in the largest radius
+_ROUND: Final = 1e-12  # how well 2/5 m R² is met by a ball, relative
+
+
+def lammps_scene(system: System, step: float, stem: str) -> dict[str, str]:
+    """Texts of the files of a scene, by suffix: the input, its atoms, and its rigid bodies.
+
+    Parameters
+    ----------
+    system : System
+        Made ready.
+    step : float
+        Step of the run [s].
+    stem : str
+        Name of the files without suffix, by which the input calls the others.
+
+    Raises
+    ------
+    ExportError
+        If joints, a wall, a motion or a law of contact is one that LAMMPS does not have.
+    """
+    contact = contact_of(system)
+    _refuse(system, contact)
+    atoms = _Atoms(system, contact)
+    texts = {".in": _input(system, contact, atoms, step, stem), ".data": atoms.data()}
+    if atoms.is_rigid.any():
+        texts[".rigid"] = _infile(system, np.flatnonzero(atoms.is_rigid))
+    return texts
+
+
+def _refuse(system: System, contact: ContactSetup | None) -> None:
+    """ExportError for what is not to be had in LAMMPS."""
+    if system.joint:
+        raise ExportError("LAMMPS has no joints: `--to mjcf` writes them for MuJoCo")
+    for record in (*system.body, *system.wall):
+        if record.motion is not None or getattr(record, "piston", None) is not None:
+            raise ExportError(f"{record.name} moves as prescribed, which is not written")
+    if contact is None:
+        return
+    if contact.record.law == "impulse":
+        raise ExportError('contact.law = "impulse": LAMMPS has hooke and hertz')
+    if (contact.pairs.damping_ratio >= 1.0).any():
+        raise ExportError("a restitution that needs overdamping: LAMMPS has none below e^-2")
+    for wall in system.wall:
+        if not isinstance(wall, PlaneWall | BoxWall | CylinderWall):
+            raise ExportError(f"{wall.name} is a mesh: walls become planes, boxes, cylinders")
+        if isinstance(wall, CylinderWall) and np.count_nonzero(wall.axis) != 1:
+            raise ExportError(f"{wall.name}: a cylinder of LAMMPS lies along x, y or z")
+
+
+class _Atoms:
+    """Spheres of all bodies, or their masses where they have no radius, in the world frame."""
+
+    def __init__(self, system: System, contact: ContactSetup | None) -> None:
+        bodies, n = system.bodies, system.n_bodies
+        q = body_orientation(system.state.q, bodies.rotor_frame)
+        per_kind = [
+            carriers(kind_of(system.particles, k), float(system.properties.mass[k]))
+            for k in range(len(system.reach))
+        ]
+        sizes = np.array([len(own.mass) for own in per_kind])[system.kind]
+        self.body: Ints = np.repeat(np.arange(n), sizes)
+        local, self.mass, radius = (
+            np.concatenate([per_kind[k][column] for k in system.kind.tolist()])
+            for column in range(3)
+        )
+        self.place: Floats = (rotate(q[:, self.body], local.T) + system.state.com[:, self.body]).T
+        extent = max(float(system.reach.max()), 1e-3)
+        self.diameter: Floats = np.where(radius > 0.0, 2.0 * radius, SMALLEST * extent)
+        velocity = (system.state.p * bodies.inv_mass).T
+        spin = omega_world(bodies, system.state).T
+        arm = self.place - system.state.com.T[self.body]
+        self.velocity: Floats = velocity[self.body] + np.cross(spin[self.body], arm)
+        self.spin: Floats = spin[self.body]
+        material = np.full(n, NOTHING) if contact is None else contact.material
+        self.n_materials = 0 if contact is None else len(contact.materials)
+        untouched = self.n_materials + 1
+        type_of = np.where(material == NOTHING, untouched, material + 1)
+        self.type: Ints = np.where(radius > 0.0, type_of[self.body], untouched)
+        self.n_types = max(int(self.type.max()), self.n_materials)
+        single = _are_single(system, sizes, radius[np.cumsum(sizes) - 1])
+        self.is_held: Bools = system.is_held
+        self.is_single: Bools = single & ~self.is_held
+        self.is_rigid: Bools = ~single & ~self.is_held
+
+    def data(self) -> str:
+        """Data file, `atom_style sphere`, with the number of its body for each atom."""
+        low, high = self.place.min(axis=0), self.place.max(axis=0)
+        room = float(self.diameter.max()) + 1e-3 * float((high - low).max())
+        density = self.mass / (math.pi / 6.0 * self.diameter**3)
+        edges = zip("xyz", low - room, high + room, strict=True)
+        rows = zip(
+            self.type.tolist(), self.diameter, density, self.place,
+            np.concatenate([self.velocity, self.spin], axis=1), self.body.tolist(), strict=True,
+        )  # fmt: skip
+        places, motions, molecules = [], [], []
+        for k, (kind, diameter, rho, x, motion, body) in enumerate(rows, 1):
+            places.append(f"{k} {kind} {numbers(diameter, rho, x)}")
+            motions.append(f"{k} {numbers(motion)}")
+            molecules.append(f"{k} {body + 1}")
+        sections = [
+            f"# {COMMENT}",
+            f"{len(self.body)} atoms\n{self.n_types} atom types",
+            "\n".join(f"{numbers(a, b)} {axis}lo {axis}hi" for axis, a, b in edges),
+            *("Atoms # sphere", "\n".join(places), "Velocities", "\n".join(motions)),
+            *("Molecules", "\n".join(molecules)),
+        ]
+        return "\n\n".join(sections) + "\n"
+
+    def molecules(self, chosen: Bools) -> str:
+        """Numbers of bodies as ranges for the command `group`."""
+        found = np.flatnonzero(chosen) + 1
+        breaks = np.flatnonzero(np.diff(found) > 1)
+        firsts, lasts = found[np.append(0, breaks + 1)], found[np.append(breaks, found.size - 1)]
+        return " ".join(f"{a}:{b}" for a, b in zip(firsts, lasts, strict=True))
+
+
+def _are_single(system: System, sizes: Ints, radius: Floats) -> Bools:
+    """Which bodies are a ball or a point."""
+    own = 0.4 * system.bodies.mass * radius**2
+    is_ball = (np.abs(system.bodies.inertia - own) <= _ROUND * own).all(axis=0)
+    found: Bools = (sizes == 1) & (is_ball | (system.bodies.rotor_class == POINT))
+    return found
+
+
+def _infile(system: System, bodies: Ints) -> str:
+    """Rows of rigid bodies: id, mass, centre, tensor, velocity, angular momentum, image flags."""
+    state = system.state
+    axes = [
+        rotate(state.q[:, bodies], np.repeat(e[:, None], len(bodies), axis=1)) for e in np.eye(3)
+    ]
+    R = np.stack(axes, axis=1).transpose(2, 0, 1)
+    tensors = np.einsum("nij,jn,nkj->nik", R, system.bodies.inertia[:, bodies], R)
+    lines = [f"# {COMMENT}; world frame", str(len(bodies))]
+    for b, tensor in zip(bodies.tolist(), tensors, strict=True):
+        mass = system.bodies.mass[b]
+        velocity = state.p[:, b] / mass
+        row = numbers(mass, state.com[:, b], six(tensor), velocity, state.L[:, b])
+        lines.append(f"{b + 1} {row} 0 0 0")
+    return "\n".join(lines) + "\n"
+
+
+def _input(
+    system: System, contact: ContactSetup | None, atoms: _Atoms, step: float, stem: str
+) -> str:
+    """Commands of the run."""
+    skin = _SKIN * float(atoms.diameter.max()) / 2.0
+    reach = 2.0 * float(system.reach.max()) + skin
+    groups = {"rigid": atoms.is_rigid, "single": atoms.is_single, "held": atoms.is_held}
+    lines = [
+        f"# {system.title or stem}: {COMMENT}",
+        *(f"# left out: {line}" for line in left_out(system)),
+        *("units si", "atom_style sphere", "atom_modify map yes", "newton off", "boundary m m m"),
+        f"comm_modify vel yes cutoff {numbers(reach)}",
+        "fix body all property/atom mol",
+        f"read_data {stem}.data fix body NULL Molecules",
+        *(f"group {g} molecule {atoms.molecules(own)}" for g, own in groups.items() if own.any()),
+        *_pairs(contact, atoms, skin),
+        f"neighbor {numbers(skin)} bin",
+        "neigh_modify delay 0 every 1 check yes",
+        *("neigh_modify exclude molecule/intra all" for _ in [0] if len(atoms.body) > 1),
+        *("neigh_modify exclude group held held" for _ in [0] if atoms.is_held.any()),
+        *_walls(system, contact),
+        *_integration(system, atoms, stem),
+        f"timestep {numbers(step)}",
+        *_output(system, atoms, step, stem),
+        f"run {round(system.run.t_end / step)}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _law(contact: ContactSetup, a: int, b: int) -> str:
+    """Arguments of a granular contact between two materials."""
+    pairs = contact.pairs
+    ratio = float(pairs.damping_ratio[a, b])
+    given = math.exp(-math.pi * ratio / math.sqrt(1.0 - ratio * ratio))
+    if contact.record.law == "hertz":
+        normal = f"hertz {numbers(4.0 / 3.0 * pairs.modulus[a, b], given)}"
+        tangential = f"mindlin {numbers(8.0 * pairs.shear_modulus[a, b])}"
+    else:
+        normal = f"hooke {numbers(pairs.stiffness[a, b], given)}"
+        tangential = f"linear_history {numbers(pairs.tangential_stiffness[a, b])}"
+    friction = numbers(TANGENTIAL_DAMPING, pairs.friction[a, b])
+    ends = "" if contact.record.attract else " limit_damping"
+    return f"{normal} tangential {tangential} {friction} damping coeff_restitution{ends}"
+
+
+def _pairs(contact: ContactSetup | None, atoms: _Atoms, skin: float) -> Iterable[str]:
+    """Forces between atoms; those of no material touch nothing."""
+    if contact is None:
+        return [f"pair_style zero {numbers(skin)} nocoeff", "pair_coeff * *"]
+    apart = [t for t in range(1, atoms.n_types + 1) if t > atoms.n_materials]
+    own = contact.pairs.can_meet
+    met = [tuple(two) for two in np.argwhere(np.triu(own)).tolist()]
+    first = _law(contact, *met[0])
+    return [
+        "pair_style granular",
+        f"pair_coeff * * {first}",
+        *(f"pair_coeff {a + 1} {b + 1} {_law(contact, a, b)}" for a, b in met[1:]),
+        *(f"neigh_modify exclude type {t} {u}" for t in apart for u in range(1, t + 1)),
+    ]
+
+
+def _walls(system: System, contact: ContactSetup | None) -> Iterable[str]:
+    """A region for each wall, and a fix for each material that touches it."""
+    if contact is None:
+        return
+    for code in sorted(set(contact.material[contact.material != NOTHING].tolist())):
+        yield f"group material{code + 1} type {code + 1}"
+    for k, (wall, own) in enumerate(
+        zip(system.wall, contact.wall_material.tolist(), strict=True), 1
+    ):
+        yield f"region wall{k} {_region(wall)}  # {wall.name}"
+        for code in np.flatnonzero(contact.pairs.can_meet[own]).tolist():
+            law = f"granular {_law(contact, code, own)} region wall{k}"
+            if (contact.material[~contact.fixed] == code).any():
+                yield f"fix wall{k}_{code + 1} material{code + 1} wall/gran/region {law}"
+
+
+def _region(wall: AnyWall) -> str:
+    """Arguments of a region that is touched from the side on which bodies are."""
+    if isinstance(wall, PlaneWall):
+        return f"plane {numbers(wall.point, wall.normal)} side in units box"
+    side = "side in" if wall.inside else "side out"  # type: ignore[union-attr]
+    opened = "".join(f" open {_FACES[face]}" for face in wall.open)  # type: ignore[union-attr]
+    if isinstance(wall, BoxWall):
+        edges = numbers(np.column_stack([wall.lower, wall.upper]).reshape(-1))
+        return f"block {edges} {side} units box{opened}"
+    assert isinstance(wall, CylinderWall)
+    along = int(np.flatnonzero(wall.axis)[0])
+    if wall.axis[along] < 0.0:
+        opened = "".join(f" open {3 - _FACES[face]}" for face in wall.open)
+    across = [wall.centre[i] for i in range(3) if i != along]
+    ends = wall.centre[along] + 0.5 * wall.length * np.array([-1.0, 1.0])
+    return f"cylinder {'xyz'[along]} {numbers(across, wall.radius, ends)} {side} units box{opened}"
+
+
+def _integration(system: System, atoms: _Atoms, stem: str) -> Iterable[str]:
+    """Weight, and how bodies move; weight stands first, or a first half step would miss it."""
+    g = system.acceleration
+    size = float(np.linalg.norm(g))
+    weight = f"gravity {numbers(size)} vector {numbers(g)}"
+    if atoms.is_single.any():
+        if size:
+            yield f"fix weight single {weight}"
+        yield "fix balls single nve/sphere"
+    if atoms.is_rigid.any():
+        if size:
+            yield f"fix pull rigid {weight} disable"
+        pull = " gravity pull" if size else ""
+        yield f"fix clumps rigid rigid/nve/small molecule infile {stem}.rigid{pull}"
+
+
+def _output(system: System, atoms: _Atoms, step: float, stem: str) -> Sequence[str]:
+    """Frames as text dumps: atoms, and centres and attitudes of rigid bodies."""
+    every: Any = max(1, round(system.run.every / step))
+    lines = [
+        f"dump atoms all custom {every} {stem}.lammpstrj id mol type radius x y z vx vy vz",
+        "dump_modify atoms sort id format float %.17g",
+        *("thermo_style custom step time atoms", f"thermo {every}"),
+    ]
+    if atoms.is_rigid.any():
+        columns = "mol x y z quatw quati quatj quatk vx vy vz"
+        rows = " ".join(f"c_bodies[{k + 1}]" for k in range(len(columns.split())))
+        lines += [
+            f"compute bodies all rigid/local clumps {columns}",
+            f"dump bodies all local {every} {stem}.bodies {rows}",
+            "dump_modify bodies format float %.17g",
+        ]
+    return lines

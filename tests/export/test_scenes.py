@@ -1,0 +1,222 @@
+"""Whole scenes as inputs of LAMMPS and models of MuJoCo: run there, they move as here."""
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomlkit
+
+import particlerb
+from particlerb.case.to_system import to_system
+from particlerb.cli import main
+from particlerb.export import ExportError
+from particlerb.export.lammps_scene import lammps_scene
+from particlerb.export.mjcf_scene import mjcf_scene
+from particlerb.export.scene import step_of
+from particlerb.simulation.run import prepare
+
+WEIGHT = {"acceleration": [0.3, 0.0, -9.81]}
+CLUMP = {
+    "type": "points",
+    "mass": [1.0, 1.0, 0.5],
+    "radius": 0.1,
+    "position": [[-0.1, -0.1, -0.1], [0.1, 0.1, -0.05], [0, 0.05, 0.15]],
+}
+FREE = {
+    "run": {"t_end": 1.0, "every": 0.5, "dt": 5e-4},
+    "gravity": WEIGHT,
+    "body": [
+        {
+            "name": "clump", "shape": CLUMP, "count": 2, "position": [[0, 0, 1], [1, 0, 1]],
+            "velocity": [0.1, 0.2, 3.0], "angular_velocity": [1.0, 2.0, 3.0],
+            "orientation": [0.5, 0.1, -0.7, 0.3],
+        },
+        {
+            "name": "ball", "shape": {"type": "ball", "radius": 0.1}, "mass": 1.0,
+            "position": [0, 3, 1], "velocity": [0.0, 1.0, 0.0], "angular_velocity": [4.0, 0, 1.0],
+        },
+    ],
+}  # fmt: skip
+FALL, SPEED, STIFFNESS = 0.002, 1.3, 1e5
+HIT = {
+    "run": {"t_end": 0.02, "every": 5e-5, "dt": 5e-6},
+    "contact": {"law": "hooke", "stiffness": STIFFNESS, "restitution": 0.6, "friction": 0.4},
+    "body": [
+        {
+            "name": "ball", "shape": {"type": "ball", "radius": 0.1}, "mass": 2.0,
+            "position": [0, 0, 0.1 + FALL], "velocity": [0, 0, -SPEED],
+        },
+        {
+            "name": "post", "shape": {"type": "ball", "radius": 0.1}, "mass": 1.0,
+            "position": [0.5, 0, 0.1], "fixed": True,
+        },
+    ],
+    "wall": [{"name": "bin", "type": "box", "lower": [-1, -1, 0], "upper": [1, 1, 1],
+              "open": ["+z"]}],
+}  # fmt: skip
+CORNERS = (0.1 * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)).tolist()
+REST = {
+    "run": {"t_end": 2.0, "every": 2.0, "dt": 1e-3},
+    "gravity": {"acceleration": [0, 0, -9.81]},
+    "contact": {"law": "hooke", "stiffness": 1e4, "restitution": 0.3, "friction": 0.4},
+    "body": [{"name": "brick", "position": [0, 0, 0.21],
+              "shape": {"type": "points", "mass": 1.0, "radius": 0.1, "position": CORNERS}}],
+    "wall": [{"name": "floor", "type": "plane", "normal": [0, 0, 1]}],
+}  # fmt: skip
+
+
+def made(scene):
+    """A scene made ready, and its step."""
+    prepared = prepare(to_system(scene))
+    return prepared.system, step_of(prepared)
+
+
+@pytest.fixture
+def lammps():
+    sys.path.insert(0, str(Path(__file__).parents[2]))
+    try:
+        from benchmarks.peers.with_lammps import missing, start
+    finally:
+        sys.path.pop(0)
+    if missing():
+        pytest.skip(missing())
+    engine = start()
+    yield engine
+    engine.close()
+
+
+def set_up(engine, scene, folder, monkeypatch):
+    """Give LAMMPS all commands of a scene but the run; its number of steps."""
+    texts = lammps_scene(*made(scene), "scene")
+    for suffix, text in texts.items():
+        (folder / f"scene{suffix}").write_text(text)
+    monkeypatch.chdir(folder)
+    *commands, run = texts[".in"].splitlines()
+    for line in commands:
+        engine.command(line)
+    return int(run.split()[1])
+
+
+def atoms(engine, name):
+    """A property of all atoms, in the order of the file."""
+    order = np.argsort(engine.numpy.extract_atom("id")[: engine.extract_setting("nlocal")])
+    return np.array(engine.numpy.extract_atom(name)[: order.size])[order]
+
+
+def test_free_bodies_move_in_lammps_as_here(lammps, tmp_path, monkeypatch):
+    steps = set_up(lammps, FREE, tmp_path, monkeypatch)
+    lammps.command(f"run {steps}")
+    expected = particlerb.run(FREE).particle_positions(-1)
+    assert np.abs(atoms(lammps, "x") - expected).max() < 1e-6
+    assert (tmp_path / "scene.lammpstrj").exists()
+    assert (tmp_path / "scene.bodies").read_text().count("ITEM: TIMESTEP") == 3
+
+
+def test_the_first_impact_in_lammps_has_the_same_largest_force(lammps, tmp_path, monkeypatch):
+    """Against the closed form of the damped spring that starts with SPEED."""
+    steps = set_up(lammps, HIT, tmp_path, monkeypatch)
+    forces = []
+    for _ in range(steps // 10):
+        lammps.command("run 10 post no")
+        forces.append(atoms(lammps, "f")[0, 2])
+    rate = math.sqrt(STIFFNESS / 2.0)
+    fields = [*particlerb.run(FREE).fields, "wall_force"]
+    here = particlerb.run(HIT | {"output": {"fields": fields}})
+    largest = float(-here.wall_force[:, 0, 2].min())
+    assert largest == pytest.approx(2.0 * rate * SPEED, rel=0.25)
+    assert max(forces) == pytest.approx(largest, rel=0.01)
+    assert atoms(lammps, "v")[0, 2] == pytest.approx(0.6 * SPEED, rel=0.01)
+    assert atoms(lammps, "x")[1].tolist() == [0.5, 0.0, 0.1]
+
+
+def in_mujoco(scene):
+    """Positions and orientations of bodies at the end."""
+    mujoco = pytest.importorskip("mujoco")
+    system, step = made(scene)
+    model = mujoco.MjModel.from_xml_string(mjcf_scene(system, step))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    for _ in range(round(system.run.t_end / step)):
+        mujoco.mj_step(model, data)
+    mujoco.mj_kinematics(model, data)
+    bodies = [data.body(name) for name in system.names]
+    return np.array([b.xpos for b in bodies]), np.array([b.xquat for b in bodies])
+
+
+def test_free_bodies_move_in_mujoco_as_here():
+    position, orientation = in_mujoco(FREE)
+    here = particlerb.run(FREE)
+    assert np.abs(position - here.position[-1]).max() < 1e-6
+    dots = np.einsum("ij,ij->i", orientation, here.orientation[-1])
+    assert (1.0 - np.abs(dots)).max() < 1e-12
+
+
+def test_a_brick_rests_in_mujoco_at_the_height_of_its_springs():
+    position, _ = in_mujoco(REST)
+    sinks = 8.0 * 9.81 / (4 * 1e4)
+    assert position[0, 2] == pytest.approx(0.2 - sinks, abs=0.015 * sinks)
+    assert np.abs(position[0, :2]).max() < 1e-4
+
+
+def test_fixed_bodies_and_boxes_stand_in_mujoco():
+    position, _ = in_mujoco(HIT | {"gravity": WEIGHT, "run": {"t_end": 1.0, "every": 1.0,
+                                                              "dt": 1e-3}})  # fmt: skip
+    assert position[1] == pytest.approx([0.5, 0.0, 0.1])
+    assert 0.095 < position[0, 2] < 0.11
+    outside = {"name": "block", "type": "box", "lower": [-1, -1, -1], "upper": [1, 1, 0],
+               "inside": False}  # fmt: skip
+    position, _ = in_mujoco(REST | {"wall": [outside]})
+    assert position[0, 2] == pytest.approx(0.198, abs=1e-3)
+
+
+MOVING = {"angular_velocity": [0, 0, 1.0]}
+TUBE = {"name": "tube", "type": "cylinder", "radius": 1.0, "length": 3.0}
+LINK = {"type": "ball", "body": "brick", "at": [0, 0, 0.5]}
+REFUSED = [
+    ("lammps", {"contact": {"law": "impulse", "restitution": 0.5, "friction": 0.1}},
+     "has hooke and hertz"),
+    ("lammps", {"contact": HIT["contact"] | {"restitution": 0.1}}, "below e"),
+    ("lammps", {"wall": [REST["wall"][0] | {"motion": MOVING}]}, "floor moves as prescribed"),
+    ("lammps", {"wall": [TUBE | {"axis": [1, 0, 1]}]}, "lies along x, y or z"),
+    ("lammps", {"joint": [LINK]}, "no joints"),
+    ("mjcf", {"wall": [TUBE]}, "tube is hollow"),
+    ("mjcf", {"wall": [REST["wall"][0] | {"motion": MOVING}]}, "floor moves"),
+    ("mjcf", {"body": [REST["body"][0] | {"shape": {"type": "ball", "radius": 0.1},
+                                         "motion": MOVING, "mass": 1.0},
+                       REST["body"][0] | {"name": "b", "position": [0, 0, 0.6]}]},
+     "brick moves as prescribed"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("to", "changed", "message"), REFUSED)
+def test_what_a_program_does_not_have_is_named(to, changed, message):
+    system, step = made(REST | changed)
+    with pytest.raises(ExportError, match=message):
+        lammps_scene(system, step, "scene") if to == "lammps" else mjcf_scene(system, step)
+
+
+def test_regions_have_the_faces_that_are_closed():
+    walls = [
+        TUBE | {"axis": [0, -2, 0], "open": ["+"], "centre": [0, 0, 1.0]},
+        HIT["wall"][0] | {"upper": [1, 1, 3]},
+    ]
+    text = lammps_scene(*made(REST | {"wall": walls}), "scene")[".in"]
+    assert "cylinder y 0.0 1.0 1.0 -1.5 1.5 side in units box open 1  # tube" in text
+    assert "block -1.0 1.0 -1.0 1.0 0.0 3.0 side in units box open 6  # bin" in text
+
+
+def test_the_command_writes_whole_scenes_and_says_what_they_lack(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    push = {"type": "push", "body": "ball", "force": [1, 0, 0]}
+    Path("three.toml").write_text(tomlkit.dumps(FREE | {"force": [push]}))
+    assert main(["export", "three.toml", "--to", "lammps"]) == 0
+    out = capsys.readouterr().out
+    assert "written: three.in, three.data, three.rigid\nleft out: force[0], push\n" in out
+    assert "# left out: force[0], push" in Path("three.in").read_text()
+    assert main(["export", "three.toml", "--to", "lammps"]) == 2
+    assert main(["export", "three.toml", "--to", "mjcf"]) == 0
+    assert "<!-- left out: force[0], push -->" in Path("three.xml").read_text()
+    assert main(["export", "three.toml", "--to", "lammps", "--bodies", "clump[0]"]) == 0
+    assert Path("clump_0_.mol").exists()
