@@ -37,7 +37,7 @@ BUDGETS = {
     "trials of a search that count what they cost": 18,
     "opening angle fitted to a scene": 95,
     "scenes in Python": 434,
-    "states of a simulation without its energy": 71,
+    "states of a simulation without its energy": 82,
     "sweeps": 605,
     "variants of a sweep in one batch": 490,
     "variants of a sweep judged together": 110,

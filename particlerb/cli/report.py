@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from particlerb.cli.exit_codes import Ending
 from particlerb.files import Closing
-from particlerb.simulation.run import Reached
+from particlerb.simulation.outcome import Reached
 
 _HEAD: Final = (
     f"{'time [s]':>14} {'frames':>14} {'energy [J]':>18} {'error [J]':>11}"

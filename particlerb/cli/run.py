@@ -54,8 +54,9 @@ from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.checks import Result, results, table
 from particlerb.simulation.estimate import estimated_seconds
+from particlerb.simulation.outcome import Outcome, Progress
 from particlerb.simulation.resume import ResumeError, look_at, resume_pending
-from particlerb.simulation.run import Outcome, Prepared, Progress, RunError, run_prepared
+from particlerb.simulation.run import Prepared, RunError, run_prepared
 
 
 def _prepared_case(options: argparse.Namespace) -> Prepared:

@@ -24,7 +24,7 @@ from particlerb.model.system import System
 from particlerb.plan.joints import JointSetup, joints_of
 from particlerb.simulation.impulse_values import impulse_quantity
 from particlerb.simulation.joint_values import JointValues
-from particlerb.simulation.run import Outcome
+from particlerb.simulation.outcome import Outcome
 
 
 class Result(NamedTuple):

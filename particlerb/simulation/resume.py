@@ -30,7 +30,8 @@ from particlerb.record.writer import Recorder
 from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_again
 from particlerb.simulation.frame_times import frame_times
-from particlerb.simulation.run import Outcome, Prepared, Progress, advance, identity
+from particlerb.simulation.outcome import Outcome, Progress
+from particlerb.simulation.run import Prepared, advance, identity
 
 _UNVERIFIED = (
     "particlerb: warning: run.accuracy was verified until the earlier t_end only; method and step"

@@ -7,7 +7,7 @@ nothing in the motion, so a run can be prolonged, or recorded more finely, witho
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ import numpy as np
 from particlerb.case.to_system import to_case
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.balance import ConservationError, EnergyBalance, Entries, Totals, totals
+from particlerb.model.balance import EnergyBalance, Entries, Totals, totals
 from particlerb.model.bodies import taken
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.system import System
@@ -53,47 +53,15 @@ from particlerb.simulation.joint_values import (
     refuse_checks,
     room_for_values,
 )
+from particlerb.simulation.outcome import Outcome, Progress, Reached, TreeError
 from particlerb.simulation.probes import Probe, restored_probes, saved_probes
 from particlerb.simulation.state_checks import StateChecks
 from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
 
 
-class Reached(NamedTuple):
-    """How far a run has come."""
-
-    frames: int  # that were added
-    time: float  # [s] of the last of them, as the next two
-    energy: float  # [J]
-    energy_error: float  # [J]
-
-
-Progress = Callable[[Reached], object]
-
-
 class RunError(Exception):
     """A run that failed: what, where, when."""
-
-
-class TreeError(NamedTuple):
-    """What a tree errs that sums the attraction."""
-
-    angle: float  # [rad] opening angle
-    seen: float  # largest relative error of the accelerations, rms, at frames
-    asked: float
-
-
-class Outcome(NamedTuple):
-    """What a run leaves beside its file."""
-
-    drift: ConservationError
-    probes: tuple[Probe, ...]
-    file: Any  # closed, or what is in memory; None: nowhere
-    flown: float | None = None  # share of body-steps that closed forms saved; None: not known
-    swing: float = 0.0  # [rad] per step, the fastest of bodies on all contacts that was seen
-    tree: TreeError | None = None  # of the tree that sums the attraction, where it was fitted
-    tally: Floats | None = None  # of impulses: see impulses/records.py
-    broken: tuple[tuple[str, float], ...] = ()  # joints that have broken, and when [s]
 
 
 class Prepared(NamedTuple):

@@ -3,7 +3,8 @@
 from typing import Any, Final
 
 from particlerb.compiled.threads import THREADS
-from particlerb.simulation.run import Outcome, Prepared, advance
+from particlerb.simulation.outcome import Outcome
+from particlerb.simulation.run import Prepared, advance
 
 
 class _Nowhere:

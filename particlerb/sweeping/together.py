@@ -19,7 +19,8 @@ from particlerb.model.worlds import WorldsDifferError
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
 from particlerb.simulation.checks import quantities
-from particlerb.simulation.run import Outcome, Prepared
+from particlerb.simulation.outcome import Outcome
+from particlerb.simulation.run import Prepared
 from particlerb.simulation.unrecorded import run_unrecorded
 from particlerb.sweeping.rows import Row, asked_as_checks
 

@@ -6,7 +6,7 @@ import pytest
 
 from particlerb.cli import main, report
 from particlerb.cli.exit_codes import Ending
-from particlerb.simulation.run import Reached
+from particlerb.simulation.outcome import Reached
 
 
 @pytest.fixture
