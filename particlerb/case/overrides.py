@@ -30,7 +30,7 @@ def overridden(source: Source, overrides: Sequence[str]) -> Source:
         try:
             if not equals or not path:
                 raise LookupError("must have the form key=value, such as run.dt=1e-4")
-            raw = with_value(raw, path, _toml_value(text.strip()))
+            raw = with_value(raw, path, toml_value(text.strip()))
         except LookupError as error:
             problems.append(
                 Problem(f"--set {key}", None, None, key_of(path), text, str(error.args[0]))
@@ -41,7 +41,7 @@ def overridden(source: Source, overrides: Sequence[str]) -> Source:
     return source._replace(raw=raw, overridden=tuple(paths))
 
 
-def _toml_value(text: str) -> Any:
+def toml_value(text: str) -> Any:
     """Value of a TOML text; the text itself where it is none."""
     try:
         values = tomllib.loads(f"value = {text}")

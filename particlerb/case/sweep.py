@@ -1,13 +1,16 @@
 """The table [sweep]: variants of a case, and what is asked of each."""
 
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, Strict, Tag, model_validator
 
 from particlerb.case.output import Asked
+from particlerb.case.problems import path_of
 from particlerb.case.values import Count, Name, Real, Table, broken, forms
 
 _RANDOM = ("latin", "random")
+SEED = "run.seed"
 
 
 class Spread(Table):
@@ -46,8 +49,11 @@ _Axis = Annotated[
 class SweepTable(Table):
     """Variants of the case."""
 
-    axes: Annotated[dict[Name, _Axis], Field(min_length=1)] = Field(
-        description='Values of keys: "run.dt" = [..], or { low, high, n }. [-]'
+    axes: dict[Name, _Axis] = Field(
+        {}, description='Values of keys: "run.dt" = [..], or { low, high, n }. [-]'
+    )
+    file: Name | None = Field(
+        None, description="In place of axes: CSV file, columns are keys, a row for each run. [-]"
     )
     design: Literal["grid", "zip", "latin", "random"] = Field(
         "grid", description="All combinations, values side by side, or drawn runs. [-]"
@@ -56,7 +62,25 @@ class SweepTable(Table):
     seed: Annotated[int, Strict(), Field(ge=0, le=2**63 - 1)] = Field(
         0, description="Of what is drawn. [-]"
     )
+    replicates: Count = Field(1, description="Of each run, with seeds from run.seed on. [-]")
     value: tuple[Asked, ...] = Field((), description="Columns, [[sweep.value]]. [-]")
+
+    @model_validator(mode="after")
+    def says_what_changes(self) -> Self:
+        """Require axes, a file or replicates, and axes of which none holds another."""
+        if self.file is not None and self.axes:
+            raise broken("says which runs there are: leave the axes out", "file")
+        if not self.axes and self.design != "grid":
+            raise broken(f"a {self.design} design is one of axes", "design")
+        if not self.axes and self.file is None and self.replicates == 1:
+            raise broken("missing: what changes", "axes", "give axes, a file or replicates")
+        keys = [*self.axes, *((SEED,) if self.replicates > 1 else ())]
+        paths = sorted((tuple(map(str, path_of(key))), key) for key in keys)
+        for (path, key), (other, inner) in pairwise(paths):
+            if other[: len(path)] == path:
+                hint = "give each key one axis"
+                raise broken(f'"{inner}" is a part of "{key}": both are axes', "axes", hint)
+        return self
 
     @model_validator(mode="after")
     def says_how_many(self) -> Self:

@@ -6,6 +6,7 @@ import shlex
 import sys
 import tomllib
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -18,7 +19,7 @@ from particlerb.cli.common import named_output, read_case, to_write
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.sweeping.driver import sweep
 from particlerb.sweeping.executors import NoExecutorError, Workers, cluster
-from particlerb.sweeping.table import SweepRows
+from particlerb.sweeping.table import SweepRows, means_beside
 
 
 def sweep_command(options: argparse.Namespace) -> int:
@@ -50,10 +51,10 @@ def _sweep(options: argparse.Namespace, workers: Workers | None) -> int:
             rest = f"{path} has the rows so far; the same command continues: {again}"
             raise Ending(f"interrupted: {rest}", INTERRUPTED) from None
     print(tamed(summary(found)))
-    written = [path]
+    written = [path, *([means_beside(path)] if found.replicates > 1 else [])]
     if options.plot:
-        written.append(path.with_suffix(".png"))
-        _plot(found, case.title or stem, written[-1])
+        picture = path.with_suffix(".png")
+        written += [picture] * _plot(found, case.title or stem, picture)
     print(f"written: {', '.join(map(str, written))}")
     if any(status != "done" for status in found.column("status")):
         return FAILED
@@ -71,8 +72,8 @@ def _axis(text: str) -> tuple[str, Any]:
         raise Ending(f"--axis {text}: must be KEY=[a, b] or KEY={{low=a, high=b, n=5}}") from None
 
 
-def _plot(found: SweepRows, title: str, path: Path) -> None:
-    """Draw the values over the axes that are numbers."""
+def _plot(found: SweepRows, title: str, path: Path) -> bool:
+    """Draw the values over the axes that are numbers, if there are such: not over replicates."""
     from particlerb.studies.charts.sweep import draw_sweep
 
     columns = {name: found.column(name) for name in (*found.axes, *found.values, "energy_drift")}
@@ -81,10 +82,12 @@ def _plot(found: SweepRows, title: str, path: Path) -> None:
         for name, column in columns.items()
         if all(isinstance(x, (int, float)) for x in column)
     }
-    axes = [(name, numbers[name]) for name in found.axes if name in numbers]
+    own = found.axes if found.replicates == 1 else found.axes[:-1]
+    axes = [(name, numbers[name]) for name in own if name in numbers]
     values = [(name, numbers[name]) for name in found.values or ("energy_drift",)]
     if axes:
         draw_sweep(title, axes, values, path)
+    return bool(axes)
 
 
 def summary(found: SweepRows) -> str:
@@ -94,12 +97,26 @@ def summary(found: SweepRows) -> str:
     lines += [f"  {n} {why}" for why, n in status.most_common()]
     missed = sum(n > 0 for n in found.column("checks_missed"))
     lines += [f"  {missed} missed a check"] if missed else []
+    means = found.means()
+    is_repeated = found.replicates > 1
+    if is_repeated:
+        lines.append(f"  means over {found.replicates} replicates of {len(means.rows)} variants:")
     width = max(map(len, found.columns))
-    lines.append(f"  {'':{width}} {'least':>12} {'median':>12} {'largest':>12}")
-    for name in ("energy_drift", *found.axes, *found.values):
-        column = found.column(name)
-        numbers = [x for x in column if isinstance(x, (int, float)) and math.isfinite(x)]
-        if numbers:
+    last = f" {'error':>12}" if is_repeated else ""
+    lines.append(f"  {'':{width}} {'least':>12} {'median':>12} {'largest':>12}{last}")
+    for name in means.columns:
+        numbers = _finite(means.column(name))
+        if numbers and name != "done" and not name.endswith(".error"):
             least, middle, most = min(numbers), median(numbers), max(numbers)
-            lines.append(f"  {name:{width}} {least:12.6g} {middle:12.6g} {most:12.6g}")
+            text = f"  {name:{width}} {least:12.6g} {middle:12.6g} {most:12.6g}"
+            if is_repeated and f"{name}.error" in means.columns:
+                errors = _finite(means.column(f"{name}.error"))
+                text += f" {max(errors, default=math.nan):12.6g}"
+            lines.append(text)
+    lines += ["  error: the largest standard error of a mean"] if is_repeated else []
     return "\n".join(lines)
+
+
+def _finite(column: Sequence[Any]) -> list[float]:
+    """Its finite numbers."""
+    return [x for x in column if isinstance(x, (int, float)) and math.isfinite(x)]

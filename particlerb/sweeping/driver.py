@@ -29,6 +29,7 @@ from particlerb.case.to_system import to_system
 from particlerb.case.values import plain
 from particlerb.model.system import System
 from particlerb.plan.case_forces import loads_of
+from particlerb.sweeping.designs import written_out
 from particlerb.sweeping.executors import processes
 from particlerb.sweeping.rows import Row, columns, failed
 from particlerb.sweeping.table import SweepRows, TableFile
@@ -65,9 +66,10 @@ def sweep(
     case : path, str, mapping, Scene or Case
         With a table [sweep], if `axes` are not given.
     table : path, optional
-        CSV file of the rows. Variants that it has are not run again: what was stopped goes on.
+        CSV file of the rows: those that it has are not run again, so what was stopped goes on.
+        With replicates their means are beside it, in table_means.csv.
     axes : mapping, optional
-        Keys of the case and their values, in place of those of [sweep]: all combinations.
+        Keys of the case and their values, in place of [sweep.axes]: all combinations.
     executor : concurrent.futures.Executor, optional
         Where to run them; left out, in processes on this machine.
     workers : int, optional
@@ -84,13 +86,11 @@ def sweep(
 
     Raises
     ------
-    CaseError
-        If a variant is not a case, before anything runs: all that is wrong.
-    OSError
-        Of the table.
+    CaseError, OSError
+        If a variant is not a case, before anything runs: all that is wrong; of the table.
     """
     base = load(case, (), allow_code)
-    asked = _asked(base, axes)
+    asked = written_out(base, _asked(base, axes))
     found = variants(base, asked)
     system = to_system(built(base, list(map(path_of, asked.axes)), found[0].values))
     loads_of(system)  # whose code may have to be allowed
@@ -107,18 +107,18 @@ def sweep(
         if left:
             n = workers or os.cpu_count() or 1
             _drive(_pool(executor, n), _tasks(base, system, asked, left, n), 2 * n, take)
-        return file.finish(found)
+        return file.finish(found, asked.replicates)
 
 
 def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
-    """The table [sweep], with other axes if they are given."""
+    """The table [sweep], with other axes in place of what it says if they are given."""
     if axes is None:
         if base.sweep is None:
             wrong = file_problem(base.path, "has no table [sweep]", "give it, or axes")
             raise CaseError([wrong])
         return base.sweep
-    value = base.sweep.value if base.sweep else ()
-    return SweepTable(axes=plain(axes), value=value)
+    kept = base.sweep or SweepTable(axes=plain(axes))
+    return SweepTable(axes=plain(axes), value=kept.value, replicates=kept.replicates)
 
 
 def _tasks(

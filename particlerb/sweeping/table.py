@@ -8,7 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from particlerb.files import Closing
+from particlerb.maths.vec3 import Floats
 from particlerb.record.writer_lock import WriterLock
 from particlerb.sweeping.rows import Row
 from particlerb.sweeping.variants import Variant
@@ -24,6 +27,8 @@ class SweepRows(NamedTuple):
     rows: tuple[tuple[Any, ...], ...]
     """In the order of the variants; numbers where they are some."""
     n_axes: int
+    replicates: int = 1
+    """Rows of each variant, one after the other; run.seed is then the last axis."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -39,6 +44,60 @@ class SweepRows(NamedTuple):
         """One of the columns; NaN where a run that failed has no value."""
         k = self.columns.index(name)
         return [row[k] if k < len(row) else math.nan for row in self.rows]
+
+    def means(self) -> "Means":
+        """Means over replicates, a row for each variant."""
+        n, names = self.replicates, ("energy_drift", *self.values)
+        axes = self.axes if n == 1 else self.axes[:-1]
+        first = [self.column(name)[::n] for name in axes]
+        is_done = np.reshape([status == "done" for status in self.column("status")], (-1, n))
+        found = [
+            np.where(is_done, np.reshape(self.column(name), (-1, n)), np.nan) for name in names
+        ]
+        parts = [part for values in found for part in _mean_and_error(values.astype(float))]
+        heads = [head for name in names for head in (name, f"{name}.error")]
+        rows = zip(*first, is_done.sum(axis=1).tolist(), *parts, strict=True)
+        return Means((*axes, "done", *heads), tuple(rows))
+
+
+class Means(NamedTuple):
+    """Means over replicates: of runs that are done, with their standard errors."""
+
+    columns: tuple[str, ...]
+    """The axes, done, then energy_drift and each value, each followed by its standard error."""
+    rows: tuple[tuple[Any, ...], ...]
+    """One for each variant; NaN where too few runs are done."""
+
+    def column(self, name: str) -> list[Any]:
+        """One of the columns."""
+        k = self.columns.index(name)
+        return [row[k] for row in self.rows]
+
+
+def _mean_and_error(values: Floats) -> tuple[list[float], list[float]]:
+    """Mean of the finite entries of each row, and its standard error √(Σ(x - mean)²/(n(n - 1)))."""
+    is_known = np.isfinite(values)
+    n = is_known.sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(is_known, values, 0.0).sum(axis=1) / n
+        away = np.where(is_known, values - mean[:, None], 0.0)
+        error = np.sqrt((away**2).sum(axis=1) / (n * (n - 1)))
+    return mean.tolist(), error.tolist()
+
+
+def means_beside(table: Path) -> Path:
+    """Where the means over replicates are."""
+    return table.with_name(f"{table.stem}_means{table.suffix}")
+
+
+def _write(path: Path, lines: Sequence[Sequence[Any]]) -> None:
+    """A CSV in place of what is there; a kill leaves one of both."""
+    beside = path.with_name(path.name + ".new")
+    with beside.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows(lines)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)
 
 
 class TableFile(Closing):
@@ -100,20 +159,22 @@ class TableFile(Closing):
         if self.path is not None:
             self._append(lines)
 
-    def finish(self, variants: Sequence[Variant]) -> SweepRows:
-        """Rows of all variants in their order; the file then has these and no others."""
+    def finish(self, variants: Sequence[Variant], replicates: int = 1) -> SweepRows:
+        """Rows of all variants in their order; the file then has these and no others.
+
+        Means over replicates are written beside it.
+        """
         rows = tuple((v.number, *self.known[v.hash][1:]) for v in variants)
         known = [self.known[v.hash][0] for v in variants]
         if self.path is not None and (
             self._order != [v.hash for v in variants] or known != list(range(len(variants)))
         ):
-            beside = self.path.with_name(self.path.name + ".new")
-            with beside.open("w", newline="", encoding="utf-8") as file:
-                csv.writer(file).writerows([self.columns, *rows])
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(self.path)
-        return SweepRows(self.columns, rows, self.n_axes)
+            _write(self.path, [self.columns, *rows])
+        found = SweepRows(self.columns, rows, self.n_axes, replicates)
+        if self.path is not None and replicates > 1:
+            means = found.means()
+            _write(means_beside(self.path), [means.columns, *means.rows])
+        return found
 
     def close(self) -> None:
         """Let others write it."""

@@ -2,12 +2,9 @@
 
 import contextlib
 import hashlib
-import itertools
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from particlerb.case.changes import changed, likeness
 from particlerb.case.overrides import with_value
@@ -15,8 +12,9 @@ from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of
 from particlerb.case.reader import build
 from particlerb.case.schema import Case
 from particlerb.case.source import problem_at
-from particlerb.case.sweep import Spread, SweepTable
+from particlerb.case.sweep import SweepTable
 from particlerb.compiled.jit import source_hash
+from particlerb.sweeping.designs import rows_of
 
 _MOST_PROBLEMS = 20
 
@@ -40,7 +38,7 @@ def variants(case: Case, sweep: SweepTable) -> list[Variant]:
     CaseError
         If a key leads nowhere, or a variant is not a case: all that is wrong.
     """
-    paths, rows = list(map(path_of, sweep.axes)), list(_rows(sweep))
+    paths, rows = list(map(path_of, sweep.axes)), list(rows_of(sweep))
     alike: dict[Any, list[int]] = {}
     for number, row in enumerate(rows):
         alike.setdefault(likeness(paths, row), []).append(number)
@@ -98,36 +96,6 @@ def _tell(
     for one in error.problems:
         named = one._replace(reason=f"{one.reason} (with {values})")
         problems.setdefault((one.key, one.reason), named)
-
-
-def _rows(sweep: SweepTable) -> Iterator[tuple[Any, ...]]:
-    """Values of the axes, a row for each run."""
-    axes, n = list(sweep.axes.values()), sweep.runs or 0
-    if sweep.design == "grid":
-        yield from itertools.product(*map(_listed, axes))
-    elif sweep.design == "zip":
-        yield from zip(*map(_listed, axes), strict=True)
-    else:
-        yield from zip(*(_drawn(sweep, k, axis, n) for k, axis in enumerate(axes)), strict=True)
-
-
-def _listed(axis: tuple[Any, ...] | Spread) -> tuple[Any, ...]:
-    """Values of an axis in their order."""
-    if not isinstance(axis, Spread):
-        return axis
-    n = axis.n or 1
-    return tuple(axis.at(k / max(n - 1, 1)) for k in range(n))
-
-
-def _drawn(sweep: SweepTable, k: int, axis: tuple[Any, ...] | Spread, n: int) -> list[Any]:
-    """Values of axis k for n runs: in a Latin hypercube each n-th of it has one of them."""
-    stream = np.random.default_rng([sweep.seed, k])
-    shares = stream.uniform(size=n)
-    if sweep.design == "latin":
-        shares = (stream.permutation(n) + shares) / n
-    if isinstance(axis, Spread):
-        return [axis.at(share) for share in shares.tolist()]
-    return [axis[int(share * len(axis))] for share in shares.tolist()]
 
 
 def _hash_start(case: Case, sweep: SweepTable, paths: Sequence[Path]) -> Any:

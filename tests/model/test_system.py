@@ -20,7 +20,7 @@ GRID = {"place": {"type": "grid", "spacing": 9.0}}
 AUTHORS = {  # of cases: they read one, or write one
     "__init__.py", "cli/bodies.py", "cli/common.py", "cli/export.py", "record/trajectory.py",
     "simulation/entry.py", "simulation/resume.py", "simulation/simulation.py",
-    "sweeping/driver.py", "sweeping/variants.py",
+    "sweeping/designs.py", "sweeping/driver.py", "sweeping/variants.py",
 }  # fmt: skip
 
 
