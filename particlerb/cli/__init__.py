@@ -9,6 +9,7 @@ Exit codes: 0 done; 1 the run failed; 2 wrong usage or case; 3 a [check] was mis
 
 import argparse
 import io
+import logging
 import os
 import signal
 import sys
@@ -88,6 +89,7 @@ def main(words: Sequence[str] | None = None) -> int:
                 find_case(words[0], tuple(COMMANDS))
             words.insert(0, "run")
         options = top.parse_args(words)
+        _tell_progress()
         module = import_module(f"particlerb.cli.{COMMANDS[options.command].module}")
         code: int = getattr(module, f"{options.command}_command")(options)
         return code
@@ -102,6 +104,22 @@ def main(words: Sequence[str] | None = None) -> int:
         return _complain("out of memory: fewer bodies or particles would fit", FAILED)
     except OSError as error:
         return _complain(str(error), FAILED)
+
+
+def _tell_progress() -> None:
+    """Write what the package logs, from INFO on, to stderr, as all other messages."""
+    log = logging.getLogger("particlerb")
+    if not log.handlers:
+        log.addHandler(_ToStderr())
+        log.setLevel(logging.INFO)
+
+
+class _ToStderr(logging.Handler):
+    """Lines on what stderr is now."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a line."""
+        print(tamed(record.getMessage()), file=sys.stderr, flush=True)
 
 
 def entry() -> NoReturn:

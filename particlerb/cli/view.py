@@ -2,11 +2,8 @@
 
 import argparse
 import contextlib
-import os
 import signal
 import sys
-import tempfile
-import webbrowser
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -126,24 +123,15 @@ def _play(options: argparse.Namespace, server: "viser.ViserServer", access: "Acc
 @contextlib.contextmanager
 def open_to(access: "Access", no_browser: bool) -> Iterator[None]:
     """Say where the page is, and open it where there is a display; until Ctrl-C or SIGTERM."""
+    from particlerb.view.showing import in_browser
+
     addresses = access.addresses()
     print("open this address in a browser; Ctrl-C ends", *addresses, sep="\n", flush=True)
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with tempfile.TemporaryDirectory() as folder:  # which only this user can read
-            if not no_browser and _has_display():
-                door = Path(folder) / "particlerb.html"
-                door.write_text(f'<meta http-equiv="refresh" content="0;url={addresses[0]}">')
-                webbrowser.open(door.as_uri())
+        with contextlib.nullcontext() if no_browser else in_browser(addresses[0]):
             yield
     except KeyboardInterrupt:
         pass
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def _has_display() -> bool:
-    """Whether there is a screen for a browser."""
-    return sys.platform in ("darwin", "win32") or any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-    )

@@ -15,6 +15,7 @@ import contextlib
 import functools
 import hashlib
 import linecache
+import logging
 import os
 import pickle
 import shutil
@@ -45,6 +46,7 @@ _FLAGS: dict[str, Any] = {
 }
 
 
+_LOG: Final = logging.getLogger(__name__)
 WHEN_COMPILING: Final[list[str]] = []  # what to say when the first kernel is compiled, and how long
 
 
@@ -190,7 +192,7 @@ class _KernelCache(caching.FunctionCache):
             if (found := super().load_overload(signature, context)) is not None:
                 return found
         while WHEN_COMPILING:
-            print(f"compiling {WHEN_COMPILING.pop()} ...", file=sys.stderr, flush=True)
+            _LOG.info("compiling %s ...", WHEN_COMPILING.pop())
         return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:

@@ -1,12 +1,13 @@
-"""Trajectories as labelled arrays of xarray, tables of pandas, and in a line.
+"""Trajectories as labelled arrays of xarray, tables of pandas, pictures, and in a line.
 
-Neither library is needed for anything else, so that each is loaded when it is asked for.
+No such library is needed for anything else, so that each is loaded when it is asked for.
 """
 
 from collections.abc import Sequence
 from functools import cached_property
 from html import escape
 from importlib import import_module
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -57,6 +58,35 @@ class LabelledReader(FrameReader):
             error = np.abs(self.series(f"{schema.OBSERVABLES}/energy_error/value")).max()
             lines.append(("energy error", f"{error:.2g} J"))
         return lines
+
+    def plot(self, path: str | PathLike[str] | None = None, *, body: str | None = None) -> Any:
+        """Draw it, as `particlerb.plot`: a figure with panels that fit the scene, or one body."""
+        return import_module("particlerb").plot(self, path, body=body)
+
+    def view(self, *, port: int = 8080, browser: bool = True) -> Any:
+        """Play it on a page of this machine, which a thread of this program serves.
+
+        Parameters
+        ----------
+        port : int
+            Where it listens; the next free one where it is taken.
+        browser : bool
+            Whether to open a browser, where there is a screen.
+
+        Returns
+        -------
+        particlerb.view.showing.Shown
+            With the `address` of the page; `close()` ends it, `wait()` keeps a script until Ctrl-C.
+            The trajectory stays open meanwhile.
+
+        Raises
+        ------
+        ImportError
+            If viser is not installed: `pip install "particlerb[view]"`.
+        ReplayError
+            If positions, orientations or the files of the case are missing.
+        """
+        return import_module("particlerb.view.showing").Shown(self, port, browser)
 
     def to_xarray(self) -> "xr.Dataset":
         """All that was recorded per frame, with units; a copy in memory.

@@ -3,8 +3,8 @@
 Costs come from a table, ns per body and step, and never from a clock.
 """
 
+import logging
 import math
-import sys
 import time
 from typing import Any, Final
 
@@ -26,6 +26,8 @@ from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.simulation.trials import chosen, poses, relative_misfits, ways
 from particlerb.stepping.pair_forces import cost_of
+
+_LOG: Final = logging.getLogger(__name__)
 
 _PILOT: Final = 32  # bodies that are looked at, at most:
 _FASTEST: Final = 8  # these by their rates at t = 0, the others by their errors at
@@ -101,8 +103,8 @@ class Pilot:
         if not self.has_said and time.monotonic() - self.start > _SAY_SO:
             self.has_said = True
             name = group_name(self.system, self.group.members)
-            text = f"{name}: looking for method and step for run.accuracy, now with {method} ..."
-            print(text, file=sys.stderr, flush=True)
+            text = "%s: looking for method and step for run.accuracy, now with %s ..."
+            _LOG.info(text, name, method)
 
     def errors(
         self, times: Floats, found: Frames, expected: Frames, rows: slice = slice(None)

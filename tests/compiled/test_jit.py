@@ -186,15 +186,16 @@ def test_what_is_damaged_is_thrown_away(fresh, which):
 
 
 @pytest.mark.compiled
-def test_what_takes_so_long_is_said_once(fresh, monkeypatch, capsys):
+def test_what_takes_so_long_is_said_once(fresh, monkeypatch, caplog):
     """Where a kernel is compiled, and not where its code is kept."""
     load, _ = fresh
+    caplog.set_level("INFO", "particlerb")
     for is_kept in (False, True):
         monkeypatch.setattr(_jit, "WHEN_COMPILING", ["kernels, once, about 15 s"])
         works(load, is_kept)
         assert load().treble(1) == 3
-        said = capsys.readouterr().err
-        assert said == ("" if is_kept else "compiling kernels, once, about 15 s ...\n")
+        assert caplog.messages == ([] if is_kept else ["compiling kernels, once, about 15 s ..."])
+        caplog.clear()
 
 
 @pytest.mark.compiled

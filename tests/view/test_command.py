@@ -140,10 +140,10 @@ def test_the_browser_opens_the_page_where_there_is_a_display(served, monkeypatch
         file = Path(address.removeprefix("file://"))
         doors.append((file.read_text(), file.parent.stat().st_mode & 0o077, file))
 
-    monkeypatch.setattr(command.webbrowser, "open", opened)
+    monkeypatch.setattr("webbrowser.open", opened)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(command.sys, "platform", "linux")
+    monkeypatch.setattr("sys.platform", "linux")
     assert main(["view", "--port", "8470"]) == 0
     assert not doors
     monkeypatch.setenv("DISPLAY", ":0")
