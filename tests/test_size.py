@@ -43,7 +43,7 @@ BUDGETS = {
     "variants of a sweep judged together": 110,
     "sweeps over ranks and dask, workers that die": 75,
     "tables of runs, replicates of a sweep": 116,
-    "trajectories shown from Python, what takes long logged": 60,
+    "trajectories shown from Python, what takes long logged": 59,
     "reports of a run, names of files": 77,
     "pictures that fit the scene": 198,
     "size and time of a run, told before it": 85,
