@@ -1,8 +1,9 @@
 """Joints of a group of bodies as arrays: rows of constraints, clusters, and what is worked on.
 
-A joint is a block of one to six rows g = 0, a row ties a body a to a body b. Bodies stand here in
-the order of clusters, the bodies that joints tie together; behind them stands the world, a body
-that nothing moves. Arrays have the body or the row first: joints reach for single bodies.
+A joint is a block of one to six rows g = 0, and of one more for what acts along a coordinate and
+for what prescribes it; a row ties a body a to a body b. Bodies stand here in the order of clusters,
+the bodies that joints tie together; behind them stands the world, a body that nothing moves. Arrays
+have the body or the row first: joints reach for single bodies.
 """
 
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -23,7 +24,6 @@ TURN: Final = 4  # no constraint: the angle of n, fixed in a, from r_b about u, 
 STRETCH: Final = 5  # no constraint: |d|
 HOLDS: Final = -1  # the action of a row that is a constraint
 AT_REST: Final = -1  # the drive of a row that has none
-LARGEST_BLOCK: Final = 6  # rows of a joint at most
 STATE: Final = 13  # x, q, p, L of a body
 X, Q, P, L = 0, 3, 7, 10
 GRADIENT: Final = 15  # of a row: by x, by θ_a and by θ_b, and the last two times J⁻¹
@@ -157,7 +157,7 @@ class Work(NamedTuple):
     before: Floats  # (m,) rates of coordinates before a kick
     compliance: Floats  # (m,) what is added to the diagonal of A; inf: the row is left out
     scale: Floats  # (m,) diagonal of A
-    factor: Floats  # (blocks, 6, 6)
+    factor: Floats  # (blocks, w, w) for joints of w rows at most
     lost: Ints  # (k,) 1 + row that did not converge; 0: none
     turned: Floats  # (c, 3) cosine, sine and whole turns of each angle; or displacement [m], 0, 0
     change: Floats  # (n + 1, 6) momenta that a kick gave; or those before damping
@@ -180,6 +180,7 @@ class Jointed(NamedTuple):
 def room_for_joints(joints: Joints) -> Work:
     """Room to work in; the world stands still at the origin."""
     n, m, k = joints.inv_mass.size, joints.rows.kind.size, joints.clusters.body.size - 1
+    width = int(np.diff(joints.program.start).max())
     y = np.zeros((n, STATE))
     y[:, Q] = 1.0
     return Work(
@@ -197,7 +198,7 @@ def room_for_joints(joints: Joints) -> Work:
         np.zeros(m),
         np.where(joints.rows.action == HOLDS, 0.0, np.inf).astype(np.float64),
         np.zeros(m),
-        np.zeros((len(joints.program.pair), LARGEST_BLOCK, LARGEST_BLOCK)),
+        np.zeros((len(joints.program.pair), width, width)),
         np.zeros(k, dtype=np.int64),
         np.zeros((0 if joints.coordinates is None else joints.coordinates.a.size, 3)),
         np.zeros((n, 6)),

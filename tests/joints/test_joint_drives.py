@@ -117,6 +117,27 @@ def test_a_hinge_turns_on_at_a_speed_through_whole_turns():
         assert trajectory.ledger.work == pytest.approx(lifted, abs=5e-3)
 
 
+@pytest.mark.parametrize("kind", ["hinge", "slider"])
+def test_a_drive_works_against_a_spring_and_a_damper(kind):
+    """x = v t: the drive gives m g sin φ + k x + c v, in a joint of five rows and two more."""
+    keys = {"drive": {"speed": 3.0}, "spring": {"stiffness": 2.0}, "damper": 0.4}
+    if kind == "hinge":
+        scene = flap(3.0, (0, 0, -9.81), **keys)
+    else:
+        block = body("block", 2.0, [0.1, 0.2, 0.3], [0, 0, 0], [0, 0, 3.0])
+        scene = case([block], [joint("slider", "block", None, [0, 0, 0], Z, **keys)], output=OUTPUT)
+    with moved(scene, 1.0, 0.02, every=0.1) as trajectory:
+        t, loads, ledger = trajectory.time, joint_loads(trajectory), trajectory.ledger
+    weight = -0.5 * 9.81 * np.cos(3.0 * t) if kind == "hinge" else 2.0 * 9.81
+    found = loads.torque[:, 0, 1] if kind == "hinge" else loads.force[:, 0, 2]
+    assert found == pytest.approx(weight + 6.0 * t + 1.2, abs=1e-9)
+    assert loads.misfit.max() < 1e-13
+    height = -0.5 * np.sin(3.0 * t) if kind == "hinge" else 6.0 * t
+    stored = 9.81 * height + 9.0 * t * t
+    assert ledger.work == pytest.approx(stored, abs=5e-3)
+    assert np.abs(ledger.energy_error).max() < 5e-3
+
+
 def test_a_speed_that_rises_between_knots():
     """ω from 0 to 2 rad/s within 0.5 s, then constant: the torque falls from I α to 0."""
     scene = flap(0.0, drive={"speed": [[0.0, 0.0], [0.5, 2.0]]})
