@@ -24,6 +24,7 @@ BUDGETS = {
     "prescribed motion in joints, and driven bodies there": 335,
     "joints that break": 128,
     "joints that merge bodies": 360,
+    "springs in balls and universal joints": 58,
     "coordinates by name, along which something acts": 21,
     "contact with every method": 480,
     "impulses": 1350,

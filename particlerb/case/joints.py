@@ -31,7 +31,9 @@ JointType = Literal[
 ]
 TYPES_WITH_COORDINATES = ("hinge", "slider", "universal", "cylindrical", "planar")
 ALONG = {
+    "ball": ("turn",),
     "hinge": ("angle",),
+    "universal": ("angle about axis", "angle about axis_to"),
     "slider": ("displacement",),
     "cylindrical": ("displacement", "angle"),
     "planar": ("first displacement", "second displacement", "angle"),
@@ -258,10 +260,16 @@ def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
         if raw.get(key) and kind in JOINT_TYPES and kind not in ALONG:
             reason = f"nothing acts along a {kind} joint yet"
             yield (*path, key), reason, f"take one of {', '.join(ALONG)}"
+        elif raw.get(key) and kind == "ball" and key not in ("spring", "damper"):
+            yield (*path, key), "along a ball joint act springs and dampers alone", "leave it out"
         elif raw.get(key) and len(ALONG.get(str(kind), "")) > 1 and not given(raw, "along"):
             yield (*path, "along"), f"missing: a {kind} joint has several coordinates", ""
         if raw.get(key) and given(raw, "breaks_at"):
             yield (*path, "breaks_at"), f"given beside {key}", "let a second joint have one of them"
+    spring = raw.get("spring")
+    if kind == "ball" and isinstance(spring, dict) and spring.get("rest"):
+        hint = "place the bodies where the spring does nothing"
+        yield (*path, "spring", "rest"), "the spring of a ball joint rests at the start", hint
     names, along = ALONG.get(str(kind), ()), raw.get("along")
     if isinstance(along, str) and along not in names:
         yield (*path, "along"), f"a {kind} joint has no {along}", nearest(along, list(names))
@@ -269,5 +277,5 @@ def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
     if isinstance(ends, list) and len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
         if not ends[0] < ends[1]:
             yield (*path, "limit", "range"), "must ascend", "give the least coordinate first"
-        elif "angle" in (along, *names[:1]) and max(map(abs, ends)) >= math.pi:
+        elif "angle" in str(along or names[:1]) and max(map(abs, ends)) >= math.pi:
             yield (*path, "limit", "range"), "beyond half a turn", "give angles between -π and π"

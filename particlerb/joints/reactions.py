@@ -91,7 +91,7 @@ def make_least(joints: Joints, work: Work) -> Bools:
         something there.
     """
     is_open = np.zeros((joints.number.size, 6), dtype=np.bool_)
-    is_turning = np.isin(joints.rows.kind, (DOT, TURN))
+    is_turning = (joints.rows.kind == DOT) | (joints.rows.kind >= TURN)
     sizes = np.where(is_turning, _joint_sizes(joints), 1.0)
     for c in np.flatnonzero(joints.clusters.smallest_pivot > 0.0):
         lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]

@@ -7,13 +7,15 @@
 | dot | n·u | 0 | n × u | -n × u | n̈·u + 2 ṅ·u̇ + n·ü |
 | distance | (d·d - l²)/(2 l) | d/l | r_a × d/l | d/l × r_b | (ḋ·ḋ + d·k)/l |
 | turn, n across u | angle of n from r_b | 0 | u | -u | u̇·(ω_a - ω_b) |
+| rotation, nothing but springs | u·φ | 0 | u | -u | |
 
 d = x_a + r_a - x_b - r_b, ∂g/∂x_b = -∂g/∂x_a, θ the turn in world axes, k = ω_a × (ω_a × r_a) -
-ω_b × (ω_b × r_b); u̇ = ω × u, ü = ω × u̇. J = R I Rᵀ. Of a row with a drive g has -c(t) more.
+ω_b × (ω_b × r_b); u̇ = ω × u, ü = ω × u̇; φ the rotation vector of a against b: the potential k φ²/2
+has the torque -k φ. J = R I Rᵀ. Of a row with a drive g has -c(t) more.
 See docs/joints.md.
 """
 
-from math import atan2, inf, pi
+from math import atan2, copysign, inf, pi
 from typing import Final
 
 import numpy as np
@@ -24,6 +26,8 @@ from particlerb.joints.records import (
     ALONG,
     DISTANCE,
     DOT,
+    OWN_TURN,
+    ROTATION,
     STRETCH,
     TURN,
     WORLD_ALONG,
@@ -34,7 +38,7 @@ from particlerb.joints.records import (
     Work,
     X,
 )
-from particlerb.maths.quaternion import Quat, to_body, to_world
+from particlerb.maths.quaternion import Quat, conjugate, multiply, to_body, to_world
 from particlerb.maths.vec3 import (
     Floats,
     Vec3,
@@ -83,11 +87,30 @@ def arms(joints: Joints, y: Floats, r: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     a, b = rows.a[r], rows.b[r]
     qa, qb = attitude(y, a), attitude(y, b)
     ra, rb = to_world(qa, row3(rows.first, r)), to_world(qb, row3(rows.second, r))
-    u = row3(rows.axis, r)
-    if rows.kind[r] != WORLD_ALONG:
-        u = to_world(qb, u)
+    u, kind = row3(rows.axis, r), rows.kind[r]
+    if kind not in (WORLD_ALONG, ROTATION):
+        u = to_world(qa if kind == OWN_TURN else qb, u)
     d = subtract(subtract(vector(y, a, X), vector(y, b, X)), subtract(rb, ra))
     return ra, rb, u, d
+
+
+@lean
+def is_of_directions(kind: int) -> bool:
+    """Whether no points are in a row of a kind."""
+    return kind == DOT or kind >= TURN
+
+
+@lean
+def _rotation(joints: Joints, y: Floats, r: int) -> Vec3:
+    """Rotation vector of the bodies of row r against each other, world axes, at most π long."""
+    rows = joints.rows
+    x, z = row3(rows.first, r), row3(rows.second, r)
+    own = multiply(attitude(y, rows.a[r]), (z[0], x[0], x[1], x[2]))
+    q = multiply(own, conjugate(attitude(y, rows.b[r])))
+    v = q[1], q[2], q[3]
+    s = norm(v)
+    f = 2.0 * atan2(s, abs(q[0])) / s if s > 0.0 else 2.0
+    return scale(copysign(f, q[0]), v)
 
 
 @lean
@@ -95,7 +118,10 @@ def coordinate(joints: Joints, y: Floats, r: int) -> float:
     """Coordinate of row r [m or rad]; angles between -π and π."""
     ra, rb, u, d = arms(joints, y, r)
     kind = joints.rows.kind[r]
-    if kind == TURN:
+    if kind == ROTATION:
+        along: float = dot(u, _rotation(joints, y, r))
+        return along
+    if kind >= TURN:
         return atan2(dot(ra, cross(u, rb)), dot(ra, rb))
     return norm(d) if kind == STRETCH else dot(u, d)
 
@@ -103,14 +129,14 @@ def coordinate(joints: Joints, y: Floats, r: int) -> float:
 @lean
 def shorter(kind: int, away: float) -> float:
     """A difference of coordinates; of angles the shorter way."""
-    return away - _WHOLE_TURN * np.floor(away / _WHOLE_TURN + 0.5) if kind == TURN else away
+    return away - _WHOLE_TURN * np.floor(away / _WHOLE_TURN + 0.5) if kind >= TURN else away
 
 
 @lean
 def residual(joints: Joints, y: Floats, r: int, t: float) -> float:
     """g of row r at a time."""
     kind = joints.rows.kind[r]
-    if kind == TURN:
+    if kind >= TURN:
         target = course(joints.drives, joints.rows.drive[r], t)[0]
         return shorter(kind, coordinate(joints, y, r) - target)
     ra, _, u, d = arms(joints, y, r)
@@ -132,7 +158,8 @@ def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[f
         g = residual(joints, work.y, r, t) if work.compliance[r] == 0.0 else 0.0
         work.g[r] = g
         x, size = vector(work.y, joints.rows.a[r], X), joints.rows.size[r]
-        far = 0.0 if joints.rows.kind[r] in (DOT, TURN) else abs(x[0]) + abs(x[1]) + abs(x[2])
+        far = abs(x[0]) + abs(x[1]) + abs(x[2])
+        far = 0.0 if is_of_directions(joints.rows.kind[r]) else far
         g = abs(g) / (size + far)
         if not g <= worst:
             worst, where = g, r
@@ -145,7 +172,7 @@ def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
     for r in range(lo, hi):
         ra, rb, u, d = arms(joints, work.y, r)
         kind = joints.rows.kind[r]
-        if kind in (DOT, TURN):
+        if is_of_directions(kind):
             by_x, by_a = (0.0, 0.0, 0.0), cross(ra, u) if kind == DOT else u
             by_b = scale(-1.0, by_a)
         else:
@@ -223,8 +250,8 @@ def convective(joints: Joints, work: Work, r: int) -> float:
     ra2, rb2, u2 = cross(wa, ra1), cross(wb, rb1), cross(wb, u1)
     if kind == DOT:
         return dot(ra2, u) + 2.0 * dot(ra1, u1) + dot(ra, u2)
-    if kind == TURN:
-        return dot(u1, subtract(wa, wb))
+    if kind >= TURN:
+        return dot(u1 if kind == TURN else cross(wa, u), subtract(wa, wb))
     k = add(subtract(ra2, rb2), subtract(vector(motion, a, 6), vector(motion, b, 6)))
     if kind == WORLD_ALONG:
         return dot(u, k)

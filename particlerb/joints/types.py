@@ -15,18 +15,21 @@ from particlerb.joints.records import (
     DISTANCE,
     DOT,
     HOLDS,
+    OWN_TURN,
+    ROTATION,
     TURN,
     WORLD_ALONG,
     ConstraintRows,
 )
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import quaternions
 
 
 class Row(NamedTuple):
     """One constraint: its kind, and the names of the directions that it takes."""
 
     kind: int
-    axis: str = ""  # u, fixed in the second body, or in the world
+    axis: str = ""  # u, fixed in the second body, or in the world; of OWN_TURN in the first
     first: str = ""  # n of DOT, fixed in the first body
 
 
@@ -46,14 +49,20 @@ TYPES: Final[Mapping[str, tuple[Row, ...]]] = {
     "distance": (Row(DISTANCE),),
 }
 
-_ANGLE: Final = Row(TURN, "n", "e")
-COORDINATES: Final[Mapping[str, Mapping[str, Row]]] = {
+_ANGLE: Final = (Row(TURN, "n", "e"),)
+_SHIFT: Final = (Row(ALONG, "n"),)
+COORDINATES: Final[Mapping[str, Mapping[str, tuple[Row, ...]]]] = {
+    "ball": {"turn": tuple(Row(ROTATION, axis) for axis in "xyz")},
     "hinge": {"angle": _ANGLE},
-    "slider": {"displacement": Row(ALONG, "n")},
-    "cylindrical": {"displacement": Row(ALONG, "n"), "angle": _ANGLE},
+    "universal": {
+        "angle about axis": (Row(OWN_TURN, "n", "m"),),
+        "angle about axis_to": (Row(TURN, "m", "n"),),
+    },
+    "slider": {"displacement": _SHIFT},
+    "cylindrical": {"displacement": _SHIFT, "angle": _ANGLE},
     "planar": {
-        "first displacement": Row(ALONG, "e"),
-        "second displacement": Row(ALONG, "f"),
+        "first displacement": (Row(ALONG, "e"),),
+        "second displacement": (Row(ALONG, "f"),),
         "angle": _ANGLE,
     },
 }
@@ -82,36 +91,48 @@ def rows_of(
     """
     parts = [_row_of(row, ends) for row in TYPES[kind]]
     if action != HOLDS:
-        own = _coordinate_of(kind, ends, along)
-        parts.append(own._replace(action=np.full(ends.a.size, action)))
+        for own in _coordinate_of(kind, ends, along):
+            parts.append(own._replace(action=np.full(ends.a.size, action)))
     if drive != AT_REST:
-        own = _coordinate_of(kind, ends, along)
-        parts.append(own._replace(drive=np.full(ends.a.size, drive)))
+        for own in _coordinate_of(kind, ends, along):
+            parts.append(own._replace(drive=np.full(ends.a.size, drive)))
     stacked = (np.stack(arrays, axis=1) for arrays in zip(*parts, strict=True))
     return ConstraintRows(*(array.reshape(-1, *array.shape[2:]) for array in stacked))
 
 
-def _coordinate_of(kind: str, ends: Ends, along: str | None) -> ConstraintRows:
-    """A free coordinate of each of the joints, 0 at the start."""
-    row = COORDINATES[kind][along or next(iter(COORDINATES[kind]))]
-    own = _row_of(row, ends)
-    return own if row.kind == TURN else own._replace(second=ends.second["at"])
+def _coordinate_of(kind: str, ends: Ends, along: str | None) -> list[ConstraintRows]:
+    """Rows along a free coordinate of each of the joints, 0 at the start."""
+    rows = COORDINATES[kind][along or next(iter(COORDINATES[kind]))]
+    if kind == "ball":
+        return [_rotation_of(row, ends) for row in rows]
+    found = [_row_of(row, ends) for row in rows]
+    shifted = [own._replace(second=ends.second["at"]) for own in found]
+    return shifted if rows[0].kind == ALONG else found
+
+
+def _rotation_of(row: Row, ends: Ends) -> ConstraintRows:
+    """A component of rotation vectors; c, from frames of b to those of a at the start, is held."""
+    pairs = [(ends.first[axis], ends.second[axis]) for axis in "nef"]
+    turn = quaternions(sum(np.einsum("ki,kj->kij", *pair) for pair in pairs))
+    second = np.pad(turn[:, :1], ((0, 0), (0, 2)))
+    return _row_of(row, ends)._replace(first=turn[:, 1:].copy(), second=second)
 
 
 def _row_of(row: Row, ends: Ends) -> ConstraintRows:
     """One row of each of the joints."""
     k = ends.a.size
     none, one = np.zeros((k, 3)), np.ones(k)
-    is_dot, is_turn = row.kind == DOT, row.kind == TURN
+    is_dot, is_turn = row.kind == DOT, row.kind in (TURN, OWN_TURN)
+    axes = ends.first if row.kind == OWN_TURN else ends.second
     return ConstraintRows(
         np.full(k, row.kind),
         ends.a,
         ends.b,
         ends.first[row.first] if is_dot or is_turn else ends.first_at,
         none if is_dot else ends.second[row.first] if is_turn else ends.second_at,
-        ends.second[row.axis] if row.axis else none,
+        axes[row.axis] if row.axis else none,
         ends.length if row.kind == DISTANCE else one,
-        one if is_dot or is_turn else ends.size,
+        one if is_dot or is_turn or row.kind == ROTATION else ends.size,
         np.full(k, HOLDS),
         np.full(k, AT_REST),
     )

@@ -185,13 +185,13 @@ def test_a_damped_mechanism_goes_on_bit_for_bit(tmp_path):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"type": "ball", "damper": 1.0}, "nothing acts along a ball joint"),
+        ({"type": "ball", "motor": 1.0}, "springs and dampers alone"),
         ({"limit": {"range": [0.2, 0.1], "stiffness": 1.0}}, "must ascend"),
         ({"limit": {"range": [0.0, 4.0], "stiffness": 1.0}}, "beyond half a turn"),
     ],
 )
 def test_what_cannot_act_along_a_joint_is_named(keys, words):
-    scene = hinged(**keys)
+    scene = hinged(**keys) if "type" not in keys else flap(**keys)
     if keys.get("type") == "ball":
         scene["joint"][0].pop("axis")
     with pytest.raises(CaseError, match=words):

@@ -1,4 +1,4 @@
-"""Prescribed motion, a driven body and a joint that breaks, in one mechanism: one loop to compile.
+"""Prescribed motion, a driven body, a joint that breaks and what acts in joints: one loop.
 
 Plain Python has the closed forms of each; here all of them run as compiled.
 """
@@ -6,24 +6,32 @@ Plain Python has the closed forms of each; here all of them run as compiled.
 import numpy as np
 import pytest
 from scenes import X, body, case, joint, moved
-from test_actions import OUTPUT
+from test_actions import OUTPUT, angle
 from test_joint_drives import SWING, swung
 
 
 @pytest.mark.compiled
 def test_a_load_tears_off_a_cart_that_slides_on_a_driven_base():
-    """The cart is where both motions put it; its bob flies on a parabola once its wire snaps."""
+    """The cart is where both motions put it; its bob flies on a parabola once its wire snaps.
+
+    A spring and a damper work against the drive; a bell swings on a ball joint with others.
+    """
     base = body("base", 3.0, [1, 1, 1], [0, 0, 0]) | {"motion": {"velocity": [0.1, 0, 0]}}
     del base["velocity"], base["angular_velocity"]
     cart = body("cart", 2.0, [0.1, 0.2, 0.3], [0, 0, 0.5], [0.1 + swung(0.0)[1], 0, 0])
     bob = body("bob", 1.0, [0.1, 0.1, 0.1], [0, 0, -0.5])
     wire = {"type": "distance", "body": "bob", "to": "cart", "breaks_at": {"force": 11.0}}
-    joints = [joint("slider", "cart", "base", [0, 0, 0.5], X, drive=SWING), wire]
-    with moved(case([base, cart, bob], joints, output=OUTPUT), 1.0, 2e-3, every=0.02) as t:
+    bell = body("bell", 2.0, [0.1, 0.1, 0.1], [3, 0, 0], spin=[0, 0.6, 0])
+    own = {"spring": {"stiffness": 5.0}, "damper": 0.2}
+    joints = [joint("slider", "cart", "base", [0, 0, 0.5], X, drive=SWING, **own), wire]
+    joints.append(joint("ball", "bell", None, [3, 0, 0], **own))
+    with moved(case([base, cart, bob, bell], joints, output=OUTPUT), 1.0, 2e-3, every=0.02) as t:
         time, x, v = t.time, np.array(t.position), np.array(t.velocity)
-        at = float(t.joint_break_time[-1, 1])
+        at, turned = float(t.joint_break_time[-1, 1]), angle(t, 3)
         assert np.abs(t.ledger.energy_error).max() < 1e-4
         assert np.abs(t.ledger.linear_momentum_error).max() < 1e-12
+    w = np.sqrt(50.0 - 1.0)
+    assert turned == pytest.approx(0.6 / w * np.exp(-time) * np.sin(w * time), abs=1e-5)
     assert x[:, 1, 0] == pytest.approx(0.1 * time + swung(time)[0], abs=1e-13)
     assert v[:, 1, 0] == pytest.approx(0.1 + swung(time)[1], abs=1e-12)
     length = np.linalg.norm(x[:, 2] - x[:, 1], axis=1)
