@@ -11,6 +11,7 @@ Source: Suzuki, Phys. Lett. A 201, 425 (1995), and Omelyan, Mryglod, Folk, Compu
 151, 272 (2003), for the family; A is where the errors of random tops are least.
 """
 
+from functools import lru_cache
 from typing import Final
 
 from particlerb.compiled.jit import kernel
@@ -50,6 +51,7 @@ _ZERO: Final = (0.0, 0.0, 0.0)
 _NO_SHARE: Final = 0.0  # no drift is cut for its share of the step: maps of order 8 are good enough
 
 
+@lru_cache
 def _maps_of(turn: float) -> float:
     """Moser-Veselov maps per drift of a step in which a body turns so far [rad], about."""
     return sum(max(1.0, share * turn / LONGEST_PIECE) for share in DRIFTS) / len(DRIFTS)

@@ -11,6 +11,7 @@ of a step, are cut into pieces (rotors/moser_veselov.py).
 Source: Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002), coefficients SRKN₁₁ᵇ.
 """
 
+from functools import lru_cache
 from typing import Final
 
 from particlerb.contact.contact_model import NOW
@@ -50,6 +51,7 @@ _BEFORE: Final = tuple(sum(DRIFTS[:k], 0.0) for k in range(len(DRIFTS)))  # wher
 CLOSING_KICK: Final = KICKS[0]
 
 
+@lru_cache
 def _maps_of(turn: float) -> float:
     """Moser-Veselov maps per drift of a step in which a body turns so far [rad], about."""
     largest = max(turn / LONGEST_PIECE, 1.0 / LARGEST_SHARE)

@@ -6,7 +6,7 @@ neighbouring bodies in the lanes of a SIMD register, with two-dimensional slices
 """
 
 import math
-from typing import TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,15 @@ Indices: TypeAlias = NDArray[np.int32]  # where there are many
 Bools: TypeAlias = NDArray[np.bool_]
 Vec3: TypeAlias = tuple[float, float, float]
 Rows3: TypeAlias = tuple[Floats, Floats, Floats]
+Array = TypeVar("Array", Floats, Ints)
+
+
+def differences(values: Array, before: Any) -> Array:
+    """Each of the values less the one before it; `numpy.diff` takes ten times as long for a few."""
+    found = values.copy()
+    found[1:] -= values[:-1]
+    found[:1] -= before
+    return found
 
 
 @inline

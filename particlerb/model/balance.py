@@ -8,7 +8,7 @@ Sums run over fixed blocks of bodies in a fixed order: the same bits for any num
 
 from collections.abc import Mapping
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -155,7 +155,7 @@ def totals(
         blocks = np.zeros((n_frames, n_blocks, _N_TOTALS))
         add_up = partial(_sum_blocks, frames, bodies, gravity, None, blocks)
         THREADS.share(add_up, n_blocks, n * n_frames)
-        sums = blocks.sum(axis=1)
+        sums = np.add.reduce(blocks, axis=1)
     else:
         blocks = np.zeros((n_frames, n_worlds * in_each, _N_TOTALS))
         world, b = np.divmod(np.arange(n), n // n_worlds)
@@ -197,15 +197,23 @@ class ConservationError(NamedTuple):
     angular_momentum: float
 
 
-def _largest(values: Floats, least: float = 0.0) -> Floats:
+def _largest(values: Floats, least: float = 0.0) -> Any:
     """Largest over the frames, (T, ...), and at least so much."""
-    return np.asarray(values.max(axis=0, initial=least))
+    return np.maximum.reduce(values, axis=0, initial=least)
+
+
+def _grown(largest: Floats, *values: Any) -> Floats:
+    """The larger of each row and a value; NumPy is slow with a tuple of them."""
+    now = np.empty_like(largest)
+    for k, value in enumerate(values):
+        now[k] = value
+    return np.maximum(largest, now, out=now)
 
 
 def _squared(values: Floats) -> Floats:
     """Squares of vectors (..., 3); a sum over so short an axis is slow."""
-    x, y, z = np.moveaxis(values * values, -1, 0)
-    return np.asarray(x + y + z)
+    squares = values * values
+    return np.asarray(squares[..., 0] + squares[..., 1] + squares[..., 2])
 
 
 class EnergyBalance:
@@ -233,8 +241,8 @@ class EnergyBalance:
     def widen(self, now: Totals, work: Floats, gross: float) -> None:
         """Let the scales grow with what is turned over."""
         energies = _largest(np.maximum(now.kinetic_energy, np.abs(work)), gross)
-        sizes = (_largest(now.momentum_size), _largest(now.spin_size))
-        self.scales = np.maximum(self.scales, (energies, *sizes))
+        sizes = _largest(now.momentum_size), _largest(now.spin_size)
+        self.scales = _grown(self.scales, energies, *sizes)
 
     def enter(self, now: Totals, booked: Floats, gross: float = 0.0) -> Entries:
         """Entries of some frames.
@@ -262,12 +270,12 @@ class EnergyBalance:
         )
         self.widen(now, work, gross)
         linear, angular = entries.linear_momentum_error, entries.angular_momentum_error
-        largest = (
+        self.errors = _grown(
+            self.errors,
             _largest(np.abs(entries.energy_error)),
             np.sqrt(_largest(_squared(linear))),
             np.sqrt(_largest(_squared(angular))),
         )
-        self.errors = np.maximum(self.errors, largest)
         return entries
 
     def drift(self) -> ConservationError:

@@ -111,13 +111,16 @@ def taken(record: Record, index: Ints) -> Record:
     Where all are chosen these are the same arrays, which nobody changes.
     """
     n = record[0].shape[-1]
-    which = slice(None) if index.size == n and np.array_equal(index, np.arange(n)) else index
+    is_whole = index.size == n and (index == np.arange(n)).all()
+    which = slice(None) if is_whole else index
     arrays = (np.ascontiguousarray(array[..., which]) for array in record)
     return type(record)(*arrays)
 
 
 def held(bodies: Bodies, fixed: Bools) -> Bodies:
     """Bodies of which some do not move, whatever acts on them."""
+    if not fixed.any():
+        return bodies
     moves = ~fixed
     return bodies._replace(
         mass=bodies.mass * moves,

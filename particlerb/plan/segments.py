@@ -4,7 +4,8 @@ Each segment is free (closed form) or driven (stepped). Forces that do not act i
 computed nor compiled.
 """
 
-from typing import Final, NamedTuple
+from collections.abc import Iterable
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from particlerb.rotors.rotor_class import POINT
 from particlerb.stepping.closed_forms import has_closed_form
 from particlerb.stepping.motion import SegmentGroup
 
+Needs: TypeAlias = dict[str, frozenset[str]]
 _NEEDS: Final = {
     POSE: "it depends on the pose",
     VELOCITY: "it depends on velocities",
@@ -137,10 +139,10 @@ def _with_drag_among_joints(terms: Terms, bodies: Bodies) -> Terms:
     return terms._replace(joints=joints, loads=tuple(others))
 
 
-def _refused_terms(method: str, terms: Terms) -> list[str]:
+def _refused_terms(method: str, terms: Terms, found: Needs | None = None) -> list[str]:
     """Terms that need more than a method takes into account; what that is, where it steps."""
     chosen, refused = METHODS[method], {}
-    for name, needs in needs_of(terms).items():
+    for name, needs in (needs_of(terms) if found is None else found).items():
         lacking = sorted(_NEEDS.get(need, _NEEDS[JOINTS]) for need in needs - chosen.accepts)
         if lacking:
             refused[name] = f" ({lacking[0]})" if has_step(method) else ""
@@ -149,13 +151,19 @@ def _refused_terms(method: str, terms: Terms) -> list[str]:
     return sorted(name + why for name, why in refused.items())
 
 
-def accepts(method: str, terms: Terms) -> bool:
-    """Whether a method can integrate under these terms, and is meant for them."""
+def accepting(methods: Iterable[str], terms: Terms) -> list[str]:
+    """Those of some methods that can integrate under these terms, and are meant for them."""
+    needs = needs_of(terms)
+    return [name for name in methods if accepts(name, terms, needs)]
+
+
+def accepts(method: str, terms: Terms, needs: Needs | None = None) -> bool:
+    """Whether a method can integrate under these terms, with these needs, and is meant for them."""
     chosen = METHODS[method]
     by_impulses = terms.contact is not None and not terms.has_springy_contact
     is_idle = chosen.holds_joints and terms.joints is None
     is_idle = is_idle or (chosen.takes_impulses and not by_impulses)
-    return not is_idle and not _refused_terms(method, terms)
+    return not is_idle and not _refused_terms(method, terms, needs)
 
 
 def has_step(method: str) -> bool:

@@ -225,21 +225,21 @@ def prepare(
     inertia, q, L = (np.ascontiguousarray(a, dtype=np.float64) for a in (inertia, q, L))
     units = np.ones((2, rotor_class.size))
     modulus = np.full(rotor_class.size, -1.0)
-    if (which := np.flatnonzero(rotor_class == ASYMMETRIC)).size:
+    if (which := (rotor_class == ASYMMETRIC).nonzero()[0]).size:
         THREADS.alone(moduli, inertia, q, L, units, which, modulus)
     is_steady, is_theta = modulus < 0.0, modulus >= _CROSSOVER
     groups: list[tuple[Ints, Turn]] = []
-    if (which := np.flatnonzero(is_theta)).size:
+    if (which := is_theta.nonzero()[0]).size:
         table, right = np.empty((THETA_ROWS, which.size)), np.empty((4, which.size), np.int8)
         THREADS.alone(theta_table, inertia, q, L, units, which, table, right)
         clock, left, series = split(table, 3, 4, 3)
         groups.append((which, ThetaTurn(clock, left, right, series)))
-    if (which := np.flatnonzero(~(is_theta | is_steady))).size:
+    if (which := (~(is_theta | is_steady)).nonzero()[0]).size:
         table, right = np.empty((NEAR_ROWS, which.size)), np.empty((4, which.size), np.int8)
         THREADS.alone(near_table, inertia, q, L, units, which, table, right)
         clock, left, *rest = split(table, 3, 4, 5, 6, 6)
         groups.append((which, HyperbolicTurn(clock, left, right, *rest)))
-    if (which := np.flatnonzero(is_steady)).size:
+    if (which := is_steady.nonzero()[0]).size:
         table = np.empty((STEADY_ROWS, which.size))
         inverse = _steady_inverse(inertia[:, which], rotor_class[which], modulus[which])
         THREADS.alone(steady_table, inverse, q, L, which, table)

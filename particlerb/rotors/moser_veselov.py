@@ -46,15 +46,11 @@ def modified_inertia(inv_inertia: Floats) -> Floats:
     scale = inv_inertia[0]
     a = inv_inertia / scale
     I = 1.0 / a  # noqa: E741
-    a1, a2, a3 = (np.sum(a**k, axis=0) for k in (1, 2, 3))
-    I1, I2, I3 = (np.sum(I**k, axis=0) for k in (1, 2, 3))
-
-    def mixed(j: int, k: int) -> Floats:
-        """Sum of I_p^j a_q^k over p ≠ q."""
-        both: Floats = np.sum(I**j, axis=0) * np.sum(a**k, axis=0) - np.sum(I**j * a**k, axis=0)
-        return both
-
-    x11, x12, x21 = mixed(1, 1), mixed(1, 2), mixed(2, 1)
+    aa, II = a**2, I**2
+    a1, a2, a3 = (power.sum(axis=0) for power in (a, aa, a**3))
+    I1, I2, I3 = (power.sum(axis=0) for power in (I, II, I**3))
+    x11 = I1 * a1 - (I * a).sum(axis=0)  # sums of I_p^j a_q^k over p ≠ q
+    x12, x21 = I1 * a2 - (I * aa).sum(axis=0), I2 * a1 - (II * a).sum(axis=0)
     d = a.prod(axis=0)
     e = 1.0 / d
     s = (
@@ -79,7 +75,7 @@ def modified_inertia(inv_inertia: Floats) -> Floats:
         (47 * I1 + 13 * x21 - 38 * e * a2) * d**2 / 2520,
         (9 * e * a1 + e * x12 - 11 * I2) * d**2 / 1260,
     )
-    return np.ascontiguousarray(np.vstack([a, scale, *s, *added]))
+    return np.concatenate([a, np.array([scale, *s, *added])])
 
 
 @inline

@@ -25,7 +25,7 @@ from particlerb.model.system import System
 from particlerb.plan.describe import describe, group_name
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.merging import merged
-from particlerb.plan.segments import GroupPlan, Plan, accepts, has_step
+from particlerb.plan.segments import GroupPlan, Plan, accepting, has_step
 from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.simulation.pilot import Pilot
 from particlerb.simulation.run import Prepared, made_ready, prepare
@@ -151,8 +151,9 @@ def search(system: System, group: GroupPlan) -> ChosenStep | None:
     if any(s.terms.contact is not None for s in stepped):
         return by_energy(pilot, "rattle" if held else "strang")
     family = [name for name in RATIO if METHODS[name].holds_joints == held]
-    able = [name for name in family if all(accepts(name, s.terms) for s in stepped)]
-    return cheapest(pilot, [Ladder(pilot, name) for name in candidates(pilot, able)])
+    for segment in stepped:
+        family = accepting(family, segment.terms)
+    return cheapest(pilot, [Ladder(pilot, name) for name in candidates(pilot, family)])
 
 
 def candidates(pilot: Pilot, able: list[str]) -> list[str]:

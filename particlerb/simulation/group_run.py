@@ -185,18 +185,18 @@ class GroupRun:
         self.contacts, self.tallies = {}, {}
         done = 0
         while done < times.size:
-            until = int(np.searchsorted(times, self.segment.stop, side="left"))
+            until = int(times.searchsorted(self.segment.stop))
             if until > done:
-                rows = np.arange(done, until)
-                booked[rows] = self.before + self.motion.record(times[rows], rows, frames)
+                rows, own = np.arange(done, until), slice(done, until)
+                booked[own] = self.before + self.motion.record(times[own], rows, frames)
                 if self.is_bound:
-                    potential[rows] = [
+                    potential[own] = [
                         self.potential(*self.pose(frames, row)) for row in rows.tolist()
                     ]
-                if self.plan.worlds is None:
+                if self.segment.terms.contact is not None and self.plan.worlds is None:
                     contacts = self.motion.contact_energies(rows)
-                    potential[rows] += contacts.potential
-                    kinetic[rows] += contacts.kinetic
+                    potential[own] += contacts.potential
+                    kinetic[own] += contacts.kinetic
                 self.contacts |= self.motion.contacts
                 self.tallies |= self.motion.impulse_tallies(rows)
                 if self.joint_values is not None:
@@ -238,6 +238,8 @@ class GroupRun:
 
 def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
     """Bodies as the energy balance counts them: those that are held have no mass."""
+    if bodies.mass.all() and all(group.bodies.mass.all() for group in groups):
+        return bodies
     mass, inv_mass = bodies.mass.copy(), bodies.inv_mass.copy()
     for group in groups:
         mass[group.members], inv_mass[group.members] = group.bodies.mass, group.bodies.inv_mass
@@ -262,11 +264,12 @@ def record_all(
 
 def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:
     """Energies at t = 0 beside those of the bodies themselves, (1,) or (1, n_worlds)."""
-    energies = np.sum([run.motion.initial_energies for run in runs], axis=0)
     bound = sum(run.potential(*run.pose(initial, 0)) for run in runs if run.is_bound)
+    energies = [run.motion.initial_energies for run in runs]
+    potential, kinetic = (sum(own[1:], own[0]) for own in zip(*energies, strict=True))
     if runs[0].plan.worlds is not None:
-        energies = energies[..., None]
-    return Energies(energies[0] + bound, energies[1])
+        potential, kinetic = potential[..., None], kinetic[..., None]
+    return Energies(potential + bound, kinetic)
 
 
 def tally_of(runs: Sequence[GroupRun]) -> Floats | None:

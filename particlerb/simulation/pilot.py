@@ -69,7 +69,9 @@ class Pilot:
         """Let the pilot have these bodies of the group."""
         own = self.group.members[which]
         self.which, self.state = which, taken(self.system.state, own)
-        self.own = chosen(self.group, which, np.arange(which.size))
+        members, is_whole = np.arange(which.size), which.size == self.group.members.size
+        whole = self.group._replace(members=members)
+        self.own = whole if is_whole else chosen(self.group, which, members)
         self.begun: dict[str, Any] = {}  # motions of these bodies, by their methods
         self.size = self.system.reach[self.system.kind[own]]
 

@@ -120,7 +120,8 @@ class Run:
         self.before = np.zeros(7)  # booked before the last restart,
         self.turned_over_before = 0.0  # and gross work of contacts [J]
 
-        self.setup = joints_of(self.system) if asked_of_joints(self.system) else None
+        asks = self.system.joint and asked_of_joints(self.system)
+        self.setup = joints_of(self.system) if asks else None
         self.loads = LoadReader.of(self.moving) if self.setup is not None else None
         self.joints: JointValues | None = None  # in rows of the last frames, where asked for
         self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows

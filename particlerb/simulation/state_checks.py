@@ -22,8 +22,8 @@ class StateChecks:
 
     def __init__(self, system: System, plan: Plan) -> None:
         self.system = system
-        self.rod_limit = _rod_limits(plan, len(system.kind))
-        self.rods = np.flatnonzero(system.bodies.rotor_class == ROD)
+        (self.rods,) = (system.bodies.rotor_class == ROD).nonzero()
+        self.rod_limit = _rod_limits(plan, len(system.kind)) if self.rods.size else np.empty(0)
 
     def sound_frames(
         self, times: Floats, frames: Frames, is_finite: bool, runs: Sequence[GroupRun]

@@ -6,11 +6,13 @@ step: no choice depends on a clock.
 """
 
 import math
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from particlerb.integrators import METHODS
+from particlerb.maths.vec3 import Floats
 from particlerb.model.state import Frames
 from particlerb.plan.time_step import Stepping
 from particlerb.simulation.pilot import SET_UP, Pilot
@@ -71,12 +73,16 @@ class Ladder:
         self.pilot, self.name, self.method = pilot, name, METHODS[name]
         self.order = 1 if self.method.is_adaptive else self.method.order  # of the error
         self.goal = pilot.wanted * _DEARER**-self.method.order
-        self.times = np.linspace(0.0, pilot.system.run.t_end, TIMES + 1)[1:]
         self.tried: list[_Tried] = []  # the coarsest first
         self.errors: list[float] = []  # of all but the finest, which stands for the truth
         self.apart: dict[tuple[float, float], float] = {}  # largest error between two settings
         self.setting, self.is_verified = 0.0, False
         self.cost = self.first_cost() if self.is_stepped else self.least_cost()
+
+    @cached_property
+    def times(self) -> Floats:
+        """When it looks at the bodies [s]."""
+        return np.linspace(0.0, self.pilot.system.run.t_end, TIMES + 1)[1:]
 
     def first_cost(self) -> float:
         """What a run with the first step takes, and to find out more: who is dearer is not tried.

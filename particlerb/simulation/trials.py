@@ -14,7 +14,7 @@ from particlerb.compiled.threads import THREADS
 from particlerb.forces.impulse import Impulse, apply_impulse
 from particlerb.integrators import METHODS
 from particlerb.integrators.dop853 import PACK
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Floats, Ints, differences
 from particlerb.model.balance import EnergyBalance, totals
 from particlerb.model.block import changing
 from particlerb.model.bodies import Bodies, taken
@@ -151,7 +151,7 @@ def poses(
         Taken until the last time; the mean over packs, where the method is adaptive.
     """
     n = state.com.shape[1]
-    frames = room_for(times.size, n, np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
+    frames = room_for(times.size, n, np.eye(1, 4).repeat(n, axis=0))
     done, steps = 0, 0.0
     for segment in group.segments:
         for jump in segment.jumps:
@@ -222,8 +222,8 @@ def ways(bodies: Bodies, times: Floats, frames: Frames, first: Floats) -> Floats
         Linear momenta at t = 0 [kg m/s].
     """
     momenta = np.concatenate([first[None], frames.linear_momentum])
-    speed = np.linalg.norm(momenta, axis=2) * bodies.inv_mass
-    lasting = np.diff(times, prepend=0.0)[:, None]
+    speed = np.sqrt((momenta * momenta).sum(axis=2)) * bodies.inv_mass
+    lasting = differences(times, 0.0)[:, None]
     return np.asarray(np.cumsum(0.5 * lasting * (speed[1:] + speed[:-1]), axis=0))
 
 

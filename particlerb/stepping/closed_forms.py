@@ -75,6 +75,8 @@ def _up_frames(axis: Floats) -> Floats:
 
 def translations_of(group: SegmentGroup) -> tuple[Damping | None, Oscillator | None, Floats | None]:
     """Drag and springs on the centres of mass of a group, and drag on its rotation (n,)."""
+    if not group.terms.loads:
+        return None, None, None
     n, inv_mass = group.members.size, group.bodies.inv_mass
     pushed, force = force_of(group)
     drags = [load for load in group.terms.loads if isinstance(load, Drag)]

@@ -221,7 +221,8 @@ class FreeMotion(Motion):
         self.force = force_of(group)[1]
         self.drag, self.spring, self.rotation = translations_of(group)
         self.orbit = orbits_of(group, state)
-        is_constant = self.drag is None and self.spring is None
+        is_constant = group.terms.gravity is not None or bool(group.terms.loads)
+        is_constant &= self.drag is None and self.spring is None
         is_constant &= self.orbit is None or group.terms.is_coupled
         self.constant = constant_force(group, state) if is_constant else None
         self.parts = list(self.sorted_parts())
@@ -244,8 +245,7 @@ class FreeMotion(Motion):
         for which, turn in prepare(bodies.inertia, bodies.rotor_class, state.q, state.L):
             own = free[which]
             steady, theta, hyperbolic = by_kind(turn)
-            part = self.part(own)._replace(steady=steady, theta=theta, hyperbolic=hyperbolic)
-            yield own, part, None
+            yield own, self.part(own, steady=steady, theta=theta, hyperbolic=hyperbolic), None
 
     def slowed_part(self, which: Ints) -> tuple[Ints, _Part, None]:
         """Spheres and rods that drag brings to rest."""
@@ -274,8 +274,8 @@ class FreeMotion(Motion):
             first = np.concatenate([before[0], 0.0 * before[1], before[1]], axis=-1)
             yield own, part, _Turned(axes[:, which], first)
 
-    def part(self, which: Ints) -> _Part:
-        """Some bodies, without their turn."""
+    def part(self, which: Ints, **turn: Any) -> _Part:
+        """Some bodies with their turn, if that is known."""
         bodies = self.group.bodies
         return _Part(
             self.state,
@@ -287,10 +287,11 @@ class FreeMotion(Motion):
             None if self.spring is None else taken(self.spring, which),
             None if self.orbit is None else taken(self.orbit, which),
             is_pair=flag(self.group.terms.is_coupled),
+            **turn,
         )
 
     def booked(self, elapsed: Floats) -> Floats:
-        """What forces have given that are constant in the world, (T, 7)."""
+        """What forces have given that are constant in the world, (T, 7); zeros without such."""
         if self.constant is None:
             return np.zeros((elapsed.size, *shape_of(self.group.worlds), GIVEN))
         return self.constant.booked(elapsed)
@@ -307,13 +308,16 @@ class FreeMotion(Motion):
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         elapsed = times - self.start
-        self.refuse_fall(elapsed.max(initial=0.0))
+        if self.orbit is not None:
+            self.refuse_fall(elapsed.max(initial=0.0))
         booked = self.booked(elapsed)
         for which, part, turned in self.parts:
             worlds = self.worlds_of(which, part)
-            m = which.size if worlds is None else worlds.bodies.shape[1]
-            bins = bins_of(np.arange(m) // BLOCK, worlds)
-            given = np.zeros((times.size, int(bins.max()) + 1, GIVEN)) if part.sums else None
+            bins, given = np.empty(0, np.int64), None
+            if part.sums:
+                m = which.size if worlds is None else worlds.bodies.shape[1]
+                bins = bins_of(np.arange(m) // BLOCK, worlds)
+                given = np.zeros((times.size, int(bins.max()) + 1, GIVEN))
             fly = partial(_fly_blocks, part, elapsed, rows, self.group.members, frames, given, bins)
             THREADS.spread(fly, which.size, which.size * times.size)
             if given is not None:

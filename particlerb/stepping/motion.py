@@ -128,7 +128,7 @@ class _ConstantForce(NamedTuple):
 
     def booked(self, t: Floats) -> Floats:
         """Work, impulse and angular impulse after the times t [s], shape (T, ..., 7)."""
-        t = np.reshape(t, (-1, *(1,) * self.impulse.ndim))
+        t = t.reshape(-1, *(1,) * self.impulse.ndim)
         work = t * (self.work[0] + t * self.work[1])
         angular = t * self.angular[0] + t * t * self.angular[1]
         return np.concatenate([work, t * self.impulse, angular], axis=-1)

@@ -188,17 +188,17 @@ def _orbits(frame: tuple[Floats, Floats], x: Floats, v: Floats, mu: Floats, shar
 
 def orbits_of(group: SegmentGroup, state: State) -> Orbit | None:
     """Orbits of a group that has a closed form; None where nothing attracts."""
-    velocity, attraction = state.p * group.bodies.inv_mass, group.terms.attraction
-    n = group.members.size
+    attraction, n = group.terms.attraction, group.members.size
+    centres = [load for load in group.terms.loads if isinstance(load, Central)]
+    if attraction is None and not centres:
+        return None
+    velocity = state.p * group.bodies.inv_mass
     if attraction is not None:
         mass = group.bodies.mass
         middle, drift = ((rows * mass).sum(axis=1) / mass.sum() for rows in (state.com, velocity))
         frame = np.tile(middle[:, None], n), np.tile(drift[:, None], n)
         x, v = state.com - state.com[:, ::-1], velocity - velocity[:, ::-1]
         return _orbits(frame, x, v, np.full(n, attraction.gm.sum()), mass[::-1] / mass.sum())
-    centres = [load for load in group.terms.loads if isinstance(load, Central)]
-    if not centres:
-        return None
     middle, mu = np.zeros((2, 3, n))
     for one in centres:
         middle, mu = np.where(one.mu > 0.0, (one.centre, mu + one.mu), (middle, mu))

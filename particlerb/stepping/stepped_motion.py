@@ -15,7 +15,7 @@ from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import MovingBodies, RotorClasses
 from particlerb.joints.coordinates import count_turns
 from particlerb.joints.records import Jointed, room_for_joints
-from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints, differences
 from particlerb.model.block import (
     BOOKED,
     CHANGING,
@@ -59,7 +59,7 @@ def _layout_of(is_asymmetric: Bools) -> Layout:
     """Blocks for bodies of which the asymmetric ones come first and have blocks of their own."""
     n, asymmetric = is_asymmetric.size, int(is_asymmetric.sum())
     assert is_asymmetric[:asymmetric].all()
-    first = np.r_[np.arange(0, asymmetric, BLOCK), np.arange(asymmetric, n, BLOCK)]
+    first = np.concatenate((np.arange(0, asymmetric, BLOCK), np.arange(asymmetric, n, BLOCK)))
     ends = np.minimum(first + BLOCK, np.where(first < asymmetric, asymmetric, n))
     return Layout(first, ends - first, -(-asymmetric // BLOCK))
 
@@ -130,6 +130,8 @@ class SteppedMotion(Motion):
 
     def spaced(self, values: Floats) -> Floats:
         """Rows of all bodies with the gaps of the blocks between them."""
+        if self.slots[-1] == self.slots.size - 1:
+            return values
         spaced = np.zeros((len(values), len(self.layout.first) * BLOCK))
         spaced[:, self.slots] = values
         return spaced
@@ -253,7 +255,8 @@ class SteppedMotion(Motion):
     def advance(self, steps: Ints, partial: Floats, rows: Ints, frames: Frames) -> Floats:
         """Go through stops given by their distance from the start; sums of what was booked."""
         recording = self.recording(frames)
-        for schedule in self.schedules(np.diff(steps, prepend=self.steps_done), partial, rows):
+        counts = differences(steps, self.steps_done)
+        for schedule in self.schedules(counts, partial, rows):
             self.run(schedule, recording)
             self.steps_done += int(schedule.steps.sum())
         return over_bins(recording.sums, self.group.worlds)
