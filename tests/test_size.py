@@ -37,6 +37,7 @@ BUDGETS = {
     "orbits about a centre and of two points": 188,
     "trials of a search that count what they cost": 18,
     "less Python around a motion and in a search": 42,
+    "conservation of bodies at rest": 15,
     "opening angle fitted to a scene": 95,
     "scenes in Python": 434,
     "states of a simulation without its energy": 82,

@@ -2,7 +2,7 @@
 
 total - initial - booked is the error of integration alone. It is judged against the largest
 kinetic energy, work or gross work of contacts, Σ|p| and Σ|L|, never against a value that may be
-zero.
+zero or, of bodies at rest, is all rounding.
 Sums run over fixed blocks of bodies in a fixed order: the same bits for any number of threads.
 """
 
@@ -29,9 +29,10 @@ from particlerb.maths.vec3 import (
     store3,
 )
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import Frames
+from particlerb.model.state import Frames, lengths
 
 _N_TOTALS = 10
+_STILL = 1e-20  # share of the energy of a motion that is seen; below it there is none
 _NEAR = 1e-6  # share of |x| |p| that an angular momentum is never judged below: x × p rounds
 
 
@@ -278,7 +279,32 @@ class EnergyBalance:
         )
         return entries
 
-    def drift(self) -> ConservationError:
-        """Largest errors until now over the largest scales."""
-        safe: Floats = np.where(self.scales > 0.0, self.scales, 1.0)
+    def drift(self, bodies: Bodies, com: Floats, duration: float) -> ConservationError:
+        """Largest errors until now over the largest scales.
+
+        Where nothing moves but by rounding, the scales are those of a motion that is seen.
+
+        Parameters
+        ----------
+        bodies, com
+            Constants, and centres of mass (3, n) at the start [m].
+        duration : float [s]
+            Of the run.
+        """
+        seen = _seen_motion(bodies, com, duration, self.energy.size).reshape(self.scales.shape)
+        seen[0] += np.abs(self.energy)
+        is_still = self.scales[0] < _STILL * seen[0]
+        scales = np.where(is_still, np.maximum(self.scales, seen), self.scales)
+        safe: Floats = np.where(scales > 0.0, scales, 1.0)
         return ConservationError(*(self.errors / safe).tolist())
+
+
+def _seen_motion(bodies: Bodies, com: Floats, duration: float, n_worlds: int) -> Floats:
+    """M v², M v and M v R of bodies that cross their reach R in a time, (3, n_worlds).
+
+    R: largest distance of a body from the origin and its radius of gyration; v = R over the time.
+    """
+    reach = lengths(com) + np.sqrt(bodies.inertia.max(axis=0) * bodies.inv_mass)
+    R = reach.reshape(n_worlds, -1).max(axis=1)
+    momentum = bodies.mass.reshape(n_worlds, -1).sum(axis=1) * R / duration
+    return np.stack([momentum * R / duration, momentum, momentum * R])

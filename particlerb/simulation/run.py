@@ -353,7 +353,7 @@ def advance(
     finally:
         recorder.finish()
     return Outcome(
-        run.balance.drift(),
+        run.balance.drift(run.counted, run.moving.state.com, prepared.system.run.t_end),
         tuple(run.probes),
         recorder.file,
         run.flown(),

@@ -46,6 +46,7 @@ class _Books(NamedTuple):
     initial: Energies  # beside those of the bodies, at t = 0
     later: Energies  # the same later
     gross: float  # [J] work of contacts until the last frame, without signs
+    until: float  # [s]
 
 
 class Error(NamedTuple):
@@ -113,7 +114,7 @@ def states_at(part: BodySubset, times: Floats) -> tuple[Frames, _Books]:
     first = initial_energies(group_runs, initial)
     given, later = record_all(group_runs, times, frames)
     gross = sum(group_run.turned_over() for group_run in group_runs)
-    return frames, _Books(given, first, later, gross)
+    return frames, _Books(given, first, later, gross, float(times[-1]))
 
 
 def seconds(part: BodySubset, t_end: float) -> float:
@@ -131,7 +132,7 @@ def drifts(part: BodySubset, frames: Frames, books: _Books) -> tuple[float, floa
     balance = EnergyBalance(totals(initial, bodies, part.gravity, *books.initial))
     now = totals(frames, bodies, part.gravity, *books.later)
     balance.enter(now, books.given, books.gross)
-    drift = balance.drift()
+    drift = balance.drift(bodies, part.state.com, books.until)
     return drift.energy, drift.angular_momentum
 
 

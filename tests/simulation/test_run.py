@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 import particlerb
 from particlerb.case.reader import load
 from particlerb.case.run import FRAME_ROUNDING
+from particlerb.case.to_system import to_system
 from particlerb.simulation.frame_times import frame_times
-from particlerb.simulation.run import RunError
+from particlerb.simulation.run import RunError, prepare, run_prepared
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
 AT, FORCE = [0.4, -0.3, 0.2], [1.0, 2.0, -1.5]
@@ -321,3 +322,20 @@ def test_numbers_within_1e100_stay_finite(make):
         assert np.isfinite(found.ledger.energy).all()
         unit = make.arrays(make.case(make.body(**SPIN) | {"mass": 1.0}, force=[], every=1.0))
         assert found.angular_momentum[0, 0] / size == pytest.approx(unit.angular_momentum[0, 0])
+
+
+def test_a_pendulum_at_rest_has_no_drift_worth_a_word():
+    box = {"type": "box", "size": [0.4, 0.3, 0.2], "arrangement": "exact"}
+    turned = {"euler_deg": [0, 0, 33]}
+    body = {"name": "a", "shape": box, "mass": 1.0, "position": [0.3, 0.1, -1.0]}
+    for com in ([0.3, 0.1, -1.0], [0.3, 0.1, 0.0], [0.0, 0.0, 0.0]):
+        hinge = {"type": "hinge", "body": "a", "axis": [0.6, 0.8, 0.0]}
+        hinge["at"] = [com[0], com[1], com[2] + 1.0]
+        case = {
+            "run": {"t_end": 0.5, "every": 0.1, "dt": 0.01, "threads": 1},
+            "gravity": {"acceleration": [0.0, 0.0, -9.81]},
+            "body": [body | {"position": com, "orientation": turned}],
+            "joint": [hinge],
+        }
+        drift = run_prepared(prepare(to_system(load(case))), None).drift
+        assert max(drift) < 1e-13
