@@ -69,8 +69,8 @@ class Pair(ContactNumbers):
 class ContactTable(ContactNumbers):
     """Contact between bodies and with walls; without this table nothing touches."""
 
-    law: Literal["hooke", "hertz", "impulse"] = Field(
-        "hooke", description="Force by overlap, or impulses without any. [-]"
+    law: Literal["hooke", "hertz", "impulse", "events"] = Field(
+        "hooke", description="Force by overlap, impulses in steps, or at the instants of hits. [-]"
     )
     attract: Yes = Field(False, description="Whether damping may pull. [-]")
     skin: Positive | None = Field(
@@ -96,7 +96,16 @@ class ContactTable(ContactNumbers):
     slop: NonNegative = Field(
         1e-4, description="Overlap that stays, over the smallest radius, impulse. [-]"
     )
+    contact_time: NonNegative | None = Field(
+        None,
+        description="What hits again within it bounces elastically, events; default: by speed. [s]",
+    )
     pair: tuple[Pair, ...] = Field((), description="Pairs of materials, [[contact.pair]]. [-]")
+
+    @property
+    def has_stiffness(self) -> bool:
+        """Whether contacts are forces, and not impulses."""
+        return self.law in ("hooke", "hertz")
 
 
 # Walls

@@ -30,7 +30,11 @@ FIELDS_OF_JOINTS = (
     "joint_coordinate",
     "joint_break_time",
 )
-FIELDS_OF_IMPULSES = ("impulse_residual", "impulse_overlap", "push_out_work")
+FIELDS_OF_LAWS = {  # what contacts without stiffness show, by their law
+    "impulse": ("impulse_residual", "impulse_overlap", "push_out_work"),
+    "events": ("impacts", "elastic_impacts", "smallest_gap", "impact_work", "friction_work"),
+}
+FIELDS_OF_IMPULSES = tuple(name for fields in FIELDS_OF_LAWS.values() for name in fields)
 FIELDS_OF_CONTACT = ("contacts", "contact_number", "contact_overlap", *FIELDS_OF_WALLS)
 _NAMES = (*_OF_BODIES, *FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS, *FIELDS_OF_IMPULSES)
 _FieldName = Annotated[str, one_of(*_NAMES)]

@@ -9,12 +9,14 @@ from typing import Any
 
 from particlerb.case.body_rules import body_rules, file_rules, held_rules, many_bodies, shapes
 from particlerb.case.contact import ContactTable
+from particlerb.case.event_rules import event_rules
 from particlerb.case.forces import FORCES, ForceTable
 from particlerb.case.joints import TYPES_WITH_COORDINATES, joint_rules
 from particlerb.case.output import (
     FIELDS_OF_CONTACT,
     FIELDS_OF_IMPULSES,
     FIELDS_OF_JOINTS,
+    FIELDS_OF_LAWS,
     FIELDS_OF_WALLS,
 )
 from particlerb.case.problems import Path, nearest
@@ -191,6 +193,7 @@ def _contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     if isinstance(contact, dict):
         yield from _number_rules(("contact",), contact, contact)
         yield from _impulse_rules(raw, contact)
+        yield from event_rules(raw, contact)
 
 
 def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -198,20 +201,19 @@ def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     output = raw.get("output")
     fields = output.get("fields") if isinstance(output, dict) else None
     contact = raw.get("contact")
-    by_impulses = isinstance(contact, dict) and contact.get("law") == "impulse"
+    law = str(contact.get("law")) if isinstance(contact, dict) else ""
+    known = FIELDS_OF_LAWS.get(law, ())
     for parent in ("check", "sweep"):
         for i, value in tables(raw.get(parent), "value"):
-            if value.get("quantity") in FIELDS_OF_IMPULSES and not by_impulses:
-                reason = f"there is no {value['quantity']} without impulses"
-                hint = 'take contact.law = "impulse", or leave it out'
-                yield (parent, "value", i, "quantity"), reason, hint
+            name = value.get("quantity")
+            if name in FIELDS_OF_IMPULSES and name not in known:
+                yield ((parent, "value", i, "quantity"), *_of_another_law(name))
     for i, name in enumerate(fields if isinstance(fields, list) else []):
         path: Path = ("output", "fields", i)
         if name in FIELDS_OF_CONTACT and raw.get("contact") is None:
             yield path, f"there is no {name} without [contact]", "add [contact], or leave it out"
-        elif name in FIELDS_OF_IMPULSES and not by_impulses:
-            hint = 'take contact.law = "impulse", or leave it out'
-            yield path, f"there is no {name} without impulses", hint
+        elif name in FIELDS_OF_IMPULSES and name not in known:
+            yield (path, *_of_another_law(name))
         elif name in FIELDS_OF_WALLS and not tables(raw, "wall"):
             yield path, f"there is no {name} without a [[wall]]", "leave it out"
         elif name in FIELDS_OF_JOINTS and not tables(raw, "joint"):
@@ -220,6 +222,13 @@ def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
             joint.get("type") in TYPES_WITH_COORDINATES for _, joint in tables(raw, "joint")
         ):
             yield path, "no joint here has a coordinate", "leave it out"
+
+
+def _of_another_law(name: str) -> tuple[str, str]:
+    """Why there is no such quantity, and what would be right."""
+    law = next(law for law, fields in FIELDS_OF_LAWS.items() if name in fields)
+    what = "impulses" if law == "impulse" else "events"
+    return f"there is no {name} without {what}", f'take contact.law = "{law}", or leave it out'
 
 
 def material(path: Path, name: Any, known: list[str]) -> Iterator[Finding]:
@@ -248,7 +257,7 @@ def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Fin
 
 def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[Finding]:
     """The law has a use for a number, and there is a damping for a restitution."""
-    if contact.get("law") == "impulse":
+    if contact.get("law") in FIELDS_OF_LAWS:
         for key in ("stiffness", "tangential_stiffness"):
             if given(table, key):
                 yield (*path, key), "impulses have no stiffness", "leave it out"

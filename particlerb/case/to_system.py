@@ -15,7 +15,7 @@ import numpy as np
 
 from particlerb.case.bodies import Body, NormalDistribution, ShapePart
 from particlerb.case.matter import solid_of, spheres_of
-from particlerb.case.output import FIELDS_OF_IMPULSES
+from particlerb.case.output import FIELDS_OF_LAWS
 from particlerb.case.placement import Placement, place, quaternion_of, random_stream
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.reader import load
@@ -103,7 +103,7 @@ def records(case: Case) -> dict[str, Any]:
     """What a system holds of its case."""
     keys = Case.model_fields.keys() & System._fields
     found = {key: getattr(case, key) for key in (*keys, "source")}
-    shown = FIELDS_OF_IMPULSES if case.contact and case.contact.law == "impulse" else ()
+    shown = FIELDS_OF_LAWS.get(case.contact.law, ()) if case.contact else ()
     if any(joint.breaks_at is not None for joint in case.joint):
         shown = (*shown, "joint_break_time")
     if shown:  # how well impulses are solved, and which joints have broken

@@ -31,16 +31,22 @@ from particlerb.impulses.records import (
     BOUNDARY_WORK,
     CONTACTS,
     DEEPEST,
+    ELASTIC,
     FRICTION_WORK,
+    GRAZING,
     IMPACT_WORK,
+    IMPACTS,
+    LARGEST_GAP,
     NEWTON_STEPS,
     PRESSING_WORK,
     PUSH_OUT_WORK,
     RESIDUAL,
+    SMALLEST_GAP,
     STEPS,
     SWEEPS,
     UNENDED,
     UNMET,
+    WALL_IMPACTS,
     WORST_EVER,
 )
 from particlerb.maths.vec3 import Floats
@@ -266,7 +272,9 @@ def _drift_text(outcome: Outcome) -> str:
     if outcome.swing > 0.0:
         lines.insert(0, contact_text(outcome.swing))
     if outcome.tally is not None:
-        lines.insert(0, impulse_text(outcome.tally))
+        is_stepped = outcome.tally[STEPS] > 0.0 or not outcome.tally.any()
+        text = impulse_text if is_stepped else event_text
+        lines.insert(0, text(outcome.tally))
     if (tree := outcome.tree) is not None:
         errs = f"accelerations erred by {tree.seen:.2g} at most, rms, of {tree.asked:.2g} asked for"
         lines.insert(0, f"tree of the attraction: opening angle {tree.angle:.3g}, {errs}")
@@ -294,6 +302,18 @@ def impulse_text(tally: Floats) -> str:
     if tally[UNENDED] > 0.0:
         text += f"; in {tally[UNENDED]:.0f} steps impacts had not come to an end"
     return text
+
+
+def event_text(tally: Floats) -> str:
+    """How many impacts there were, and what they have done."""
+    between = tally[IMPACTS] - tally[WALL_IMPACTS]
+    return (
+        f"{tally[IMPACTS]:.0f} impacts, {between:.0f} between bodies and {tally[WALL_IMPACTS]:.0f}"
+        f" with walls; {tally[GRAZING]:.0f} grazed, {tally[ELASTIC]:.0f} hit again within the"
+        f" contact time and bounced elastically; gaps at impacts {tally[SMALLEST_GAP]:.2g} to"
+        f" {tally[LARGEST_GAP]:.2g} of a radius\nwork: impacts {tally[IMPACT_WORK]:.3g} J,"
+        f" friction {tally[FRICTION_WORK]:.3g} J"
+    )
 
 
 def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:

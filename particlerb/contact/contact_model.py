@@ -8,7 +8,7 @@ from particlerb.contact.piston import Pistons
 from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.records import Records
 from particlerb.contact.walls import Walls
-from particlerb.impulses.records import ImpulseRules, Impulses
+from particlerb.impulses.records import EventRules, ImpulseRules, Impulses
 from particlerb.maths.vec3 import Bools, Floats, Indices, Ints
 
 
@@ -49,6 +49,7 @@ class GroupContact(NamedTuple):
     pistons: Pistons | None = None  # walls that slide under a load
     allow_unstable: bool = False  # whether steps above the limit of stability are taken
     rules: ImpulseRules | None = None  # where contacts have no stiffness: how they are solved
+    events: EventRules | None = None  # where bodies collide at the instants of their impacts
 
 
 class ContactList(NamedTuple):

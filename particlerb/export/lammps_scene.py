@@ -68,8 +68,8 @@ def _refuse(system: System, contact: ContactSetup | None) -> None:
             raise ExportError(f"{record.name} moves as prescribed, which is not written")
     if contact is None:
         return
-    if contact.record.law == "impulse":
-        raise ExportError('contact.law = "impulse": LAMMPS has hooke and hertz')
+    if not contact.record.has_stiffness:
+        raise ExportError(f'contact.law = "{contact.record.law}": LAMMPS has hooke and hertz')
     if (contact.pairs.damping_ratio >= 1.0).any():
         raise ExportError("a restitution that needs overdamping: LAMMPS has none below e^-2")
     for wall in system.wall:

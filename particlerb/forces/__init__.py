@@ -15,7 +15,16 @@ from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity import UniformGravity, parts_of_gravity
 from particlerb.forces.kernels import Acting, own_functions
-from particlerb.forces.kinds import BODIES, CONTACT, IMPULSES, JOINTS, PISTONS, VELOCITY, Kick
+from particlerb.forces.kinds import (
+    BODIES,
+    CONTACT,
+    EVENTS,
+    IMPULSES,
+    JOINTS,
+    PISTONS,
+    VELOCITY,
+    Kick,
+)
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import (
     FIRST,
@@ -51,7 +60,13 @@ class Terms(NamedTuple):
     @property
     def has_springy_contact(self) -> bool:
         """Whether contacts have a stiffness: they are loads then, and impulses otherwise."""
-        return self.contact is not None and self.contact.rules is None
+        contact = self.contact
+        return contact is not None and contact.rules is None and contact.events is None
+
+    @property
+    def collides_by_events(self) -> bool:
+        """Whether bodies collide at the instants of their impacts."""
+        return self.contact is not None and self.contact.events is not None
 
     @property
     def has_pair_loads(self) -> bool:
@@ -192,7 +207,8 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
     if terms.attraction is not None:
         needs["attraction"] = frozenset({BODIES})
     if terms.contact is not None:
-        needs["contact"] = frozenset({CONTACT if terms.has_springy_contact else IMPULSES})
+        without = EVENTS if terms.collides_by_events else IMPULSES
+        needs["contact"] = frozenset({CONTACT if terms.has_springy_contact else without})
         if terms.contact.pistons is not None:
             needs["walls with a piston"] = frozenset({CONTACT, PISTONS})
     if terms.joints is not None:

@@ -25,6 +25,7 @@ BODIES: Final = "bodies"  # what bodies do to each other from afar,
 CONTACT: Final = "contact"  # or where they touch,
 PISTONS: Final = "pistons"  # also walls that slide,
 IMPULSES: Final = "impulses"  # the same without stiffness,
+EVENTS: Final = "events"  # or at the instants of impacts,
 JOINTS: Final = "joints"  # or what holds them together
 _LARGEST: Final = float(np.finfo(np.float64).max)
 _NOTHING: Final = np.zeros(())

@@ -46,7 +46,15 @@ DEEPEST: Final = 13  # [m] largest overlap
 UNENDED: Final = 14  # steps whose impacts had not come to an end
 DEEPEST_NOW: Final = 15  # [m] largest overlap since the last frame
 NEWTON_STEPS: Final = 16
-TALLY: Final = 17
+WALL_IMPACTS: Final = 17  # of events, as what follows
+ELASTIC: Final = 18  # impacts made elastic by the contact time
+GRAZING: Final = 19  # impacts that approached so slowly that they might as well not have happened
+SMALLEST_GAP: Final = 20  # at an impact, over the smaller radius, where it is negative
+LARGEST_GAP: Final = 21  # the same, where it is positive
+CROSSINGS: Final = 22  # of bodies into other cells
+RENEWED: Final = 23  # events whose partner had hit another body before
+GROSS_WORK: Final = 24  # [J]
+TALLY: Final = 25
 
 NEVER: Final = -1e300  # [m/s] least velocity of a contact that is left out of a solve
 
@@ -60,6 +68,13 @@ class ImpulseRules(NamedTuple):
     push_out: float  # share of an overlap that is taken away in a step
     slop: float  # [m] overlap that stays
     newton: bool  # whether Newton's method goes on where sweeps do not end
+
+
+class EventRules(NamedTuple):
+    """How bodies collide at the instants of their impacts."""
+
+    restitution: Floats  # (n_pairs,) of materials
+    contact_time: float  # [s] a contact that hits again within it bounces elastically
 
 
 class Partners(NamedTuple):

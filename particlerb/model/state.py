@@ -93,6 +93,11 @@ def store_frame(
                 last[i, k] = sign * value
 
 
+def store_state(frames: Frames, f: int, index: Ints, rotor_frame: Floats, state: State) -> None:
+    """Write bodies `index` of the scene into frame f."""
+    _store_all(frames.rows(slice(f, f + 1)), index, rotor_frame, state)
+
+
 @kernel
 def _store_all(frames: Frames, index: Ints, rotor_frame: Floats, state: State) -> None:
     """Write all bodies into the first frame."""

@@ -11,10 +11,11 @@ from particlerb.contact.contact_model import GroupContact
 from particlerb.forces import Terms, has_potential, is_constant, needs_of, words_of
 from particlerb.forces.gravity_tree.opening_angle import SAMPLE
 from particlerb.forces.kinds import TIME
+from particlerb.impulses.records import EventRules
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Ints
 from particlerb.model.system import System
-from particlerb.plan.groups import MOST_BODIES
+from particlerb.plan.contact_rules import MOST_BODIES
 from particlerb.plan.joint_words import joint_line
 from particlerb.plan.merging import merged
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
@@ -133,7 +134,15 @@ def _contact_line(system: System, plan: Plan) -> str:
         what += f", {contact.n_interior} spheres inside that nothing can reach left out"
     if contact.rules is not None:
         what += f", {_solved(system, plan)}"
+    if contact.events is not None:
+        return f"{what}, {_by_events(contact.events)}"
     return f"{what}, pairs kept within {contact.skin:.3g} m{_flying(plan)}"
+
+
+def _by_events(rules: EventRules) -> str:
+    """How events are solved."""
+    again = f"what hits again within {rules.contact_time:.3g} s bounces elastically"
+    return f"at the instants of impacts, one after the other; {again}"
 
 
 def _solved(system: System, plan: Plan) -> str:
@@ -237,6 +246,8 @@ def _segment_line(segment: Segment) -> str:
 def _closed_reason(terms: Terms) -> str:
     """Why a segment has a closed form."""
     acting, names = " and ".join(words_of(terms)), needs_of(terms)
+    if terms.collides_by_events:
+        return f"{_driving(terms)}, closed form between impacts, no step"
     if terms.is_coupled:
         return f"{_driving(terms)}, closed form, no step (two points: Kepler's orbits)"
     why = ["one force on the axis: Lagrange's top"] if lever_of(terms) is not None else []

@@ -25,12 +25,12 @@ from particlerb.forces.gravity_tree.opening_angle import safe_angle
 from particlerb.forces.gravity_tree.tree import BREAK_EVEN
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import force_of
-from particlerb.impulses.records import ImpulseRules
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import rotate_back
 from particlerb.model.system import System
 from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce
+from particlerb.plan.contact_rules import events_of, rules_of
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.driven_bodies import driven_among
 from particlerb.plan.joint_ends import Ties
@@ -39,7 +39,6 @@ from particlerb.plan.links import Link, attracted, components, particles_of, tre
 from particlerb.rotors.rotor_class import ASYMMETRIC
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
-MOST_BODIES: Final = 64  # that Newton's method for impulses is taken for unasked
 _DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet
 
 
@@ -308,21 +307,8 @@ def _contact_among(
     is_forced = touching.record.allow_unstable
     return GroupContact(
         model, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced,
-        _rules_of(touching, float(radius.min()), members.size),
+        rules_of(touching, float(radius.min()), members.size), events_of(system, touching),
     )  # fmt: skip
-
-
-def _rules_of(touching: ContactSetup, radius: float, n: int) -> ImpulseRules | None:
-    """How contacts of n bodies are solved that have no stiffness; `radius` [m] is the smallest."""
-    asked = touching.record
-    if asked.law != "impulse":
-        return None
-    restitution = touching.pairs.restitution.ravel()
-    slop = asked.slop * radius
-    newton = asked.solver == "newton" or (asked.solver == "auto" and n <= MOST_BODIES)
-    return ImpulseRules(
-        restitution, asked.tolerance, asked.iterations, asked.push_out, slop, newton
-    )
 
 
 def _apart_among(members: Ints, apart: Ints) -> Ints:

@@ -54,7 +54,7 @@ def pairs_of(
             continue
         for key in (*needed, "rolling_friction"):
             _both(getattr(pairs, key), a, b, _number_of(table, pair, key) or 0.0)
-        if table.law == "impulse":
+        if not table.has_stiffness:
             continue
         ratio = damping_ratio(float(pairs.restitution[a, b]), table.attract)
         _both(pairs.damping_ratio, a, b, ratio)

@@ -14,7 +14,7 @@ from particlerb.case.source import problem_at
 from particlerb.forces import Terms, needs_of, without_gradient
 from particlerb.forces.drag import Drag
 from particlerb.forces.impulse import Impulse
-from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, PISTONS, POSE, TIME, VELOCITY
+from particlerb.forces.kinds import BODIES, CONTACT, EVENTS, JOINTS, PISTONS, POSE, TIME, VELOCITY
 from particlerb.integrators import METHODS
 from particlerb.joints.setup import with_drag
 from particlerb.maths.vec3 import Bools, Ints
@@ -37,6 +37,7 @@ _NEEDS: Final = {
     BODIES: "bodies act on each other",
     CONTACT: "bodies touch",
     PISTONS: "walls slide",
+    EVENTS: "bodies collide at the instants of their impacts",
     JOINTS: "joints hold bodies",
 }
 
@@ -160,7 +161,7 @@ def accepting(methods: Iterable[str], terms: Terms) -> list[str]:
 def accepts(method: str, terms: Terms, needs: Needs | None = None) -> bool:
     """Whether a method can integrate under these terms, with these needs, and is meant for them."""
     chosen = METHODS[method]
-    by_impulses = terms.contact is not None and not terms.has_springy_contact
+    by_impulses = terms.contact is not None and terms.contact.rules is not None
     is_idle = chosen.holds_joints and terms.joints is None
     is_idle = is_idle or (chosen.takes_impulses and not by_impulses)
     return not is_idle and not _refused_terms(method, terms, needs)

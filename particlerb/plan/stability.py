@@ -26,7 +26,7 @@ def refuse_unstable(system: System, groups: tuple[GroupPlan, ...]) -> None:
     That is the limit of a single contact of the outermost spheres, and of all contacts together
     at t = 0.
     """
-    if system.contact is None or system.contact.allow_unstable or system.contact.law == "impulse":
+    if system.contact is None or system.contact.allow_unstable or not system.contact.has_stiffness:
         return
     for group in groups:
         for segment in group.segments:

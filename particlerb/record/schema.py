@@ -104,6 +104,18 @@ IMPULSES: Final[dict[str, Element]] = {
         "", "m", "largest of all contacts by impulses since the last frame", is_asked=True
     ),
     "push_out_work": Element("", "J", "of all that was pushed out since t = 0", is_asked=True),
+    "impacts": Element("", "1", "of all bodies since t = 0, by events", is_asked=True),
+    "elastic_impacts": Element(
+        "", "1", "since t = 0, that hit again within the contact time", is_asked=True
+    ),
+    "smallest_gap": Element(
+        "",
+        "1",
+        "at an impact since t = 0, over the smaller radius; 0: none overlapped",
+        is_asked=True,
+    ),
+    "impact_work": Element("", "J", "of normal impulses since t = 0", is_asked=True),
+    "friction_work": Element("", "J", "of tangential impulses since t = 0", is_asked=True),
 }
 LEDGER: Final[dict[str, Element]] = {
     "kinetic_energy": Element("", "J", "of all bodies"),

@@ -37,7 +37,7 @@ from particlerb.rotors.theta import (
 )
 
 _BLOCK = 256
-_CROSSOVER = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
+CROSSOVER = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
 _spliced = compile_with(inline="always")  # used once: not compiled apart from its caller
 
 
@@ -227,7 +227,7 @@ def prepare(
     modulus = np.full(rotor_class.size, -1.0)
     if (which := (rotor_class == ASYMMETRIC).nonzero()[0]).size:
         THREADS.alone(moduli, inertia, q, L, units, which, modulus)
-    is_steady, is_theta = modulus < 0.0, modulus >= _CROSSOVER
+    is_steady, is_theta = modulus < 0.0, modulus >= CROSSOVER
     groups: list[tuple[Ints, Turn]] = []
     if (which := is_theta.nonzero()[0]).size:
         table, right = np.empty((THETA_ROWS, which.size)), np.empty((4, which.size), np.int8)

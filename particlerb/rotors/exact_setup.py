@@ -48,7 +48,7 @@ def _ordered(x: Pair, y: Pair) -> tuple[Pair, Pair]:
 
 
 @inline
-def _complementary_modulus(inertia: Vec3, m: Vec3) -> float:
+def complementary_modulus(inertia: Vec3, m: Vec3) -> float:
     """k′² in doubles, (3); -1, -2, -3 for a spin about axis 1, 2, 3 exactly, -1 for a sphere."""
     x, y = _ordered((inertia[0], m[0] * m[0]), (inertia[1], m[1] * m[1]))
     y, z = _ordered(y, (inertia[2], m[2] * m[2]))
@@ -74,7 +74,7 @@ def _unit(vectors: Floats, b: int) -> float:
 
 @kernel
 def moduli(inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, out: Floats) -> None:
-    """`_complementary_modulus` of bodies `which`, and their units."""
+    """`complementary_modulus` of bodies `which`, and their units."""
     s = np.empty((_INPUTS + 1, _BLOCK))
     for k in range(which.size):
         j = which[k]
@@ -85,7 +85,7 @@ def moduli(inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, ou
         moment, turn, momentum, result = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[_INPUTS]
         for b in range(_BLOCK):
             m = dd.to_body(load4(turn, b), load3(momentum, b))
-            result[b] = _complementary_modulus(load3(moment, b), (m[0][0], m[1][0], m[2][0]))
+            result[b] = complementary_modulus(load3(moment, b), (m[0][0], m[1][0], m[2][0]))
         for b in range(hi - lo):
             out[which[lo + b]] = result[b]
 
@@ -117,7 +117,7 @@ def _drain(s: Floats, lo: int, hi: int, table: Floats, frame: Bytes) -> None:
 
 
 @inline
-def _world_factor(q: Quat, local: Quat, frame: Quat) -> Quat:
+def world_factor(q: Quat, local: Quat, frame: Quat) -> Quat:
     """Q_L / |P|, so that Q_L g P is q at t = 0 though P is not of length 1."""
     left = multiply(q, conjugate(multiply(local, frame)))
     inv = 1.0 / math.sqrt(square(left) * square(frame))
@@ -153,7 +153,7 @@ def theta_table(
             time, of = theta_constants(body)
             local = theta_local(time.start, of)
             store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))
-            store4(left, b, _world_factor(q_b, local, body.frame))
+            store4(left, b, world_factor(q_b, local, body.frame))
             store4(frame, b, body.frame)
             store3(series, b, of)
         _drain(s, lo, hi, table, right)
@@ -178,7 +178,7 @@ def near_table(
             time, of = near_constants(body)
             local, delta = near_local(time.start, of)
             store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))
-            store4(left, b, twist(_world_factor(q_b, local, body.frame), -delta))
+            store4(left, b, twist(world_factor(q_b, local, body.frame), -delta))
             store4(frame, b, body.frame)
             store4(scale, b, (of.fall, of.r, of.s, of.kappa))
             phase[b] = of.turn

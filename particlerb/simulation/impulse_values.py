@@ -9,7 +9,12 @@ from particlerb.case.output import Asked
 from particlerb.impulses.records import (
     DEEPEST,
     DEEPEST_NOW,
+    ELASTIC,
+    FRICTION_WORK,
+    IMPACT_WORK,
+    IMPACTS,
     PUSH_OUT_WORK,
+    SMALLEST_GAP,
     TALLY,
     WORST,
     WORST_EVER,
@@ -20,6 +25,11 @@ _COLUMNS: Final = {  # of a tally: since the last frame, and since t = 0
     "impulse_residual": (WORST, WORST_EVER),
     "impulse_overlap": (DEEPEST_NOW, DEEPEST),
     "push_out_work": (PUSH_OUT_WORK, PUSH_OUT_WORK),
+    "impacts": (IMPACTS, IMPACTS),
+    "elastic_impacts": (ELASTIC, ELASTIC),
+    "smallest_gap": (SMALLEST_GAP, SMALLEST_GAP),
+    "impact_work": (IMPACT_WORK, IMPACT_WORK),
+    "friction_work": (FRICTION_WORK, FRICTION_WORK),
 }
 
 

@@ -10,6 +10,7 @@ from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.adaptive import AdaptiveMotion
 from particlerb.stepping.adaptive_coupled import CoupledAdaptiveMotion
 from particlerb.stepping.contact_motion import ContactMotion
+from particlerb.stepping.event_motion import EventMotion
 from particlerb.stepping.free_motion import FreeMotion
 from particlerb.stepping.impulse_motion import ImpulseMotion
 from particlerb.stepping.motion import CompositeMotion, Motion, SegmentGroup, part_of
@@ -42,6 +43,8 @@ def begin(
     before : Motion, optional
         Of the segment before: what contacts keep, and pistons, go on from there.
     """
+    if method.order == 0 and group.terms.collides_by_events:
+        return EventMotion(group, state, start, before)
     if method.order == 0:
         return FreeMotion(group, state, start)
     if method.is_adaptive:

@@ -112,6 +112,8 @@ def has_closed_form(bodies: Bodies, terms: Terms) -> Bools:
     if kinds == {Central} and not terms.is_coupled and terms.gravity is None:
         centres = np.sum([load.mu > 0.0 for load in terms.loads], axis=0)
         return np.asarray((centres == 1) & np.isin(bodies.rotor_class, (POINT, SPHERE)))
+    if terms.collides_by_events:
+        return np.full(n, not terms.loads)
     if _is_pair(bodies, terms):
         return np.ones(n, dtype=bool)
     if terms.is_coupled or not kinds <= {Push, Drag, Spring}:

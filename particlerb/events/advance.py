@@ -1,0 +1,66 @@
+"""The loop over events: the earliest of the queue, what it does, and what comes next."""
+
+from typing import Final
+
+from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.events.collide import collide
+from particlerb.events.predict import cross, predict
+from particlerb.events.records import (
+    CROSSING,
+    DONE,
+    ENDLESS,
+    MORE,
+    OVERLAP,
+    UNFOUND,
+    WALL,
+    EventScene,
+    EventState,
+    Workspace,
+)
+from particlerb.impulses.records import RENEWED
+
+_AT_ONCE: Final = 1000  # impacts of a body at one instant, on average, that are taken for endless
+
+
+@lean
+def _hit(scene: EventScene, state: EventState, work: Workspace, b: int, t: float) -> int:
+    """Let the impact of body b happen; how that ends."""
+    c = state.partner[b]
+    same = t == state.clock[0]
+    state.clock[0], state.clock[1] = t, state.clock[1] + 1.0 if same else 1.0
+    if state.clock[1] > _AT_ONCE * scene.n_moving:
+        return ENDLESS
+    first, second = (b, c) if c < 0 else (min(b, c), max(b, c))
+    if not collide(scene, state, work, first, second, state.own[b], state.other[b], t):
+        return OVERLAP
+    if not predict(scene, state, work, b, t):
+        return UNFOUND
+    if 0 <= c < scene.n_moving and not predict(scene, state, work, c, t):
+        return UNFOUND
+    return DONE
+
+
+@lean_kernel
+def advance(
+    scene: EventScene, state: EventState, work: Workspace, until: float, most: int
+) -> tuple[int, int]:
+    """Take all events until a time [s], but no more than so many; how that ends, and whose."""
+    for _ in range(most):
+        if state.heap.size == 0:
+            return DONE, -1
+        b = state.heap[0]
+        t, c, result = state.time[b], state.partner[b], DONE
+        if t > until:
+            return DONE, -1
+        if c == WALL or (c >= 0 and state.stamp[b] == state.hits[c]):
+            result = _hit(scene, state, work, b, t)
+        else:
+            if c == CROSSING:
+                cross(scene, state, b)
+            else:
+                state.tally[RENEWED] += 1.0
+            if not predict(scene, state, work, b, t):
+                result = UNFOUND
+        if result != DONE:
+            return result, b
+    return MORE, -1

@@ -1,0 +1,285 @@
+"""Impacts at their instants: Newton's law with Coulomb's friction, and what they have done.
+
+What hits at one instant in several places is solved one impact after the other: in the order of
+the bodies' numbers here, of a body in that of its spheres, until nothing approaches. A contact that
+hits again within the contact time bounces elastically, which ends the endless ever faster bounces
+of a ball that comes to rest: the model of Luding and McNamara, Granular Matter 1, 113 (1998), by
+contacts in place of bodies.
+"""
+
+from typing import Final, NamedTuple
+
+from particlerb.compiled.jit import lean
+from particlerb.contact.walls import primitive_at
+from particlerb.events.flight import attitude, bring, place, posed, set_spin
+from particlerb.events.records import (
+    REMEMBERED,
+    WALL,
+    EventScene,
+    EventState,
+    V,
+    Workspace,
+)
+from particlerb.events.search import normal_to
+from particlerb.impulses.impacts import impact
+from particlerb.impulses.records import (
+    ARM,
+    DEEPEST,
+    DEEPEST_NOW,
+    ELASTIC,
+    FRICTION,
+    FRICTION_WORK,
+    GRAZING,
+    GROSS_WORK,
+    IMPACT_WORK,
+    IMPACTS,
+    LARGEST_GAP,
+    SMALLEST_GAP,
+    WALL_IMPACTS,
+)
+from particlerb.impulses.rows import (
+    approach,
+    column3,
+    in_world,
+    push_apart,
+    put_column3,
+    write_frame,
+)
+from particlerb.maths.quaternion import Matrix, turn
+from particlerb.maths.vec3 import (
+    Vec3,
+    add,
+    add_scaled,
+    component_product,
+    cross,
+    dot,
+    norm,
+    row3,
+    scale,
+    subtract,
+)
+
+_GRAZES: Final = 1e-7  # of the speed: an approach as slow as this is ill-conditioned
+_MOST_OVERLAP: Final = 1e-14  # of the largest length that enters a gap
+_NOTHING: Final = (0.0, 0.0, 0.0)
+
+
+@lean
+def _restitution(
+    scene: EventScene, state: EventState, a: int, key: int, pair: int, t: float
+) -> float:
+    """Restitution of a contact of body a: 1 where it hits again within the contact time."""
+    oldest = 0
+    for k in range(REMEMBERED):
+        if state.contact[a, k] == key:
+            before, state.contact_at[a, k] = state.contact_at[a, k], t
+            if t - before < scene.contact_time:
+                state.tally[ELASTIC] += 1.0
+                return 1.0
+            return float(scene.restitution[pair])
+        if state.contact_at[a, k] < state.contact_at[a, oldest]:
+            oldest = k
+    state.contact[a, oldest], state.contact_at[a, oldest] = key, t
+    return float(scene.restitution[pair])
+
+
+@lean
+def _partner(
+    scene: EventScene, state: EventState, work: Workspace, b: int, at: int, t: float
+) -> None:
+    """Write a body as partner `at` of an impact."""
+    partners = work.partners
+    x, _ = place(scene, state, b, t)
+    R, omega = posed(scene, state, b, t)
+    moments = row3(scene.inv_inertia, b)
+    put_column3(partners.place, at, 0, x)
+    put_column3(partners.velocity, at, 0, column3(state.flight, b, V))
+    put_column3(partners.velocity, at, 3, omega)
+    partners.inverse[at, 0], column = scene.inv_mass[b], 1
+    for i in range(3):
+        for j in range(i, 3):
+            partners.inverse[at, column] = dot(component_product(moments, _row(R, i)), _row(R, j))
+            column += 1
+
+
+@lean
+def _row(R: Matrix, i: int) -> Vec3:
+    """Row i of a matrix."""
+    return R[0] if i == 0 else R[1] if i == 1 else R[2]
+
+
+@lean
+def _wall_partner(work: Workspace) -> None:
+    """Write a wall as the second partner of an impact."""
+    for k in range(7):
+        work.partners.inverse[1, k] = 0.0
+    for k in range(6):
+        work.partners.velocity[1, k] = 0.0
+    for k in range(3):
+        work.partners.place[1, k] = 0.0
+
+
+@lean
+def _given(scene: EventScene, state: EventState, work: Workspace, b: int, at: int, p: Vec3,
+           t: float) -> None:  # fmt: skip
+    """Let a body go on with what an impact has given it."""
+    if b >= scene.n_moving:
+        return
+    put_column3(state.flight, b, V, column3(work.partners.velocity, at, 0))
+    torque = cross(column3(work.rows.frame, 0, ARM + 3 * at), p)
+    spin = add(row3(state.spin, b), torque)
+    set_spin(scene, state, b, t, attitude(state, b, t), spin)
+
+
+@lean
+def _sphere(scene: EventScene, state: EventState, b: int, i: int, x: Vec3, t: float) -> Vec3:
+    """Centre of sphere i of body b, whose centre of mass is at x."""
+    if scene.reach[b] == 0.0:
+        return x
+    R, _ = posed(scene, state, b, t)
+    return add(x, turn(R, row3(scene.arm, i)))
+
+
+@lean
+def _geometry(
+    scene: EventScene, state: EventState, a: int, b: int, i: int, j: int, t: float
+) -> tuple[Vec3, Vec3, float, float]:
+    """Normal from b to a, point, gap of an impact; and the largest length that enters it [m]."""
+    x, _ = place(scene, state, a, t)
+    c, r = _sphere(scene, state, a, i, x, t), scene.radius[i]
+    size = abs(c[0]) + abs(c[1]) + abs(c[2]) + r
+    if b == WALL:
+        one = primitive_at(scene.wall_kind, scene.wall_parameter, j)
+        distance, n, _ = normal_to(one, c)
+        return n, add_scaled(-distance, n, c), distance - r, size
+    y, _ = place(scene, state, b, t)
+    d = subtract(c, _sphere(scene, state, b, j, y, t))
+    distance = norm(d)
+    n = scale(1.0 / distance, d)
+    gap = distance - r - scene.radius[j]
+    return n, add_scaled(-r - 0.5 * gap, n, c), gap, size + scene.radius[j]
+
+
+@lean
+def _watch(scene: EventScene, state: EventState, i: int, b: int, j: int, gap: float) -> None:
+    """Keep what gaps were at impacts."""
+    radius = scene.radius[i] if b == WALL else min(scene.radius[i], scene.radius[j])
+    tally = state.tally
+    tally[SMALLEST_GAP] = min(tally[SMALLEST_GAP], gap / radius)
+    tally[LARGEST_GAP] = max(tally[LARGEST_GAP], gap / radius)
+    tally[DEEPEST] = max(tally[DEEPEST], -gap)
+    tally[DEEPEST_NOW] = max(tally[DEEPEST_NOW], -gap)
+
+
+@lean
+def _count(state: EventState, is_wall: bool, normal: float, rubbed: float, grazes: bool) -> None:
+    """Count an impact and its work [J]."""
+    state.tally[IMPACTS] += 1.0
+    state.tally[WALL_IMPACTS] += 1.0 if is_wall else 0.0
+    state.tally[GRAZING] += 1.0 if grazes else 0.0
+    state.tally[IMPACT_WORK] += normal
+    state.tally[FRICTION_WORK] += rubbed
+    state.tally[GROSS_WORK] += abs(normal) + abs(rubbed)
+    state.sums[0] += normal + rubbed
+
+
+@lean
+def _give_outside(state: EventState, point: Vec3, p: Vec3) -> None:
+    """Sum the impulse [N s] that a wall or a held body has given, at a point."""
+    spin = cross(point, p)
+    for k in range(3):
+        state.sums[1 + k] += p[k]
+        state.sums[4 + k] += spin[k]
+
+
+@lean
+def _hit_of_balls(scene: EventScene, state: EventState, a: int, b: int, n: Vec3, e: float) -> Vec3:
+    """Frictionless impact along a normal through both centres of mass; the impulse on a."""
+    u = column3(state.flight, a, V)
+    w = scene.inv_mass[a]
+    if b != WALL:
+        u, w = subtract(u, column3(state.flight, b, V)), w + scene.inv_mass[b]
+    before = dot(u, n)
+    p = -(1.0 + e) * before / w
+    put_column3(
+        state.flight, a, V, add_scaled(p * scene.inv_mass[a], n, column3(state.flight, a, V))
+    )
+    after = column3(state.flight, a, V)
+    if b != WALL:
+        other = add_scaled(-p * scene.inv_mass[b], n, column3(state.flight, b, V))
+        put_column3(state.flight, b, V, other)
+        after = subtract(after, other)
+    work = 0.5 * p * (before + dot(after, n))
+    _count(state, b == WALL, work, 0.0, abs(before) < _GRAZES * norm(u))
+    return scale(p, n)
+
+
+class Impact(NamedTuple):
+    """Two that hit each other, and where."""
+
+    a: int  # body
+    b: int  # body, or WALL
+    normal: Vec3  # from b to a
+    point: Vec3  # [m]
+    restitution: float
+    friction: float
+    t: float  # [s]
+
+
+@lean
+def _hit(scene: EventScene, state: EventState, work: Workspace, of: Impact) -> Vec3:
+    """Impact of any two; the impulse on a."""
+    partners, rows, a, b, t = work.partners, work.rows, of.a, of.b, of.t
+    _partner(scene, state, work, a, 0, t)
+    if b == WALL:
+        _wall_partner(work)
+    else:
+        _partner(scene, state, work, b, 1, t)
+    write_frame(partners, rows, 0, of.normal, of.point)
+    rows.frame[0, FRICTION] = of.friction
+    u = approach(partners, rows, 0)
+    r = impact(rows.frame, 0, u, of.restitution)
+    p = in_world(rows.frame, 0, r)
+    push_apart(partners.velocity, partners.inverse, rows.frame, 0, 0, 1, p)
+    after = approach(partners, rows, 0)
+    normal = 0.5 * r[0] * (u[0] + after[0])
+    rubbed = 0.5 * (r[1] * (u[1] + after[1]) + r[2] * (u[2] + after[2]))
+    _count(state, b == WALL, normal, rubbed, abs(u[0]) < _GRAZES * norm(u))
+    _given(scene, state, work, a, 0, p, t)
+    if b != WALL:
+        _given(scene, state, work, b, 1, scale(-1.0, p), t)
+    return p
+
+
+@lean
+def collide(
+    scene: EventScene, state: EventState, work: Workspace, a: int, b: int, i: int, j: int,
+    t: float,
+) -> bool:  # fmt: skip
+    """Let sphere i of body a hit sphere j of b, or primitive j of the walls, at a time.
+
+    False: they overlap by more than rounding, and nothing was done.
+    """
+    bring(scene, state, a, t)
+    if b != WALL:
+        bring(scene, state, b, t)
+    n, point, gap, size = _geometry(scene, state, a, b, i, j, t)
+    _watch(scene, state, i, b, j, gap)
+    if gap < -_MOST_OVERLAP * size:
+        return False
+    material = scene.wall_material[j] if b == WALL else scene.material[b]
+    pair = scene.pair_of[scene.material[a], material]
+    n_all = scene.radius.size + scene.wall_kind.size
+    key = i * n_all + (j + scene.radius.size if b == WALL else j)
+    e, mu = _restitution(scene, state, a, key, pair, t), scene.friction[pair]
+    is_round = scene.reach[a] == 0.0 and (b == WALL or scene.reach[b] == 0.0)
+    if mu == 0.0 and is_round:
+        p = _hit_of_balls(scene, state, a, b, n, e)
+    else:
+        p = _hit(scene, state, work, Impact(a, b, n, point, e, mu, t))
+    state.hits[a] += 1
+    if b != WALL:
+        state.hits[b] += 1
+    if b == WALL or b >= scene.n_moving:
+        _give_outside(state, point, p)
+    return True

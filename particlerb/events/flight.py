@@ -1,0 +1,154 @@
+"""Bodies between collisions: where they are, how fast, and how they turn, in closed form."""
+
+import math
+from typing import Final
+
+from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.events.records import (
+    BEND,
+    FASTEST,
+    SINCE,
+    TURNED,
+    EventScene,
+    EventState,
+    L,
+    V,
+    X,
+)
+from particlerb.impulses.rows import column3, put_column3
+from particlerb.maths.quaternion import Matrix, Quat, matrix, to_body, turn, turn_back
+from particlerb.maths.vec3 import (
+    Floats,
+    Ints,
+    Vec3,
+    add_scaled,
+    component_product,
+    dot,
+    norm,
+    row3,
+    scale,
+)
+from particlerb.model.state import State
+from particlerb.rotors.single_turn import set_turn, turned
+
+_NOTHING: Final = (0.0, 0.0, 0.0)
+
+
+@lean
+def pull(scene: EventScene, b: int) -> Vec3:
+    """Acceleration of a body [m/s²]."""
+    if b >= scene.n_moving:
+        return _NOTHING
+    return scene.gravity[0], scene.gravity[1], scene.gravity[2]
+
+
+@lean
+def place(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Vec3, Vec3]:
+    """Centre of mass [m] and velocity [m/s] of a body at a time."""
+    x, v, g = row3(state.flight, b), column3(state.flight, b, V), pull(scene, b)
+    h = t - state.flight[b, SINCE]
+    mean = add_scaled(0.5 * h, g, v)
+    return add_scaled(h, mean, x), add_scaled(h, g, v)
+
+
+@lean
+def attitude(state: EventState, b: int, t: float) -> Quat:
+    """Orientation of a body at a time, rotor frame to world."""
+    return turned(state.turn, b, t - state.spin[b, TURNED])
+
+
+@lean
+def angular_velocity(scene: EventScene, state: EventState, b: int, R: Matrix) -> Vec3:
+    """Angular velocity [rad/s] of a body that is turned by R, world axes."""
+    m = component_product(row3(scene.inv_inertia, b), turn_back(R, row3(state.spin, b)))
+    return turn(R, m)
+
+
+@lean
+def set_spin(scene: EventScene, state: EventState, b: int, t: float, q: Quat, spin: Vec3) -> None:
+    """Let a body turn from a time on, from q with the angular momentum `spin` [kg m²/s].
+
+    |ω| is at most √(2 T/I), and |L|/I, with the smallest moment I. In the rotor frame
+    ω̇_i = (I_j - I_k) ω_j ω_k / I_i, so that |ω̇| <= max |I_j - I_k|/I_i |ω|²/√3; points at r
+    are accelerated by (|ω̇| + |ω|²) r at most.
+    """
+    inverse = row3(scene.inv_inertia, b)
+    put_column3(state.spin, b, L, spin)
+    state.spin[b, TURNED] = t
+    set_turn(state.turn, b, row3(scene.inertia, b), inverse, scene.is_asymmetric[b], q, spin)
+    m = to_body(q, spin)
+    largest = max(inverse[0], inverse[1], inverse[2])
+    fastest = math.sqrt(largest * dot(m, component_product(inverse, m)))
+    fastest = min(fastest, largest * norm(spin))
+    state.spin[b, FASTEST] = fastest
+    state.spin[b, BEND] = scene.bend[b] * fastest * fastest
+
+
+@lean
+def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
+    """End a flight at a time, and begin the next one there."""
+    if b >= scene.n_moving:
+        return
+    x, v = place(scene, state, b, t)
+    add_moment(scene, state, b, t, state.moment)
+    put_column3(state.flight, b, X, x)
+    put_column3(state.flight, b, V, v)
+    state.flight[b, SINCE] = t
+
+
+@lean
+def add_moment(scene: EventScene, state: EventState, b: int, t: float, moment: Floats) -> None:
+    """Add m ∫ x dt of a flight until a time [kg m s]."""
+    h = t - state.flight[b, SINCE]
+    x, v, g = row3(state.flight, b), column3(state.flight, b, V), pull(scene, b)
+    path = scale(scene.mass[b] * h, x)
+    path = add_scaled(0.5 * scene.mass[b] * h * h, v, path)
+    path = add_scaled(scene.mass[b] * h * h * h / 6.0, g, path)
+    for k in range(3):
+        moment[k] += path[k]
+
+
+@lean_kernel
+def states_at(
+    scene: EventScene, state: EventState, t: float, to: Ints, out: State, moment: Floats
+) -> None:
+    """Write the states of all bodies at a time; m ∫ x dt of all flights until then.
+
+    Parameters
+    ----------
+    to : ndarray, shape (n,)
+        Column of `out` of each body.
+    """
+    for k in range(3):
+        moment[k] = state.moment[k]
+    for b in range(scene.mass.size):
+        i = to[b]
+        x, v = place(scene, state, b, t)
+        q, spin = attitude(state, b, t), row3(state.spin, b)
+        if b < scene.n_moving:
+            add_moment(scene, state, b, t, moment)
+        for k in range(3):
+            out.com[k, i], out.p[k, i], out.L[k, i] = x[k], scene.mass[b] * v[k], spin[k]
+        for k in range(4):
+            out.q[k, i] = q[k]
+
+
+@lean_kernel
+def set_all(scene: EventScene, state: EventState, which: Ints, given: State) -> None:
+    """Let all bodies set off at time 0; body b is column which[b] of the states given."""
+    for b in range(scene.mass.size):
+        i = which[b]
+        x = (given.com[0, i], given.com[1, i], given.com[2, i])
+        p = (given.p[0, i], given.p[1, i], given.p[2, i])
+        spin = (given.L[0, i], given.L[1, i], given.L[2, i])
+        put_column3(state.flight, b, X, x)
+        put_column3(state.flight, b, V, scale(scene.inv_mass[b], p))
+        q = (given.q[0, i], given.q[1, i], given.q[2, i], given.q[3, i])
+        set_spin(scene, state, b, 0.0, q, spin)
+
+
+@lean
+def posed(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Matrix, Vec3]:
+    """Rotation matrix of a body at a time, and its angular velocity; of a ball at rest in it."""
+    R = matrix(attitude(state, b, t))
+    return R, angular_velocity(scene, state, b, R)

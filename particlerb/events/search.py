@@ -1,0 +1,371 @@
+"""When spheres of bodies touch next: closed form for two balls, safe steps for all else.
+
+A gap g(t) between two spheres, or a sphere and a convex piece of a wall, has g″ >= -bend, where
+`bend` is what the centres can be accelerated across: the free turn of their bodies, and gravity
+where one of them does not fall. So g cannot vanish before the first zero of g + g′ s - bend s²/2.
+Steps to that zero never pass an impact, and close in on it like Newton's method does. A ball that
+flies towards a plane, also on a parabola, or from inside towards a cylinder, needs one step.
+
+Conservative advancement with bounds of first order: Mirtich, Impulse-based Dynamic Simulation of
+Rigid Body Systems, PhD thesis, Berkeley (1996), section 2.3.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+from particlerb.compiled.jit import inline, lean, lean_kernel
+from particlerb.contact.walls import (
+    DISC,
+    FACE,
+    PLANE,
+    SIDE,
+    Primitive,
+    length,
+    nearest,
+    primitive_at,
+    radial,
+    side,
+)
+from particlerb.events.flight import place, posed, pull
+from particlerb.events.records import (
+    BEND,
+    BOUND,
+    FASTEST,
+    EventScene,
+    EventState,
+    Workspace,
+)
+from particlerb.maths.quaternion import turn
+from particlerb.maths.vec3 import (
+    Vec3,
+    add,
+    add_scaled,
+    cross,
+    dot,
+    norm,
+    row3,
+    scale,
+    subtract,
+)
+
+_MOST: Final = 100_000  # steps of a search
+_EPS: Final = 2.3e-16
+_AWAY: Final = 1e-8  # least step from a contact that opens, over √(size/bend)
+LOST: Final = -1.0  # time of a search without an end
+
+
+@inline
+def soonest(gap: float, rate: float, bend: float, touch: float, size: float) -> float:
+    """First zero s >= 0 [s] of gap + rate s - bend s²/2, inf: none.
+
+    What is nearer than `touch` touches: 0 where it closes, else until it may touch again.
+    """
+    if gap <= touch:
+        if rate < 0.0:
+            return 0.0
+        if bend <= 0.0:
+            return math.inf
+        return max(2.0 * rate / bend, _AWAY * math.sqrt(size / bend))
+    root = rate * rate + 2.0 * bend * gap
+    if root < 0.0 or (rate >= 0.0 and bend <= 0.0):
+        return math.inf
+    root = math.sqrt(root)
+    return 2.0 * gap / (root - rate) if rate < 0.0 else (rate + root) / bend
+
+
+@inline
+def rounding(x: Vec3, size: float) -> float:
+    """Error of a gap [m] at a place."""
+    return _EPS * (abs(x[0]) + abs(x[1]) + abs(x[2]) + 4.0 * size)
+
+
+# Two bodies
+
+
+@inline
+def _balls_meet(x: Vec3, u: Vec3, R: float) -> float:
+    """Time until |x + u t| = R [s], inf: never, or they part."""
+    b, distance = dot(x, u), norm(x)
+    if b >= 0.0:
+        return math.inf
+    if distance <= R:
+        return 0.0
+    square = dot(u, u)
+    least = cross(x, u)
+    root = R * R * square - dot(least, least)
+    if root < 0.0:
+        return math.inf
+    t = (distance - R) * (distance + R) / (math.sqrt(root) - b)
+    w = add_scaled(t, u, x)
+    distance, b = norm(w), dot(w, u)
+    if b < -1e-3 * distance * math.sqrt(square):
+        t = max(t - (distance - R) * distance / b, 0.0)
+    return t
+
+
+@lean
+def _ready(
+    scene: EventScene, state: EventState, work: Workspace, b: int, t: float
+) -> tuple[Vec3, Vec3]:
+    """Write centres, velocities and bends of the spheres of a body; where the body is, how fast."""
+    x, v = place(scene, state, b, t)
+    R, omega = posed(scene, state, b, t)
+    lo = scene.first[b]
+    for k in range(lo, scene.first[b + 1]):
+        arm = row3(scene.arm, k)
+        r = turn(R, arm)
+        u = cross(omega, r)
+        for i in range(3):
+            work.centre[k - lo, i], work.centre[k - lo, 3 + i] = x[i] + r[i], v[i] + u[i]
+        work.centre[k - lo, 6] = state.spin[b, BEND] * norm(arm)
+    return x, v
+
+
+@inline
+def _span(x: Vec3, u: Vec3, R: float) -> tuple[float, float]:
+    """When |x + u t| <= R, from and until [s]; (inf, inf): never again."""
+    b, c, square = dot(x, u), dot(x, x) - R * R, dot(u, u)
+    if c > 0.0 and b >= 0.0:
+        return math.inf, math.inf
+    root = b * b - c * square
+    if root < 0.0:
+        return math.inf, math.inf
+    if square == 0.0:
+        return 0.0, math.inf
+    root = math.sqrt(root)
+    return max((-b - root) / square, 0.0), (root - b) / square
+
+
+@lean
+def _nearest_spheres(
+    scene: EventScene, state: EventState, work: Workspace, pair: tuple[int, int], t: float,
+    fall: float,
+) -> tuple[float, int, int, bool]:  # fmt: skip
+    """Time in which no spheres of two bodies meet [s]; which are next, and whether they touch."""
+    a, b = pair
+    xb, vb = _ready(scene, state, work, b, t)
+    xa, va = place(scene, state, a, t)
+    R, omega = posed(scene, state, a, t)
+    bend, size = state.spin[a, BEND], min(state.flight[a, BOUND], state.flight[b, BOUND])
+    touch = rounding(xa, size)
+    fastest = norm(subtract(va, vb)) + 1e-300
+    fastest += state.spin[a, FASTEST] * scene.reach[a] + state.spin[b, FASTEST] * scene.reach[b]
+    least, first, second, lo = math.inf, -1, -1, scene.first[b]
+    for i in range(scene.first[a], scene.first[a + 1]):
+        arm = row3(scene.arm, i)
+        r = turn(R, arm)
+        c, v = add(xa, r), add(va, cross(omega, r))
+        d = subtract(c, xb)
+        if fall == 0.0 and norm(d) - scene.radius[i] - state.flight[b, BOUND] > least * fastest:
+            continue
+        curved = bend * norm(arm) + fall
+        for j in range(lo, scene.first[b + 1]):
+            k = j - lo
+            centre, velocity = row3(work.centre, k), (
+                work.centre[k, 3], work.centre[k, 4], work.centre[k, 5]
+            )  # fmt: skip
+            d = subtract(c, centre)
+            distance = norm(d)
+            gap = distance - scene.radius[i] - scene.radius[j]
+            if fall == 0.0 and gap > least * fastest:
+                continue
+            rate = dot(d, subtract(v, velocity)) / distance
+            s = soonest(gap, rate, curved + work.centre[k, 6], touch, size)
+            if s < least:
+                least, first, second = s, i, j
+            if s == 0.0:
+                return 0.0, i, j, True
+    return least, first, second, False
+
+
+@lean_kernel
+def _spheres_meet(
+    scene: EventScene, state: EventState, work: Workspace, pair: tuple[int, int], t: float,
+    span: tuple[float, float], fall: float,
+) -> tuple[float, int, int]:  # fmt: skip
+    """When spheres of two bodies touch and approach, within a span of time after t; which."""
+    s, last = span
+    for _ in range(_MOST):
+        if s >= last:
+            return math.inf, -1, -1
+        step, i, j, touches = _nearest_spheres(scene, state, work, pair, t + s, fall)
+        if touches or (step < last and (t + s) + step == t + s):
+            return s, i, j
+        s += step
+    return LOST, -1, -1
+
+
+class Flying(NamedTuple):
+    """A body whose next event is looked for, at the time from which on it is."""
+
+    body: int
+    t: float  # [s]
+    x: Vec3  # [m]
+    v: Vec3  # [m/s]
+
+
+@lean
+def bodies_meet(
+    scene: EventScene, state: EventState, work: Workspace, one: Flying, c: int, until: float
+) -> tuple[float, int, int]:
+    """Time until a body and body c touch and approach, before `until`; with which spheres.
+
+    Parameters
+    ----------
+    one : Flying
+    c : int
+    until : float [s]
+        For how long to look.
+
+    Returns
+    -------
+    time : float [s]
+        inf: not before `until`; LOST: the search did not end.
+    first, second : int
+        Spheres, of the body with the lower number and of the other one.
+    """
+    b, t = one.body, one.t
+    xc, vc = place(scene, state, c, t)
+    x, u = subtract(xc, one.x), subtract(vc, one.v)
+    R = state.flight[b, BOUND] + state.flight[c, BOUND]
+    pair, span, fall = (min(b, c), max(b, c)), (0.0, until), 0.0
+    if c >= scene.n_moving:
+        fall = norm(pull(scene, b))
+    if fall == 0.0:
+        if scene.reach[b] == 0.0 and scene.reach[c] == 0.0:
+            s = _balls_meet(x, u, R)
+            return (s if s < until else math.inf), scene.first[pair[0]], scene.first[pair[1]]
+        s, last = _span(x, u, R * (1.0 + 1e-9))
+        if s >= until:
+            return math.inf, -1, -1
+        span = s, min(last, until)
+    elif norm(x) - R > (norm(u) + fall * until) * until:
+        return math.inf, -1, -1
+    return _spheres_meet(scene, state, work, pair, t, span, fall)
+
+
+# A body and a wall
+
+
+@inline
+def _over(one: Primitive, x: Vec3) -> bool:
+    """Whether the nearest point is inside a face or a disc, and not on its rim."""
+    if one.kind == FACE:
+        a, b, c, n = one.a, one.b, one.c, one.n
+        return side(a, b, n, x) > 0.0 and side(b, c, n, x) > 0.0 and side(a, c, n, x) < 0.0
+    if one.kind == DISC:
+        _, rho, _ = radial(one.a, one.b, x)
+        return rho < one.c[0]
+    return one.kind == PLANE
+
+
+@inline
+def normal_to(one: Primitive, x: Vec3) -> tuple[float, Vec3, bool]:
+    """Distance of x from a primitive [m], unit vector from there to x, whether that is a plane's.
+
+    Behind a plane the distance is negative; all else is touched from both sides.
+    """
+    if _over(one, x):
+        n = one.n if one.kind == FACE else one.b
+        away = dot(subtract(x, one.a), n)
+        if one.kind == PLANE or away >= 0.0:
+            return away, n, True
+        return -away, scale(-1.0, n), True
+    d = subtract(x, nearest(one, x))
+    distance = length(d)
+    return distance, scale(1.0 / max(distance, 1e-300), d), False
+
+
+@inline
+def _until_side(
+    one: Primitive, x: Vec3, v: Vec3, radius: float, bend: float, fastest: float
+) -> float:
+    """Time in which a sphere inside a tube does not touch its side or a rim of it [s].
+
+    With R the radius of the tube less that of the sphere, ρ the distance from the axis, and w the
+    velocity across, (R² - ρ²)/2R closes like the gap and has a second derivative >= -(w²/R + bend).
+    """
+    z, rho, away = radial(one.a, one.b, x)
+    R = one.c[0] - radius
+    across = add_scaled(-dot(v, one.b), one.b, v)
+    if abs(z) > one.c[1] or R <= 0.0:
+        return (length(subtract(x, nearest(one, x))) - radius) / fastest
+    speed = dot(across, across) if bend == 0.0 else fastest * fastest
+    gap, rate = (R - rho) * (R + rho) / (2.0 * R), -rho * dot(away, across) / R
+    return soonest(gap, rate, speed / R + bend, rounding(x, radius), radius)
+
+
+@inline
+def _until_wall(
+    one: Primitive, x: Vec3, v: Vec3, g: Vec3, radius: float, bend: float, fastest: float
+) -> float:
+    """Time in which a sphere does not touch a primitive [s]; 0: it touches, and approaches."""
+    distance, n, is_flat = normal_to(one, x)
+    gap, touch = distance - radius, rounding(x, radius)
+    rate = dot(n, v)
+    if one.kind == SIDE and gap > touch:
+        _, rho, _ = radial(one.a, one.b, x)
+        if rho < one.c[0]:
+            return _until_side(one, x, v, radius, bend + norm(g), fastest)
+    curved = bend - dot(n, g) if is_flat else bend + norm(g)
+    if one.kind == SIDE and gap <= touch and rate >= 0.0:
+        curved += fastest * fastest / max(one.c[0] - radius, radius)
+    return soonest(gap, rate, curved, touch, radius)
+
+
+@lean_kernel
+def _wall_meets(
+    scene: EventScene, state: EventState, work: Workspace, a: int, p: int, t: float,
+    until: float,
+) -> tuple[float, int]:  # fmt: skip
+    """`wall_meets` where the two come near each other."""
+    one, g = primitive_at(scene.wall_kind, scene.wall_parameter, p), pull(scene, a)
+    x, v = place(scene, state, a, t)
+    fastest = norm(v) + norm(g) * until + state.spin[a, FASTEST] * scene.reach[a] + 1e-300
+    s, lo, is_ball = 0.0, scene.first[a], scene.reach[a] == 0.0
+    for _ in range(_MOST):
+        if s >= until:
+            return math.inf, -1
+        if is_ball:
+            x, v = place(scene, state, a, t + s)
+            for i in range(3):
+                work.centre[0, i], work.centre[0, 3 + i] = x[i], v[i]
+        else:
+            _ready(scene, state, work, a, t + s)
+        step, best = math.inf, -1
+        for k in range(lo, scene.first[a + 1]):
+            c = row3(work.centre, k - lo)
+            u = work.centre[k - lo, 3], work.centre[k - lo, 4], work.centre[k - lo, 5]
+            wait = _until_wall(one, c, u, g, scene.radius[k], work.centre[k - lo, 6], fastest)
+            if wait < step:
+                step, best = wait, k
+        if step == 0.0 or (step < until and (t + s) + step == t + s):
+            return s, best
+        s += step
+    return LOST, -1
+
+
+@inline
+def _at_least_away(one: Primitive, x: Vec3) -> float:
+    """Distance [m] that a primitive has from x, or less."""
+    if one.kind == SIDE:
+        _, rho, _ = radial(one.a, one.b, x)
+        return abs(rho - one.c[0])
+    away = dot(subtract(x, one.a), one.n if one.kind == FACE else one.b)
+    return away if one.kind == PLANE else abs(away)
+
+
+@lean
+def wall_meets(
+    scene: EventScene, state: EventState, work: Workspace, one: Flying, p: int, until: float
+) -> tuple[float, int]:
+    """Time until a body touches a primitive and approaches it, before `until`; its sphere.
+
+    As `bodies_meet`.
+    """
+    wall = primitive_at(scene.wall_kind, scene.wall_parameter, p)
+    reach = state.flight[one.body, BOUND]
+    reach += (norm(one.v) + norm(pull(scene, one.body)) * until) * until
+    if _at_least_away(wall, one.x) > reach:
+        return math.inf, -1
+    return _wall_meets(scene, state, work, one.body, p, one.t, until)

@@ -1,0 +1,49 @@
+"""How contacts without stiffness are solved: in steps, or at the instants of impacts."""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from particlerb.impulses.records import EventRules, ImpulseRules
+from particlerb.model.state import lengths, omega_world
+from particlerb.model.system import System
+from particlerb.plan.contact_setup import ContactSetup
+
+MOST_BODIES: Final = 64  # that Newton's method for impulses is taken for unasked
+CONTACT_SHARE: Final = 1e-4  # default contact time, over that to come by a radius
+
+
+def rules_of(touching: ContactSetup, radius: float, n: int) -> ImpulseRules | None:
+    """How contacts of n bodies are solved that have no stiffness; `radius` [m] is the smallest."""
+    asked = touching.record
+    if asked.law != "impulse":
+        return None
+    restitution = touching.pairs.restitution.ravel()
+    slop = asked.slop * radius
+    newton = asked.solver == "newton" or (asked.solver == "auto" and n <= MOST_BODIES)
+    return ImpulseRules(
+        restitution, asked.tolerance, asked.iterations, asked.push_out, slop, newton
+    )
+
+
+def events_of(system: System, touching: ContactSetup) -> EventRules | None:
+    """How bodies collide at the instants of their impacts; None where they do not.
+
+    The contact time, unless it is given, is such a share of the time in which the fastest body, or
+    one that falls, comes by the smallest radius.
+    """
+    asked = touching.record
+    if asked.law != "events":
+        return None
+    time = asked.contact_time
+    if time is None:
+        radius = system.particles.radius
+        smallest = float(radius[radius > 0.0].min())
+        speed = float(lengths(system.state.p * system.bodies.inv_mass).max())
+        turns = lengths(omega_world(system.bodies, system.state))
+        spin = float((turns * system.reach[system.kind]).max())
+        fall = math.sqrt(2.0 * float(np.linalg.norm(system.acceleration)) * smallest)
+        fastest = max(speed + spin, fall)
+        time = CONTACT_SHARE * smallest / fastest if fastest > 0.0 else 0.0
+    return EventRules(touching.pairs.restitution.ravel(), time)

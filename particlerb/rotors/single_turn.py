@@ -1,0 +1,147 @@
+"""Free rotation of one body at a time in closed form, for motions that are often set anew.
+
+The formulas are those of `exact`; the constants of a body are a row, its first number the kind of
+turn. docs/free_rotation.md.
+"""
+
+import math
+from typing import Final
+
+from particlerb.compiled.jit import inline, lean, lean_kernel
+from particlerb.maths import double_double as dd
+from particlerb.maths.quaternion import Quat, multiply, to_body
+from particlerb.maths.trig import cos_sin_half_turns
+from particlerb.maths.vec3 import Floats, Vec3, norm, scale
+from particlerb.rotors.exact import CROSSOVER
+from particlerb.rotors.exact_setup import complementary_modulus, world_factor
+from particlerb.rotors.theta import (
+    TINY,
+    NearCoefficients,
+    ThetaCoefficients,
+    near_constants,
+    near_local,
+    oriented,
+    reduce,
+    theta_constants,
+    theta_local,
+    twist,
+)
+
+STEADY_COLUMNS: Final = 10
+COLUMNS: Final = 29  # where bodies may be asymmetric
+_STEADY, _THETA, _NEAR = 0.0, 1.0, 2.0
+_SMALLEST: Final = 1e-290
+
+
+@inline
+def _unit(v: Vec3) -> float:
+    """1 / the largest power of two in the largest component."""
+    largest = max(abs(v[0]), abs(v[1]), abs(v[2]), _SMALLEST)
+    return math.ldexp(1.0, 1 - math.frexp(largest)[1])
+
+
+@lean
+def _put(turn: Floats, b: int, at: int, q: Quat) -> None:
+    """Write four numbers of row b from a column on."""
+    turn[b, at], turn[b, at + 1], turn[b, at + 2], turn[b, at + 3] = q
+
+
+@lean
+def _quat(turn: Floats, b: int, at: int) -> Quat:
+    """Four numbers of row b from a column on."""
+    return turn[b, at], turn[b, at + 1], turn[b, at + 2], turn[b, at + 3]
+
+
+@lean
+def _set_steady(turn: Floats, b: int, q: Quat, L: Vec3, about: float, along: float) -> None:
+    """Write a turn at the rate `about` [rad/s] about L, and at `along` about rotor axis 3."""
+    inverse = 1.0 / max(norm(L), TINY)
+    _put(turn, b, 0, (_STEADY, L[0] * inverse, L[1] * inverse, L[2] * inverse))
+    turn[b, 4], turn[b, 5] = 0.5 * about, 0.5 * along
+    _put(turn, b, 6, q)
+
+
+@lean
+def _set_theta(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
+    """Write a turn of `exact.ThetaTurn`; moments and L in units whose ratio is `rate`."""
+    body = reduce(inertia, q, L)
+    time, of = theta_constants(body)
+    left = world_factor(q, theta_local(time.start, of), body.frame)
+    _put(turn, b, 0, (_THETA, time.start, time.rate * rate, time.nu * rate))
+    _put(turn, b, 4, left)
+    _put(turn, b, 8, body.frame)
+    turn[b, 12], turn[b, 13], turn[b, 14] = of.cosh, of.sinh, of.kappa
+
+
+@lean
+def _set_near(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
+    """Write a turn of `exact.HyperbolicTurn`."""
+    body = reduce(inertia, q, L)
+    time, of = near_constants(body)
+    local, delta = near_local(time.start, of)
+    _put(turn, b, 0, (_NEAR, time.start, time.rate * rate, time.nu * rate))
+    _put(turn, b, 4, twist(world_factor(q, local, body.frame), -delta))
+    _put(turn, b, 8, body.frame)
+    _put(turn, b, 12, (of.fall, of.r, of.s, of.kappa))
+    turn[b, 16] = of.turn
+    for k in range(6):
+        turn[b, 17 + k], turn[b, 23 + k] = of.cosines[k], of.sines[k]
+
+
+@lean_kernel
+def set_turn(
+    turn: Floats, b: int, inertia: Vec3, inverse: Vec3, is_asymmetric: bool, q: Quat, L: Vec3
+) -> None:
+    """Write the turn of a body that is at q with the angular momentum L at time 0.
+
+    Parameters
+    ----------
+    turn, b
+        Rows, (n, STEADY_COLUMNS) or (n, COLUMNS), and which.
+    inertia, inverse : tuple of 3 floats [kg m², 1/(kg m²)]
+        Principal moments, and their inverses as `Bodies.inv_inertia`.
+    is_asymmetric : bool
+        Of its rotor class.
+    q : tuple of 4 floats
+        Rotor frame to world.
+    L : tuple of 3 floats [kg m²/s]
+        World axes.
+    """
+    if not is_asymmetric:
+        along = to_body(q, L)[2] * (inverse[2] - inverse[0])
+        _set_steady(turn, b, q, L, norm(L) * inverse[0], along)
+        return
+    one, other = _unit(inertia), _unit(L)
+    moments, spin = scale(one, inertia), scale(other, L)
+    m = dd.to_body(q, spin)
+    modulus = complementary_modulus(moments, (m[0][0], m[1][0], m[2][0]))
+    if modulus < 0.0:
+        about = inverse[0] if modulus == -1.0 else inverse[1] if modulus == -2.0 else inverse[2]
+        _set_steady(turn, b, q, L, norm(L) * about, 0.0)
+    elif modulus >= CROSSOVER:
+        _set_theta(turn, b, moments, q, spin, one / other)
+    else:
+        _set_near(turn, b, moments, q, spin, one / other)
+
+
+@lean_kernel
+def turned(turn: Floats, b: int, t: float) -> Quat:
+    """Orientation of body b after t [s]."""
+    if turn[b, 0] == _STEADY:
+        cos, sin, _ = cos_sin_half_turns(turn[b, 4] * t)
+        cos_b, sin_b, _ = cos_sin_half_turns(turn[b, 5] * t)
+        q = multiply(_quat(turn, b, 6), (cos_b, 0.0, 0.0, sin_b))
+        return multiply((cos, sin * turn[b, 1], sin * turn[b, 2], sin * turn[b, 3]), q)
+    x, phase = turn[b, 1] + turn[b, 2] * t, turn[b, 3] * t
+    left, right = _quat(turn, b, 4), _quat(turn, b, 8)
+    if turn[b, 0] == _THETA:
+        of = ThetaCoefficients(turn[b, 12], turn[b, 13], turn[b, 14])
+        return oriented(left, phase, theta_local(x, of), right)
+    c, s = _quat(turn, b, 17), _quat(turn, b, 23)
+    near = NearCoefficients(
+        turn[b, 12], turn[b, 13], turn[b, 14], turn[b, 15], turn[b, 16],
+        (c[0], c[1], c[2], c[3], turn[b, 21], turn[b, 22]),
+        (s[0], s[1], s[2], s[3], turn[b, 27], turn[b, 28]),
+    )  # fmt: skip
+    local, delta = near_local(x, near)
+    return oriented(left, phase + delta, local, right)

@@ -1,0 +1,120 @@
+"""Bodies that collide at the instants of their impacts, and fly in closed form in between."""
+
+from typing import Final
+
+import numpy as np
+
+from particlerb.compiled.threads import THREADS
+from particlerb.events.advance import advance
+from particlerb.events.flight import set_all, states_at
+from particlerb.events.predict import predict_all
+from particlerb.events.queue import build
+from particlerb.events.records import (
+    BOUND,
+    DONE,
+    ENDLESS,
+    MORE,
+    OVERLAP,
+    Workspace,
+    empty_state,
+)
+from particlerb.impulses.records import GROSS_WORK, room_for_partners, room_for_rows
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.state import Frames, State, store_state
+from particlerb.rotors.single_turn import COLUMNS, STEADY_COLUMNS
+from particlerb.stepping.event_scene import bounds_of, order_of, scene_of
+from particlerb.stepping.motion import Motion, MotionError, SegmentGroup
+from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays
+
+_PER_CALL: Final = 100_000  # events: progress and Ctrl-C in between
+_WHY: Final = {
+    ENDLESS: "its impacts at one instant do not come to an end: give a longer contact.contact_time",
+    OVERLAP: "it overlaps what it hits by more than rounding: an impact was missed",
+}
+_SEARCH: Final = "the search for its next impact does not end: it slides along what it touches"
+
+
+class EventMotion(Motion):
+    """A group of bodies that collide by events; see `motion.Motion`."""
+
+    def __init__(
+        self, group: SegmentGroup, state: State, start: float, before: Motion | None = None
+    ) -> None:
+        self.group, self.start = group, start
+        self.order, n_moving = order_of(group, state)
+        self.scene = scene_of(group, state, self.order, n_moving)
+        n, n_cells = self.order.size, int(self.scene.cells.prod())
+        columns = COLUMNS if self.scene.is_asymmetric.any() else STEADY_COLUMNS
+        self.state = empty_state(n, n_moving, n_cells, columns)
+        most = int(np.diff(self.scene.first).max())
+        self.work = Workspace(np.zeros((most, 8)), room_for_partners(2), room_for_rows(1))
+        self.work.rows.second[0] = 1
+        if before is not None:
+            self.state.tally[:] = before.impulse_tally()
+        self.state.flight[:, BOUND] = bounds_of(group)[1][self.order]
+        THREADS.alone(set_all, self.scene, self.state, self.order, state)
+        self.state.time[:n_moving] = 0.0
+        if not THREADS.timed(predict_all, self.scene, self.state, self.work):
+            raise MotionError(f"at t = {start:.6g} s a body touches another: {_SEARCH}")
+        THREADS.alone(build, self.state)
+        self.tallies: dict[int, Floats] = {}
+
+    def run_to(self, time: float) -> None:
+        """Take all events until a time [s].
+
+        Raises
+        ------
+        MotionError
+            If impacts do not come to an end, or one was missed.
+        """
+        until, ends = time - self.start, MORE
+        while ends == MORE:
+            ends, b = THREADS.timed(advance, self.scene, self.state, self.work, until, _PER_CALL)
+        if ends != DONE:
+            now = self.start + float(self.state.time[b])
+            what = f"at t = {now:.9g} s body {self.group.members[self.order[b]]} cannot continue"
+            raise MotionError(f"{what}: {_WHY.get(ends, _SEARCH)}")
+
+    def state_at(self, time: float) -> tuple[State, Floats]:
+        """State of all bodies at a time [s], and (7,) booked until then."""
+        self.run_to(time)
+        n, elapsed, moment = self.order.size, time - self.start, np.zeros(3)
+        state = State(*(np.zeros((rows, n)) for rows in (3, 4, 3, 3)))
+        THREADS.alone(states_at, self.scene, self.state, elapsed, self.order, state, moment)
+        booked, g = self.state.sums.copy(), self.scene.gravity
+        booked[1:4] += self.scene.mass.sum() * g * elapsed
+        booked[4:7] += np.cross(moment, g)
+        return state, booked
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        booked, self.tallies = np.zeros((times.size, 7)), {}
+        for k, row in enumerate(rows.tolist()):
+            state, booked[k] = self.state_at(float(times[k]))
+            store_state(frames, row, self.group.members, self.group.bodies.rotor_frame, state)
+            self.tallies[row] = self.state.tally.copy()
+        return booked
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State at the end of the segment, and (7,) booked until then."""
+        return self.state_at(stop)
+
+    def gross_work(self) -> float:
+        """Gross work of impacts since the start [J]."""
+        return float(self.state.tally[GROSS_WORK])
+
+    def impulse_tallies(self, rows: Ints) -> dict[int, Floats]:
+        """What was counted, in rows of the frames of the last `record`."""
+        return self.tallies
+
+    def impulse_tally(self) -> Floats:
+        """What is counted of impacts."""
+        return self.state.tally
+
+    def checkpoint(self) -> Saved:
+        """All that events have changed."""
+        return to_arrays(self.state)
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved."""
+        self.state = from_arrays(self.state, saved)

@@ -1,0 +1,187 @@
+"""Collisions at the instants of impacts: closed forms, conservation, what is refused."""
+
+import numpy as np
+import pytest
+from impulse_scenes import DOWN, G, R, case, clump, errors, go, impulse, plane, sphere
+
+import particlerb
+from particlerb.case.problems import CaseError
+
+BOX = {"type": "box", "name": "box", "lower": [-1, -1, -1], "upper": [1, 1, 1]}
+plain = pytest.mark.plain  # compiling takes long, and shows no more
+
+
+def events(restitution=1.0, friction=0.0, **keys):
+    """[contact] by events."""
+    return {"law": "events", "restitution": restitution, "friction": friction} | keys
+
+
+@plain
+def test_forty_bounces_follow_their_closed_form():
+    e, height = 0.9, 1.0
+    fall = np.sqrt(2.0 * height / G)
+    hit = fall * (1.0 + 2.0 * np.cumsum(e ** np.arange(1, 41)))  # the second impact and so on
+    t_end = hit[-2]  # the fortieth
+    ball = sphere(position=[0, 0, height + R])
+    t = go(ball, contact=events(e), wall=[plane()], gravity=DOWN, t_end=t_end, every=t_end / 7)
+    impacts = t.observable("impacts")
+    assert impacts[-1] in (39, 40)
+    for time, n, z in zip(t.time, impacts.astype(int), t.position[:, 0, 2] - R, strict=True):
+        last, speed = (hit[n - 2] if n > 1 else fall), G * fall * e**n
+        since = time - last
+        expected = speed * since - 0.5 * G * since**2 if n else height - 0.5 * G * time**2
+        assert z == pytest.approx(expected, abs=1e-12)
+    assert max(errors(t)) < 1e-12
+
+
+@plain
+def test_a_ball_in_a_box_is_where_unfolding_says():
+    start, velocity = np.array([0.1, -0.2, 0.3]), np.array([1.1, 0.9, 0.7])
+    ball, t_end = sphere(position=start.tolist(), velocity=velocity.tolist()), 400.0
+    t = go(ball, contact=events(), wall=[BOX], t_end=t_end, every=80.0)
+    half = 1.0 - R
+    y = (start + velocity * t.time[:, None] + half) % (4.0 * half)
+    folded = np.minimum(y, 4.0 * half - y) - half
+    path = np.linalg.norm(velocity) * t_end
+    assert t.observable("impacts")[-1] > 500
+    assert np.abs(t.position[:, 0] - folded).max() < 1e-12 * path
+
+
+@plain
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_newtons_cradle_hands_on_as_many_balls_as_come_in(k):
+    balls = [
+        sphere(f"b{i}", position=[2 * R * i - 0.05 * (i < k), 0, 0], velocity=[float(i < k), 0, 0])
+        for i in range(5)
+    ]
+    t = go(*balls, contact=events(), t_end=0.2, every=0.1)
+    assert t.velocity[-1, :, 0].tolist() == [float(i >= 5 - k) for i in range(5)]
+
+
+def clumps(n, seed=3, space=0.75, inwards=0.5):
+    """Clumps on a grid, that move at random."""
+    rng = np.random.default_rng(seed)
+    side = int(np.ceil(n ** (1 / 3)))
+    place = [np.array(np.unravel_index(i, (side,) * 3)) for i in range(n)]
+    centre = 0.5 * (side - 1)
+    return [
+        clump(f"c{i}", position=(space * (place[i] - centre)).tolist(),
+              velocity=(rng.normal(size=3) - inwards * (place[i] - centre)).tolist(),
+              angular_velocity=rng.normal(size=3).tolist())
+        for i in range(n)
+    ]  # fmt: skip
+
+
+@plain
+def test_clumps_that_meet_in_free_space_keep_momenta_and_never_gain_energy():
+    t = go(*clumps(8, inwards=4.0), contact=events(0.6, 0.4), t_end=1.0, every=0.1)
+    size = np.abs(t.linear_momentum[0]).sum()
+    assert t.observable("impacts")[-1] > 10
+    assert np.diff(t.energy).max() < 1e-14
+    energy, linear, angular = errors(t)
+    assert energy < 1e-13
+    assert linear < 1e-13 * size
+    assert angular < 1e-13 * size
+    assert t.observable("smallest_gap").min() >= -1e-14
+
+
+@plain
+@pytest.mark.parametrize("shape", ["asymmetric", "rod", "symmetric"])
+def test_bodies_of_other_shapes_keep_their_energy_among_walls(shape):
+    at = {"asymmetric": [[0.25, 0, 0], [0, 0.15, 0], [-0.1, 0, 0.1]],
+          "rod": [[0.2, 0, 0], [-0.2, 0, 0]],
+          "symmetric": [[0.1, 0, 0], [-0.05, 0.0866, 0], [-0.05, -0.0866, 0]]}[shape]  # fmt: skip
+    body = {"shape": {"type": "points", "mass": 0.3, "radius": R, "position": at}}
+    spin = [0.0, 0.0, 4.0]
+    bodies = [
+        body | {"name": "a", "position": [-0.4, 0, 0], "velocity": [1.0, 0.3, 0.2],
+                "angular_velocity": spin},
+        body | {"name": "b", "position": [0.4, 0.1, 0], "velocity": [-1.0, 0.1, 0.4],
+                "angular_velocity": spin},
+    ]  # fmt: skip
+    t = go(*bodies, contact=events(), wall=[BOX], gravity=DOWN, t_end=1.0, every=0.1)
+    assert t.observable("impacts")[-1] >= 4
+    assert max(errors(t)) < 1e-12
+    assert t.observable("smallest_gap").min() >= -1e-14
+
+
+@plain
+def test_a_ball_in_a_tube_and_on_a_held_clump_keeps_its_energy():
+    tube = {"type": "cylinder", "name": "tube", "radius": 1.0, "length": 2.0}
+    held = clump("held", fixed=True)
+    ball = sphere(position=[0.5, 0.1, 0.6], velocity=[1.0, 0.7, -0.4])
+    t = go(ball, held, contact=events(), wall=[tube], gravity=DOWN, t_end=6.0, every=0.2)
+    assert t.observable("impacts")[-1] > 10
+    assert max(errors(t)) < 1e-11
+    assert np.hypot(*t.position[:, 0, :2].T).max() <= 0.9 + 1e-14
+    assert np.abs(t.position[:, 0, 2]).max() <= 0.9 + 1e-14
+    assert t.observable("smallest_gap").min() >= -1e-14
+
+
+@plain
+def test_friction_takes_what_one_impact_says():
+    ball = sphere(position=[0, 0, R + 1e-3], velocity=[3.0, 0, -1.0])
+    t = go(ball, contact=events(0.5, 0.2), wall=[plane()], t_end=0.01, every=0.01)
+    vx = 3.0 - 0.2 * 1.5  # slides: μ (1 + e) u_n
+    assert t.velocity[-1, 0] == pytest.approx([vx, 0.0, 0.5], abs=1e-15)
+    spin = 0.3 * R / (0.4 * R * R)
+    assert t.angular_velocity[-1, 0] == pytest.approx([0, spin, 0], abs=1e-13)
+
+
+@plain
+def test_a_ball_comes_to_rest_by_elastic_bounces_within_the_contact_time():
+    ball = sphere(position=[0, 0, R + 0.1])
+    keys = {"wall": [plane()], "gravity": DOWN, "t_end": 1.0, "every": 0.5}
+    t = go(ball, contact=events(0.5, contact_time=1e-2), **keys)
+    assert 30 < t.observable("elastic_impacts")[-1] < 200
+    assert 0.0 <= t.position[-1, 0, 2] - R < G * 1e-4 / 8
+    assert max(errors(t)) < 1e-13
+
+
+@plain
+def test_what_is_seen_changes_nothing_and_a_run_is_resumed_bit_for_bit(tmp_path):
+    bodies, contact = clumps(4), events(0.8, 0.3)
+    keys = {"wall": [BOX | {"lower": [-2] * 3, "upper": [2] * 3}], "gravity": DOWN}
+    often = go(*bodies, contact=contact, t_end=1.0, every=0.05, **keys)
+    whole = go(*bodies, contact=contact, t_end=1.0, every=0.5, **keys)
+    assert (often.position[-1] == whole.position[-1]).all()
+    half = case(*bodies, contact=contact, t_end=0.5, every=0.25, **keys)
+    particlerb.run(half, tmp_path / "run.h5").close()
+    resumed = particlerb.resume(tmp_path / "run.h5", t_end=1.0)
+    assert (resumed.position[-1] == whole.position[-1]).all()
+    assert (resumed.angular_momentum[-1] == whole.angular_momentum[-1]).all()
+    assert resumed.observable("impacts")[-1] == whole.observable("impacts")[-1]
+
+
+BALL = sphere(position=[0, 0, 0])
+PUSH = {"type": "push", "body": "ball", "at": [0, 0, 0], "force": [0, 0, 1]}
+MOTION = plane(point=[0, 0, -1], motion={"velocity": [0, 0, 1.0]})
+PISTON = plane(point=[0, 0, -1], piston={"mass": 1.0, "axis": [0, 0, 1]})
+MESH = {"type": "mesh", "name": "mesh", "file": "a.stl"}
+REFUSED = [
+    ({"contact": events(0.0)}, "contact.restitution: bodies that do not part again"),
+    ({"contact": events(stiffness=1e5)}, "contact.stiffness: impulses have no stiffness"),
+    ({"contact": events(rolling_friction=0.1)}, "contact.rolling_friction: impulses do not"),
+    ({"contact": events(relax=True)}, "contact.relax: collisions by events have no use for it"),
+    ({"contact": events(overlap=0.1)}, "contact.overlap: collisions by events begin without"),
+    ({"contact": events(skin=0.1)}, "contact.skin: collisions by events have no use for it"),
+    ({"contact": events(slop=0.1)}, "contact.slop: is for impulses"),
+    ({"contact": impulse(contact_time=0.1)}, "contact.contact_time: is for events"),
+    ({"force": [PUSH]}, "force[0].type: between collisions by events no push acts yet"),
+    ({"attraction": {"G": 1.0}}, "attraction: is not computed between collisions by events"),
+    ({"joint": [{"name": "j", "type": "ball", "body": "ball"}]},
+     "joint[0]: joints are not computed between collisions by events"),
+    ({"wall": [MOTION]}, "wall[0].motion: collisions by events know no prescribed motion yet"),
+    ({"wall": [PISTON]}, "wall[0].piston: collisions by events do not move pistons yet"),
+    ({"wall": [MESH]}, "wall[0].type: collisions by events know no walls of triangles yet"),
+    ({"output": {"fields": ["contacts"]}}, "output.fields[0]: an impact at an instant shows in no"),
+    ({"output": {"fields": ["push_out_work"]}}, "there is no push_out_work without impulses"),
+    ({"method": "strang"}, "strang does not accept what acts here: contact"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("keys", "words"), REFUSED, ids=[words for _, words in REFUSED])
+def test_what_events_do_not_know_is_refused(keys, words):
+    with pytest.raises(CaseError) as error:
+        go(BALL, **({"wall": [plane(point=[0, 0, -1])], "contact": events()} | keys))
+    assert words in str(error.value)
