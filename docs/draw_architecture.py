@@ -28,6 +28,7 @@ WORDS = {
     "case": "TOML to System",
     "stepping": "the loop over steps",
     "integrators": "one method a file",
+    "events": "collisions at instants",
     "forces": "one force a file",
     "contact": "pairs, laws, walls",
     "joints": "rows, factor, reactions",
