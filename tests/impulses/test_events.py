@@ -58,6 +58,37 @@ def test_newtons_cradle_hands_on_as_many_balls_as_come_in(k):
     assert t.velocity[-1, :, 0].tolist() == [float(i >= 5 - k) for i in range(5)]
 
 
+def broken(positions, velocities, t_end):
+    """Balls on a table after a time."""
+    balls = [
+        sphere(f"b{i}", radius=0.0286, position=x.tolist(), velocity=v.tolist())
+        for i, (x, v) in enumerate(zip(positions, velocities, strict=True))
+    ]
+    table = BOX | {"lower": [-1.27, -0.635, -0.1], "upper": [1.27, 0.635, 0.1]}
+    t = go(*balls, contact=events(), wall=[table], t_end=t_end, every=t_end)
+    assert t.observable("elastic_impacts")[-1] == 0
+    return t.position[-1], t.velocity[-1], t.observable("impacts")[-1]
+
+
+@plain
+def test_a_break_that_is_turned_around_comes_back_but_for_grown_rounding():
+    rows = [(0.635 + 0.0497 * k, 0.0574 * (j - 0.5 * k), 0) for k in range(4) for j in range(k + 1)]
+    start = np.array([(-0.635, 0.004, 0.0), *rows])
+    velocity = np.zeros_like(start)
+    velocity[0] = 8.0, 0.0, 0.0
+    end, speed, n = broken(start, velocity, 1.5)
+    back, _, m = broken(end, -speed, 1.5)
+    rng, growth = np.random.default_rng(1), 0.0
+    for _ in range(8):
+        x, v = 1e-13 * rng.normal(size=(2, *start.shape)) * [1, 1, 0]
+        other, _, _ = broken(end + x, v - speed, 1.5)
+        growth = max(growth, np.abs(other - back).max() / 1e-13)
+    assert n == m
+    assert n > 30
+    assert growth > 1e3
+    assert np.abs(back - start).max() < 1e-15 * growth
+
+
 def clumps(n, seed=3, space=0.75, inwards=0.5):
     """Clumps on a grid, that move at random."""
     rng = np.random.default_rng(seed)
@@ -185,3 +216,13 @@ def test_what_events_do_not_know_is_refused(keys, words):
     with pytest.raises(CaseError) as error:
         go(BALL, **({"wall": [plane(point=[0, 0, -1])], "contact": events()} | keys))
     assert words in str(error.value)
+
+
+@plain
+def test_no_impact_of_turning_clumps_is_missed():
+    from dense_pairs import missed
+
+    hits, wrong, widest = missed(60)
+    assert 20 < hits < 60
+    assert wrong == 0
+    assert widest < 1e-12  # coordinates up to 20 m
