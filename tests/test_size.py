@@ -23,6 +23,7 @@ BUDGETS = {
     "unrolled columns in factors of joints, for speed": 69,
     "prescribed motion in joints, and driven bodies there": 335,
     "joints that break": 128,
+    "the instant at which they do": 75,
     "joints that merge bodies": 360,
     "springs in balls and universal joints": 58,
     "coordinates by name, along which something acts": 21,

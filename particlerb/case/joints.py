@@ -191,7 +191,7 @@ class JointTable(Table):
         None, description="Start, which is 0, and time of release; default: always. [s]"
     )
     breaks_at: JointLoad | None = Field(
-        None, description="Load at which it is released, at the end of a step; default: none. [-]"
+        None, description="Load at which it is released; default: none. [-]"
     )
     merge: bool = Field(
         True, description="Of fixed: whether the two become one body, where that is exact. [-]"

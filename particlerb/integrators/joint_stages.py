@@ -17,7 +17,7 @@ from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.external_work import book
 from particlerb.joints.actions import finish_damping, soften, softened, work_of_motor
-from particlerb.joints.breaking import break_joints
+from particlerb.joints.breaking import foresee_breaks, keep_impulses
 from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
 from particlerb.joints.rows import by_inverse_inertia, put_vector, vector
 from particlerb.joints.solver import constrained_drift, project_momenta
@@ -181,6 +181,7 @@ def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, sp
         work.total[r] = 2.0 * half
         if joints.rows.action[r] != HOLDS and half != 0.0:
             _book_work(books, jointed, blocks, r, -2.0 * work.compliance[r] * half * half)
+    keep_impulses(joints.breaks, joints, work, c, False)
     _book_world(books, jointed, blocks, c, work.y)
     _book_drives(books, joints.moves, jointed, blocks, c)
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
@@ -203,8 +204,8 @@ def drift_jointed(
         place_driven(jointed.driven, jointed, t, dt, body[c], body[c + 1])
         constrained_drift(jointed.joints, jointed.work, c, kick_dt, t, dt)
         if dt == jointed.work.clock[1]:  # and not a part of a step, to a frame
-            end = jointed.start + t + dt
-            break_joints(jointed.joints.breaks, jointed.joints, jointed.work, c, kick_dt, end)
+            joints = jointed.joints
+            foresee_breaks(joints.breaks, joints.damps, joints, jointed.work, c, kick_dt, t)
         _book_world(books, jointed, blocks, c, jointed.work.pose)
         _book_drives(books, jointed.joints.moves, jointed, blocks, c)
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
@@ -222,6 +223,7 @@ def project_jointed(
         _gather(jointed, blocks, c)
         place_driven(jointed.driven, jointed, t, 0.0, body[c], body[c + 1])
         project_momenta(jointed.joints, jointed.work, c, kick_dt, t, 0.0)
+        keep_impulses(jointed.joints.breaks, jointed.joints, jointed.work, c, True)
         _book_world(books, jointed, blocks, c, jointed.work.y)
         _book_drives(books, jointed.joints.moves, jointed, blocks, c)
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)

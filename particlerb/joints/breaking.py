@@ -1,46 +1,136 @@
-"""Joints that break: a load above a limit releases them at the end of the step.
+"""Joints that break: the instant at which a load passes its limit, and the step in which it does.
 
-The impulse of a drift over its kick is the load at its start. Rows of a broken joint are left out
-as those are of coordinates along which nothing acts.
+The impulse of a joint from the middle of a step to that of the next, over this time, is its load
+between them, of second order. From the loads of two steps the next one is foreseen: where it passes
+the limit, the joint breaks within that step. There the joint gives its impulse up to that instant,
+and its rows are left out, as those are of coordinates along which nothing acts. So the error of the
+instant is of order two. A load that is too large at once breaks its joint at the end of the step.
 """
 
 from math import inf, sqrt
+from typing import Final
 
-from particlerb.compiled.jit import lean
-from particlerb.joints.records import Breaks, Joints, Work
-from particlerb.joints.rows import attitude, vector
+from particlerb.compiled.jit import Flag, lean
+from particlerb.joints.records import HOLDS, Breaks, Joints, P, Work
+from particlerb.joints.rows import add_impulses, attitude, vector
 from particlerb.maths.quaternion import to_world
-from particlerb.maths.vec3 import add_scaled, cross, dot, row3, subtract
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, row3, subtract
+
+_SAME: Final = 1e-9  # over a step: instants as near as this are one
 
 
 @lean
-def leave_out(breaks: Breaks | None, joints: Joints, work: Work, c: int) -> None:
-    """Leave out the rows of broken joints of cluster c."""
+def leave_out(breaks: Breaks | None, joints: Joints, work: Work, c: int, t: float) -> None:
+    """Leave out the rows of joints of cluster c that have broken before t, and no others."""
     if breaks is None:
         return
+    now = work.clock[2] + t - _SAME * work.clock[1]
+    for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
+        _set_held(joints, work, j, work.broken[j] >= now)
+
+
+@lean
+def _set_held(joints: Joints, work: Work, j: int, is_held: bool) -> None:
+    """Say whether the rows of joint j hold, or are left out."""
     start = joints.program.start
+    for r in range(start[j], start[j + 1]):
+        if joints.rows.action[r] == HOLDS:
+            work.compliance[r] = 0.0 if is_held else inf
+
+
+@lean
+def let_break(
+    breaks: Breaks | None, joints: Joints, work: Work, c: int, kick_dt: float, t: float, dt: float
+) -> bool:
+    """Whether joints of cluster c break within a drift from t on, whose impulses are known.
+
+    Of its impulses only those remain that such joints give until they break; their rows are left
+    out.
+    """
+    if breaks is None:
+        return False
+    start, begin, least = joints.program.start, work.clock[2] + t, _SAME * work.clock[1]
+    lo, hi = joints.clusters.joint[c], joints.clusters.joint[c + 1]
+    found = False
+    for j in range(lo, hi):
+        found = found or -least <= work.broken[j] - begin < dt - least
+    if not found:
+        return False
+    for j in range(lo, hi):
+        later = work.broken[j] - begin
+        breaks_now = -least <= later < dt - least
+        share = (kick_dt - 0.5 * dt + later) / kick_dt if breaks_now else 0.0
+        for r in range(start[j], start[j + 1]):
+            if joints.rows.action[r] == HOLDS:
+                work.z[r] = (share - 1.0) * work.total[r]
+                work.total[r] *= share
+            else:
+                work.z[r] = 0.0
+        if breaks_now:
+            _set_held(joints, work, j, False)
+    add_impulses(joints, work, start[lo], start[hi], work.y, P)
+    return True
+
+
+@lean
+def keep_impulses(
+    breaks: Breaks | None, joints: Joints, work: Work, c: int, is_first: bool
+) -> None:
+    """Keep the impulses of the rows of cluster c, or add them to those that are kept."""
+    if breaks is None:
+        return
+    start, joint = joints.program.start, joints.clusters.joint
+    for r in range(start[joint[c]], start[joint[c + 1]]):
+        work.kept[r] = work.total[r] if is_first else work.kept[r] + work.total[r]
+
+
+@lean
+def _impulses(joints: Joints, work: Work, j: int, pose: Floats) -> tuple[float, float]:
+    """Sizes of the impulse that is kept of joint j, and of its moment about its point."""
+    start, impulse, turning = joints.program.start, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for r in range(start[j], start[j + 1]):
+        impulse = add_scaled(work.kept[r], vector(work.gradient, r, 0), impulse)
+        turning = add_scaled(work.kept[r], vector(work.gradient, r, 3), turning)
+    first = start[j]
+    arm = to_world(attitude(pose, joints.rows.a[first]), row3(joints.rows.first, first))
+    return _length(impulse), _length(subtract(turning, cross(arm, impulse)))
+
+
+@lean
+def _length(v: Vec3) -> float:
+    """|v|."""
+    return sqrt(dot(v, v))
+
+
+@lean
+def _ahead(load: float, before: float, limit: float) -> float:
+    """In how many steps a load reaches a limit; before: one step ago, negative if not known."""
+    if load > limit:
+        return 0.0
+    return (limit - load) / (load - before) if 0.0 <= before < load else inf
+
+
+@lean
+def foresee_breaks(
+    breaks: Breaks | None, damps: Flag, joints: Joints, work: Work, c: int, kick_dt: float, t: float
+) -> None:
+    """Find which joints of cluster c break until the end of the next step.
+
+    A whole step from t on has been done, with impulses over a kick.
+    """
+    if breaks is None:
+        return
+    keep_impulses(breaks, joints, work, c, damps is None)
+    is_first, dt = t == 0.0, work.clock[1]
+    span = dt if damps is not None and not is_first else kick_dt
     for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
         if work.broken[j] < inf:
-            for r in range(start[j], start[j + 1]):
-                work.compliance[r] = inf
-
-
-@lean
-def break_joints(
-    breaks: Breaks | None, joints: Joints, work: Work, c: int, kick_dt: float, end: float
-) -> None:
-    """Let joints of cluster c break at a time whose impulses over a kick are too large."""
-    if breaks is None:
-        return
-    start, nothing = joints.program.start, (0.0, 0.0, 0.0)
-    for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
-        impulse, turning = nothing, nothing
-        for r in range(start[j], start[j + 1]):
-            impulse = add_scaled(work.total[r], vector(work.gradient, r, 0), impulse)
-            turning = add_scaled(work.total[r], vector(work.gradient, r, 3), turning)
-        first = start[j]
-        arm = to_world(attitude(work.pose, joints.rows.a[first]), row3(joints.rows.first, first))
-        turning = subtract(turning, cross(arm, impulse))
-        force, torque = sqrt(dot(impulse, impulse)), sqrt(dot(turning, turning))
-        if force > kick_dt * breaks.force[j] or torque > kick_dt * breaks.torque[j]:
-            work.broken[j] = min(work.broken[j], end)
+            continue
+        force, torque = _impulses(joints, work, j, work.pose)
+        force, torque = force / span, torque / span
+        steps = _ahead(force, work.load[j, 0], breaks.force[j])
+        steps = min(steps, _ahead(torque, work.load[j, 1], breaks.torque[j]))
+        if steps < 2.0:
+            work.broken[j] = work.clock[2] + t + dt * max(steps, 1.0)
+        work.load[j, 0] = -1.0 if is_first else force
+        work.load[j, 1] = -1.0 if is_first else torque

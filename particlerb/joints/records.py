@@ -152,8 +152,11 @@ class Work(NamedTuple):
     moving: Floats  # (m,) ∂g/∂t
     motion: Floats  # (n + 1, 9) v, ω and dv/dt of bodies that move as prescribed, 0 of others
     later: Floats  # (n + 1, 7) where those are at the end of a drift
-    clock: Floats  # (2,) [s] since the segment began, at the start of a step; the whole step
-    broken: Floats  # (j,) [s] when each joint has broken, since t = 0; inf: it holds
+    clock: Floats  # (3,) [s] since the segment began, at the start of a step; the whole step; when
+    # the segment began
+    broken: Floats  # (j,) [s] when each joint breaks, since t = 0; inf: it holds
+    load: Floats  # (j, 2) force and torque one step ago, if some may break; -1: not known
+    kept: Floats  # (m,) impulses since the middle of the last step, of these
     z: Floats  # (m,) right sides and solutions
     total: Floats  # (m,) impulses of a drift
     before: Floats  # (m,) rates of coordinates before a kick
@@ -193,8 +196,10 @@ def room_for_joints(joints: Joints) -> Work:
         np.zeros(m),
         np.zeros((n, 9)),
         np.zeros((n, P)),
-        np.zeros(2),
+        np.zeros(3),
         np.full(joints.number.size, np.inf),
+        np.full((joints.number.size, 2), -1.0),
+        np.zeros(m),
         np.zeros(m),
         np.zeros(m),
         np.zeros(m),

@@ -15,7 +15,7 @@ from typing import Final
 from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.joints.actions import kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
-from particlerb.joints.breaking import leave_out
+from particlerb.joints.breaking import leave_out, let_break
 from particlerb.joints.drives import carry, set_moving
 from particlerb.joints.records import Joints, L, P, Q, Work, X
 from particlerb.joints.rows import add_impulses, attitude, linearise, rates, residuals, vector
@@ -53,7 +53,7 @@ def factorise_cluster(joints: Joints, work: Work, c: int, span: float, t: float)
     for r in range(start[lo], start[hi]):
         set_compliance(joints, work, r, span)
         work.total[r] = 0.0
-    leave_out(joints.breaks, joints, work, c)
+    leave_out(joints.breaks, joints, work, c, t)
     linearise(joints, work, start[lo], start[hi])
     set_moving(joints.moves, joints, work, start[lo], start[hi], t)
     assemble(joints, work, clusters.block[c], clusters.block[c + 1])
@@ -69,13 +69,24 @@ def constrained_drift(
     `work.total` has these impulses, `work.lost` the row that does not converge.
     """
     clusters, start = joints.clusters, joints.program.start
-    first, last = clusters.joint[c], clusters.joint[c + 1]
-    lo, hi = start[first], start[last]
+    lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
     for k in range(clusters.body[c], clusters.body[c + 1]):
         for i in range(P):
             work.pose[k, i] = work.y[k, i]
     factorise_cluster(joints, work, c, 0.0, t)
     kick_actions(joints.acts, joints, work, lo, hi, kick_dt)
+    _fly_to_joints(joints, work, c, t, dt)
+    if let_break(joints.breaks, joints, work, c, kick_dt, t, dt):
+        assemble(joints, work, clusters.block[c], clusters.block[c + 1])
+        factorise(joints, work, c)
+        _fly_to_joints(joints, work, c, t, dt)
+
+
+@lean_kernel
+def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> None:
+    """Drift with impulses along the gradients so that g = 0 at its end: see above."""
+    clusters, start = joints.clusters, joints.program.start
+    lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
     before = 1e300
     for _ in range(MOST_ITERATIONS):
         fly(joints, work, c, dt)

@@ -193,7 +193,8 @@ class JointReader:
         padded = np.zeros((joints.inv_mass.size, 6))
         padded[:-1] = loads.T[joints.order]
         work.clock[0] = time - self.segment.start
-        work.broken[:] = np.where(broken <= time, broken, np.inf)
+        is_broken = broken <= time
+        work.broken[:] = np.where(is_broken, -np.inf, np.inf)
         assert motion.moving.jointed is not None
         jointed = motion.moving.jointed._replace(work=work)
         place_driven(jointed.driven, jointed, work.clock[0], 0.0, 0, len(work.y))
@@ -210,8 +211,7 @@ class JointReader:
         values.joint_force[row, own], values.joint_torque[row, own] = force, torque
         values.joint_force_determined[row, own] = is_known[:, :3]
         values.joint_torque_determined[row, own] = is_known[:, 3:]
-        times = work.broken[is_joint]
-        values.joint_break_time[row, own] = np.where(times < np.inf, times, 0.0)
+        values.joint_break_time[row, own] = np.where(is_broken, broken, 0.0)[is_joint]
         residuals(joints, work, 0, m, work.clock[0])
         rates(joints, work, 0, m)
         start, size = joints.program.start[:-1], joints.rows.size

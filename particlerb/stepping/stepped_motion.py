@@ -127,6 +127,7 @@ class SteppedMotion(Motion):
         if self.moving.jointed is not None:
             self.moving.jointed.work.clock[1] = dt
             self.moving.jointed.work.broken[:] = np.inf
+            self.moving.jointed.work.load[:] = -1.0
 
     def spaced(self, values: Floats) -> Floats:
         """Rows of all bodies with the gaps of the blocks between them."""
@@ -153,7 +154,7 @@ class SteppedMotion(Motion):
         work.y[:-1] = np.vstack(self.first).T[joints.order]
         count_turns(joints.coordinates, work.y, work.turned)
         work.turned[:, 2] = 0.0
-        work.clock[1] = self.dt
+        work.clock[1:] = self.dt, self.start
         given = flag(not has_potential(self.group.terms))
         driven = self.group.terms.driven
         if driven is not None:
@@ -178,7 +179,9 @@ class SteppedMotion(Motion):
         """States on the grid with what was booked, and the steps until there."""
         saved = {"changing": self.values(0, CHANGING), "done": np.array(self.steps_done)}
         saved |= {"turned": self.turned.copy()} if self.turned.size else {}
-        return saved | ({"broken": self.broken.copy()} if self.breaks else {})
+        if self.breaks:
+            saved |= {"broken": self.broken.copy(), "load": self.load.copy()}
+        return saved
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
@@ -187,7 +190,7 @@ class SteppedMotion(Motion):
         if self.turned.size:
             self.turned[:] = saved["turned"]
         if self.breaks:
-            self.broken[:] = saved["broken"]
+            self.broken[:], self.load[:] = saved["broken"], saved["load"]
 
     @property
     def breaks(self) -> bool:
@@ -200,6 +203,12 @@ class SteppedMotion(Motion):
         """When joints have broken [s], (j,): inf where they hold."""
         jointed = self.moving.jointed
         return np.zeros(0) if jointed is None else jointed.work.broken
+
+    @property
+    def load(self) -> Floats:
+        """What joints carried in the last step, (j, 2): see joints/breaking.py."""
+        jointed = self.moving.jointed
+        return np.zeros((0, 2)) if jointed is None else jointed.work.load
 
     @property
     def turned(self) -> Floats:

@@ -20,36 +20,68 @@ def weight_on_a_wire(limit, **keys):
     return case([bob], [wire | {"breaks_at": {"force": limit}} | keys], output=OUTPUT)
 
 
-@pytest.mark.parametrize("dt", [0.004, 0.001])
-def test_a_wire_snaps_where_its_tension_is_reached(dt):
-    """3 m g sin φ = F at sin φ = 2/3; then a parabola from there, at 2 g sin φ = v²."""
-    with moved(weight_on_a_wire(2 * 9.81), 0.8, dt, every=0.0333) as trajectory:
+def instant(sine):
+    """When the ball that swings down is so deep: t = ∫ dφ/√(2 g sin φ), φ = s²."""
+    from scipy.integrate import quad
+
+    return quad(lambda s: 2 / np.sqrt(2 * 9.81 * np.sin(s * s)) * s, 0, np.sqrt(np.arcsin(sine)))[0]
+
+
+@pytest.mark.parametrize("damped", [False, True])
+@pytest.mark.parametrize("dt", [0.008, 0.002])
+def test_a_wire_snaps_where_its_tension_is_reached(dt, damped):
+    """3 m g sin φ = F at sin φ = 2/3; then a parabola from there, at 2 g sin φ = v².
+
+    The instant is of order two, also where something damps, as steps are made otherwise then.
+    """
+    scene = weight_on_a_wire(2 * 9.81)
+    if damped:
+        scene["body"].append(body("flap", 1.0, [0.1, 0.1, 0.1], [9.0, 0, 0]))
+        scene["joint"].append(joint("hinge", "flap", None, [9.0, 0, 0], Z, damper=1.0))
+    with moved(scene, 0.8, dt, every=0.0333) as trajectory:
         t, x = trajectory.time, np.array(trajectory.position)[:, 0]
         v = np.array(trajectory.velocity)[:, 0]
         at = np.array(trajectory.joint_break_time)[:, 0]
         loads = joint_loads(trajectory)
         ledger = trajectory.ledger
-    from scipy.integrate import quad
-
-    when = quad(lambda s: 2 / np.sqrt(2 * 9.81 * np.sin(s * s)) * s, 0, np.sqrt(np.arcsin(2 / 3)))[
-        0
-    ]
-    assert when < at[-1] < when + 2.1 * dt
+    assert abs(at[-1] - instant(2 / 3)) < 3 * dt * dt
     assert (at[t < at[-1]] == 0.0).all()
     assert (at[t >= at[-1]] == at[-1]).all()
     holds = t < at[-1]
     assert np.linalg.norm(x[holds], axis=1) == pytest.approx(1.0, abs=1e-13)
     tension = np.linalg.norm(loads.force[:, 0], axis=1)
-    assert tension[holds] == pytest.approx(-3 * 9.81 * x[holds, 2], abs=30 * dt)
+    assert tension[holds] == pytest.approx(-3 * 9.81 * x[holds, 2], abs=300 * dt * dt)
     assert (tension[~holds] == 0.0).all()
     k = np.flatnonzero(~holds)[0]
     s = (t[k:] - t[k])[:, None]
     assert x[k:] == pytest.approx(x[k] + v[k] * s - 0.5 * 9.81 * s * s * np.array(Z), abs=1e-12)
-    sin = -x[k, 2] + v[k, 2] * (t[k] - at[k]) - 0.5 * 9.81 * (t[k] - at[k]) ** 2
-    assert sin == pytest.approx(2 / 3, abs=20 * dt)
-    assert np.abs(ledger.energy_error).max() < 60 * dt * dt
+    sin = -x[k, 2] + v[k, 2] * (t[k] - at[k]) + 0.5 * 9.81 * (t[k] - at[k]) ** 2
+    assert sin == pytest.approx(2 / 3, abs=40 * dt * dt)
+    assert np.abs(ledger.energy_error).max() < 70 * dt * dt
     assert np.abs(ledger.linear_momentum_error).max() < 1e-12
     assert np.abs(ledger.angular_momentum_error).max() < 1e-12
+
+
+def test_what_is_tied_besides_holds_in_the_step_of_a_break():
+    """A ball on a wire to a bar on a hinge: the wire snaps within a step, the hinge holds on."""
+    ends = []
+    for dt in (0.008, 0.004, 0.002):
+        scene = weight_on_a_wire(15.0)
+        scene["body"].append(bar("bar", [-1.0, 0, 0], [0.0, 0, 0], 3.0))
+        scene["joint"][0] |= {"to": "bar", "at_to": [0.0, 0, 0]}
+        scene["joint"].append(joint("hinge", "bar", None, [-1.0, 0, 0], Y))
+        scene["joint"].append(joint("distance", "bar", None, [0.0, 0, 0], at_to=[0.0, 0, 1.0]))
+        scene["joint"][-1]["at"] = [0.0, 0, 0]
+        with moved(scene, 0.6, dt, every=0.06) as trajectory:
+            loads = joint_loads(trajectory)
+            ends.append([trajectory.joint_break_time[-1, 0], *trajectory.position[-1].ravel()])
+            assert loads.misfit.max() < 1e-12
+            assert loads.rate.max() < 1e-11
+            assert np.abs(trajectory.ledger.angular_momentum_error).max() < 1e-12
+    assert 0.1 < ends[0][0] < 0.55
+    coarse, fine = (np.abs(np.subtract(ends[k], ends[k + 1])).max() for k in (0, 1))
+    assert fine < 0.5 * coarse
+    assert coarse < 100 * 0.008**2
 
 
 def test_a_hinge_breaks_under_a_torque_and_leaves_its_neighbour():
@@ -119,7 +151,7 @@ breaks_at = { force = 20.0 }
 """)
     assert main(["run", str(path), "--output", str(tmp_path / "wire.h5")]) == 0
     text = capsys.readouterr().out
-    assert "joint wire broke at t = 0.4 s" in text, text
+    assert "joint wire broke at t = 0.39397" in text, text
 
 
 @pytest.mark.parametrize(
