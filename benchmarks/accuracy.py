@@ -7,8 +7,8 @@ For each scene the errors of all methods are found over the whole ladder of step
 Then for each accuracy the choice is run on all bodies: its error at t_end against dop853 at 1e-14
 is set beside what was asked and what was estimated; its time beside that of the cheapest point of
 the ladder, the least of many runs on one thread, taken in turn; and the time of the search, without
-making the plan and without compiling. SciPy's joint DOP853 is shown for the tops. `--record` writes
-results/NAME.csv.
+making the plan and without compiling. SciPy's joint DOP853 is shown for the tops. `--record` puts
+each line into results/NAME.csv as it is found, in place of the last one of its scene and accuracy.
 
 Goals: the choice takes at most 1.5 times the cheapest point; the error lies between a fiftieth of
 what was asked and what was asked, where the ladder has such a point; the search takes at most as
@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 from against_peers import heavy_tops
-from results import FOLDER, commit
+from results import FOLDER, commit, processor
 
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
@@ -291,6 +291,20 @@ def shown(value: object) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
+def write(path: Path, line: tuple) -> None:
+    """Put a line into a table, in place of the one of the same scene and accuracy."""
+    known: dict[tuple[str, ...], list[str]] = {}
+    if path.exists():
+        with path.open(newline="", encoding="utf-8") as file:
+            known = {tuple(row[2:4]): row for row in list(csv.reader(file))[1:]}
+    values = [shown(value) for value in line]
+    known[values[0], values[1]] = [commit(), processor(), *values]
+    order = list(SCENES)
+    ordered = sorted(known.values(), key=lambda row: (order.index(row[2]), -float(row[3])))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([("commit", "processor", *HEADER), *ordered])
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser()
@@ -301,19 +315,12 @@ def main() -> None:
     options = parser.parse_args()
     THREADS.use(1)
     wanted = [float(one) for one in options.accuracies.split(",")]
-    lines: list[tuple] = []
     print("\t".join(HEADER))
     for scene in options.scenes.split(","):
         for line in rows(scene, wanted, not options.no_peers):
             print("\t".join(shown(value) for value in line), flush=True)
-            lines.append(line)
-    if options.record:
-        path = FOLDER / f"{options.record}.csv"
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(("commit", *HEADER))
-            writer.writerows((commit(), *map(shown, line)) for line in lines)
-        print(f"written: {path}")
+            if options.record:
+                write(FOLDER / f"{options.record}.csv", line)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import numpy as np
 
 from particlerb.case.problems import CaseError
 from particlerb.case.source import problem_at
+from particlerb.forces import Terms
 from particlerb.integrators import METHODS
 from particlerb.integrators.dop853 import PACK
 from particlerb.maths.vec3 import Floats, Ints
@@ -57,6 +58,7 @@ class Pilot:
         ]
         self.cost_between = max(cost_of(segment.terms) for segment in group.segments)
         self.is_coupled = any(segment.terms.is_coupled for segment in group.segments)
+        self.sets_off_again = not any(_remembers(segment.terms) for segment in group.segments)
         self.asymmetric = float(np.mean(group.bodies.rotor_class == ASYMMETRIC))
         self.gone: tuple[Frames | None, Floats] = (None, np.empty(0))  # ways of the last reference
         self.take(np.arange(group.members.size))
@@ -94,7 +96,7 @@ class Pilot:
     def poses(self, stepping: Stepping, times: Floats) -> tuple[Frames, float]:
         """States at some times, and the steps of the whole run that were taken until the last."""
         self.say_so(stepping.method)
-        again = None if self.is_coupled else self.begun
+        again = self.begun if self.sets_off_again else None
         frames, steps = poses(stepped_by(self.own, stepping), self.state, times, again)
         looks = 0 if is_adaptive(stepping.method) else times.size
         self.spent += self.cost(stepping, steps + looks, self.which.size) + SET_UP
@@ -132,6 +134,12 @@ class Pilot:
             turns = stepping.dt * self.rate
             each *= 1.0 + self.asymmetric * (method.asymmetric_cost(turns) - 1.0)
         return float(steps * (lanes * each + method.evaluations * self.cost_between))
+
+
+def _remembers(terms: Terms) -> bool:
+    """Whether forces keep more than the states of bodies: a motion cannot set off once more."""
+    held = terms.joints is not None or terms.contact is not None
+    return held or terms.opening_angle > 0.0 or terms.tree_accuracy > 0.0
 
 
 def _per_pack(rates: Floats) -> float:
