@@ -7,11 +7,16 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
+import llvmlite.binding
+
+from particlerb.compiled.vector_width import WIDE
+from particlerb.compiled.vector_width import processor as known_as
+
 FOLDER = Path(__file__).parent / "results"
 
 
 def processor() -> str:
-    """Name of the processor, as far as the system tells."""
+    """Name of the processor, as far as the system tells, LLVM's name for it, and its vectors."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         name = next(
@@ -19,7 +24,15 @@ def processor() -> str:
         )
     except (OSError, IndexError):
         name = platform.processor() or platform.machine()
-    return name
+    return f"{name}, {known_as()}, vectors of {vector_bits()} bits"
+
+
+def vector_bits() -> int:
+    """Bits of the vectors that kernels use: LLVM takes 512 by itself on AMD's processors alone."""
+    has = llvmlite.binding.get_host_cpu_features()
+    if has.get("avx512f") and (known_as() in WIDE or known_as().startswith("znver")):
+        return 512
+    return 256 if has.get("avx2") else 128
 
 
 def commit() -> str:

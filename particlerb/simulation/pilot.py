@@ -33,7 +33,8 @@ _LOG: Final = logging.getLogger(__name__)
 _PILOT: Final = 32  # bodies that are looked at, at most:
 _FASTEST: Final = 8  # these by their rates at t = 0, the others by their errors at
 _COARSE: Final = (2.0, 1.0)  # rad of a step of strang
-SET_UP: Final = 2e5  # ns of a trial beside its steps, roughly
+SET_UP: Final = 2e5  # ns of a trial beside its steps, roughly,
+_BEGIN: Final = 3e5  # and of a search beside its trials
 _ALONE: Final = 6  # bodies in the lanes of a register that one without a full register costs
 _SAY_SO: Final = 2.0  # s after which a search says what it does
 
@@ -44,7 +45,7 @@ class Pilot:
     def __init__(self, system: System, group: GroupPlan) -> None:
         self.system, self.group = system, group
         self.wanted, t_end = system.run.accuracy or 0.0, system.run.t_end
-        self.spent = 0.0  # ns, by the table
+        self.spent = _BEGIN  # ns, by the table
         self.start, self.has_said = time.monotonic(), False
         self.rates = rates(system, group, t_end)
         self.rate = float(self.rates.max())

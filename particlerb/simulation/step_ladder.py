@@ -92,10 +92,10 @@ class Ladder:
         return self.cost_of(self.first_setting(), self.pilot.group.members.size) + 2.0 * SET_UP
 
     def usual_cost(self) -> float:
-        """What a run takes in most scenes [ns]."""
+        """What a run takes in most scenes [ns]: in few do steps grow much longer than at first."""
         step = self.pilot.longest(self.first_turn(1.0))
         n = self.pilot.group.members.size
-        return self.cost_of(step, n) if self.is_stepped else self.cost
+        return self.cost_of(step, n) if self.is_stepped else _LONGER * self.cost
 
     def least_cost(self) -> float:
         """What an adaptive method costs at least, by the rate at t = 0; never too little [ns].
@@ -235,7 +235,7 @@ class Ladder:
         """Whether a run with a setting leaves the search shorter than the run with the best."""
         more = self.cost_of(setting, self.pilot.which.size)
         whole = self.cost_of(best, self.pilot.group.members.size)
-        return self.pilot.spent + more <= max(whole, LEAST)
+        return self.pilot.spent + more + SET_UP <= max(whole, LEAST)
 
     def next_setting(self) -> float:
         """Setting to try next."""
@@ -253,11 +253,14 @@ class Ladder:
         return wanted if self.is_stepped else max(wanted, _FINEST)
 
     def first_setting(self) -> float:
-        """Setting to begin with: coarser than what most scenes need, since such runs are short."""
+        """Setting to begin with: coarser than what most scenes need, since such runs are short.
+
+        Steps longer than from one look to the next would save nothing.
+        """
         wanted = self.pilot.wanted
         if not self.is_stepped:
             return min(max(_FIRST_TOLERANCE * wanted, _FINEST), _COARSEST)
-        return self.pilot.longest(self.first_turn(0.5))
+        return min(self.pilot.longest(self.first_turn(0.5)), sum(self.pilot.lengths) / TIMES)
 
     def first_turn(self, share: float) -> float:
         """Turn in a step for the wanted accuracy by a share of the order [rad]."""

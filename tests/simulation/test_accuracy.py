@@ -13,10 +13,12 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
+from particlerb.plan.make_plan import make_plan
+from particlerb.plan.time_step import Stepping
 from particlerb.simulation.accuracy import prepare_accurately, search
 from particlerb.simulation.pilot import Pilot
 from particlerb.simulation.run import prepare
-from particlerb.simulation.step_ladder import LEAST
+from particlerb.simulation.step_ladder import LEAST, Ladder
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 CASES = Path(__file__).parents[2] / "cases"
@@ -264,6 +266,40 @@ def test_a_search_costs_no_more_than_the_run(make, wanted):
     found = search(system, prepare(to_system(tops(make, 2000))).plan.groups[0])
     assert found.error <= wanted
     assert found.spent <= (1.5 if wanted == 1e-3 else 1.0) * max(found.cost, LEAST)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("method", ["strang", "rkn6"])
+def test_coupled_bodies_set_off_once_more_to_the_same_bits(make, method):
+    """A motion that is used again, with another step in between, is like a new one."""
+    ends = [
+        make.body(name, position=[x, 0.0, 0.0], angular_velocity=[1.0, 2.0, x])
+        for name, x in (("a", 0.0), ("b", 3.0))
+    ]
+    link = {"type": "spring", "body": "a", "to": "b", "at": [0.2, 0.0, 0.1], "stiffness": 9.0}
+    scene = make.case(*ends, force=[link], attraction={"G": 1.0}, accuracy=1e-6)
+    system = to_system(scene)
+    pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
+    assert pilot.is_coupled
+    assert pilot.sets_off_again
+    times = np.array([0.3, 1.0])
+    for dt in (0.05, 0.02):
+        again, _ = pilot.poses(Stepping(method, dt, 0.0, ""), times)
+    assert pilot.begun
+    pilot.begun.clear()
+    new, _ = pilot.poses(Stepping(method, 0.02, 0.0, ""), times)
+    for one, other in zip(again[:4], new[:4], strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+@pytest.mark.plain
+def test_a_method_that_pays_late_in_a_run_is_not_the_first_to_be_tried(make, monkeypatch):
+    """Of many tops, whose rates stay as they are, the adaptive method only seems cheap."""
+    monkeypatch.setattr(Pilot, "worst", lambda pilot: np.arange(32))
+    system = to_system(tops(make, 1000, accuracy=1e-6))
+    pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
+    ladders = [Ladder(pilot, name) for name in ("force_gradient", "rkn6", "dop853")]
+    assert min(ladders, key=Ladder.usual_cost).name == "force_gradient"
 
 
 @pytest.mark.parametrize("wrong", ["0", "-1e-3", "2.0", '"high"'])

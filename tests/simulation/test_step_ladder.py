@@ -104,6 +104,14 @@ def test_the_search_takes_no_longer_than_the_run(wanted, bodies):
     assert found.spent <= max(found.cost, LEAST)
 
 
+def test_the_first_run_is_not_coarser_than_the_times_that_are_looked_at(monkeypatch):
+    """Longer steps would be cut at these times, and cost as much."""
+    monkeypatch.setitem(ladder.FIRST_TURN, "second", 6.0)
+    pilot = FakePilot(1e-3, {"second": law(1e-3, 2)})
+    choice(pilot, "second")
+    assert pilot.steps[0].dt == T_END / ladder.TIMES
+
+
 def test_a_long_run_of_few_bodies_is_not_made_again_and_again(monkeypatch):
     """Where a finer run would be dearer than the run, the order must do."""
     monkeypatch.setattr(ladder, "LEAST", 0.0)
