@@ -273,9 +273,9 @@ class Study:
             oracle = self.states("dop853", _FINEST_TOLERANCE)
         step = self.first_step()
         self.states(second, step)  # compile
-        start = time.monotonic()
+        start = THREADS.own.clock()
         found, stays = [np.inf, np.inf], 0
-        while time.monotonic() - start < budget and stays < 2:
+        while THREADS.own.clock() - start < budget and stays < 2:
             step *= 0.5
             found.append(self.difference(self.states(second, step), oracle))
             stays = stays + 1 if found[-1] > 0.5 * min(found[:-1]) and found[-1] < 1e-6 else 0
@@ -333,11 +333,11 @@ class Study:
             yield self.measured(method, None)
             return
         self.measured(method, next(self.ladder(method)), repeats=1)  # compile
-        start, best, stays = time.monotonic(), np.inf, 0
+        start, best, stays = THREADS.own.clock(), np.inf, 0
         for n_points, step in enumerate(self.ladder(method), 1):
             point = self.measured(method, step)
             yield point
-            spent = time.monotonic() - start
+            spent = THREADS.own.clock() - start
             if not point.failure:
                 stays = stays + 1 if point.size > 0.7 * best else 0
                 best = min(best, point.size)
