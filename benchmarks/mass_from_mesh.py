@@ -22,7 +22,7 @@ from particlerb.geometry.overlapping_spheres import union_solid
 from particlerb.geometry.packing import packing
 from particlerb.geometry.particles import one_kind
 from particlerb.geometry.sections import BALL, CONE, Profile, cut_sections, ring
-from particlerb.studies.charts.style import COLOURS, GRID, INK, bare
+from particlerb.studies.charts.style import COLOURS, GRID, INK, bare, name_curves
 
 SOLIDS: dict[str, tuple[dict[str, float], Profile, tuple[float, float, float]]] = {
     "ball": ({"radius": 0.5}, BALL, (0.5, 0.5, 0.5)),
@@ -129,8 +129,8 @@ def draw_spheres(path: Path) -> None:
     from matplotlib.figure import Figure
 
     part = t_mesh()
-    figure = Figure(figsize=(12.5, 4.6), layout="constrained")
-    left, middle, right = figure.subplots(1, 3, width_ratios=(1, 1, 1.5))
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    left, middle, right = figure.subplots(1, 3, width_ratios=(0.75, 0.75, 1.6))
     for axes, count in ((left, 20), (middle, 100)):
         found = packing(part, count)
         outline = PolyCollection([T_OUTLINE], facecolor="none", edgecolor=INK, lw=1.2)
@@ -140,7 +140,8 @@ def draw_spheres(path: Path) -> None:
             axes.fill(x + r * np.cos(u), y + r * np.sin(u), color=COLOURS[0], alpha=0.35, lw=0)
         axes.set_aspect("equal")
         axes.set_axis_off()
-        axes.set_title(f"{count} spheres in a T, from above", fontsize=10, color=INK)
+        axes.set_title(f"{count} spheres in a T,\nfrom above", fontsize=10, color=INK)
+    ends = []
     for (name, mesh), colour in zip(
         {"T": part, "box": checked(*box()), "torus": checked(*torus())}.items(),
         COLOURS,
@@ -155,17 +156,19 @@ def draw_spheres(path: Path) -> None:
             off = np.linalg.norm(union.inertia / union.volume - own, 2) / np.linalg.norm(own, 2)
             rows.append((1.0 - union.volume / solid.volume, off))
         lacking, off_by = np.array(rows).T
-        right.plot(counts, off_by, "-", color=colour, lw=1.8, label=f"{name}: tensor per mass")
-        right.plot(counts, lacking, ":", color=colour, lw=1.8, label=f"{name}: volume")
-    right.set_xscale("log")
-    right.set_yscale("log")
+        right.plot(counts, off_by, "-", color=colour, lw=1.8)
+        right.plot(counts, lacking, ":", color=colour, lw=1.8)
+        ends += [(counts[-1], off_by[-1], f"{name}, tensor", colour)]
+        ends += [(counts[-1], lacking[-1], f"{name}, volume", colour)]
+    right.set(xscale="log", yscale="log", xlim=(0.9, 6e3), ylim=(3e-4, 1.5), xlabel="spheres")
+    right.set_xticks([1, 10, 100])
     right.grid(color=GRID, lw=0.6)
     bare(right)
-    right.set_xlabel("spheres")
+    name_curves(right, ends, 800.0, gap=0.2)
     right.set_title(
-        "relative error of the union of the spheres", fontsize=10, loc="left", color=INK
-    )
-    right.legend(fontsize=9, frameon=False)
+        "relative error of the union: tensor per mass (lines), volume (dotted)",
+        fontsize=10, loc="left", color=INK,
+    )  # fmt: skip
     figure.savefig(path, dpi=110)
 
 

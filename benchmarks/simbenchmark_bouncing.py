@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import particlerb
-from particlerb.studies.charts.style import COLOURS, GRID, INK, bare
+from particlerb.studies.charts.style import COLOURS, GRID, INK, bare, name_curves
 
 PUBLISHED = Path(__file__).parents[1] / "tests" / "reference" / "simbenchmark_bouncing.csv"
 STEPS = (4e-3, 2e-3, 1e-3, 4e-4, 2e-4, 1e-4, 4e-5, 2e-5, 1e-5)  # s
@@ -74,17 +74,17 @@ def draw(curves: dict[float, dict[float, float]], path: Path) -> None:
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(figsize=(9.0, 6.0), layout="constrained")
+    ends = []
     for engine, points in published().items():
         steps = sorted(points)
-        axes.loglog(steps, [points[h] for h in steps], "o-", color="#aaaaaa", lw=1.2, ms=3)
-        side = "bottom" if engine == "DART" else "top"
-        at = (steps[0], points[steps[0]])
-        axes.annotate(f"{engine} ", at, color="#777777", ha="right", va=side)
+        axes.loglog(steps, [points[h] for h in steps], "o-", color="#999999", lw=1.2, ms=3)
+        ends.append((steps[-1], points[steps[-1]], engine, "#666666"))
+    axes.set(xlim=(7e-6, 0.9), ylim=(1e-17, 1e11))
+    name_curves(axes, ends, 1.5 * ends[0][0], gap=1.4)
     for (k, points), colour in zip(curves.items(), COLOURS, strict=True):
         steps = sorted(points)
-        axes.loglog(steps, [points[h] for h in steps], "o-", color=colour, lw=2)
-        label, at = f"particlerb, k = {k:.0e} N/m", (steps[-1], points[steps[-1]])
-        axes.annotate(label, at, (8, -14), textcoords="offset points", color=colour)
+        axes.loglog(steps, [points[h] for h in steps], "o-", color=colour, lw=2, label=f"{k:.0e}")
+    axes.legend(title="particlerb, stiffness [N/m]", loc="lower right", frameon=False)
     axes.set_xlabel("step [s]")
     axes.set_ylabel("mean squared error of the energy [J²]   (better below)")
     axes.set_title(

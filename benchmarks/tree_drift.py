@@ -64,23 +64,26 @@ def draw(found: dict, options: argparse.Namespace) -> None:
     """Draw the drifts over the angle."""
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(8.0, 5.0), layout="constrained")
+    figure, panels = plt.subplots(
+        2, 1, figsize=(8.0, 5.4), sharex=True, layout="constrained", height_ratios=(1.6, 1.0)
+    )
     for k, (name, colour) in enumerate(zip(NAMES, COLOURS, strict=True)):
+        axes = panels[min(k, 1)]
         values = [max(found[angle][k], 1e-18) for angle in ANGLES]
-        axes.semilogy(ANGLES, values, "o-", color=colour, lw=2)
-        side = "bottom" if k == 2 else "top" if k == 1 else "center"
-        axes.annotate(f" {name}", (ANGLES[-1], values[-1]), color=colour, va=side)
-        axes.axhline(max(found[None][k], 1e-18), color=colour, lw=0.8, ls=":")
-    axes.set_xlim(0.15, 1.15)
-    axes.set_xlabel("opening angle θ [rad]   (dotted: direct sum)")
-    axes.set_ylabel("largest drift, relative")
-    axes.set_title(
+        axes.semilogy(ANGLES, values, "o-", color=colour, lw=2, label=f"{name}, tree")
+        direct = max(found[None][k], 1e-18)
+        axes.axhline(direct, color=colour, lw=1.2, ls=":", label=f"{name}, direct sum")
+    panels[0].set_title(
         f"A tree keeps momenta to rounding at any angle, and energy to its own error\n"
         f"({options.bodies} bodies of two particles, {options.steps} steps of strang)",
         loc="left", color=INK, fontsize=11,
     )  # fmt: skip
-    axes.grid(color=GRID, lw=0.6)
-    bare(axes)
+    panels[1].set(xlabel="opening angle θ [rad]", ylim=(1e-18, 1e-15))
+    for axes in panels:
+        axes.legend(fontsize=9, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        axes.set_ylabel("largest drift, relative")
+        axes.grid(color=GRID, lw=0.6)
+        bare(axes)
     figure.savefig(options.picture, dpi=110)
 
 

@@ -50,6 +50,8 @@ BUDGETS = {
     "tables of runs, replicates of a sweep": 116,
     "trajectories shown from Python, what takes long logged": 59,
     "reports of a run, names of files": 77,
+    "a run that ends with ten lines": 14,
+    "stability in three pictures, keys of force chains": 45,
     "pictures that fit the scene": 198,
     "size and time of a run, told before it": 85,
     "a page that explains itself": 145,

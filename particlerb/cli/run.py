@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -63,6 +63,9 @@ from particlerb.simulation.estimate import estimated_seconds
 from particlerb.simulation.outcome import Outcome, Progress
 from particlerb.simulation.resume import ResumeError, look_at, resume_pending
 from particlerb.simulation.run import Prepared, RunError, run_prepared
+
+_LONGEST_ENDING: Final = 10  # lines that a run ends with
+_BROKEN: Final = 3  # joints that are named
 
 
 def _prepared_case(options: argparse.Namespace) -> Prepared:
@@ -133,11 +136,11 @@ def _conclude(prepared: Prepared, outcome: Outcome, path: Path, options: argpars
     if options.json:
         print(json.dumps(summary(path, outcome, checks)))
     else:
+        lines = [] if options.quiet else [*_notes(outcome), f"written: {path}"]
         if checks:
-            print(f"checks\n{table(checks)}\n")
-        if not options.quiet:
-            print(_drift_text(outcome))
-            print(f"written: {path}")
+            lines.insert(0, f"checks\n{table(checks, _LONGEST_ENDING - len(lines) - 1)}")
+        if lines:
+            print("\n".join(lines))
     _warn(options, run_warnings(prepared, outcome))
     return DONE if all(check.holds for check in checks) else MISSED
 
@@ -262,28 +265,32 @@ def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
         return f"what is in {path} cannot be read now: {error}"
 
 
-def _drift_text(outcome: Outcome) -> str:
-    """Conservation errors in a line; before it what contacts asked for, and what was saved."""
+def _notes(outcome: Outcome) -> list[str]:
+    """What contacts, trees and joints did, a line each, and the conservation errors."""
     energy, linear, angular = outcome.drift
-    lines = [
-        f"conservation error (external work removed): energy {energy:.2g}, momentum {linear:.2g},"
-        f" angular momentum {angular:.2g}"
-    ]
-    if outcome.swing > 0.0:
-        lines.insert(0, contact_text(outcome.swing))
+    lines = []
+    if outcome.flown is not None:
+        share = f"{100.0 * outcome.flown:.3g} % of the body-steps"
+        lines.append(f"{share} were taken in closed form: no contact in reach")
+    if outcome.broken:
+        broken = [f"{name} at t = {time:.6g} s" for name, time in outcome.broken[:_BROKEN]]
+        n = len(outcome.broken) - len(broken)
+        others = f", and {n} more: the field joint_break_time has all" if n else ""
+        lines.append(f"joints broke: {', '.join(broken)}{others}")
+    if (tree := outcome.tree) is not None:
+        errs = f"accelerations erred by {tree.seen:.2g} at most, rms, of {tree.asked:.2g} asked for"
+        lines.append(f"tree of the attraction: opening angle {tree.angle:.3g}, {errs}")
     if outcome.tally is not None:
         is_stepped = outcome.tally[STEPS] > 0.0 or not outcome.tally.any()
         text = impulse_text if is_stepped else event_text
-        lines.insert(0, text(outcome.tally))
-    if (tree := outcome.tree) is not None:
-        errs = f"accelerations erred by {tree.seen:.2g} at most, rms, of {tree.asked:.2g} asked for"
-        lines.insert(0, f"tree of the attraction: opening angle {tree.angle:.3g}, {errs}")
-    for name, time in outcome.broken:
-        lines.insert(0, f"joint {name} broke at t = {time:.6g} s")
-    if outcome.flown is not None:
-        share = f"{100.0 * outcome.flown:.3g} % of the body-steps"
-        lines.insert(0, f"{share} were taken in closed form: no contact in reach")
-    return "\n".join(lines)
+        lines += text(outcome.tally).splitlines()
+    if outcome.swing > 0.0:
+        lines.append(contact_text(outcome.swing))
+    lines.append(
+        f"conservation error (external work removed): energy {energy:.2g}, momentum {linear:.2g},"
+        f" angular momentum {angular:.2g}"
+    )
+    return lines
 
 
 def impulse_text(tally: Floats) -> str:

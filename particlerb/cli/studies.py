@@ -3,7 +3,8 @@
 import argparse
 import contextlib
 import csv
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -29,19 +30,19 @@ def chart_command(options: argparse.Namespace) -> int:
         bar.total = work_precision.curve_count(system, *asked)
         how = options.error, options.budget, bar.update, options.processor_time
         found = work_precision.chart(system, *asked, *how)
-    return _show(found, work_precision_table, draw_chart, paths)
+    return _show(found, work_precision_table, {"": draw_chart}, paths)
 
 
 def stability_command(options: argparse.Namespace) -> int:
     """`stability`: where each method fails."""
     from particlerb.studies import stability, stability_table
-    from particlerb.studies.charts.stability import draw_stability
+    from particlerb.studies.charts.stability import pictures
 
-    paths = _outputs(options, "stability")
+    paths = _outputs(options, "stability", ("maps", "limits", "drifts"))
     with _measuring("map") as bar:
         bar.total = stability.n_tasks(options.methods)
         found = stability.stability(options.methods, options.budget, bar.update)
-    return _show(found, stability_table, draw_stability, paths)
+    return _show(found, stability_table, pictures(found), paths)
 
 
 def converge_command(options: argparse.Namespace) -> int:
@@ -53,7 +54,7 @@ def converge_command(options: argparse.Namespace) -> int:
     with _measuring("shape") as bar:
         bar.total = len(convergence.arrangements(options.shapes))
         found = convergence.converge(options.shapes, options.most, bar.update)
-    return _show(found, convergence, draw_convergence, paths)
+    return _show(found, convergence, {"": draw_convergence}, paths)
 
 
 @contextlib.contextmanager
@@ -64,24 +65,31 @@ def _measuring(unit: str) -> Iterator[Any]:
 
 
 def _show(
-    found: Any, words: ModuleType, draw: Callable[[Any, Path], None], paths: list[Path]
+    found: Any,
+    words: ModuleType,
+    pictures: Mapping[str, Callable[[Any, Path], None]],
+    paths: Mapping[str, list[Path]],
 ) -> int:
-    """Print the table of a study, write its rows and pictures.
+    """Print the table of a study, write its rows and those pictures that are drawn of it.
 
     `words` has `table` and `csv_rows` of what was found.
     """
     print(words.table(found))
-    rows, *pictures = paths
-    with rows.open("w", newline="", encoding="utf-8") as file:
+    written = list(paths["csv"])
+    with written[0].open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows(words.csv_rows(found))
-    for picture in pictures:
-        draw(found, picture)
-    print(f"written: {', '.join(map(str, paths))}")
+    for name, draw in pictures.items():
+        for path in paths[name]:
+            draw(found, path)
+            written.append(path)
+    print(f"written: {', '.join(map(str, written))}")
     return DONE
 
 
-def _outputs(options: argparse.Namespace, stem: str) -> list[Path]:
-    """Files that a study writes: CSV, PNG and SVG of one name; none may exist unless told.
+def _outputs(
+    options: argparse.Namespace, stem: str, names: Sequence[str] = ("",)
+) -> dict[str, list[Path]]:
+    """Files that a study writes: CSV, and PNG and SVG of each picture; none may exist unless told.
 
     What stands in the way is found now, and not after the study.
     """
@@ -91,8 +99,11 @@ def _outputs(options: argparse.Namespace, stem: str) -> list[Path]:
             raise Ending(f"{base} is a folder: name files with -o")
         if base.suffix in (".csv", ".png", ".svg"):
             base = base.with_suffix("")
-        paths = [base.with_name(base.name + suffix) for suffix in (".csv", ".png", ".svg")]
-        for path in paths:
+        paths = {"csv": [base.with_name(f"{base.name}.csv")]}
+        for name in names:
+            stem = f"{base.name}_{name}" if name else base.name
+            paths[name] = [base.with_name(f"{stem}{suffix}") for suffix in (".png", ".svg")]
+        for path in itertools.chain(*paths.values()):
             to_write(path, options.overwrite)
         base.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

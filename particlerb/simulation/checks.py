@@ -1,5 +1,6 @@
 """The [check] table: each expectation beside the figure that the run gave."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -156,15 +157,28 @@ def numbers(values: Floats) -> str:
     return str(np.asarray(values).tolist())
 
 
-def table(checks: list[Result]) -> str:
-    """Text of all checks, each with its figure."""
+def table(checks: list[Result], most: int) -> str:
+    """Text of checks, a line each: those missed first, then those nearest to their limits.
+
+    Where there are more than fit, the last line counts the others.
+    """
+    ordered = sorted(checks, key=lambda check: (check.holds, -_share(check)))
+    shown = ordered if len(ordered) <= most else ordered[: most - 1]
     lines = []
-    for check in checks:
-        verdict = "ok  " if check.holds else "MISS"
-        lines.append(
-            f"  {verdict} {check.name}: error {check.error:.3g}, allowed {check.tolerance:.3g}"
-        )
-        if not check.name.endswith("drift"):
-            lines.append(f"         expected {check.expected}")
-            lines.append(f"         found    {check.found}")
+    for check in shown:
+        text = f"{check.name}: error {check.error:.3g}, allowed {check.tolerance:.3g}"
+        if not check.holds and not check.name.endswith("drift"):
+            text += f"; expected {check.expected}, found {check.found}"
+        lines.append(f"  {'ok  ' if check.holds else 'MISS'} {text}")
+    others = ordered[len(shown) :]
+    if others:
+        n = sum(not check.holds for check in others)
+        verdict = f"{n} of them missed" if n else "all of them ok"
+        lines.append(f"  and {len(others)} more, {verdict}: --json lists each")
     return "\n".join(lines)
+
+
+def _share(check: Result) -> float:
+    """Share of the tolerance that the error takes; 0 where there is none to take."""
+    share = check.error / check.tolerance if check.tolerance > 0.0 else 0.0
+    return math.inf if math.isnan(share) else share

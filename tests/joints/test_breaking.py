@@ -151,7 +151,7 @@ breaks_at = { force = 20.0 }
 """)
     assert main(["run", str(path), "--output", str(tmp_path / "wire.h5")]) == 0
     text = capsys.readouterr().out
-    assert "joint wire broke at t = 0.39397" in text, text
+    assert "joints broke: wire at t = 0.39397" in text, text
 
 
 @pytest.mark.parametrize(

@@ -424,24 +424,59 @@ def test_rows_say_everything(study):
 
 
 @compiled
-def test_picture_names_methods_and_verdicts(study, tmp_path):
+def test_pictures_name_methods_and_verdicts(study, tmp_path):
     import matplotlib as mpl
 
-    from particlerb.studies.charts.stability import MEANING, draw_stability
+    from particlerb.studies.charts.stability import MEANING, pictures
 
+    drawn = pictures(study)
+    assert list(drawn) == ["maps", "limits", "drifts"]
+    texts = {}
     with mpl.rc_context({"svg.fonttype": "none"}):
-        draw_stability(study, tmp_path / "a.svg")
-    text = (tmp_path / "a.svg").read_text()
-    for word in (
-        *MEANING.values(),
-        "strang",
-        "explicit euler",
-        "no step, no limit",
-        "energy off by 10 %",
-    ):
-        assert word in text
-    draw_stability(study._replace(limits=(), drifts=()), tmp_path / "a.png")
-    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+        for name, draw in drawn.items():
+            draw(study, tmp_path / f"{name}.svg")
+            texts[name] = (tmp_path / f"{name}.svg").read_text()
+    for word in (*MEANING.values(), "no step, no limit", "energy off by 10 %"):
+        assert word in texts["maps"]
+    for text in texts.values():
+        assert all(word in text for word in ("strang", "explicit euler"))
+    assert list(pictures(study._replace(limits=(), drifts=()))) == ["maps"]
+
+
+def test_names_at_the_ends_of_curves_keep_their_distance_and_stay_in_the_panel():
+    from particlerb.studies.charts.style import _spread_apart
+
+    level = np.array([-14.0, -13.9, 0.1, 0.2, 9.0])
+    moved = _spread_apart(level, 1.0, -15.0, 2.0)
+    assert (np.diff(moved) >= 1.0 - 1e-12).all()
+    assert moved[0] >= -15.0
+    assert moved[-1] <= 2.0
+    assert np.abs(moved - level)[:2].max() < 0.6
+
+
+BLINDNESS = {
+    "none": np.eye(3),
+    "red": np.array([[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+                     [-0.003882, -0.048116, 1.051998]]),
+    "green": np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+                       [-0.011820, 0.042940, 0.968881]]),
+    "blue": np.array([[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+                      [0.004733, 0.691367, 0.303900]]),
+}  # fmt: skip
+"""Light as seen without a kind of cone: Machado, Oliveira and Fernandes, TVCG 15, 1291 (2009)."""
+
+
+@pytest.mark.parametrize("missing", ["none", "red", "green", "blue"])
+def test_verdicts_are_told_apart_without_colours(missing):
+    """Each is darker than the one before, also as it is seen without one kind of cone."""
+    from matplotlib.colors import to_rgb
+
+    from particlerb.studies.charts.stability import _TINTS
+
+    light = np.array([to_rgb(tint) for tint in _TINTS]) ** 2.2
+    brightness = np.clip(light @ BLINDNESS[missing].T, 0.0, 1.0) @ [0.2126, 0.7152, 0.0722]
+    lightness = 116.0 * np.cbrt(brightness) - 16.0  # of CIE Lab
+    assert (np.diff(lightness) < -8.0).all()
 
 
 def test_words_stand_in_the_widest_place():

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from particlerb.maths.vec3 import Floats
 from particlerb.record.trajectory import Contacts, Trajectory
@@ -15,6 +16,7 @@ from particlerb.studies.text import count_of
 
 _WIDTH = 11.0  # inches, of the picture
 _WIDEST = 4.0  # points, of the strongest force
+_EMPTY, _MOST_PARTS = 0.15, 4  # share of the width that is left out, and panels at most
 _WEAK, _STRONG = "#9aa5b1", COLOURS[1]
 
 
@@ -40,23 +42,55 @@ def draw_contacts(trajectory: Trajectory, path: Path, frame: int = -1) -> None:
     shown = side_axes(trajectory, x)
     centres = trajectory.particle_positions(k)[:, shown]
     radii = trajectory.particles.radius[trajectory.constituents[1]]
-    width, height = np.ptp(centres, axis=0) + 2.0 * radii.max()
-    size = _WIDTH, float(np.clip(_WIDTH * height / width + 1.4, 2.6, 9.0))
-    figure = Figure(figsize=size, layout="constrained")
-    axes = figure.add_subplot()
-    draw_particles(axes, centres, radii)
-    if contacts.wall.size:
-        _draw_forces(axes, x[:, shown], contacts, shown)
-    axes.set_aspect("equal")
-    axes.autoscale_view()
+    parts = _apart(centres[:, 0] - radii, centres[:, 0] + radii)
+    widths = [stop - start for start, stop in parts]
+    height = np.ptp(centres[:, 1]) + 2.0 * radii.max()
+    tall = float(np.clip(_WIDTH * height / sum(widths) + 1.5, 2.6, 9.0))
+    figure = Figure(figsize=(_WIDTH, tall), layout="constrained")
+    panels = figure.subplots(1, len(parts), width_ratios=widths, sharey=True, squeeze=False)[0]
     across, up = ("xyz"[c] for c in shown)
-    axes.set(xlabel=f"{across} [m]", ylabel=f"{up} [m]")
+    for axes, (start, stop) in zip(panels, parts, strict=True):
+        draw_particles(axes, centres, radii)
+        if contacts.wall.size:
+            _draw_forces(axes, x[:, shown], contacts, shown)
+        axes.set_aspect("equal")
+        axes.autoscale_view()
+        axes.set(xlabel=f"{across} [m]", xlim=(start, stop))
+        bare(axes)
+    panels[0].set_ylabel(f"{up} [m]")
     title = trajectory.parameter("case_resolved")["title"] or path.stem
     time = float(trajectory.time[k])
-    figure.suptitle(f"{title}: force chains at t = {time:.6g} s", color=INK, x=0.01, ha="left")
-    axes.set_title(summary(contacts), fontsize=10, loc="left", color=INK)
-    bare(axes)
-    figure.savefig(path, dpi=130)
+    text = f"{title}: force chains at t = {time:.6g} s\n{summary(contacts)}"
+    figure.suptitle(text, color=INK, fontsize=10, x=0.01, ha="left")
+    if contacts.wall.size:
+        figure.legend(handles=_key(contacts), loc="outside lower center", ncols=3, frameon=False)
+    figure.savefig(path, dpi=110)
+
+
+def _apart(low: Floats, high: Floats) -> list[tuple[float, float]]:
+    """Ranges that particles cover, where much between them is empty; else one."""
+    order = np.argsort(low)
+    ends = np.maximum.accumulate(high[order])
+    gaps = low[order][1:] - ends[:-1]
+    cuts = np.flatnonzero(gaps > _EMPTY * (ends[-1] - low.min()))
+    margin = 0.01 * (ends[-1] - low.min())
+    starts = low[order][np.append(0, cuts + 1)] - margin
+    stops = ends[np.append(cuts, len(ends) - 1)] + margin
+    if len(starts) > _MOST_PARTS:
+        starts, stops = starts[:1], stops[-1:]
+    return list(zip(starts.tolist(), stops.tolist(), strict=True))
+
+
+def _key(contacts: Contacts) -> list[Line2D]:
+    """What the lines mean: colours, and two widths."""
+    force = np.linalg.norm(contacts.force, axis=1)
+    mean, most = float(force.mean()), float(force.max())
+    lines = [
+        (_WEAK, 0.5 * _WIDEST * mean / (most or 1.0), f"below the mean force, {mean:.3g} N"),
+        (_STRONG, 0.5 * _WIDEST, f"above it: half of the largest, {0.5 * most:.3g} N"),
+        (_STRONG, _WIDEST, f"the largest, {most:.3g} N"),
+    ]
+    return [Line2D([], [], color=colour, lw=width, label=text) for colour, width, text in lines]
 
 
 def _draw_forces(axes: Axes, com: Floats, contacts: Contacts, shown: list[int]) -> None:
@@ -84,5 +118,5 @@ def summary(contacts: Contacts) -> str:
     walls = int((contacts.wall >= 0).sum())
     return (
         f"{count_of(force.size, 'contact')}, {walls} with walls; mean {force.mean():.3g} N,"
-        f" largest {force.max():.3g} N (the widest); in colour above the mean"
+        f" largest {force.max():.3g} N"
     )

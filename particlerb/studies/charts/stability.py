@@ -1,19 +1,19 @@
-"""Picture of `stability`: where each method fails.
+"""Pictures of `stability`: where each method fails.
 
-Above: two maps per method, over the step and over what the bodies are; a colour for each verdict,
-named in the map and in the legend, and lines of equal energy error. Below: every limit by its
-distance from theory, and the energy error over long times. Nothing is computed here.
+Maps: two per method, over the step and over what the bodies are; a colour for each verdict, named
+in the map and in the legend, and lines of equal energy error. Limits: each by its distance from
+theory. Drifts: the energy error over long times. Nothing is computed here.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
@@ -41,10 +41,13 @@ from particlerb.studies.stability_limits import Limit
 from particlerb.studies.stability_runs import SMALL, UNSOLVABLE, VERDICTS
 from particlerb.studies.stability_table import number
 
-_TINTS: Final = ("#9fd8b4", "#f3e9a2", "#79b4dd", "#e8823a", "#4a4a4a")  # of VERDICTS
+_TINTS: Final = ("#dcedf7", "#ecd06a", "#7fa8d1", "#c8641e", "#333333")  # ever darker, of VERDICTS
+_WIDTH: Final = 10.0  # [in] of a page
+_ACROSS: Final = 3  # methods beside each other
+_DPI: Final = 110
 MEANING: Final = {
     "accurate": "accurate: energy within 0.1 %, no growth",
-    "accurate so far,\ngrowing": "accurate so far, but the error grows",
+    "accurate\nso far,\ngrowing": "accurate so far, but the error grows",
     "bounded\nand wrong": "bounded and wrong: off by more than 0.1 %",
     "growing": "growing: wrong, and more so with time",
     "NaN or\ninfinite": "not solvable: NaN or infinite",
@@ -52,64 +55,49 @@ MEANING: Final = {
 """Of the verdicts: words in a map, and in the legend."""
 _LEVELS: Final = (-9.0, -6.0, -3.0, -1.0)  # decades of the lines of equal error
 _STEPS: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
-_STARTS: Final = {2.0 / 3.0: "axis of\nlargest", 1.0: "separa-\ntrix", 2.0: "axis of\nsmallest"}
+_STARTS: Final = {2.0 / 3.0: "axis\nof I₃", 1.0: "separa-\ntrix", 2.0: "axis\nof I₁"}
 FLOOR: Final = 1e-17  # lowest error drawn
 _BOTTOM, _TOP = 1e-15, 30.0  # of the drift
-_LEFT_FREE: Final = 3e-8  # between the curves of rkn6 and of all others: where runs end is named
 
 
-def draw_stability(study: Stability, path: Path) -> None:
-    """Draw a study; as PNG, SVG or PDF, by the suffix of the path."""
-    methods = list(dict.fromkeys(one.method for one in study.maps))
-    has_limits = bool(study.limits and study.drifts)
-    size = (max(18.0, 3.1 * len(methods)), 17.5 if has_limits else 9.0)
-    figure = Figure(figsize=size, layout="constrained")
-    turns = f"{study.turns:,.0f}".replace(",", " ")
-    figure.suptitle(
-        f"Where each method fails: energy of free bodies over {turns} turns", fontsize=16
-    )
-    rows = figure.subfigures(2 if has_limits else 1, 1, squeeze=False)[:, 0]
-    _draw_maps(rows[0], study, methods)
-    if has_limits:
-        left, right = rows[1].subfigures(1, 2, squeeze=False)[0]
-        on_contacts = [one for one in study.limits if math.isfinite(one.zeta)]
-        others = [one for one in study.limits if not math.isfinite(one.zeta)]
-        if on_contacts:
-            above, below = left.subfigures(2, 1, height_ratios=(3.0, 1.0), squeeze=False)[:, 0]
-            _draw_limits(above, others)
-            _draw_resting(below, on_contacts)
-        else:
-            _draw_limits(left, others)
-        _draw_drifts(right, study.drifts)
-    figure.savefig(path, dpi=100)
+def pictures(study: Stability) -> dict[str, Callable[[Stability, Path], None]]:
+    """What draws a study, by the end of the name of the file: what is not in it is left out."""
+    found = {"maps": draw_maps, "limits": draw_limits, "drifts": draw_drifts}
+    return {name: draw for name, draw in found.items() if getattr(study, name)}
 
 
 # Maps
 
 
-def _draw_maps(figure: SubFigure, study: Stability, methods: Sequence[str]) -> None:
-    """A column per method, a row per family."""
+def draw_maps(study: Stability, path: Path) -> None:
+    """Two maps per method; as PNG, SVG or PDF, by the suffix of the path."""
+    methods = list(dict.fromkeys(one.method for one in study.maps))
+    down = -(-len(methods) // _ACROSS)
+    figure = Figure(figsize=(_WIDTH, 3.1 * down + 1.2), layout="constrained")
+    turns = f"{study.turns:,.0f}".replace(",", " ")
+    figure.suptitle(f"Where each method fails: energy of free bodies over {turns} turns")
     families = list(dict.fromkeys(one.family for one in study.maps))
-    panels = figure.subplots(len(families), len(methods), squeeze=False)
-    for one in study.maps:
-        axes = panels[families.index(one.family), methods.index(one.method)]
-        _draw_map(axes, one)
-        if is_tolerance(one):
-            continue
-        if one.method == methods[0]:
-            axes.set_ylabel("h |ω|  [rad per step]", fontsize=11)
-        if one.method == methods[-1]:
-            _mark_steps_per_turn(axes)
-    for axes, method in zip(panels[0], methods, strict=True):
-        axes.set_title(_spoken(method), color=METHOD_COLOURS[method], fontsize=13, pad=20)
-        write_inside(
-            axes, 0.5, 1.03, _headline(study, method), ha="center", va="bottom", fontsize=9
-        )
+    cells = figure.subfigures(down, _ACROSS, squeeze=False)
+    for k, method in enumerate(methods):
+        cell = cells.flat[k]
+        heading = f"{_spoken(method)}\n{_headline(study, method)}"
+        cell.suptitle(heading, color=METHOD_COLOURS[method], fontsize=9.5)
+        panels = cell.subplots(1, len(families), sharey=True, squeeze=False)[0]
+        own = [one for one in study.maps if one.method == method]
+        for axes, one in zip(panels, own, strict=True):
+            _draw_map(axes, one)
+        if is_tolerance(own[0]):
+            panels[0].set_ylabel("tolerance", fontsize=9)
+        elif k % _ACROSS == 0:
+            panels[0].set_ylabel("h |ω|  [rad per step]", fontsize=9)
+        elif k % _ACROSS == _ACROSS - 1:
+            _mark_steps_per_turn(panels[-1])
     patches = [
         Patch(facecolor=tint, edgecolor=INK, lw=0.5, label=text)
         for tint, text in zip(_TINTS, MEANING.values(), strict=True)
     ]
-    figure.legend(handles=patches, loc="outside upper center", ncols=5, frameon=False, fontsize=11)
+    figure.legend(handles=patches, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    figure.savefig(path, dpi=_DPI)
 
 
 def _spoken(method: str) -> str:
@@ -143,7 +131,7 @@ def _draw_map(axes: Axes, one: Map) -> None:
         _name_regions(axes, one)
     else:
         text = f"closed form:\nno step\n\nworst error\n{one.error.max():.0e}"
-        write_inside(axes, 0.5, 0.5, text, ha="center", va="center", fontsize=11)
+        write_inside(axes, 0.5, 0.5, text, ha="center", va="center", fontsize=9)
     _mark_across(axes, one)
     _mark_pace(axes, one)
 
@@ -174,7 +162,7 @@ def _name_regions(axes: Axes, one: Map) -> None:
         if place is None:
             continue
         axes.text(
-            place[1], one.pace[place[0]], word, ha="center", va="center", fontsize=10,
+            place[1], one.pace[place[0]], word, ha="center", va="center", fontsize=8,
             weight="bold", color=_ink_on(k),
             bbox={"facecolor": _TINTS[k], "edgecolor": "none", "alpha": 0.75, "pad": 1.5},
         )  # fmt: skip
@@ -182,9 +170,9 @@ def _name_regions(axes: Axes, one: Map) -> None:
         return
     for row in (one.pace.size // 10, 5 * one.pace.size // 6):
         turns, verdict = one.turns[row], int(one.verdict[row].max())
-        text = f"energy off by 10 %\nafter {turns.min():.2g} turns or more"
+        text = f"energy off by 10 %\nafter {turns.min():.2g} turns\nor more"
         axes.text((one.across.size - 1) / 2, one.pace[row], text, ha="center", va="center",
-                  fontsize=9, color=_ink_on(verdict))  # fmt: skip
+                  fontsize=7.5, color=_ink_on(verdict))  # fmt: skip
 
 
 def _ink_on(verdict: int) -> str:
@@ -220,21 +208,22 @@ def _mark_across(axes: Axes, one: Map) -> None:
     x = np.arange(one.across.size, dtype=float)
     if one.family == "shape":
         at = [0.0, *np.interp([0.25, 0.5], one.across[1:], x[1:]), x[-1]]
-        axes.set_xticks(at, ["needle", "plate\n1 : 4", "plate\n1 : 2", "disc"], fontsize=9)
-        axes.set_xlabel("shape of the body")
+        axes.set_xticks(at[::3], ["needle", "disc"], fontsize=8)
+        axes.set_xlabel("shape: plate\nof sides 1 : b", fontsize=8)
+        axes.set_xticks(at[1:3], minor=True)
         return
     at = np.interp(list(_STARTS), one.across, x).tolist()
-    axes.set_xticks(at, list(_STARTS.values()), fontsize=9)
+    axes.set_xticks(at, list(_STARTS.values()), fontsize=8)
     axes.axvline(at[1], color=INK, lw=0.8, ls=":")
-    axes.set_xlabel("start, I = (1, 2, 3)")
+    axes.set_xlabel("start, I = (1, 2, 3)", fontsize=8)
 
 
 def _mark_pace(axes: Axes, one: Map) -> None:
     """Ticks of the steps, and of the steps per turn; or of the tolerances."""
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.tick_params(axis="y", labelsize=8)
     if is_tolerance(one):
-        axes.set_ylabel("tolerance")
         return
     axes.set_ylim(_STEPS[0], _STEPS[-1])
     axes.yaxis.set_major_locator(FixedLocator(_STEPS))
@@ -243,7 +232,7 @@ def _mark_pace(axes: Axes, one: Map) -> None:
     if missing > 2.0:
         height = 0.5 * math.log(missing) / math.log(_STEPS[-1] / _STEPS[0])
         text = "not run: small steps\nof this method\ncost too much"
-        write_inside(axes, 0.5, height, text, ha="center", va="center", fontsize=8, color=INK)
+        write_inside(axes, 0.5, height, text, ha="center", va="center", fontsize=7.5, color=INK)
 
 
 def _mark_steps_per_turn(axes: Axes) -> None:
@@ -251,42 +240,56 @@ def _mark_steps_per_turn(axes: Axes) -> None:
     right = axes.secondary_yaxis("right")
     right.set_yticks(_STEPS, [f"{round(2.0 * math.pi / step, 1):.3g}" for step in _STEPS])
     right.yaxis.set_minor_locator(NullLocator())
-    right.set_ylabel("steps per turn")
+    right.tick_params(labelsize=8)
+    right.set_ylabel("steps per turn", fontsize=9)
 
 
 # Limits
 
 
-def _draw_limits(figure: SubFigure, limits: Sequence[Limit]) -> None:
+def draw_limits(study: Stability, path: Path) -> None:
+    """Each limit beside theory, and those of resting contact over its damping."""
+    on_contacts = [one for one in study.limits if math.isfinite(one.zeta)]
+    others = [one for one in study.limits if not math.isfinite(one.zeta)]
+    tall = 0.19 * len(others) + 1.0
+    below = 2.8 if on_contacts else 0.0
+    figure = Figure(figsize=(_WIDTH, tall + below), layout="constrained")
+    heights = (tall, below) if below else (tall,)
+    parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    _draw_distances(parts[0].subplots(), others)
+    if on_contacts:
+        _draw_resting(parts[1].subplots(), on_contacts)
+    figure.savefig(path, dpi=_DPI)
+
+
+def _draw_distances(axes: Axes, limits: Sequence[Limit]) -> None:
     """Each limit: its distance from theory in per cent, and both figures in words."""
-    axes = figure.subplots()
     figures: dict[str, Any] = {"va": "center", "family": "monospace", "fontsize": 8.5}
-    axes.axvspan(-1.0, 1.0, color="#eef5ee", lw=0)
+    axes.axvspan(-1.0, 1.0, color="#eef2f6", lw=0)
     axes.axvline(0.0, color=INK, lw=0.8)
     for y, one in zip(range(len(limits), 0, -1), limits, strict=True):
         colour = METHOD_COLOURS[one.method]
         if math.isfinite(one.theory):
-            axes.plot(100.0 * (one.measured / one.theory - 1.0), y, "o", color=colour, ms=6)
+            axes.plot(100.0 * (one.measured / one.theory - 1.0), y, "o", color=colour, ms=5)
         name = f"{_spoken(one.method)}: {one.name.replace(': largest', ',')}"
-        write_beside(axes, -0.02, y, name, ha="right", va="center", fontsize=9, color=colour)
+        write_beside(axes, -0.02, y, name, ha="right", va="center", fontsize=8.5, color=colour)
         text = f"{number(one.theory):>12} {number(one.measured):>12}"
         write_beside(axes, 1.02, y, text, **figures)
     heading = f"{'theory':>12} {'measured':>12}"
     write_beside(axes, 1.02, len(limits) + 1.0, heading, weight="bold", **figures)
     axes.set(xlim=(-1.3, 1.3), ylim=(0.3, len(limits) + 1.5), yticks=[])
     axes.set_xlabel("measured less theory [%]; shaded: 1 %")
-    axes.set_title("limits of the step, and factors per step", loc="left", fontsize=12)
+    axes.set_title("limits of the step, and factors per step", loc="left", fontsize=11)
     axes.spines["left"].set_visible(False)
     bare(axes)
 
 
-def _draw_resting(figure: SubFigure, limits: Sequence[Limit]) -> None:
+def _draw_resting(axes: Axes, limits: Sequence[Limit]) -> None:
     """Limits of a body that rests on a contact over its damping: theory as lines, measured dots."""
-    axes = figure.subplots()
     finish_panel(
         axes, "a ball that rests on the floor: hω above which it oscillates more and more"
         " (line: theory, dots: measured)",
-        xlim=(0.0, 1.5), ylim=(0.0, 3.2), xticks=RATIOS, ylabel="hω",
+        xlim=(-0.02, 1.35), ylim=(0.0, 3.2), xticks=RATIOS, ylabel="hω",
     )  # fmt: skip
     axes.set_xlabel("damping ratio ζ of the contact")
     ends = []
@@ -304,15 +307,16 @@ def _draw_resting(figure: SubFigure, limits: Sequence[Limit]) -> None:
 # Drift
 
 
-def _draw_drifts(figure: SubFigure, drifts: Sequence[EnergyDrift]) -> None:
+def draw_drifts(study: Stability, path: Path) -> None:
     """Energy error against time: one panel per motion."""
+    drifts, figure = study.drifts, Figure(figsize=(_WIDTH, 10.0), layout="constrained")
     panels = figure.subplots(len(MOTIONS), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, motion in zip(panels, MOTIONS, strict=True):
         own = [one for one in drifts if one.motion == motion]
         longest = max(one.turns[-1] for one in own)
         finish_panel(
             axes, f"{motion}, eight starts: every sample (dots), largest until then (line)",
-            xscale="log", yscale="log", xlim=(0.1, 300.0 * longest), ylim=(_BOTTOM, _TOP),
+            xscale="log", yscale="log", xlim=(0.1, 3000.0 * longest), ylim=(_BOTTOM, _TOP),
             xticks=[10.0**k for k in range(-1, round(math.log10(longest)) + 1)],
             ylabel="|E/E₀ − 1|",
         )  # fmt: skip
@@ -320,28 +324,32 @@ def _draw_drifts(figure: SubFigure, drifts: Sequence[EnergyDrift]) -> None:
         for drift in own:
             _draw_drift(axes, drift)
         _name_drifts(axes, own)
-    panels[-1].set_xlabel("turns")
+    panels[-1].set_xlabel("turns; at the ends h|ω|, and p of an error ∝ tᵖ over the last decade")
+    figure.savefig(path, dpi=_DPI)
 
 
 def _draw_drift(axes: Axes, drift: EnergyDrift) -> None:
-    """Samples of the worst body, and the running maximum; where it ends if it ends."""
+    """Samples of the worst body, and the running maximum; a cross where it ends early."""
     colour = METHOD_COLOURS[drift.method]
     is_finite = np.isfinite(drift.largest)
     turns, worst = drift.turns[is_finite], drift.error.max(axis=1)[is_finite]
     axes.plot(turns, np.maximum(worst, FLOOR), ".", color=colour, ms=2.5, alpha=0.5)
     axes.plot(turns, np.maximum(drift.largest[is_finite], FLOOR), color=colour, lw=1.8)
     if not is_finite.all():
-        text = f"{_spoken(drift.method)}, h|ω| = {drift.pace:g}: NaN after {turns[-1]:.1g} turns"
-        axes.text(turns[-1], _LEFT_FREE, text, color=colour, va="center")
+        axes.plot(turns[-1], min(drift.largest[is_finite][-1], _TOP), "X", color=colour, ms=7)
 
 
 def _name_drifts(axes: Axes, drifts: Sequence[EnergyDrift]) -> None:
-    """Names and exponents at the ends of the curves that do not break off."""
+    """Names at the ends: how fast the error grows there, or when a curve breaks off (cross)."""
     ends = []
-    for drift in (one for one in drifts if np.isfinite(one.largest).all()):
-        end, exponent = float(drift.largest[-1]), abs(growth_exponent(drift)[0])
-        text = f"{_spoken(drift.method)}, h|ω| = {drift.pace:g}: ∝ t^{exponent:.2f}"
-        level = min(max(end, _BOTTOM), _TOP)
-        ends.append((float(drift.turns[-1]), level, text, METHOD_COLOURS[drift.method]))
-    if ends:
-        name_curves(axes, ends, 1.6 * ends[0][0], gap=1.8)
+    for drift in drifts:
+        colour, is_finite = METHOD_COLOURS[drift.method], np.isfinite(drift.largest)
+        name = f"{_spoken(drift.method)}, {drift.pace:g}:"
+        if is_finite.all():
+            level = min(max(float(drift.largest[-1]), _BOTTOM), _TOP)
+            text = f"{name} p = {abs(growth_exponent(drift)[0]):.2f}"
+            ends.append((float(drift.turns[-1]), level, text, colour))
+        else:
+            text = f"{name} NaN after {drift.turns[is_finite][-1]:.1g} turns"
+            ends.append((math.nan, _BOTTOM, text, colour))
+    name_curves(axes, ends, 1.6 * max(drift.turns[-1] for drift in drifts), gap=1.2)

@@ -55,20 +55,24 @@ def write_inside(axes: Axes, x: float, y: float, text: str, **style: Any) -> Non
 
 
 def name_curves(axes: Axes, ends: Sequence[CurveEnd], x: float, gap: float) -> None:
-    """Write names at x beside the ends of curves on a logarithmic axis, `gap` decades apart."""
+    """Write names at x beside the ends of curves on a logarithmic axis, `gap` decades apart.
+
+    No line leads to an end whose x is NaN.
+    """
     ordered = sorted(ends, key=lambda end: end[1])
-    levels = _spread_apart(np.log10([end[1] for end in ordered]), gap)
+    low, high = np.log10(axes.get_ylim())
+    lowest, highest = float(low) + 0.3 * gap, float(high) - 0.3 * gap
+    levels = _spread_apart(np.log10([end[1] for end in ordered]), gap, lowest, highest)
     for (last, y, name, colour), level in zip(ordered, levels, strict=True):
-        axes.annotate(
-            name, (last, y), (x, 10.0**level), color=colour, va="center",
-            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6},
-        )  # fmt: skip
+        line = None if np.isnan(last) else {"arrowstyle": "-", "color": colour, "lw": 0.6}
+        at = (x if np.isnan(last) else last, y)
+        axes.annotate(name, at, (x, 10.0**level), color=colour, va="center", arrowprops=line)
 
 
-def _spread_apart(level: Floats, gap: float) -> Floats:
-    """Ascending levels moved apart to this gap, as far up as down."""
+def _spread_apart(level: Floats, gap: float, lowest: float, highest: float) -> Floats:
+    """Ascending levels moved apart to this gap, as far up as down, and between two if they can."""
     steps = gap * np.arange(len(level))
     rising = np.maximum.accumulate(level - steps)
     falling = np.minimum.accumulate((level - steps)[::-1])[::-1]
-    moved: Floats = 0.5 * (rising + falling) + steps
-    return moved
+    moved: Floats = np.clip(0.5 * (rising + falling), lowest, max(lowest, highest - steps[-1]))
+    return moved + steps
