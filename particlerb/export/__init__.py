@@ -26,6 +26,7 @@ FORMATS: Final = {  # name: suffix of its files, and what it is, in words
     "gsd": (".gsd", "HOOMD's schema: one oriented particle per body; OVITO, freud"),
     "csv": (".csv", "one row per frame and body; spreadsheets, pandas, R"),
     "particles": (".vtkhdf", "every particle in the world frame, H5MD and VTKHDF; ParaView, VMD"),
+    "contacts": (".vtkhdf", "a line for each contact, with its force, VTKHDF; ParaView"),
     "lammps": (".lammpstrj", "text dump of LAMMPS, one atom per body; OVITO, VMD"),
     "npz": (".npz", "NumPy arrays"),
 }

@@ -447,11 +447,11 @@ def test_names_at_the_ends_of_curves_keep_their_distance_and_stay_in_the_panel()
     from particlerb.studies.charts.style import _spread_apart
 
     level = np.array([-14.0, -13.9, 0.1, 0.2, 9.0])
-    moved = _spread_apart(level, 1.0, -15.0, 2.0)
+    moved = _spread_apart(level, 1.0, -14.2, 2.0)
     assert (np.diff(moved) >= 1.0 - 1e-12).all()
-    assert moved[0] >= -15.0
+    assert moved[0] >= -14.2
     assert moved[-1] <= 2.0
-    assert np.abs(moved - level)[:2].max() < 0.6
+    assert np.abs(moved - level)[:2].max() < 1.0
 
 
 BLINDNESS = {

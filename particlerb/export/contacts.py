@@ -1,0 +1,81 @@
+"""Contacts of each frame as lines, in VTKHDF: ParaView shows the force chains beside the particles.
+
+A contact of two bodies is a line between their centres of mass, one with a wall from the centre of
+the body to the point where the force acts. Each frame is a part of its own, as it has another
+number of lines. Source: the VTKHDF format, version 2.0 (docs.vtk.org), temporal PolyData.
+"""
+
+from pathlib import Path
+from typing import Final
+
+import h5py
+import numpy as np
+
+from particlerb.export import ExportError, Selection
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.record.schema import CONTACTS, VTKHDF
+from particlerb.record.trajectory import Contacts
+
+NEEDS: Final = ("position",)
+HOLDS: Final = (CONTACTS,)
+_OTHERS: Final = ("Vertices", "Polygons", "Strips")
+_LINES: Final = 1  # place of lines among the kinds of cells
+
+
+def write(selection: Selection, path: Path) -> None:
+    """Write a line for each contact of each frame, with force [N], its size, overlap and wall."""
+    if not selection.has_contacts:
+        raise ExportError(f"contacts needs {CONTACTS}, not recorded: see [output] fields")
+    trajectory, frames = selection.trajectory, list(selection.frames)
+    points, found = [], []
+    for k in frames:
+        contacts = selection.contacts(k)
+        found.append(contacts)
+        points.append(_ends(trajectory.read("position", slice(k, k + 1))[0], contacts))
+    counts = np.array([len(own) // 2 for own in points])
+    force, overlap, wall = (
+        np.concatenate([getattr(one, name) for one in found])
+        for name in ("force", "overlap", "wall")
+    )
+    data = {"force": force, "size": np.linalg.norm(force, axis=1), "overlap": overlap, "wall": wall}
+    with h5py.File(path, "w") as file:
+        root = file.create_group(VTKHDF)
+        root.attrs["Version"] = np.array([2, 0], dtype=np.int64)
+        root.attrs.create("Type", np.bytes_("PolyData"))
+        root["Points"], root["NumberOfPoints"] = np.concatenate(points), 2 * counts
+        for name in _OTHERS:
+            _put_cells(root, name, np.zeros_like(counts), 1)
+        _put_cells(root, "Lines", counts, 2)
+        for name, values in data.items():
+            root[f"CellData/{name}"] = values
+        _put_steps(root, trajectory.time[frames], counts, list(data))
+
+
+def _ends(x: Floats, contacts: Contacts) -> Floats:
+    """Both ends of each line, one after the other, (2 m, 3)."""
+    first, second = contacts.body.T
+    is_wall = contacts.wall[:, None] >= 0
+    ends = np.where(is_wall, contacts.point, x[np.maximum(second, 0)])
+    return np.stack([x[first], ends], axis=1).reshape(-1, 3)
+
+
+def _put_cells(root: h5py.Group, name: str, counts: Ints, width: int) -> None:
+    """Cells of each frame with as many points each, numbered from 0 in their frame."""
+    cells = root.create_group(name)
+    cells["NumberOfCells"], cells["NumberOfConnectivityIds"] = counts, width * counts
+    cells["Offsets"] = np.concatenate([width * np.arange(n + 1) for n in counts.tolist()])
+    cells["Connectivity"] = np.concatenate([np.arange(width * n) for n in counts.tolist()])
+
+
+def _put_steps(root: h5py.Group, times: Floats, counts: Ints, names: list[str]) -> None:
+    """Where the points and lines of each frame begin."""
+    n, first = len(counts), np.cumsum(counts) - counts
+    steps = root.create_group("Steps")
+    steps.attrs["NSteps"] = np.int64(n)
+    offsets = np.zeros((n, len(_OTHERS) + 1), dtype=np.int64)
+    offsets[:, _LINES] = first
+    steps["Values"], steps["PartOffsets"] = times, np.arange(n)
+    steps["NumberOfParts"], steps["PointOffsets"] = np.ones(n, dtype=np.int64), 2 * first
+    steps["CellOffsets"], steps["ConnectivityIdOffsets"] = offsets, 2 * offsets
+    for name in names:
+        steps[f"CellDataOffsets/{name}"] = first
