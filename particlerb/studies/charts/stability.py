@@ -41,7 +41,7 @@ from particlerb.studies.stability_limits import Limit
 from particlerb.studies.stability_runs import SMALL, UNSOLVABLE, VERDICTS
 from particlerb.studies.stability_table import number
 
-_TINTS: Final = ("#dcedf7", "#e3c04f", "#7098c4", "#c8641e", "#333333")  # ever darker, of VERDICTS
+_TINTS: Final = ("#e8f4fb", "#e3c04f", "#7098c4", "#b0540f", "#333333")  # ever darker, of VERDICTS
 _WIDTH: Final = 10.0  # [in] of a page
 _ACROSS: Final = 3  # methods beside each other
 _DPI: Final = 110
