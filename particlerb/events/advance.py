@@ -6,11 +6,18 @@ from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.events.collide import collide
 from particlerb.events.predict import cross, predict
 from particlerb.events.records import (
-    CROSSING,
     DONE,
     ENDLESS,
+    EXIT,
+    HIT,
+    HITS,
+    LEAVE,
     MORE,
+    OTHER,
     OVERLAP,
+    OWN,
+    PARTNER,
+    STAMP,
     UNFOUND,
     WALL,
     EventScene,
@@ -25,17 +32,17 @@ _AT_ONCE: Final = 1000  # impacts of a body at one instant, on average, that are
 @lean
 def _hit(scene: EventScene, state: EventState, work: Workspace, b: int, t: float) -> int:
     """Let the impact of body b happen; how that ends."""
-    c = state.partner[b]
+    c = state.info[b, PARTNER]
     same = t == state.clock[0]
     state.clock[0], state.clock[1] = t, state.clock[1] + 1.0 if same else 1.0
     if state.clock[1] > _AT_ONCE * scene.n_moving:
         return ENDLESS
     first, second = (b, c) if c < 0 else (min(b, c), max(b, c))
-    if not collide(scene, state, work, first, second, state.own[b], state.other[b], t):
+    if not collide(scene, state, work, first, second, state.info[b, OWN], state.info[b, OTHER], t):
         return OVERLAP
-    if not predict(scene, state, work, b, t):
+    if not predict(scene, state, work, b, t, -1):
         return UNFOUND
-    if 0 <= c < scene.n_moving and not predict(scene, state, work, c, t):
+    if 0 <= c < scene.n_moving and not predict(scene, state, work, c, t, -1):
         return UNFOUND
     return DONE
 
@@ -48,18 +55,19 @@ def advance(
     for _ in range(most):
         if state.heap.size == 0:
             return DONE, -1
-        b = state.heap[0]
-        t, c, result = state.time[b], state.partner[b], DONE
+        b, t, result = state.heap[0], state.heap_time[0], DONE
         if t > until:
             return DONE, -1
-        if c == WALL or (c >= 0 and state.stamp[b] == state.hits[c]):
+        c = state.info[b, PARTNER]
+        if state.at[b, LEAVE] < state.at[b, HIT]:
+            cross(scene, state, b)
+            if not predict(scene, state, work, b, t, state.info[b, EXIT]):
+                result = UNFOUND
+        elif c == WALL or state.info[b, STAMP] == state.info[c, HITS]:
             result = _hit(scene, state, work, b, t)
         else:
-            if c == CROSSING:
-                cross(scene, state, b)
-            else:
-                state.tally[RENEWED] += 1.0
-            if not predict(scene, state, work, b, t):
+            state.tally[RENEWED] += 1.0
+            if not predict(scene, state, work, b, t, -1):
                 result = UNFOUND
         if result != DONE:
             return result, b

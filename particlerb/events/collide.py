@@ -13,6 +13,9 @@ from particlerb.compiled.jit import lean
 from particlerb.contact.walls import primitive_at
 from particlerb.events.flight import attitude, bring, place, posed, set_spin
 from particlerb.events.records import (
+    BOUND,
+    FASTEST,
+    HITS,
     REMEMBERED,
     WALL,
     EventScene,
@@ -61,6 +64,7 @@ from particlerb.maths.vec3 import (
 
 _GRAZES: Final = 1e-7  # of the speed: an approach as slow as this is ill-conditioned
 _MOST_OVERLAP: Final = 1e-14  # of the largest length that enters a gap
+_MOST_LATE: Final = 1e-15  # of the time
 _NOTHING: Final = (0.0, 0.0, 0.0)
 
 
@@ -158,6 +162,12 @@ def _geometry(
     n = scale(1.0 / distance, d)
     gap = distance - r - scene.radius[j]
     return n, add_scaled(-r - 0.5 * gap, n, c), gap, size + scene.radius[j]
+
+
+@lean
+def _fastest(state: EventState, b: int) -> float:
+    """Speed of any point of a body [m/s], at most."""
+    return norm(column3(state.flight, b, V)) + state.spin[b, FASTEST] * state.flight[b, BOUND]
 
 
 @lean
@@ -265,7 +275,8 @@ def collide(
         bring(scene, state, b, t)
     n, point, gap, size = _geometry(scene, state, a, b, i, j, t)
     _watch(scene, state, i, b, j, gap)
-    if gap < -_MOST_OVERLAP * size:
+    speed = _fastest(state, a) + (_fastest(state, b) if b != WALL else 0.0)
+    if gap < -_MOST_OVERLAP * size - _MOST_LATE * t * speed:
         return False
     material = scene.wall_material[j] if b == WALL else scene.material[b]
     pair = scene.pair_of[scene.material[a], material]
@@ -277,9 +288,9 @@ def collide(
         p = _hit_of_balls(scene, state, a, b, n, e)
     else:
         p = _hit(scene, state, work, Impact(a, b, n, point, e, mu, t))
-    state.hits[a] += 1
+    state.info[a, HITS] += 1
     if b != WALL:
-        state.hits[b] += 1
+        state.info[b, HITS] += 1
     if b == WALL or b >= scene.n_moving:
         _give_outside(state, point, p)
     return True

@@ -16,7 +16,7 @@ from particlerb.events.records import (
     X,
 )
 from particlerb.impulses.rows import column3, put_column3
-from particlerb.maths.quaternion import Matrix, Quat, matrix, to_body, turn, turn_back
+from particlerb.maths.quaternion import Matrix, Quat, matrix, normalised, to_body, turn, turn_back
 from particlerb.maths.vec3 import (
     Floats,
     Ints,
@@ -72,7 +72,7 @@ def set_spin(scene: EventScene, state: EventState, b: int, t: float, q: Quat, sp
     ω̇_i = (I_j - I_k) ω_j ω_k / I_i, so that |ω̇| <= max |I_j - I_k|/I_i |ω|²/√3; points at r
     are accelerated by (|ω̇| + |ω|²) r at most.
     """
-    inverse = row3(scene.inv_inertia, b)
+    q, inverse = normalised(q), row3(scene.inv_inertia, b)
     put_column3(state.spin, b, L, spin)
     state.spin[b, TURNED] = t
     set_turn(state.turn, b, row3(scene.inertia, b), inverse, scene.is_asymmetric[b], q, spin)

@@ -4,6 +4,7 @@ A body looks at all bodies in its own cell and the 26 around it, and at walls, u
 cell. Two bodies touch only from neighbouring cells: who of them was the last to enter such a cell,
 or to change its flight, has seen the other then. So each body needs a single event; where its
 partner has hit another one before, the body looks again at that time, and finds what comes next.
+Where all are balls in free flight, a body that enters a cell looks at the new ones around it alone.
 """
 
 import math
@@ -12,8 +13,18 @@ from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.events.flight import place, pull
 from particlerb.events.queue import put
 from particlerb.events.records import (
-    CROSSING,
-    NEVER,
+    CELL,
+    EXIT,
+    HIT,
+    HITS,
+    LEAVE,
+    NEXT,
+    NOBODY,
+    OTHER,
+    OWN,
+    PARTNER,
+    PREVIOUS,
+    STAMP,
     WALL,
     EventScene,
     EventState,
@@ -34,31 +45,31 @@ def cell_of(scene: EventScene, state: EventState, i: int, j: int, k: int) -> int
 @lean
 def enter_cell(scene: EventScene, state: EventState, b: int) -> None:
     """Add a body to the list of its cell."""
-    c = cell_of(scene, state, state.cell[b, 0], state.cell[b, 1], state.cell[b, 2])
+    c = cell_of(scene, state, state.info[b, CELL], state.info[b, CELL + 1], state.info[b, CELL + 2])
     first = state.head[c]
-    state.next[b], state.previous[b] = first, -1 - c
+    state.info[b, NEXT], state.info[b, PREVIOUS] = first, -1 - c
     if first >= 0:
-        state.previous[first] = b
+        state.info[first, PREVIOUS] = b
     state.head[c] = b
 
 
 @lean
 def _leave_cell(state: EventState, b: int) -> None:
     """Take a body out of the list of its cell."""
-    before, after = state.previous[b], state.next[b]
+    before, after = state.info[b, PREVIOUS], state.info[b, NEXT]
     if before >= 0:
-        state.next[before] = after
+        state.info[before, NEXT] = after
     else:
         state.head[-1 - before] = after
     if after >= 0:
-        state.previous[after] = before
+        state.info[after, PREVIOUS] = before
 
 
 @lean
 def cross(scene: EventScene, state: EventState, b: int) -> None:
     """Let a body go into the next cell."""
     _leave_cell(state, b)
-    state.cell[b, state.own[b]] += state.other[b]
+    state.info[b, CELL + state.info[b, EXIT] // 2] += 2 * (state.info[b, EXIT] % 2) - 1
     enter_cell(scene, state, b)
     state.tally[CROSSINGS] += 1.0
 
@@ -66,66 +77,86 @@ def cross(scene: EventScene, state: EventState, b: int) -> None:
 @lean
 def _until_crossing(
     scene: EventScene, state: EventState, b: int, x: Vec3, v: Vec3
-) -> tuple[float, int, int]:
-    """Time in which a body stays in its cell [s]; axis and direction in which it leaves."""
+) -> tuple[float, int]:
+    """Time in which a body stays in its cell [s]; the side by which it leaves."""
     g, w = pull(scene, b), scene.cell_width
-    best, axis, direction = math.inf, 0, 0
+    best, leaves = math.inf, 0
     for k in range(3):
-        low = x[k] - (scene.origin[k] + w * state.cell[b, k])
+        low = x[k] - (scene.origin[k] + w * state.info[b, CELL + k])
         s = soonest(low, v[k], -g[k], 0.0, w)
         if s < best:
-            best, axis, direction = s, k, -1
+            best, leaves = s, 2 * k
         s = soonest(w - low, -v[k], g[k], 0.0, w)
         if s < best:
-            best, axis, direction = s, k, 1
-    return best, axis, direction
+            best, leaves = s, 2 * k + 1
+    return best, leaves
 
 
 @lean
-def _note(
-    state: EventState, b: int, best: float, s: float, partner: int, own: int, other: int
-) -> float:
-    """Make an event that of body b, if it comes earlier than the best so far; the best then."""
-    if s >= best:
-        return best
-    state.partner[b], state.own[b], state.other[b] = partner, own, other
-    return s
+def _earlier(t: float, s: float) -> float:
+    """t + s, rounded down."""
+    time = t + s
+    return max(time - 1.2e-16 * abs(time), t) if time - t > s else time
+
+
+@lean
+def _note(state: EventState, b: int, t: float, s: float, hit: tuple[int, int, int]) -> None:
+    """Make an impact after a time s that of body b, if it comes earlier than what it has."""
+    time = _earlier(t, s)
+    if time < state.at[b, HIT]:
+        state.at[b, HIT] = time
+        state.info[b, PARTNER], state.info[b, OWN], state.info[b, OTHER] = hit
+        state.info[b, STAMP] = state.info[hit[0], HITS] if hit[0] >= 0 else 0
+
+
+@lean
+def _bounds(state: EventState, b: int, side: int, axis: int) -> tuple[int, int]:
+    """First and last row of cells to look at along an axis: of a side alone, the new ones."""
+    at = state.info[b, CELL + axis]
+    if side < 0 or side // 2 != axis:
+        return at - 1, at + 1
+    new = at + 2 * (side % 2) - 1
+    return new, new
 
 
 @lean_kernel
-def predict(scene: EventScene, state: EventState, work: Workspace, b: int, t: float) -> bool:
-    """Find the next event of body b after t [s] and queue it; false: a search did not end."""
+def predict(
+    scene: EventScene, state: EventState, work: Workspace, b: int, t: float, side: int
+) -> bool:
+    """Find the next event of body b after t [s] and queue it; false: a search did not end.
+
+    `side` is that by which the body has come into its cell; where it is not negative, only cells
+    beyond are new. Balls in free flight are looked at for all time, all else until the body leaves.
+    """
     x, v = place(scene, state, b, t)
-    one = Flying(b, t, x, v)
-    best, axis, direction = _until_crossing(scene, state, b, x, v)
-    state.partner[b], state.own[b], state.other[b] = CROSSING, axis, direction
-    if best == math.inf:
-        state.partner[b] = NEVER
-    for di in range(-1, 2):
-        for dj in range(-1, 2):
-            for dk in range(-1, 2):
-                i, j, k = state.cell[b, 0] + di, state.cell[b, 1] + dj, state.cell[b, 2] + dk
+    one, found = Flying(b, t, x, v), True
+    stays, state.info[b, EXIT] = _until_crossing(scene, state, b, x, v)
+    state.at[b, LEAVE] = t + stays
+    if side < 0 or scene.looks_around:
+        side = -1
+        state.at[b, HIT], state.info[b, PARTNER] = math.inf, NOBODY
+    (i0, i1), (j0, j1) = _bounds(state, b, side, 0), _bounds(state, b, side, 1)
+    k0, k1 = _bounds(state, b, side, 2)
+    for i in range(i0, i1 + 1):
+        for j in range(j0, j1 + 1):
+            for k in range(k0, k1 + 1):
                 c = state.head[cell_of(scene, state, i, j, k)]
                 while c >= 0:
                     if c != b:
-                        s, own, other = bodies_meet(scene, state, work, one, c, best)
-                        if s == LOST:
-                            return False
-                        best = _note(state, b, best, s, c, own, other)
-                    c = state.next[c]
+                        until = state.at[b, HIT] - t
+                        if scene.looks_around:
+                            until = min(until, stays)
+                        s, own, other = bodies_meet(scene, state, work, one, c, until)
+                        found = found and s != LOST
+                        _note(state, b, t, s, (c, own, other))
+                    c = state.info[c, NEXT]
     for p in range(scene.wall_kind.size):
-        s, own = wall_meets(scene, state, work, one, p, best)
-        if s == LOST:
-            return False
-        best = _note(state, b, best, s, WALL, own, p)
-    time = t + best
-    if time - t > best:
-        time -= 1.2e-16 * abs(time)
-    state.time[b] = max(time, t)
-    if state.partner[b] >= 0:
-        state.stamp[b] = state.hits[state.partner[b]]
-    put(state, b)
-    return True
+        until = min(state.at[b, HIT] - t, stays)
+        s, own = wall_meets(scene, state, work, one, p, until)
+        found = found and s != LOST
+        _note(state, b, t, s, (WALL, own, p))
+    put(state, b, min(state.at[b, HIT], state.at[b, LEAVE]))
+    return found
 
 
 @lean_kernel
@@ -134,9 +165,9 @@ def predict_all(scene: EventScene, state: EventState, work: Workspace) -> bool:
     for b in range(scene.mass.size - 1, -1, -1):
         x, _ = place(scene, state, b, 0.0)
         for k in range(3):
-            state.cell[b, k] = math.floor((x[k] - scene.origin[k]) / scene.cell_width)
+            state.info[b, CELL + k] = math.floor((x[k] - scene.origin[k]) / scene.cell_width)
         enter_cell(scene, state, b)
     found = True
     for b in range(scene.n_moving):
-        found = predict(scene, state, work, b, 0.0) and found
+        found = predict(scene, state, work, b, 0.0, -1) and found
     return found

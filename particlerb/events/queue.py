@@ -2,65 +2,55 @@
 
 from typing import Final
 
-from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.compiled.jit import lean
 from particlerb.events.records import EventState
-from particlerb.maths.vec3 import Floats, Ints
 
 _BRANCHES: Final = 4
 
 
 @lean
-def _is_before(time: Floats, a: int, b: int) -> bool:
-    """Whether the event of body a comes before that of b."""
-    return bool(time[a] < time[b] or (time[a] == time[b] and a < b))
+def _put(state: EventState, k: int, t: float, b: int) -> None:
+    """Write a body and its time at k."""
+    state.heap_time[k], state.heap[k], state.place[b] = t, b, k
 
 
 @lean
-def _sift_up(heap: Ints, place: Ints, time: Floats, k: int) -> int:
-    """Let the body at k rise; where it is then."""
-    b = heap[k]
+def _sift_up(state: EventState, k: int, t: float, b: int) -> int:
+    """Let the free place at k rise until body b belongs there; where that is."""
+    heap, time = state.heap, state.heap_time
     while k > 0:
         parent = (k - 1) // _BRANCHES
-        if not _is_before(time, b, heap[parent]):
+        if t > time[parent] or (t == time[parent] and b > heap[parent]):
             break
-        heap[k] = heap[parent]
-        place[heap[k]] = k
+        _put(state, k, time[parent], heap[parent])
         k = parent
-    heap[k] = b
-    place[b] = k
     return k
 
 
 @lean
-def _sift_down(heap: Ints, place: Ints, time: Floats, k: int) -> None:
-    """Let the body at k sink."""
-    n, b = heap.size, heap[k]
+def _sift_down(state: EventState, k: int, t: float, b: int) -> int:
+    """Let the free place at k sink until body b belongs there; where that is."""
+    heap, time = state.heap, state.heap_time
+    n = heap.size
     while True:
         low = _BRANCHES * k + 1
         if low >= n:
             break
         best = low
         for child in range(low + 1, min(low + _BRANCHES, n)):
-            if _is_before(time, heap[child], heap[best]):
+            s, least = time[child], time[best]
+            if s < least or (s == least and heap[child] < heap[best]):
                 best = child
-        if not _is_before(time, heap[best], b):
+        if time[best] > t or (time[best] == t and heap[best] > b):
             break
-        heap[k] = heap[best]
-        place[heap[k]] = k
+        _put(state, k, time[best], heap[best])
         k = best
-    heap[k] = b
-    place[b] = k
+    return k
 
 
 @lean
-def put(state: EventState, b: int) -> None:
-    """Bring body b, whose time has changed, to its place in the heap."""
-    k = _sift_up(state.heap, state.place, state.time, state.place[b])
-    _sift_down(state.heap, state.place, state.time, k)
-
-
-@lean_kernel
-def build(state: EventState) -> None:
-    """Order the whole heap."""
-    for k in range(state.heap.size - 1, -1, -1):
-        _sift_down(state.heap, state.place, state.time, k)
+def put(state: EventState, b: int, t: float) -> None:
+    """Queue the event of body b at a time, in place of the one before."""
+    k = _sift_up(state, state.place[b], t, b)
+    k = _sift_down(state, k, t, b)
+    _put(state, k, t, b)

@@ -25,10 +25,25 @@ FASTEST: Final = 4  # [rad/s] that it can turn
 BEND: Final = 5  # [1/s²] largest acceleration of a point by turning, over its distance
 N_SPIN: Final = 6
 
-# Values of `EventState.partner` that are not bodies
-CROSSING: Final = -1  # into the next cell
-NEVER: Final = -2  # nothing will happen
-WALL: Final = -3  # a primitive
+# Columns of `EventState.info`
+CELL: Final = 0  # three numbers
+NEXT: Final = 3  # body in the same cell, and
+PREVIOUS: Final = 4  # the one before; -1 - its number where it is the first of a cell
+EXIT: Final = 5  # side by which it leaves its cell: 2 axis, + 1 along it
+PARTNER: Final = 6  # which its next impact is with
+STAMP: Final = 7  # HITS of the partner when that was found
+OWN: Final = 8  # sphere of the body with the lower number
+OTHER: Final = 9  # sphere of the other body, or primitive
+HITS: Final = 10  # impacts so far
+N_INFO: Final = 12
+
+# Columns of `EventState.at`
+HIT: Final = 0  # [s] next impact
+LEAVE: Final = 1  # [s] end of the stay in its cell
+
+# Values of PARTNER that are not bodies
+NOBODY: Final = -1  # nothing is hit
+WALL: Final = -2  # a primitive
 
 REMEMBERED: Final = 8  # latest contacts of a body whose times are kept
 
@@ -63,6 +78,7 @@ class EventScene(NamedTuple):
     wall_parameter: Floats  # (n_primitives, 12)
     wall_material: Ints  # (n_primitives,)
     contact_time: float  # [s]
+    looks_around: bool  # whether a body that enters a cell looks at all bodies around it again
     cell_width: float  # [m]
     origin: Floats  # (3,) [m] corner of cell 0, 0, 0
     cells: Ints  # (3,) how many; those beyond share
@@ -74,17 +90,11 @@ class EventState(NamedTuple):
     flight: Floats  # (n, N_FLIGHT)
     spin: Floats  # (n, N_SPIN)
     turn: Floats  # (n, ..) see rotors/single_turn.py
-    cell: Ints  # (n, 3)
+    info: Ints  # (n, N_INFO)
+    at: Floats  # (n, 2) [s]
     head: Ints  # (n_cells,) first body of each cell, -1: none
-    next: Ints  # (n,) in the same cell
-    previous: Ints  # (n,)
-    time: Floats  # (n,) [s] of the next event of each body
-    partner: Ints  # (n,)
-    stamp: Ints  # (n,) `hits` of the partner when it was found
-    own: Ints  # (n,) sphere of the body with the lower number; of a crossing: axis
-    other: Ints  # (n,) sphere of the other body, or primitive; of a crossing: direction
-    hits: Ints  # (n,) impacts so far
     heap: Ints  # (n_moving,) bodies, the one whose event is next first
+    heap_time: Floats  # (n_moving,) [s] of their events
     place: Ints  # (n,) in the heap
     contact: Ints  # (n, REMEMBERED) latest contacts of each body with those of higher number
     contact_at: Floats  # (n, REMEMBERED) [s] when
@@ -104,14 +114,12 @@ class Workspace(NamedTuple):
 
 def empty_state(n: int, n_moving: int, n_cells: int, columns: int) -> EventState:
     """State of n bodies, with nothing in it."""
-    ints = [np.zeros(n, dtype=np.int64) for _ in range(8)]
-    following, previous, partner, stamp, own, other, hits, place = ints
-    state = EventState(
+    place = np.zeros(n, dtype=np.int64)
+    place[:n_moving] = np.arange(n_moving)
+    return EventState(
         np.zeros((n, N_FLIGHT)), np.zeros((n, N_SPIN)), np.zeros((n, columns)),
-        np.zeros((n, 3), dtype=np.int64), np.full(n_cells, -1), following, previous,
-        np.full(n, np.inf), partner, stamp, own, other, hits,
-        np.arange(n_moving), place, np.full((n, REMEMBERED), -1),
-        np.full((n, REMEMBERED), -np.inf), np.zeros(2), np.zeros(7), np.zeros(3), np.zeros(TALLY),
+        np.zeros((n, N_INFO), dtype=np.int64), np.full((n, 2), np.inf), np.full(n_cells, -1),
+        np.arange(n_moving), np.full(n_moving, -np.inf), place,
+        np.full((n, REMEMBERED), -1), np.full((n, REMEMBERED), -np.inf),
+        np.zeros(2), np.zeros(7), np.zeros(3), np.zeros(TALLY),
     )  # fmt: skip
-    state.place[:n_moving] = state.heap
-    return state

@@ -8,7 +8,6 @@ from particlerb.compiled.threads import THREADS
 from particlerb.events.advance import advance
 from particlerb.events.flight import set_all, states_at
 from particlerb.events.predict import predict_all
-from particlerb.events.queue import build
 from particlerb.events.records import (
     BOUND,
     DONE,
@@ -53,10 +52,8 @@ class EventMotion(Motion):
             self.state.tally[:] = before.impulse_tally()
         self.state.flight[:, BOUND] = bounds_of(group)[1][self.order]
         THREADS.alone(set_all, self.scene, self.state, self.order, state)
-        self.state.time[:n_moving] = 0.0
         if not THREADS.timed(predict_all, self.scene, self.state, self.work):
             raise MotionError(f"at t = {start:.6g} s a body touches another: {_SEARCH}")
-        THREADS.alone(build, self.state)
         self.tallies: dict[int, Floats] = {}
 
     def run_to(self, time: float) -> None:
@@ -71,7 +68,7 @@ class EventMotion(Motion):
         while ends == MORE:
             ends, b = THREADS.timed(advance, self.scene, self.state, self.work, until, _PER_CALL)
         if ends != DONE:
-            now = self.start + float(self.state.time[b])
+            now = self.start + float(self.state.heap_time[0])
             what = f"at t = {now:.9g} s body {self.group.members[self.order[b]]} cannot continue"
             raise MotionError(f"{what}: {_WHY.get(ends, _SEARCH)}")
 

@@ -85,11 +85,13 @@ def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> E
     which = np.repeat(spheres.offset[order] - first[:-1], sizes) + np.arange(first[-1])
     walls = model.walls
     solid = np.isin(walls.kind, _SOLID)
-    gravity = group.terms.gravity
+    gravity = np.zeros(3)
+    if group.terms.gravity is not None:
+        gravity = group.terms.gravity.acceleration.copy()
     inertia = np.ascontiguousarray(bodies.inertia[:, order].T)
     inverse = np.ascontiguousarray(bodies.inv_inertia[:, order].T)
     return EventScene(
-        gravity=np.zeros(3) if gravity is None else gravity.acceleration.copy(),
+        gravity=gravity,
         n_moving=n_moving,
         mass=bodies.mass[order],
         inv_mass=bodies.inv_mass[order],
@@ -109,6 +111,7 @@ def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> E
         wall_parameter=np.ascontiguousarray(walls.parameter[solid]),
         wall_material=model.wall_material[solid],
         contact_time=rules.contact_time,
+        looks_around=bool(reach.any() or (gravity.any() and n_moving < order.size)),
         cell_width=width,
         origin=origin,
         cells=cells,

@@ -33,8 +33,8 @@ def scene(n: int, seed: int = 5) -> dict:
     u = -rng.uniform(0.2, 3.0, n)[:, None] * away + 0.4 * rng.normal(size=(n, 3))
     shape = {"type": "points", "mass": 0.125, "radius": R, "position": CORNERS.tolist()}
     bodies = [
-        {"name": name, "shape": shape, "count": n, "position": (middle + sign * 0.5 * away).tolist(),
-         "velocity": (sign * 0.5 * u).tolist(),
+        {"name": name, "shape": shape, "count": n,
+         "position": (middle + sign * 0.5 * away).tolist(), "velocity": (sign * 0.5 * u).tolist(),
          "angular_velocity": (4.0 * rng.normal(size=(n, 3))).tolist()}
         for name, sign in (("a", 1.0), ("b", -1.0))
     ]  # fmt: skip
@@ -80,7 +80,7 @@ def missed(n: int) -> tuple[int, int, float]:
     run = Run(prepare(to_system(load(scene(n)))))
     motion = run.group_runs[0].motion
     at = np.argsort(motion.order)
-    state, omega = run.moving.state, 1.0 / run.moving.bodies.inertia[0]
+    state, (mass, inertia) = run.moving.state, (run.moving.bodies.mass, run.moving.bodies.inertia)
     hits, wrong, widest = 0, 0, 0.0
     for k in range(n):
         one, other = int(min(at[k], at[n + k])), int(max(at[k], at[n + k]))
@@ -88,7 +88,7 @@ def missed(n: int) -> tuple[int, int, float]:
         flying = Flying(one, 0.0, x, v)
         time, *_ = bodies_meet(motion.scene, motion.state, motion.work, flying, other, UNTIL)
         a, b = (
-            (state.com[:, i], state.p[:, i] * run.moving.bodies.inv_mass[i], state.L[:, i] * omega[i])
+            (state.com[:, i], state.p[:, i] / mass[i], state.L[:, i] / inertia[0, i])
             for i in (k, n + k)
         )  # fmt: skip
         is_hit = time < np.inf

@@ -6,6 +6,10 @@ from impulse_scenes import DOWN, G, R, case, clump, errors, go, impulse, plane, 
 
 import particlerb
 from particlerb.case.problems import CaseError
+from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
+from particlerb.impulses.records import IMPACTS
+from particlerb.simulation.run import Run, prepare
 
 BOX = {"type": "box", "name": "box", "lower": [-1, -1, -1], "upper": [1, 1, 1]}
 plain = pytest.mark.plain  # compiling takes long, and shows no more
@@ -216,6 +220,19 @@ def test_what_events_do_not_know_is_refused(keys, words):
     with pytest.raises(CaseError) as error:
         go(BALL, **({"wall": [plane(point=[0, 0, -1])], "contact": events()} | keys))
     assert words in str(error.value)
+
+
+@plain
+def test_a_motion_continues_from_what_it_has_saved():
+    bodies = clumps(8, inwards=4.0)
+    system = to_system(load(case(*bodies, contact=events(0.8, 0.3), t_end=1.0)))
+    one, other = (Run(prepare(system)).group_runs[0].motion for _ in range(2))
+    one.run_to(0.5)
+    other.restore({name: np.copy(values) for name, values in one.checkpoint().items()})
+    assert other.state.tally[IMPACTS] == one.state.tally[IMPACTS] > 0
+    (first, given), (second, again) = one.state_at(1.0), other.state_at(1.0)
+    assert all((a == b).all() for a, b in zip(first, second, strict=True))
+    assert (given == again).all()
 
 
 @plain
