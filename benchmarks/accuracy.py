@@ -225,20 +225,21 @@ def ladder(study: Study, wanted: float) -> list[Rung]:
 
 
 def scipy_times(study: Study, wanted: list[float]) -> dict[float, float]:
-    """Least times of SciPy's joint DOP853 with an error that is small enough [s]."""
+    """Least processor times of SciPy's joint DOP853 with an error that is small enough [s]."""
     (engine,) = engines(("scipy",))
     scene = peer_scene(study.system)
     last = part(study.system, study.plan("auto", None), study.which)
     found = dict.fromkeys(wanted, np.nan)
-    for tolerance in engine.variants["DOP853"]:
-        result = engine.run(scene, "DOP853", tolerance)
-        error = peer_errors(
-            result, study.system, study.which, last, study.times, study.reference.frames
-        )[0]
-        spent = min(engine.run(scene, "DOP853", tolerance).seconds for _ in range(5))
-        for one in wanted:
-            if error.worst <= one:
-                found[one] = np.nanmin([found[one], spent])
+    with THREADS.using(1, time.process_time):
+        for tolerance in engine.variants["DOP853"]:
+            result = engine.run(scene, "DOP853", tolerance)
+            error = peer_errors(
+                result, study.system, study.which, last, study.times, study.reference.frames
+            )[0]
+            spent = min(engine.run(scene, "DOP853", tolerance).seconds for _ in range(5))
+            for one in wanted:
+                if error.worst <= one:
+                    found[one] = np.nanmin([found[one], spent])
     return found
 
 
@@ -305,6 +306,33 @@ def write(path: Path, line: tuple) -> None:
         csv.writer(file).writerows([("commit", "processor", *HEADER), *ordered])
 
 
+def as_page() -> None:
+    """Print the table of results/accuracy.csv for docs/accuracy.md: rows with a commit."""
+    print(
+        "| scene | asked | choice | error, of what was asked | run [ms] | search [ms] | cheapest |"
+    )
+    print("| --- | ---: | --- | ---: | ---: | ---: | --- |")
+    with (FOLDER / "accuracy.csv").open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            if row["commit"] == "-":
+                continue
+            share, ratio = float(row["of wanted"]), float(row["ratio"])
+            is_closed = row["choice"] == "closed form"
+            found = "rounding" if is_closed else f"{share:.2g}"
+            other = f"{row['cheapest']}, {1.0 / ratio:.2g} of the time"
+            if ratio > 1.5:
+                other = f"**{other}**"
+            spent = row["search [ms]"]
+            if float(spent) > max(1.0, float(row["motion [ms]"])):
+                spent = f"**{spent}**"
+            if not is_closed and not 0.02 <= share <= 1.0:
+                found = f"**{found}**"
+            print(
+                f"| {row['scene']} | {row['wanted']} | {row['choice']} | {found}"
+                f" | {row['motion [ms]']} | {spent} | {other} |"
+            )
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser()
@@ -312,7 +340,11 @@ def main() -> None:
     parser.add_argument("--accuracies", default=ACCURACIES)
     parser.add_argument("--no-peers", action="store_true", help="leave SciPy out")
     parser.add_argument("--record", metavar="NAME", help="write results/NAME.csv")
+    parser.add_argument("--page", action="store_true", help="print the recorded table alone")
     options = parser.parse_args()
+    if options.page:
+        as_page()
+        return
     THREADS.use(1)
     wanted = [float(one) for one in options.accuracies.split(",")]
     print("\t".join(HEADER))

@@ -2,6 +2,7 @@
 
 import csv
 import datetime as dt
+import os
 import platform
 import subprocess
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ FOLDER = Path(__file__).parent / "results"
 
 
 def processor() -> str:
-    """Name of the processor, as far as the system tells, LLVM's name for it, and its vectors."""
+    """Name of the processor where the system tells, LLVM's name for it, its vectors, its load."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         name = next(
@@ -24,7 +25,14 @@ def processor() -> str:
         )
     except (OSError, IndexError):
         name = platform.processor() or platform.machine()
-    return f"{name}, {known_as()}, vectors of {vector_bits()} bits"
+    return f"{name}, {known_as()}, vectors of {vector_bits()} bits, {load()}"
+
+
+def load() -> str:
+    """Programs that want a core, over the last minute, and the cores there are."""
+    if not hasattr(os, "getloadavg"):
+        return "load unknown"
+    return f"load {os.getloadavg()[0]:.0f} on {os.cpu_count()} cores"
 
 
 def vector_bits() -> int:
