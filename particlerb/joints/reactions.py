@@ -61,9 +61,9 @@ def _to_body(q: Floats, v: Floats) -> Floats:
 
 
 def dependent_rows(weighted: Floats) -> Floats:
-    """Null vectors of Gᵀ, (redundant, rows); none where all rows are independent."""
-    if not weighted.size:
-        return np.zeros((0, 0))
+    """Null vectors of Gᵀ, (redundant, rows); none where all rows are independent, or lost."""
+    if not (weighted.size and np.isfinite(weighted).all()):
+        return np.zeros((0, len(weighted)))
     U, found, _ = np.linalg.svd(weighted)
     size = np.zeros(len(U))
     size[: found.size] = found

@@ -36,6 +36,7 @@ MANY_STEPS = (
     "hundred_mechanisms",
     "incline",
     "kepler",
+    "ladder",
     "mesh_body",
     "newtons_cradle",
     "pendulum",

@@ -1,0 +1,104 @@
+"""Rows, A = G M⁻¹ Gᵀ and its sparse factor beside dense matrices in NumPy."""
+
+import numpy as np
+import pytest
+from scenes import SCENES, X, Z, bar, body, case, joint
+from scipy.spatial.transform import Rotation
+
+from particlerb.case.to_system import to_system
+from particlerb.joints.block_cholesky import solve
+from particlerb.joints.records import HOLDS, Q
+from particlerb.joints.records import X as AT
+from particlerb.joints.rows import residual
+from particlerb.joints.solver import factorise_cluster
+from particlerb.plan.joint_words import work_at
+from particlerb.simulation.run import prepare
+
+pytestmark = pytest.mark.plain
+
+
+def wheel():
+    """A hub with five arms, tied to each other at their ends by rods: loops, and a full block."""
+    angles = 2 * np.pi * np.arange(5) / 5
+    ends = np.stack([np.cos(angles), np.sin(angles), 0.1 * angles], axis=1)
+    bodies = [body("hub", 3.0, [0.3, 0.4, 0.5], [0, 0, 0], q=(0.5, 0.5, 0.5, 0.5))]
+    bodies += [bar(f"arm{k}", 0.2 * end, end, 1.0 + k) for k, end in enumerate(ends)]
+    joints = [joint("ball", f"arm{k}", "hub", 0.2 * end) for k, end in enumerate(ends)]
+    joints += [
+        joint("distance", f"arm{k}", f"arm{(k + 1) % 5}", end)
+        | {"at_to": ends[(k + 1) % 5].tolist()}
+        for k, end in enumerate(ends)
+    ]
+    return case(bodies, joints)
+
+
+def acting():
+    """Joints with seven rows and with six, whose springs and dampers hold nothing."""
+    drive = {"speed": 0.0}
+    keys = {"spring": {"stiffness": 2.0}, "damper": 0.3}
+    bodies = [bar("a", [0, 0, 0], [1, 0, 0]), bar("b", [1, 0, 0], [1, 1, 0], 2.0)]
+    bodies.append(body("c", 0.5, [0.1, 0.2, 0.25], [1, 1, 0.2], q=(0.6, 0, 0.8, 0)))
+    joints = [joint("hinge", "a", None, [0, 0, 0], Z, drive=drive, **keys)]
+    joints.append(joint("ball", "b", "a", [1, 0, 0], **keys))
+    universal = {"axis_to": Z, "along": "angle about axis"} | keys
+    joints.append(joint("universal", "c", "b", [1, 1, 0], X, **universal))
+    return case(bodies, joints)
+
+
+def at_start(scene):
+    """Joints of a scene, and room to work in."""
+    prepared = prepare(to_system({"run": {"t_end": 1.0, "every": 0.1}, **scene}))
+    (group,) = [own for own in prepared.plan.groups if own.segments[0].terms.joints is not None]
+    joints = group.segments[0].terms.joints
+    state = type(prepared.system.state)(*(v[:, group.members] for v in prepared.system.state))
+    return joints, work_at(joints, state)
+
+
+def turned(y, b, path, angle):
+    """States with body b shifted, and turned in world axes."""
+    moved = y.copy()
+    moved[b, AT : AT + 3] += path
+    q = Rotation.from_rotvec(angle) * Rotation.from_quat(y[b, Q : Q + 4], scalar_first=True)
+    moved[b, Q : Q + 4] = q.as_quat(scalar_first=True)
+    return moved
+
+
+def dense_gradient(joints, y):
+    """∂g/∂(x, θ) of all rows that hold, by central differences, (m, 6 n)."""
+    n, m, h = len(y) - 1, joints.rows.kind.size, 1e-5
+    found = np.zeros((m, n, 6))
+    for b in range(n):
+        for i in range(6):
+            step = np.zeros(6)
+            step[i] = h
+            ends = [turned(y, b, *np.split(sign * step, 2)) for sign in (1, -1)]
+            for r in np.flatnonzero(joints.rows.action == HOLDS):
+                up, down = (residual(joints, end, r, 0.0) for end in ends)
+                found[r, b, i] = (up - down) / (2 * h)
+    return found.reshape(m, -1)
+
+
+def dense_inverse_mass(joints, y):
+    """M⁻¹ of all bodies, world axes."""
+    n = len(y) - 1
+    found = np.zeros((n, 6, n, 6))
+    for b in range(n):
+        R = Rotation.from_quat(y[b, Q : Q + 4], scalar_first=True).as_matrix()
+        found[b, :3, b, :3] = joints.inv_mass[b] * np.eye(3)
+        found[b, 3:, b, 3:] = R @ np.diag(joints.inv_inertia[b]) @ R.T
+    return found.reshape(6 * n, 6 * n)
+
+
+@pytest.mark.parametrize("name", ["mixed_chain", "slider_crank", "bricard", "wheel", "acting"])
+def test_the_factor_solves_what_dense_matrices_say(name):
+    scene = {"wheel": wheel, "acting": acting}.get(name) or SCENES[name]
+    joints, work = at_start(scene())
+    G, inverse = dense_gradient(joints, work.y), dense_inverse_mass(joints, work.y)
+    A = G @ inverse @ G.T
+    b = A @ np.random.default_rng(7).normal(size=len(A))
+    work.z[:] = b
+    assert joints.clusters.body.size == 2
+    factorise_cluster(joints, work, 0, 0.0, 0.0)
+    solve(joints, work, 0)
+    assert A @ work.z == pytest.approx(b, abs=1e-7 * np.abs(b).max())
+    assert (work.z[joints.rows.action != HOLDS] == 0.0).all()
