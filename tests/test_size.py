@@ -25,6 +25,7 @@ BUDGETS = {
     "joints that break": 128,
     "the instant at which they do": 75,
     "joints that merge bodies": 360,
+    "why some do not": 26,
     "springs in balls and universal joints": 58,
     "coordinates by name, along which something acts": 21,
     "contact with every method": 480,

@@ -17,6 +17,7 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, lengths
 from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
+from particlerb.plan.merging import why_rows
 from particlerb.plan.segments import GroupPlan, Plan
 from particlerb.rotors.rotor_class import POINT, ROD
 
@@ -114,6 +115,8 @@ def joint_line(system: System, plan: Plan) -> str:
         line += f", {n_dependent} of them redundant among those of {names}{more}"
         line += " (of reactions there only sums are determined)"
     line = f"{line}; {free} degree{'s' * (free != 1)} of freedom" if bodies else counts
+    reasons = why_rows(system)
+    line += f"; fixed joints keep their rows because of {' and '.join(reasons)}" if reasons else ""
     return line + _merged_words(system)
 
 

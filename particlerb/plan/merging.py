@@ -80,7 +80,7 @@ def _parts_of(system: System) -> _Parts:
     still = np.flatnonzero(system.is_held)
     tie = _Tie(system, [table for table in system.joint if merges(table)])
     label = components(n + 1, [tie], np.r_[n, still])
-    kept = label[_kept_apart(system)]
+    kept = label[np.concatenate(list(_kept_apart(system).values()))]
     others = [table for table in system.joint if not merges(table)]
     if others:
         ends = _Tie(system, others)
@@ -95,21 +95,43 @@ def _parts_of(system: System) -> _Parts:
     return _Parts(host, is_merged, is_merged & (label == of_world))
 
 
-def _kept_apart(system: System) -> Ints:
-    """Bodies on which something acts that is not known to act on merged bodies alike."""
+def _kept_apart(system: System) -> dict[str, Ints]:
+    """Bodies on which something acts that is not known to act on merged bodies alike, by that."""
     n = system.n_bodies
     if system.contact is not None:
-        return np.arange(n)
+        return {"contact": np.arange(n)}
     moves = np.array([body.motion is not None for body in system.body])[system.block]
-    found = [np.flatnonzero(moves)]
+    found = {"a body with `motion`": np.flatnonzero(moves)}
     for force in system.force:
         turns = getattr(force, "frame", "world") == "body" and force.timed is not None
         if force.type not in _KNOWN or turns or getattr(force, "reach", None) is not None:
-            found.append(system.names.find(force.body))
+            own = f"a force of type {force.type}"
+            found[own] = np.r_[found.get(own, []), system.names.find(force.body)].astype(np.int64)
     heavy = attracted(system)
     if heavy.size and heavy.size < n:
-        found.append(np.arange(n))
-    return np.unique(np.concatenate(found))
+        found["attraction of some bodies alone"] = np.arange(n)
+    return found
+
+
+def why_rows(system: System) -> list[str]:
+    """Why `fixed` joints keep their rows; none where all are merged."""
+    whole, n = system if system.merging is None else system.merging.whole, system.n_bodies
+    tables = [table for table in whole.joint if table.type == "fixed"]
+    found = ["`merge = false`"] if any(not table.merge for table in tables) else []
+    if any(table.merge and not merges(table) for table in tables):
+        found.append("a release")
+    tables = [table for table in tables if merges(table)]
+    if not tables:
+        return found
+    tie = _Tie(whole, tables)
+    label = components(n + 1, [tie], np.r_[n, np.flatnonzero(whole.is_held)])
+    is_merged = np.zeros(n, np.bool_) if system.merging is None else system.merging.is_merged
+    inside = np.minimum(tie.second, n - 1)
+    apart = ~is_merged[tie.first] & ~((tie.second < n) & is_merged[inside])
+    kept = label[tie.first[apart]]
+    reasons = _kept_apart(whole).items()
+    named = [reason for reason, own in reasons if np.isin(label[own], kept).any()]
+    return found + (named or ["another joint inside of one body"] * bool(kept.size))
 
 
 def _with_parts(system: System, host: Ints, is_merged: Bools, is_held: Bools) -> System:

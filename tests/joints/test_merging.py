@@ -195,6 +195,28 @@ def test_joints_that_end_keep_their_rows(keys):
 def test_the_plan_names_merged_bodies():
     text = prepare(to_system({"run": {"t_end": 1.0, "every": 0.5}} | spinning())).text
     assert "1 fixed; 2 bodies are merged into 1: a, b" in text
+    assert "keep their rows" not in text
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("keys", "why"),
+    [
+        ({"during": [0.0, 0.5]}, "a release"),
+        ({"merge": False}, "`merge = false`"),
+        ({"force": "drag"}, "a force of type drag"),
+        ({"joint": "ball"}, "another joint inside of one body"),
+    ],
+)
+def test_the_plan_says_why_joints_keep_their_rows(keys, why):
+    own = {key: value for key, value in keys.items() if key not in ("force", "joint")}
+    scene = spinning(**own)
+    if "force" in keys:
+        scene["force"] = [{"type": "drag", "body": "b", "translation": 0.1, "rotation": 0.1}]
+    if "joint" in keys:
+        scene["joint"].append(joint("ball", "a", "b", [0, 0, 0]))
+    text = prepare(to_system({"run": {"t_end": 1.0, "every": 0.5}} | scene)).text
+    assert f"fixed joints keep their rows because of {why}" in " ".join(text.split())
 
 
 @pytest.mark.plain
