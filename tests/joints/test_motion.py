@@ -6,6 +6,8 @@ import pytest
 from holds import misfits
 from scenes import SCENES, Y, Z, bar, body, case, hinge_chain, joint, moved, reference
 
+from particlerb import RunError
+
 ORDERS = {"rattle": 2, "rattle4": 4, "rattle6": 6, "rattle8": 8}
 
 
@@ -254,3 +256,31 @@ def test_equal_mechanisms_of_several_joints_move_alike():
     with moved(many(4), 0.02, 2e-3) as trajectory, moved(links, 0.02, 2e-3) as alone:
         x = np.array(trajectory.position)[-1].reshape(3, 4, 3)
         assert (x == np.array(alone.position)[-1][:, None]).all()
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(("share", "stays"), [(1.99, True), (2.01, False)])
+def test_a_tension_mode_is_stable_up_to_the_limit_of_leapfrog(share, stays):
+    """Two light rods carry T: their middle oscillates with w² = 3 T/(m l), stable for h w < 2."""
+    m, load, push = 0.01, 10.0, 1e-4
+    rods = [
+        bar("upper", [0, 0, 0], [0, 0, -1], m, 0.01, [0.5 * push, 0, 0], [0, -push, 0]),
+        bar("lower", [0, 0, -1], [0, 0, -2], m, 0.01, [0.5 * push, 0, 0], [0, push, 0]),
+    ]
+    weight = body("weight", load, [1.0, 1.0, 1.0], [0, 0, -2])
+    joints = [
+        joint("hinge", "upper", None, [0, 0, 0], Y),
+        joint("ball", "lower", "upper", [0, 0, -1]),
+        joint("ball", "lower", "weight", [0, 0, -2]),
+        joint("slider", "weight", None, [0, 0, -2], Z),
+    ]
+    w = np.sqrt(3 * 9.81 * (load + m) / m)
+    h = share / w
+    scene = case([*rods, weight], joints)
+    if not stays:
+        with pytest.raises(RunError, match="the step is too long for the tension"):
+            moved(scene, 300 * h, h)
+        return
+    with moved(scene, 300 * h, h, every=h) as trajectory:
+        away = np.abs(np.array(trajectory.position)[:, 0, 0])
+    assert away.max() == pytest.approx(0.5 * push / w / np.sqrt(1 - 0.25 * share**2), rel=0.1)
