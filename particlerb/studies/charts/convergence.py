@@ -103,7 +103,7 @@ def _draw_settled(axes: Axes, curves: Sequence[Curve], colours: dict[str, str], 
         ends.append((float(number[-1]), float(error[-1]), title(curve), colours[curve.shape]))
     finish(
         axes, "error that no larger lattice exceeds", xlabel="particles in total",
-        ylabel="relative error of tensor or com", xlim=(1.0, _WIDEST * most), ylim=(_BOTTOM, 1.0),
+        ylabel="relative error of tensor or com", xlim=(0.7, _WIDEST * most), ylim=(_BOTTOM, 1.0),
     )  # fmt: skip
     _name_ends(axes, ends, most, gap=0.16)
     axes.hlines(WANTED, 1.0, most, color=INK, lw=0.8, ls=":")
@@ -121,18 +121,17 @@ def _name_ends(axes: Axes, ends: Sequence[CurveEnd], most: int, gap: float) -> N
 def _draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
     """Sets with the tensor of the solid: a mark with a name, or a line where every n is one."""
     marks = sorted((c for c in curves if len(c.n) == 1), key=lambda curve: curve.particles[0])
-    for k, curve in enumerate(marks):
-        number, error = int(curve.particles[0]), max(float(curve.error[0]), FLOOR)
-        axes.plot(number, error, "o", color=_EXACT, ms=5)
-        axes.annotate(
-            f"{title(curve)} {number}", (number, error), (0.02 + 0.19 * k, 0.84), color=_EXACT,
-            textcoords="axes fraction", arrowprops={"arrowstyle": "-", "color": _EXACT, "lw": 0.6},
-        )  # fmt: skip
+    for curve in marks:
+        error = max(float(curve.error[0]), FLOOR)
+        axes.plot(int(curve.particles[0]), error, "o", color=_EXACT, ms=5)
+    if marks:
+        names = ", ".join(f"{title(curve)} {int(curve.particles[0])}" for curve in marks)
+        write_inside(axes, 0.02, 0.86, f"dots: {names} particles", color=_EXACT)
     cells = [c for c in curves if c.arrangement == "cells"]
-    lines = [([c], f"{title(c)}, any n") for c in curves if len(c.n) > 1 and c not in cells]
+    lines = [([c], title(c)) for c in curves if len(c.n) > 1 and c not in cells]
     if cells:
-        names = title(cells[0]) if len(cells) == 1 else "all curved shapes"
-        lines.append((cells, f"cells of {names}, any n"))
+        names = title(cells[0]) if len(cells) == 1 else "curved shapes"
+        lines.append((cells, f"cells of {names}"))
     ends = []
     for together, name in lines:
         worst = max(FLOOR, *(float(curve.error.max()) for curve in together))
@@ -141,8 +140,8 @@ def _draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
         axes.plot([first, last], [worst, worst], color=_EXACT, lw=1.8)
         ends.append((float(last), worst, name, _EXACT))
     finish(
-        axes, "exact sets: only rounding is left", xlabel="particles in total",
-        xlim=(1.0, _WIDEST * most), ylim=(FLOOR / 2, 1e-12),
+        axes, "exact sets, lines for any n: only rounding is left", xlabel="particles in total",
+        xlim=(0.7, _WIDEST * most), ylim=(FLOOR / 2, 1e-12),
     )  # fmt: skip
     _name_ends(axes, ends, most, gap=0.8)
     axes.set_yticks([FLOOR, 1e-16, 1e-14, 1e-12], _FINE_TICKS)
