@@ -31,7 +31,7 @@ BUDGETS = {
     "contact with every method": 480,
     "impulses": 1350,
     "Newton's method for impulses, the order of bodies in it, a band": 355,
-    "collisions by events": 1410,
+    "collisions by events": 1440,
     "tables of forces": 232,
     "force gradients": 324,
     "forces written by users": 841,

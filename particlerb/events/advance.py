@@ -17,7 +17,10 @@ from particlerb.events.records import (
     OVERLAP,
     OWN,
     PARTNER,
+    REMEMBERED,
+    SINCE,
     STAMP,
+    TURNED,
     UNFOUND,
     WALL,
     EventScene,
@@ -47,6 +50,22 @@ def _hit(scene: EventScene, state: EventState, work: Workspace, b: int, t: float
     return DONE
 
 
+@lean
+def _count_anew(scene: EventScene, state: EventState) -> None:
+    """Count times from a period later on."""
+    for b in range(scene.mass.size):
+        state.flight[b, SINCE] -= scene.period
+        state.spin[b, TURNED] -= scene.period
+        state.at[b, HIT] -= scene.period
+        state.at[b, LEAVE] -= scene.period
+        for k in range(REMEMBERED):
+            state.contact_at[b, k] -= scene.period
+    for k in range(state.heap.size):
+        state.heap_time[k] -= scene.period
+    state.clock[0] -= scene.period
+    state.clock[2] += scene.period
+
+
 @lean_kernel
 def advance(
     scene: EventScene, state: EventState, work: Workspace, until: float, most: int
@@ -55,9 +74,11 @@ def advance(
     for _ in range(most):
         if state.heap.size == 0:
             return DONE, -1
-        b, t, result = state.heap[0], state.heap_time[0], DONE
-        if t > until:
+        if state.heap_time[0] + state.clock[2] > until:
             return DONE, -1
+        if state.heap_time[0] > 2.0 * scene.period:
+            _count_anew(scene, state)
+        b, t, result = state.heap[0], state.heap_time[0], DONE
         c = state.info[b, PARTNER]
         if state.at[b, LEAVE] < state.at[b, HIT]:
             cross(scene, state, b)

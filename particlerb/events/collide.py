@@ -167,7 +167,9 @@ def _geometry(
 @lean
 def _fastest(state: EventState, b: int) -> float:
     """Speed of any point of a body [m/s], at most."""
-    return norm(column3(state.flight, b, V)) + state.spin[b, FASTEST] * state.flight[b, BOUND]
+    return norm(column3(state.flight, b, V)) + float(
+        state.spin[b, FASTEST] * state.flight[b, BOUND]
+    )
 
 
 @lean

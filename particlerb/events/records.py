@@ -1,7 +1,8 @@
 """What collisions by events are made of: constants, bodies on their flights, cells, the queue.
 
 Bodies have numbers of their own here: those that move first, sorted by cell so that neighbours are
-near each other in memory, then those that are held. Times count from the start of the segment.
+near each other in memory, then those that are held. Times count from `clock[2]` after
+the start of the segment, which moves along: late times would have fewer digits.
 """
 
 from typing import Final, NamedTuple
@@ -78,6 +79,7 @@ class EventScene(NamedTuple):
     wall_parameter: Floats  # (n_primitives, 12)
     wall_material: Ints  # (n_primitives,)
     contact_time: float  # [s]
+    period: float  # [s] after which times are counted anew, so that they keep their digits
     looks_around: bool  # whether a body that enters a cell looks at all bodies around it again
     cell_width: float  # [m]
     origin: Floats  # (3,) [m] corner of cell 0, 0, 0
@@ -98,7 +100,7 @@ class EventState(NamedTuple):
     place: Ints  # (n,) in the heap
     contact: Ints  # (n, REMEMBERED) latest contacts of each body with those of higher number
     contact_at: Floats  # (n, REMEMBERED) [s] when
-    clock: Floats  # (2,) [s] of the last event, and how many impacts were at this instant
+    clock: Floats  # (3,) [s] last event; how many impacts were at this instant; [s] where 0 is
     sums: Floats  # (7,) work, impulse, angular impulse
     moment: Floats  # (3,) [kg m s] of all mass on the flights that have ended
     tally: Floats  # (TALLY,)
@@ -121,5 +123,5 @@ def empty_state(n: int, n_moving: int, n_cells: int, columns: int) -> EventState
         np.zeros((n, N_INFO), dtype=np.int64), np.full((n, 2), np.inf), np.full(n_cells, -1),
         np.arange(n_moving), np.full(n_moving, -np.inf), place,
         np.full((n, REMEMBERED), -1), np.full((n, REMEMBERED), -np.inf),
-        np.zeros(2), np.zeros(7), np.zeros(3), np.zeros(TALLY),
+        np.zeros(3), np.zeros(7), np.zeros(3), np.zeros(TALLY),
     )  # fmt: skip

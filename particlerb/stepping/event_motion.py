@@ -68,7 +68,7 @@ class EventMotion(Motion):
         while ends == MORE:
             ends, b = THREADS.timed(advance, self.scene, self.state, self.work, until, _PER_CALL)
         if ends != DONE:
-            now = self.start + float(self.state.heap_time[0])
+            now = self.start + float(self.state.clock[2] + self.state.heap_time[0])
             what = f"at t = {now:.9g} s body {self.group.members[self.order[b]]} cannot continue"
             raise MotionError(f"{what}: {_WHY.get(ends, _SEARCH)}")
 
@@ -77,7 +77,8 @@ class EventMotion(Motion):
         self.run_to(time)
         n, elapsed, moment = self.order.size, time - self.start, np.zeros(3)
         state = State(*(np.zeros((rows, n)) for rows in (3, 4, 3, 3)))
-        THREADS.alone(states_at, self.scene, self.state, elapsed, self.order, state, moment)
+        local = elapsed - float(self.state.clock[2])
+        THREADS.alone(states_at, self.scene, self.state, local, self.order, state, moment)
         booked, g = self.state.sums.copy(), self.scene.gravity
         booked[1:4] += self.scene.mass.sum() * g * elapsed
         booked[4:7] += np.cross(moment, g)
