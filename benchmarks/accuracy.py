@@ -309,7 +309,7 @@ def write(path: Path, line: tuple) -> None:
 def as_page() -> None:
     """Print the table of results/accuracy.csv for docs/accuracy.md: rows with a commit."""
     print(
-        "| scene | asked | choice | error, of what was asked | run [ms] | search [ms] | cheapest |"
+        "| scene | asked | choice | error, of what was asked | kernels [ms] | search [ms] | cheapest |"
     )
     print("| --- | ---: | --- | ---: | ---: | ---: | --- |")
     with (FOLDER / "accuracy.csv").open(newline="", encoding="utf-8") as file:
