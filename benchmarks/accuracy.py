@@ -308,9 +308,8 @@ def write(path: Path, line: tuple) -> None:
 
 def as_page() -> None:
     """Print the table of results/accuracy.csv for docs/accuracy.md: rows with a commit."""
-    print(
-        "| scene | asked | choice | error, of what was asked | kernels [ms] | search [ms] | cheapest |"
-    )
+    names = "scene", "asked", "choice", "error, of what was asked", "kernels [ms]", "search [ms]"
+    print("| " + " | ".join((*names, "cheapest")) + " |")
     print("| --- | ---: | --- | ---: | ---: | ---: | --- |")
     with (FOLDER / "accuracy.csv").open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
