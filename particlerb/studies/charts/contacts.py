@@ -87,7 +87,7 @@ def _key(contacts: Contacts) -> list[Line2D]:
     mean, most = float(force.mean()), float(force.max())
     lines = [
         (_WEAK, 0.5 * _WIDEST * mean / (most or 1.0), f"below the mean force, {mean:.3g} N"),
-        (_STRONG, 0.5 * _WIDEST, f"above it: half of the largest, {0.5 * most:.3g} N"),
+        (_STRONG, _WIDEST * mean / (most or 1.0), "above it"),
         (_STRONG, _WIDEST, f"the largest, {most:.3g} N"),
     ]
     return [Line2D([], [], color=colour, lw=width, label=text) for colour, width, text in lines]
