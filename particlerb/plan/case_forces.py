@@ -84,7 +84,8 @@ def loads_of(system: System) -> list[ResolvedForce]:
 
 
 def _on_hosts(load: ResolvedForce, merging: Merging) -> list[ResolvedForce]:
-    """The same force on the bodies that carry those on which it acts."""
+    """The same force on the bodies that carry those on which it acts; none on what is held."""
+    load = load._replace(members=load.members[~merging.is_held[load.members]])
     own = merging.is_merged[load.members]
     found = [load._replace(members=load.members[~own])] if not own.all() else []
     in_body = getattr(load.force, "frame", "world") == "body"

@@ -20,6 +20,7 @@ from particlerb.model.state import (
     CONJUGATE,
     body_orientation,
     quaternion_product,
+    rotate,
     rotate_back,
     rotation_matrix,
 )
@@ -88,6 +89,8 @@ def _parts_of(system: System) -> _Parts:
     label, of_world = label[:n], label[n]
     is_merged = (np.bincount(label, minlength=n) + (np.arange(n) == of_world) > 1)[label]
     is_merged &= ~np.isin(label, kept)
+    if attracted(system).size:  # the momentum that others take from what is held is not known
+        is_merged &= label != of_world
     is_merged[still] = False
     host, own = np.arange(n), np.flatnonzero(is_merged)
     _, first, part = np.unique(label[own], return_index=True, return_inverse=True)
@@ -195,17 +198,30 @@ def _bodies_of(bodies: Bodies, properties: MassProperties, hosts: Ints) -> Bodie
 
 
 def on_hosts(link: Link, merging: Merging) -> Link:
-    """The same springs between the bodies that carry theirs; without those inside of one."""
-    inside = link.second != WORLD
-    second = np.where(inside, merging.host[link.second], WORLD)
-    first = merging.host[link.first]
-    kept = first != second
-    at, to_at = link.first_at, link.second_at.copy()
-    to_at[:, inside] = merging.placed(link.second[inside], to_at[:, inside])
+    """The same springs between the bodies that carry theirs, and the world where these are held.
+
+    Springs inside of one body, and those between ends that are held, are left out.
+    """
+    whole, is_held = merging.whole, np.append(merging.is_held, True)  # the world is the last
+    is_turned = is_held[link.first] & ~is_held[link.second]
+    first, second = np.where(is_turned, (link.second, link.first), (link.first, link.second))
+    at, to_at = link.first_at, link.second_at
+    at, to_at = np.where(is_turned, (to_at, at), (at, to_at))
+    ends_held = is_held[second] & (second != WORLD)
+    own = second[ends_held]
+    axes = body_orientation(whole.state.q[:, own], whole.bodies.rotor_frame[:, own])
+    to_at[:, ends_held] = whole.state.com[:, own] + rotate(axes, to_at[:, ends_held])
+    second = np.where(ends_held, WORLD, second)
+    inside = second != WORLD
+    to_at[:, inside] = merging.placed(second[inside], to_at[:, inside])
+    at = merging.placed(first, at)
+    kept = ~is_held[first]
+    first, second = merging.host[first], np.where(inside, merging.host[second], WORLD)
+    kept &= first != second
     return link._replace(
         first=first[kept],
         second=second[kept],
-        first_at=merging.placed(link.first, at)[:, kept],
+        first_at=at[:, kept],
         second_at=to_at[:, kept],
         rest_length=link.rest_length[kept],
     )

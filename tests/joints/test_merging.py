@@ -5,10 +5,11 @@ import pytest
 from scenes import bar, body, case, joint, moved
 
 from particlerb import Simulation, joint_loads, resume, run
+from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.maths import quaternion
 from particlerb.plan.merging import merged
-from particlerb.simulation.run import prepare
+from particlerb.simulation.run import prepare, run_prepared
 
 V, W = np.array([0.1, 0.2, 1.0]), np.array([1.0, 2.0, -0.5])
 Q, KNOB_Q = np.array([0.9, 0.1, -0.3, 0.3]), np.array([0.5, 0.5, 0.1, -0.7])
@@ -180,6 +181,38 @@ def test_a_body_fixed_to_the_world_stands_still():
         loads = joint_loads(t)
     assert loads.force[-1, 0] == pytest.approx([-5.0, 0, 4.0 * 9.81])
     assert loads.force[-1, 1] == pytest.approx([-5.0, 0, 2.0 * 9.81])
+
+
+@pytest.mark.parametrize(
+    "acting",
+    [
+        {"force": [{"type": "push", "body": "a", "force": [1, 0, 2], "at": [0.1, 0.2, 0]}]},
+        {"force": [{"type": "push", "body": "a", "force": [1, 0, 2], "frame": "body"}]},
+        {"force": [{"type": "torque", "body": "a", "torque": [1, 0, 2]}]},
+        {"force": [{"type": "spring", "body": "a", "anchor": [1, 0, 1], "stiffness": 3.0}]},
+        {"force": [{"type": "spring", "body": "a", "to": "b", "stiffness": 3.0,
+                    "at": [0.1, 0.2, 0.3], "to_at": [0.1, 0, 0.1], "damping": 0.5}]},
+        {"force": [{"type": "spring", "body": "b", "to": "a", "stiffness": 3.0,
+                    "at": [0.1, 0, 0.1], "to_at": [0.1, 0.2, 0.3]}]},
+        {"attraction": {"G": 1.0}},
+    ],
+)  # fmt: skip
+def test_what_acts_on_a_body_fixed_to_the_world_goes_into_its_joint_alone(acting):
+    """Free bodies move, momenta are kept and the joint carries as where it keeps its rows."""
+    held = bar("a", [0.0, 0.2, 0.1], [1.0, 0.2, 0.1])
+    free = bar("b", [2.0, 0.0, 0.3], [2.5, 0.0, 0.3], velocity=[0.0, 0.3, 0.0])
+    both = []
+    for merge in (True, False):
+        made = case([held, free], [joint("fixed", "a", merge=merge)], **acting)
+        made["output"] = {"fields": [*RECORDED, *LOADS]}
+        made["run"] = {"t_end": 0.2, "every": 0.1, "dt": 0.002, "threads": 1}
+        drift = run_prepared(prepare(to_system(load(made))), None).drift
+        assert max(drift.linear_momentum, drift.angular_momentum) < 1e-13
+        with run(made) as trajectory:
+            own = [np.array(trajectory.read(name))[-1] for name in RECORDED]
+            both.append([*own, *(trajectory.observed(name)[-1] for name in LOADS)])
+    for merged_, rows in zip(*both, strict=True):
+        assert np.abs(merged_ - rows).max() < 1e-5 * max(1.0, np.abs(rows).max())
 
 
 @pytest.mark.parametrize("keys", [{"during": [0.0, 0.5]}, {"breaks_at": {"force": 9.0}}])
