@@ -24,7 +24,7 @@ BUDGETS = {
     "prescribed motion in joints, and driven bodies there": 335,
     "joints that break": 128,
     "the instant at which they do": 75,
-    "joints that merge bodies": 360,
+    "joints that merge bodies": 370,
     "why some do not": 26,
     "springs in balls and universal joints": 58,
     "coordinates by name, along which something acts": 21,
