@@ -2,6 +2,8 @@
 
 from typing import Final
 
+import numpy as np
+
 from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.events.collide import collide
 from particlerb.events.predict import cross, predict
@@ -29,15 +31,18 @@ from particlerb.events.records import (
 )
 from particlerb.impulses.records import RENEWED
 
-_AT_ONCE: Final = 1000  # impacts of a body at one instant, on average, that are taken for endless
+_AT_ONCE: Final = 1000  # impacts of a body in an instant, on average, that are taken for endless
+_INSTANT: Final = 1e-5  # share of the period
 
 
 @lean
 def _hit(scene: EventScene, state: EventState, work: Workspace, b: int, t: float) -> int:
     """Let the impact of body b happen; how that ends."""
     c = state.info[b, PARTNER]
-    same = t == state.clock[0]
-    state.clock[0], state.clock[1] = t, state.clock[1] + 1.0 if same else 1.0
+    instant = _INSTANT * scene.period if scene.period < np.inf else 0.0
+    if t - state.clock[0] > instant:
+        state.clock[0], state.clock[1] = t, 0.0
+    state.clock[1] += 1.0
     if state.clock[1] > _AT_ONCE * scene.n_moving:
         return ENDLESS
     first, second = (b, c) if c < 0 else (min(b, c), max(b, c))

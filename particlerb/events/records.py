@@ -51,7 +51,7 @@ REMEMBERED: Final = 8  # latest contacts of a body whose times are kept
 # How a call of the kernel ends
 DONE: Final = 0
 MORE: Final = 1  # as many events as it may take, and time is left
-ENDLESS: Final = 2  # impacts at one instant do not come to an end
+ENDLESS: Final = 2  # impacts do not come to an end
 OVERLAP: Final = 3  # spheres overlap by more than rounding
 UNFOUND: Final = 4  # a search took too many steps
 
@@ -100,7 +100,7 @@ class EventState(NamedTuple):
     place: Ints  # (n,) in the heap
     contact: Ints  # (n, REMEMBERED) latest contacts of each body with those of higher number
     contact_at: Floats  # (n, REMEMBERED) [s] when
-    clock: Floats  # (3,) [s] last event; how many impacts were at this instant; [s] where 0 is
+    clock: Floats  # (3,) [s] start of an instant; impacts since then; [s] where 0 is
     sums: Floats  # (7,) work, impulse, angular impulse
     moment: Floats  # (3,) [kg m s] of all mass on the flights that have ended
     tally: Floats  # (TALLY,)

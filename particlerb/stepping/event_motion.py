@@ -27,7 +27,7 @@ from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays
 
 _PER_CALL: Final = 100_000  # events: progress and Ctrl-C in between
 _WHY: Final = {
-    ENDLESS: "its impacts at one instant do not come to an end: give a longer contact.contact_time",
+    ENDLESS: "impacts follow each other ever faster: give a longer contact.contact_time",
     OVERLAP: "it overlaps what it hits by more than rounding: an impact was missed",
 }
 _SEARCH: Final = "the search for its next impact does not end: it slides along what it touches"

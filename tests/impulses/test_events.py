@@ -174,6 +174,14 @@ def test_a_ball_comes_to_rest_by_elastic_bounces_within_the_contact_time():
 
 
 @plain
+def test_without_a_contact_time_a_ball_that_comes_to_rest_ends_the_run():
+    ball = sphere(position=[0, 0, R + 0.1])
+    keys = {"wall": [plane()], "gravity": DOWN, "t_end": 1.0, "every": 0.5}
+    with pytest.raises(particlerb.RunError, match="ever faster: give a longer contact.contact"):
+        go(ball, contact=events(0.5, contact_time=0.0), **keys)
+
+
+@plain
 def test_what_is_seen_changes_nothing_and_a_run_is_resumed_bit_for_bit(tmp_path):
     bodies, contact = clumps(4), events(0.8, 0.3)
     keys = {"wall": [BOX | {"lower": [-2] * 3, "upper": [2] * 3}], "gravity": DOWN}
