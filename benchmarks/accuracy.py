@@ -19,7 +19,7 @@ import argparse
 import csv
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -224,13 +224,15 @@ def ladder(study: Study, wanted: float) -> list[Rung]:
     return rungs
 
 
-def scipy_times(study: Study, wanted: list[float]) -> dict[float, float]:
-    """Least processor times of SciPy's joint DOP853 with an error that is small enough [s]."""
+def scipy_times(
+    study: Study, wanted: list[float], clock: Callable[[], float] = time.process_time
+) -> dict[float, float]:
+    """Least times of SciPy's joint DOP853 with an error that is small enough [s]."""
     (engine,) = engines(("scipy",))
     scene = peer_scene(study.system)
     last = part(study.system, study.plan("auto", None), study.which)
     found = dict.fromkeys(wanted, np.nan)
-    with THREADS.using(1, time.process_time):
+    with THREADS.using(1, clock):
         for tolerance in engine.variants["DOP853"]:
             result = engine.run(scene, "DOP853", tolerance)
             error = peer_errors(

@@ -8,7 +8,7 @@ runs its ladder of steps or tolerances (benchmarks/peers); what counts is its le
 worst orientation error below the wanted one, beside ours in the same run, one thread. Times are
 those of the stepping loops: for ours the time in kernels, set-up of the motion included. For the
 single body the closed form is also measured in a batch of 100 000 such bodies, since a call of a
-kernel from Python costs more than one body does. Of tops, the processor time of what `run.accuracy`
+kernel from Python costs more than one body does. Of tops, the time of what `run.accuracy`
 does is printed too: the search and the motion, Python included, and not the plan. `--record` adds
 the figures to results/peers.csv, `--scenes " symmetric"` runs those with this in their title,
 `--methods exact` those methods of ours.
@@ -134,17 +134,17 @@ def compared(found: WorkPrecision, wanted: float) -> list[tuple[str, float]]:
 
 
 def as_asked(system: System, wanted: float, repeats: int = 7) -> float:
-    """Processor time of search and motion for `run.accuracy`, one thread, without the plan [s]."""
+    """Time of search and motion for `run.accuracy`, one thread, without the plan [s]."""
     THREADS.use(1)
     free = system.with_run(accuracy=wanted, method="auto")
     plan, taken = make_plan(free), []
     for _ in range(repeats + 1):  # the first compiles
-        started = time.process_time()
+        started = time.perf_counter()
         found = [(group, search(free, group)) for group in plan.groups]
         chosen = tuple(g if one is None else stepped_by(g, one.stepping) for g, one in found)
         own = part(free, plan._replace(groups=chosen), np.arange(len(free.kind)))
         states_at(own, np.array([free.run.t_end]))
-        taken.append(time.process_time() - started)
+        taken.append(time.perf_counter() - started)
     return float(np.median(taken[1:]))
 
 
