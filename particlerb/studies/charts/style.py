@@ -71,6 +71,8 @@ def name_curves(axes: Axes, ends: Sequence[CurveEnd], x: float, gap: float) -> N
 
 def _spread_apart(level: Floats, gap: float, lowest: float, highest: float) -> Floats:
     """Ascending levels moved apart to this gap, as far up as down, and between two if they can."""
+    if not len(level):
+        return level
     steps = gap * np.arange(len(level))
     rising = np.maximum.accumulate(level - steps)
     falling = np.minimum.accumulate((level - steps)[::-1])[::-1]
