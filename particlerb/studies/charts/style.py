@@ -71,7 +71,7 @@ def name_curves(axes: Axes, ends: Sequence[CurveEnd], x: float, gap: float) -> N
 
 def _spread_apart(level: Floats, gap: float, lowest: float, highest: float) -> Floats:
     """Ascending levels moved apart to this gap, as far up as down, and between two if they can."""
-    if not len(level):
+    if level.size == 0:
         return level
     steps = gap * np.arange(len(level))
     rising = np.maximum.accumulate(level - steps)
