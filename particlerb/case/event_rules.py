@@ -16,7 +16,7 @@ def event_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Findin
         if given(contact, "contact_time"):
             yield ("contact", "contact_time"), "is for events", 'take law = "events"'
         return
-    yield from _number_rules(raw, contact)
+    yield from _number_rules(contact)
     yield from _term_rules(raw)
     for kind in ("wall", "body"):
         for i, table in tables(raw, kind):
@@ -29,13 +29,11 @@ def event_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Findin
             yield ("output", "fields", i), reason, "leave it out; `impacts` counts them"
 
 
-def _number_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Finding]:
+def _number_rules(contact: dict[str, Any]) -> Iterator[Finding]:
     """Keys of [contact] that events have no use for, and restitutions that they cannot have."""
-    for key in ("attract", "allow_unstable", "relax"):
-        if contact.get(key) is True:
+    for key in ("attract", "allow_unstable", "relax", "skin"):
+        if given(contact, key) and contact[key] is not False:
             yield ("contact", key), "collisions by events have no use for it", "leave it out"
-    if given(contact, "skin"):
-        yield ("contact", "skin"), "collisions by events have no use for it", "leave it out"
     if number(contact, "overlap"):
         yield ("contact", "overlap"), "collisions by events begin without overlap", "leave it out"
     yield from _without_restitution(("contact",), contact)

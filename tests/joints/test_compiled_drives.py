@@ -28,7 +28,9 @@ def test_a_load_tears_off_a_cart_that_slides_on_a_driven_base():
     with moved(case([base, cart, bob, bell], joints, output=OUTPUT), 1.0, 2e-3, every=0.02) as t:
         time, x, v = t.time, np.array(t.position), np.array(t.velocity)
         at, turned = float(t.joint_break_time[-1, 1]), angle(t, 3)
-        assert np.abs(t.ledger.energy_error).max() < 1e-4
+        lost = np.abs(t.ledger.energy_error)
+        assert lost[time < at].max() < 4 * 2e-3**2
+        assert lost.max() < 40 * 2e-3**2  # the instant of the break is of second order
         assert np.abs(t.ledger.linear_momentum_error).max() < 1e-12
     w = np.sqrt(50.0 - 1.0)
     assert turned == pytest.approx(0.6 / w * np.exp(-time) * np.sin(w * time), abs=1e-5)
