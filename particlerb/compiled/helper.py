@@ -2,27 +2,25 @@
 
 Numba makes machine code of each function that it compiles, and two entries for calls from outside,
 though of a helper nothing is used but the copy in its caller. Here a helper ends before that, which
-takes a quarter of the time off a first run. Called from Python, as tests do, it is compiled as any
-other function. Without optimising it here as well a first run would be shorter by another eighth,
-but contact would be rounded otherwise: what is fused to a b + c depends on it.
+takes a quarter of the time off a first run. What it ends with is kept on disk: a scene with another
+set of forces finds there all that it shares with those before, which is half of its first run.
+Called from Python, as tests do, it is compiled as any other function. Without optimising it here as
+well a first run would be shorter by another eighth, but contact would be rounded otherwise: what is
+fused to a b + c depends on it.
 """
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, Final, TypeAlias, cast
 
-from numba.core import codegen, compiler, registry
+from llvmlite import binding
+from numba.core import caching, codegen, compiler, registry
 
 from particlerb.compiled.vector_width import numbas_compiler
 
 Function: TypeAlias = Callable[..., Any]
 Compiles: TypeAlias = Callable[[Function], Function]
-_ONLY_COPIED: Final = {
-    "nopython": True,
-    "forceinline": True,
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-}
+_ONLY_COPIED: Final = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 class _CopiedCode(codegen.JITCodeLibrary):
@@ -35,7 +33,46 @@ class _CopiedCode(codegen.JITCodeLibrary):
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         code._optimize_final_module()
         self._final_module.verify()
+        code._finalize_dynamic_globals()
         self._finalized = True
+
+    def serialize_using_object_code(self) -> tuple[str, bytes]:
+        """What is kept on disk: there is no object."""
+        code: Any = self
+        return self.name, code._get_module_for_linking().as_bitcode()
+
+
+class KeptCode(caching.CompileResultCacheImpl):
+    """How a helper is kept on disk, and made again from there: by its optimised code."""
+
+    @property
+    def filename_base(self) -> str:
+        """Name of its files: the same function may be kept as a kernel too."""
+        return f"{super().filename_base}.copied"
+
+    def rebuild(self, context: Any, payload: Any) -> Any:
+        """The result of a compilation that was kept."""
+        (name, code), described, environment, signature, *_, environments = payload
+        library = cast(Any, _CopiedCode)(context.codegen(), name)
+        library._final_module = binding.parse_bitcode(code)
+        library._finalized = True
+        return cast(Any, compiler.compile_result)(
+            target_context=context,
+            typing_context=context.typing_context,
+            library=library,
+            environment=environment,
+            entry_point=object(),
+            fndesc=described,
+            type_annotation="",
+            signature=signature,
+            objectmode=False,
+            lifted=(),
+            typing_error=None,
+            call_helper=None,
+            metadata=None,
+            reload_init=(),
+            referenced_envs=environments,
+        )
 
 
 class _Copying(compiler.CompilerBase):
@@ -59,12 +96,27 @@ class Helper(registry.CPUDispatcher):
         Of Numba.
     compiled : callable
         Compiles a function that is called from Python.
+    keep : callable, optional
+        Lets the code of a helper be kept on disk, when it is first needed.
     """
 
-    def __init__(self, function: Function, options: Mapping[str, Any], compiled: Compiles) -> None:
+    def __init__(
+        self,
+        function: Function,
+        options: Mapping[str, Any],
+        compiled: Compiles,
+        keep: Callable[[Any], None] | None = None,
+    ) -> None:
         stops_early = type("_CopyingCompiler", (_Copying, numbas_compiler()), {})
         super().__init__(function, {}, {**options, **_ONLY_COPIED}, stops_early)
-        self.compiled = compiled
+        self.compiled, self.keep = compiled, keep
+
+    def compile(self, signature: Any) -> Any:
+        """Code for a signature, from disk or from the compiler."""
+        if self.keep is not None:
+            self.keep(self)
+            self.keep = None
+        return super().compile(signature)
 
     @cached_property
     def alone(self) -> Function:

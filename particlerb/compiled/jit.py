@@ -2,9 +2,10 @@
 
 `inline` is for helpers of scalars and tuples, which have no code of their own (see `helper`),
 `kernel` for loops over bodies; kernels run without the interpreter's lock, so that `threads` can
-spread them. `splice` is for a function that does no more than call others: it is copied into its
-callers, and not compiled by itself. `lean` and `lean_kernel` do not count who uses an array, which
-costs 5 ns for each that a loop takes out of a tuple or hands to a helper: they can make none.
+spread them. Both are kept on disk. `splice` is for a function that does no more than call others:
+it is copied into its callers, and not compiled by itself. `lean` and `lean_kernel` do not count who
+uses an array, which costs 5 ns for each that a loop takes out of a tuple or hands to a helper: they
+can make none.
 Numba's cache does not notice an edit in another file, nor a changed NUMBA_* flag; so the cache
 folder has a hash of all of it in its name. Nor does it notice that a file was cut or changed, or
 give up where none can be written: each file has a hash of its content, what is damaged is compiled
@@ -30,7 +31,7 @@ from typing import Any, Final, TypeAlias, TypeVar, cast
 import numba
 from numba.core import caching
 
-from particlerb.compiled.helper import Helper
+from particlerb.compiled.helper import Helper, KeptCode
 from particlerb.compiled.vector_width import numbas_compiler
 
 config: Any = numba.config
@@ -181,7 +182,9 @@ class _CheckedFiles(caching.IndexDataCacheFile):
 class _KernelCache(caching.FunctionCache):
     """Numba's cache of a kernel, that never ends a run."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], is_copied: bool) -> None:
+        if is_copied:
+            self._impl_class = KeptCode
         super().__init__(function)
         stamp = self._impl.locator.get_source_stamp()
         self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
@@ -211,7 +214,7 @@ def keep(dispatcher: Any) -> None:
     before = config.CACHE_DIR
     config.CACHE_DIR = CACHE_FOLDER  # read while a cache is made, and for our code only
     try:
-        cache = _KernelCache(dispatcher.py_func)
+        cache = _KernelCache(dispatcher.py_func, isinstance(dispatcher, Helper))
     except (OSError, RuntimeError):  # RuntimeError: there is no place for it
         warn_once(CACHE_FOLDER)
         return
@@ -243,15 +246,17 @@ def _helper(**options: Any) -> Callable[[Function], Function]:
     def decorate(function: Function) -> Function:
         if CACHE_FOLDER is None:
             return function
-        return cast(Function, Helper(function, _FLAGS | options, compile_with(**options)))
+        is_generated = function.__code__.co_filename.startswith("<")
+        kept = None if is_generated else keep
+        return cast(Function, Helper(function, _FLAGS | options, compile_with(**options), kept))
 
     return decorate
 
 
-inline = _helper()
+inline = _helper(forceinline=True)
 splice = compile_with(inline="always")
 kernel = compile_with(cache=True, nogil=True)
-lean = _helper(_nrt=False)
+lean = _helper(forceinline=True, _nrt=False)
 lean_kernel = compile_with(cache=True, nogil=True, _nrt=False)
 
 

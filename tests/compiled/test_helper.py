@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from particlerb.compiled.jit import config, inline, kernel
+from particlerb.compiled.jit import compile_with, config, inline, kernel
 
 pytestmark = [
     pytest.mark.compiled,
@@ -74,6 +74,22 @@ def test_a_helper_can_be_called_from_python_before_and_behind_a_kernel():
     assert square(x=2) == 4.0
     assert square.py_func(5.0) == 25.0
     assert _fourth(2.0) == 16.0
+
+
+def test_another_kernel_finds_the_code_of_a_helper_on_disk():
+    def sums(helper):
+        def both(x):
+            return helper(x) + helper(2.0 * x)
+
+        return compile_with()(both)
+
+    first, second = inline(_checked.py_func), inline(_checked.py_func)
+    made = sums(first)(4.0)
+    assert sums(second)(4.0) == made == 2.0 + math.sqrt(8.0)
+    assert sum(second.stats.cache_hits.values()) == 1
+    assert machine_code(second) == []
+    with pytest.raises(ValueError, match="below zero"):
+        sums(second)(-1.0)
 
 
 def test_an_error_of_a_helper_leaves_the_kernel():
