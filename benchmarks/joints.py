@@ -1,11 +1,13 @@
 """Measure bodies that joints hold: time per link and step of chains, and MuJoCo beside.
 
-    python benchmarks/joints.py              # chains of 10, 100 and 1000 links, rattle
-    python benchmarks/joints.py --peers      # also chain6 and Bricard's mechanism by MuJoCo
+    python benchmarks/joints.py --cost       # chains of 10, 100 and 1000 links; equal mechanisms
+    python benchmarks/joints.py --peers      # chain6 and Bricard's mechanism to 1e-8 m; MuJoCo
+    python benchmarks/joints.py --energy     # Bricard's mechanism over a million steps
+    python benchmarks/joints.py --masses     # two rods of which one is a million times as heavy
+    python benchmarks/joints.py --cost --record   # and add the figures to results/joints.csv
 
 Processor seconds, medians of interleaved rounds; each figure is the difference of a long and a
-short run, so that what happens once does not count. Goals: 1000 links cost at most 1.3 times as
-much per link and step as 10, and each of 1000 equal mechanisms a third of one alone.
+short run, so that what happens once does not count. docs/joints.md has what was asked.
 """
 
 import argparse
@@ -13,14 +15,17 @@ import itertools
 import statistics
 import sys
 import time
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from results import record
 
 import particlerb
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "joints"))
-from scenes import SCENES, X, Y, Z, hinge_chain, reference
+from scenes import SCENES, X, Y, Z, bar, case, hinge_chain, joint, reference
 
 LINKS = (10, 100, 1000)
 ROUNDS = 3
@@ -29,11 +34,19 @@ STEP = 1e-4  # s
 LENGTH = 0.1  # m, of a link
 LINK_STEPS = 1_000_000
 ERRORS = {"chain6": 0.5, "bricard": 1.0}  # s, when they are compared with references
+GOAL = 1e-8  # m
 OURS = {
-    "chain6": [("rattle", 0.005), ("rattle4", 0.005), ("rattle6", 0.01), ("rattle8", 0.02)],
-    "bricard": [("rattle", 0.01), ("rattle4", 0.04), ("rattle6", 0.04), ("rattle8", 0.04)],
+    "chain6": [("rattle6", (0.01, 0.005)), ("rattle8", (0.02, 0.01))],
+    "bricard": [("rattle", (0.01,)), ("rattle4", (0.04, 0.02)), ("rattle6", (0.05, 0.04))],
 }
-PEERS = {"chain6": [0.01, 0.005, 0.002, 0.001], "bricard": [0.005, 0.001, 0.0002]}
+PEERS = {"chain6": [0.005, 0.002, 0.001], "bricard": [0.005, 0.001, 0.0002]}
+STEPS = 1_000_000  # of which the energy is kept
+ENERGY = {"rattle": 0.01, "rattle8": 0.04}  # s
+FRAMES = 10_000
+MEANS = 50  # of the energy, one after the other: a line is fitted to them
+MASSES = {"outer rod 1e6 times as heavy": 1e6, "outer rod 1e6 times as light": 1e-6}
+RATIO_STEPS = (0.002, 0.001)  # s
+Row = tuple[str, float]
 POINTS = [[0, 0, 0], [1, 0, 0], [1, -1, 0], [1, -1, 1], [0, -1, 1], [0, 0, 1]]
 
 
@@ -48,53 +61,102 @@ def seconds(scene: dict, method: str, dt: float, steps: int) -> float:
     return found[1] - found[0]
 
 
-def chains() -> None:
+def medians(scenes: dict[int, dict], bodies: int) -> dict[int, float]:
+    """Time per step of each scene of n times so many bodies, over n times so many [s]."""
+    found: dict[int, list[float]] = {n: [] for n in scenes}
+    seconds(scenes[min(scenes)], "rattle", STEP, 1)  # compiles
+    for _, n in itertools.product(range(ROUNDS), scenes):
+        steps = LINK_STEPS // (bodies * n)
+        found[n].append(seconds(scenes[n], "rattle", STEP, steps) / (steps * bodies * n))
+    return {n: statistics.median(values) for n, values in found.items()}
+
+
+def chains() -> list[Row]:
     """Time per link and step, and 1000 links beside 10."""
-    scenes = {n: hinge_chain(n, LENGTH * n) for n in LINKS}
-    found: dict[int, list[float]] = {n: [] for n in LINKS}
-    seconds(scenes[LINKS[0]], "rattle", STEP, 1)  # compiles
-    for _, n in itertools.product(range(ROUNDS), LINKS):
-        steps = LINK_STEPS // n
-        found[n].append(seconds(scenes[n], "rattle", STEP, steps) / (steps * n))
-    medians = {n: statistics.median(values) for n, values in found.items()}
-    for n in LINKS:
-        print(f"{n:5d} links: {1e6 * medians[n]:.2f} µs a link and step")
-    ratio = medians[LINKS[-1]] / medians[LINKS[0]]
-    print(f"1000 links over 10 links, per link: {ratio:.2f} (goal 1.3)")
+    found = medians({n: hinge_chain(n, LENGTH * n) for n in LINKS}, 1)
+    rows = [(f"{n} links, us a link and step", 1e6 * found[n]) for n in LINKS]
+    return [*rows, ("1000 links over 10 links, each", found[LINKS[-1]] / found[LINKS[0]])]
 
 
-def equal_mechanisms() -> None:
+def equal_mechanisms() -> list[Row]:
     """Time per mechanism and step of a thousand equal double rods, beside one."""
     one = SCENES["double_rod"]()
     bodies = [
         b | {"count": MECHANISMS, "position": [b["position"]] * MECHANISMS} for b in one["body"]
     ]
-    scenes = {1: one, MECHANISMS: {**one, "body": bodies}}
-    found: dict[int, list[float]] = {n: [] for n in scenes}
-    seconds(one, "rattle", STEP, 1)
-    for _, n in itertools.product(range(ROUNDS), scenes):
-        steps = LINK_STEPS // (4 * n)
-        found[n].append(seconds(scenes[n], "rattle", STEP, steps) / (steps * n))
-    medians = {n: statistics.median(values) for n, values in found.items()}
-    ratio = medians[MECHANISMS] / medians[1]
-    print(f"{MECHANISMS} equal mechanisms over one, each: {ratio:.2f} (goal 0.33)")
+    found = medians({1: one, MECHANISMS: {**one, "body": bodies}}, 2)
+    rows = [("one double rod, us a body and step", 1e6 * found[1])]
+    rows.append(("1000 double rods, us a body and step", 1e6 * found[MECHANISMS]))
+    return [*rows, ("1000 double rods over one, each", found[MECHANISMS] / found[1])]
 
 
-def ours(name: str) -> None:
+def to_reach(points: list[tuple[float, float]]) -> float:
+    """Cost of the error that is the goal, between the points (error, cost) beside it; or NaN."""
+    points = sorted(points)
+    for (e, c), (f, d) in itertools.pairwise(points):
+        if e <= GOAL <= f:
+            share = np.log(GOAL / e) / np.log(f / e)
+            return float(np.exp((1 - share) * np.log(c) + share * np.log(d)))
+    return np.nan
+
+
+def ours(name: str) -> list[Row]:
     """Error and cost of our methods on a mechanism with a reference."""
-    t, scene = ERRORS[name], SCENES[name]()
-    for method, dt in OURS[name]:
-        times = {"t_end": t, "every": t, "dt": dt, "method": method}
+    t, scene, rows = ERRORS[name], SCENES[name](), []
+    for method, spans in OURS[name]:
+        points = []
+        for dt in spans:
+            times = {"t_end": t, "every": t, "dt": dt, "method": method}
+            with particlerb.run({"run": times, **scene}) as trajectory:
+                error = np.abs(np.array(trajectory.position)[-1] - reference(name, t)[0]).max()
+            steps = round(20 * t / dt)
+            cost = statistics.median(seconds(scene, method, dt, steps) for _ in range(ROUNDS))
+            points.append((error, 1e3 * cost / (steps * dt)))
+        rows += told(f"{name} {method}", spans, points)
+    return rows
+
+
+def told(name: str, spans: Sequence[float], points: list[tuple[float, float]]) -> list[Row]:
+    """Rows of points (error [m], cost [ms/s]) at steps, and of the cost at the goal."""
+    rows = []
+    for dt, (error, cost) in zip(spans, points, strict=True):
+        rows += [(f"{name} {dt:g} s, error m", error), (f"{name} {dt:g} s, ms/s", cost)]
+    return [*rows, (f"{name} to {GOAL:g} m, ms/s", to_reach(points))]
+
+
+def energy() -> list[Row]:
+    """Errors of the energy of Bricard's mechanism, and how fast they grow."""
+    rows = []
+    for method, dt in ENERGY.items():
+        t = STEPS * dt
+        times = {"t_end": t, "every": t / FRAMES, "dt": dt, "method": method, "threads": 1}
+        output = {"fields": ["position"]}
+        with particlerb.run({"run": times, "output": output, **SCENES["bricard"]()}) as trajectory:
+            error = trajectory.observable("energy_error")[1:]
+        name = f"Bricard {method} {dt:g} s, {STEPS:.0e} steps"
+        rows.append((f"{name}, largest error of the energy J", np.abs(error).max()))
+        means = error.reshape(MEANS, -1).mean(axis=1)
+        (slope, _), covariance = np.polyfit(np.arange(MEANS), means, 1, cov=True)
+        rows.append((f"{name}, growth of the fitted line J", slope * MEANS))
+        rows.append((f"{name}, slope over its standard error", slope / covariance[0, 0] ** 0.5))
+    return rows
+
+
+def masses() -> list[Row]:
+    """Errors of the energy, over the largest kinetic energy, of rods of unequal mass."""
+    rows = []
+    for (name, ratio), dt in itertools.product(MASSES.items(), RATIO_STEPS):
+        rods = [bar("a", [0, 0, 0], [1, 0, 0]), bar("b", [1, 0, 0], [1, 1, 0], ratio)]
+        scene = case(rods, [joint("ball", "a"), joint("ball", "b", "a", [1, 0, 0])])
+        times = {"t_end": 10.0, "every": 0.02, "dt": dt, "method": "rattle6", "threads": 1}
         with particlerb.run({"run": times, **scene}) as trajectory:
-            error = np.abs(np.array(trajectory.position)[-1] - reference(name, t)[0]).max()
-        steps = round(20 * t / dt)
-        cost = statistics.median(seconds(scene, method, dt, steps) for _ in range(ROUNDS))
-        print(
-            f"{name:8} {method:8} {dt:7.4f} s: {error:.1e} m, {1e3 * cost / (steps * dt):.2f} ms/s"
-        )
+            found = np.max(trajectory.observable("kinetic_energy"))
+            error = np.abs(trajectory.observable("energy_error")).max() / found
+        rows.append((f"{name}, rattle6 {dt:g} s, 10 s, dE/E", error))
+    return rows
 
 
-def bar(k: int, start: list, mass: float, side: float, axis: list, inner: str) -> str:
+def mujoco_bar(k: int, start: list, mass: float, side: float, axis: list, inner: str) -> str:
     """A bar of a chain in MuJoCo's words, with what hangs on it."""
     from_, to = np.array(start[k], float), np.array(start[k + 1], float)
     length = np.linalg.norm(to - from_)
@@ -125,16 +187,16 @@ def mujoco_model(name: str) -> str:
         closing = "".join(f'<connect body1="b4" anchor="{p}" {soft}/>' for p in place)
     inner = ""
     for k in reversed(range(len(links))):
-        inner = bar(k, points, *links[k], inner)
+        inner = mujoco_bar(k, points, *links[k], inner)
     option = f'<option gravity="{g}" integrator="RK4"/>'
     return f"<mujoco>{option}<worldbody>{inner}</worldbody><equality>{closing}</equality></mujoco>"
 
 
-def peers(name: str) -> None:
+def peers(name: str) -> list[Row]:
     """Error and cost of MuJoCo's RK4."""
     import mujoco
 
-    t = ERRORS[name]
+    t, points = ERRORS[name], []
     model = mujoco.MjModel.from_xml_string(mujoco_model(name))
     for dt in PEERS[name]:
         model.opt.timestep = dt
@@ -147,21 +209,32 @@ def peers(name: str) -> None:
             start = time.process_time()
             mujoco.mj_step(model, data, nstep=round(4 * t / dt))
             costs.append((time.process_time() - start) / (4 * t))
-        cost = statistics.median(costs)
-        print(f"{name:8} MuJoCo   {dt:7.4f} s: {error:.1e} m, {1e3 * cost:.2f} ms/s")
+        points.append((error, 1e3 * statistics.median(costs)))
+    return told(f"{name} MuJoCo", PEERS[name], points)
+
+
+MEASURED = {
+    "cost": (chains, equal_mechanisms),
+    "peers": [partial(f, name) for name in ERRORS for f in (ours, peers)],
+    "energy": (energy,),
+    "masses": (masses,),
+}
 
 
 def main() -> None:
     """Measure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--peers", action="store_true", help="MuJoCo beside")
-    chosen = parser.parse_args()
-    chains()
-    equal_mechanisms()
-    if chosen.peers:
-        for name in ERRORS:
-            ours(name)
-            peers(name)
+    for name in MEASURED:
+        parser.add_argument(f"--{name}", action="store_true")
+    parser.add_argument("--record", action="store_true", help="add to results/joints.csv")
+    chosen = vars(parser.parse_args())
+    for name, functions in MEASURED.items():
+        for measure in functions if chosen[name] else ():
+            rows = measure()
+            for figure, value in rows:
+                print(f"{figure}: {value:.3g}", flush=True)
+            if chosen["record"]:
+                record("joints", rows)
 
 
 if __name__ == "__main__":
