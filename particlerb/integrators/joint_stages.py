@@ -142,7 +142,7 @@ def _book_given(
         by_joints = subtract(vector(work.y, k, P), get3(rows, COM + P, b))
         turning = subtract(vector(work.y, k, L), get3(rows, COM + L, b))
         q = get4(rows, COM + Q, b)
-        spin = by_inverse_inertia(joints, q, k, turning)
+        spin = by_inverse_inertia(joints.inv_inertia, q, k, turning)
         found = joints.inv_mass[k] * dot(get3(rows, STAGE, b), by_joints)
         found += dot(get3(rows, STAGE + 3, b), spin)
         book(books, rows, b, 0.5, (found, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))

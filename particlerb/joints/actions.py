@@ -55,7 +55,7 @@ def set_compliance(joints: Joints, work: Work, r: int, span: float) -> None:
     c = 0.0
     if span > 0.0:
         c = joints.actions.damping[k]
-        if _beyond(joints.actions, k, coordinate(joints, work.y, r)) != 0.0:
+        if _beyond(joints.actions, k, coordinate(joints.rows, work.y, r)) != 0.0:
             c += joints.actions.stop_damping[k]
     work.compliance[r] = 2.0 / (span * c) if c > 0.0 else inf
 
@@ -69,13 +69,13 @@ def kick_actions(acts: Flag, joints: Joints, work: Work, lo: int, hi: int, dt: f
     for r in range(lo, hi):
         k = joints.rows.action[r]
         if k != HOLDS:
-            x = coordinate(joints, work.y, r)
+            x = coordinate(joints.rows, work.y, r)
             f = -actions.stiffness[k] * _from_rest(actions, k, kind[r], x)
             f += actions.motor[k] - actions.stop[k] * _beyond(actions, k, x)
             work.z[r] = work.total[r] = f * dt
             work.before[r] = rate(joints, work.gradient, r, work.y, P)
             work.before[r] += work.moving[r] - rate(joints, work.gradient, r, work.change, 0)
-            add_impulses(joints, work, r, r + 1, work.y, P)
+            add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, r, r + 1, work.y, P)
 
 
 @lean
@@ -93,7 +93,7 @@ def stored_energy(joints: Joints, y: Floats) -> float:
     for r in range(joints.rows.kind.size):
         k = joints.rows.action[r]
         if k != HOLDS:
-            x = coordinate(joints, y, r)
+            x = coordinate(joints.rows, y, r)
             away, beyond = _from_rest(actions, k, joints.rows.kind[r], x), _beyond(actions, k, x)
             total += actions.stiffness[k] * away * away + actions.stop[k] * beyond * beyond
     return 0.5 * total
@@ -109,13 +109,13 @@ def add_action_loads(joints: Joints, work: Work, load: Floats) -> None:
     for r in range(joints.rows.kind.size):
         k = joints.rows.action[r]
         if k != HOLDS:
-            x = coordinate(joints, work.y, r)
+            x = coordinate(joints.rows, work.y, r)
             v = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
             beyond = _beyond(actions, k, x)
             c = actions.damping[k] + (actions.stop_damping[k] if beyond != 0.0 else 0.0)
             f = -actions.stiffness[k] * _from_rest(actions, k, joints.rows.kind[r], x)
             work.z[r] = f + actions.motor[k] - actions.stop[k] * beyond - c * v
-            add_impulses(joints, work, r, r + 1, load, 0)
+            add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, r, r + 1, load, 0)
     for b in range(joints.inv_mass.size):
         q, c = attitude(work.y, b), joints.drag[b, 1]
         m, inverse = to_body(q, vector(work.y, b, P + 3)), row3(joints.inv_inertia, b)
@@ -143,25 +143,8 @@ def soften(joints: Joints, work: Work, c: int, span: float) -> None:
 
 @lean
 def softened(joints: Joints, work: Work) -> Joints:
-    """The joints of bodies with these masses."""
-    return Joints(
-        joints.order,
-        work.inv_mass,
-        work.inv_inertia,
-        joints.rows,
-        joints.clusters,
-        joints.program,
-        joints.number,
-        joints.actions,
-        joints.drag,
-        joints.acts,
-        joints.damps,
-        None,
-        joints.drives,
-        joints.carried,
-        joints.moves,
-        joints.breaks,
-    )
+    """The joints of bodies with these masses; of the same type, or all is compiled twice."""
+    return Joints(joints.order, work.inv_mass, work.inv_inertia, *joints[3:])
 
 
 @lean

@@ -10,14 +10,16 @@ left out of this factor.
 import heapq
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from particlerb.compiled.jit import lean, lean_kernel
-from particlerb.joints.records import Joints, Program, Work
+from particlerb.joints.records import Clusters, ConstraintRows, Program, Work
 from particlerb.joints.rows import vector
 from particlerb.maths.vec3 import Bools, Floats, Ints, dot
+
+Five: TypeAlias = tuple[float, float, float, float, float]
 
 
 class _Elimination(NamedTuple):
@@ -161,15 +163,16 @@ def _add_shared(
 
 
 @lean_kernel
-def assemble(joints: Joints, work: Work, lo: int, hi: int) -> None:
+def assemble(
+    program: Program, ends: ConstraintRows, inv_mass: Floats, work: Work, lo: int, hi: int
+) -> None:
     """A = G M⁻¹ Gᵀ in blocks lo to hi, and its diagonal."""
-    start, pair, shares = joints.program.start, joints.program.pair, joints.program.shares
-    factor, a, b = work.factor, joints.rows.a, joints.rows.b
+    start, pair, shares, factor = program.start, program.pair, program.shares, work.factor
     for k in range(lo, hi):
         i, j = pair[k, 0], pair[k, 1]
         at, to = start[i], start[j]
         rows, columns = start[i + 1] - at, start[j + 1] - to
-        first, second = joints.inv_mass[a[at]], joints.inv_mass[b[at]]
+        first, second = inv_mass[ends.a[at]], inv_mass[ends.b[at]]
         if i == j:
             if rows == 5:
                 _on_diagonal(work, k, at, 5, first + second)
@@ -220,9 +223,9 @@ def _factorise_below(factor: Floats, k: int, n: int, at: int, rows: int) -> None
 def _update(
     factor: Floats, k: int, one: int, other: int, target: int, rows: int, columns: int, n: int
 ) -> None:
-    """Target -= one D⁻¹ otherᵀ, with D of the diagonal block k."""
+    """Target -= one D⁻¹ otherᵀ, with D of the diagonal block k; of a diagonal block its half."""
     for r in range(rows):
-        for c in range(columns):
+        for c in range(r + 1 if one == other else columns):
             v = factor[target, r, c]
             for i in range(n):
                 v -= factor[one, r, i] * factor[k, i, i] * factor[other, c, i]
@@ -230,16 +233,35 @@ def _update(
 
 
 @lean
+def _five(factor: Floats, k: int, r: int) -> Five:
+    """Row r of a block of five columns."""
+    return factor[k, r, 0], factor[k, r, 1], factor[k, r, 2], factor[k, r, 3], factor[k, r, 4]
+
+
+@lean
+def _update_fives(factor: Floats, k: int, one: int, other: int, target: int) -> None:
+    """Do the same for blocks of five rows and columns, each row of which is read but once."""
+    d = factor[k, 0, 0], factor[k, 1, 1], factor[k, 2, 2], factor[k, 3, 3], factor[k, 4, 4]
+    for r in range(5):
+        u = _five(factor, one, r)
+        u = u[0] * d[0], u[1] * d[1], u[2] * d[2], u[3] * d[3], u[4] * d[4]
+        for c in range(r + 1 if one == other else 5):
+            v = _five(factor, other, c)
+            taken = u[0] * v[0] + u[1] * v[1] + u[2] * v[2] + u[3] * v[3] + u[4] * v[4]
+            factor[target, r, c] -= taken
+
+
+@lean
 def _eliminate(
-    joints: Joints, work: Work, e: int, k: int, d: int, n: int, smallest_pivot: float
-) -> None:
+    program: Program, factor: Floats, scale: Floats, e: int, k: int, d: int, n: int,
+    smallest_pivot: float,
+) -> None:  # fmt: skip
     """Eliminate joint k, the one at place e, of n rows and with the diagonal block d.
 
     Blocks with as many rows have constant loops.
     """
-    program, factor = joints.program, work.factor
     start = program.start
-    _factorise_diagonal(factor, d, n, smallest_pivot, work.scale, start[k])
+    _factorise_diagonal(factor, d, n, smallest_pivot, scale, start[k])
     for q in range(program.column[e], program.column[e + 1]):
         i, at = program.below_joint[q], program.below[q]
         rows = start[i + 1] - start[i]
@@ -250,29 +272,31 @@ def _eliminate(
     for q in range(program.update[e], program.update[e + 1]):
         one, other, target = program.updates[q, 0], program.updates[q, 1], program.updates[q, 2]
         rows, columns = program.updates[q, 3], program.updates[q, 4]
-        if rows == n and columns == n:
+        if n == 5 and rows == 5 and columns == 5:
+            _update_fives(factor, d, one, other, target)
+        elif rows == n and columns == n:
             _update(factor, d, one, other, target, n, n, n)
         else:
             _update(factor, d, one, other, target, rows, columns, n)
 
 
 @lean_kernel
-def factorise(joints: Joints, work: Work, c: int) -> None:
+def factorise(program: Program, clusters: Clusters, factor: Floats, scale: Floats, c: int) -> None:
     """Factors in place, of cluster c.
 
     Numbers of rows that are often met are constants for the compiler.
     """
-    start, clusters = joints.program.start, joints.clusters
+    start = program.start
     lo, hi, smallest_pivot = clusters.joint[c], clusters.joint[c + 1], clusters.smallest_pivot[c]
     for e in range(lo, hi):
-        k = joints.program.order[e]
+        k = program.order[e]
         n, d = start[k + 1] - start[k], clusters.block[c] + k - lo
         if n == 5:
-            _eliminate(joints, work, e, k, d, 5, smallest_pivot)
+            _eliminate(program, factor, scale, e, k, d, 5, smallest_pivot)
         elif n == 3:
-            _eliminate(joints, work, e, k, d, 3, smallest_pivot)
+            _eliminate(program, factor, scale, e, k, d, 3, smallest_pivot)
         else:
-            _eliminate(joints, work, e, k, d, n, smallest_pivot)
+            _eliminate(program, factor, scale, e, k, d, n, smallest_pivot)
 
 
 @lean
@@ -286,9 +310,8 @@ def _take_below(factor: Floats, block: int, at: int, to: int, n: int, z: Floats,
 
 
 @lean
-def _down(joints: Joints, work: Work, e: int, k: int, d: int, n: int) -> None:
+def _down(program: Program, factor: Floats, z: Floats, e: int, k: int, d: int, n: int) -> None:
     """Forward substitution with all blocks of joint k: see `_eliminate`."""
-    program, factor, z = joints.program, work.factor, work.z
     start = program.start
     at = start[k]
     for r in range(1, n):
@@ -320,9 +343,8 @@ def _give_below(
 
 
 @lean
-def _up(joints: Joints, work: Work, e: int, k: int, d: int, n: int) -> None:
+def _up(program: Program, factor: Floats, z: Floats, e: int, k: int, d: int, n: int) -> None:
     """Back substitution with them."""
-    program, factor, z = joints.program, work.factor, work.z
     start = program.start
     at = start[k]
     for q in range(program.column[e], program.column[e + 1]):
@@ -340,25 +362,25 @@ def _up(joints: Joints, work: Work, e: int, k: int, d: int, n: int) -> None:
 
 
 @lean_kernel
-def solve(joints: Joints, work: Work, c: int) -> None:
+def solve(program: Program, clusters: Clusters, factor: Floats, z: Floats, c: int) -> None:
     """z <- A⁻¹ z of cluster c."""
-    order, start, clusters = joints.program.order, joints.program.start, joints.clusters
+    order, start = program.order, program.start
     lo, hi = clusters.joint[c], clusters.joint[c + 1]
     for e in range(lo, hi):
         k = order[e]
         n, d = start[k + 1] - start[k], clusters.block[c] + k - lo
         if n == 5:
-            _down(joints, work, e, k, d, 5)
+            _down(program, factor, z, e, k, d, 5)
         elif n == 3:
-            _down(joints, work, e, k, d, 3)
+            _down(program, factor, z, e, k, d, 3)
         else:
-            _down(joints, work, e, k, d, n)
+            _down(program, factor, z, e, k, d, n)
     for e in range(hi - 1, lo - 1, -1):
         k = order[e]
         n, d = start[k + 1] - start[k], clusters.block[c] + k - lo
         if n == 5:
-            _up(joints, work, e, k, d, 5)
+            _up(program, factor, z, e, k, d, 5)
         elif n == 3:
-            _up(joints, work, e, k, d, 3)
+            _up(program, factor, z, e, k, d, 3)
         else:
-            _up(joints, work, e, k, d, n)
+            _up(program, factor, z, e, k, d, n)

@@ -68,7 +68,8 @@ def let_break(
                 work.z[r] = 0.0
         if breaks_now:
             _set_held(joints, work, j, False)
-    add_impulses(joints, work, start[lo], start[hi], work.y, P)
+    first, last = start[lo], start[hi]
+    add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, first, last, work.y, P)
     return True
 
 

@@ -29,7 +29,7 @@ def find_multipliers(joints: Joints, work: Work, load: Floats) -> None:
         first, last = clusters.joint[c], clusters.joint[c + 1]
         factorise_cluster(joints, work, c, 0.0, work.clock[0])
         accelerations(joints, work, start[first], start[last], load)
-        solve(joints, work, c)
+        solve(joints.program, joints.clusters, work.factor, work.z, c)
 
 
 def weighted_gradient(joints: Joints, work: Work, c: int) -> Floats:

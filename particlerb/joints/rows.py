@@ -31,6 +31,8 @@ from particlerb.joints.records import (
     STRETCH,
     TURN,
     WORLD_ALONG,
+    ConstraintRows,
+    Drives,
     Joints,
     L,
     P,
@@ -75,15 +77,14 @@ def attitude(y: Floats, k: int) -> Quat:
 
 
 @lean
-def by_inverse_inertia(joints: Joints, q: Quat, k: int, v: Vec3) -> Vec3:
+def by_inverse_inertia(inv_inertia: Floats, q: Quat, k: int, v: Vec3) -> Vec3:
     """J⁻¹ v in world axes, of body k with the orientation q."""
-    return to_world(q, component_product(row3(joints.inv_inertia, k), to_body(q, v)))
+    return to_world(q, component_product(row3(inv_inertia, k), to_body(q, v)))
 
 
 @lean
-def arms(joints: Joints, y: Floats, r: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
+def arms(rows: ConstraintRows, y: Floats, r: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """r_a (or n), r_b, u and d of row r, in world axes."""
-    rows = joints.rows
     a, b = rows.a[r], rows.b[r]
     qa, qb = attitude(y, a), attitude(y, b)
     ra, rb = to_world(qa, row3(rows.first, r)), to_world(qb, row3(rows.second, r))
@@ -101,9 +102,8 @@ def is_of_directions(kind: int) -> bool:
 
 
 @lean
-def _rotation(joints: Joints, y: Floats, r: int) -> Vec3:
+def _rotation(rows: ConstraintRows, y: Floats, r: int) -> Vec3:
     """Rotation vector of the bodies of row r against each other, world axes, at most π long."""
-    rows = joints.rows
     x, z = row3(rows.first, r), row3(rows.second, r)
     own = multiply(attitude(y, rows.a[r]), (z[0], x[0], x[1], x[2]))
     q = multiply(own, conjugate(attitude(y, rows.b[r])))
@@ -114,12 +114,12 @@ def _rotation(joints: Joints, y: Floats, r: int) -> Vec3:
 
 
 @lean
-def coordinate(joints: Joints, y: Floats, r: int) -> float:
+def coordinate(rows: ConstraintRows, y: Floats, r: int) -> float:
     """Coordinate of row r [m or rad]; angles between -π and π."""
-    ra, rb, u, d = arms(joints, y, r)
-    kind = joints.rows.kind[r]
+    ra, rb, u, d = arms(rows, y, r)
+    kind = rows.kind[r]
     if kind == ROTATION:
-        along: float = dot(u, _rotation(joints, y, r))
+        along: float = dot(u, _rotation(rows, y, r))
         return along
     if kind >= TURN:
         return atan2(dot(ra, cross(u, rb)), dot(ra, rb))
@@ -133,45 +133,49 @@ def shorter(kind: int, away: float) -> float:
 
 
 @lean
-def residual(joints: Joints, y: Floats, r: int, t: float) -> float:
+def residual(rows: ConstraintRows, drives: Drives | None, y: Floats, r: int, t: float) -> float:
     """g of row r at a time."""
-    kind = joints.rows.kind[r]
+    kind = rows.kind[r]
     if kind >= TURN:
-        target = course(joints.drives, joints.rows.drive[r], t)[0]
-        return shorter(kind, coordinate(joints, y, r) - target)
-    ra, _, u, d = arms(joints, y, r)
+        target = course(drives, rows.drive[r], t)[0]
+        return shorter(kind, coordinate(rows, y, r) - target)
+    ra, _, u, d = arms(rows, y, r)
     if kind == DOT:
         return dot(ra, u)
     if kind == DISTANCE:
-        length = joints.rows.length[r]
+        length = rows.length[r]
         stretch: float = 0.5 * (dot(d, d) / length - length)
         return stretch
-    along: float = dot(u, d) - course(joints.drives, joints.rows.drive[r], t)[0]
+    along: float = dot(u, d) - course(drives, rows.drive[r], t)[0]
     return along
 
 
 @lean_kernel
-def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[float, int]:
+def residuals(
+    rows: ConstraintRows, drives: Drives | None, y: Floats, compliance: Floats, g: Floats, lo: int,
+    hi: int, t: float,
+) -> tuple[float, int]:  # fmt: skip
     """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row."""
     worst, where = 0.0, lo
     for r in range(lo, hi):
-        g = residual(joints, work.y, r, t) if work.compliance[r] == 0.0 else 0.0
-        work.g[r] = g
-        x, size = vector(work.y, joints.rows.a[r], X), joints.rows.size[r]
+        g[r] = residual(rows, drives, y, r, t) if compliance[r] == 0.0 else 0.0
+        x, size = vector(y, rows.a[r], X), rows.size[r]
         far = abs(x[0]) + abs(x[1]) + abs(x[2])
-        far = 0.0 if is_of_directions(joints.rows.kind[r]) else far
-        g = abs(g) / (size + far)
-        if not g <= worst:
-            worst, where = g, r
+        far = 0.0 if is_of_directions(rows.kind[r]) else far
+        share = abs(g[r]) / (size + far)
+        if not share <= worst:
+            worst, where = share, r
     return worst, where
 
 
 @lean_kernel
-def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
+def linearise(
+    rows: ConstraintRows, inv_inertia: Floats, y: Floats, gradient: Floats, lo: int, hi: int
+) -> None:
     """Gradients of rows lo to hi, and J⁻¹ times them."""
     for r in range(lo, hi):
-        ra, rb, u, d = arms(joints, work.y, r)
-        kind = joints.rows.kind[r]
+        ra, rb, u, d = arms(rows, y, r)
+        kind = rows.kind[r]
         if is_of_directions(kind):
             by_x, by_a = (0.0, 0.0, 0.0), cross(ra, u) if kind == DOT else u
             by_b = scale(-1.0, by_a)
@@ -180,18 +184,18 @@ def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
             if kind == ALONG:
                 arm = add(rb, d)
             elif kind == DISTANCE:
-                by_x = scale(1.0 / joints.rows.length[r], d)
+                by_x = scale(1.0 / rows.length[r], d)
             elif kind == STRETCH:
                 by_x = scale(1.0 / max(norm(d), 1e-300), d)
             by_a, by_b = cross(ra, by_x), cross(by_x, arm)
-        a, b = joints.rows.a[r], joints.rows.b[r]
-        put_vector(work.gradient, r, 0, by_x)
-        put_vector(work.gradient, r, 3, by_a)
-        put_vector(work.gradient, r, 6, by_b)
-        of_a = by_inverse_inertia(joints, attitude(work.y, a), a, by_a)
-        of_b = by_inverse_inertia(joints, attitude(work.y, b), b, by_b)
-        put_vector(work.gradient, r, 9, of_a)
-        put_vector(work.gradient, r, 12, of_b)
+        a, b = rows.a[r], rows.b[r]
+        put_vector(gradient, r, 0, by_x)
+        put_vector(gradient, r, 3, by_a)
+        put_vector(gradient, r, 6, by_b)
+        of_a = by_inverse_inertia(inv_inertia, attitude(y, a), a, by_a)
+        of_b = by_inverse_inertia(inv_inertia, attitude(y, b), b, by_b)
+        put_vector(gradient, r, 9, of_a)
+        put_vector(gradient, r, 12, of_b)
 
 
 @lean
@@ -223,29 +227,30 @@ def rates(joints: Joints, work: Work, lo: int, hi: int) -> float:
 
 
 @lean_kernel
-def add_impulses(joints: Joints, work: Work, lo: int, hi: int, y: Floats, at: int) -> None:
+def add_impulses(
+    rows: ConstraintRows, inv_mass: Floats, gradient: Floats, z: Floats, lo: int, hi: int,
+    y: Floats, at: int,
+) -> None:  # fmt: skip
     """(P, L) += Gᵀ z of rows lo to hi, on momenta or loads that stand in y from `at` on."""
     for r in range(lo, hi):
-        a, b, z = joints.rows.a[r], joints.rows.b[r], work.z[r]
-        by_x = vector(work.gradient, r, 0)
-        if joints.inv_mass[a] > 0.0:
-            put_vector(y, a, at, add_scaled(z, by_x, vector(y, a, at)))
-            turning = vector(work.gradient, r, 3)
-            put_vector(y, a, at + 3, add_scaled(z, turning, vector(y, a, at + 3)))
-        if joints.inv_mass[b] > 0.0:
-            put_vector(y, b, at, add_scaled(-z, by_x, vector(y, b, at)))
-            turning = vector(work.gradient, r, 6)
-            put_vector(y, b, at + 3, add_scaled(z, turning, vector(y, b, at + 3)))
+        a, b = rows.a[r], rows.b[r]
+        by_x = vector(gradient, r, 0)
+        if inv_mass[a] > 0.0:
+            put_vector(y, a, at, add_scaled(z[r], by_x, vector(y, a, at)))
+            put_vector(y, a, at + 3, add_scaled(z[r], vector(gradient, r, 3), vector(y, a, at + 3)))
+        if inv_mass[b] > 0.0:
+            put_vector(y, b, at, add_scaled(-z[r], by_x, vector(y, b, at)))
+            put_vector(y, b, at + 3, add_scaled(z[r], vector(gradient, r, 6), vector(y, b, at + 3)))
 
 
 @lean
 def convective(joints: Joints, work: Work, r: int) -> float:
     """g̈ of row r [g/s²] at rest where no force acts, less what J⁻¹ (ω × L) gives."""
-    rows, y, motion = joints.rows, work.y, work.motion
+    rows, y, motion, inverse = joints.rows, work.y, work.motion, joints.inv_inertia
     a, b, kind = rows.a[r], rows.b[r], rows.kind[r]
-    ra, rb, u, d = arms(joints, y, r)
-    wa = add(by_inverse_inertia(joints, attitude(y, a), a, vector(y, a, L)), vector(motion, a, 3))
-    wb = add(by_inverse_inertia(joints, attitude(y, b), b, vector(y, b, L)), vector(motion, b, 3))
+    ra, rb, u, d = arms(rows, y, r)
+    wa = add(by_inverse_inertia(inverse, attitude(y, a), a, vector(y, a, L)), vector(motion, a, 3))
+    wb = add(by_inverse_inertia(inverse, attitude(y, b), b, vector(y, b, L)), vector(motion, b, 3))
     ra1, rb1, u1 = cross(wa, ra), cross(wb, rb), cross(wb, u)
     ra2, rb2, u2 = cross(wa, ra1), cross(wb, rb1), cross(wb, u1)
     if kind == DOT:
@@ -273,6 +278,6 @@ def accelerations(joints: Joints, work: Work, lo: int, hi: int, load: Floats) ->
         found -= course(joints.drives, joints.rows.drive[r], work.clock[0])[2]
         for k, at in ((a, 9), (b, 12)):
             spin = vector(work.y, k, L)
-            w = by_inverse_inertia(joints, attitude(work.y, k), k, spin)
+            w = by_inverse_inertia(joints.inv_inertia, attitude(work.y, k), k, spin)
             found -= dot(vector(work.gradient, r, at), cross(w, spin))
         work.z[r] = -found

@@ -54,10 +54,32 @@ def factorise_cluster(joints: Joints, work: Work, c: int, span: float, t: float)
         set_compliance(joints, work, r, span)
         work.total[r] = 0.0
     leave_out(joints.breaks, joints, work, c, t)
-    linearise(joints, work, start[lo], start[hi])
+    linearise(joints.rows, joints.inv_inertia, work.y, work.gradient, start[lo], start[hi])
     set_moving(joints.moves, joints, work, start[lo], start[hi], t)
-    assemble(joints, work, clusters.block[c], clusters.block[c + 1])
-    factorise(joints, work, c)
+    _factor(joints, work, c)
+
+
+@lean
+def _factor(joints: Joints, work: Work, c: int) -> None:
+    """Factor of A of cluster c from its gradients."""
+    block = joints.clusters.block
+    assemble(joints.program, joints.rows, joints.inv_mass, work, block[c], block[c + 1])
+    factorise(joints.program, joints.clusters, work.factor, work.scale, c)
+
+
+@lean
+def _solve_and_add(joints: Joints, work: Work, c: int, lo: int, hi: int) -> None:
+    """Impulses that take away the right sides z of rows lo to hi, those of cluster c."""
+    solve(joints.program, joints.clusters, work.factor, work.z, c)
+    _add(joints, work, lo, hi)
+
+
+@lean
+def _add(joints: Joints, work: Work, lo: int, hi: int) -> None:
+    """Add impulses z of rows lo to hi to the momenta, and to `total`."""
+    for r in range(lo, hi):
+        work.total[r] += work.z[r]
+    add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, lo, hi, work.y, P)
 
 
 @lean_kernel
@@ -77,8 +99,7 @@ def constrained_drift(
     kick_actions(joints.acts, joints, work, lo, hi, kick_dt)
     _fly_to_joints(joints, work, c, t, dt)
     if let_break(joints.breaks, joints, work, c, kick_dt, t, dt):
-        assemble(joints, work, clusters.block[c], clusters.block[c + 1])
-        factorise(joints, work, c)
+        _factor(joints, work, c)
         _fly_to_joints(joints, work, c, t, dt)
 
 
@@ -90,16 +111,15 @@ def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> N
     before = 1e300
     for _ in range(MOST_ITERATIONS):
         fly(joints, work, c, dt)
-        worst, where = residuals(joints, work, lo, hi, t + dt)
+        worst, where = residuals(
+            joints.rows, joints.drives, work.y, work.compliance, work.g, lo, hi, t + dt
+        )
         if worst <= _ROUNDING or (worst < _NEAR and worst > _GAIN * before):
             return
         before = worst
         for r in range(lo, hi):
             work.z[r] = -work.g[r] / dt
-        solve(joints, work, c)
-        for r in range(lo, hi):
-            work.total[r] += work.z[r]
-        add_impulses(joints, work, lo, hi, work.y, P)
+        _solve_and_add(joints, work, c, lo, hi)
     work.lost[c] = 1 + where
 
 
@@ -123,7 +143,4 @@ def project_momenta(
         if not 0.0 < worst < _GAIN * before:
             return
         before = worst
-        solve(joints, work, c)
-        for r in range(lo, hi):
-            work.total[r] += work.z[r]
-        add_impulses(joints, work, lo, hi, work.y, P)
+        _solve_and_add(joints, work, c, lo, hi)

@@ -73,7 +73,7 @@ def dense_gradient(joints, y):
             step[i] = h
             ends = [turned(y, b, *np.split(sign * step, 2)) for sign in (1, -1)]
             for r in np.flatnonzero(joints.rows.action == HOLDS):
-                up, down = (residual(joints, end, r, 0.0) for end in ends)
+                up, down = (residual(joints.rows, joints.drives, end, r, 0.0) for end in ends)
                 found[r, b, i] = (up - down) / (2 * h)
     return found.reshape(m, -1)
 
@@ -99,6 +99,6 @@ def test_the_factor_solves_what_dense_matrices_say(name):
     work.z[:] = b
     assert joints.clusters.body.size == 2
     factorise_cluster(joints, work, 0, 0.0, 0.0)
-    solve(joints, work, 0)
+    solve(joints.program, joints.clusters, work.factor, work.z, 0)
     assert A @ work.z == pytest.approx(b, abs=1e-7 * np.abs(b).max())
     assert (work.z[joints.rows.action != HOLDS] == 0.0).all()
