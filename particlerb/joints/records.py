@@ -159,6 +159,7 @@ class Work(NamedTuple):
     kept: Floats  # (m,) impulses since the middle of the last step, of these
     z: Floats  # (m,) right sides and solutions
     total: Floats  # (m,) impulses of a drift
+    past: Floats  # (m, 4) of the last step, over its kick, and differences back; NaN: not known
     before: Floats  # (m,) rates of coordinates before a kick
     compliance: Floats  # (m,) what is added to the diagonal of A; inf: the row is left out
     scale: Floats  # (m,) diagonal of A
@@ -202,6 +203,7 @@ def room_for_joints(joints: Joints) -> Work:
         np.zeros(m),
         np.zeros(m),
         np.zeros(m),
+        np.full((m, 4), np.nan),
         np.zeros(m),
         np.where(joints.rows.action == HOLDS, 0.0, np.inf).astype(np.float64),
         np.zeros(m),

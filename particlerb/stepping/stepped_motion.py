@@ -128,6 +128,7 @@ class SteppedMotion(Motion):
             self.moving.jointed.work.clock[1] = dt
             self.moving.jointed.work.broken[:] = np.inf
             self.moving.jointed.work.load[:] = -1.0
+            self.moving.jointed.work.past[:] = np.nan
 
     def spaced(self, values: Floats) -> Floats:
         """Rows of all bodies with the gaps of the blocks between them."""
@@ -181,6 +182,8 @@ class SteppedMotion(Motion):
         saved |= {"turned": self.turned.copy()} if self.turned.size else {}
         if self.breaks:
             saved |= {"broken": self.broken.copy(), "load": self.load.copy()}
+        if not np.isnan(self.past).all():
+            saved["past"] = self.past.copy()
         return saved
 
     def restore(self, saved: Saved) -> None:
@@ -191,6 +194,8 @@ class SteppedMotion(Motion):
             self.turned[:] = saved["turned"]
         if self.breaks:
             self.broken[:], self.load[:] = saved["broken"], saved["load"]
+        if "past" in saved:
+            self.past[:] = saved["past"]
 
     @property
     def breaks(self) -> bool:
@@ -209,6 +214,12 @@ class SteppedMotion(Motion):
         """What joints carried in the last step, (j, 2): see joints/breaking.py."""
         jointed = self.moving.jointed
         return np.zeros((0, 2)) if jointed is None else jointed.work.load
+
+    @property
+    def past(self) -> Floats:
+        """Impulses of joints in the last step, and their differences: see joints/solver.py."""
+        jointed = self.moving.jointed
+        return np.zeros((0, 4)) if jointed is None else jointed.work.past
 
     @property
     def turned(self) -> Floats:

@@ -7,14 +7,15 @@ from scipy.spatial.transform import Rotation
 
 from particlerb.case.to_system import to_system
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.records import HOLDS, Q
+from particlerb.joints.records import HOLDS, P, Q
 from particlerb.joints.records import X as AT
 from particlerb.joints.rows import residual
-from particlerb.joints.solver import factorise_cluster
+from particlerb.joints.solver import begin_with_guess, factorise_cluster, remember
 from particlerb.plan.joint_words import work_at
 from particlerb.simulation.run import prepare
 
 pytestmark = pytest.mark.plain
+FORESEEN = {0: 0, 1: 1, 4: 85, 5: 156}  # of 1 + n + n² + n³, where so many are known
 
 
 def wheel():
@@ -102,3 +103,26 @@ def test_the_factor_solves_what_dense_matrices_say(name):
     solve(joints.program, joints.clusters, work.factor, work.z, 0)
     assert A @ work.z == pytest.approx(b, abs=1e-7 * np.abs(b).max())
     assert (work.z[joints.rows.action != HOLDS] == 0.0).all()
+
+
+def test_a_step_begins_with_the_impulses_that_a_cubic_foresees():
+    """Of two hinges of a door five rows depend on others, and have none."""
+    door = body("door", 2.0, [0.1, 0.2, 0.3], [0.4, 0, 0])
+    places = {"lower": [0, 0, -0.5], "upper": [0, 0, 0.5]}
+    joints, work = at_start(
+        case([door], [joint("hinge", "door", None, at, Z, name=n) for n, at in places.items()])
+    )
+    factorise_cluster(joints, work, 0, 0.0, 0.0)
+    row = np.arange(1.0, 11.0)
+    own = work.factor[:, range(5), range(5)][:2].ravel() != 0.0
+    assert own.sum() == 5
+    for known in range(6):
+        before = work.y.copy()
+        work.total[:] = 0.0
+        begin_with_guess(joints, work, 0, 0.25)
+        if known in FORESEEN:
+            assert work.total == pytest.approx(np.where(own, 0.25 * FORESEEN[known] * row, 0.0))
+        given = work.y[0, P : P + 3] - before[0, P : P + 3]
+        assert given == pytest.approx(work.total @ work.gradient[:, :3], abs=1e-12)
+        work.total[:] = 0.5 * row * (1 + known + known**2 + known**3)
+        remember(work, 0, 10, 0.5)
