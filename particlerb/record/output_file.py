@@ -132,7 +132,8 @@ def new_file(path: Path, overwrite: bool, is_durable: bool, empty: bytearray) ->
     if place.exists():
         WriterLock(place).close()  # nobody else writes it
     lock = WriterLock(_waiting(place))
-    os.ftruncate(lock.fileno(), 0)
+    with _blaming(_waiting(place)):
+        os.ftruncate(lock.fileno(), 0)
     return OutputFile(path, lock, is_durable, place, empty)
 
 
@@ -140,8 +141,16 @@ def _sync_folder(path: Path) -> None:
     """Wait until the disk has the names in a folder."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
-        os.fsync(descriptor)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from None
+        with _blaming(path):
+            os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+@contextmanager
+def _blaming(path: Path) -> Iterator[None]:
+    """Name what an operation by a number of a file was for, where it fails."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None

@@ -56,5 +56,5 @@ def test_what_the_disk_refuses_is_said_once(recorded, error, how):
     """Exit code 1, one message, all committed frames, and the same bits where it works again."""
     one = recorded("driven")
     n = len(one.done.operations)
-    at = sorted({k * n // 20 for k in range(20)})
+    at = sorted({*range(4), *(k * n // 20 for k in range(20))})  # a file is begun by the first
     assert faults(one, at, [(error, how)]).wrong == []
