@@ -19,7 +19,9 @@ from numba.core import caching, codegen, compiler, registry
 from particlerb.compiled.vector_width import numbas_compiler
 
 Function: TypeAlias = Callable[..., Any]
-Compiles: TypeAlias = Callable[[Function], Function]
+Options: TypeAlias = Mapping[str, Any]
+Compile: TypeAlias = Callable[[Function], Function]
+Keep: TypeAlias = Callable[[Any], None] | None
 _ONLY_COPIED: Final = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
@@ -63,14 +65,8 @@ class KeptCode(caching.CompileResultCacheImpl):
             environment=environment,
             entry_point=object(),
             fndesc=described,
-            type_annotation="",
             signature=signature,
-            objectmode=False,
             lifted=(),
-            typing_error=None,
-            call_helper=None,
-            metadata=None,
-            reload_init=(),
             referenced_envs=environments,
         )
 
@@ -95,18 +91,12 @@ class Helper(registry.CPUDispatcher):
     options : mapping
         Of Numba.
     compiled : callable
-        Compiles a function that is called from Python.
-    keep : callable, optional
+        Compile a function that is called from Python.
+    keep : callable or None
         Lets the code of a helper be kept on disk, when it is first needed.
     """
 
-    def __init__(
-        self,
-        function: Function,
-        options: Mapping[str, Any],
-        compiled: Compiles,
-        keep: Callable[[Any], None] | None = None,
-    ) -> None:
+    def __init__(self, function: Function, options: Options, compiled: Compile, keep: Keep) -> None:
         stops_early = type("_CopyingCompiler", (_Copying, numbas_compiler()), {})
         super().__init__(function, {}, {**options, **_ONLY_COPIED}, stops_early)
         self.compiled, self.keep = compiled, keep
