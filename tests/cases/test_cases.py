@@ -27,6 +27,7 @@ MANY_STEPS = (
     "bouncing",
     "bricard",
     "chain",
+    "cradle_on_strings",
     "door",
     "double_rod",
     "four_bar",
