@@ -246,8 +246,8 @@ def _helper(**options: Any) -> Callable[[Function], Function]:
     def decorate(function: Function) -> Function:
         if CACHE_FOLDER is None:
             return function
-        is_generated = function.__code__.co_filename.startswith("<")
-        kept = None if is_generated else keep
+        is_ours = Path(function.__code__.co_filename).is_relative_to(_PACKAGE)
+        kept = keep if is_ours else None  # the name of the folder covers no other text
         return cast(Function, Helper(function, _FLAGS | options, compile_with(**options), kept))
 
     return decorate
