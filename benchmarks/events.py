@@ -1,27 +1,34 @@
 """Measure collisions by events: what one costs, and what is conserved over many.
 
     python benchmarks/events.py [--spheres 1000,100000] [--clumps 512] [--impacts 200000]
-                                [--haff 10000] [--laws] [--record]
+                                [--haff 10000] [--laws] [--exact] [--record]
 
 Gases of frictionless balls, and of clumps of eight on the corners of a cube, fill a hundredth of a
 smooth elastic box. They first run for some impacts of each body; then the next `--impacts` are
 timed, by the processor time of one thread, without set-up. `--haff` lets so many balls with e = 0.9
 cool after five elastic impacts of each, until T = T₀/4, and compares with Haff's law: see
 cases/granular_gas.toml. `--laws` compares the height of a ball after
-a bounce with the other laws of contact. `--record` adds the figures to results/events.csv.
+a bounce with the other laws of contact. `--exact`: a ball in a box for 1e4 hits beside unfolding,
+the break of cases/billiard_break.toml turned around, a gas of 1000 clumps for 1e6 impacts.
+`--record` adds the figures to results/events.csv.
 
 Goals: at most 5 µs a collision with 1e3 and with 1e5 balls, at most 1.5 times as much with 1e5, 50
-µs for clumps; energy 1e-11 of itself after 1e6 impacts; Haff's law within 2 %.
+µs for clumps; energy 1e-11 of itself after 1e6 impacts, momenta less the impulses of walls 1e-12 of
+their sums; 1e-12 of the path in a box; a break that returns to 1e-15 times the growth of a change;
+gaps above -1e-14 of a radius; Haff's law within 2 %.
 """
 
 import argparse
 import math
 import time
+import tomllib
+from pathlib import Path
 
 import numpy as np
 from results import record
 
 import particlerb
+from particlerb import Trajectory
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.impulses.records import CROSSINGS, IMPACTS, LARGEST_GAP, SMALLEST_GAP, WALL_IMPACTS
@@ -33,6 +40,7 @@ FILLING = 0.01
 CORNERS = [[x, y, z] for x in (-R, R) for y in (-R, R) for z in (-R, R)]
 ELASTIC = 1.0
 G = 9.81
+BREAK = Path(__file__).parents[1] / "cases" / "billiard_break.toml"
 
 
 def gas(n: int, is_clump: bool = False, restitution: float = ELASTIC) -> dict:
@@ -71,14 +79,22 @@ class Gas:
         """Kinetic energy [J]."""
         return float(kinetic_energy(self.bodies, self.motion.state_at(self.now)[0]).sum())
 
+    def momenta(self) -> tuple[np.ndarray, np.ndarray]:
+        """Momentum and angular momentum less the impulses of walls; sums of sizes of parts."""
+        state, given = self.motion.state_at(self.now)
+        orbit = np.cross(state.com, state.p, axis=0)
+        sums = np.concatenate([state.p.sum(axis=1), (orbit + state.L).sum(axis=1)])
+        size = np.repeat([np.abs(state.p).sum(), np.abs(orbit).sum() + np.abs(state.L).sum()], 3)
+        return sums - given[1:7], size
+
     def advance(self, impacts: float) -> tuple[float, np.ndarray]:
         """Go on for about so many impacts; processor time [s], and what was counted."""
         before, start = self.motion.state.tally.copy(), time.process_time()
         while (done := self.motion.state.tally[IMPACTS] - before[IMPACTS]) < impacts:
             self.now += self.slice
             self.motion.run_to(self.now)
-            more = self.motion.state.tally[IMPACTS] - before[IMPACTS] - done
-            self.slice *= min(2.0, max(0.5, (impacts - done) / (4.0 * max(more, 1.0))))
+            more = float(self.motion.state.tally[IMPACTS] - before[IMPACTS] - done)
+            self.slice *= min(2.0, max(0.5, (impacts - done) / (4.0 * more))) if more else 2.0
         return time.process_time() - start, self.motion.state.tally - before
 
 
@@ -86,14 +102,16 @@ def costs(n: int, is_clump: bool, impacts: float) -> dict[str, float]:
     """What a collision costs in a gas [µs], and what is conserved."""
     one = Gas(gas(n, is_clump))
     one.advance(4.0 * n)
-    energy = one.energy()
+    energy, (before, size) = one.energy(), one.momenta()
     seconds, counted = one.advance(impacts)
+    changed = np.abs(one.momenta()[0] - before) / size
     name, tally = f"{n} {'clumps' if is_clump else 'balls'}", one.motion.state.tally
     return {
         f"{name}: µs a collision": 1e6 * seconds / counted[IMPACTS],
         f"{name}: crossings a collision": counted[CROSSINGS] / counted[IMPACTS],
         f"{name}: impacts": counted[IMPACTS],
         f"{name}: energy, relative change": one.energy() / energy - 1.0,
+        f"{name}: momenta less those of walls, change over their sums": changed.max(),
         f"{name}: smallest gap, radii": tally[SMALLEST_GAP],
         f"{name}: largest gap, radii": tally[LARGEST_GAP],
     }
@@ -102,7 +120,7 @@ def costs(n: int, is_clump: bool, impacts: float) -> dict[str, float]:
 def haff(n: int) -> dict[str, float]:
     """Temperature of a gas that cools over that of Haff's law, where this is a quarter."""
     one = Gas(gas(n, restitution=0.9))
-    rules = one.motion.scene.restitution
+    rules = one.motion.scene.rules[:, 0]
     kept = rules.copy()
     rules[:] = 1.0
     one.advance(5.0 * n)
@@ -139,6 +157,60 @@ def bouncing(contact: dict, **keys: float) -> float:
     return float(particlerb.run(case).position[-1, 0, 2]) - R
 
 
+def unfolded(hits: float) -> dict[str, float]:
+    """Largest error of the place of a ball in a box, over its path, for so many hits."""
+    half, start, velocity = 1.0 - R, np.array([0.1, -0.2, 0.3]), np.array([1.1, 0.9, 0.7])
+    ball = {"name": "ball", "shape": {"type": "sphere", "radius": R}, "mass": 1.0}
+    box = {"type": "box", "name": "box", "lower": [-1.0] * 3, "upper": [1.0] * 3}
+    t_end = hits * 2.0 * half / velocity.sum()
+    case = {
+        "run": {"t_end": t_end, "every": t_end / 50.0},
+        "body": [ball | {"position": start.tolist(), "velocity": velocity.tolist()}],
+        "wall": [box],
+        "contact": {"law": "events", "restitution": 1.0, "friction": 0.0},
+    }
+    found = particlerb.run(case)
+    y = (start + velocity * found.time[:, None] + half) % (4.0 * half)
+    error = np.abs(found.position[:, 0] - (np.minimum(y, 4.0 * half - y) - half)).max()
+    return {
+        "ball in a box: hits": float(found.observable("impacts")[-1]),
+        "ball in a box: error over path": error / (np.linalg.norm(velocity) * t_end),
+    }
+
+
+def broken(case: dict, position: np.ndarray, velocity: np.ndarray, t_end: float) -> Trajectory:
+    """The balls of the break after a time."""
+    ball = case["body"][1] | {"count": len(position), "position": position.tolist()}
+    run = {"t_end": t_end, "every": t_end}
+    tables = {"run": run, "body": [ball | {"velocity": velocity.tolist()}]}
+    return particlerb.run({key: case[key] for key in ("contact", "wall")} | tables)
+
+
+def turned_around(t_end: float) -> dict[str, float]:
+    """Error of a break that is turned around and comes back, and the growth of a random change."""
+    with BREAK.open("rb") as file:
+        case = tomllib.load(file)
+    start = np.array([case["body"][0]["position"], *case["body"][1]["position"]])
+    velocity = np.zeros_like(start)
+    velocity[0] = case["body"][0]["velocity"]
+    there = broken(case, start, velocity, t_end)
+    end, speed = there.position[-1], there.velocity[-1]
+    back = broken(case, end, -speed, t_end)
+    rng, growth = np.random.default_rng(1), 0.0
+    for _ in range(8):
+        x, v = 1e-13 * rng.normal(size=(2, *start.shape)) * [1, 1, 0]
+        other = broken(case, end + x, v - speed, t_end)
+        growth = max(growth, np.abs(other.position[-1] - back.position[-1]).max() / 1e-13)
+    error, name = np.abs(back.position[-1] - start).max(), f"break turned around at {t_end:g} s"
+    return {
+        f"{name}: impacts": float(there.observable("impacts")[-1]),
+        f"{name}: impacts on the way back": float(back.observable("impacts")[-1]),
+        f"{name}: growth of 1e-13": growth,
+        f"{name}: error": error,
+        f"{name}: error over growth": error / growth,
+    }
+
+
 def laws() -> dict[str, float]:
     """Errors of the height that the laws of contact give, in m."""
     fall = math.sqrt(2.0 / G)
@@ -162,12 +234,15 @@ def main() -> None:
     parser.add_argument("--impacts", type=float, default=2e5)
     parser.add_argument("--haff", type=int, default=0)
     parser.add_argument("--laws", action="store_true")
+    parser.add_argument("--exact", action="store_true")
     parser.add_argument("--record", action="store_true")
     given = parser.parse_args()
     found: dict[str, float] = {}
     sizes = [(int(n), False) for n in given.spheres.split(",") if n]
     for n, is_clump in sizes + [(int(n), True) for n in given.clumps.split(",") if n]:
         found |= costs(n, is_clump, given.impacts)
+    if given.exact:
+        found |= unfolded(1e4) | turned_around(0.7) | turned_around(1.5) | costs(1000, True, 1e6)
     if given.laws:
         found |= laws()
     if given.haff:

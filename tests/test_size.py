@@ -33,6 +33,8 @@ BUDGETS = {
     "impulses": 1350,
     "Newton's method for impulses, the order of bodies in it, a band": 355,
     "collisions by events": 1440,
+    "a box that repeats in space, for events": 76,
+    "events: code of what a scene has, lines of the cache, walls by cell": 190,
     "tables of forces": 232,
     "force gradients": 324,
     "forces written by users": 841,

@@ -100,6 +100,9 @@ class ContactTable(ContactNumbers):
         None,
         description="What hits again within it bounces elastically, events; default: by speed. [s]",
     )
+    periodic: Annotated[tuple[NonNegative, ...], entries(3, "numbers")] | None = Field(
+        None, description="Sides of the box that repeats in space, 0: without end, events. [m]"
+    )
     pair: tuple[Pair, ...] = Field((), description="Pairs of materials, [[contact.pair]]. [-]")
 
     @property

@@ -13,11 +13,13 @@ _OTHER = 'take law = "impulse" or "hooke"'
 def event_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Finding]:
     """Keys of events are for that law, and what it does not know is not there."""
     if contact.get("law") != "events":
-        if given(contact, "contact_time"):
-            yield ("contact", "contact_time"), "is for events", 'take law = "events"'
+        for key in ("contact_time", "periodic"):
+            if given(contact, key):
+                yield ("contact", key), "is for events", 'take law = "events"'
         return
     yield from _number_rules(contact)
     yield from _term_rules(raw)
+    yield from _periodic_rules(raw, contact.get("periodic"))
     for kind in ("wall", "body"):
         for i, table in tables(raw, kind):
             yield from _still((kind, i), table)
@@ -52,6 +54,18 @@ def _term_rules(raw: dict[str, Any]) -> Iterator[Finding]:
         yield ("attraction",), "is not computed between collisions by events", _OTHER
     if tables(raw, "joint"):
         yield ("joint", 0), "joints are not computed between collisions by events", _OTHER
+
+
+def _periodic_rules(raw: dict[str, Any], sides: Any) -> Iterator[Finding]:
+    """Walls of a box that repeats are planes along the axes on which it does."""
+    if not isinstance(sides, list) or not all(isinstance(side, (int, float)) for side in sides):
+        return
+    for i, wall in tables(raw, "wall"):
+        normal = wall.get("normal", [])
+        is_along = wall.get("type") == "plane" and isinstance(normal, list)
+        if not is_along or any(n and side for n, side in zip(normal, sides, strict=False)):
+            reason = "a box that repeats has no walls but planes along the axes on which it does"
+            yield ("wall", i), reason, "leave it out, or give a side 0 to contact.periodic"
 
 
 def _without_restitution(path: Path, table: dict[str, Any]) -> Iterator[Finding]:

@@ -5,7 +5,7 @@
 spread them. Both are kept on disk. `splice` is for a function that does no more than call others:
 it is copied into its callers, and not compiled by itself. `lean` and `lean_kernel` do not count who
 uses an array, which costs 5 ns for each that a loop takes out of a tuple or hands to a helper: they
-can make none.
+can make none. What is `lean_apart` is large: kernels have it once, and call it.
 Numba's cache does not notice an edit in another file, nor a changed NUMBA_* flag; so the cache
 folder has a hash of all of it in its name. Nor does it notice that a file was cut or changed, or
 give up where none can be written: each file has a hash of its content, what is damaged is compiled
@@ -257,6 +257,7 @@ inline = _helper(forceinline=True)
 splice = compile_with(inline="always")
 kernel = compile_with(cache=True, nogil=True)
 lean = _helper(forceinline=True, _nrt=False)
+lean_apart = _helper(_nrt=False)
 lean_kernel = compile_with(cache=True, nogil=True, _nrt=False)
 
 

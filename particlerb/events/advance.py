@@ -8,11 +8,13 @@ from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.events.collide import collide
 from particlerb.events.predict import cross, predict
 from particlerb.events.records import (
+    AT_ONCE,
     DONE,
     ENDLESS,
     EXIT,
     HIT,
     HITS,
+    INSTANT,
     LEAVE,
     MORE,
     OTHER,
@@ -25,6 +27,7 @@ from particlerb.events.records import (
     TURNED,
     UNFOUND,
     WALL,
+    ZERO,
     EventScene,
     EventState,
     Workspace,
@@ -36,29 +39,23 @@ _INSTANT: Final = 1e-5  # share of the period
 
 
 @lean
-def _hit(scene: EventScene, state: EventState, work: Workspace, b: int, t: float) -> int:
-    """Let the impact of body b happen; how that ends."""
-    c = state.info[b, PARTNER]
+def _hit(scene: EventScene, state: EventState, work: Workspace, b: int, c: int, t: float) -> int:
+    """Let the impact of body b with c happen; how that ends."""
     instant = _INSTANT * scene.period if scene.period < np.inf else 0.0
-    if t - state.clock[0] > instant:
-        state.clock[0], state.clock[1] = t, 0.0
-    state.clock[1] += 1.0
-    if state.clock[1] > _AT_ONCE * scene.n_moving:
+    if t - state.sums[INSTANT] > instant:
+        state.sums[INSTANT], state.sums[AT_ONCE] = t, 0.0
+    state.sums[AT_ONCE] += 1.0
+    if state.sums[AT_ONCE] > _AT_ONCE * scene.n_moving:
         return ENDLESS
     first, second = (b, c) if c < 0 else (min(b, c), max(b, c))
-    if not collide(scene, state, work, first, second, state.info[b, OWN], state.info[b, OTHER], t):
-        return OVERLAP
-    if not predict(scene, state, work, b, t, -1):
-        return UNFOUND
-    if 0 <= c < scene.n_moving and not predict(scene, state, work, c, t, -1):
-        return UNFOUND
-    return DONE
+    own, other = int(np.int64(state.info[b, OWN])), int(np.int64(state.info[b, OTHER]))
+    return DONE if collide(scene, state, work, first, second, own, other, t) else OVERLAP
 
 
 @lean
 def _count_anew(scene: EventScene, state: EventState) -> None:
     """Count times from a period later on."""
-    for b in range(scene.mass.size):
+    for b in range(state.place.size):
         state.flight[b, SINCE] -= scene.period
         state.spin[b, TURNED] -= scene.period
         state.at[b, HIT] -= scene.period
@@ -67,8 +64,8 @@ def _count_anew(scene: EventScene, state: EventState) -> None:
             state.contact_at[b, k] -= scene.period
     for k in range(state.heap.size):
         state.heap_time[k] -= scene.period
-    state.clock[0] -= scene.period
-    state.clock[2] += scene.period
+    state.sums[INSTANT] -= scene.period
+    state.sums[ZERO] += scene.period
 
 
 @lean_kernel
@@ -77,24 +74,23 @@ def advance(
 ) -> tuple[int, int]:
     """Take all events until a time [s], but no more than so many; how that ends, and whose."""
     for _ in range(most):
-        if state.heap.size == 0:
-            return DONE, -1
-        if state.heap_time[0] + state.clock[2] > until:
+        if state.heap.size == 0 or state.heap_time[0] + state.sums[ZERO] > until:
             return DONE, -1
         if state.heap_time[0] > 2.0 * scene.period:
             _count_anew(scene, state)
-        b, t, result = state.heap[0], state.heap_time[0], DONE
-        c = state.info[b, PARTNER]
+        b, t = int(np.int64(state.heap[0])), state.heap_time[0]
+        c, partner, side = int(np.int64(state.info[b, PARTNER])), -1, -1
         if state.at[b, LEAVE] < state.at[b, HIT]:
+            side = int(np.int64(state.info[b, EXIT]))
             cross(scene, state, b)
-            if not predict(scene, state, work, b, t, state.info[b, EXIT]):
-                result = UNFOUND
         elif c == WALL or state.info[b, STAMP] == state.info[c, HITS]:
-            result = _hit(scene, state, work, b, t)
+            result = _hit(scene, state, work, b, c, t)
+            if result != DONE:
+                return result, b
+            partner = c if c < scene.n_moving else -1
         else:
             state.tally[RENEWED] += 1.0
-            if not predict(scene, state, work, b, t, -1):
-                result = UNFOUND
-        if result != DONE:
-            return result, b
+        for one in (b, partner):
+            if one >= 0 and not predict(scene, state, work.centre, one, t, side):
+                return UNFOUND, b
     return MORE, -1

@@ -9,13 +9,19 @@ contacts in place of bodies.
 
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import lean
+from particlerb.compiled.jit import Flag, lean, lean_apart
 from particlerb.contact.walls import primitive_at
-from particlerb.events.flight import attitude, bring, place, posed, set_spin
+from particlerb.events.flight import attitude, bring, in_box, place, posed, set_spin
 from particlerb.events.records import (
+    BOOKED,
     BOUND,
     FASTEST,
     HITS,
+    INV_INERTIA,
+    INVERSE,
+    MATERIAL,
+    RADIUS,
+    REACH,
     REMEMBERED,
     WALL,
     EventScene,
@@ -41,12 +47,13 @@ from particlerb.impulses.records import (
     WALL_IMPACTS,
 )
 from particlerb.impulses.rows import (
-    approach,
     column3,
+    in_frame,
     in_world,
     push_apart,
     put_column3,
-    write_frame,
+    velocity_between,
+    write_frame_of,
 )
 from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import (
@@ -80,29 +87,28 @@ def _restitution(
             if t - before < scene.contact_time:
                 state.tally[ELASTIC] += 1.0
                 return 1.0
-            return float(scene.restitution[pair])
+            return float(scene.rules[pair, 0])
         if state.contact_at[a, k] < state.contact_at[a, oldest]:
             oldest = k
     state.contact[a, oldest], state.contact_at[a, oldest] = key, t
-    return float(scene.restitution[pair])
+    return float(scene.rules[pair, 0])
 
 
 @lean
 def _partner(
-    scene: EventScene, state: EventState, work: Workspace, b: int, at: int, t: float
+    scene: EventScene, state: EventState, work: Workspace, b: int, at: int, shift: Vec3, t: float
 ) -> None:
-    """Write a body as partner `at` of an impact."""
-    partners = work.partners
+    """Write a body, or its image that is shifted, as partner `at` of an impact."""
     x, _ = place(scene, state, b, t)
     R, omega = posed(scene, state, b, t)
-    moments = row3(scene.inv_inertia, b)
-    put_column3(partners.place, at, 0, x)
-    put_column3(partners.velocity, at, 0, column3(state.flight, b, V))
-    put_column3(partners.velocity, at, 3, omega)
-    partners.inverse[at, 0], column = scene.inv_mass[b], 1
+    moments = column3(scene.body, b, INV_INERTIA)
+    put_column3(work.place, at, 0, add(x, shift))
+    put_column3(work.velocity, at, 0, column3(state.flight, b, V))
+    put_column3(work.velocity, at, 3, omega)
+    work.inverse[at, 0], column = scene.body[b, INVERSE], 1
     for i in range(3):
         for j in range(i, 3):
-            partners.inverse[at, column] = dot(component_product(moments, _row(R, i)), _row(R, j))
+            work.inverse[at, column] = dot(component_product(moments, _row(R, i)), _row(R, j))
             column += 1
 
 
@@ -116,11 +122,11 @@ def _row(R: Matrix, i: int) -> Vec3:
 def _wall_partner(work: Workspace) -> None:
     """Write a wall as the second partner of an impact."""
     for k in range(7):
-        work.partners.inverse[1, k] = 0.0
+        work.inverse[1, k] = 0.0
     for k in range(6):
-        work.partners.velocity[1, k] = 0.0
+        work.velocity[1, k] = 0.0
     for k in range(3):
-        work.partners.place[1, k] = 0.0
+        work.place[1, k] = 0.0
 
 
 @lean
@@ -129,39 +135,45 @@ def _given(scene: EventScene, state: EventState, work: Workspace, b: int, at: in
     """Let a body go on with what an impact has given it."""
     if b >= scene.n_moving:
         return
-    put_column3(state.flight, b, V, column3(work.partners.velocity, at, 0))
-    torque = cross(column3(work.rows.frame, 0, ARM + 3 * at), p)
+    put_column3(state.flight, b, V, column3(work.velocity, at, 0))
+    torque = cross(column3(work.frame, 0, ARM + 3 * at), p)
     spin = add(row3(state.spin, b), torque)
-    set_spin(scene, state, b, t, attitude(state, b, t), spin)
+    set_spin(scene, state, b, t, attitude(scene, state, b, t), spin)
 
 
 @lean
-def _sphere(scene: EventScene, state: EventState, b: int, i: int, x: Vec3, t: float) -> Vec3:
+def _sphere(
+    around: Flag, scene: EventScene, state: EventState, b: int, i: int, x: Vec3, t: float
+) -> Vec3:
     """Centre of sphere i of body b, whose centre of mass is at x."""
-    if scene.reach[b] == 0.0:
+    if around is None or scene.body[b, REACH] == 0.0:
         return x
     R, _ = posed(scene, state, b, t)
-    return add(x, turn(R, row3(scene.arm, i)))
+    return add(x, turn(R, row3(scene.sphere, i)))
 
 
-@lean
+@lean_apart
 def _geometry(
     scene: EventScene, state: EventState, a: int, b: int, i: int, j: int, t: float
-) -> tuple[Vec3, Vec3, float, float]:
-    """Normal from b to a, point, gap of an impact; and the largest length that enters it [m]."""
+) -> tuple[Vec3, Vec3, float, float, Vec3]:
+    """Normal from b to a, point, gap of an impact; the largest length that enters it [m]; shift.
+
+    By the shift [m] the image of b is away that hits a.
+    """
     x, _ = place(scene, state, a, t)
-    c, r = _sphere(scene, state, a, i, x, t), scene.radius[i]
+    c, r = _sphere(scene.around, scene, state, a, i, x, t), scene.sphere[i, RADIUS]
     size = abs(c[0]) + abs(c[1]) + abs(c[2]) + r
     if b == WALL:
         one = primitive_at(scene.wall_kind, scene.wall_parameter, j)
         distance, n, _ = normal_to(one, c)
-        return n, add_scaled(-distance, n, c), distance - r, size
+        return n, add_scaled(-distance, n, c), distance - r, size, _NOTHING
     y, _ = place(scene, state, b, t)
-    d = subtract(c, _sphere(scene, state, b, j, y, t))
+    apart = subtract(c, _sphere(scene.around, scene, state, b, j, y, t))
+    d = in_box(scene.box, apart)
     distance = norm(d)
-    n = scale(1.0 / distance, d)
-    gap = distance - r - scene.radius[j]
-    return n, add_scaled(-r - 0.5 * gap, n, c), gap, size + scene.radius[j]
+    n, radius = (d[0] / distance, d[1] / distance, d[2] / distance), scene.sphere[j, RADIUS]
+    gap = distance - r - radius
+    return n, add_scaled(-r - 0.5 * gap, n, c), gap, size + radius, subtract(apart, d)
 
 
 @lean
@@ -175,7 +187,9 @@ def _fastest(state: EventState, b: int) -> float:
 @lean
 def _watch(scene: EventScene, state: EventState, i: int, b: int, j: int, gap: float) -> None:
     """Keep what gaps were at impacts."""
-    radius = scene.radius[i] if b == WALL else min(scene.radius[i], scene.radius[j])
+    radius = scene.sphere[i, RADIUS]
+    if b != WALL:
+        radius = min(radius, scene.sphere[j, RADIUS])
     tally = state.tally
     tally[SMALLEST_GAP] = min(tally[SMALLEST_GAP], gap / radius)
     tally[LARGEST_GAP] = max(tally[LARGEST_GAP], gap / radius)
@@ -192,33 +206,38 @@ def _count(state: EventState, is_wall: bool, normal: float, rubbed: float, graze
     state.tally[IMPACT_WORK] += normal
     state.tally[FRICTION_WORK] += rubbed
     state.tally[GROSS_WORK] += abs(normal) + abs(rubbed)
-    state.sums[0] += normal + rubbed
+    state.sums[BOOKED] += normal + rubbed
 
 
 @lean
 def _give_outside(state: EventState, point: Vec3, p: Vec3) -> None:
     """Sum the impulse [N s] that a wall or a held body has given, at a point."""
-    spin = cross(point, p)
     for k in range(3):
-        state.sums[1 + k] += p[k]
-        state.sums[4 + k] += spin[k]
+        state.sums[BOOKED + 1 + k] += p[k]
+    _give_spin(state, point, p)
+
+
+@lean
+def _give_spin(state: EventState, arm: Vec3, p: Vec3) -> None:
+    """Sum the angular impulse [N m s] from outside, or between a body and an image of another."""
+    spin = cross(arm, p)
+    for k in range(3):
+        state.sums[BOOKED + 4 + k] += spin[k]
 
 
 @lean
 def _hit_of_balls(scene: EventScene, state: EventState, a: int, b: int, n: Vec3, e: float) -> Vec3:
     """Frictionless impact along a normal through both centres of mass; the impulse on a."""
     u = column3(state.flight, a, V)
-    w = scene.inv_mass[a]
+    w = scene.body[a, INVERSE]
     if b != WALL:
-        u, w = subtract(u, column3(state.flight, b, V)), w + scene.inv_mass[b]
+        u, w = subtract(u, column3(state.flight, b, V)), w + scene.body[b, INVERSE]
     before = dot(u, n)
     p = -(1.0 + e) * before / w
-    put_column3(
-        state.flight, a, V, add_scaled(p * scene.inv_mass[a], n, column3(state.flight, a, V))
-    )
-    after = column3(state.flight, a, V)
+    after = add_scaled(p * scene.body[a, INVERSE], n, column3(state.flight, a, V))
+    put_column3(state.flight, a, V, after)
     if b != WALL:
-        other = add_scaled(-p * scene.inv_mass[b], n, column3(state.flight, b, V))
+        other = add_scaled(-p * scene.body[b, INVERSE], n, column3(state.flight, b, V))
         put_column3(state.flight, b, V, other)
         after = subtract(after, other)
     work = 0.5 * p * (before + dot(after, n))
@@ -233,27 +252,28 @@ class Impact(NamedTuple):
     b: int  # body, or WALL
     normal: Vec3  # from b to a
     point: Vec3  # [m]
+    shift: Vec3  # [m] from b to its image that is hit
     restitution: float
     friction: float
     t: float  # [s]
 
 
-@lean
+@lean_apart
 def _hit(scene: EventScene, state: EventState, work: Workspace, of: Impact) -> Vec3:
     """Impact of any two; the impulse on a."""
-    partners, rows, a, b, t = work.partners, work.rows, of.a, of.b, of.t
-    _partner(scene, state, work, a, 0, t)
+    a, b, t, frame = of.a, of.b, of.t, work.frame
+    _partner(scene, state, work, a, 0, _NOTHING, t)
     if b == WALL:
         _wall_partner(work)
     else:
-        _partner(scene, state, work, b, 1, t)
-    write_frame(partners, rows, 0, of.normal, of.point)
-    rows.frame[0, FRICTION] = of.friction
-    u = approach(partners, rows, 0)
-    r = impact(rows.frame, 0, u, of.restitution)
-    p = in_world(rows.frame, 0, r)
-    push_apart(partners.velocity, partners.inverse, rows.frame, 0, 0, 1, p)
-    after = approach(partners, rows, 0)
+        _partner(scene, state, work, b, 1, of.shift, t)
+    write_frame_of(frame, work.inverse, work.place, 0, (0, 1), of.normal, of.point)
+    frame[0, FRICTION] = of.friction
+    u = in_frame(frame, 0, velocity_between(work.velocity, frame, 0, 0, 1))
+    r = impact(frame, 0, u, of.restitution)
+    p = in_world(frame, 0, r)
+    push_apart(work.velocity, work.inverse, frame, 0, 0, 1, p)
+    after = in_frame(frame, 0, velocity_between(work.velocity, frame, 0, 0, 1))
     normal = 0.5 * r[0] * (u[0] + after[0])
     rubbed = 0.5 * (r[1] * (u[1] + after[1]) + r[2] * (u[2] + after[2]))
     _count(state, b == WALL, normal, rubbed, abs(u[0]) < _GRAZES * norm(u))
@@ -261,6 +281,19 @@ def _hit(scene: EventScene, state: EventState, work: Workspace, of: Impact) -> V
     if b != WALL:
         _given(scene, state, work, b, 1, scale(-1.0, p), t)
     return p
+
+
+@lean
+def _hit_of_any(
+    rubs: Flag, scene: EventScene, state: EventState, work: Workspace, of: Impact
+) -> Vec3:
+    """Impact of any two, where some may change how a body turns, or none; the impulse on a."""
+    if rubs is None:
+        return _hit_of_balls(scene, state, of.a, of.b, of.normal, of.restitution)
+    is_round = scene.body[of.a, REACH] == 0.0 and (of.b == WALL or scene.body[of.b, REACH] == 0.0)
+    if of.friction == 0.0 and is_round:
+        return _hit_of_balls(scene, state, of.a, of.b, of.normal, of.restitution)
+    return _hit(scene, state, work, of)
 
 
 @lean
@@ -275,24 +308,23 @@ def collide(
     bring(scene, state, a, t)
     if b != WALL:
         bring(scene, state, b, t)
-    n, point, gap, size = _geometry(scene, state, a, b, i, j, t)
+    n, point, gap, size, shift = _geometry(scene, state, a, b, i, j, t)
     _watch(scene, state, i, b, j, gap)
     speed = _fastest(state, a) + (_fastest(state, b) if b != WALL else 0.0)
     if gap < -_MOST_OVERLAP * size - _MOST_LATE * t * speed:
         return False
-    material = scene.wall_material[j] if b == WALL else scene.material[b]
-    pair = scene.pair_of[scene.material[a], material]
-    n_all = scene.radius.size + scene.wall_kind.size
-    key = i * n_all + (j + scene.radius.size if b == WALL else j)
-    e, mu = _restitution(scene, state, a, key, pair, t), scene.friction[pair]
-    is_round = scene.reach[a] == 0.0 and (b == WALL or scene.reach[b] == 0.0)
-    if mu == 0.0 and is_round:
-        p = _hit_of_balls(scene, state, a, b, n, e)
-    else:
-        p = _hit(scene, state, work, Impact(a, b, n, point, e, mu, t))
+    material = scene.wall_material[j] if b == WALL else scene.kind[b, MATERIAL]
+    pair = scene.pair_of[scene.kind[a, MATERIAL], material]
+    n_spheres = scene.sphere.shape[0]
+    key = i * (n_spheres + scene.wall_kind.size) + (j + n_spheres if b == WALL else j)
+    e, mu = _restitution(scene, state, a, key, pair, t), scene.rules[pair, 1]
+    of = Impact(a, b, n, point, shift, e, mu, t)
+    p = _hit_of_any(scene.rubs, scene, state, work, of)
     state.info[a, HITS] += 1
     if b != WALL:
         state.info[b, HITS] += 1
     if b == WALL or b >= scene.n_moving:
         _give_outside(state, point, p)
+    elif scene.box is not None:
+        _give_spin(state, shift, p)
     return True

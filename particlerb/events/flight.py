@@ -3,10 +3,19 @@
 import math
 from typing import Final
 
-from particlerb.compiled.jit import lean, lean_kernel
+import numpy as np
+
+from particlerb.compiled.jit import Flag, lean, lean_kernel
 from particlerb.events.records import (
+    ASYMMETRIC,
     BEND,
+    CURVED,
     FASTEST,
+    INERTIA,
+    INV_INERTIA,
+    INVERSE,
+    MASS,
+    MOMENT,
     SINCE,
     TURNED,
     EventScene,
@@ -29,7 +38,7 @@ from particlerb.maths.vec3 import (
     scale,
 )
 from particlerb.model.state import State
-from particlerb.rotors.single_turn import set_turn, turned
+from particlerb.rotors.single_turn import set_steady_turn, set_turn, steadily_turned, turned
 
 _NOTHING: Final = (0.0, 0.0, 0.0)
 
@@ -39,7 +48,7 @@ def pull(scene: EventScene, b: int) -> Vec3:
     """Acceleration of a body [m/s²]."""
     if b >= scene.n_moving:
         return _NOTHING
-    return scene.gravity[0], scene.gravity[1], scene.gravity[2]
+    return scene.gravity
 
 
 @lean
@@ -52,16 +61,50 @@ def place(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Vec3,
 
 
 @lean
-def attitude(state: EventState, b: int, t: float) -> Quat:
-    """Orientation of a body at a time, rotor frame to world."""
+def in_box(box: tuple[Vec3, Vec3] | None, d: Vec3) -> Vec3:
+    """Shortest of the vectors from a point to the images of another, of that to one of them [m]."""
+    if box is None:
+        return d
+    side, inverse = box
+    return (
+        d[0] - side[0] * np.rint(d[0] * inverse[0]),
+        d[1] - side[1] * np.rint(d[1] * inverse[1]),
+        d[2] - side[2] * np.rint(d[2] * inverse[2]),
+    )
+
+
+@lean
+def _turned(turns: Flag, state: EventState, b: int, t: float) -> Quat:
+    """`attitude`, where some body is asymmetric or none."""
+    if turns is None:
+        return steadily_turned(state.turn, b, t - state.spin[b, TURNED])
     return turned(state.turn, b, t - state.spin[b, TURNED])
+
+
+@lean
+def attitude(scene: EventScene, state: EventState, b: int, t: float) -> Quat:
+    """Orientation of a body at a time, rotor frame to world."""
+    return _turned(scene.turns, state, b, t)
+
+
+@lean
+def _set_turn(
+    turns: Flag, scene: EventScene, state: EventState, b: int, q: Quat, spin: Vec3
+) -> None:
+    """Write the turn of a body, where some is asymmetric or none."""
+    inertia, inverse = column3(scene.body, b, INERTIA), column3(scene.body, b, INV_INERTIA)
+    if turns is None:
+        set_steady_turn(state.turn, b, inverse, q, spin)
+    else:
+        is_asymmetric = scene.kind[b, ASYMMETRIC] == 1
+        set_turn(state.turn, b, inertia, inverse, is_asymmetric, q, spin)
 
 
 @lean
 def angular_velocity(scene: EventScene, state: EventState, b: int, R: Matrix) -> Vec3:
     """Angular velocity [rad/s] of a body that is turned by R, world axes."""
-    m = component_product(row3(scene.inv_inertia, b), turn_back(R, row3(state.spin, b)))
-    return turn(R, m)
+    m = turn_back(R, row3(state.spin, b))
+    return turn(R, component_product(column3(scene.body, b, INV_INERTIA), m))
 
 
 @lean
@@ -72,16 +115,16 @@ def set_spin(scene: EventScene, state: EventState, b: int, t: float, q: Quat, sp
     ω̇_i = (I_j - I_k) ω_j ω_k / I_i, so that |ω̇| <= max |I_j - I_k|/I_i |ω|²/√3; points at r
     are accelerated by (|ω̇| + |ω|²) r at most.
     """
-    q, inverse = normalised(q), row3(scene.inv_inertia, b)
+    q, inverse = normalised(q), column3(scene.body, b, INV_INERTIA)
     put_column3(state.spin, b, L, spin)
     state.spin[b, TURNED] = t
-    set_turn(state.turn, b, row3(scene.inertia, b), inverse, scene.is_asymmetric[b], q, spin)
+    _set_turn(scene.turns, scene, state, b, q, spin)
     m = to_body(q, spin)
     largest = max(inverse[0], inverse[1], inverse[2])
     fastest = math.sqrt(largest * dot(m, component_product(inverse, m)))
     fastest = min(fastest, largest * norm(spin))
     state.spin[b, FASTEST] = fastest
-    state.spin[b, BEND] = scene.bend[b] * fastest * fastest
+    state.spin[b, BEND] = scene.body[b, CURVED] * fastest * fastest
 
 
 @lean
@@ -90,22 +133,23 @@ def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
     if b >= scene.n_moving:
         return
     x, v = place(scene, state, b, t)
-    add_moment(scene, state, b, t, state.moment)
+    add_moment(scene, state, b, t, state.sums, MOMENT)
     put_column3(state.flight, b, X, x)
     put_column3(state.flight, b, V, v)
     state.flight[b, SINCE] = t
 
 
 @lean
-def add_moment(scene: EventScene, state: EventState, b: int, t: float, moment: Floats) -> None:
-    """Add m ∫ x dt of a flight until a time [kg m s]."""
+def add_moment(scene: EventScene, state: EventState, b: int, t: float, to: Floats, at: int) -> None:
+    """Add m ∫ x dt of a flight until a time [kg m s] to three numbers from `at` on."""
     h = t - state.flight[b, SINCE]
     x, v, g = row3(state.flight, b), column3(state.flight, b, V), pull(scene, b)
-    path = scale(scene.mass[b] * h, x)
-    path = add_scaled(0.5 * scene.mass[b] * h * h, v, path)
-    path = add_scaled(scene.mass[b] * h * h * h / 6.0, g, path)
+    mass = scene.body[b, MASS]
+    path = scale(mass * h, x)
+    path = add_scaled(0.5 * mass * h * h, v, path)
+    path = add_scaled(mass * h * h * h / 6.0, g, path)
     for k in range(3):
-        moment[k] += path[k]
+        to[at + k] += path[k]
 
 
 @lean_kernel
@@ -120,35 +164,33 @@ def states_at(
         Column of `out` of each body.
     """
     for k in range(3):
-        moment[k] = state.moment[k]
-    for b in range(scene.mass.size):
+        moment[k] = state.sums[MOMENT + k]
+    for b in range(state.place.size):
         i = to[b]
         x, v = place(scene, state, b, t)
-        q, spin = attitude(state, b, t), row3(state.spin, b)
+        q, spin = attitude(scene, state, b, t), row3(state.spin, b)
         if b < scene.n_moving:
-            add_moment(scene, state, b, t, moment)
+            add_moment(scene, state, b, t, moment, 0)
         for k in range(3):
-            out.com[k, i], out.p[k, i], out.L[k, i] = x[k], scene.mass[b] * v[k], spin[k]
+            out.com[k, i], out.p[k, i], out.L[k, i] = x[k], scene.body[b, MASS] * v[k], spin[k]
         for k in range(4):
             out.q[k, i] = q[k]
 
 
-@lean_kernel
-def set_all(scene: EventScene, state: EventState, which: Ints, given: State) -> None:
-    """Let all bodies set off at time 0; body b is column which[b] of the states given."""
-    for b in range(scene.mass.size):
-        i = which[b]
-        x = (given.com[0, i], given.com[1, i], given.com[2, i])
-        p = (given.p[0, i], given.p[1, i], given.p[2, i])
-        spin = (given.L[0, i], given.L[1, i], given.L[2, i])
-        put_column3(state.flight, b, X, x)
-        put_column3(state.flight, b, V, scale(scene.inv_mass[b], p))
-        q = (given.q[0, i], given.q[1, i], given.q[2, i], given.q[3, i])
-        set_spin(scene, state, b, 0.0, q, spin)
+@lean
+def set_off(scene: EventScene, state: EventState, b: int, given: State, i: int) -> None:
+    """Let a body set off at time 0 from column i of the states given."""
+    x = (given.com[0, i], given.com[1, i], given.com[2, i])
+    p = (given.p[0, i], given.p[1, i], given.p[2, i])
+    spin = (given.L[0, i], given.L[1, i], given.L[2, i])
+    put_column3(state.flight, b, X, x)
+    put_column3(state.flight, b, V, scale(scene.body[b, INVERSE], p))
+    q = (given.q[0, i], given.q[1, i], given.q[2, i], given.q[3, i])
+    set_spin(scene, state, b, 0.0, q, spin)
 
 
 @lean
 def posed(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Matrix, Vec3]:
     """Rotation matrix of a body at a time, and its angular velocity; of a ball at rest in it."""
-    R = matrix(attitude(state, b, t))
+    R = matrix(attitude(scene, state, b, t))
     return R, angular_velocity(scene, state, b, R)

@@ -9,8 +9,10 @@ Where all are balls in free flight, a body that enters a cell looks at the new o
 
 import math
 
-from particlerb.compiled.jit import lean, lean_kernel
-from particlerb.events.flight import place, pull
+import numpy as np
+
+from particlerb.compiled.jit import Flag, lean, lean_kernel
+from particlerb.events.flight import place, pull, set_off
 from particlerb.events.queue import put
 from particlerb.events.records import (
     CELL,
@@ -18,7 +20,6 @@ from particlerb.events.records import (
     HIT,
     HITS,
     LEAVE,
-    NEXT,
     NOBODY,
     OTHER,
     OWN,
@@ -28,26 +29,48 @@ from particlerb.events.records import (
     WALL,
     EventScene,
     EventState,
-    Workspace,
 )
-from particlerb.events.search import LOST, Flying, bodies_meet, soonest, wall_meets
+from particlerb.events.search import (
+    LOST,
+    Flying,
+    balls_meet,
+    bodies_meet,
+    soonest,
+    wall_meets,
+)
 from particlerb.impulses.records import CROSSINGS
-from particlerb.maths.vec3 import Vec3
+from particlerb.maths.vec3 import Floats, Ints, Vec3
+from particlerb.model.state import State
 
 
 @lean
-def cell_of(scene: EventScene, state: EventState, i: int, j: int, k: int) -> int:
-    """Number of a cell, (i, j, k) modulo the numbers of cells."""
-    x, y, z = i % scene.cells[0], j % scene.cells[1], k % scene.cells[2]
-    return int((x * scene.cells[1] + y) * scene.cells[2] + z)
+def _cell(scene: EventScene, i: int, j: int, k: int) -> int:
+    """Number of a cell, of whose three numbers each is in its range."""
+    _, ny, nz = scene.cells
+    return (i * ny + j) * nz + k
 
 
 @lean
-def enter_cell(scene: EventScene, state: EventState, b: int) -> None:
+def _within(i: int, n: int) -> int:
+    """I modulo n, of a neighbour of a number from 0 to n - 1."""
+    return i - n if i >= n else i + n if i < 0 else i
+
+
+@lean
+def _home(scene: EventScene, state: EventState, b: int) -> tuple[int, int, int]:
+    """Cell that a body is in, its numbers modulo the numbers of cells."""
+    nx, ny, nz = scene.cells
+    i, j, k = state.info[b, CELL], state.info[b, CELL + 1], state.info[b, CELL + 2]
+    return int(np.int64(i) % nx), int(np.int64(j) % ny), int(np.int64(k) % nz)
+
+
+@lean
+def _enter_cell(scene: EventScene, state: EventState, b: int) -> None:
     """Add a body to the list of its cell."""
-    c = cell_of(scene, state, state.info[b, CELL], state.info[b, CELL + 1], state.info[b, CELL + 2])
+    i, j, k = _home(scene, state, b)
+    c = _cell(scene, i, j, k)
     first = state.head[c]
-    state.info[b, NEXT], state.info[b, PREVIOUS] = first, -1 - c
+    state.next[b], state.info[b, PREVIOUS] = first, -1 - c
     if first >= 0:
         state.info[first, PREVIOUS] = b
     state.head[c] = b
@@ -56,9 +79,9 @@ def enter_cell(scene: EventScene, state: EventState, b: int) -> None:
 @lean
 def _leave_cell(state: EventState, b: int) -> None:
     """Take a body out of the list of its cell."""
-    before, after = state.info[b, PREVIOUS], state.info[b, NEXT]
+    before, after = state.info[b, PREVIOUS], state.next[b]
     if before >= 0:
-        state.info[before, NEXT] = after
+        state.next[before] = after
     else:
         state.head[-1 - before] = after
     if after >= 0:
@@ -70,7 +93,7 @@ def cross(scene: EventScene, state: EventState, b: int) -> None:
     """Let a body go into the next cell."""
     _leave_cell(state, b)
     state.info[b, CELL + state.info[b, EXIT] // 2] += 2 * (state.info[b, EXIT] % 2) - 1
-    enter_cell(scene, state, b)
+    _enter_cell(scene, state, b)
     state.tally[CROSSINGS] += 1.0
 
 
@@ -79,10 +102,16 @@ def _until_crossing(
     scene: EventScene, state: EventState, b: int, x: Vec3, v: Vec3
 ) -> tuple[float, int]:
     """Time in which a body stays in its cell [s]; the side by which it leaves."""
-    g, w = pull(scene, b), scene.cell_width
-    best, leaves = math.inf, 0
+    g, best, leaves = pull(scene, b), math.inf, 0
     for k in range(3):
+        w = scene.cell_width[k]
         low = x[k] - (scene.origin[k] + w * state.info[b, CELL + k])
+        if g[k] == 0.0:
+            ahead = w - low if v[k] > 0.0 else low
+            s = max(ahead, 0.0) / abs(v[k]) if v[k] != 0.0 else math.inf
+            if s < best:
+                best, leaves = s, 2 * k + (1 if v[k] > 0.0 else 0)
+            continue
         s = soonest(low, v[k], -g[k], 0.0, w)
         if s < best:
             best, leaves = s, 2 * k
@@ -106,22 +135,52 @@ def _note(state: EventState, b: int, t: float, s: float, hit: tuple[int, int, in
     if time < state.at[b, HIT]:
         state.at[b, HIT] = time
         state.info[b, PARTNER], state.info[b, OWN], state.info[b, OTHER] = hit
-        state.info[b, STAMP] = state.info[hit[0], HITS] if hit[0] >= 0 else 0
+        if hit[0] >= 0:
+            state.info[b, STAMP] = state.info[hit[0], HITS]
 
 
 @lean
-def _bounds(state: EventState, b: int, side: int, axis: int) -> tuple[int, int]:
+def _look(
+    around: Flag, scene: EventScene, state: EventState, work: Floats, one: Flying, c: int,
+    stays: float,
+) -> bool:  # fmt: skip
+    """Note the impact of a body with body c, if it is the next; false: a search did not end."""
+    b = one.body
+    if around is None:
+        _note(state, b, one.t, balls_meet(scene, state, one, c), (c, min(b, c), max(b, c)))
+        return True
+    until = min(state.at[b, HIT] - one.t, stays)
+    s, own, other = bodies_meet(scene, state, work, one, c, until)
+    _note(state, b, one.t, s, (c, own, other))
+    return s != LOST
+
+
+@lean
+def _look_at_walls(
+    scene: EventScene, state: EventState, work: Floats, one: Flying, home: int, stays: float
+) -> bool:
+    """`_look` at all walls near a cell."""
+    found, b = True, one.body
+    for n in range(scene.wall_first[home], scene.wall_first[home + 1]):
+        p = int(np.int64(scene.wall_near[n]))
+        s, own = wall_meets(scene, state, work, one, p, min(state.at[b, HIT] - one.t, stays))
+        found = found and s != LOST
+        _note(state, b, one.t, s, (WALL, own, p))
+    return found
+
+
+@lean
+def _first_and_last(side: int, axis: int) -> tuple[int, int]:
     """First and last row of cells to look at along an axis: of a side alone, the new ones."""
-    at = state.info[b, CELL + axis]
     if side < 0 or side // 2 != axis:
-        return at - 1, at + 1
-    new = at + 2 * (side % 2) - 1
+        return -1, 1
+    new = 2 * (side % 2) - 1
     return new, new
 
 
-@lean_kernel
+@lean
 def predict(
-    scene: EventScene, state: EventState, work: Workspace, b: int, t: float, side: int
+    scene: EventScene, state: EventState, work: Floats, b: int, t: float, side: int
 ) -> bool:
     """Find the next event of body b after t [s] and queue it; false: a search did not end.
 
@@ -132,42 +191,37 @@ def predict(
     one, found = Flying(b, t, x, v), True
     stays, state.info[b, EXIT] = _until_crossing(scene, state, b, x, v)
     state.at[b, LEAVE] = t + stays
-    if side < 0 or scene.looks_around:
+    if side < 0 or scene.around is not None:
         side = -1
         state.at[b, HIT], state.info[b, PARTNER] = math.inf, NOBODY
-    (i0, i1), (j0, j1) = _bounds(state, b, side, 0), _bounds(state, b, side, 1)
-    k0, k1 = _bounds(state, b, side, 2)
-    for i in range(i0, i1 + 1):
-        for j in range(j0, j1 + 1):
-            for k in range(k0, k1 + 1):
-                c = state.head[cell_of(scene, state, i, j, k)]
+    nx, ny, nz = scene.cells
+    i0, j0, k0 = _home(scene, state, b)
+    (i1, i2), (j1, j2) = _first_and_last(side, 0), _first_and_last(side, 1)
+    k1, k2 = _first_and_last(side, 2)
+    for i in range(i0 + i1, i0 + i2 + 1):
+        for j in range(j0 + j1, j0 + j2 + 1):
+            for k in range(k0 + k1, k0 + k2 + 1):
+                at = _cell(scene, _within(i, nx), _within(j, ny), _within(k, nz))
+                c = int(np.int64(state.head[at]))
                 while c >= 0:
                     if c != b:
-                        until = state.at[b, HIT] - t
-                        if scene.looks_around:
-                            until = min(until, stays)
-                        s, own, other = bodies_meet(scene, state, work, one, c, until)
-                        found = found and s != LOST
-                        _note(state, b, t, s, (c, own, other))
-                    c = state.info[c, NEXT]
-    for p in range(scene.wall_kind.size):
-        until = min(state.at[b, HIT] - t, stays)
-        s, own = wall_meets(scene, state, work, one, p, until)
-        found = found and s != LOST
-        _note(state, b, t, s, (WALL, own, p))
+                        found = _look(scene.around, scene, state, work, one, c, stays) and found
+                    c = int(np.int64(state.next[c]))
+    home = _cell(scene, i0, j0, k0)
+    i, j, k = state.info[b, CELL], state.info[b, CELL + 1], state.info[b, CELL + 2]
+    if i != i0 or j != j0 or k != k0:
+        home = state.head.size
+    found = _look_at_walls(scene, state, work, one, home, stays) and found
     put(state, b, min(state.at[b, HIT], state.at[b, LEAVE]))
     return found
 
 
 @lean_kernel
-def predict_all(scene: EventScene, state: EventState, work: Workspace) -> bool:
-    """Put all bodies into their cells, and find their events; false: a search did not end."""
-    for b in range(scene.mass.size - 1, -1, -1):
-        x, _ = place(scene, state, b, 0.0)
+def set_all(scene: EventScene, state: EventState, which: Ints, given: State) -> None:
+    """Let all bodies set off at time 0, in their cells; body b is column which[b] of `given`."""
+    for b in range(state.place.size - 1, -1, -1):
+        set_off(scene, state, b, given, which[b])
         for k in range(3):
-            state.info[b, CELL + k] = math.floor((x[k] - scene.origin[k]) / scene.cell_width)
-        enter_cell(scene, state, b)
-    found = True
-    for b in range(scene.n_moving):
-        found = predict(scene, state, work, b, 0.0, -1) and found
-    return found
+            along = state.flight[b, k] - scene.origin[k]
+            state.info[b, CELL + k] = math.floor(along / scene.cell_width[k])
+        _enter_cell(scene, state, b)

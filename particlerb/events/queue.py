@@ -2,16 +2,12 @@
 
 from typing import Final
 
+import numpy as np
+
 from particlerb.compiled.jit import lean
 from particlerb.events.records import EventState
 
 _BRANCHES: Final = 4
-
-
-@lean
-def _put(state: EventState, k: int, t: float, b: int) -> None:
-    """Write a body and its time at k."""
-    state.heap_time[k], state.heap[k], state.place[b] = t, b, k
 
 
 @lean
@@ -22,7 +18,7 @@ def _sift_up(state: EventState, k: int, t: float, b: int) -> int:
         parent = (k - 1) // _BRANCHES
         if t > time[parent] or (t == time[parent] and b > heap[parent]):
             break
-        _put(state, k, time[parent], heap[parent])
+        time[k], heap[k], state.place[heap[parent]] = time[parent], heap[parent], k
         k = parent
     return k
 
@@ -43,7 +39,7 @@ def _sift_down(state: EventState, k: int, t: float, b: int) -> int:
                 best = child
         if time[best] > t or (time[best] == t and heap[best] > b):
             break
-        _put(state, k, time[best], heap[best])
+        time[k], heap[k], state.place[heap[best]] = time[best], heap[best], k
         k = best
     return k
 
@@ -51,6 +47,6 @@ def _sift_down(state: EventState, k: int, t: float, b: int) -> int:
 @lean
 def put(state: EventState, b: int, t: float) -> None:
     """Queue the event of body b at a time, in place of the one before."""
-    k = _sift_up(state, state.place[b], t, b)
+    k = _sift_up(state, int(np.int64(state.place[b])), t, b)
     k = _sift_down(state, k, t, b)
-    _put(state, k, t, b)
+    state.heap_time[k], state.heap[k], state.place[b] = t, b, k

@@ -1,16 +1,34 @@
 """What collisions by events are made of: constants, bodies on their flights, cells, the queue.
 
 Bodies have numbers of their own here: those that move first, sorted by cell so that neighbours are
-near each other in memory, then those that are held. Times count from `clock[2]` after
+near each other in memory, then those that are held. Times count from `sums[ZERO]` after
 the start of the segment, which moves along: late times would have fewer digits.
 """
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.impulses.records import TALLY, ImpulseRows, Partners
-from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.compiled.jit import Flag
+from particlerb.impulses.records import N_COLUMNS, TALLY
+from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3
+
+# Columns of `EventScene.body`
+MASS: Final = 0  # [kg]
+INVERSE: Final = 1  # [1/kg] 0 where held
+INERTIA: Final = 2  # three [kg m²], rotor frame
+INV_INERTIA: Final = 5  # three
+CURVED: Final = 8  # `spin[BEND]` over the square of `spin[FASTEST]`
+REACH: Final = 9  # [m] to the farthest centre of a sphere; 0: one ball about its centre
+N_BODY: Final = 10
+
+# Columns of `EventScene.kind`
+FIRST: Final = 0  # spheres of body b are from kind[b, FIRST] to kind[b + 1, FIRST]
+MATERIAL: Final = 1
+ASYMMETRIC: Final = 2  # 1: its principal moments differ
+N_KIND: Final = 3
+
+RADIUS: Final = 3  # column of `EventScene.sphere`, behind the arm
 
 # Columns of `EventState.flight`
 X: Final = 0  # [m] centre of mass when the flight began,
@@ -28,24 +46,32 @@ N_SPIN: Final = 6
 
 # Columns of `EventState.info`
 CELL: Final = 0  # three numbers
-NEXT: Final = 3  # body in the same cell, and
-PREVIOUS: Final = 4  # the one before; -1 - its number where it is the first of a cell
-EXIT: Final = 5  # side by which it leaves its cell: 2 axis, + 1 along it
-PARTNER: Final = 6  # which its next impact is with
-STAMP: Final = 7  # HITS of the partner when that was found
-OWN: Final = 8  # sphere of the body with the lower number
-OTHER: Final = 9  # sphere of the other body, or primitive
-HITS: Final = 10  # impacts so far
-N_INFO: Final = 12
+PREVIOUS: Final = 3  # body before it in its cell; -1 - its number where it is the first of a cell
+EXIT: Final = 4  # side by which it leaves its cell: 2 axis, + 1 along it
+PARTNER: Final = 5  # which its next impact is with
+STAMP: Final = 6  # HITS of the partner when that was found; AGAIN: it looks for its next event
+OWN: Final = 7  # sphere of the body with the lower number
+OTHER: Final = 8  # sphere of the other body, or primitive
+HITS: Final = 9  # impacts so far
+N_INFO: Final = 16  # a line of the cache
 
 # Columns of `EventState.at`
 HIT: Final = 0  # [s] next impact
 LEAVE: Final = 1  # [s] end of the stay in its cell
 
+# Numbers of `EventState.sums`
+INSTANT: Final = 0  # [s] start of an instant,
+AT_ONCE: Final = 1  # impacts since then
+ZERO: Final = 2  # [s] from which times count
+BOOKED: Final = 3  # seven: work, impulse, angular impulse
+MOMENT: Final = 10  # three [kg m s] of all mass on the flights that have ended
+N_SUMS: Final = 13
+
 # Values of PARTNER that are not bodies
 NOBODY: Final = -1  # nothing is hit
 WALL: Final = -2  # a primitive
 
+AGAIN: Final = -1
 REMEMBERED: Final = 8  # latest contacts of a body whose times are kept
 
 # How a call of the kernel ends
@@ -55,35 +81,36 @@ ENDLESS: Final = 2  # impacts do not come to an end
 OVERLAP: Final = 3  # spheres overlap by more than rounding
 UNFOUND: Final = 4  # a search took too many steps
 
+_LINE: Final = 64  # bytes of a line of the cache
+
 
 class EventScene(NamedTuple):
-    """What does not change, bodies by their own numbers."""
+    """What does not change, bodies by their own numbers; None: there is nothing of the kind.
 
-    gravity: Floats  # (3,) [m/s²]
+    Few arrays: each that a kernel hands to its helpers is seven to nine values to the compiler.
+    """
+
+    gravity: Vec3  # [m/s²]
     n_moving: int  # bodies that move come first
-    mass: Floats  # (n,) [kg]
-    inv_mass: Floats  # (n,) 0 where held
-    inertia: Floats  # (n, 3) [kg m²] rotor frame
-    inv_inertia: Floats  # (n, 3)
-    is_asymmetric: Bools  # (n,)
-    bend: Floats  # (n,) `spin[BEND]` over the square of `spin[FASTEST]`
-    reach: Floats  # (n,) [m] to the farthest centre of a sphere; 0: one ball about its centre
-    first: Ints  # (n + 1,) spheres of body b are first[b] to first[b + 1]
-    arm: Floats  # (m, 3) [m] rotor frame
-    radius: Floats  # (m,) [m]
-    material: Ints  # (n,)
+    body: Floats  # (n, N_BODY)
+    kind: Ints  # (n + 1, N_KIND)
+    sphere: Floats  # (m, 4) [m] arm in the rotor frame, radius
     pair_of: Ints  # (k, k) pair of two materials
-    restitution: Floats  # (n_pairs,)
-    friction: Floats  # (n_pairs,)
-    wall_kind: Ints  # (n_primitives,) those that have points of their own
-    wall_parameter: Floats  # (n_primitives, 12)
-    wall_material: Ints  # (n_primitives,)
+    rules: Floats  # (pairs, 2) restitution, friction
+    wall_kind: Ints  # (w,) primitives that have a surface
+    wall_parameter: Floats  # (w, 12)
+    wall_material: Ints  # (w,)
+    wall_first: Indices  # (n_cells + 2,) of those near each cell in `wall_near`; last: of all walls
+    wall_near: Indices
     contact_time: float  # [s]
-    period: float  # [s] after which times are counted anew, so that they keep their digits
-    looks_around: bool  # whether a body that enters a cell looks at all bodies around it again
-    cell_width: float  # [m]
-    origin: Floats  # (3,) [m] corner of cell 0, 0, 0
-    cells: Ints  # (3,) how many; those beyond share
+    period: float  # [s] after which times are counted anew
+    around: Flag  # all cells around are looked at in each cell: not all are balls in free flight
+    turns: Flag  # some body is asymmetric
+    rubs: Flag  # some impact may change how a body turns
+    box: tuple[Vec3, Vec3] | None  # [m, 1/m] sides of a periodic box, and inverse; 0: no end
+    cell_width: Vec3  # [m]
+    origin: Vec3  # [m] corner of a cell
+    cells: tuple[int, int, int]  # along each axis
 
 
 class EventState(NamedTuple):
@@ -92,36 +119,54 @@ class EventState(NamedTuple):
     flight: Floats  # (n, N_FLIGHT)
     spin: Floats  # (n, N_SPIN)
     turn: Floats  # (n, ..) see rotors/single_turn.py
-    info: Ints  # (n, N_INFO)
+    info: Indices  # (n, N_INFO)
     at: Floats  # (n, 2) [s]
-    head: Ints  # (n_cells,) first body of each cell, -1: none
-    heap: Ints  # (n_moving,) bodies, the one whose event is next first
+    next: Indices  # (n,) body in the same cell; -1: there is none
+    head: Indices  # (n_cells,) first body of each cell
+    heap: Indices  # (n_moving,) bodies, the one whose event is next first
     heap_time: Floats  # (n_moving,) [s] of their events
-    place: Ints  # (n,) in the heap
+    place: Indices  # (n,) in the heap
     contact: Ints  # (n, REMEMBERED) latest contacts of each body with those of higher number
     contact_at: Floats  # (n, REMEMBERED) [s] when
-    clock: Floats  # (3,) [s] start of an instant; impacts since then; [s] where 0 is
-    sums: Floats  # (7,) work, impulse, angular impulse
-    moment: Floats  # (3,) [kg m s] of all mass on the flights that have ended
+    sums: Floats  # (N_SUMS,)
     tally: Floats  # (TALLY,)
 
 
 class Workspace(NamedTuple):
-    """Space to work in."""
+    """Space to work in: `centre` for a search, else for an impact."""
 
     centre: Floats  # (most spheres of a body, 8) centre, velocity, bend, unused
-    partners: Partners  # 2
-    rows: ImpulseRows  # 1
+    velocity: Floats  # (2, 6) of the two, as `Partners` and `ImpulseRows` have them
+    inverse: Floats  # (2, 7)
+    place: Floats  # (2, 3)
+    frame: Floats  # (1, ..)
+
+
+def empty_workspace(most: int) -> Workspace:
+    """Space for bodies of so many spheres at most."""
+    widths = ((most, 8), (2, 6), (2, 7), (2, 3), (1, N_COLUMNS))
+    return Workspace(*(np.zeros(shape) for shape in widths))
+
+
+def _rows(n: int, columns: int, dtype: Any, value: float) -> Any:
+    """Array (n, columns) of a value that begins with a line of the cache."""
+    size = n * columns * np.dtype(dtype).itemsize
+    space = np.zeros(size + _LINE, dtype=np.uint8)
+    start = -space.ctypes.data % _LINE
+    rows = space[start : start + size].view(dtype).reshape(n, columns)
+    rows[:] = value
+    return rows
 
 
 def empty_state(n: int, n_moving: int, n_cells: int, columns: int) -> EventState:
-    """State of n bodies, with nothing in it."""
-    place = np.zeros(n, dtype=np.int64)
-    place[:n_moving] = np.arange(n_moving)
+    """State of n bodies at time 0: each that moves looks for its next event."""
+    which = np.arange(n, dtype=np.int32)
+    info = _rows(n, N_INFO, np.int32, 0)
+    info[:, PARTNER], info[:, STAMP] = which, AGAIN
     return EventState(
-        np.zeros((n, N_FLIGHT)), np.zeros((n, N_SPIN)), np.zeros((n, columns)),
-        np.zeros((n, N_INFO), dtype=np.int64), np.full((n, 2), np.inf), np.full(n_cells, -1),
-        np.arange(n_moving), np.full(n_moving, -np.inf), place,
-        np.full((n, REMEMBERED), -1), np.full((n, REMEMBERED), -np.inf),
-        np.zeros(3), np.zeros(7), np.zeros(3), np.zeros(TALLY),
+        _rows(n, N_FLIGHT, float, 0.0), np.zeros((n, N_SPIN)), np.zeros((n, columns)), info,
+        _rows(n, 2, float, np.inf), np.full(n, -1, dtype=np.int32),
+        np.full(n_cells, -1, dtype=np.int32), which[:n_moving].copy(), np.zeros(n_moving), which,
+        np.full((n, REMEMBERED), -1), np.full((n, REMEMBERED), -np.inf), np.zeros(N_SUMS),
+        np.zeros(TALLY),
     )  # fmt: skip

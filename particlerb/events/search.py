@@ -13,7 +13,7 @@ Rigid Body Systems, PhD thesis, Berkeley (1996), section 2.3.
 import math
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import inline, lean, lean_kernel
+from particlerb.compiled.jit import Flag, inline, lean, lean_apart
 from particlerb.contact.walls import (
     DISC,
     FACE,
@@ -26,17 +26,20 @@ from particlerb.contact.walls import (
     radial,
     side,
 )
-from particlerb.events.flight import place, posed, pull
+from particlerb.events.flight import in_box, place, posed, pull
 from particlerb.events.records import (
     BEND,
     BOUND,
     FASTEST,
+    FIRST,
+    RADIUS,
+    REACH,
     EventScene,
     EventState,
-    Workspace,
 )
 from particlerb.maths.quaternion import turn
 from particlerb.maths.vec3 import (
+    Floats,
     Vec3,
     add,
     add_scaled,
@@ -49,7 +52,8 @@ from particlerb.maths.vec3 import (
 )
 
 _MOST: Final = 100_000  # steps of a search
-_EPS: Final = 2.3e-16
+_EPS: Final = 5e-16
+_NOWHERE: Final = (0.0, 0.0, 0.0)
 _AWAY: Final = 1e-8  # least step from a contact that opens, over √(size/bend)
 LOST: Final = -1.0  # time of a search without an end
 
@@ -58,7 +62,8 @@ LOST: Final = -1.0  # time of a search without an end
 def soonest(gap: float, rate: float, bend: float, touch: float, size: float) -> float:
     """First zero s >= 0 [s] of gap + rate s - bend s²/2, inf: none.
 
-    What is nearer than `touch` touches: 0 where it closes, else until it may touch again.
+    What is nearer than `touch` touches: 0 where it closes, else until it may touch again. The zero
+    is that of half of `touch`: no overlap by rounding.
     """
     if gap <= touch:
         if rate < 0.0:
@@ -66,6 +71,7 @@ def soonest(gap: float, rate: float, bend: float, touch: float, size: float) -> 
         if bend <= 0.0:
             return math.inf
         return max(2.0 * rate / bend, _AWAY * math.sqrt(size / bend))
+    gap -= 0.5 * touch
     root = rate * rate + 2.0 * bend * gap
     if root < 0.0 or (rate >= 0.0 and bend <= 0.0):
         return math.inf
@@ -85,16 +91,16 @@ def rounding(x: Vec3, size: float) -> float:
 @inline
 def _balls_meet(x: Vec3, u: Vec3, R: float) -> float:
     """Time until |x + u t| = R [s], inf: never, or they part."""
-    b, distance = dot(x, u), norm(x)
+    b = dot(x, u)
     if b >= 0.0:
         return math.inf
-    if distance <= R:
-        return 0.0
-    square = dot(u, u)
-    least = cross(x, u)
+    square, least = dot(u, u), cross(x, u)
     root = R * R * square - dot(least, least)
     if root < 0.0:
         return math.inf
+    distance = norm(x)
+    if distance <= R:
+        return 0.0
     t = (distance - R) * (distance + R) / (math.sqrt(root) - b)
     w = add_scaled(t, u, x)
     distance, b = norm(w), dot(w, u)
@@ -105,19 +111,20 @@ def _balls_meet(x: Vec3, u: Vec3, R: float) -> float:
 
 @lean
 def _ready(
-    scene: EventScene, state: EventState, work: Workspace, b: int, t: float
+    scene: EventScene, state: EventState, work: Floats, b: int, shift: Vec3, t: float
 ) -> tuple[Vec3, Vec3]:
     """Write centres, velocities and bends of the spheres of a body; where the body is, how fast."""
     x, v = place(scene, state, b, t)
+    x = add(x, shift)
     R, omega = posed(scene, state, b, t)
-    lo = scene.first[b]
-    for k in range(lo, scene.first[b + 1]):
-        arm = row3(scene.arm, k)
+    lo = scene.kind[b, FIRST]
+    for k in range(lo, scene.kind[b + 1, FIRST]):
+        arm = row3(scene.sphere, k)
         r = turn(R, arm)
         u = cross(omega, r)
         for i in range(3):
-            work.centre[k - lo, i], work.centre[k - lo, 3 + i] = x[i] + r[i], v[i] + u[i]
-        work.centre[k - lo, 6] = state.spin[b, BEND] * norm(arm)
+            work[k - lo, i], work[k - lo, 3 + i] = x[i] + r[i], v[i] + u[i]
+        work[k - lo, 6] = state.spin[b, BEND] * norm(arm)
     return x, v
 
 
@@ -138,39 +145,40 @@ def _span(x: Vec3, u: Vec3, R: float) -> tuple[float, float]:
 
 @lean
 def _nearest_spheres(
-    scene: EventScene, state: EventState, work: Workspace, pair: tuple[int, int], t: float,
-    fall: float,
+    scene: EventScene, state: EventState, work: Floats, pair: tuple[int, int], shift: Vec3,
+    t: float, fall: float,
 ) -> tuple[float, int, int, bool]:  # fmt: skip
     """Time in which no spheres of two bodies meet [s]; which are next, and whether they touch."""
     a, b = pair
-    xb, vb = _ready(scene, state, work, b, t)
+    xb, vb = _ready(scene, state, work, b, shift, t)
     xa, va = place(scene, state, a, t)
     R, omega = posed(scene, state, a, t)
     bend, size = state.spin[a, BEND], min(state.flight[a, BOUND], state.flight[b, BOUND])
     touch = rounding(xa, size)
     fastest = norm(subtract(va, vb)) + 1e-300
-    fastest += state.spin[a, FASTEST] * scene.reach[a] + state.spin[b, FASTEST] * scene.reach[b]
-    least, first, second, lo = math.inf, -1, -1, scene.first[b]
-    for i in range(scene.first[a], scene.first[a + 1]):
-        arm = row3(scene.arm, i)
+    fastest += state.spin[a, FASTEST] * scene.body[a, REACH]
+    fastest += state.spin[b, FASTEST] * scene.body[b, REACH]
+    least, first, second, lo = math.inf, -1, -1, scene.kind[b, FIRST]
+    for i in range(scene.kind[a, FIRST], scene.kind[a + 1, FIRST]):
+        arm, radius = row3(scene.sphere, i), scene.sphere[i, RADIUS]
         r = turn(R, arm)
         c, v = add(xa, r), add(va, cross(omega, r))
         d = subtract(c, xb)
-        if fall == 0.0 and norm(d) - scene.radius[i] - state.flight[b, BOUND] > least * fastest:
+        if fall == 0.0 and norm(d) - radius - state.flight[b, BOUND] > least * fastest:
             continue
         curved = bend * norm(arm) + fall
-        for j in range(lo, scene.first[b + 1]):
+        for j in range(lo, scene.kind[b + 1, FIRST]):
             k = j - lo
-            centre, velocity = row3(work.centre, k), (
-                work.centre[k, 3], work.centre[k, 4], work.centre[k, 5]
+            centre, velocity = row3(work, k), (
+                work[k, 3], work[k, 4], work[k, 5]
             )  # fmt: skip
             d = subtract(c, centre)
             distance = norm(d)
-            gap = distance - scene.radius[i] - scene.radius[j]
+            gap = distance - radius - scene.sphere[j, RADIUS]
             if fall == 0.0 and gap > least * fastest:
                 continue
             rate = dot(d, subtract(v, velocity)) / distance
-            s = soonest(gap, rate, curved + work.centre[k, 6], touch, size)
+            s = soonest(gap, rate, curved + work[k, 6], touch, size)
             if s < least:
                 least, first, second = s, i, j
             if s == 0.0:
@@ -178,17 +186,17 @@ def _nearest_spheres(
     return least, first, second, False
 
 
-@lean_kernel
+@lean_apart
 def _spheres_meet(
-    scene: EventScene, state: EventState, work: Workspace, pair: tuple[int, int], t: float,
-    span: tuple[float, float], fall: float,
+    scene: EventScene, state: EventState, work: Floats, pair: tuple[int, int], shift: Vec3,
+    t: float, span: tuple[float, float], fall: float,
 ) -> tuple[float, int, int]:  # fmt: skip
     """When spheres of two bodies touch and approach, within a span of time after t; which."""
     s, last = span
     for _ in range(_MOST):
         if s >= last:
             return math.inf, -1, -1
-        step, i, j, touches = _nearest_spheres(scene, state, work, pair, t + s, fall)
+        step, i, j, touches = _nearest_spheres(scene, state, work, pair, shift, t + s, fall)
         if touches or (step < last and (t + s) + step == t + s):
             return s, i, j
         s += step
@@ -205,8 +213,17 @@ class Flying(NamedTuple):
 
 
 @lean
+def balls_meet(scene: EventScene, state: EventState, one: Flying, c: int) -> float:
+    """Time [s] until a ball and ball c touch and approach, both in free flight; inf: never."""
+    xc, vc = place(scene, state, c, one.t)
+    x, u = in_box(scene.box, subtract(xc, one.x)), subtract(vc, one.v)
+    R = state.flight[one.body, BOUND] + state.flight[c, BOUND]
+    return _balls_meet(x, u, R + rounding(one.x, R))
+
+
+@lean
 def bodies_meet(
-    scene: EventScene, state: EventState, work: Workspace, one: Flying, c: int, until: float
+    scene: EventScene, state: EventState, work: Floats, one: Flying, c: int, until: float
 ) -> tuple[float, int, int]:
     """Time until a body and body c touch and approach, before `until`; with which spheres.
 
@@ -225,23 +242,26 @@ def bodies_meet(
         Spheres, of the body with the lower number and of the other one.
     """
     b, t = one.body, one.t
+    fall = norm(pull(scene, b)) if c >= scene.n_moving else 0.0
+    if fall == 0.0 and scene.body[b, REACH] == 0.0 and scene.body[c, REACH] == 0.0:
+        s, i, j = balls_meet(scene, state, one, c), min(b, c), max(b, c)
+        return (s if s < until else math.inf), scene.kind[i, FIRST], scene.kind[j, FIRST]
     xc, vc = place(scene, state, c, t)
-    x, u = subtract(xc, one.x), subtract(vc, one.v)
+    apart, u = subtract(xc, one.x), subtract(vc, one.v)
+    x = in_box(scene.box, apart)
+    shift = subtract(x, apart)
     R = state.flight[b, BOUND] + state.flight[c, BOUND]
-    pair, span, fall = (min(b, c), max(b, c)), (0.0, until), 0.0
-    if c >= scene.n_moving:
-        fall = norm(pull(scene, b))
+    span = (0.0, until)
     if fall == 0.0:
-        if scene.reach[b] == 0.0 and scene.reach[c] == 0.0:
-            s = _balls_meet(x, u, R)
-            return (s if s < until else math.inf), scene.first[pair[0]], scene.first[pair[1]]
         s, last = _span(x, u, R * (1.0 + 1e-9))
+        span = s, min(last, until)
         if s >= until:
             return math.inf, -1, -1
-        span = s, min(last, until)
     elif norm(x) - R > (norm(u) + fall * until) * until:
         return math.inf, -1, -1
-    return _spheres_meet(scene, state, work, pair, t, span, fall)
+    if c < b:
+        return _spheres_meet(scene, state, work, (c, b), scale(-1.0, shift), t, span, fall)
+    return _spheres_meet(scene, state, work, (b, c), shift, t, span, fall)
 
 
 # A body and a wall
@@ -313,30 +333,39 @@ def _until_wall(
     return soonest(gap, rate, curved, touch, radius)
 
 
-@lean_kernel
+@lean
+def _ready_for_wall(
+    around: Flag, scene: EventScene, state: EventState, work: Floats, b: int, t: float
+) -> None:
+    """`_ready`, of balls without how they turn."""
+    if around is not None and scene.body[b, REACH] != 0.0:
+        _ready(scene, state, work, b, _NOWHERE, t)
+        return
+    x, v = place(scene, state, b, t)
+    for i in range(3):
+        work[0, i], work[0, 3 + i] = x[i], v[i]
+    work[0, 6] = 0.0
+
+
+@lean_apart
 def _wall_meets(
-    scene: EventScene, state: EventState, work: Workspace, a: int, p: int, t: float,
+    scene: EventScene, state: EventState, work: Floats, a: int, p: int, t: float,
     until: float,
 ) -> tuple[float, int]:  # fmt: skip
     """`wall_meets` where the two come near each other."""
     one, g = primitive_at(scene.wall_kind, scene.wall_parameter, p), pull(scene, a)
-    x, v = place(scene, state, a, t)
-    fastest = norm(v) + norm(g) * until + state.spin[a, FASTEST] * scene.reach[a] + 1e-300
-    s, lo, is_ball = 0.0, scene.first[a], scene.reach[a] == 0.0
+    _, v = place(scene, state, a, t)
+    fastest = norm(v) + norm(g) * until + state.spin[a, FASTEST] * scene.body[a, REACH] + 1e-300
+    s, lo = 0.0, scene.kind[a, FIRST]
     for _ in range(_MOST):
         if s >= until:
             return math.inf, -1
-        if is_ball:
-            x, v = place(scene, state, a, t + s)
-            for i in range(3):
-                work.centre[0, i], work.centre[0, 3 + i] = x[i], v[i]
-        else:
-            _ready(scene, state, work, a, t + s)
+        _ready_for_wall(scene.around, scene, state, work, a, t + s)
         step, best = math.inf, -1
-        for k in range(lo, scene.first[a + 1]):
-            c = row3(work.centre, k - lo)
-            u = work.centre[k - lo, 3], work.centre[k - lo, 4], work.centre[k - lo, 5]
-            wait = _until_wall(one, c, u, g, scene.radius[k], work.centre[k - lo, 6], fastest)
+        for k in range(lo, scene.kind[a + 1, FIRST]):
+            c = row3(work, k - lo)
+            u = work[k - lo, 3], work[k - lo, 4], work[k - lo, 5]
+            wait = _until_wall(one, c, u, g, scene.sphere[k, RADIUS], work[k - lo, 6], fastest)
             if wait < step:
                 step, best = wait, k
         if step == 0.0 or (step < until and (t + s) + step == t + s):
@@ -357,7 +386,7 @@ def _at_least_away(one: Primitive, x: Vec3) -> float:
 
 @lean
 def wall_meets(
-    scene: EventScene, state: EventState, work: Workspace, one: Flying, p: int, until: float
+    scene: EventScene, state: EventState, work: Floats, one: Flying, p: int, until: float
 ) -> tuple[float, int]:
     """Time until a body touches a primitive and approaches it, before `until`; its sphere.
 

@@ -20,7 +20,7 @@ COUPLING: Final = 16  # W_n1, W_n2,
 SCHUR: Final = 18  # S_11, S_22
 LEAST: Final = 20  # [m/s] least normal velocity after the solve
 FRICTION: Final = 21  # [-] μ
-_N_COLUMNS: Final = 22
+N_COLUMNS: Final = 22
 
 # Columns of `Rows.limits`
 GAP: Final = 0  # [m] at the middle of the step; negative: an overlap
@@ -56,6 +56,7 @@ RENEWED: Final = 23  # events whose partner had hit another body before
 GROSS_WORK: Final = 24  # [J]
 TALLY: Final = 25
 
+LEAST_CELLS: Final = 4  # along a side of a periodic box: two bodies meet in one image alone
 NEVER: Final = -1e300  # [m/s] least velocity of a contact that is left out of a solve
 
 
@@ -75,6 +76,7 @@ class EventRules(NamedTuple):
 
     restitution: Floats  # (n_pairs,) of materials
     contact_time: float  # [s] a contact that hits again within it bounces elastically
+    box: Floats  # (3,) [m] sides of the periodic box, inf: it has no end
 
 
 class Partners(NamedTuple):
@@ -140,7 +142,7 @@ def room_for_partners(n: int) -> Partners:
 def room_for_rows(n: int) -> ImpulseRows:
     """Room for n contacts."""
     first, second, entry = np.zeros((3, n), dtype=np.int64)
-    widths = (_N_COLUMNS, _N_LIMITS, 3, 3, 3, 3)
+    widths = (N_COLUMNS, _N_LIMITS, 3, 3, 3, 3)
     return ImpulseRows(first, second, entry, *(np.zeros((n, width)) for width in widths))
 
 

@@ -99,8 +99,17 @@ def _diagonal_turn(s11: float, s22: float, s12: float) -> tuple[float, float]:
 @inline
 def write_frame(partners: Partners, rows: ImpulseRows, c: int, normal: Vec3, point: Vec3) -> None:
     """Write frame and inverse mass of contact c, whose partners are known, at a point [m]."""
-    frame, inverse, place = rows.frame, partners.inverse, partners.place
-    a, b = rows.first[c], rows.second[c]
+    between = rows.first[c], rows.second[c]
+    write_frame_of(rows.frame, partners.inverse, partners.place, c, between, normal, point)
+
+
+@inline
+def write_frame_of(
+    frame: Floats, inverse: Floats, place: Floats, c: int, between: tuple[int, int], normal: Vec3,
+    point: Vec3,
+) -> None:  # fmt: skip
+    """Write frame and inverse mass of contact c between two partners at a point [m]."""
+    a, b = between
     arm_a, arm_b = subtract(point, column3(place, a, 0)), subtract(point, column3(place, b, 0))
     put_column3(frame, c, NORMAL, normal)
     put_column3(frame, c, ARM, arm_a)

@@ -5,7 +5,11 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.impulses.records import EventRules, ImpulseRules
+from particlerb.case.contact import ContactTable
+from particlerb.case.problems import CaseError
+from particlerb.case.source import problem_at
+from particlerb.impulses.records import LEAST_CELLS, EventRules, ImpulseRules
+from particlerb.maths.vec3 import Floats
 from particlerb.model.state import lengths, omega_world
 from particlerb.model.system import System
 from particlerb.plan.contact_setup import ContactSetup
@@ -27,6 +31,12 @@ def rules_of(touching: ContactSetup, radius: float, n: int) -> ImpulseRules | No
     )
 
 
+def box_of(asked: ContactTable) -> Floats:
+    """Sides (3,) [m] of the periodic box of a case; inf: without end."""
+    sides = np.array(asked.periodic or (0.0, 0.0, 0.0))
+    return np.where(sides > 0.0, sides, np.inf)
+
+
 def events_of(system: System, touching: ContactSetup) -> EventRules | None:
     """How bodies collide at the instants of their impacts; None where they do not.
 
@@ -36,6 +46,11 @@ def events_of(system: System, touching: ContactSetup) -> EventRules | None:
     asked = touching.record
     if asked.law != "events":
         return None
+    box = box_of(asked)
+    least = LEAST_CELLS * 2.0 * float(system.reach[np.unique(system.kind)].max())
+    if (box < least).any():
+        reason = f"bodies may meet in two images: each side must be 0, or {least:.3g} m at least"
+        raise CaseError([problem_at(system, "contact.periodic", reason, "enlarge it")])
     time = asked.contact_time
     if time is None:
         radius = system.particles.radius
@@ -46,4 +61,4 @@ def events_of(system: System, touching: ContactSetup) -> EventRules | None:
         fall = math.sqrt(2.0 * float(np.linalg.norm(system.acceleration)) * smallest)
         fastest = max(speed + spin, fall)
         time = CONTACT_SHARE * smallest / fastest if fastest > 0.0 else 0.0
-    return EventRules(touching.pairs.restitution.ravel(), time)
+    return EventRules(touching.pairs.restitution.ravel(), time, box)

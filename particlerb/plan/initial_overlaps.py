@@ -63,12 +63,29 @@ def _allowed(contact: "ContactSetup", spheres: _SetupSpheres) -> float:
     return max(contact.record.overlap, _ROUNDING * size)
 
 
+def _with_images(spheres: _SetupSpheres, contact: "ContactSetup") -> _SetupSpheres:
+    """Spheres within the box that repeats, and again beyond its upper sides what is near lower."""
+    place, radius, body = spheres
+    for k, side in enumerate(contact.record.periodic or ()):
+        if side > 0.0:
+            place = place.copy()
+            place[k] %= side
+            near = place[k] < 2.0 * radius.max()
+            beyond = place[:, near]
+            beyond[k] += side
+            place = np.concatenate([place, beyond], axis=1)
+            radius, body = np.append(radius, radius[near]), np.append(body, body[near])
+    order = np.argsort(body, kind="stable")
+    return _SetupSpheres(np.ascontiguousarray(place[:, order]), radius[order], body[order])
+
+
 def _overlapping(
     system: System, contact: "ContactSetup", spheres: _SetupSpheres
 ) -> Iterator[Problem]:
     """What is wrong with bodies that overlap: which, how deep, and how many."""
     if contact.record.relax:
         return
+    spheres = _with_images(spheres, contact)
     found = neighbours(spheres.place, spheres.radius, spheres.body, 0.0, contact.apart)
     i, j = found.first, found.second
     distance = lengths(spheres.place[:, j] - spheres.place[:, i])

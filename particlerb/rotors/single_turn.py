@@ -88,6 +88,13 @@ def _set_near(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float
         turn[b, 17 + k], turn[b, 23 + k] = of.cosines[k], of.sines[k]
 
 
+@lean
+def set_steady_turn(turn: Floats, b: int, inverse: Vec3, q: Quat, L: Vec3) -> None:
+    """`set_turn` of a body that is not asymmetric."""
+    along = to_body(q, L)[2] * (inverse[2] - inverse[0])
+    _set_steady(turn, b, q, L, norm(L) * inverse[0], along)
+
+
 @lean_kernel
 def set_turn(
     turn: Floats, b: int, inertia: Vec3, inverse: Vec3, is_asymmetric: bool, q: Quat, L: Vec3
@@ -108,8 +115,7 @@ def set_turn(
         World axes.
     """
     if not is_asymmetric:
-        along = to_body(q, L)[2] * (inverse[2] - inverse[0])
-        _set_steady(turn, b, q, L, norm(L) * inverse[0], along)
+        set_steady_turn(turn, b, inverse, q, L)
         return
     one, other = _unit(inertia), _unit(L)
     moments, spin = scale(one, inertia), scale(other, L)
@@ -124,14 +130,20 @@ def set_turn(
         _set_near(turn, b, moments, q, spin, one / other)
 
 
+@lean
+def steadily_turned(turn: Floats, b: int, t: float) -> Quat:
+    """`turned` of a body whose turn is steady."""
+    cos, sin, _ = cos_sin_half_turns(turn[b, 4] * t)
+    cos_b, sin_b, _ = cos_sin_half_turns(turn[b, 5] * t)
+    q = multiply(_quat(turn, b, 6), (cos_b, 0.0, 0.0, sin_b))
+    return multiply((cos, sin * turn[b, 1], sin * turn[b, 2], sin * turn[b, 3]), q)
+
+
 @lean_kernel
 def turned(turn: Floats, b: int, t: float) -> Quat:
     """Orientation of body b after t [s]."""
     if turn[b, 0] == _STEADY:
-        cos, sin, _ = cos_sin_half_turns(turn[b, 4] * t)
-        cos_b, sin_b, _ = cos_sin_half_turns(turn[b, 5] * t)
-        q = multiply(_quat(turn, b, 6), (cos_b, 0.0, 0.0, sin_b))
-        return multiply((cos, sin * turn[b, 1], sin * turn[b, 2], sin * turn[b, 3]), q)
+        return steadily_turned(turn, b, t)
     x, phase = turn[b, 1] + turn[b, 2] * t, turn[b, 3] * t
     left, right = _quat(turn, b, 4), _quat(turn, b, 8)
     if turn[b, 0] == _THETA:

@@ -6,24 +6,29 @@ import numpy as np
 
 from particlerb.compiled.threads import THREADS
 from particlerb.events.advance import advance
-from particlerb.events.flight import set_all, states_at
-from particlerb.events.predict import predict_all
+from particlerb.events.flight import states_at
+from particlerb.events.predict import set_all
 from particlerb.events.records import (
+    BOOKED,
     BOUND,
     DONE,
     ENDLESS,
+    FIRST,
+    MASS,
+    MOMENT,
     MORE,
     OVERLAP,
-    Workspace,
+    ZERO,
     empty_state,
+    empty_workspace,
 )
-from particlerb.impulses.records import GROSS_WORK, room_for_partners, room_for_rows
+from particlerb.impulses.records import GROSS_WORK, RENEWED
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, State, store_state
 from particlerb.rotors.single_turn import COLUMNS, STEADY_COLUMNS
 from particlerb.stepping.event_scene import bounds_of, order_of, scene_of
 from particlerb.stepping.motion import Motion, MotionError, SegmentGroup
-from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays
+from particlerb.stepping.saved_arrays import Saved, to_arrays
 
 _PER_CALL: Final = 100_000  # events: progress and Ctrl-C in between
 _WHY: Final = {
@@ -42,18 +47,15 @@ class EventMotion(Motion):
         self.group, self.start = group, start
         self.order, n_moving = order_of(group, state)
         self.scene = scene_of(group, state, self.order, n_moving)
-        n, n_cells = self.order.size, int(self.scene.cells.prod())
-        columns = COLUMNS if self.scene.is_asymmetric.any() else STEADY_COLUMNS
+        n, n_cells = self.order.size, int(np.prod(self.scene.cells))
+        columns = STEADY_COLUMNS if self.scene.turns is None else COLUMNS
         self.state = empty_state(n, n_moving, n_cells, columns)
-        most = int(np.diff(self.scene.first).max())
-        self.work = Workspace(np.zeros((most, 8)), room_for_partners(2), room_for_rows(1))
-        self.work.rows.second[0] = 1
+        self.work = empty_workspace(int(np.diff(self.scene.kind[:, FIRST]).max()))
         if before is not None:
             self.state.tally[:] = before.impulse_tally()
+        self.state.tally[RENEWED] -= n_moving  # as each looks for its first event
         self.state.flight[:, BOUND] = bounds_of(group)[1][self.order]
         THREADS.alone(set_all, self.scene, self.state, self.order, state)
-        if not THREADS.timed(predict_all, self.scene, self.state, self.work):
-            raise MotionError(f"at t = {start:.6g} s a body touches another: {_SEARCH}")
         self.tallies: dict[int, Floats] = {}
 
     def run_to(self, time: float) -> None:
@@ -68,7 +70,7 @@ class EventMotion(Motion):
         while ends == MORE:
             ends, b = THREADS.timed(advance, self.scene, self.state, self.work, until, _PER_CALL)
         if ends != DONE:
-            now = self.start + float(self.state.clock[2] + self.state.heap_time[0])
+            now = self.start + float(self.state.sums[ZERO] + self.state.heap_time[0])
             what = f"at t = {now:.9g} s body {self.group.members[self.order[b]]} cannot continue"
             raise MotionError(f"{what}: {_WHY.get(ends, _SEARCH)}")
 
@@ -77,10 +79,10 @@ class EventMotion(Motion):
         self.run_to(time)
         n, elapsed, moment = self.order.size, time - self.start, np.zeros(3)
         state = State(*(np.zeros((rows, n)) for rows in (3, 4, 3, 3)))
-        local = elapsed - float(self.state.clock[2])
+        local = elapsed - float(self.state.sums[ZERO])
         THREADS.alone(states_at, self.scene, self.state, local, self.order, state, moment)
-        booked, g = self.state.sums.copy(), self.scene.gravity
-        booked[1:4] += self.scene.mass.sum() * g * elapsed
+        booked, g = self.state.sums[BOOKED:MOMENT].copy(), np.array(self.scene.gravity)
+        booked[1:4] += self.scene.body[:, MASS].sum() * g * elapsed
         booked[4:7] += np.cross(moment, g)
         return state, booked
 
@@ -115,4 +117,5 @@ class EventMotion(Motion):
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
-        self.state = from_arrays(self.state, saved)
+        for name, values in self.state._asdict().items():
+            values[:] = saved[name]

@@ -1,21 +1,37 @@
 """What collisions by events work on, from a group of bodies: their order, cells, walls."""
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from particlerb.compiled.jit import flag
 from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.walls import DISC, FACE, PLANE, SIDE, Walls
-from particlerb.events.records import EventScene
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.events.records import (
+    ASYMMETRIC,
+    CURVED,
+    FIRST,
+    INERTIA,
+    INV_INERTIA,
+    INVERSE,
+    MASS,
+    MATERIAL,
+    N_BODY,
+    N_KIND,
+    REACH,
+    EventScene,
+)
+from particlerb.impulses.records import LEAST_CELLS, EventRules
+from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3
 from particlerb.model.state import State
-from particlerb.rotors.rotor_class import ASYMMETRIC
+from particlerb.rotors.rotor_class import ASYMMETRIC as ASYMMETRIC_CLASS
 from particlerb.stepping.motion import SegmentGroup
 
 _ROUNDING: Final = 1e-15  # of a radius: a centre nearer to the centre of mass is there
 _WIDER: Final = 1.0 + 1e-9
 _CELLS: Final = 8.0  # that are passed until times are counted anew
-_MOST_CELLS: Final = 4  # for each body, roughly
+_PER_BODY: Final = 3.0  # cells: a body meets few others in each that it enters
+_MOST_CELLS: Final = 8  # for each body, roughly
 _SOLID: Final = (PLANE, FACE, SIDE, DISC)  # edges, vertices and rims are of these
 
 
@@ -23,6 +39,13 @@ def _contact_of(group: SegmentGroup) -> GroupContact:
     """Contact of a group that has it."""
     assert group.terms.contact is not None
     return group.terms.contact
+
+
+def _rules_of(group: SegmentGroup) -> EventRules:
+    """How a group collides by events."""
+    rules = _contact_of(group).events
+    assert rules is not None
+    return rules
 
 
 def bounds_of(group: SegmentGroup) -> tuple[Floats, Floats]:
@@ -47,28 +70,41 @@ def _points_of(walls: Walls) -> Floats:
     return np.concatenate(found, axis=1)
 
 
-def _grid(group: SegmentGroup, com: Floats) -> tuple[float, Floats, Ints]:
-    """Width of cells [m], corner of the first, and how many along each axis."""
+class _Grid(NamedTuple):
+    """Cells of a scene."""
+
+    width: Floats  # (3,) [m]
+    origin: Floats  # (3,) [m] corner of the first
+    cells: Ints  # (3,) along each axis
+
+
+def _grid(group: SegmentGroup, com: Floats) -> _Grid:
+    """Cells as wide as two bodies at least, and as many as some for each body, where these are.
+
+    Where they repeat, cells begin anew; elsewhere those beyond the last one share its lists.
+    """
     contact = _contact_of(group)
-    bound = bounds_of(group)[1]
+    bound, box = bounds_of(group)[1], _rules_of(group).box
     points = np.concatenate([com, _points_of(contact.model.walls)], axis=1)
     low, high = points.min(axis=1), points.max(axis=1)
     least = 2.0 * _WIDER * float(bound.max())
-    size = np.maximum(high - low, least)
-    width = max(least, float((size.prod() / bound.size) ** (1.0 / 3.0)))
+    size = np.where(np.isfinite(box), box, np.maximum(high - low, least))
+    width = max(least, float((size.prod() / (_PER_BODY * bound.size)) ** (1.0 / 3.0)))
     count = np.maximum(np.ceil(size / width).astype(np.int64), 3)
     while count.prod() > _MOST_CELLS * bound.size + 27:
         count = np.maximum(count // 2, 3)
         if (count == 3).all():
             break
-    return width, low - 0.5 * width, count
+    fits = np.floor(np.where(np.isfinite(box), box, 0.0) / width).astype(np.int64)
+    count = np.where(np.isfinite(box), np.maximum(fits, LEAST_CELLS), count)
+    return _Grid(np.where(np.isfinite(box), box / count, width), low - 0.5 * width, count)
 
 
 def order_of(group: SegmentGroup, state: State) -> tuple[Ints, int]:
     """Bodies in the order of their cells, those that are held last; how many move."""
-    width, origin, count = _grid(group, state.com)
-    cell = np.floor((state.com - origin[:, None]) / width).astype(np.int64) % count[:, None]
-    number = (cell[0] * count[1] + cell[1]) * count[2] + cell[2]
+    grid = _grid(group, state.com)
+    cell = np.floor((state.com.T - grid.origin) / grid.width).astype(np.int64) % grid.cells
+    number = (cell[:, 0] * grid.cells[1] + cell[:, 1]) * grid.cells[2] + cell[:, 2]
     is_held = group.bodies.inv_mass == 0.0
     order = np.lexsort((np.arange(number.size), number, is_held))
     return order, int((~is_held).sum())
@@ -76,48 +112,99 @@ def order_of(group: SegmentGroup, state: State) -> tuple[Ints, int]:
 
 def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> EventScene:
     """Constants of a group, its bodies in an order."""
-    contact, bodies = _contact_of(group), group.bodies
-    model, spheres, rules = contact.model, contact.model.spheres, contact.events
-    assert rules is not None
-    reach, _ = bounds_of(group)
-    width, origin, cells = _grid(group, state.com)
+    contact, rules, walls = _contact_of(group), _rules_of(group), _solid(group)
+    model, spheres = contact.model, contact.model.spheres
+    reach, bound = bounds_of(group)
+    grid = _grid(group, state.com)
     sizes = np.diff(spheres.offset)[order]
     first = np.concatenate([[0], np.cumsum(sizes)])
     which = np.repeat(spheres.offset[order] - first[:-1], sizes) + np.arange(first[-1])
-    walls = model.walls
-    solid = np.isin(walls.kind, _SOLID)
     gravity = np.zeros(3)
     if group.terms.gravity is not None:
         gravity = group.terms.gravity.acceleration.copy()
-    inertia = np.ascontiguousarray(bodies.inertia[:, order].T)
-    inverse = np.ascontiguousarray(bodies.inv_inertia[:, order].T)
+    body = _constants(group, reach)[order]
+    kind = np.zeros((order.size + 1, N_KIND), dtype=np.int64)
+    kind[:, FIRST], kind[:-1, MATERIAL] = first, spheres.material[spheres.offset[order]]
+    kind[:-1, ASYMMETRIC] = group.bodies.rotor_class[order] == ASYMMETRIC_CLASS
+    kind[:-1, ASYMMETRIC] *= body[:, INVERSE] > 0.0
+    near_first, near = _walls_near(walls, grid, float(bound.max()))
+    friction = model.law.friction
     return EventScene(
-        gravity=gravity,
+        gravity=three(gravity),
         n_moving=n_moving,
-        mass=bodies.mass[order],
-        inv_mass=bodies.inv_mass[order],
-        inertia=inertia,
-        inv_inertia=inverse,
-        is_asymmetric=(bodies.rotor_class[order] == ASYMMETRIC) & (bodies.inv_mass[order] > 0.0),
-        bend=_bends(inertia, inverse),
-        reach=reach[order],
-        first=first,
-        arm=np.ascontiguousarray(spheres.arm[:, which].T),
-        radius=spheres.radius[which],
-        material=spheres.material[spheres.offset[order]],
+        body=body,
+        kind=kind,
+        sphere=np.vstack([spheres.arm, spheres.radius]).T[which].copy(),
         pair_of=model.pair_of,
-        restitution=rules.restitution,
-        friction=model.law.friction,
-        wall_kind=walls.kind[solid],
-        wall_parameter=np.ascontiguousarray(walls.parameter[solid]),
-        wall_material=model.wall_material[solid],
+        rules=np.stack([rules.restitution, friction], axis=1),
+        wall_kind=walls.kind,
+        wall_parameter=walls.parameter,
+        wall_material=model.wall_material[np.isin(model.walls.kind, _SOLID)],
+        wall_first=near_first,
+        wall_near=near,
         contact_time=rules.contact_time,
-        period=_period(state.p * bodies.inv_mass, gravity, width),
-        looks_around=bool(reach.any() or (gravity.any() and n_moving < order.size)),
-        cell_width=width,
-        origin=origin,
-        cells=cells,
+        period=_period(state.p * group.bodies.inv_mass, gravity, float(grid.width.max())),
+        around=flag(bool(reach.any() or (gravity.any() and n_moving < order.size))),
+        turns=flag(bool(kind[:, ASYMMETRIC].any())),
+        rubs=flag(bool(reach.any() or friction.any())),
+        box=_box(rules.box),
+        cell_width=three(grid.width),
+        origin=three(grid.origin),
+        cells=(int(grid.cells[0]), int(grid.cells[1]), int(grid.cells[2])),
     )
+
+
+def three(values: Floats) -> Vec3:
+    """Three numbers as a tuple."""
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def _box(box: Floats) -> tuple[Vec3, Vec3] | None:
+    """Sides of a periodic box and their inverses; 0 where it has no end."""
+    if np.isinf(box).all():
+        return None
+    return three(np.where(np.isinf(box), 0.0, box)), three(1.0 / box)
+
+
+def _solid(group: SegmentGroup) -> Walls:
+    """Primitives with a surface."""
+    walls = _contact_of(group).model.walls
+    solid = np.isin(walls.kind, _SOLID)
+    parameter = np.ascontiguousarray(walls.parameter[solid])
+    return walls._replace(kind=walls.kind[solid], parameter=parameter)
+
+
+def _constants(group: SegmentGroup, reach: Floats) -> Floats:
+    """`EventScene.body` in the order of the group."""
+    bodies = group.bodies
+    body = np.zeros((reach.size, N_BODY))
+    body[:, MASS], body[:, INVERSE], body[:, REACH] = bodies.mass, bodies.inv_mass, reach
+    body[:, INERTIA : INERTIA + 3] = bodies.inertia.T
+    body[:, INV_INERTIA : INV_INERTIA + 3] = bodies.inv_inertia.T
+    body[:, CURVED] = _bends(bodies.inertia.T, bodies.inv_inertia.T)
+    return body
+
+
+def _walls_near(walls: Walls, grid: _Grid, bound: float) -> tuple[Indices, Indices]:
+    """Primitives that a body in a cell may touch, cell by cell, and all; see `EventScene`.
+
+    That is by planes through them, and by distances from the axis of a tube.
+    """
+    numbers = np.indices(tuple(grid.cells)).reshape(3, -1)
+    middle = grid.origin[:, None] + grid.width[:, None] * (numbers + 0.5)
+    far = _WIDER * (0.5 * float(np.linalg.norm(grid.width)) + bound)
+    near = np.ones((walls.kind.size, middle.shape[1] + 1), dtype=bool)
+    for p, (kind, row) in enumerate(zip(walls.kind.tolist(), walls.parameter, strict=True)):
+        along = row[9:12] if kind == FACE else row[3:6]
+        d = middle - row[:3, None]
+        away = np.abs(along @ d)
+        if kind == PLANE:
+            away = along @ d
+        elif kind == SIDE:
+            away = np.abs(np.linalg.norm(d - np.outer(along, along @ d), axis=0) - row[6])
+        near[p, :-1] = away <= far
+    first = np.concatenate([[0], np.cumsum(near.sum(axis=0))])
+    return first.astype(np.int32), np.nonzero(near.T)[1].astype(np.int32)
 
 
 def _period(velocity: Floats, gravity: Floats, width: float) -> float:

@@ -43,8 +43,22 @@ def test_a_box_slides_from_the_angle_of_friction_on_and_is_not_lifted(share):
     assert max(errors(t)) < 1e-12
 
 
+@plain
+def test_a_box_that_slides_obliquely_slows_down_along_its_way_and_is_not_lifted():
+    way, mu = np.array([math.cos(0.7), math.sin(0.7), 0.0]), 0.3
+    box = clump("box", position=[0, 0, 2 * R], velocity=way.tolist())
+    t = go(box, contact=exact(0.0, mu), wall=[plane()], gravity=DOWN, dt=5e-3, t_end=0.3,
+           every=0.1)  # fmt: skip
+    v = t.velocity[:, 0]
+    assert np.abs(v - np.outer(1.0 - mu * G * t.time, way)).max() < 1e-13
+    assert np.abs(np.cross(v, way)).max() < 1e-14
+    assert np.abs(t.angular_velocity).max() < 1e-12
+    assert np.abs(t.position[:, 0, 2] - 2 * R).max() < 1e-13
+    assert max(errors(t)) < 1e-13
+
+
 @pytest.mark.parametrize("share", [0.99, 1.01])
-@pytest.mark.parametrize("degrees", [10.0, 40.0])
+@pytest.mark.parametrize("degrees", [10.0, 30.0, 40.0])
 def test_a_ball_rolls_down_a_slope_up_to_its_critical_friction(share, degrees):
     angle = math.radians(degrees)
     mu = 2.0 / 7.0 * math.tan(angle) * share
