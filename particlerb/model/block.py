@@ -137,9 +137,12 @@ def in_blocks(n: int, n_rows: int, parts: Sequence[tuple[int, Floats]]) -> Float
 def into_blocks(blocks: Floats, at: int, values: Floats) -> None:
     """Write rows (count, n) into the rows of all blocks from `at` on; the reverse of the below."""
     count, n = values.shape
+    rows = blocks.reshape(len(blocks), -1, STRIDE)
+    if len(blocks) == 1:
+        rows[0, at : at + count, :n], rows[0, at : at + count, n:BLOCK] = values, 0.0
+        return
     room = np.zeros((count, len(blocks) * BLOCK))
     room[:, :n] = values
-    rows = blocks.reshape(len(blocks), -1, STRIDE)
     rows[:, at : at + count, :BLOCK] = room.reshape(count, -1, BLOCK).swapaxes(0, 1)
 
 

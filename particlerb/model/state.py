@@ -120,7 +120,7 @@ def quaternion_product(a: Floats, b: Floats) -> Floats:
 
 def cross_columns(a: Floats, b: Floats) -> Floats:
     """a × b of vectors (3, n); `np.cross` takes three times as long for a few."""
-    c = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    c = np.empty(a.shape if a.shape == b.shape else np.broadcast_shapes(a.shape, b.shape))
     c[0] = a[1] * b[2] - a[2] * b[1]
     c[1] = a[2] * b[0] - a[0] * b[2]
     c[2] = a[0] * b[1] - a[1] * b[0]

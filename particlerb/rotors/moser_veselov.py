@@ -18,7 +18,7 @@ Source: Moser and Veselov, Commun. Math. Phys. 139, 217 (1991); Hairer and Vilma
 13225 (2006), for the modified inertia up to order 8.
 """
 
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -43,39 +43,49 @@ def modified_inertia(inv_inertia: Floats) -> Floats:
     ndarray, shape (22, n)
         1/I in units of that of axis 1, that unit, and nine coefficients each of s and d.
     """
-    scale = inv_inertia[0]
-    a = inv_inertia / scale
-    I = 1.0 / a  # noqa: E741
-    aa, II = a**2, I**2
-    a1, a2, a3 = (power.sum(axis=0) for power in (a, aa, a**3))
-    I1, I2, I3 = (power.sum(axis=0) for power in (I, II, I**3))
-    x11 = I1 * a1 - (I * a).sum(axis=0)  # sums of I_p^j a_q^k over p ≠ q
-    x12, x21 = I1 * a2 - (I * aa).sum(axis=0), I2 * a1 - (II * a).sum(axis=0)
-    d = a.prod(axis=0)
-    e = 1.0 / d
+    n = inv_inertia.shape[1]
+    if n == 0 or (inv_inertia != inv_inertia[:, :1]).any():
+        return np.array(_coefficients(*inv_inertia))
+    one = _coefficients(*inv_inertia[:, 0].tolist())  # numbers are faster than arrays
+    return np.array(one)[:, None].repeat(n, axis=1)
+
+
+def _coefficients(x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+    """The same from three rows of inverse moments, or numbers, to the same bits."""
+    a = x / x, y / x, z / x
+    I = tuple(1.0 / one for one in a)  # noqa: E741
+    aa, II = tuple(one * one for one in a), tuple(one * one for one in I)
+    Ia = sum(p * q for p, q in zip(I, a, strict=True))
+    a1, a2, a3 = sum(a), sum(aa), sum(p * q for p, q in zip(a, aa, strict=True))
+    I1, I2, I3 = sum(I), sum(II), sum(p * q for p, q in zip(I, II, strict=True))
+    x11 = I1 * a1 - Ia  # sums of I_p^j a_q^k over p ≠ q
+    x12 = I1 * a2 - sum(p * q for p, q in zip(I, aa, strict=True))
+    x21 = I2 * a1 - sum(p * q for p, q in zip(II, a, strict=True))
+    d = a[0] * a[1] * a[2]
+    dd, e = d * d, 1.0 / d
     s = (
         I1 * d / 6,
         -a1 / 3,
         (I2 * d - a1) * d / 30,
         (1 - x11) * d / 30,
         (3 * I1 * d + 2 * a2) / 60,
-        (4 * e + 17 * I3 - 15 * e * x11) * d**3 / 2520,
-        (9 * I1 + 10 * e * a2 - 6 * x21) * d**2 / 420,
-        ((6 * x12 - 100 * a1) * e + 53 * I2) * d**2 / 2520,
+        (4 * e + 17 * I3 - 15 * e * x11) * d * dd / 2520,
+        (9 * I1 + 10 * e * a2 - 6 * x21) * dd / 420,
+        ((6 * x12 - 100 * a1) * e + 53 * I2) * dd / 2520,
         (15 - e * a3 - 2 * x11) * d / 630,
     )
     added = (
         -d / 3,
         I1 * d / 6,
-        -I1 * d**2 / 60,
-        a1 * d / 10 - I2 * d**2 / 60,
+        -I1 * dd / 60,
+        a1 * d / 10 - I2 * dd / 60,
         -(9 + x11) * d / 60,
-        (34 * e * a1 - 19 * I2) * d**3 / 2520,
-        (I3 + 2 * e * x11 - 85 * e) * d**3 / 1260,
-        (47 * I1 + 13 * x21 - 38 * e * a2) * d**2 / 2520,
-        (9 * e * a1 + e * x12 - 11 * I2) * d**2 / 1260,
+        (34 * e * a1 - 19 * I2) * d * dd / 2520,
+        (I3 + 2 * e * x11 - 85 * e) * d * dd / 1260,
+        (47 * I1 + 13 * x21 - 38 * e * a2) * dd / 2520,
+        (9 * e * a1 + e * x12 - 11 * I2) * dd / 1260,
     )
-    return np.concatenate([a, np.array([scale, *s, *added])])
+    return (*a, x, *s, *added)
 
 
 @inline

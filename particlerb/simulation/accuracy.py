@@ -158,7 +158,7 @@ def search(system: System, group: GroupPlan) -> ChosenStep | None:
 
 def candidates(pilot: Pilot, able: list[str]) -> list[str]:
     """Methods worth a trial, of those that accept the forces."""
-    if pilot.own.segments[0].terms.joints is not None:
+    if pilot.group.segments[0].terms.joints is not None:
         serving = next((names for least, names in _JOINTED.items() if pilot.wanted >= least), _FINE)
         return [name for name in able if name in serving] or able
     outdone = {"rk4"} if _FINER & set(able) else set()

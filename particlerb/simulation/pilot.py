@@ -6,6 +6,7 @@ Costs come from a table, ns per body and step, and never from a clock.
 import logging
 import math
 import time
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -18,6 +19,7 @@ from particlerb.integrators.dop853 import PACK
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import LINE
 from particlerb.model.bodies import taken
+from particlerb.model.comparison import misfits
 from particlerb.model.state import Frames
 from particlerb.model.system import System
 from particlerb.plan.describe import group_name
@@ -25,16 +27,18 @@ from particlerb.plan.rates import rates
 from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
 from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.rotors.rotor_class import ASYMMETRIC
-from particlerb.simulation.trials import chosen, poses, relative_misfits, ways
+from particlerb.simulation.rehearsal import Rehearsal, can_rehearse
+from particlerb.simulation.trials import chosen, poses, ways
 from particlerb.stepping.pair_forces import cost_of
 
 _LOG: Final = logging.getLogger(__name__)
 
-_PILOT: Final = 32  # bodies that are looked at, at most:
-_FASTEST: Final = 8  # these by their rates at t = 0, the others by their errors at
-_COARSE: Final = (2.0, 1.0)  # rad of a step of strang
-SET_UP: Final = 2e5  # ns of a trial beside its steps, roughly,
-_BEGIN: Final = 3e5  # and of a search beside its trials
+_PILOT: Final = 32  # bodies that are looked at, at most,
+_ONE_OF: Final = 16  # so many, in lines:
+_FASTEST: Final = 4  # one of so many by its rate at t = 0, the others by their errors at
+_COARSE: Final = 1.0, 2.0  # rad of a step of strang, and of half of it; the second is for many
+SET_UP: Final = 1.5e5  # ns of a trial beside its steps, roughly,
+_BEGIN: Final = 4e5  # and of a search beside its trials
 _ALONE: Final = 6  # bodies in the lanes of a register that one without a full register costs
 _SAY_SO: Final = 2.0  # s after which a search says what it does
 
@@ -62,43 +66,63 @@ class Pilot:
         self.sets_off_again = not any(_remembers(segment.terms) for segment in group.segments)
         self.asymmetric = float(np.mean(group.bodies.rotor_class == ASYMMETRIC))
         self.gone: tuple[Frames | None, Floats] = (None, np.empty(0))  # ways of the last reference
+        self.rehearsal: Rehearsal | None = None
         self.take(np.arange(group.members.size))
+        if can_rehearse(group, t_end):
+            self.rehearsal = Rehearsal(group, self.state)
         self.calm = 1.0  # steps that the whole group takes beside the pilot, where it adapts them
-        if self.which.size > _PILOT and not self.is_coupled:
-            self.take(self.worst())
+        enough = min(_PILOT, LINE * -(-self.which.size // (LINE * _ONE_OF)))
+        if self.which.size > enough and not self.is_coupled:
+            self.take(self.worst(enough))
             self.calm = _per_pack(self.rates) / _per_pack(self.rates[self.which])
 
     def take(self, which: Ints) -> None:
         """Let the pilot have these bodies of the group."""
         own = self.group.members[which]
         self.which, self.state = which, taken(self.system.state, own)
-        members, is_whole = np.arange(which.size), which.size == self.group.members.size
-        whole = self.group._replace(members=members)
-        self.own = whole if is_whole else chosen(self.group, which, members)
+        self.bodies = taken(self.group.bodies, which)
+        vars(self).pop("own", None)
+        if self.rehearsal is not None:
+            self.rehearsal.take(which, self.bodies)
         self.begun: dict[str, Any] = {}  # motions of these bodies, by their methods
         self.size = self.system.reach[self.system.kind[own]]
+
+    @cached_property
+    def own(self) -> GroupPlan:
+        """The group of these bodies alone, numbered from 0."""
+        members = np.arange(self.which.size)
+        if self.which.size == self.group.members.size:
+            return self.group._replace(members=members)
+        return chosen(self.group, self.which, members)
 
     def longest(self, turn: float) -> float:
         """Step in which the fastest body turns so far, or the shortest segment [s]."""
         return min([turn / self.rate if self.rate > 0.0 else math.inf, *self.lengths])
 
-    def worst(self) -> Ints:
+    def worst(self, count: int) -> Ints:
         """Bodies that are fastest, and those that err most with coarse steps."""
         times = np.array([self.system.run.t_end])
+        longer, n = Stepping("strang", self.longest(_COARSE[0]), 0.0, ""), self.which.size
+        is_short = self.cost(longer, 3.0 * times[0] / longer.dt, n) < SET_UP
+        turn = _COARSE[0 if is_short else 1]
         coarse, fine = (
-            self.poses(Stepping("strang", self.longest(turn), 0.0, ""), times)[0]
-            for turn in _COARSE
+            self.poses(longer._replace(dt=self.longest(share * turn)), times)[0]
+            for share in (1.0, 0.5)
         )
         error = self.errors(times, coarse, fine)[0]
-        fastest = np.argsort(-self.rates, kind="stable")[:_FASTEST]
+        fastest = np.argsort(-self.rates, kind="stable")[: count // _FASTEST]
         error[fastest] = np.inf
-        return np.sort(np.argsort(-error, kind="stable")[:_PILOT])
+        return np.sort(np.argsort(-error, kind="stable")[:count])
 
     def poses(self, stepping: Stepping, times: Floats) -> tuple[Frames, float]:
         """States at some times, and the steps of the whole run that were taken until the last."""
         self.say_so(stepping.method)
-        again = self.begun if self.sets_off_again else None
-        frames, steps = poses(stepped_by(self.own, stepping), self.state, times, again)
+        steps = math.ceil(times[-1] / stepping.dt)
+        if self.rehearsal is not None and self.rehearsal.serves(stepping, steps):
+            frames = self.rehearsal.poses(stepping, times)
+        else:
+            again = self.begun if self.sets_off_again else None
+            frames, steps = poses(stepped_by(self.own, stepping), self.state, times, again)
         looks = 0 if is_adaptive(stepping.method) else times.size
         self.spent += self.cost(stepping, steps + looks, self.which.size) + SET_UP
         return frames, steps
@@ -115,11 +139,13 @@ class Pilot:
         self, times: Floats, found: Frames, expected: Frames, rows: slice = slice(None)
     ) -> Floats:
         """Errors of the bodies in rows, (T, n): the larger of orientation and position."""
-        bodies = self.own.bodies
-        if self.gone[0] is not expected:
-            self.gone = expected, ways(bodies, times, expected, self.state.p.T)
-        scale = np.maximum(self.size, self.gone[1][rows])
-        error = np.maximum(*relative_misfits(bodies, scale, found, expected, rows))
+        poses = *expected[:2], *found[:2]
+        error, off = misfits(self.bodies, *(values[rows] for values in poses))
+        if not (off <= error * self.size).all():  # else turns are the larger errors
+            if self.gone[0] is not expected:
+                self.gone = expected, ways(self.bodies, times, expected, self.state.p.T)
+            scale = np.maximum(self.size, self.gone[1][rows])
+            error = np.maximum(error, np.divide(off, scale, out=off, where=scale > 0.0))
         error[np.isnan(error)] = np.inf
         return error
 

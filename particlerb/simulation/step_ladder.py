@@ -118,11 +118,15 @@ class Ladder:
     def climb(self) -> None:
         """Try another setting, and find out what is known then.
 
-        One run tells what an adaptive method costs about, which may be too much for a second.
+        One run tells what an adaptive method costs about, which may be too much for a second. Of
+        steps two are looked at, and three where the third takes less than Python around it.
         """
         self.try_out(self.next_setting())
         if len(self.tried) == 1 and self.is_stepped:
             self.try_out(self.next_setting())
+            third = self.tried[-1].setting / RATIO[self.name]
+            if self.cost_of(third, self.pilot.which.size) < SET_UP:
+                self.try_out(third)
         if len(self.tried) > 1:
             self.look()
         else:

@@ -178,26 +178,20 @@ def _motion(group: GroupPlan, segment: Segment, state: State, begun: dict[str, A
     """A motion without accounts: one that was begun before, or a new one, which is kept."""
     if begun is not None and segment.method in begun:
         motion, first = begun[segment.method]
-        for one, blocks in zip(_parts(motion), first, strict=True):
-            one.set_off_again(blocks, segment.dt)
+        motion.set_off_again(first, segment.dt)
         return motion
     method, tolerance = METHODS[segment.method], segment.tolerance
     motion = begin(method, group.group(segment), state, segment.start, segment.dt, tolerance)
     _forget_accounts(motion)
-    parts = _parts(motion)
-    if begun is not None and all(isinstance(one, SteppedMotion) for one in parts):
-        begun[segment.method] = motion, [changing(one.blocks).copy() for one in parts]
+    if begun is not None and isinstance(motion, SteppedMotion):
+        begun[segment.method] = motion, changing(motion.blocks).copy()
     return motion
-
-
-def _parts(motion: Any) -> list[Any]:
-    """Motions that a motion consists of."""
-    return [own for _, own in motion.parts] if isinstance(motion, CompositeMotion) else [motion]
 
 
 def _forget_accounts(motion: Any) -> None:
     """Let a motion, and its parts, not sum up what forces give."""
-    for one in _parts(motion):
+    parts = [own for _, own in motion.parts] if isinstance(motion, CompositeMotion) else [motion]
+    for one in parts:
         if hasattr(one, "account"):
             one.account.is_kept = False
 
@@ -223,16 +217,15 @@ def ways(bodies: Bodies, times: Floats, frames: Frames, first: Floats) -> Floats
         Linear momenta at t = 0 [kg m/s].
     """
     momenta = np.concatenate([first[None], frames.linear_momentum])
-    speed = np.sqrt((momenta * momenta).sum(axis=2)) * bodies.inv_mass
-    lasting = differences(times, 0.0)[:, None]
-    return np.asarray(np.cumsum(0.5 * lasting * (speed[1:] + speed[:-1]), axis=0))
+    speed = np.sqrt(np.einsum("tnk,tnk->tn", momenta, momenta)) * bodies.inv_mass
+    lasting = differences(0.5 * times, 0.0)[:, None]
+    return np.asarray((lasting * (speed[1:] + speed[:-1])).cumsum(axis=0))
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def relative_misfits(
-    bodies: Bodies, scale: Floats, found: Frames, expected: Frames, rows: slice = slice(None)
+    bodies: Bodies, scale: Floats, found: Frames, expected: Frames
 ) -> tuple[Floats, Floats]:
-    """Errors of bodies in rows: orientation [rad], and position in units of `scale`, (T, n)."""
-    x, q = expected.position[rows], expected.orientation[rows]
-    turn, off = misfits(bodies, x, q, found.position[rows], found.orientation[rows])
+    """Errors of bodies: orientation [rad], and position in units of `scale`, (T, n)."""
+    turn, off = misfits(bodies, *expected[:2], *found[:2])
     return turn, np.divide(off, scale, out=off, where=scale > 0.0)

@@ -186,3 +186,14 @@ def test_what_a_needle_loses_to_rounding(thin, limit):
     q, energy = flown(inertia, START, L, h, int(t / h))
     assert np.abs(energy / (0.5 * np.sum(inertia * w * w)) - 1).max() < 20 * EPS
     assert angle(q, exact(inertia, START, L, t)) < limit
+
+
+@pytest.mark.plain
+def test_constants_of_bodies_of_one_kind_are_those_among_others():
+    """They are found from numbers, and among others from arrays: to the same bits."""
+    inverse = 1.0 / np.random.default_rng(5).uniform(0.1, 5.0, (3, 50))
+    among = modified_inertia(inverse)
+    for k in range(50):
+        alone = modified_inertia(inverse[:, [k, k]])
+        assert alone.tobytes() == among[:, [k, k]].tobytes()
+    assert modified_inertia(inverse[:, :0]).shape == (22, 0)

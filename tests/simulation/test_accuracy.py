@@ -14,11 +14,12 @@ from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.plan.make_plan import make_plan
-from particlerb.plan.time_step import Stepping
+from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.simulation.accuracy import prepare_accurately, search
 from particlerb.simulation.pilot import Pilot
 from particlerb.simulation.run import prepare
 from particlerb.simulation.step_ladder import LEAST, Ladder
+from particlerb.simulation.trials import poses
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 CASES = Path(__file__).parents[2] / "cases"
@@ -293,9 +294,54 @@ def test_coupled_bodies_set_off_once_more_to_the_same_bits(make, method):
 
 
 @pytest.mark.plain
+@pytest.mark.parametrize("moments", [(1.0, 1.3, 0.6), (1.0, 1.0, 0.6)])
+def test_bodies_rehearse_as_they_move(make, moments):
+    """Some of the bodies, by one method and step after another, as by motions of their own."""
+    body = make.body(
+        "stone",
+        moments,
+        count=3,
+        position=[[3.0 * k, 0.0, 0.0] for k in range(3)],
+        angular_velocity=[[1.0, 0.5, 2.0], [3.0, 1.0, 1.0], [0.2, 2.0, 1.0]],
+        velocity=[0.3, 0.0, 1.0],
+    )
+    push = make.push([0.0, 0.5, 0.2], [0.3, 0.1, 0.2], "stone")
+    drag = {"type": "drag", "body": "stone", "translation": 0.2, "rotation": 0.1}
+    times, both = np.array([0.25, 0.5, 0.83, 1.0]), {"strang": 0.1, "rk4": 0.07}
+    by = {"rkn6": 0.3, "force_gradient": 0.2}
+    for forces, methods in (([push, drag], both), ([push], by | both)):
+        scene = make.case(body, force=forces, t_end=1.0, every=1.0, accuracy=1e-6)
+        system = to_system(scene)
+        pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
+        for which in (np.arange(3), np.array([0, 2])):
+            pilot.take(which)
+            for method, dt in [*methods.items(), *methods.items()]:
+                stepping = Stepping(method, dt, 0.0, "")
+                assert pilot.rehearsal.serves(stepping, 10)
+                found, steps = pilot.poses(stepping, times)
+                expected, as_many = poses(stepped_by(pilot.own, stepping), pilot.state, times)
+                assert steps == as_many
+                for one, other in zip(found[:4], expected[:4], strict=True):
+                    assert one.tobytes() == other.tobytes()
+
+
+@pytest.mark.plain
+def test_bodies_of_two_kinds_of_rotors_do_not_rehearse_by_a_method_that_parts_them(make):
+    bodies = [
+        make.body(name, moments, position=[x, 0.0, 0.0], angular_velocity=[1.0, 0.5, 2.0])
+        for name, moments, x in (("a", (1.0, 1.3, 0.6), 0.0), ("b", (1.0, 1.0, 0.6), 3.0))
+    ]
+    scene = make.case(*bodies, force=[make.push([0, 0.5, 0], [0.3, 0, 0.1], ["a", "b"])])
+    system = to_system(scene | {"run": scene["run"] | {"accuracy": 1e-6}})
+    pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
+    served = [pilot.rehearsal.serves(Stepping(m, 0.1, 0.0, ""), 10) for m in ("strang", "rkn6")]
+    assert served == [True, False]
+
+
+@pytest.mark.plain
 def test_a_method_that_pays_late_in_a_run_is_not_the_first_to_be_tried(make, monkeypatch):
     """Of many tops, whose rates stay as they are, the adaptive method only seems cheap."""
-    monkeypatch.setattr(Pilot, "worst", lambda pilot: np.arange(32))
+    monkeypatch.setattr(Pilot, "worst", lambda pilot, count: np.arange(count))
     system = to_system(tops(make, 1000, accuracy=1e-6))
     pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
     ladders = [Ladder(pilot, name) for name in ("force_gradient", "rkn6", "dop853")]

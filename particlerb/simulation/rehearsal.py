@@ -1,0 +1,117 @@
+"""Bodies that move again and again from one state, each time by another method and step.
+
+What a motion sets up serves all methods here: states, constants and parameters of loads stand in
+rows, of which some bodies are some columns. Nothing is booked, and no body acts on another.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from particlerb.compiled.jit import flag
+from particlerb.compiled.threads import BLOCK, THREADS
+from particlerb.forces import acting_of, is_constant, row_count, rows_of_terms
+from particlerb.integrators import METHODS
+from particlerb.integrators.pair_stages import Layout
+from particlerb.integrators.stages import MovingBodies, RotorClasses
+from particlerb.maths.vec3 import Floats, Ints, differences
+from particlerb.model.block import (
+    CHANGING,
+    ROTOR,
+    STRIDE,
+    changing,
+    in_blocks,
+    into_blocks,
+    state_rows,
+)
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import Frames, State, room_for
+from particlerb.plan.segments import GroupPlan
+from particlerb.plan.time_step import Stepping
+from particlerb.rotors.rotor_class import ASYMMETRIC
+from particlerb.stepping.loop import (
+    Copies,
+    Position,
+    Recording,
+    Schedule,
+    compiled_loop,
+    grid_position,
+)
+from particlerb.stepping.stepped_motion import NANOSECONDS_PER_CALL
+
+_JOINTS: Final = np.zeros((0, 0, 3))  # there are none
+
+
+def can_rehearse(group: GroupPlan, t_end: float) -> bool:
+    """Whether bodies are alone, under forces without edges before t_end [s], and nothing hits."""
+    first = group.segments[0]
+    holds = first.terms.joints is not None or first.terms.contact is not None
+    is_one = first.start == 0.0 and first.stop >= t_end and not first.jumps
+    return is_one and not (holds or first.terms.is_coupled or group.worlds is not None)
+
+
+class Rehearsal:
+    """The bodies of a group from t = 0 on, before the first edge of their forces."""
+
+    def __init__(self, group: GroupPlan, state: State) -> None:
+        terms = group.segments[0].terms
+        self.acting, self.is_constant = acting_of(terms), is_constant(terms)
+        parts = state_rows(state, group.bodies) + rows_of_terms(terms)
+        self.place(group.bodies, parts, row_count(terms))
+
+    def take(self, which: Ints, bodies: Bodies) -> None:
+        """Have some of the bodies alone."""
+        changing(self.blocks)[:] = self.first
+        rows = self.blocks.reshape(len(self.blocks), -1, STRIDE)[which // BLOCK, :, which % BLOCK]
+        self.place(bodies, [(0, rows.T)], self.n_rows)
+
+    def place(self, bodies: Bodies, parts: Sequence[tuple[int, Floats]], n_rows: int) -> None:
+        """Put bodies with these rows into blocks."""
+        self.bodies, self.n_rows, n = bodies, n_rows, bodies.mass.size
+        is_asymmetric = bodies.rotor_class == ASYMMETRIC
+        self.is_asymmetric = bool(is_asymmetric.all())
+        self.is_mixed = self.is_asymmetric != bool(is_asymmetric.any())
+        self.blocks = in_blocks(n, n_rows, parts)
+        self.first, self.block = changing(self.blocks).copy(), np.arange(n) // BLOCK
+        self.saved = np.empty((len(self.blocks), CHANGING * STRIDE))
+        self.loops: dict[str, Any] = {}  # of methods, with what they take
+
+    def serves(self, stepping: Stepping, steps: float) -> bool:
+        """Whether one call of a kernel, shorter than a second, moves all bodies."""
+        method, all_steps = METHODS[stepping.method], steps * self.block.size
+        is_parted = method.rotor_constants is not None and self.is_mixed
+        is_long = all_steps * method.cost > NANOSECONDS_PER_CALL
+        return not (method.is_adaptive or is_parted or is_long)
+
+    def loop(self, name: str) -> Any:
+        """Compiled loop of a method, with the bodies as it takes them."""
+        if name not in self.loops:
+            method, n, together = METHODS[name], self.block.size, len(self.blocks)
+            rotors, asymmetric = RotorClasses(), 0
+            if method.rotor_constants is not None:
+                rotors = RotorClasses(flag(self.is_asymmetric), flag(not self.is_asymmetric))
+            if method.rotor_constants is not None and self.is_asymmetric:
+                constants, asymmetric = method.rotor_constants(self.bodies.inv_inertia), together
+                into_blocks(self.blocks, ROTOR, constants)
+            first = np.arange(0, n, BLOCK)
+            layout = Layout(first, np.minimum(n - first, BLOCK), asymmetric)
+            books = flag(not (self.is_constant and method.keeps_angular_momentum))
+            moving = MovingBodies(self.blocks, layout, self.acting, books, rotors, None, None)
+            self.loops[name] = partial(compiled_loop(method, False), moving)
+        return self.loops[name]
+
+    def poses(self, stepping: Stepping, times: Floats) -> Frames:
+        """States at ascending times [s]."""
+        n, rows = self.block.size, np.arange(times.size)
+        steps, partial_steps = grid_position(times, stepping.dt)
+        frames = room_for(times.size, n, np.eye(1, 4).repeat(n, axis=0))
+        changing(self.blocks)[:] = self.first
+        schedule = Schedule(stepping.dt, differences(steps, 0), partial_steps, rows)
+        sums = np.zeros((times.size, len(self.blocks), 7))
+        where = self.bodies.rotor_frame, np.arange(n), frames, sums, self.block, _JOINTS
+        arguments = schedule, Recording(*where), Copies(self.saved), Position(0, 0, 0)
+        through = partial(self.loop(stepping.method), *arguments, 1)
+        THREADS.share(through, len(self.blocks), n * int(steps[-1] + times.size))
+        return frames
