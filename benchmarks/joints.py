@@ -90,14 +90,15 @@ def equal_mechanisms() -> list[Row]:
     return [*rows, ("1000 double rods over one, each", found[MECHANISMS] / found[1])]
 
 
-def to_reach(points: list[tuple[float, float]]) -> float:
-    """Cost of the error that is the goal, between the points (error, cost) beside it; or NaN."""
+def to_reach(name: str, points: list[tuple[float, float]]) -> list[Row]:
+    """Row of the cost of the error that is the goal; none if no points are on both sides of it."""
     points = sorted(points)
     for (e, c), (f, d) in itertools.pairwise(points):
         if e <= GOAL <= f:
             share = np.log(GOAL / e) / np.log(f / e)
-            return float(np.exp((1 - share) * np.log(c) + share * np.log(d)))
-    return np.nan
+            cost = float(np.exp((1 - share) * np.log(c) + share * np.log(d)))
+            return [(f"{name} to {GOAL:g} m, ms/s", cost)]
+    return []
 
 
 def ours(name: str) -> list[Row]:
@@ -121,7 +122,7 @@ def told(name: str, spans: Sequence[float], points: list[tuple[float, float]]) -
     rows = []
     for dt, (error, cost) in zip(spans, points, strict=True):
         rows += [(f"{name} {dt:g} s, error m", error), (f"{name} {dt:g} s, ms/s", cost)]
-    return [*rows, (f"{name} to {GOAL:g} m, ms/s", to_reach(points))]
+    return rows + to_reach(name, points)
 
 
 def energy() -> list[Row]:
