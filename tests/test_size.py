@@ -20,7 +20,7 @@ BUDGETS = {
     "joints": 1500,
     "what users see of joints": 831,
     "what acts on jointed bodies": 605,
-    "unrolled columns in factors of joints, for speed": 84,
+    "unrolled columns in factors of joints, rows that share points, for speed": 101,
     "impulses of joints guessed from the steps before": 34,
     "prescribed motion in joints, and driven bodies there": 335,
     "joints that break": 128,

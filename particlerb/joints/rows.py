@@ -150,15 +150,33 @@ def residual(rows: ConstraintRows, drives: Drives | None, y: Floats, r: int, t: 
     return along
 
 
+@lean
+def _is_beside(rows: ConstraintRows, lo: int, r: int) -> bool:
+    """Whether row r differs from the one before, if that is one from lo on, by its axis alone."""
+    k = max(r - 1, lo)
+    same = r > lo and rows.kind[r] == WORLD_ALONG == rows.kind[k]
+    same = same and rows.a[r] == rows.a[k] and rows.b[r] == rows.b[k]
+    for i in range(3):
+        same = same and rows.first[r, i] == rows.first[k, i]
+        same = same and rows.second[r, i] == rows.second[k, i]
+    return same
+
+
 @lean_kernel
 def residuals(
     rows: ConstraintRows, drives: Drives | None, y: Floats, compliance: Floats, g: Floats, lo: int,
     hi: int, t: float,
 ) -> tuple[float, int]:  # fmt: skip
     """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row."""
-    worst, where = 0.0, lo
+    worst, where, d = 0.0, lo, (0.0, 0.0, 0.0)
     for r in range(lo, hi):
-        g[r] = residual(rows, drives, y, r, t) if compliance[r] == 0.0 else 0.0
+        if rows.kind[r] == WORLD_ALONG:
+            if not _is_beside(rows, lo, r):
+                d = arms(rows, y, r)[3]
+            g[r] = dot(row3(rows.axis, r), d) - course(drives, rows.drive[r], t)[0]
+        elif compliance[r] == 0.0:
+            g[r] = residual(rows, drives, y, r, t)
+        g[r] = g[r] if compliance[r] == 0.0 else 0.0
         x, size = vector(y, rows.a[r], X), rows.size[r]
         far = abs(x[0]) + abs(x[1]) + abs(x[2])
         far = 0.0 if is_of_directions(rows.kind[r]) else far
