@@ -22,6 +22,7 @@ BUDGETS = {
     "what acts on jointed bodies": 605,
     "unrolled columns in factors of joints, rows that share points, for speed": 101,
     "impulses of joints guessed from the steps before": 34,
+    "rows of loops that rest in a singular pose": 30,
     "prescribed motion in joints, and driven bodies there": 335,
     "joints that break": 128,
     "the instant at which they do": 75,

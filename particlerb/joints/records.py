@@ -146,7 +146,7 @@ class Work(NamedTuple):
     """What kernels write."""
 
     y: Floats  # (n + 1, 13) states
-    pose: Floats  # (n + 1, 7) where a drift begins
+    pose: Floats  # (n + 1, 13) where a drift begins, with the momenta that it begins with
     gradient: Floats  # (m, 15)
     g: Floats  # (m,) residuals
     moving: Floats  # (m,) ∂g/∂t
@@ -191,7 +191,7 @@ def room_for_joints(joints: Joints) -> Work:
     y[:, Q] = 1.0
     return Work(
         y,
-        np.zeros((n, P)),
+        np.zeros((n, STATE)),
         np.zeros((m, GRADIENT)),
         np.zeros(m),
         np.zeros(m),

@@ -11,6 +11,7 @@ Source: Andersen, J. Comput. Phys. 52, 24 (1983); Reich, SIAM J. Numer. Anal. 33
 Hairer, Lubich, Wanner, Geometric Numerical Integration, VII.1.
 """
 
+from math import inf
 from typing import Final
 
 from particlerb.compiled.jit import lean, lean_kernel
@@ -18,7 +19,7 @@ from particlerb.joints.actions import kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.breaking import leave_out, let_break
 from particlerb.joints.drives import carry, set_moving
-from particlerb.joints.records import Joints, L, P, Q, Work, X
+from particlerb.joints.records import HOLDS, STATE, Joints, L, P, Q, Work, X
 from particlerb.joints.rows import add_impulses, attitude, linearise, rates, residuals, vector
 from particlerb.maths.quaternion import to_body
 from particlerb.maths.vec3 import row3
@@ -29,6 +30,8 @@ _ROUNDING: Final = 1e-15  # residuals, over their size, that are as good as none
 _NEAR: Final = 1e-10  # below it an iteration that gains little is the last
 _GAIN: Final = 0.5
 _MOST_PASSES: Final = 4  # of a projection of momenta
+_MOST_RESTING: Final = 0.03  # pivot over its diagonal of a row that may rest for a step,
+_MOST_OPEN: Final = 1e-4  # and what its residual may be then, over its size
 
 
 @lean
@@ -127,15 +130,56 @@ def constrained_drift(
             work.pose[k, i] = work.y[k, i]
     factorise_cluster(joints, work, c, 0.0, t)
     kick_actions(joints.acts, joints, work, lo, hi, kick_dt)
+    for k in range(clusters.body[c], clusters.body[c + 1]):
+        for i in range(P, STATE):
+            work.pose[k, i] = work.y[k, i]
     is_whole = dt == work.clock[1]  # not a stage of a composition, nor a part of a step to a frame
     if is_whole:
         begin_with_guess(joints, work, c, kick_dt)
     _fly_to_joints(joints, work, c, t, dt)
+    if work.lost[c] > 0 and clusters.smallest_pivot[c] > 0.0:
+        _pass_singular_pose(joints, work, c, t, dt)
     if is_whole:
         remember(work, lo, hi, kick_dt)
     if let_break(joints.breaks, joints, work, c, kick_dt, t, dt):
         _factor(joints, work, c)
         _fly_to_joints(joints, work, c, t, dt)
+
+
+@lean_kernel
+def _pass_singular_pose(joints: Joints, work: Work, c: int, t: float, dt: float) -> None:
+    """Drift anew without the rows that all but depend on others: for this step they rest.
+
+    They are as few as let the others converge.
+    """
+    clusters, start, share = joints.clusters, joints.program.start, joints.clusters.smallest_pivot
+    first, last, usual = clusters.joint[c], clusters.joint[c + 1], clusters.smallest_pivot[c]
+    lo, hi = start[first], start[last]
+    while work.lost[c] > 0 and share[c] < _MOST_RESTING:
+        share[c] *= 10.0
+        for k in range(clusters.body[c], clusters.body[c + 1]):
+            for i in range(P, STATE):
+                work.y[k, i] = work.pose[k, i]
+        _factor(joints, work, c)
+        for j in range(first, last):
+            d = clusters.block[c] + j - first
+            for r in range(start[j], start[j + 1]):
+                if joints.rows.action[r] == HOLDS:
+                    work.total[r] = 0.0
+                    if work.factor[d, r - start[j], r - start[j]] == 0.0:
+                        work.compliance[r] = inf
+        work.lost[c] = 0
+        _fly_to_joints(joints, work, c, t, dt)
+    share[c] = usual
+    for r in range(lo, hi):
+        if joints.rows.action[r] == HOLDS:
+            work.compliance[r] = 0.0
+    leave_out(joints.breaks, joints, work, c, t)
+    worst, where = residuals(
+        joints.rows, joints.drives, work.y, work.compliance, work.g, lo, hi, t + dt
+    )
+    if not worst <= _MOST_OPEN:
+        work.lost[c] = 1 + where
 
 
 @lean_kernel

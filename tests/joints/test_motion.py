@@ -1,13 +1,18 @@
 """Motion of jointed bodies: references, orders, what is kept, and time reversal."""
 
+import tomllib
+from pathlib import Path
+
 import mpmath
 import numpy as np
 import pytest
 from holds import misfits
 from scenes import SCENES, Y, Z, bar, body, case, hinge_chain, joint, moved, reference
 
+import particlerb
 from particlerb import RunError
 
+CASES = Path(__file__).parents[2] / "cases"
 ORDERS = {"rattle": 2, "rattle4": 4, "rattle6": 6, "rattle8": 8}
 
 
@@ -243,6 +248,26 @@ def test_a_pendulum_keeps_the_energy_that_the_benchmark_asks_for():
         x, p = np.array(trajectory.position)[:, 0], np.array(trajectory.linear_momentum)[:, 0]
     energy = 0.5 * (p * p).sum(axis=1) + 9.81 * x[:, 2]
     assert np.abs(energy).max() < 5e-5
+
+
+def test_a_linkage_passes_the_pose_in_which_all_its_links_are_in_one_line():
+    """IFToMM A02: at order 2; all links turn as one."""
+    source = tomllib.loads((CASES / "four_bar.toml").read_text())
+    del source["check"]
+    inertia, weight = 3.0 / 3.0 + 2.0, (3.0 / 2.0 + 2.0) * 9.81
+    rate = weight / inertia
+    begin = [mpmath.pi / 2, -1]
+    motion = mpmath.odefun(lambda _, y: [y[1], -rate * mpmath.cos(y[0])], 0, begin)
+    angle = float(motion(1.0)[0])
+    missed = []
+    for dt in (0.01, 0.005):
+        source["run"] = {"t_end": 1.0, "every": 0.25, "dt": dt, "method": "rattle"}
+        with particlerb.run(source) as trajectory:
+            x = 2.0 * trajectory.position[-1, 0]
+            assert np.abs(trajectory.position[-1, :3, 2] - 0.5 * np.sin(angle)).max() < 5e-4
+        missed.append(np.hypot(x[0] - np.cos(angle), x[2] - np.sin(angle)))
+    assert missed[1] < 2.5e-4
+    assert missed[0] / missed[1] == pytest.approx(4.0, abs=0.3)
 
 
 def test_equal_mechanisms_of_several_joints_move_alike():
