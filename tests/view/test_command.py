@@ -81,6 +81,15 @@ def test_a_session_is_saved_at_the_end(monkeypatch, tmp_path, capsys):
         assert f"{name}.toml" in capsys.readouterr().out
 
 
+@pytest.fixture
+def hears_interrupts():
+    """A shell lets what it starts in the background ignore Ctrl-C; the program keeps to that."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("hears_interrupts")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_gravity_that_was_switched_is_saved_at_a_signal(monkeypatch, tmp_path, capsys, number):
     monkeypatch.chdir(tmp_path)
