@@ -28,16 +28,13 @@ MANY_STEPS = (
     "bricard",
     "chain",
     "cradle_on_strings",
-    "door",
     "double_rod",
-    "four_bar",
     "dominoes",
     "gimbals",
     "governor",
     "hundred_mechanisms",
     "incline",
     "kepler",
-    "ladder",
     "mesh_body",
     "newtons_cradle",
     "pendulum",
@@ -45,12 +42,12 @@ MANY_STEPS = (
     "rocking_block",
     "slide_to_roll",
     "slope",
-    "snapping_wire",
     "spring_net",
     "squeezer",
     "stack",
     "ten_thousand_clumps",
 )
+LONG_TO_COMPILE = {"bricks", "door", "four_bar", "ladder", "snapping_wire"}
 LIGHTER = {  # 11 frames instead of 1001; tests run side by side, and threads would wait there
     "ten_thousand_clumps": ("run.every=1",),
     "hundred_mechanisms": ("run.threads=1",),
@@ -63,8 +60,9 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def marked(name: str) -> object:
-    """Case as a parameter; many steps or bodies need the compiler."""
-    return pytest.param(name, marks=[pytest.mark.compiled] if name in MANY_STEPS else [])
+    """Case as a parameter; many steps or bodies need the compiler, and few are done before it."""
+    marks = [pytest.mark.compiled] if name in MANY_STEPS else []
+    return pytest.param(name, marks=[pytest.mark.plain] if name in LONG_TO_COMPILE else marks)
 
 
 ALL = sorted(path.stem for path in CASES.glob("*.toml"))

@@ -183,6 +183,7 @@ def test_a_body_fixed_to_the_world_stands_still():
     assert loads.force[-1, 1] == pytest.approx([-5.0, 0, 2.0 * 9.81])
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize(
     "acting",
     [
