@@ -4,6 +4,7 @@
     python benchmarks/joints.py --peers      # chain6 and Bricard's mechanism to 1e-8 m; MuJoCo
     python benchmarks/joints.py --energy     # Bricard's mechanism over a million steps
     python benchmarks/joints.py --masses     # two rods of which one is a million times as heavy
+    python benchmarks/joints.py --linkages   # A02 of the IFToMM library: 40 four-bars, 20 s
     python benchmarks/joints.py --cost --record   # and add the figures to results/joints.csv
 
 Processor seconds, medians of interleaved rounds; each figure is the difference of a long and a
@@ -21,11 +22,12 @@ from pathlib import Path
 
 import numpy as np
 from results import record
+from scipy.integrate import solve_ivp
 
 import particlerb
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "joints"))
-from scenes import SCENES, X, Y, Z, bar, case, hinge_chain, joint, reference
+from scenes import SCENES, X, Y, Z, bar, body, case, hinge_chain, joint, reference
 
 LINKS = (10, 100, 1000)
 ROUNDS = 3
@@ -46,6 +48,7 @@ FRAMES = 10_000
 MEANS = 50  # of the energy, one after the other: a line is fitted to them
 MASSES = {"outer rod 1e6 times as heavy": 1e6, "outer rod 1e6 times as light": 1e-6}
 RATIO_STEPS = (0.002, 0.001)  # s
+LINKAGES = 40
 Row = tuple[str, float]
 POINTS = [[0, 0, 0], [1, 0, 0], [1, -1, 0], [1, -1, 1], [0, -1, 1], [0, 0, 1]]
 
@@ -157,6 +160,34 @@ def masses() -> list[Row]:
     return rows
 
 
+def linkages() -> list[Row]:
+    """Errors of a row of squares that passes ten times through a line, from the exact equation."""
+    n, inertia, bodies, joints = LINKAGES, [1e-3, 1 / 12, 1 / 12], [], []
+    upright = inertia[::-1]
+    for k in range(n + 1):
+        bodies.append(body(f"v{k}", 1.0, upright, [k, 0, 0.5], [0.5, 0, 0], [0, 1, 0]))
+        joints.append(joint("hinge", f"v{k}", None, [k, 0, 0], Y))
+    for k in range(n):
+        bodies.append(body(f"h{k}", 1.0, inertia, [k + 0.5, 0, 1], [1, 0, 0]))
+        joints += [joint("hinge", f"h{k}", f"v{i}", [i, 0, 1], Y) for i in (k, k + 1)]
+    times = {"t_end": 20.0, "every": 0.05, "dt": 2.5e-3, "method": "rattle", "threads": 1}
+    with particlerb.run({"run": times, **case(bodies, joints)}) as trajectory:
+        t, end = trajectory.time, 2.0 * trajectory.position[:, 0]
+        energy = np.abs(trajectory.observable("energy_error"))
+    rate = 9.81 * ((n + 1) / 2 + n) / ((n + 1) / 3 + n)
+    turning = solve_ivp(
+        lambda _, y: [y[1], -rate * np.cos(y[0])], [0, 20.0], [np.pi / 2, -1.0], "DOP853", t,
+        rtol=1e-12, atol=1e-12,
+    )  # fmt: skip
+    missed = np.hypot(end[:, 0] - np.cos(turning.y[0]), end[:, 2] - np.sin(turning.y[0]))
+    name = f"{n} four-bars, rattle 0.0025 s, 20 s"
+    return [
+        (f"{name}, largest error of B0 m", missed.max()),
+        (f"{name}, largest error of the energy J", energy.max()),
+        (f"{name}, error of the energy at the end J", energy[-1]),
+    ]
+
+
 def mujoco_bar(k: int, start: list, mass: float, side: float, axis: list, inner: str) -> str:
     """A bar of a chain in MuJoCo's words, with what hangs on it."""
     from_, to = np.array(start[k], float), np.array(start[k + 1], float)
@@ -219,6 +250,7 @@ MEASURED = {
     "peers": [partial(f, name) for name in ERRORS for f in (ours, peers)],
     "energy": (energy,),
     "masses": (masses,),
+    "linkages": (linkages,),
 }
 
 

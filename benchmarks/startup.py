@@ -2,7 +2,8 @@
 
     python benchmarks/startup.py
 
-The first run compiles into an empty cache. Wall and processor seconds of whole commands, best of
+The first run compiles into an empty cache, and one with another set of forces into that of the
+first. Wall and processor seconds of whole commands, best of
 some rounds (of one, for the first run). Goals: 0.15 s, 15 s, 1.5 s.
 """
 
@@ -15,6 +16,8 @@ import time
 from pathlib import Path
 
 CASES = Path(__file__).parents[1] / "cases"
+
+DRAG = '[[force]]\ntype = "drag"\nbody = "top"\ntranslation = 0.1\n'
 
 
 def seconds(words: list[str], cache: str, rounds: int = 1) -> tuple[float, float]:
@@ -49,6 +52,15 @@ def main() -> None:
             print(f"  {name}, empty cache {wall:6.2f} ({used:.2f}), goal 15")
             wall, used = seconds(words, cache, 5)
             print(f"  {name}, again       {wall:6.2f} ({used:.2f}), goal 1.5")
+        top, slowed = CASES / "heavy_top.toml", Path(folder) / "slowed.toml"
+        plain = top.read_text().partition("[check]")[0].partition("[[check.value]]")[0]
+        slowed.write_text(plain + DRAG)
+        both = [["run", str(case), "-o", f"{folder}/x.h5", "--overwrite"] for case in (top, slowed)]
+        wall, used = seconds(both[1], f"{folder}/alone")
+        print(f"  heavy_top with drag, empty cache {wall:6.2f} ({used:.2f})")
+        seconds(both[0], f"{folder}/behind")
+        wall, used = seconds(both[1], f"{folder}/behind")
+        print(f"  heavy_top with drag, behind heavy_top {wall:6.2f} ({used:.2f}), goal 5")
 
 
 if __name__ == "__main__":

@@ -30,8 +30,8 @@ _ROUNDING: Final = 1e-15  # residuals, over their size, that are as good as none
 _NEAR: Final = 1e-10  # below it an iteration that gains little is the last
 _GAIN: Final = 0.5
 _MOST_PASSES: Final = 4  # of a projection of momenta
-_MOST_RESTING: Final = 0.03  # pivot over its diagonal of a row that may rest for a step,
-_MOST_OPEN: Final = 1e-4  # and what its residual may be then, over its size
+_TENFOLD: Final = 7  # times at most that the pivot below which rows rest grows, from 1e-8 on,
+_MOST_OPEN: Final = 1e-4  # and what the residual of a row that rests may be, over its size
 
 
 @lean
@@ -153,9 +153,11 @@ def _pass_singular_pose(joints: Joints, work: Work, c: int, t: float, dt: float)
     They are as few as let the others converge.
     """
     clusters, start, share = joints.clusters, joints.program.start, joints.clusters.smallest_pivot
-    first, last, usual = clusters.joint[c], clusters.joint[c + 1], clusters.smallest_pivot[c]
+    first, last, usual = clusters.joint[c], clusters.joint[c + 1], share[c]
     lo, hi = start[first], start[last]
-    while work.lost[c] > 0 and share[c] < _MOST_RESTING:
+    for _ in range(_TENFOLD):
+        if work.lost[c] == 0:
+            break
         share[c] *= 10.0
         for k in range(clusters.body[c], clusters.body[c + 1]):
             for i in range(P, STATE):

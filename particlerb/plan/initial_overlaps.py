@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 _ROUNDING: Final = 1e-9  # share of a radius, or of a coordinate, by which rounding may overlap
 _MOST_NAMED: Final = 3  # overlaps that a message names
-_APART: Final = "move them apart, say contact.relax = true, or allow it by contact.overlap"
+_APART: Final = "move them apart"
+_OR_ALLOW: Final = f"{_APART}, say contact.relax = true, or allow it by contact.overlap"
 
 
 class _SetupSpheres(NamedTuple):
@@ -61,6 +62,11 @@ def _allowed(contact: "ContactSetup", spheres: _SetupSpheres) -> float:
     """Overlap that is no mistake [m]: what is allowed, or rounding."""
     size = max(float(spheres.radius.max()), float(np.abs(spheres.place).max()))
     return max(contact.record.overlap, _ROUNDING * size)
+
+
+def _hint(contact: "ContactSetup") -> str:
+    """What to do about an overlap; impacts at instants cannot begin with one."""
+    return _APART if contact.record.law == "events" else _OR_ALLOW
 
 
 def _with_images(spheres: _SetupSpheres, contact: "ContactSetup") -> _SetupSpheres:
@@ -105,7 +111,7 @@ def _overlapping(
         for k in named
     )
     reason = f"bodies overlap at t = 0: {which}{and_more(a.size - named.size)}"
-    yield problem_at(system, f"body[{system.block[b[named[0]]]}]", reason, _APART)
+    yield problem_at(system, f"body[{system.block[b[named[0]]]}]", reason, _hint(contact))
 
 
 def _beyond_walls(
@@ -137,7 +143,7 @@ def _beyond_walls(
             which = ", ".join(f"{system.names[int(b)]} by {depth[number, b]:.3g} m" for b in named)
             more = and_more(wrong.size - named.size)
             reason = f"overlaps bodies at t = 0: {which}{more}"
-            yield problem_at(system, f"wall[{number}]", reason, _APART)
+            yield problem_at(system, f"wall[{number}]", reason, _hint(contact))
 
 
 def _room_in(table: AnyWall, motion: PrescribedMotion, points: Floats) -> Floats:

@@ -90,3 +90,5 @@ def test_bodies_that_overlap_in_an_image_are_refused():
     with pytest.raises(CaseError) as error:
         particlerb.run(case(*balls, contact=events(periodic=[3.0, 0, 0])))
     assert "bodies overlap at t = 0: a and b by" in str(error.value)
+    assert "hint: move them apart" in str(error.value)
+    assert "contact.overlap" not in str(error.value)  # which is refused for this law
