@@ -35,8 +35,8 @@ from particlerb.maths.vec3 import Ints
 from particlerb.model.system import System
 from particlerb.plan.segments import is_adaptive
 from particlerb.simulation.accuracy import prepare_accurately
-from particlerb.simulation.run import Prepared
 from particlerb.simulation.trials import BodySubset, errors, part, seconds, states_at
+from particlerb.simulation.whole_run import Prepared
 from particlerb.studies.peers import engines, peer_errors, peer_scene
 from particlerb.studies.work_precision import Study
 

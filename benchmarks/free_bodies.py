@@ -43,9 +43,9 @@ from particlerb.rotors.exact import (
     turn_block,
 )
 from particlerb.simulation.accuracy import prepare_accurately
-from particlerb.simulation.run import Run
 from particlerb.simulation.run import prepare as prepare_system
 from particlerb.simulation.trials import part, states_at
+from particlerb.simulation.whole_run import Run
 from particlerb.studies.peers import engines
 from particlerb.studies.work_precision import Study
 

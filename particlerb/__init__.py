@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from particlerb.record.trajectory import open_trajectory as open
     from particlerb.simulation.entry import resume, run
     from particlerb.simulation.resume import ResumeError
-    from particlerb.simulation.run import RunError
     from particlerb.simulation.simulation import Simulation
+    from particlerb.simulation.whole_run import RunError
     from particlerb.studies.charts.trajectory import plot
     from particlerb.sweeping.driver import sweep
     from particlerb.user_force import force

@@ -50,7 +50,7 @@ BUDGETS = {
     "scenes in Python": 434,
     "states of a simulation without its energy": 82,
     "sweeps": 605,
-    "variants of a sweep in one batch": 490,
+    "variants of a sweep in one batch": 575,
     "variants of a sweep judged together": 110,
     "sweeps over ranks and dask, workers that die": 75,
     "tables of runs, replicates of a sweep": 116,
@@ -66,6 +66,7 @@ BUDGETS = {
     "helpers without machine code": 50,
     "helpers kept on disk": 40,
     "vectors of 512 bits": 45,
+    "one scene over ranks: free and driven bodies, files in parts": 645,
 }
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 

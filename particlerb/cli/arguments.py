@@ -97,6 +97,12 @@ def _add_code(command: _Parser) -> None:
     _add_flag(command, "--allow-code", help="run Python code that the case names, as you may")
 
 
+def _add_mpi(command: _Parser) -> None:
+    """Add --mpi."""
+    words = "share the bodies among the ranks of mpiexec or srun; they must not act on each other"
+    _add_flag(command, "--mpi", help=words)
+
+
 def _add_case(command: _Parser) -> None:
     """Add options of all commands that read a case."""
     command.add_argument("case", metavar="CASE")
@@ -145,6 +151,7 @@ def add_run(run: _Parser) -> None:
     _add_case(run)
     _add_plan(run)
     _add_output(run, "FILE", "default: output/<case>.h5")
+    _add_mpi(run)
     _add_report(run)
 
 

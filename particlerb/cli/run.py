@@ -23,6 +23,7 @@ from particlerb.case.to_system import to_system
 from particlerb.cli.common import amount, output_of, read_case, wall_time
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.cli.guard import probe
+from particlerb.cli.ranks import ranks_of
 from particlerb.cli.report import Report
 from particlerb.compiled.jit import WHEN_COMPILING
 from particlerb.compiled.threads import THREADS
@@ -52,6 +53,7 @@ from particlerb.impulses.records import (
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.plan.stability import STEPS_PER_CONTACT, stable_turn
+from particlerb.ranks import ALONE, Ranks
 from particlerb.record import schema
 from particlerb.record.file_size import SMALLEST_FILE, estimated_size
 from particlerb.record.output_file import DamagedError
@@ -62,7 +64,9 @@ from particlerb.simulation.checks import Result, results, table
 from particlerb.simulation.estimate import estimated_seconds
 from particlerb.simulation.outcome import Outcome, Progress
 from particlerb.simulation.resume import ResumeError, look_at, resume_pending
-from particlerb.simulation.run import Prepared, RunError, run_prepared
+from particlerb.simulation.run import run_prepared
+from particlerb.simulation.shares import part_of
+from particlerb.simulation.whole_run import Prepared, RunError
 
 _LONGEST_ENDING: Final = 10  # lines that a run ends with
 _BROKEN: Final = 3  # joints that are named
@@ -87,11 +91,20 @@ def _warn(options: argparse.Namespace, warnings: Sequence[str]) -> None:
 
 def run_command(options: argparse.Namespace) -> int:
     """`run`: the plan, the run, the checks."""
+    with ranks_of(options) as ranks:
+        return _run(options, ranks)
+
+
+def _run(options: argparse.Namespace, ranks: Ranks | None) -> int:
+    """Run a case, on ranks or alone."""
     if sys.stderr.isatty() and not options.quiet:
         WHEN_COMPILING[:] = ["kernels, once, about 15 s (30 s for contact)"]
-    prepared = _prepared_case(options)
+    together = (ranks or ALONE).together
+    prepared = together(partial(_prepared_case, options))
     system = prepared.system
-    path = _output_path(options, system)
+    if ranks is not None:
+        part_of(prepared, ranks)
+    path = together(partial(_output_path, options, system))
     _warn(options, _disk_warnings(system, path))
     if not (options.quiet or options.json):
         title = system.title or path.stem
@@ -100,8 +113,9 @@ def run_command(options: argparse.Namespace) -> int:
         print(f"  file: {path}, {size_text(system)}; {free} are free\n", flush=True)
 
     run, total = partial(run_prepared, prepared, path, options.overwrite), frame_count(system.run)
-    outcome = _execute(run, path, options, total, before=_number_of(path))
-    return _conclude(prepared, outcome, path, options)
+    before = _number_of(path)
+    outcome = _execute(partial(run, ranks=ranks), path, options, total, before=before)
+    return _conclude(prepared, outcome, path, options, ranks)
 
 
 def resume_command(options: argparse.Namespace) -> int:
@@ -130,9 +144,16 @@ def resume_command(options: argparse.Namespace) -> int:
     return _conclude(pending.prepared, outcome, path, options)
 
 
-def _conclude(prepared: Prepared, outcome: Outcome, path: Path, options: argparse.Namespace) -> int:
+def _conclude(
+    prepared: Prepared,
+    outcome: Outcome,
+    path: Path,
+    options: argparse.Namespace,
+    ranks: Ranks | None = None,
+) -> int:
     """Print what came out; the exit code."""
-    checks = results(prepared.system, outcome)
+    system = prepared.system if ranks is None else part_of(prepared, ranks).system
+    checks = results(system, outcome, ranks or ALONE)
     if options.json:
         print(json.dumps(summary(path, outcome, checks)))
     else:

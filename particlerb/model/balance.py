@@ -3,7 +3,8 @@
 total - initial - booked is the error of integration alone. It is judged against the largest
 kinetic energy, work or gross work of contacts, Σ|p| and Σ|L|, never against a value that may be
 zero or, of bodies at rest, is all rounding.
-Sums run over fixed blocks of bodies in a fixed order: the same bits for any number of threads.
+Sums run over fixed blocks of bodies in a fixed order, and over superblocks of these: the same bits
+for any number of threads and ranks.
 """
 
 from collections.abc import Mapping
@@ -30,6 +31,8 @@ from particlerb.maths.vec3 import (
 )
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, lengths
+from particlerb.model.superblocks import Range, summed, superblocks
+from particlerb.ranks import ALONE, Ranks
 
 _N_TOTALS = 10
 _STILL = 1e-20  # share of the energy of a motion that is seen; below it there is none
@@ -134,6 +137,7 @@ def totals(
     potential: Floats | float = 0.0,
     kinetic: Floats | float = 0.0,
     n_worlds: int = 1,
+    ranks: Ranks = ALONE,
 ) -> Totals:
     """Totals of frames.
 
@@ -149,6 +153,8 @@ def totals(
         Kinetic energy of pistons [J].
     n_worlds : int
         Scenes that the bodies are of, one after the other, with as many each; on one thread.
+    ranks : Ranks
+        Each with bodies of its own.
     """
     n, n_frames = bodies.mass.size, len(frames.position)
     n_blocks, in_each = -(-n // BLOCK), -(-(n // n_worlds) // BLOCK)
@@ -156,13 +162,15 @@ def totals(
         blocks = np.zeros((n_frames, n_blocks, _N_TOTALS))
         add_up = partial(_sum_blocks, frames, bodies, gravity, None, blocks)
         THREADS.share(add_up, n_blocks, n * n_frames)
-        sums = np.add.reduce(blocks, axis=1)
+        each = [slice(of.first // BLOCK, -(-of.stop // BLOCK)) for of in superblocks(n)]
+        sums = np.stack([np.add.reduce(blocks[:, own], axis=1) for own in each])
     else:
         blocks = np.zeros((n_frames, n_worlds * in_each, _N_TOTALS))
         world, b = np.divmod(np.arange(n), n // n_worlds)
         _sum_blocks(frames, bodies, gravity, in_each * world + b // BLOCK, blocks, 0, n_blocks)
         sums = blocks.reshape(n_frames, n_worlds, in_each, _N_TOTALS)
-        sums = sums[:, :, 0] if in_each == 1 else sums.sum(axis=2)
+        sums = (sums[:, :, 0] if in_each == 1 else sums.sum(axis=2))[None]
+    sums = summed(sums, ranks)
     return Totals(
         sums[..., 0] + kinetic,
         sums[..., 1] + potential,
@@ -198,9 +206,9 @@ class ConservationError(NamedTuple):
     angular_momentum: float
 
 
-def _largest(values: Floats, least: float = 0.0) -> Any:
-    """Largest over the frames, (T, ...), and at least so much."""
-    return np.maximum.reduce(values, axis=0, initial=least)
+def _largest(values: Floats) -> Any:
+    """Largest over the frames, (T, ...), and at least 0."""
+    return np.maximum.reduce(values, axis=0, initial=0.0)
 
 
 def _grown(largest: Floats, *values: Any) -> Floats:
@@ -239,20 +247,21 @@ class EnergyBalance:
         self.energy, (self.linear, self.angular) = initial[0], np.split(initial[1:7], 2)
         self.errors, self.scales = saved["errors"], saved["scales"]
 
-    def widen(self, now: Totals, work: Floats, gross: float) -> None:
+    def widen(self, now: Totals, work: Floats, gross: Floats | float) -> None:
         """Let the scales grow with what is turned over."""
-        energies = _largest(np.maximum(now.kinetic_energy, np.abs(work)), gross)
+        energies = _largest(np.maximum(now.kinetic_energy, np.abs(work)))
+        energies = np.maximum(energies, gross)
         sizes = _largest(now.momentum_size), _largest(now.spin_size)
         self.scales = _grown(self.scales, energies, *sizes)
 
-    def enter(self, now: Totals, booked: Floats, gross: float = 0.0) -> Entries:
+    def enter(self, now: Totals, booked: Floats, gross: Floats | float = 0.0) -> Entries:
         """Entries of some frames.
 
         Parameters
         ----------
         now : Totals
         booked : ndarray, shape (T, 7) or (T, n_worlds, 7)
-        gross : float [J]
+        gross : float, or ndarray of shape (n_worlds,) [J]
             Sum of the sizes of all that contacts have taken or given until the last of them: what
             goes in by one wall and out by friction cancels in `booked`.
         """
@@ -279,7 +288,9 @@ class EnergyBalance:
         )
         return entries
 
-    def drift(self, bodies: Bodies, com: Floats, duration: float) -> ConservationError:
+    def drift(
+        self, bodies: Bodies, com: Floats, duration: float, ranks: Ranks = ALONE
+    ) -> ConservationError:
         """Largest errors until now over the largest scales.
 
         Where nothing moves but by rounding, the scales are those of a motion that is seen.
@@ -290,8 +301,14 @@ class EnergyBalance:
             Constants, and centres of mass (3, n) at the start [m].
         duration : float [s]
             Of the run.
+        ranks : Ranks
+            Each with bodies of its own.
         """
-        seen = _seen_motion(bodies, com, duration, self.energy.size).reshape(self.scales.shape)
+        sizes = _sizes(bodies, com, self.energy.size)
+        R = np.max([of_rank[0].max(axis=0) for of_rank in ranks.gathered(sizes)], axis=0)
+        momentum = summed(sizes[1], ranks) * R / duration
+        seen = np.stack([momentum * R / duration, momentum, momentum * R])
+        seen = seen.reshape(self.scales.shape)
         seen[0] += np.abs(self.energy)
         is_still = self.scales[0] < _STILL * seen[0]
         scales = np.where(is_still, np.maximum(self.scales, seen), self.scales)
@@ -299,12 +316,13 @@ class EnergyBalance:
         return ConservationError(*(self.errors / safe).tolist())
 
 
-def _seen_motion(bodies: Bodies, com: Floats, duration: float, n_worlds: int) -> Floats:
-    """M v², M v and M v R of bodies that cross their reach R in a time, (3, n_worlds).
+def _sizes(bodies: Bodies, com: Floats, n_worlds: int) -> Floats:
+    """Reach R and mass M of each superblock, (2, S, n_worlds); M R²/T², M R/T, M R²/T are seen.
 
-    R: largest distance of a body from the origin and its radius of gyration; v = R over the time.
+    R: largest distance of a body from the origin and its radius of gyration; T: a time.
     """
     reach = lengths(com) + np.sqrt(bodies.inertia.max(axis=0) * bodies.inv_mass)
-    R = reach.reshape(n_worlds, -1).max(axis=1)
-    momentum = bodies.mass.reshape(n_worlds, -1).sum(axis=1) * R / duration
-    return np.stack([momentum * R / duration, momentum, momentum * R])
+    n = reach.size
+    ranges = [Range(0, n)] if n_worlds > 1 else list(superblocks(n))
+    each = [[v[slice(*own)].reshape(n_worlds, -1) for own in ranges] for v in (reach, bodies.mass)]
+    return np.stack([[of.max(axis=1) for of in each[0]], [of.sum(axis=1) for of in each[1]]])

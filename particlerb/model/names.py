@@ -27,10 +27,11 @@ class BodyNames(Sequence[str]):
         counts = [0, *(count for _, count in self.records)]
         self.first: _Ints = np.cumsum(np.array(counts, dtype=np.int64))  # and how many there are
         self._number = {name: i for i, (name, _) in enumerate(self.records)}
+        self.range = range(int(self.first[-1]))
 
     def __len__(self) -> int:
         """Number of bodies."""
-        return int(self.first[-1])
+        return len(self.range)
 
     @overload
     def __getitem__(self, b: int) -> str: ...
@@ -40,10 +41,10 @@ class BodyNames(Sequence[str]):
         """Name of body b, or of several."""
         if isinstance(b, slice):
             return [self[i] for i in range(*b.indices(len(self)))]
-        b = range(len(self))[b]
-        record = int(np.searchsorted(self.first, b, side="right")) - 1
+        number = self.range[b]
+        record = int(np.searchsorted(self.first, number, side="right")) - 1
         name, count = self.records[record]
-        return name if count == 1 else f"{name}[{b - self.first[record]}]"
+        return name if count == 1 else f"{name}[{number - self.first[record]}]"
 
     def __iter__(self) -> Iterator[str]:
         """All names, a million in a third of a second."""
@@ -84,6 +85,32 @@ class BodyNames(Sequence[str]):
         if int(match["index"]) >= hi - lo:
             raise KeyError(name)
         return np.array([lo + int(match["index"])])
+
+
+class NamesInRange(BodyNames):
+    """Names of the bodies of a scene from `first` to `stop`, numbered from 0.
+
+    Parameters
+    ----------
+    records : iterable of (str, int)
+        Of the whole scene.
+    first, stop : int
+        Which bodies these are.
+    """
+
+    def __init__(self, records: Iterable[tuple[str, int]], first: int, stop: int) -> None:
+        super().__init__(records)
+        self.range = range(first, stop)
+
+    def __iter__(self) -> Iterator[str]:
+        """All names."""
+        return (self[b] for b in range(len(self)))
+
+    def find_in_order(self, names: str | Sequence[str]) -> _Ints:
+        """As for the whole scene, without bodies that are not in the range."""
+        found = super().find_in_order(names)
+        inside = (found >= self.range.start) & (found < self.range.stop)
+        return found[inside] - self.range.start
 
 
 class NamesInWorlds(BodyNames):

@@ -20,7 +20,7 @@ from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.merging import Merging
-from particlerb.model.names import BodyNames
+from particlerb.model.names import BodyNames, NamesInRange
 from particlerb.model.state import State
 
 if TYPE_CHECKING:
@@ -85,6 +85,8 @@ class System(NamedTuple):
     """Scenes that share the arrays, one after the other; the records are those of the first."""
     others: Mapping[int, tuple[AnyForce, ...]] = MappingProxyType({})
     """Forces that differ from world to world: the record of each, by the number of the first."""
+    contacts: tuple[ContactTable, ...] = ()
+    """Contact of each world, where they differ in it."""
     notes: tuple[tuple[str, str], ...] = ()
     """Name of a record and a line on how its shape became particles: what was tried, or changed."""
 
@@ -106,8 +108,17 @@ class System(NamedTuple):
     def scene(self, world: int) -> Self:
         """One of several worlds, but for forces that differ there."""
         own = np.arange(self.in_each) + world * self.in_each
+        return self._with_bodies(own, BodyNames(self.names.records))
+
+    def part(self, first: int, stop: int) -> Self:
+        """Bodies of a range, with all records."""
+        names = NamesInRange(self.names.records, first, stop)
+        return self._with_bodies(np.arange(first, stop), names)
+
+    def _with_bodies(self, own: Ints, names: BodyNames) -> Self:
+        """Some bodies, under these names."""
         return self._replace(
-            names=BodyNames(self.names.records),
+            names=names,
             block=self.block[own],
             kind=self.kind[own],
             bodies=taken(self.bodies, own),

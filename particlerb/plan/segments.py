@@ -4,14 +4,14 @@ Each segment is free (closed form) or driven (stepped). Forces that do not act i
 computed nor compiled.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
 from particlerb.case.problems import CaseError
 from particlerb.case.source import problem_at
-from particlerb.forces import Terms, needs_of, without_gradient
+from particlerb.forces import Terms, needs_of, terms_on, without_gradient
 from particlerb.forces.drag import Drag
 from particlerb.forces.impulse import Impulse
 from particlerb.forces.kinds import BODIES, CONTACT, EVENTS, JOINTS, PISTONS, POSE, TIME, VELOCITY
@@ -19,6 +19,7 @@ from particlerb.integrators import METHODS
 from particlerb.joints.setup import with_drag
 from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.bodies import Bodies, held, taken
+from particlerb.model.superblocks import superblocks
 from particlerb.model.system import System
 from particlerb.model.worlds import Worlds, worlds_among
 from particlerb.plan.case_forces import acting_terms, acts, jumps_at
@@ -219,3 +220,42 @@ def refuse_method(system: System, groups: list[GroupPlan]) -> None:
             able = ", ".join(name for name in METHODS if accepts(name, segment.terms)) or "none"
             reason = f"{segment.method} does not accept what acts here: {acting}"
             raise CaseError([problem_at(system, "run.method", reason, f"methods that do: {able}")])
+
+
+def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
+    """Some bodies of a group under new numbers."""
+    segments = tuple(
+        segment._replace(
+            terms=terms_on(segment.terms, own),
+            jumps=tuple(
+                Impulse(
+                    np.ascontiguousarray(jump.at[:, own]),
+                    np.ascontiguousarray(jump.impulse[:, own]),
+                    jump.follows,
+                )
+                for jump in segment.jumps
+            ),
+        )
+        for segment in group.segments
+    )
+    return GroupPlan(members, taken(group.bodies, own), segments)
+
+
+def is_coupled(group: GroupPlan) -> bool:
+    """Whether bodies of a group act on each other, or touch walls."""
+    all_terms = [segment.terms for segment in group.segments]
+    return any(t.is_coupled or t.contact is not None or t.joints is not None for t in all_terms)
+
+
+def in_superblocks(groups: Sequence[GroupPlan], n_bodies: int) -> list[list[GroupPlan]]:
+    """Groups of each superblock by themselves; as they are where bodies act on each other."""
+    ranges = list(superblocks(n_bodies))
+    if len(ranges) == 1 or any(group.worlds or is_coupled(group) for group in groups):
+        return [list(groups)]
+    found = []
+    for first, stop in ranges:
+        inside = [(group.members >= first) & (group.members < stop) for group in groups]
+        own = [np.flatnonzero(which) for which in inside]
+        cut = zip(groups, own, strict=True)
+        found.append([chosen(g, which, g.members[which]) for g, which in cut if which.size])
+    return found

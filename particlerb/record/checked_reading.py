@@ -14,14 +14,16 @@ from typing import Any, Final, TypeVar
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5l, h5z
+from h5py import h5d, h5l, h5z
 
 from particlerb.record.atomic import to_read
+from particlerb.record.hdf5 import header_attribute
 from particlerb.record.memory import Memory
+from particlerb.record.parts import parts_in, range_in
+from particlerb.record.schema import COMMITTED, TIME
 
 _FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
 _LAYOUTS: Final = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
-_LARGEST_ATTRIBUTE: Final = 65536  # bytes
 _BEST_DEFLATE: Final = 1032  # bytes that one byte can become at most
 SECONDS_OF_PATIENCE: Final = 2.0
 _SECONDS_AT_REST: Final = 0.5  # without a write: what fails now fails for good
@@ -166,6 +168,8 @@ def has(file: h5py.File | Memory, path: str) -> bool:
 
 def require_own_storage(file: h5py.File, dataset: h5py.Dataset, path: str) -> None:
     """Raise ValueError unless the numbers lie in this file, and there can be as many."""
+    if dataset.is_virtual and _lies_in_parts(file, dataset):
+        return
     properties = dataset.id.get_create_plist()
     if properties.get_layout() not in _LAYOUTS or properties.get_external_count():
         raise ValueError(f"{path} lies in another file")
@@ -205,8 +209,40 @@ def require_self_contained(file: h5py.File) -> None:
 def _lies_inside(dataset: h5py.Dataset) -> bool:
     """Whether the numbers of a dataset, or those that it is a view of, lie in its file."""
     if dataset.is_virtual:
-        return all(source.file_name == "." for source in dataset.virtual_sources())
+        is_own = all(source.file_name == "." for source in dataset.virtual_sources())
+        return is_own or _lies_in_parts(dataset.file, dataset)
     return not dataset.id.get_create_plist().get_external_count()
+
+
+def _lies_in_parts(file: h5py.File, dataset: h5py.Dataset) -> bool:
+    """Whether the numbers of a virtual dataset lie in the parts of its file, each once."""
+    parts, sources = parts_in(file), dataset.virtual_sources()
+    return parts is not None and [s.file_name for s in sources] == parts.names[: len(sources)]
+
+
+def require_parts(file: h5py.File, n_frames: int) -> None:
+    """Require that each part of a file is there, of the same run, and has so many frames.
+
+    Raises
+    ------
+    TrajectoryError
+        If one is missing, short, or of something else; it names it.
+    """
+    with trajectory_errors(file):
+        parts = parts_in(file)
+    for k, name in enumerate(parts.names if parts else ()):
+        assert parts is not None
+        path = Path(file.filename).parent / name
+        if not path.is_file():
+            raise TrajectoryError(f"{file.filename}: its part {path} is missing")
+        with open_file(path) as part, trajectory_errors(part):
+            if range_in(part) != (parts.ranges[k], parts.run):
+                raise TrajectoryError(f"{file.filename}: {path} belongs to another run, or place")
+            n = min(integer_attribute(part, COMMITTED), len(part[TIME]))
+        if n < n_frames:
+            raise TrajectoryError(
+                f"{file.filename}: its part {path} has {n} frames, and {n_frames} were committed"
+            )
 
 
 def text_at(file: h5py.File | Memory, path: str) -> str:
@@ -232,9 +268,7 @@ def text_at(file: h5py.File | Memory, path: str) -> str:
 
 
 def attribute(place: Any, name: str, kinds: str) -> Any:
-    """Value of an attribute, an array or bytes, if it lies within the header of its object.
-
-    HDF5 may go round forever in a damaged heap, where strings without a fixed length lie.
+    """Value of an attribute, an array or bytes, of a file or of what is in memory.
 
     Raises
     ------
@@ -243,17 +277,7 @@ def attribute(place: Any, name: str, kinds: str) -> Any:
     """
     if isinstance(place, Memory):
         return place.attributes[name]
-    if not h5a.exists(place.id, name.encode()):
-        raise KeyError(f"{name} is missing")
-    found = h5a.open(place.id, name.encode())
-    dtype = found.dtype
-    if dtype.kind not in kinds or dtype.hasobject or len(found.shape) > 1:
-        raise ValueError(f"{name} has the type {dtype}")
-    if int(np.prod(found.shape)) * dtype.itemsize > _LARGEST_ATTRIBUTE:
-        raise ValueError(f"{name} is too large")
-    values = np.empty(found.shape, dtype)
-    found.read(values)
-    return values[()]
+    return header_attribute(place, name, kinds)
 
 
 def integer_attribute(place: Any, name: str) -> int:

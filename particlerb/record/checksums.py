@@ -28,7 +28,9 @@ def factors(n: int) -> Words:
     return (2 * np.arange(n, dtype=np.uint64) + np.uint64(1)) * np.uint64(_ODD)
 
 
-def frame_checksums(n_frames: int, elements: Iterable[NDArray[np.generic]]) -> Words:
+def frame_checksums(
+    n_frames: int, elements: Iterable[NDArray[np.generic]], first: int = 0
+) -> Words:
     """Checksum of each of some frames.
 
     c ← ODD c + Σ_k (2 k + 1) ODD w_k mod 2^64 for one element after the other, with w_k the words
@@ -41,12 +43,18 @@ def frame_checksums(n_frames: int, elements: Iterable[NDArray[np.generic]]) -> W
         T.
     elements : iterable of ndarray, shapes (T, ...)
         Numbers of 32 or 64 bits, as the file holds them.
+    first : int
+        Number of the first body, where elements have those of a part of the bodies and nothing
+        else: the sum over all parts is the checksum of the whole.
     """
     total = np.zeros(n_frames, dtype=np.uint64)
     for values in elements:
         word = np.uint32 if values.itemsize == 4 else np.uint64
         words: Any = np.ascontiguousarray(values).reshape(n_frames, -1).view(word)
         total = total * np.uint64(_ODD) + words @ factors(words.shape[1])
+        if first and values.size:
+            shift = 2 * first * math.prod(values.shape[2:]) * _ODD % 2**64
+            total += np.uint64(shift) * words.sum(axis=1, dtype=np.uint64)
     return total
 
 

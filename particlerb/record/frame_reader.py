@@ -24,9 +24,11 @@ from particlerb.record.checked_reading import (
     integer_attribute,
     open_file,
     patiently,
+    require_parts,
     trajectory_errors,
 )
 from particlerb.record.memory import Memory
+from particlerb.record.parts import range_in
 
 PORTION = 100_000  # states that are read at a time where all are gone through
 
@@ -44,6 +46,8 @@ class FrameReader(Closing):
         self.file = file
         self.path = None if isinstance(file, Memory) else file.filename
         with trajectory_errors(file):
+            if isinstance(file, h5py.File) and range_in(file):
+                raise ValueError("it is a part of one; open the file beside its folder")
             major, minor = (int(k) for k in attribute(file, "schema", "iu"))
             self.schema = (major, minor)
         if major != schema.SCHEMA_VERSION[0]:
@@ -64,6 +68,7 @@ class FrameReader(Closing):
             held = len(dataset_at(self.file, schema.TIME, "f", (None,)))
             if not 0 <= n <= held:
                 raise ValueError(f"{schema.COMMITTED} is {n}, but there are {held} times")
+        require_parts(self.file, n)
         return n
 
     def close(self) -> None:

@@ -15,6 +15,7 @@ WITH_GROUPS: Final = h5p.create(h5p.LINK_CREATE)
 WITH_GROUPS.set_create_intermediate_group(True)
 Form: TypeAlias = tuple["np.dtype[Any]", tuple[int, ...]]  # type of the numbers, and shape
 _LARGE: Final = 2**20  # bytes
+_LARGEST_ATTRIBUTE: Final = 65536  # bytes
 _ANY_TEXT: Final = h5t.py_create(h5py.string_dtype(), logical=True)
 
 
@@ -106,6 +107,29 @@ def note(place: Any, **values: Any) -> None:
 def change(place: Any, name: str, value: Any) -> None:
     """Write another value into an attribute, of the same type."""
     h5a.open(place, name.encode()).write(np.asarray(value))
+
+
+def header_attribute(place: Any, name: str, kinds: str) -> Any:
+    """Value of an attribute, an array or bytes, if it lies within the header of its object.
+
+    HDF5 may go round forever in a damaged heap, where strings without a fixed length lie.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If it is not there, or of another type.
+    """
+    if not h5a.exists(place.id, name.encode()):
+        raise KeyError(f"{name} is missing")
+    found = h5a.open(place.id, name.encode())
+    dtype = found.dtype
+    if dtype.kind not in kinds or dtype.hasobject or len(found.shape) > 1:
+        raise ValueError(f"{name} has the type {dtype}")
+    if int(np.prod(found.shape)) * dtype.itemsize > _LARGEST_ATTRIBUTE:
+        raise ValueError(f"{name} is too large")
+    values = np.empty(found.shape, dtype)
+    found.read(values)
+    return values[()]
 
 
 def describe(dataset: h5d.DatasetID, units: str, meaning: str) -> h5d.DatasetID:

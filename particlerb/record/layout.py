@@ -12,6 +12,7 @@ from h5py import h5d, h5ds
 import particlerb
 from particlerb.case.run import frame_count
 from particlerb.maths.vec3 import Floats
+from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.record import schema
 from particlerb.record.checksums import digest_of
@@ -29,6 +30,7 @@ from particlerb.record.hdf5 import (
     put,
     reserve,
 )
+from particlerb.record.parts import Parts, growing_over, note_master, note_part
 from particlerb.record.vtkhdf import create_vtkhdf
 
 _THINNEST: Final = 0.02  # edge of a glyph, of the longest one: rods and points are to be seen
@@ -56,9 +58,10 @@ class Layout(NamedTuple):
     n_frames: int
     n_bodies: int
     tables: tuple[tuple[str, Form], ...]  # paths of arrays that do not change, and their forms
+    parts: Parts | None = None  # files where numbers of bodies lie, if these are several
 
 
-def laid_out(system: System, content: Content) -> bytearray:
+def laid_out(system: System, content: Content, parts: Parts | None = None) -> bytearray:
     """The file of a run without frames, with small arrays: its bytes.
 
     Parameters
@@ -67,10 +70,14 @@ def laid_out(system: System, content: Content) -> bytearray:
         What is run.
     content : mapping of str to ndarray or bytes
         What does not change in time: `tables_of`, `topology_of` and `provenance.texts_of`.
+    parts : Parts, optional
+        Files where the numbers of bodies lie.
     """
     fields, dtype, n_frames = system.output.fields, system.output.dtype, frame_count(system.run)
     tables = tuple((p, form_of(v)) for p, v in content.items() if not isinstance(v, bytes))
-    empty, places = _empty_file(Layout(tuple(fields), dtype, n_frames, system.n_bodies, tables))
+    empty, places = _empty_file(
+        Layout(tuple(fields), dtype, n_frames, len(content[schema.BODY]), tables, parts)
+    )
     image = bytearray(empty)
     for path, place in places.items():
         value = digest_of(content).encode() if path == _DIGEST else content[path]
@@ -93,6 +100,35 @@ def _empty_file(of: Layout) -> tuple[bytes, Mapping[str, int]]:
     return image, places | {_DIGEST: image.index(_NO_DIGEST)}
 
 
+def part_laid_out(system: System, of: Range, run: str) -> bytearray:
+    """The file of a part without frames: its bytes.
+
+    Parameters
+    ----------
+    system : System
+        What is run, or any part of it.
+    of : Range
+        Bodies of the part.
+    run : str
+        Hash of what decides the motion.
+    """
+    n_frames, dtype = frame_count(system.run), np.dtype(system.output.dtype)
+    with h5py.File("part", "w", driver="core", backing_store=False) as file:
+        note(file.id, schema=np.array(schema.SCHEMA_VERSION, dtype=np.int32))
+        note_part(file, of, run)
+        clock = make_clock(file, n_frames)[schema.TIME]
+        for path, element in schema.series_of(system.output.fields).items():
+            if element.per == "body":
+                kind, width = schema.dtype_of(element, dtype), len(element.components)
+                n = of.stop - of.first
+                rows = schema.frames_per_chunk(n, width, kind.itemsize, n_frames)
+                growing(file, path, kind, (n, width), rows=rows, fill=np.nan)
+        _make_checksums(file, n_frames, clock)
+        note(file.id, **{schema.COMMITTED: np.int64(0)})
+        file.flush()
+        return bytearray(file.id.get_file_image())
+
+
 def write_rest(file: h5py.File, content: Content) -> None:
     """Write texts and large arrays among what does not change."""
     for path, value in content.items():
@@ -105,6 +141,8 @@ def write_rest(file: h5py.File, content: Content) -> None:
 def _lay_out(file: h5py.File, of: Layout) -> Made:
     """Make all that a file without frames has; return its arrays."""
     note(file.id, schema=np.array(schema.SCHEMA_VERSION, dtype=np.int32))
+    if of.parts is not None:
+        note_master(file, of.parts)
     write_h5md(file)
     make_box(file)
     made = {path: reserve(file, path, form) for path, form in of.tables}
@@ -119,7 +157,8 @@ def _lay_out(file: h5py.File, of: Layout) -> Made:
     if schema.CONTACTS in of.fields:
         _make_contacts(file, of, made)
     views = {name: made[path] for name, path in _SHOWN.items()}
-    create_vtkhdf(file, shown, views, of.n_frames)
+    n_frames = of.n_frames if of.parts is None else 0  # parts have no frames yet
+    create_vtkhdf(file, shown, views, n_frames, of.parts)
     place = _make_checksums(file, of.n_frames, made[schema.TIME])
     note(place, digest=np.bytes_(_NO_DIGEST))
     note(file.id, **{schema.COMMITTED: np.int64(0)})
@@ -244,7 +283,10 @@ def _make_series(file: h5py.File, path: str, of: Layout, made: Made) -> h5d.Data
     n = width[0] if element.per else 1
     rows = schema.frames_per_chunk(n, len(element.components), kind.itemsize, of.n_frames)
     fill = None if element.is_count else np.nan  # what was never written is NaN
-    value = growing(file, path, kind, width, rows=rows, fill=fill)
+    if of.parts is not None and element.per == "body":
+        value = growing_over(file, path, kind, width, of.parts)
+    else:
+        value = growing(file, path, kind, width, rows=rows, fill=fill)
     describe(value, element.units, element.meaning)
     attach(value, made[schema.TIME], *scales)
     link_clock(file, place, made)

@@ -17,7 +17,8 @@ from h5py import h5d, h5p, h5s
 
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.hdf5 import WITH_GROUPS, change, growing, note
-from particlerb.record.schema import VTKHDF, rows_per_chunk
+from particlerb.record.parts import Parts, rows_over
+from particlerb.record.schema import FIELDS, VTKHDF, rows_per_chunk
 
 _CELLS: Final = ("Vertices", "Lines", "Polygons", "Strips")
 TOPOLOGY: Final = (
@@ -46,6 +47,7 @@ def create_vtkhdf(
     fields: Mapping[str, h5d.DatasetID],
     static: Mapping[str, h5d.DatasetID],
     n_frames: int,
+    parts: Parts | None = None,
 ) -> None:
     """Make /VTKHDF for a file that is still without frames; it has `topology_of` already.
 
@@ -59,6 +61,8 @@ def create_vtkhdf(
         Arrays that do not change, (N, ...), by the names that VTK is to show.
     n_frames : int
         Frames that the file may come to hold; `resize_vtkhdf` changes it.
+    parts : Parts, optional
+        Files where the numbers of bodies lie.
     """
     if _POINTS not in fields:
         return
@@ -68,7 +72,7 @@ def create_vtkhdf(
         view(file, f"{_DATA}/{name}", values)
         _constant(file, f"{_STEPS}/PointDataOffsets/{name}", 0, n_frames)
     for name, values in fields.items():
-        view(file, _place_of(name), values, n_frames)
+        _show(file, name, values, n_frames, parts)
     rows = rows_per_chunk(n_frames)
     growing(file, STEP_TIMES, "f8", rows=rows)
     growing(file, STEP_STARTS, "i8", rows=rows)
@@ -98,8 +102,13 @@ def _place_of(name: str) -> str:
     return f"{VTKHDF}/Points" if name == _POINTS else f"{_DATA}/{name}"
 
 
-def resize_vtkhdf(file: h5py.File, fields: Mapping[str, h5py.Dataset], n_frames: int) -> None:
-    """Let /VTKHDF, where there is one, have room for so many frames; those in it stay."""
+def resize_vtkhdf(
+    file: h5py.File, fields: Mapping[str, h5py.Dataset], n_frames: int, parts: Parts | None = None
+) -> None:
+    """Let /VTKHDF, where there is one, have room for so many frames; those in it stay.
+
+    Where the bodies lie in parts, these must have the frames.
+    """
     if is_finished(file, n_frames):
         return
     steps = file[_STEPS]
@@ -107,7 +116,19 @@ def resize_vtkhdf(file: h5py.File, fields: Mapping[str, h5py.Dataset], n_frames:
         dataset.resize(n_frames, axis=0)
     for name, values in fields.items():
         del file[_place_of(name)]
-        view(file, _place_of(name), values.id, n_frames)
+        _show(file, name, values.id, n_frames, parts)
+
+
+def _show(
+    file: h5py.File, name: str, values: h5d.DatasetID, n_frames: int, parts: Parts | None
+) -> None:
+    """Let VTK see a field of bodies."""
+    if parts is None:
+        view(file, _place_of(name), values, n_frames)
+        return
+    shape = n_frames, len(FIELDS[name].components)
+    source = h5py.h5i.get_name(values).decode().lstrip("/")
+    rows_over(file, _place_of(name), source, values.dtype, shape, parts)
 
 
 def is_finished(file: h5py.File, n_frames: int) -> bool:

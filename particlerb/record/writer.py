@@ -15,14 +15,16 @@ from h5py import h5s
 
 from particlerb.case.run import frame_count
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.record import schema
 from particlerb.record.checkpoint import write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
 from particlerb.record.frame_values import ContactList, NewFrames, contact_columns, values_of
 from particlerb.record.hdf5 import change, opened
-from particlerb.record.layout import laid_out, write_rest
+from particlerb.record.layout import laid_out, part_laid_out, write_rest
 from particlerb.record.output_file import OutputFile, new_file
+from particlerb.record.parts import Parts, parts_in
 from particlerb.record.vtkhdf import (
     STEP_STARTS,
     STEP_TIMES,
@@ -59,6 +61,8 @@ class Recorder:
         What does not change in time, by paths: `layout.tables_of` and `provenance.texts_of`.
     overwrite : bool
         Whether an existing file may be replaced.
+    parts : Parts, optional
+        Files where the numbers of bodies lie.
 
     Raises
     ------
@@ -72,10 +76,15 @@ class Recorder:
     """
 
     def __init__(
-        self, path: Path, system: System, content: Mapping[str, Any], overwrite: bool = False
+        self,
+        path: Path,
+        system: System,
+        content: Mapping[str, Any],
+        overwrite: bool = False,
+        parts: Parts | None = None,
     ) -> None:
-        content = {**content, **topology_of(system.output.fields, system.n_bodies)}
-        empty = laid_out(system, content)
+        content = {**content, **topology_of(system.output.fields, len(content[schema.BODY]))}
+        empty = laid_out(system, content, parts)
         output = new_file(path, overwrite, system.output.durable, empty)
         with output.writing():
             write_rest(output.file, content)
@@ -113,13 +122,28 @@ class Recorder:
             self.cut(known)
         return self
 
-    def begin(self, output: OutputFile, system: System) -> None:
-        """Begin with a file that has no frames."""
+    @classmethod
+    def of_part(cls, path: Path, system: System, of: Range, run: str) -> Self:
+        """Recorder of a new part: bodies of a range; raises as for a whole file."""
+        self = cls.__new__(cls)
+        empty = part_laid_out(system, of, run)
+        output = new_file(path, False, system.output.durable, empty)
+        with output.writing():
+            self.begin(output, system, is_part=True)
+        return self
+
+    def begin(self, output: OutputFile, system: System, is_part: bool = False) -> None:
+        """Begin with a file that has no frames; a part has what concerns its bodies alone."""
         self.output, self.file, self.system = output, output.file, system
+        self.parts = parts_in(self.file)
         fields = system.output.fields
-        paths = [*schema.series_of(fields), schema.STEP, schema.CHECKSUMS]
-        # Those that are large:
-        self.of_bodies = {p: opened(self.file, p) for p in paths if p in _OF_BODIES}
+        paths = [p for p in schema.series_of(fields) if not is_part or p in self.file]
+        paths += [schema.STEP, schema.CHECKSUMS]
+        # Those that are large, and where they lie in parts:
+        own = {p: opened(self.file, p) for p in paths if p in _OF_BODIES}
+        self.shown = {p.split("/")[-2]: values for p, values in own.items()}
+        self.of_bodies = {} if self.parts else own
+        paths = [p for p in paths if p not in own or not self.parts]
         paths += (STEP_TIMES, STEP_STARTS) if schema.VTKHDF in self.file else ()
         paths += (schema.OFFSET,) if schema.CONTACTS in fields else ()
         self.series = {p: self.of_bodies.get(p) or opened(self.file, p) for p in paths}
@@ -140,11 +164,11 @@ class Recorder:
             dataset.resize(n + (path == schema.OFFSET), axis=0)
         if self.contacts is not None:
             self.contacts.cut(n)
-        self.resize_views(frame_count(self.system.run))
+        self.resize_views(n if self.parts else frame_count(self.system.run))
 
     def resize_views(self, n: int) -> None:
         """Let VTK find so many frames."""
-        resize_vtkhdf(self.file, {p.split("/")[-2]: own for p, own in self.of_bodies.items()}, n)
+        resize_vtkhdf(self.file, self.shown, n, self.parts)
 
     @property
     def n_contacts(self) -> int:
@@ -159,23 +183,27 @@ class Recorder:
 
         Large arrays are written now, small ones when they are many, or at the next commit.
         """
+        values, lists = values_of(self.system, given), []
+        if self.contacts is not None:
+            columns, ends = contact_columns(given.contacts, self.contacts.dtype)
+            lists.append(list_checksums(columns.values(), ends))
+        sums = frame_checksums(len(given.times), [*values.values(), *lists])
+        self.put(given, values, sums)
+
+    def put(self, given: NewFrames, values: dict[str, Any], sums: Words) -> None:
+        """Append new frames by their arrays, those that the file has, and their checksums."""
         with self.output.writing():
-            n = self.n_frames
-            times, values = given.times, values_of(self.system, given)
-            lists = []
-            if self.contacts is not None:
-                columns, ends = contact_columns(given.contacts, self.contacts.dtype)
-                lists.append(list_checksums(columns.values(), ends))
-            sums = frame_checksums(len(times), [*values.values(), *lists])
+            n, times = self.n_frames, given.times
             new = slice(self.recognise(n, sums), None)
             if not len(sums[new]):
                 return
             values |= {schema.CHECKSUMS: sums, schema.STEP: np.arange(n, n + len(times))}
             if STEP_TIMES in self.series:
-                values |= steps_of(n, times, self.system.n_bodies)
+                n_bodies = self.parts.n_bodies if self.parts else self.system.n_bodies
+                values |= steps_of(n, times, n_bodies)
             for path, dataset in self.of_bodies.items():
                 _append_rows(dataset, self.n_frames, values.pop(path)[new])
-            small = {path: value[new] for path, value in values.items()}
+            small = {path: value[new] for path, value in values.items() if path in self.series}
             if self.contacts is not None:
                 small[schema.OFFSET] = self.contacts.write(self.n_contacts, given.contacts[new])
             self.pending.append(small)
@@ -240,6 +268,8 @@ class Recorder:
     def write_all(self) -> None:
         """Write all that waits, and the checkpoint, and count what is there."""
         self.write_small()
+        if self.parts:
+            self.resize_views(self.n_frames)
         count_steps(self.file, self.n_frames)
         change(self.file.id, schema.COMMITTED, np.int64(self.n_frames))
         if self.waiting is not None:

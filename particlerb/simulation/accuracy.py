@@ -28,9 +28,10 @@ from particlerb.plan.merging import merged
 from particlerb.plan.segments import GroupPlan, Plan, accepting, has_step
 from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.simulation.pilot import Pilot
-from particlerb.simulation.run import Prepared, made_ready, prepare
+from particlerb.simulation.run import made_ready, prepare
 from particlerb.simulation.step_ladder import DEAREST, ENOUGH, MORE_TIMES, RATIO, ChosenStep, Ladder
 from particlerb.simulation.trials import drifts, part, states_at
+from particlerb.simulation.whole_run import Prepared
 
 _FINER: Final = frozenset({"rkn6", "force_gradient"})  # which beat rk4 wherever they serve
 _CRUDE: Final = 1e-5  # accuracy below which a method of order 2 is no rival

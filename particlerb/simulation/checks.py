@@ -23,6 +23,7 @@ from particlerb.model.state import (
 )
 from particlerb.model.system import System
 from particlerb.plan.joints import JointSetup, joints_of
+from particlerb.ranks import ALONE, Ranks
 from particlerb.simulation.impulse_values import impulse_quantity
 from particlerb.simulation.joint_values import JointValues
 from particlerb.simulation.outcome import Outcome
@@ -52,24 +53,28 @@ def limits(check: Check, drift: ConservationError) -> list[Result]:
     ]
 
 
-def results(system: System, outcome: Outcome) -> list[Result]:
-    """All checks of a system, limits of drift first."""
+def results(system: System, outcome: Outcome, ranks: Ranks = ALONE) -> list[Result]:
+    """All checks of a system, limits of drift first; of all bodies of all ranks."""
     probes = {probe.time: probe for probe in outcome.probes}
     setup = joints_of(system) if any(check.joint for check in system.check.value) else None
-    values = []
+    values: list[list[Result]] = []
     for check in system.check.value:
         time = system.run.t_end if check.time is None else check.time
         if check.body is not None:
-            values += [
+            own = [
                 _value_result(check, time, system, int(b), probes[time].frame)
                 for b in system.names.find(check.body)
             ]
+            values.append(own)
         elif check.joint is None:
-            values.append(_number_result(check, time, impulse_quantity(check, probes[time].tally)))
+            number = impulse_quantity(check, probes[time].tally)
+            values.append([_number_result(check, time, number)])
         elif setup is not None:
             found = joint_quantity(check, setup, probes[time].joints)
-            values.append(_number_result(check, time, found))
-    return limits(system.check, outcome.drift) + values
+            values.append([_number_result(check, time, found)])
+    of_checks = zip(*ranks.gathered(values), strict=True)
+    found_of_all = [one for of_ranks in of_checks for own in of_ranks for one in own]
+    return limits(system.check, outcome.drift) + found_of_all
 
 
 def _value_result(check: CheckValue, time: float, system: System, b: int, frames: Frames) -> Result:

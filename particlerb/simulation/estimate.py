@@ -11,7 +11,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.record.file_size import estimated_size
 from particlerb.simulation.frame_times import frame_times
-from particlerb.simulation.run import Prepared, Run, RunError
+from particlerb.simulation.whole_run import Prepared, Run, RunError
 from particlerb.stepping.motion import MotionError
 
 _ENOUGH: Final = 0.3  # s, that the last piece of a trial takes

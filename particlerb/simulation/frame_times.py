@@ -10,6 +10,7 @@ import numpy as np
 from particlerb.case.run import RunTable, frame_count
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.system import System
+from particlerb.ranks import ALONE, Ranks
 
 _BATCH_BYTES = 32_000_000  # of frames that are held before they are written
 BATCH_FRAMES = 1024
@@ -66,12 +67,12 @@ class Batch(NamedTuple):
     is_odd: bool  # whether it is the frame at t_end, which a longer run has not
 
 
-def batches(system: System, done: int = 0) -> Iterator[Batch]:
+def batches(system: System, done: int = 0, ranks: Ranks = ALONE) -> Iterator[Batch]:
     """Times of a run, or of its rest behind some frames.
 
     As many as fit into the cache and take about half a second, so that a long run is written,
     shows progress and can be interrupted. Large ones end where chunks of the file do, as far as
-    their sizes allow: whole chunks are written without a copy.
+    their sizes allow: whole chunks are written without a copy. All ranks take the same.
     """
     most = int(min(max(_BATCH_BYTES // (system.n_bodies * 13 * 8), 1), BATCH_FRAMES))
     n, whole = frame_count(system.run), _whole_frames(system.run)
@@ -90,4 +91,4 @@ def batches(system: System, done: int = 0) -> Iterator[Batch]:
         given = np.isin(times, frames), np.isin(times, due)
         yield Batch(times, *given, done == whole, done > whole)
         share = BATCH_SECONDS / max(time.monotonic() - start, 1e-9)
-        size = int(min(max(size * min(share, 4.0), 1), most))
+        size = min(ranks.gathered(int(min(max(size * min(share, 4.0), 1), most))))

@@ -39,7 +39,7 @@ class GroupRun:
         self.reader: JointReader | None = None
         self.plan = plan
         self.before = np.zeros((*shape_of(plan.worlds), 7))  # booked in earlier segments
-        self.turnover = 0.0  # [J] gross work of contacts in them
+        self.turnover: Floats | float = 0.0  # [J] gross work of contacts in them
         self.number = 0
         self.first = state  # of this segment
         self.angle = 0.0  # of the tree that sums the attraction, where it is fitted to the scene
@@ -115,9 +115,9 @@ class GroupRun:
 
         Where an error of the tree was asked for, this looks at what it is.
         """
-        energy: Floats | float = 0.0
+        energy: Floats | float = np.zeros(shape_of(self.plan.worlds))
         if self.pairs is not None:
-            energy = self.pairs.potential_energy(com, q, self.plan.worlds)
+            energy = energy + self.pairs.potential_energy(com, q, self.plan.worlds)
         if self.tree is not None:
             self.tree_error = max(self.tree_error, sampled_error(self.tree))
         joints = self.segment.terms.joints
@@ -164,7 +164,7 @@ class GroupRun:
         state, booked = self.motion.finish(time)
         return state, self.before + booked
 
-    def turned_over(self) -> float:
+    def turned_over(self) -> Floats | float:
         """Gross work of contacts until the last frame [J]."""
         return self.turnover + self.motion.gross_work()
 
@@ -193,7 +193,7 @@ class GroupRun:
                     potential[own] = [
                         self.potential(*self.pose(frames, row)) for row in rows.tolist()
                     ]
-                if self.segment.terms.contact is not None and self.plan.worlds is None:
+                if self.segment.terms.contact is not None:
                     contacts = self.motion.contact_energies(rows)
                     potential[own] += contacts.potential
                     kinetic[own] += contacts.kinetic
@@ -268,7 +268,7 @@ def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:
     energies = [run.motion.initial_energies for run in runs]
     potential, kinetic = (sum(own[1:], own[0]) for own in zip(*energies, strict=True))
     if runs[0].plan.worlds is not None:
-        potential, kinetic = potential[..., None], kinetic[..., None]
+        potential, kinetic = potential.reshape(1, -1), kinetic.reshape(1, -1)
     return Energies(potential + bound, kinetic)
 
 

@@ -24,11 +24,11 @@ from particlerb.model.state import Frames
 from particlerb.model.system import System
 from particlerb.plan.describe import group_name
 from particlerb.plan.rates import rates
-from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
+from particlerb.plan.segments import GroupPlan, chosen, has_step, is_adaptive
 from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.simulation.rehearsal import Rehearsal, can_rehearse
-from particlerb.simulation.trials import chosen, poses, ways
+from particlerb.simulation.trials import poses, ways
 from particlerb.stepping.pair_forces import cost_of
 
 _LOG: Final = logging.getLogger(__name__)

@@ -20,11 +20,11 @@ class Probe(NamedTuple):
     tally: Floats | None = None  # of impulses: see impulses/records.py
 
 
-def saved_probes(probes: Sequence[Probe]) -> Saved:
-    """Probes as a checkpoint holds them."""
+def saved_probes(probes: Sequence[Probe], own: slice) -> Saved:
+    """Probes of some bodies as a checkpoint holds them."""
     saved: Saved = {"probes": np.array([probe.time for probe in probes])}
     for k, probe in enumerate(probes):
-        saved |= {f"probe.{k}.{name}": getattr(probe.frame, name) for name in STATE_FIELDS}
+        saved |= {f"probe.{k}.{name}": getattr(probe.frame, name)[:, own] for name in STATE_FIELDS}
         if probe.tally is not None:
             saved[f"probe.{k}.tally"] = probe.tally
         if probe.joints is not None:
@@ -41,4 +41,15 @@ def restored_probes(saved: Saved, last: Floats) -> list[Probe]:
         joints = JointValues(*(saved[f"probe.{k}.{name}"] for name in names)) if names else None
         frame = Frames(x, q, p, L, last, np.zeros(1, dtype=np.bool_))
         found.append(Probe(time, frame, joints, saved.get(f"probe.{k}.tally")))
+    return found
+
+
+def joined(checkpoints: Sequence[Saved]) -> Saved:
+    """Checkpoints of ranges of bodies that follow each other, as one."""
+    found: Saved = {name: values for one in checkpoints for name, values in one.items()}
+    for name in found if len(checkpoints) > 1 else ():
+        is_of_bodies = name.startswith("probe.") and name.split(".")[-1] in STATE_FIELDS
+        if name == "last" or is_of_bodies:
+            parts = [one[name] for one in checkpoints]
+            found[name] = np.concatenate(parts, axis=1 if is_of_bodies else 0)
     return found

@@ -22,6 +22,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.record.checked_reading import require_self_contained
 from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint
 from particlerb.record.output_file import DamagedError
+from particlerb.record.parts import parts_in
 from particlerb.record.provenance import replace_case, stored_case, versions
 from particlerb.record.schema import PARAMETERS
 from particlerb.record.trajectory import open_trajectory
@@ -31,7 +32,8 @@ from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_again
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.outcome import Outcome, Progress
-from particlerb.simulation.run import Prepared, advance, identity
+from particlerb.simulation.run import advance, identity
+from particlerb.simulation.whole_run import Prepared
 
 _UNVERIFIED = (
     "particlerb: warning: run.accuracy was verified until the earlier t_end only; method and step"
@@ -84,7 +86,7 @@ def look_at(
     """
     with open_trajectory(path) as trajectory:
         file, n = trajectory.file, trajectory.n_frames
-        require_self_contained(file)
+        _refuse_parts(path, file)
         _refuse_other_version(path, _text_in(file, "versions"), _text_in(file, "git_revision"))
         if _text_in(file, "case_resolved") is None or _text_in(file, "identity") is None:
             raise ResumeError(f"{path} does not say how it was made, so it cannot be continued")
@@ -141,6 +143,13 @@ def resume_pending(pending: _Pending, progress: Progress = lambda n: None) -> Ou
             replace_case(recorder.file, prepared.system)
     with THREADS.using(prepared.system.run.threads):
         return advance(prepared, recorder, checkpoint, progress)
+
+
+def _refuse_parts(path: Path, file: h5py.File) -> None:
+    """Require that all of a file lies in it."""
+    require_self_contained(file)
+    if parts_in(file) is not None:
+        raise ResumeError(f"{path} lies in parts, which cannot be continued; run the case anew")
 
 
 def _text_in(file: h5py.File, name: str) -> str | None:

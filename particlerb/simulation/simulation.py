@@ -36,7 +36,7 @@ from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.frame_times import BATCH_FRAMES, multiples
 from particlerb.simulation.frame_times import frame_times as frames_of
 from particlerb.simulation.joint_values import labels_of
-from particlerb.simulation.run import Run, RunError
+from particlerb.simulation.whole_run import Run, RunError
 from particlerb.stepping.motion import MotionError
 
 _CHANGEABLE = ("force", "gravity", "attraction", "contact", "wall", "run")

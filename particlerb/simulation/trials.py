@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from particlerb.compiled.threads import THREADS
-from particlerb.forces.impulse import Impulse, apply_impulse
+from particlerb.forces.impulse import apply_impulse
 from particlerb.integrators import METHODS
 from particlerb.integrators.dop853 import PACK
 from particlerb.maths.vec3 import Floats, Ints, differences
@@ -22,10 +22,10 @@ from particlerb.model.comparison import misfits
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.system import System
 from particlerb.plan.rates import rates
-from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
+from particlerb.plan.segments import GroupPlan, Plan, Segment, chosen, has_step, is_adaptive
 from particlerb.simulation.group_run import GroupRun, counted, initial_energies, record_all
 from particlerb.stepping.begin import begin
-from particlerb.stepping.motion import CompositeMotion, Energies, part_of
+from particlerb.stepping.motion import CompositeMotion, Energies
 from particlerb.stepping.stepped_motion import SteppedMotion
 
 
@@ -45,7 +45,7 @@ class _Books(NamedTuple):
     given: Floats  # (T, 7) work, impulse, angular impulse
     initial: Energies  # beside those of the bodies, at t = 0
     later: Energies  # the same later
-    gross: float  # [J] work of contacts until the last frame, without signs
+    gross: Floats | float  # [J] work of contacts until the last frame, without signs
     until: float  # [s]
 
 
@@ -84,25 +84,6 @@ def part(system: System, plan: Plan, which: Ints) -> BodySubset:
             groups.append(chosen(group, own, np.searchsorted(which, group.members[own])))
     bodies, state = taken(system.bodies, which), taken(system.state, which)
     return BodySubset(bodies, state, tuple(groups), size, system.acceleration)
-
-
-def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
-    """Some bodies of a group under new numbers."""
-    segments = tuple(
-        segment._replace(
-            terms=part_of(group.group(segment), own).terms,
-            jumps=tuple(
-                Impulse(
-                    np.ascontiguousarray(jump.at[:, own]),
-                    np.ascontiguousarray(jump.impulse[:, own]),
-                    jump.follows,
-                )
-                for jump in segment.jumps
-            ),
-        )
-        for segment in group.segments
-    )
-    return GroupPlan(members, taken(group.bodies, own), segments)
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")

@@ -4,7 +4,8 @@ from typing import Any, Final
 
 from particlerb.compiled.threads import THREADS
 from particlerb.simulation.outcome import Outcome
-from particlerb.simulation.run import Prepared, advance
+from particlerb.simulation.run import advance
+from particlerb.simulation.whole_run import Prepared
 
 
 class _Nowhere:

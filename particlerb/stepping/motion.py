@@ -38,7 +38,7 @@ class SegmentGroup(NamedTuple):
 
 
 class Energies(NamedTuple):
-    """Energies beside those of the bodies themselves."""
+    """Energies beside those of the bodies themselves; (T, n_worlds) for scenes in a batch."""
 
     potential: Floats  # (T,) [J] between bodies, of springs, contacts, and loads on pistons
     kinetic: Floats  # (T,) [J] of pistons
@@ -98,7 +98,7 @@ class Motion(Protocol):
         """Of contacts and pistons, in rows of the frames of the last `record`."""
         return Energies(np.zeros(rows.size), np.zeros(rows.size))
 
-    def gross_work(self) -> float:
+    def gross_work(self) -> Floats | float:
         """Gross work of contacts without potential, and of walls, since the start [J]."""
         return 0.0
 

@@ -11,7 +11,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.state import room_for
 from particlerb.plan.segments import GroupPlan
 from particlerb.simulation.group_run import GroupRun, record_all
-from particlerb.simulation.run import Run
+from particlerb.simulation.whole_run import Run
 
 CHUNK: Final = 256  # frames that are computed together
 

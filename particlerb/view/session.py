@@ -29,7 +29,7 @@ from particlerb.plan.make_plan import make_plan
 from particlerb.plan.segments import Plan, Segment, has_step, is_adaptive
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.frame_times import multiples
-from particlerb.simulation.run import Prepared, Run, RunError
+from particlerb.simulation.whole_run import Prepared, Run, RunError
 from particlerb.stepping.motion import MotionError
 from particlerb.view.catch_up import CHUNK, catch_up
 

@@ -10,7 +10,7 @@ from particlerb.case.problems import CaseError
 from particlerb.compiled.threads import BLOCK
 from particlerb.forces.kinds import VELOCITY
 from particlerb.integrators import METHODS, UNJOINTED
-from particlerb.simulation.run import RunError
+from particlerb.simulation.whole_run import RunError
 from particlerb.stepping import stepped_motion
 from particlerb.stepping.loop import grid_position
 

@@ -8,7 +8,7 @@ import particlerb
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.plan.make_plan import make_plan
-from particlerb.simulation.run import RunError
+from particlerb.simulation.whole_run import RunError
 
 mpmath.mp.dps = 60
 CENTRE = (1.0, -2.0, 0.5)

@@ -1,0 +1,33 @@
+"""Option --mpi: ranks that share a scene, and what is wrong with how they were started."""
+
+import argparse
+import contextlib
+from collections.abc import Iterator
+
+from particlerb.cli.exit_codes import FAILED, Ending, ending
+from particlerb.ranks import NoRanksError, Ranks, end_all, launched, ranks_of_mpi
+
+
+@contextlib.contextmanager
+def ranks_of(options: argparse.Namespace) -> Iterator[Ranks | None]:
+    """Ranks that share the scene with --mpi, None without; one that fails alone ends all.
+
+    Wrong usage where a launcher has started several processes without it.
+    """
+    if not options.mpi:
+        if launched() > 1:
+            raise Ending(
+                f"{launched()} processes were started to run the same case: with --mpi they share"
+                " its bodies; without mpiexec or srun one runs it"
+            )
+        yield None
+        return
+    with ending(NoRanksError):
+        ranks = ranks_of_mpi()
+        try:
+            yield ranks
+        except (Ending, NoRanksError, SystemExit):
+            raise
+        except BaseException as error:
+            end_all(ranks, error, FAILED)
+            raise

@@ -1,0 +1,142 @@
+"""A trajectory whose bodies lie in files of their own, a range of them in each: parts and master.
+
+`run.h5` is the master: all that a trajectory has, but that the numbers of bodies in time are
+virtual datasets over `run.parts/0000.h5`, `run.parts/0001.h5`, … . The names are relative, so file
+and folder are moved together. A part that is missing would be read as NaN without an error: who
+opens a master looks at each part first.
+"""
+
+import re
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import h5py
+import numpy as np
+from h5py import h5d, h5p, h5s
+
+from particlerb.model.superblocks import Range
+from particlerb.record.hdf5 import WITH_GROUPS, header_attribute, note
+
+_FOLDER: Final = "parts_folder"  # root attributes of a master: name of the folder,
+_EDGES: Final = "parts"  # first body of each part, and how many bodies there are
+_RANGE: Final = "bodies"  # of a part: first body, and the one behind the last
+_RUN: Final = "run"  # of both: what decides the motion
+_NAME: Final = re.compile(r"[^/\\\0]+\.parts")
+
+
+class Parts(NamedTuple):
+    """Files that have the bodies of a trajectory."""
+
+    folder: str
+    """Name, beside the master."""
+    ranges: tuple[Range, ...]
+    """Bodies of each, one after the other."""
+    run: str
+    """Hash of what decides the motion; that of each part."""
+
+    @property
+    def names(self) -> list[str]:
+        """Files, from where the master is."""
+        return [f"{self.folder}/{k:04d}.h5" for k in range(len(self.ranges))]
+
+    @property
+    def n_bodies(self) -> int:
+        """Bodies of all parts."""
+        return self.ranges[-1].stop
+
+
+def folder_of(path: Path) -> str:
+    """Name of the folder that the parts of a master are in."""
+    return f"{path.stem}.parts"
+
+
+def note_master(file: h5py.File, parts: Parts) -> None:
+    """Let a file say which parts it has."""
+    edges = np.array([0, *(of.stop for of in parts.ranges)], dtype=np.int64)
+    names = {_FOLDER: np.bytes_(parts.folder.encode()), _RUN: np.bytes_(parts.run)}
+    note(file.id, **names, **{_EDGES: edges})
+
+
+def note_part(file: h5py.File, of: Range, run: str) -> None:
+    """Let a file say which part of which run it is."""
+    note(file.id, **{_RANGE: np.array(of, dtype=np.int64), _RUN: np.bytes_(run)})
+
+
+def parts_in(file: Any) -> Parts | None:
+    """Parts of a file that is not trusted; None where it is whole.
+
+    Raises
+    ------
+    ValueError
+        If what it says of them makes no sense.
+    """
+    if not isinstance(file, h5py.File) or _EDGES not in file.attrs:
+        return None
+    edges = header_attribute(file, _EDGES, "i")
+    folder = bytes(header_attribute(file, _FOLDER, "S")).decode(errors="replace")
+    if edges.size < 2 or edges[0] != 0 or (np.diff(edges) <= 0).any():
+        raise ValueError("its parts do not follow each other")
+    if not _NAME.fullmatch(folder):
+        raise ValueError(f"its parts lie in {folder!r}, not in a folder beside it")
+    ranges = [Range(*own) for own in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)]
+    return Parts(folder, tuple(ranges), bytes(header_attribute(file, _RUN, "S")).decode())
+
+
+def range_in(file: h5py.File) -> tuple[Range, str] | None:
+    """Bodies of a part, and its run; None where it is none."""
+    if _RANGE not in file.attrs:
+        return None
+    first, stop = header_attribute(file, _RANGE, "i").tolist()
+    return Range(first, stop), bytes(header_attribute(file, _RUN, "S")).decode()
+
+
+def growing_over(
+    file: h5py.File, path: str, dtype: Any, width: tuple[int, ...], parts: Parts
+) -> h5d.DatasetID:
+    """A dataset (T, N, ...) over the same one of all parts, as long as the longest of them.
+
+    Its extent is not to be asked for where the parts are not there yet.
+    """
+    most = (h5s.UNLIMITED, *width)
+    plan = _plan(dtype)
+    for name, (first, stop) in zip(parts.names, parts.ranges, strict=True):
+        own = (stop - first, *width[1:])
+        rest = (0,) * (len(width) - 1)
+        whole, part = (
+            h5s.create_simple((0, *width), most),
+            h5s.create_simple((0, *own), (most[0], *own)),
+        )
+        ones, block = (1,) * len(most), (h5s.UNLIMITED, *own)
+        whole.select_hyperslab((0, first, *rest), ones, block=block)
+        part.select_hyperslab((0, 0, *rest), ones, block=block)
+        plan.set_virtual(whole, name.encode(), f"/{path}".encode(), part)
+    kind, space = h5py.h5t.py_create(np.dtype(dtype)), h5s.create_simple((0, *width), most)
+    return h5d.create(file.id, path.encode(), kind, space, plan, WITH_GROUPS)
+
+
+def rows_over(
+    file: h5py.File, path: str, source: str, dtype: Any, shape: tuple[int, int], parts: Parts
+) -> None:
+    """A dataset (T N, C) over the first T frames of a dataset (T, N, C) of all parts; shape: T, C.
+
+    All parts must have these frames.
+    """
+    n_frames, width = shape
+    plan, n = _plan(dtype), parts.n_bodies
+    space = h5s.create_simple((n_frames * n, width))
+    for name, (first, stop) in zip(parts.names if n_frames else (), parts.ranges, strict=False):
+        rows, part = space.copy(), h5s.create_simple((n_frames, stop - first, width))
+        rows.select_hyperslab((first, 0), (n_frames, 1), (n, width), (stop - first, width))
+        part.select_all()
+        plan.set_virtual(rows, name.encode(), f"/{source}".encode(), part)
+    h5d.create(
+        file.id, path.encode(), h5py.h5t.py_create(np.dtype(dtype)), space, plan, WITH_GROUPS
+    )
+
+
+def _plan(dtype: Any) -> Any:
+    """Properties of a virtual dataset: what is not there is NaN."""
+    plan = h5p.create(h5p.DATASET_CREATE)
+    plan.set_obj_track_times(False)
+    plan.set_fill_value(np.array(np.nan, dtype=dtype))
+    return plan

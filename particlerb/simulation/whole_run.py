@@ -1,0 +1,263 @@
+"""A prepared system on its way: all its groups, frames, and the energy balance of these."""
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.model.balance import EnergyBalance, Entries, Totals, totals
+from particlerb.model.bodies import taken
+from particlerb.model.state import Frames, State, as_frame, room_for
+from particlerb.model.superblocks import Range, summed, superblocks
+from particlerb.model.system import System
+from particlerb.plan.joints import asked_of_joints, joints_of
+from particlerb.plan.merging import merged
+from particlerb.plan.segments import Plan, in_superblocks
+from particlerb.ranks import ALONE, Ranks
+from particlerb.record.frame_values import NewFrames
+from particlerb.simulation.group_run import (
+    GroupRun,
+    counted,
+    initial_energies,
+    own_failure,
+    record_all,
+)
+from particlerb.simulation.impulse_values import impulse_fields
+from particlerb.simulation.joint_values import (
+    JointValues,
+    LoadReader,
+    recorded_values,
+    room_for_values,
+)
+from particlerb.simulation.outcome import TreeError
+from particlerb.simulation.probes import Probe, restored_probes, saved_probes
+from particlerb.simulation.state_checks import StateChecks
+from particlerb.stepping.motion import Energies, Motion
+from particlerb.stepping.saved_arrays import Saved, under, within
+
+
+class RunError(Exception):
+    """A run that failed: what, where, when."""
+
+
+class Prepared(NamedTuple):
+    """A system made ready to run."""
+
+    system: System
+    plan: Plan
+    text: str  # the plan in words
+    parameters: Mapping[str, str] = MappingProxyType({})  # more for /parameters of the file
+    first: int = 0  # number of its first body in the scene, where it is a part of one
+
+
+class Run:
+    """A prepared system on its way; where ranks share a scene, the part of this one."""
+
+    def __init__(self, prepared: Prepared, ranks: Ranks = ALONE) -> None:
+        self.system, plan, self.ranks = prepared.system, prepared.plan, ranks
+        self.number_of_first = prepared.first
+        self.moving = merged(self.system)  # with bodies that move as one
+        self.gravity = self.system.acceleration
+        initial = as_frame(self.moving.bodies, self.moving.state)
+        self.last = initial.last
+        self.single: tuple[Frames, Frames] | None = None  # room, and its first row, of `pose_at`
+        self.room = initial  # used again and again: fresh memory costs more than what fills it
+        self.checks = StateChecks(self.moving, plan)
+        self.begin(plan, self.moving.state, {})
+        self.balance = EnergyBalance(self.totals_of(initial, *self.initial_energies(initial)))
+        self.before = np.zeros(7)  # booked before the last restart,
+        self.turned_over_before: Floats | float = 0.0  # and gross work of contacts [J]
+
+        asks = self.system.joint and asked_of_joints(self.system)
+        self.setup = joints_of(self.system) if asks else None
+        self.loads = LoadReader.of(self.moving) if self.setup is not None else None
+        self.joints: JointValues | None = None  # in rows of the last frames, where asked for
+        self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows
+        self.n_frames = 0  # that lie behind
+        self.probes: list[Probe] = []
+
+    def begin(self, plan: Plan, state: State, known: Mapping[bytes, Motion]) -> None:
+        """Set off by a plan, from a state of all bodies, after known motions of the same bodies."""
+        self.superblocks = [
+            [
+                GroupRun(group, taken(state, group.members), known.get(group.members.tobytes()))
+                for group in groups
+            ]
+            for groups in in_superblocks(plan.groups, self.system.n_bodies)
+        ]
+        self.group_runs = [run for runs in self.superblocks for run in runs]
+        self.counted = counted(plan.groups, self.moving.bodies)
+
+    def initial_energies(self, frame: Frames) -> Energies:
+        """Energies of a first frame beside those of the bodies themselves."""
+        each = [initial_energies(runs, frame) for runs in self.superblocks]
+        return Energies(*(summed(np.stack(own), self.ranks) for own in zip(*each, strict=True)))
+
+    def totals_of(self, frames: Frames, potential: Floats, kinetic: Floats) -> Totals:
+        """Totals of frames; the energies are those beside the bodies' own."""
+        n_worlds, ranks = self.system.n_worlds, self.ranks
+        return totals(frames, self.counted, self.gravity, potential, kinetic, n_worlds, ranks)
+
+    def finish(self, time: float) -> State:
+        """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
+        whole = State(*(values.copy() for values in self.moving.state))
+        for group_run in self.group_runs:
+            state, booked = group_run.finish(time)
+            self.before += booked
+            for values, own in zip(whole, state, strict=True):
+                values[:, group_run.plan.members] = own
+        self.turned_over_before += sum(t.turned_over() for t in self.group_runs)
+        return whole if self.moving.merging is None else self.moving.merging.apart(whole)
+
+    def restart(self, system: System, plan: Plan, state: State, last: Entries) -> None:
+        """Go on from a state, where the run was finished, by another plan.
+
+        What changes the energy and the momenta is booked: `last` are the entries before it.
+        Contacts keep what they kept where their group stays the same.
+        """
+        known = {t.plan.members.tobytes(): t.motion for t in self.group_runs}
+        self.system, self.gravity, self.moving = system, system.acceleration, merged(system)
+        if self.moving.merging is not None:
+            state = self.moving.merging.together(state)
+        self.checks = StateChecks(self.moving, plan)
+        self.begin(plan, state, known)
+        frame = as_frame(self.moving.bodies, state)
+        now = self.totals_of(frame, *self.initial_energies(frame))
+        self.before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
+        self.before[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
+        self.before[4:] += (now.angular_momentum - last.angular_momentum)[-1]
+
+    @property
+    def keyed_runs(self) -> list[tuple[int, str, GroupRun]]:
+        """Runs of groups, with the number of the first body of their superblock, and a key."""
+        firsts = [self.number_of_first + own.first for own in superblocks(self.system.n_bodies)]
+        return [
+            (first, f"group.{first}.{k}", run)
+            for first, runs in zip(firsts, self.superblocks, strict=False)
+            for k, run in enumerate(runs)
+        ]
+
+    def checkpoint(self, of: Range | None = None) -> Saved:
+        """All that a run that goes on from here has to know, beside its system.
+
+        Of whole superblocks only, where a range of bodies of the scene is given.
+        """
+        first = self.number_of_first
+        of = of or Range(first, first + self.system.n_bodies)
+        own = slice(of.first - first, of.stop - first)
+        saved = {"last": self.last[own].copy()} | under("ledger", self.balance.checkpoint())
+        for number, key, group_run in self.keyed_runs:
+            if of.first <= number < of.stop:
+                saved |= under(key, group_run.checkpoint())
+        return saved | saved_probes(self.probes, own)
+
+    def restore(self, n_frames: int, saved: Saved) -> None:
+        """Go on behind so many frames from what was saved then."""
+        self.n_frames = n_frames
+        self.last[:] = saved["last"]
+        self.balance.restore(within("ledger", saved))
+        for _, key, group_run in self.keyed_runs:
+            group_run.restore(within(key, saved))
+        self.probes = restored_probes(saved, self.last)
+
+    def flown(self) -> float | None:
+        """Share of body-steps of touching bodies that were saved by closed forms."""
+        saved, steps = np.sum([one.motion.flown for one in self.group_runs], axis=0)
+        return float(saved / steps) if steps else None
+
+    def swing(self) -> float:
+        """Fastest swing of bodies on their contacts that was seen, ω dt [rad]."""
+        motions = [one.motion for one in self.group_runs]
+        return max((motion.contact_frequency * motion.dt for motion in motions), default=0.0)
+
+    def tree_error(self) -> TreeError | None:
+        """What the tree of the attraction has erred at frames; None where none was asked for."""
+        runs = [run for run in self.group_runs if run.angle]
+        fitted = [TreeError(r.angle, r.tree_error, r.terms.tree_accuracy) for r in runs]
+        return fitted[0] if fitted else None  # bodies that attract each other are one group
+
+    def frames_at(self, times: Floats, is_frame: Bools) -> tuple[Frames, Entries, RunError | None]:
+        """States at ascending times, not before those asked for earlier, and their energy balance.
+
+        Where a state is not finite, or a torque has turned a rod about its own axis, they end
+        before it, and the error says so. The next call writes over the frames.
+        """
+        if times.size > len(self.room.position):
+            self.room = room_for(times.size, len(self.system.kind), self.last)
+            if self.moving.merging is not None:
+                self.moving.merging.clear(self.room)
+        frames = self.room.rows(slice(times.size))
+        frames.is_frame[:] = is_frame
+        if self.setup is not None:
+            self.joints = room_for_values(self.setup, times.size)
+        booked, energies = self.ranks.together(lambda: self.record(times, frames))
+        booked = summed(booked, self.ranks)
+        energies = Energies(*(summed(values, self.ranks) for values in energies))
+        self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
+        booked += self.before
+        now = self.totals_of(frames, *energies)
+        sizes = now.kinetic_energy + now.potential_energy + now.momentum_size + now.spin_size
+        is_finite = bool(np.isfinite(sizes).all())
+        found = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
+        each = self.ranks.gathered(found)
+        rank = min(range(len(each)), key=lambda k: each[k][0])
+        sound, problem = each[rank]
+        error = RunError(self.ranks.named(rank, problem)) if problem else None
+        if sound < times.size:
+            frames = frames.rows(slice(sound))
+            now = self.totals_of(frames, *(e[:sound] for e in energies))
+        turned_over = self.turned_over_before + sum(t.turned_over() for t in self.group_runs)
+        entries = self.balance.enter(now, booked[:sound], turned_over)
+        if self.moving.merging is not None:
+            frames = self.moving.merging.shown(frames)
+        if self.loads is not None and self.joints is not None:
+            self.loads.read(times[:sound], frames, self.joints)
+        return frames, entries, error
+
+    def record(self, times: Floats, frames: Frames) -> tuple[Floats, Energies]:
+        """Write rows of the frames; of each superblock what `record_all` returns."""
+        try:
+            each = [record_all(runs, times, frames, self.joints) for runs in self.superblocks]
+        except Exception as failure:
+            if words := own_failure(failure, self.group_runs):
+                raise RunError(words) from None
+            raise
+        energies = zip(*(own[1] for own in each), strict=True)
+        return np.stack([own[0] for own in each]), Energies(*map(np.stack, energies))
+
+    def pose_at(self, time: float) -> tuple[Frames, RunError | None]:
+        """States at a time [s], not before those asked for earlier, alone: nothing is booked.
+
+        Where one is not finite, or a torque has turned a rod about its own axis, the error says so.
+        The next call writes over the frame.
+        """
+        if self.single is None or self.single[0] is not self.room:
+            self.single = self.room, self.room.rows(slice(1))
+        frames = self.single[1]
+        frames.is_frame[0] = True
+        try:
+            for group_run in self.group_runs:
+                group_run.pose_at(time, frames)
+        except Exception as failure:
+            if words := own_failure(failure, self.group_runs):
+                raise RunError(words) from None
+            raise
+        is_finite = math.isfinite(sum(np.add.reduce(values, axis=None) for values in frames[:4]))
+        problem = ""
+        if not is_finite or self.checks.rods.size:
+            times = np.array([time])
+            _, problem = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
+        if self.moving.merging is not None:
+            frames = self.moving.merging.shown(frames)
+        return frames, RunError(problem) if problem else None
+
+    def to_record(self, times: Floats, frames: Frames, rows: Ints, entries: Entries) -> NewFrames:
+        """What is recorded of rows of the last frames, which are at these times [s]."""
+        fields = recorded_values(self.joints, self.system.output.fields, rows)
+        fields |= impulse_fields(self.tallies, rows.tolist())
+        asked = next((t.contacts for t in self.group_runs if t.contacts), {})
+        contacts = [asked[row] for row in rows.tolist()] if asked else []
+        return NewFrames(times[rows], frames, rows, entries, contacts, fields)

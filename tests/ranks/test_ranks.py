@@ -1,0 +1,193 @@
+"""Scenes that ranks share: the bits of one process, whatever their number; what is wrong said."""
+
+import hashlib
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import particlerb
+from particlerb.model.names import BodyNames, NamesInRange
+from particlerb.model.superblocks import SUPERBLOCK, own_parts, parts_of
+from particlerb.ranks import Ranks, launched
+from particlerb.record.checksums import frame_checksums
+from particlerb.record.trajectory import TrajectoryError
+
+HERE = Path(__file__).parent
+BESIDE = Path(sys.executable).with_name("mpiexec")
+MPIEXEC = str(BESIDE) if BESIDE.exists() else shutil.which("mpiexec")
+PLAIN = {**os.environ, "NUMBA_DISABLE_JIT": "1", "MPICH_INTERFACE_HOSTNAME": "localhost"}
+needs_mpi = pytest.mark.skipif(
+    MPIEXEC is None or importlib.util.find_spec("mpi4py") is None, reason="there is no mpiexec"
+)
+
+
+def command(*words: str | Path, ranks: int = 0) -> subprocess.CompletedProcess:
+    """One command with superblocks of 256 bodies, on ranks of one thread."""
+    before = [MPIEXEC, "-n", str(ranks)] if ranks else []
+    line = [*before, sys.executable, HERE / "small_superblocks.py", *words]
+    return subprocess.run(
+        list(map(str, line)), env=PLAIN, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+def run(path: Path, *more: str, ranks: int = 0) -> subprocess.CompletedProcess:
+    """The scene of the tests."""
+    words = (HERE / "mix.toml", "-o", path, "--threads", "1", *more)
+    return command(*words, *(["--mpi"] if ranks else []), ranks=ranks)
+
+
+def digests(path: Path) -> dict[str, str]:
+    """SHA-256 of all arrays of a file that are numbers, checkpoints aside."""
+    found = {}
+
+    def look(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset) and not name.startswith(("checkpoint", "parameters/")):
+            found[name] = hashlib.sha256(np.ascontiguousarray(item[()]).tobytes()).hexdigest()
+
+    with h5py.File(path, "r") as file:
+        file.visititems(look)
+    return found
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory) -> Path:
+    """A run of two ranks: four parts."""
+    path = tmp_path_factory.mktemp("two") / "run.h5"
+    done = run(path, ranks=2)
+    assert done.returncode == 0, done.stderr
+    return path
+
+
+@needs_mpi
+@pytest.mark.slow
+def test_any_number_of_ranks_writes_what_one_process_writes(tmp_path, two):
+    alone = run(tmp_path / "alone.h5", "--json")
+    assert alone.returncode == 0, alone.stderr
+    expected = digests(tmp_path / "alone.h5")
+    assert "particles/trajectory/position/value" in expected
+    assert digests(two) == expected
+    for ranks in (1, 3, 4):
+        path = tmp_path / f"{ranks}.h5"
+        done = run(path, "--json", ranks=ranks)
+        assert done.returncode == 0, done.stderr
+        assert digests(path) == expected, ranks
+        assert done.stdout.replace(path.name, "alone.h5") == alone.stdout, ranks
+
+
+@needs_mpi
+@pytest.mark.slow
+def test_a_master_opens_as_one_and_is_whole(two):
+    assert sorted(p.name for p in (two.parent / "run.parts").iterdir()) == [
+        f"{k:04d}.h5" for k in range(4)
+    ]
+    found = command("info", two, "--verify")
+    assert found.returncode == 0, found.stdout + found.stderr
+    xarray = pytest.importorskip("xarray")
+    with particlerb.open(two) as trajectory:
+        position = trajectory.position
+    group = "particles/trajectory/position"
+    with xarray.open_dataset(two, engine="h5netcdf", group=group) as data:
+        assert np.array_equal(data["value"].values, position)
+    reader = pytest.importorskip("vtkmodules.vtkIOHDF").vtkHDFReader()
+    reader.SetFileName(str(two))
+    reader.UpdateInformation()
+    reader.SetStep(3)
+    reader.Update()
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    points = vtk_to_numpy(reader.GetOutput().GetPoints().GetData())
+    assert np.array_equal(points, position[3])
+
+
+@needs_mpi
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["missing", "short", "another"])
+def test_a_part_that_does_not_fit_is_named(two, tmp_path, fault):
+    shutil.copytree(two.parent, tmp_path, dirs_exist_ok=True)
+    part = tmp_path / "run.parts" / "0002.h5"
+    if fault == "missing":
+        part.unlink()
+    elif fault == "another":
+        shutil.copy(part.with_name("0001.h5"), part)
+    else:
+        with h5py.File(part, "r+") as file:
+            file.attrs["n_frames"] = np.int64(2)
+    with pytest.raises(TrajectoryError, match=r"run\.parts/0002\.h5"):
+        particlerb.open(tmp_path / "run.h5")
+    done = command("info", tmp_path / "run.h5", "--verify")
+    assert done.returncode == 2
+    assert "0002.h5" in done.stderr
+
+
+@needs_mpi
+@pytest.mark.slow
+def test_what_cannot_be_shared_is_refused_once(tmp_path):
+    done = command("newtons_cradle", "--mpi", "-q", "-o", tmp_path / "a.h5", ranks=2)
+    assert done.returncode == 2
+    assert done.stderr.count("this case has contact") == 1, done.stderr
+    done = run(tmp_path / "b.h5", "-q", ranks=5)
+    assert done.returncode == 2
+    assert done.stderr.count("5 ranks are too many for 1000 bodies") == 1, done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@needs_mpi
+@pytest.mark.slow
+def test_several_processes_without_the_option_are_refused(tmp_path):
+    words = (HERE / "mix.toml", "-q", "-o", tmp_path / "a.h5")
+    done = command(*words, ranks=2)
+    assert done.returncode == 2
+    assert "2 processes were started to run the same case" in done.stderr
+
+
+def test_launchers_say_how_many_they_started():
+    assert launched({}) == 1
+    assert launched({"PMI_SIZE": "3"}) == 3
+    assert launched({"OMPI_COMM_WORLD_SIZE": "4", "PMI_SIZE": ""}) == 4
+
+
+def test_parts_are_whole_superblocks_and_depend_on_no_rank():
+    parts = parts_of(3 * SUPERBLOCK + 1)
+    assert [of.first for of in parts] == [k * SUPERBLOCK for k in range(4)]
+    assert parts[-1].stop == 3 * SUPERBLOCK + 1
+    assert len(parts_of(10**9)) <= 1024
+    assert all(of.first % SUPERBLOCK == 0 for of in parts_of(10**9))
+    ranks = Ranks()
+    ranks.count = 3
+    own = []
+    for ranks.number in range(3):
+        own += own_parts(7, ranks)
+    assert own == list(range(7))
+
+
+def test_names_of_a_range_are_those_of_the_scene():
+    records = [("a", 1), ("b", 5), ("c", 1)]
+    whole, part = BodyNames(records), NamesInRange(records, 2, 7)
+    assert list(part) == list(whole)[2:7] == part[:]
+    assert part.find("b").tolist() == [0, 1, 2, 3]
+    assert part.find("a").size == 0
+    with pytest.raises(KeyError):
+        part.find("d")
+
+
+def test_checksums_of_parts_add_up():
+    values = np.random.default_rng(1).random((3, 10, 4))
+    whole = frame_checksums(3, [values, np.zeros((3, 0))])
+    cut = [(values[:, lo:hi], lo) for lo, hi in ((0, 4), (4, 10))]
+    shares = [frame_checksums(3, [own, np.zeros((3, 0))], lo) for own, lo in cut]
+    assert np.array_equal(shares[0] + shares[1], whole)
+
+
+def test_a_plain_run_imports_no_mpi():
+    code = "import particlerb, particlerb.cli.run, sys; print('mpi4py' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=PLAIN, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "False"
