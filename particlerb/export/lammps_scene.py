@@ -277,6 +277,7 @@ def _integration(system: System, atoms: _Atoms, stem: str) -> Iterable[str]:
         yield "fix balls single nve/sphere"
     if atoms.is_rigid.any():
         if size:
+            yield "# before 22 July 2025, update 2, the first half step misses this weight"
             yield f"fix pull rigid {weight} disable"
         pull = " gravity pull" if size else ""
         yield f"fix clumps rigid rigid/nve/small molecule infile {stem}.rigid{pull}"
