@@ -20,6 +20,7 @@ _OF_BODIES: Final = frozenset(
 _OF_TIME: Final = frozenset(("during", "time", "times", "table", "file", "body", "to", "type"))
 _OF_CONTACT: Final = frozenset(("friction", "restitution", "rolling_friction", "stiffness"))
 _SEED: Final = ("run", "seed")
+_OF_PAIR: Final = 4  # parts of a key like contact.pair.0.friction
 
 
 def likeness(paths: Sequence[Path], values: Sequence[Any]) -> tuple[object, ...]:
@@ -32,8 +33,11 @@ def likeness(paths: Sequence[Path], values: Sequence[Any]) -> tuple[object, ...]
 
 def _is_number(path: Path) -> bool:
     """Whether no rule compares the numbers at a key with other keys."""
-    if len(path) == 2:
-        return path == _SEED or (path[0] == "contact" and path[1] in _OF_CONTACT)
+    if path[0] == "contact":
+        is_own = len(path) == 2 or (path[1] == "pair" and len(path) == _OF_PAIR)
+        return is_own and path[-1] in _OF_CONTACT
+    if path == _SEED:
+        return True
     if len(path) < 3 or path[0] not in ("body", "force"):
         return False
     return path[2] in _OF_BODIES if path[0] == "body" else _OF_TIME.isdisjoint(path)

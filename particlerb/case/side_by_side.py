@@ -45,7 +45,7 @@ def side_by_side(source: Source, paths: Sequence[Path], rows: Sequence[Sequence[
     source : Source
         Of the case that they are variants of.
     paths : sequence of Path
-        Keys in which they differ: numbers of a body or a force, or run.seed.
+        Keys in which they differ: numbers of a body, a force or of contact, or run.seed.
     rows : sequence
         Values of these keys, for each variant, of the same `likeness`.
 
@@ -79,6 +79,7 @@ def side_by_side(source: Source, paths: Sequence[Path], rows: Sequence[Sequence[
         bodies=bodies,
         state=initial_state(bodies, x, q, v, omega),
         n_worlds=n_worlds,
+        contacts=tuple(changes.get(("contact",), ())),
         others={int(at[1]): tuple(each) for at, each in changes.items() if at[0] == "force"},
     )
 

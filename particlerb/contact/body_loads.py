@@ -5,10 +5,20 @@ from typing import NamedTuple
 
 from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.contact.contact_model import ContactList, ContactModel, NeighbourLists, Workspace
+from particlerb.contact.neighbour_list import Incidence
 from particlerb.contact.piston import Pistons
 from particlerb.contact.records import Records, row3, row4
 from particlerb.maths.quaternion import matrix, turn, turn_back
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, cross, dot, subtract
+from particlerb.maths.vec3 import (
+    Floats,
+    Ints,
+    Vec3,
+    add_scaled,
+    component_product,
+    cross,
+    dot,
+    subtract,
+)
 from particlerb.model.block import get, get3, put, put3
 from particlerb.model.load import FORCE, OTHER, OUTSIDE, POWER, TORQUE
 
@@ -219,10 +229,13 @@ def _add_to(rows: Floats, at: int, b: int, v: Vec3) -> None:
 
 
 @lean_kernel
-def stored_energy(contacts: ContactList) -> float:
-    """Energy of all normal springs [J]."""
-    total = 0.0
-    for c in range(contacts.first.size):
-        if contacts.active[c]:
-            total += contacts.forces.elastic_energy[c]
-    return total
+def add_stored_energy(
+    contacts: ContactList, of_bodies: Incidence, world: Ints, energy: Floats
+) -> None:
+    """Add the energy of all normal springs [J] to that of their worlds; `world` of each body."""
+    offset, entry = of_bodies
+    for b in range(world.size):
+        for k in range(offset[b], offset[b + 1]):
+            c = entry[k]
+            if c >= 0 and contacts.active[c]:
+                energy[world[b]] += contacts.forces.elastic_energy[c]

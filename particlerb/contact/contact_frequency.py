@@ -51,7 +51,7 @@ def springs(
     """Springs of pairs of spheres, or of spheres with primitives of walls, at their overlaps."""
     (i, j), spheres, law = pairs, model.spheres, model.law
     second = np.full(i.size, model.inv_mass.size) if are_walls else spheres.body[j]
-    material = model.wall_material[j] if are_walls else spheres.material[j]
+    material = model.wall_material[j] if are_walls else spheres.partner[j]
     pair = model.pair_of[spheres.material[i], material]
     k = law.stiffness[pair]
     shear = np.where(law.friction[pair] > 0.0, law.tangential_stiffness[pair], 0.0)
@@ -77,7 +77,9 @@ def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, dep
     model = contact.model
     spheres, near = model.spheres, _TOUCHING * float(model.spheres.radius.min(initial=np.inf))
     x = np.ascontiguousarray(com[:, spheres.body] + rotate(q[:, spheres.body], spheres.arm))
-    first, second, _ = neighbours(x, spheres.radius, spheres.body, near, spheres.apart)
+    first, second, _ = neighbours(
+        x, spheres.radius, spheres.body, near, spheres.apart, spheres.world
+    )
     away = x[:, second] - x[:, first]
     between = _initial_springs(model, (first, second), False, x, away, depth)
     motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]

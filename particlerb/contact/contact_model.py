@@ -18,9 +18,11 @@ class ContactSpheres(NamedTuple):
     arm: Floats  # (3, n) [m], rotor frame of the body, from its centre of mass
     radius: Floats  # (n,) [m]
     body: Ints  # (n,) ascending
-    material: Ints  # (n,)
+    material: Ints  # (n,) row of `pair_of`: of its material, or of that in its world
+    partner: Ints  # (n,) column of `pair_of`: of its material
     offset: Ints  # (n_bodies + 1,) those of body b are offset[b] to offset[b + 1]
     apart: Ints  # (k,) pairs of bodies that do not touch: see `sphere_search.pair_keys`
+    world: Ints  # (n_bodies,) scene of each body, whose bodies touch no others
 
 
 class ContactModel(NamedTuple):
@@ -28,7 +30,7 @@ class ContactModel(NamedTuple):
 
     spheres: ContactSpheres
     law: Law
-    pair_of: Ints  # (n_materials, n_materials) pair of two materials
+    pair_of: Ints  # (n_materials, or so many for each world, n_materials) pair of two materials
     wall_material: Ints  # (n_primitives,)
     walls: Walls
     inv_mass: Floats  # (n_bodies,) [1/kg]
@@ -153,7 +155,7 @@ class ContactMemory(NamedTuple):
 class ContactFrames(NamedTuple):
     """What frames show of contacts."""
 
-    elastic: Floats  # (T,) [J] elastic energy
+    elastic: Floats  # (T, n_worlds) [J] elastic energy
     pistons: Records  # (T, k) PISTON
     tally: Floats  # (T, k) of impulses: see impulses/records.py
 

@@ -130,7 +130,7 @@ def _sphere_contact(
         return
     normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
     point = add_scaled(-(xyzr[i, 3] + 0.5 * gap), normal, row3(xyzr, i))
-    pair = model.pair_of[model.spheres.material[i], model.spheres.material[j]]
+    pair = model.pair_of[model.spheres.material[i], model.spheres.partner[j]]
     near = _Near(a, b, pair, c, gap, slow, normal, point)
     _take_in(setup, impulses, contacts.history.force, near, dt)
 

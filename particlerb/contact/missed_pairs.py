@@ -112,7 +112,9 @@ def _missed_pairs(
         for a in which:
             apart = subtract(load3(x, a), x_b)
             most = bound[a] + bound[b]
-            if dot(apart, apart) >= most * most or a == b or (is_left_out[a] and is_left_out[b]):
+            is_other = a == b or spheres.world[a] != spheres.world[b]
+            is_other = is_other or (is_left_out[a] and is_left_out[b])
+            if dot(apart, apart) >= most * most or is_other:
                 continue
             comes = length(subtract(load3(v, a), load3(v, b))) + extra[a] + extra[b]
             comes += bound[a] * turning[a] + bound[b] * turning[b]

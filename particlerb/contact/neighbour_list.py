@@ -27,8 +27,10 @@ class Incidence(NamedTuple):
 
 
 @kernel
-def _sort_contacts(first_body: Ints, second_body: Ints, offset: Ints, entry: Indices) -> None:
-    """Sort contacts by body, ascending within: a counting sort of both sides."""
+def _sort_contacts(
+    first_body: Ints, second_body: Ints, order: Ints, offset: Ints, entry: Indices
+) -> None:
+    """Sort contacts by body, in their order within: a counting sort of both sides."""
     offset[:] = 0
     for k in range(first_body.size):
         offset[first_body[k] + 2] += 1
@@ -36,7 +38,7 @@ def _sort_contacts(first_body: Ints, second_body: Ints, offset: Ints, entry: Ind
             offset[second_body[k] + 2] += 1
     for b in range(2, offset.size):
         offset[b] += offset[b - 1]
-    for k in range(first_body.size):
+    for k in order:
         b = first_body[k] + 1
         entry[offset[b]] = k
         offset[b] += 1
@@ -46,7 +48,9 @@ def _sort_contacts(first_body: Ints, second_body: Ints, offset: Ints, entry: Ind
             offset[b] += 1
 
 
-def incidence(first_body: Ints, second_body: Ints, n_bodies: int) -> Incidence:
+def incidence(
+    first_body: Ints, second_body: Ints, n_bodies: int, order: Ints | None = None
+) -> Incidence:
     """Contacts of each body.
 
     Parameters
@@ -54,10 +58,13 @@ def incidence(first_body: Ints, second_body: Ints, n_bodies: int) -> Incidence:
     first_body, second_body : ndarray, shape (n_contacts,)
         Bodies of each contact; -1 as the second for something that is no body, as a wall.
     n_bodies : int
+    order : ndarray, shape (n_contacts,), optional
+        Contacts in the order in which each body takes its own; left out, as they stand.
     """
+    order = np.arange(first_body.size) if order is None else order
     offset = np.empty(n_bodies + 2, dtype=np.int64)
     entry = np.empty(first_body.size + int((second_body >= 0).sum()), dtype=np.int32)
-    THREADS.alone(_sort_contacts, first_body, second_body, offset, entry)
+    THREADS.alone(_sort_contacts, first_body, second_body, order, offset, entry)
     return Incidence(offset[:-1], entry)
 
 

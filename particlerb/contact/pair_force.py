@@ -320,7 +320,7 @@ def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
     """Forces of contact c between two spheres, d [m] from centre to centre."""
     model, workspace, contacts = on.model, on.workspace, on.contacts
     i, j = contacts.first[c], contacts.second[c]
-    body, material = model.spheres.body, model.spheres.material
+    spheres, body = model.spheres, model.spheres.body
     xyzr, bodies = workspace.xyzr, workspace.bodies
     a, b, r_i, r_j = body[i], body[j], xyzr[i, 3], xyzr[j, 3]
     distance = math.sqrt(dot(d, d))
@@ -331,7 +331,7 @@ def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
     omega = subtract(row3(bodies.angular_velocity, a), row3(bodies.angular_velocity, b))
     boundary = boundary_velocity(model.prescribed, bodies, a, b, v_a, v_b)
     r_eff = r_i * r_j / (r_i + r_j)
-    pair = model.pair_of[material[i], material[j]]
+    pair = model.pair_of[spheres.material[i], spheres.partner[j]]
     if contacts.history.inv_effective_mass[c] == 0.0:
         inv_mass = inv_effective_mass(model, bodies, a, point, normal)
         inv_mass += inv_effective_mass(model, bodies, b, point, normal)

@@ -32,6 +32,7 @@ _INITIAL_CAPACITY: Final = 8  # neighbours per sphere that fit at first
 _MAX_LEVELS: Final = 40  # anything smaller than the largest sphere by 2^40 is as good as a point
 KEY_BITS: Final = 32  # bits of a number of a body in a key of a pair
 _NO_PAIRS: Final = np.zeros(0, dtype=np.int64)
+_ROUNDING: Final = 2.0**-50  # of a place far from the origin, relative
 _CELL_ROUNDING: Final = 2.0**-50  # of the number of a cell, relative
 
 
@@ -46,10 +47,15 @@ class SphereSearch:
         Body of each sphere, ascending.
     apart : ndarray, shape (k,), optional
         Pairs of bodies that do not touch each other, as `pair_keys` has them, ascending.
+    world : ndarray, shape (n_bodies,), optional
+        Scene of each body, where there are several: those of different ones are no pairs.
     """
 
-    def __init__(self, radius: Floats, body: Ints, apart: Ints = _NO_PAIRS) -> None:
+    def __init__(
+        self, radius: Floats, body: Ints, apart: Ints = _NO_PAIRS, world: Ints | None = None
+    ) -> None:
         n = radius.size
+        self.world = None if world is None or not world.any() else world[body]
         self.body, self.apart = body, apart
         level = levels_of(radius)
         before = np.searchsorted(body, body, side="left")
@@ -88,6 +94,7 @@ class SphereSearch:
             If a position is not finite.
         """
         which = self.everyone if which is None else which
+        points, skin = self._side_by_side(points, skin)
         n, owners = which.size, self.owners
         if not n:
             return PairList(which, which, np.zeros(self.everyone.size + 1, dtype=np.int64))
@@ -103,6 +110,15 @@ class SphereSearch:
             self.capacity += int(found.missing.max())
             found = self.search(grid, spheres, skin)
         return self._without_apart(self.sorted_pairs(found))
+
+    def _side_by_side(self, points: Floats, skin: float) -> tuple[Floats, float]:
+        """Points with the worlds beside each other, and a skin that is wider by the rounding."""
+        if self.world is None:
+            return points, skin
+        x, points = points[0], points.copy()
+        room = x.max() - x.min() + 2.0 * (self.widest.max() + skin)
+        points[0] += room * self.world
+        return points, skin + _ROUNDING * (np.abs(x).max() + room * self.world.max())
 
     def _without_apart(self, pairs: PairList) -> PairList:
         """Pairs whose bodies may touch each other."""
@@ -179,10 +195,15 @@ def pair_keys(a: Ints, b: Ints) -> Ints:
 
 
 def neighbours(
-    points: Floats, radius: Floats, body: Ints, skin: float, apart: Ints = _NO_PAIRS
+    points: Floats,
+    radius: Floats,
+    body: Ints,
+    skin: float,
+    apart: Ints = _NO_PAIRS,
+    world: Ints | None = None,
 ) -> PairList:
     """Pairs of spheres of different bodies nearer than `skin`: see `SphereSearch.pairs`."""
-    return SphereSearch(radius, body, apart).pairs(points, skin)
+    return SphereSearch(radius, body, apart, world).pairs(points, skin)
 
 
 def levels_of(radius: Floats) -> Ints:

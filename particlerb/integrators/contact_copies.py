@@ -6,7 +6,7 @@ is done where there is no contact, as in `contact_stages`.
 
 from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import inline, kernel
-from particlerb.contact.body_loads import stored_energy
+from particlerb.contact.body_loads import add_stored_energy
 from particlerb.contact.contact_model import ContactChanges, ContactList, MovingContact
 from particlerb.contact.records import Records
 from particlerb.impulses.records import DEEPEST_NOW, WORST, Impulses
@@ -79,7 +79,10 @@ def store_contacts(contact: MovingContact | None, team: Team | None, frame: int)
         return
     frames, lists, pistons = contact.frames, contact.lists, contact.memory.pistons
     if team.rank == 0:
-        frames.elastic[frame] = stored_energy(lists.spheres) + stored_energy(lists.walls)
+        world, energy = contact.setup.model.spheres.world, frames.elastic[frame]
+        energy[:] = 0.0
+        add_stored_energy(lists.spheres, lists.of_spheres, world, energy)
+        add_stored_energy(lists.walls, lists.of_walls, world, energy)
         _store_tally(contact.workspace.impulses, frames.tally, frame)
         for k in range(pistons.size):
             frames.pistons[frame, k] = pistons[k]

@@ -22,7 +22,7 @@ from particlerb.model.system import System
 from particlerb.plan.driven_bodies import driven_bodies
 from particlerb.plan.initial_overlaps import refuse_misplaced
 from particlerb.plan.joint_ends import bodies_apart
-from particlerb.plan.material_pairs import MaterialPairs, pairs_of
+from particlerb.plan.material_pairs import MaterialPairs, pairs_of, side_by_side
 from particlerb.plan.wall_setup import middle, motion_of, pistons_of, wall_of
 
 NOTHING: Final = -1  # material of a body that touches nothing
@@ -33,7 +33,7 @@ class ContactSetup(NamedTuple):
 
     record: ContactTable  # what was asked for: law, skin, what is allowed
     materials: Sequence[str]  # (k,) names; a single "" where there are none
-    pairs: MaterialPairs
+    pairs: MaterialPairs  # (k, k), or (n_worlds k, k) where the worlds differ in them
     body: Ints  # (m,) bodies of the system that may touch, ascending
     material: Ints  # (n_bodies,) code; NOTHING for the others
     fixed: Bools  # (n_bodies,) whether a body is held: it stays, or moves as prescribed
@@ -74,16 +74,19 @@ def contact_of(system: System) -> ContactSetup | None:
     wall_material = np.array(
         [codes.get(w.material or names[0], 0) for w in system.wall], dtype=np.int64
     )
-    can_meet = _meetings(len(names), material, fixed, wall_material)
+    one = slice(system.in_each)
+    can_meet = _meetings(len(names), material[one], fixed[one], wall_material)
     if not problems and not can_meet.any():
         problems.append(_nothing_meets(system))
-    pairs, missing = pairs_of(system, system.contact, names, can_meet)
-    if problems or missing:
-        raise CaseError([*problems, *missing])
+    tables = system.contacts or (system.contact,)
+    pairs = [pairs_of(system, table, names, can_meet) for table in tables]
+    problems += [problem for _, missing in pairs for problem in missing]
+    if problems:
+        raise CaseError(problems)
     contact = ContactSetup(
         record=system.contact,
         materials=names,
-        pairs=pairs,
+        pairs=side_by_side([found for found, _ in pairs]),
         body=np.flatnonzero(material != NOTHING),
         material=material,
         fixed=fixed,

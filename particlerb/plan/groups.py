@@ -283,18 +283,21 @@ def _contact_among(
     radius = system.particles.radius[index]
     reach = np.zeros(members.size)
     np.maximum.at(reach, owner, np.sqrt((place * place).sum(axis=0)))
-    k = len(touching.materials)
+    code, k = touching.material[members][owner], len(touching.materials)
+    rows, world = len(touching.pairs.friction), system.world[members]
     spheres = ContactSpheres(
         np.ascontiguousarray(rotate_back(bodies.rotor_frame[:, owner], place)),
         radius,
         owner,
-        touching.material[members][owner],
+        code if rows == k else code + k * world[owner],
+        code,
         np.searchsorted(owner, np.arange(members.size + 1)),
         _apart_among(members, touching.apart),
+        world,
     )
     material = touching.wall_material[touching.walls.wall]
     law = _law_of(touching)
-    pair_of = np.arange(k * k).reshape(k, k)
+    pair_of = np.arange(rows * k).reshape(rows, k)
     skin = touching.record.skin or SKIN * float(radius.min())
     model = ContactModel(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,

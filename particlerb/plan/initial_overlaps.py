@@ -92,7 +92,9 @@ def _overlapping(
     if contact.record.relax:
         return
     spheres = _with_images(spheres, contact)
-    found = neighbours(spheres.place, spheres.radius, spheres.body, 0.0, contact.apart)
+    found = neighbours(
+        spheres.place, spheres.radius, spheres.body, 0.0, contact.apart, system.world
+    )
     i, j = found.first, found.second
     distance = lengths(spheres.place[:, j] - spheres.place[:, i])
     depth = spheres.radius[i] + spheres.radius[j] - distance

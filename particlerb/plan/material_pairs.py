@@ -69,6 +69,11 @@ def pairs_of(
     return pairs, problems
 
 
+def side_by_side(pairs: Sequence[MaterialPairs]) -> MaterialPairs:
+    """Numbers of several worlds, the rows of one below those of the other."""
+    return MaterialPairs(*map(np.concatenate, zip(*pairs, strict=True)))
+
+
 def _number_of(table: ContactTable, pair: Pair | None, key: str) -> float | None:
     """Number of a pair, its own or that of all pairs."""
     value: float | None = None if pair is None else getattr(pair, key)

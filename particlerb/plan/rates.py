@@ -109,8 +109,9 @@ def _contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: fl
     model, law = contact.model, contact.model.law
     softness = bodies.inv_mass + softest_turning(model.spheres, bodies.inv_inertia)
     own = np.full(softness.size, -1)
-    own[model.spheres.body] = model.spheres.material
+    own[model.spheres.body] = model.spheres.partner
     partner = _softest_partners(contact, softness, own)
+    own[model.spheres.body] = model.spheres.material
     pair = model.pair_of[own]  # of bodies that touch nothing any one: they have no partners
     both = np.where(own[:, None] >= 0, softness[:, None] + partner, 0.0)
     shear = np.where(law.friction > 0.0, law.tangential_stiffness, 0.0)
@@ -161,7 +162,7 @@ def softest_turning(spheres: ContactSpheres, inv_inertia: Floats) -> Floats:
 def _softest_partners(contact: GroupContact, softness: Floats, material: Ints) -> Floats:
     """Largest 1/m_eff [1/kg] of what each body may meet of each material; -inf: nothing, (n, k)."""
     model, walls = contact.model, contact.model.walls
-    partner = np.full((softness.size, len(model.pair_of)), -np.inf)
+    partner = np.full((softness.size, model.pair_of.shape[1]), -np.inf)
     for code in np.unique(material[material >= 0]).tolist():
         those = np.flatnonzero(material == code)
         softest = those[np.argmax(softness[those])]

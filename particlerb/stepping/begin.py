@@ -51,7 +51,8 @@ def begin(
         adaptive = CoupledAdaptiveMotion if group.terms.is_coupled else AdaptiveMotion
         return adaptive(method, group, state, start, dt, tolerance)
     if group.terms.contact is not None:
-        motion = DiluteMotion if can_fly(method, group.terms, group.members.size) else ContactMotion
+        flies = group.worlds is None and can_fly(method, group.terms, group.members.size)
+        motion = DiluteMotion if flies else ContactMotion
         motion = motion if group.terms.has_springy_contact else ImpulseMotion
         keeps = None if before is None else before.contact_start()
         if keeps is None:

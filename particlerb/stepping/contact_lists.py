@@ -94,7 +94,7 @@ class ContactLists:
         with_rolling = contact.model.law.rolling is not None
         self.record = history_record(with_rolling, contact.rules is not None)
         self.histories = histories or (empty_history(self.record),) * 2
-        self._search = SphereSearch(spheres.radius, spheres.body, spheres.apart)
+        self._search = SphereSearch(spheres.radius, spheres.body, spheres.apart, spheres.world)
         self._walls = WallSearch(walls, spheres.radius)
         self._primitives = np.arange(walls.kind.size)
         self._max_contact_arm = float((contact.max_arm + 2.0 * spheres.radius.max()).max())
@@ -140,11 +140,12 @@ class ContactLists:
             find_wall_shells(walls, workspace.poses, points, spheres.radius, self.skin, near, shell)
         outside = self._contacts(1, near[:2], (self.numbers, self._primitives), shell)
         body, n = spheres.body, memory.listed_pose.shape[1]
+        by_number = [history.rows for history in self.histories]  # the same from list to list
         lists = NeighbourLists(
             between,
             outside,
-            incidence(body[between.first], body[between.second], n),
-            incidence(body[outside.first], np.full(outside.first.size, -1), n),
+            incidence(body[between.first], body[between.second], n, by_number[0]),
+            incidence(body[outside.first], np.full(outside.first.size, -1), n, by_number[1]),
             self._max_contact_arm,
         )
         return lists, time + duration

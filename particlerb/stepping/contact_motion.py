@@ -4,13 +4,14 @@ The loop over steps stops where the lists of pairs that may touch are used up; t
 made, and checks look whether the run is right. Threads share each step.
 """
 
+import math
 from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
 
 from particlerb.compiled.barrier import ALONE, Team, together
-from particlerb.contact.body_loads import stored_energy
+from particlerb.contact.body_loads import add_stored_energy
 from particlerb.contact.contact_model import (
     ContactChanges,
     ContactFrames,
@@ -45,6 +46,7 @@ from particlerb.integrators.contact_stages import find_contact_forces, place_con
 from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, State
+from particlerb.model.worlds import over_bodies, shape_of
 from particlerb.stepping.contact_checks import ContactChecks, is_due
 from particlerb.stepping.contact_lists import ContactLists, Histories, Lasted
 from particlerb.stepping.loop import (
@@ -140,7 +142,8 @@ class ContactMotion(SteppedMotion):
     def _room_for_frames(self, n: int, n_pistons: int) -> ContactFrames:
         """Room for what n frames show of contacts."""
         pistons, columns = zero_records(PISTON, n, n_pistons), self.room_for_tally
-        return ContactFrames(np.zeros(n), pistons, np.zeros((n, columns)))
+        n_worlds = math.prod(shape_of(self.group.worlds))
+        return ContactFrames(np.zeros((n, n_worlds)), pistons, np.zeros((n, columns)))
 
     @property
     def now(self) -> float:
@@ -246,9 +249,11 @@ class ContactMotion(SteppedMotion):
         find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, growth, ALONE)
         memory.extremes.displacement[:] = 0.0
         lists.spheres.history[:], lists.walls.history[:] = histories
-        elastic = float(stored_energy(lists.spheres) + stored_energy(lists.walls))
-        kinetic, potential = piston_energies(setup.pistons, memory.pistons)
-        return Energies(np.array([elastic + potential]), np.array([kinetic]))
+        frame, world = self._room_for_frames(1, memory.pistons.size), setup.model.spheres.world
+        add_stored_energy(lists.spheres, lists.of_spheres, world, frame.elastic[0])
+        add_stored_energy(lists.walls, lists.of_walls, world, frame.elastic[0])
+        frame.pistons[0] = memory.pistons
+        return self._energies_in(frame, np.zeros(1, np.int64))
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
@@ -256,7 +261,7 @@ class ContactMotion(SteppedMotion):
         self.frames, self.contacts = self._room_for_frames(n, n_pistons), {}
         self.contact = self.contact._replace(frames=self.frames)
         booked = super().record(times, rows, frames)
-        booked[:, 0] += [self.frames.pistons[row].booked_work.sum() for row in rows.tolist()]
+        booked[..., 0].T[:] += [self.frames.pistons[row].booked_work.sum() for row in rows.tolist()]
         return booked
 
     def pose(self, time: float, frames: Frames) -> None:
@@ -266,15 +271,21 @@ class ContactMotion(SteppedMotion):
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
         state, booked = super().finish(stop)
-        booked[0] += self.contact.memory.pistons.booked_work.sum()
+        booked[..., 0] += self.contact.memory.pistons.booked_work.sum()
         return state, booked
 
     def contact_energies(self, rows: Ints) -> Energies:
         """Of contacts and pistons, in rows of the frames of the last `record`."""
-        pistons, shown = self.contact.setup.pistons, self.frames
+        return self._energies_in(self.frames, rows)
+
+    def _energies_in(self, shown: ContactFrames, rows: Ints) -> Energies:
+        """Of contacts and pistons, in rows of these frames; (T, n_worlds) where there are some."""
+        pistons, each = self.contact.setup.pistons, (rows.size, *shape_of(self.group.worlds))
         energies = [piston_energies(pistons, shown.pistons[row]) for row in rows.tolist()]
-        kinetic, potential = np.array(energies).reshape(-1, 2).T
-        return Energies(shown.elastic[rows] + potential, kinetic)
+        kinetic, potential = np.array(energies).reshape(-1, 2).T[..., None]
+        elastic = shown.elastic[rows]
+        kinetic = np.zeros_like(elastic) + kinetic
+        return Energies((elastic + potential).reshape(each), kinetic.reshape(each))
 
     def _output_of(self, pistons: Records) -> ContactOutput:
         """Contacts of the frame that was written last: its closing evaluation is still there."""
@@ -298,9 +309,9 @@ class ContactMotion(SteppedMotion):
             velocity[setup.pistons.wall] += ahead[:, None] * setup.pistons.axis
         return contact_output(rows, centre, velocity)
 
-    def gross_work(self) -> float:
+    def gross_work(self) -> Floats:
         """Gross work of contacts without potential, and of walls, since the start [J]."""
-        return float(self.contact.workspace.gross_work.sum())
+        return over_bodies(self.contact.workspace.gross_work, self.group.worlds)
 
     def contact_start(self) -> ContactStart:
         """What contacts keep, and pistons, for the next segment."""

@@ -112,7 +112,7 @@ class _Interval:
 
     def gross_work(self) -> float:
         """Gross work of contacts since the start [J]."""
-        return 0.0 if self.contact is None else self.contact.gross_work()
+        return 0.0 if self.contact is None else float(self.contact.gross_work())
 
     def histories(self) -> Histories | None:
         """What contacts keep at the end."""
@@ -188,6 +188,8 @@ class DiluteMotion(Motion):
             radius=model.spheres.radius[kept],
             body=body,
             material=model.spheres.material[kept],
+            partner=model.spheres.partner[kept],
+            world=model.spheres.world[which],
             offset=np.searchsorted(body, np.arange(which.size + 1)),
         )
         inertia = np.ascontiguousarray(model.inv_inertia[:, which])

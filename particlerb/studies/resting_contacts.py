@@ -36,7 +36,7 @@ def resting(z: float, zeta: float) -> tuple[StabilityScene, float]:
     moved = scene(np.full(3, 4e3), np.zeros((1, 3)), position=(0, 0, _RADIUS - (1 + _TOUCH) * deep))
     bodies, one, none = moved.bodies, np.ones(1), np.zeros(1, dtype=np.int64)
     spheres = ContactSpheres(
-        np.zeros((3, 1)), _RADIUS * one, none, none, np.array([0, 1]), none[:0]
+        np.zeros((3, 1)), _RADIUS * one, none, none, none, np.array([0, 1]), none[:0], none
     )
     damping = TANGENTIAL_DAMPING * one
     law = Law(k * one, 0.0 * one, zeta * one, damping, 0.0 * one, None, None, None)

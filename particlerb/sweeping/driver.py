@@ -43,7 +43,8 @@ _DIED: Final = "the worker died"
 _MOST_IN_TASK: Final = 16  # variants that run one after the other,
 _MOST_IN_BATCH: Final = 1024  # or together
 _SECONDS_IN_BATCH: Final = 1e-4  # of a variant beside its motion, about,
-_SECONDS_PER_STEP: Final = 2e-8  # and of a step of one of its bodies
+_SECONDS_PER_STEP: Final = 2e-8  # and of a step of one of its bodies,
+_SECONDS_PER_TOUCH: Final = 4e-7  # or of one that may touch
 
 Progress = Callable[[int], object]
 Pool = Callable[[], AbstractContextManager[Executor]]
@@ -135,7 +136,8 @@ def _tasks(
     fewest, most = 1, _MOST_IN_TASK
     if share:  # as much work as it takes to start another worker, at least
         steps = 0.0 if base.run.dt is None else base.run.t_end / base.run.dt
-        seconds = _SECONDS_IN_BATCH + _SECONDS_PER_STEP * steps * system.n_bodies
+        each = _SECONDS_PER_STEP if system.contact is None else _SECONDS_PER_TOUCH
+        seconds = _SECONDS_IN_BATCH + each * steps * system.n_bodies
         most = _MOST_IN_BATCH
         fewest = min(most, int(1.0 / seconds) + 1)
     for part in ([left[0]], *alike.values()):

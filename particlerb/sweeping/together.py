@@ -1,8 +1,9 @@
 """Variants of a sweep in one batch: who may share one, and the rows of those that do.
 
-Variants share a batch where nothing couples their bodies, where the times, the method and all keys
-that are no numbers of bodies or forces are the same, and where the same numbers are zero. Their
-bodies stand in one system, as worlds (model/worlds.py); each world has the bits of a run alone.
+Variants share a batch where nothing couples their bodies but springs and contacts, where the times,
+the method and all keys that are no numbers of bodies, forces or contact are the same, and where the
+same numbers are zero. Their bodies stand in one system, as worlds (model/worlds.py); each world has
+the bits of a run alone.
 """
 
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from particlerb.case.bodies import Body
 from particlerb.case.forces import PythonTable, SpringTable
 from particlerb.case.output import Asked
 from particlerb.case.shapes import Cloud
+from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.model.worlds import WorldsDifferError
@@ -20,14 +22,18 @@ from particlerb.plan.make_plan import make_plan
 from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
 from particlerb.simulation.checks import quantities
 from particlerb.simulation.outcome import Outcome
-from particlerb.simulation.run import Prepared
 from particlerb.simulation.unrecorded import run_unrecorded
+from particlerb.simulation.whole_run import Prepared
+from particlerb.stepping.sparse_contact import can_fly
 from particlerb.sweeping.rows import Row, asked_as_checks
 
 
 def may_share(system: System) -> bool:
-    """Whether variants of a case may share a batch: nothing couples bodies but springs."""
-    if system.contact or system.attraction or system.joint or system.run.accuracy:
+    """Whether variants of a case may share a batch: springs and contacts at most couple bodies."""
+    contact, slides = system.contact, any(wall.piston is not None for wall in system.wall)
+    if contact is not None and (not contact.has_stiffness or contact.relax or slides):
+        return False
+    if system.attraction or system.joint or system.run.accuracy:
         return False
     forces = not any(
         isinstance(force, PythonTable) or (isinstance(force, SpringTable) and force.reach)
@@ -54,6 +60,8 @@ def rows_together(numbers: Sequence[int], system: System, asked: Sequence[Asked]
     """
     check = system.check.model_copy(update={"value": asked_as_checks(asked)})
     system = system._replace(check=check).with_run(threads=1)
+    if not may_share(system):
+        raise WorldsDifferError("bodies act on each other as they cannot in worlds")
     plan = make_plan(system)
     for group in plan.groups:
         _refuse_different(system, group)
@@ -81,6 +89,8 @@ def _refuse_different(system: System, group: GroupPlan) -> None:
             raise WorldsDifferError("the method chooses steps by all bodies")
         if has_step(segment.method) and system.run.dt is None:
             raise WorldsDifferError("each has a step of its own")
+        if can_fly(METHODS[segment.method], segment.terms, bodies.shape[1]):
+            raise WorldsDifferError("bodies fly in closed form between their contacts")
 
 
 def _found(asked: Asked, system: System, outcome: Outcome) -> Floats:

@@ -11,7 +11,7 @@ from particlerb.contact.sphere_search import SphereSearch
 from particlerb.contact.wall_motion import PrescribedMotion, farthest_distances
 from particlerb.contact.wall_search import WallSearch
 from particlerb.plan import groups
-from particlerb.simulation.run import RunError
+from particlerb.simulation.whole_run import RunError
 from particlerb.stepping import sparse_contact as dilute
 from particlerb.stepping.contact_lists import ContactLists
 from particlerb.stepping.contact_motion import ContactMotion
@@ -40,6 +40,31 @@ def ball_at_rest(make, steps, **motion) -> dict:
     contact = make.hooke(1e5, 0.5, 0.5, overlap=1e-3)
     run = {"t_end": steps * 1e-4, "every": steps * 1e-4, "dt": 1e-4, "method": "strang"}
     return make.case(ball, contact=contact, wall=[floor], **WEIGHT) | {"run": run}
+
+
+# Order
+
+
+def test_no_bit_depends_on_when_lists_are_made(seen):
+    """Three balls hit a fourth one after the other, the last in number first."""
+    ways = np.array([[1.0, 0.1, 0.0], [-0.5, 0.8, 0.2], [-0.3, -0.9, 0.4]])
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    gaps, shape = (0.06, 0.04, 0.02), {"type": "sphere", "radius": 0.1}
+    bodies = [{"name": "target", "shape": shape, "mass": 1.0, "angular_velocity": [3, 1, 2]}] + [
+        {"name": f"ball{k}", "shape": shape, "mass": 1.0, "position": ((0.2 + gap) * way).tolist(),
+         "velocity": (-2.0 * way).tolist()}
+        for k, (gap, way) in enumerate(zip(gaps, ways, strict=True))
+    ]  # fmt: skip
+    law = {"law": "hooke", "stiffness": 1e4, "restitution": 0.8, "friction": 0.3}
+    run = {"t_end": 0.04, "every": 0.02, "dt": 5e-4, "method": "strang"}
+    ends, lists = [], []
+    for skin in (0.012, 0.1):
+        case = {"run": run, "contact": law | {"skin": skin}, "body": bodies}
+        with particlerb.run(case) as t:
+            ends.append(np.hstack([t.position[-1], t.orientation[-1], t.velocity[-1]]))
+        lists.append(len(seen))
+    assert lists[0] > 2 * (lists[1] - lists[0])
+    assert np.array_equal(*ends)
 
 
 # The skin

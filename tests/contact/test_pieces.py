@@ -10,7 +10,7 @@ import particlerb
 from particlerb.compiled.jit import kernel
 from particlerb.contact.wall_shapes import surface
 from particlerb.contact.walls import euler_count, gap_vector, primitive_at
-from particlerb.simulation.run import RunError
+from particlerb.simulation.whole_run import RunError
 
 TURN = Rotation.from_rotvec([0.3, -0.8, 0.5])
 

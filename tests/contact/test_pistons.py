@@ -8,7 +8,7 @@ import pytest
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
-from particlerb.simulation.run import RunError
+from particlerb.simulation.whole_run import RunError
 from particlerb.stepping import contact_motion
 
 G = 9.81

@@ -176,6 +176,20 @@ def test_spheres_of_nothing_but_points_have_neighbours():
     assert not as_set(neighbours(x, np.zeros(3), np.arange(3), 0.0))
 
 
+@pytest.mark.parametrize(("far", "skin"), [(1.0, 0.1), (1e9, 0.1), (0.0, 0.0)])
+def test_bodies_of_other_worlds_are_no_neighbours(far, skin):
+    """Three worlds in one place, wherever that is: each has the pairs that it has alone."""
+    rng = np.random.default_rng(4)
+    x, world = np.tile(rng.uniform(-0.5, 0.5, (3, 30)) + far, 3), np.arange(30) // 10
+    x[0] = x[0, 0] if far == 0.0 else x[0]
+    r, body = np.tile(rng.uniform(0.05, 0.2, 30), 3), np.arange(90) // 3
+    alone = as_set(neighbours(x[:, :30], r[:30], body[:30], skin))
+    expected = {(i + 30 * w, j + 30 * w) for i, j in alone for w in range(3)}
+    found = as_set(neighbours(x, r, body, skin, world=world))
+    assert expected <= found if far > 1.0 else expected == found
+    assert all(i // 30 == j // 30 for i, j in found)
+
+
 def test_no_and_one_sphere_have_no_neighbours():
     for n in (0, 1):
         pairs = neighbours(np.ones((3, n)), np.ones(n), np.zeros(n, dtype=np.int64), 0.1)
@@ -315,6 +329,11 @@ def test_incidence_gives_each_body_its_contacts_with_their_side(seed):
         assert (np.diff(contact) >= 0).all()
         assert contact[own >= 0].tolist() == np.flatnonzero(first == b).tolist()
         assert contact[own < 0].tolist() == np.flatnonzero(second == b).tolist()
+    order = rng.permutation(m)
+    ordered = incidence(first[order], second[order], n, np.argsort(order))
+    assert np.array_equal(ordered.offset, offset)
+    contact = np.where(ordered.entry < 0, ~order[~ordered.entry], order[ordered.entry])
+    assert contact.tolist() == entry.tolist()
 
 
 def kept_of(pairs, values, rng):

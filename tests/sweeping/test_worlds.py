@@ -9,6 +9,7 @@ from particlerb.case.problems import path_of
 from particlerb.case.reader import load
 from particlerb.case.sweep import SweepTable
 from particlerb.case.to_system import to_system
+from particlerb.contact.missed_pairs import Watch
 from particlerb.model.worlds import WorldsDifferError, bins_of, over_all, over_bodies, worlds_among
 from particlerb.sweeping import worker
 from particlerb.sweeping.together import may_share, rows_together
@@ -77,6 +78,57 @@ def top(**run) -> dict:
     return case
 
 
+def touching(*bodies, contact=(), wall=(), t_end=0.02) -> dict:
+    """Bodies that touch each other and walls, under gravity."""
+    law = {"law": "hooke", "stiffness": 1e5} if "law" not in contact else {}
+    law |= {"restitution": 0.6, "friction": 0.3, "overlap": 2e-3}
+    return {
+        "run": {"t_end": t_end, "every": 0.01, "method": "strang", "dt": 2e-4},
+        "gravity": {"acceleration": [0.0, 0.3, -9.81]},
+        "contact": law | dict(contact),
+        "body": list(bodies),
+        "wall": list(wall),
+    }
+
+
+def ball(name, *position, velocity=(0.0, 0.0, 0.0), **more) -> dict:
+    """A ball of radius 0.1 m."""
+    shape = {"type": "sphere", "radius": 0.1}
+    moving = {"position": list(position), "velocity": list(velocity)}
+    return {"name": name, "shape": shape, "mass": 1.0} | moving | more
+
+
+FLOOR = {"name": "floor", "type": "plane", "normal": [0, 0, 1]}
+ROOM = {"name": "room", "type": "box", "lower": [-0.1, -0.1, 0.0], "upper": [0.4, 0.2, 0.4]}
+TRIO = (
+    ball("body", 0.0, 0.0, 0.0999, velocity=(2.0, 0.1, 0.0)),
+    ball("other", 0.21, 0.0, 0.0999),
+    ball("third", 0.105, 0.02, 0.27, velocity=(0.0, 0.0, -0.5)),
+)
+CORNER = (
+    ball("body", 0.0, 0.0, 0.0999, velocity=(0.5, -0.2, 0.0)),
+    ball("other", 0.2, 0.05, 0.2, velocity=(-1.0, 0.4, -0.3)),
+)
+ENDS = {"type": "spheres", "radius": [0.1, 0.1, 0.08], "position": [[0, 0, 0], [0.1, 0, 0],
+        [0.05, 0.1, 0]]}  # fmt: skip
+SPINNING = {"angular_velocity": [1.0, 2.0, 5.0]}
+CLUMPS = (
+    {"name": "body", "shape": ENDS, "mass": 1.0, "position": [0.0, 0.0, 0.0999]} | SPINNING,
+    {"name": "other", "shape": ENDS, "mass": 2.0, "position": [0.05, 0.02, 0.297]} | SPINNING,
+    ball("post", 0.25, 0.02, 0.15, fixed=True),
+)
+MATERIAL = {"material": [{"name": "steel", "young": 1e7, "poisson": 0.3}]}
+TWO = {"material": [{"name": "steel"}, {"name": "wood"}]}
+WOOD = {"material": "wood"}
+OF_TWO = [TRIO[0] | WOOD, TRIO[1] | {"material": "steel"}, TRIO[2] | WOOD]
+PAIR = {"pair": [{"materials": ["steel", "wood"], "friction": 0.5}]}
+SHAKEN = ROOM | {"motion": {"oscillation": {"amplitude": [0, 0, 0.01], "frequency": 20.0}}}
+RADII = {"body.0.shape.radius": [0.1, 0.0999, 0.0998]}
+HERTZ = {"law": "hertz", "rolling_friction": 0.01}
+FRICTION = {"contact.friction": [0.1, 0.25, 0.7]}
+OF_PAIR = FRICTION | {"contact.pair.0.friction": [0.3, 0.6, 0.2]}
+SPEEDS = {"body.0.velocity": [[2.0, 0.1, 0.0], [9.0, 0.3, 0.1], [0.5, 2.0, 0.0]]}
+LAW = {"contact.stiffness": [1e5, 3e5], "contact.restitution": [0.4, 0.9]}
 DRAWN = {
     "count": 5, "velocity": {"random": 1.0}, "orientation": "random",
     "place": {"type": "random", "lower": [0, 0, 0], "upper": [5, 5, 5]},
@@ -103,6 +155,16 @@ BATCHES = {
     "stiffness": (pair(DRAG), {"force.0.stiffness": [10.0, 25.0, 40.0]}),
     "rest length": (pair(), PLACES),
     "turned": (scene(ANCHOR, velocity={"body": [0.1, 0.2, 0.3]}), {"body.0.orientation": TURNS}),
+    "spheres": (touching(*TRIO, wall=[FLOOR]), FRICTION),
+    "spheres, fast ones": (touching(*TRIO, wall=[FLOOR]), SPEEDS),
+    "spheres, laws": (touching(*TRIO, wall=[FLOOR]), LAW),
+    "spheres of several sizes": (touching(*TRIO, wall=[FLOOR]), RADII | MASS),
+    "clumps": (touching(*CLUMPS, wall=[FLOOR]), FRICTION),
+    "corner of a box": (touching(*CORNER, wall=[ROOM]), SPEEDS),
+    "hertz, rolling": (touching(*TRIO, wall=[FLOOR], contact=HERTZ) | MATERIAL, FRICTION),
+    "pairs of materials": (touching(*OF_TWO, wall=[FLOOR | WOOD], contact=PAIR) | TWO, OF_PAIR),
+    "springs and contact": (touching(*TRIO, wall=[FLOOR]) | {"force": TIED[:1]}, FRICTION),
+    "a wall that moves": (touching(*CORNER, wall=[FLOOR, SHAKEN]), SPEEDS),
     "shape and mass": (pair(DRAG), {"body.0.shape.size.1": [0.5, 0.7, 0.9]} | MASS),
 }
 """Cases, and axes of their variants."""
@@ -159,6 +221,34 @@ def test_each_world_misses_its_own_checks():
     assert [row.missed for row in work(batch(case, axes))] == [0, 1, 0]
 
 
+def test_worlds_do_not_touch_each_other_and_lists_are_watched(monkeypatch):
+    """All worlds lie in one place, and overlap by all of their balls."""
+    monkeypatch.setattr(Watch, "is_due", lambda *arguments: True)
+    task = batch(touching(*TRIO, wall=[FLOOR]), SPEEDS, ASKED)
+    together = rows_together(task.numbers, batch_of(task), task.asked)
+    assert repr(together) == repr(work(task._replace(is_batch=False)))
+
+
+def test_contact_that_goes_wrong_is_found_in_its_own_row():
+    """One begins in another ball, one passes through the floor in a step."""
+    places = [[0.21, 0.0, 0.0999], [0.1, 0.0, 0.0999], [0.22, 0.0, 0.0999]]
+    rows = work(batch(touching(*TRIO, wall=[FLOOR]), {"body.1.position": places}, ASKED))
+    assert [row.status[:6] for row in rows] == ["done", "failed", "done"]
+    assert "bodies overlap at t = 0: body and other by 0.1 m" in rows[1].status
+    speeds = {"body.0.velocity": [[1.0, 0, 0], [0.0, 0, -900.0], [2.0, 0, 0]]}
+    rows = work(batch(touching(*TRIO, wall=[FLOOR]), speeds, ASKED))
+    assert [row.status[:6] for row in rows] == ["done", "failed", "done"]
+
+
+def test_each_world_has_the_energy_of_its_own_contacts():
+    """The step errs more on stiffer contacts: one of three is above the limit."""
+    case, axes = touching(*TRIO, wall=[FLOOR]), {"contact.stiffness": [1e5, 2e6, 1.1e5]}
+    drifts = [row.energy_drift for row in work(batch(case, axes))]
+    assert drifts[1] > 3.0 * max(drifts[0], drifts[2])
+    case["check"] = {"energy_drift": drifts[1] / 2.0}
+    assert [row.missed for row in work(batch(case, axes))] == [0, 1, 0]
+
+
 def test_who_shares_a_batch():
     paths = [path_of(key) for key in ("run.dt", "body.0.mass", "force.0.force", "force.0.time")]
     like = likeness(paths, (1e-3, 1.0, [0.0, 1.0, 2.0], 0.5))
@@ -169,8 +259,12 @@ def test_who_shares_a_batch():
         (1e-3, 1.0, [0.0, 1.0, 2.0], 0.6),
     ):
         assert like != likeness(paths, others)
-    for name in ("bouncing", "pendulum", "dumbbell_pair"):  # contact, joints, attraction
-        assert not may_share(to_system(name))
+    assert may_share(to_system("bouncing"))
+    relaxed = touching(*TRIO, wall=[FLOOR], contact={"relax": True})
+    impulses = touching(*TRIO, wall=[FLOOR], contact={"law": "impulse", "overlap": 0.0})
+    pressed = touching(*TRIO, wall=[FLOOR | {"piston": {"mass": 1.0, "axis": [0, 0, 1]}}])
+    for case in ("pendulum", "dumbbell_pair", relaxed, impulses, pressed):  # joints, attraction, ..
+        assert not may_share(to_system(case))
 
 
 def test_a_batch_falls_back_where_kinds_of_rotors_differ(monkeypatch):
