@@ -24,7 +24,6 @@ from particlerb.case.values import (
     forms,
 )
 
-KIND = "Kind of force or placement. [-]"
 _ORIGIN = (0.0, 0.0, 0.0)
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
@@ -32,30 +31,39 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 class InBody(Table):
     """Vector in the body's own axes."""
 
-    body: Vector = Field(description="Components in the body frame. [m/s or rad/s]")
+    body: Vector
+    """Components in the body frame. [m/s or rad/s]"""
 
 
 class NormalDistribution(Table):
     """Normally distributed components, drawn for every body."""
 
-    random: NonNegative = Field(description="Standard deviation per component. [m/s or rad/s]")
+    random: NonNegative
+    """Standard deviation per component. [m/s or rad/s]"""
 
 
 class GridPlacement(Table):
     """Bodies on a grid, x fastest, centred at `origin`."""
 
-    type: Literal["grid"] = Field(init=False, description=KIND)
-    spacing: Spacing = Field(description="Distance between neighbours, one or per axis. [m]")
-    n: Counts | None = Field(None, description="Bodies per axis; default: nearly a cube. [-]")
-    origin: Vector = Field((0.0, 0.0, 0.0), description="Centre of the grid, world frame. [m]")
+    type: Literal["grid"] = Field(init=False)
+    """Kind of force or placement. [-]"""
+    spacing: Spacing
+    """Distance between neighbours, one or per axis. [m]"""
+    n: Counts | None = None
+    """Bodies per axis; default: nearly a cube. [-]"""
+    origin: Vector = (0.0, 0.0, 0.0)
+    """Centre of the grid, world frame. [m]"""
 
 
 class RandomBox(Table):
     """Bodies anywhere in a box, uniformly."""
 
-    type: Literal["random"] = Field(init=False, description=KIND)
-    lower: Vector = Field(description="Lower corner, world frame. [m]")
-    upper: Vector = Field(description="Upper corner, world frame. [m]")
+    type: Literal["random"] = Field(init=False)
+    """Kind of force or placement. [-]"""
+    lower: Vector
+    """Lower corner, world frame. [m]"""
+    upper: Vector
+    """Upper corner, world frame. [m]"""
 
     @model_validator(mode="after")
     def is_ordered(self) -> Self:
@@ -89,15 +97,16 @@ _Place = Annotated[AnyPlace, Field(discriminator="type")]
 class ShapePart(Table):
     """One shape of a body that is put together from several."""
 
-    shape: Shape = Field(description="Table with `type` and the shape's keys. [-]")
-    mass: NonNegative | None = Field(
-        None, description="Mass; this or density; 0 for spheres that only touch. [kg]"
-    )
-    density: Positive | None = Field(None, description="Density; this or mass. [kg/m³]")
-    position: Vector = Field(_ORIGIN, description="Of the shape's origin, in the body's axes. [m]")
-    orientation: OneOrientation = Field(
-        _IDENTITY, description="Shape to body axes: quaternion or { euler_deg = [..] }. [-]"
-    )
+    shape: Shape
+    """Table with `type` and the shape's keys. [-]"""
+    mass: NonNegative | None = None
+    """Mass; this or density; 0 for spheres that only touch. [kg]"""
+    density: Positive | None = None
+    """Density; this or mass. [kg/m³]"""
+    position: Vector = _ORIGIN
+    """Of the shape's origin, in the body's axes. [m]"""
+    orientation: OneOrientation = _IDENTITY
+    """Shape to body axes: quaternion or { euler_deg = [..] }. [-]"""
 
 
 def _plain_name(name: str) -> str:
@@ -110,35 +119,37 @@ def _plain_name(name: str) -> str:
 class Body(Table):
     """A body, or `count` bodies of the same kind."""
 
-    name: Annotated[Name, AfterValidator(_plain_name)] = Field(description="Unique name. [-]")
-    shape: Shape | None = Field(None, description="Table with `type`; this or [[body.part]]. [-]")
-    part: tuple[ShapePart, ...] = Field((), description="Parts of the body; these or shape. [-]")
-    mass: Positive | None = Field(None, description="Mass of each body; this or density. [kg]")
-    density: Positive | None = Field(None, description="Density; this or mass. [kg/m³]")
-    count: Count = Field(1, description="Number of bodies. [-]")
-    place: _Place | None = Field(None, description="Where many bodies are: grid or random. [-]")
-    position: _Position = Field(
-        _ORIGIN, description="Of the centre of mass, world frame; or a row per body. [m]"
-    )
-    orientation: _Orientation = Field(
-        _IDENTITY,
-        description="Quaternion w x y z, normalised when read; { euler_deg = [..] }; "
-        '"random"; or a row per body. [-]',
-    )
-    velocity: Motion = Field(
-        _ORIGIN, description="World frame, { body = [..] }, { random = v }; or rows. [m/s]"
-    )
-    angular_velocity: Motion = Field(
-        _ORIGIN, description="World frame, { body = [..] }, { random = v }; or rows. [rad/s]"
-    )
-    material: Name | None = Field(
-        None, description="Name of a [[material]]; default: the only one. [-]"
-    )
-    contact: Yes = Field(True, description="Whether it touches others where [contact] is. [-]")
-    fixed: Yes = Field(False, description="Whether it stays where it is: an obstacle. [-]")
-    motion: Prescribed | None = Field(
-        None, description="How it moves, whatever touches it; default: freely. [-]"
-    )
+    name: Annotated[Name, AfterValidator(_plain_name)]
+    """Unique name. [-]"""
+    shape: Shape | None = None
+    """Table with `type`; this or [[body.part]]. [-]"""
+    part: tuple[ShapePart, ...] = ()
+    """Parts of the body; these or shape. [-]"""
+    mass: Positive | None = None
+    """Mass of each body; this or density. [kg]"""
+    density: Positive | None = None
+    """Density; this or mass. [kg/m³]"""
+    count: Count = 1
+    """Number of bodies. [-]"""
+    place: _Place | None = None
+    """Where many bodies are: grid or random. [-]"""
+    position: _Position = _ORIGIN
+    """Of the centre of mass, world frame; or a row per body. [m]"""
+    orientation: _Orientation = _IDENTITY
+    """Quaternion w x y z, normalised when read; { euler_deg = [..] }; "random"; or a row per body.
+    [-]"""
+    velocity: Motion = _ORIGIN
+    """World frame, { body = [..] }, { random = v }; or rows. [m/s]"""
+    angular_velocity: Motion = _ORIGIN
+    """World frame, { body = [..] }, { random = v }; or rows. [rad/s]"""
+    material: Name | None = None
+    """Name of a [[material]]; default: the only one. [-]"""
+    contact: Yes = True
+    """Whether it touches others where [contact] is. [-]"""
+    fixed: Yes = False
+    """Whether it stays where it is: an obstacle. [-]"""
+    motion: Prescribed | None = None
+    """How it moves, whatever touches it; default: freely. [-]"""
 
     @property
     def is_held(self) -> bool:

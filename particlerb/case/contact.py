@@ -19,6 +19,7 @@ from particlerb.case.values import (
     Table,
     Vector,
     broken,
+    distinct,
     entries,
 )
 
@@ -27,83 +28,72 @@ _Share = Annotated[NonNegative, Field(le=1.0)]
 _Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 _End = Literal["-", "+"]
 _ORIGIN = (0.0, 0.0, 0.0)
-KIND = "Kind of wall. [-]"
-NAME = "Unique name. [-]"
-_INSIDE = "Whether all bodies are inside at t = 0, or anywhere. [-]"
 
 
 class Material(Table):
     """A material that bodies and walls are made of."""
 
-    name: Name = Field(description=NAME)
-    young: Positive | None = Field(None, description="Young's modulus, for hertz. [Pa]")
-    poisson: Annotated[Real, Field(gt=-1.0, le=0.5)] | None = Field(
-        None, description="Poisson's ratio, for hertz. [-]"
-    )
+    name: Name
+    """Unique name. [-]"""
+    young: Positive | None = None
+    """Young's modulus, for hertz. [Pa]"""
+    poisson: Annotated[Real, Field(gt=-1.0, le=0.5)] | None = None
+    """Poisson's ratio, for hertz. [-]"""
 
 
 class ContactNumbers(Table):
     """Numbers of a contact, of one pair of materials or of all."""
 
-    stiffness: Positive | None = Field(None, description="Normal stiffness, hooke. [N/m]")
-    tangential_stiffness: NonNegative | None = Field(
-        None, description="Tangential stiffness, hooke; default: 2/7 of the normal one. [N/m]"
-    )
-    restitution: _Share | None = Field(
-        None, description="Speed after over speed before a central impact, 0 to 1. [-]"
-    )
-    friction: NonNegative | None = Field(None, description="Coefficient of sliding friction. [-]")
-    rolling_friction: NonNegative | None = Field(
-        None, description="Coefficient of rolling friction; default: 0. [-]"
-    )
+    stiffness: Positive | None = None
+    """Normal stiffness, hooke. [N/m]"""
+    tangential_stiffness: NonNegative | None = None
+    """Tangential stiffness, hooke; default: 2/7 of the normal one. [N/m]"""
+    restitution: _Share | None = None
+    """Speed after over speed before a central impact, 0 to 1. [-]"""
+    friction: NonNegative | None = None
+    """Coefficient of sliding friction. [-]"""
+    rolling_friction: NonNegative | None = None
+    """Coefficient of rolling friction; default: 0. [-]"""
 
 
 class Pair(ContactNumbers):
     """Numbers of the contact between two materials, or of one with itself."""
 
-    materials: Annotated[tuple[Name, Name], entries(2, "names")] = Field(
-        description="Names of the two. [-]"
-    )
+    materials: Annotated[tuple[Name, Name], entries(2, "names")]
+    """Names of the two. [-]"""
 
 
 class ContactTable(ContactNumbers):
     """Contact between bodies and with walls; without this table nothing touches."""
 
-    law: Literal["hooke", "hertz", "impulse", "events"] = Field(
-        "hooke", description="Force by overlap, impulses in steps, or at the instants of hits. [-]"
-    )
-    attract: Yes = Field(False, description="Whether damping may pull. [-]")
-    skin: Positive | None = Field(
-        None, description="Distance up to which pairs are kept; default: chosen. [m]"
-    )
-    overlap: NonNegative = Field(
-        0.0, description="Overlap at t = 0 that is allowed; rounding always is. [m]"
-    )
-    relax: Yes = Field(False, description="Whether to push apart what overlaps at t = 0. [-]")
-    allow_unstable: Yes = Field(
-        False, description="Whether a step above the stability limit is taken. [-]"
-    )
-    tolerance: Positive = Field(1e-3, description="Residual at which sweeps end, impulse. [-]")
-    iterations: Annotated[int, Strict(), Field(ge=1)] = Field(
-        20, description="Sweeps over all contacts in a step at most, impulse. [-]"
-    )
-    solver: Literal["auto", "sweeps", "newton"] = Field(
-        "auto", description="Whether Newton's method follows where sweeps do not end, impulse. [-]"
-    )
-    push_out: _Share = Field(
-        0.3, description="Share of an overlap that a step takes away, impulse. [-]"
-    )
-    slop: NonNegative = Field(
-        1e-4, description="Overlap that stays, over the smallest radius, impulse. [-]"
-    )
-    contact_time: NonNegative | None = Field(
-        None,
-        description="What hits again within it bounces elastically, events; default: by speed. [s]",
-    )
-    periodic: Annotated[tuple[NonNegative, ...], entries(3, "numbers")] | None = Field(
-        None, description="Sides of the box that repeats in space, 0: without end, events. [m]"
-    )
-    pair: tuple[Pair, ...] = Field((), description="Pairs of materials, [[contact.pair]]. [-]")
+    law: Literal["hooke", "hertz", "impulse", "events"] = "hooke"
+    """Force by overlap, impulses in steps, or at the instants of hits. [-]"""
+    attract: Yes = False
+    """Whether damping may pull. [-]"""
+    skin: Positive | None = None
+    """Distance up to which pairs are kept; default: chosen. [m]"""
+    overlap: NonNegative = 0.0
+    """Overlap at t = 0 that is allowed; rounding always is. [m]"""
+    relax: Yes = False
+    """Whether to push apart what overlaps at t = 0. [-]"""
+    allow_unstable: Yes = False
+    """Whether a step above the stability limit is taken. [-]"""
+    tolerance: Positive = 1e-3
+    """Residual at which sweeps end, impulse. [-]"""
+    iterations: Annotated[int, Strict(), Field(ge=1)] = 20
+    """Sweeps over all contacts in a step at most, impulse. [-]"""
+    solver: Literal["auto", "sweeps", "newton"] = "auto"
+    """Whether Newton's method follows where sweeps do not end, impulse. [-]"""
+    push_out: _Share = 0.3
+    """Share of an overlap that a step takes away, impulse. [-]"""
+    slop: NonNegative = 1e-4
+    """Overlap that stays, over the smallest radius, impulse. [-]"""
+    contact_time: NonNegative | None = None
+    """What hits again within it bounces elastically, events; default: by speed. [s]"""
+    periodic: Annotated[tuple[NonNegative, ...], entries(3, "numbers")] | None = None
+    """Sides of the box that repeats in space, 0: without end, events. [m]"""
+    pair: tuple[Pair, ...] = ()
+    """Pairs of materials, [[contact.pair]]. [-]"""
 
     @property
     def has_stiffness(self) -> bool:
@@ -124,24 +114,25 @@ def _with_a_square(value: tuple[float, float, float]) -> tuple[float, float, flo
 class Oscillation(Table):
     """Displacement A sin(2π f t + φ)."""
 
-    amplitude: Vector = Field(description="Amplitude A, world frame. [m]")
-    frequency: Positive = Field(description="Frequency f. [1/s]")
-    phase: Real = Field(0.0, description="Phase φ. [rad]")
+    amplitude: Vector
+    """Amplitude A, world frame. [m]"""
+    frequency: Positive
+    """Frequency f. [1/s]"""
+    phase: Real = 0.0
+    """Phase φ. [rad]"""
 
 
 class Prescribed(Table):
     """Motion of a wall or a body, whatever touches it: it turns about a centre that moves."""
 
-    velocity: Vector = Field(_ORIGIN, description="Of the centre, world frame. [m/s]")
-    angular_velocity: Annotated[Vector, AfterValidator(_with_a_square)] = Field(
-        _ORIGIN, description="World frame. [rad/s]"
-    )
-    centre: Vector | None = Field(
-        None, description="Point of the axis at t = 0, world frame; default: its own. [m]"
-    )
-    oscillation: Oscillation | None = Field(
-        None, description="Added to the motion of the centre; default: none. [-]"
-    )
+    velocity: Vector = _ORIGIN
+    """Of the centre, world frame. [m/s]"""
+    angular_velocity: Annotated[Vector, AfterValidator(_with_a_square)] = _ORIGIN
+    """World frame. [rad/s]"""
+    centre: Vector | None = None
+    """Point of the axis at t = 0, world frame; default: its own. [m]"""
+    oscillation: Oscillation | None = None
+    """Added to the motion of the centre; default: none. [-]"""
 
     @property
     def shift(self) -> tuple[float, float, float]:
@@ -160,26 +151,22 @@ def direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
     return value
 
 
-def once(faces: tuple[str, ...]) -> tuple[str, ...]:
-    """Require each face once."""
-    if len(set(faces)) < len(faces):
-        raise broken("must not repeat a face")
-    return faces
-
-
 _Direction = Annotated[Vector, AfterValidator(direction)]
 
 
 class Piston(Table):
     """A wall with a mass that slides along an axis: under a load, its weight and contacts."""
 
-    mass: Positive = Field(description="Mass, which is pulled by [gravity] as well. [kg]")
-    axis: _Direction = Field(description="Along which it slides, world frame, of any length. [-]")
-    load: Real = Field(0.0, description="Constant force along the axis. [N]")
-    velocity: Real = Field(0.0, description="Along the axis, at t = 0. [m/s]")
-    limits: Annotated[tuple[Real, Real], entries(2)] | None = Field(
-        None, description="Least and largest displacement; default: none. [m]"
-    )
+    mass: Positive
+    """Mass, which is pulled by [gravity] as well. [kg]"""
+    axis: _Direction
+    """Along which it slides, world frame, of any length. [-]"""
+    load: Real = 0.0
+    """Constant force along the axis. [N]"""
+    velocity: Real = 0.0
+    """Along the axis, at t = 0. [m/s]"""
+    limits: Annotated[tuple[Real, Real], entries(2)] | None = None
+    """Least and largest displacement; default: none. [m]"""
 
     @model_validator(mode="after")
     def has_room(self) -> Self:
@@ -193,35 +180,40 @@ class Piston(Table):
 class WallTable(Table):
     """What all walls share."""
 
-    type: str = Field(description=KIND)
-    name: Name = Field(description=NAME)
-    material: Name | None = Field(
-        None, description="Name of a [[material]]; default: the only one. [-]"
-    )
-    motion: Prescribed | None = Field(None, description="How it moves; default: not at all. [-]")
-    piston: Piston | None = Field(
-        None, description="How it slides under a load; default: it does not. [-]"
-    )
+    type: str
+    """Kind of wall. [-]"""
+    name: Name
+    """Unique name. [-]"""
+    material: Name | None = None
+    """Name of a [[material]]; default: the only one. [-]"""
+    motion: Prescribed | None = None
+    """How it moves; default: not at all. [-]"""
+    piston: Piston | None = None
+    """How it slides under a load; default: it does not. [-]"""
 
 
 class PlaneWall(WallTable):
     """A plane; bodies are on the side to which its normal points."""
 
-    type: Literal["plane"] = Field(init=False, description=KIND)
-    point: Vector = Field(_ORIGIN, description="Any of its points, world frame. [m]")
-    normal: _Direction = Field(description="Towards the bodies, of any length. [-]")
+    type: Literal["plane"] = Field(init=False)
+    point: Vector = _ORIGIN
+    """Any of its points, world frame. [m]"""
+    normal: _Direction
+    """Towards the bodies, of any length. [-]"""
 
 
 class BoxWall(WallTable):
     """A box along the axes of the world, thin faces of which some may be open."""
 
-    type: Literal["box"] = Field(init=False, description=KIND)
-    lower: Vector = Field(description="Lower corner, world frame. [m]")
-    upper: Vector = Field(description="Upper corner, world frame. [m]")
-    open: Annotated[tuple[_Face, ...], AfterValidator(once)] = Field(
-        (), description="Faces that are not there. [-]"
-    )
-    inside: Yes = Field(True, description=_INSIDE)
+    type: Literal["box"] = Field(init=False)
+    lower: Vector
+    """Lower corner, world frame. [m]"""
+    upper: Vector
+    """Upper corner, world frame. [m]"""
+    open: Annotated[tuple[_Face, ...], distinct("face")] = ()
+    """Faces that are not there. [-]"""
+    inside: Yes = True
+    """Whether all bodies are inside at t = 0, or anywhere. [-]"""
 
     @model_validator(mode="after")
     def is_box(self) -> Self:
@@ -239,28 +231,33 @@ class BoxWall(WallTable):
 class CylinderWall(WallTable):
     """A cylinder, a thin tube with ends of which some may be open."""
 
-    type: Literal["cylinder"] = Field(init=False, description=KIND)
-    centre: Vector = Field(_ORIGIN, description="Middle of its axis, world frame. [m]")
-    axis: _Direction = Field((0.0, 0.0, 1.0), description="Along the axis, of any length. [-]")
-    radius: Positive = Field(description="Inner radius. [m]")
-    length: Positive = Field(description="Between the ends. [m]")
-    open: Annotated[tuple[_End, ...], AfterValidator(once)] = Field(
-        (), description="Ends that are not there: against the axis (-), along it (+). [-]"
-    )
-    inside: Yes = Field(True, description=_INSIDE)
+    type: Literal["cylinder"] = Field(init=False)
+    centre: Vector = _ORIGIN
+    """Middle of its axis, world frame. [m]"""
+    axis: _Direction = (0.0, 0.0, 1.0)
+    """Along the axis, of any length. [-]"""
+    radius: Positive
+    """Inner radius. [m]"""
+    length: Positive
+    """Between the ends. [m]"""
+    open: Annotated[tuple[_End, ...], distinct("face")] = ()
+    """Ends that are not there: against the axis (-), along it (+). [-]"""
+    inside: Yes = True
+    """Whether all bodies are inside at t = 0, or anywhere. [-]"""
 
 
 class MeshWall(WallTable):
     """A thin surface of triangles from a file, which trimesh reads."""
 
-    type: Literal["mesh"] = Field(init=False, description=KIND)
-    file: Name = Field(description="STL file, relative to the folder of the case. [-]")
-    scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
-    position: Vector = Field(_ORIGIN, description="Of the file's origin, world frame. [m]")
-    orientation: OneOrientation = Field(
-        (1.0, 0.0, 0.0, 0.0),
-        description="File to world axes: quaternion or { euler_deg = [..] }. [-]",
-    )
+    type: Literal["mesh"] = Field(init=False)
+    file: Name
+    """STL file, relative to the folder of the case. [-]"""
+    scale: Positive = 1.0
+    """Length of the unit of the file: 0.001 for mm. [m]"""
+    position: Vector = _ORIGIN
+    """Of the file's origin, world frame. [m]"""
+    orientation: OneOrientation = (1.0, 0.0, 0.0, 0.0)
+    """File to world axes: quaternion or { euler_deg = [..] }. [-]"""
 
 
 AnyWall = PlaneWall | BoxWall | CylinderWall | MeshWall

@@ -34,17 +34,16 @@ from particlerb.files import File
 from particlerb.text_tables import Columns, read_table
 from particlerb.user_force import UserForce
 
-KIND = "Kind of force or placement. [-]"
-_FRAME = "Axes of the vector: world or body. [-]"
-_BODIES = "Name of a [[body]] block, of one body as name[3], or a list of such names. [-]"
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
 class ForceTable(Table):
     """What all tables of [[force]] share."""
 
-    type: str = Field(description=KIND)
-    body: Names = Field(description=_BODIES)
+    type: str
+    """Kind of force or placement. [-]"""
+    body: Names
+    """Name of a [[body]] block, of one body as name[3], or a list of such names. [-]"""
 
     names_bodies: ClassVar[tuple[str, ...]] = ("body",)
     load_key: ClassVar[str] = ""
@@ -89,7 +88,8 @@ During = Annotated[tuple[NonNegative, NonNegative], entries(2), AfterValidator(_
 class LastingForceTable(ForceTable):
     """What all share that act for a time."""
 
-    during: During | None = Field(None, description="Start and end; default: always. [s]")
+    during: During | None = None
+    """Start and end; default: always. [s]"""
 
     @property
     def edges(self) -> tuple[float, ...]:
@@ -100,11 +100,12 @@ class LastingForceTable(ForceTable):
 class TimedLoad(Table):
     """A force or torque that changes with time: linear between knots, zero outside of them."""
 
-    table: Name | None = Field(
-        None, description="Text or CSV file with columns t, x, y, z. [s, and the unit of the load]"
-    )
-    times: Knots | None = Field(None, description="Knots, ascending; instead of a file. [s]")
-    values: Array3 | None = Field(None, description="Load at each of them. [N; N m]")
+    table: Name | None = None
+    """Text or CSV file with columns t, x, y, z. [s, and the unit of the load]"""
+    times: Knots | None = None
+    """Knots, ascending; instead of a file. [s]"""
+    values: Array3 | None = None
+    """Load at each of them. [N; N m]"""
 
     @model_validator(mode="after")
     def has_one_source(self) -> Self:
@@ -174,10 +175,13 @@ class LoadTable(LastingForceTable):
 class PushTable(LoadTable):
     """A force at a point of the body that stays on that point while the body turns."""
 
-    type: Literal["push"] = Field(init=False, description=KIND)
-    at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
-    force: _Load = Field(description="Force, constant or by knots. [N]")
-    frame: Frame = Field("world", description=_FRAME)
+    type: Literal["push"] = Field(init=False)
+    at: Vector = _ORIGIN
+    """Point, body frame, from the centre of mass. [m]"""
+    force: _Load
+    """Force, constant or by knots. [N]"""
+    frame: Frame = "world"
+    """Axes of the vector: world or body. [-]"""
 
     load_key: ClassVar[str] = "force"
 
@@ -185,9 +189,11 @@ class PushTable(LoadTable):
 class TorqueTable(LoadTable):
     """A torque."""
 
-    type: Literal["torque"] = Field(init=False, description=KIND)
-    torque: _Load = Field(description="Torque, constant or by knots. [N m]")
-    frame: Frame = Field("world", description=_FRAME)
+    type: Literal["torque"] = Field(init=False)
+    torque: _Load
+    """Torque, constant or by knots. [N m]"""
+    frame: Frame = "world"
+    """Axes of the vector: world or body. [-]"""
 
     load_key: ClassVar[str] = "torque"
 
@@ -195,11 +201,15 @@ class TorqueTable(LoadTable):
 class ImpulseTable(ForceTable):
     """A jump of the momenta at one instant: P += J, L += r × J."""
 
-    type: Literal["impulse"] = Field(init=False, description=KIND)
-    at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
-    impulse: Vector = Field(description="Impulse. [N s]")
-    frame: Frame = Field("world", description=_FRAME)
-    time: NonNegative = Field(description="When, at most t_end. [s]")
+    type: Literal["impulse"] = Field(init=False)
+    at: Vector = _ORIGIN
+    """Point, body frame, from the centre of mass. [m]"""
+    impulse: Vector
+    """Impulse. [N s]"""
+    frame: Frame = "world"
+    """Axes of the vector: world or body. [-]"""
+    time: NonNegative
+    """When, at most t_end. [s]"""
 
     @property
     def edges(self) -> tuple[float, ...]:
@@ -210,16 +220,18 @@ class ImpulseTable(ForceTable):
 class DragTable(LastingForceTable):
     """Linear drag: F = -c v and τ = -c_r ω."""
 
-    type: Literal["drag"] = Field(init=False, description=KIND)
-    translation: NonNegative = Field(0.0, description="Coefficient c. [N s/m]")
-    rotation: NonNegative = Field(0.0, description="Coefficient c_r. [N m s/rad]")
+    type: Literal["drag"] = Field(init=False)
+    translation: NonNegative = 0.0
+    """Coefficient c. [N s/m]"""
+    rotation: NonNegative = 0.0
+    """Coefficient c_r. [N m s/rad]"""
 
 
 _RestLength = Annotated[
     Annotated[NonNegative, Tag("number")] | Annotated[Literal["initial"], Tag("word")],
     forms("number", "word"),
 ]
-_Charge = Annotated[
+_NumberOrList = Annotated[
     Annotated[Real, Tag("number")] | Annotated[tuple[Real, ...], Field(min_length=1), Tag("list")],
     forms("number", "list"),
 ]
@@ -228,23 +240,23 @@ _Charge = Annotated[
 class SpringTable(LastingForceTable):
     """A spring from a point of the body to the world or another body: F = k (l - l₀) + c dl/dt."""
 
-    type: Literal["spring"] = Field(init=False, description=KIND)
-    at: Vector = Field(_ORIGIN, description="Point, body frame, from the centre of mass. [m]")
-    anchor: Vector | None = Field(
-        None, description="The other end, world frame; this, or to or reach. [m]"
-    )
-    to: Names | None = Field(
-        None, description="Bodies at the other end: one for each, one for all, or by reach. [-]"
-    )
-    to_at: Vector = Field(_ORIGIN, description="Point of the other body, in its body frame. [m]")
-    reach: Positive | None = Field(
-        None, description="Ties every pair of points that are at most this far apart at t = 0. [m]"
-    )
-    stiffness: Positive = Field(description="Stiffness k. [N/m]")
-    damping: NonNegative = Field(0.0, description="Damping c along the spring. [N s/m]")
-    rest_length: _RestLength = Field(
-        0.0, description='Length l₀ without force; "initial": as long as it is at t = 0. [m]'
-    )
+    type: Literal["spring"] = Field(init=False)
+    at: Vector = _ORIGIN
+    """Point, body frame, from the centre of mass. [m]"""
+    anchor: Vector | None = None
+    """The other end, world frame; this, or to or reach. [m]"""
+    to: Names | None = None
+    """Bodies at the other end: one for each, one for all, or by reach. [-]"""
+    to_at: Vector = _ORIGIN
+    """Point of the other body, in its body frame. [m]"""
+    reach: Positive | None = None
+    """Ties every pair of points that are at most this far apart at t = 0. [m]"""
+    stiffness: Positive
+    """Stiffness k. [N/m]"""
+    damping: NonNegative = 0.0
+    """Damping c along the spring. [N s/m]"""
+    rest_length: _RestLength = 0.0
+    """Length l₀ without force; "initial": as long as it is at t = 0. [m]"""
 
     names_bodies: ClassVar[tuple[str, ...]] = ("body", "to")
 
@@ -276,16 +288,17 @@ class SpringTable(LastingForceTable):
 class UniformField(LastingForceTable):
     """A uniform field that acts on charges and on a dipole of the body: Σ q E and d × E."""
 
-    type: Literal["field"] = Field(init=False, description=KIND)
-    field: Vector = Field(description="Field E, world frame. [V/m; T for a magnetic dipole]")
-    charge: _Charge = Field(
-        0.0, description="Charge q of the body, or a list with one per particle. [C]"
-    )
-    at: Vector = Field(_ORIGIN, description="Where a single charge sits, body frame. [m]")
-    dipole: Vector = Field(_ORIGIN, description="Dipole d, body frame. [C m; A m²]")
-    angular_velocity: Vector = Field(
-        _ORIGIN, description="Rate at which E turns from t = 0 on, world frame. [rad/s]"
-    )
+    type: Literal["field"] = Field(init=False)
+    field: Vector
+    """Field E, world frame. [V/m; T for a magnetic dipole]"""
+    charge: _NumberOrList = 0.0
+    """Charge q of the body, or a list with one per particle. [C]"""
+    at: Vector = _ORIGIN
+    """Where a single charge sits, body frame. [m]"""
+    dipole: Vector = _ORIGIN
+    """Dipole d, body frame. [C m; A m²]"""
+    angular_velocity: Vector = _ORIGIN
+    """Rate at which E turns from t = 0 on, world frame. [rad/s]"""
 
     @property
     def needs_particles(self) -> bool:
@@ -302,16 +315,19 @@ class UniformField(LastingForceTable):
 class CentralTable(LastingForceTable):
     """Attraction by a fixed centre, inverse-square, with its gravity-gradient torque."""
 
-    type: Literal["central"] = Field(init=False, description=KIND)
-    centre: Vector = Field(_ORIGIN, description="Where the centre is, world frame. [m]")
-    mu: Positive = Field(description="G times the mass of the centre. [m³/s²]")
+    type: Literal["central"] = Field(init=False)
+    centre: Vector = _ORIGIN
+    """Where the centre is, world frame. [m]"""
+    mu: Positive
+    """G times the mass of the centre. [m³/s²]"""
 
 
 class MagnusTable(LastingForceTable):
     """Magnus lift of a spinning body: F = c ω × v."""
 
-    type: Literal["magnus"] = Field(init=False, description=KIND)
-    coefficient: Real = Field(description="Coefficient c. [kg/rad]")
+    type: Literal["magnus"] = Field(init=False)
+    coefficient: Real
+    """Coefficient c. [kg/rad]"""
 
 
 def _is_function(value: Any) -> "str | UserForce":
@@ -329,28 +345,20 @@ Function = Annotated[
         lambda f: f if isinstance(f, str) else f.name, return_type=str, when_used="json"
     ),
 ]
-_Parameter = Annotated[
-    Annotated[Real, Tag("number")] | Annotated[tuple[Real, ...], Field(min_length=1), Tag("list")],
-    forms("number", "list"),
-]
 
 
 class PythonTable(LastingForceTable):
     """A force written in Python; see docs/forces.md."""
 
-    type: Literal["python"] = Field(init=False, description=KIND)
-    function: Function = Field(
-        description="Name of the function; from Python the function itself. [-]"
-    )
-    file: Name | None = Field(
-        None, description="File with it; default: its name with .py. Needs --allow-code. [-]"
-    )
-    parameters: dict[Name, _Parameter] = Field(
-        {}, description="Its parameters, the same for all bodies: numbers or lists. [any]"
-    )
-    per_body: dict[Name, ArrayPerBody] = Field(
-        {}, description="Others: for each an entry per body, a number or a list. [any]"
-    )
+    type: Literal["python"] = Field(init=False)
+    function: Function
+    """Name of the function; from Python the function itself. [-]"""
+    file: Name | None = None
+    """File with it; default: its name with .py. Needs --allow-code. [-]"""
+    parameters: dict[Name, _NumberOrList] = Field({})
+    """Its parameters, the same for all bodies: numbers or lists. [any]"""
+    per_body: dict[Name, ArrayPerBody] = Field({})
+    """Others: for each an entry per body, a number or a list. [any]"""
 
     @property
     def likeness(self) -> tuple[object, ...]:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import AfterValidator, Field, Tag, model_validator
+from pydantic import AfterValidator, Tag, model_validator
 
 from particlerb.case.contact import Yes
 from particlerb.case.forces import During
@@ -52,7 +52,8 @@ _Speed = Annotated[
 class InFrame(Table):
     """Vector in the frame of a body; points from its centre of mass."""
 
-    body: Vector = Field(description="Components in the body frame. [m or -]")
+    body: Vector
+    """Components in the body frame. [m or -]"""
 
 
 def _is_direction(value: tuple[float, ...] | InFrame) -> tuple[float, ...] | InFrame:
@@ -71,23 +72,30 @@ _Direction = Annotated[_Point, AfterValidator(_is_direction)]
 class JointSpring(Table):
     """A spring along the free coordinate of a joint, which is 0 at the start."""
 
-    stiffness: Positive = Field(description="Over the coordinate. [N m/rad or N/m]")
-    rest: Real = Field(0.0, description="Coordinate at which it does nothing. [rad or m]")
+    stiffness: Positive
+    """Over the coordinate. [N m/rad or N/m]"""
+    rest: Real = 0.0
+    """Coordinate at which it does nothing. [rad or m]"""
 
 
 class JointLimit(Table):
     """Stops: springs beyond a range of the free coordinate."""
 
-    range: tuple[Real, Real] = Field(description="Least and largest coordinate. [rad or m]")
-    stiffness: Positive = Field(description="Beyond them. [N m/rad or N/m]")
-    damping: NonNegative = Field(0.0, description="Beyond them. [N m s/rad or N s/m]")
+    range: tuple[Real, Real]
+    """Least and largest coordinate. [rad or m]"""
+    stiffness: Positive
+    """Beyond them. [N m/rad or N/m]"""
+    damping: NonNegative = 0.0
+    """Beyond them. [N m s/rad or N s/m]"""
 
 
 class JointLoad(Table):
     """The load at which a joint breaks: any of these."""
 
-    force: Positive | None = Field(None, description="Size of its force. [N]")
-    torque: Positive | None = Field(None, description="Size of its torque, at its point. [N m]")
+    force: Positive | None = None
+    """Size of its force. [N]"""
+    torque: Positive | None = None
+    """Size of its torque, at its point. [N m]"""
 
     @model_validator(mode="after")
     def has_one(self) -> Self:
@@ -100,20 +108,19 @@ class JointLoad(Table):
 class JointDrive(Table):
     """What the free coordinate of a joint is prescribed to be; it starts at 0."""
 
-    position: Array2 | None = Field(
-        None, description="Knots [t, coordinate] of a cubic spline, from [0, 0] on. [s, rad or m]"
-    )
-    end_speeds: tuple[Real, Real] = Field(
-        (0.0, 0.0), description="At its first and last knot, and after it. [rad/s or m/s]"
-    )
-    speed: _Speed | None = Field(
-        None,
-        description="Constant, or knots [t, speed] between which it is linear, and after which it"
-        " stays. [rad/s or m/s]",
-    )
-    amplitude: Real | None = Field(None, description="A of A (sin(2π f t + φ) - sin φ). [rad or m]")
-    frequency: Positive | None = Field(None, description="Frequency f. [1/s]")
-    phase: Real = Field(0.0, description="Phase φ. [rad]")
+    position: Array2 | None = None
+    """Knots [t, coordinate] of a cubic spline, from [0, 0] on. [s, rad or m]"""
+    end_speeds: tuple[Real, Real] = (0.0, 0.0)
+    """At its first and last knot, and after it. [rad/s or m/s]"""
+    speed: _Speed | None = None
+    """Constant, or knots [t, speed] between which it is linear, and after which it stays. [rad/s or
+    m/s]"""
+    amplitude: Real | None = None
+    """A of A (sin(2π f t + φ) - sin φ). [rad or m]"""
+    frequency: Positive | None = None
+    """Frequency f. [1/s]"""
+    phase: Real = 0.0
+    """Phase φ. [rad]"""
 
     @model_validator(mode="after")
     def has_one_course(self) -> Self:
@@ -146,60 +153,50 @@ def _check_knots(knots: FloatArray, key: str) -> None:
 class JointTable(Table):
     """A joint between a body and another one, or the world; or many of the same kind."""
 
-    type: JointType = Field(description="What it leaves free: see docs/joints.md. [-]")
-    name: Name | None = Field(None, description="Of the joint; default: arm-base. [-]")
-    body: Names = Field(description="Name of a [[body]] block, of one body, or a list. [-]")
-    to: Names | None = Field(
-        None, description="Bodies at the other side: one for each, or one for all; default: the"
-        " world. [-]"
-    )  # fmt: skip
-    chain: Yes = Field(False, description="Whether each of `body` is tied to the one before. [-]")
-    at: _Point | None = Field(
-        None,
-        description="Point of the joint: world frame at the start, or { body = [..] }; default: the"
-        " centre of mass. [m]",
-    )
-    at_to: _Point | None = Field(
-        None,
-        description="Point of the other side, given alike; default: where `at` is, of a distance"
-        " the centre of mass. [m]",
-    )
-    axis: _Direction | None = Field(
-        None,
-        description="Axis of the joint, of planar the normal, of universal the axis of `body`:"
-        " world frame at the start, or { body = [..] }. [-]",
-    )
-    axis_to: _Direction | None = Field(
-        None, description="Of universal: the axis of the other side, across `axis`. [-]"
-    )
-    along: Name | None = Field(
-        None,
-        description="Coordinate along which spring, damper, limit, motor and drive act: see"
-        " docs/joints.md; default: the only one. [-]",
-    )
-    spring: JointSpring | None = Field(None, description="Along the free coordinate. [-]")
-    damper: NonNegative = Field(
-        0.0,
-        description="Torque or force over the speed. [N m s/rad or N s/m]",
-    )
-    limit: JointLimit | None = Field(None, description="Stops of the free coordinate. [-]")
-    motor: Real = Field(
-        0.0, description="Constant torque about, or force along it, on `body`. [N m or N]"
-    )
-    drive: JointDrive | None = Field(None, description="Prescribes the free coordinate. [-]")
-    during: During | None = Field(
-        None, description="Start, which is 0, and time of release; default: always. [s]"
-    )
-    breaks_at: JointLoad | None = Field(
-        None, description="Load at which it is released; default: none. [-]"
-    )
-    merge: bool = Field(
-        True, description="Of fixed: whether the two become one body, where that is exact. [-]"
-    )
-    collide: Yes = Field(False, description="Whether the two bodies may touch each other. [-]")
-    assemble: Yes = Field(
-        False, description="Whether bodies may be moved at the start until it fits. [-]"
-    )
+    type: JointType
+    """What it leaves free: see docs/joints.md. [-]"""
+    name: Name | None = None
+    """Of the joint; default: arm-base. [-]"""
+    body: Names
+    """Name of a [[body]] block, of one body, or a list. [-]"""
+    to: Names | None = None
+    """Bodies at the other side: one for each, or one for all; default: the world. [-]"""
+    chain: Yes = False
+    """Whether each of `body` is tied to the one before. [-]"""
+    at: _Point | None = None
+    """Point of the joint: world frame at the start, or { body = [..] }; default: the centre of
+    mass. [m]"""
+    at_to: _Point | None = None
+    """Point of the other side, given alike; default: where `at` is, of a distance the centre of
+    mass. [m]"""
+    axis: _Direction | None = None
+    """Axis of the joint, of planar the normal, of universal the axis of `body`: world frame at the
+    start, or { body = [..] }. [-]"""
+    axis_to: _Direction | None = None
+    """Of universal: the axis of the other side, across `axis`. [-]"""
+    along: Name | None = None
+    """Coordinate along which spring, damper, limit, motor and drive act: see docs/joints.md;
+    default: the only one. [-]"""
+    spring: JointSpring | None = None
+    """Along the free coordinate. [-]"""
+    damper: NonNegative = 0.0
+    """Torque or force over the speed. [N m s/rad or N s/m]"""
+    limit: JointLimit | None = None
+    """Stops of the free coordinate. [-]"""
+    motor: Real = 0.0
+    """Constant torque about, or force along it, on `body`. [N m or N]"""
+    drive: JointDrive | None = None
+    """Prescribes the free coordinate. [-]"""
+    during: During | None = None
+    """Start, which is 0, and time of release; default: always. [s]"""
+    breaks_at: JointLoad | None = None
+    """Load at which it is released; default: none. [-]"""
+    merge: bool = True
+    """Of fixed: whether the two become one body, where that is exact. [-]"""
+    collide: Yes = False
+    """Whether the two bodies may touch each other. [-]"""
+    assemble: Yes = False
+    """Whether bodies may be moved at the start until it fits. [-]"""
 
     @property
     def until(self) -> float:

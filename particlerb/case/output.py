@@ -3,7 +3,7 @@
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from particlerb.case.values import (
     Frame,
@@ -13,10 +13,10 @@ from particlerb.case.values import (
     Positive,
     Table,
     broken,
+    distinct,
     one_of,
 )
 
-_FRAME = "Axes of the vector: world or body. [-]"
 FIELDS = ("position", "orientation", "linear_momentum", "angular_momentum")
 _OF_BODIES = (*FIELDS, "velocity", "angular_velocity")
 FIELDS_OF_WALLS = ("wall_force", "wall_torque", "wall_position", "wall_velocity")
@@ -38,30 +38,21 @@ FIELDS_OF_IMPULSES = tuple(name for fields in FIELDS_OF_LAWS.values() for name i
 FIELDS_OF_CONTACT = ("contacts", "contact_number", "contact_overlap", *FIELDS_OF_WALLS)
 _NAMES = (*_OF_BODIES, *FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS, *FIELDS_OF_IMPULSES)
 _FieldName = Annotated[str, one_of(*_NAMES)]
+_FieldNames = Annotated[tuple[_FieldName, ...], Field(min_length=1), distinct("name")]
 _OF_JOINTS = tuple(name for name in FIELDS_OF_JOINTS if not name.endswith("_determined"))
 _OTHERS = ("kinetic_energy", "inertia", *_OF_JOINTS, *FIELDS_OF_IMPULSES)
 _Quantity = Annotated[str, one_of(*_OF_BODIES, *_OTHERS)]
 
 
-def _are_unique(fields: tuple[str, ...]) -> tuple[str, ...]:
-    """Require each field once."""
-    if len(set(fields)) < len(fields):
-        raise broken("must not repeat a name")
-    return fields
-
-
 class Output(Table):
     """What the trajectory file holds."""
 
-    fields: Annotated[tuple[_FieldName, ...], Field(min_length=1), AfterValidator(_are_unique)] = (
-        Field(FIELDS, description="Recorded in each frame. [-]")
-    )
-    dtype: Literal["float64", "float32"] = Field(
-        "float64", description="Precision of the file. [-]"
-    )
-    durable: bool = Field(
-        True, description="Whether committed frames outlive a power cut, not kills only. [-]"
-    )
+    fields: _FieldNames = FIELDS
+    """Recorded in each frame. [-]"""
+    dtype: Literal["float64", "float32"] = "float64"
+    """Precision of the file. [-]"""
+    durable: bool = True
+    """Whether committed frames outlive a power cut, not kills only. [-]"""
 
 
 _EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
@@ -88,13 +79,16 @@ def _shape_of(value: Any) -> tuple[int, ...] | None:
 class Asked(Table):
     """A value of a run: of which body or joint, or of all contacts by impulses, what, and when."""
 
-    body: Name | None = Field(
-        None, description="Name of a [[body]] block, or of one body as name[3]. [-]"
-    )
-    joint: Name | None = Field(None, description="Name of a joint, for what is of joints. [-]")
-    quantity: _Quantity = Field(description="What is asked for. [-]")
-    frame: Frame = Field("world", description=_FRAME)
-    time: NonNegative | None = Field(None, description="When; default: t_end. [s]")
+    body: Name | None = None
+    """Name of a [[body]] block, or of one body as name[3]. [-]"""
+    joint: Name | None = None
+    """Name of a joint, for what is of joints. [-]"""
+    quantity: _Quantity
+    """What is asked for. [-]"""
+    frame: Frame = "world"
+    """Axes of the vector: world or body. [-]"""
+    time: NonNegative | None = None
+    """When; default: t_end. [s]"""
 
     @model_validator(mode="after")
     def has_an_owner(self) -> Self:
@@ -120,8 +114,10 @@ class Asked(Table):
 class CheckValue(Asked):
     """A value that the run must reach."""
 
-    value: Numbers = Field(description="Expected number or list. [SI unit of the quantity]")
-    tolerance: NonNegative = Field(description="Largest allowed difference. [SI unit, or rad]")
+    value: Numbers
+    """Expected number or list. [SI unit of the quantity]"""
+    tolerance: NonNegative
+    """Largest allowed difference. [SI unit, or rad]"""
 
     @model_validator(mode="after")
     def has_right_length(self) -> Self:
@@ -140,32 +136,29 @@ class CheckValue(Asked):
 class Check(Table):
     """Limits: a run that misses one ends with exit code 3."""
 
-    energy_drift: Positive | None = Field(
-        None,
-        description="Largest error of energy, over the largest kinetic energy, work or gross work"
-        " of contacts. [-]",
-    )
-    linear_momentum_drift: Positive | None = Field(
-        None, description="Largest error of momentum, over the sum of the bodies' momenta. [-]"
-    )
-    angular_momentum_drift: Positive | None = Field(
-        None,
-        description="Largest error of angular momentum about the origin, over the sum of the"
-        " bodies' spins and orbits. [-]",
-    )
-    value: tuple[CheckValue, ...] = Field((), description="Values to reach, [[check.value]]. [-]")
+    energy_drift: Positive | None = None
+    """Largest error of energy, over the largest kinetic energy, work or gross work of contacts.
+    [-]"""
+    linear_momentum_drift: Positive | None = None
+    """Largest error of momentum, over the sum of the bodies' momenta. [-]"""
+    angular_momentum_drift: Positive | None = None
+    """Largest error of angular momentum about the origin, over the sum of the bodies' spins and
+    orbits. [-]"""
+    value: tuple[CheckValue, ...] = ()
+    """Values to reach, [[check.value]]. [-]"""
 
 
 class Published(Table):
     """An error that somebody else found for this case."""
 
-    name: Name = Field(description="Who found it. [-]")
-    error: Positive = Field(description="Error of the orientation at t_end. [rad]")
+    name: Name
+    """Who found it. [-]"""
+    error: Positive
+    """Error of the orientation at t_end. [rad]"""
 
 
 class ChartTable(Table):
     """What `chart` draws beside what it measures."""
 
-    published: tuple[Published, ...] = Field(
-        (), description="Errors found elsewhere, [[chart.published]]. [-]"
-    )
+    published: tuple[Published, ...] = ()
+    """Errors found elsewhere, [[chart.published]]. [-]"""

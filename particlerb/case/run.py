@@ -15,24 +15,23 @@ FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of 
 class RunTable(Table):
     """How long, how often, and how."""
 
-    t_end: Positive = Field(description="Time at the end. [s]")
-    every: Positive = Field(description="Time between frames, at most t_end. [s]")
-    method: Annotated[str, one_of(*METHODS)] = Field(
-        "auto", description="auto, or a name from `particlerb methods`. [-]"
-    )
-    dt: Positive | None = Field(None, description="Step of stepping methods; default: chosen. [s]")
-    tolerance: Annotated[Positive, Field(ge=1e-14, le=0.1)] = Field(
-        1e-10, description="Error of one step of adaptive methods, relative. [-]"
-    )
-    accuracy: Annotated[Positive, Field(le=1.0)] | None = Field(
-        None,
-        description="Largest error at t_end; chooses method and step, in place of method and dt."
-        " [rad, and position relative to size or path]",
-    )
-    seed: Annotated[int, Strict(), Field(ge=0, le=2**63 - 1)] = Field(
-        0, description="Seed of all random numbers. [-]"
-    )
-    threads: Count | None = Field(None, description="Threads; default: all cores. [-]")
+    t_end: Positive
+    """Time at the end. [s]"""
+    every: Positive
+    """Time between frames, at most t_end. [s]"""
+    method: Annotated[str, one_of(*METHODS)] = "auto"
+    """auto, or a name from `particlerb methods`. [-]"""
+    dt: Positive | None = None
+    """Step of stepping methods; default: chosen. [s]"""
+    tolerance: Annotated[Positive, Field(ge=1e-14, le=0.1)] = 1e-10
+    """Error of one step of adaptive methods, relative. [-]"""
+    accuracy: Annotated[Positive, Field(le=1.0)] | None = None
+    """Largest error at t_end; chooses method and step, in place of method and dt. [rad, and
+    position relative to size or path]"""
+    seed: Annotated[int, Strict(), Field(ge=0, le=2**63 - 1)] = 0
+    """Seed of all random numbers. [-]"""
+    threads: Count | None = None
+    """Threads; default: all cores. [-]"""
 
 
 def frame_count(run: RunTable) -> int:
@@ -45,27 +44,23 @@ def frame_count(run: RunTable) -> int:
 class Gravity(Table):
     """Uniform gravity."""
 
-    acceleration: Vector = Field(description="Acceleration, world frame. [m/s²]")
+    acceleration: Vector
+    """Acceleration, world frame. [m/s²]"""
 
 
 class AttractionTable(Table):
     """Newton's attraction between the particles of different bodies."""
 
-    G: Positive = Field(_NEWTON, description="Constant of gravitation; CODATA 2018. [m³/(kg s²)]")
-    softening: NonNegative = Field(
-        0.0, description="Length ε of the potential -G m m' / √(d² + ε²). [m]"
-    )
-    body: Names | None = Field(
-        None, description="Bodies that attract each other, named as in forces; default: all. [-]"
-    )
-    sum: Literal["auto", "direct", "tree"] = Field(
-        "auto", description="Every pair, or distant ones together; auto: the faster. [-]"
-    )
-    opening_angle: Annotated[Positive, Field(lt=1.0)] | None = Field(
-        None, description="Size over distance of what a tree sums as one; default: by accuracy. [-]"
-    )
-    accuracy: Annotated[Positive, Field(le=0.1)] | None = Field(
-        None,
-        description="Error of accelerations that a tree may make, rms, relative;"
-        " default: a tenth of run.accuracy, else 1e-4. [-]",
-    )
+    G: Positive = _NEWTON
+    """Constant of gravitation; CODATA 2018. [m³/(kg s²)]"""
+    softening: NonNegative = 0.0
+    """Length ε of the potential -G m m' / √(d² + ε²). [m]"""
+    body: Names | None = None
+    """Bodies that attract each other, named as in forces; default: all. [-]"""
+    sum: Literal["auto", "direct", "tree"] = "auto"
+    """Every pair, or distant ones together; auto: the faster. [-]"""
+    opening_angle: Annotated[Positive, Field(lt=1.0)] | None = None
+    """Size over distance of what a tree sums as one; default: by accuracy. [-]"""
+    accuracy: Annotated[Positive, Field(le=0.1)] | None = None
+    """Error of accelerations that a tree may make, rms, relative; default: a tenth of run.accuracy,
+    else 1e-4. [-]"""

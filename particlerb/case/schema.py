@@ -25,28 +25,34 @@ from particlerb.files import File
 class Case(Table):
     """A whole scene; made by `particlerb.case.reader.load`."""
 
-    title: Annotated[str, Strict()] = Field("", description="What the case shows. [-]")
-    run: RunTable = Field(description="How long, how often, and how. [-]")
-    gravity: Gravity | None = Field(None, description="Uniform gravity; default: none. [-]")
-    attraction: AttractionTable | None = Field(
-        None, description="Attraction between bodies; default: none. [-]"
-    )
-    body: Annotated[tuple[Body, ...], Field(min_length=1)] = Field(description="The bodies. [-]")
-    force: tuple[Annotated[AnyForce, Field(discriminator="type")], ...] = Field(
-        (), description="What acts on them. [-]"
-    )
-    joint: tuple[JointTable, ...] = Field((), description="What holds them together. [-]")
-    contact: ContactTable | None = Field(None, description="How bodies touch; default: not. [-]")
-    material: tuple[Material, ...] = Field((), description="Of bodies and walls. [-]")
-    wall: tuple[Wall, ...] = Field((), description="Walls that bodies touch. [-]")
-    output: Output = Field(default_factory=Output, description="What is recorded. [-]")
-    check: Check = Field(default_factory=Check, description="What must hold. [-]")
-    chart: ChartTable = Field(
-        default_factory=ChartTable, description="Beside the methods on a chart. [-]"
-    )
-    sweep: SweepTable | None = Field(
-        None, description="Variants of the case, for the command `sweep`. [-]"
-    )
+    title: Annotated[str, Strict()] = ""
+    """What the case shows. [-]"""
+    run: RunTable
+    """How long, how often, and how. [-]"""
+    gravity: Gravity | None = None
+    """Uniform gravity; default: none. [-]"""
+    attraction: AttractionTable | None = None
+    """Attraction between bodies; default: none. [-]"""
+    body: Annotated[tuple[Body, ...], Field(min_length=1)]
+    """The bodies. [-]"""
+    force: tuple[Annotated[AnyForce, Field(discriminator="type")], ...] = ()
+    """What acts on them. [-]"""
+    joint: tuple[JointTable, ...] = ()
+    """What holds them together. [-]"""
+    contact: ContactTable | None = None
+    """How bodies touch; default: not. [-]"""
+    material: tuple[Material, ...] = ()
+    """Of bodies and walls. [-]"""
+    wall: tuple[Wall, ...] = ()
+    """Walls that bodies touch. [-]"""
+    output: Output = Field(default_factory=Output)
+    """What is recorded. [-]"""
+    check: Check = Field(default_factory=Check)
+    """What must hold. [-]"""
+    chart: ChartTable = Field(default_factory=ChartTable)
+    """Beside the methods on a chart. [-]"""
+    sweep: SweepTable | None = None
+    """Variants of the case, for the command `sweep`. [-]"""
     _source: Source = PrivateAttr(default_factory=Source)
 
     @property

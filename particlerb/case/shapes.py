@@ -25,13 +25,8 @@ from particlerb.case.values import (
 )
 
 _Arrangement = Literal["lattice", "exact"]
+_BallName = Annotated[Literal["ball", "sphere"], AfterValidator(lambda word: "ball")]
 _RoundArrangement = Literal["lattice", "cells", "exact"]
-KIND = "Kind of shape. [-]"
-_ACROSS = "Particles along the largest extent of the lattice. [-]"
-_SHELL_N = "As for a ball; on a thin shell per quarter of a great circle. [-]"
-_ARRANGEMENT = "A lattice, or the smallest exact set of particles. [-]"
-_ROUND = "Whole cells, cells weighted by their share inside, or the smallest exact set. [-]"
-_BALL = "One particle with the radius, whole cells, or cells weighted by their share inside. [-]"
 _Share = Annotated[Positive, Field(lt=1.0)]
 Vertices = Annotated[tuple[Vector, Vector, Vector, Vector], entries(4, "corners")]
 
@@ -40,15 +35,15 @@ class ShapeTable(Table):
     """What all shapes share."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass", "density")
-    type: str = Field(description=KIND)
+    type: str
+    """Kind of shape. [-]"""
 
 
 class FilledTable(ShapeTable):
     """A shape that cells fill: how finely is said once."""
 
-    inertia_error: _Share | None = Field(
-        None, description="Chooses n: largest relative error of tensor and centre of mass. [-]"
-    )
+    inertia_error: _Share | None = None
+    """Chooses n: largest relative error of tensor and centre of mass. [-]"""
 
     @model_validator(mode="after")
     def says_once_how_fine(self) -> Self:
@@ -65,30 +60,34 @@ class FilledTable(ShapeTable):
 class CurvedTable(FilledTable):
     """A curved shape without an exact set."""
 
-    n: Count = Field(10, description=_ACROSS)
-    arrangement: Literal["lattice", "cells"] = Field(
-        "lattice", description="Whole cells, or cells weighted by their share inside. [-]"
-    )
+    n: Count = 10
+    """Particles along the largest extent of the lattice. [-]"""
+    arrangement: Literal["lattice", "cells"] = "lattice"
+    """Whole cells, or cells weighted by their share inside. [-]"""
 
 
 class Box(FilledTable):
     """Solid box."""
 
-    type: Literal["box"] = Field(init=False, description=KIND)
-    size: Lengths = Field(description="Edge lengths. [m]")
-    n: Resolution = Field((10, 10, 10), description="Particles per edge. [-]")
-    arrangement: _Arrangement = Field("lattice", description=_ARRANGEMENT)
+    type: Literal["box"] = Field(init=False)
+    size: Lengths
+    """Edge lengths. [m]"""
+    n: Resolution = (10, 10, 10)
+    """Particles per edge. [-]"""
+    arrangement: _Arrangement = "lattice"
+    """A lattice, or the smallest exact set of particles. [-]"""
 
 
 class Ball(FilledTable):
     """Solid ball, a single particle with its radius unless cells fill it; also called a sphere."""
 
-    type: Annotated[Literal["ball", "sphere"], AfterValidator(lambda word: "ball")] = Field(
-        init=False, description=KIND
-    )
-    radius: Positive = Field(description="Radius, of its matter and of its surface. [m]")
-    n: Count = Field(10, description=_ACROSS)
-    arrangement: _RoundArrangement = Field("exact", description=_BALL)
+    type: _BallName = Field(init=False)
+    radius: Positive
+    """Radius, of its matter and of its surface. [m]"""
+    n: Count = 10
+    """Particles along the largest extent of the lattice. [-]"""
+    arrangement: _RoundArrangement = "exact"
+    """One particle with the radius, whole cells, or cells weighted by their share inside. [-]"""
 
     @model_validator(mode="before")
     @classmethod
@@ -106,12 +105,13 @@ def filling(ball: Mapping[str, Any]) -> Any:
 class Shell(CurvedTable):
     """Hollow ball; without `inner_radius` an infinitely thin one, which has no density."""
 
-    type: Literal["shell"] = Field(init=False, description=KIND)
-    radius: Positive = Field(description="Outer radius. [m]")
-    inner_radius: Positive | None = Field(
-        None, description="Inner radius; left out: a thin shell. [m]"
-    )
-    n: Count = Field(10, description=_SHELL_N)
+    type: Literal["shell"] = Field(init=False)
+    radius: Positive
+    """Outer radius. [m]"""
+    inner_radius: Positive | None = None
+    """Inner radius; left out: a thin shell. [m]"""
+    n: Count = 10
+    """As for a ball; on a thin shell per quarter of a great circle. [-]"""
 
     @model_validator(mode="after")
     def is_hollow(self) -> Self:
@@ -126,10 +126,13 @@ class Shell(CurvedTable):
 class Cylinder(CurvedTable):
     """Solid or hollow cylinder about z."""
 
-    type: Literal["cylinder"] = Field(init=False, description=KIND)
-    radius: Positive = Field(description="Outer radius. [m]")
-    height: Positive = Field(description="Height along z. [m]")
-    inner_radius: NonNegative = Field(0.0, description="Radius of the bore. [m]")
+    type: Literal["cylinder"] = Field(init=False)
+    radius: Positive
+    """Outer radius. [m]"""
+    height: Positive
+    """Height along z. [m]"""
+    inner_radius: NonNegative = 0.0
+    """Radius of the bore. [m]"""
 
     @model_validator(mode="after")
     def has_wall(self) -> Self:
@@ -141,17 +144,21 @@ class Cylinder(CurvedTable):
 class Cone(CurvedTable):
     """Solid cone about z, base at z = 0, apex at z = height."""
 
-    type: Literal["cone"] = Field(init=False, description=KIND)
-    radius: Positive = Field(description="Radius of the base. [m]")
-    height: Positive = Field(description="Height along z. [m]")
+    type: Literal["cone"] = Field(init=False)
+    radius: Positive
+    """Radius of the base. [m]"""
+    height: Positive
+    """Height along z. [m]"""
 
 
 class Torus(CurvedTable):
     """Solid torus about z."""
 
-    type: Literal["torus"] = Field(init=False, description=KIND)
-    major_radius: Positive = Field(description="Distance of the tube's centre from the axis. [m]")
-    minor_radius: Positive = Field(description="Radius of the tube. [m]")
+    type: Literal["torus"] = Field(init=False)
+    major_radius: Positive
+    """Distance of the tube's centre from the axis. [m]"""
+    minor_radius: Positive
+    """Radius of the tube. [m]"""
 
     @model_validator(mode="after")
     def does_not_overlap(self) -> Self:
@@ -167,29 +174,38 @@ class Torus(CurvedTable):
 class Ellipsoid(FilledTable):
     """Solid ellipsoid."""
 
-    type: Literal["ellipsoid"] = Field(init=False, description=KIND)
-    semi_axes: Lengths = Field(description="Half of the lengths along x, y, z. [m]")
-    n: Count = Field(10, description=_ACROSS)
-    arrangement: _RoundArrangement = Field("lattice", description=_ROUND)
+    type: Literal["ellipsoid"] = Field(init=False)
+    semi_axes: Lengths
+    """Half of the lengths along x, y, z. [m]"""
+    n: Count = 10
+    """Particles along the largest extent of the lattice. [-]"""
+    arrangement: _RoundArrangement = "lattice"
+    """Whole cells, cells weighted by their share inside, or the smallest exact set. [-]"""
 
 
 class Tetrahedron(ShapeTable):
     """Solid tetrahedron."""
 
-    type: Literal["tetrahedron"] = Field(init=False, description=KIND)
-    vertices: Vertices = Field(description="The four corners. [m]")
-    n: Count = Field(10, description="Particles per edge. [-]")
-    arrangement: _Arrangement = Field("lattice", description=_ARRANGEMENT)
+    type: Literal["tetrahedron"] = Field(init=False)
+    vertices: Vertices
+    """The four corners. [m]"""
+    n: Count = 10
+    """Particles per edge. [-]"""
+    arrangement: _Arrangement = "lattice"
+    """A lattice, or the smallest exact set of particles. [-]"""
 
 
 class Rod(FilledTable):
     """Thin straight rod along z: it has no volume, hence no density."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
-    type: Literal["rod"] = Field(init=False, description=KIND)
-    length: Positive = Field(description="Length along z. [m]")
-    n: Count = Field(10, description="Particles along the rod. [-]")
-    arrangement: _Arrangement = Field("lattice", description=_ARRANGEMENT)
+    type: Literal["rod"] = Field(init=False)
+    length: Positive
+    """Length along z. [m]"""
+    n: Count = 10
+    """Particles along the rod. [-]"""
+    arrangement: _Arrangement = "lattice"
+    """A lattice, or the smallest exact set of particles. [-]"""
 
 
 def _for_each(value: Any) -> Any:
@@ -214,7 +230,8 @@ class ListedTable(ShapeTable):
     """What they are called."""
     lists: ClassVar[tuple[str, ...]]
     """Keys with a number for each, or one for all; the first must be there."""
-    position: tuple[Vector, ...] | None = Field(None, description="Centres in the body's axes. [m]")
+    position: tuple[Vector, ...] | None = None
+    """Centres in the body's axes. [m]"""
     file: Name | None
 
     @model_validator(mode="before")
@@ -258,14 +275,13 @@ class PointsShape(ListedTable):
     noun: ClassVar[str] = "particles"
     lists: ClassVar[tuple[str, ...]] = ("mass", "radius")
     weighed_by: ClassVar[tuple[str, ...]] = ()
-    type: Literal["points"] = Field(init=False, description=KIND)
-    file: Name | None = Field(
-        None, description="Text or CSV file with columns x, y, z, m and optionally r. [m, kg]"
-    )
-    mass: _Each | None = Field(None, description="Masses, or that of every particle. [kg]")
-    radius: _Each | None = Field(
-        None, description="Radii, or that of every particle; 0 is a point mass. [m]"
-    )
+    type: Literal["points"] = Field(init=False)
+    file: Name | None = None
+    """Text or CSV file with columns x, y, z, m and optionally r. [m, kg]"""
+    mass: _Each | None = None
+    """Masses, or that of every particle. [kg]"""
+    radius: _Each | None = None
+    """Radii, or that of every particle; 0 is a point mass. [m]"""
 
     def check_lists(self) -> None:
         """Require a mass or a radius of each, and different places of all masses and all balls."""
@@ -290,15 +306,15 @@ class SpheresShape(ListedTable):
 
     noun: ClassVar[str] = "spheres"
     lists: ClassVar[tuple[str, ...]] = ("radius",)
-    type: Literal["spheres"] = Field(init=False, description=KIND)
-    file: Name | None = Field(
-        None, description="Text or CSV file with columns x, y, z, r. [m / scale]"
-    )
-    radius: _PositiveEach | None = Field(None, description="Radii, or that of every sphere. [m]")
-    scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
-    overlap: Literal["exact", "sum", "error"] = Field(
-        "exact", description="Matter in several spheres counts once, in each, or is an error. [-]"
-    )
+    type: Literal["spheres"] = Field(init=False)
+    file: Name | None = None
+    """Text or CSV file with columns x, y, z, r. [m / scale]"""
+    radius: _PositiveEach | None = None
+    """Radii, or that of every sphere. [m]"""
+    scale: Positive = 1.0
+    """Length of the unit of the file: 0.001 for mm. [m]"""
+    overlap: Literal["exact", "sum", "error"] = "exact"
+    """Matter in several spheres counts once, in each, or is an error. [-]"""
 
     def check_lists(self) -> None:
         """Require that what scales a file is not given beside lists."""
@@ -309,32 +325,35 @@ class SpheresShape(ListedTable):
 class MeshShape(FilledTable):
     """Uniform matter inside a closed surface of triangles from a file, which trimesh reads."""
 
-    type: Literal["mesh"] = Field(init=False, description=KIND)
-    file: Name = Field(description="STL, OBJ or PLY file, relative to the folder of the case. [-]")
-    scale: Positive = Field(1.0, description="Length of the unit of the file: 0.001 for mm. [m]")
-    arrangement: Literal["exact", "cells", "spheres"] = Field(
-        "exact", description="Six particles, weighted cells, or spheres inside to touch with. [-]"
-    )
-    n: Count = Field(10, description="Cells along the largest extent, or spheres. [-]")
+    type: Literal["mesh"] = Field(init=False)
+    file: Name
+    """STL, OBJ or PLY file, relative to the folder of the case. [-]"""
+    scale: Positive = 1.0
+    """Length of the unit of the file: 0.001 for mm. [m]"""
+    arrangement: Literal["exact", "cells", "spheres"] = "exact"
+    """Six particles, weighted cells, or spheres inside to touch with. [-]"""
+    n: Count = 10
+    """Cells along the largest extent, or spheres. [-]"""
 
 
 class Moments(ShapeTable):
     """Six equal particles with exactly these principal moments about the body's axes."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
-    type: Literal["moments"] = Field(init=False, description=KIND)
-    inertia: Annotated[tuple[NonNegative, NonNegative, NonNegative], entries(3)] = Field(
-        description="Moments about x, y, z; none above the sum of the others. [kg m²]"
-    )
+    type: Literal["moments"] = Field(init=False)
+    inertia: Annotated[tuple[NonNegative, NonNegative, NonNegative], entries(3)]
+    """Moments about x, y, z; none above the sum of the others. [kg m²]"""
 
 
 class Cloud(ShapeTable):
     """Equal particles at random in a ball, drawn anew for every body."""
 
     weighed_by: ClassVar[tuple[str, ...]] = ("mass",)
-    type: Literal["cloud"] = Field(init=False, description=KIND)
-    n: Count = Field(description="Number of particles. [-]")
-    radius: Positive = Field(description="Radius of the ball. [m]")
+    type: Literal["cloud"] = Field(init=False)
+    n: Count
+    """Number of particles. [-]"""
+    radius: Positive
+    """Radius of the ball. [m]"""
 
 
 def _require_smaller(inner_radius: float, radius: float) -> None:

@@ -16,12 +16,14 @@ SEED = "run.seed"
 class Spread(Table):
     """Numbers between two: evenly on a grid, anywhere between them where runs are drawn."""
 
-    low: Real = Field(description="Least value. [unit of the key]")
-    high: Real = Field(description="Largest value. [unit of the key]")
-    n: Count | None = Field(None, description="How many, for grid and zip. [-]")
-    log: Annotated[bool, Strict()] = Field(
-        False, description="Whether ratios are even, not differences. [-]"
-    )
+    low: Real
+    """Least value. [unit of the key]"""
+    high: Real
+    """Largest value. [unit of the key]"""
+    n: Count | None = None
+    """How many, for grid and zip. [-]"""
+    log: Annotated[bool, Strict()] = False
+    """Whether ratios are even, not differences. [-]"""
 
     @model_validator(mode="after")
     def ascends(self) -> Self:
@@ -49,21 +51,20 @@ _Axis = Annotated[
 class SweepTable(Table):
     """Variants of the case."""
 
-    axes: dict[Name, _Axis] = Field(
-        {}, description='Values of keys: "run.dt" = [..], or { low, high, n }. [-]'
-    )
-    file: Name | None = Field(
-        None, description="In place of axes: CSV file, columns are keys, a row for each run. [-]"
-    )
-    design: Literal["grid", "zip", "latin", "random"] = Field(
-        "grid", description="All combinations, values side by side, or drawn runs. [-]"
-    )
-    runs: Count | None = Field(None, description="Of latin and random. [-]")
-    seed: Annotated[int, Strict(), Field(ge=0, le=2**63 - 1)] = Field(
-        0, description="Of what is drawn. [-]"
-    )
-    replicates: Count = Field(1, description="Of each run, with seeds from run.seed on. [-]")
-    value: tuple[Asked, ...] = Field((), description="Columns, [[sweep.value]]. [-]")
+    axes: dict[Name, _Axis] = Field({})
+    """Values of keys: "run.dt" = [..], or { low, high, n }. [-]"""
+    file: Name | None = None
+    """In place of axes: CSV file, columns are keys, a row for each run. [-]"""
+    design: Literal["grid", "zip", "latin", "random"] = "grid"
+    """All combinations, values side by side, or drawn runs. [-]"""
+    runs: Count | None = None
+    """Of latin and random. [-]"""
+    seed: Annotated[int, Strict(), Field(ge=0, le=2**63 - 1)] = 0
+    """Of what is drawn. [-]"""
+    replicates: Count = 1
+    """Of each run, with seeds from run.seed on. [-]"""
+    value: tuple[Asked, ...] = ()
+    """Columns, [[sweep.value]]. [-]"""
 
     @model_validator(mode="after")
     def says_what_changes(self) -> Self:

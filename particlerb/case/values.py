@@ -1,11 +1,15 @@
 """Kinds of value in a case: numbers, vectors, rows of vectors, names; all strict and finite.
 
 A string is no number and a bool is no number; an int is a fine float. What a value may be is a
-type here, so that the schema reads like the format. Field descriptions end with [unit].
+type here, so that the schema reads like the format. The docstring of a key ends with [unit].
 """
 
+import ast
 from collections.abc import Mapping, Sequence
+from functools import cache
+from inspect import getsource
 from itertools import pairwise
+from textwrap import dedent
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, cast, get_args
 
 import numpy as np
@@ -17,12 +21,14 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    GetJsonSchemaHandler,
     PlainSerializer,
     PlainValidator,
     Strict,
     Tag,
 )
-from pydantic_core import PydanticCustomError
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
@@ -51,6 +57,32 @@ class Table(_Made):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        """JSON schema in which what stands below a key describes it.
+
+        Pydantic's own `use_attribute_docstrings` would read the sources at every import.
+        """
+        found = handler(schema)
+        for key, entry in handler.resolve_ref_schema(found)["properties"].items():
+            entry["description"] = descriptions(cls)[key]
+        return found
+
+
+@cache
+def descriptions(table: type[BaseModel]) -> dict[str, str]:
+    """Docstrings of the keys of a table, its own and those that it inherits."""
+    found: dict[str, str] = {}
+    for base in reversed(table.__mro__[: table.__mro__.index(Table)]):
+        (described,) = ast.parse(dedent(getsource(base))).body
+        for key, below in pairwise(getattr(described, "body", [])):
+            match key, below:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(text))):
+                    found[name] = " ".join(text.split())
+    return found
+
 
 def by_type(union: Any) -> dict[str, Any]:
     """Tables of a union by their `type`; of several words by the first."""
@@ -74,6 +106,17 @@ def entries(length: int, of: str = "numbers") -> BeforeValidator:
         return value
 
     return BeforeValidator(check)
+
+
+def distinct(of: str) -> AfterValidator:
+    """List that repeats none of its entries."""
+
+    def check(value: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(value)) < len(value):
+            raise broken(f"must not repeat a {of}")
+        return value
+
+    return AfterValidator(check)
 
 
 def one_of(*choices: str) -> PlainValidator:
@@ -234,7 +277,8 @@ Frame = Literal["world", "body"]
 class Euler(Table):
     """Orientation from angles: intrinsic z-y-x, given as [roll, pitch, yaw]."""
 
-    euler_deg: Vector = Field(description="Roll, pitch, yaw; intrinsic z-y-x. [°]")
+    euler_deg: Vector
+    """Roll, pitch, yaw; intrinsic z-y-x. [°]"""
 
 
 def forms(default: str, *others: str) -> Discriminator:
