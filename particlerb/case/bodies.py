@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, Tag, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from particlerb.case.contact import Prescribed, Yes
 from particlerb.case.shapes import Shape
@@ -12,6 +12,7 @@ from particlerb.case.values import (
     Count,
     Counts,
     Euler,
+    Forms,
     Name,
     NonNegative,
     OneOrientation,
@@ -21,7 +22,6 @@ from particlerb.case.values import (
     Table,
     Vector,
     broken,
-    forms,
 )
 
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -73,22 +73,12 @@ class RandomBox(Table):
         return self
 
 
-_Position = Annotated[
-    Annotated[Vector, Tag("list")] | Annotated[Array3, Tag("rows")], forms("list", "rows")
-]
+_Position = Annotated[Vector | Array3, Forms("list", "rows")]
 _Orientation = Annotated[
-    Annotated[Quaternion, Tag("list")]
-    | Annotated[Euler, Tag("table")]
-    | Annotated[Literal["random"], Tag("word")]
-    | Annotated[Array4, Tag("rows")],
-    forms("list", "table", "word", "rows"),
+    Quaternion | Euler | Literal["random"] | Array4, Forms("list", "table", "word", "rows")
 ]
 Motion = Annotated[
-    Annotated[Vector, Tag("list")]
-    | Annotated[InBody, Tag("table")]
-    | Annotated[NormalDistribution, Tag("random")]
-    | Annotated[Array3, Tag("rows")],
-    forms("list", "table", "random", "rows"),
+    Vector | InBody | NormalDistribution | Array3, Forms("list", "table", "random", "rows")
 ]
 AnyPlace = GridPlacement | RandomBox
 _Place = Annotated[AnyPlace, Field(discriminator="type")]

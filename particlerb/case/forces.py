@@ -8,13 +8,14 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, Tag, model_validator
+from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, model_validator
 
 from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, bodies_named, given, out_of_place
 from particlerb.case.values import (
     Array3,
     ArrayPerBody,
+    Forms,
     Frame,
     Knots,
     Name,
@@ -28,7 +29,6 @@ from particlerb.case.values import (
     by_type,
     entries,
     first_out_of_order,
-    forms,
 )
 from particlerb.files import File
 from particlerb.text_tables import Columns, read_table
@@ -145,9 +145,7 @@ def read_load(file: File) -> TimedLoad:
     return TimedLoad(times=tuple(t), values=table.vectors)
 
 
-_Load = Annotated[
-    Annotated[Vector, Tag("list")] | Annotated[TimedLoad, Tag("table")], forms("list", "table")
-]
+_Load = Annotated[Vector | TimedLoad, Forms("list", "table")]
 
 
 class LoadTable(LastingForceTable):
@@ -227,14 +225,9 @@ class DragTable(LastingForceTable):
     """Coefficient c_r. [N m s/rad]"""
 
 
-_RestLength = Annotated[
-    Annotated[NonNegative, Tag("number")] | Annotated[Literal["initial"], Tag("word")],
-    forms("number", "word"),
-]
-_NumberOrList = Annotated[
-    Annotated[Real, Tag("number")] | Annotated[tuple[Real, ...], Field(min_length=1), Tag("list")],
-    forms("number", "list"),
-]
+_RestLength = Annotated[NonNegative | Literal["initial"], Forms("number", "word")]
+_List = Annotated[tuple[Real, ...], Field(min_length=1)]
+_NumberOrList = Annotated[Real | _List, Forms("number", "list")]
 
 
 class SpringTable(LastingForceTable):

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import AfterValidator, Tag, model_validator
+from pydantic import AfterValidator, model_validator
 
 from particlerb.case.contact import Yes
 from particlerb.case.forces import During
@@ -14,6 +14,7 @@ from particlerb.case.raw import Finding, bodies_named, given
 from particlerb.case.values import (
     Array2,
     FloatArray,
+    Forms,
     Name,
     Names,
     NonNegative,
@@ -23,7 +24,6 @@ from particlerb.case.values import (
     Vector,
     broken,
     first_out_of_order,
-    forms,
 )
 
 JointType = Literal[
@@ -44,9 +44,7 @@ ACTIONS = ("spring", "damper", "limit", "motor")
 _WITHOUT_AXIS = ("ball", "fixed", "distance")
 
 
-_Speed = Annotated[
-    Annotated[Real, Tag("number")] | Annotated[Array2, Tag("rows")], forms("number", "rows")
-]
+_Speed = Annotated[Real | Array2, Forms("number", "rows")]
 
 
 class InFrame(Table):
@@ -63,9 +61,7 @@ def _is_direction(value: tuple[float, ...] | InFrame) -> tuple[float, ...] | InF
     return value
 
 
-_Point = Annotated[
-    Annotated[Vector, Tag("list")] | Annotated[InFrame, Tag("table")], forms("list", "table")
-]
+_Point = Annotated[Vector | InFrame, Forms("list", "table")]
 _Direction = Annotated[_Point, AfterValidator(_is_direction)]
 
 

@@ -3,11 +3,11 @@
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, Strict, Tag, model_validator
+from pydantic import Field, Strict, model_validator
 
 from particlerb.case.output import Asked
 from particlerb.case.problems import path_of
-from particlerb.case.values import Count, Name, Real, Table, broken, forms
+from particlerb.case.values import Count, Forms, Name, Real, Table, broken
 
 _RANDOM = ("latin", "random")
 SEED = "run.seed"
@@ -41,11 +41,8 @@ class Spread(Table):
         return self.low + share * (self.high - self.low)
 
 
-_Axis = Annotated[
-    Annotated[Annotated[tuple[Any, ...], Field(min_length=1)], Tag("list")]
-    | Annotated[Spread, Tag("table")],
-    forms("list", "table"),
-]
+_List = Annotated[tuple[Any, ...], Field(min_length=1)]
+_Axis = Annotated[_List | Spread, Forms("list", "table")]
 
 
 class SweepTable(Table):

@@ -19,16 +19,15 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
-    Discriminator,
     Field,
+    GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     PlainSerializer,
     PlainValidator,
     Strict,
-    Tag,
 )
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, PydanticCustomError
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
@@ -281,27 +280,34 @@ class Euler(Table):
     """Roll, pitch, yaw; intrinsic z-y-x. [°]"""
 
 
-def forms(default: str, *others: str) -> Discriminator:
-    """Tells forms of a value apart by their tags; what has none of them is judged as the default.
+class Forms:
+    """Tells the types of a union apart by the form of a value, which is named for each of them.
 
-    Tags are `table`, `random` (a table with such a key), `word`, `rows`, `list` and `number`.
+    Forms are `table`, `random` (a table with such a key), `word`, `rows`, `list` and `number`;
+    a value of another form is judged as the first.
     """
 
-    def form(value: Any) -> str:
+    def __init__(self, *names: str) -> None:
+        self.names = names
+
+    def __get_pydantic_core_schema__(self, union: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Union of which pydantic tries the one type that a value has the form of."""
+        named = zip(self.names, get_args(union), strict=True)
+        choices = {name: handler.generate_schema(one) for name, one in named}
+        return core_schema.tagged_union_schema(choices, self.form)
+
+    def form(self, value: Any) -> str:
+        """Form of a value among those that there are."""
         if isinstance(value, (Mapping, BaseModel)):
             keys = value if isinstance(value, Mapping) else type(value).model_fields
-            found = "random" if "random" in keys and "random" in others else "table"
+            found = "random" if "random" in keys and "random" in self.names else "table"
         elif isinstance(value, str):
             found = "word"
-        elif "rows" in others and is_rows(value):
+        elif "rows" in self.names and is_rows(value):
             found = "rows"
         else:
             found = "list" if isinstance(value, (list, tuple)) else "number"
-        return found if found in others else default
-
-    return Discriminator(form)
+        return found if found in self.names else self.names[0]
 
 
-OneOrientation = Annotated[
-    Annotated[Quaternion, Tag("list")] | Annotated[Euler, Tag("table")], forms("list", "table")
-]
+OneOrientation = Annotated[Quaternion | Euler, Forms("list", "table")]
