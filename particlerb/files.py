@@ -7,7 +7,6 @@ nothing is looked up on disk.
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path as FilePath
-from types import TracebackType
 from typing import NamedTuple, Self
 
 
@@ -21,12 +20,7 @@ class Closing:
         """Open already."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close."""
         self.close()
 

@@ -63,8 +63,7 @@ class _Body(NamedTuple):
 
     def turned_back(self, v: Floats) -> Floats:
         """A vector of the world in the frame of the body."""
-        found: Floats = rotate_back(self.orientation[:, None], v[:, None])[:, 0]
-        return found
+        return rotate_back(self.orientation[:, None], v[:, None])[:, 0]
 
     def local(self, x: Floats) -> Floats:
         """A point of the world in the frame of the body."""
@@ -72,8 +71,7 @@ class _Body(NamedTuple):
 
     def speed_at(self, x: Floats) -> Floats:
         """Velocity of its point at x."""
-        found: Floats = self.velocity + np.cross(self.spin, x - self.position)
-        return found
+        return self.velocity + np.cross(self.spin, x - self.position)
 
 
 class _Joint(NamedTuple):

@@ -36,22 +36,22 @@ def _with_axes(volume: float, lengths: Sequence[float], n: float) -> Analytic:
     return _centred(volume, (b + c) / n, (a + c) / n, (a + b) / n)
 
 
-def _analytic_box(size: Sequence[float]) -> Analytic:
+def box(size: Sequence[float]) -> Analytic:
     """I_x = M (b² + c²)/12, and cyclic (5)."""
     return _with_axes(math.prod(size), size, 12.0)
 
 
-def _analytic_ellipsoid(semi_axes: Sequence[float]) -> Analytic:
+def ellipsoid(semi_axes: Sequence[float]) -> Analytic:
     """I_x = M (b² + c²)/5, and cyclic (7)."""
     return _with_axes(4.0 / 3.0 * math.pi * math.prod(semi_axes), semi_axes, 5.0)
 
 
-def _analytic_ball(radius: float) -> Analytic:
+def ball(radius: float) -> Analytic:
     """I = (2/5) M R² (6)."""
-    return _analytic_shell(radius, 0.0)
+    return shell(radius, 0.0)
 
 
-def _analytic_shell(radius: float, inner_radius: float | None = None) -> Analytic:
+def shell(radius: float, inner_radius: float | None = None) -> Analytic:
     """Thick: (2/5) M (R⁵ − r⁵)/(R³ − r³) (9); thin: (2/3) M R² (8)."""
     if inner_radius is None:
         moment, volume = 2.0 / 3.0 * radius**2, math.nan
@@ -62,7 +62,7 @@ def _analytic_shell(radius: float, inner_radius: float | None = None) -> Analyti
     return _centred(volume, moment, moment, moment)
 
 
-def _analytic_cylinder(radius: float, height: float, inner_radius: float = 0.0) -> Analytic:
+def cylinder(radius: float, height: float, inner_radius: float = 0.0) -> Analytic:
     """I_z = M (R² + r²)/2, I_x = M (3 (R² + r²) + h²)/12 (10)."""
     squares = radius**2 + inner_radius**2
     across = (3.0 * squares + height**2) / 12.0
@@ -70,7 +70,7 @@ def _analytic_cylinder(radius: float, height: float, inner_radius: float = 0.0) 
     return _centred(volume, across, across, 0.5 * squares)
 
 
-def _analytic_cone(radius: float, height: float) -> Analytic:
+def cone(radius: float, height: float) -> Analytic:
     """Com at h/4 above the base, I_z = (3/10) M R², I_x = (3/80) M (4R² + h²) (11)."""
     across = 3.0 / 80.0 * (4.0 * radius**2 + height**2)
     tensor = np.diag([across, across, 0.3 * radius**2])
@@ -78,19 +78,19 @@ def _analytic_cone(radius: float, height: float) -> Analytic:
     return Analytic(np.array([0.0, 0.0, 0.25 * height]), tensor, volume)
 
 
-def _analytic_torus(major_radius: float, minor_radius: float) -> Analytic:
+def torus(major_radius: float, minor_radius: float) -> Analytic:
     """I_z = M (c² + 3a²/4), I_x = M (c²/2 + 5a²/8) (12)."""
     c, a = major_radius, minor_radius
     across = 0.5 * c**2 + 0.625 * a**2
     return _centred(2.0 * math.pi**2 * c * a**2, across, across, c**2 + 0.75 * a**2)
 
 
-def _analytic_rod(length: float) -> Analytic:
+def rod(length: float) -> Analytic:
     """I_x = M L²/12, I_z = 0 (13)."""
     return _centred(math.nan, length**2 / 12.0, length**2 / 12.0, 0.0)
 
 
-def _analytic_tetrahedron(vertices: ArrayLike) -> Analytic:
+def tetrahedron(vertices: ArrayLike) -> Analytic:
     """Com at the mean of the vertices; Σ m r rᵀ = (M/20) Σ_v r_v r_vᵀ about it (14)."""
     corner = np.asarray(vertices, dtype=np.float64)
     com = corner.mean(axis=0)
@@ -100,13 +100,7 @@ def _analytic_tetrahedron(vertices: ArrayLike) -> Analytic:
 
 
 ANALYTIC: Final[dict[str, Callable[..., Analytic]]] = {
-    "box": _analytic_box,
-    "ball": _analytic_ball,
-    "ellipsoid": _analytic_ellipsoid,
-    "shell": _analytic_shell,
-    "cylinder": _analytic_cylinder,
-    "cone": _analytic_cone,
-    "torus": _analytic_torus,
-    "rod": _analytic_rod,
-    "tetrahedron": _analytic_tetrahedron,
+    solid.__name__: solid
+    for solid in (box, ball, ellipsoid, shell, cylinder, cone, torus, rod, tetrahedron)
 }
+"""By the `type` of a shape in a case."""

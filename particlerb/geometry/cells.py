@@ -24,9 +24,8 @@ _EMPTY: Final = 1e-10  # share of a cell below which it holds nothing but roundi
 _COLUMN_OF: Final = (0, 1, 2, 0, 3, 4, 0, 5, 1, 2)  # 1, u, v, uu, vv, uv of a column of full height
 _COLUMN_SHARE: Final = np.array([1, 1, 1, 1 / 2, 1, 1, 1 / 3, 1, 1 / 2, 1 / 2])  # and ∫ of w in it
 CORNERS: Final = 12  # of a triangle cut by six planes: nine at most
-_THIN: Final = (
-    1e-9  # variance of particles over that of the matter, below which they lie in a plane
-)
+_THIN: Final = 1e-9
+"""Variance of particles over that of the matter, below which they lie in a plane."""
 
 Layer = tuple[int, Floats]
 
@@ -42,16 +41,16 @@ class Lattice(NamedTuple):
     """Cells along x, y, z."""
 
 
-def grid_over(lower: Floats, upper: Floats, n: int, least: int = 2) -> Lattice:
+def grid_over(lower: Floats, upper: Floats, n: int) -> Lattice:
     """Cells of a box: n along its largest extent, as near to cubes as whole numbers allow.
 
-    ValueError unless n >= `least`, the fewest along any extent: particles in one plane have no
-    second moment across it.
+    ValueError unless n >= 2, the fewest along any extent: particles in one plane have no second
+    moment across it.
     """
-    if n < least:
-        raise ValueError(f"n is {n}: {least} or more are needed")
+    if n < 2:
+        raise ValueError(f"n is {n}: 2 or more are needed")
     extent = upper - lower
-    counts = np.maximum(least, np.rint(n * extent / extent.max())).astype(np.int64)
+    counts = np.maximum(2, np.rint(n * extent / extent.max())).astype(np.int64)
     return Lattice(lower, extent / counts, (int(counts[0]), int(counts[1]), int(counts[2])))
 
 

@@ -42,10 +42,10 @@ def positive(name: str, value: ArrayLike, shape: tuple[int, ...] = ()) -> Floats
     return array
 
 
-def _at_least(name: str, n: int, least: int) -> int:
+def _at_least(n: int, least: int) -> int:
     """n as an int; ValueError if it is no whole number or below the least."""
     if not math.isfinite(n) or int(n) != n or n < least:
-        raise ValueError(f"{name} is {n}: a whole number of {least} or more is needed")
+        raise ValueError(f"n is {n}: a whole number of {least} or more is needed")
     return int(n)
 
 
@@ -83,10 +83,10 @@ def filled(
     """
     one_of(arrangement, "lattice", "cells")
     if arrangement == "cells":
-        cells = _at_least("n", n, 2)
+        cells = _at_least(n, 2)
         return section_particles(profile, half_size, float(positive("mass", mass)), cells)
     share = half_size / half_size.max()
-    counts = np.maximum(1, np.rint(_at_least("n", n, 1) * share)).astype(np.int64)
+    counts = np.maximum(1, np.rint(_at_least(n, 1) * share)).astype(np.int64)
     centres = [_cell_centres(int(count)) for count in counts]
     chosen = np.argwhere(profile.inside(*np.ix_(*centres)))
     if len(chosen) == 0:
@@ -118,7 +118,7 @@ def box(
         return equal(CORNERS * half_size / math.sqrt(3.0), mass)
     if np.shape(n) not in {(), (3,)}:
         raise ValueError(f"n is {n}: one number or three")
-    counts = [_at_least("n", k, 1) for k in np.broadcast_to(n, (3,)).tolist()]
+    counts = [_at_least(k, 1) for k in np.broadcast_to(n, (3,)).tolist()]
     grid = np.meshgrid(*(_cell_centres(count) for count in counts), indexing="ij")
     return equal(np.stack(grid, axis=-1).reshape(-1, 3) * half_size, mass)
 
@@ -161,10 +161,10 @@ def shell(
     """
     R = positive("radius", radius)
     if inner_radius is not None:
-        share = float(inner("inner_radius", inner_radius, float(R)) / R)
+        share = float(_inner(inner_radius, float(R)) / R)
         return filled("shell", np.full(3, R), mass, n, arrangement, hollow(share))
     one_of(arrangement, "lattice")
-    slope = np.tan(0.25 * math.pi * _cell_centres(_at_least("n", n, 1)))
+    slope = np.tan(0.25 * math.pi * _cell_centres(_at_least(n, 1)))
     u, v = (axis.ravel() for axis in np.meshgrid(slope, slope, indexing="ij"))
     distance = np.sqrt(1.0 + (u * u + v * v))
     face = np.stack([np.ones_like(u) / distance, u / distance, v / distance], axis=1) * R
@@ -172,11 +172,13 @@ def shell(
     return equal(np.concatenate(faces), mass)
 
 
-def inner(name: str, value: float, outer: float) -> float:
+def _inner(inner_radius: float, outer: float) -> float:
     """Inner radius; ValueError unless 0 <= inner < outer."""
-    if not 0.0 <= value < outer:
-        raise ValueError(f"{name} is {value}: from 0 to below the outer radius {outer} is needed")
-    return float(value)
+    if not 0.0 <= inner_radius < outer:
+        raise ValueError(
+            f"inner_radius is {inner_radius}: from 0 to below the outer radius {outer} is needed"
+        )
+    return float(inner_radius)
 
 
 def cylinder(
@@ -192,7 +194,7 @@ def cylinder(
     The solid has I_z = M (R² + r²)/2 and I_x = M (3 (R² + r²) + h²)/12.
     """
     R, h = float(positive("radius", radius)), float(positive("height", height))
-    bore = inner("inner_radius", inner_radius, R) / R
+    bore = _inner(inner_radius, R) / R
     return filled("cylinder", np.array([R, R, 0.5 * h]), mass, n, arrangement, tube(bore))
 
 
@@ -230,7 +232,7 @@ def rod(length: float, mass: float, n: int = 10, arrangement: str = "lattice") -
     """
     one_of(arrangement, "lattice", "exact")
     L, exact = positive("length", length), arrangement == "exact"
-    z = np.array([-1.0, 0.0, 1.0]) if exact else _cell_centres(_at_least("n", n, 1))
+    z = np.array([-1.0, 0.0, 1.0]) if exact else _cell_centres(_at_least(n, 1))
     position = np.outer(z * (0.5 * L), [0.0, 0.0, 1.0])
     if exact:
         return one_kind(position, positive("mass", mass) * np.array([1 / 6, 4 / 6, 1 / 6]))
@@ -256,7 +258,7 @@ def tetrahedron(
         share = np.array([1 / 20, 1 / 20, 1 / 20, 1 / 20, 4 / 5])
         centroid = corner.mean(axis=0, keepdims=True)
         return one_kind(np.concatenate([corner, centroid]), positive("mass", mass) * share)
-    s = _at_least("n", n, 2) - 1
+    s = _at_least(n, 2) - 1
     i, j, k = (axis.ravel() for axis in np.indices((s + 1, s + 1, s + 1)))
     index = np.stack([i, j, k, s - i - j - k], axis=1)[i + j + k <= s]
     spread = math.sqrt(s * (s + 4.0))
@@ -302,7 +304,7 @@ def moments(inertia: ArrayLike, mass: float) -> Particles:
 
 def cloud(n: int, radius: float, mass: float, rng: np.random.Generator) -> Particles:
     """n equal particles, independent and uniform in a ball: r = R u^(1/3), direction at random."""
-    direction = rng.standard_normal((_at_least("n", n, 1), 3))
+    direction = rng.standard_normal((_at_least(n, 1), 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     distance = float(positive("radius", radius)) * np.cbrt(rng.random((n, 1)))
     return equal(direction * distance, mass)

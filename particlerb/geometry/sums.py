@@ -26,9 +26,7 @@ _SAMPLE: Final = 128  # particles of a kind from which origin and scale are gues
 _NEAR: Final = 1 / 4  # |com|² over the square of the size up to which the origin stays where it is
 _GOLDEN: Final = 0.6180339887498949
 _PASSES: Final = 3  # readings of a kind at most
-_SPARE: Final = (
-    200  # powers of two between the scale guessed and the largest value that are harmless
-)
+_SPARE: Final = 200  # powers of two that the guessed scale may be off the largest value
 _SUMS: Final = 11  # M, Σ m r (3), Σ m r rᵀ (xx yy zz xy xz yz), Σ (2/5) m radius²
 _LOW: Final = _SUMS  # rows of rounding errors
 _EXTENT: Final = 2 * _SUMS  # largest coordinate or radius of what has mass

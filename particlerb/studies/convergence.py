@@ -239,8 +239,7 @@ def spread(curve: Curve) -> _ErrorSpread:
 
 def settled(curve: Curve) -> Floats:
     """Largest error of this n and of every larger one that was tried, shape (k,)."""
-    largest: Floats = np.maximum.accumulate(curve.error[::-1])[::-1]
-    return largest
+    return np.maximum.accumulate(curve.error[::-1])[::-1]
 
 
 def is_confirmed(curve: Curve) -> Bools:

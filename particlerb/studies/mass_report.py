@@ -98,8 +98,7 @@ def _rounding_error(offset: float) -> float:
 
 def _about_origin(mass: float, com: Floats, tensor: Floats) -> Floats:
     """Tensor about the origin: I + m (c² 1 − c cᵀ)."""
-    shifted: Floats = tensor + mass * (com @ com * np.eye(3) - np.outer(com, com))
-    return shifted
+    return tensor + mass * (com @ com * np.eye(3) - np.outer(com, com))
 
 
 def _ratios_of(properties: MassProperties, k: int) -> Ratios:

@@ -122,8 +122,7 @@ class EnergyDrift(NamedTuple):
     @property
     def largest(self) -> Floats:
         """Largest error of the energy until each time, of all bodies, shape (T,)."""
-        running: Floats = np.maximum.accumulate(self.error.max(axis=1))
-        return running
+        return np.maximum.accumulate(self.error.max(axis=1))
 
 
 def free_bodies() -> StabilityScene:

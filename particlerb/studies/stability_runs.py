@@ -163,8 +163,7 @@ def sampling(dt: float, turns: float) -> Floats:
     """Times on the grid of steps: 200 even ones, and 60 whose distances grow from one step on."""
     steps = math.ceil(2.0 * math.pi * turns / dt)
     share = np.concatenate([np.geomspace(1.0 / steps, 1.0, 60), np.linspace(0.005, 1.0, 200)])
-    times: Floats = np.unique(np.rint(share * steps)) * dt
-    return times
+    return np.unique(np.rint(share * steps)) * dt
 
 
 # What becomes of a body

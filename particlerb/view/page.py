@@ -75,10 +75,10 @@ class Page:
         else:
             self.body_field = gui.add_text("body", self.names[0], hint="name, as clump[3]")
 
-    def add_numbers(self, digits: int = 6) -> None:
+    def add_numbers(self) -> None:
         """The fields of the numbers, in a panel that is open."""
         gui: Any = self.server.gui
-        self.digits = gui.add_slider("digits", min=3, max=17, step=1, initial_value=digits)
+        self.digits = gui.add_slider("digits", min=3, max=17, step=1, initial_value=6)
         self.numbers = gui.add_html("")
 
     # The thread

@@ -30,10 +30,6 @@ PICTURE: Final = (1280, 720)  # width and height of pictures
 _MOST_PICTURES: Final = 300  # of a film
 _FILM_RATE: Final = 25  # pictures per second
 _PATIENCE: Final = 60.0  # [s] that a browser may take for a picture
-_VIRIDIS: Final = np.array([
-    (68, 1, 84), (72, 40, 120), (62, 74, 137), (49, 104, 142), (38, 130, 142), (31, 158, 137),
-    (53, 183, 121), (109, 205, 89), (180, 222, 44), (253, 231, 37),
-])  # fmt: skip
 _NEEDED: Final = ("position", "orientation")
 _MOMENTA: Final = ("linear_momentum", "angular_momentum")
 
@@ -231,10 +227,7 @@ class Replay(Page):
         if by not in self.range:
             self.range[by] = self.extremes(by)
         low, high = self.range["shown"] = self.range[by]
-        share = np.clip((values - low) / max(high - low, 1e-300), 0.0, 1.0)
-        anchors = np.linspace(0.0, 1.0, len(_VIRIDIS))
-        channels = [np.interp(share, anchors, channel) for channel in _VIRIDIS.T]
-        self.stage.colour(np.stack(channels, axis=1).astype(np.uint8))
+        self.stage.colour(viridis((values - low) / max(high - low, 1e-300)))
 
     def values(self, by: str, state: list[Floats]) -> Floats:
         """Speed [m/s] or kinetic energy [J] of all bodies."""
@@ -269,7 +262,8 @@ class Replay(Page):
         low, high = self.range.get("shown", (0.0, 0.0))
         if high > low:
             unit = "m/s" if self.coloured.value == "speed" else "J"
-            colours = ",".join(f"rgb({r},{g},{b})" for r, g, b in _VIRIDIS.tolist())
+            anchors = viridis(np.linspace(0.0, 1.0, 10))
+            colours = ",".join(f"rgb({r},{g},{b})" for r, g, b in anchors)
             status += (
                 f'<div style="height:8px;background:linear-gradient(90deg,{colours})"></div>'
                 f'<div style="display:flex;justify-content:space-between">'
@@ -281,6 +275,13 @@ class Replay(Page):
             return
         motion = motion_of(self.system, self.body, *self.state)
         self.write_numbers(state_parts(self.system, self.body, motion))
+
+
+def viridis(share: Floats) -> Any:
+    """Colours, (n, 3) of 0 to 255, of shares from 0 to 1; the scale ends at both."""
+    from matplotlib import colormaps
+
+    return colormaps["viridis"](share, bytes=True)[:, :3]
 
 
 def film_forms() -> tuple[str, ...]:
