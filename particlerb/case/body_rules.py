@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from particlerb.case.problems import Path
-from particlerb.case.raw import Finding, bases, given, is_origin, number, tables
+from particlerb.case.raw import Finding, bases, entry_at, finite, given, is_origin, number, tables
 from particlerb.case.shapes import ALIASES, SHAPES, filling
 from particlerb.case.values import is_rows
 from particlerb.files import Files
@@ -19,8 +19,7 @@ def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
                 yield (*path, key), "has no place beside [[body.part]]", "give it with each part"
         for j, part in tables(body, "part"):
             yield from _mass_rules((*path, "part", j), part)
-        parts = body["part"]
-        if isinstance(parts, list) and all(_is_massless(part) for part in parts):
+        if (parts := entry_at(body, "part", list)) and all(map(_is_massless, parts)):
             yield (*path, "part"), "no part has mass", "give one of them a `mass`"
     elif not given(body, "shape"):
         yield (*path, "shape"), "missing", "a body needs a `shape`, or [[body.part]]"
@@ -32,14 +31,12 @@ def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
 
 def _is_massless(table: Any) -> bool:
     """Whether a part only touches: spheres of mass 0, or points that have none."""
-    shape = table.get("shape") if isinstance(table, dict) else None
-    if not isinstance(shape, dict):
-        return False
+    shape = entry_at(table, "shape", dict)
     if _is_surface(shape):
         return number(table, "mass") == 0.0
     masses = shape.get("mass") if shape.get("type") == "points" else None
     listed = masses if isinstance(masses, list) else [masses]
-    return bool(listed) and all(number({"m": m}, "m") == 0.0 for m in listed)
+    return bool(listed) and all(finite(m) == 0.0 for m in listed)
 
 
 def _is_surface(shape: dict[str, Any]) -> bool:
@@ -50,10 +47,10 @@ def _is_surface(shape: dict[str, Any]) -> bool:
 
 def _mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
     """Exactly one of mass and density, as far as the shape has a use for them."""
-    shape = table.get("shape")
-    kind = shape.get("type") if isinstance(shape, dict) else None
-    kind = ALIASES.get(kind, kind) if isinstance(kind, str) else None
-    if not isinstance(shape, dict) or kind not in SHAPES:
+    shape = entry_at(table, "shape", dict)
+    name = entry_at(shape, "type", str)
+    kind = ALIASES.get(name, name)
+    if kind not in SHAPES:
         return
     allowed: tuple[str, ...] = getattr(SHAPES[kind], "weighed_by", ())
     if kind == "shell" and not given(shape, "inner_radius"):
@@ -77,12 +74,8 @@ def held_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterato
     key, is_held = ("motion", "driven") if is_driven else ("fixed", "fixed")
     if is_driven and body.get("fixed") is True:
         yield (*path, "fixed"), "given beside motion", "give one of them"
-    name = body.get("name")
-    is_tied = any(
-        isinstance(name, str) and name in bases(joint.get(end))
-        for _, joint in tables(raw, "joint")
-        for end in ("body", "to")
-    )
+    name, joints = entry_at(body, "name", str), tables(raw, "joint")
+    is_tied = any(name in bases(joint.get(end)) for _, joint in joints for end in ("body", "to"))
     if raw.get("contact") is None and not is_tied:
         reason = f"a {is_held} body is an obstacle of [contact], which is not there"
         yield (*path, key), reason, "or tie a [[joint]] to it"
@@ -97,14 +90,13 @@ def held_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterato
     hint = f"leave the {is_held} body out; a spring has `anchor` for the world"
     for i, force in tables(raw, "force"):
         for key in ("body", "to"):
-            if isinstance(name, str) and name in bases(force.get(key)):
+            if name in bases(force.get(key)):
                 yield ("force", i, key), f"{name} is {is_held}: no force acts on it", hint
-    attraction = raw.get("attraction")
-    if isinstance(attraction, dict) and isinstance(name, str):
-        named = attraction.get("body")
-        if named is None or name in bases(named):
-            reason = f"{name} is {is_held}: it takes no part in attraction"
-            yield ("attraction", "body"), reason, "name the others"
+    named = entry_at(raw, "attraction", dict).get("body")
+    attracts = isinstance(raw.get("attraction"), dict) and (named is None or name in bases(named))
+    if attracts and name:
+        reason = f"{name} is {is_held}: it takes no part in attraction"
+        yield ("attraction", "body"), reason, "name the others"
 
 
 def many_bodies(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
@@ -126,9 +118,8 @@ def many_bodies(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
 
 def _grid_rules(path: Path, place: Any, count: int) -> Iterator[Finding]:
     """A grid has room for all."""
-    n = place.get("n") if isinstance(place, dict) and place.get("type") == "grid" else None
-    are_counts = isinstance(n, list) and all(isinstance(k, int) and k > 0 for k in n)
-    if n and are_counts and math.prod(n) < count:
+    n = entry_at(place, "n", list) if entry_at(place, "type", str) == "grid" else []
+    if n and all(isinstance(k, int) and k > 0 for k in n) and math.prod(n) < count:
         yield (*path, "n"), f"holds {math.prod(n)} of {count} bodies", ""
 
 
@@ -136,8 +127,7 @@ def shapes(path: Path, body: dict[str, Any], files: Files) -> Iterator[Finding]:
     """Files that a shape names can be read."""
     places = [(path, body), *(((*path, "part", j), part) for j, part in tables(body, "part"))]
     for where, table in places:
-        shape = table.get("shape")
-        name = shape.get("file") if isinstance(shape, dict) else None
+        name = entry_at(table, "shape", dict).get("file")
         yield from file_rules((*where, "shape", "file"), name, files)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from particlerb.case.output import FIELDS_OF_CONTACT
 from particlerb.case.problems import Path
-from particlerb.case.raw import Finding, given, number, tables
+from particlerb.case.raw import Finding, entry_at, given, number, tables
 
 _OTHER = 'take law = "impulse" or "hooke"'
 
@@ -23,9 +23,7 @@ def event_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Findin
     for kind in ("wall", "body"):
         for i, table in tables(raw, kind):
             yield from _still((kind, i), table)
-    output = raw.get("output")
-    fields = output.get("fields") if isinstance(output, dict) else None
-    for i, name in enumerate(fields if isinstance(fields, list) else []):
+    for i, name in enumerate(entry_at(raw.get("output"), "fields", list)):
         if name in FIELDS_OF_CONTACT:
             reason = "an impact at an instant shows in no frame"
             yield ("output", "fields", i), reason, "leave it out; `impacts` counts them"
@@ -46,8 +44,8 @@ def _number_rules(contact: dict[str, Any]) -> Iterator[Finding]:
 def _term_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """What acts on bodies or between them, and has no closed form here."""
     for i, force in tables(raw, "force"):
-        kind = force.get("type")
-        if isinstance(kind, str) and kind != "impulse":
+        kind = entry_at(force, "type", str)
+        if kind not in ("", "impulse"):
             reason = f"between collisions by events no {kind} acts yet, uniform gravity alone does"
             yield ("force", i, "type"), reason, _OTHER
     if raw.get("attraction"):

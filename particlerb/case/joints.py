@@ -10,7 +10,7 @@ from pydantic import AfterValidator, model_validator
 from particlerb.case.contact import Yes
 from particlerb.case.forces import During
 from particlerb.case.problems import Path, nearest
-from particlerb.case.raw import Finding, bodies_named, given
+from particlerb.case.raw import Finding, bodies_named, entry_at, given
 from particlerb.case.values import (
     Array2,
     FloatArray,
@@ -214,8 +214,7 @@ def joint_rules(path: Path, raw: dict[str, Any], known: dict[str, range]) -> Ite
             elif given(raw, key) and not is_needed:
                 yield (*path, key), f"a {kind} joint has none", "leave it out"
     yield from _action_rules(path, raw)
-    during = raw.get("during")
-    if isinstance(during, list) and during and during[0] != 0.0:
+    if entry_at(raw, "during", list)[:1] not in ([], [0.0]):
         hint = "a body cannot be caught by a joint: give [0, time of release]"
         yield (*path, "during"), "a joint acts from the start on", hint
     if kind == "distance" and not any(given(raw, key) for key in ("to", "at_to", "chain")):
@@ -248,26 +247,25 @@ def _chain_rules(path: Path, raw: dict[str, Any], bodies: list[range] | None) ->
 
 def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
     """What acts along a coordinate needs one, and stops a range."""
-    kind = raw.get("type")
+    kind = entry_at(raw, "type", str)
     for key in (*ACTIONS, "drive"):
         if raw.get(key) and kind in JOINT_TYPES and kind not in ALONG:
             reason = f"nothing acts along a {kind} joint yet"
             yield (*path, key), reason, f"take one of {', '.join(ALONG)}"
         elif raw.get(key) and kind == "ball" and key not in ("spring", "damper"):
             yield (*path, key), "along a ball joint act springs and dampers alone", "leave it out"
-        elif raw.get(key) and len(ALONG.get(str(kind), "")) > 1 and not given(raw, "along"):
+        elif raw.get(key) and len(ALONG.get(kind, "")) > 1 and not given(raw, "along"):
             yield (*path, "along"), f"missing: a {kind} joint has several coordinates", ""
         if raw.get(key) and given(raw, "breaks_at"):
             yield (*path, "breaks_at"), f"given beside {key}", "let a second joint have one of them"
-    spring = raw.get("spring")
-    if kind == "ball" and isinstance(spring, dict) and spring.get("rest"):
+    if kind == "ball" and entry_at(raw, "spring", dict).get("rest"):
         hint = "place the bodies where the spring does nothing"
         yield (*path, "spring", "rest"), "the spring of a ball joint rests at the start", hint
-    names, along = ALONG.get(str(kind), ()), raw.get("along")
-    if isinstance(along, str) and along not in names:
+    names, along = ALONG.get(kind, ()), entry_at(raw, "along", str)
+    if along and along not in names:
         yield (*path, "along"), f"a {kind} joint has no {along}", nearest(along, list(names))
-    ends = raw.get("limit", {}).get("range") if isinstance(raw.get("limit"), dict) else None
-    if isinstance(ends, list) and len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
+    ends = entry_at(raw.get("limit"), "range", list)
+    if len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
         if not ends[0] < ends[1]:
             yield (*path, "limit", "range"), "must ascend", "give the least coordinate first"
         elif "angle" in str(along or names[:1]) and max(map(abs, ends)) >= math.pi:

@@ -2,26 +2,35 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 from particlerb.case.problems import Path
 from particlerb.case.values import LARGEST_COUNT
 from particlerb.model.names import REFERENCE
 
 Finding: TypeAlias = tuple[Path, str, str]
+_Kind = TypeVar("_Kind", dict[str, Any], list[Any], str)
+
+
+def entry_at(raw: Any, key: str, kind: type[_Kind]) -> _Kind:
+    """Entry of a table if it is of a kind: dict, list or str; else an empty one."""
+    entry = raw.get(key) if isinstance(raw, dict) else None
+    return entry if isinstance(entry, kind) else kind()
 
 
 def tables(raw: Any, key: str) -> list[tuple[int, dict[str, Any]]]:
     """Tables of an array of tables with their index; what is none is left out."""
-    entries = raw.get(key) if isinstance(raw, dict) else None
-    if not isinstance(entries, list):
-        return []
-    return [(i, entry) for i, entry in enumerate(entries) if isinstance(entry, dict)]
+    entries = enumerate(entry_at(raw, key, list))
+    return [(i, entry) for i, entry in entries if isinstance(entry, dict)]
 
 
-def number(table: Any, key: str) -> float | None:
-    """Finite number of a table; None where there is none."""
-    value = table.get(key) if isinstance(table, dict) else None
+def number(raw: Any, key: str) -> float | None:
+    """Finite number at a key; None where there is none."""
+    return finite(raw.get(key)) if isinstance(raw, dict) else None
+
+
+def finite(value: Any) -> float | None:
+    """A finite number as it is; None for all else."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
     try:

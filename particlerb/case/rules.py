@@ -20,7 +20,16 @@ from particlerb.case.output import (
     FIELDS_OF_WALLS,
 )
 from particlerb.case.problems import Path, nearest
-from particlerb.case.raw import Finding, bodies_named, given, members, number, tables
+from particlerb.case.raw import (
+    Finding,
+    bodies_named,
+    entry_at,
+    finite,
+    given,
+    members,
+    number,
+    tables,
+)
 from particlerb.files import Files
 from particlerb.model.names import REFERENCE
 from particlerb.user_force import UserForce
@@ -37,10 +46,8 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
         table = _table_of(force)
         if table is not None:
             yield from table.rules(("force", i), force, members(raw))
-            load = force.get(table.load_key)
-            if isinstance(load, dict):
-                path = ("force", i, table.load_key, "table")
-                yield from file_rules(path, load.get("table"), files)
+            path = ("force", i, table.load_key, "table")
+            yield from file_rules(path, entry_at(force, table.load_key, dict).get("table"), files)
     yield from _code_rules(raw, files)
     for i, joint in tables(raw, "joint"):
         yield from joint_rules(("joint", i), joint, members(raw))
@@ -73,8 +80,7 @@ def _code_rules(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
 
 def _table_of(force: dict[str, Any]) -> type[ForceTable] | None:
     """Table of a [[force]] by its type; None where there is none of that name."""
-    kind = force.get("type")
-    return FORCES.get(kind) if isinstance(kind, str) else None
+    return FORCES.get(entry_at(force, "type", str))
 
 
 def times(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -88,10 +94,8 @@ def times(raw: dict[str, Any]) -> Iterator[Finding]:
     if every is not None and every > 0 and t_end > every * _MOST_FRAMES:
         yield ("run", "every"), f"makes more than {_MOST_FRAMES:.0e} frames", "take a longer time"
     for i, force in tables(raw, "force"):
-        during = force.get("during")
-        if isinstance(during, list) and during:
-            start = number({"t": during[0]}, "t")
-            if start is not None and start >= t_end:
+        for start in entry_at(force, "during", list)[:1]:
+            if (finite(start) or 0.0) >= t_end:
                 yield ("force", i, "during"), f"must start before run.t_end = {t_end!r}", ""
         yield from within(("force", i, "time"), number(force, "time"), t_end)
     for i, check in tables(raw.get("check"), "value"):
@@ -127,12 +131,11 @@ def _references(raw: dict[str, Any]) -> Iterator[Finding]:
     for i, joint in tables(raw, "joint"):
         for key in ("body", "to"):
             yield from reference(("joint", i, key), joint.get(key), counts)
-    if isinstance(raw.get("attraction"), dict):
-        yield from reference(("attraction", "body"), raw["attraction"].get("body"), counts)
+    named = entry_at(raw, "attraction", dict).get("body")
+    yield from reference(("attraction", "body"), named, counts)
     for i, check in tables(raw.get("check"), "value"):
         path: Path = ("check", "value", i)
-        if isinstance(check.get("body"), str):
-            yield from reference((*path, "body"), check["body"], counts)
+        yield from reference((*path, "body"), entry_at(check, "body", str), counts)
         if given(check, "joint") and not tables(raw, "joint"):
             yield (*path, "joint"), "there is no [[joint]]", "leave it out"
 
@@ -182,8 +185,7 @@ def _contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     first: dict[frozenset[str], int] = {}
     for i, pair in tables(contact, "pair"):
         path: Path = ("contact", "pair", i)
-        named = pair.get("materials")
-        listed = [name for name in named if isinstance(name, str)] if type(named) is list else []
+        listed = [name for name in entry_at(pair, "materials", list) if isinstance(name, str)]
         for j, name in enumerate(listed):
             yield from material((*path, "materials", j), name, known)
         if len(listed) == 2 and first.setdefault(frozenset(listed), i) != i:
@@ -198,17 +200,13 @@ def _contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
 
 def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """What is to be recorded of contacts, walls and joints, or checked of impulses, is there."""
-    output = raw.get("output")
-    fields = output.get("fields") if isinstance(output, dict) else None
-    contact = raw.get("contact")
-    law = str(contact.get("law")) if isinstance(contact, dict) else ""
-    known = FIELDS_OF_LAWS.get(law, ())
+    known = FIELDS_OF_LAWS.get(entry_at(raw.get("contact"), "law", str), ())
     for parent in ("check", "sweep"):
         for i, value in tables(raw.get(parent), "value"):
             name = value.get("quantity")
             if name in FIELDS_OF_IMPULSES and name not in known:
                 yield ((parent, "value", i, "quantity"), *_of_another_law(name))
-    for i, name in enumerate(fields if isinstance(fields, list) else []):
+    for i, name in enumerate(entry_at(raw.get("output"), "fields", list)):
         path: Path = ("output", "fields", i)
         if name in FIELDS_OF_CONTACT and raw.get("contact") is None:
             yield path, f"there is no {name} without [contact]", "add [contact], or leave it out"
