@@ -255,7 +255,8 @@ def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Fin
 
 def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[Finding]:
     """The law has a use for a number, and there is a damping for a restitution."""
-    if contact.get("law") in FIELDS_OF_LAWS:
+    law = entry_at(contact, "law", str)
+    if law in FIELDS_OF_LAWS:
         for key in ("stiffness", "tangential_stiffness"):
             if given(table, key):
                 yield (*path, key), "impulses have no stiffness", "leave it out"
@@ -263,7 +264,7 @@ def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[F
             reason = "impulses do not resist rolling yet"
             yield (*path, "rolling_friction"), reason, 'leave it out, or take law = "hooke"'
         return
-    if contact.get("law") == "hertz":
+    if law == "hertz":
         for key in ("stiffness", "tangential_stiffness"):
             if given(table, key):
                 hint = "give `young` and `poisson` of each [[material]]"

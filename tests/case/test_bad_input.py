@@ -618,6 +618,7 @@ OF_CONTACT = [
     ("stiffness = 1e5", "stiffness = -1e5", "contact.stiffness", "must be > 0, got -100000.0", ""),
     ("stiffness = 1e5", "stifness = 1e5", "contact.stifness", "unknown key", '"stiffness"?'),
     ("stiffness = 1e5", 'law = "hertzz"', "contact.law", "unknown: 'hertzz'", '"hertz"?'),
+    ("stiffness = 1e5", "law = []", "contact.law", "unknown: []", "known: hooke, hertz"),
     (
         "stiffness = 1e5",
         'law = "hertz"\nstiffness = 1e5',
