@@ -6,7 +6,7 @@ in all a point. Whole bodies are compared: a part that is off by much may matter
 
 import math
 from collections.abc import Iterator
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from particlerb.case.source import problem_at
 from particlerb.case.to_system import part_particles, turn_of
 from particlerb.geometry import shapes
 from particlerb.geometry.analytic import ANALYTIC
-from particlerb.geometry.mass_properties import mass_properties
+from particlerb.geometry.mass_properties import mass_properties, tensor_off_com
 from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
@@ -33,14 +33,6 @@ _EXACT: Final = {  # arrangement with exactly the tensor of the solid
     **dict.fromkeys(("box", "ball", "ellipsoid", "rod", "tetrahedron"), "exact"),
     **dict.fromkeys(("shell", "cylinder", "cone", "torus"), "cells"),
 }
-
-
-class _Ideal(NamedTuple):
-    """What a shape of a body would be without error, in the body's axes."""
-
-    mass: float  # [kg]
-    com: Floats  # (3,) [m]
-    tensor: Floats  # (3, 3) [kg m²], about com
 
 
 def coarse(system: System) -> Iterator[Problem]:
@@ -114,13 +106,10 @@ def _ideal_moments(system: System, i: int, body: Body) -> Floats:
         if _is_lattice(part.shape):
             R, solid = turn_of(part), solid_of(part.shape)
             com, tensor = R @ solid.com + part.position, mass * (R @ solid.tensor @ R.T)
-        parts.append(_Ideal(mass, com, tensor))
-    centre = sum(p.mass * p.com for p in parts) / sum(p.mass for p in parts)
-    total = np.zeros((3, 3))
-    for mass, com, tensor in parts:
-        d = com - centre
-        total += tensor + mass * (d @ d * np.eye(3) - np.outer(d, d))
-    return np.asarray(np.linalg.eigvalsh(total))
+        parts.append((mass, com, tensor))
+    centre = sum(mass * com for mass, com, _ in parts) / sum(mass for mass, *_ in parts)
+    tensors = [tensor_off_com(mass, tensor, com - centre) for mass, com, tensor in parts]
+    return np.asarray(np.linalg.eigvalsh(sum(tensors, np.zeros((3, 3)))))
 
 
 def _worst_shape(body: Body) -> tuple[str, AnyShape]:

@@ -31,7 +31,7 @@ _WORDS: dict[type, str] = {
 }  # fmt: skip
 
 
-class Complaint(NamedTuple):
+class Message(NamedTuple):
     """What the schema says against an entry."""
 
     path: Path
@@ -40,15 +40,15 @@ class Complaint(NamedTuple):
     at_key: bool = False
 
 
-def complaints(
+def messages_of(
     raw: Any, errors: Sequence[ErrorDetails], root: type[Table] = Case
-) -> list[Complaint]:
+) -> list[Message]:
     """All errors of a validation of a case, or of one of its tables."""
-    return [_complaint(raw, error, root) for error in errors if not _is_follow_up(error)]
+    return [_message(raw, error, root) for error in errors if not _is_follow_up(error)]
 
 
-def without_typos(found: Sequence[Complaint]) -> list[Complaint]:
-    """Complaints without missing keys that are there with a typing mistake."""
+def without_typos(found: Sequence[Message]) -> list[Message]:
+    """Messages without missing keys that are there with a typing mistake."""
     meant = {
         (*one.path[:-1], guess[1])
         for one in found
@@ -62,26 +62,26 @@ def _is_follow_up(error: ErrorDetails) -> bool:
     return error["type"] == "too_short" and bool(error["input"])
 
 
-def _complaint(raw: Any, error: ErrorDetails, root: type[Table]) -> Complaint:
+def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     """One error of pydantic."""
     path = _path_in(raw, error["loc"], root)
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
     if kind == "extra_forbidden":
         keys = _table_keys(raw, path[:-1], root)
-        return Complaint(path, "unknown key", nearest(str(path[-1]), keys, "keys here"), True)
+        return Message(path, "unknown key", nearest(str(path[-1]), keys, "keys here"), True)
     if kind == "missing":
         keys = _table_keys(raw, path[:-1], root)
-        return Complaint(path, "missing", f"keys here: {', '.join(keys)}" if keys else "")
+        return Message(path, "missing", f"keys here: {', '.join(keys)}" if keys else "")
     if kind == "rule":
         path = (*path, context["key"]) if context["key"] else path
-        return Complaint(path, error["msg"], context["hint"] or forms(path))
+        return Message(path, error["msg"], context["hint"] or forms(path))
     if kind in {"union_tag_invalid", "union_tag_not_found"}:
-        return _type_complaint(path, context, _table_keys(raw, path, root))
+        return _type_message(path, context, _table_keys(raw, path, root))
     if kind in {"literal_error", "choice"}:
         known = re.findall(r"'([^']*)'", context["expected"])
         hint = forms(path) or nearest(str(value), known)
-        return Complaint(path, f"unknown: {shown(value)}", hint)
-    return Complaint(path, _reason_of(kind, context, value) or error["msg"])
+        return Message(path, f"unknown: {shown(value)}", hint)
+    return Message(path, _reason_of(kind, context, value) or error["msg"])
 
 
 def forms(path: Path) -> str:
@@ -94,13 +94,13 @@ def forms(path: Path) -> str:
     return ""
 
 
-def _type_complaint(path: Path, context: dict[str, Any], keys: Sequence[str]) -> Complaint:
+def _type_message(path: Path, context: dict[str, Any], keys: Sequence[str]) -> Message:
     """A `type` that is missing or that no shape, force, placement or wall has."""
     if "tag" not in context:
-        return Complaint((*path, "type"), "missing", f"known: {', '.join(keys)}")
+        return Message((*path, "type"), "missing", f"known: {', '.join(keys)}")
     known = re.findall(r"'([^']*)'", context["expected_tags"])
     tag = str(context["tag"])
-    return Complaint((*path, "type"), f"unknown type {shown(tag)}", nearest(tag, known))
+    return Message((*path, "type"), f"unknown type {shown(tag)}", nearest(tag, known))
 
 
 def _reason_of(kind: str, context: dict[str, Any], value: Any) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from particlerb.case.case_names import case_path, nearest_names
-from particlerb.case.messages import Complaint, complaints, without_typos
+from particlerb.case.messages import Message, messages_of, without_typos
 from particlerb.case.overrides import overridden
 from particlerb.case.problems import CaseError, Problem, key_of, nearest
 from particlerb.case.rules import findings
@@ -179,11 +179,11 @@ def build(source: Source, overrides: Sequence[str]) -> Case:
     source = overridden(source, overrides)
     raw = dict(source.raw)
     try:
-        found = [Complaint(*finding) for finding in findings(raw, source.files)]
+        found = [Message(*finding) for finding in findings(raw, source.files)]
         try:
             case = Case.model_validate(raw)
         except ValidationError as error:
-            found = complaints(raw, error.errors(include_url=False)) + found
+            found = messages_of(raw, error.errors(include_url=False)) + found
         if found:
             raise CaseError(_located(source, without_typos(found)))
     except RecursionError:
@@ -192,8 +192,8 @@ def build(source: Source, overrides: Sequence[str]) -> Case:
     return case
 
 
-def _located(source: Source, found: Sequence[Complaint]) -> list[Problem]:
-    """Complaints with their places in the file, each once, and not more than can be read."""
+def _located(source: Source, found: Sequence[Message]) -> list[Problem]:
+    """Messages with their places in the file, each once, and not more than can be read."""
     once = list({(key_of(one.path), one.reason): one for one in found}.values())
     locator = Locator(source)
     problems = [locator.problem(*one) for one in once[:_MOST_PROBLEMS]]

@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from particlerb.case.messages import complaints, names_of, without_typos
+from particlerb.case.messages import messages_of, names_of, without_typos
 from particlerb.case.problems import CaseError
 from particlerb.case.source import Locator, Source
 from particlerb.case.values import Table, plain
@@ -28,7 +28,7 @@ def record_of(table: type[Record], keys: Mapping[str, Any]) -> Record:
     try:
         return table.model_validate(raw)
     except ValidationError as error:
-        found = without_typos(complaints(raw, error.errors(include_url=False), table))
+        found = without_typos(messages_of(raw, error.errors(include_url=False), table))
         locator = Locator(Source(raw=raw))
         problems = [locator.problem(*one) for one in found]
         raise CaseError(one._replace(file=table.__name__) for one in problems) from None

@@ -109,6 +109,11 @@ def _inertia_tensors(second: Floats, balls: Floats) -> Floats:
     return np.ascontiguousarray(np.array(rows).transpose(2, 0, 1)) + 0.0  # -0 becomes 0
 
 
+def tensor_off_com(mass: float, tensor: Floats, d: Floats) -> Floats:
+    """Tensor (3, 3) about a point at d (3,) from the com, of that about the com."""
+    return np.asarray(tensor + mass * (d @ d * np.eye(3) - np.outer(d, d)))
+
+
 # Rotor classes
 
 

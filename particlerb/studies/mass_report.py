@@ -18,6 +18,7 @@ from particlerb.geometry.mass_properties import (
     eigen_systems,
     of_kind,
     ratios,
+    tensor_off_com,
 )
 from particlerb.geometry.solid import impossible
 from particlerb.maths.vec3 import Floats
@@ -75,7 +76,7 @@ def record_of(
         "density": None if matter.volume is None else float(mass) / matter.volume,
         "com": com.tolist(),
         "inertia_tensor": tensor.tolist(),
-        "inertia_about_origin": _about_origin(mass, com, tensor).tolist(),
+        "inertia_about_origin": tensor_off_com(mass, tensor, com).tolist(),
         "moments": moments.tolist(),
         "axes": axes.tolist(),
         "radii_of_gyration": np.sqrt(moments / mass).tolist(),
@@ -94,11 +95,6 @@ def record_of(
 def _rounding_error(offset: float) -> float:
     """Relative error of sums about the com, which lies so many radii of gyration off the origin."""
     return _UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))
-
-
-def _about_origin(mass: float, com: Floats, tensor: Floats) -> Floats:
-    """Tensor about the origin: I + m (c² 1 − c cᵀ)."""
-    return tensor + mass * (com @ com * np.eye(3) - np.outer(com, com))
 
 
 def _ratios_of(properties: MassProperties, k: int) -> Ratios:

@@ -116,17 +116,15 @@ class Live(Page):
             self.begin()
             self.controls.gravity.value = self.session.has_gravity
 
-    def change_scene(self, event: Any) -> None:
+    def change_scene(self, _: Any) -> None:
         """End the page, so that another case can take its place."""
-        del event
         name = str(self.controls.scene.value)
         if name != _THIS_SCENE:
             self.chosen = name
             self.stop()
 
-    def switch_gravity(self, event: Any) -> None:
+    def switch_gravity(self, _: Any) -> None:
         """Gravity as the box says."""
-        del event
         try:
             self.session.switch_gravity(bool(self.controls.gravity.value))
         finally:

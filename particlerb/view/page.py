@@ -155,18 +155,16 @@ class Page:
 
     # What users do on both pages
 
-    def change_speed(self, event: Any) -> None:
+    def change_speed(self, _: Any) -> None:
         """Take the speed of the field, if it is one."""
-        del event
         speed = finite(self.speed_field.value, "speed")
         if not 0.0 < speed < _FASTEST:
             raise ValueError(f"speed must be positive, got {speed!r}")
         self.speed = speed
         self.say("")
 
-    def choose_body(self, event: Any) -> None:
+    def choose_body(self, _: Any) -> None:
         """Look at the body that the field names."""
-        del event
         name = str(self.body_field.value)
         if name not in self.index:
             raise ValueError(f"there is no body {name[:40]!r}")

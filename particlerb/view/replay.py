@@ -133,9 +133,8 @@ class Replay(Page):
         if name in ("back", "next"):
             self.look_at_frame(self.frame + (1 if name == "next" else -1))
 
-    def slide(self, event: Any) -> None:
+    def slide(self, _: Any) -> None:
         """Go where the slider is."""
-        del event
         k = int(self.slider.value)
         if k != self.frame:
             self.is_running = False

@@ -56,9 +56,8 @@ def _refuse_foreign(host: str) -> None:
         raise OSError(f"cannot listen on {host}: {error.strerror}") from None
 
 
-def ignore(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+def ignore(_: asyncio.AbstractEventLoop, __: dict[str, Any]) -> None:
     """Leave out what a malformed message makes of viser; the page goes on."""
-    del loop, context
 
 
 def finite(text: str, what: str) -> float:
