@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from particlerb.case.contact import Prescribed, Yes
+from particlerb.case.contact import Prescribed
 from particlerb.case.shapes import Shape
 from particlerb.case.values import (
     Array3,
@@ -21,6 +21,7 @@ from particlerb.case.values import (
     Spacing,
     Table,
     Vector,
+    Yes,
     broken,
 )
 

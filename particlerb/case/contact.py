@@ -18,12 +18,12 @@ from particlerb.case.values import (
     Real,
     Table,
     Vector,
+    Yes,
     broken,
     distinct,
     entries,
 )
 
-Yes = Annotated[bool, Strict()]
 _Share = Annotated[NonNegative, Field(le=1.0)]
 _Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 _End = Literal["-", "+"]

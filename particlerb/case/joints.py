@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal, Self, get_args
 import numpy as np
 from pydantic import AfterValidator, model_validator
 
-from particlerb.case.contact import Yes
 from particlerb.case.forces import During
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import Finding, bodies_named, entry_at, given
@@ -22,6 +21,7 @@ from particlerb.case.values import (
     Real,
     Table,
     Vector,
+    Yes,
     broken,
     first_out_of_order,
 )
@@ -187,7 +187,7 @@ class JointTable(Table):
     """Start, which is 0, and time of release; default: always. [s]"""
     breaks_at: JointLoad | None = None
     """Load at which it is released; default: none. [-]"""
-    merge: bool = True
+    merge: Yes = True
     """Of fixed: whether the two become one body, where that is exact. [-]"""
     collide: Yes = False
     """Whether the two bodies may touch each other. [-]"""

@@ -12,6 +12,7 @@ from particlerb.case.values import (
     Numbers,
     Positive,
     Table,
+    Yes,
     broken,
     distinct,
     one_of,
@@ -51,7 +52,7 @@ class Output(Table):
     """Recorded in each frame. [-]"""
     dtype: Literal["float64", "float32"] = "float64"
     """Precision of the file. [-]"""
-    durable: bool = True
+    durable: Yes = True
     """Whether committed frames outlive a power cut, not kills only. [-]"""
 
 

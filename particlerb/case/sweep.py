@@ -7,7 +7,7 @@ from pydantic import Field, Strict, model_validator
 
 from particlerb.case.output import Asked
 from particlerb.case.problems import path_of
-from particlerb.case.values import Count, Forms, Name, Real, Table, broken
+from particlerb.case.values import Count, Forms, Name, Real, Table, Yes, broken
 
 _RANDOM = ("latin", "random")
 SEED = "run.seed"
@@ -22,7 +22,7 @@ class Spread(Table):
     """Largest value. [unit of the key]"""
     n: Count | None = None
     """How many, for grid and zip. [-]"""
-    log: Annotated[bool, Strict()] = False
+    log: Yes = False
     """Whether ratios are even, not differences. [-]"""
 
     @model_validator(mode="after")

@@ -247,6 +247,7 @@ Real = Annotated[float, Strict()]
 Positive = Annotated[float, Strict(), Field(gt=0)]
 NonNegative = Annotated[float, Strict(), Field(ge=0)]
 Count = Annotated[int, Strict(), Field(ge=1, le=LARGEST_COUNT)]
+Yes = Annotated[bool, Strict()]
 Name = Annotated[str, Strict(), Field(min_length=1)]
 Names = Annotated[tuple[Name, ...], Field(min_length=1), BeforeValidator(alone, Name | list[Name])]
 

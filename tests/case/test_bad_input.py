@@ -57,6 +57,14 @@ def test_the_case_that_the_tests_break_is_good():
 
 MISTAKES = [
     # old text, new text, line, key, reason, part of the hint
+    (
+        "[run]",
+        '[output]\ndurable = "no"\n[run]',
+        3,
+        "output.durable",
+        "must be true or false, got a text: 'no'",
+        "",
+    ),
     ("every = 0.1", "evry = 0.1", 4, "run.evry", "unknown key", 'did you mean "every"? keys here'),
     ("t_end = 5.0", "t_end = 0", 3, "run.t_end", "must be > 0, got 0", ""),
     ("t_end = 5.0", "t_end = -5.0", 3, "run.t_end", "must be > 0, got -5.0", ""),
