@@ -31,6 +31,7 @@ _MIN_CELLS: Final = 64
 _INITIAL_CAPACITY: Final = 8  # neighbours per sphere that fit at first
 _MAX_LEVELS: Final = 40  # anything smaller than the largest sphere by 2^40 is as good as a point
 KEY_BITS: Final = 32  # bits of a number of a body in a key of a pair
+LARGEST_NUMBER: Final = 2**31 - 1  # of a body, a sphere, a contact in lists
 _NO_PAIRS: Final = np.zeros(0, dtype=np.int64)
 _ROUNDING: Final = 2.0**-50  # of a place far from the origin, relative
 _CELL_ROUNDING: Final = 2.0**-50  # of the number of a cell, relative
@@ -190,7 +191,7 @@ class SphereSearch:
 
 
 def pair_keys(a: Ints, b: Ints) -> Ints:
-    """One number for each pair of bodies, in either order."""
+    """One number for each pair of bodies below 2³¹, in either order."""
     return np.minimum(a, b) << KEY_BITS | np.maximum(a, b)
 
 

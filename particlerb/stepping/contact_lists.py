@@ -34,10 +34,11 @@ from particlerb.contact.records import (
     to_floats,
     zero_records,
 )
-from particlerb.contact.sphere_search import SphereSearch
+from particlerb.contact.sphere_search import LARGEST_NUMBER, SphereSearch
 from particlerb.contact.wall_motion import farthest_distances, motion_in, wall_displacement
 from particlerb.contact.wall_search import WallSearch, find_wall_shells
 from particlerb.maths.vec3 import Floats, Indices, Ints
+from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved
 
 _FEW_STEPS: Final = 64  # for which lists are made at least where walls move slowly,
@@ -196,6 +197,8 @@ class ContactLists:
     ) -> ContactList:
         """New contacts of spheres, or of walls, with the history of those of the old list."""
         m, old = pairs[0].size, self.histories[which]
+        if 2 * m > LARGEST_NUMBER:  # each is in the rows of two bodies
+            raise MotionError(f"{m} pairs are near: lists number {LARGEST_NUMBER // 2}")
         keys, rows = np.empty((2, m), dtype=np.int64)
         values = self._buffer(f"history {which}, {self.count % 2}", m, old.values.shape[1])
         new, ends = ContactHistory(keys, rows, values), np.empty(N_SHELLS, dtype=np.int64)

@@ -9,6 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+import particlerb
+from particlerb.case.problems import CaseError
 from particlerb.compiled.jit import config
 from particlerb.compiled.threads import THREADS
 from particlerb.contact import cell_grid, sphere_search
@@ -28,6 +30,9 @@ from particlerb.contact.sphere_search import (
     modular_strides,
     neighbours,
 )
+from particlerb.plan import groups
+from particlerb.simulation.whole_run import RunError
+from particlerb.stepping import contact_lists
 
 PLAIN = bool(config.DISABLE_JIT)
 N = 60 if PLAIN else 4000
@@ -460,3 +465,13 @@ def test_spheres_in_a_large_one_are_left_out(seed):
     x, r = 0.5 * rng.uniform(-0.5, 0.5, (3, 30)), np.full(30, 0.2)
     x[:, 7], r[7] = 0.0, 1.0
     assert outer_spheres(x, r, 0.1, 0.01).tolist() == [k == 7 for k in range(30)]
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(("module", "most"), [(groups, 2), (contact_lists, 3)])
+def test_numbers_that_lists_cannot_hold_are_refused(make, monkeypatch, module, most):
+    monkeypatch.setattr(module, "LARGEST_NUMBER", most)
+    balls = make.sphere(count=3, place={"type": "grid", "spacing": 0.19})
+    contact = make.hooke(1e3) | {"overlap": 0.5}
+    with pytest.raises((CaseError, RunError), match="lists number"):
+        particlerb.run(make.case(balls, contact=contact, dt=1e-3, t_end=2e-3, every=1e-3))
