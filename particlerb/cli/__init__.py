@@ -42,7 +42,7 @@ class _Command(NamedTuple):
 COMMANDS: Final = {
     "run": _Command("run", arguments.add_run, "run a case into an HDF5 file"),
     "resume": _Command("run", arguments.add_resume, "continue a run that was stopped"),
-    "check": _Command("run", arguments.add_check, "the plan of a case, and how long it runs"),
+    "check": _Command("check", arguments.add_check, "the plan of a case, and how long it runs"),
     "sweep": _Command("sweep", arguments.add_sweep, "run variants of a case into one table"),
     "mass": _Command("mass", arguments.add_mass, "mass properties of bodies"),
     "info": _Command("show", arguments.add_info, "what a trajectory file holds"),

@@ -24,6 +24,14 @@ def positive(text: str) -> float:
     return value
 
 
+def _number(text: str) -> int:
+    """A whole number from 1 on."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be 1 or more, got {text}")
+    return value
+
+
 def port(text: str) -> int:
     """A port."""
     value = int(text)
@@ -171,6 +179,9 @@ def add_check(check: _Parser) -> None:
     """Add options of `check`."""
     _add_case(check)
     _add_plan(check)
+    check.add_argument(
+        "--ranks", type=_number, metavar="N", help="how so many ranks of --mpi would share it"
+    )
 
 
 def add_mass(mass: _Parser) -> None:

@@ -1,4 +1,4 @@
-"""Commands `run`, `resume` and `check`: a case, its plan, its run, its checks."""
+"""Commands `run` and `resume`: a case, its plan, its run, its checks."""
 
 import argparse
 import contextlib
@@ -12,7 +12,6 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from time import process_time
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +19,7 @@ import numpy as np
 from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
 from particlerb.case.to_system import to_system
-from particlerb.cli.common import amount, output_of, read_case, wall_time
+from particlerb.cli.common import amount, output_of, read_case
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.cli.guard import probe
 from particlerb.cli.ranks import ranks_of
@@ -57,11 +56,11 @@ from particlerb.ranks import ALONE, Ranks
 from particlerb.record import schema
 from particlerb.record.file_size import SMALLEST_FILE, estimated_size
 from particlerb.record.output_file import DamagedError
+from particlerb.record.parts import parts_in
 from particlerb.record.trajectory import TrajectoryError, open_trajectory
 from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.checks import Result, results, table
-from particlerb.simulation.estimate import estimated_seconds
 from particlerb.simulation.outcome import Outcome, Progress
 from particlerb.simulation.resume import ResumeError, look_at, resume_pending
 from particlerb.simulation.run import run_prepared
@@ -72,7 +71,7 @@ _LONGEST_ENDING: Final = 10  # lines that a run ends with
 _BROKEN: Final = 3  # joints that are named
 
 
-def _prepared_case(options: argparse.Namespace) -> Prepared:
+def prepared_case(options: argparse.Namespace) -> Prepared:
     """System of a case, made ready to run."""
     case = read_case(options)
     with ending(CaseError):
@@ -100,7 +99,7 @@ def _run(options: argparse.Namespace, ranks: Ranks | None) -> int:
     if sys.stderr.isatty() and not options.quiet:
         WHEN_COMPILING[:] = ["kernels, once, about 15 s (30 s for contact)"]
     together = (ranks or ALONE).together
-    prepared = together(partial(_prepared_case, options))
+    prepared = together(partial(prepared_case, options))
     system = prepared.system
     if ranks is not None:
         part_of(prepared, ranks)
@@ -191,7 +190,7 @@ def _free_bytes(path: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
-def _expected_size(system: System) -> int:
+def expected_size(system: System) -> int:
     """Bytes of a whole file, contacts aside."""
     n_bytes = estimated_size(system, frame_count(system.run))
     return n_bytes + SMALLEST_FILE + sum(map(len, system.files.contents.values()))
@@ -199,7 +198,7 @@ def _expected_size(system: System) -> int:
 
 def size_text(system: System) -> str:
     """Frames and size of a run."""
-    text = f"{frame_count(system.run)} frames, about {amount(_expected_size(system))}"
+    text = f"{frame_count(system.run)} frames, about {amount(expected_size(system))}"
     if schema.CONTACTS in system.output.fields:
         item = np.dtype(system.output.dtype).itemsize
         each = sum(max(c.width, 1) * (4 if c.is_count else item) for c in schema.COLUMNS.values())
@@ -380,21 +379,3 @@ def summary(path: Path, outcome: Outcome, checks: list[Result]) -> dict[str, Any
         **({"tree": outcome.tree._asdict()} if outcome.tree is not None else {}),
         "checks": [{**check._asdict(), "holds": check.holds} for check in checks],
     }
-
-
-def check_command(options: argparse.Namespace) -> int:
-    """`check`: the plan of a case, and how large and how long its run will be."""
-    prepared = _prepared_case(options)
-    started = process_time()  # a warm run needs as much before its first step
-    try:
-        seconds = started + estimated_seconds(prepared)
-    except RunError as error:
-        raise Ending(f"{options.case} can be run, but fails soon: {error}", FAILED) from None
-    if options.json:
-        told = {"plan": prepared.text, "warnings": prepared.plan.warnings}
-        size = _expected_size(prepared.system)
-        print(json.dumps(told | {"bytes": size, "seconds": seconds}))
-    else:
-        print(tamed(f"{options.case} is a case that can be run\n\nplan\n{prepared.text}"))
-        print(f"  its run         {size_text(prepared.system)}; about {wall_time(seconds)}")
-    return DONE

@@ -1,15 +1,20 @@
 """The share of one rank in a scene: its bodies, and the groups that move them."""
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from particlerb.case.run import frame_count
 from particlerb.forces import Terms
 from particlerb.model.superblocks import Range, own_parts, parts_of
 from particlerb.plan.segments import chosen, is_coupled
 from particlerb.ranks import NoRanksError, Ranks
+from particlerb.record.file_size import estimated_size
 from particlerb.simulation.whole_run import Prepared
 
+BYTES_SET_UP: Final = 600  # of memory for each body of the scene: see benchmarks/ranks.py
+BYTES_MOVED: Final = 600  # of memory for each body that a rank moves, likewise
+BYTES_SAVED: Final = 300  # of a checkpoint for each body, likewise
 _COUPLING: Final = {
     "contact": "contact",
     "links": "springs between bodies",
@@ -72,3 +77,45 @@ def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
             groups.append(chosen(group, own, group.members[own] - first))
     plan = prepared.plan._replace(groups=tuple(groups))
     return prepared._replace(system=prepared.system.part(first, stop), plan=plan, first=first)
+
+
+class Shares(NamedTuple):
+    """How ranks share a scene: the most that one of them has."""
+
+    parts: int
+    """Files that bodies lie in."""
+    in_part: int
+    """Bodies of each."""
+    bytes_of_part: int
+    """Size of each, with two states from which the run can be continued."""
+    own_parts: int
+    bodies: int
+    moving_bytes: int
+    """Memory while bodies move, beside that of the program."""
+    set_up_bytes: int
+    """Memory of the set-up, which is of the whole scene."""
+    most: int
+    """Ranks at most."""
+
+
+def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
+    """How so many ranks would share a prepared system.
+
+    Raises
+    ------
+    NoRanksError
+        As `part_of`.
+    """
+    refuse_coupled(prepared)
+    system, ranks = prepared.system, Ranks()
+    ranks.count = n_ranks
+    ranks.number = n_ranks - 1  # the last rank has most parts
+    share_of(system.n_bodies, ranks)
+    ranges = parts_of(system.n_bodies)
+    own, in_part = len(own_parts(len(ranges), ranks)), ranges[0].stop
+    bodies = min(own * in_part, system.n_bodies)
+    n_bytes = estimated_size(system, frame_count(system.run)) * in_part // system.n_bodies
+    return Shares(
+        len(ranges), in_part, n_bytes + 2 * BYTES_SAVED * in_part, own, bodies,
+        BYTES_MOVED * bodies, BYTES_SET_UP * system.n_bodies, len(ranges),
+    )  # fmt: skip

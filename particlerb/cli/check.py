@@ -1,0 +1,53 @@
+"""Command `check`: the plan of a case, and how large and how long its run will be."""
+
+import argparse
+import json
+from time import process_time
+
+from particlerb.cli.common import amount, wall_time
+from particlerb.cli.exit_codes import DONE, FAILED, Ending, ending, tamed
+from particlerb.cli.run import expected_size, prepared_case, size_text
+from particlerb.ranks import NoRanksError
+from particlerb.simulation.estimate import estimated_seconds
+from particlerb.simulation.shares import Shares, shares_of
+from particlerb.simulation.whole_run import RunError
+
+
+def check_command(options: argparse.Namespace) -> int:
+    """`check`: the plan, the size and the time of a run, and how ranks would share it."""
+    prepared = prepared_case(options)
+    with ending(NoRanksError):
+        shares = shares_of(prepared, options.ranks) if options.ranks else None
+    started = process_time()  # a warm run needs as much before its first step
+    try:
+        seconds = started + estimated_seconds(prepared)
+    except RunError as error:
+        raise Ending(f"{options.case} can be run, but fails soon: {error}", FAILED) from None
+    if options.json:
+        told: dict[str, object] = {"plan": prepared.text, "warnings": prepared.plan.warnings}
+        told |= {"bytes": expected_size(prepared.system), "seconds": seconds}
+        told |= {"ranks": shares._asdict()} if shares is not None else {}
+        print(json.dumps(told))
+    else:
+        print(tamed(f"{options.case} is a case that can be run\n\nplan\n{prepared.text}"))
+        print(f"  its run         {size_text(prepared.system)}; about {wall_time(seconds)}")
+        if shares is not None:
+            print(_words(options.ranks, shares))
+    return DONE
+
+
+def _words(n_ranks: int, shares: Shares) -> str:
+    """Shares in words."""
+    lines = (
+        f"parts of the file: {shares.parts}, of {shares.in_part} bodies or less and"
+        f" {amount(shares.bytes_of_part)} each; a rank has {shares.own_parts} or less",
+        f"a rank moves {shares.bodies} bodies or less, in about {amount(shares.moving_bytes)} of"
+        " memory;",
+        f"to set up the whole scene it takes about {amount(shares.set_up_bytes)} before",
+        f"{shares.most} ranks at most: each takes one part or more; they send nothing while bodies"
+        " move",
+    )
+    return "\n".join(
+        f"{head:18}{words}"
+        for head, words in zip((f"  on {n_ranks} ranks", *3 * [""]), lines, strict=True)
+    )
