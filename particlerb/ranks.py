@@ -15,6 +15,8 @@ Result = TypeVar("Result")
 
 _SIZES: Final = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 
+_AGREED: Final = "is_raised_by_all_ranks"
+
 
 class NoRanksError(Exception):
     """Ranks that cannot be had: why, and what to do."""
@@ -41,6 +43,11 @@ class Ranks:
     def together(self, work: Callable[[], Result]) -> Result:
         """What a function returns on this rank; where it fails on one, it fails on all."""
         return work()
+
+    def agreed(self, error: BaseException) -> bool:
+        """Whether all ranks raise an error: what they do together may still be done."""
+        del error
+        return True
 
     def named(self, number: int, words: str) -> str:
         """Words about a rank, which say which one."""
@@ -84,18 +91,33 @@ class _RanksOfMPI(Ranks):
         if error is not None and number == self.number:
             first = error
         if sum(sent is not None for sent in failures) < self.count:
-            first.args = _with_rank(first.args, number)
-        raise first
+            first = _with_rank(first, number)
+        raise as_agreed(first)
+
+    def agreed(self, error: BaseException) -> bool:
+        """Whether all ranks raise an error: what they do together may still be done."""
+        return self.count == 1 or getattr(error, _AGREED, False)
 
     def named(self, number: int, words: str) -> str:
         """Words about a rank, which say which one."""
         return f"{words} (rank {number})"
 
 
-def _with_rank(args: tuple[Any, ...], number: int) -> tuple[Any, ...]:
-    """Arguments of an error, with the number of the rank in the words."""
-    words = [k for k, value in enumerate(args) if isinstance(value, str)][:1]
-    return tuple(f"{v} (rank {number})" if k in words else v for k, v in enumerate(args))
+def as_agreed(error: BaseException) -> BaseException:
+    """An error that all ranks are about to raise."""
+    setattr(error, _AGREED, True)
+    return error
+
+
+def _with_rank(error: BaseException, number: int) -> BaseException:
+    """An error with the number of the rank in its words."""
+    if isinstance(error, OSError) and error.strerror:
+        return type(error)(error.errno, f"{error.strerror} (rank {number})", error.filename)
+    words = [k for k, value in enumerate(error.args) if isinstance(value, str)][:1]
+    error.args = tuple(
+        f"{v} (rank {number})" if k in words else v for k, v in enumerate(error.args)
+    )
+    return error
 
 
 def _sendable(error: BaseException) -> bytes:

@@ -172,6 +172,7 @@ def add_resume(resume: _Parser) -> None:
     _add_code(resume)
     _add_json(resume)
     _add_plan(resume)
+    _add_mpi(resume)
     _add_report(resume)
 
 

@@ -24,7 +24,7 @@ SECONDS_TO_LOOK: Final = 10  # of the processor: a file has some hundred objects
 
 def wants_guard(words: Sequence[str]) -> bool:
     """Whether a command line is to run in a process of its own."""
-    if not words or MARK in os.environ:
+    if not words or MARK in os.environ or "--mpi" in words:  # only what is launched has a rank
         return False
     is_played = any(Path(word).suffix.lower() in FILES for word in words[1:])
     return words[0] in GUARDED or (words[0] == "view" and is_played)
@@ -67,7 +67,12 @@ def probe(path: Path) -> None:
     Ending
         If HDF5 crashes on the file, or goes round in circles.
     """
-    from particlerb.record.checked_reading import TrajectoryError, require_self_contained
+    from particlerb.record.checked_reading import (
+        TrajectoryError,
+        open_file,
+        require_self_contained,
+    )
+    from particlerb.record.parts import folder_beside, parts_in
     from particlerb.record.trajectory import open_trajectory
 
     if not hasattr(os, "fork"):
@@ -86,6 +91,10 @@ def probe(path: Path) -> None:
                 open_trajectory(path) as t,
             ):
                 require_self_contained(t.file)
+                parts = parts_in(t.file)
+                for name in parts.names if parts else ():
+                    with open_file(folder_beside(path) / name) as part:
+                        require_self_contained(part)
         finally:
             os._exit(0)
     try:

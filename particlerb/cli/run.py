@@ -119,10 +119,16 @@ def _run(options: argparse.Namespace, ranks: Ranks | None) -> int:
 
 def resume_command(options: argparse.Namespace) -> int:
     """`resume`: go on with the run of a file."""
-    path = Path(options.file)
-    probe(path)
+    with ranks_of(options) as ranks:
+        return _resume(options, ranks)
+
+
+def _resume(options: argparse.Namespace, shared: Ranks | None) -> int:
+    """Go on with a run, on ranks or alone."""
+    path, ranks = Path(options.file), shared or ALONE
+    ranks.together(lambda: None if ranks.number else probe(path))
     try:
-        pending = look_at(path, options.t_end, options.threads, options.allow_code)
+        pending = look_at(path, options.t_end, options.threads, options.allow_code, ranks)
     except (CaseError, ResumeError, TrajectoryError, FileNotFoundError) as error:
         raise Ending(str(error)) from None
     _warn(options, list(pending.warnings))
@@ -137,10 +143,11 @@ def resume_command(options: argparse.Namespace) -> int:
         )
 
     try:
-        outcome = _execute(partial(resume_pending, pending), path, options, pending.total, start)
+        run = partial(resume_pending, pending, ranks=ranks)
+        outcome = _execute(run, path, options, pending.total, start)
     except ResumeError as error:
         raise Ending(str(error)) from None
-    return _conclude(pending.prepared, outcome, path, options)
+    return _conclude(pending.prepared, outcome, path, options, shared)
 
 
 def _conclude(
@@ -278,7 +285,8 @@ def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
         with open_trajectory(path) as trajectory:
             n = trajectory.n_frames
             text = f"{n} {'frame is' if n == 1 else 'frames are'} kept in {path}"
-            if can_go_on and (schema.CHECKPOINT in trajectory.file or not n):
+            file = trajectory.file
+            if can_go_on and (schema.CHECKPOINT in file or parts_in(file) or not n):
                 text += f"\ncontinue with: python -m particlerb resume {shlex.quote(str(path))}"
             return text
     except (OSError, TrajectoryError) as error:

@@ -19,7 +19,7 @@ from h5py import h5d, h5l, h5z
 from particlerb.record.atomic import to_read
 from particlerb.record.hdf5 import header_attribute
 from particlerb.record.memory import Memory
-from particlerb.record.parts import parts_in, range_in
+from particlerb.record.parts import folder_beside, parts_in, range_in
 from particlerb.record.schema import COMMITTED, TIME
 
 _FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
@@ -232,7 +232,7 @@ def require_parts(file: h5py.File, n_frames: int) -> None:
         parts = parts_in(file)
     for k, name in enumerate(parts.names if parts else ()):
         assert parts is not None
-        path = Path(file.filename).parent / name
+        path = folder_beside(Path(file.filename)) / name
         if not path.is_file():
             raise TrajectoryError(f"{file.filename}: its part {path} is missing")
         with open_file(path) as part, trajectory_errors(part):

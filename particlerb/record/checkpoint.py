@@ -9,6 +9,7 @@ import hashlib
 import io
 import zipfile
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import h5py
@@ -99,6 +100,33 @@ def write_checkpoint(file: h5py.File, n_frames: int, arrays: Mapping[str, Any]) 
     change(place.id, schema.CURRENT, np.int64(other))
 
 
+def count_from(file: h5py.File, n_frames: int) -> None:
+    """Let the slot count that lies behind so many frames; the other is to be written next.
+
+    A part that a kill has left ahead of others goes on from the slot that all of them have.
+    """
+    if schema.CHECKPOINT not in file:
+        return
+    place = file[schema.CHECKPOINT]
+    frames = [int(place[name].attrs[schema.SLOT_FRAMES]) for name in schema.SLOTS]
+    if n_frames in frames and frames[int(place.attrs[schema.CURRENT])] != n_frames:
+        change(place.id, schema.CURRENT, np.int64(frames.index(n_frames)))
+
+
+def slots_in(file: h5py.File) -> dict[int, dict[str, Any]]:
+    """Both states of a part that is not trusted, by the frames behind which they lie; whole ones.
+
+    A kill while parts are committed leaves some of them one state ahead.
+    """
+    found: dict[int, dict[str, Any]] = {}
+    for is_before in (True, False) if schema.CHECKPOINT in file else ():
+        with suppress(TrajectoryError, CheckpointError):
+            slot = slot_in(file, is_before)
+            if slot.content and slot.digest == slot.stored:
+                found[slot.n_frames] = _arrays_in(file, slot)
+    return found
+
+
 def slot_in(file: h5py.File, is_before: bool) -> _Slot:
     """The slot that counts, or the one before, of a file that is not trusted.
 
@@ -140,7 +168,12 @@ def read_checkpoint(file: h5py.File) -> Checkpoint:
         reason = reason or f"{file.filename}: the checkpoint is damaged: its hash is another"
     else:
         raise CheckpointError(reason)
+    return Checkpoint(slot.n_frames, _arrays_in(file, slot), slot.digest)
+
+
+def _arrays_in(file: h5py.File, slot: _Slot) -> dict[str, Any]:
+    """State in a slot."""
     try:
-        return Checkpoint(slot.n_frames, _unpacked(slot.content), slot.digest)
+        return _unpacked(slot.content)
     except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{file.filename}: the checkpoint cannot be read: {error}") from None

@@ -1,6 +1,7 @@
 """The HDF5 file that a run writes: made whole or not at all, changed by commits, left after errors.
 
-A new file lies beside its place, under its name with `.new` behind it, until its first commit.
+A new file lies beside its place, under its name with `.new` behind it, until its first commit; one
+that has parts, in their folder.
 """
 
 import os
@@ -31,9 +32,8 @@ class OutputFile:
         The open file; closed with this one.
     is_durable : bool
         Whether commits wait for the disk.
-    place : Path, optional
-        Where a new file comes to lie with its first commit; until then it has this name with `.new`
-        behind it.
+    place, waiting : Path, optional
+        Where a new file comes to lie with its first commit, and where it lies until then.
     empty : bytes
         Content of a new file, without frames.
 
@@ -47,10 +47,10 @@ class OutputFile:
 
     def __init__(
         self, path: Path, lock: WriterLock, is_durable: bool, place: Path | None = None,
-        empty: bytearray | None = None,
+        empty: bytearray | None = None, waiting: Path | None = None,
     ) -> None:  # fmt: skip
         self.path, self.is_from_before, self.is_broken = path, place is None, False
-        self.place = place  # None: it is there
+        self.place, self.waiting = place, waiting  # None: it is there
         try:
             self.disk = AtomicFile(lock, path, is_durable)
             self.disk.settle()
@@ -80,9 +80,9 @@ class OutputFile:
         failure, self.disk.failure = self.disk.failure, self.disk.failure or (None, None, "")
         with suppress(OSError, RuntimeError, ValueError):
             self.file.close()
-        if self.place is not None:
+        if self.waiting is not None:
             with suppress(OSError):
-                _waiting(self.place).unlink(missing_ok=True)
+                self.waiting.unlink(missing_ok=True)
         self.disk.source.close()
         if failure is not None:
             raise OSError(*failure) from None
@@ -95,11 +95,12 @@ class OutputFile:
 
     def take_place(self) -> None:
         """Give a new file its name."""
-        if self.place is None:
+        if self.place is None or self.waiting is None:
             return
-        _waiting(self.place).replace(self.place)
-        folder, self.place = self.place.parent, None
-        if self.disk.is_durable:
+        self.waiting.replace(self.place)
+        folders = dict.fromkeys((self.place.parent, self.waiting.parent))
+        self.place = self.waiting = None
+        for folder in folders if self.disk.is_durable else ():
             _sync_folder(folder)
 
     def close(self) -> None:
@@ -110,13 +111,17 @@ class OutputFile:
         self.disk.source.close()
 
 
-def _waiting(place: Path) -> Path:
+def waiting_in(folder: Path, place: Path) -> Path:
     """Where a new file lies until its first commit."""
-    return place.with_name(f"{place.name}.new")
+    return folder / f"{place.name}.new"
 
 
-def new_file(path: Path, overwrite: bool, is_durable: bool, empty: bytearray) -> OutputFile:
+def new_file(
+    path: Path, overwrite: bool, is_durable: bool, empty: bytearray, folder: str = "."
+) -> OutputFile:
     """A new file, which takes its name with its first commit, and is none without.
+
+    Until then it lies in a folder: this one, from where it comes to lie.
 
     Raises
     ------
@@ -128,13 +133,14 @@ def new_file(path: Path, overwrite: bool, is_durable: bool, empty: bytearray) ->
         If it cannot be made.
     """
     place = output_path(path, overwrite)
-    place.parent.mkdir(parents=True, exist_ok=True)
+    waiting = waiting_in(place.parent / folder, place)
+    waiting.parent.mkdir(parents=True, exist_ok=True)
     if place.exists():
         WriterLock(place).close()  # nobody else writes it
-    lock = WriterLock(_waiting(place))
-    with _blaming(_waiting(place)):
+    lock = WriterLock(waiting)
+    with _blaming(waiting):
         os.ftruncate(lock.fileno(), 0)
-    return OutputFile(path, lock, is_durable, place, empty)
+    return OutputFile(path, lock, is_durable, place, empty, waiting)
 
 
 def _sync_folder(path: Path) -> None:

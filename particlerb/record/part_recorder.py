@@ -6,9 +6,10 @@ run. A part may be ahead of it, never behind.
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -18,11 +19,13 @@ from particlerb.ranks import Ranks
 from particlerb.record import schema
 from particlerb.record.checksums import Words, frame_checksums
 from particlerb.record.frame_values import NewFrames, values_of
+from particlerb.record.output_file import waiting_in
 from particlerb.record.output_path import output_path
-from particlerb.record.parts import Parts, folder_of
+from particlerb.record.parts import Parts, folder_beside, folder_of, folder_used_by
 from particlerb.record.writer import SECONDS_BETWEEN_COMMITS, SHARE_OF_CHECKPOINTS, Recorder
 
 _Checkpoint = Callable[[Range], Mapping[str, Any]]
+_ANY_PART: Final = "[0-9][0-9][0-9][0-9].h5"
 
 
 class PartRecorder:
@@ -44,6 +47,7 @@ class PartRecorder:
         self.first = parts.ranges[self.numbers[0]].first
         self.own: list[tuple[Range, Recorder]] = []
         self.master: Recorder | None = None
+        self.replaced: Path | None = None  # folder of parts of a master that is to be replaced
         self.last_commit = self.last_checkpoint = time.monotonic()
         self.seconds_for_checkpoint = 0.0
 
@@ -74,26 +78,55 @@ class PartRecorder:
         FileExistsError, InUseError, OSError
             As `Recorder`.
         """
-        ranges = parts_of(len(content[schema.BODY]))
-        self = cls(system, ranks, Parts(folder_of(path), tuple(ranges), run))
-        if ranks.number == 0:
-            ranks.together(partial(_make_room, path, folder_of(path), overwrite))
-        else:
-            ranks.together(lambda: None)
-        ranks.together(lambda: self.open_parts(path))
-        ranks.together(lambda: self.open_master(path, content))
+        ranges = tuple(parts_of(len(content[schema.BODY])))
+        folder, replaced = ranks.together(lambda: _folders(path, overwrite, ranks))
+        self = cls(system, ranks, Parts(ranks.gathered(folder)[0], ranges, run))
+        self.replaced = replaced
+        ranks.together(lambda: self.make_master(path, content, overwrite))
+        ranks.together(lambda: self.open_parts(path, partial(Recorder.of_part, run=run)))
         return self
 
-    def open_parts(self, path: Path) -> None:
-        """Make the parts of this rank."""
-        for k in self.numbers:
-            of, place = self.parts.ranges[k], path.parent / self.parts.names[k]
-            self.own.append((of, Recorder.of_part(place, self.system, of, self.parts.run)))
+    @classmethod
+    def reopen(
+        cls, path: Path, system: System, parts: Parts, ranks: Ranks, n_frames: int, known: int,
+        is_prolonged: bool,
+    ) -> Self:  # fmt: skip
+        """Recorder of files that have frames; see `Recorder.reopen`.
 
-    def open_master(self, path: Path, content: Mapping[str, Any]) -> None:
-        """Make the master, on the first rank."""
+        The master forgets a frame that does not stay before any part does.
+        """
+        self = cls(system, ranks, parts)
+
+        def open_master() -> None:
+            if ranks.number == 0:
+                self.master = Recorder.reopen(
+                    path, system, n_frames, known, is_prolonged=is_prolonged
+                )
+                self.master.commit_cut()
+
+        def open_part(path: Path, system: System, of: Range) -> Recorder:
+            del of
+            return Recorder.reopen(path, system, n_frames, known, is_part=True)
+
+        ranks.together(open_master)
+        ranks.together(lambda: self.open_parts(path, open_part))
+        return self
+
+    def open_parts(self, path: Path, opened: Callable[[Path, System, Range], Recorder]) -> None:
+        """Make or open the parts of this rank."""
+        folder = folder_beside(path)
+        for k in self.numbers:
+            of = self.parts.ranges[k]
+            self.own.append((of, opened(folder / self.parts.names[k], self.system, of)))
+
+    def make_master(self, path: Path, content: Mapping[str, Any], overwrite: bool) -> None:
+        """Make the master, on the first rank, and its folder, without any parts in it.
+
+        While the master is open nobody else takes the folder.
+        """
         if self.ranks.number == 0:
-            self.master = Recorder(path, self.system, content, True, self.parts)
+            self.master = Recorder(path, self.system, content, overwrite, self.parts)
+            _clear(folder_beside(path) / self.parts.folder)
 
     @property
     def recorders(self) -> list[Recorder]:
@@ -107,13 +140,13 @@ class PartRecorder:
 
     def append(self, given: NewFrames) -> None:
         """Append new frames of the bodies of this rank."""
-        values = values_of(self.system, given)
-        sums = self.ranks.together(lambda: self.append_parts(given, values))
+        values, sums = self.ranks.together(lambda: self.append_parts(given))
         whole: Words = np.add.reduce(np.stack(self.ranks.gathered(sums)), axis=0)
         self.ranks.together(lambda: self.append_master(given, values, whole))
 
-    def append_parts(self, given: NewFrames, values: Mapping[str, Any]) -> Words:
-        """Append to the parts; the share of this rank in the checksums."""
+    def append_parts(self, given: NewFrames) -> tuple[Mapping[str, Any], Words]:
+        """Append to the parts; arrays of all elements, and the share in the checksums."""
+        values = values_of(self.system, given)
         total = np.zeros(len(given.times), dtype=np.uint64)
         for (first, stop), recorder in self.own:
             own = {
@@ -124,7 +157,7 @@ class PartRecorder:
             sums = frame_checksums(len(total), shares, first)
             recorder.put(given, own, sums)
             total += sums
-        return total
+        return values, total
 
     def append_master(self, given: NewFrames, values: Mapping[str, Any], sums: Words) -> None:
         """Append to the master what is not of bodies; `sums` are the shares of the parts."""
@@ -136,8 +169,12 @@ class PartRecorder:
 
     def save_checkpoint(self, checkpoint: _Checkpoint) -> None:
         """Keep the state behind all frames, of each part by itself."""
-        for of, recorder in self.own:
-            recorder.save_checkpoint(partial(checkpoint, of))
+
+        def save() -> None:
+            for of, recorder in self.own:
+                recorder.save_checkpoint(partial(checkpoint, of))
+
+        self.ranks.together(save)
         self.last_checkpoint = time.monotonic()
 
     def commit_if_due(self, checkpoint: _Checkpoint | None) -> None:
@@ -157,14 +194,33 @@ class PartRecorder:
             self.seconds_for_checkpoint = self.last_commit - start
 
     def finish(self) -> None:
-        """Commit and close, the master last."""
-        self.in_order(Recorder.finish)
+        """Commit and close, the master last; where a file is broken, none is written any more.
+
+        Its part may be one that the master must not be ahead of.
+        """
+        own = any(recorder.output.is_broken for recorder in self.recorders)
+        is_new = self.master is not None and self.master.output.waiting is not None
+        each = self.ranks.gathered((own, is_new))
+        if not any(is_broken for is_broken, _ in each):
+            self.in_order(Recorder.finish)
+            return
+        for recorder in self.recorders:
+            recorder.leave()
+        for _, recorder in self.own if each[0][1] else ():  # the master has committed nothing
+            with suppress(OSError):
+                recorder.output.path.unlink(missing_ok=True)
+                recorder.output.path.parent.rmdir()  # if it is empty
 
     def in_order(self, work: Callable[[Recorder], None]) -> None:
         """Do something with all parts, and with the master when all ranks are done."""
         masters = [self.master] if self.master else []
         for recorders in ([recorder for _, recorder in self.own], masters):
             self.ranks.together(partial(_for_each, work, recorders))
+        if self.replaced is not None:
+            _clear(self.replaced)
+            with suppress(OSError):
+                self.replaced.rmdir()
+            self.replaced = None
 
 
 def _for_each(work: Callable[[Recorder], None], recorders: list[Recorder]) -> None:
@@ -183,13 +239,28 @@ def _nothing(values: Any) -> Any:
     return np.zeros((len(values), 0))
 
 
-def _make_room(path: Path, folder: str, overwrite: bool) -> None:
-    """Make the folder of the parts, without any in it."""
+def _folders(path: Path, overwrite: bool, ranks: Ranks) -> tuple[str, Path | None]:
+    """Folder for new parts, on the first rank, and the one whose parts go with the old master.
+
+    Raises
+    ------
+    FileExistsError
+        If there are parts that may not be replaced: of another master, whose name was changed.
+    """
+    if ranks.number:
+        return "", None
     place = output_path(path, overwrite)
-    parts = path.parent / folder
-    if parts.exists() and not overwrite:
-        raise FileExistsError(f"{parts} exists: give another name with -o, or --overwrite")
-    place.unlink(missing_ok=True)
-    parts.mkdir(parents=True, exist_ok=True)
-    for old in parts.glob("[0-9][0-9][0-9][0-9].h5"):
-        old.unlink()
+    used = folder_used_by(place)
+    name = folder_of(place, used)
+    folder = place.parent / name
+    is_left_over = waiting_in(folder, place).exists()  # of a run that was killed
+    if any(folder.glob(_ANY_PART)) and not (overwrite or is_left_over):
+        raise FileExistsError(f"{folder} exists: give another name with -o, or --overwrite")
+    return name, place.parent / used if used else None
+
+
+def _clear(folder: Path) -> None:
+    """Remove all parts from a folder."""
+    for pattern in (_ANY_PART, f"{_ANY_PART}.new"):
+        for old in folder.glob(pattern):
+            old.unlink()

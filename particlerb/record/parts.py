@@ -6,6 +6,7 @@ and folder are moved together. A part that is missing would be read as NaN witho
 opens a master looks at each part first.
 """
 
+import os
 import re
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -45,9 +46,25 @@ class Parts(NamedTuple):
         return self.ranges[-1].stop
 
 
-def folder_of(path: Path) -> str:
-    """Name of the folder that the parts of a master are in."""
-    return f"{path.stem}.parts"
+def folder_beside(path: Path) -> Path:
+    """Folder that a file lies in, behind all links: where the folder of its parts is."""
+    return Path(os.path.realpath(path)).parent
+
+
+def folder_of(path: Path, used: str = "") -> str:
+    """Name of the folder for the parts of a new master: not the one that is used."""
+    name = f"{path.stem}.parts"
+    return f"{path.stem}.2.parts" if name == used else name
+
+
+def folder_used_by(path: Path) -> str:
+    """Name of the folder that the parts of a file are in; empty where it has none."""
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            parts = parts_in(file)
+    except (OSError, RuntimeError, KeyError, ValueError):
+        return ""
+    return parts.folder if parts else ""
 
 
 def note_master(file: h5py.File, parts: Parts) -> None:

@@ -5,6 +5,7 @@ the frames, and what must hold of any frames. Frames are read in portions.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -19,10 +20,12 @@ from particlerb.record.checked_reading import (
     dataset_at,
     integer_attribute,
     object_at,
+    open_file,
     trajectory_errors,
 )
-from particlerb.record.checkpoint import slot_in
+from particlerb.record.checkpoint import slot_in, slots_in
 from particlerb.record.checksums import digest, frame_checksums, list_checksums
+from particlerb.record.parts import Parts, folder_beside, parts_in
 from particlerb.record.trajectory import Trajectory
 
 _SUMMED: Final = {  # what is summed again, and the size of what is summed
@@ -226,6 +229,9 @@ def _verify_steps(trajectory: Trajectory) -> str:
 def _verify_checkpoint(trajectory: Trajectory) -> str:
     """Compute the hash of the state from which the run can go on."""
     with trajectory_errors(trajectory.file):
+        parts = parts_in(trajectory.file)
+        if parts is not None:
+            return _states_of_parts(trajectory, parts)
         if schema.CHECKPOINT not in trajectory.file:
             return "none: the run cannot be continued"
     slots = [slot_in(trajectory.file, is_before) for is_before in (True, False)]
@@ -238,3 +244,17 @@ def _verify_checkpoint(trajectory: Trajectory) -> str:
     if slots[-1].n_frames > trajectory.n_frames:
         raise _Flaw(f"lies behind frame {slots[-1].n_frames - 1}, of {trajectory.n_frames}")
     return f"behind {slots[-1].n_frames} frames, hash {slots[-1].digest[:12]}… is that written"
+
+
+def _states_of_parts(trajectory: Trajectory, parts: Parts) -> str:
+    """The same, of a state that all parts have."""
+    common = set(range(trajectory.n_frames + 1))
+    for name in parts.names:
+        path = folder_beside(Path(trajectory.file.filename)) / name
+        with open_file(path) as file:
+            common &= slots_in(file).keys()
+    if not common:
+        raise _Flaw("of all parts is none that is whole, and behind the same frames")
+    return (
+        f"behind {max(common)} frames in {len(parts.names)} parts, their hashes are those written"
+    )

@@ -18,13 +18,14 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.record import schema
-from particlerb.record.checkpoint import write_checkpoint
+from particlerb.record.checkpoint import count_from, write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
 from particlerb.record.frame_values import ContactList, NewFrames, contact_columns, values_of
 from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import laid_out, part_laid_out, write_rest
 from particlerb.record.output_file import OutputFile, new_file
 from particlerb.record.parts import Parts, parts_in
+from particlerb.record.provenance import replace_case
 from particlerb.record.vtkhdf import (
     STEP_STARTS,
     STEP_TIMES,
@@ -85,13 +86,17 @@ class Recorder:
     ) -> None:
         content = {**content, **topology_of(system.output.fields, len(content[schema.BODY]))}
         empty = laid_out(system, content, parts)
-        output = new_file(path, overwrite, system.output.durable, empty)
+        folder = parts.folder if parts else "."
+        output = new_file(path, overwrite, system.output.durable, empty, folder)
         with output.writing():
             write_rest(output.file, content)
             self.begin(output, system)
 
     @classmethod
-    def reopen(cls, path: Path, system: System, n_frames: int, known: int) -> Self:
+    def reopen(
+        cls, path: Path, system: System, n_frames: int, known: int, *, is_prolonged: bool = False,
+        is_part: bool = False,
+    ) -> Self:  # fmt: skip
         """Recorder of a file that has frames: what is appended again must be the same.
 
         Parameters
@@ -104,6 +109,10 @@ class Recorder:
             Frames that lie behind the state that is carried on.
         known : int
             Frames that the file keeps, of those that it has: not fewer.
+        is_prolonged : bool
+            Whether it ends at another time than its case says.
+        is_part : bool
+            Whether it has a part of the bodies.
 
         Raises
         ------
@@ -117,9 +126,12 @@ class Recorder:
         self = cls.__new__(cls)
         output = OutputFile(path, WriterLock(path), system.output.durable)
         with output.writing():
-            self.begin(output, system)
+            self.begin(output, system, is_part)
             self.n_frames, self.n_written, self.known = n_frames, n_frames, known
             self.cut(known)
+            count_from(self.file, n_frames)
+            if is_prolonged:
+                replace_case(self.file, system)
         return self
 
     @classmethod
@@ -165,6 +177,11 @@ class Recorder:
         if self.contacts is not None:
             self.contacts.cut(n)
         self.resize_views(n if self.parts else frame_count(self.system.run))
+
+    def commit_cut(self) -> None:
+        """Let the file have no more frames than stay, now and not at the next commit."""
+        with self.output.writing():
+            self.output.commit()
 
     def resize_views(self, n: int) -> None:
         """Let VTK find so many frames."""
@@ -275,6 +292,11 @@ class Recorder:
         if self.waiting is not None:
             write_checkpoint(self.file, *self.waiting)
             self.waiting = None
+
+    def leave(self) -> None:
+        """Close without a commit."""
+        if not self.output.is_broken:
+            self.output.abandon()
 
     def finish(self) -> None:
         """Commit and close; after an error there is nothing to do."""

@@ -19,11 +19,19 @@ from particlerb.case.source import Source
 from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
-from particlerb.record.checked_reading import require_self_contained
-from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint
+from particlerb.model.superblocks import own_parts
+from particlerb.ranks import ALONE, Ranks
+from particlerb.record.checked_reading import open_file, require_self_contained
+from particlerb.record.checkpoint import (
+    Checkpoint,
+    CheckpointError,
+    read_checkpoint,
+    slots_in,
+)
 from particlerb.record.output_file import DamagedError
-from particlerb.record.parts import parts_in
-from particlerb.record.provenance import replace_case, stored_case, versions
+from particlerb.record.part_recorder import PartRecorder
+from particlerb.record.parts import Parts, folder_beside, parts_in
+from particlerb.record.provenance import stored_case, versions
 from particlerb.record.schema import PARAMETERS
 from particlerb.record.trajectory import open_trajectory
 from particlerb.record.vtkhdf import is_finished
@@ -32,7 +40,9 @@ from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_again
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.outcome import Outcome, Progress
+from particlerb.simulation.probes import joined
 from particlerb.simulation.run import advance, identity
+from particlerb.simulation.shares import part_of, share_of
 from particlerb.simulation.whole_run import Prepared
 
 _UNVERIFIED = (
@@ -57,10 +67,15 @@ class _Pending(NamedTuple):
     total: int  # frames that there will be
     is_prolonged: bool  # whether it ends at another time than it was to
     warnings: tuple[str, ...]
+    parts: Parts | None  # where the bodies lie, if these are several files
 
 
 def look_at(
-    path: Path, t_end: float | None = None, threads: int | None = None, allow_code: bool = False
+    path: Path,
+    t_end: float | None = None,
+    threads: int | None = None,
+    allow_code: bool = False,
+    ranks: Ranks = ALONE,
 ) -> _Pending:
     """What there is to do for a file; it is only read.
 
@@ -74,6 +89,8 @@ def look_at(
         In place of those that the case says.
     allow_code : bool
         Whether code in it may be run.
+    ranks : Ranks
+        That share the scene; each is to look at the file.
 
     Raises
     ------
@@ -84,9 +101,20 @@ def look_at(
     FileNotFoundError, TrajectoryError
         If the file is not there, or no trajectory.
     """
+    pending = ranks.together(lambda: _looked_at(path, t_end, threads, allow_code))
+    if pending.parts is not None:
+        return _from_parts(pending, pending.parts, ranks)
+    if ranks.count > 1:
+        raise ResumeError(f"{path} is one file, which one process writes: continue without --mpi")
+    return pending
+
+
+def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code: bool) -> _Pending:
+    """The same, where the state behind parts is not known yet."""
     with open_trajectory(path) as trajectory:
         file, n = trajectory.file, trajectory.n_frames
-        _refuse_parts(path, file)
+        require_self_contained(file)
+        parts = parts_in(file)
         _refuse_other_version(path, _text_in(file, "versions"), _text_in(file, "git_revision"))
         if _text_in(file, "case_resolved") is None or _text_in(file, "identity") is None:
             raise ResumeError(f"{path} does not say how it was made, so it cannot be continued")
@@ -108,7 +136,7 @@ def look_at(
                 f" t = {system.run.t_end!r} s are there; --t-end prolongs the run"
             )
         try:
-            checkpoint = read_checkpoint(file) if n else None
+            checkpoint = read_checkpoint(file) if n and parts is None else None
         except CheckpointError as error:
             raise ResumeError(f"{error}: it cannot be continued; run the case anew") from None
         start = checkpoint.n_frames if checkpoint else 0
@@ -118,10 +146,38 @@ def look_at(
     warnings = prepared.plan.warnings
     if is_prolonged and system.run.accuracy is not None:
         warnings = (*warnings, _UNVERIFIED)
-    return _Pending(path, prepared, checkpoint, start, known, total, is_prolonged, warnings)
+    return _Pending(path, prepared, checkpoint, start, known, total, is_prolonged, warnings, parts)
 
 
-def resume_pending(pending: _Pending, progress: Progress = lambda n: None) -> Outcome:
+def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
+    """From the last state that all parts have; a kill may have left some of them ahead of it."""
+    share_of(parts.n_bodies, ranks)
+    numbers = own_parts(len(parts.ranges), ranks)
+    own = ranks.together(lambda: [_states_of(pending.path, parts.names[k]) for k in numbers])
+    each = [
+        set(states) for of_rank in ranks.gathered([list(one) for one in own]) for states in of_rank
+    ]
+    common = [n for n in set.intersection(*each) if n <= pending.known]
+    if not common:
+        raise ResumeError(
+            f"{pending.path}: its parts have no whole checkpoint in common: it cannot be continued;"
+            " run the case anew"
+        )
+    start = max(common)
+    checkpoint = Checkpoint(start, joined([states[start] for states in own]), "")
+    return pending._replace(checkpoint=checkpoint, start=start)
+
+
+def _states_of(path: Path, name: str) -> dict[int, dict[str, Any]]:
+    """States in the checkpoints of a part."""
+    with open_file(folder_beside(path) / name) as file:
+        require_self_contained(file)
+        return slots_in(file)
+
+
+def resume_pending(
+    pending: _Pending, progress: Progress = lambda n: None, ranks: Ranks = ALONE
+) -> Outcome:
     """Go on with a run.
 
     Raises
@@ -132,24 +188,27 @@ def resume_pending(pending: _Pending, progress: Progress = lambda n: None) -> Ou
         As in `simulate.advance`.
     """
     path, prepared, checkpoint = pending.path, pending.prepared, pending.checkpoint
+    whole, start, known, is_prolonged = (
+        prepared.system,
+        pending.start,
+        pending.known,
+        pending.is_prolonged,
+    )
+    recorder: Recorder | PartRecorder
     try:
-        recorder = Recorder.reopen(path, prepared.system, pending.start, pending.known)
+        if pending.parts is None:
+            recorder = Recorder.reopen(path, whole, start, known, is_prolonged=is_prolonged)
+        else:
+            prepared = part_of(prepared, ranks)
+            recorder = PartRecorder.reopen(
+                path, prepared.system, pending.parts, ranks, start, known, is_prolonged
+            )
     except InUseError:
         raise ResumeError(f"{path} is being written by another run") from None
     except DamagedError as error:
         raise ResumeError(str(error)) from None
-    if pending.is_prolonged:
-        with recorder.output.writing():
-            replace_case(recorder.file, prepared.system)
-    with THREADS.using(prepared.system.run.threads):
-        return advance(prepared, recorder, checkpoint, progress)
-
-
-def _refuse_parts(path: Path, file: h5py.File) -> None:
-    """Require that all of a file lies in it."""
-    require_self_contained(file)
-    if parts_in(file) is not None:
-        raise ResumeError(f"{path} lies in parts, which cannot be continued; run the case anew")
+    with THREADS.using(whole.run.threads):
+        return advance(prepared, recorder, checkpoint, progress, ranks)
 
 
 def _text_in(file: h5py.File, name: str) -> str | None:

@@ -18,7 +18,7 @@ from particlerb.plan.describe import describe
 from particlerb.plan.joints import assembled
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
-from particlerb.ranks import ALONE, Ranks
+from particlerb.ranks import ALONE, Ranks, as_agreed
 from particlerb.record.checkpoint import Checkpoint
 from particlerb.record.layout import tables_of
 from particlerb.record.memory import Memory
@@ -136,15 +136,12 @@ def advance(
         if checkpoint is None:
             recorder.save_checkpoint(run.checkpoint)
         else:
-            try:
-                run.restore(checkpoint.n_frames, dict(checkpoint.arrays))
-            except (LookupError, TypeError, ValueError) as reason:
-                raise RunError(f"the checkpoint does not fit: {reason}") from None
+            ranks.together(lambda: _restore(run, checkpoint))
         for batch in batches(prepared.system, run.n_frames, ranks):
             reached, error = _one_batch(run, recorder, batch)
             progress(reached)
             if error is not None:
-                raise error
+                raise as_agreed(error)
             if batch.is_whole_end:
                 recorder.save_checkpoint(run.checkpoint)
             recorder.commit_if_due(None if batch.is_odd else run.checkpoint)
@@ -152,11 +149,14 @@ def advance(
                 THREADS.is_ending = False
                 if not batch.is_odd:
                     recorder.save_checkpoint(run.checkpoint)
-                raise KeyboardInterrupt
-    except (MotionError, FloatingPointError, OtherFrameError) as problem:
-        raise RunError(str(problem)) from None
-    finally:
-        recorder.finish()
+                raise as_agreed(KeyboardInterrupt())
+    except BaseException as problem:
+        if ranks.agreed(problem):  # one that fails alone waits for nobody
+            recorder.finish()
+        if isinstance(problem, MotionError | FloatingPointError | OtherFrameError):
+            raise RunError(str(problem)) from None
+        raise
+    recorder.finish()
     return Outcome(
         run.balance.drift(run.counted, run.moving.state.com, prepared.system.run.t_end, ranks),
         tuple(run.probes),
@@ -167,6 +167,14 @@ def advance(
         tally_of(run.group_runs),
         broken_joints(run.setup, run.joints),
     )
+
+
+def _restore(run: Run, checkpoint: Checkpoint) -> None:
+    """Go on from a checkpoint; RunError where it does not fit."""
+    try:
+        run.restore(checkpoint.n_frames, dict(checkpoint.arrays))
+    except (LookupError, TypeError, ValueError) as reason:
+        raise RunError(f"the checkpoint does not fit: {reason}") from None
 
 
 def _one_batch(run: "Run", recorder: Any, batch: Batch) -> tuple[Reached, RunError | None]:

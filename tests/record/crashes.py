@@ -319,10 +319,14 @@ class Session:
         From `build`.
     settings : mapping
         Values of module attributes, by dotted names.
+    script : str
+        What is run with `--serve`.
     """
 
-    def __init__(self, shim: Path, settings: Mapping[str, Any] = OFTEN) -> None:
-        words = [sys.executable, __file__, "--serve", str(shim), json.dumps(dict(settings))]
+    def __init__(
+        self, shim: Path, settings: Mapping[str, Any] = OFTEN, script: str = __file__
+    ) -> None:
+        words = [sys.executable, script, "--serve", str(shim), json.dumps(dict(settings))]
         self.server = subprocess.Popen(
             words,
             env=os.environ | {"LD_PRELOAD": str(shim), guard.MARK: "1"},  # one process

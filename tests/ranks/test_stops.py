@@ -1,0 +1,59 @@
+"""Runs of ranks that are stopped, killed, or find no room: no committed frame is lost."""
+
+import random
+import signal
+
+import pytest
+from stops import (
+    LONG,
+    command,
+    frames_in,
+    needs_mpi,
+    next_words,
+    run_words,
+    stopped,
+    whole,
+)
+
+pytestmark = [needs_mpi, pytest.mark.slow, pytest.mark.plain]
+
+
+def test_a_run_goes_on_on_another_number_of_ranks(tmp_path):
+    """A signal to one rank ends all behind a frame; kills take nothing; the bits are those."""
+    straight, path, dice = tmp_path / "straight.h5", tmp_path / "run.h5", random.Random(7)
+    done = command(*run_words(straight, *LONG), ranks=1)
+    assert done.returncode == 0, done.stderr
+    begin = run_words(path, *LONG)
+    code, err = stopped(begin, 2, signal.SIGTERM, False, dice.uniform(0.3, 0.6), path)
+    assert code == 130, err
+    assert err.count("interrupted") == 1, err
+    frames = [frames_in(path)]
+    assert 0 < frames[0] < 17
+    stopped(next_words(path), 3, signal.SIGKILL, True, dice.uniform(0.0, 1.0), path)
+    frames.append(frames_in(path))
+    assert frames[1] >= frames[0]
+    done = command(*next_words(path))
+    assert done.returncode == 0, done.stderr
+    assert whole(path) == whole(straight)
+    done = command("resume", path, "--t-end", "0.35", ranks=2)
+    assert done.returncode == 0, done.stderr
+    assert frames_in(path) == 19
+
+
+def test_a_full_disk_of_one_rank_ends_all(tmp_path):
+    path = tmp_path / "run.h5"
+    done = command(*run_words(path, *LONG, "-q"), ranks=2, LIMITED="100000", OFTEN="1")
+    assert done.returncode == 1, done.stderr
+    assert "no file was written" in done.stderr
+    assert not list(tmp_path.iterdir())
+    done = command(*run_words(path, *LONG, "-q"), ranks=2, LIMITED="1150000", OFTEN="1")
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.count("the run failed") == 1, done.stderr
+    assert "run.parts/000" in done.stderr
+    assert "(rank 1)" in done.stderr
+    n = frames_in(path)
+    assert n > 0
+    assert f"{n} frame" in done.stderr
+    done = command(*next_words(path))
+    assert done.returncode == 0, done.stderr
+    assert frames_in(path) == 17
