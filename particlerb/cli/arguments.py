@@ -219,8 +219,8 @@ def add_export(export: _Parser) -> None:
     export.add_argument("file", metavar="FILE", help=f"a trajectory; or bodies: {_BODY_FILE}")
     export.add_argument(
         "--to", required=True, metavar="FORMAT",
-        help="a trajectory: gsd, csv, particles, contacts, lammps, npz; bodies: lammps, mjcf, yade,"
-        " gsd",
+        help="a trajectory: gsd, csv, particles, contacts, lammps, npz, h5; bodies: lammps, mjcf,"
+        " yade, gsd",
     )  # fmt: skip
     _add_matter(export)
     _add_output(export, "FILE", "default: the input's name")

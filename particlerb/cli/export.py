@@ -91,7 +91,8 @@ def _export_trajectory(options: argparse.Namespace) -> int:
     if options.to not in FORMATS:
         raise Ending(f"--to {options.to}: trajectories become {', '.join(FORMATS)}")
     source = Path(options.file)
-    named = source.with_name(f"{source.stem}_particles") if options.to == "particles" else source
+    added = {"particles": "_particles", "h5": "_whole"}.get(options.to, "")
+    named = source.with_name(f"{source.stem}{added}{source.suffix}")
     path = output_of(options, named.with_suffix(FORMATS[options.to][0]), Path(options.file))
     with opened(options.file) as trajectory, readable(), _writing(path):
         n = export(trajectory, path, options.to, options.bodies, options.frames, options.fields)

@@ -29,6 +29,7 @@ FORMATS: Final = {  # name: suffix of its files, and what it is, in words
     "contacts": (".vtkhdf", "a line for each contact, with its force, VTKHDF; ParaView"),
     "lammps": (".lammpstrj", "text dump of LAMMPS, one atom per body; OVITO, VMD"),
     "npz": (".npz", "NumPy arrays"),
+    "h5": (".h5", "the whole trajectory as one plain file, where its bodies lie in parts"),
 }
 _DERIVED: Final = {
     "velocity": ("linear_momentum",),

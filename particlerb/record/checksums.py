@@ -115,12 +115,17 @@ def digest_of(content: Mapping[str, Any]) -> str:
 
 def digest(file: h5py.File) -> str:
     """SHA-256 of all that does not change in time: tables and texts."""
+    return digest_of(tables_in(file))
+
+
+def tables_in(file: h5py.File) -> dict[str, Any]:
+    """All that does not change in time, by paths: tables and texts."""
     content = {}
     for path in _unchanging(file):
         dataset = object_at(file, path)
         require_own_storage(file, dataset, path)
         content[path] = dataset[()]
-    return digest_of(content)
+    return content
 
 
 def seal(file: h5py.File) -> None:

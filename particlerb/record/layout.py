@@ -11,6 +11,7 @@ from h5py import h5d, h5ds
 
 import particlerb
 from particlerb.case.run import frame_count
+from particlerb.case.schema import Case
 from particlerb.maths.vec3 import Floats
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
@@ -61,12 +62,12 @@ class Layout(NamedTuple):
     parts: Parts | None = None  # files where numbers of bodies lie, if these are several
 
 
-def laid_out(system: System, content: Content, parts: Parts | None = None) -> bytearray:
+def laid_out(system: System | Case, content: Content, parts: Parts | None = None) -> bytearray:
     """The file of a run without frames, with small arrays: its bytes.
 
     Parameters
     ----------
-    system : System
+    system : System or Case
         What is run.
     content : mapping of str to ndarray or bytes
         What does not change in time: `tables_of`, `topology_of` and `provenance.texts_of`.

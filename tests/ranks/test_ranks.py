@@ -1,8 +1,6 @@
 """Scenes that ranks share: the bits of one process, whatever their number; what is wrong said."""
 
-import hashlib
-import importlib.util
-import os
+import json
 import shutil
 import subprocess
 import sys
@@ -11,49 +9,31 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from stops import HERE, PLAIN, command, digests, line, needs_mpi, run_words
 
 import particlerb
+from particlerb.cli import main
+from particlerb.cli import ranks as of_commands
+from particlerb.model import superblocks
 from particlerb.model.names import BodyNames, NamesInRange
 from particlerb.model.superblocks import SUPERBLOCK, own_parts, parts_of
-from particlerb.ranks import Ranks, launched
+from particlerb.ranks import ALONE, Ranks, launched
+from particlerb.record import atomic
+from particlerb.record.checkpoint import read_checkpoint
 from particlerb.record.checksums import frame_checksums
 from particlerb.record.trajectory import TrajectoryError
-
-HERE = Path(__file__).parent
-BESIDE = Path(sys.executable).with_name("mpiexec")
-MPIEXEC = str(BESIDE) if BESIDE.exists() else shutil.which("mpiexec")
-PLAIN = {**os.environ, "NUMBA_DISABLE_JIT": "1", "MPICH_INTERFACE_HOSTNAME": "localhost"}
-needs_mpi = pytest.mark.skipif(
-    MPIEXEC is None or importlib.util.find_spec("mpi4py") is None, reason="there is no mpiexec"
-)
+from particlerb.simulation import shares
 
 
-def command(*words: str | Path, ranks: int = 0) -> subprocess.CompletedProcess:
-    """One command with superblocks of 256 bodies, on ranks of one thread."""
-    before = [MPIEXEC, "-n", str(ranks)] if ranks else []
-    line = [*before, sys.executable, HERE / "small_superblocks.py", *words]
-    return subprocess.run(
-        list(map(str, line)), env=PLAIN, capture_output=True, text=True, timeout=300, check=False
-    )
-
-
-def run(path: Path, *more: str, ranks: int = 0) -> subprocess.CompletedProcess:
+def run(path: Path, *more: str, ranks: int = 0) -> subprocess.CompletedProcess[str]:
     """The scene of the tests."""
-    words = (HERE / "mix.toml", "-o", path, "--threads", "1", *more)
-    return command(*words, *(["--mpi"] if ranks else []), ranks=ranks)
+    return command(*run_words(path, *more), ranks=ranks)
 
 
-def digests(path: Path) -> dict[str, str]:
-    """SHA-256 of all arrays of a file that are numbers, checkpoints aside."""
-    found = {}
-
-    def look(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset) and not name.startswith(("checkpoint", "parameters/")):
-            found[name] = hashlib.sha256(np.ascontiguousarray(item[()]).tobytes()).hexdigest()
-
+def state_in(path: Path) -> dict[str, bytes]:
+    """The last state in a file, by names of its arrays."""
     with h5py.File(path, "r") as file:
-        file.visititems(look)
-    return found
+        return {k: np.asarray(v).tobytes() for k, v in read_checkpoint(file).arrays.items()}
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +53,13 @@ def test_any_number_of_ranks_writes_what_one_process_writes(tmp_path, two):
     expected = digests(tmp_path / "alone.h5")
     assert "particles/trajectory/position/value" in expected
     assert digests(two) == expected
+    done = command("export", two, "--to", "h5", "-o", tmp_path / "merged.h5")
+    assert done.returncode == 0, done.stderr
+    assert digests(tmp_path / "merged.h5") == expected
+    assert state_in(tmp_path / "merged.h5") == state_in(tmp_path / "alone.h5")
+    done = command("export", two, "--to", "h5", "--frames", "1:", "-o", tmp_path / "a.h5")
+    assert done.returncode == 2
+    assert "h5 is a whole trajectory" in done.stderr
     for ranks in (1, 3, 4):
         path = tmp_path / f"{ranks}.h5"
         done = run(path, "--json", ranks=ranks)
@@ -129,7 +116,7 @@ def test_a_part_that_does_not_fit_is_named(two, tmp_path, fault):
 @needs_mpi
 @pytest.mark.slow
 def test_what_cannot_be_shared_is_refused_once(tmp_path):
-    done = command("newtons_cradle", "--mpi", "-q", "-o", tmp_path / "a.h5", ranks=2)
+    done = command("newtons_cradle", "-q", "-o", tmp_path / "a.h5", ranks=2)
     assert done.returncode == 2
     assert done.stderr.count("this case has contact") == 1, done.stderr
     done = run(tmp_path / "b.h5", "-q", ranks=5)
@@ -141,8 +128,8 @@ def test_what_cannot_be_shared_is_refused_once(tmp_path):
 @needs_mpi
 @pytest.mark.slow
 def test_several_processes_without_the_option_are_refused(tmp_path):
-    words = (HERE / "mix.toml", "-q", "-o", tmp_path / "a.h5")
-    done = command(*words, ranks=2)
+    words = [w for w in line(*run_words(tmp_path / "a.h5", "-q"), ranks=2) if w != "--mpi"]
+    done = subprocess.run(words, env=PLAIN, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "2 processes were started to run the same case" in done.stderr
 
@@ -165,6 +152,43 @@ def test_parts_are_whole_superblocks_and_depend_on_no_rank():
     for ranks.number in range(3):
         own += own_parts(7, ranks)
     assert own == list(range(7))
+
+
+@pytest.mark.plain
+def test_check_says_how_ranks_would_share_a_case(monkeypatch, capsys):
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    case = str(HERE / "mix.toml")
+    assert main(["check", case, "--ranks", "3", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["ranks"]
+    assert [found[k] for k in ("parts", "in_part", "own_parts", "bodies", "most")] == [
+        4, 256, 2, 512, 4,
+    ]  # fmt: skip
+    assert found["set_up_bytes"] == 1000 * shares.BYTES_SET_UP
+    assert main(["check", case, "--ranks", "5"]) == 2
+    assert "so 4 may share them" in capsys.readouterr().err
+
+
+@pytest.mark.plain
+def test_old_parts_stay_until_new_ones_are_committed(monkeypatch, tmp_path):
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    monkeypatch.setattr(of_commands, "ranks_of_mpi", lambda: ALONE)
+    path = tmp_path / "run.h5"
+    words = [*map(str, run_words(path, "-q", "--mpi"))]
+    assert main(words) == 0
+    before = digests(path)
+    assert main(words) == 2  # without --overwrite
+    with monkeypatch.context() as patch:
+        patch.setattr(atomic, "put", fails)
+        assert main([*words, "--overwrite"]) == 1
+    assert digests(path) == before
+    assert main([*words, "--overwrite"]) == 0
+    assert digests(path) == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.2.parts", "run.h5"]
+
+
+def fails(*_: object) -> None:
+    """Fail as a disk does."""
+    raise OSError(28, "No space left on device", "part")
 
 
 def test_names_of_a_range_are_those_of_the_scene():

@@ -1,0 +1,93 @@
+"""One plain trajectory file out of a master and its parts: what one process would have written."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import h5py
+import numpy as np
+
+from particlerb.export import ExportError, Selection
+from particlerb.record import schema
+from particlerb.record.checked_reading import dataset_at, has, open_file, trajectory_errors
+from particlerb.record.checkpoint import read_checkpoint, slots_in, write_checkpoint
+from particlerb.record.checksums import tables_in
+from particlerb.record.hdf5 import change, opened
+from particlerb.record.layout import laid_out, write_rest
+from particlerb.record.parts import folder_beside, parts_in
+from particlerb.record.trajectory import Trajectory
+from particlerb.record.vtkhdf import STEP_STARTS, STEP_TIMES, count_steps, resize_vtkhdf
+from particlerb.simulation.probes import joined
+
+NEEDS: Final = ()
+HOLDS: Final = (
+    *schema.FIELDS, *schema.CONTACT_FIELDS, *schema.OBSERVED, *schema.IMPULSES, schema.CONTACTS
+)  # fmt: skip
+
+
+def write(selection: Selection, path: Path) -> None:
+    """Write all of a trajectory, with the state from which its run can be continued.
+
+    Raises
+    ------
+    ExportError
+        If a choice was made, or contacts were recorded.
+    """
+    trajectory = selection.trajectory
+    n, file = trajectory.n_frames, trajectory.file
+    recorded = [*trajectory.fields, *trajectory.other_fields]
+    asked = (*selection.fields, *selection.observed)
+    if (len(selection.frames), len(selection.bodies)) != (n, trajectory.n_bodies) or (
+        set(asked) != set(recorded)
+    ):
+        raise ExportError(
+            "h5 is a whole trajectory, without contacts: leave out --bodies, --frames, --fields"
+        )
+    if not isinstance(file, h5py.File):
+        raise ExportError("h5 is made of a file; this trajectory is in memory")
+    with trajectory_errors(file):
+        content, case = tables_in(file), trajectory.case
+    path.write_bytes(laid_out(case, content))
+    with h5py.File(path, "r+") as made:
+        write_rest(made, content)
+        for name in _growing(file, recorded):
+            _copy(trajectory, made, name)
+        count_steps(made, n)
+        shown = [name for name in recorded if schema.series_of([name]) and name in schema.FIELDS]
+        values = {name: opened(made, f"{schema.TRAJECTORY}/{name}/value") for name in shown}
+        resize_vtkhdf(made, values, n)
+        change(made.id, schema.COMMITTED, np.int64(n))
+        _copy_state(file, made, n)
+
+
+def _growing(file: h5py.File, recorded: Sequence[str]) -> list[str]:
+    """Paths of what has a row for each frame."""
+    paths = [*schema.series_of(recorded), schema.STEP, schema.CHECKSUMS, STEP_TIMES, STEP_STARTS]
+    return [path for path in paths if has(file, path)]
+
+
+def _copy(trajectory: Trajectory, made: h5py.File, path: str) -> None:
+    """Copy rows of all frames, as many at a time as fit into memory."""
+    target, n = opened(made, path), trajectory.n_frames
+    target.resize(n, axis=0)
+    source = dataset_at(trajectory.file, path, "fiu", (None, *target.shape[1:]))
+    with trajectory_errors(trajectory.file):
+        for part in trajectory.portions():
+            target[part] = source[part]
+
+
+def _copy_state(file: h5py.File, made: h5py.File, n_frames: int) -> None:
+    """Copy the last state of the run, where there is one."""
+    parts, own = parts_in(file), []
+    if parts is None:
+        if schema.CHECKPOINT in file:
+            found = read_checkpoint(file)
+            write_checkpoint(made, found.n_frames, found.arrays)
+        return
+    for name in parts.names:
+        with open_file(folder_beside(Path(file.filename)) / name) as part:
+            own.append(slots_in(part))
+    common = set(range(n_frames + 1)).intersection(*own)
+    if common:
+        last = max(common)
+        write_checkpoint(made, last, joined([states[last] for states in own]))
