@@ -23,13 +23,14 @@ import shutil
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FunctionType
 from typing import Any, Final, TypeAlias, TypeVar, cast
 
 import numba
 from numba.core import caching
+from numba.core.event import install_timer
 
 from particlerb.compiled.helper import Helper, KeptCode
 from particlerb.compiled.vector_width import numbas_compiler
@@ -280,6 +281,14 @@ def inline_from(source: str, file: str, name: str, names: dict[str, Any]) -> Cal
     names.setdefault("__name__", __name__)  # a module that the cache finds again
     exec(compile(source, file, "exec"), names)
     return inline(cast(Callable[..., Any], names[name]))
+
+
+@contextlib.contextmanager
+def compiling() -> Iterator[list[float]]:
+    """Times that kernels take to be compiled until the end of the block [s]."""
+    spent: list[float] = []
+    with install_timer("numba:compile", spent.append):
+        yield spent
 
 
 def flag(is_present: bool) -> Flag:

@@ -707,3 +707,25 @@ def test_check_tells_the_size_and_the_time_of_a_run(make, tmp_path, capsys):
     case["run"] |= {"dt": 1e-8}
     many = estimated_seconds(prepare(to_system(load(case))))
     assert 1e4 < many / few < 1e6
+
+
+def test_check_leaves_compilation_out_of_the_time_of_a_run(make, monkeypatch):
+    """A kernel that is compiled in the third piece of a trial is not 2^22 times in the estimate."""
+    from numba.core.event import trigger_event
+
+    from particlerb.case.reader import load
+    from particlerb.case.to_system import to_system
+    from particlerb.simulation.estimate import Run, estimated_seconds
+    from particlerb.simulation.run import prepare
+
+    calls, frames_at = [], Run.frames_at
+
+    def compiling(run, *arguments):
+        calls.append(1)
+        if len(calls) == 3:
+            with trigger_event("numba:compile"):
+                time.sleep(0.4)
+        return frames_at(run, *arguments)
+
+    monkeypatch.setattr(Run, "frames_at", compiling)
+    assert estimated_seconds(prepare(to_system(load(make.case(make.body()))))) < 1000.0
