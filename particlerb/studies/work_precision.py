@@ -373,21 +373,21 @@ class Study:
 
     def peer_curve(self, engine: Engine, variant: str, budget: float) -> Iterator[Point]:
         """Points of one variant of a peer."""
-        start = time.monotonic()
-        for rung in engine.variants[variant]:
-            step = rung if engine.is_adaptive else min(rung / self.rate, 0.5 * self.t_end)
+        scale, most = (1.0, np.inf) if engine.is_adaptive else (self.rate, 0.5 * self.t_end)
+        steps = [min(rung / scale, most) for rung in engine.variants[variant]]
+        engine.run(self.peer_scene, variant, steps[0])  # load
+        start = THREADS.own.clock()
+        for step in steps:
             results = [engine.run(self.peer_scene, variant, step)]
-            while len(results) < _REPEATS and time.monotonic() - start < budget:
+            while len(results) < _REPEATS and THREADS.own.clock() - start < budget:
                 results.append(engine.run(self.peer_scene, variant, step))
             spent = float(np.median([one.seconds for one in results]))
             error, energy, spin = peer_errors(
                 results[0], self.system, self.which, self.judged, self.times, self.reference.frames
             )
-            yield Point(
-                variant, engine.name, step, engine.is_adaptive, spent, error, energy, spin,
-                failure(error),
-            )  # fmt: skip
-            if time.monotonic() - start > budget:
+            made = partial(Point, variant, engine.name, step, engine.is_adaptive, spent)
+            yield made(error, energy, spin, failure(error))
+            if THREADS.own.clock() - start > budget:
                 return
 
 

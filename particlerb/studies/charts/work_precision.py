@@ -9,7 +9,9 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
+from particlerb.maths.vec3 import Floats
 from particlerb.studies.charts.style import (
     INK,
     METHOD_COLOURS,
@@ -19,10 +21,13 @@ from particlerb.studies.charts.style import (
 )
 from particlerb.studies.text import count_of
 from particlerb.studies.work_precision import Point, WorkPrecision
-from particlerb.studies.work_precision_table import advice, cheapest, duration, frontier
+from particlerb.studies.work_precision_table import advice, cheapest, frontier
 
-_PEER: Final = "#9aa5b1"
+_PEER: Final = "#75808c"
+_PEER_MARKS: Final = "s^vPX<>p"  # one for each engine
 _LOST: Final = 2.0 * math.pi  # rad: where runs that failed are put
+_HALO: Final = [withStroke(linewidth=2.5, foreground="white")]
+_LETTER, _LINE = 0.0098, 0.034  # width of a letter and height of a label, as shares of a panel
 
 
 def draw_chart(chart: WorkPrecision, path: Path) -> None:
@@ -30,14 +35,19 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     figure = Figure(figsize=(10.5, 6.8), layout="constrained")
     axes = figure.add_subplot()
     curves = [list(own) for _, own in groupby(chart.points, lambda p: p.label)]
-    ends = [end for points in curves if (end := _draw_curve(axes, points, chart.floor))]
+    engines = list(dict.fromkeys(p.engine for p in chart.points if p.engine))
+    ends = []
+    for points in curves:
+        mark = _PEER_MARKS[engines.index(points[0].engine)] if points[0].engine else "o"
+        if end := _draw_curve(axes, points, chart.floor, mark):
+            ends.append(end)
     front = frontier(chart.points)
     axes.plot(
         [p.seconds for p in front], [height(p, chart.floor) for p in front],
         color="#ffd54f", lw=7, alpha=0.55, zorder=1, solid_capstyle="round",
     )  # fmt: skip
     finish_panel(
-        axes, xscale="log", yscale="log", **limits(chart),
+        axes, xscale="log", yscale="log", **limits(chart, ends),
         xlabel=f"{chart.clock} in kernels for the whole run [s]   (faster to the left)",
         ylabel=f"largest {chart.measure}   (better below)",
     )  # fmt: skip
@@ -59,15 +69,16 @@ def height(point: Point, floor: float) -> float:
     return max(point.size, 0.5 * floor)
 
 
-def _draw_curve(axes: Axes, points: list[Point], floor: float) -> CurveEnd | None:
+def _draw_curve(axes: Axes, points: list[Point], floor: float, mark: str) -> CurveEnd | None:
     """Draw one curve, crosses for failed points; None where all failed."""
     first = points[0]
     colour = _PEER if first.engine else METHOD_COLOURS.get(first.method, INK)
     style, size, width = ("--", 3.2, 1.1) if first.engine else ("-", 4.5, 1.8)
-    marker, size = ("D", 9) if len(points) == 1 else ("o", size)
+    marker, size = ("D", 9) if len(points) == 1 else (mark, size)
     failed = [p.seconds for p in points if p.failure]
     good = [(p.seconds, height(p, floor)) for p in points if not p.failure]
-    axes.plot(failed, [_LOST] * len(failed), "x", ms=6, mew=1.4, color=colour, clip_on=False)
+    if failed:  # an empty line would count in the layout
+        axes.plot(failed, [_LOST] * len(failed), "x", ms=6, mew=1.4, color=colour, clip_on=False)
     if not good:
         return None
     x, y = zip(*good, strict=True)
@@ -75,28 +86,48 @@ def _draw_curve(axes: Axes, points: list[Point], floor: float) -> CurveEnd | Non
     return x[-1], y[-1], first.label, colour
 
 
-def limits(chart: WorkPrecision) -> dict[str, Any]:
+def limits(chart: WorkPrecision, ends: Sequence[CurveEnd]) -> dict[str, Any]:
     """Limits of the axes: all points, the limit of the reference, and names at the right."""
     times = [p.seconds for p in chart.points] or [1e-3, 1.0]
     heights = [height(p, chart.floor) for p in chart.points if not p.failure] or [1e-3]
     low = min(*heights, chart.target) / 10.0
-    right = max(times) * (30.0 if chart.published else 8.0)
-    return {"ylim": (max(low, 1e-18), 20.0), "xlim": (min(times) / 2.0, right)}
+    left = math.log10(min(times) / 2.0)
+    wide = [(math.log10(x) - left) / (0.97 - _LETTER * len(name)) for x, _, name, _ in ends]
+    published = max((len(names) for names, _ in together(chart.published)), default=0)
+    wide.append((math.log10(max(times)) - left) / (0.98 - _LETTER * published))
+    return {"ylim": (max(low, 1e-18), 20.0), "xlim": (10.0**left, 10.0 ** (left + max(wide)))}
 
 
 def _label_curves(axes: Axes, ends: list[CurveEnd]) -> None:
-    """Write the name of each curve at its end; names that would overlap are moved apart."""
-    low, high = np.log10(axes.get_ylim())
-    left, right = np.log10(axes.get_xlim())
-    gap = 0.034 * (high - low)
+    """Write the name of each curve at its end, where it covers the fewest curves and no name."""
+    to_share = axes.transScale + axes.transLimits
+    drawn = np.concatenate([_along(to_share.transform(line.get_xydata())) for line in axes.lines])
     boxes: list[tuple[float, float, float]] = []  # left, right and height of each label
     for x, y, text, colour in sorted(ends, key=lambda end: end[1]):
-        at, level = math.log10(x) + 0.012 * (right - left), math.log10(y)
-        end = at + 0.0115 * (right - left) * len(text)
-        while any(abs(level - b) < gap and a < end and at < c for a, c, b in boxes):
-            level += 0.25 * gap
-        boxes.append((at, end, level))
-        axes.text(10.0**at, 10.0**level, text, color=colour, fontsize=9, va="center", zorder=5)
+        at, level = to_share.transform((x, y))
+        left, right = at + 0.013, at + 0.018 + _LETTER * len(text)
+
+        def cost(shift: float, left: float = left, right: float = right, y: float = level) -> float:
+            named = sum(abs(y + shift - b) < _LINE and a < right and left < c for a, c, b in boxes)
+            is_under = (drawn[:, 0] > left) & (drawn[:, 0] < right)
+            is_under &= abs(drawn[:, 1] - y - shift) < 0.5 * _LINE
+            is_out = not 0.01 < y + shift < 0.95
+            return float(1e3 * (named + is_out) + 0.1 * is_under.sum() + 30.0 * abs(shift))
+
+        shift = min(0.25 * _LINE * np.arange(-16, 17), key=cost)
+        boxes.append((left, right, level + shift))
+        line = {"arrowstyle": "-", "color": colour, "lw": 0.6} if abs(shift) > 0.5 * _LINE else None
+        axes.annotate(
+            text, (at, level), (left, level + shift), "axes fraction", color=colour, fontsize=9,
+            va="center", zorder=5, arrowprops=line, path_effects=_HALO,
+        )  # fmt: skip
+
+
+def _along(points: Floats) -> Floats:
+    """Points on a curve, 50 on each stretch."""
+    share = np.linspace(0.0, 1.0, 50, endpoint=False)[:, None, None]
+    between = points[:-1] + share * (points[1:] - points[:-1])
+    return np.concatenate([between.reshape(-1, 2), points[-1:]])
 
 
 def together(published: tuple[tuple[str, float], ...]) -> list[tuple[str, float]]:
@@ -145,7 +176,3 @@ def _mark_cheapest(axes: Axes, chart: WorkPrecision) -> None:
         return
     where = best.seconds, height(best, chart.floor)
     axes.plot(*where, "o", ms=13, mfc="none", mec=INK, mew=1.6, zorder=6)
-    axes.annotate(
-        duration(best.seconds), where, (-9, -16), textcoords="offset points", fontsize=9, color=INK,
-        ha="right",
-    )  # fmt: skip
