@@ -16,7 +16,7 @@ from particlerb.compiled.jit import inline
 from particlerb.maths.vec3 import Vec3
 
 _DoubleDouble: TypeAlias = tuple[float, float]
-_DoubleDouble3: TypeAlias = tuple[_DoubleDouble, _DoubleDouble, _DoubleDouble]
+Wide3: TypeAlias = tuple[_DoubleDouble, _DoubleDouble, _DoubleDouble]
 _SPLIT = 134217729.0  # 2²⁷ + 1
 
 
@@ -113,7 +113,7 @@ def _cross_part_wide(a: float, b: _DoubleDouble, c: float, d: _DoubleDouble) -> 
 
 
 @inline
-def to_body(q: tuple[float, float, float, float], v: Vec3) -> _DoubleDouble3:
+def to_body(q: tuple[float, float, float, float], v: Vec3) -> Wide3:
     """Rᵀ v for the rotation of q / |q|: v + w t + u × t, u = (-x, -y, -z), t = 2 u × v / |q|²."""
     w, x, y, z = q[0], -q[1], -q[2], -q[3]
     norm = add(add(two_product(w, w), two_product(x, x)), add(two_product(y, y), two_product(z, z)))

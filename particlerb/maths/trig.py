@@ -158,6 +158,12 @@ def exponent(builder: Any, x: Any) -> Any:
 
 
 @inline
+def scale_of(x: float) -> float:
+    """2⁻ⁿ of a normal x > 0 with x = m 2ⁿ, 1 <= m < 2; n is 1022 at most."""
+    return _power_of_two(_ROUNDING - min(exponent(x), 1022.0))
+
+
+@inline
 def logarithm(x: float) -> float:
     """Return log x for a normal x > 0: n log 2 + 2 artanh s with |s| <= 0.1716."""
     n = exponent(x)

@@ -110,11 +110,12 @@ def taken(record: Record, index: Ints) -> Record:
 
     Where all are chosen these are the same arrays, which nobody changes.
     """
-    n = record[0].shape[-1]
-    is_whole = index.size == n and (index == np.arange(n)).all()
-    which = slice(None) if is_whole else index
-    arrays = (np.ascontiguousarray(array[..., which]) for array in record)
-    return type(record)(*arrays)
+    first = int(index[0]) if index.size else 0
+    is_range = bool((index == np.arange(first, first + index.size)).all())
+    if is_range and index.size == record[0].shape[-1]:
+        return record
+    which = slice(first, first + index.size) if is_range else index
+    return type(record)(*(np.ascontiguousarray(array[..., which]) for array in record))
 
 
 def held(bodies: Bodies, fixed: Bools) -> Bodies:

@@ -16,8 +16,9 @@ from particlerb.compiled.jit import compile_with, inline, kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, Rows4, load4, multiply, rows4, store4
 from particlerb.maths.trig import cos_sin_half_turns
-from particlerb.maths.vec3 import Floats, Ints, load3, rows3
+from particlerb.maths.vec3 import Bools, Floats, Ints, load3, rows3
 from particlerb.rotors.exact_setup import (
+    MOMENTUM_ROWS,
     NEAR_ROWS,
     STEADY_ROWS,
     THETA_ROWS,
@@ -223,28 +224,37 @@ def prepare(
         Indices of bodies and their constants in that order; each body is in exactly one.
     """
     inertia, q, L = (np.ascontiguousarray(a, dtype=np.float64) for a in (inertia, q, L))
-    units = np.ones((2, rotor_class.size))
-    modulus = np.full(rotor_class.size, -1.0)
-    if (which := (rotor_class == ASYMMETRIC).nonzero()[0]).size:
-        THREADS.alone(moduli, inertia, q, L, units, which, modulus)
-    is_steady, is_theta = modulus < 0.0, modulus >= CROSSOVER
+    n, (asymmetric,) = rotor_class.size, (rotor_class == ASYMMETRIC).nonzero()
+    modulus, n_turning, n_theta = np.full(n, -1.0), 0, 0
+    if asymmetric.size:
+        units, m = np.empty((2, n)), np.empty((MOMENTUM_ROWS, n))
+        of = inertia, q, L, units, asymmetric, m, CROSSOVER, modulus
+        n_turning, n_theta = THREADS.timed(moduli, *of)
     groups: list[tuple[Ints, Turn]] = []
-    if (which := is_theta.nonzero()[0]).size:
-        table, right = np.empty((THETA_ROWS, which.size)), np.empty((4, which.size), np.int8)
-        THREADS.alone(theta_table, inertia, q, L, units, which, table, right)
+    if n_theta:
+        which = _those(modulus >= CROSSOVER, n_theta)
+        table, right = np.empty((THETA_ROWS, n_theta)), np.empty((4, n_theta), np.int8)
+        THREADS.alone(theta_table, inertia, q, m, units, which, table, right)
         clock, left, series = split(table, 3, 4, 3)
         groups.append((which, ThetaTurn(clock, left, right, series)))
-    if (which := (~(is_theta | is_steady)).nonzero()[0]).size:
-        table, right = np.empty((NEAR_ROWS, which.size)), np.empty((4, which.size), np.int8)
-        THREADS.alone(near_table, inertia, q, L, units, which, table, right)
+    if n_near := n_turning - n_theta:
+        which = _those(~((modulus < 0.0) | (modulus >= CROSSOVER)), n_near)
+        table, right = np.empty((NEAR_ROWS, n_near)), np.empty((4, n_near), np.int8)
+        THREADS.alone(near_table, inertia, q, m, units, which, table, right)
         clock, left, *rest = split(table, 3, 4, 5, 6, 6)
         groups.append((which, HyperbolicTurn(clock, left, right, *rest)))
-    if (which := is_steady.nonzero()[0]).size:
-        table = np.empty((STEADY_ROWS, which.size))
+    if n_steady := n - n_turning:
+        which = _those(modulus < 0.0, n_steady)
+        table = np.empty((STEADY_ROWS, n_steady))
         inverse = _steady_inverse(inertia[:, which], rotor_class[which], modulus[which])
         THREADS.alone(steady_table, inverse, q, L, which, table)
         groups.append((which, SteadyTurn(*split(table, 3, 2, 4))))
     return groups
+
+
+def _those(is_one: Bools, count: int) -> Ints:
+    """Numbers of the bodies that are; they are so many."""
+    return np.arange(count) if count == is_one.size else is_one.nonzero()[0]
 
 
 def split(table: Floats, *counts: int) -> list[Floats]:

@@ -3,6 +3,7 @@
 A block of bodies is copied into the rows of one scratch array, worked on there and copied out:
 LLVM sees that rows of one array do not overlap, and vectorises a loop that writes 28 of them.
 The last block is filled up with copies of its last body: a loop of fixed length compiles faster.
+`moduli` finds the momenta in the rotor frame in 32 digits, which the tables take from it.
 Moments and momenta are divided by powers of two on the way in, so that no power of them leaves
 the range of doubles; `unit` is (1 / unit of I, 1 / unit of L) of each body.
 """
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from particlerb.compiled.jit import compile_with, config, inline, kernel
 from particlerb.maths import double_double as dd
 from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, store4
+from particlerb.maths.trig import scale_of
 from particlerb.maths.vec3 import Floats, Ints, Vec3, load3, store3
 from particlerb.rotors.theta import (
     TINY,
@@ -28,9 +30,10 @@ from particlerb.rotors.theta import (
     twist,
 )
 
-_BLOCK = 1 if config.DISABLE_JIT else 128
+_BLOCK = 1 if config.DISABLE_JIT else 32
 _SMALLEST = 1e-290
-_INPUTS = 11  # rows: I (3), q (4), L (3), rate
+_INPUTS = 14  # rows: I (3), q (4), L in the rotor frame (6), rate
+MOMENTUM_ROWS = 6  # L in the rotor frame in 32 digits: high and low of each component
 STEADY_ROWS, THETA_ROWS, NEAR_ROWS = 9, 10, 24
 Pair: TypeAlias = tuple[float, float]
 Bytes: TypeAlias = NDArray[np.int8]
@@ -68,41 +71,68 @@ def complementary_modulus(inertia: Vec3, m: Vec3) -> float:
 @inline
 def _unit(vectors: Floats, b: int) -> float:
     """1 / the largest power of two in the largest component of a column."""
-    largest = max(abs(vectors[0, b]), abs(vectors[1, b]), abs(vectors[2, b]), _SMALLEST)
-    return math.ldexp(1.0, 1 - math.frexp(largest)[1])
+    return scale_of(max(abs(vectors[0, b]), abs(vectors[1, b]), abs(vectors[2, b]), _SMALLEST))
 
 
 @kernel
-def moduli(inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, out: Floats) -> None:
-    """`complementary_modulus` of bodies `which`, and their units."""
+def moduli(
+    inertia: Floats,
+    q: Floats,
+    L: Floats,
+    units: Floats,
+    which: Ints,
+    momentum: Floats,
+    crossover: float,
+    out: Floats,
+) -> tuple[int, int]:
+    """`complementary_modulus` of bodies `which`, their units, and L in their rotor frames.
+
+    How many are asymmetric in their motion, and how many of these are beyond the crossover.
+    """
     s = np.empty((_INPUTS + 1, _BLOCK))
-    for k in range(which.size):
-        j = which[k]
-        units[0, j], units[1, j] = _unit(inertia, j), _unit(L, j)
+    n_turning, n_theta = 0, 0
     for lo in range(0, which.size, _BLOCK):
         hi = min(lo + _BLOCK, which.size)
-        fill(inertia, q, L, units, which, lo, hi, s)
-        moment, turn, momentum, result = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[_INPUTS]
         for b in range(_BLOCK):
-            m = dd.to_body(load4(turn, b), load3(momentum, b))
+            j = which[min(lo + b, hi - 1)]
+            unit, unit_L = _unit(inertia, j), _unit(L, j)
+            units[0, j], units[1, j] = unit, unit_L
+            for i in range(3):
+                s[i, b], s[7 + i, b] = inertia[i, j] * unit, L[i, j] * unit_L
+            for i in range(4):
+                s[3 + i, b] = q[i, j]
+        moment, turn, spin, result = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[_INPUTS]
+        high, low = _rows_3(s, 7), _rows_3(s, 10)
+        for b in range(_BLOCK):
+            m = dd.to_body(load4(turn, b), load3(spin, b))
+            store3(high, b, (m[0][0], m[1][0], m[2][0]))
+            store3(low, b, (m[0][1], m[1][1], m[2][1]))
             result[b] = complementary_modulus(load3(moment, b), (m[0][0], m[1][0], m[2][0]))
         for b in range(hi - lo):
-            out[which[lo + b]] = result[b]
+            j = which[lo + b]
+            out[j] = result[b]
+            for i in range(MOMENTUM_ROWS):
+                momentum[i, j] = s[7 + i, b]
+            n_turning += not result[b] < 0.0  # what is no number turns, too
+            n_theta += result[b] >= crossover
+    return n_turning, n_theta
 
 
 @kernel
 def fill(
-    inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, lo: int, hi: int, s: Floats
-) -> None:
+    inertia: Floats, q: Floats, momentum: Floats, units: Floats, which: Ints, lo: int, hi: int,
+    s: Floats,
+) -> None:  # fmt: skip
     """Copy bodies which[lo:hi] into the first rows of a scratch block; the last one fills it up."""
     for b in range(_BLOCK):
         j = which[min(lo + b, hi - 1)]
         for i in range(3):
             s[i, b] = inertia[i, j] * units[0, j]
-            s[7 + i, b] = L[i, j] * units[1, j]
         for i in range(4):
             s[3 + i, b] = q[i, j]
-        s[10, b] = units[0, j] / units[1, j]
+        for i in range(MOMENTUM_ROWS):
+            s[7 + i, b] = momentum[i, j]
+        s[13, b] = units[0, j] / units[1, j]
 
 
 @kernel
@@ -136,20 +166,33 @@ def _rows_4(s: Floats, i: int) -> tuple[Floats, Floats, Floats, Floats]:
     return s[i], s[i + 1], s[i + 2], s[i + 3]
 
 
+@inline
+def _pairs(high: Vec3, low: Vec3) -> tuple[Pair, Pair, Pair]:
+    """Numbers of 32 digits."""
+    return (high[0], low[0]), (high[1], low[1]), (high[2], low[2])
+
+
 @kernel
 def theta_table(
-    inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, table: Floats, right: Bytes
+    inertia: Floats,
+    q: Floats,
+    momentum: Floats,
+    units: Floats,
+    which: Ints,
+    table: Floats,
+    right: Bytes,
 ) -> None:
     """Constants of ThetaTurn: right, and in one table clock, left, series."""
     s = np.empty((_INPUTS + 4 + THETA_ROWS, _BLOCK))
     for lo in range(0, which.size, _BLOCK):
         hi = min(lo + _BLOCK, which.size)
-        fill(inertia, q, L, units, which, lo, hi, s)
-        moment, turn, momentum, rate = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[10]
-        frame, clock, left, series = _rows_4(s, 11), _rows_3(s, 15), _rows_4(s, 18), _rows_3(s, 22)
+        fill(inertia, q, momentum, units, which, lo, hi, s)
+        moment, turn, rate = _rows_3(s, 0), _rows_4(s, 3), s[13]
+        high, low = _rows_3(s, 7), _rows_3(s, 10)
+        frame, clock, left, series = _rows_4(s, 14), _rows_3(s, 18), _rows_4(s, 21), _rows_3(s, 25)
         for b in range(_BLOCK):
             q_b = load4(turn, b)
-            body = reduce(load3(moment, b), q_b, load3(momentum, b))
+            body = reduce(load3(moment, b), _pairs(load3(high, b), load3(low, b)))
             time, of = theta_constants(body)
             local = theta_local(time.start, of)
             store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))
@@ -161,20 +204,27 @@ def theta_table(
 
 @kernel
 def near_table(
-    inertia: Floats, q: Floats, L: Floats, units: Floats, which: Ints, table: Floats, right: Bytes
+    inertia: Floats,
+    q: Floats,
+    momentum: Floats,
+    units: Floats,
+    which: Ints,
+    table: Floats,
+    right: Bytes,
 ) -> None:
     """Constants of HyperbolicTurn: right, and in one table clock, left, scale, cosines, sines."""
     s = np.empty((_INPUTS + 4 + NEAR_ROWS, _BLOCK))
     for lo in range(0, which.size, _BLOCK):
         hi = min(lo + _BLOCK, which.size)
-        fill(inertia, q, L, units, which, lo, hi, s)
-        moment, turn, momentum, rate = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[10]
-        frame, clock, left = _rows_4(s, 11), _rows_3(s, 15), _rows_4(s, 18)
-        scale, phase = _rows_4(s, 22), s[26]
-        cosines, sines = (_rows_3(s, 27), _rows_3(s, 30)), (_rows_3(s, 33), _rows_3(s, 36))
+        fill(inertia, q, momentum, units, which, lo, hi, s)
+        moment, turn, rate = _rows_3(s, 0), _rows_4(s, 3), s[13]
+        high, low = _rows_3(s, 7), _rows_3(s, 10)
+        frame, clock, left = _rows_4(s, 14), _rows_3(s, 18), _rows_4(s, 21)
+        scale, phase = _rows_4(s, 25), s[29]
+        cosines, sines = (_rows_3(s, 30), _rows_3(s, 33)), (_rows_3(s, 36), _rows_3(s, 39))
         for b in range(_BLOCK):
             q_b = load4(turn, b)
-            body = reduce(load3(moment, b), q_b, load3(momentum, b))
+            body = reduce(load3(moment, b), _pairs(load3(high, b), load3(low, b)))
             time, of = near_constants(body)
             local, delta = near_local(time.start, of)
             store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))

@@ -64,7 +64,7 @@ def _set_steady(turn: Floats, b: int, q: Quat, L: Vec3, about: float, along: flo
 @lean
 def _set_theta(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
     """Write a turn of `exact.ThetaTurn`; moments and L in units whose ratio is `rate`."""
-    body = reduce(inertia, q, L)
+    body = reduce(inertia, dd.to_body(q, L))
     time, of = theta_constants(body)
     left = world_factor(q, theta_local(time.start, of), body.frame)
     _put(turn, b, 0, (_THETA, time.start, time.rate * rate, time.nu * rate))
@@ -76,7 +76,7 @@ def _set_theta(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: floa
 @lean
 def _set_near(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
     """Write a turn of `exact.HyperbolicTurn`."""
-    body = reduce(inertia, q, L)
+    body = reduce(inertia, dd.to_body(q, L))
     time, of = near_constants(body)
     local, delta = near_local(time.start, of)
     _put(turn, b, 0, (_NEAR, time.start, time.rate * rate, time.nu * rate))

@@ -123,9 +123,11 @@ def _sort_axes(a: _Axis, b: _Axis, c: _Axis) -> tuple[_Axis, _Axis, _Axis, Quat]
 
 
 @inline
-def reduce(inertia: Vec3, q: Quat, L: Vec3) -> _Reduced:
-    """Sort the axes, choose axis 3, measure the distance from the separatrix: (2), (3)."""
-    m = dd.to_body(q, L)
+def reduce(inertia: Vec3, m: dd.Wide3) -> _Reduced:
+    """Sort the axes, choose axis 3, measure the distance from the separatrix: (2), (3).
+
+    `m` is L in the rotor frame, in 32 digits.
+    """
     a, b, c, frame = _sort_axes(
         (inertia[0], m[0][0], m[0][1]),
         (inertia[1], m[1][0], m[1][1]),
