@@ -222,6 +222,8 @@ class Replay(Page):
                 self.stage.colour(palette[which % len(palette)])
                 self.range["shown"] = 0.0, 0.0
             return
+        from particlerb.studies.charts.style import viridis
+
         values = self.values(by, self.state)
         if by not in self.range:
             self.range[by] = self.extremes(by)
@@ -260,6 +262,8 @@ class Replay(Page):
         status = f"<b>t = {t!r} s</b> · frame {self.frame} of {last}"
         low, high = self.range.get("shown", (0.0, 0.0))
         if high > low:
+            from particlerb.studies.charts.style import viridis
+
             unit = "m/s" if self.coloured.value == "speed" else "J"
             anchors = viridis(np.linspace(0.0, 1.0, 10))
             colours = ",".join(f"rgb({r},{g},{b})" for r, g, b in anchors)
@@ -274,13 +278,6 @@ class Replay(Page):
             return
         motion = motion_of(self.system, self.body, *self.state)
         self.write_numbers(state_parts(self.system, self.body, motion))
-
-
-def viridis(share: Floats) -> Any:
-    """Colours, (n, 3) of 0 to 255, of shares from 0 to 1; the scale ends at both."""
-    from matplotlib import colormaps
-
-    return colormaps["viridis"](share, bytes=True)[:, :3]
 
 
 def film_forms() -> tuple[str, ...]:

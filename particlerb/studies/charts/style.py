@@ -30,6 +30,11 @@ CurveEnd = tuple[float, float, str, str]
 """x and y of the last point of a curve, its name, its colour."""
 
 
+def viridis(share: Floats) -> Any:
+    """Colours, (n, 3) of 0 to 255, of shares from 0 to 1; the scale ends at both."""
+    return mpl.colormaps["viridis"](share, bytes=True)[:, :3]
+
+
 def bare(axes: Axes) -> None:
     """Leave out what carries nothing: the frame at the top and at the right."""
     for side in ("top", "right"):
