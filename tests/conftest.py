@@ -23,7 +23,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     marker = "compiled" if PLAIN else "plain"
     reason = "NUMBA_DISABLE_JIT is set" if PLAIN else "takes long to compile, and shows no more"
     for item in items:
-        if item.get_closest_marker(marker):
+        marks = {mark.name for mark in item.iter_markers()}
+        if "plain" in marks and marks & {"slow", "compiled"}:
+            raise pytest.UsageError(f"{item.nodeid} runs in no tier: it is plain, and {marks}")
+        if marker in marks:
             item.add_marker(pytest.mark.skip(reason=reason))
 
 

@@ -57,6 +57,7 @@ def test_a_page_does_what_it_says(page, tmp_path, monkeypatch, capsys):
     follow(page, capsys)
 
 
+@pytest.mark.slow
 def test_the_site_is_built_without_a_warning(tmp_path):
     """Links, anchors and pictures are there; no page is left out of the table of contents."""
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "-n", str(DOCS), str(tmp_path)]

@@ -387,6 +387,7 @@ def paths_in(node, path=()):
         yield from paths_in(entry, (*path, i))
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(documents())
 def test_scanner_finds_exactly_what_tomllib_reads(text):

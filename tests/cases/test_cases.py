@@ -32,6 +32,7 @@ MANY_STEPS = (
     "dominoes",
     "gimbals",
     "governor",
+    "granular_gas",
     "hundred_mechanisms",
     "incline",
     "kepler",
@@ -346,6 +347,7 @@ def test_some_clumps_tumble_as_an_independent_integrator_says(make):
         assert angle(run.q[-1, b], found.orientation[0]) < 1e-10
 
 
+@pytest.mark.slow
 def test_the_clumps_take_the_stated_room_on_the_disk():
     system = to_system(CASES / "ten_thousand_clumps.toml")
     assert system.n_bodies == 10_000

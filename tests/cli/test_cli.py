@@ -686,6 +686,7 @@ def test_what_the_tree_errs_is_told(make, tmp_path, capsys, monkeypatch, factor,
     assert ("attraction.opening_angle = 0." in said.err) == warns
 
 
+@pytest.mark.slow
 def test_check_tells_the_size_and_the_time_of_a_run(make, tmp_path, capsys):
     """Bytes within a factor of 2; seconds of 1e5 times as many steps are 1e4 to 1e6 times more."""
     from particlerb.case.reader import load

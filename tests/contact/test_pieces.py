@@ -57,6 +57,7 @@ def bumpy(rng, n=9):
     return np.vstack([points, top + np.array([0.01, 0.0, 0.1])]), faces, fin
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_fin", [False, True])
 def test_the_energy_of_what_counts_has_a_continuous_slope(has_fin):
     """A jump of the energy by 1e-6 anywhere on the lines would be a slope of 0.1 too much."""

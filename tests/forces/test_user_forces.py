@@ -440,8 +440,7 @@ def command(folder, *words):
     )  # fmt: skip
 
 
-@pytest.mark.plain
-@pytest.mark.slow
+@plain
 def test_code_runs_only_where_it_is_allowed_on_the_command_line(foreign):
     trace = foreign / "trace"
     for words in (["run", "case.toml"], ["check", "case.toml"], ["chart", "case.toml"],

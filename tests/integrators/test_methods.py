@@ -310,6 +310,7 @@ def test_rkn6_refuses_drag_and_names_the_methods_that_do_not(make):
     assert "drag" in str(caught.value)
 
 
+@pytest.mark.plain
 def test_rkn6_takes_what_it_accepts_while_drag_acts_elsewhere(make):
     bodies = [make.body("a", **START), make.body("b", [0, 0, 0])]
     force = [make.spring([0, 0, 1.0], 2.0, body="a"), make.drag(1.0, 0.0, body="b", during=[2, 3])]

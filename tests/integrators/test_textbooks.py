@@ -221,6 +221,7 @@ def test_a_baseline_is_as_good_as_its_textbook(make, method, kind, acting):
     compare(make, method, *TURNING[kind], FORCES[acting](make))
 
 
+@pytest.mark.plain
 def test_stages_of_rk4_give_forces_between_bodies_what_its_textbook_does(make):
     """A dashpot to the world is evaluated with these; they want unit quaternions."""
     compare(make, "rk4", *TURNING["asymmetric"], linked_forces(make))

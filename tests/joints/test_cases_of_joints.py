@@ -55,6 +55,7 @@ def test_a_joint_that_cannot_be_is_named(table, key, words):
     assert words in str(caught.value)
 
 
+@pytest.mark.plain
 def test_bodies_too_light_for_a_closed_loop_end_a_run_with_a_sentence():
     """Pivots of 1e-9 of their diagonal are taken for redundant rows."""
     source = tomllib.loads((CASES / "ladder.toml").read_text())

@@ -250,6 +250,7 @@ def test_a_pendulum_keeps_the_energy_that_the_benchmark_asks_for():
     assert np.abs(energy).max() < 5e-5
 
 
+@pytest.mark.plain
 def test_a_linkage_passes_the_pose_in_which_all_its_links_are_in_one_line():
     """IFToMM A02: at order 2; all links turn as one."""
     source = tomllib.loads((CASES / "four_bar.toml").read_text())

@@ -21,7 +21,6 @@ from crashes import Disk, Operation, Session, build, in_child, in_folder, place
 
 pytestmark = [
     pytest.mark.plain,
-    pytest.mark.slow,
     pytest.mark.skipif(sys.platform != "linux", reason="libraries are preloaded as Linux does"),
 ]
 SCENE = """\

@@ -15,7 +15,7 @@ from stops import (
     whole,
 )
 
-pytestmark = [needs_mpi, pytest.mark.slow, pytest.mark.plain]
+pytestmark = [needs_mpi, pytest.mark.plain]
 
 
 def test_a_run_goes_on_on_another_number_of_ranks(tmp_path):

@@ -199,6 +199,7 @@ def test_chunks_in_the_file(written):
     assert file["particles/trajectory/position/value"].compression is None
 
 
+@pytest.mark.slow
 def test_frames_larger_than_a_chunk_are_whole(make, tmp_path):
     """One frame is one chunk where there are many bodies; rows between probes as well."""
     n = 12_000

@@ -301,6 +301,7 @@ def test_a_case_only_reads_the_file_that_it_names(make, tmp_path):
 # Broken bytes
 
 
+@pytest.mark.slow
 @settings(
     max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
 )

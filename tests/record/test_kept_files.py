@@ -176,6 +176,7 @@ def test_a_name_is_never_a_path(moved, name, capsys):
             _ = t.case
 
 
+@pytest.mark.slow
 def test_nothing_but_the_file_is_opened(moved, make):
     """Audited by Python itself: names lead to existing files, the case's own path to a FIFO."""
     path, _ = moved

@@ -61,6 +61,7 @@ def test_the_page_has_all_tools():
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("heading", [name for name in snippets() if name != "OVITO"])
 def test_snippet(heading, folder):
     words = [sys.executable, "-c", snippets()[heading]]

@@ -32,6 +32,8 @@ from particlerb.studies.convergence import (
     table,
 )
 
+pytestmark = pytest.mark.slow  # some sums have many particles
+
 ROOT = Path(__file__).parents[2]
 REFERENCE = json.loads((ROOT / "tests" / "reference" / "mass_properties.json").read_text())
 EVERY_N = ("tetrahedron", "thin_shell")  # exact for every n

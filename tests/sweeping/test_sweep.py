@@ -234,6 +234,7 @@ def killed_once(task: Task) -> list[Row]:
     return [Row(n, "done", 0.0, 0, (0.0,) * 4) for n in task.numbers]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [killing, killed_once])
 def test_a_dead_worker_costs_no_row_but_its_own(way, tmp_path, monkeypatch):
     monkeypatch.setenv("PARTICLERB_TEST_FLAG", str(tmp_path / "flag"))

@@ -64,6 +64,7 @@ def push_and_save(url, **how):
             client.send(msgspec.msgpack.encode(update))
 
 
+@pytest.mark.slow
 def test_no_page_of_another_site_pushes(tmp_path):
     """Over the command as it is started: a foreign origin, a foreign host, no token; then ours."""
     process = subprocess.Popen(

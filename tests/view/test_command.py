@@ -204,6 +204,7 @@ def test_without_viser_it_says_what_to_install(monkeypatch, capsys):
     assert 'pip install "particlerb[view]"' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="finds a child as Linux tells it")
 @pytest.mark.parametrize(
     ("crashes", "number", "code", "said"),
