@@ -41,7 +41,7 @@ ALONG = {
 """Names of coordinates along which something may act."""
 ACTIONS = ("spring", "damper", "limit", "motor")
 """What acts along a coordinate."""
-_WITHOUT_AXIS = ("ball", "fixed", "distance")
+WITHOUT_AXIS = ("ball", "fixed", "distance")
 
 
 _Speed = Annotated[Real | Array2, Forms("number", "rows")]
@@ -207,7 +207,7 @@ def joint_rules(path: Path, raw: dict[str, Any], known: dict[str, range]) -> Ite
     """A joint has the axes that it needs, and two ends."""
     kind = raw.get("type")
     if kind in JOINT_TYPES:
-        needed = {"axis": kind not in _WITHOUT_AXIS, "axis_to": kind == "universal"}
+        needed = {"axis": kind not in WITHOUT_AXIS, "axis_to": kind == "universal"}
         for key, is_needed in needed.items():
             if is_needed and not given(raw, key):
                 yield (*path, key), "missing", f"a {kind} joint needs one"

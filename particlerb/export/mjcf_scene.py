@@ -50,7 +50,6 @@ _FREE: Final = -1  # and of those that nothing holds
 _RIGID: Final = "0.9999 0.9999 0.001 0.5 2"  # solimp of contacts that hold what presses them,
 _SPRING: Final = "0.01 0.01 0.001 0.5 2"  # and of springs, within 1 %, whose friction holds
 _IMPRATIO: Final = 100.0  # against creeping where contacts are springs
-_AXES: Final = {"x": 0, "y": 1, "z": 2}
 
 
 class _Body(NamedTuple):
@@ -275,13 +274,8 @@ class _Writer:
         speeds = []
         for k, (kind, axis) in enumerate(_freedoms(joint)[:: 1 if is_first else -1]):
             along, name = sign * axis, joint.name + (f" {k}" if k else "")
-            text = {
-                "name": name,
-                "type": kind,
-                "pos": place,
-                "axis": numbers(own.turned_back(along)),
-            }
-            ET.SubElement(element, "joint", text)
+            text = numbers(own.turned_back(along))
+            ET.SubElement(element, "joint", name=name, type=kind, pos=place, axis=text)
             speeds.append(float(along @ (spin if kind == "hinge" else moved)))
         return speeds
 
@@ -362,8 +356,8 @@ def _geoms_of(wall: AnyWall) -> list[dict[str, str]]:
         low, high = np.array(wall.lower), np.array(wall.upper)
         if wall.inside:
             return [
-                _plane(low if sign > 0 else high, sign * np.eye(3)[_AXES[axis]])
-                for axis in _AXES
+                _plane(low if sign > 0 else high, sign * normal)
+                for axis, normal in zip("xyz", np.eye(3), strict=True)
                 for end, sign in (("-", 1.0), ("+", -1.0))
                 if end + axis not in wall.open
             ]

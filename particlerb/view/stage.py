@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 import viser
 
+from particlerb.case.joints import WITHOUT_AXIS
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import quaternion_product, rotate
 from particlerb.model.system import System
@@ -18,7 +19,6 @@ from particlerb.plan.joint_ends import WORLD
 from particlerb.plan.joints import joints_of
 from particlerb.view.surfaces import Surfaces, extent_of, walls_of
 
-_WITHOUT_AXIS: Final = ("ball", "fixed", "distance")
 _LENGTH: Final = 0.18  # of an axis, of the size of the scene
 _CROSS: Final = 0.02  # of the point of a joint
 
@@ -44,7 +44,7 @@ class JointLines:
         self.held = {int(b) for b in np.concatenate([setup.first, setup.second]) if b != WORLD}
         types = np.array(setup.types)
         at, at_to, axis, axis_to = np.moveaxis(setup.places, 1, 0)
-        with_axis, is_rod = ~np.isin(types, _WITHOUT_AXIS), types == "distance"
+        with_axis, is_rod = ~np.isin(types, WITHOUT_AXIS), types == "distance"
         is_cross = types == "universal"
         half = 0.5 * _LENGTH * size
         parts = [self._around(first, at, axis * half, with_axis)]
