@@ -43,7 +43,7 @@ def _words(n_ranks: int, shares: Shares) -> str:
         f" {amount(shares.bytes_of_part)} each; a rank has {shares.own_parts} or less",
         f"a rank moves {shares.bodies} bodies or less, in about {amount(shares.moving_bytes)} of"
         " memory;",
-        f"to set up the whole scene it takes about {amount(shares.set_up_bytes)} before",
+        f"and each rank sets up the whole scene, in about {amount(shares.set_up_bytes)}",
         f"{shares.most} ranks at most: each takes one part or more; they send nothing while bodies"
         " move",
     )

@@ -5,7 +5,7 @@ run. A part may be ahead of it, never behind.
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from particlerb.model.superblocks import Range, own_parts, parts_of
+from particlerb.model.superblocks import Range, own_parts
 from particlerb.model.system import System
 from particlerb.ranks import Ranks
 from particlerb.record import schema
@@ -53,8 +53,8 @@ class PartRecorder:
 
     @classmethod
     def create(
-        cls, path: Path, system: System, content: Mapping[str, Any], run: str, ranks: Ranks,
-        overwrite: bool,
+        cls, path: Path, system: System, content: Mapping[str, Any], ranges: Sequence[Range],
+        run: str, ranks: Ranks, overwrite: bool,
     ) -> Self:  # fmt: skip
         """Recorder of new files.
 
@@ -65,7 +65,9 @@ class PartRecorder:
         system : System
             The bodies of this rank.
         content : mapping of str to ndarray or bytes
-            What does not change in time, of the whole scene.
+            What does not change in time, of the whole scene; on the first rank.
+        ranges : sequence of Range
+            Bodies of each part.
         run : str
             Hash of what decides the motion.
         ranks : Ranks
@@ -78,9 +80,8 @@ class PartRecorder:
         FileExistsError, InUseError, OSError
             As `Recorder`.
         """
-        ranges = tuple(parts_of(len(content[schema.BODY])))
         folder, replaced = ranks.together(lambda: _folders(path, overwrite, ranks))
-        self = cls(system, ranks, Parts(ranks.gathered(folder)[0], ranges, run))
+        self = cls(system, ranks, Parts(ranks.gathered(folder)[0], tuple(ranges), run))
         self.replaced = replaced
         ranks.together(lambda: self.make_master(path, content, overwrite))
         ranks.together(lambda: self.open_parts(path, partial(Recorder.of_part, run=run)))

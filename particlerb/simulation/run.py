@@ -13,6 +13,7 @@ import numpy as np
 
 from particlerb.case.to_system import to_case
 from particlerb.compiled.threads import THREADS
+from particlerb.model.superblocks import parts_of
 from particlerb.model.system import System
 from particlerb.plan.describe import describe
 from particlerb.plan.joints import assembled
@@ -101,15 +102,18 @@ def run_prepared(
     """
     system = prepared.system
     own = {"plan": prepared.text, "identity": identity(prepared), **prepared.parameters}
-    content = tables_of(system, labels_of(system)) | texts_of(system, own)
+    is_writer = ranks is None or ranks.number == 0  # of what does not change
+    content = tables_of(system, labels_of(system)) | texts_of(system, own) if is_writer else {}
     recorder: Recorder | Memory | PartRecorder
     if path is None:
         recorder = Memory(system, content)
     elif ranks is None:
         recorder = Recorder(path, system, content, overwrite)
     else:
-        run, prepared = own["identity"], part_of(prepared, ranks)
-        recorder = PartRecorder.create(path, prepared.system, content, run, ranks, overwrite)
+        parts, prepared = parts_of(system.n_bodies), part_of(prepared, ranks)
+        recorder = PartRecorder.create(
+            path, prepared.system, content, parts, own["identity"], ranks, overwrite
+        )
     with THREADS.using(system.run.threads):
         return advance(prepared, recorder, None, progress, ranks or ALONE)
 
