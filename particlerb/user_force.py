@@ -20,10 +20,10 @@ import numpy as np
 
 from particlerb.files import File
 
-GIVEN: Final = ("t", "x", "R", "v", "omega")
-"""Arguments that have a meaning: time [s], place [m], rotation matrix, velocities [m/s, rad/s]."""
-_MOVING: Final = ("v", "omega")
 _POSE: Final = ("x", "R")
+_MOVING: Final = ("v", "omega")
+_GIVEN: Final = (*_POSE, *_MOVING)
+"""Arguments that have a meaning: place [m], rotation matrix, velocities [m/s, rad/s]."""
 _LIBRARIES: Final = ("math", "numpy", "numba", "particlerb")  # whose functions have no text here
 
 
@@ -46,18 +46,25 @@ class UserForce:
         self.function, self.potential, self.__doc__ = function, potential, function.__doc__
         self.name = function.__name__
         self.signature = arguments_of(function)
+        alone = [name for name in _GIVEN if name in self.signature]
+        pair = [name for name in self.signature if name[:-1] in _GIVEN and name[-1] in "12"]
+        if pair and alone:
+            x = alone[0]
+            reason = f"{x} is of one body, and {pair[0]} of two: take {x}1 or {x}2 in its place"
+            raise TypeError(f"{place_of(function)}: {self.name}: {reason}")
+        self.is_pairwise = bool(pair)
         if potential is not None:
             self._refuse_potential(potential)
 
     def _refuse_potential(self, potential: Callable[..., Any]) -> None:
         """Raise TypeError where a potential cannot belong to the force."""
         where = f"{place_of(potential)}: the potential of {self.name}"
-        changing = [name for name in ("t", *_MOVING) if name in self.signature]
+        changing = [name for name in ("t", *self._all(_MOVING)) if name in self.signature]
         if changing:
             raise TypeError(f"{where}: a force of {', '.join(changing)} has none; leave it out")
-        others = arguments_of(potential).keys() - {*_POSE, *self.signature}
+        others = arguments_of(potential).keys() - {*self._all(_POSE), *self.signature}
         if others:
-            known = ", ".join(dict.fromkeys((*_POSE, *self.signature)))
+            known = ", ".join(dict.fromkeys((*self._all(_POSE), *self.signature)))
             raise TypeError(f"{where} takes {', '.join(sorted(others))}; it may take {known}")
 
     def __call__(self, *args: Any, **keys: Any) -> Any:
@@ -73,15 +80,21 @@ class UserForce:
         """The function, under the name that compiled functions have for it."""
         return self.function
 
+    def _all(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Names of what the body has, or of what both have."""
+        both = (f"{name}{end}" for end in (1, 2) for name in names)
+        return tuple(both) if self.is_pairwise else names
+
     @property
     def parameters(self) -> dict[str, Any]:
         """Its arguments that have no meaning of their own, with their defaults; `...`: none."""
-        return {name: value for name, value in self.signature.items() if name not in GIVEN}
+        given = ("t", *self._all(_GIVEN))
+        return {name: value for name, value in self.signature.items() if name not in given}
 
     @property
     def depends_on_velocity(self) -> bool:
         """Whether it takes one of the velocities."""
-        return any(name in self.signature for name in _MOVING)
+        return any(name in self.signature for name in self._all(_MOVING))
 
     @cached_property
     def file(self) -> str:
@@ -114,13 +127,17 @@ def force(
     Parameters
     ----------
     function : callable
-        Returns the force on one body [N], three numbers, which acts at its centre of mass; or the
-        force and the torque about the centre of mass [N m], both in the world. It takes what it
-        names: `t` time [s], `x` centre of mass [m], `R` rows of the rotation matrix, body frame to
-        world, `v` velocity [m/s], `omega` angular velocity, world [rad/s]; vectors are tuples. Its
-        other arguments are parameters: numbers, or tuples of them.
+        Returns the force on one body [N], which acts at its centre of mass, and the torque about
+        it [N m], both in the world, three numbers each. It takes what it names: `t` time [s], `x`
+        centre of mass [m], `R` rows of the rotation matrix, body frame to world, `v` velocity
+        [m/s], `omega` angular velocity, world [rad/s]; vectors are tuples. Its other arguments are
+        parameters: numbers, or tuples of them.
+        A force between two bodies takes `x1`, `R1`, `v1`, `omega1` of the first and `x2`, `R2`,
+        `v2`, `omega2` of the second, and returns force and torque on the first. The second feels
+        -F, and the torque (x2 - x1) × F - τ, so that momentum and angular momentum are kept.
     potential : callable, optional
-        Energy [J] of the force; takes `x`, `R`, and parameters of the force by their names.
+        Energy [J] of the force; takes `x`, `R`, or those of both bodies, and parameters of the
+        force by their names.
 
     Raises
     ------

@@ -40,6 +40,7 @@ BUDGETS = {
     "force gradients": 324,
     "forces written by users": 841,
     "their flows by velocities, in lanes": 85,
+    "forces between two bodies that users write": 540,
     "files laid out once for all runs of a form": 80,
     "orbits about a centre and of two points": 188,
     "trials of a search that count what they cost": 18,

@@ -266,16 +266,21 @@ class SpringTable(LastingForceTable):
                 if given(raw, key):
                     yield (*path, key), "given beside anchor", "a spring has one other end"
             yield from out_of_place(path, raw, "to_at", "an anchor")
-        if not given(raw, "to") or given(raw, "reach"):
-            return
-        first, second = bodies_named(raw.get("body"), known), bodies_named(raw["to"], known)
-        if not first or not second:
-            return
-        n, m = sum(map(len, first)), sum(map(len, second))
-        if n != m and 1 not in {n, m}:
-            reason = f"names {m} bodies, `body` {n}: they make no pairs"
-            hint = "name equal numbers, or one for all; or give `reach`"
-            yield (*path, "to"), reason, hint
+        yield from _pairing(path, raw, known)
+
+
+def _pairing(path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+    """Bodies at both ends make pairs."""
+    if not given(raw, "to") or given(raw, "reach"):
+        return
+    first, second = bodies_named(raw.get("body"), known), bodies_named(raw["to"], known)
+    if not first or not second:
+        return
+    n, m = sum(map(len, first)), sum(map(len, second))
+    if n != m and 1 not in {n, m}:
+        reason = f"names {m} bodies, `body` {n}: they make no pairs"
+        hint = "name equal numbers, or one for all; or give `reach`"
+        yield (*path, "to"), reason, hint
 
 
 class UniformField(LastingForceTable):
@@ -341,9 +346,13 @@ Function = Annotated[
 
 
 class PythonTable(LastingForceTable):
-    """A force written in Python; see docs/forces.md."""
+    """A force written in Python, on one body or between two; see docs/forces.md."""
 
     type: Literal["python"] = Field(init=False)
+    to: Names | None = None
+    """Bodies at the other end: one for each, one for all, or by reach. [-]"""
+    reach: Positive | None = None
+    """Of two bodies: on every pair at most this far apart at t = 0. [m]"""
     function: Function
     """Name of the function; from Python the function itself. [-]"""
     file: Name | None = None
@@ -352,6 +361,20 @@ class PythonTable(LastingForceTable):
     """Its parameters, the same for all bodies: numbers or lists. [any]"""
     per_body: dict[Name, ArrayPerBody] = Field({})
     """Others: for each an entry per body, a number or a list. [any]"""
+
+    names_bodies: ClassVar[tuple[str, ...]] = ("body", "to")
+    at: ClassVar[tuple[float, float, float]] = _ORIGIN  # where pairs are looked for
+    to_at: ClassVar[tuple[float, float, float]] = _ORIGIN
+
+    @classmethod
+    def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+        """Of two bodies, they make pairs."""
+        yield from _pairing(path, raw, known)
+
+    @property
+    def is_pairwise(self) -> bool:
+        """Whether it acts between two bodies."""
+        return self.to is not None or self.reach is not None
 
     @property
     def likeness(self) -> tuple[object, ...]:

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import tomlkit
 
+from particlerb.user_force import UserForce
+
 
 def toml_text(raw: Mapping[str, Any], comments: Iterable[str] = ()) -> str:
     """Text of a case, with comments above it.
@@ -28,4 +30,6 @@ def _without_none(value: Any) -> Any:
         return {k: _without_none(entry) for k, entry in value.items() if entry is not None}
     if isinstance(value, list):
         return [_without_none(entry) for entry in value]
+    if isinstance(value, UserForce):  # its text is to be a file beside the case
+        return value.name
     return value.tolist() if isinstance(value, np.ndarray) else value

@@ -22,6 +22,7 @@ from particlerb.forces.kinds import (
     IMPULSES,
     JOINTS,
     PISTONS,
+    TIME,
     VELOCITY,
     Kick,
 )
@@ -35,6 +36,7 @@ from particlerb.forces.registry import (
     TERMS,
     term_of,
 )
+from particlerb.forces.user_pairs import OwnPairs
 from particlerb.joints.records import Joints
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
@@ -50,6 +52,7 @@ class Terms(NamedTuple):
     gravity: UniformGravity | None = None
     loads: tuple[Any, ...] = ()  # on each body by itself: parameters that are in registry.TERMS
     links: Links | None = None
+    own_pairs: OwnPairs | None = None
     attraction: Attraction | None = None
     opening_angle: float = 0.0  # of the tree that sums the attraction; 0: a direct sum
     tree_accuracy: float = 0.0  # for which the angle may be wider; 0: it may not
@@ -76,8 +79,13 @@ class Terms(NamedTuple):
     @property
     def is_coupled(self) -> bool:
         """Whether bodies act on each other."""
-        between = self.links, self.attraction, self.contact, self.joints
+        between = self.links, self.own_pairs, self.attraction, self.contact, self.joints
         return any(term is not None for term in between)
+
+    @property
+    def has_other_pair_loads(self) -> bool:
+        """Whether some of these loads have no potential, and are not those of dashpots."""
+        return self.has_springy_contact or not pairs_have_potential(self)
 
 
 def summed(loads: list[Any]) -> tuple[Any, ...]:
@@ -135,7 +143,7 @@ def acting_of(terms: Terms) -> Acting:
     return Acting(
         tuple(tag(kick) for kick in KICKS),
         PAIR if terms.has_pair_loads else None,
-        PAIR + OTHER if terms.has_springy_contact else None,
+        PAIR + OTHER if terms.has_other_pair_loads else None,
         1 if any(kick.flow is not None for kick in acting) else None,
         1 if any(kick.at_time is not None for kick in acting) else None,
         own_functions(own) if own else None,
@@ -164,8 +172,14 @@ def has_potential(terms: Terms) -> bool:
     """Whether every force has one: then energy needs no booking on the way."""
     damped = terms.links is not None and terms.links.damping is not None
     others = all(kick.has_potential for kick, _ in _parts_of(terms))
+    others &= pairs_have_potential(terms)
     has_joints = terms.joints is not None and not terms.joints.has_potential
     return others and not damped and not has_joints and terms.contact is None
+
+
+def pairs_have_potential(terms: Terms) -> bool:
+    """Whether all forces between bodies that users wrote have a potential."""
+    return terms.own_pairs is None or bool(terms.own_pairs.has_potential.all())
 
 
 def is_constant(terms: Terms) -> bool:
@@ -204,6 +218,10 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         needs["links"] = frozenset({BODIES})
         if terms.links.damping is not None:
             needs["dashpots"] = frozenset({BODIES, VELOCITY})
+    for force in () if terms.own_pairs is None else terms.own_pairs.functions.forces:
+        moves = {VELOCITY} if force.depends_on_velocity else set()
+        moves |= {_FLOW_AMONG_JOINTS} if moves and terms.joints is not None else set()
+        needs[force.name] = frozenset({BODIES, *moves, *([TIME] if "t" in force.signature else [])})
     if terms.attraction is not None:
         needs["attraction"] = frozenset({BODIES})
     if terms.contact is not None:
@@ -228,6 +246,8 @@ def without_gradient(terms: Terms) -> set[str]:
         for name, kicks in parts.items()
         if any(kick.change is None and not kick.is_steady for kick, _ in kicks)
     }
+    if terms.own_pairs is not None:
+        unknown |= {force.name for force in terms.own_pairs.functions.forces}
     return unknown if terms.attraction is None else unknown | {"attraction"}
 
 

@@ -32,7 +32,7 @@ class Acting(NamedTuple):
 
     loads: tuple[Any, ...]  # for each of KICKS: None, a number, or as many as there are on a body
     pair: int | None  # what other bodies do
-    contact: int | None  # and contacts beside their potential
+    contact: int | None  # and of that what has no potential: of contacts, of users
     flow: int | None  # whether something turns or slows momenta by a flow of its own
     clock: int | None  # whether something depends on time
     own: FunctionSet | None = None  # functions of forces that users wrote: see `own_functions`

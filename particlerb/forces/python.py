@@ -4,6 +4,8 @@
 """
 
 import re
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,6 +21,7 @@ from particlerb.forces.user_kicks import (
     energies,
     gradient,
     loads_in,
+    rotor_axes,
     scales,
 )
 from particlerb.maths.vec3 import Floats, Ints
@@ -28,32 +31,66 @@ from particlerb.model.state import (
     lengths,
     omega_world,
     quaternion_product,
-    rotate,
     rotation_matrix,
 )
 from particlerb.rotors.rotor_class import POINT
-from particlerb.user_force import UserForce, place_of, told
+from particlerb.user_force import UserForce, UserForceError, load_force, place_of, told
 
 if TYPE_CHECKING:
     from particlerb.case.forces import PythonTable
     from particlerb.model.system import System
 
 _TOLERANCE: Final = 1e-4  # share of a force by which that of its potential may be another
-_LOOKED_AT: Final = 64  # bodies on which a potential is compared,
+LOOKED_AT: Final = 64  # bodies on which a potential is compared,
 _ASIDE: Final = np.array([[0.31], [-0.23], [0.17]])  # and where, beside their places
 _BOILERPLATE: Final = ("Failed in", "During:", "File ", "[1", "[2", "- Resolution", "<source")
 
 # From a table to parameters
 
 
-def _parameters_of(table: "PythonTable", force: UserForce, n: int) -> dict[str, Floats]:
+def with_code(force: Any, system: "System") -> Any:
+    """A force whose function, if it has any, is there; what was written elsewhere is run for it.
+
+    Raises
+    ------
+    ForceError
+        If the code may not be run, fails, or has no such function.
+    """
+    function = getattr(force, "function", None)
+    if not isinstance(function, str):
+        return force
+    file = force.file or f"{function}.py"
+    if not system.files.allows_code:
+        reason = f'"{file}" holds code, and code of a case runs only where it is allowed'
+        hint = "read it first; then --allow-code, or allow_code=True in Python"
+        raise ForceError("function" if force.file is None else "file", reason, hint)
+    try:
+        found = load_force(system.files.read(file), function)
+    except ValueError as error:
+        raise ForceError("function" if force.file is None else "file", str(error)) from None
+    except UserForceError as error:
+        raise ForceError("function", str(error)) from None
+    return force.model_copy(update={"function": found})
+
+
+def parameters_of(
+    table: "PythonTable", per_body: Callable[[str, Floats], Floats] = lambda _, values: values
+) -> dict[str, Floats]:
     """Values of the parameters, (1 or n, numbers), in the order of the function.
+
+    Parameters
+    ----------
+    table : PythonTable
+        With its function.
+    per_body : callable
+        Of a name and its entries, an entry for each row.
 
     Raises
     ------
     ForceError
         If one is missing, unknown, or not as long as others are.
     """
+    force: UserForce = table.function
     known, where = force.parameters, place_of(force.function)
     for kind, given in (("parameters", table.parameters), ("per_body", table.per_body)):
         for key in given.keys() - known.keys():
@@ -62,10 +99,7 @@ def _parameters_of(table: "PythonTable", force: UserForce, n: int) -> dict[str, 
     found: dict[str, Floats] = {}
     for name, default in known.items():
         if name in table.per_body:
-            found[name] = table.per_body[name]
-            if len(found[name]) != n:
-                reason = f"has {len(found[name])} entries, and acts on {n} bodies"
-                raise ForceError(f"per_body.{name}", reason, "give an entry for each")
+            found[name] = per_body(name, table.per_body[name])
             continue
         value = table.parameters.get(name, default)
         if value is ...:
@@ -75,11 +109,24 @@ def _parameters_of(table: "PythonTable", force: UserForce, n: int) -> dict[str, 
     return found
 
 
-def lengths_of(table: "PythonTable", force: UserForce) -> Lengths:
+def refuse_length(name: str, values: Floats, n: int) -> None:
+    """Raise ForceError where there is not an entry for each body."""
+    if len(values) != n:
+        reason = f"has {len(values)} entries, and acts on {n} bodies"
+        raise ForceError(f"per_body.{name}", reason, "give an entry for each")
+
+
+def lengths_of(table: "PythonTable") -> Lengths:
     """Lengths of the parameters, 0 for numbers."""
-    n = max((len(value) for value in table.per_body.values()), default=1)
-    values = _parameters_of(table, force, n)
-    return tuple((name, value.shape[1] if value.ndim > 1 else 0) for name, value in values.items())
+    values = parameters_of(table).items()
+    return tuple((name, value.shape[1] if value.ndim > 1 else 0) for name, value in values)
+
+
+def in_rows(values: dict[str, Floats], n: int) -> Floats:
+    """Values of parameters side by side, (n, numbers)."""
+    flat = [value.reshape(len(value), -1) for value in values.values()]
+    wide = [np.broadcast_to(value, (n, value.shape[1])) for value in flat]
+    return np.concatenate([np.zeros((n, 0)), *wide], axis=1)
 
 
 def resolve(
@@ -87,11 +134,16 @@ def resolve(
 ) -> list[tuple[Ints, tuple[float, ...]]]:
     """Whether it acts, and the parameters; for each body where they differ."""
     force: UserForce = table.function
-    values = _parameters_of(table, force, members.size)
+    if force.is_pairwise:
+        reason = f"{force.name} ({place_of(force.function)}) acts between two bodies"
+        raise ForceError("to", reason, "name others in `to`, or give `reach`")
+
+    def per_body(name: str, values: Floats) -> Floats:
+        refuse_length(name, values, members.size)
+        return values
+
     n = members.size if table.per_body else 1
-    flat = [value.reshape(len(value), -1) for value in values.values()]
-    wide = [np.broadcast_to(value, (n, value.shape[1])) for value in flat]
-    rows = np.concatenate([np.ones((n, 1)), *wide], axis=1)
+    rows = np.hstack([np.ones((n, 1)), in_rows(parameters_of(table, per_body), n)])
     _try(table, rows, members, system)
     if n == 1:
         return [(members, tuple(rows[0].tolist()))]
@@ -101,15 +153,13 @@ def resolve(
 def _term_of(table: "PythonTable", numbers: Floats, bodies: Bodies, start: float) -> Written:
     """Parameters, the time, and the axes of the rotor frame."""
     force: UserForce = table.function
-    of = lengths_of(table, force)
+    of = lengths_of(table)
     count = 1 + sum(max(length, 1) for _, length in of)
     parts, n = [numbers[:count]], bodies.mass.size
     if "t" in force.signature:
         parts.append(np.array([[start], [start]]).repeat(n, axis=1))
     if "R" in force.signature:
-        axes = (np.eye(3)[:, k, None].repeat(n, axis=1) for k in range(3))
-        columns = [rotate(bodies.rotor_frame, axis) for axis in axes]
-        parts.append(np.stack(columns, axis=1).reshape(9, n))
+        parts.append(rotor_axes(bodies))
     return class_of(force, of)(np.ascontiguousarray(np.concatenate(parts)))
 
 
@@ -129,10 +179,31 @@ def _try(table: "PythonTable", rows: Floats, members: Ints, system: "System") ->
     where, start = place_of(force.function), table.edges[0] if table.edges else 0.0
     numbers = np.broadcast_to(rows, (members.size, rows.shape[1])).T
     load = _term_of(table, numbers, bodies, start)
-    if wrong := wrong_result(load, bodies, state, 0, start):
+    if wrong := wrong_result(force, given_to(load, bodies, state, 0), start):
         raise ForceError("function", wrong)
+    values = attempt(force, lambda: loads_in(load, bodies, state))
+    turned = np.flatnonzero((bodies.rotor_class == POINT) & values[3:].any(axis=0))
+    if turned.size:
+        reason = f"{where}: {force.name} turns {{name}}, which is a point: nothing can turn it"
+        raise ForceError("function", reason, "return a torque of zeros", int(turned[0]))
+    if force.potential is not None:
+        few = np.arange(0, members.size, -(-members.size // LOOKED_AT))
+        load, bodies, state = type(load)(load.rows[:, few]), taken(bodies, few), taken(state, few)
+        loads = partial(loads_in, load, bodies)
+        compare(force, bodies, state, loads, lambda s: energies(load, s.com, s.q))
+
+
+def attempt(force: UserForce, evaluate: Callable[[], Floats]) -> Floats:
+    """Loads (rows, n) at the start.
+
+    Raises
+    ------
+    ForceError
+        If the function fails, the compiler does not take it, or they are no numbers.
+    """
+    where = place_of(force.function)
     try:
-        values = loads_in(load, bodies, state)
+        values = evaluate()
     except (NumbaError, UnsupportedBytecodeError) as error:
         raise ForceError("function", _compilers_words(error, force)) from None
     except Exception as error:
@@ -140,29 +211,40 @@ def _try(table: "PythonTable", rows: Floats, members: Ints, system: "System") ->
     finite = np.isfinite(values).all(axis=0)
     if not finite.all():
         b = int(np.argmin(finite))
-        reason = f"{where}: {force.name} gives {values[:, b].tolist()} for {{name}} at its start"
+        given = values[:6, b].tolist()
+        reason = f"{where}: {force.name} gives {given} for {{name}} at its start"
         raise ForceError("function", reason, "force and torque must be finite", b)
-    turned = np.flatnonzero((bodies.rotor_class == POINT) & values[3:].any(axis=0))
-    if turned.size:
-        reason = f"{where}: {force.name} turns {{name}}, which is a point: nothing can turn it"
-        raise ForceError("function", reason, "return a torque of zeros", int(turned[0]))
-    if force.potential is not None:
-        few = np.arange(0, members.size, -(-members.size // _LOOKED_AT))
-        _compare(type(load)(load.rows[:, few]), taken(bodies, few), taken(state, few))
+    return values
 
 
-def wrong_result(load: Written, bodies: Bodies, state: State, b: int, t: float) -> str:
-    """What is wrong with what the function returns for body b at t [s]; empty: nothing."""
-    force, row = load.force, 1
-    where = place_of(force.function)
+def given_to(load: Written, bodies: Bodies, state: State, b: int) -> dict[str, Any]:
+    """What the function is handed over for body b, but for the time."""
+    return of_body(bodies, state, b) | numbers_in(load.lengths, load.rows[1:, b])
+
+
+def of_body(bodies: Bodies, state: State, b: int, end: str = "") -> dict[str, Any]:
+    """Place, axes, velocities of body b, which is the end 1 or 2 of a pair."""
     R = rotation_matrix(state.q[:, b]) @ rotation_matrix(bodies.rotor_frame[:, b]).T
     vectors = state.com[:, b], state.p[:, b] * bodies.inv_mass[b], omega_world(bodies, state)[:, b]
-    given: dict[str, Any] = {"t": t, "R": tuple(tuple(line) for line in R.tolist())}
-    given |= {k: tuple(v.tolist()) for k, v in zip(("x", "v", "omega"), vectors, strict=True)}
-    for name, length in load.lengths:
-        values = load.rows[row : row + max(length, 1), b].tolist()
+    given: dict[str, Any] = {f"R{end}": tuple(tuple(line) for line in R.tolist())}
+    named = zip(("x", "v", "omega"), vectors, strict=True)
+    return given | {f"{name}{end}": tuple(v.tolist()) for name, v in named}
+
+
+def numbers_in(of: Lengths, numbers: Floats) -> dict[str, Any]:
+    """Parameters by their names, from a row of numbers."""
+    given, row = {}, 0
+    for name, length in of:
+        values = numbers[row : row + max(length, 1)].tolist()
         given[name] = tuple(values) if length else values[0]
         row += max(length, 1)
+    return given
+
+
+def wrong_result(force: UserForce, given: dict[str, Any], t: float) -> str:
+    """What is wrong with what the function returns at t [s]; empty: nothing."""
+    where = place_of(force.function)
+    given = given | {"t": t}
     try:
         result = force.function(**{name: given[name] for name in force.signature})
     except Exception as error:
@@ -179,17 +261,26 @@ def wrong_result(load: Written, bodies: Bodies, state: State, b: int, t: float) 
     return f"{where}: {force.name} returns {numbers.tolist()} at t = {t!r} s: it must be finite"
 
 
-def _compare(load: Written, bodies: Bodies, state: State) -> None:
-    """Raise ForceError where a force is not that of its potential: as bodies begin, and nearby."""
-    away = state._replace(com=state.com + 3e4 * scales(bodies, state) * _ASIDE)
+def compare(
+    force: UserForce, bodies: Bodies, state: State, loads: Callable[[State], Floats],
+    energy: Callable[[State], Floats], other: Floats | None = None, words: str = "",
+) -> None:  # fmt: skip
+    """Raise ForceError where loads (6, n) are not those of an energy (n,): at first, and nearby.
+
+    `other` is where the other body of a pair is, (3, n) [m].
+    """
+    centre = np.zeros_like(state.com) if other is None else other
+    reach = lengths(state.com - centre)
+    away = state._replace(com=state.com + 3e4 * scales(bodies, reach) * _ASIDE)
     half = np.array([[np.cos(0.4)], [0.3], [-0.2], [0.1]])
     turn = np.repeat(half / np.linalg.norm(half), len(state.q.T), axis=1)
     for now in (state, away._replace(q=quaternion_product(turn, state.q))):
+        reach = lengths(now.com - centre)
         with np.errstate(all="ignore"):
-            given, energy = loads_in(load, bodies, now), energies(load, now.com, now.q)
-            found = -gradient(lambda s: energies(load, s.com, s.q)[None], bodies, now)[:6, 0]
-            steps = np.where(np.arange(6)[:, None] < 3, scales(bodies, now), DIFFERENCE)
-            noise = 1e-14 * np.abs(energy) / steps
+            given, potential = loads(now), energy(now)
+            found = -gradient(lambda s: energy(s)[None], bodies, now, reach)[:6, 0]
+            steps = np.where(np.arange(6)[:, None] < 3, scales(bodies, reach), DIFFERENCE)
+            noise = 1e-14 * np.abs(potential) / steps
         for part, what in ((slice(0, 3), "force [N]"), (slice(3, 6), "torque [N m]")):
             size = np.maximum(lengths(given[part]), lengths(found[part]))
             error = lengths(given[part] - found[part])
@@ -198,8 +289,8 @@ def _compare(load: Written, bodies: Bodies, state: State) -> None:
                 b = int(wrong[0])
                 numbers = [np.array2string(one[part, b], precision=6) for one in (given, found)]
                 reason = (
-                    f"{place_of(load.force.function)}: {load.force.name} gives the {what}"
-                    f" {numbers[0]} for {{name}}, and its potential {numbers[1]}"
+                    f"{place_of(force.function)}: {force.name} gives the {what}"
+                    f" {numbers[0]} for {{name}}{words}, and its potential {numbers[1]}"
                 )
                 hint = "F = -dV/dx, and the torque is -dV per angle turned; or leave potential out"
                 raise ForceError("function", reason, hint, b)

@@ -18,7 +18,7 @@ from particlerb.compiled.threads import BLOCK
 from particlerb.forces.drag import angular_velocity
 from particlerb.forces.kinds import Kick, Momenta, Rates, Term
 from particlerb.maths.quaternion import Matrix, matrix
-from particlerb.maths.vec3 import Floats, add_scaled, dot, scale
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale
 from particlerb.model.block import (
     COM,
     INV_MASS,
@@ -34,7 +34,7 @@ from particlerb.model.block import (
     state_rows,
 )
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, lengths, quaternion_product
+from particlerb.model.state import State, lengths, quaternion_product, rotate
 from particlerb.user_force import UserForce, arguments_of, digest_of, place_of, python_of, reached
 
 DIFFERENCE: Final = 1e-5  # step of differences, in units of the place or the size of a body
@@ -42,7 +42,8 @@ _NO_TURN: Final = np.array([[1.0], [0.0], [0.0], [0.0]])
 _UNKEPT: Final = (
     "{force} has no source that stands alone, as in a console: it is compiled anew at every start"
 )
-_CLASSES: Final[dict[Any, Any]] = {}  # by text, or what stands for it, and lengths of parameters
+_CLASSES: Final[dict[str, Any]] = {}  # by their signs
+_WITHOUT_TEXT: Final[dict[Any, int]] = {}  # numbers of functions, by what they are and reach
 Lengths = tuple[tuple[str, int], ...]  # of parameters: 0 for a number
 
 
@@ -60,7 +61,6 @@ class Written(_Parameters):
     term: ClassVar[Term]
     force: ClassVar[UserForce]
     lengths: ClassVar[Lengths]
-    file: ClassVar[str]
     own: ClassVar[FunctionSet]
     energy: ClassVar[FunctionSet]
 
@@ -69,9 +69,8 @@ class Written(_Parameters):
 
 
 @inline
-def _body_axes(R: Matrix, rows: Floats, at: int, b: int) -> Matrix:
-    """Rotation matrix of the body frame: R Fᵀ, with that of the rotor frame F."""
-    f, g, h = get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
+def body_axes(R: Matrix, f: Vec3, g: Vec3, h: Vec3) -> Matrix:
+    """Rotation matrix of the body frame: R Fᵀ, with the lines f, g, h of the rotor frame F."""
     return (
         (dot(R[0], f), dot(R[0], g), dot(R[0], h)),
         (dot(R[1], f), dot(R[1], g), dot(R[1], h)),
@@ -80,7 +79,7 @@ def _body_axes(R: Matrix, rows: Floats, at: int, b: int) -> Matrix:
 
 
 @inline
-def _chosen(acts: float, load: Any) -> Momenta:
+def chosen(acts: float, load: Any) -> Momenta:
     """Force and torque as numbers, or zero on a body on which it does not act."""
     F, tau = load
     if acts > 0.0:
@@ -109,7 +108,7 @@ _SOURCES: Final = {
 """Of the hooks of a kick, after their names: docs/theory.md."""
 
 
-def _compiled(function: Any, known: dict[FunctionType, Any] | None = None) -> Any:
+def compiled(function: Any, known: dict[FunctionType, Any] | None = None) -> Any:
     """A function of a user with all of his that it reaches, inlined."""
     plain = python_of(function)
     known = {} if known is None else known
@@ -121,7 +120,7 @@ def _compiled(function: Any, known: dict[FunctionType, Any] | None = None) -> An
     names = plain.__globals__ | {"__name__": __name__}  # a module that the cache finds again
     copy = FunctionType(plain.__code__, names, plain.__name__, plain.__defaults__, cells)
     known[plain] = made = inline(copy)
-    others = {name: _compiled(value, known) for name, value in reached(plain) if python_of(value)}
+    others = {name: compiled(value, known) for name, value in reached(plain) if python_of(value)}
     names.update(others)
     for name, cell in zip(plain.__code__.co_freevars, cells, strict=True):
         cell.cell_contents = others.get(name, cell.cell_contents)
@@ -144,7 +143,8 @@ def _kick_of(force: UserForce, lengths_: Lengths, name: str, is_kept: bool) -> t
     start = rows
     rows += 2 if "t" in force.signature else 0
     known |= {"t": f"get(rows, at + {start + 1}, b)", "x": "x"}
-    known["R"] = f"body_axes(R, rows, at + {rows}, b)"
+    columns = ", ".join(f"get3(rows, at + {rows + k}, b)" for k in (0, 3, 6))
+    known["R"] = f"body_axes(R, {columns})"
     known["v"], known["omega"] = "scale(get(rows, INV_MASS, b), p)", "spin_of(rows, b, R, L)"
     rows += 9 if "R" in force.signature else 0
     words = {"arguments": ", ".join(known[one] for one in force.signature), "of_potential": ""}
@@ -152,9 +152,9 @@ def _kick_of(force: UserForce, lengths_: Lengths, name: str, is_kept: bool) -> t
         words["of_potential"] = ", ".join(known[one] for one in arguments_of(force.potential))
     names: dict[str, Any] = {
         "get": get, "get3": get3, "put": put, "add_scaled": add_scaled, "scale": scale,
-        "chosen": _chosen, "body_axes": _body_axes, "spin_of": angular_velocity,
+        "chosen": chosen, "body_axes": body_axes, "spin_of": angular_velocity,
         "INV_MASS": INV_MASS,
-        "function": _compiled(force.function), "potential": _compiled(force.potential),
+        "function": compiled(force.function), "potential": compiled(force.potential),
     }  # fmt: skip
 
     def hook(which: str) -> Callable[..., Any]:
@@ -171,27 +171,35 @@ def _kick_of(force: UserForce, lengths_: Lengths, name: str, is_kept: bool) -> t
     return kick, None if force.potential is None else hook("energy")
 
 
+def sign_of(force: UserForce, lengths_: Lengths) -> tuple[str, bool]:
+    """What tells a force from others in every process, and whether it does: by a text."""
+    text = force.text()
+    if text:
+        sign = digest_of(text)
+    else:
+        known = len(_WITHOUT_TEXT)
+        number = _WITHOUT_TEXT.setdefault((force, repr([*reached(force.function)])), known)
+        sign = f"without_text_{number}"
+        if number == known:
+            warnings.warn(CacheWarning(_UNKEPT.format(force=force)), stacklevel=2)
+    return "_".join([force.name, sign, *(str(length) for _, length in lengths_)]), bool(text)
+
+
 def class_of(force: UserForce, lengths_: Lengths) -> type[Written]:
     """Class of the parameters of a force; the same one for all functions of the same text."""
     from particlerb.forces.kernels import own_functions  # which are made of all kicks
 
-    text = force.text()
-    key = text or (force, repr([*reached(force.function)]))
-    made: Any = _CLASSES.get((key, lengths_))
+    name, is_kept = sign_of(force, lengths_)
+    made: Any = _CLASSES.get(name)
     if made is None:
-        sign = digest_of(text) if text else f"without_text_{len(_CLASSES)}"
-        name = "_".join([force.name, sign, *(str(length) for _, length in lengths_)])
-        made = _CLASSES[key, lengths_] = type(force.name, (Written,), {})
-        kick, energy = _kick_of(force, lengths_, name, text is not None)
+        made = _CLASSES[name] = type(force.name, (Written,), {})
+        kick, energy = _kick_of(force, lengths_, name, is_kept)
         made.force, made.lengths = force, lengths_
-        made.file = place_of(force.function).rpartition(":")[0]
         made.own = own_functions((kick,))
         made.energy = FunctionSet(f"energy of {name}", {"energy": energy}, kick.is_kept)
-        words = f"{force.name} of {made.file}"
+        words = f"{force.name} of {place_of(force.function).rpartition(':')[0]}"
         of_energy = None if energy is None else energies
         made.term = Term(made, words, kick, _estimated_rates, energy=of_energy)
-        if text is None:
-            warnings.warn(CacheWarning(_UNKEPT.format(force=force)), stacklevel=2)
     found: type[Written] = made
     return found
 
@@ -248,18 +256,24 @@ def loads_in(load: Written, bodies: Bodies, state: State) -> Floats:
     return _sampled(load, state.com, state.q, state_rows(state, bodies))
 
 
-def scales(bodies: Bodies, state: State) -> Floats:
-    """Steps of differences along a place, (n,) [m]."""
+def rotor_axes(bodies: Bodies) -> Floats:
+    """Rotation matrix of the rotor frame, (9, n), line by line."""
+    unit = np.eye(3)[:, :, None].repeat(bodies.mass.size, axis=2)
+    return np.stack([rotate(bodies.rotor_frame, axis) for axis in unit], axis=1).reshape(9, -1)
+
+
+def scales(bodies: Bodies, reach: Floats) -> Floats:
+    """Steps of differences along a place that is so far from what acts, (n,) [m]."""
     size = np.sqrt(bodies.inertia.max(axis=0) / bodies.mass)
-    scale_ = np.maximum(size, lengths(state.com))
+    scale_ = np.maximum(size, reach)
     return DIFFERENCE * np.where(scale_ > 0.0, scale_, 1.0)
 
 
-def gradient(of: Callable[[State], Floats], bodies: Bodies, state: State) -> Floats:
+def gradient(of: Callable[[State], Floats], bodies: Bodies, state: State, reach: Floats) -> Floats:
     """Differences of a function (m, n) of states along places and turns, momenta, (12, m, n)."""
     turn, still = np.full(state.com.shape[1], DIFFERENCE), np.maximum(bodies.inertia.max(0), 1e-99)
     faster = DIFFERENCE * np.maximum(lengths(state.p), bodies.mass)
-    steps = scales(bodies, state), turn, faster, DIFFERENCE * np.maximum(lengths(state.L), still)
+    steps = scales(bodies, reach), turn, faster, DIFFERENCE * np.maximum(lengths(state.L), still)
     found = []
     for k in range(12):
         step, unit = steps[k // 3], np.zeros((4, turn.size))
@@ -274,14 +288,23 @@ def gradient(of: Callable[[State], Floats], bodies: Bodies, state: State) -> Flo
 
 
 @np.errstate(all="ignore")
-def _estimated_rates(load: Written, bodies: Bodies, state: State) -> Rates:
-    """How fast the force lets bodies swing and slow down at first, by differences."""
-    inv_inertia, first = bodies.inv_inertia.max(axis=0), loads_in(load, bodies, state)
-    change = np.nan_to_num(gradient(lambda now: loads_in(load, bodies, now), bodies, state))
+def rates_by(
+    of: Callable[[State], Floats], bodies: Bodies, state: State, reach: Floats, moves: bool
+) -> Rates:
+    """How fast loads (6, n) of states let bodies swing and slow down, by differences."""
+    inv_inertia, first = bodies.inv_inertia.max(axis=0), of(state)
+    change = np.nan_to_num(gradient(of, bodies, state, reach))
     size = np.linalg.norm(change.reshape(4, 3, 2, 3, -1), axis=(1, 3))  # by what, of what, body
     squared = size[0, 0] * bodies.inv_mass + size[1, 1] * inv_inertia
-    moves = load.term.kick.load is not None
     return Rates(
         turning=lengths(first[3:]), squared=squared,
         rate=np.maximum(size[2, 0], size[3, 1]) if moves else np.zeros(()),
     )  # fmt: skip
+
+
+def _estimated_rates(load: Written, bodies: Bodies, state: State) -> Rates:
+    """The same of a force at first."""
+    moves = load.term.kick.load is not None
+    return rates_by(
+        lambda now: loads_in(load, bodies, now), bodies, state, lengths(state.com), moves
+    )

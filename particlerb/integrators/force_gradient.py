@@ -65,7 +65,7 @@ def _change_pairs(acting: Acting, pairs: PairTerms | None, blocks: Floats, layou
     """
     if pairs is None:
         return
-    links, _, _, _, y, _, change = pairs
+    links, y, change = pairs.links, pairs.y, pairs.booked
     gather_states(blocks, layout, y)
     for k in range(layout.first.size):
         rows, lo = blocks[k], layout.first[k]

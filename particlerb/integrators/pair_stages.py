@@ -11,6 +11,7 @@ from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.forces.attraction import Attraction, Work, attraction_loads
 from particlerb.forces.links import Links, damp_links, link_loads
 from particlerb.forces.registry import PAIR
+from particlerb.forces.user_pairs import OwnPairs, flow_own_pairs, own_pair_loads
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import BOOKED, P, gather_block, get, put, scatter_block
 from particlerb.model.load import LOAD_ROWS, POWER
@@ -34,11 +35,13 @@ class PairTerms(NamedTuple):
     """Forces between the bodies of a group, and room to evaluate them."""
 
     links: Links | None
+    own: OwnPairs | None
     attraction: Attraction | None
     work: Work | None
     with_dashpots: bool  # whether they are among the loads, and not flows
+    clock: Floats  # [s] (3,): of the loads, when the step began, and the segment
     y: Floats  # (13, n) states
-    load: Floats  # (13, n), rows of model/load.py
+    load: Floats  # (13, n), rows of model/load.py; of users without a potential (19, n)
     booked: Floats  # (13, n) the same rows, of flows
 
 
@@ -75,11 +78,30 @@ def clear(load: Floats) -> None:
 
 
 @inline
+def set_pair_time(pairs: PairTerms | None, t: float) -> None:
+    """Begin a step at t [s] since the segment began."""
+    if pairs is None:
+        return
+    pairs.clock[1] = pairs.clock[2] + t
+    pairs.clock[0] = pairs.clock[1]
+
+
+@inline
+def shift_pair_time(pairs: PairTerms | None, later: float) -> None:
+    """Take loads at so many seconds after the step began."""
+    if pairs is None:
+        return
+    pairs.clock[0] = pairs.clock[1] + later
+
+
+@inline
 def pair_loads(
     links: Links | None,
+    own: OwnPairs | None,
     attraction: Attraction | None,
     work: Work | None,
     with_dashpots: bool,
+    clock: Floats,
     y: Floats,
     load: Floats,
 ) -> None:
@@ -89,6 +111,7 @@ def pair_loads(
     """
     clear(load)
     link_loads(links, y, load, with_dashpots)
+    own_pair_loads(own, clock[0], y, load, with_dashpots)
     _attraction_into(attraction, work, y, load)
 
 
@@ -102,13 +125,13 @@ def put_pair_loads(
     """
     if pairs is None:
         return
-    links, attraction, work, with_dashpots, y, load, _ = pairs
+    links, own, attraction, work, with_dashpots, clock, y, load, _ = pairs
     if team is None:
         _gather(blocks, layout, y)
-        pair_loads(links, attraction, work, with_dashpots, y, load)
+        pair_loads(links, own, attraction, work, with_dashpots, clock, y, load)
         scatter(load, blocks, layout, PAIR, 0)
     elif team.rank == 0:
-        pair_loads(links, attraction, work, with_dashpots, y, load)
+        pair_loads(links, own, attraction, work, with_dashpots, clock, y, load)
 
 
 @kernel
@@ -133,7 +156,7 @@ def flow_pairs(
     dt: float,
     backwards: bool,
 ) -> None:
-    """Exact flow of each dashpot over dt, one after the other, if there are any.
+    """Flow of each dashpot, and pair of users, over dt, one after the other, if there are any.
 
     Their work is booked. In a team the first thread does it while the others wait.
     """
@@ -141,10 +164,14 @@ def flow_pairs(
         return
     _meet(team)
     if _is_first(team):
-        links, _, _, _, y, _, booked = pairs
+        links, own, _, _, _, clock, y, _, booked = pairs
         _gather(blocks, layout, y)
         clear(booked)
+        if backwards:
+            flow_own_pairs(own, clock[0], y, booked, dt, backwards)
         damp_links(links, y, booked, dt, backwards)
+        if not backwards:
+            flow_own_pairs(own, clock[0], y, booked, dt, backwards)
         scatter(y, blocks, layout, P, _MOMENTA)
         for k in range(layout.first.size):
             rows, lo = blocks[k], layout.first[k]

@@ -18,7 +18,7 @@ from particlerb.contact.contact_model import NOW
 from particlerb.forces.kinds import BODIES, POSE, TIME
 from particlerb.integrators.method import Method
 from particlerb.integrators.rotor_drift import KickAndDrift, kick_then_drift
-from particlerb.integrators.stages import MovingBodies, loads, stages
+from particlerb.integrators.stages import MovingBodies, loads, shift_pairs, stages
 from particlerb.rotors.moser_veselov import LARGEST_SHARE, LONGEST_PIECE, modified_inertia
 
 KICKS: Final = (
@@ -62,6 +62,7 @@ def _maps_of(turn: float) -> float:
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Eleven kicks and drifts; the last kick stays open."""
     for k in range(len(DRIFTS)):
+        shift_pairs(moving, first, _BEFORE[k] * dt)
         loads(moving, first, last, NOW)
         kick_dt = KICKS[k] * dt if k > 0 else CLOSING_KICK * dt + open_kick
         drift_dt, share = DRIFTS[k] * dt, abs(DRIFTS[k])

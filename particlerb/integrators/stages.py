@@ -22,7 +22,14 @@ from particlerb.integrators.contact_stages import (
 )
 from particlerb.integrators.joint_stages import drift_jointed, keep_given, project_jointed
 from particlerb.integrators.kick import begin_kick, kick_body
-from particlerb.integrators.pair_stages import Layout, PairTerms, flow_pairs, put_pair_loads
+from particlerb.integrators.pair_stages import (
+    Layout,
+    PairTerms,
+    flow_pairs,
+    put_pair_loads,
+    set_pair_time,
+    shift_pair_time,
+)
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import matrix
@@ -117,9 +124,17 @@ def loads(moving: MovingBodies, first: int, last: int, times: LoadTimes) -> None
 
 @stages
 def place_later(moving: MovingBodies, first: int, last: int, later: float) -> None:
-    """Bring bodies to where they are so many seconds after the step began."""
+    """Bring bodies to where they are so many seconds after the step began, and the time."""
     blocks, layout = moving.blocks, moving.layout
+    shift_pairs(moving, first, later)
     place_within_step(moving.contact, moving.team, moving.pairs, blocks, layout, first, last, later)
+
+
+@kernel
+def shift_pairs(moving: MovingBodies, first: int, later: float) -> None:
+    """Take loads between bodies that touch not so many seconds after the step began."""
+    if first == 0:
+        shift_pair_time(moving.pairs, later)
 
 
 # Kicks and flows
@@ -131,6 +146,8 @@ def set_times(moving: MovingBodies, first: int, last: int, t: float) -> None:
     for k in range(first, last):
         set_time(moving.acting, moving.blocks[k], moving.layout.size[k], t)
     _set_clock(moving.jointed, t)
+    if first == 0:  # the thread that evaluates pairs
+        set_pair_time(moving.pairs, t)
 
 
 @inline
@@ -161,7 +178,7 @@ def _kick_blocks(moving: MovingBodies, first: int, last: int, dt: float) -> None
 
 @stages
 def flow_dashpots(moving: MovingBodies, dt: float, backwards: bool) -> None:
-    """Exact flow of each dashpot between bodies over dt; their work is booked."""
+    """Flow of each dashpot between bodies, and pair of users, over dt; their work is booked."""
     flow_pairs(
         moving.dashpots, moving.team, moving.pairs, moving.blocks, moving.layout, dt, backwards
     )

@@ -12,5 +12,5 @@ TORQUE: Final = 3
 POWER: Final = 6  # [W], or the work [J], that is booked: of dashpots, of walls that move
 OUTSIDE: Final = 7  # force from the world, and its torque about the world's origin
 LOAD_ROWS: Final = 13
-OTHER: Final = 13  # of contacts: force and torque without a potential
+OTHER: Final = 13  # of contacts, and of users: force and torque without a potential
 CONTACT_ROWS: Final = 19

@@ -9,13 +9,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.forces import AnyForce, LoadTable, PythonTable, read_load
+from particlerb.case.forces import AnyForce, LoadTable, read_load
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.source import problem_at
 from particlerb.forces import Terms, summed
 from particlerb.forces.gravity import UniformGravity
 from particlerb.forces.impulse import Impulse
 from particlerb.forces.kinds import ForceError
+from particlerb.forces.python import with_code
 from particlerb.forces.ramp import vectors_of
 from particlerb.forces.registry import force_of
 from particlerb.maths.vec3 import Floats, Ints
@@ -25,7 +26,6 @@ from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.plan.links import AXIAL_ROUNDING, is_link
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
-from particlerb.user_force import UserForce, UserForceError, load_force
 
 N_NUMBERS: Final = 12
 
@@ -69,7 +69,7 @@ def loads_of(system: System) -> list[ResolvedForce]:
     whole = system if system.merging is None else system.merging.whole
     for number, given, members in _acting_forces(system):
         try:
-            force = _with_code(_with_knots(given, system), system)
+            force = with_code(_with_knots(given, system), system)
             found = force_of(force).resolve(force, members, whole)
         except ForceError as error:
             problems.append(_problem_of(system, number, members, error))
@@ -133,33 +133,6 @@ def _with_knots(force: AnyForce, system: System) -> AnyForce:
         reason = f"the first knot, {force.edges[0]!r} s, must be before run.t_end"
         raise ForceError(where, f"{reason} = {system.run.t_end!r}")
     return force
-
-
-def _with_code(force: AnyForce, system: System) -> AnyForce:
-    """A force whose function, if it has any, is there; what was written elsewhere is run for it.
-
-    Raises
-    ------
-    ForceError
-        If the code may not be run, fails, or has no such function.
-    """
-    if not isinstance(force, PythonTable):
-        return force
-    function = force.function
-    if isinstance(function, UserForce):
-        return force
-    file = force.file or f"{function}.py"
-    if not system.files.allows_code:
-        reason = f'"{file}" holds code, and code of a case runs only where it is allowed'
-        hint = "read it first; then --allow-code, or allow_code=True in Python"
-        raise ForceError("function" if force.file is None else "file", reason, hint)
-    try:
-        found = load_force(system.files.read(file), function)
-    except ValueError as error:
-        raise ForceError("function" if force.file is None else "file", str(error)) from None
-    except UserForceError as error:
-        raise ForceError("function", str(error)) from None
-    return force.model_copy(update={"function": found})
 
 
 def _problem_of(system: System, number: int, members: Ints, error: ForceError) -> Problem:

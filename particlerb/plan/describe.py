@@ -270,6 +270,8 @@ def _driving(terms: Terms) -> str:
     if terms.links is not None:
         kind = "springs" if terms.links.damping is None else "springs and dashpots"
         between.append(f"{terms.links.first.size} {kind}")
+    if terms.own_pairs is not None:
+        between.append(terms.own_pairs.words)
     if terms.attraction is not None:
         between.append("attraction")
     if terms.contact is not None:

@@ -26,7 +26,9 @@ from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity_tree.opening_angle import safe_angle
 from particlerb.forces.gravity_tree.tree import BREAK_EVEN
 from particlerb.forces.links import WORLD, Links
+from particlerb.forces.python import lengths_of
 from particlerb.forces.registry import force_of
+from particlerb.forces.user_pairs import OwnPairs, functions_of, own_pairs
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import rotate_back
@@ -37,7 +39,15 @@ from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.driven_bodies import driven_among
 from particlerb.plan.joint_ends import Ties
 from particlerb.plan.joints import JointSetup
-from particlerb.plan.links import Link, attracted, components, particles_of, tree_accuracy
+from particlerb.plan.links import (
+    AnyLink,
+    Link,
+    OwnLink,
+    attracted,
+    components,
+    particles_of,
+    tree_accuracy,
+)
 from particlerb.rotors.rotor_class import ASYMMETRIC
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
@@ -49,7 +59,7 @@ class GroupSetup(NamedTuple):
 
     members: Ints  # (n,) bodies of the system
     forces: list[Forces]  # on each of them
-    links: list[Link]  # among them, with numbers of the system
+    links: list[AnyLink]  # among them, with numbers of the system
     attracts: bool  # whether they attract each other
     touches: bool  # whether they touch
     joints: JointSetup | None = None  # of the system, if any are among them
@@ -58,7 +68,7 @@ class GroupSetup(NamedTuple):
 def groups_of(
     system: System,
     loads: Sequence[ResolvedForce],
-    links: Sequence[Link],
+    links: Sequence[AnyLink],
     touching: ContactSetup | None,
     joints: JointSetup | None = None,
 ) -> list[GroupSetup]:
@@ -66,7 +76,7 @@ def groups_of(
     heavy = attracted(system)
     solid = np.zeros(0, dtype=np.int64) if touching is None else touching.body
     held = None if joints is None else joints.acting
-    ties: list[Link | Ties] = [*links, *([] if held is None else [held])]
+    ties: list[AnyLink | Ties] = [*links, *([] if held is None else [held])]
     ends = [end[end != WORLD] for tie in ties for end in (tie.first, tie.second)]
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
     absent = bound if system.merging is None else np.union1d(bound, system.merging.carried)
@@ -128,7 +138,7 @@ def _groups_alone(
 def clusters(
     system: System,
     loads: Sequence[ResolvedForce],
-    links: Sequence[Link],
+    links: Sequence[AnyLink],
     label: Ints,
     bound: Ints,
     joints: Ties | None = None,
@@ -161,16 +171,11 @@ def clusters(
     return [own[np.argsort(~is_asymmetric[own], kind="stable")] for own in whole]
 
 
-def within(link: Link, own: Bools) -> Link:
-    """The springs of a link on bodies of a cluster."""
+def within(link: AnyLink, own: Bools) -> AnyLink:
+    """The pairs of a link on bodies of a cluster."""
     which = np.flatnonzero(own[link.first])
-    return link._replace(
-        first=link.first[which],
-        second=link.second[which],
-        first_at=link.first_at[:, which],
-        second_at=link.second_at[:, which],
-        rest_length=link.rest_length[which],
-    )
+    values = {name: getattr(link, name)[..., which] for name in link._fields[2:]}
+    return link._replace(**values)
 
 
 def _aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
@@ -200,14 +205,18 @@ def terms_between(
     system: System,
     group: GroupSetup,
     bodies: Bodies,
-    links: list[Link],
+    links: list[AnyLink],
     touching: ContactSetup | None,
     time: float,
 ) -> Terms:
     """What the bodies of a group do to each other while these of its links act, from a time on."""
     terms = Terms()
-    if links:
-        terms = terms._replace(links=_links_among(group.members, bodies, links))
+    springs = [link for link in links if isinstance(link, Link)]
+    if springs:
+        terms = terms._replace(links=_links_among(group.members, bodies, springs))
+    own = [link for link in links if isinstance(link, OwnLink)]
+    if own:
+        terms = terms._replace(own_pairs=_own_pairs_among(group.members, bodies, own))
     if group.attracts:
         attraction = _attraction_among(system, group.members, bodies)
         angle, accuracy = _tree_of(system, attraction.mass.size)
@@ -221,6 +230,23 @@ def terms_between(
         driven = driven_among(group.joints.driven, group.members)
         terms = terms._replace(joints=held, driven=None if held is None else driven)
     return terms
+
+
+def _own_pairs_among(members: Ints, bodies: Bodies, links: list[OwnLink]) -> OwnPairs:
+    """Pairs of a group between which functions of users act, with its own numbers."""
+    place = np.argsort(members)
+    ends = (np.concatenate([link[k] for link in links]) for k in (2, 3))
+    first, second = (place[np.searchsorted(members[place], end)] for end in ends)
+    kinds = [(link.force.function, lengths_of(link.force)) for link in links]
+    known = list(dict.fromkeys(kinds))
+    rows = np.zeros((max(len(link.numbers) for link in links), first.size))
+    kind = np.repeat([known.index(own) for own in kinds], [link.first.size for link in links])
+    start = 0
+    for link in links:
+        rows[: len(link.numbers), start : start + link.first.size] = link.numbers
+        start += link.first.size
+    forces, lengths = zip(*known, strict=True)
+    return own_pairs(functions_of(forces, lengths), (first, second), kind, rows, bodies)
 
 
 def _links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:

@@ -1,31 +1,32 @@
 """Forces between bodies, resolved: which pairs, where, how long at rest; and who belongs together.
 
 `links_of` finds the pairs of every [[force]] that ties two bodies, `attracted` the bodies of
-[attraction], and `components` labels the bodies that have to advance together. Pairs by distance
-come from a grid of cells, so that time and memory grow with the pairs and not with their square.
+[attraction], and `components` labels the bodies that have to advance together.
 """
 
-from collections.abc import Iterator, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb.case.forces import AnyForce, SpringTable
+from particlerb.case.forces import AnyForce, PythonTable, SpringTable
 from particlerb.case.problems import CaseError, Problem
 from particlerb.case.source import problem_at
+from particlerb.forces.kinds import ForceError
 from particlerb.forces.links import WORLD
+from particlerb.forces.python import with_code
+from particlerb.forces.python_pairs import numbers_of_pairs
 from particlerb.forces.spring import places
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.plan.links_in_worlds import in_worlds
+from particlerb.plan.near_pairs import near, nearest_distance
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _REACH_ROUNDING: Final = 1e-9  # share by which a pair may be further apart than reach
 AXIAL_ROUNDING: Final = 1e-12  # share of an arm across a rod that is its rounding
 MOST_SPRINGS: Final = 10_000_000  # of one [[force]]
-MOST_AT_ONCE: Final = 1_000_000  # pairs that are looked at together
-_MOST_SOUGHT: Final = 30_000_000  # pairs that are looked at for the distance in a message
 _SHARE_OF_RUN: Final = 0.1  # of run.accuracy that a tree may take
 _TREE_ACCURACY: Final = 1e-4  # of a tree where the case asks for none
 _NOBODY: Final = np.zeros(0, dtype=np.int64)
@@ -43,17 +44,30 @@ class Link(NamedTuple):
     rest_length: Floats  # (s,) [m]
 
 
-# Springs between bodies
+class OwnLink(NamedTuple):
+    """Pairs of bodies between which a function of a user acts, by one [[force]]."""
+
+    number: int  # index of [[force]]
+    force: PythonTable  # with its function
+    first: Ints  # (s,) bodies of the system
+    second: Ints  # (s,)
+    numbers: Floats  # (r, s) parameters
+
+
+AnyLink: TypeAlias = Link | OwnLink
+
+
+# Springs and forces between bodies
 
 
 def is_link(force: AnyForce) -> bool:
-    """Whether a spring ties two bodies or is damped; others act on one body each."""
-    if not isinstance(force, SpringTable):
-        return False
-    return force.anchor is None or force.damping > 0.0
+    """Whether a spring ties two bodies or is damped, or a force of a user acts between two."""
+    if isinstance(force, PythonTable):
+        return force.is_pairwise
+    return isinstance(force, SpringTable) and (force.anchor is None or force.damping > 0.0)
 
 
-def links_of(system: System) -> list[Link]:
+def links_of(system: System) -> list[AnyLink]:
     """All links of a system.
 
     Raises
@@ -61,14 +75,18 @@ def links_of(system: System) -> list[Link]:
     CaseError
         With all that is wrong: a body tied to itself, a pair that is named twice, a reach in which
         there is none or too many, a point off the centre of mass of a body without extent or off
-        the axis of a rod.
+        the axis of a rod, a function that fails.
     """
-    links, problems = list[Link](), list[Problem]()
+    links, problems = list[AnyLink](), list[Problem]()
     whole = system if system.merging is None else system.merging.whole
     for number, force in enumerate(system.force):
-        if not is_link(force) or not isinstance(force, SpringTable):
+        if not is_link(force):
             continue
         try:
+            if isinstance(force, PythonTable):
+                links.append(_own_link_of(whole, number, force))
+                continue
+            assert isinstance(force, SpringTable)
             found = in_worlds(whole, number, force, _link_of)
         except CaseError as error:
             problems += error.problems
@@ -107,7 +125,30 @@ def _link_of(system: System, number: int, force: SpringTable) -> Link:
     return Link(number, force, first, second, first_at, second_at, rest_length)
 
 
-def _pairs_as_named(system: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
+def _own_link_of(system: System, number: int, force: PythonTable) -> OwnLink:
+    """Pairs of one [[force]] that a user wrote.
+
+    Raises
+    ------
+    CaseError
+        If its bodies make no pairs, or its function cannot act on them.
+    """
+    first = second = np.zeros(1, dtype=np.int64)
+    try:
+        force = with_code(force, system)
+        found = _pairs_in_reach if force.reach is not None else _pairs_as_named
+        first, second = found(system, number, force)
+        return OwnLink(number, force, first, second, numbers_of_pairs(force, first, second, system))
+    except ForceError as error:
+        names = (system.names[int(end[error.body])] for end in (first, second))
+        reason = error.reason.replace("{name}", " and ".join(names))
+        key = f"force[{number}].{error.key}"
+        raise CaseError([problem_at(system, key, reason, error.hint)]) from None
+
+
+def _pairs_as_named(
+    system: System, number: int, force: SpringTable | PythonTable
+) -> tuple[Ints, Ints]:
     """Body after body of `body` and `to`, or one with each of the others.
 
     Raises
@@ -142,7 +183,9 @@ def and_more(count: int) -> str:
     return f", and {count} more" if count else ""
 
 
-def _pairs_in_reach(system: System, number: int, force: SpringTable) -> tuple[Ints, Ints]:
+def _pairs_in_reach(
+    system: System, number: int, force: SpringTable | PythonTable
+) -> tuple[Ints, Ints]:
     """Every pair of different bodies whose points are near each other at t = 0, sorted.
 
     Where both points are the same one of the body frame, a pair is taken once.
@@ -173,7 +216,7 @@ def _pairs_in_reach(system: System, number: int, force: SpringTable) -> tuple[In
             reason = f"ties more than {MOST_SPRINGS:.0e} pairs"
             raise CaseError([problem_at(system, key, reason, "give a shorter reach")])
     if not count:
-        closest = _nearest_distance(first, second, here, there, reach)
+        closest = nearest_distance(first, second, here, there, reach)
         reason = f"no two points are that near: the nearest are {closest:.6g} m apart"
         raise CaseError([problem_at(system, key, reason, "give a longer reach")])
     a, b = np.concatenate(found, axis=1)
@@ -319,81 +362,3 @@ def components(
         np.minimum.at(label, np.maximum(a, b), np.minimum(a, b))
         while (label[label] != label).any():
             label = label[label]
-
-
-# Distances
-
-
-@np.errstate(over="ignore", under="ignore")
-def near(here: Floats, there: Floats, reach: float) -> Iterator[tuple[Ints, Ints, Floats]]:
-    """Pairs (i, j) of points of two sets that are at most `reach` apart, and their distance [m].
-
-    A point has its neighbours in its own cell of a grid of that width and in the 26 around it. The
-    cells of `there` are sorted by column and height, so that three of them lie side by side and
-    nine columns are looked up. Only cells with points have a number, however far apart they are.
-
-    Parameters
-    ----------
-    here, there : ndarray, shapes (3, n) and (3, m) [m]
-    reach : float
-        Positive [m].
-    """
-    n = here.shape[1]
-    cells = [numbered_cells(np.floor(axis / reach)) for axis in np.hstack([here, there])]
-    width, height = int(cells[1].max()) + 2, int(cells[2].max()) + 2
-    column, level = cells[0] * width + cells[1], cells[2]
-    columns, own = np.unique(column[n:], return_inverse=True)
-    cell = own * height + level[n:]
-    order = np.argsort(cell, kind="stable")
-    cell = cell[order]
-    for to_the_side in (-width - 1, -width, -width + 1, -1, 0, 1, width - 1, width, width + 1):
-        wanted = column[:n] + to_the_side
-        k = np.minimum(np.searchsorted(columns, wanted), columns.size - 1)
-        middle = k * height + level[:n]
-        start = np.searchsorted(cell, middle - 1, side="left")
-        stop = np.searchsorted(cell, middle + 1, side="right")
-        count = np.where(columns[k] == wanted, stop - start, 0)
-        for lo, hi in chunks(count):
-            i = np.repeat(np.arange(lo, hi), count[lo:hi])
-            before = np.cumsum(count[lo:hi]) - count[lo:hi]
-            j = order[np.repeat(start[lo:hi] - before, count[lo:hi]) + np.arange(i.size)]
-            share = lengths((there[:, j] - here[:, i]) / reach)
-            close = share <= 1.0
-            yield i[close], j[close], reach * share[close]
-
-
-def numbered_cells(cells: Floats) -> Ints:
-    """Numbers from 1 of cells on a line, of which two differ by 1 only if the cells do."""
-    known, own = np.unique(cells, return_inverse=True)
-    gaps = np.minimum(np.diff(known), 2.0).astype(np.int64)
-    return np.concatenate([[1], 1 + np.cumsum(gaps)])[own]
-
-
-def chunks(count: Ints) -> Iterator[tuple[int, int]]:
-    """Ranges of rows that together have about MOST_AT_ONCE entries, or a row that has more."""
-    total = np.cumsum(count)
-    lo = 0
-    while lo < count.size and total[-1] > (total[lo - 1] if lo else 0):
-        most = (int(total[lo - 1]) if lo else 0) + MOST_AT_ONCE
-        hi = max(int(np.searchsorted(total, most, side="right")), lo + 1)
-        yield lo, hi
-        lo = hi
-
-
-def _nearest_distance(
-    first: Ints, second: Ints, here: Floats, there: Floats, reach: float
-) -> float:
-    """Distance of the nearest points of different bodies [m], all further apart than `reach`.
-
-    Among very many at about the same distance it is that of the first MOST_SOUGHT pairs.
-    """
-    found, sought = np.inf, 0
-    while not np.isfinite(found):
-        reach *= 2.0
-        for i, j, distance in near(here, there, reach):
-            others = distance[first[i] != second[j]]
-            found = min(found, float(others.min(initial=np.inf)))
-            sought += i.size
-            if sought > _MOST_SOUGHT and np.isfinite(found):
-                break
-    return found

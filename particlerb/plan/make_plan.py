@@ -15,7 +15,7 @@ from particlerb.plan.case_forces import impossible, loads_of
 from particlerb.plan.contact_setup import contact_of
 from particlerb.plan.groups import groups_of
 from particlerb.plan.joints import joints_of
-from particlerb.plan.links import coincident, links_of
+from particlerb.plan.links import Link, coincident, links_of
 from particlerb.plan.merging import merged, on_hosts
 from particlerb.plan.segments import GroupPlan, Plan, cut_into_segments, refuse_method
 from particlerb.plan.stability import growing_contacts, refuse_unstable
@@ -58,7 +58,9 @@ def make_plan(
     loads = loads_of(system)
     links = links_of(system)
     if system.merging is not None:
-        links = [on_hosts(link, system.merging) for link in links]
+        links = [
+            on_hosts(link, system.merging) if isinstance(link, Link) else link for link in links
+        ]
     problems = impossible(system, loads) + coincident(system)
     if problems:
         raise CaseError(problems)

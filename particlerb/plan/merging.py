@@ -109,7 +109,9 @@ def _kept_apart(system: System) -> dict[str, Ints]:
         turns = getattr(force, "frame", "world") == "body" and force.timed is not None
         if force.type not in _KNOWN or turns or getattr(force, "reach", None) is not None:
             own = f"a force of type {force.type}"
-            found[own] = np.r_[found.get(own, []), system.names.find(force.body)].astype(np.int64)
+            for key in force.names_bodies:
+                ends = system.names.find(getattr(force, key) or ())
+                found[own] = np.r_[found.get(own, []), ends].astype(np.int64)
     heavy = attracted(system)
     if heavy.size and heavy.size < n:
         found["attraction of some bodies alone"] = np.arange(n)

@@ -9,6 +9,7 @@ from particlerb.contact.contact_model import ContactSpheres, GroupContact
 from particlerb.forces import Terms
 from particlerb.forces.attraction import Attraction, fastest_rates
 from particlerb.forces.links import link_rates
+from particlerb.forces.python_pairs import pair_rates
 from particlerb.forces.registry import term_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
@@ -47,6 +48,9 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
         swing = np.maximum(swing, np.sqrt(squares))
         if links is not None:
             swing = np.maximum(swing, link_rates(links))
+        if segment.terms.own_pairs is not None:
+            own = pair_rates(segment.terms.own_pairs, bodies, state, segment.start)
+            swing = np.maximum(swing, own)
         if segment.terms.joints is not None:
             _, force = force_of(group.group(segment))
             swing = np.maximum(swing, joint_rates(segment.terms.joints, bodies, state, force))

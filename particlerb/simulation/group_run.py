@@ -10,7 +10,8 @@ from particlerb.forces import Terms, energy_of_loads, has_energy
 from particlerb.forces.gravity_tree.opening_angle import fitting_angle, sampled_error
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.forces.impulse import apply_impulse
-from particlerb.forces.python import wrong_result
+from particlerb.forces.python import given_to, wrong_result
+from particlerb.forces.python_pairs import wrong_pair
 from particlerb.forces.user_kicks import Written
 from particlerb.integrators import METHODS
 from particlerb.joints.reactions import energy_of_joints
@@ -280,7 +281,10 @@ def tally_of(runs: Sequence[GroupRun]) -> Floats | None:
 
 def own_failure(error: Exception, runs: Sequence[GroupRun]) -> str:
     """What is to be said of an error in a force that a user wrote; empty where it is none."""
-    files = {of.file for run in runs for of in run.segment.terms.loads if isinstance(of, Written)}
+    terms = [run.segment.terms for run in runs]
+    own = [load.force for one in terms for load in one.loads if isinstance(load, Written)]
+    own += [force for one in terms if one.own_pairs for force in one.own_pairs.functions.forces]
+    files = {force.function.__code__.co_filename for force in own}
     passed = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
     return next((told(error, name) for name in reversed(passed) if name in files), "")
 
@@ -295,9 +299,16 @@ def own_forces_on(b: int, runs: Sequence[GroupRun], times: Floats, frames: Frame
             words = f"; {place_of(load.force.function)}: {load.force.name} acts on it"
             if f > 0:
                 state = run.state_in(frames, f - 1)
-                wrong = wrong_result(load, run.plan.bodies, state, int(where[0]), float(times[f]))
-                if wrong:
+                given = given_to(load, run.plan.bodies, state, int(where[0]))
+                if wrong := wrong_result(load.force, given, float(times[f])):
                     return f": {wrong}"
+        pairs = run.segment.terms.own_pairs
+        if pairs is not None and where.size:
+            then = run.state_in(frames, f - 1) if f > 0 else None
+            own = run.plan.bodies, then, int(where[0]), float(times[f])
+            words, wrong = wrong_pair(pairs, *own)
+            if wrong:
+                return f": {wrong}"
     return words
 
 

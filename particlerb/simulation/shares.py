@@ -18,6 +18,7 @@ BYTES_SAVED: Final = 200  # of a checkpoint for each body, likewise
 _COUPLING: Final = {
     "contact": "contact",
     "links": "springs between bodies",
+    "own_pairs": "forces between bodies",
     "attraction": "attraction",
     "joints": "joints",
 }

@@ -104,9 +104,10 @@ def _common_slopes(
     slope: Floats,
 ) -> None:
     """Slopes of all bodies in the states y at a time [s] since the segment began."""
-    links, attraction, work, with_dashpots, states, load, _ = pairs
+    links, own, attraction, work, with_dashpots, clock, states, load, _ = pairs
     _spread_out(y, layout, w, states)
-    pair_loads(links, attraction, work, with_dashpots, states, load)
+    clock[0] = clock[2] + t
+    pair_loads(links, own, attraction, work, with_dashpots, clock, states, load)
     scatter(load, blocks, layout, PAIR, 0)
     _slopes_of_blocks(acting, books, blocks, layout, w, t, y, slope)
 
@@ -278,7 +279,7 @@ class CoupledAdaptiveMotion(AdaptiveRun):
         super().__init__(group, state, start, tolerance)
         n, terms = group.members.size, group.terms
         assert row_count(terms) <= STAGE
-        self.forces = PairForces(terms, n, True)
+        self.forces = PairForces(terms, n, True, start)
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
         self.blocks = in_blocks(n, STAGE + 2 * CHANGING, parts)
         first = np.arange(0, n, BLOCK)

@@ -10,13 +10,14 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.threads import THREADS
-from particlerb.forces import Terms
+from particlerb.forces import Terms, pairs_have_potential
 from particlerb.forces.attraction import potential_energy, spread_loads, work_of
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.forces.links import link_energy, link_loads
+from particlerb.forces.user_pairs import own_pair_loads, pair_energies
 from particlerb.integrators.pair_stages import PairTerms
 from particlerb.maths.vec3 import Floats
-from particlerb.model.load import LOAD_ROWS, STATE_ROWS
+from particlerb.model.load import CONTACT_ROWS, LOAD_ROWS, STATE_ROWS
 from particlerb.model.worlds import Worlds
 
 _NANOSECONDS_PER_PAIR: Final = 0.4  # of the direct sum, roughly, for one of the two
@@ -28,12 +29,14 @@ WORTH_THREADS: Final = 1e6  # ns of an evaluation from which on threads pay for 
 
 def cost_of(terms: Terms) -> float:
     """Estimate of one evaluation of the forces between bodies on one thread [ns]."""
-    links, attraction = terms.links, terms.attraction
+    links, own, attraction = terms.links, terms.own_pairs, terms.attraction
     if not terms.is_coupled:
         return 0.0
     cost = _NANOSECONDS_TO_CALL
     if links is not None:
         cost += _NANOSECONDS_PER_LINK * links.first.size
+    if own is not None:
+        cost += _NANOSECONDS_PER_LINK * own.first.size
     if attraction is not None:
         n = float(attraction.mass.size)
         cost += _NANOSECONDS_IN_TREE * n if terms.opening_angle else _NANOSECONDS_PER_PAIR * n * n
@@ -50,10 +53,12 @@ class PairForces:
     n : int
         Its bodies.
     with_dashpots : bool
-        Whether loads contain dashpots.
+        Whether loads contain dashpots, and what users wrote of velocities.
+    start : float
+        When the segment begins [s].
     """
 
-    def __init__(self, terms: Terms, n: int, with_dashpots: bool) -> None:
+    def __init__(self, terms: Terms, n: int, with_dashpots: bool, start: float = 0.0) -> None:
         attraction = terms.attraction
         self.cost = cost_of(terms)
         self.tree = None
@@ -62,11 +67,13 @@ class PairForces:
         direct = attraction if self.tree is None else None
         self.pairs = PairTerms(
             terms.links,
+            terms.own_pairs,
             direct,
             None if direct is None else work_of(direct),
             with_dashpots,
+            np.full(3, start),
             np.zeros((STATE_ROWS, n)),
-            np.zeros((LOAD_ROWS, n)),
+            np.zeros((LOAD_ROWS if pairs_have_potential(terms) else CONTACT_ROWS, n)),
             np.zeros((LOAD_ROWS, n)),
         )
 
@@ -77,9 +84,10 @@ class PairForces:
 
     def evaluate(self) -> None:
         """Loads in the state y, over all threads."""
-        links, attraction, work, with_dashpots, y, load, _ = self.pairs
+        links, own, attraction, work, with_dashpots, clock, y, load, _ = self.pairs
         load[:] = 0.0
         THREADS.alone(link_loads, links, y, load, with_dashpots)
+        THREADS.alone(own_pair_loads, own, clock[0], y, load, with_dashpots)
         if self.tree is not None:
             self.tree.loads(y, load)
         if attraction is not None and work is not None:
@@ -92,6 +100,8 @@ class PairForces:
         energy: Floats | float = 0.0
         if self.pairs.links is not None:
             energy = energy + link_energy(self.pairs.links, com, q, worlds)
+        if self.pairs.own is not None:
+            energy = energy + float(pair_energies(self.pairs.own, com, q).sum())
         y = np.zeros((STATE_ROWS, com.shape[1]))
         y[:3], y[3:7] = com, q
         if self.pairs.attraction is not None and self.pairs.work is not None:

@@ -64,11 +64,11 @@ def _layout_of(is_asymmetric: Bools) -> Layout:
     return Layout(first, ends - first, -(-asymmetric // BLOCK))
 
 
-def _pairs_of(method: Method, terms: Terms, n: int) -> PairForces | None:
+def _pairs_of(method: Method, terms: Terms, n: int, start: float) -> PairForces | None:
     """Forces between bodies that do not touch; None where there are none."""
-    if terms.links is None and terms.attraction is None:
+    if all(term is None for term in (terms.links, terms.own_pairs, terms.attraction)):
         return None
-    return PairForces(terms, n, not method.has_dashpot_flows)
+    return PairForces(terms, n, not method.has_dashpot_flows, start)
 
 
 class SteppedMotion(Motion):
@@ -80,7 +80,7 @@ class SteppedMotion(Motion):
         self.method, self.group, self.start, self.dt = method, group, start, dt
         self.first = state
         terms, n = group.terms, group.members.size
-        self.forces = _pairs_of(method, terms, n)
+        self.forces = _pairs_of(method, terms, n, start)
         self.is_coupled = self.forces is not None or terms.joints is not None
         is_asymmetric = group.bodies.rotor_class == ASYMMETRIC
         acts_together = terms.is_coupled or terms.contact is not None
@@ -105,8 +105,9 @@ class SteppedMotion(Motion):
         self.steps_done = 0
         self.single: tuple[Frames, Schedule, Recording] | None = None  # of `pose`
         self.account = WorkAccount(group, state, method.keeps_angular_momentum)
-        links = terms.links
+        links, own = terms.links, terms.own_pairs
         has_dashpots = links is not None and links.damping is not None
+        has_dashpots |= own is not None and bool(own.takes_velocities.any())
         self.moving = MovingBodies(
             self.blocks,
             self.layout,

@@ -12,6 +12,7 @@ from particlerb.case.to_system import to_system
 from particlerb.forces.links import WORLD
 from particlerb.forces.spring import places
 from particlerb.plan import links as pairs
+from particlerb.plan import near_pairs
 from particlerb.plan.case_forces import loads_of
 from particlerb.plan.links import (
     Link,
@@ -20,7 +21,6 @@ from particlerb.plan.links import (
     components,
     is_link,
     links_of,
-    near,
     particles_of,
     tree_accuracy,
 )
@@ -176,8 +176,8 @@ def test_near_pairs_are_those_that_are_near(seed, sizes, reach, spread, at_once)
     there[:, 0] = here[:, 0]
     reach = 10.0**reach
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pairs, "MOST_AT_ONCE", at_once)
-        found = list(near(here, there, reach))
+        patch.setattr(near_pairs, "MOST_AT_ONCE", at_once)
+        found = list(near_pairs.near(here, there, reach))
     pair = [(int(i), int(j)) for some, others, _ in found for i, j in zip(some, others)]  # noqa: B905
     assert len(pair) == len(set(pair))
     assert set(pair) == brute(here, there, reach)
@@ -189,7 +189,7 @@ def test_near_pairs_are_those_that_are_near(seed, sizes, reach, spread, at_once)
 def test_cells_are_neighbours_by_number_only_if_they_are():
     """With -1e300 to 1e300 cells between them there are as few numbers as cells, or twice that."""
     cells = np.array([6.0, 0, 0, 1, 5, -1e300, 1e300])
-    assert pairs.numbered_cells(cells).tolist() == [7, 3, 3, 4, 6, 1, 9]
+    assert near_pairs.numbered_cells(cells).tolist() == [7, 3, 3, 4, 6, 1, 9]
 
 
 def test_reach_ties_the_neighbours_of_a_grid_at_exactly_its_spacing(make):

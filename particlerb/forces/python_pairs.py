@@ -1,0 +1,188 @@
+"""Forces between two bodies that users write: from a table to parameters, what can be wrong, rates.
+
+`user_pairs` makes kernels of their functions.
+"""
+
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from particlerb.forces.kinds import ForceError, Rates
+from particlerb.forces.links import combined_rates
+from particlerb.forces.python import (
+    LOOKED_AT,
+    attempt,
+    compare,
+    in_rows,
+    lengths_of,
+    numbers_in,
+    of_body,
+    parameters_of,
+    refuse_length,
+    wrong_result,
+)
+from particlerb.forces.user_kicks import rates_by
+from particlerb.forces.user_pairs import (
+    OwnPairs,
+    functions_of,
+    loads_between,
+    own_pairs,
+    pair_energies,
+)
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import Bodies, taken
+from particlerb.model.state import State, lengths
+from particlerb.rotors.rotor_class import POINT
+from particlerb.user_force import UserForce, place_of
+
+if TYPE_CHECKING:
+    from particlerb.case.forces import PythonTable
+    from particlerb.model.system import System
+
+_NO_TORQUE: Final = 1e-12  # share of a lever times the force that is rounding
+
+
+def numbers_of_pairs(table: "PythonTable", first: Ints, second: Ints, system: "System") -> Floats:
+    """Parameters of these pairs, (r, s); the function has been tried on them.
+
+    Raises
+    ------
+    ForceError
+        If they are not those of the function, or it cannot act on these bodies.
+    """
+    force: UserForce = table.function
+    if not force.is_pairwise:
+        reason = f"{force.name} ({place_of(force.function)}) acts on one body"
+        hint = "leave it out, or take x1, x2, v1, .. of both bodies"
+        raise ForceError("reach" if table.to is None else "to", reason, hint)
+
+    def per_body(name: str, values: Floats) -> Floats:
+        if name[-1] not in "12":
+            hint = f"call it {name}1 and {name}2: of the bodies in `body`, and in `to`"
+            raise ForceError(f"per_body.{name}", "says not of which body of a pair it is", hint)
+        end, named = (first, table.body) if name[-1] == "1" else (second, table.to or table.body)
+        bodies = system.names.find(named)
+        refuse_length(name, values, bodies.size)
+        found: Floats = values[np.searchsorted(bodies, end)]
+        return found
+
+    rows = in_rows(parameters_of(table, per_body), first.size).T
+    functions = functions_of((force,), (lengths_of(table),))
+    start = table.edges[0] if table.edges else 0.0
+    own = own_pairs(functions, (first, second), np.zeros_like(first), rows, system.bodies)
+    _try(own, system.bodies, system.state, start)
+    return rows
+
+
+class _Apart:
+    """Pairs with bodies of their own, so that each end can move by itself."""
+
+    def __init__(self, own: OwnPairs, bodies: Bodies, state: State, t: float) -> None:
+        s, ends = own.first.size, (own.first, own.second)
+        both = np.concatenate(ends)
+        self.own = own._replace(
+            first=np.arange(s), second=s + np.arange(s), inv_mass=own.inv_mass[both],
+            inv_inertia=np.ascontiguousarray(own.inv_inertia[:, both]),
+            axes=np.ascontiguousarray(own.axes[:, both]), turns=own.turns[both],
+        )  # fmt: skip
+        self.bodies = [taken(bodies, end) for end in ends]
+        self.states = [taken(state, end) for end in ends]
+        self.t = t
+
+    @property
+    def reach(self) -> Floats:
+        """Distances of the bodies, (s,) [m]."""
+        return lengths(self.states[1].com - self.states[0].com)
+
+    def with_end(self, end: int, state: State) -> State:
+        """State of all, that of one end being another."""
+        ends = [state if k == end else self.states[k] for k in (0, 1)]
+        return State(*(np.hstack(parts) for parts in zip(*ends, strict=True)))
+
+    def loads(self, end: int, state: State) -> Floats:
+        """Force and torque on one end of each pair, (6, s), its bodies being in another state."""
+        found = loads_between(self.own, self.with_end(end, state), self.t)
+        return found[:6] if end == 0 else np.concatenate([-found[:3], found[6:]])
+
+    def energies(self, end: int, state: State) -> Floats:
+        """Potential energy of each pair, (s,) [J]."""
+        now = self.with_end(end, state)
+        return pair_energies(self.own, now.com, now.q)
+
+    def rates(self, end: int) -> Rates:
+        """What the force does to one end of each pair."""
+        moves = bool(self.own.takes_velocities.any())
+        own = self.bodies[end], self.states[end], self.reach
+        return rates_by(lambda now: self.loads(end, now), *own, moves)
+
+
+def _try(own: OwnPairs, bodies: Bodies, state: State, start: float) -> None:
+    """Let a force act on pairs as they begin.
+
+    Raises
+    ------
+    ForceError
+        If it fails, is not a number, is not what its potential says, or turns points.
+    """
+    force = own.functions.forces[0]
+    where = place_of(force.function)
+    if wrong := wrong_result(force, given_to_pair(own, bodies, state, 0), start):
+        raise ForceError("function", wrong)
+    bare = own._replace(turns=np.ones_like(own.turns))
+    values = attempt(force, lambda: loads_between(bare, state, start))
+    arm = lengths(state.com[:, own.second] - state.com[:, own.first]) * lengths(values[:3])
+    for ends, torque in ((own.first, values[3:6]), (own.second, values[6:])):
+        turned = (bodies.rotor_class[ends] == POINT) & (lengths(torque) > _NO_TORQUE * arm)
+        if turned.any():
+            reason = f"{where}: {force.name} turns a point of {{name}}: nothing can turn it"
+            hint = "return a force along x2 - x1, and a torque of zeros"
+            raise ForceError("function", reason, hint, int(np.argmax(turned)))
+    if force.potential is None:
+        return
+    few = np.arange(0, own.first.size, -(-own.first.size // LOOKED_AT))
+    some = {name: getattr(own, name)[few] for name in ("first", "second", "kind")}
+    apart = _Apart(own._replace(rows=own.rows[:, few], **some), bodies, state, start)
+    for end, words in ((0, ", on the first"), (1, ", on the second")):
+        loads, energies = partial(apart.loads, end), partial(apart.energies, end)
+        own_end, centre = (apart.bodies[end], apart.states[end]), apart.states[1 - end].com
+        try:
+            compare(force, *own_end, loads, energies, centre, words)
+        except ForceError as error:
+            error.body = int(few[error.body])
+            raise
+
+
+def given_to_pair(own: OwnPairs, bodies: Bodies, state: State, s: int) -> dict[str, Any]:
+    """What the function is handed over for pair s, but for the time."""
+    given = numbers_in(own.functions.lengths[own.kind[s]], own.rows[:, s])
+    for end, b in (("1", int(own.first[s])), ("2", int(own.second[s]))):
+        given |= of_body(bodies, state, b, end)
+    return given
+
+
+def wrong_pair(
+    own: OwnPairs, bodies: Bodies, state: State | None, b: int, t: float
+) -> tuple[str, str]:
+    """A force that acts on body b, and what is wrong with what it returns; empty: nothing."""
+    words = ""
+    for s in np.flatnonzero((own.first == b) | (own.second == b)).tolist():
+        force = own.functions.forces[own.kind[s]]
+        words = f"; {place_of(force.function)}: {force.name} acts on it"
+        if state is None:
+            continue
+        if wrong := wrong_result(force, given_to_pair(own, bodies, state, s), t):
+            return words, wrong
+    return words, ""
+
+
+def pair_rates(own: OwnPairs, bodies: Bodies, state: State, start: float) -> Floats:
+    """Rates at which each body swings, or slows down, by all its pairs, (n,) [rad/s]."""
+    apart = _Apart(own, bodies, state, start)
+    found = [apart.rates(end) for end in (0, 1)]
+    ends = own.first, own.second
+    rates = combined_rates(*ends, [np.sqrt(one.squared) for one in found], bodies.mass.size)
+    for end, one in zip(ends, found, strict=True):
+        turning = np.sqrt(one.turning * bodies.inv_inertia.max(axis=0)[end])
+        np.maximum.at(rates, end, np.maximum(turning, one.rate))
+    return rates

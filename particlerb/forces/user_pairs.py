@@ -1,0 +1,313 @@
+"""Forces between two bodies that users write in Python: see `particlerb.user_force`.
+
+The first body feels F and τ, the second -F and (x₂ - x₁) × F - τ: momentum and angular momentum are
+kept, whatever the function is. A force that takes velocities is a load for methods that take
+slopes. Splittings have a flow of it, by the implicit midpoint rule at a fixed pose, one pair after
+the other, as they have of dashpots.
+"""
+
+from functools import cache
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from particlerb.compiled.function_set import FunctionSet
+from particlerb.compiled.jit import inline, inline_from, kernel
+from particlerb.forces.links import add_column3, attitude, column3
+from particlerb.forces.user_kicks import (
+    Lengths,
+    body_axes,
+    chosen,
+    compiled,
+    rotor_axes,
+    sign_of,
+)
+from particlerb.maths.quaternion import turn, turn_back
+from particlerb.maths.vec3 import (
+    Bools,
+    Floats,
+    Ints,
+    Vec3,
+    component_product,
+    cross,
+    dot,
+    scale,
+    subtract,
+)
+from particlerb.model.bodies import Bodies
+from particlerb.model.load import FORCE, OTHER, POWER, STATE_ROWS, TORQUE
+from particlerb.model.state import State
+from particlerb.rotors.rotor_class import POINT
+from particlerb.user_force import UserForce, arguments_of
+
+_MOST: Final = 200  # iterations of a flow,
+_ROUNDING: Final = 4e-16  # until another one would change momenta by such a share
+_LARGEST_LEFT: Final = 1e-12  # such a share that is left: it does not converge
+_TINY: Final = 1e-300
+_ZERO: Final = (0.0, 0.0, 0.0)
+_P, _L = 7, 10  # rows of a state
+
+
+class PairFunctions(FunctionSet):
+    """Functions of some forces: the load of pair s by force k, and its energy."""
+
+    forces: tuple[UserForce, ...]
+    lengths: tuple[Lengths, ...]
+
+
+class OwnPairs(NamedTuple):
+    """s pairs among n bodies, and the forces between them."""
+
+    functions: PairFunctions
+    first: Ints  # (s,) body
+    second: Ints  # (s,)
+    kind: Ints  # (s,) which of the forces
+    rows: Floats  # (r, s) parameters
+    has_potential: Bools  # (forces,)
+    takes_velocities: Bools  # (forces,)
+    inv_mass: Floats  # (n,) [1/kg]
+    inv_inertia: Floats  # (3, n) [1/(kg m²)], rotor frame
+    axes: Floats  # (9, n) rotation matrix of the rotor frame
+    turns: Floats  # (n,) 0 for points
+
+    @property
+    def words(self) -> str:
+        """How many pairs of which forces."""
+        counts = np.bincount(self.kind, minlength=len(self.functions.forces)).tolist()
+        named = zip(counts, self.functions.forces, strict=True)
+        return " and ".join(f"{n} pair{'s' * (n > 1)} of {force.name}" for n, force in named)
+
+
+# From functions to kernels
+
+
+@inline
+def _axes_of(own: OwnPairs, y: Floats, b: int) -> Any:
+    """Rotation matrix of the body frame of b."""
+    lines = column3(own.axes, 0, b), column3(own.axes, 3, b), column3(own.axes, 6, b)
+    return body_axes(attitude(y, b), *lines)
+
+
+@inline
+def _spin(own: OwnPairs, y: Floats, b: int) -> Vec3:
+    """Angular velocity of body b [rad/s], world axes."""
+    R = attitude(y, b)
+    return turn(
+        R, component_product(column3(own.inv_inertia, 0, b), turn_back(R, column3(y, _L, b)))
+    )
+
+
+@inline
+def _speed(own: OwnPairs, y: Floats, b: int) -> Vec3:
+    """Velocity of the centre of mass of body b [m/s]."""
+    return scale(own.inv_mass[b], column3(y, _P, b))
+
+
+_GIVEN: Final = {"x": "column3(y, 0, {})", "R": "axes_of(own, y, {})", "v": "speed(own, y, {})",
+                 "omega": "spin(own, y, {})"}  # fmt: skip
+
+
+def _arguments(names: Any, lengths: Lengths) -> str:
+    """Source of the arguments of a function."""
+    known, row = {"t": "t"}, 0
+    for name, code in _GIVEN.items():
+        known |= {name + "1": code.format("own.first[s]"), name + "2": code.format("own.second[s]")}
+    for name, length in lengths:
+        numbers = [f"own.rows[{row + k}, s]" for k in range(max(length, 1))]
+        known[name] = f"({', '.join(numbers)},)" if length else numbers[0]
+        row += len(numbers)
+    return ", ".join(known[name] for name in names)
+
+
+_SOURCES: Final = {
+    "load": ("own, y, t, s", "chosen(1.0, function({}))"),
+    "energy": ("own, y, s", "float(function({}))"),
+}
+"""Arguments, and what is returned, of the functions of a set."""
+
+
+def _chain(which: str, functions: list[Any], arguments: list[str], key: str) -> Any:
+    """A function that calls those of force k, made of the functions of users."""
+    given, result = _SOURCES[which]
+    names: dict[str, Any] = {
+        "column3": column3, "axes_of": _axes_of, "speed": _speed, "spin": _spin, "chosen": chosen,
+    }  # fmt: skip
+    calls = []
+    for k, (function, own) in enumerate(zip(functions, arguments, strict=True)):
+        code = "0.0" if function is None else result.format(own).replace("function", f"of_user{k}")
+        text = f"def {which}{k}({given}):\n    return {code}\n"
+        names[f"of_user{k}"] = compiled(function)
+        names[f"{which}{k}"] = inline_from(text, f"<{which} {k} of {key}>", f"{which}{k}", names)
+        calls.append(f"    if k == {k}:\n        return {which}{k}({given})\n")
+    last = f"    return {which}{len(calls) - 1}({given})\n"
+    text = "".join([f"def {which}({given}, k):\n", *calls[:-1], last])
+    return inline_from(text, f"<{which} of {key}>", which, names)
+
+
+@cache
+def _made(
+    signs: tuple[tuple[str, bool], ...], forces: tuple[UserForce, ...], lengths: tuple[Lengths, ...]
+) -> PairFunctions:
+    """Do the work of `functions_of`."""
+    key = "pairs of " + "+".join(sign for sign, _ in signs)
+    both = list(zip(forces, lengths, strict=True))
+    loads = [_arguments(force.signature, of) for force, of in both]
+    energies = [
+        "" if force.potential is None else _arguments(arguments_of(force.potential), of)
+        for force, of in both
+    ]
+    found = PairFunctions(
+        key,
+        {
+            "load": _chain("load", [force.function for force in forces], loads, key),
+            "energy": _chain("energy", [force.potential for force in forces], energies, key),
+        },
+        all(is_kept for _, is_kept in signs),
+    )
+    found.forces, found.lengths = forces, lengths
+    return found
+
+
+def functions_of(forces: tuple[UserForce, ...], lengths: tuple[Lengths, ...]) -> PairFunctions:
+    """Functions of forces with parameters of these lengths."""
+    signs = tuple(sign_of(*both) for both in zip(forces, lengths, strict=True))
+    return _made(signs, forces, lengths)
+
+
+def own_pairs(
+    functions: PairFunctions, ends: tuple[Ints, Ints], kind: Ints, rows: Floats, bodies: Bodies
+) -> OwnPairs:
+    """Pairs among these bodies."""
+    forces = functions.forces
+    return OwnPairs(
+        functions, *ends, kind, np.ascontiguousarray(rows),
+        np.array([force.potential is not None for force in forces]),
+        np.array([force.depends_on_velocity for force in forces]),
+        bodies.inv_mass, bodies.inv_inertia, rotor_axes(bodies),
+        np.where(bodies.rotor_class == POINT, 0.0, 1.0),
+    )  # fmt: skip
+
+
+# Kernels
+
+
+@inline
+def _load(own: OwnPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Vec3]:
+    """Force on the first body of pair s, and the torques on both."""
+    a, b = own.first[s], own.second[s]
+    F, tau = own.functions.load(own, y, t, s, own.kind[s])
+    other = subtract(cross(subtract(column3(y, 0, b), column3(y, 0, a)), F), tau)
+    return F, scale(own.turns[a], tau), scale(own.turns[b], other)
+
+
+@inline
+def _add_load(own: OwnPairs, s: int, rows: Floats, at: int, h: float, load: Any) -> None:
+    """Add h times a load of pair s to the rows of both bodies, from `at` on."""
+    a, b, (F, tau, other) = own.first[s], own.second[s], load
+    add_column3(rows, at, a, h, F)
+    add_column3(rows, at + TORQUE, a, h, tau)
+    add_column3(rows, at, b, -h, F)
+    add_column3(rows, at + TORQUE, b, h, other)
+
+
+@kernel
+def own_pair_loads(
+    own: OwnPairs | None, t: float, y: Floats, load: Floats, with_velocities: bool
+) -> None:
+    """Add the loads of all pairs in the state y (13, n) at t [s], one after the other.
+
+    Those without a potential go to the rows OTHER, from which kicks and slopes book their work;
+    what takes velocities is left out where it is a flow.
+    """
+    if own is None:
+        return
+    for s in range(own.first.size):
+        if with_velocities or not own.takes_velocities[own.kind[s]]:
+            at = FORCE if own.has_potential[own.kind[s]] else OTHER
+            _add_load(own, s, load, at, 1.0, _load(own, t, y, s))
+
+
+@inline
+def _sum3(a: Vec3) -> float:
+    """Sum of the sizes of the components."""
+    return abs(a[0]) + abs(a[1]) + abs(a[2])
+
+
+@inline
+def _flow_pair(own: OwnPairs, t: float, y: Floats, s: int, dt: float) -> float:
+    """Flow of pair s over dt by the implicit midpoint rule, iterated to rounding; its work [J].
+
+    Where it does not converge it is NaN, and so are the momenta.
+    """
+    a, b = own.first[s], own.second[s]
+    p, spin = (column3(y, _P, a), column3(y, _P, b)), (column3(y, _L, a), column3(y, _L, b))
+    sizes = _sum3(p[0]) + _sum3(p[1]), _sum3(spin[0]) + _sum3(spin[1])
+    load, change = (_ZERO, _ZERO, _ZERO), 1.0
+    for _ in range(_MOST):
+        _add_load(own, s, y, _P, 0.5 * dt, load)
+        new = _load(own, t, y, s)
+        for c in range(3):
+            y[_P + c, a], y[_P + c, b] = p[0][c], p[1][c]
+            y[_L + c, a], y[_L + c, b] = spin[0][c], spin[1][c]
+        before, change = change, dt * _sum3(subtract(new[0], load[0]))
+        change /= max(sizes[0] + dt * _sum3(new[0]), _TINY)
+        turned = _sum3(subtract(new[1], load[1])) + _sum3(subtract(new[2], load[2]))
+        turned *= dt / max(sizes[1] + dt * (_sum3(new[1]) + _sum3(new[2])), _TINY)
+        load, change = new, max(change, turned)
+        if change <= _ROUNDING or change * change <= _ROUNDING * before:
+            break
+    h = dt if change < _LARGEST_LEFT else np.nan
+    F, tau, other = load
+    _add_load(own, s, y, _P, 0.5 * h, load)
+    work = dot(F, subtract(_speed(own, y, a), _speed(own, y, b)))
+    work += dot(tau, _spin(own, y, a)) + dot(other, _spin(own, y, b))
+    _add_load(own, s, y, _P, 0.5 * h, load)
+    return h * work
+
+
+@kernel
+def flow_own_pairs(
+    own: OwnPairs | None, t: float, y: Floats, load: Floats, dt: float, backwards: bool
+) -> None:
+    """Flow over dt of each pair whose force takes velocities, on the momenta of y.
+
+    Their work is booked in the rows POWER of `load`. Backwards it is the adjoint, as for dashpots.
+    """
+    if own is None or dt == 0.0:
+        return
+    for i in range(own.first.size):
+        s = own.first.size - 1 - i if backwards else i
+        if own.takes_velocities[own.kind[s]]:
+            load[POWER, own.first[s]] += _flow_pair(own, t, y, s, dt)
+
+
+@kernel
+def _pair_energies(own: OwnPairs, y: Floats, out: Floats) -> None:
+    """Potential energy of each pair, (s,) [J]."""
+    for s in range(out.size):
+        out[s] = own.functions.energy(own, y, s, own.kind[s])
+
+
+@kernel
+def _sample_pairs(own: OwnPairs, y: Floats, t: float, out: Floats) -> None:
+    """Force on the first body of each pair, and the torques on both, (9, s)."""
+    for s in range(own.first.size):
+        F, tau, other = _load(own, t, y, s)
+        for c in range(3):
+            out[c, s], out[3 + c, s], out[6 + c, s] = F[c], tau[c], other[c]
+
+
+def pair_energies(own: OwnPairs, com: Floats, q: Floats) -> Floats:
+    """Potential energy of each pair, (s,) [J]."""
+    y, out = np.zeros((STATE_ROWS, com.shape[1])), np.zeros(own.first.size)
+    y[:3], y[3:7] = com, q
+    if own.has_potential.any():
+        _pair_energies(own, y, out)
+    return out
+
+
+def loads_between(own: OwnPairs, state: State, t: float) -> Floats:
+    """Force on the first body of each pair, torques on both, (9, s) [N, N m]."""
+    out = np.zeros((9, own.first.size))
+    _sample_pairs(own, np.vstack(state), t, out)
+    return out
