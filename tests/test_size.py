@@ -39,7 +39,7 @@ BUDGETS = {
     "tables of forces": 232,
     "force gradients": 324,
     "forces written by users": 841,
-    "their flows by velocities, in lanes": 85,
+    "their kicks by velocities, in lanes": 115,
     "forces between two bodies that users write": 540,
     "files laid out once for all runs of a form": 80,
     "orbits about a centre and of two points": 188,

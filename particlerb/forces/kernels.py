@@ -199,9 +199,11 @@ load_of_velocity: Callable[..., Momenta] = made(
 )
 """(acting, rows, b, x, R, p, L, F, tau): F and τ with what depends on velocities added."""
 load_of_users: Callable[..., Momenta] = made(
-    _Family("load_of_users", "load", "b, x, R, p, L, F, tau", "F, tau", is_of_users=True)
+    _Family(
+        "load_of_users", "load_by_rates", "b, x, R, v, omega, F, tau", "F, tau", is_of_users=True
+    )
 )
-"""The same of forces that users wrote alone."""
+"""(acting, rows, b, x, R, v, omega, F, tau): that of forces that users wrote, by velocities."""
 flow_in: Callable[..., Momenta] = made(_Family("flow_in", "flow", "b, R, dt, p, L", "p, L"))
 """(acting, rows, b, R, dt, p, L): momenta after the flows of such forces, one after the other."""
 flow_out: Callable[..., Momenta] = made(

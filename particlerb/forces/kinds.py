@@ -63,6 +63,8 @@ class Kick(NamedTuple):
     is_many: bool = False  # whether a body may have several sets of these rows
     load: Callable[..., Momenta] | None = None
     """(rows, at, b, x, R, p, L, F, τ): F and τ with its own added."""
+    load_by_rates: Callable[..., Momenta] | None = None
+    """(rows, at, b, x, R, v, ω, F, τ): the same by the velocities, world axes; of users' forces."""
     flow: Callable[..., Momenta] | None = None
     """(rows, at, b, R, dt, p, L): the momenta after it alone has acted over dt."""
     damp: Callable[..., Momenta] | None = None

@@ -90,9 +90,13 @@ def chosen(acts: float, load: Any) -> Momenta:
 
 
 _SOURCES: Final = {
-    "load": """(rows, at, b, x, R, p, L, F, tau):
+    "by_rates": """(rows, at, b, x, R, v, omega, F, tau):
     dF, dtau = chosen(get(rows, at, b), function({arguments}))
     return add_scaled(1.0, dF, F), add_scaled(1.0, dtau, tau)
+""",
+    "load": """(rows, at, b, x, R, p, L, F, tau):
+    v, omega = scale(get(rows, INV_MASS, b), p), spin_of(rows, b, R, L)
+    return by_rates(rows, at, b, x, R, v, omega, F, tau)
 """,
     "push": """(rows, at, b, x, R, dt, p, L):
     F, tau = chosen(get(rows, at, b), function({arguments}))
@@ -142,10 +146,9 @@ def _kick_of(force: UserForce, lengths_: Lengths, name: str, is_kept: bool) -> t
         rows += max(length, 1)
     start = rows
     rows += 2 if "t" in force.signature else 0
-    known |= {"t": f"get(rows, at + {start + 1}, b)", "x": "x"}
+    known |= {"t": f"get(rows, at + {start + 1}, b)", "x": "x", "v": "v", "omega": "omega"}
     columns = ", ".join(f"get3(rows, at + {rows + k}, b)" for k in (0, 3, 6))
     known["R"] = f"body_axes(R, {columns})"
-    known["v"], known["omega"] = "scale(get(rows, INV_MASS, b), p)", "spin_of(rows, b, R, L)"
     rows += 9 if "R" in force.signature else 0
     words = {"arguments": ", ".join(known[one] for one in force.signature), "of_potential": ""}
     if force.potential is not None:
@@ -165,7 +168,7 @@ def _kick_of(force: UserForce, lengths_: Lengths, name: str, is_kept: bool) -> t
     moves = force.depends_on_velocity
     kick = Kick(
         name, rows, None if moves else hook("push"), force.potential is not None,
-        load=hook("load") if moves else None,
+        load_by_rates=hook("by_rates") if moves else None, load=hook("load") if moves else None,
         at_time=hook("at_time") if "t" in force.signature else None, is_many=True, is_kept=is_kept,
     )  # fmt: skip
     return kick, None if force.potential is None else hook("energy")

@@ -4,7 +4,7 @@ A kick is the exact flow of the forces while nothing moves, drag included. Two k
 each other are one of the summed length, so a step leaves its last kick open for the next one.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from particlerb.forces.kernels import (
     prepare_kick,
     with_power,
 )
+from particlerb.forces.kinds import Momenta
 from particlerb.forces.registry import CHANGE, PAIR
 from particlerb.integrators.external_work import book, kick_entry
 from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
@@ -32,6 +33,7 @@ from particlerb.maths.vec3 import (
     add_scaled,
     component_product,
     cross,
+    dot,
     scale,
     subtract,
 )
@@ -52,15 +54,15 @@ from particlerb.model.block import (
 from particlerb.model.load import OUTSIDE, TORQUE
 
 _ZERO: Final = (0.0, 0.0, 0.0)
-_MOST: Final = 70  # passes of three iterations of a flow of users' forces,
+_TOGETHER: Final = 64  # bodies that iterate together,
+_MOST: Final = 100  # two times at most, beside the first four,
 _ROUNDING: Final = 4e-16  # until another one would change momenta by such a share
-_CHANGES: Final = SCRATCH + 6  # row: 1 until then; before it momenta when the flow began
+_CHANGES: Final = SCRATCH + 6  # row: 1 until then; before it old momenta
 
 
 @inline
 def _with_flow(
-    flow: Flag, rows: Floats, b: int, x: Vec3, R: Matrix, old: tuple[Vec3, Vec3],
-    new: tuple[Vec3, Vec3], entry: Entry,
+    flow: Flag, rows: Floats, b: int, x: Vec3, R: Matrix, old: Momenta, new: Momenta, entry: Entry,
 ) -> Entry:  # fmt: skip
     """What is booked, with what a flow did from old to new momenta."""
     if flow is None:
@@ -69,79 +71,90 @@ def _with_flow(
     return work + entry[0], add_scaled(1.0, dp, entry[1]), add_scaled(1.0, dL, entry[2])
 
 
-@inline
-def begin_kick(acting: Acting, books: Flag, rows: Floats, n: int, dt: float) -> None:
-    """Before n bodies of a block are kicked; all of it, where a flow takes them at once."""
-    _kick_at_once(acting.own_flow, acting, books, rows, n, dt)
+class _Kicked(NamedTuple):
+    """A body on its way through a kick: pairs of p and L."""
+
+    x: Vec3
+    R: Matrix
+    old: Momenta
+    first: Momenta  # after half of the flows
+    middle: Momenta  # with the forces that have a potential
+    last: Momenta  # with all of the pose
+    inverse: Matrix  # R I⁻¹ Rᵀ [1/(kg m²)]
 
 
 @inline
-def _kick_at_once(
-    own_flow: Flag, acting: Acting, books: Flag, rows: Floats, n: int, dt: float
-) -> None:
-    """Half a kick, the flow of users' forces that depend on velocities, half a kick."""
-    if own_flow is None:
-        prepare_kick(acting, rows, n, dt)
-        return
-    prepare_kick(acting, rows, n, 0.5 * dt)
-    for b in range(n):
-        _kick_one(acting, books, rows, b, 0.5 * dt)
-    flow_block(acting, rows, n, dt)
-    for b in range(n):
-        x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
-        old = get3(rows, SCRATCH, b), get3(rows, SCRATCH + 3, b)
-        new = get3(rows, P, b), get3(rows, L, b)
-        book(books, rows, b, 1.0, kick_entry(rows, b, x, R, old, old, new))
-        _kick_one(acting, books, rows, b, 0.5 * dt)
+def begin_kick(acting: Acting, rows: Floats, n: int, dt: float) -> None:
+    """Before n bodies of a block are kicked over dt, find what users' forces do to them.
 
-
-@inline
-def flow_block(acting: Acting, rows: Floats, n: int, dt: float) -> None:
-    """Flow of users' forces at a fixed pose by the implicit midpoint rule, iterated to rounding.
-
-    A block iterates in SIMD lanes; a body that has converged keeps what it has, so that no body
-    depends on its neighbours. Where one does not converge it is lost: NaN.
+    Those that take velocities act by the implicit midpoint rule, iterated to rounding in SIMD
+    lanes; a body that has converged keeps what it has, so that none depends on its neighbours.
+    Where one does not converge it is lost: NaN.
     """
-    for b in range(n):
-        put3(rows, SCRATCH, b, get3(rows, P, b))
-        put3(rows, SCRATCH + 3, b, get3(rows, L, b))
-        put(rows, _CHANGES, b, 1.0)
+    prepare_kick(acting, rows, n, dt)
+    _settle(acting.own_flow, acting, rows, n, dt)
+
+
+@inline
+def _settle(own_flow: Flag, acting: Acting, rows: Floats, n: int, dt: float) -> None:
+    """The same, where there are any, of as many at a time as the first level of the cache has."""
+    if own_flow is None:
+        return
+    for first in range(0, n, _TOGETHER):
+        _settle_some(acting, rows, first, min(first + _TOGETHER, n), dt)
+
+
+@inline
+def _settle_some(acting: Acting, rows: Floats, first: int, end: int, dt: float) -> None:
+    """The same, of bodies `first` to `end`."""
+    many = 0
+    for b in range(first, end):
+        old = get3(rows, P, b), get3(rows, L, b)
+        put3(rows, SCRATCH, b, old[0])
+        put3(rows, SCRATCH + 3, b, old[1])
+        to = _kicked(acting, rows, b, dt, old)
+        known = _iterated(acting, rows, b, to, dt, _iterated(acting, rows, b, to, dt, to.last))
+        many += _iterate(acting, rows, b, to, dt, known, True)
     for _ in range(_MOST):
-        many = 0
-        for b in range(n):
-            x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
-            start = get3(rows, SCRATCH, b), get3(rows, SCRATCH + 3, b)
-            first = get3(rows, P, b), get3(rows, L, b)
-            second = _iterated(acting, rows, b, x, R, dt, start, first)
-            third = _iterated(acting, rows, b, x, R, dt, start, second)
-            fourth = _iterated(acting, rows, b, x, R, dt, start, third)
-            changes = get(rows, _CHANGES, b) > 0.0
-            put3(rows, P, b, _one_of(changes, fourth[0], first[0]))
-            put3(rows, L, b, _one_of(changes, fourth[1], first[1]))
-            changes = changes & (
-                _differs(second[0], third[0], fourth[0]) | _differs(second[1], third[1], fourth[1])
-            )
-            put(rows, _CHANGES, b, 1.0 if changes else 0.0)
-            many += 1 if changes else 0
         if many == 0:
             return
-    for b in range(n):
+        many = 0
+        for b in range(first, end):
+            old = get3(rows, SCRATCH, b), get3(rows, SCRATCH + 3, b)
+            to, known = _kicked(acting, rows, b, dt, old), (get3(rows, P, b), get3(rows, L, b))
+            many += _iterate(acting, rows, b, to, dt, known, get(rows, _CHANGES, b) > 0.0)
+    for b in range(first, end):
         if get(rows, _CHANGES, b) > 0.0:
             put3(rows, P, b, (np.nan, np.nan, np.nan))
 
 
 @inline
+def _iterate(
+    acting: Acting, rows: Floats, b: int, to: _Kicked, dt: float, known: Momenta, changes: bool
+) -> int:
+    """Two iterations of body b from known momenta, unless it has converged; 1 if it needs more."""
+    second = _iterated(acting, rows, b, to, dt, known)
+    third = _iterated(acting, rows, b, to, dt, second)
+    p, spin = _one_of(changes, third, known)
+    put3(rows, P, b, p)
+    put3(rows, L, b, spin)
+    more = _differs(known[0], second[0], third[0]) | _differs(known[1], second[1], third[1])
+    more = more & changes
+    put(rows, _CHANGES, b, 1.0 if more else 0.0)
+    return 1 if more else 0
+
+
+@inline
 def _iterated(
-    acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, dt: float,
-    start: tuple[Vec3, Vec3], end: tuple[Vec3, Vec3],
-) -> tuple[Vec3, Vec3]:  # fmt: skip
-    """Momenta at the end of a flow, by the loads half way to where it seemed to end."""
-    p, spin = (
-        scale(0.5, add_scaled(1.0, start[0], end[0])),
-        scale(0.5, add_scaled(1.0, start[1], end[1])),
-    )
-    F, tau = load_of_users(acting, rows, b, x, R, p, spin, _ZERO, _ZERO)
-    return add_scaled(dt, F, start[0]), add_scaled(dt, tau, start[1])
+    acting: Acting, rows: Floats, b: int, to: _Kicked, dt: float, end: Momenta
+) -> Momenta:
+    """Momenta at the end of a kick, by the loads half way to where it seemed to end."""
+    (p0, L0), (p, spin) = to.first, end
+    v = scale(0.5 * get(rows, INV_MASS, b), add_scaled(1.0, p0, p))
+    omega = turn(to.inverse, scale(0.5, add_scaled(1.0, L0, spin)))
+    F, tau = load_of_users(acting, rows, b, to.x, to.R, v, omega, _ZERO, _ZERO)
+    p, spin = add_scaled(dt, F, to.last[0]), add_scaled(dt, tau, to.last[1])
+    return damp(acting, rows, b, to.R, p0, L0, p, spin)
 
 
 @inline
@@ -157,9 +170,13 @@ def _differs(a: Vec3, b: Vec3, c: Vec3) -> bool:
 
 
 @inline
-def _one_of(is_first: bool, a: Vec3, b: Vec3) -> Vec3:
+def _one_of(is_first: bool, a: Momenta, b: Momenta) -> Momenta:
     """A or b, without a branch."""
-    return a[0] if is_first else b[0], a[1] if is_first else b[1], a[2] if is_first else b[2]
+    (p, q), (u, v) = a, b
+    return (
+        (p[0] if is_first else u[0], p[1] if is_first else u[1], p[2] if is_first else u[2]),
+        (q[0] if is_first else v[0], q[1] if is_first else v[1], q[2] if is_first else v[2]),
+    )
 
 
 @inline
@@ -167,39 +184,67 @@ def kick_body(
     acting: Acting, books: Flag, rows: Floats, b: int, dt: float
 ) -> tuple[Vec3, Vec3, Matrix]:
     """Kick body b over dt after `begin_kick`; its new momenta, stored, and its rotation matrix."""
-    return _unless_kicked(acting.own_flow, acting, books, rows, b, dt)
+    to = _kicked(acting, rows, b, dt, _old(acting.own_flow, rows, b))
+    last = _settled(acting.own_flow, acting, rows, b, to)
+    p, spin = flow_out(acting, rows, b, to.R, 0.5 * dt, last[0], last[1])
+    put3(rows, P, b, p)
+    put3(rows, L, b, spin)
+    book(books, rows, b, 1.0, _entry_of(acting, rows, b, dt, to, last, (p, spin)))
+    return p, spin, to.R
 
 
 @inline
-def _unless_kicked(
-    own_flow: Flag, acting: Acting, books: Flag, rows: Floats, b: int, dt: float
-) -> tuple[Vec3, Vec3, Matrix]:
-    """The same, where `begin_kick` has not done all of it."""
+def _old(own_flow: Flag, rows: Floats, b: int) -> Momenta:
+    """Momenta before a kick."""
     if own_flow is None:
-        return _kick_one(acting, books, rows, b, dt)
-    return get3(rows, P, b), get3(rows, L, b), matrix(get4(rows, Q, b))
+        return get3(rows, P, b), get3(rows, L, b)
+    return get3(rows, SCRATCH, b), get3(rows, SCRATCH + 3, b)
 
 
 @inline
-def _kick_one(
-    acting: Acting, books: Flag, rows: Floats, b: int, dt: float
-) -> tuple[Vec3, Vec3, Matrix]:
-    """Do the work of `kick_body`."""
+def _settled(own_flow: Flag, acting: Acting, rows: Floats, b: int, to: _Kicked) -> Momenta:
+    """Momenta before the second half of the flows: with drag, or as `begin_kick` found them."""
+    if own_flow is None:
+        return damp(acting, rows, b, to.R, to.first[0], to.first[1], to.last[0], to.last[1])
+    return get3(rows, P, b), get3(rows, L, b)
+
+
+@inline
+def _kicked(acting: Acting, rows: Floats, b: int, dt: float, old: Momenta) -> _Kicked:
+    """A kick of body b but for what depends on velocities, and the second half of the flows."""
     x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
-    old = get3(rows, P, b), get3(rows, L, b)
     first = flow_in(acting, rows, b, R, 0.5 * dt, old[0], old[1])
     middle = kick_potential(acting, rows, b, x, R, dt, first[0], first[1])
-    p, L_new = kick_others(acting, rows, b, x, R, dt, middle[0], middle[1])
-    last = damp(acting, rows, b, R, first[0], first[1], p, L_new)
-    p, L_new = flow_out(acting, rows, b, R, 0.5 * dt, last[0], last[1])
-    put3(rows, P, b, p)
-    put3(rows, L, b, L_new)
-    entry = kick_entry(rows, b, x, R, first, middle, last)
-    entry = _with_flow(acting.flow, rows, b, x, R, old, first, entry)
-    entry = _with_flow(acting.flow, rows, b, x, R, last, (p, L_new), entry)
+    last = kick_others(acting, rows, b, x, R, dt, middle[0], middle[1])
+    return _Kicked(x, R, old, first, middle, last, _in_world(R, get3(rows, INV_INERTIA, b)))
+
+
+@inline
+def _in_world(R: Matrix, diagonal: Vec3) -> Matrix:
+    """R D Rᵀ."""
+    scaled = (
+        component_product(diagonal, R[0]),
+        component_product(diagonal, R[1]),
+        component_product(diagonal, R[2]),
+    )
+    xy, xz, yz = dot(R[0], scaled[1]), dot(R[0], scaled[2]), dot(R[1], scaled[2])
+    return (
+        (dot(R[0], scaled[0]), xy, xz), (xy, dot(R[1], scaled[1]), yz),
+        (xz, yz, dot(R[2], scaled[2])),
+    )  # fmt: skip
+
+
+@inline
+def _entry_of(
+    acting: Acting, rows: Floats, b: int, dt: float, to: _Kicked, last: Momenta, end: Momenta
+) -> Entry:
+    """What a kick books that came to `last` before the second half of the flows, and then `end`."""
+    x, R = to.x, to.R
+    entry = kick_entry(rows, b, x, R, to.first, to.middle, last)
+    entry = _with_flow(acting.flow, rows, b, x, R, to.old, to.first, entry)
+    entry = _with_flow(acting.flow, rows, b, x, R, last, end, entry)
     entry = with_power(acting.clock, acting, rows, b, x, R, dt, entry)
-    book(books, rows, b, 1.0, less_internal(acting.pair, acting.contact, rows, b, x, dt, entry))
-    return p, L_new, R
+    return less_internal(acting.pair, acting.contact, rows, b, x, dt, entry)
 
 
 @inline

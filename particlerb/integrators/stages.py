@@ -169,7 +169,7 @@ def _kick_blocks(moving: MovingBodies, first: int, last: int, dt: float) -> None
     """Do the work of `kick`."""
     for k in range(first, last):
         rows, n = moving.blocks[k], moving.layout.size[k]
-        begin_kick(moving.acting, moving.books, rows, n, dt)
+        begin_kick(moving.acting, rows, n, dt)
         for b in range(n):
             old = get3(rows, P, b), get3(rows, L, b)
             p, spin, R = kick_body(moving.acting, moving.books, rows, b, dt)

@@ -44,7 +44,7 @@ def kick_and_drift(
     """`kick` and `drift` in one go, without a way to memory in between."""
     for k in range(first, last):
         rows, n = moving.blocks[k], moving.layout.size[k]
-        begin_kick(moving.acting, moving.books, rows, n, kick_dt)
+        begin_kick(moving.acting, rows, n, kick_dt)
         for b in range(n):
             p, spin, R = kick_body(moving.acting, moving.books, rows, b, kick_dt)
             x, q = get3(rows, COM, b), get4(rows, Q, b)

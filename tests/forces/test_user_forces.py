@@ -17,13 +17,14 @@ from particlerb import CaseError, RunError, Scene, Simulation
 from particlerb.forces import Terms, acting_of, row_count, rows_of_terms
 from particlerb.forces.user_kicks import class_of
 from particlerb.integrators import METHODS
-from particlerb.integrators.kick import flow_block
+from particlerb.integrators.kick import begin_kick, kick_body
 from particlerb.maths.quaternion import turn
 from particlerb.maths.vec3 import cross, dot, scale
 from particlerb.model.block import INV_INERTIA, INV_MASS, STRIDE, L, P, Q, get3, put, put3, put4
 from particlerb.tables import (
     Body,
     DragTable,
+    MagnusTable,
     Moments,
     PushTable,
     PythonTable,
@@ -156,13 +157,21 @@ def test_a_drag_is_that_of_the_package(method, most):
         assert t.ledger.work[-1] < -0.5
 
 
-def test_strang_keeps_order_two_with_a_force_that_depends_on_velocity():
+BESIDE = (
+    DragTable(body="body", translation=0.9, rotation=0.6),
+    MagnusTable(body="body", coefficient=1),
+)
+
+
+@pytest.mark.parametrize("others", [(), pytest.param(BESIDE, marks=plain)])
+def test_strang_keeps_order_two_with_a_force_that_depends_on_velocity(others):
+    """Alone, and beside forces of velocities that the package has flows of."""
     force = table(cubic_drag, c=0.4, axis=(0.6, 0.0, 0.8))
     spring = table(own_spring, anchor=(0, 0, 0), k=4.0)
-    exact = states(scene(force, spring, method="dop853", dt=None))
+    exact = states(scene(force, spring, *others, method="dop853", dt=None))
     errors = []
     for dt in (0.1, 0.05, 0.025):
-        errors.append(np.abs(states(scene(force, spring, dt=dt)) - exact).max())
+        errors.append(np.abs(states(scene(force, spring, *others, dt=dt)) - exact).max())
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert orders == pytest.approx([2.0, 2.0], abs=0.1)
     assert errors[-1] < 1e-3
@@ -185,7 +194,8 @@ def test_a_kick_by_velocities_is_undone_by_the_kick_back():
     put3(rows, L, 0, first[1])
     found = []
     for dt in (0.3, -0.3):
-        flow_block(acting_of(terms), rows, 1, dt)
+        begin_kick(acting_of(terms), rows, 1, dt)
+        kick_body(acting_of(terms), None, rows, 0, dt)
         found.append((get3(rows, P, 0), get3(rows, L, 0)))
     assert np.abs(np.subtract(found[0], first)).max() > 0.1
     assert np.abs(np.subtract(found[1], first)).max() < 4e-15
