@@ -309,20 +309,17 @@ def _balls_of(place: Floats, radius: Floats, copies: int) -> _Surface:
 
 def _joined(meshes: Sequence[SurfaceMesh]) -> SurfaceMesh:
     """Several meshes as one."""
-    shift = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
-    faces = [mesh.faces + n for mesh, n in zip(meshes, shift[:-1], strict=True)]
-    vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    return SurfaceMesh(vertices, np.concatenate(faces), all(mesh.is_smooth for mesh in meshes))
+    each = list(zip(*meshes, strict=True))
+    vertices, faces = trimesh.util.append_faces(*each[:2])
+    return SurfaceMesh(vertices, faces, all(each[2]))
 
 
 def together(surfaces: Sequence[_Surface]) -> _Surface:
     """Several surfaces as one."""
     if len(surfaces) == 1:
         return surfaces[0]
-    mesh = _joined([surface.mesh for surface in surfaces])
-    return _Surface(
-        mesh, *(np.concatenate([surface[k] for surface in surfaces]) for k in (1, 2, 3))
-    )
+    meshes, *met_by_rays = zip(*surfaces, strict=True)
+    return _Surface(_joined(meshes), *map(np.concatenate, met_by_rays))
 
 
 def walls_of(system: System, size: float) -> list[SurfaceMesh]:
