@@ -45,6 +45,7 @@ BUDGETS = {
     "orbits about a centre and of two points": 188,
     "trials of a search that count what they cost": 18,
     "less Python around a motion and in a search": 42,
+    "free bodies summed while they are written, L in their frames found once": 152,
     "runs of a pilot in one program": 125,
     "conservation of bodies at rest": 15,
     "opening angle fitted to a scene": 95,

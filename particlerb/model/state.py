@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.maths.quaternion import Rows4, conjugate, load4, multiply, rows4
+from particlerb.maths.quaternion import Rows4, conjugate, load4, multiply, rows4, store4
 from particlerb.maths.vec3 import Bools, Floats, Ints, Rows3, load3, rows3
 from particlerb.model.bodies import Bodies
 
@@ -77,20 +77,30 @@ def store_frame(
     L: Rows3,
 ) -> None:
     """Write a block of bodies into frame f; `index` says which bodies of the scene they are."""
-    position, orientation, linear_momentum, angular_momentum, last, is_frame = frames
-    for b in range(index.size):
+    n, turned = index.size, np.empty((4, index.size))
+    for b in range(n):  # in SIMD lanes
+        store4(rows4(turned, 0, n), b, multiply(load4(q, b), conjugate(load4(rotor_frame, b))))
+    _store_rows(frames.position, f, index, com)
+    _store_rows(frames.linear_momentum, f, index, p)
+    _store_rows(frames.angular_momentum, f, index, L)
+    out, last, is_kept = frames.orientation[f], frames.last, frames.is_frame[f]
+    for b in range(n):
         i = index[b]
-        position[f, i, 0], position[f, i, 1], position[f, i, 2] = load3(com, b)
-        pb, Lb = load3(p, b), load3(L, b)
-        linear_momentum[f, i, 0], linear_momentum[f, i, 1], linear_momentum[f, i, 2] = pb
-        angular_momentum[f, i, 0], angular_momentum[f, i, 1], angular_momentum[f, i, 2] = Lb
-        w, x, y, z = multiply(load4(q, b), conjugate(load4(rotor_frame, b)))
+        w, x, y, z = load4(rows4(turned, 0, n), b)
         along = w * last[i, 0] + x * last[i, 1] + y * last[i, 2] + z * last[i, 3]
         sign = -1.0 if along < 0.0 else 1.0
-        for k, value in enumerate((w, x, y, z)):
-            orientation[f, i, k] = sign * value
-            if is_frame[f]:
-                last[i, k] = sign * value
+        w, x, y, z = sign * w, sign * x, sign * y, sign * z
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = w, x, y, z
+        if is_kept:
+            last[i, 0], last[i, 1], last[i, 2], last[i, 3] = w, x, y, z
+
+
+@inline
+def _store_rows(values: Floats, f: int, index: Ints, v: Rows3) -> None:
+    """Write vectors of a block of bodies into frame f."""
+    for b in range(index.size):
+        i = index[b]
+        values[f, i, 0], values[f, i, 1], values[f, i, 2] = load3(v, b)
 
 
 def store_state(frames: Frames, f: int, index: Ints, rotor_frame: Floats, state: State) -> None:

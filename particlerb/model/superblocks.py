@@ -4,7 +4,7 @@ So a sum has the same bits for any number of ranks, each of which has whole supe
 ranks are cut there too, in parts that depend on the number of bodies only.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
 from particlerb.compiled.threads import BLOCK
@@ -40,12 +40,15 @@ def own_parts(n_parts: int, ranks: Ranks) -> range:
     return range(first, stop)
 
 
-def summed(own: Floats, ranks: Ranks = ALONE) -> Floats:
-    """Sum over all superblocks, in their order; `own` has a row for each of this rank.
+def summed(own: Sequence[Floats], ranks: Ranks = ALONE) -> Floats:
+    """Sum over all superblocks, in their order; `own` has one array for each of this rank.
 
-    One after the other: NumPy's sums take another order where there is one frame only.
+    One after the other: NumPy's sums take another order where there is one frame only. Of a single
+    superblock it is the array itself.
     """
     rows = [row for of_rank in ranks.gathered(own) for row in of_rank]
+    if len(rows) == 1:
+        return rows[0]
     total: Floats = rows[0].copy()
     for row in rows[1:]:
         total += row

@@ -86,6 +86,21 @@ def bins_of(block: Ints, worlds: Worlds | None) -> Ints:
     return bins
 
 
+def bins_among(which: Ints, worlds: Worlds | None, size: int) -> tuple[Ints, int]:
+    """Bins of some bodies of a group, ascending, in blocks of a size in each world; and how many.
+
+    Worlds may have more or fewer of these bodies: all have as many bins.
+    """
+    n = which.size
+    if worlds is None:
+        return np.arange(n) // size, -(-n // size)
+    world = worlds.numbers[which]
+    count = np.bincount(world, minlength=len(worlds.bodies))
+    place = np.arange(n) - (np.cumsum(count) - count)[world]
+    in_each = -(-int(count.max()) // size)
+    return in_each * world + place // size, in_each * len(worlds.bodies)
+
+
 def over_bins(sums: Floats, worlds: Worlds | None) -> Floats:
     """Sums over the bins, (T, bins, 7), of one scene or of each world: (T, 7), (T, n_worlds, 7)."""
     if worlds is None:

@@ -10,9 +10,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.model.balance import totals
 from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import STATE_FIELDS, Frames
+from particlerb.model.totals import totals
 from particlerb.record import schema
 from particlerb.record.checked_reading import (
     TrajectoryError,

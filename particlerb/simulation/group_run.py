@@ -37,6 +37,7 @@ class GroupRun:
 
     def __init__(self, plan: GroupPlan, state: State, before: Motion | None = None) -> None:
         self.joint_values: JointValues | None = None  # rows of the next `record`, where asked for
+        self.sums: Floats | None = None  # over its bodies, of these rows, where asked for
         self.reader: JointReader | None = None
         self.plan = plan
         self.before = np.zeros((*shape_of(plan.worlds), 7))  # booked in earlier segments
@@ -105,6 +106,13 @@ class GroupRun:
         """What the bodies of the segment do to each other; None where it is nothing."""
         terms = self.terms
         return PairForces(terms, self.plan.members.size, True) if terms.is_coupled else None
+
+    @property
+    def sums_itself(self) -> bool:
+        """Whether its motion sums over the bodies, in all segments alike."""
+        segments = self.plan.segments
+        is_free = all(METHODS[s.method].order == 0 and s.terms.contact is None for s in segments)
+        return is_free and bool(self.plan.bodies.mass.all())
 
     @property
     def is_bound(self) -> bool:
@@ -189,7 +197,9 @@ class GroupRun:
             until = int(times.searchsorted(self.segment.stop))
             if until > done:
                 rows, own = np.arange(done, until), slice(done, until)
+                self.motion.sums = None if self.sums is None else self.sums[own]
                 booked[own] = self.before + self.motion.record(times[own], rows, frames)
+                self.motion.sums = None
                 if self.is_bound:
                     potential[own] = [
                         self.potential(*self.pose(frames, row)) for row in rows.tolist()
@@ -250,17 +260,25 @@ def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
 
 
 def record_all(
-    runs: Sequence[GroupRun], times: Floats, frames: Frames, joints: JointValues | None = None
+    runs: Sequence[GroupRun],
+    times: Floats,
+    frames: Frames,
+    joints: JointValues | None = None,
+    sums: Floats | None = None,
 ) -> tuple[Floats, Energies]:
-    """Sums over the groups of what `GroupRun.record` returns; values of joints where asked for."""
-    each = times.size, *shape_of(runs[0].plan.worlds)
-    booked, energies = np.zeros((*each, 7)), np.zeros((2, *each))
+    """Sums over the groups of what `GroupRun.record` returns; values of joints where asked for.
+
+    `sums` (T, 10) are added to, of groups that do so by themselves.
+    """
+    found = []
     for run in runs:
-        run.joint_values = joints
-        given, beside = run.record(times, frames)
+        run.joint_values, run.sums = joints, sums
+        found.append(run.record(times, frames))
+    booked, energies = found[0]
+    for given, beside in found[1:]:
         booked += given
-        energies += beside
-    return booked, Energies(*energies)
+        energies = Energies(*(a + b for a, b in zip(energies, beside, strict=True)))
+    return booked, energies
 
 
 def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:

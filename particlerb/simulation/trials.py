@@ -15,12 +15,13 @@ from particlerb.forces.impulse import apply_impulse
 from particlerb.integrators import METHODS
 from particlerb.integrators.dop853 import PACK
 from particlerb.maths.vec3 import Floats, Ints, differences
-from particlerb.model.balance import EnergyBalance, totals
+from particlerb.model.balance import EnergyBalance
 from particlerb.model.block import changing
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.comparison import misfits
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.system import System
+from particlerb.model.totals import totals
 from particlerb.plan.rates import rates
 from particlerb.plan.segments import GroupPlan, Plan, Segment, chosen, has_step, is_adaptive
 from particlerb.simulation.group_run import GroupRun, counted, initial_energies, record_all

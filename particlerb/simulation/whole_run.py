@@ -1,18 +1,19 @@
 """A prepared system on its way: all its groups, frames, and the energy balance of these."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.balance import EnergyBalance, Entries, Totals, totals
+from particlerb.model.balance import EnergyBalance, Entries
 from particlerb.model.bodies import taken
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.superblocks import Range, summed, superblocks
 from particlerb.model.system import System
+from particlerb.model.totals import N_TOTALS, Totals, totals
 from particlerb.plan.joints import asked_of_joints, joints_of
 from particlerb.plan.merging import merged
 from particlerb.plan.segments import Plan, in_superblocks
@@ -81,25 +82,33 @@ class Run:
 
     def begin(self, plan: Plan, state: State, known: Mapping[bytes, Motion]) -> None:
         """Set off by a plan, from a state of all bodies, after known motions of the same bodies."""
-        self.superblocks = [
-            [
-                GroupRun(group, taken(state, group.members), known.get(group.members.tobytes()))
-                for group in groups
-            ]
-            for groups in in_superblocks(plan.groups, self.system.n_bodies)
-        ]
+        self.superblocks = []
+        for groups in in_superblocks(plan.groups, self.system.n_bodies):
+            before = [known.get(group.members.tobytes()) if known else None for group in groups]
+            own = [taken(state, group.members) for group in groups]
+            self.superblocks.append(
+                [GroupRun(*one) for one in zip(groups, own, before, strict=True)]
+            )
         self.group_runs = [run for runs in self.superblocks for run in runs]
+        self.sums_itself = [all(run.sums_itself for run in runs) for runs in self.superblocks]
         self.counted = counted(plan.groups, self.moving.bodies)
 
     def initial_energies(self, frame: Frames) -> Energies:
         """Energies of a first frame beside those of the bodies themselves."""
         each = [initial_energies(runs, frame) for runs in self.superblocks]
-        return Energies(*(summed(np.stack(own), self.ranks) for own in zip(*each, strict=True)))
+        return Energies(*(summed(own, self.ranks) for own in zip(*each, strict=True)))
 
-    def totals_of(self, frames: Frames, potential: Floats, kinetic: Floats) -> Totals:
+    def totals_of(
+        self,
+        frames: Frames,
+        potential: Floats,
+        kinetic: Floats,
+        known: Sequence[Floats | None] = (),
+    ) -> Totals:
         """Totals of frames; the energies are those beside the bodies' own."""
         n_worlds, ranks = self.system.n_worlds, self.ranks
-        return totals(frames, self.counted, self.gravity, potential, kinetic, n_worlds, ranks)
+        beside = potential, kinetic, n_worlds, ranks, known
+        return totals(frames, self.counted, self.gravity, *beside)
 
     def finish(self, time: float) -> State:
         """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
@@ -189,26 +198,25 @@ class Run:
             self.room = room_for(times.size, len(self.system.kind), self.last)
             if self.moving.merging is not None:
                 self.moving.merging.clear(self.room)
-        frames = self.room.rows(slice(times.size))
+        is_whole = times.size == len(self.room.position)
+        frames = self.room if is_whole else self.room.rows(slice(times.size))
         frames.is_frame[:] = is_frame
         if self.setup is not None:
             self.joints = room_for_values(self.setup, times.size)
-        booked, energies = self.ranks.together(lambda: self.record(times, frames))
-        booked = summed(booked, self.ranks)
-        energies = Energies(*(summed(values, self.ranks) for values in energies))
+        given, beside, known = self.ranks.together(lambda: self.record(times, frames))
+        booked = summed(given, self.ranks)
+        energies = Energies(*(summed(own, self.ranks) for own in zip(*beside, strict=True)))
         self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
         booked += self.before
-        now = self.totals_of(frames, *energies)
-        sizes = now.kinetic_energy + now.potential_energy + now.momentum_size + now.spin_size
-        is_finite = bool(np.isfinite(sizes).all())
+        now = self.totals_of(frames, *energies, known=known)
+        is_finite = math.isfinite(np.add.reduce(now.sums, axis=None))
         found = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
         each = self.ranks.gathered(found)
         rank = min(range(len(each)), key=lambda k: each[k][0])
         sound, problem = each[rank]
         error = RunError(self.ranks.named(rank, problem)) if problem else None
         if sound < times.size:
-            frames = frames.rows(slice(sound))
-            now = self.totals_of(frames, *(e[:sound] for e in energies))
+            frames, now = frames.rows(slice(sound)), Totals(now.sums[:sound])
         turned_over = self.turned_over_before + sum(t.turned_over() for t in self.group_runs)
         entries = self.balance.enter(now, booked[:sound], turned_over)
         if self.moving.merging is not None:
@@ -217,16 +225,24 @@ class Run:
             self.loads.read(times[:sound], frames, self.joints)
         return frames, entries, error
 
-    def record(self, times: Floats, frames: Frames) -> tuple[Floats, Energies]:
-        """Write rows of the frames; of each superblock what `record_all` returns."""
+    def record(
+        self, times: Floats, frames: Frames
+    ) -> tuple[list[Floats], list[Energies], list[Floats | None]]:
+        """Write rows of the frames; of each superblock what `record_all` returns, and its sums."""
+        worlds = () if self.system.n_worlds == 1 else (self.system.n_worlds,)
+        booked, energies, known = [], [], []
         try:
-            each = [record_all(runs, times, frames, self.joints) for runs in self.superblocks]
+            for runs, sums_itself in zip(self.superblocks, self.sums_itself, strict=True):
+                sums = np.zeros((times.size, *worlds, N_TOTALS)) if sums_itself else None
+                given, beside = record_all(runs, times, frames, self.joints, sums)
+                booked.append(given)
+                energies.append(beside)
+                known.append(sums)
         except Exception as failure:
             if words := own_failure(failure, self.group_runs):
                 raise RunError(words) from None
             raise
-        energies = zip(*(own[1] for own in each), strict=True)
-        return np.stack([own[0] for own in each]), Energies(*map(np.stack, energies))
+        return booked, energies, known
 
     def pose_at(self, time: float) -> tuple[Frames, RunError | None]:
         """States at a time [s], not before those asked for earlier, alone: nothing is booked.

@@ -19,9 +19,9 @@ from particlerb.maths.vec3 import Floats, Ints, load3, rows3, store3
 from particlerb.model.block import BOOKED, COM, STRIDE, L, P, Q, get, get3, in_blocks
 from particlerb.model.bodies import taken
 from particlerb.model.state import CONJUGATE, Frames, State, quaternion_product, rotate, store_frame
+from particlerb.model.totals import N_TOTALS, BlockRows, sum_block
 from particlerb.model.worlds import (
-    Worlds,
-    bins_of,
+    bins_among,
     over_bins,
     over_bodies,
     part_of_worlds,
@@ -55,17 +55,21 @@ from particlerb.stepping.translations import (
     sprung,
 )
 
-_OWN: Final = 17  # rows of what a block starts from
+_OWN: Final = 21  # rows of what a block starts from, and of its constants
+_WEIGHTLESS: Final = np.zeros(3)
 _AXIS_3: Final = np.array([[0.0], [0.0], [1.0]])
 
 
 class _Part(NamedTuple):
     """Bodies of one kind of turn, as the kernel takes them; what does not act is None."""
 
-    state: State  # of the whole group, as the next three
+    state: State  # of the whole group, as the next five
     force: Floats
+    mass: Floats
     inv_mass: Floats
+    inv_inertia: Floats
     rotor_frame: Floats
+    gravity: Floats  # (3,) [m/s²]
     which: Ints  # of the group are these
     drag: Damping | None = None
     spring: Oscillator | None = None
@@ -130,7 +134,7 @@ def _translate(
 
 @inline
 def _gather(part: _Part, lo: int, n: int, own: Floats) -> None:
-    """Copy bodies from `lo` on into rows: x, p, L, force, rotor frame, 1/M."""
+    """Copy bodies from `lo` on into rows: x, p, L, force, rotor frame, 1/M, M, 1/I."""
     size = part.inv_mass.size
     for b in range(n):
         j = part.which[lo + b]
@@ -139,7 +143,8 @@ def _gather(part: _Part, lo: int, n: int, own: Floats) -> None:
         store3(rows3(own[6:9], 0, n), b, load3(rows3(part.state.L, 0, size), j))
         store3(rows3(own[9:12], 0, n), b, load3(rows3(part.force, 0, size), j))
         store4(rows4(own[12:16], 0, n), b, load4(rows4(part.rotor_frame, 0, size), j))
-        own[16, b] = part.inv_mass[j]
+        own[16, b], own[17, b] = part.inv_mass[j], part.mass[j]
+        store3(rows3(own[18:21], 0, n), b, load3(rows3(part.inv_inertia, 0, size), j))
 
 
 @inline
@@ -164,11 +169,17 @@ def _fly_blocks(
     members: Ints,
     frames: Frames,
     given: Floats | None,
-    bins: Ints,
+    bins: Ints | None,
+    sums: Floats,
     first: int,
     last: int,
 ) -> None:
-    """All frames of some blocks of one kind of turn; times count from the state."""
+    """All frames of some blocks of one kind of turn; times count from the state.
+
+    Of as many frames as `sums` (T, bins, 10) has, the bodies are summed; without bins each block is
+    one.
+    """
+    g, room = (part.gravity[0], part.gravity[1], part.gravity[2]), np.empty((N_TOTALS, BLOCK))
     out, own = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, BLOCK))
     local, place = out.reshape((BOOKED + 1, STRIDE)), np.empty(BLOCK, np.int64)
     for k in range(first, last):
@@ -183,11 +194,14 @@ def _fly_blocks(
         q, spin = rows4(local[Q : Q + 4], 0, n), rows3(own[6:9], 0, n)
         if part.changes_spin is not None:
             spin = rows3(local[L : L + 3], 0, n)
-        frame = rows4(own[12:16], 0, n)
+        frame, inverse = rows4(own[12:16], 0, n), rows3(own[18:21], 0, n)
+        summed = BlockRows(com, q, p, spin, own[17, :n], own[16, :n], inverse)
         for f in range(times.size):
-            sums = None if given is None else Given(given[f], bins)
-            _move_block(part, k, times[f], of, q, out, sums)
+            booked = None if given is None or bins is None else Given(given[f], bins)
+            _move_block(part, k, times[f], of, q, out, booked)
             store_frame(frames, rows[f], place[:n], frame, com, q, p, spin)
+            if f < sums.shape[0]:
+                sum_block(summed, g, bins, k, sums[f], room)
 
 
 @kernel
@@ -276,12 +290,15 @@ class FreeMotion(Motion):
 
     def part(self, which: Ints, **turn: Any) -> _Part:
         """Some bodies with their turn, if that is known."""
-        bodies = self.group.bodies
+        bodies, gravity = self.group.bodies, self.group.terms.gravity
         return _Part(
             self.state,
             self.force,
+            bodies.mass,
             bodies.inv_mass,
+            bodies.inv_inertia,
             bodies.rotor_frame,
+            _WEIGHTLESS if gravity is None else gravity.acceleration,
             which,
             None if self.drag is None else taken(self.drag, which),
             None if self.spring is None else taken(self.spring, which),
@@ -312,23 +329,23 @@ class FreeMotion(Motion):
             self.refuse_fall(elapsed.max(initial=0.0))
         booked = self.booked(elapsed)
         for which, part, turned in self.parts:
-            worlds = self.worlds_of(which, part)
-            bins, given = np.empty(0, np.int64), None
+            worlds, given, bins = self.group.worlds, None, None
+            n_bins = -(-which.size // BLOCK)
+            if part.sums or worlds is not None:
+                bins, n_bins = bins_among(which, worlds, BLOCK)
             if part.sums:
-                m = which.size if worlds is None else worlds.bodies.shape[1]
-                bins = bins_of(np.arange(m) // BLOCK, worlds)
-                given = np.zeros((times.size, int(bins.max()) + 1, GIVEN))
-            fly = partial(_fly_blocks, part, elapsed, rows, self.group.members, frames, given, bins)
+                given = np.zeros((times.size, n_bins, GIVEN))
+            sums = np.zeros((0 if self.sums is None else times.size, n_bins, N_TOTALS))
+            room = self.group.members, frames, given, bins, sums
+            fly = partial(_fly_blocks, part, elapsed, rows, *room)
             THREADS.spread(fly, which.size, which.size * times.size)
             if given is not None:
                 booked += over_bins(given, worlds)
+            if self.sums is not None:
+                self.sums += over_bins(sums, worlds)
             if turned is not None:
                 booked -= turned.first
         return booked
-
-    def worlds_of(self, which: Ints, part: _Part) -> Worlds | None:
-        """Worlds of the bodies of a part, where something is summed over them."""
-        return part_of_worlds(self.group.worlds, which) if part.sums else None
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
@@ -337,11 +354,10 @@ class FreeMotion(Motion):
         end = State(*(values.copy() for values in self.state))
         booked = self.booked(np.array([t]))[0]
         for which, part, turned in self.parts:
-            worlds, given = self.worlds_of(which, part), None
+            worlds, given = self.group.worlds, None
             if part.sums:
-                m = which.size if worlds is None else worlds.bodies.shape[1]
-                bins = bins_of(np.zeros(m, dtype=np.int64), worlds)
-                given = Given(np.zeros((int(bins.max()) + 1, GIVEN)), bins)
+                bins, n_bins = bins_among(which, worlds, which.size)
+                given = Given(np.zeros((n_bins, GIVEN)), bins)
             THREADS.alone(_end_blocks, part, t, end, given)
             if given is not None:
                 booked += given.sums[0] if worlds is None else given.sums

@@ -63,6 +63,7 @@ class Motion(Protocol):
     flown: tuple[int, int] = 0, 0  # body-steps that closed forms saved between contacts, and all
     initial_energies: Energies = Energies(np.zeros(1), np.zeros(1))  # of contacts and pistons
     contacts: Mapping[int, ContactOutput] = {}  # in rows of the last `record`, where asked for
+    sums: Floats | None = None  # (T, ..., 10) of model/totals.py: free bodies add to them
     coordinates: Floats = np.zeros((0, 0, 3))  # (T, c, 3) of joints in these rows, where asked for
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:

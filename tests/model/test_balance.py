@@ -6,12 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particlerb.case.to_system import to_system
-from particlerb.model.balance import ConservationError, EnergyBalance, Entries, totals
+from particlerb.model.balance import ConservationError, EnergyBalance, Entries
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, State, as_frame, kinetic_energy, omega_world
+from particlerb.model.totals import totals
 from particlerb.record.trajectory import Trajectory
 from particlerb.simulation.checks import results
 from particlerb.simulation.run import prepare, run_prepared
+from particlerb.simulation.whole_run import Run
 
 START = {
     "position": [0.1, -0.2, 0.3],
@@ -187,6 +189,41 @@ def test_impulse_books_its_work_and_momenta(make, time, at):
     assert np.abs(ledger.energy_error).max() < 1e-13
     assert np.abs(ledger.linear_momentum_error).max() < 1e-14
     assert np.abs(ledger.angular_momentum_error).max() < 1e-14
+
+
+@pytest.mark.plain
+def test_bodies_in_closed_form_are_summed_while_they_are_written(make):
+    """To rounding as their frames are, of all kinds of turns and of axes that a force chooses."""
+    top, ball = {"inertia": (2.0, 2.0, 1.0)}, {"inertia": (1.5, 1.5, 1.5)}
+    bodies = [
+        make.body("free", **START),
+        make.body(
+            "near", (1.0, 1.5, 2.0), angular_velocity=[1e-3, 1.0, 1e-3], position=[5.0, 1.0, 0.0]
+        ),
+        make.body("top", **top, **START),
+        make.body("ball", **ball, **START),
+        make.body("slow", **ball, **START),
+    ]
+    force = [
+        make.push(FORCE, [0.0, 0.0, 0.3], body="top"),
+        make.push(FORCE, AT, body="ball"),
+        {"type": "drag", "body": "slow", "translation": 0.3, "rotation": 0.1},
+    ]
+    case = make.case(*bodies, force=force, gravity={"acceleration": G}, method="exact")
+    run = Run(prepare(to_system(case)))
+    assert run.sums_itself == [True]
+    frames, entries, _ = run.frames_at(np.linspace(0.1, 3.0, 4), np.ones(4, dtype=bool))
+    again = totals(frames, run.counted, run.gravity)
+    for name in ("kinetic_energy", "potential_energy", "linear_momentum", "angular_momentum"):
+        wanted = getattr(again, name)
+        assert np.abs(getattr(entries, name) - wanted).max() < 1e-14 * np.abs(wanted).max(), name
+    largest = np.maximum(again.sums, totals_at_start(run).sums).max(axis=0)
+    assert run.balance.scales[1:, 0] == pytest.approx(largest[8:], rel=1e-14)
+
+
+def totals_at_start(run):
+    """Totals of the first state of a run."""
+    return totals(as_frame(run.moving.bodies, run.moving.state), run.counted, run.gravity)
 
 
 # Drifts

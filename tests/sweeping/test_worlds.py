@@ -50,6 +50,7 @@ ASKED = [
 ]
 MASS = {"body.0.mass": [1.0, 2.5, 3.0]}
 SPIN = {"body.0.angular_velocity": [[0.5, 1, 2], [1, 2, 0.3], [0.2, 5, 1]]}
+NEAR = {"body.0.angular_velocity": [[0.5, 1, 2], [1e-3, 5, 1e-3]]}
 RATE = {"force.0.translation": [0.1, 0.5, 0.9]}
 
 
@@ -142,6 +143,7 @@ PLACES = {"body.1.position": [[1.0, 0.1, 0.2], [2.0, 0.5, 0.3]]}
 TURNS = [[0.1, 0.7, 0.2, 0.4], [0.5, -0.5, 0.3, 0.1], {"euler_deg": [10, 20, 30]}]
 BATCHES = {
     "free": (scene(method="auto", dt=None), SPIN),
+    "free, one world near the separatrix": (scene(method="auto", dt=None, **GRID), NEAR),
     "mass and seed": (scene(DRAG, **DRAWN), MASS | {"run.seed": [0, 7]}),
     "drag, closed": (scene(DRAG | {"rotation": 0.0}, method="auto", dt=None), RATE),
     "kepler, closed": (scene(CENTRE, method="auto", dt=None, gravity=False, **BALL), MASS),

@@ -1,0 +1,259 @@
+"""Sums over all bodies of a frame: energies and momenta, and how large these are.
+
+They run over fixed blocks of bodies in a fixed order, and over superblocks of these: the same bits
+for any number of threads and ranks. Bodies in closed form are summed block by block while they are
+written (`sum_block`), others from their frames.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.threads import BLOCK, THREADS
+from particlerb.maths.quaternion import Rows4, load4, rows4, to_body
+from particlerb.maths.vec3 import (
+    Floats,
+    Ints,
+    Rows3,
+    Vec3,
+    add_scaled,
+    cross,
+    dot,
+    load3,
+    rows3,
+    scale,
+    store3,
+)
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import Frames
+from particlerb.model.superblocks import Range, summed, superblocks
+from particlerb.ranks import ALONE, Ranks
+
+N_TOTALS: Final = 10
+_NEAR = 1e-6  # share of |x| |p| that an angular momentum is never judged below: x × p rounds
+
+
+class Totals(NamedTuple):
+    """Sums over all bodies, per frame; (T, n_worlds) in place of (T,) for scenes in a batch."""
+
+    sums: Floats  # (T, 10)
+
+    @property
+    def kinetic_energy(self) -> Floats:
+        """(T,) [J]."""
+        return self.sums[..., 0]
+
+    @property
+    def potential_energy(self) -> Floats:
+        """(T,) [J] of gravity, attraction, springs, contacts, piston loads."""
+        return self.sums[..., 1]
+
+    @property
+    def linear_momentum(self) -> Floats:
+        """(T, 3) [kg m/s]."""
+        return self.sums[..., 2:5]
+
+    @property
+    def angular_momentum(self) -> Floats:
+        """(T, 3) [kg m²/s], about the origin of the world."""
+        return self.sums[..., 5:8]
+
+    @property
+    def momentum_size(self) -> Floats:
+        """(T,) Σ|p| [kg m/s]."""
+        return self.sums[..., 8]
+
+    @property
+    def spin_size(self) -> Floats:
+        """(T,) Σ|L| of the bodies and of their centres of mass [kg m²/s]."""
+        return self.sums[..., 9]
+
+
+@inline
+def _load_rows(frames: Frames, f: int, lo: int, mass: Floats, local: Floats, n: int) -> None:
+    """Copy x, p, L, q of n bodies of a frame into rows, so that what follows fills SIMD lanes.
+
+    Momenta of bodies without mass, which are held, do not count.
+    """
+    position, orientation, linear, angular, _, _ = frames
+    for b in range(n):
+        is_free = mass[lo + b] > 0.0
+        for c in range(3):
+            local[c, b] = position[f, lo + b, c]
+            local[3 + c, b] = linear[f, lo + b, c] if is_free else 0.0
+            local[6 + c, b] = angular[f, lo + b, c] if is_free else 0.0
+        for c in range(4):
+            local[9 + c, b] = orientation[f, lo + b, c]
+
+
+@inline
+def _momenta_rows(
+    x: Rows3, p: Rows3, L: Rows3, mass: Floats, inv_mass: Floats, g: Vec3, out: Floats
+) -> None:
+    """½ p²/M, -M g·x, x × p + L, |p|, |x × p| + |L| of each body, into rows 0, 1, 5..9."""
+    n = mass.size
+    kinetic, potential, H = out[0, :n], out[1, :n], rows3(out[5:8], 0, n)
+    size, spin = out[8, :n], out[9, :n]
+    for b in range(n):
+        x_b, p_b, L_b = load3(x, b), load3(p, b), load3(L, b)
+        orbit = cross(x_b, p_b)
+        kinetic[b] = 0.5 * dot(p_b, scale(inv_mass[b], p_b))
+        potential[b] = -mass[b] * dot(g, x_b)
+        store3(H, b, add_scaled(1.0, orbit, L_b))
+        size[b] = np.sqrt(dot(p_b, p_b))
+        reach = _NEAR * np.sqrt(dot(x_b, x_b) * dot(p_b, p_b))  # straight through the origin
+        spin[b] = np.sqrt(dot(L_b, L_b)) + np.sqrt(dot(orbit, orbit)) + reach
+
+
+@inline
+def _add_turning(m: Vec3, w: Vec3, kinetic: Floats, b: int) -> None:
+    """Add ½ Σ m_k² w_k of a body, with m = L in the rotor frame and w = 1/I."""
+    kinetic[b] += 0.5 * (m[0] * (w[0] * m[0]) + m[1] * (w[1] * m[1]) + m[2] * (w[2] * m[2]))
+
+
+@inline
+def _add_up(p: Rows3, out: Floats, sums: Floats) -> None:
+    """Add a block to its sums, body after body; in registers, as ten chains side by side."""
+    kinetic = potential = p1 = p2 = p3 = H1 = H2 = H3 = size = spin = 0.0
+    for b in range(p[0].size):
+        kinetic, potential = kinetic + out[0, b], potential + out[1, b]
+        p1, p2, p3 = p1 + p[0][b], p2 + p[1][b], p3 + p[2][b]
+        H1, H2, H3 = H1 + out[5, b], H2 + out[6, b], H3 + out[7, b]
+        size, spin = size + out[8, b], spin + out[9, b]
+    for c, value in enumerate((kinetic, potential, p1, p2, p3, H1, H2, H3, size, spin)):
+        sums[c] += value
+
+
+@inline
+def _add_to_bins(p: Rows3, out: Floats, bins: Ints, sums: Floats) -> None:
+    """Add a block to the sums (bins, 10) of the bins of its bodies."""
+    for b in range(bins.size):
+        own = sums[bins[b]]
+        for c in range(3):
+            out[2 + c, b] = p[c][b]
+        for c in range(N_TOTALS):
+            own[c] += out[c, b]
+
+
+class BlockRows(NamedTuple):
+    """Rows of a block of bodies that are summed."""
+
+    x: Rows3
+    q: Rows4  # of the rotor frames
+    p: Rows3
+    L: Rows3
+    mass: Floats
+    inv_mass: Floats
+    inv_inertia: Rows3
+
+
+@inline
+def sum_block(of: BlockRows, g: Vec3, bins: Ints | None, k: int, sums: Floats, out: Floats) -> None:
+    """Add block k to sums (bins, 10); without bins each block is one. `out` (10, BLOCK) is room."""
+    _momenta_rows(of.x, of.p, of.L, of.mass, of.inv_mass, g, out)
+    for b in range(of.mass.size):
+        m = to_body(load4(of.q, b), load3(of.L, b))
+        _add_turning(m, load3(of.inv_inertia, b), out[0], b)
+    if bins is None:
+        _add_up(of.p, out, sums[k])
+    else:
+        _add_to_bins(of.p, out, bins[k * BLOCK : k * BLOCK + of.mass.size], sums)
+
+
+@kernel
+def _sum_blocks(
+    frames: Frames,
+    bodies: Bodies,
+    gravity: Floats,
+    bins: Ints | None,
+    sums: Floats,
+    first: int,
+    last: int,
+) -> None:
+    """Add some blocks of bodies, for all frames, to sums (T, bins, 10): those of the bodies' bins.
+
+    Without bins each block is one.
+    """
+    mass, inv_mass, _, inv_inertia, rotor_frame, _ = bodies
+    g = (gravity[0], gravity[1], gravity[2])
+    local, out = np.empty((13, BLOCK)), np.empty((N_TOTALS, BLOCK))
+    for k in range(first, last):
+        lo, hi = k * BLOCK, min(k * BLOCK + BLOCK, mass.size)
+        n = hi - lo
+        x, p, L = rows3(local[0:3], 0, n), rows3(local[3:6], 0, n), rows3(local[6:9], 0, n)
+        q, frame = rows4(local[9:13], 0, n), rows4(rotor_frame, lo, hi)
+        inverse = rows3(inv_inertia, lo, hi)
+        for f in range(sums.shape[0]):
+            _load_rows(frames, f, lo, mass, local, n)
+            _momenta_rows(x, p, L, mass[lo:hi], inv_mass[lo:hi], g, out)
+            for b in range(n):
+                m = to_body(load4(frame, b), to_body(load4(q, b), load3(L, b)))
+                _add_turning(m, load3(inverse, b), out[0], b)
+            if bins is None:
+                _add_up(p, out, sums[f, k])
+            else:
+                _add_to_bins(p, out, bins[lo:hi], sums[f])
+
+
+def sums_over(
+    frames: Frames, bodies: Bodies, gravity: Floats, n_worlds: int = 1, of: Range | None = None
+) -> Floats:
+    """Sums (T, 10) or (T, n_worlds, 10) of frames over a superblock of bodies, or over all."""
+    n, n_frames = bodies.mass.size, len(frames.position)
+    if n_worlds == 1:
+        first, stop = of or (0, n)
+        k, last = first // BLOCK, -(-stop // BLOCK)
+        blocks = np.zeros((n_frames, last, N_TOTALS))
+        add_up = partial(_sum_blocks, frames, bodies, gravity, None, blocks)
+        THREADS.share(lambda lo, hi: add_up(k + lo, k + hi), last - k, (stop - first) * n_frames)
+        return np.asarray(np.add.reduce(blocks[:, k:], axis=1))
+    in_each = -(-(n // n_worlds) // BLOCK)
+    blocks = np.zeros((n_frames, n_worlds * in_each, N_TOTALS))
+    world, b = np.divmod(np.arange(n), n // n_worlds)
+    _sum_blocks(frames, bodies, gravity, in_each * world + b // BLOCK, blocks, 0, -(-n // BLOCK))
+    sums = blocks.reshape(n_frames, n_worlds, in_each, N_TOTALS)
+    return np.asarray(sums[:, :, 0] if in_each == 1 else sums.sum(axis=2))
+
+
+def totals(
+    frames: Frames,
+    bodies: Bodies,
+    gravity: Floats,
+    potential: Floats | float = 0.0,
+    kinetic: Floats | float = 0.0,
+    n_worlds: int = 1,
+    ranks: Ranks = ALONE,
+    known: Sequence[Floats | None] = (),
+) -> Totals:
+    """Totals of frames.
+
+    Parameters
+    ----------
+    frames, bodies : Frames, Bodies
+        States and constants.
+    gravity : ndarray, shape (3,)
+        Its acceleration [m/s²].
+    potential : ndarray, shape (T,)
+        Potential energy of springs, of forces between bodies, and of loads on pistons [J].
+    kinetic : ndarray, shape (T,)
+        Kinetic energy of pistons [J].
+    n_worlds : int
+        Scenes that the bodies are of, one after the other, with as many each; on one thread.
+    ranks : Ranks
+        Each with bodies of its own.
+    known : sequence of ndarray
+        What `sums_over` gives of superblocks, where it is known.
+    """
+    each = list(superblocks(bodies.mass.size)) if n_worlds == 1 else [None]
+    known = known or [None] * len(each)
+    own = [
+        sums_over(frames, bodies, gravity, n_worlds, of) if sums is None else sums
+        for of, sums in zip(each, known, strict=True)
+    ]
+    sums = summed(own, ranks)
+    sums[..., 0] += kinetic
+    sums[..., 1] += potential
+    return Totals(sums)
