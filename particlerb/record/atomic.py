@@ -103,10 +103,14 @@ class AtomicFile:
     def readinto(self, target: Any) -> int:
         """Fill a buffer from the place on, behind the end with zeros."""
         view = memoryview(target).cast("B")
-        with self.blaming():
-            fill(self.descriptor, self.place, view)
-        for number, offset, start, stop in pieces(self.place, len(view)):
-            page = self.changed.get(number) or self.new.get(number)
+        found = [
+            (self.changed.get(number) or self.new.get(number), offset, start, stop)
+            for number, offset, start, stop in pieces(self.place, len(view))
+        ]
+        if any(page is None for page, _, _, _ in found):
+            with self.blaming():
+                fill(self.descriptor, self.place, view)
+        for page, offset, start, stop in found:
             if page is not None:
                 view[start:stop] = page[offset : offset + stop - start]
         self.place += len(view)
