@@ -82,10 +82,10 @@ class Run:
 
     def begin(self, plan: Plan, state: State, known: Mapping[bytes, Motion]) -> None:
         """Set off by a plan, from a state of all bodies, after known motions of the same bodies."""
-        self.superblocks, n = [], self.system.n_bodies
-        for groups in in_superblocks(plan.groups, n):
+        self.superblocks = []
+        for groups in in_superblocks(plan.groups, self.system.n_bodies):
             before = [known.get(group.members.tobytes()) if known else None for group in groups]
-            own = [state if g.members.size == n else taken(state, g.members) for g in groups]
+            own = [taken(state, group.members) for group in groups]
             self.superblocks.append(
                 [GroupRun(*one) for one in zip(groups, own, before, strict=True)]
             )
