@@ -38,11 +38,12 @@ from particlerb.forces.registry import (
 )
 from particlerb.forces.user_pairs import OwnPairs
 from particlerb.joints.records import Joints
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.load import OTHER
 from particlerb.model.worlds import Worlds, over_bodies
 
+LINE: Final = 3  # a fixed line in the world, in `Terms.axis`
 _FLOW_AMONG_JOINTS: Final = "flow among joints"  # which no method takes: it is not of order two
 
 
@@ -59,6 +60,11 @@ class Terms(NamedTuple):
     contact: GroupContact | None = None
     joints: Joints | None = None
     driven: PrescribedBodies | None = None  # bodies that joints tie to others
+    axis: Ints | None = None
+    """Principal axis (0 to 2) about which alone a body turns, by its start and by all that acts,
+    or LINE of spheres and rods; -1: not known. Shape (n,); None: of none."""
+    is_straight: Bools | None = None
+    """Whether a body moves on a line through the ends of its damped springs, (n,)."""
 
     @property
     def has_springy_contact(self) -> bool:
@@ -160,6 +166,7 @@ def terms_on(terms: Terms, which: Ints) -> Terms:
         if gravity is None
         else UniformGravity(gravity.mass[which], gravity.acceleration),
         loads=tuple(taken(load, which) for load in terms.loads),
+        axis=None if terms.axis is None else terms.axis[which],
     )
 
 

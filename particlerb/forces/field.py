@@ -26,7 +26,7 @@ from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale
 from particlerb.model.block import get, get3, put3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, lengths, rotate, rotate_back
+from particlerb.model.state import State, in_rotor_frame, lengths, rotate
 
 if TYPE_CHECKING:
     from particlerb.case.forces import UniformField
@@ -142,7 +142,8 @@ def _term_of(
 ) -> Push | RotatingField:
     """The force on the charge, and the moment as the lever of the field; or a field that turns."""
     del table
-    moment, E, charge = rotate_back(bodies.rotor_frame, numbers[:3]), numbers[3:6], numbers[6]
+    moment = in_rotor_frame(bodies.rotor_frame, numbers[:3])
+    E, charge = numbers[3:6], numbers[6]
     rate = lengths(numbers[7:10])
     if not rate.any():
         return Push(charge * E, (E[:, None] * moment).reshape(9, -1))

@@ -8,7 +8,7 @@ from particlerb.forces.kinds import Force, same_for_all
 from particlerb.forces.push import refuse_large
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, omega_world, rotate, rotate_back
+from particlerb.model.state import State, in_rotor_frame, omega_world, rotate, rotate_back
 from particlerb.model.worlds import Worlds, over_all, over_bodies
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def apply_impulse(
 
 def _impulse_of(table: "ImpulseTable", numbers: Floats, bodies: Bodies) -> Impulse:
     """The impulse of a [[force]] on n bodies."""
-    arm, J = rotate_back(bodies.rotor_frame, numbers[:3]), numbers[3:6]
+    arm, J = in_rotor_frame(bodies.rotor_frame, numbers[:3]), numbers[3:6]
     follows = table.frame == "body"
     J = rotate_back(bodies.rotor_frame, J) if follows else J
     return Impulse(arm, np.ascontiguousarray(J), follows)

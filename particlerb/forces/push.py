@@ -29,7 +29,7 @@ from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale
 from particlerb.model.block import get3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, lengths, rotate_back
+from particlerb.model.state import State, in_rotor_frame, lengths, rotate_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import ImpulseTable, PushTable
@@ -149,7 +149,7 @@ def _term_of(
     table: "PushTable", numbers: Floats, bodies: Bodies, start: float
 ) -> Push | Follower | Ramp | FollowerRamp:
     """A push in the world, or a load that follows the body; constant, or not."""
-    arm, course = rotate_back(bodies.rotor_frame, numbers[:3]), course_of(table, numbers, start)
+    arm, course = in_rotor_frame(bodies.rotor_frame, numbers[:3]), course_of(table, numbers, start)
     if table.frame == "world":
         if course.is_constant:
             return _push_at(course.midway, arm)

@@ -35,6 +35,12 @@ def _plain_fused(a: float, b: float, c: float) -> float:
     return (product + c) + rest
 
 
+def exact_difference(a: Any, b: Any, c: Any, d: Any) -> Any:
+    """a b - c d of arrays, to two roundings: zero only where it is."""
+    p, r = a * b, c * d
+    return (p - r) + (_plain_fused(a, b, -p) - _plain_fused(c, d, -r))
+
+
 @instruction(_plain_fused)
 def _fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
     """a b + c in one rounding: LLVM's fma, which vectorises."""

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
+from particlerb.maths.double_double import exact_difference
 from particlerb.maths.quaternion import Rows4, conjugate, load4, multiply, rows4, store4
 from particlerb.maths.vec3 import Bools, Floats, Ints, Rows3, load3, rows3
 from particlerb.model.bodies import Bodies
@@ -46,6 +47,7 @@ class Frames(NamedTuple):
 
 
 STATE_FIELDS: Final = Frames._fields[:4]  # what the state of a body is, in a file and elsewhere
+_ROUNDING: Final = 1e-15  # share of an angular velocity that is its rounding
 CONJUGATE: Final = np.array([[1.0], [-1.0], [-1.0], [-1.0]])  # quaternions (4, n) times it
 
 
@@ -149,6 +151,13 @@ def rotate_back(q: Floats, v: Floats) -> Floats:
     return rotate(q * CONJUGATE, v)
 
 
+def in_rotor_frame(rotor_frame: Floats, v: Floats) -> Floats:
+    """Vectors (3, n) of the body frame in the rotor frame: zero where they are a rounding."""
+    found, is_turned = rotate_back(rotor_frame, v), rotor_frame[1:].any(axis=0)
+    noise = _ROUNDING * is_turned * np.abs(found).max(axis=0)
+    return np.where(np.abs(found) <= noise, 0.0, found)
+
+
 def body_orientation(q: Floats, rotor_frame: Floats) -> Floats:
     """Orientations (4, n) of body frames, from those of rotor frames."""
     return quaternion_product(q, rotor_frame * CONJUGATE)
@@ -157,6 +166,25 @@ def body_orientation(q: Floats, rotor_frame: Floats) -> Floats:
 def lengths(vectors: Floats) -> Floats:
     """|v| of each column."""
     return np.asarray(np.linalg.norm(vectors, axis=0))
+
+
+def exact_matrix(q: Floats) -> Floats:
+    """|q|² R of quaternions (4, n), shape (3, 3, n): zero only where it is."""
+    w, x, y, z = q
+
+    def aside(a: Floats, b: Floats, c: Floats) -> Floats:
+        return np.asarray(2.0 * exact_difference(a, b, w, c))
+
+    def along(a: Floats, b: Floats, c: Floats) -> Floats:
+        return np.asarray((w - b) * (w + b) + (a - c) * (a + c))
+
+    return np.array(
+        [
+            [along(x, y, z), aside(x, y, z), aside(x, z, -y)],
+            [aside(x, y, -z), along(y, z, x), aside(y, z, x)],
+            [aside(x, z, y), aside(y, z, -x), along(z, x, y)],
+        ]
+    )
 
 
 def initial_state(
@@ -179,12 +207,21 @@ def initial_state(
     """
     q = quaternion_product(np.ascontiguousarray(orientation.T), bodies.rotor_frame)
     q /= np.sqrt((q * q).sum(axis=0))
-    omega = rotate_back(q, np.ascontiguousarray(angular_velocity.T))
+    spin = np.ascontiguousarray(angular_velocity.T, dtype=np.float64)
+    omega = rotate_back(q, spin)
+    L, size = rotate(q, bodies.inertia * omega), np.abs(omega)
+    largest = size.max(axis=0)
+    near = np.flatnonzero(size.sum(axis=0) - largest <= _ROUNDING * largest)
+    if near.size:  # about a principal axis, exactly: no rounding aside, which might grow
+        own = np.abs(np.einsum("ijn,in->jn", exact_matrix(q[:, near]), spin[:, near]))
+        is_own = (own > 0.0).sum(axis=0) == 1
+        which, k = near[is_own], own.argmax(axis=0)[is_own]
+        L[:, which] = bodies.inertia[k, which] * spin[:, which]
     return State(
         np.ascontiguousarray(position.T, dtype=np.float64),
         q,
         np.ascontiguousarray(bodies.mass * velocity.T),
-        rotate(q, bodies.inertia * omega),
+        L,
     )
 
 

@@ -14,13 +14,14 @@ from particlerb.forces.kinds import TIME
 from particlerb.impulses.records import EventRules
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Ints
+from particlerb.model.bodies import Bodies
 from particlerb.model.system import System
 from particlerb.plan.contact_rules import MOST_BODIES
 from particlerb.plan.joint_words import joint_line
 from particlerb.plan.merging import merged
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.plan.time_step import expected_overlap, touches_by_impulses
-from particlerb.stepping.closed_forms import lever_of
+from particlerb.stepping.closed_forms import words_of_forms
 from particlerb.stepping.sparse_contact import can_fly
 
 _GROUPS_SHOWN = 20
@@ -217,22 +218,23 @@ def group_name(system: System, index: Ints) -> str:
 
 def _segment_lines(group: GroupPlan) -> list[str]:
     """One line per segment, of the first ones and the last."""
-    lines = [_segment_line(segment) for segment in group.segments[:_SEGMENTS_SHOWN]]
+    shown, bodies = group.segments[:_SEGMENTS_SHOWN], group.bodies
+    lines = [_segment_line(bodies, segment) for segment in shown]
     left = len(group.segments) - _SEGMENTS_SHOWN
     if left > 1:
         lines.append(f"and {left - 1} more segments")
     if left > 0:
-        lines.append(_segment_line(group.segments[-1]))
+        lines.append(_segment_line(bodies, group.segments[-1]))
     return lines
 
 
-def _segment_line(segment: Segment) -> str:
+def _segment_line(bodies: Bodies, segment: Segment) -> str:
     """When, how, why."""
     until = "on" if np.isinf(segment.stop) else f"to {segment.stop:.9g} s"
     when = f"{segment.start:.9g} s {until}"
     start = f"after {len(segment.jumps)} impulse(s), " if segment.jumps else ""
     if not has_step(segment.method):
-        return f"{when}: {start}{_closed_reason(segment.terms)}"
+        return f"{when}: {start}{_closed_reason(bodies, segment.terms)}"
     if is_adaptive(segment.method):
         driver = f"{_driving(segment.terms)}, {segment.method}"
         return f"{when}: {start}{driver}, tolerance {segment.tolerance:.3g}"
@@ -243,19 +245,15 @@ def _segment_line(segment: Segment) -> str:
     )
 
 
-def _closed_reason(terms: Terms) -> str:
+def _closed_reason(bodies: Bodies, terms: Terms) -> str:
     """Why a segment has a closed form."""
-    acting, names = " and ".join(words_of(terms)), needs_of(terms)
+    acting = " and ".join(words_of(terms))
     if terms.collides_by_events:
         return f"{_driving(terms)}, closed form between impacts, no step"
-    if terms.is_coupled:
+    if terms.attraction is not None:
         return f"{_driving(terms)}, closed form, no step (two points: Kepler's orbits)"
-    why = ["one force on the axis: Lagrange's top"] if lever_of(terms) is not None else []
-    why += ["linear drag: exponentials"] if "drag" in names else []
-    why += ["springs without length at the centre of mass: an oscillator"] * ("spring" in names)
-    why += ["a centre attracts points or spheres: Kepler's orbits"] * ("central" in names)
-    if why:
-        return f"driven by {acting}, closed form, no step ({'; '.join(why)})"
+    if why := words_of_forms(bodies, terms):
+        return f"{_driving(terms)}, closed form, no step ({'; '.join(why)})"
     reason = f"{acting} through the centre of mass: a parabola" if acting else "nothing acts"
     return f"free, closed form, no step ({reason})"
 

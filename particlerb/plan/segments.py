@@ -19,6 +19,7 @@ from particlerb.integrators import METHODS
 from particlerb.joints.setup import with_drag
 from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.bodies import Bodies, held, taken
+from particlerb.model.state import State
 from particlerb.model.superblocks import superblocks
 from particlerb.model.system import System
 from particlerb.model.worlds import Worlds, worlds_among
@@ -26,6 +27,7 @@ from particlerb.plan.case_forces import acting_terms, acts, jumps_at
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.groups import GroupSetup, part_of, terms_between
 from particlerb.plan.joint_drives import drives_from
+from particlerb.plan.known_courses import Stretch, with_known_courses
 from particlerb.rotors.rotor_class import POINT
 from particlerb.stepping.closed_forms import has_closed_form
 from particlerb.stepping.motion import SegmentGroup
@@ -94,8 +96,8 @@ def cut_into_segments(
     members, forces = group.members, group.forces
     bodies = held(taken(system.bodies, members), system.is_held[members])
     between: dict[tuple[int, ...], Terms] = {}  # by released joints and the numbers of the links
-    segments, closed = [], []
-    for start, stop in zip(starts, [*starts[1:], np.inf], strict=True):
+    stretches: list[Stretch] = []
+    for start in starts:
         acting = [force for force in forces if acts(force.form, start)]
         links = [link for link in group.links if acts(link.force, start)]
         released = 0 if group.joints is None else int((group.joints.until <= start).sum())
@@ -110,9 +112,15 @@ def cut_into_segments(
                 terms = terms._replace(joints=terms.joints._replace(drives=drives))
             terms = _with_drag_among_joints(terms, bodies)
         jumps = jumps_at(forces, bodies, start) if start > begin or begin == 0.0 else ()
-        method, is_closed = _chosen_method(system.run.method, bodies, terms)
-        if group.joints is not None or group.links:
-            is_closed[:] = is_closed.all()
+        stretches.append(Stretch(terms, jumps))
+    closed, segments = [], []
+    scene = system.world[members] if group.joints is not None or group.links else None
+    named, stops = system.run.method, [*starts[1:], np.inf]
+    known = _with_closed_forms(named, bodies, taken(system.state, members), stretches, scene)
+    for start, stop, (_, jumps), (terms, is_closed) in zip(
+        starts, stops, stretches, known, strict=True
+    ):
+        method = _chosen_method(named, bodies, terms, is_closed)
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, system.run.tolerance))
         closed.append(is_closed)
     kinds, kind = np.unique(np.array(closed), axis=1, return_inverse=True)
@@ -178,26 +186,36 @@ def is_adaptive(method: str) -> bool:
     return bool(METHODS[method].is_adaptive)
 
 
-def _chosen_method(named: str, bodies: Bodies, terms: Terms) -> tuple[str, Bools]:
-    """Method of a segment, and which bodies have a closed form, if that counts.
-
-    A named method steps whatever rotates, `auto` does not.
-    """
+def _may_be_closed(named: str, terms: Terms) -> bool:
+    """Whether a segment is not stepped where it has a closed form: a named method steps."""
     asked = METHODS.get(named)
-    if asked is not None and (
+    is_idle = asked is not None and (
         (asked.holds_joints and terms.joints is None)
         or (asked.takes_impulses and terms.contact is None)
-    ):
-        named = "auto"
-    if named in ("auto", "exact"):
-        is_closed = has_closed_form(bodies, terms)
-        stepped = "strang" if terms.joints is None else "rattle"
+    )
+    return is_idle or named in ("auto", "exact")
+
+
+def _with_closed_forms(
+    named: str, bodies: Bodies, state: State, stretches: list[Stretch], scene: Ints | None
+) -> list[tuple[Terms, Bools]]:
+    """Terms of all segments, and which bodies have a closed form that counts."""
+    if all(_may_be_closed(named, one.terms) for one in stretches):
+        return with_known_courses(bodies, state, stretches, scene)
+    none = np.zeros(bodies.mass.size, dtype=bool)
+    return [(one.terms, none) for one in stretches]
+
+
+def _chosen_method(named: str, bodies: Bodies, terms: Terms, is_closed: Bools) -> str:
+    """Method of a segment: a named one steps whatever rotates, `auto` does not."""
+    if _may_be_closed(named, terms):
+        if is_closed.all() or named == "exact":
+            return "exact"
         if terms.contact is not None and not terms.has_springy_contact:
-            stepped = "moreau"
-        return "exact" if is_closed.all() or named == "exact" else stepped, is_closed
+            return "moreau"
+        return "strang" if terms.joints is None else "rattle"
     rotates = bool((bodies.rotor_class != POINT).any())
-    is_stepped = rotates or not accepts("exact", terms)
-    return named if is_stepped else "exact", np.zeros(bodies.mass.size, dtype=bool)
+    return named if rotates or not accepts("exact", terms) else "exact"
 
 
 def refuse_method(system: System, groups: list[GroupPlan]) -> None:

@@ -2,22 +2,28 @@
 
 Where only forces act that are constant in the world, the centre of mass is on a parabola, and what
 turns a body is its lever tensor T (forces/push.py). It is Lagrange's top where T = r ⊗ g with r on
-the axis of a symmetric body or of a rod, or anywhere in a sphere: docs/closed_forms.md.
+the axis of a symmetric body or of a rod, or anywhere in a sphere. What the start tells beside that
+of bodies that turn about one axis, or move on a line, plan/known_courses.py has found: `Terms.axis`
+and `Terms.is_straight`. Theory: docs/closed_forms.md.
 """
 
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.forces import Terms
+from particlerb.forces import LINE, Terms
 from particlerb.forces.central import Central
 from particlerb.forces.drag import Drag
+from particlerb.forces.links import WORLD, Links
 from particlerb.forces.push import Push
 from particlerb.forces.spring import Spring
-from particlerb.maths.vec3 import Bools, Floats
+from particlerb.forces.torque import Torque
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
+from particlerb.model.state import State, cross_columns, rotate
 from particlerb.rotors.rotor_class import POINT, ROD, SPHERE, SYMMETRIC
 from particlerb.rotors.tops import Tops
+from particlerb.stepping.damped_oscillators import DampedOscillator
 from particlerb.stepping.motion import SegmentGroup, force_of
 from particlerb.stepping.translations import Damping, Oscillator
 
@@ -73,26 +79,107 @@ def _up_frames(axis: Floats) -> Floats:
     return np.asarray(n * np.where(z > 0.0, up, down))
 
 
-def translations_of(group: SegmentGroup) -> tuple[Damping | None, Oscillator | None, Floats | None]:
-    """Drag and springs on the centres of mass of a group, and drag on its rotation (n,)."""
-    if not group.terms.loads:
-        return None, None, None
+def turned_about(levers: Levers, bodies: Bodies, lever: Floats, axis: Ints, q: Floats) -> Levers:
+    """The same with bodies that turn about one axis: a pendulum, C = 0, with axis 3 across it.
+
+    What the lever tensor does in the plane of the motion, one force on one axis in it does too.
+
+    Parameters
+    ----------
+    axis : ndarray, shape (n,)
+        As `Terms.axis`.
+    q : ndarray, shape (4, n)
+        Orientations at some time.
+    """
+    is_own = (axis >= 0) & (axis < LINE) & ~levers.is_free & ~levers.is_top
+    if not is_own.any():
+        return levers
+    b, k = np.arange(axis.size), np.maximum(axis, 0) % LINE
+    about, across = np.zeros((2, 3, axis.size))
+    about[k, b], across[(k + 1) % 3, b] = 1.0, 1.0
+    R = np.stack([rotate(q, np.tile(e[:, None], axis.size)) for e in np.eye(3)])  # [l, world]
+    S = np.einsum("lin,jln->ijn", R, lever.reshape(3, 3, -1))  # of R T, both in the world
+    n, u = rotate(q, about), rotate(q, across)
+    trace = S[0, 0] + S[1, 1] + S[2, 2] - np.einsum("in,ijn,jn->n", n, S, n)
+    torque = n[0] * (S[1, 2] - S[2, 1]) + n[1] * (S[2, 0] - S[0, 2]) + n[2] * (S[0, 1] - S[1, 0])
+    old, moment = levers.tops, bodies.inertia[k, b]
+    tops = Tops(
+        np.where(is_own, moment, old.moment),
+        np.where(is_own, 0.0, old.stretch),
+        np.where(is_own, trace * u + torque * cross_columns(n, u), old.lever),
+        np.where(is_own, 0.0, old.spins),
+    )
+    axes = np.where(is_own, _up_frames(across), levers.axes)
+    return Levers(levers.is_free, levers.is_top | is_own, tops, axes)
+
+
+class Translations(NamedTuple):
+    """How the centres of mass of a group move; all None: on parabolas."""
+
+    drag: Damping | None = None
+    spring: Oscillator | None = None
+    braked: DampedOscillator | None = None
+    drift: Floats | None = None  # (3, n) [m/s] of the centre of mass of each pair on a spring
+
+
+def translations_of(group: SegmentGroup, state: State) -> Translations:
+    """Drag and springs on the centres of mass of a group."""
+    loads, links = group.terms.loads, group.terms.links
     n, inv_mass = group.members.size, group.bodies.inv_mass
-    pushed, force = force_of(group)
-    drags = [load for load in group.terms.loads if isinstance(load, Drag)]
-    if drags:
-        rotation = drags[0].rotation if drags[0].rotation.any() else None
-        if drags[0].rate.any():
-            return Damping(drags[0].rate, pushed), None, rotation
-        return None, None, rotation
-    springs = [load for load in group.terms.loads if isinstance(load, Spring)]
-    if not springs:
-        return None, None, None
-    stiffness, pull = np.zeros(n), force.copy()
-    for spring in springs:
+    rate = sum((load.rate for load in loads if isinstance(load, Drag)), np.zeros(n))
+    pushed, pull = force_of(group)
+    if links is not None and (links.second != WORLD).any():
+        return _pair_on_springs(group.bodies, links, state)
+    stiffness, pull = np.zeros(n), pull.copy()
+    for spring in (load for load in loads if isinstance(load, Spring)):
         stiffness += spring.stiffness
         pull += spring.stiffness * spring.anchor
-    return None, Oscillator(stiffness * inv_mass, pull / stiffness, pushed), None
+    if links is not None:
+        np.add.at(stiffness, links.first, links.stiffness)
+        for pulled, at in zip(pull, links.second_at, strict=True):
+            np.add.at(pulled, links.first, links.stiffness * at)
+        if links.damping is not None:
+            np.add.at(rate, links.first, links.damping * inv_mass[links.first])
+    if not stiffness.any():
+        return Translations(Damping(rate, pushed)) if rate.any() else Translations()
+    squared, balance = stiffness * inv_mass, pull / stiffness
+    if rate.any():
+        return Translations(braked=DampedOscillator(squared, balance, pushed, rate))
+    return Translations(spring=Oscillator(squared, balance, pushed))
+
+
+def _pair_on_springs(bodies: Bodies, links: Links, state: State) -> Translations:
+    """Two bodies on springs between them: both about their centre of mass."""
+    n, other = bodies.mass.size, _others(links, bodies.mass.size)
+    both = bodies.mass + bodies.mass[other]
+    stiffness, damping = np.zeros(n), np.zeros(n)
+    for ends in (links.first, links.second):
+        np.add.at(stiffness, ends, links.stiffness)
+        np.add.at(damping, ends, 0.0 if links.damping is None else links.damping)
+    softness = bodies.inv_mass + bodies.inv_mass[other]
+    weighted = state.com * bodies.mass
+    middle, drift = ((v + v[:, other]) / both for v in (weighted, state.p))
+    squared, none = stiffness * softness, np.zeros((3, n))
+    if damping.any():
+        damped = DampedOscillator(squared, middle, none, damping * softness)
+        return Translations(braked=damped, drift=drift)
+    return Translations(spring=Oscillator(squared, middle, none), drift=drift)
+
+
+def _others(links: Links, n: int) -> Ints:
+    """The other body of the pair to which each of n bodies belongs."""
+    other = np.full(n, WORLD)
+    other[links.first], other[links.second] = links.second, links.first
+    return other
+
+
+def torques_on(terms: Terms, n: int) -> tuple[Floats, Floats]:
+    """Constant torques (3, n) [N m] in the world, and drag on the rotation (n,) [N m s/rad]."""
+    torque = sum(
+        (load.torque for load in terms.loads if isinstance(load, Torque)), np.zeros((3, n))
+    )
+    drag = sum((load.rotation for load in terms.loads if isinstance(load, Drag)), np.zeros(n))
+    return torque, drag
 
 
 def _is_pair(bodies: Bodies, terms: Terms) -> bool:
@@ -103,6 +190,25 @@ def _is_pair(bodies: Bodies, terms: Terms) -> bool:
         return False
     is_bare = attraction.softening == 0.0 and attraction.offset.tolist() == [0, 1, 2]
     return is_bare and not attraction.arm.any() and bool((attraction.mass == bodies.mass).all())
+
+
+def _on_springs(bodies: Bodies, terms: Terms) -> Bools:
+    """Which bodies have springs that pull at the centre of mass as oscillators do, (n,)."""
+    links, n = terms.links, bodies.mass.size
+    assert links is not None
+    ends = links.first_at.any(axis=0) | (links.rest_length != 0.0) | ~(links.stiffness > 0.0)
+    fits = bodies.inv_mass > 0.0
+    if links.damping is not None:
+        fits = fits & (False if terms.is_straight is None else terms.is_straight)
+    is_world = links.second == WORLD
+    if is_world.all():
+        fits[links.first[ends]] = False
+        return fits & (np.bincount(links.first, minlength=n) > 0)
+    other = _others(links, n)
+    is_bound = (other[links.first] == links.second) & (other[links.second] == links.first)
+    is_bare: Bools = is_bound & ~is_world & ~ends & ~links.second_at.any(axis=0)
+    are_pairs = is_bare.all() and (other != WORLD).all() and not terms.loads
+    return fits if are_pairs else np.zeros(n, dtype=bool)
 
 
 def has_closed_form(bodies: Bodies, terms: Terms) -> Bools:
@@ -116,20 +222,45 @@ def has_closed_form(bodies: Bodies, terms: Terms) -> Bools:
         return np.full(n, not terms.loads)
     if _is_pair(bodies, terms):
         return np.ones(n, dtype=bool)
-    if terms.is_coupled or not kinds <= {Push, Drag, Spring}:
+    is_bound = terms._replace(links=None).is_coupled  # by more than springs
+    if is_bound or not kinds <= {Push, Drag, Spring, Torque}:
         return np.zeros(n, dtype=bool)
     is_closed, lever = np.ones(n, dtype=bool), lever_of(terms)
-    is_free = is_closed
+    axis = np.full(n, -1) if terms.axis is None else terms.axis
+    torque, drag = torques_on(terms, n)
+    is_turned, is_free = torque.any(axis=0), is_closed
     if lever is not None:
         levers = levers_on(bodies, lever)
-        is_free, is_closed = levers.is_free, levers.is_free | levers.is_top
+        is_free = levers.is_free
+        is_pendulum = (axis >= 0) & (axis < LINE)
+        is_closed = is_free | ((levers.is_top | is_pendulum) & ~is_turned & (drag == 0.0))
     is_round = np.isin(bodies.rotor_class, (POINT, ROD, SPHERE))
+    is_closed = is_closed & ((axis >= 0) | ~is_turned & ((drag == 0.0) | is_round))
     for load in terms.loads:
-        if isinstance(load, Drag):
-            is_closed = is_closed & ((load.rotation == 0.0) | (is_round & is_free))
         if isinstance(load, Spring):
             at_com = ~load.at.any(axis=0) & (load.rest_length == 0.0) & (load.stiffness > 0.0)
             is_closed = is_closed & at_com
-    if {Drag, Spring} <= kinds:
-        return np.zeros(n, dtype=bool)
-    return is_closed
+    return np.asarray(is_closed if terms.links is None else is_closed & _on_springs(bodies, terms))
+
+
+def words_of_forms(bodies: Bodies, terms: Terms) -> list[str]:
+    """What is recognised where forces act that are constant in the world, or linear."""
+    lever, words = lever_of(terms), []
+    if lever is not None:
+        levers = levers_on(bodies, lever)
+        words += ["one force on the axis: Lagrange's top"] * bool(levers.is_top.any())
+        is_planar = ~(levers.is_free | levers.is_top).all()
+        words += ["a turn about one axis: a physical pendulum"] * bool(is_planar)
+    torque, _ = torques_on(terms, bodies.mass.size)
+    words += ["a torque along the axis of the turn: constant"] * bool(torque.any())
+    words += ["linear drag: exponentials"] * any(isinstance(load, Drag) for load in terms.loads)
+    springs = any(isinstance(load, Spring) for load in terms.loads)
+    if terms.links is not None and (terms.links.second != WORLD).any():
+        return [*words, "pairs on springs without length: an oscillator about a parabola"]
+    if terms.links is not None:
+        words += ["springs without length, damped along the line of the motion: an oscillator"]
+    elif springs:
+        words += ["springs without length at the centre of mass: an oscillator"]
+    if any(isinstance(load, Central) for load in terms.loads):
+        words += ["a centre attracts points or spheres: Kepler's orbits"]
+    return words

@@ -1,9 +1,9 @@
 """Motion in closed form, at any time at once: a translation, and a rotation without steps.
 
 The centre of mass is on a parabola, or under linear drag, or on springs without length
-(translations.py). The body turns freely (rotors/exact.py), is Lagrange's top (rotors/tops.py), or
-is slowed down by drag. Any time costs the same; the error does not depend on how many frames were
-asked for.
+(translations.py, damped_oscillators.py). The body turns freely (rotors/exact.py), is Lagrange's top
+or a pendulum (rotors/tops.py), or turns about a line by a torque and drag. Any time costs the same;
+the error does not depend on how many frames were asked for.
 """
 
 from collections.abc import Iterator
@@ -14,10 +14,11 @@ import numpy as np
 
 from particlerb.compiled.jit import Flag, flag, inline, kernel
 from particlerb.compiled.threads import BLOCK, THREADS
+from particlerb.forces import LINE
 from particlerb.maths.quaternion import Rows4, load4, rows4, store4
 from particlerb.maths.vec3 import Floats, Ints, load3, rows3, store3
 from particlerb.model.block import BOOKED, COM, STRIDE, L, P, Q, get, get3, in_blocks
-from particlerb.model.bodies import taken
+from particlerb.model.bodies import Record, taken
 from particlerb.model.state import CONJUGATE, Frames, State, quaternion_product, rotate, store_frame
 from particlerb.model.totals import N_TOTALS, BlockRows, sum_block
 from particlerb.model.worlds import (
@@ -36,7 +37,15 @@ from particlerb.rotors.exact import (
     turn_block,
 )
 from particlerb.rotors.tops import N_THETA, prepare_tops
-from particlerb.stepping.closed_forms import Levers, lever_of, levers_on, translations_of
+from particlerb.stepping.closed_forms import (
+    Levers,
+    lever_of,
+    levers_on,
+    torques_on,
+    translations_of,
+    turned_about,
+)
+from particlerb.stepping.damped_oscillators import DampedOscillator, braked
 from particlerb.stepping.motion import Motion, MotionError, SegmentGroup, constant_force, force_of
 from particlerb.stepping.orbits import Orbit, orbited, orbits_of
 from particlerb.stepping.saved_arrays import Saved
@@ -47,12 +56,13 @@ from particlerb.stepping.translations import (
     Damping,
     Given,
     Oscillator,
-    Slowing,
+    Spinning,
     add_given,
+    carried,
     damped,
     parabola,
-    slowed,
     sprung,
+    spun,
 )
 
 _OWN: Final = 21  # rows of what a block starts from, and of its constants
@@ -73,21 +83,24 @@ class _Part(NamedTuple):
     which: Ints  # of the group are these
     drag: Damping | None = None
     spring: Oscillator | None = None
+    braked: DampedOscillator | None = None
+    drift: Floats | None = None
     orbit: Orbit | None = None
-    slowing: Slowing | None = None
+    spinning: Spinning | None = None
     steady: SteadyTurn | None = None
     theta: ThetaTurn | None = None
     hyperbolic: HyperbolicTurn | None = None
     top: Floats | None = None  # blocks of the tables of rotors/tops.py
     near: Floats | None = None
     changes_spin: Flag = None
-    is_pair: Flag = None  # bodies that attract each other, and book nothing
+    is_pair: Flag = None  # bodies that act on each other alone, and book no impulse
 
     @property
     def sums(self) -> bool:
         """Whether what forces give is summed by the kernel."""
-        moved = None if self.is_pair else self.orbit
-        return any(one is not None for one in (self.drag, self.spring, moved, self.changes_spin))
+        own = (None, None) if self.is_pair else (self.orbit, self.spring)
+        found = (self.drag, self.braked, self.changes_spin, *own)
+        return any(one is not None for one in found)
 
 
 class _Turned(NamedTuple):
@@ -108,27 +121,29 @@ def _add_turned(
 
 
 @inline
-def _slow_down(
-    slowing: Slowing | None, lo: int, hi: int, t: float, out: Floats, given: Any
-) -> None:
-    """Rotation under drag, where there is some."""
-    if slowing is not None:
-        slowed(slowing, lo, hi, t, out, given)
+def _spin(spinning: Spinning | None, lo: int, hi: int, t: float, out: Floats, given: Any) -> None:
+    """Turns about a line, where there are some."""
+    if spinning is not None:
+        spun(spinning, lo, hi, t, out, given)
 
 
 @inline
 def _translate(
-    drag: Damping | None, spring: Oscillator | None, orbit: Orbit | None, of: Centres, lo: int,
-    t: float, given: Any,
+    drag: Damping | None, spring: Oscillator | None, brake: DampedOscillator | None,
+    drift: Floats | None, orbit: Orbit | None, of: Centres, lo: int, t: float, given: Any,
 ) -> None:  # fmt: skip
     """Centres of mass; Numba leaves out what is None."""
     if drag is not None:
         damped(of, drag, lo, t, given)
     if spring is not None:
         sprung(of, spring, lo, t, given)
+    if brake is not None:
+        braked(of, brake, lo, t, given)
+    if drift is not None:
+        carried(of, drift, lo, t)
     if orbit is not None:
         orbited(of, orbit, lo, t, given)
-    if drag is None and spring is None and orbit is None:
+    if drag is None and spring is None and brake is None and orbit is None:
         parabola(of, t)
 
 
@@ -155,10 +170,11 @@ def _move_block(
     lo = k * BLOCK
     hi = lo + of.inv_mass.size
     turn_block(part.steady, part.theta, part.hyperbolic, t, lo, hi, q)
-    _slow_down(part.slowing, lo, hi, t, out, given)
+    _spin(part.spinning, lo, hi, t, out, given)
     top_block(part.top, part.near, k, t, hi - lo, out)
     _add_turned(part.top, part.near, lo, hi - lo, out, given)
-    _translate(part.drag, part.spring, part.orbit, of, lo, t, given)
+    drag, spring, brake, drift = part.drag, part.spring, part.braked, part.drift
+    _translate(drag, spring, brake, drift, part.orbit, of, lo, t, given)
 
 
 @kernel
@@ -227,33 +243,46 @@ def _end_blocks(part: _Part, t: float, end: State, given: Given | None) -> None:
                     end.L[i, j] = local[L + i, b]
 
 
+def _taken(record: Record | None, which: Ints) -> Record | None:
+    """`taken` of what is there."""
+    return None if record is None else taken(record, which)
+
+
 class FreeMotion(Motion):
     """A group of bodies in closed form, sorted into kinds of turn; see `motion.Motion`."""
 
     def __init__(self, group: SegmentGroup, state: State, start: float) -> None:
         self.group, self.state, self.start = group, state, start
         self.force = force_of(group)[1]
-        self.drag, self.spring, self.rotation = translations_of(group)
+        self.moves = moves = translations_of(group, state)
+        self.torque, self.rotation = torques_on(group.terms, group.members.size)
         self.orbit = orbits_of(group, state)
+        self.is_pair = self.orbit is not None and group.terms.is_coupled
+        self.is_pair |= moves.drift is not None
+        self.own = state  # relative to what carries pairs
+        if moves.drift is not None:
+            self.own = state._replace(p=state.p - group.bodies.mass * moves.drift)
         is_constant = group.terms.gravity is not None or bool(group.terms.loads)
-        is_constant &= self.drag is None and self.spring is None
-        is_constant &= self.orbit is None or group.terms.is_coupled
+        no_parabola = moves.drag, moves.spring, moves.braked, self.orbit
+        is_constant &= self.is_pair or all(one is None for one in no_parabola)
         self.constant = constant_force(group, state) if is_constant else None
         self.parts = list(self.sorted_parts())
 
     def sorted_parts(self) -> Iterator[tuple[Ints, _Part, _Turned | None]]:
         """Bodies of each kind of turn, what the kernel takes, and what turns them."""
         bodies, state = self.group.bodies, self.state
-        lever, free = lever_of(self.group.terms), np.arange(bodies.mass.size)
+        terms, free = self.group.terms, np.arange(bodies.mass.size)
+        lever = lever_of(terms)
         if lever is not None:
             levers = levers_on(bodies, lever)
+            if terms.axis is not None:
+                levers = turned_about(levers, bodies, lever, terms.axis, state.q)
             yield from self.top_parts(levers)
             free = np.flatnonzero(levers.is_free)
-        if self.rotation is not None:
-            is_slowed = self.rotation[free] > 0.0
-            if is_slowed.any():
-                yield self.slowed_part(free[is_slowed])
-            free = free[~is_slowed]
+        is_spun = (self.rotation[free] > 0.0) | self.torque[:, free].any(axis=0)
+        if is_spun.any():
+            yield self.spun_part(free[is_spun])
+            free = free[~is_spun]
         if free.size < bodies.mass.size:
             bodies, state = taken(bodies, free), taken(state, free)
         for which, turn in prepare(bodies.inertia, bodies.rotor_class, state.q, state.L):
@@ -261,13 +290,15 @@ class FreeMotion(Motion):
             steady, theta, hyperbolic = by_kind(turn)
             yield own, self.part(own, steady=steady, theta=theta, hyperbolic=hyperbolic), None
 
-    def slowed_part(self, which: Ints) -> tuple[Ints, _Part, None]:
-        """Spheres and rods that drag brings to rest."""
-        assert self.rotation is not None
-        inverse = self.group.bodies.inv_inertia[0, which]
-        q, L = self.state.q[:, which], self.state.L[:, which]
-        slowing = Slowing(self.rotation[which] * inverse, inverse, q.copy(), L.copy())
-        return which, self.part(which)._replace(slowing=slowing, changes_spin=flag(True)), None
+    def spun_part(self, which: Ints) -> tuple[Ints, _Part, None]:
+        """Bodies that a torque or drag turns about a line."""
+        bodies, axis = self.group.bodies, self.group.terms.axis
+        k = np.zeros(which.size, dtype=np.int64) if axis is None else np.maximum(axis[which], 0)
+        inverse = bodies.inv_inertia[k % LINE, which]
+        vectors = (self.state.q, self.state.L, self.torque)
+        own = [np.ascontiguousarray(one[:, which]) for one in vectors]
+        spinning = Spinning(self.rotation[which] * inverse, inverse, *own)
+        return which, self.part(which)._replace(spinning=spinning, changes_spin=flag(True)), None
 
     def top_parts(self, levers: Levers) -> Iterator[tuple[Ints, _Part, _Turned]]:
         """The same of tops, in the axes in which the force acts on axis 3."""
@@ -290,9 +321,11 @@ class FreeMotion(Motion):
 
     def part(self, which: Ints, **turn: Any) -> _Part:
         """Some bodies with their turn, if that is known."""
-        bodies, gravity = self.group.bodies, self.group.terms.gravity
+        bodies, moves = self.group.bodies, self.moves
+        gravity = self.group.terms.gravity
+        drift = None if moves.drift is None else np.ascontiguousarray(moves.drift[:, which])
         return _Part(
-            self.state,
+            self.own,
             self.force,
             bodies.mass,
             bodies.inv_mass,
@@ -300,10 +333,12 @@ class FreeMotion(Motion):
             bodies.rotor_frame,
             _WEIGHTLESS if gravity is None else gravity.acceleration,
             which,
-            None if self.drag is None else taken(self.drag, which),
-            None if self.spring is None else taken(self.spring, which),
-            None if self.orbit is None else taken(self.orbit, which),
-            is_pair=flag(self.group.terms.is_coupled),
+            _taken(moves.drag, which),
+            _taken(moves.spring, which),
+            _taken(moves.braked, which),
+            drift,
+            _taken(self.orbit, which),
+            is_pair=flag(self.is_pair),
             **turn,
         )
 

@@ -1,4 +1,4 @@
-"""Centres of mass under a constant force, with drag, or on springs; rotation that drag slows down.
+"""Centres of mass under a constant force, with drag, or on springs; turns about a fixed line.
 
 Each function writes positions and momenta of a block, and adds up what the forces have given since
 the start, from integrals of their own: work without gravity's, impulse, and angular impulse about
@@ -6,7 +6,7 @@ the world's origin. Formulas: docs/closed_forms.md.
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from particlerb.compiled.jit import inline
 from particlerb.maths.quaternion import Quat, load4, multiply, rows4
@@ -55,13 +55,14 @@ class Oscillator(NamedTuple):
     pushed: Floats  # (3, n) [N]
 
 
-class Slowing(NamedTuple):
-    """Drag on the rotation of n spheres and rods."""
+class Spinning(NamedTuple):
+    """n bodies that turn about a fixed line, by a constant torque, with drag on the rotation."""
 
     rate: Floats  # (n,) [1/s] c_r/I
-    inv_inertia: Floats  # (n,) [1/(kg m²)]
+    inv_inertia: Floats  # (n,) [1/(kg m²)] about the line
     q: Floats  # (4, n) at the start
     L: Floats  # (3, n) [kg m²/s]
+    torque: Floats  # (3, n) [N m] along L
 
 
 class Centres(NamedTuple):
@@ -94,6 +95,23 @@ def decays(x: float) -> Quat:
 
 
 @inline
+def _integrals(rate: float, t: float) -> Quat:
+    """e^{-γt}, its integrals E₁ and E₂, and G = ∫ E₁² dt."""
+    x = rate * t
+    exp, first, second, third = decays(x)
+    psi = second - third - 0.5 * x * second * second
+    if x > 1.0:
+        psi = (x - 0.5 * (1.0 - exp) * (3.0 - exp)) / (x * x * x)
+    return exp, t * first, t * t * second, t * t * t * psi
+
+
+@inline
+def _squared(exp: float, E1: float, G: float, p: Vec3, F: Vec3) -> float:
+    """∫ (p e^{-γt} + F E₁)² dt."""
+    return 0.5 * E1 * (1.0 + exp) * dot(p, p) + E1 * E1 * dot(p, F) + G * dot(F, F)
+
+
+@inline
 def parabola(of: Centres, t: float) -> None:
     """x = x₀ + (p₀ t + F t²/2)/M,  p = p₀ + F t."""
     start, p0, force, inv_mass, com, p = of
@@ -122,17 +140,11 @@ def damped(of: Centres, drag: Damping, lo: int, t: float, given: Given) -> None:
     rate, pushed = drag.rate[lo : lo + n], rows3(drag.pushed, lo, lo + n)
     for b in range(n):
         p_b, F, x0, inv = load3(p0, b), load3(force, b), load3(start, b), inv_mass[b]
-        x = rate[b] * t
-        exp, first, second, third = decays(x)
-        E1, E2 = t * first, t * t * second
+        exp, E1, E2, G = _integrals(rate[b], t)
         J = add_scaled(E1, p_b, scale(E2, F))
         store3(p, b, add_scaled(exp, p_b, scale(E1, F)))
         store3(com, b, add_scaled(inv, J, x0))
-        psi = second - third - 0.5 * x * second * second
-        if x > 1.0:
-            psi = (x - 0.5 * (1.0 - exp) * (3.0 - exp)) / (x * x * x)
-        G = t * t * t * psi
-        square = 0.5 * E1 * (1.0 + exp) * dot(p_b, p_b) + E1 * E1 * dot(p_b, F) + G * dot(F, F)
+        square = _squared(exp, E1, G, p_b, F)
         work = inv * (dot(load3(pushed, b), J) - rate[b] * square)
         impulse = add_scaled(-rate[b], J, scale(t, F))
         turned = inv * (E2 - rate[b] * (2.0 * G - E1 * E2))
@@ -141,7 +153,7 @@ def damped(of: Centres, drag: Damping, lo: int, t: float, given: Given) -> None:
 
 
 @inline
-def sprung(of: Centres, spring: Oscillator, lo: int, t: float, given: Given) -> None:
+def sprung(of: Centres, spring: Oscillator, lo: int, t: float, given: Any) -> None:
     """x = a + (x₀ - a) cos ωt + (p₀/M) sin ωt/ω, about the place of balance a."""
     start, p0, _, inv_mass, com, p = of
     n = inv_mass.size
@@ -158,24 +170,41 @@ def sprung(of: Centres, spring: Oscillator, lo: int, t: float, given: Given) -> 
         store3(com, b, add(x0, moved))
         M = 1.0 / inv_mass[b]
         store3(p, b, scale(M, add_scaled(cos, v, scale(-squared[b] * sine, y))))
-        lost = add_scaled(sine, y, scale(fall, v))  # ∫ (x - a) dt
-        k = M * squared[b]
-        angular = scale(k, cross(lost, a))
-        add_given(given, lo + b, dot(load3(pushed, b), moved), scale(-k, lost), angular)
+        if given is not None:
+            lost = add_scaled(sine, y, scale(fall, v))  # ∫ (x - a) dt
+            k = M * squared[b]
+            work, angular = dot(load3(pushed, b), moved), scale(k, cross(lost, a))
+            add_given(given, lo + b, work, scale(-k, lost), angular)
 
 
 @inline
-def slowed(slowing: Slowing, lo: int, hi: int, t: float, out: Floats, given: Given) -> None:
-    """L = L₀ e^{-λt}, and q turned about L by |L₀|/I E₁, in rows of a block."""
-    L0, q0 = rows3(slowing.L, lo, hi), rows4(slowing.q, lo, hi)
+def carried(of: Centres, drift: Floats, lo: int, t: float) -> None:
+    """Add a parabola, common to bodies that move relative to it: x += V t + g t²/2."""
+    n = of.inv_mass.size
+    V = rows3(drift, lo, lo + n)
+    for b in range(n):
+        inv = of.inv_mass[b]
+        fall = scale(inv * t, load3(of.force, b))
+        moved = add_scaled(0.5, fall, load3(V, b))
+        store3(of.com, b, add_scaled(t, moved, load3(of.com, b)))
+        gained = add_scaled(1.0, fall, load3(V, b))
+        store3(of.p, b, add_scaled(1.0 / inv, gained, load3(of.p, b)))
+
+
+@inline
+def spun(of: Spinning, lo: int, hi: int, t: float, out: Floats, given: Given) -> None:
+    """L = L₀ e^{-λt} + τ E₁, and q turned by (L₀ E₁ + τ E₂)/I, in rows of a block."""
+    L0, q0, torque = rows3(of.L, lo, hi), rows4(of.q, lo, hi), rows3(of.torque, lo, hi)
     for b in range(hi - lo):
-        rate, inverse, L_b = slowing.rate[lo + b], slowing.inv_inertia[lo + b], load3(L0, b)
-        exp, first, _, _ = decays(rate * t)
-        size = math.sqrt(dot(L_b, L_b))
-        cos, sin, _ = cos_sin_half_turns(0.5 * inverse * t * first * size)
-        axis = scale(sin / max(size, _TINY), L_b)
+        rate, inverse = of.rate[lo + b], of.inv_inertia[lo + b]
+        L_b, tau = load3(L0, b), load3(torque, b)
+        exp, E1, E2, G = _integrals(rate, t)
+        J = add_scaled(E1, L_b, scale(E2, tau))
+        size = math.sqrt(dot(J, J))
+        cos, sin, _ = cos_sin_half_turns(0.5 * inverse * size)
+        axis = scale(sin / max(size, _TINY), J)
         put4(out, Q, b, multiply((cos, axis[0], axis[1], axis[2]), load4(q0, b)))
-        put3(out, L, b, scale(exp, L_b))
-        lost = rate * t * first
-        work = -0.5 * inverse * lost * (1.0 + exp) * size * size
-        add_given(given, lo + b, work, (0.0, 0.0, 0.0), scale(-lost, L_b))
+        put3(out, L, b, add_scaled(exp, L_b, scale(E1, tau)))
+        work = inverse * (dot(tau, J) - rate * _squared(exp, E1, G, L_b, tau))
+        turned = add_scaled(-rate, J, scale(t, tau))
+        add_given(given, lo + b, work, (0.0, 0.0, 0.0), turned)

@@ -259,6 +259,11 @@ LINEAR = {  # moments, drag (translation, rotation), springs (anchor, stiffness)
     "sphere that is stopped": ((1.0, 1.0, 1.0), (0.3, 4.0), (), None),
     "only the rotation": ((1.0, 1.0, 1.0), (0.0, 0.4), (), None),
     "springs": ((1.0, 2.0, 2.5), (), (([1, 2, 3.0], 5.0), ([0, -1, 0.0], 1.0)), None),
+    "springs and weak drag": ((1.0, 2.0, 2.5), (1e-7, 0.0), (([1, 2, 3.0], 5.0),), None),
+    "springs and drag": ((1.0, 1.0, 0.6), (1.0, 0.0), (([1, 2, 3.0], 5.0),), (0.0, 0.0, 0.5)),
+    "springs, critical": ((1.0, 1.0, 1.0), (8.0, 0.4), (([1, 2, 3.0], 8.0),), None),
+    "springs, nearly critical": ((1, 2.0, 2.5), (8.00001, 0.0), (([1, 2, 3.0], 8.0),), None),
+    "springs in syrup": ((1.0, 2.0, 2.5), (40.0, 0.0), (([1, 2, 3.0], 8.0),), None),
     "springs on a top": ((1.0, 1.0, 0.6), (), (([1, 2, 3.0], 5.0),), (0.0, 0.0, 0.5)),
 }
 

@@ -108,7 +108,7 @@ def test_default_step_knows_how_far_a_torque_that_ends_spins_a_body_up(make):
     """|τ| Δt / I_min = 10 · 20 / 1 rad/s, whatever t_end is."""
     for t_end in (1.0, 30.0):
         load = make.torque([0, 0, 10.0], during=[0.0, 20.0])
-        plan = plan_of(make.case(make.body(), force=[load], t_end=t_end))
+        plan = plan_of(make.case(make.body(), force=[load], t_end=t_end, method="strang"))
         assert plan.groups[0].segments[0].dt == pytest.approx(RADIANS_PER_STEP / 200.0, rel=1e-9)
         assert plan.warnings == ()
 
@@ -117,7 +117,8 @@ def test_a_torque_without_end_warns_and_leaves_the_step_to_what_it_was(make):
     """√(τ / I) sets the step; after t_end the spin τ t / I would turn 1.6 rad in one step."""
 
     def case(t_end):
-        return make.case(make.body(), force=[make.torque([0, 0, 10.0])], t_end=t_end)
+        force = [make.torque([0, 0, 10.0])]
+        return make.case(make.body(), force=force, t_end=t_end, method="strang")
 
     short, long = plan_of(case(0.1)), plan_of(case(10.0))
     assert short.warnings == ()
