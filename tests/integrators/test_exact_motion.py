@@ -268,6 +268,10 @@ LINEAR = {  # moments, drag (translation, rotation), springs (anchor, stiffness)
 }
 
 
+PLAIN = ("springs and weak drag", "springs and drag", "springs, critical", "springs in syrup")
+NAMES = [pytest.param(n, marks=pytest.mark.plain if n in PLAIN else ()) for n in LINEAR]
+
+
 def linear_scene(make, name):
     """Moments, state and forces."""
     inertia, drag, springs, at = LINEAR[name]
@@ -277,7 +281,7 @@ def linear_scene(make, name):
     return inertia, START | {"angular_velocity": [0.3, -0.4, 1.0]}, forces
 
 
-@pytest.mark.parametrize("name", LINEAR)
+@pytest.mark.parametrize("name", NAMES)
 def test_linear_forces_against_an_integration(make, name):
     inertia, start, forces = linear_scene(make, name)
     body = make.body(inertia=inertia, **start)
@@ -288,7 +292,7 @@ def test_linear_forces_against_an_integration(make, name):
     assert found.plan.count("strang") == 0
 
 
-@pytest.mark.parametrize("name", LINEAR)
+@pytest.mark.parametrize("name", NAMES)
 def test_linear_forces_to_the_last_digits(make, name):
     """Place, velocity and work of drag against a matrix exponential of 40 digits."""
     inertia, start, forces = linear_scene(make, name)

@@ -4,6 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
+import particlerb
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.plan.make_plan import make_plan
@@ -205,6 +206,7 @@ def test_a_flywheel_is_spun_up_about_its_axis_wherever_it_points(make):
     assert found.angular_velocity[-1, 0] == pytest.approx(10.5 * axis, abs=1e-13)
 
 
+@pytest.mark.plain
 def test_a_turn_is_followed_from_segment_to_segment(make):
     """Spun up, let go, a pendulum, slowed down; an impulse along the axis between them."""
     forces = [
@@ -226,3 +228,12 @@ def test_a_turn_is_followed_from_segment_to_segment(make):
     errors = [np.abs(one.orientation - found.orientation).max() for one in (coarse, fine)]
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
     assert errors[1] < 1e-4
+
+
+def test_nothing_is_searched_for_where_a_turn_is_known(make):
+    """With run.accuracy, which sets no step."""
+    scene, _ = case_of(make, "2", 0.4, 1.0, [make.torque([0.0, 1.0, 0.0])], 2.0, accuracy=1e-6)
+    with particlerb.run(scene) as found:
+        assert "nothing is stepped: closed form" in found.parameter("plan")
+    scene, _ = case_of(make, "2", 0.4, 1.0, [make.torque([0.0, 1.0, 0.0])], 2.0, method="rk4")
+    assert method_of(scene) == ["rk4"]

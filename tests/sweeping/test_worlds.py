@@ -11,6 +11,7 @@ from particlerb.case.sweep import SweepTable
 from particlerb.case.to_system import to_system
 from particlerb.contact.missed_pairs import Watch
 from particlerb.model.worlds import WorldsDifferError, bins_of, over_all, over_bodies, worlds_among
+from particlerb.plan.make_plan import make_plan
 from particlerb.sweeping import worker
 from particlerb.sweeping.together import may_share, rows_together
 from particlerb.sweeping.variants import variants
@@ -141,6 +142,22 @@ LATER = PUSH | {"during": [0.0, 0.013]}
 WEIGHTS = {"force.0.force": [[0.0, 0.0, -9.0], [0.0, 0.0, 5.0]]}
 PLACES = {"body.1.position": [[1.0, 0.1, 0.2], [2.0, 0.5, 0.3]]}
 TURNS = [[0.1, 0.7, 0.2, 0.4], [0.5, -0.5, 0.3, 0.1], {"euler_deg": [10, 20, 30]}]
+ALONG = {"angular_velocity": [0.0, 2.0, 0.0], "velocity": [0.0, 0.0, 0.4]}
+UP = {"gravity": {"acceleration": [0.0, 0.0, -9.81]}}
+ABOUT = {"type": "torque", "body": "body", "torque": [0.0, 0.3, 0.0]}
+ACROSS = PUSH | {"at": [0.1, 0.0, 0.2]}
+HUNG = ANCHOR | {"at": [0.0, 0.0, 0.0], "damping": 0.7}
+BOUND = {"type": "spring", "body": "body", "to": "other", "stiffness": 30.0}
+FREE = {"name": "other", "mass": 1.5, "position": [1.0, 0.0, 0.0], "shape": BOX}
+CLOSED = {
+    "pendulum": (scene(ACROSS, method="auto", dt=None, **ALONG), MASS),
+    "torque and drag": (scene(ABOUT, DRAG, method="auto", dt=None, **ALONG), MASS),
+    "damped on a line": (scene(HUNG, method="auto", dt=None, **ALONG) | UP, MASS),
+    "springs and drag": (scene(HUNG | {"damping": 0.0}, DRAG | {"rotation": 0.0}, method="auto",
+                               dt=None), MASS),
+    "pair on a spring": (scene(BOUND, method="auto", dt=None, others=[FREE]), MASS),
+}  # fmt: skip
+"""Those that are moved in closed form by what is known from the start, or by damped springs."""
 BATCHES = {
     "free": (scene(method="auto", dt=None), SPIN),
     "free, one world near the separatrix": (scene(method="auto", dt=None, **GRID), NEAR),
@@ -189,6 +206,26 @@ def test_rows_of_a_batch_have_the_bits_of_rows_alone(name):
     assert repr(together) == repr(work(task._replace(is_batch=False)))
     assert len({row.values for row in together}) == len(together) > 1
     assert len({row.energy_drift for row in together}) > 1 or name in ("free", "top, closed")
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("name", CLOSED)
+def test_closed_forms_have_the_bits_of_runs_alone_too(name):
+    case, axes = CLOSED[name]
+    assert all(s.method == "exact" for g in make_plan(to_system(load(case))).groups
+               for s in g.segments)  # fmt: skip
+    task = batch(case, axes, asked=ASKED)
+    assert repr(rows_together(task.numbers, batch_of(task), task.asked)) == repr(
+        work(task._replace(is_batch=False))
+    )
+
+
+@pytest.mark.plain
+def test_worlds_of_which_some_are_off_the_line_run_alone():
+    case, _ = CLOSED["damped on a line"]
+    task = batch(case, {"body.0.velocity": [[0.0, 0.0, 1.0], [0.0, 1e-9, 1.0]]})
+    with pytest.raises(WorldsDifferError, match="closed form"):
+        rows_together(task.numbers, batch_of(task), ())
 
 
 @pytest.mark.parametrize(
