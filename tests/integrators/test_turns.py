@@ -237,3 +237,11 @@ def test_nothing_is_searched_for_where_a_turn_is_known(make):
         assert "nothing is stepped: closed form" in found.parameter("plan")
     scene, _ = case_of(make, "2", 0.4, 1.0, [make.torque([0.0, 1.0, 0.0])], 2.0, method="rk4")
     assert method_of(scene) == ["rk4"]
+
+
+def test_what_was_stepped_is_not_known_any_more(make):
+    """A spring at a point of the plane, then a torque along the axis: stepped from there on."""
+    spring = make.spring([0.0, 0.0, 1.0], 2.0, at=[0.1, 0.0, 0.2], during=[0.0, 0.5])
+    torque = make.torque([0.0, 1.0, 0.0], during=[0.5, 1.0])
+    scene, _ = case_of(make, "2", 0.4, 1.0, [spring, torque], 2.0)
+    assert method_of(scene) == ["strang", "strang", "exact"]
