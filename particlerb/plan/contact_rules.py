@@ -8,6 +8,7 @@ import numpy as np
 from particlerb.case.contact import ContactTable
 from particlerb.case.problems import CaseError
 from particlerb.case.source import problem_at
+from particlerb.contact.sphere_search import LARGEST_NUMBER
 from particlerb.impulses.records import LEAST_CELLS, EventRules, ImpulseRules
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import lengths, omega_world
@@ -62,3 +63,10 @@ def events_of(system: System, touching: ContactSetup) -> EventRules | None:
         fastest = max(speed + spin, fall)
         time = CONTACT_SHARE * smallest / fastest if fastest > 0.0 else 0.0
     return EventRules(touching.pairs.restitution.ravel(), time, box)
+
+
+def refuse_too_many(system: System, n_spheres: int) -> None:
+    """Raise CaseError where lists of contacts cannot number all spheres, or all bodies."""
+    if max(n_spheres, system.n_bodies) > LARGEST_NUMBER:
+        reason = f"{n_spheres} spheres of {system.n_bodies} bodies: lists number {LARGEST_NUMBER}"
+        raise CaseError([problem_at(system, "contact", reason, "take fewer, or coarser shapes")])

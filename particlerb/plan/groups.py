@@ -12,13 +12,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.output import FIELDS_OF_CONTACT
-from particlerb.case.problems import CaseError
-from particlerb.case.source import problem_at
 from particlerb.compiled.jit import flag
 from particlerb.contact.contact_model import ContactModel, ContactSpheres, GroupContact
 from particlerb.contact.interior_spheres import outer_spheres
 from particlerb.contact.law import TANGENTIAL_DAMPING, Law
-from particlerb.contact.sphere_search import KEY_BITS, LARGEST_NUMBER, pair_keys
+from particlerb.contact.sphere_search import KEY_BITS, pair_keys
 from particlerb.contact.wall_motion import motion_records
 from particlerb.contact.wall_shapes import has_edges
 from particlerb.forces import Terms
@@ -34,7 +32,7 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import rotate_back
 from particlerb.model.system import System
 from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce
-from particlerb.plan.contact_rules import events_of, rules_of
+from particlerb.plan.contact_rules import events_of, refuse_too_many, rules_of
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.driven_bodies import driven_among
 from particlerb.plan.joint_ends import Ties
@@ -307,9 +305,7 @@ def _contact_among(
     may_touch = (system.particles.radius[index] > 0.0) & (touching.material[members][owner] >= 0)
     takes_part = may_touch & _reachable(system, members, touching)[index]
     index, owner = index[takes_part], owner[takes_part]
-    if max(index.size, system.n_bodies) > LARGEST_NUMBER:
-        reason = f"{index.size} spheres of {system.n_bodies} bodies: lists number {LARGEST_NUMBER}"
-        raise CaseError([problem_at(system, "contact", reason, "take fewer, or coarser shapes")])
+    refuse_too_many(system, index.size)
     place = np.ascontiguousarray(system.particles.position[index].T)
     radius = system.particles.radius[index]
     reach = np.zeros(members.size)

@@ -30,7 +30,7 @@ from particlerb.contact.sphere_search import (
     modular_strides,
     neighbours,
 )
-from particlerb.plan import groups
+from particlerb.plan import contact_rules
 from particlerb.simulation.whole_run import RunError
 from particlerb.stepping import contact_lists
 
@@ -468,7 +468,7 @@ def test_spheres_in_a_large_one_are_left_out(seed):
 
 
 @pytest.mark.plain
-@pytest.mark.parametrize(("module", "most"), [(groups, 2), (contact_lists, 3)])
+@pytest.mark.parametrize(("module", "most"), [(contact_rules, 2), (contact_lists, 3)])
 def test_numbers_that_lists_cannot_hold_are_refused(make, monkeypatch, module, most):
     monkeypatch.setattr(module, "LARGEST_NUMBER", most)
     balls = make.sphere(count=3, place={"type": "grid", "spacing": 0.19})
