@@ -62,6 +62,8 @@ BUDGETS = {
     "a run that ends with ten lines": 14,
     "stability in three pictures, keys of force chains": 48,
     "pictures that fit the scene": 198,
+    "names of curves that cover no curve": 22,
+    "help of the commands in whole phrases": 22,
     "size and time of a run, told before it": 85,
     "a page that explains itself": 145,
     "whole scenes for LAMMPS and MuJoCo": 340,

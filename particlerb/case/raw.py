@@ -81,9 +81,9 @@ def is_origin(position: Any) -> bool:
 
 
 def out_of_place(path: Path, table: dict[str, Any], key: str, what: str) -> Iterator[Finding]:
-    """A point has no place beside something else; a resolved case states its default there."""
+    """A point that something else excludes; a resolved case states its default there."""
     if given(table, key) and not is_origin(table[key]):
-        yield (*path, key), f"has no place beside {what}", "leave it out"
+        yield (*path, key), f"cannot be given together with {what}", "leave it out"
 
 
 def bases(names: Any) -> set[str]:

@@ -42,19 +42,27 @@ class _Command(NamedTuple):
 COMMANDS: Final = {
     "run": _Command("run", arguments.add_run, "run a case into an HDF5 file"),
     "resume": _Command("run", arguments.add_resume, "continue a run that was stopped"),
-    "check": _Command("check", arguments.add_check, "the plan of a case, and how long it runs"),
+    "check": _Command(
+        "check", arguments.add_check, "show the plan of a case, its file size and its run time"
+    ),
     "sweep": _Command("sweep", arguments.add_sweep, "run variants of a case into one table"),
-    "mass": _Command("mass", arguments.add_mass, "mass properties of bodies"),
-    "info": _Command("show", arguments.add_info, "what a trajectory file holds"),
-    "plot": _Command("show", arguments.add_plot, "picture of a trajectory or its contacts"),
+    "mass": _Command("mass", arguments.add_mass, "print the mass properties of bodies"),
+    "info": _Command("show", arguments.add_info, "list what a trajectory file holds"),
+    "plot": _Command("show", arguments.add_plot, "draw a trajectory or its contacts"),
     "export": _Command("export", arguments.add_export, "write files for other programs"),
-    "view": _Command("view", arguments.add_view, "push a case, or play a file, in a browser"),
-    "chart": _Command("studies", arguments.add_chart, "what accuracy costs, for every method"),
-    "stability": _Command("studies", arguments.add_stability, "where each method fails"),
-    "converge": _Command("studies", arguments.add_converge, "how many particles a body needs"),
+    "view": _Command(
+        "view", arguments.add_view, "push the bodies of a case, or play a file, in a browser"
+    ),
+    "chart": _Command(
+        "studies", arguments.add_chart, "measure what accuracy costs, for every method"
+    ),
+    "stability": _Command("studies", arguments.add_stability, "map where each method fails"),
+    "converge": _Command(
+        "studies", arguments.add_converge, "measure how many particles a body needs"
+    ),
     "cases": _Command("lists", arguments.add_none, "list the example cases"),
     "methods": _Command("lists", arguments.add_none, "list the integrators"),
-    "schema": _Command("lists", arguments.add_none, "JSON schema of a case file"),
+    "schema": _Command("lists", arguments.add_none, "print the JSON schema of a case file"),
 }
 
 

@@ -83,15 +83,17 @@ def _add_output(command: _Parser, metavar: str, help: str, what: str = "an exist
 
 def _add_report(command: _Parser) -> None:
     """Add what is said of a run on its way."""
-    command.add_argument("--log", metavar="FILE", help="a line each second: time, energy, error")
-    _add_flag(command, "-q", "--quiet", help="print the checks only")
+    command.add_argument(
+        "--log", metavar="FILE", help="write a line each second: time, energy, error"
+    )
+    _add_flag(command, "-q", "--quiet", help="print only the checks")
 
 
 def _add_overrides(command: _Parser) -> None:
     """Add the option that changes a case."""
     command.add_argument(
         "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE",
-        help="change a key of the case, as run.dt=1e-4 or body.0.mass=2; repeatable",
+        help="change a key of the case, for example run.dt=1e-4 or body.0.mass=2; repeatable",
     )  # fmt: skip
 
 
@@ -102,7 +104,9 @@ def _add_threads(command: _Parser) -> None:
 
 def _add_code(command: _Parser) -> None:
     """Add --allow-code."""
-    _add_flag(command, "--allow-code", help="run Python code that the case names, as you may")
+    _add_flag(
+        command, "--allow-code", help="allow the case to run Python code, with your permissions"
+    )
 
 
 def _add_mpi(command: _Parser) -> None:
@@ -130,20 +134,20 @@ def _add_matter(command: _Parser) -> None:
     _add_overrides(command)
     file = command.add_argument_group("for a body in a table or mesh")
     amount = file.add_mutually_exclusive_group()
-    amount.add_argument("--mass", type=positive, metavar="KG", help="of the body")
+    amount.add_argument("--mass", type=positive, metavar="KG", help="mass of the body")
     amount.add_argument(
-        "--density", type=positive, metavar="KG/M3", help="of its matter; default: 1"
+        "--density", type=positive, metavar="KG/M3", help="density of the body; default: 1"
     )
     file.add_argument("--scale", type=positive, metavar="M", help="unit of length; default: 1 m")
 
 
 def _add_study(command: _Parser, budget: float | None = None) -> None:
     """Add options of all studies."""
-    _add_output(command, "NAME", "of the CSV, PNG and SVG files", "existing files")
+    _add_output(command, "NAME", "name of the CSV, PNG and SVG files", "existing files")
     if budget is not None:
         command.add_argument(
             "--budget", type=positive, default=budget, metavar="SECONDS",
-            help="to measure for, without compilation; default: %(default)s",
+            help="time to spend on measurements, compilation aside; default: %(default)s",
         )  # fmt: skip
 
 
@@ -165,9 +169,14 @@ def add_run(run: _Parser) -> None:
 
 def add_resume(resume: _Parser) -> None:
     """Add options of `resume`."""
-    resume.add_argument("file", metavar="FILE", help="of the run; it grows")
     resume.add_argument(
-        "--t-end", type=positive, metavar="SECONDS", help="where to end; default: as its case says"
+        "file", metavar="FILE", help="trajectory of the run; frames are added to it"
+    )
+    resume.add_argument(
+        "--t-end",
+        type=positive,
+        metavar="SECONDS",
+        help="time at which to end; default: t_end of the case",
     )
     _add_code(resume)
     _add_json(resume)
@@ -188,18 +197,25 @@ def add_check(check: _Parser) -> None:
 def add_mass(mass: _Parser) -> None:
     """Add options of `mass`."""
     mass.add_argument("file", metavar="FILE", help=_BODY_FILE)
-    mass.add_argument("body", nargs="?", metavar="BODY", help="of a case; default: all")
+    mass.add_argument("body", nargs="?", metavar="BODY", help="body of a case; default: all")
     _add_matter(mass)
-    mass.add_argument("--spin", type=positive, metavar="RAD/S", help="to advise a step for")
+    mass.add_argument(
+        "--spin",
+        type=positive,
+        metavar="RAD/S",
+        help="angular speed for which a step is recommended",
+    )
     _add_json(mass)
 
 
 def add_info(info: _Parser) -> None:
     """Add options of `info`."""
     info.add_argument("file", metavar="FILE", nargs="?")
-    _add_flag(info, "--machine", help="this machine, and what is compiled for it; takes no FILE")
+    _add_flag(
+        info, "--machine", help="describe this machine and what is compiled for it; takes no FILE"
+    )
     _add_json(info, "machine-readable")
-    _add_flag(info, "--verify", help="whether it is whole; exit 1 if not")
+    _add_flag(info, "--verify", help="check that the file is undamaged; exit 1 if not")
 
 
 def add_plot(plot: _Parser) -> None:
@@ -209,9 +225,13 @@ def add_plot(plot: _Parser) -> None:
     plot.add_argument(
         "--body",
         metavar="NAME",
-        help="body whose angular velocity is drawn; default: the fastest to spin",
+        help="body whose angular velocity is drawn; default: the one that spins fastest",
     )
-    _add_flag(plot, "--contacts", help="force chains in the last frame, if it has contacts")
+    _add_flag(
+        plot,
+        "--contacts",
+        help="draw the force chains of the last frame; contacts must have been recorded",
+    )
 
 
 def add_export(export: _Parser) -> None:
@@ -227,9 +247,9 @@ def add_export(export: _Parser) -> None:
     _add_list(export, "--bodies", "bodies or blocks; default: all")
     export.add_argument(
         "--frames", type=_frame_slice, default=slice(None), metavar="A:B:C",
-        help="from A before B, every C-th; a number alone is one frame; default: all",
+        help="from A to before B, every C-th; a single number is one frame; default: all",
     )  # fmt: skip
-    _add_list(export, "--fields", "default: all recorded, in csv of bodies")
+    _add_list(export, "--fields", "default: all that were recorded; in csv those of bodies")
 
 
 def add_view(view: _Parser) -> None:
@@ -247,12 +267,12 @@ def add_view(view: _Parser) -> None:
     )  # fmt: skip
     view.add_argument(
         "--allow-host", dest="hosts", action="append", default=[], metavar="NAME",
-        help="a name by which the page may be called too, as behind a tunnel or proxy; repeatable",
+        help="another host name of the page, for example behind a tunnel or proxy; repeatable",
     )  # fmt: skip
-    no_token = "let in every program of those who reach the port, without the token of the address"
+    no_token = "let in everyone who reaches the port, without the token in the address"
     _add_flag(view, "--no-token", help=no_token)
-    _add_flag(view, "--no-browser", help="open no browser, where there is a display")
-    saved = "of a saved session; output/<case>_session.toml"
+    _add_flag(view, "--no-browser", help="do not open a browser")
+    saved = "where a session is saved; default: output/<case>_session.toml"
     view.add_argument("-o", "--output", metavar="FILE", help=saved)
 
 
@@ -263,9 +283,11 @@ def add_chart(chart: _Parser) -> None:
     _add_list(chart, "--peers", "engines, or all")
     chart.add_argument(
         "--error", type=positive, metavar="RAD",
-        help="error to advise for; default: 1e-6, for contact the energy_drift of the case",
+        help="error to reach; default: 1e-6, with contact the energy_drift of the case",
     )  # fmt: skip
-    _add_flag(chart, "--processor-time", help="in place of that by the clock: beside other work")
+    _add_flag(
+        chart, "--processor-time", help="measure processor time, not wall time: for a busy machine"
+    )
     _add_study(chart, 30.0)
 
 
@@ -274,7 +296,7 @@ def add_sweep(sweep: _Parser) -> None:
     _add_case(sweep)
     sweep.add_argument(
         "--axis", dest="axes", action="append", default=[], metavar="KEY=VALUES",
-        help="values of a key, as 'run.dt=[1e-3, 1e-4]'; in place of [sweep.axes]; repeatable",
+        help="values of a key, as in 'run.dt=[1e-3, 1e-4]'; replaces [sweep.axes]; repeatable",
     )  # fmt: skip
     sweep.add_argument("--workers", type=int, metavar="N", help="processes; default: all cores")
     sweep.add_argument(
@@ -282,8 +304,8 @@ def add_sweep(sweep: _Parser) -> None:
         help="processes here, ranks (mpiexec -n N python -m particlerb sweep ..), or dask",
     )  # fmt: skip
     sweep.add_argument("--address", default="", metavar="URL", help="scheduler of a dask cluster")
-    _add_flag(sweep, "--plot", help="a picture beside the table")
-    _add_output(sweep, "FILE.csv", "table; rows that it has are not run again", "the table")
+    _add_flag(sweep, "--plot", help="also draw a picture of the table")
+    _add_output(sweep, "FILE.csv", "the table; rows already in it are not run again", "the table")
 
 
 def add_stability(stability: _Parser) -> None:
@@ -296,6 +318,10 @@ def add_converge(converge: _Parser) -> None:
     """Add options of `converge`."""
     converge.add_argument("shapes", nargs="*", metavar="SHAPE", help="default: all")
     converge.add_argument(
-        "--most", type=int, default=1_000_000, metavar="N", help="particles of a shape at most"
+        "--most",
+        type=int,
+        default=1_000_000,
+        metavar="N",
+        help="largest number of particles per shape",
     )
     _add_study(converge)

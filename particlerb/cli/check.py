@@ -29,8 +29,8 @@ def check_command(options: argparse.Namespace) -> int:
         told |= {"ranks": shares._asdict()} if shares is not None else {}
         print(json.dumps(told))
     else:
-        print(tamed(f"{options.case} is a case that can be run\n\nplan\n{prepared.text}"))
-        print(f"  its run         {size_text(prepared.system)}; about {wall_time(seconds)}")
+        print(tamed(f"{options.case} is valid\n\nplan\n{prepared.text}"))
+        print(f"  run             {size_text(prepared.system)}; about {wall_time(seconds)}")
         if shares is not None:
             print(_words(options.ranks, shares))
     return DONE

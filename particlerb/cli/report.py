@@ -26,7 +26,7 @@ def _new_log(path: Path) -> TextIO:
     """File for lines, with its head; what is there may only be another log."""
     try:
         if path.exists() and not path.read_bytes().startswith(_HEAD.encode()):
-            raise Ending(f"--log {path} is there and is not a log: give another name")
+            raise Ending(f"--log {path} exists and is not a log: give another name")
         file = path.open("w", encoding="utf-8")
     except OSError as error:
         raise Ending(f"--log {path} cannot be written: {error.strerror}") from None

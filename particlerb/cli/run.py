@@ -266,7 +266,7 @@ def ask_to_stop(number: int, frame: object) -> None:
 
     if not THREADS.is_ending:
         THREADS.is_ending = True
-        print("\nfinishing the frame; once more to stop at once", file=sys.stderr, flush=True)
+        print("\nfinishing this frame; interrupt again to stop now", file=sys.stderr, flush=True)
         return
     THREADS.is_stopping = True
     signal.signal(number, signal.default_int_handler)
@@ -330,8 +330,8 @@ def impulse_text(tally: Floats) -> str:
     text = (
         f"impulses: residual {tally[RESIDUAL]:.2g} in the last step, {tally[WORST_EVER]:.2g} at"
         f" worst, above the tolerance in {tally[UNMET]:.0f} of {tally[STEPS]:.0f} steps;"
-        f" {tally[CONTACTS] / n:.3g} contacts, {tally[SWEEPS] / n:.3g} sweeps and"
-        f" {tally[NEWTON_STEPS] / n:.3g} of Newton's a step;"
+        f" per step {tally[CONTACTS] / n:.3g} contacts, {tally[SWEEPS] / n:.3g} sweeps and"
+        f" {tally[NEWTON_STEPS] / n:.3g} Newton iterations;"
         f" largest overlap {tally[DEEPEST]:.3g} m\nwork: {done}"
     )
     if tally[UNENDED] > 0.0:
@@ -357,15 +357,15 @@ def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
     if outcome.swing > limit:
         found.append(
             "particlerb: warning: all contacts of a body together reached"
-            f" ω dt = {outcome.swing:.3g}: above {limit:.3g} contacts so damped do not come to"
-            f" rest; divide run.dt by {outcome.swing / limit:.2g}"
+            f" ω dt = {outcome.swing:.3g}: above {limit:.3g} contacts with this damping do not"
+            f" come to rest; divide run.dt by {outcome.swing / limit:.2g}"
         )
     if tree is not None and tree.seen > tree.asked:
         angle = other_angle(*tree)
         found.append(
-            f"particlerb: warning: the tree of the attraction came to err by {tree.seen:.2g}, where"
-            f" {tree.asked:.2g} was asked for: the scene has changed since its opening angle was"
-            f" chosen; attraction.opening_angle = {angle:.2g} is right"
+            f"particlerb: warning: the error of the tree of the attraction reached {tree.seen:.2g},"
+            f" above the requested {tree.asked:.2g}: the scene has changed since its opening angle"
+            f" was chosen; set attraction.opening_angle = {angle:.2g}"
         )
     return found
 

@@ -72,7 +72,9 @@ def push(options: argparse.Namespace, server: "viser.ViserServer", access: "Acce
                 break
             server.gui.reset()
             server.scene.reset()
-            server.gui.add_html("<p>making ready; the first time compiles, up to a minute</p>")
+            server.gui.add_html(
+                "<p>preparing; the first start of a scene compiles, up to a minute</p>"
+            )
             options.case, options.overrides = SCENES[live.chosen], []
             live = _live(options, server)
     if not live.is_over:  # a signal has ended it
@@ -91,7 +93,7 @@ def _live(options: argparse.Namespace, server: "viser.ViserServer") -> "Live":
     to_write(path, overwrite=True)  # where it exists, a number is added
     with ending(CaseError):
         system = to_system(case)
-        print("making ready (the first time compiles, some 15 s or longer) ...", file=sys.stderr)
+        print("preparing (the first start compiles, 15 s or longer) ...", file=sys.stderr)
         rehearse(system)
         server.gui.reset()
         return Live(system, server, path, tuple(SCENES))

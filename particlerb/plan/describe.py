@@ -37,7 +37,7 @@ def describe(system: System, plan: Plan, accuracy: str = "") -> str:
         ("particles", _particles_line(system)),
         *system.notes,
         *_acting_lines(system, plan),
-        ("without", _left_out_line(system, plan)),
+        ("left out", _left_out_line(system, plan)),
         ("step", plan.step),
         *([("accuracy", accuracy)] if accuracy else []),
         ("energy balance", _balance_line(plan)),
@@ -54,14 +54,21 @@ def _bodies_line(system: System) -> str:
     """How many bodies of which rotor class."""
     counts = np.bincount(system.bodies.rotor_class, minlength=len(_CLASSES))
     found = zip(counts.tolist(), _CLASSES, strict=True)
-    return ", ".join(f"{n} {name}{'s' * (n > 1)}" for n, name in found if n)
+    return ", ".join(_counted(n, name) for n, name in found if n)
+
+
+def _counted(number: int, noun: str) -> str:
+    """A number with its noun: 1 spring, 3 springs, 3 springs and dashpots."""
+    return f"{number} {noun if number == 1 else noun.replace(' and', 's and') + 's'}"
 
 
 def _particles_line(system: System) -> str:
     """How many particles were summed, how many are kept, and why."""
     kinds = len(system.particles.offset) - 1
     sets = "one set" if kinds == 1 else f"{kinds} sets"
-    line = f"{system.summed.sum()} in {sets}, summed once: motion needs mass, com, tensor"
+    line = (
+        f"{system.summed.sum()} in {sets}, summed once to mass, centre of mass and inertia tensor"
+    )
     kept = np.diff(system.particles.offset)
     is_reduced = kept < system.summed
     if not is_reduced.any():
@@ -70,7 +77,7 @@ def _particles_line(system: System) -> str:
     surface = touching[is_reduced].sum()
     rest = f"{surface} that touch, and " if surface else ""
     why = "nothing attracts them" if surface else "nothing touches or attracts them"
-    return f"{line}; of {system.summed[is_reduced].sum()} are kept {rest}6 points a set: {why}"
+    return f"{line}; kept of {system.summed[is_reduced].sum()}: {rest}6 points per set, as {why}"
 
 
 def _acting_lines(system: System, plan: Plan) -> Iterator[tuple[str, str]]:
@@ -80,7 +87,7 @@ def _acting_lines(system: System, plan: Plan) -> Iterator[tuple[str, str]]:
     if system.attraction is not None:
         yield "attraction", _attraction_line(system.attraction, plan)
     for kind, count in Counter(force.type for force in system.force).items():
-        yield kind, f"{count} of them"
+        yield kind, f"{count} in the case"
     if system.joint:
         yield "joints", joint_line(merged(system), plan)
     if _contacts(plan):
@@ -130,9 +137,9 @@ def _contact_line(system: System, plan: Plan) -> str:
     assert system.contact is not None
     contact = _contacts(plan)[0]
     spheres, walls = contact.model.spheres.radius.size, len(contact.motions)
-    what = f"{spheres} spheres and {walls} walls, {system.contact.law}"
+    what = f"{_counted(spheres, 'sphere')} and {_counted(walls, 'wall')}, {system.contact.law}"
     if contact.n_interior:
-        what += f", {contact.n_interior} spheres inside that nothing can reach left out"
+        what += f", {contact.n_interior} inner spheres left out, which nothing can reach"
     if contact.rules is not None:
         what += f", {_solved(system, plan)}"
     if contact.events is not None:
@@ -230,9 +237,9 @@ def _segment_lines(group: GroupPlan) -> list[str]:
 
 def _segment_line(bodies: Bodies, segment: Segment) -> str:
     """When, how, why."""
-    until = "on" if np.isinf(segment.stop) else f"to {segment.stop:.9g} s"
-    when = f"{segment.start:.9g} s {until}"
-    start = f"after {len(segment.jumps)} impulse(s), " if segment.jumps else ""
+    begin = f"{segment.start:.9g} s"
+    when = f"from {begin}" if np.isinf(segment.stop) else f"{begin} to {segment.stop:.9g} s"
+    start = f"after {_counted(len(segment.jumps), 'impulse')}, " if segment.jumps else ""
     if not has_step(segment.method):
         return f"{when}: {start}{_closed_reason(bodies, segment.terms)}"
     if is_adaptive(segment.method):
@@ -266,8 +273,8 @@ def _driving(terms: Terms) -> str:
         return outside or "driven by nothing, but the case names the method"
     between = []
     if terms.links is not None:
-        kind = "springs" if terms.links.damping is None else "springs and dashpots"
-        between.append(f"{terms.links.first.size} {kind}")
+        kind = "spring" if terms.links.damping is None else "spring and dashpot"
+        between.append(_counted(terms.links.first.size, kind))
     if terms.own_pairs is not None:
         between.append(terms.own_pairs.words)
     if terms.attraction is not None:
@@ -275,5 +282,5 @@ def _driving(terms: Terms) -> str:
     if terms.contact is not None:
         between.append("contact")
     if terms.joints is not None:
-        between.append(f"{(terms.joints.number >= 0).sum()} joints")
+        between.append(_counted(int((terms.joints.number >= 0).sum()), "joint"))
     return f"coupled by {' and '.join(between)}{outside and f', {outside}'}"

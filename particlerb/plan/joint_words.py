@@ -108,12 +108,13 @@ def joint_line(system: System, plan: Plan) -> str:
         n_dependent += own.n_dependent
     lasting = np.repeat(setup.until > 0.0, np.diff(setup.start))
     rows = int((setup.rows.action[lasting] == HOLDS).sum())
-    line = f"{counts}; {bodies} bodies in {clusters} cluster{'s' * (clusters > 1)}, {rows} rows"
+    held = f"{bodies} bod{'ies' if bodies > 1 else 'y'} in {clusters} cluster{'s' * (clusters > 1)}"
+    line = f"{counts}; {held}, {rows} rows"
     if n_dependent:
         names = ", ".join(dependent[:_MOST_NAMED])
         more = ", ..." if len(dependent) > _MOST_NAMED else ""
         line += f", {n_dependent} of them redundant among those of {names}{more}"
-        line += " (of reactions there only sums are determined)"
+        line += " (only sums of their reactions are determined)"
     line = f"{line}; {free} degree{'s' * (free != 1)} of freedom" if bodies else counts
     reasons = why_rows(system)
     line += f"; fixed joints keep their rows because of {' and '.join(reasons)}" if reasons else ""

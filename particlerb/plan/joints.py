@@ -348,7 +348,7 @@ def _refuse_misfits(
         if not off[row] > _ALLOWED or system.joint[number].assemble or number in problems:
             continue
         reason = f"{what.format(name=setup.names[joint])} off by {off[row]:.3g} of its size"
-        hint = "mend it, or give assemble = true to let bodies be moved until it fits"
+        hint = "correct it, or give assemble = true, which moves bodies until it fits"
         if system.joint[number].drive is not None:
             hint += "; bodies begin with the speed of a drive"
         problems[number] = problem_at(system, f"joint[{number}]", reason, hint)
@@ -366,7 +366,7 @@ def _refuse_apart(
         return
     joint = joint_of_row(joints, own.start + int(np.argmax(np.nan_to_num(off, nan=np.inf))))
     reason = f"no pose near the start meets {setup.names[joint]} and the joints about it"
-    hint = "place the bodies nearer to where they belong, or take away a joint that contradicts"
+    hint = "place the bodies nearer to where they belong, or remove a contradicting joint"
     raise CaseError([problem_at(system, f"joint[{int(setup.record[joint])}]", reason, hint)])
 
 

@@ -120,7 +120,7 @@ def step_reason(
         if any(has_step(segment.method) for segment in group.segments)
     ]
     if not stepped:
-        return "no step: nothing is stepped"
+        return "none: every motion has a closed form"
     reasons = dict.fromkeys(chosen.reason for _, chosen in stepped if chosen is not None)
     if reasons:
         return "; ".join(reasons)

@@ -178,8 +178,8 @@ def table(checks: list[Result], most: int) -> str:
     others = ordered[len(shown) :]
     if others:
         n = sum(not check.holds for check in others)
-        verdict = f"{n} of them missed" if n else "all of them ok"
-        lines.append(f"  and {len(others)} more, {verdict}: --json lists each")
+        verdict = f"{n} of them missed" if n else "all ok"
+        lines.append(f"  and {len(others)} more, {verdict}: --json lists them")
     return "\n".join(lines)
 
 

@@ -24,16 +24,16 @@ _SHOWN: Final = {"force": "last force", "omega": "ω", "L": "L", "axes": "princi
 
 
 _HELP: Final = """
-**Push** a body by a click on it, or at the point of the field by the button. *at once* gives the
-impulse force × duration at one instant; else the force acts for its duration and turns with nothing
-but stays on its body point.
+**Push**: click on a body, or give a point and press the button. With *at once* the body gets the
+impulse force × duration at one instant. Without it the force acts for that time: its direction is
+fixed in space, its point moves with the body.
 
-**Numbers**: of the body that was clicked last, and the hand calculation of its last push beside the
-solver. `…` means that a number has more digits: raise *digits* to see them.
+**Numbers** are those of the body that was clicked last. Its last push is compared with a
+calculation by hand. `…` after a number means that it has more digits: raise *digits* to see them.
 
-**Camera**: drag to turn, right button or two fingers to move, wheel to come near.
+**Camera**: drag to rotate, drag with the right button or two fingers to move, wheel to zoom.
 
-**Keep** what you did: *save the session as a case* writes a file that repeats it bit for bit.
+**Save**: *save the session as a case* writes a case file that repeats your pushes bit for bit.
 """
 
 

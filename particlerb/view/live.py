@@ -146,7 +146,7 @@ class Live(Page):
         """Push the body that was clicked on where it was."""
         hit = self.hit_by(event)
         if hit is None:
-            raise ValueError("the click met no body")
+            raise ValueError("no body was clicked")
         self.look_at(hit.body)
         direction = np.array(event.ray_direction, dtype=np.float64)
         view = direction / np.linalg.norm(direction)

@@ -203,11 +203,10 @@ def _why_they_differ(
         return (f"At t = {applied.stop!r} s, right after the impulse.",)
     turn = 2.0 * math.acos(min(1.0, abs(float(applied.orientation @ motion.orientation))))
     if turn > 0.0:
-        told.append(
-            f"The body turned by {math.degrees(turn):.2g}° under it, and its lever arm with it."
-        )
+        angle = f"{math.degrees(turn):.2g}°"
+        told.append(f"The body turned by {angle} during the push, and its lever arm with it.")
     if has_gravity:
-        told.append("Gravity acted too: v differs by g Δt, and ever more later.")
+        told.append("Gravity acted too: v differs by g Δt then, and by more at later times.")
     return tuple(told)
 
 

@@ -455,7 +455,7 @@ BETWEEN = [
         "spring",
         "anchor = [0, 0, 1]\nto_at = [0, 0, 1]",
         "to_at",
-        "has no place beside an anchor",
+        "cannot be given together with an anchor",
         "",
     ),
     ("spring", "reach = 0", "reach", "must be > 0, got 0", ""),
@@ -513,7 +513,7 @@ BETWEEN = [
         "field",
         "field = [0, 0, 1]\ncharge = [1, 2]\nat = [0, 0, 1]",
         "at",
-        "has no place beside a charge for each particle",
+        "cannot be given together with a charge for each particle",
         "",
     ),
 ]
@@ -1048,8 +1048,8 @@ def test_body_is_a_shape_or_parts():
     part = '[[body.part]]\nshape = { type = "rod", length = 1 }\nmass = 1\n'
     found = problems(edited("[[force]]", part + "[[force]]").replace("mass = 2.0\n", ""))
     assert [(p.key, p.reason) for p in found if p.key.startswith("body[1]")] == [
-        ("body[1].shape", "has no place beside [[body.part]]"),
-        ("body[1].density", "has no place beside [[body.part]]"),
+        ("body[1].shape", "cannot be given together with [[body.part]]"),
+        ("body[1].density", "cannot be given together with [[body.part]]"),
     ]
 
 

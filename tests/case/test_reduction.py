@@ -55,7 +55,7 @@ def test_a_large_free_body_keeps_six_points_and_its_motion():
     assert system.reach[0] == pytest.approx(0.5 * (1 - 1 / SIDE) * np.sqrt(14))
     text = describe(system, make_plan(system))
     assert "15626 in 2 sets, summed once" in text
-    assert "of 15625 are kept 6 points a set: nothing touches or attracts them" in text
+    assert "kept of 15625: 6 points per set, as nothing touches or attracts them" in text
 
 
 def test_each_large_kind_has_points_of_its_own():
@@ -72,7 +72,7 @@ def test_contact_keeps_the_surface():
     assert kept(system) == [7, 1]
     agrees(system, 0)
     assert system.particles.radius[:7].tolist() == [0.5] + [0.0] * 6
-    assert "1 that touch, and 6 points a set" in describe(system, make_plan(system))
+    assert "1 that touch, and 6 points per set" in describe(system, make_plan(system))
     untouched = [TOUCHED | {"contact": False}, SMALL]
     assert kept(system_of(untouched, contact=CONTACT)) == [6, 1]
 

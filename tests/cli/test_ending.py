@@ -40,7 +40,7 @@ def test_a_run_with_many_checks_ends_with_ten_lines(tmp_path, capsys, monkeypatc
     assert ending[0].startswith("  MISS position of ball at 0.45 s: error 0.9, allowed 0.5")
     assert ending[1].startswith("  ok   position of ball at 1 s: error 0.01, allowed 0.5")
     n = sum(line.startswith("  ok") for line in ending)
-    assert f"  and {19 - n} more, all of them ok: --json lists each" in ending
+    assert f"  and {19 - n} more, all ok: --json lists them" in ending
     assert main(["ball.toml", "--json", "--overwrite"]) == 3
     assert len(json.loads(capsys.readouterr().out)["checks"]) == 20
 
@@ -52,5 +52,5 @@ def test_checks_that_are_missed_come_first_and_are_counted():
     assert [line.split()[1][0] for line in table(checks, 5).splitlines()] == list("cebda")
     lines = table(checks, 3).splitlines()
     assert len(lines) == 3
-    assert lines[-1] == "  and 3 more, 1 of them missed: --json lists each"
+    assert lines[-1] == "  and 3 more, 1 of them missed: --json lists them"
     assert table([Result("exact", "0", "0", 0.0, 0.0)], 5).startswith("  ok   exact")

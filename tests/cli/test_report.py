@@ -49,7 +49,7 @@ def test_a_log_replaces_a_log_and_nothing_else(tmp_path):
     report.Report(10, 0, True, str(path)).close()
     report.Report(10, 0, True, str(path)).close()
     (tmp_path / "case.toml").write_text("title = 'mine'")
-    with pytest.raises(Ending, match="is there and is not a log"):
+    with pytest.raises(Ending, match="exists and is not a log"):
         report.Report(10, 0, True, str(tmp_path / "case.toml"))
     assert (tmp_path / "case.toml").read_text() == "title = 'mine'"
     with pytest.raises(Ending, match="cannot be written"):

@@ -212,8 +212,8 @@ def test_spheres_that_nothing_can_reach_take_no_part():
     contact, text = contact_in(block())
     assert contact.n_interior == 8
     assert contact.model.spheres.radius.size == 64 - 8 + 1
-    assert "57 spheres and 1 walls" in text
-    assert "8 spheres inside that nothing can reach left out" in text
+    assert "57 spheres and 1 wall" in text
+    assert "8 inner spheres left out, which nothing can reach" in text
     inside = np.abs(contact.model.spheres.arm[:, :-1]).max(axis=0) < 0.2
     assert not inside.any()
 
@@ -230,7 +230,7 @@ def test_what_comes_through_the_gaps_keeps_the_spheres_inside(what):
     contact, text = contact_in(case)
     assert contact.n_interior == 0
     assert contact.model.spheres.radius.size == 65
-    assert "left out" not in text
+    assert "inner spheres" not in text
 
 
 def test_leaving_spheres_out_changes_no_bit(monkeypatch):

@@ -82,7 +82,7 @@ def test_the_force_of_the_page_acts_with_two_files(copy):
     assert work == pytest.approx(-1.5 * x * x, abs=1e-9)
     assert abs(error) < 1e-9
     assert "driven by pull to the origin" in plan
-    assert re.search(r"toy +1 of them", plan)
+    assert re.search(r"toy +1 in the case", plan)
 
 
 @pytest.mark.slow

@@ -166,13 +166,13 @@ def test_plan_gives_a_reason_for_what_is_left_out(make):
     assert text["bodies"] == "1 asymmetric top\n"
     forces = "push, torque, impulse, drag, spring, field, central, magnus, python"
     left_out = "gravity, attraction, joints, contact (no particle has a radius), forces of type"
-    assert text["without"] == f"{left_out} {forces}\n"
+    assert text["left out"] == f"{left_out} {forces}\n"
     assert not {"gravity", "attraction", "joints", "contact", "push"} & text.keys()
-    assert text["step"] == "no step: nothing is stepped\n"
+    assert text["step"] == "none: every motion has a closed form\n"
     assert text["energy balance"].strip().endswith("every force has a potential")
-    assert text["body"] == "0 s on: free, closed form, no step (nothing acts)\n"
+    assert text["body"] == "from 0 s: free, closed form, no step (nothing acts)\n"
     zero = lines(make.case(make.body(), gravity={"acceleration": [0, 0, 0]}))
-    assert zero["without"].startswith("gravity, ")
+    assert zero["left out"].startswith("gravity, ")
 
 
 def test_plan_gives_a_reason_for_what_is_done(make):
@@ -187,8 +187,8 @@ def test_plan_gives_a_reason_for_what_is_done(make):
     gravity = {"acceleration": [0, 0, -9.8]}
     text = lines(make.case(*bodies, force=forces, dt=0.1, gravity=gravity))
     assert text["gravity"] == "(0, 0, -9.8) m/s²\n"
-    assert text["push"] == "3 of them\n"
-    assert text["without"].startswith("attraction, joints, contact (no [contact]), forces of")
+    assert text["push"] == "3 in the case\n"
+    assert text["left out"].startswith("attraction, joints, contact (no [contact]), forces of")
     assert text["step"] == "0.1 s, as the case says\n"
     assert "step by step: a force without potential acts" in text["energy balance"]
     assert text["body"].splitlines() == [
@@ -196,11 +196,11 @@ def test_plan_gives_a_reason_for_what_is_done(make):
         "0.2 s to 0.5 s: driven by gravity and push, strang, 3 steps of 0.1 s",
         "0.5 s to 0.9 s: free, closed form, no step (gravity through the centre of mass:"
         " a parabola)",
-        "0.9 s on: after 1 impulse(s), free, closed form, no step (gravity through the centre of"
+        "from 0.9 s: after 1 impulse, free, closed form, no step (gravity through the centre of"
         " mass: a parabola)",
     ]
     driven = "driven by gravity and load fixed in the body, strang, steps of 0.1 s"
-    assert text["other"] == f"0 s on: {driven}\n"
+    assert text["other"] == f"from 0 s: {driven}\n"
     assert "(gravity and push through the centre of mass: a parabola)" in text["third"]
 
 

@@ -143,7 +143,7 @@ def test_a_push_of_some_time_says_why_it_differs_from_the_hand_calculation(cube)
     cube.page.wait_for_timeout(500)
     told = cube.page.locator(".pb").inner_text()
     assert "At t = 0.02 s, when the push ended." in told
-    assert "The body turned by 0.49° under it" in told
+    assert "The body turned by 0.49° during the push" in told
     before = cube.numbers("solver_v")
     cube.field("gravity").check()
     cube.until(lambda: cube.serving.session.has_gravity, "gravity")
