@@ -37,6 +37,7 @@ from particlerb.rotors.exact import (
     turn_block,
 )
 from particlerb.rotors.tops import N_THETA, prepare_tops
+from particlerb.stepping.centres import translate
 from particlerb.stepping.closed_forms import (
     Levers,
     lever_of,
@@ -45,9 +46,9 @@ from particlerb.stepping.closed_forms import (
     translations_of,
     turned_about,
 )
-from particlerb.stepping.damped_oscillators import DampedOscillator, braked
+from particlerb.stepping.damped_oscillators import DampedOscillator
 from particlerb.stepping.motion import Motion, MotionError, SegmentGroup, constant_force, force_of
-from particlerb.stepping.orbits import Orbit, orbited, orbits_of
+from particlerb.stepping.orbits import Orbit, orbits_of
 from particlerb.stepping.saved_arrays import Saved
 from particlerb.stepping.top_rows import top_block
 from particlerb.stepping.translations import (
@@ -58,10 +59,6 @@ from particlerb.stepping.translations import (
     Oscillator,
     Spinning,
     add_given,
-    carried,
-    damped,
-    parabola,
-    sprung,
     spun,
 )
 
@@ -128,26 +125,6 @@ def _spin(spinning: Spinning | None, lo: int, hi: int, t: float, out: Floats, gi
 
 
 @inline
-def _translate(
-    drag: Damping | None, spring: Oscillator | None, brake: DampedOscillator | None,
-    drift: Floats | None, orbit: Orbit | None, of: Centres, lo: int, t: float, given: Any,
-) -> None:  # fmt: skip
-    """Centres of mass; Numba leaves out what is None."""
-    if drag is not None:
-        damped(of, drag, lo, t, given)
-    if spring is not None:
-        sprung(of, spring, lo, t, given)
-    if brake is not None:
-        braked(of, brake, lo, t, given)
-    if drift is not None:
-        carried(of, drift, lo, t)
-    if orbit is not None:
-        orbited(of, orbit, lo, t, given)
-    if drag is None and spring is None and brake is None and orbit is None:
-        parabola(of, t)
-
-
-@inline
 def _gather(part: _Part, lo: int, n: int, own: Floats) -> None:
     """Copy bodies from `lo` on into rows: x, p, L, force, rotor frame, 1/M, M, 1/I."""
     size = part.inv_mass.size
@@ -174,7 +151,7 @@ def _move_block(
     top_block(part.top, part.near, k, t, hi - lo, out)
     _add_turned(part.top, part.near, lo, hi - lo, out, given)
     drag, spring, brake, drift = part.drag, part.spring, part.braked, part.drift
-    _translate(drag, spring, brake, drift, part.orbit, of, lo, t, given)
+    translate(drag, spring, brake, drift, part.orbit, of, lo, t, given)
 
 
 @kernel
