@@ -290,7 +290,12 @@ class FreeMotion(Motion):
             kind: Any = {"top" if len(table) == N_THETA else "near": blocks}
             frame = bodies.rotor_frame.copy()
             frame[:, own] = quaternion_product(frame[:, own], axes[:, which])
-            part = self.part(own)._replace(rotor_frame=frame, changes_spin=flag(True), **kind)
+            inverse = bodies.inv_inertia.copy()
+            turned = np.stack([rotate(axes[:, which], e[:, None]) for e in np.eye(3)])
+            inverse[:, own] = (turned * turned * inverse[:, own]).sum(axis=1)
+            part = self.part(own)._replace(
+                rotor_frame=frame, inv_inertia=inverse, changes_spin=flag(True), **kind
+            )
             worlds = part_of_worlds(self.group.worlds, own)
             before = over_bodies(work[None, which], worlds), over_bodies(state.L[:, which], worlds)
             first = np.concatenate([before[0], 0.0 * before[1], before[1]], axis=-1)
