@@ -1,17 +1,22 @@
-"""Processes that move one scene together, each a range of its bodies; one alone is the plain case.
+"""Processes that move one scene together; one alone is the plain case.
 
-All they do together is `gathered`: each gives a value and gets those of all, in order. Whoever
-decides anything from values that differ among ranks gathers them first.
+Whoever decides anything from values that differ among ranks gathers them first, and fails
+`together`. Bodies that touch travel among ranks as rows of arrays: `sent`, and in each step
+`swapped`.
 """
 
 import importlib
 import os
 import pickle
 import sys
-from collections.abc import Callable, Mapping
-from typing import Any, Final, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 Result = TypeVar("Result")
+Rows: TypeAlias = NDArray[Any]
 
 _SIZES: Final = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 
@@ -54,6 +59,21 @@ class Ranks:
         del number
         return words
 
+    def largest(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The largest of each number on all ranks."""
+        return values
+
+    def added(self, counts: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The sum of each integer over all ranks."""
+        return counts
+
+    def sent(self, rows: Sequence[Rows]) -> list[Rows]:
+        """Rows from each rank, where each has given some for each: all of one type and width."""
+        return list(rows)
+
+    def swapped(self, given: Mapping[int, Rows], room: Mapping[int, Rows]) -> None:
+        """Send rows to some ranks, and fill the room with those that these send here."""
+
 
 ALONE: Final = Ranks()
 
@@ -61,8 +81,9 @@ ALONE: Final = Ranks()
 class _RanksOfMPI(Ranks):
     """Ranks of a communicator of mpi4py."""
 
-    def __init__(self, communicator: Any) -> None:
-        self.communicator = communicator
+    def __init__(self, mpi: Any) -> None:
+        self.mpi, self.communicator = mpi, mpi.COMM_WORLD
+        communicator = self.communicator
         self.number, self.count = communicator.rank, communicator.size
 
     def gathered(self, value: Result) -> list[Result]:
@@ -101,6 +122,40 @@ class _RanksOfMPI(Ranks):
     def named(self, number: int, words: str) -> str:
         """Words about a rank, which say which one."""
         return f"{words} (rank {number})"
+
+    def largest(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The largest of each number on all ranks."""
+        return self._reduced(values, self.mpi.MAX)
+
+    def added(self, counts: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The sum of each integer over all ranks."""
+        return self._reduced(counts, self.mpi.SUM)
+
+    def _reduced(self, values: Rows, how: Any) -> Rows:
+        """Numbers of all ranks, brought together."""
+        values = np.ascontiguousarray(values)
+        found = np.empty_like(values)
+        self.communicator.Allreduce(values, found, op=how)
+        return found
+
+    def sent(self, rows: Sequence[Rows]) -> list[Rows]:
+        """Rows from each rank, where each has given some for each: all of one type and width."""
+        sizes = np.array([own.nbytes for own in rows])
+        came = np.empty_like(sizes)
+        self.communicator.Alltoall(sizes, came)
+        ends, starts = np.cumsum(came), np.cumsum(came) - came
+        given, room = np.ascontiguousarray(np.concatenate(rows)), np.empty(ends[-1], np.uint8)
+        out = given.reshape(-1).view(np.uint8), (sizes, np.cumsum(sizes) - sizes), self.mpi.BYTE
+        self.communicator.Alltoallv(out, (room, (came, starts), self.mpi.BYTE))
+        form = -1, *given.shape[1:]
+        each = zip(starts.tolist(), ends.tolist(), strict=True)
+        return [room[first:end].view(given.dtype).reshape(form) for first, end in each]
+
+    def swapped(self, given: Mapping[int, Rows], room: Mapping[int, Rows]) -> None:
+        """Send rows to some ranks, and fill the room with those that these send here."""
+        requests = [self.communicator.Irecv(rows, k) for k, rows in room.items()]
+        requests += [self.communicator.Isend(rows, k) for k, rows in given.items()]
+        self.mpi.Request.Waitall(requests)
 
 
 def as_agreed(error: BaseException) -> BaseException:
@@ -151,7 +206,7 @@ def ranks_of_mpi() -> Ranks:
             "--mpi needs mpi4py and a library of MPI: pip install 'particlerb[cluster]', and"
             f" `pip install mpich` or the module of the cluster: {str(error).splitlines()[0]}"
         ) from None
-    ranks = _RanksOfMPI(mpi.COMM_WORLD)
+    ranks = _RanksOfMPI(mpi)
     if ranks.count == 1 and launched() > 1:
         raise NoRanksError(
             f"{launched()} processes were started, and each is alone: mpi4py is built for another"

@@ -111,7 +111,7 @@ def _add_code(command: _Parser) -> None:
 
 def _add_mpi(command: _Parser) -> None:
     """Add --mpi."""
-    words = "share the bodies among the ranks of mpiexec or srun; they must not act on each other"
+    words = "share the bodies among the ranks of mpiexec or srun: see docs/scale.md"
     _add_flag(command, "--mpi", help=words)
 
 

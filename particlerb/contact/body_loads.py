@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.contact.contact_model import ContactList, ContactModel, NeighbourLists, Workspace
-from particlerb.contact.neighbour_list import Incidence
 from particlerb.contact.piston import Pistons
 from particlerb.contact.records import Records, row3, row4
 from particlerb.maths.quaternion import matrix, turn, turn_back
@@ -229,13 +228,32 @@ def _add_to(rows: Floats, at: int, b: int, v: Vec3) -> None:
 
 
 @lean_kernel
-def add_stored_energy(
-    contacts: ContactList, of_bodies: Incidence, world: Ints, energy: Floats
-) -> None:
-    """Add the energy of all normal springs [J] to that of their worlds; `world` of each body."""
-    offset, entry = of_bodies
-    for b in range(world.size):
+def find_stored_energy(model: ContactModel, lists: NeighbourLists, stored: Floats) -> None:
+    """Write the energy of the normal springs of each body [J], (n_bodies,), each spring once.
+
+    A spring between two bodies is of the first of them, or, where that is held, of the second.
+    """
+    spheres, walls, (offset, entry), (wall_offset, wall_entry), _ = lists
+    inv_mass, body = model.inv_mass, model.spheres.body
+    for b in range(stored.size):
+        energy = 0.0
         for k in range(offset[b], offset[b + 1]):
             c = entry[k]
-            if c >= 0 and contacts.active[c]:
-                energy[world[b]] += contacts.forces.elastic_energy[c]
+            if c >= 0:
+                is_own = inv_mass[b] > 0.0
+            else:
+                c = ~c
+                is_own = inv_mass[body[spheres.first[c]]] == 0.0
+            if is_own and spheres.active[c]:
+                energy += spheres.forces.elastic_energy[c]
+        for k in range(wall_offset[b], wall_offset[b + 1]):
+            if walls.active[wall_entry[k]]:
+                energy += walls.forces.elastic_energy[wall_entry[k]]
+        stored[b] = energy
+
+
+@lean_kernel
+def sum_in_bins(values: Floats, bins: Ints, sums: Floats) -> None:
+    """Add the numbers of bodies, in their order, to those of their bins."""
+    for b in range(values.size):
+        sums[bins[b]] += values[b]

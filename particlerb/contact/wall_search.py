@@ -1,7 +1,7 @@
 """Primitives of walls near spheres: lists of them by cells in each wall's frame."""
 
 import math
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 
@@ -166,6 +166,11 @@ class WallSearch:
         self.walls, self.radius = walls, radius
         self.everyone = np.arange(radius.size)
         self.cutoff = -1.0
+        self.lists: _WallLists | None = None  # made where they are first needed
+
+    def go_on(self, before: Self) -> None:
+        """Take the cells over from a search for other spheres at the same walls."""
+        self.cutoff, self.lists = before.cutoff, before.lists
 
     def pairs(
         self, points: Floats, poses: Records, skin: float, which: Ints | None = None
@@ -194,10 +199,10 @@ class WallSearch:
         cutoff = self.radius + skin
         if not which.size or not walls.kind.size:
             return PairList(self.everyone[:0], self.everyone[:0], start)
-        if not self.cutoff * _NARROWER <= cutoff.max() <= self.cutoff:
-            self.cutoff = float(cutoff.max())
-            self.lists = lists_of(walls, self.cutoff, int(_CELLS_PER_SPHERE * n))
         lists = self.lists
+        if lists is None or not self.cutoff * _NARROWER <= cutoff.max() <= self.cutoff:
+            self.cutoff = float(cutoff.max())
+            self.lists = lists = lists_of(walls, self.cutoff, int(_CELLS_PER_SPHERE * n))
 
         def visit(pairs: PairList, is_counting: bool) -> None:
             spread(

@@ -6,7 +6,7 @@ is done where there is no contact, as in `contact_stages`.
 
 from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import inline, kernel
-from particlerb.contact.body_loads import add_stored_energy
+from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
 from particlerb.contact.contact_model import ContactChanges, ContactList, MovingContact
 from particlerb.contact.records import Records
 from particlerb.impulses.records import DEEPEST_NOW, WORST, Impulses
@@ -79,10 +79,9 @@ def store_contacts(contact: MovingContact | None, team: Team | None, frame: int)
         return
     frames, lists, pistons = contact.frames, contact.lists, contact.memory.pistons
     if team.rank == 0:
-        world, energy = contact.setup.model.spheres.world, frames.elastic[frame]
-        energy[:] = 0.0
-        add_stored_energy(lists.spheres, lists.of_spheres, world, energy)
-        add_stored_energy(lists.walls, lists.of_walls, world, energy)
+        frames.elastic[frame, :] = 0.0
+        find_stored_energy(contact.setup.model, lists, frames.stored)
+        sum_in_bins(frames.stored, frames.bins, frames.elastic[frame])
         _store_tally(contact.workspace.impulses, frames.tally, frame)
         for k in range(pistons.size):
             frames.pistons[frame, k] = pistons[k]

@@ -91,9 +91,40 @@ def place_contacts(
     """
     if contact is None or team is None:
         return True
+    reached = place_here(contact, team, pairs, blocks, layout, first, last, instant)
+    return lists_hold(contact, instant, *reached)
+
+
+@kernel
+def place_here(
+    contact: MovingContact,
+    team: Team,
+    pairs: PairTerms | None,
+    blocks: Floats,
+    layout: Layout,
+    first: int,
+    last: int,
+    instant: Instant,
+) -> tuple[float, float, float]:
+    """Place bodies and walls: the first half of `place_contacts`.
+
+    Returns
+    -------
+    path, v, w : float [m, m/s, rad/s]
+        The largest of all bodies of the team: how far a point has moved, speed, angular speed.
+    """
     step_start = contact.workspace.step_start
     step_start.time[0], step_start.before[0] = instant.time, instant.before
     return _place(contact, team, pairs, blocks, layout, first, last, instant)
+
+
+@kernel
+def lists_hold(contact: MovingContact, instant: Instant, path: float, v: float, w: float) -> bool:
+    """Whether the lists hold for the step that follows, by the largest of all bodies.
+
+    The second half of `place_contacts`; ranks tell each other in between.
+    """
+    return _hold(contact, instant, path, v, w)
 
 
 @kernel
@@ -111,7 +142,9 @@ def place_within_step(
     if contact is None or team is None:
         return
     time = contact.workspace.step_start.time[0] + later
-    _place(contact, team, pairs, blocks, layout, first, last, Instant(0.0, 0.0, time, 0.0))
+    instant = Instant(0.0, 0.0, time, 0.0)
+    path, v, w = _place(contact, team, pairs, blocks, layout, first, last, instant)
+    _hold(contact, instant, path, v, w)
 
 
 @inline
@@ -124,10 +157,10 @@ def _place(
     first: int,
     last: int,
     instant: Instant,
-) -> bool:
-    """Do the work of `place_contacts`."""
+) -> tuple[float, float, float]:
+    """Do the work of `place_here`."""
     setup, workspace, lists, memory, _ = contact
-    before, after, time, ahead = instant
+    time, ahead = instant.time, instant.ahead
     model, t, path, v, w = setup.model, memory.start + time, 0.0, 0.0, 0.0
     allowance = _PART_OF_SKIN * setup.skin
     for k in range(first, last):
@@ -143,8 +176,15 @@ def _place(
         place_pistons(setup.pistons, memory.pistons, ahead, workspace.poses)
         if pistons_have_moved(setup.pistons, memory.pistons, allowance):
             path = np.inf
-    path, v, w = largest(team, path, v, w)
-    reached = path
+    return largest(team, path, v, w)
+
+
+@inline
+def _hold(contact: MovingContact, instant: Instant, path: float, v: float, w: float) -> bool:
+    """Do the work of `lists_hold`; all threads write the same."""
+    setup, _, lists, memory, _ = contact
+    before, after, time, _ = instant
+    reached, allowance = path, _PART_OF_SKIN * setup.skin
     if setup.rules is None:
         reached += max(before, after) * (v + 4.0 * w * lists.max_contact_arm)
     extremes = memory.extremes

@@ -154,7 +154,8 @@ class EnergyBalance:
             Each with bodies of its own.
         """
         sizes = _sizes(bodies, com, len(self.initial))
-        R = np.max([of_rank[0].max(axis=0) for of_rank in ranks.gathered(sizes)], axis=0)
+        each = [own.max(axis=0, initial=0.0) for own, _ in ranks.gathered(sizes)]
+        R = np.max(each, axis=0)
         momentum = summed(sizes[1], ranks) * R / duration
         seen = np.stack([momentum * R / duration, momentum, momentum * R])
         seen[0] += np.abs(self.initial[:, 0])
@@ -173,5 +174,8 @@ def _sizes(bodies: Bodies, com: Floats, n_worlds: int) -> Floats:
     reach = lengths(com) + np.sqrt(bodies.inertia.max(axis=0) * bodies.inv_mass)
     n = reach.size
     ranges = [Range(0, n)] if n_worlds > 1 else list(superblocks(n))
-    each = [[v[slice(*own)].reshape(n_worlds, -1) for own in ranges] for v in (reach, bodies.mass)]
-    return np.stack([[of.max(axis=1) for of in each[0]], [of.sum(axis=1) for of in each[1]]])
+    sizes = np.empty((2, len(ranges), n_worlds))
+    for k, own in enumerate(ranges):
+        sizes[0, k] = reach[slice(*own)].reshape(n_worlds, -1).max(axis=1)
+        sizes[1, k] = bodies.mass[slice(*own)].reshape(n_worlds, -1).sum(axis=1)
+    return sizes

@@ -7,8 +7,10 @@ ranks are cut there too, in parts that depend on the number of bodies only.
 from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from particlerb.compiled.threads import BLOCK
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.ranks import ALONE, Ranks
 
 SUPERBLOCK = 256 * BLOCK
@@ -40,6 +42,30 @@ def own_parts(n_parts: int, ranks: Ranks) -> range:
     return range(first, stop)
 
 
+def writers(n_parts: int, n_ranks: int) -> Ints:
+    """Rank that moves and writes each part: see `own_parts`."""
+    stops = np.array([k * n_parts // n_ranks for k in range(1, n_ranks + 1)])
+    return stops.searchsorted(np.arange(n_parts), side="right")
+
+
+def range_of(n: int, ranks: Ranks) -> Range:
+    """Bodies, of n, that a rank writes: those of its parts; none where there are fewer of these."""
+    ranges = parts_of(n)
+    own = own_parts(len(ranges), ranks)
+    if not own:
+        return Range(0, 0)
+    return Range(ranges[own[0]].first, ranges[own[-1]].stop)
+
+
+def over_blocks(blocks: Floats) -> Floats:
+    """Sums of blocks of bodies, (T, n_blocks, ..), over each superblock, (S, T, ..)."""
+    ranges = list(superblocks(blocks.shape[1] * BLOCK))
+    sums = np.empty((len(ranges), blocks.shape[0], *blocks.shape[2:]))
+    for total, (first, stop) in zip(sums, ranges, strict=True):
+        np.add.reduce(blocks[:, first // BLOCK : stop // BLOCK], axis=1, out=total)
+    return sums
+
+
 def summed(own: Sequence[Floats], ranks: Ranks = ALONE) -> Floats:
     """Sum over all superblocks, in their order; `own` has one array for each of this rank.
 
@@ -53,3 +79,11 @@ def summed(own: Sequence[Floats], ranks: Ranks = ALONE) -> Floats:
     for row in rows[1:]:
         total += row
     return total
+
+
+def sum_by_number(values: Floats, number: Ints, ranks: Ranks = ALONE) -> float:
+    """Sum of values of bodies, (n,), in the order of their numbers, superblock by superblock."""
+    room = np.zeros(int(number.max(initial=-1)) + 1)
+    room[number] = values
+    own = [room[first:stop].sum() for first, stop in superblocks(room.size)]
+    return float(summed(own, ranks))

@@ -248,7 +248,7 @@ def totals(
         What `sums_over` gives of superblocks, where it is known.
     """
     each = list(superblocks(bodies.mass.size)) if n_worlds == 1 else [None]
-    known = known or [None] * len(each)
+    known = known if len(known) == len(each) else [None] * len(each)  # one where bodies touch
     own = [
         sums_over(frames, bodies, gravity, n_worlds, of) if sums is None else sums
         for of, sums in zip(each, known, strict=True)

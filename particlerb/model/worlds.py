@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.superblocks import over_blocks, summed
 
 
 class WorldsDifferError(Exception):
@@ -82,7 +83,7 @@ def bins_of(block: Ints, worlds: Worlds | None) -> Ints:
     if worlds is None:
         return block
     n_worlds, bins = len(worlds.bodies), np.empty(worlds.bodies.size, dtype=np.int64)
-    bins[worlds.bodies] = (int(block[-1]) + 1) * np.arange(n_worlds)[:, None] + block
+    bins[worlds.bodies] = (int(block.max()) + 1) * np.arange(n_worlds)[:, None] + block
     return bins
 
 
@@ -102,8 +103,11 @@ def bins_among(which: Ints, worlds: Worlds | None, size: int) -> tuple[Ints, int
 
 
 def over_bins(sums: Floats, worlds: Worlds | None) -> Floats:
-    """Sums over the bins, (T, bins, 7), of one scene or of each world: (T, 7), (T, n_worlds, 7)."""
+    """Sums over the bins, (T, bins, ..), of one scene or of each world: (T, ..), (T, n_worlds, ..).
+
+    Those of one scene are blocks of 256 bodies, and are summed by superblocks.
+    """
     if worlds is None:
-        return np.asarray(sums.sum(axis=1))
-    n_worlds, (n_frames, bins, width) = len(worlds.bodies), sums.shape
-    return np.asarray(sums.reshape(n_frames, n_worlds, bins // n_worlds, width).sum(axis=2))
+        return summed(list(over_blocks(sums)))
+    n_worlds, (n_frames, bins, *width) = len(worlds.bodies), sums.shape
+    return np.asarray(sums.reshape(n_frames, n_worlds, bins // n_worlds, *width).sum(axis=2))

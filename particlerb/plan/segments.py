@@ -30,7 +30,7 @@ from particlerb.plan.joint_drives import drives_from
 from particlerb.plan.known_courses import Stretch, with_known_courses
 from particlerb.rotors.rotor_class import POINT
 from particlerb.stepping.closed_forms import has_closed_form
-from particlerb.stepping.motion import SegmentGroup
+from particlerb.stepping.motion import SegmentGroup, Shared
 
 Needs: TypeAlias = dict[str, frozenset[str]]
 _NEEDS: Final = {
@@ -64,10 +64,11 @@ class GroupPlan(NamedTuple):
     bodies: Bodies  # their constants
     segments: tuple[Segment, ...]  # to infinity
     worlds: Worlds | None = None  # scenes that share the group, if they are several
+    shared: Shared | None = None  # where ranks share bodies that touch
 
     def group(self, segment: Segment) -> SegmentGroup:
         """What a method needs for one segment."""
-        return SegmentGroup(self.members, self.bodies, segment.terms, self.worlds)
+        return SegmentGroup(self.members, self.bodies, segment.terms, self.worlds, self.shared)
 
 
 class Plan(NamedTuple):

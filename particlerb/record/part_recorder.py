@@ -44,7 +44,7 @@ class PartRecorder:
     def __init__(self, system: System, ranks: Ranks, parts: Parts) -> None:
         self.system, self.ranks, self.parts = system, ranks, parts
         self.numbers = own_parts(len(parts.ranges), ranks)
-        self.first = parts.ranges[self.numbers[0]].first
+        self.first = parts.ranges[self.numbers[0]].first if self.numbers else 0
         self.own: list[tuple[Range, Recorder]] = []
         self.master: Recorder | None = None
         self.replaced: Path | None = None  # folder of parts of a master that is to be replaced
@@ -180,12 +180,12 @@ class PartRecorder:
 
     def commit_if_due(self, checkpoint: _Checkpoint | None) -> None:
         """Commit what has waited for a second, on all ranks where the first one says so."""
-        start, first = time.monotonic(), self.recorders[0]
+        start, first = time.monotonic(), self.recorders[:1]
         is_due = start - self.last_commit > SECONDS_BETWEEN_COMMITS
         allowed = SHARE_OF_CHECKPOINTS * (start - self.last_checkpoint)
         saves = checkpoint is not None and allowed >= self.seconds_for_checkpoint
         is_due, saves = self.ranks.gathered((is_due, saves))[0]
-        if not is_due or first.n_frames < first.known:
+        if not is_due or any(own.n_frames < own.known for own in first):
             return
         if saves and checkpoint is not None:
             self.save_checkpoint(checkpoint)

@@ -74,7 +74,7 @@ def batches(system: System, done: int = 0, ranks: Ranks = ALONE) -> Iterator[Bat
     shows progress and can be interrupted. Large ones end where chunks of the file do, as far as
     their sizes allow: whole chunks are written without a copy. All ranks take the same.
     """
-    most = int(min(max(_BATCH_BYTES // (system.n_bodies * 13 * 8), 1), BATCH_FRAMES))
+    most = int(min(max(_BATCH_BYTES // (max(system.n_bodies, 1) * 13 * 8), 1), BATCH_FRAMES))
     n, whole = frame_count(system.run), _whole_frames(system.run)
     probes = _probe_times(system)
     if done:

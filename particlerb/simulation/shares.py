@@ -1,22 +1,26 @@
 """The share of one rank in a scene: its bodies, and the groups that move them."""
 
+from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from particlerb.case.run import frame_count
 from particlerb.forces import Terms
-from particlerb.model.superblocks import Range, own_parts, parts_of
-from particlerb.plan.segments import chosen, is_coupled
+from particlerb.forces.registry import term_of
+from particlerb.model.bodies import taken
+from particlerb.model.superblocks import Range, own_parts, parts_of, range_of
+from particlerb.model.system import System
+from particlerb.plan.segments import GroupPlan, chosen, is_coupled
 from particlerb.ranks import NoRanksError, Ranks
 from particlerb.record.file_size import estimated_size
 from particlerb.simulation.whole_run import Prepared
+from particlerb.stepping.motion import Shared
 
 BYTES_SET_UP: Final = 720  # of memory for each body of the scene, pushed: benchmarks/ranks.py
 BYTES_MOVED: Final = 2050  # beside these for each body that a rank moves, likewise
 BYTES_SAVED: Final = 200  # of a checkpoint for each body, likewise
 _COUPLING: Final = {
-    "contact": "contact",
     "links": "springs between bodies",
     "own_pairs": "forces between bodies",
     "attraction": "attraction",
@@ -28,18 +32,22 @@ def refuse_coupled(prepared: Prepared) -> None:
     """Raise NoRanksError where bodies act on each other: they cannot be shared among ranks."""
     system, groups = prepared.system, prepared.plan.groups
     coupled: list[Terms] = [s.terms for g in groups if is_coupled(g) for s in g.segments]
+    if names := _coupling(system, coupled):
+        raise NoRanksError(
+            f"--mpi shares bodies that do not act on each other: this case has {', '.join(names)};"
+            " free bodies, those that forces of the world push, and those that touch with springs"
+            " may run so, others without --mpi"
+        )
+
+
+def _coupling(system: System, all_terms: Sequence[Terms]) -> list[str]:
+    """What bodies do to each other without touching."""
     names = [
         name
         for key, name in _COUPLING.items()
-        if any(getattr(terms, key) is not None for terms in coupled)
+        if any(getattr(terms, key) is not None for terms in all_terms)
     ]
-    if system.joint and "joints" not in names:
-        names.append("joints")
-    if names:
-        raise NoRanksError(
-            f"--mpi shares bodies that do not act on each other: this case has {', '.join(names)};"
-            " free bodies and those that forces of the world push may run so, others without --mpi"
-        )
+    return names + ["joints"] * bool(system.joint and "joints" not in names)
 
 
 def share_of(n_bodies: int, ranks: Ranks) -> Range:
@@ -67,8 +75,12 @@ def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
     Raises
     ------
     NoRanksError
-        If bodies act on each other, or ranks are too many.
+        If bodies act on each other in a way that ranks cannot share, or ranks are too many.
     """
+    touching = [group for group in prepared.plan.groups if _touches(group)]
+    if touching:
+        refuse_contact(prepared, ranks)
+        return _part_of_touching(prepared, touching[0], ranks)
     refuse_coupled(prepared)
     first, stop = share_of(prepared.system.n_bodies, ranks)
     groups = []
@@ -78,6 +90,60 @@ def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
             groups.append(chosen(group, own, group.members[own] - first))
     plan = prepared.plan._replace(groups=tuple(groups))
     return prepared._replace(system=prepared.system.part(first, stop), plan=plan, first=first)
+
+
+def _touches(group: GroupPlan) -> bool:
+    """Whether bodies of a group touch."""
+    return any(segment.terms.contact is not None for segment in group.segments)
+
+
+def _part_of_touching(prepared: Prepared, group: GroupPlan, ranks: Ranks) -> Prepared:
+    """Bodies that a rank shows and writes; whom it moves changes on the way."""
+    system = prepared.system
+    first, stop = range_of(system.n_bodies, ranks)
+    own = np.flatnonzero((group.members >= first) & (group.members < stop))
+    whole = group.group(group.segments[0])
+    shared = Shared(whole, taken(system.state, group.members), ranks)
+    bodies = taken(group.bodies, own)
+    part = group._replace(members=group.members[own] - first, bodies=bodies, shared=shared)
+    plan = prepared.plan._replace(groups=(part,))
+    return prepared._replace(system=system.part(first, stop), plan=plan, first=first)
+
+
+def refuse_contact(prepared: Prepared, ranks: Ranks) -> None:
+    """Raise NoRanksError where ranks cannot share what touches; it says what it is."""
+    found = list(_unshared(prepared.system, prepared.plan.groups))
+    if found:
+        raise NoRanksError(
+            f"--mpi shares clumps with springs in their contacts, and this case has"
+            f" {', '.join(found)}: run it without --mpi"
+        )
+    n = int((prepared.plan.groups[0].bodies.inv_mass > 0.0).sum())
+    if ranks.count > n:
+        raise NoRanksError(f"{ranks.count} ranks are too many for {n} bodies that move")
+
+
+def _unshared(system: System, groups: tuple[GroupPlan, ...]) -> Iterator[str]:
+    """What there is that ranks cannot share where bodies touch."""
+    all_terms = [segment.terms for group in groups for segment in group.segments]
+    yield from _coupling(system, all_terms)
+    for terms in all_terms:
+        contact = terms.contact
+        if contact is not None and not terms.has_springy_contact:
+            yield 'the law "impulse" or "events"'
+        if contact is not None and contact.pistons is not None:
+            yield "walls that slide under a load"
+        if contact is not None and contact.with_output:
+            yield "[output] fields of contacts"
+        loads = [term_of(load) for load in terms.loads]
+        if any(load.work is not None or load.energy is not None for load in loads):
+            yield "forces with a potential beside gravity"
+    if len(groups) > 1:
+        yield "bodies that touch nothing beside those that do"
+    if any(len(group.segments) > 1 or group.segments[0].jumps for group in groups):
+        yield "forces that begin or end during the run, or impulses"
+    methods = {segment.method for group in groups for segment in group.segments}
+    yield from (f"the method {name}" for name in sorted(methods - {"strang"}))
 
 
 class Shares(NamedTuple):
@@ -108,6 +174,8 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
         As `part_of`.
     """
     refuse_coupled(prepared)
+    if any(_touches(group) for group in prepared.plan.groups):
+        raise NoRanksError("--ranks knows nothing yet of bodies that touch")
     system, ranks = prepared.system, Ranks()
     ranks.count = n_ranks
     ranks.number = n_ranks - 1  # the last rank has most parts

@@ -60,6 +60,7 @@ class Run:
     def __init__(self, prepared: Prepared, ranks: Ranks = ALONE) -> None:
         self.system, plan, self.ranks = prepared.system, prepared.plan, ranks
         self.number_of_first = prepared.first
+        self.is_shared = any(group.shared for group in plan.groups)  # a motion is that of all ranks
         self.moving = merged(self.system)  # with bodies that move as one
         self.gravity = self.system.acceleration
         initial = as_frame(self.moving.bodies, self.moving.state)
@@ -96,7 +97,11 @@ class Run:
     def initial_energies(self, frame: Frames) -> Energies:
         """Energies of a first frame beside those of the bodies themselves."""
         each = [initial_energies(runs, frame) for runs in self.superblocks]
-        return Energies(*(summed(own, self.ranks) for own in zip(*each, strict=True)))
+        return Energies(*(self.over_ranks(own) for own in zip(*each, strict=True)))
+
+    def over_ranks(self, own: Sequence[Floats]) -> Floats:
+        """Sum over superblocks of all ranks of what their motions return."""
+        return summed(own, ALONE if self.is_shared else self.ranks)
 
     def totals_of(
         self,
@@ -204,8 +209,8 @@ class Run:
         if self.setup is not None:
             self.joints = room_for_values(self.setup, times.size)
         given, beside, known = self.ranks.together(lambda: self.record(times, frames))
-        booked = summed(given, self.ranks)
-        energies = Energies(*(summed(own, self.ranks) for own in zip(*beside, strict=True)))
+        booked = self.over_ranks(given)
+        energies = Energies(*(self.over_ranks(own) for own in zip(*beside, strict=True)))
         self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
         booked += self.before
         now = self.totals_of(frames, *energies, known=known)

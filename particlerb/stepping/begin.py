@@ -9,6 +9,7 @@ from particlerb.model.state import State
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.adaptive import AdaptiveMotion
 from particlerb.stepping.adaptive_coupled import CoupledAdaptiveMotion
+from particlerb.stepping.brick_motion import BrickMotion
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.event_motion import EventMotion
 from particlerb.stepping.free_motion import FreeMotion
@@ -51,23 +52,36 @@ def begin(
         adaptive = CoupledAdaptiveMotion if group.terms.is_coupled else AdaptiveMotion
         return adaptive(method, group, state, start, dt, tolerance)
     if group.terms.contact is not None:
-        flies = group.worlds is None and can_fly(method, group.terms, group.members.size)
-        motion = DiluteMotion if flies else ContactMotion
-        motion = motion if group.terms.has_springy_contact else ImpulseMotion
-        keeps = None if before is None else before.contact_start()
-        if keeps is None:
-            return motion(method, group, state, start, dt)
-        contact = group.terms.contact._replace(pistons=keeps.pistons)
-        group = group._replace(terms=group.terms._replace(contact=contact))
-        begun = motion(method, group, state, start, dt, histories=keeps.histories)
-        begun.impulse_tally()[:] = keeps.tally
-        return begun
+        return _begin_touching(method, group, state, start, dt, before)
     parts: list[tuple[Ints, Motion]] = []
     for which in _parts_of(method, group):
         part = group if which.size == group.members.size else part_of(group, which)
         first = state if part is group else taken(state, which)
         parts.append((which, SteppedMotion(method, part, first, start, dt)))
     return parts[0][1] if len(parts) == 1 else CompositeMotion(tuple(parts))
+
+
+def _begin_touching(
+    method: Method, group: SegmentGroup, state: State, start: float, dt: float,
+    before: Motion | None,
+) -> Motion:  # fmt: skip
+    """The same of bodies that touch, by a fixed step."""
+    contact, shared = group.terms.contact, group.shared
+    assert contact is not None
+    if shared is not None and shared.ranks.count > 1:
+        return BrickMotion(method, shared, group, start, dt)
+    may_fly = group.worlds is None and shared is None  # on ranks all are stepped
+    flies = may_fly and can_fly(method, group.terms, group.members.size)
+    motion = DiluteMotion if flies else ContactMotion
+    motion = motion if group.terms.has_springy_contact else ImpulseMotion
+    keeps = None if before is None else before.contact_start()
+    if keeps is None:
+        return motion(method, group, state, start, dt)
+    contact = contact._replace(pistons=keeps.pistons)
+    group = group._replace(terms=group.terms._replace(contact=contact))
+    begun = motion(method, group, state, start, dt, histories=keeps.histories)
+    begun.impulse_tally()[:] = keeps.tally
+    return begun
 
 
 def _parts_of(method: Method, group: SegmentGroup) -> list[Ints]:

@@ -11,7 +11,7 @@ from particlerb.contact.contact_frequency import contact_frequency
 from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.missed_pairs import Missed, Watch, WatchedBodies, bounding_radii, peak_speed
 from particlerb.contact.wall_motion import motion_in
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.stepping.motion import MotionError, SegmentGroup
 
 STABLE: Final = 2.0  # largest ω dt of a piston, and of contacts where no step is stable
@@ -45,16 +45,24 @@ class ContactChecks:
         Of missed pairs, that continues from motions before this one.
     limit : float
         ω dt above which the method lets bodies on undamped contacts grow without bound; 0: always.
+    own : ndarray, shape (n,), optional
+        Bodies whose contacts are all known; left out: all.
     """
 
     def __init__(
-        self, group: SegmentGroup, dt: float, watch: Watch | None = None, limit: float = STABLE
+        self,
+        group: SegmentGroup,
+        dt: float,
+        watch: Watch | None = None,
+        limit: float = STABLE,
+        own: Bools | None = None,
     ) -> None:
         contact = group.terms.contact
         assert contact is not None
         spheres, n = contact.model.spheres, group.members.size
         self.members, self.dt, self.limit = group.members, dt, limit or STABLE
         self.watch = watch or Watch()
+        self._is_left_out = np.zeros(n, dtype=np.bool_) if own is None else ~own
         self._radius = np.full(n, np.inf)
         np.minimum.at(self._radius, spheres.body, spheres.radius)
         self._bound = bounding_radii(spheres, n)
@@ -91,7 +99,7 @@ class ContactChecks:
             np.ascontiguousarray(rows.angular_speed),
             self._bound,
             extra,
-            np.zeros(n, dtype=np.bool_),
+            self._is_left_out,
         )
         speeds = np.array([peak_speed(motion, self.dt) for motion in self._motions])
         missed = self.watch.look(model, contact.lists, bodies, workspace.poses, speeds, self.dt)

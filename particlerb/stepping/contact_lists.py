@@ -6,7 +6,7 @@ the same lists wherever it runs.
 
 import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from particlerb.contact.neighbour_list import (
 )
 from particlerb.contact.records import (
     STAGES,
+    Records,
     columns_of,
     forces_record,
     from_floats,
@@ -37,7 +38,7 @@ from particlerb.contact.records import (
 from particlerb.contact.sphere_search import LARGEST_NUMBER, SphereSearch
 from particlerb.contact.wall_motion import farthest_distances, motion_in, wall_displacement
 from particlerb.contact.wall_search import WallSearch, find_wall_shells
-from particlerb.maths.vec3 import Floats, Indices, Ints
+from particlerb.maths.vec3 import Bools, Floats, Indices, Ints
 from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved
 
@@ -61,6 +62,13 @@ class Lasted(NamedTuple):
     step_cost: float  # [ns] of a step, roughly
 
 
+class WallsAhead(NamedTuple):
+    """How long lists hold as walls move [s], and how far these may move until then [m]."""
+
+    duration: float
+    displacement: float
+
+
 class ContactLists:
     """Lists of the pairs of a group that may touch, made anew where they are used up.
 
@@ -74,6 +82,8 @@ class ContactLists:
         What contacts of spheres with these numbers, and with walls, keep from earlier steps.
     with_stages : bool
         Whether springs take several slopes in a step.
+    own : ndarray, shape (n_bodies,), optional
+        Bodies whose contacts are asked for; left out: all.
     """
 
     def __init__(
@@ -83,13 +93,15 @@ class ContactLists:
         numbers: Ints | None = None,
         histories: Histories | None = None,
         with_stages: bool = False,
+        own: Bools | None = None,
     ) -> None:
         spheres, walls = contact.model.spheres, contact.model.walls
         n_spheres = spheres.radius.size
         self.contact, self.dt, self.with_stages = contact, dt, with_stages
         self.skin = self.least_skin = contact.skin
-        self.count = 0  # lists so far
-        self.cost = _TO_MAKE + _TO_MAKE_SPHERE * n_spheres  # [ns]
+        self.count, self.n_pairs = 0, 0  # lists so far; pairs in the last of them
+        self.own = own
+        self.count_cost(n_spheres)
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
         with_rolling = contact.model.law.rolling is not None
@@ -97,11 +109,21 @@ class ContactLists:
         self.histories = histories or (empty_history(self.record),) * 2
         self._search = SphereSearch(spheres.radius, spheres.body, spheres.apart, spheres.world)
         self._walls = WallSearch(walls, spheres.radius)
+        self._at_walls = None if own is None else np.flatnonzero(own[spheres.body])
         self._primitives = np.arange(walls.kind.size)
         self._max_contact_arm = float((contact.max_arm + 2.0 * spheres.radius.max()).max())
         corners = np.abs(walls.parameter[:, :3]).max(initial=0.0)
         self._extent = math.sqrt(3.0) * float(corners) + float(spheres.radius.max())
         self._buffers: dict[str, Floats] = {}
+
+    def count_cost(self, n_spheres: int) -> None:
+        """Reckon with lists of so many spheres [ns]."""
+        self.cost = _TO_MAKE + _TO_MAKE_SPHERE * n_spheres
+
+    def go_on(self, before: Self) -> None:
+        """Go on from lists of other bodies of the same scene."""
+        self.skin, self.count, self.n_pairs = before.skin, before.count, before.n_pairs
+        self._walls.go_on(before._walls)
 
     def empty(self, n: int) -> NeighbourLists:
         """Lists without a pair, of n bodies."""
@@ -113,25 +135,36 @@ class ContactLists:
         alone = incidence(none.astype(np.int64), none.astype(np.int64), n)
         return NeighbourLists(spheres, walls, alone, alone, self._max_contact_arm)
 
+    def prepare(self, corners: Floats, poses: Records, now: float, lasted: Lasted) -> WallsAhead:
+        """Fit the skin of the next lists, and look how long they hold as walls move.
+
+        Parameters
+        ----------
+        corners : ndarray, shape (3, 2) [m]
+            Of the box around the centres of all spheres.
+        poses : records POSE
+            Of the walls.
+        now : float [s]
+        lasted : Lasted
+        """
+        reach = farthest_distances(self.motions, now, corners)
+        self._fit_skin(corners, poses, reach, lasted)
+        return self.walls_ahead(lasted.steps, reach)
+
     def make(
-        self,
-        old: NeighbourLists,
-        workspace: Workspace,
-        memory: ContactMemory,
-        time: float,
-        lasted: Lasted,
+        self, workspace: Workspace, memory: ContactMemory, time: float, ahead: WallsAhead
     ) -> tuple[NeighbourLists, float]:
         """Lists of what may touch where bodies and walls are placed, and until when they hold [s].
 
         `time` [s] is that since the segment began.
         """
         self.count += 1
+        duration, displacement = ahead
         points = np.ascontiguousarray(workspace.xyzr[:, :3].T)
-        reach = farthest_distances(self.motions, memory.start + time, points)
-        self._fit_skin(old, workspace, reach, lasted)
-        first, second, _ = self._search.pairs(points, self.skin)
-        duration, displacement = self.walls_ahead(lasted.steps, reach)
-        near = self._walls.pairs(points, workspace.poses, self.skin + displacement)
+        first, second = self._own_pairs(*self._search.pairs(points, self.skin)[:2])
+        cutoff = self.skin + displacement
+        near = self._walls.pairs(points, workspace.poses, cutoff, self._at_walls)
+        self.n_pairs = self._counted(first, second) + near.first.size
         spheres, walls = self.contact.model.spheres, self.contact.model.walls
         shell = np.empty(first.size, dtype=np.int64)
         find_shells((first, second), workspace.xyzr, self.skin, shell)
@@ -151,8 +184,24 @@ class ContactLists:
         )
         return lists, time + duration
 
+    def _own_pairs(self, first: Ints, second: Ints) -> tuple[Ints, Ints]:
+        """Those of pairs of spheres that a body has whose contacts are asked for."""
+        if self.own is None:
+            return first, second
+        body = self.contact.model.spheres.body
+        which = np.flatnonzero(self.own[body[first]] | self.own[body[second]])
+        return first[which], second[which]
+
+    def _counted(self, first: Ints, second: Ints) -> int:
+        """How many pairs of spheres; of those that others have too only the own."""
+        if self.own is None:
+            return first.size
+        model = self.contact.model
+        a, b = model.spheres.body[first], model.spheres.body[second]
+        return int(self.own[np.where(model.inv_mass[a] > 0.0, a, b)].sum())
+
     def _fit_skin(
-        self, lists: NeighbourLists, workspace: Workspace, reach: Sequence[float], lasted: Lasted
+        self, corners: Floats, poses: Records, reach: Sequence[float], lasted: Lasted
     ) -> None:
         """Widen the skin where making lists costs more than going through them, and the reverse.
 
@@ -161,11 +210,10 @@ class ContactLists:
         """
         skin, steps = self.skin, lasted.steps
         if steps > 0 and not self.contact.is_skin_fixed:
-            n_pairs = lists.spheres.first.size + lists.walls.first.size
             have_moved = lasted.have_moved or (
                 wall_displacement(self.motions, 2 * steps * self.dt, reach) > skin
             )
-            if self.cost <= _TO_USE * n_pairs * steps:
+            if self.cost <= _TO_USE * self.n_pairs * steps:
                 skin = max(skin / _SKIN_FACTOR, self.least_skin)
             elif (
                 have_moved
@@ -173,11 +221,11 @@ class ContactLists:
                 and steps < _MOST_STEPS
             ):
                 skin *= _SKIN_FACTOR
-        places = workspace.xyzr[:, :3], workspace.poses.position
+        places = corners, poses.position
         farthest = sum(float(np.abs(x).max(initial=0.0)) for x in places)
         self.skin = min(skin, _LARGEST_SKIN * 2.0 * (math.sqrt(3.0) * farthest + self._extent))
 
-    def walls_ahead(self, lasted: int, reach: Sequence[float]) -> tuple[float, float]:
+    def walls_ahead(self, lasted: int, reach: Sequence[float]) -> WallsAhead:
         """How long lists hold as walls move [s], and how far these may move until then [m].
 
         Up to twice the steps that the last ones have lasted, and no farther than the skin.
@@ -185,12 +233,12 @@ class ContactLists:
         steps, skin = min(max(_FEW_STEPS, 2 * lasted), _MOST_STEPS), self.skin
         sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
         if not to_floats(self.contact.motions)[:, 3:].any():
-            return _MOST_STEPS * self.dt, sliding
+            return WallsAhead(_MOST_STEPS * self.dt, sliding)
         reach = [far + skin for far in reach]  # as bodies move
         while steps > 1 and wall_displacement(self.motions, steps * self.dt, reach) > skin:
             steps //= 2
         ahead = wall_displacement(self.motions, (steps + 1) * self.dt, reach)
-        return steps * self.dt, ahead + sliding
+        return WallsAhead(steps * self.dt, ahead + sliding)
 
     def _contacts(
         self, which: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], shell: Ints
@@ -244,3 +292,4 @@ class ContactLists:
             ContactHistory(saved["keys.1"], saved["rows.1"], to_floats(walls)),
         )
         self.skin, self.count = float(saved["skin"]), int(saved["count"])
+        self.n_pairs = lists.spheres.first.size + lists.walls.first.size

@@ -4,14 +4,13 @@ The loop over steps stops where the lists of pairs that may touch are used up; t
 made, and checks look whether the run is right. Threads share each step.
 """
 
-import math
 from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
 
 from particlerb.compiled.barrier import ALONE, Team, together
-from particlerb.contact.body_loads import add_stored_energy
+from particlerb.compiled.threads import BLOCK
 from particlerb.contact.contact_model import (
     ContactChanges,
     ContactFrames,
@@ -20,15 +19,11 @@ from particlerb.contact.contact_model import (
     Growth,
     Instant,
     MovingContact,
+    NeighbourLists,
     Slope,
     Workspace,
 )
-from particlerb.contact.contact_output import (
-    ContactOutput,
-    contact_output,
-    contact_rows,
-    wall_centres,
-)
+from particlerb.contact.contact_output import ContactOutput
 from particlerb.contact.missed_pairs import Watch
 from particlerb.contact.piston import initial_piston_state, piston_energies
 from particlerb.contact.records import (
@@ -37,18 +32,20 @@ from particlerb.contact.records import (
     PISTON,
     POSE,
     STEP_START,
-    Records,
     to_floats,
     zero_records,
 )
 from particlerb.impulses.records import Impulses
+from particlerb.integrators.contact_copies import store_contacts
 from particlerb.integrators.contact_stages import find_contact_forces, place_contacts
 from particlerb.integrators.method import Method
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import Frames, State
-from particlerb.model.worlds import over_bodies, shape_of
+from particlerb.model.superblocks import sum_by_number
+from particlerb.model.worlds import bins_of, shape_of
 from particlerb.stepping.contact_checks import ContactChecks, is_due
-from particlerb.stepping.contact_lists import ContactLists, Histories, Lasted
+from particlerb.stepping.contact_frames import output_of
+from particlerb.stepping.contact_lists import ContactLists, Histories, Lasted, WallsAhead
 from particlerb.stepping.loop import (
     Copies,
     Position,
@@ -89,6 +86,7 @@ class ContactMotion(SteppedMotion):
     """
 
     room_for_tally = 0  # numbers that are counted of impulses
+    share = 1.0  # of the costs that are this process's own
 
     def __init__(
         self,
@@ -101,17 +99,38 @@ class ContactMotion(SteppedMotion):
         histories: Histories | None = None,
         watch: Watch | None = None,
     ) -> None:
+        super().__init__(method, group, state, start, dt)
+        self.begin_contact(state, numbers, histories, watch)
+        self.set_off(numbers is None)
+
+    def set_off(self, looks: bool) -> None:
+        """Make the first lists; who steps some of more bodies looks at stability itself."""
+        self.looks = looks
+        self.grid_step, self.list_step = 0, 0  # on the grid: now, and when lists were made
+        self.farthest = 0.0  # [m] path of a body so far, at new lists
+        self.contacts: dict[int, ContactOutput] = {}  # in rows of the last `record`
+        self.make_lists()
+        self.initial_energies = self._elastic_energies()
+
+    def begin_contact(
+        self,
+        state: State,
+        numbers: Ints | None,
+        histories: Histories | None,
+        watch: Watch | None,
+        own: Bools | None = None,
+    ) -> None:
+        """Room for the contacts of the bodies in the blocks; `own` are asked for, or all."""
+        method, group, start, dt = self.method, self.group, self.start, self.dt
         setup = group.terms.contact
         assert setup is not None
         n, n_spheres = group.members.size, setup.model.spheres.radius.size
-        super().__init__(method, group, state, start, dt)
         evaluation = _NANOSECONDS_PER_SPHERE * n_spheres
-        self.step_cost = (method.cost + evaluation / n) * n  # [ns]
+        self.step_cost = self.cost_of(n, n_spheres)
         self.cost += evaluation
         self.threads = len(self.blocks) if evaluation > WORTH_THREADS else 1
-        self.lists = ContactLists(setup, dt, numbers, histories, method.takes_slopes)
-        self.checks = ContactChecks(group, dt, watch, method.stability_limit)
-        self.looks = numbers is None  # who steps some of more bodies looks at stability itself
+        self.lists = ContactLists(setup, dt, numbers, histories, method.takes_slopes, own)
+        self.checks = ContactChecks(group, dt, watch, method.stability_limit, own)
         poses = zero_records(POSE, len(setup.motions))
         xyzr, bodies = np.zeros((n_spheres, 4)), zero_records(BODY, n)
         deepest, step_start = np.zeros((len(self.blocks), 3)), zero_records(STEP_START, 1)
@@ -121,14 +140,20 @@ class ContactMotion(SteppedMotion):
         y, pistons = np.vstack(state), initial_piston_state(setup.pistons)
         extremes = zero_records(EXTREMES, 1)
         memory = ContactMemory(y[7:].copy(), y[:7].copy(), start, np.inf, pistons, extremes)
-        self.grid_step, self.list_step = 0, 0  # on the grid: now, and when lists were made
-        self.origin, self.farthest = y[:3].copy(), 0.0  # [m] path of a body so far, at new lists
-        self.frames = self._room_for_frames(0, len(pistons))
-        self.contacts: dict[int, ContactOutput] = {}  # in rows of the last `record`
+        self.origin = y[:3].copy()  # [m]
+        self.frames = self.room_for_frames(0, len(pistons))
         nothing = self.lists.empty(n)
         self.contact = MovingContact(setup, workspace, nothing, memory, self.frames)
-        self.make_lists()
-        self.initial_energies = self._elastic_energies()
+
+    def cost_of(self, n: int, n_spheres: int) -> float:
+        """Of a step of n bodies, roughly [ns]."""
+        return (self.method.cost + _NANOSECONDS_PER_SPHERE * n_spheres / n) * n
+
+    def bins_of(self, in_own_blocks: Bools) -> Ints:
+        """Where each body is summed: in that block of 256 that its number is in."""
+        worlds, members = self.group.worlds, self.group.members
+        first = members if worlds is None else members[worlds.bodies[0]]
+        return bins_of(first // BLOCK, worlds)
 
     def impulses_of(self, setup: GroupContact) -> Impulses | None:
         """Room for impulses; None where contacts have a stiffness."""
@@ -139,11 +164,11 @@ class ContactMotion(SteppedMotion):
         impulses = self.contact.workspace.impulses
         return np.zeros(0) if impulses is None else impulses.tally
 
-    def _room_for_frames(self, n: int, n_pistons: int) -> ContactFrames:
+    def room_for_frames(self, n: int, n_pistons: int) -> ContactFrames:
         """Room for what n frames show of contacts."""
-        pistons, columns = zero_records(PISTON, n, n_pistons), self.room_for_tally
-        n_worlds = math.prod(shape_of(self.group.worlds))
-        return ContactFrames(np.zeros((n, n_worlds)), pistons, np.zeros((n, columns)))
+        pistons, tally = zero_records(PISTON, n, n_pistons), np.zeros((n, self.room_for_tally))
+        elastic = np.zeros((n, int(self.bins.max(initial=-1)) + 1))
+        return ContactFrames(elastic, np.zeros(self.bins.size), self.bins, pistons, tally)
 
     @property
     def now(self) -> float:
@@ -154,28 +179,49 @@ class ContactMotion(SteppedMotion):
 
     def make_lists(self) -> None:
         """Pairs that may touch until a body has moved by half the skin."""
-        contact, time = self.contact, self.grid_step * self.dt
-        memory = contact.memory
+        time = self.grid_step * self.dt
         steps = self.grid_step - self.list_step  # for which the last lists were good
-        lasted = Lasted(steps, time < memory.valid_until, self.step_cost)
+        lasted = Lasted(steps, time < self.contact.memory.valid_until, self.step_cost)
         self._place()
-        y = self.values(0, 13)
-        if steps > 0:
-            self.checks.missed_pairs(contact, self.lists.cost + steps * self.step_cost, self.now)
-        if self.looks and self.lists.count > 0 and is_due(self.lists.count):
-            self.look()
-        self.checks.tunnelling(contact, y, self.now)
+        self.check_lists(steps)
+        poses = self.contact.workspace.poses
+        ahead = self.lists.prepare(self.corners(), poses, self.start + time, lasted)
+        self.take_over()
+        contact, y = self.contact, self.values(0, 13)
+        memory = contact.memory
         memory.listed_pose[:] = y[:7]
         memory.pistons.listed_displacement[:] = memory.pistons.displacement
         memory.extremes.displacement[:] = memory.extremes.ahead[:] = 0.0
         path = np.sqrt(((y[:3] - self.origin) ** 2).sum(axis=0)).max()
         self.farthest, self.list_step = max(self.farthest, float(path)), self.grid_step
-        lists, until = self.lists.make(contact.lists, contact.workspace, memory, time, lasted)
+        lists, until = self.new_lists(time, ahead)
         setup, memory = (
             contact.setup._replace(skin=self.lists.skin),
             memory._replace(valid_until=until),
         )
         self.contact = contact._replace(setup=setup, lists=lists, memory=memory)
+
+    def check_lists(self, steps: int) -> None:
+        """Raise MotionError where the run is wrong, after so many steps with the same lists."""
+        contact = self.contact
+        if steps > 0:
+            work = self.share * (self.lists.cost + steps * self.step_cost)
+            self.checks.missed_pairs(contact, work, self.now)
+        if self.looks and self.lists.count > 0 and is_due(self.lists.count):
+            self.look()
+        self.checks.tunnelling(contact, self.values(0, 13), self.now)
+
+    def corners(self) -> Floats:
+        """Of the box around the centres of all spheres, (3, 2) [m]."""
+        points = self.contact.workspace.xyzr[:, :3]
+        return np.stack([points.min(axis=0), points.max(axis=0)], axis=1)
+
+    def take_over(self) -> None:
+        """Take bodies over that come near, before new lists; here all are there."""
+
+    def new_lists(self, time: float, ahead: WallsAhead) -> tuple[NeighbourLists, float]:
+        """Lists of now, and until when they hold [s]."""
+        return self.lists.make(self.contact.workspace, self.contact.memory, time, ahead)
 
     def _place(self) -> None:
         """Place bodies and walls at the time of now, with the momenta of now."""
@@ -201,11 +247,26 @@ class ContactMotion(SteppedMotion):
             self._run_through(stop, recording)
             row = int(stop.frame[0])
             if row >= 0:
-                self.contacts[row] = self._output_of(self.frames.pistons[row])
+                pistons, motions = self.frames.pistons[row], self.lists.motions
+                numbers = self.group.members, self.lists.numbers
+                self.contacts[row] = output_of(self.contact, *numbers, motions, pistons)
 
     def _run_through(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule, with new lists where they are used up."""
-        forces, n, position = self.forces, len(self.blocks), Position(0, 0, self.grid_step)
+        position = Position(0, 0, self.grid_step)
+        while True:
+            position = self.until_used_up(schedule, recording, self._copies(), position)
+            self.grid_step = position.steps_done
+            self.check_steps()
+            if position.stop == schedule.steps.size or self.lost_joints():
+                break
+            self.make_lists()
+
+    def until_used_up(
+        self, schedule: Schedule, recording: Recording, saved: Copies, position: Position
+    ) -> Position:
+        """Go on from a position, to the end or to where new lists have to be made."""
+        forces, n = self.forces, len(self.blocks)
         is_spread = forces is not None and forces.is_large
         loop = compiled_loop(self.method, True, True)
         if forces is not None and forces.is_large:
@@ -216,15 +277,12 @@ class ContactMotion(SteppedMotion):
             first, last = n * team.rank // team.size, n * (team.rank + 1) // team.size
             return loop(moving, schedule, recording, saved, position, n, first, last)
 
-        while True:
-            saved = self._copies()
-            position = through(ALONE) if is_spread else together(through, self.threads)
-            self.grid_step = position.steps_done
-            self.checks.light_pistons(self.contact, self.now)
-            self.checks.depth(self.contact, self.now)
-            if position.stop == schedule.steps.size or self.lost_joints():
-                break
-            self.make_lists()
+        return through(ALONE) if is_spread else together(through, self.threads)
+
+    def check_steps(self) -> None:
+        """Raise MotionError where the last steps were wrong."""
+        self.checks.light_pistons(self.contact, self.now)
+        self.checks.depth(self.contact, self.now)
 
     def _copies(self) -> Copies:
         """What a partial step changes, and memory for copies."""
@@ -249,16 +307,18 @@ class ContactMotion(SteppedMotion):
         find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, growth, ALONE)
         memory.extremes.displacement[:] = 0.0
         lists.spheres.history[:], lists.walls.history[:] = histories
-        frame, world = self._room_for_frames(1, memory.pistons.size), setup.model.spheres.world
-        add_stored_energy(lists.spheres, lists.of_spheres, world, frame.elastic[0])
-        add_stored_energy(lists.walls, lists.of_walls, world, frame.elastic[0])
-        frame.pistons[0] = memory.pistons
+        frame = self.room_for_frames(1, memory.pistons.size)
+        self.show(frame, 0)
         return self._energies_in(frame, np.zeros(1, np.int64))
+
+    def show(self, frames: ContactFrames, frame: int) -> None:
+        """Write what contacts have now into a frame."""
+        store_contacts(self.contact._replace(frames=frames), ALONE, frame)
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         n, n_pistons = frames.position.shape[0], len(self.contact.memory.pistons)
-        self.frames, self.contacts = self._room_for_frames(n, n_pistons), {}
+        self.frames, self.contacts = self.room_for_frames(n, n_pistons), {}
         self.contact = self.contact._replace(frames=self.frames)
         booked = super().record(times, rows, frames)
         booked[..., 0].T[:] += [self.frames.pistons[row].booked_work.sum() for row in rows.tolist()]
@@ -283,35 +343,17 @@ class ContactMotion(SteppedMotion):
         pistons, each = self.contact.setup.pistons, (rows.size, *shape_of(self.group.worlds))
         energies = [piston_energies(pistons, shown.pistons[row]) for row in rows.tolist()]
         kinetic, potential = np.array(energies).reshape(-1, 2).T[..., None]
-        elastic = shown.elastic[rows]
+        elastic = self.total(shown.elastic)[rows].reshape(rows.size, -1)
         kinetic = np.zeros_like(elastic) + kinetic
         return Energies((elastic + potential).reshape(each), kinetic.reshape(each))
 
-    def _output_of(self, pistons: Records) -> ContactOutput:
-        """Contacts of the frame that was written last: its closing evaluation is still there."""
-        setup, workspace, lists, *_ = self.contact
-        members, numbers, motions = self.group.members, self.lists.numbers, self.lists.motions
-        rows = [
-            contact_rows(
-                contacts,
-                setup.model,
-                workspace,
-                members,
-                numbers,
-                are_walls,
-                setup.rules is not None,
-            )
-            for contacts, are_walls in ((lists.spheres, False), (lists.walls, True))
-        ]
-        centre, velocity = wall_centres(motions, workspace.poses)
-        if setup.pistons is not None:  # contacts saw a velocity carried on
-            ahead = pistons.velocity - pistons.contact_velocity
-            velocity[setup.pistons.wall] += ahead[:, None] * setup.pistons.axis
-        return contact_output(rows, centre, velocity)
-
-    def gross_work(self) -> Floats:
+    def gross_work(self) -> Floats | float:
         """Gross work of contacts without potential, and of walls, since the start [J]."""
-        return over_bodies(self.contact.workspace.gross_work, self.group.worlds)
+        work, worlds = self.contact.workspace.gross_work, self.group.worlds
+        if worlds is None:
+            return sum_by_number(work, self.group.members)
+        number = self.group.members[worlds.bodies[0]]
+        return np.array([sum_by_number(work[own], number) for own in worlds.bodies])
 
     def contact_start(self) -> ContactStart:
         """What contacts keep, and pistons, for the next segment."""

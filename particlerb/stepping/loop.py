@@ -8,7 +8,7 @@ each step together.
 
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -271,6 +271,35 @@ def loop_over_threads(
     closing_kick = over_threads(close, **others)
     closing = over_threads(_finish_of(method, touches), close=closing_kick, **others)
     return over_threads(advance, step=chosen, finish=closing, **others)
+
+
+def _one_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+    """The step of a method by itself."""
+    step(moving, first, last, open_kick, dt)
+
+
+def loop_over_ranks(
+    method: Method,
+    place: Callable[..., bool],
+    store: Callable[..., None],
+    enter: Callable[..., None],
+) -> Callable[..., Position]:
+    """The same as Python, where ranks share bodies that touch.
+
+    Parameters
+    ----------
+    method : Method
+    place, store : callable
+        In place of the stages that bring bodies to where contacts are evaluated, and that write a
+        frame: these exchange bodies.
+    enter : callable
+        Enters a kernel `(moving, first, last, ...)` with all threads: takes it, then `moving`, ...
+    """
+    name = f"{method.name}_touching"
+    whole = partial(enter, kernel_from(_one_step, name, step=_step_of(method, True)))
+    closing = over_threads(_close_at, place=place, close=partial(enter, close))
+    names = {"step": whole, "finish": closing, "CLOSING_KICK": method.closing_kick}
+    return over_threads(advance, place=place, _store=store, **names)
 
 
 def grid_position(elapsed: Floats, dt: float, start: float = 0.0) -> tuple[Ints, Floats]:

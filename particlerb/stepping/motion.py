@@ -21,6 +21,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import Frames, State, cross_columns, quaternion_product
 from particlerb.model.worlds import Worlds, over_all, over_bodies, part_of_worlds, shape_of
+from particlerb.ranks import Ranks
 from particlerb.stepping.saved_arrays import Saved, under, within
 
 
@@ -35,6 +36,15 @@ class SegmentGroup(NamedTuple):
     bodies: Bodies  # their constants
     terms: Terms  # what acts on them
     worlds: Worlds | None = None  # scenes that share the group, if they are several
+    shared: "Shared | None" = None  # where ranks share bodies that touch: these are shown here
+
+
+class Shared(NamedTuple):
+    """Bodies that touch and that ranks share."""
+
+    group: SegmentGroup  # all of them, with numbers of the scene
+    state: State  # at the start
+    ranks: Ranks
 
 
 class Energies(NamedTuple):

@@ -16,7 +16,6 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.contact_output import ContactOutput, no_contacts
 from particlerb.contact.missed_pairs import (
     Watch,
@@ -42,6 +41,7 @@ from particlerb.model.state import Frames, State, rotate
 from particlerb.stepping.contact_checks import is_due, lost_pair
 from particlerb.stepping.contact_lists import Histories
 from particlerb.stepping.contact_motion import ContactMotion
+from particlerb.stepping.contact_part import contact_part
 from particlerb.stepping.free_motion import FreeMotion
 from particlerb.stepping.motion import (
     CompositeMotion,
@@ -92,7 +92,7 @@ class _Interval:
         self.watch = copy(parent.watch)  # it is taken on where the interval is the one that counts
         group = parent.group
         if stepped.size:
-            part, spheres = parent.part(stepped)
+            part, spheres = contact_part(group, stepped)
             self.contact = ContactMotion(
                 parent.method, part, taken(state, stepped), start, parent.dt, spheres, histories,
                 self.watch,
@@ -174,29 +174,6 @@ class DiluteMotion(Motion):
         self.shown: _Interval | None = None
         self.contact_frequency, self.count = 0.0, 0  # [rad/s]; intervals
         self.plan()
-
-    def part(self, which: Ints) -> tuple[SegmentGroup, Ints]:
-        """Some bodies of the group, ascending, and the numbers of their spheres."""
-        contact, group = self.contact, self.group
-        model = contact.model
-        kept = np.flatnonzero(np.isin(model.spheres.body, which))
-        number = np.full(group.members.size, -1)
-        number[which] = np.arange(which.size)
-        body = number[model.spheres.body[kept]]
-        spheres = model.spheres._replace(
-            arm=np.ascontiguousarray(model.spheres.arm[:, kept]),
-            radius=model.spheres.radius[kept],
-            body=body,
-            material=model.spheres.material[kept],
-            partner=model.spheres.partner[kept],
-            world=model.spheres.world[which],
-            offset=np.searchsorted(body, np.arange(which.size + 1)),
-        )
-        inertia = np.ascontiguousarray(model.inv_inertia[:, which])
-        own = model._replace(spheres=spheres, inv_mass=model.inv_mass[which], inv_inertia=inertia)
-        part = GroupContact(own, contact.motions, contact.max_arm[which], *contact[3:])
-        terms = terms_on(group.terms._replace(contact=None), which)._replace(contact=part)
-        return SegmentGroup(group.members[which], taken(group.bodies, which), terms), kept
 
     def time(self, steps: int) -> float:
         """Time after so many steps of the segment [s]."""

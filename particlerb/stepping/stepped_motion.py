@@ -280,7 +280,11 @@ class SteppedMotion(Motion):
         for schedule in self.schedules(counts, partial, rows):
             self.run(schedule, recording)
             self.steps_done += int(schedule.steps.sum())
-        return over_bins(recording.sums, self.group.worlds)
+        return self.total(recording.sums)
+
+    def total(self, sums: Floats) -> Floats:
+        """Sums of bins, (T, bins, ..), over all bodies, or over those of each world."""
+        return over_bins(sums, self.group.worlds)
 
     def recording(self, frames: Frames) -> Recording:
         """Where frames go, with room for what is booked and for coordinates of joints."""

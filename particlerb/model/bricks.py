@@ -1,0 +1,125 @@
+"""Bricks: boxes that fill space, one for each rank, with about as many bodies in each.
+
+They are made by cutting space in two across its longest extent, again and again, by counts. A body
+belongs to the brick that its centre of mass is in. Where the cuts are changes no bit of a run.
+"""
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple, Self
+
+import numpy as np
+
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.ranks import Ranks
+
+_BINS: Final = 1024  # places where space may be cut
+_UNEVEN: Final = 1.2  # bodies of the fullest brick, over the mean, from which on edges move
+
+
+class _Node(NamedTuple):
+    """A box that is cut."""
+
+    number: int
+    first: int  # of the bricks in it,
+    bricks: int  # and how many there are
+    which: Ints  # points in it
+
+    @property
+    def lower(self) -> int:
+        """Bricks below the cut."""
+        return self.bricks // 2
+
+
+class Bricks:
+    """As many bricks as there are ranks.
+
+    Parameters
+    ----------
+    points : ndarray, shape (3, n) [m]
+        Centres of mass of bodies of this rank; of all ranks together they are to be shared.
+    ranks : Ranks
+    """
+
+    def __init__(self, points: Floats, ranks: Ranks) -> None:
+        self.count = ranks.count
+        self.axis = np.zeros(self.count, dtype=np.int64)
+        self.place = np.zeros(self.count)
+        points = points[:, np.isfinite(points).all(axis=0)]
+        level = self._root(points)
+        while level:
+            self._cut(points, level, ranks)
+            level = [part for node in level for part in self._parts(points, node)]
+        self.boxes = np.array([*self._boxes(0, 0, self.count, np.array([[-np.inf], [np.inf]]))])
+
+    def _root(self, points: Floats) -> list[_Node]:
+        """All of space, where it is to be cut."""
+        return [_Node(0, 0, self.count, np.arange(points.shape[1]))] if self.count > 1 else []
+
+    def _parts(self, points: Floats, node: _Node) -> Iterator[_Node]:
+        """The two boxes of a cut, those of them that are to be cut again."""
+        number, first, bricks, which = node
+        is_below = points[self.axis[number], which] < self.place[number]
+        below = _Node(number + 1, first, node.lower, which[is_below])
+        beyond = number + node.lower, first + node.lower, bricks - node.lower
+        yield from (part for part in (below, _Node(*beyond, which[~is_below])) if part.bricks > 1)
+
+    def _cut(self, points: Floats, level: list[_Node], ranks: Ranks) -> None:
+        """Cut boxes of a level, all ranks together."""
+        corners = np.full((len(level), 6), -np.inf)
+        for k, node in enumerate(level):
+            own = points[:, node.which]
+            corners[k, :3], corners[k, 3:] = (
+                (-own).max(1, initial=-np.inf),
+                own.max(1, initial=-np.inf),
+            )
+        corners = ranks.largest(corners)
+        low, high = np.where(np.isfinite(corners), corners, 0.0).reshape(-1, 2, 3).swapaxes(0, 1)
+        low = -low
+        counts = np.zeros((len(level), _BINS), dtype=np.int64)
+        for k, node in enumerate(level):
+            axis = int(np.argmax(high[k] - low[k]))
+            self.axis[node.number] = axis
+            width = max((high[k] - low[k])[axis], np.finfo(np.float64).tiny)
+            place = (points[axis, node.which] - low[k, axis]) / width * _BINS
+            counts[k] = np.bincount(np.clip(place, 0, _BINS - 1).astype(int), minlength=_BINS)
+        below: Ints = np.cumsum(ranks.added(counts), axis=1)
+        for k, node in enumerate(level):
+            wanted = below[k, -1] * node.lower / node.bricks
+            edge = int(np.argmin(np.abs(below[k] - wanted))) + 1
+            a = self.axis[node.number]
+            self.place[node.number] = low[k, a] + (high[k, a] - low[k, a]) * edge / _BINS
+
+    def _boxes(self, number: int, first: int, count: int, box: Floats) -> Iterator[Floats]:
+        """Corners of the bricks in a box."""
+        box = np.broadcast_to(box, (2, 3))
+        if count == 1:
+            yield box
+            return
+        lower, axis = count // 2, self.axis[number]
+        below, beyond = box.copy(), box.copy()
+        below[1, axis] = beyond[0, axis] = self.place[number]
+        yield from self._boxes(number + 1, first, lower, below)
+        yield from self._boxes(number + lower, first + lower, count - lower, beyond)
+
+    def owners(self, points: Floats) -> Ints:
+        """Ranks in whose bricks points (3, n) are; what is not a number is in one of them too."""
+        owner = np.zeros(points.shape[1], dtype=np.int64)
+        level = self._root(points)
+        while level:
+            for node in level:
+                is_below = points[self.axis[node.number], node.which] < self.place[node.number]
+                owner[node.which[is_below]] = node.first
+                owner[node.which[~is_below]] = node.first + node.lower
+            level = [part for node in level for part in self._parts(points, node)]
+        return owner
+
+    def distances(self, points: Floats, k: int) -> Floats:
+        """Of points (3, n) from brick k [m]; 0 in it."""
+        low, high = self.boxes[k, :, :, None]
+        apart = np.maximum(np.maximum(low - points, points - high), 0.0)
+        return np.asarray(np.sqrt((apart * apart).sum(axis=0)))
+
+    def fitted(self, points: Floats, counts: Ints, ranks: Ranks) -> Self:
+        """These bricks, or new ones where bodies, so many in each, are shared too unevenly."""
+        is_even = counts.max() <= _UNEVEN * counts.mean() and counts.min() > 0
+        return self if is_even else type(self)(points, ranks)

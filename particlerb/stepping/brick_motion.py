@@ -1,0 +1,375 @@
+"""Bodies that touch, shared among ranks by bricks of space; see docs/scale.md.
+
+A rank moves the bodies whose centres of mass are in its brick, and has copies of those near it:
+whole bodies, whose states it is sent after each drift. It finds all contacts of its own bodies
+itself; one across a border is found on both sides, from equal states, so nothing is sent back. Each
+body takes its contacts in the order of their numbers, whoever finds them: the bits are those of one
+process. When new lists are made, bodies that have left go to their new ranks, with what their
+contacts keep. Bodies that are held are on all ranks. What is shown and summed goes to the rank that
+writes a fixed range of bodies.
+"""
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from particlerb.compiled.barrier import ALONE, Team, together
+from particlerb.compiled.threads import BLOCK
+from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
+from particlerb.contact.contact_model import ContactFrames, Instant, NeighbourLists
+from particlerb.contact.missed_pairs import bounding_radii
+from particlerb.contact.neighbour_list import ContactHistory
+from particlerb.contact.records import PISTON, zero_records
+from particlerb.contact.sphere_search import KEY_BITS
+from particlerb.integrators.contact_stages import lists_hold, place_here
+from particlerb.integrators.method import Method
+from particlerb.integrators.pair_stages import Layout
+from particlerb.integrators.stages import MovingBodies
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.block import CHANGING, STRIDE, P, in_blocks, into_blocks
+from particlerb.model.bricks import Bricks
+from particlerb.model.load import STATE_ROWS
+from particlerb.model.state import Frames, State
+from particlerb.model.superblocks import over_blocks, parts_of, sum_by_number, summed, writers
+from particlerb.ranks import end_all
+from particlerb.stepping.contact_lists import Histories, WallsAhead
+from particlerb.stepping.contact_motion import ContactMotion
+from particlerb.stepping.contact_part import contact_part
+from particlerb.stepping.loop import (
+    Copies,
+    Position,
+    Recording,
+    Schedule,
+    grid_position,
+    loop_over_ranks,
+    store_blocks,
+)
+from particlerb.stepping.motion import MotionError, SegmentGroup, Shared
+from particlerb.stepping.stepped_motion import SteppedMotion
+
+_MOMENTA: Final = CHANGING  # column of a travelling body from which on those of the last drift are
+_GROSS: Final = CHANGING + 6  # and its gross work
+_MARGIN: Final = 1.0 + 1e-6  # of a distance that decides who is a copy: it rounds
+
+
+class BrickMotion(ContactMotion):
+    """The share of a rank in a group of bodies that touch; see `motion.Motion`.
+
+    All that is returned is of all bodies; frames are of those that this rank shows.
+
+    Parameters
+    ----------
+    method : Method
+    shared : Shared
+        All bodies.
+    shown : SegmentGroup
+        Those that this rank shows.
+    start, dt : float [s]
+    """
+
+    def __init__(
+        self, method: Method, shared: Shared, shown: SegmentGroup, start: float, dt: float
+    ) -> None:
+        self.whole, self.ranks, self.shown = shared.group, shared.ranks, shown
+        self.method, self.start, self.dt, self.steps_done = method, start, dt, 0
+        contact, ranks = self.whole.terms.contact, self.ranks
+        assert contact is not None
+        self.model = contact.model
+        n = self.whole.members.size
+        self.bound = bounding_radii(self.model.spheres, n)
+        self.is_free = self.model.inv_mass > 0.0
+        self.reach = float(self.bound[self.is_free].max(initial=0.0))
+        self._room_to_show(n)
+        self.given: dict[int, tuple[Ints, Floats]] = {}  # by rank: slots of bodies, and room
+        self.copies: dict[int, tuple[Ints, Floats]] = {}
+        self.initial = np.zeros((n, _GROSS + 1))
+        self.initial[:, :STATE_ROWS] = np.vstack(shared.state).T
+        self.initial[:, _MOMENTA:_GROSS] = self.initial[:, P:STATE_ROWS]
+        free, held = np.flatnonzero(self.is_free), np.flatnonzero(~self.is_free)
+        com = shared.state.com[:, free]
+        self.bricks = Bricks(com[:, ranks.number :: ranks.count], ranks)
+        own = free[self.bricks.owners(com) == ranks.number]
+        own = np.sort(np.concatenate([own, held[ranks.number :: ranks.count]]))
+        self.lay_out(own, self.initial[own], contact.skin, None)
+        self.loop = loop_over_ranks(method, self.place, self.store, self.enter)
+        self.set_off(True)
+
+    def _room_to_show(self, n: int) -> None:
+        """Who shows which of n bodies, and room for those of this rank."""
+        parts = parts_of(n)
+        writer = writers(len(parts), self.ranks.count)
+        self.home = writer[self.whole.members // parts[0].stop]
+        m = self.shown.members.size
+        first = np.arange(0, m, BLOCK)
+        self.shown_layout = Layout(first, np.minimum(first + BLOCK, m) - first, 0)
+        self.shown_bins = self.shown.members // BLOCK
+        self.shown_blocks = in_blocks(max(m, 1), CHANGING, [])
+
+    # Who is where
+
+    def lay_out(self, own: Ints, rows: Floats, skin: float, histories: Histories | None) -> None:
+        """Room for the bodies of this rank, ascending, which have these rows, and for copies.
+
+        Lists with this skin [m] are to be made of them.
+        """
+        came, ghosts = self._copies_of(own, rows, skin)
+        held = np.flatnonzero(~self.is_free)
+        local = np.unique(np.concatenate([own, ghosts, held]))
+        values = self.initial[local]
+        for which, of in ((ghosts, came), (own, rows)):
+            values[np.searchsorted(local, which)] = of
+        self.local, self.is_own = local, np.isin(local, own)
+        values, steps = np.ascontiguousarray(values.T), self.steps_done
+        group, numbers = contact_part(self.whole, local)
+        state = State(*np.split(values[:STATE_ROWS], (3, 7, 10)))
+        SteppedMotion.__init__(self, self.method, group, state, self.start, self.dt)
+        self.steps_done = steps
+        into_blocks(self.blocks, 0, self.spaced(values[:CHANGING]))
+        self.begin_contact(state, numbers, histories, None, self.is_own)
+        self.contact.memory.momenta[:] = values[_MOMENTA:_GROSS]
+        self.contact.workspace.gross_work[:] = values[_GROSS]
+        self._count_costs()
+        for swapped in (self.given, self.copies):
+            for k, (which, _) in swapped.items():
+                slots = self.slots[np.searchsorted(local, which)]
+                swapped[k] = slots, np.empty((which.size, STATE_ROWS))
+
+    def _copies_of(self, own: Ints, rows: Floats, skin: float) -> tuple[Floats, Ints]:
+        """Bodies of other ranks that may touch those of this one: rows, and who they are.
+
+        A rank without bodies gets a copy of one, so that it has something to go through.
+        """
+        ranks, free = self.ranks, self.is_free[own]
+        counts = ranks.gathered(int(free.sum()))
+        com = np.ascontiguousarray(rows[:, :3].T)
+        far = _MARGIN * (self.bound[own] + self.reach + skin)
+        leaders = [k for k, count in enumerate(counts) if count]
+        out, self.given = [], {}
+        for k, count in enumerate(counts):
+            near = free & (self.bricks.distances(com, k) < far)
+            if count == 0 and leaders and leaders[0] == ranks.number:
+                near[np.flatnonzero(free)[0]] = True
+            which = np.flatnonzero(near) if k != ranks.number else np.zeros(0, dtype=np.int64)
+            out.append(np.column_stack([own[which], rows[which]]))
+            if which.size:
+                self.given[k] = own[which], rows[:0]
+        came = ranks.sent(out)
+        who = [of[:, 0].astype(np.int64) for of in came]
+        self.copies = {k: (of, rows[:0]) for k, of in enumerate(who) if of.size}
+        return np.concatenate(came)[:, 1:], np.concatenate(who)
+
+    def _count_costs(self) -> None:
+        """Costs of all bodies: who decides by them decides the same on all ranks."""
+        n, n_spheres = self.whole.members.size, self.model.spheres.radius.size
+        self.share = self.local.size / n
+        self.step_cost = self.cost_of(n, n_spheres)
+        self.cost = self.step_cost / self.ranks.count
+        self.lists.count_cost(n_spheres)
+
+    def take_over(self) -> None:
+        """Let bodies go to the ranks in whose bricks they are, with what their contacts keep."""
+        if self.lists.count == 0:
+            return  # they are where they belong
+        ranks, old = self.ranks, self.lists
+        rows = np.vstack(
+            [
+                self.values(0, CHANGING),
+                self.contact.memory.momenta,
+                self.contact.workspace.gross_work,
+            ]
+        ).T
+        here = np.flatnonzero(self.is_own)
+        moves = self.is_free[self.local[here]]
+        com = np.ascontiguousarray(rows[here, :3].T)
+        owner = np.where(moves, self.bricks.owners(com), ranks.number)
+        counts = ranks.added(np.bincount(owner[moves], minlength=ranks.count))
+        bricks = self.bricks.fitted(com[:, moves], counts, ranks)
+        if bricks is not self.bricks:
+            self.bricks = bricks
+            owner = np.where(moves, bricks.owners(com), ranks.number)
+        goes = np.full(self.local.size, ranks.number)
+        goes[here] = owner
+        histories = self._handed_over(goes)
+        own = self._sent(owner, np.column_stack([self.local[here], rows[here]]))
+        own = own[np.argsort(own[:, 0])]
+        who = own[:, 0].astype(np.int64)
+        found = int(ranks.added(np.array([who.size]))[0])
+        if found != self.is_free.size or np.unique(who).size != who.size:
+            raise MotionError(
+                f"at t = {self.now:.6g} s ranks have {found} bodies of {self.is_free.size}: that"
+                " is a fault of this program, please report it with the case"
+            )
+        watch, frames = self.checks.watch, self.frames
+        self.lay_out(who, own[:, 1:], old.skin, histories)
+        self.lists.go_on(old)
+        self.checks.watch, self.frames = watch, frames
+        self.contact = self.contact._replace(frames=frames)
+        self._place()
+
+    def _sent(self, to: Ints, rows: Floats) -> Floats:
+        """Rows that come here, where each is sent to a rank."""
+        return np.concatenate(self.ranks.sent([rows[to == k] for k in range(self.ranks.count)]))
+
+    def _handed_over(self, goes: Ints) -> Histories:
+        """What contacts keep: those here, and those of bodies that come; `goes`: to which rank."""
+        offset, found = self.model.spheres.offset, []
+        for which, history in enumerate(self.lists.histories):
+            kept = np.flatnonzero(history.values[history.rows].any(axis=1))
+            keys, values = history.keys[kept], history.values[history.rows[kept]]
+            ends = [keys >> KEY_BITS] if which else [keys >> KEY_BITS, keys & (2**KEY_BITS - 1)]
+            to = [self._goes_to(goes, offset, number) for number in ends]
+            chosen = [
+                np.flatnonzero(np.any([of == k for of in to], axis=0) & (k != self.ranks.number))
+                for k in range(self.ranks.count)
+            ]
+            came = self.ranks.sent([keys[of] for of in chosen])
+            both, first = np.unique(np.concatenate([keys, *came]), return_index=True)
+            came = self.ranks.sent([values[of] for of in chosen])
+            kept_of = np.concatenate([values, *came])[first]
+            found.append(ContactHistory(both, np.arange(both.size), kept_of))
+        return found[0], found[1]
+
+    def _goes_to(self, goes: Ints, offset: Ints, sphere: Ints) -> Ints:
+        """To which rank the body of each sphere goes."""
+        body = np.searchsorted(offset, sphere, side="right") - 1
+        to: Ints = goes[np.searchsorted(self.local, body)]
+        return to
+
+    # Steps
+
+    def swap(self) -> None:
+        """Send states to ranks that have copies, and get those of the copies here."""
+        rows = self.blocks.reshape(len(self.blocks), -1, STRIDE)
+        for slots, out in self.given.values():
+            out[:] = rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK]
+        self.ranks.swapped(
+            {k: out for k, (_, out) in self.given.items()},
+            {k: room for k, (_, room) in self.copies.items()},
+        )
+        for slots, came in self.copies.values():
+            rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK] = came
+
+    def enter(
+        self, kernel: Callable[..., Any], moving: MovingBodies, first: int, last: int, *others: Any
+    ) -> Any:
+        """Enter a kernel with all threads."""
+        del first
+
+        def share(team: Team) -> Any:
+            lo, hi = last * team.rank // team.size, last * (team.rank + 1) // team.size
+            return kernel(moving._replace(team=team), lo, hi, *others)
+
+        return together(share, self.threads)
+
+    def place(self, moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
+        """Bring bodies and copies to where contacts are evaluated; whether the lists hold."""
+        self.swap()
+        contact = moving.contact
+        assert contact is not None
+
+        def here(moving: MovingBodies, lo: int, hi: int) -> tuple[float, float, float]:
+            blocks, layout = moving.blocks, moving.layout
+            assert moving.team is not None
+            return place_here(contact, moving.team, None, blocks, layout, lo, hi, instant)
+
+        reached = self.ranks.largest(np.array(self.enter(here, moving, first, last)))
+        return bool(lists_hold(contact, instant, *reached.tolist()))
+
+    def until_used_up(
+        self, schedule: Schedule, recording: Recording, saved: Copies, position: Position
+    ) -> Position:
+        """Go on from a position, to the end or to where new lists have to be made."""
+        moving, n = self.moving._replace(contact=self.contact, team=ALONE), len(self.blocks)
+        return self.loop(moving, schedule, recording, saved, position, n, 0, n)
+
+    # New lists and checks, on all ranks together
+
+    def check_lists(self, steps: int) -> None:
+        """Raise MotionError where the run is wrong, after so many steps with the same lists."""
+        self.ranks.together(lambda: super(BrickMotion, self).check_lists(steps))
+        self.contact_frequency = float(self.ranks.largest(np.array([self.contact_frequency]))[0])
+
+    def check_steps(self) -> None:
+        """Raise MotionError where the last steps were wrong."""
+        self.ranks.together(super().check_steps)
+
+    def corners(self) -> Floats:
+        """Of the box around the centres of all spheres, (3, 2) [m]."""
+        low, high = super().corners().T
+        low, high = self.ranks.largest(np.stack([-low, high]))
+        return np.stack([-low, high], axis=1)
+
+    def new_lists(self, time: float, ahead: WallsAhead) -> tuple[NeighbourLists, float]:
+        """Lists of now, and until when they hold [s]."""
+        lists = self.ranks.together(lambda: super(BrickMotion, self).new_lists(time, ahead))
+        self.lists.n_pairs = int(self.ranks.added(np.array([self.lists.n_pairs]))[0])
+        return lists
+
+    # What is shown
+
+    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
+        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        try:
+            self.frames = self.room_for_frames(len(frames.position), 0)
+            self.contact = self.contact._replace(frames=self.frames)
+            elapsed = times - self.start
+            return self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)[rows]
+        except BaseException as error:
+            if not self.ranks.agreed(error):  # the others would wait for this one
+                end_all(self.ranks, error, 1)
+            raise
+
+    def recording(self, frames: Frames) -> Recording:
+        """Where frames go, with room for what is booked."""
+        sums = np.zeros((len(frames.position), self._n_bins, 7))
+        where = self.shown.bodies.rotor_frame, self.shown.members, frames, sums, self.shown_bins
+        return Recording(*where, np.zeros((len(frames.position), 0, 3)))
+
+    @property
+    def _n_bins(self) -> int:
+        """Blocks of the bodies that are shown here."""
+        return -(-self.shown.members.size // BLOCK)
+
+    def room_for_frames(self, n: int, n_pistons: int) -> ContactFrames:
+        """Room for what n frames show of contacts."""
+        elastic, stored = np.zeros((n, self._n_bins)), np.zeros(self.shown.members.size)
+        pistons = zero_records(PISTON, n, n_pistons)
+        return ContactFrames(elastic, stored, self.shown_bins, pistons, np.zeros((n, 0)))
+
+    def to_show(self, values: Floats) -> Floats:
+        """Rows of the bodies that are shown here, where each rank has (n, ..) of its own."""
+        who = self.local[self.is_own]
+        rows = self._sent(self.home[who], np.column_stack([who, values[self.is_own]]))
+        if len(rows) != self.shown.members.size:
+            raise MotionError(f"{len(rows)} bodies of {self.shown.members.size} were sent")
+        return np.ascontiguousarray(rows[np.argsort(rows[:, 0]), 1:])
+
+    def show(self, frames: ContactFrames, frame: int) -> None:
+        """Write what contacts have now into a frame."""
+        stored = np.zeros(self.local.size)
+        find_stored_energy(self.contact.setup.model, self.contact.lists, stored)
+        frames.stored[:] = self.to_show(stored[:, None])[:, 0]
+        frames.elastic[frame] = 0.0
+        sum_in_bins(frames.stored, self.shown_bins, frames.elastic[frame])
+
+    def store(
+        self, moving: MovingBodies, first: int, last: int, recording: Recording, frame: int
+    ) -> None:
+        """Write bodies and contacts into a frame, each on the rank that shows it."""
+        del first, last
+        values = self.to_show(self.values(0, CHANGING).T)
+        into_blocks(self.shown_blocks, 0, np.ascontiguousarray(values.T))
+        layout = self.shown_layout
+        n = layout.first.size
+        store_blocks(self.shown_blocks, layout, moving.books, recording, frame, 0, n)
+        self.show(self.frames, frame)
+
+    def total(self, sums: Floats) -> Floats:
+        """Sums of bins, (T, bins, ..), over all bodies."""
+        return summed(list(over_blocks(sums)), self.ranks)
+
+    def gross_work(self) -> float:
+        """Gross work of contacts without potential, and of walls, since the start [J]."""
+        work = self.to_show(self.contact.workspace.gross_work[:, None])[:, 0]
+        return sum_by_number(work, self.shown.members, self.ranks)

@@ -1,0 +1,60 @@
+"""Clumps that touch, shared among ranks by bricks: the bits of one process, and momentum."""
+
+import subprocess
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from stops import HERE, command, digests, needs_mpi
+
+import particlerb
+from particlerb.model.bricks import Bricks
+from particlerb.ranks import Ranks
+
+
+def run(case: str, path: Path, ranks: int) -> subprocess.CompletedProcess[str]:
+    """A scene of the tests."""
+    return command(HERE / case, "-o", path, "--threads", "1", "-q", ranks=ranks)
+
+
+@needs_mpi
+@pytest.mark.slow
+def test_clumps_that_touch_have_the_same_bits_on_any_number_of_ranks(tmp_path):
+    for ranks in range(5):
+        path = tmp_path / f"{ranks}.h5"
+        done = run("heap.toml", path, ranks)
+        assert done.returncode == 0, done.stderr
+        assert digests(path) == digests(tmp_path / "0.h5"), ranks
+    with h5py.File(path, "r") as file:
+        assert abs(file["observables/work/value"][-1]) > 1.0  # [J] they have touched
+    done = command("resume", tmp_path / "3.h5", "--t-end", "0.5")
+    assert done.returncode == 2
+    assert "it cannot be continued; run the case anew" in done.stderr
+
+
+@needs_mpi
+@pytest.mark.slow
+def test_clumps_that_collide_across_borders_keep_their_momentum(tmp_path):
+    done = run("gas.toml", tmp_path / "a.h5", 4)
+    assert done.returncode == 0, done.stderr
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        p = trajectory.linear_momentum
+    assert np.abs(p[-1] - p[0]).sum() > 1.0  # [kg m/s] they have collided
+    total = p.sum(axis=1)
+    assert np.abs(total - total[0]).max() <= 1e-13 * np.abs(p[0]).sum()
+
+
+def test_bricks_hold_as_many_bodies_each_and_fill_space():
+    points = np.random.default_rng(2).random((3, 1000)) * [[3.0], [1.0], [1.0]]
+    for count in range(1, 8):
+        ranks = Ranks()
+        ranks.count = count
+        bricks = Bricks(points, ranks)
+        owner = bricks.owners(points)
+        sizes = np.bincount(owner, minlength=count)
+        assert np.abs(sizes - 1000 / count).max() < 0.02 * 1000
+        for k in range(count):
+            assert (bricks.distances(points[:, owner == k], k) == 0.0).all()
+        assert bricks.fitted(points, sizes, ranks) is bricks
+        assert bricks.owners(np.full((3, 1), np.nan)) < count
