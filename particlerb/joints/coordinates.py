@@ -121,5 +121,4 @@ def store_turns(
 def values_of(coordinates: Coordinates, turned: Floats) -> Floats:
     """Angles [rad] with their turns, and displacements [m], (..., k)."""
     angle = np.arctan2(turned[..., 1], turned[..., 0]) + 2.0 * np.pi * turned[..., 2]
-    found: Floats = np.where(coordinates.is_angle, angle, turned[..., 0])
-    return found
+    return np.where(coordinates.is_angle, angle, turned[..., 0])

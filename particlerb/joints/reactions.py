@@ -56,8 +56,7 @@ def _to_body(q: Floats, v: Floats) -> Floats:
     """Rᵀ v of rows."""
     u = -q[:, 1:]
     t = 2.0 * np.cross(u, v)
-    found: Floats = v + q[:, :1] * t + np.cross(u, t)
-    return found
+    return np.asarray(v + q[:, :1] * t + np.cross(u, t))
 
 
 def dependent_rows(weighted: Floats) -> Floats:
