@@ -10,8 +10,8 @@ import numpy as np
 from h5py import h5d, h5ds
 
 import particlerb
-from particlerb.case.run import frame_count
-from particlerb.case.schema import Case
+from particlerb.case.output import Output
+from particlerb.case.run import RunTable, frame_count
 from particlerb.maths.vec3 import Floats
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
@@ -62,19 +62,21 @@ class Layout(NamedTuple):
     parts: Parts | None = None  # files where numbers of bodies lie, if these are several
 
 
-def laid_out(system: System | Case, content: Content, parts: Parts | None = None) -> bytearray:
+def laid_out(
+    run: RunTable, output: Output, content: Content, parts: Parts | None = None
+) -> bytearray:
     """The file of a run without frames, with small arrays: its bytes.
 
     Parameters
     ----------
-    system : System or Case
-        What is run.
+    run, output : RunTable, Output
+        Of what is run.
     content : mapping of str to ndarray or bytes
         What does not change in time: `tables_of`, `topology_of` and `provenance.texts_of`.
     parts : Parts, optional
         Files where the numbers of bodies lie.
     """
-    fields, dtype, n_frames = system.output.fields, system.output.dtype, frame_count(system.run)
+    fields, dtype, n_frames = output.fields, output.dtype, frame_count(run)
     tables = tuple((p, form_of(v)) for p, v in content.items() if not isinstance(v, bytes))
     empty, places = _empty_file(
         Layout(tuple(fields), dtype, n_frames, len(content[schema.BODY]), tables, parts)

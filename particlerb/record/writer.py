@@ -85,7 +85,7 @@ class Recorder:
         parts: Parts | None = None,
     ) -> None:
         content = {**content, **topology_of(system.output.fields, len(content[schema.BODY]))}
-        empty = laid_out(system, content, parts)
+        empty = laid_out(system.run, system.output, content, parts)
         folder = parts.folder if parts else "."
         output = new_file(path, overwrite, system.output.durable, empty, folder)
         with output.writing():

@@ -79,6 +79,12 @@ def _up_frames(axis: Floats) -> Floats:
     return np.asarray(n * np.where(z > 0.0, up, down))
 
 
+@np.errstate(over="ignore")
+def _are_pendulums(lever: Floats, axis: Ints) -> Bools:
+    """Which bodies turn about a principal axis, under levers (9, n) whose squares are numbers."""
+    return np.asarray((axis >= 0) & (axis < LINE) & np.isfinite((lever * lever).sum(axis=0)))
+
+
 def turned_about(levers: Levers, bodies: Bodies, lever: Floats, axis: Ints, q: Floats) -> Levers:
     """The same with bodies that turn about one axis: a pendulum, C = 0, with axis 3 across it.
 
@@ -91,7 +97,7 @@ def turned_about(levers: Levers, bodies: Bodies, lever: Floats, axis: Ints, q: F
     q : ndarray, shape (4, n)
         Orientations at some time.
     """
-    is_own = (axis >= 0) & (axis < LINE) & ~levers.is_free & ~levers.is_top
+    is_own = _are_pendulums(lever, axis) & ~levers.is_free & ~levers.is_top
     if not is_own.any():
         return levers
     b, k = np.arange(axis.size), np.maximum(axis, 0) % LINE
@@ -232,7 +238,7 @@ def has_closed_form(bodies: Bodies, terms: Terms) -> Bools:
     if lever is not None:
         levers = levers_on(bodies, lever)
         is_free = levers.is_free
-        is_pendulum = (axis >= 0) & (axis < LINE)
+        is_pendulum = _are_pendulums(lever, axis)
         is_closed = is_free | ((levers.is_top | is_pendulum) & ~is_turned & (drag == 0.0))
     is_round = np.isin(bodies.rotor_class, (POINT, ROD, SPHERE))
     is_closed = is_closed & ((axis >= 0) | ~is_turned & ((drag == 0.0) | is_round))
