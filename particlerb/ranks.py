@@ -111,7 +111,8 @@ class _RanksOfMPI(Ranks):
         first: BaseException = pickle.loads(failures[number] or b"")
         if error is not None and number == self.number:
             first = error
-        if sum(sent is not None for sent in failures) < self.count:
+        is_usage = isinstance(first, FileExistsError)  # which the first rank sees alone
+        if not is_usage and sum(sent is not None for sent in failures) < self.count:
             first = _with_rank(first, number)
         raise as_agreed(first)
 
@@ -121,7 +122,7 @@ class _RanksOfMPI(Ranks):
 
     def named(self, number: int, words: str) -> str:
         """Words about a rank, which say which one."""
-        return f"{words} (rank {number})"
+        return f"{words} (rank {number})" if self.count > 1 else words
 
     def largest(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The largest of each number on all ranks."""
@@ -217,9 +218,10 @@ def ranks_of_mpi() -> Ranks:
     return ranks
 
 
-def end_all(ranks: Ranks, error: BaseException, code: int) -> None:
-    """End all ranks where an error is that of one alone."""
-    if isinstance(ranks, _RanksOfMPI) and ranks.count > 1:
-        words = ranks.named(ranks.number, f"particlerb: {type(error).__name__}: {error}")
-        print(words, file=sys.__stderr__, flush=True)
-        ranks.communicator.Abort(code)
+def end_all(ranks: Ranks, error: BaseException) -> None:
+    """End all ranks, unless all of them raise this error: the others would wait for this one."""
+    if isinstance(ranks, _RanksOfMPI) and not ranks.agreed(error):
+        is_asked = isinstance(error, KeyboardInterrupt)
+        what = "interrupted" if is_asked else f"{type(error).__name__}: {error}"
+        print(ranks.named(ranks.number, f"particlerb: {what}"), file=sys.__stderr__, flush=True)
+        ranks.communicator.Abort(130 if is_asked else 1)

@@ -190,7 +190,10 @@ def add_check(check: _Parser) -> None:
     _add_case(check)
     _add_plan(check)
     check.add_argument(
-        "--ranks", type=_number, metavar="N", help="how so many ranks of --mpi would share it"
+        "--ranks",
+        type=_number,
+        metavar="N",
+        help="also show how N ranks of --mpi would share the bodies",
     )
 
 

@@ -4,7 +4,7 @@ import argparse
 import contextlib
 from collections.abc import Iterator
 
-from particlerb.cli.exit_codes import FAILED, Ending, ending
+from particlerb.cli.exit_codes import Ending, ending
 from particlerb.ranks import NoRanksError, Ranks, end_all, launched, ranks_of_mpi
 
 
@@ -29,5 +29,5 @@ def ranks_of(options: argparse.Namespace) -> Iterator[Ranks | None]:
         except (Ending, NoRanksError, SystemExit):
             raise
         except BaseException as error:
-            end_all(ranks, error, FAILED)
+            end_all(ranks, error)
             raise

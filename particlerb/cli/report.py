@@ -25,7 +25,8 @@ _SECONDS: Final = {"lines": 10.0, "log": 1.0}  # between lines
 def _new_log(path: Path) -> TextIO:
     """File for lines, with its head; what is there may only be another log."""
     try:
-        if path.exists() and not path.read_bytes().startswith(_HEAD.encode()):
+        data = path.read_bytes() if path.exists() else b""
+        if data and not data.startswith(_HEAD.encode()):
             raise Ending(f"--log {path} exists and is not a log: give another name")
         file = path.open("w", encoding="utf-8")
     except OSError as error:

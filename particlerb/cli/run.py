@@ -54,9 +54,9 @@ from particlerb.model.system import System
 from particlerb.plan.stability import STEPS_PER_CONTACT, stable_turn
 from particlerb.ranks import ALONE, Ranks
 from particlerb.record import schema
+from particlerb.record.checked_reading import can_be_continued
 from particlerb.record.file_size import SMALLEST_FILE, estimated_size
 from particlerb.record.output_file import DamagedError
-from particlerb.record.parts import parts_in
 from particlerb.record.trajectory import TrajectoryError, open_trajectory
 from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_accurately
@@ -104,7 +104,7 @@ def _run(options: argparse.Namespace, ranks: Ranks | None) -> int:
     if ranks is not None:
         part_of(prepared, ranks)
     path = together(partial(_output_path, options, system))
-    _warn(options, _disk_warnings(system, path))
+    together(lambda: _warn(options, _disk_warnings(system, path)))
     if not (options.quiet or options.json):
         title = system.title or path.stem
         print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
@@ -113,7 +113,7 @@ def _run(options: argparse.Namespace, ranks: Ranks | None) -> int:
 
     run, total = partial(run_prepared, prepared, path, options.overwrite), frame_count(system.run)
     before = _number_of(path)
-    outcome = _execute(partial(run, ranks=ranks), path, options, total, before=before)
+    outcome = _execute(partial(run, ranks=ranks), path, options, total, before=before, ranks=ranks)
     return _conclude(prepared, outcome, path, options, ranks)
 
 
@@ -133,7 +133,7 @@ def _resume(options: argparse.Namespace, shared: Ranks | None) -> int:
         raise Ending(str(error)) from None
     _warn(options, list(pending.warnings))
     system, start = pending.prepared.system, pending.start
-    _warn(options, _disk_warnings(system, path, pending.known))
+    ranks.together(lambda: _warn(options, _disk_warnings(system, path, pending.known)))
     if not (options.quiet or options.json):
         again = f", the last {pending.known - start} of them to be computed again"
         print(
@@ -144,7 +144,7 @@ def _resume(options: argparse.Namespace, shared: Ranks | None) -> int:
 
     try:
         run = partial(resume_pending, pending, ranks=ranks)
-        outcome = _execute(run, path, options, pending.total, start)
+        outcome = _execute(run, path, options, pending.total, start, ranks=shared)
     except ResumeError as error:
         raise Ending(str(error)) from None
     return _conclude(pending.prepared, outcome, path, options, shared)
@@ -222,13 +222,17 @@ def _execute(
     total: int,
     done: int = 0,
     before: int | None = None,
+    ranks: Ranks | None = None,
 ) -> Outcome:
     """Run, and report on it; an interrupt or a failure says what was kept, and how to go on.
 
     `before` is the number of a file that is there and is to be replaced.
     """
+    ranks = ranks or ALONE
+    log = None if ranks.number else options.log
+    report = ranks.together(lambda: Report(total, done, options.quiet, log))
     try:
-        with Report(total, done, options.quiet, options.log) as report, stoppable():
+        with report, stoppable():
             return run(report.add)
     except (RunError, DamagedError) as error:
         raise Ending(f"the run failed: {error}; {kept(path, before, False)}", FAILED) from None
@@ -285,8 +289,7 @@ def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
         with open_trajectory(path) as trajectory:
             n = trajectory.n_frames
             text = f"{n} {'frame is' if n == 1 else 'frames are'} kept in {path}"
-            file = trajectory.file
-            if can_go_on and (schema.CHECKPOINT in file or parts_in(file) or not n):
+            if can_go_on and (can_be_continued(trajectory.file) or not n):
                 text += f"\ncontinue with: python -m particlerb resume {shlex.quote(str(path))}"
             return text
     except (OSError, TrajectoryError) as error:

@@ -20,7 +20,7 @@ from particlerb.record.atomic import to_read
 from particlerb.record.hdf5 import header_attribute
 from particlerb.record.memory import Memory
 from particlerb.record.parts import folder_beside, parts_in, range_in
-from particlerb.record.schema import COMMITTED, TIME
+from particlerb.record.schema import CHECKPOINT, COMMITTED, TIME
 
 _FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
 _LAYOUTS: Final = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
@@ -243,6 +243,15 @@ def require_parts(file: h5py.File, n_frames: int) -> None:
             raise TrajectoryError(
                 f"{file.filename}: its part {path} has {n} frames, and {n_frames} were committed"
             )
+
+
+def can_be_continued(file: h5py.File) -> bool:
+    """Whether a file keeps a state from which its run can be continued, or its first part does."""
+    parts = parts_in(file)
+    if parts is None:
+        return CHECKPOINT in file
+    with open_file(folder_beside(Path(file.filename)) / parts.names[0]) as part:
+        return CHECKPOINT in part
 
 
 def text_at(file: h5py.File | Memory, path: str) -> str:

@@ -17,6 +17,7 @@ from particlerb.record import schema
 from particlerb.record.checked_reading import (
     TrajectoryError,
     attribute,
+    can_be_continued,
     dataset_at,
     integer_attribute,
     object_at,
@@ -249,6 +250,8 @@ def _verify_checkpoint(trajectory: Trajectory) -> str:
 def _states_of_parts(trajectory: Trajectory, parts: Parts) -> str:
     """The same, of a state that all parts have."""
     common = set(range(trajectory.n_frames + 1))
+    if not can_be_continued(trajectory.file):
+        return "none: the run cannot be continued"
     for name in parts.names:
         path = folder_beside(Path(trajectory.file.filename)) / name
         with open_file(path) as file:

@@ -158,6 +158,11 @@ def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
         set(states) for of_rank in ranks.gathered([list(one) for one in own]) for states in of_rank
     ]
     common = [n for n in set.intersection(*each) if n <= pending.known]
+    if not any(each):
+        raise ResumeError(
+            f"{pending.path} has no checkpoints: runs with contact keep none with --mpi; run the"
+            " case anew"
+        )
     if not common:
         raise ResumeError(
             f"{pending.path}: its parts have no whole checkpoint in common: it cannot be continued;"

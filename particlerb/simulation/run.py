@@ -20,7 +20,7 @@ from particlerb.plan.describe import describe
 from particlerb.plan.joints import assembled
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
-from particlerb.ranks import ALONE, Ranks, as_agreed
+from particlerb.ranks import ALONE, Ranks, as_agreed, end_all
 from particlerb.record.checkpoint import Checkpoint
 from particlerb.record.layout import tables_of
 from particlerb.record.memory import Memory
@@ -157,8 +157,8 @@ def advance(
                     _save(recorder, state)
                 raise as_agreed(KeyboardInterrupt())
     except BaseException as problem:
-        if ranks.agreed(problem):  # one that fails alone waits for nobody
-            recorder.finish()
+        end_all(ranks, problem)
+        recorder.finish()
         if isinstance(problem, MotionError | FloatingPointError | OtherFrameError):
             raise RunError(str(problem)) from None
         raise

@@ -112,7 +112,7 @@ def _part_of_touching(prepared: Prepared, group: GroupPlan, ranks: Ranks) -> Pre
 
 def refuse_contact(prepared: Prepared, ranks: Ranks) -> None:
     """Raise NoRanksError where ranks cannot share what touches; it says what it is."""
-    found = list(_unshared(prepared.system, prepared.plan.groups))
+    found = list(dict.fromkeys(_unshared(prepared.system, prepared.plan.groups)))
     if found:
         raise NoRanksError(
             f"--mpi shares clumps with springs in their contacts, and this case has"
@@ -130,7 +130,7 @@ def _unshared(system: System, groups: tuple[GroupPlan, ...]) -> Iterator[str]:
     for terms in all_terms:
         contact = terms.contact
         if contact is not None and not terms.has_springy_contact:
-            yield 'the law "impulse" or "events"'
+            yield f'the law "{system.contact.law}"' if system.contact else "contact by impulses"
         if contact is not None and contact.pistons is not None:
             yield "walls that slide under a load"
         if contact is not None and contact.with_output:
@@ -175,7 +175,9 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
     """
     refuse_coupled(prepared)
     if any(_touches(group) for group in prepared.plan.groups):
-        raise NoRanksError("--ranks knows nothing yet of bodies that touch")
+        raise NoRanksError(
+            "--ranks cannot tell yet how bodies that touch would be shared; --mpi runs them"
+        )
     system, ranks = prepared.system, Ranks()
     ranks.count = n_ranks
     ranks.number = n_ranks - 1  # the last rank has most parts

@@ -316,8 +316,7 @@ class BrickMotion(ContactMotion):
             elapsed = times - self.start
             return self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)[rows]
         except BaseException as error:
-            if not self.ranks.agreed(error):  # the others would wait for this one
-                end_all(self.ranks, error, 1)
+            end_all(self.ranks, error)
             raise
 
     def recording(self, frames: Frames) -> Recording:

@@ -30,7 +30,10 @@ def test_clumps_that_touch_have_the_same_bits_on_any_number_of_ranks(tmp_path):
         assert abs(file["observables/work/value"][-1]) > 1.0  # [J] they have touched
     done = command("resume", tmp_path / "3.h5", "--t-end", "0.5")
     assert done.returncode == 2
-    assert "it cannot be continued; run the case anew" in done.stderr
+    assert "runs with contact keep none with --mpi; run the case anew" in done.stderr
+    found = command("info", tmp_path / "3.h5", "--verify")
+    assert found.returncode == 0, found.stdout
+    assert "the run cannot be continued" in found.stdout
 
 
 @needs_mpi

@@ -127,6 +127,20 @@ def test_what_cannot_be_shared_is_refused_once(tmp_path):
 
 @needs_mpi
 @pytest.mark.slow
+def test_a_log_is_one_for_all_ranks(tmp_path):
+    """The first rank writes it; where it must not, no rank waits for another."""
+    done = run(tmp_path / "a.h5", "-q", "--log", str(tmp_path / "a.log"), ranks=2)
+    assert done.returncode == 0, done.stderr
+    lines = (tmp_path / "a.log").read_text().splitlines()
+    assert sum("energy [J]" in line for line in lines) == 1
+    (tmp_path / "b.log").write_text("mine\n")
+    done = run(tmp_path / "b.h5", "-q", "--log", str(tmp_path / "b.log"), ranks=2)
+    assert done.returncode == 2
+    assert "is not a log" in done.stderr
+
+
+@needs_mpi
+@pytest.mark.slow
 def test_several_processes_without_the_option_are_refused(tmp_path):
     words = [w for w in line(*run_words(tmp_path / "a.h5", "-q"), ranks=2) if w != "--mpi"]
     done = subprocess.run(words, env=PLAIN, capture_output=True, text=True, check=False)
