@@ -110,8 +110,17 @@ class EnergyBalance:
         return {"initial": self.initial[0].copy(), "errors": errors, "scales": scales}
 
     def restore(self, saved: Mapping[str, Floats]) -> None:
-        """Go on from what was saved."""
-        self.initial = saved["initial"][None, :7]
+        """Go on from what was saved.
+
+        Raises
+        ------
+        KeyError, ValueError
+            If something is missing, or has another shape.
+        """
+        sizes = self.initial.shape[1], len(self.errors), len(self.scales)
+        if tuple(len(saved[name]) for name in ("initial", "errors", "scales")) != sizes:
+            raise ValueError("the energy balance has another size")
+        self.initial = saved["initial"][None]
         self.errors, self.scales = saved["errors"][:, None], saved["scales"][:, None]
 
     def enter(self, now: Totals, booked: Floats, gross: Floats | float = 0.0) -> Entries:

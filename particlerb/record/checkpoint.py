@@ -108,7 +108,8 @@ def count_from(file: h5py.File, n_frames: int) -> None:
     if schema.CHECKPOINT not in file:
         return
     place = file[schema.CHECKPOINT]
-    frames = [int(place[name].attrs[schema.SLOT_FRAMES]) for name in schema.SLOTS]
+    slots = [place.get(name) for name in schema.SLOTS]  # one may be missing in a damaged file
+    frames = [-1 if slot is None else int(slot.attrs[schema.SLOT_FRAMES]) for slot in slots]
     if n_frames in frames and frames[int(place.attrs[schema.CURRENT])] != n_frames:
         change(place.id, schema.CURRENT, np.int64(frames.index(n_frames)))
 

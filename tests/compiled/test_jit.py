@@ -20,7 +20,7 @@ import numpy as np
 from particlerb.compiled.jit import CACHE_FOLDER
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import room_for
-from particlerb.model.balance import totals
+from particlerb.model.totals import totals
 one, three = np.ones(1), np.ones((3, 1))
 bodies = Bodies(one, one, three, three, np.array([[1.0], [0], [0], [0]]), np.full(1, 4))
 frames = room_for(1, 1, np.zeros((1, 4)))

@@ -10,7 +10,14 @@ from particlerb.case.to_system import to_system
 from particlerb.plan.make_plan import make_plan
 from particlerb.simulation.whole_run import RunError
 
-mpmath.mp.dps = 60
+
+@pytest.fixture(autouse=True)
+def digits():
+    """References have 60 digits, whatever other tests ask for."""
+    with mpmath.workdps(60):
+        yield
+
+
 CENTRE = (1.0, -2.0, 0.5)
 
 ORBITS = {  # μ, place and velocity relative to the centre, t

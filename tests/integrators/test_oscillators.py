@@ -12,7 +12,12 @@ from particlerb.case.to_system import to_system
 from particlerb.plan.make_plan import make_plan
 from particlerb.stepping.damped_oscillators import oscillation
 
-mpmath.mp.dps = 60
+
+@pytest.fixture(autouse=True)
+def digits():
+    """References have 60 digits, whatever other tests ask for."""
+    with mpmath.workdps(60):
+        yield
 
 
 def after(rate, squared, t):
@@ -192,3 +197,28 @@ def test_a_pair_off_its_line_is_stepped_where_it_is_damped(make):
     three["body"].append(make.body("c", position=[3, 0, 0]))
     three["force"].append(make.tie("c", 1.0, "a"))
     assert method_of(three) == [["strang"]]
+
+
+@pytest.mark.plain
+def test_bodies_that_other_springs_have_moved_off_their_line_are_stepped(make):
+    """First they are a pair, then each is on a damped spring of its own."""
+    a = make.body("a", position=[1.0, 0.0, 0.0], velocity=[0.5, 0.0, 0.0])
+    b = make.body("b", position=[0.0, 1.0, 0.0], velocity=[0.0, -0.3, 0.0])
+    tie = make.tie("b", 6.0, "a", during=[0.0, 1.0])
+    end = {"damping": 1.5, "during": [1.0, 3.0], "anchor": [0.0, 0.0, 0.0]}
+    own = [make.tie(None, 5.0, name, **end) for name in "ab"]
+    scene = make.case(a, b, force=[tie, *own], t_end=3.0, every=0.5)
+    found = make.arrays(scene)
+    scene["run"] |= {"method": "dop853", "tolerance": 1e-12}
+    assert np.abs(found.position - make.arrays(scene).position).max() < 5e-3
+
+
+@pytest.mark.plain
+def test_what_soft_springs_book_is_no_difference_of_large_numbers(make):
+    """The place of balance is 2e7 m away."""
+    body = make.body(position=[0.5, -0.3, 0.2], velocity=[1.0, 2.0, -0.5])
+    force = [make.tie(None, 1e-6, anchor=[0.0, 0.0, 0.0])]
+    scene = make.case(body, force=force, gravity={"acceleration": [3.0, 1.0, -9.0]}, t_end=2.0)
+    found = make.arrays(scene)
+    assert "an oscillator" in found.plan
+    assert np.abs(found.ledger.angular_momentum_error).max() < 1e-12

@@ -12,7 +12,11 @@ from particlerb.plan.make_plan import make_plan
 AXES = {"1": (0, 1, 2), "2": (2, 0, 1), "3": (1, 2, 0)}  # axes x y z are these of the moments
 
 
-mpmath.mp.dps = 50
+@pytest.fixture(autouse=True)
+def digits():
+    """References have 50 digits, whatever other tests ask for."""
+    with mpmath.workdps(50):
+        yield
 
 
 def pendulum_after(phi, rate, square, t):
