@@ -134,7 +134,8 @@ def force(
         parameters: numbers, or tuples of them.
         A force between two bodies takes `x1`, `R1`, `v1`, `omega1` of the first and `x2`, `R2`,
         `v2`, `omega2` of the second, and returns force and torque on the first. The second feels
-        -F, and the torque (x2 - x1) × F - τ, so that momentum and angular momentum are kept.
+        -F, and the torque (x2 - x1) × F - τ, so that momentum is kept, and angular momentum where
+        both can turn.
     potential : callable, optional
         Energy [J] of the force; takes `x`, `R`, or those of both bodies, and parameters of the
         force by their names.

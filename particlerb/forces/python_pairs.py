@@ -62,10 +62,12 @@ def numbers_of_pairs(table: "PythonTable", first: Ints, second: Ints, system: "S
             hint = f"call it {name}1 and {name}2: of the bodies in `body`, and in `to`"
             raise ForceError(f"per_body.{name}", "says not of which body of a pair it is", hint)
         end, named = (first, table.body) if name[-1] == "1" else (second, table.to or table.body)
-        bodies = system.names.find(named)
+        bodies = system.names.find_in_order(named)
         refuse_length(name, values, bodies.size)
-        found: Floats = values[np.searchsorted(bodies, end)]
-        return found
+        if np.array_equal(bodies, end):
+            return values
+        order = np.argsort(bodies, kind="stable")
+        return values[order[np.searchsorted(bodies, end, sorter=order)]]
 
     rows = in_rows(parameters_of(table, per_body), first.size).T
     functions = functions_of((force,), (lengths_of(table),))

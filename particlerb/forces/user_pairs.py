@@ -1,9 +1,9 @@
 """Forces between two bodies that users write in Python: see `particlerb.user_force`.
 
-The first body feels F and τ, the second -F and (x₂ - x₁) × F - τ: momentum and angular momentum are
-kept, whatever the function is. A force that takes velocities is a load for methods that take
-slopes. Splittings have a flow of it, by the implicit midpoint rule at a fixed pose, one pair after
-the other, as they have of dashpots.
+The first body feels F and τ, the second -F and (x₂ - x₁) × F - τ: momentum is kept, whatever the
+function is, and angular momentum where both bodies can turn: points drop torques. A force that
+takes velocities is a load for methods that take slopes. Splittings have a flow of it, by the
+implicit midpoint rule at a fixed pose, one pair after the other, as they have of dashpots.
 """
 
 from functools import cache

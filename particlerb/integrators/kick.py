@@ -138,7 +138,8 @@ def _iterate(
     p, spin = _one_of(changes, third, known)
     put3(rows, P, b, p)
     put3(rows, L, b, spin)
-    more = _differs(known[0], second[0], third[0]) | _differs(known[1], second[1], third[1])
+    more = _differs(known[0], second[0], third[0], to.first[0], to.last[0])
+    more = more | _differs(known[1], second[1], third[1], to.first[1], to.last[1])
     more = more & changes
     put(rows, _CHANGES, b, 1.0 if more else 0.0)
     return 1 if more else 0
@@ -158,14 +159,17 @@ def _iterated(
 
 
 @inline
-def _differs(a: Vec3, b: Vec3, c: Vec3) -> bool:
+def _differs(a: Vec3, b: Vec3, c: Vec3, first: Vec3, last: Vec3) -> bool:
     """Whether the iterate after c will differ by more than rounding; not if it is not finite.
 
-    Changes shrink in proportion, here from |b - a| to |c - b|.
+    Changes shrink in proportion, here from |b - a| to |c - b|. Rounding is that of the largest of
+    c and what it is a sum of: momenta before the kick, and after it by all other forces.
     """
     before = abs(b[0] - a[0]) + abs(b[1] - a[1]) + abs(b[2] - a[2])
     change = abs(c[0] - b[0]) + abs(c[1] - b[1]) + abs(c[2] - b[2])
     size = abs(c[0]) + abs(c[1]) + abs(c[2])
+    size += abs(first[0]) + abs(first[1]) + abs(first[2])
+    size += abs(last[0]) + abs(last[1]) + abs(last[2])
     return (change > _ROUNDING * size) & (change * change > _ROUNDING * size * before)
 
 

@@ -166,6 +166,7 @@ class _Straight:
         self.bodies, self.state = bodies, state
         n = bodies.mass.size
         self.holds, self.is_alone = np.ones(n, dtype=bool), True
+        self.partners: Ints | None = None  # of pairs that links have tied
         self.line = np.zeros((3, n))
         self.meet(state.p)
 
@@ -183,10 +184,16 @@ class _Straight:
     def under(self, terms: Terms) -> Bools | None:
         """Whether they do under these terms; None where no damping asks for it."""
         links, n = terms.links, self.holds.size
-        self.is_alone &= not terms.loads
+        to_world = links is not None and bool((links.second == WORLD).any())
+        self.is_alone &= not terms.loads and not to_world
         if any(isinstance(load, Central) for load in terms.loads):
             self.holds[:] = False
         if links is not None and (links.second != WORLD).any():
+            partners = np.full(n, WORLD)
+            partners[links.first], partners[links.second] = links.second, links.first
+            known = partners if self.partners is None else self.partners
+            self.is_alone &= bool((partners == known).all())
+            self.partners, self.holds[:] = partners, False  # pairs are not followed in the world
             x, v = self.state.com, self.state.p * self.bodies.inv_mass
             own = np.ones(n, dtype=bool)
             apart = [u[:, links.second] - u[:, links.first] for u in (x, v)]

@@ -70,7 +70,8 @@ def make_plan(
         state = system.merging.together(state)
     system = system._replace(state=state)
     grouped = groups_of(system, loads, links, touching, joints)
-    cut = [part for group in grouped for part in cut_into_segments(system, group, touching, start)]
+    asked = touching, start, now is None
+    cut = [part for group in grouped for part in cut_into_segments(system, group, *asked)]
     cut.sort(key=lambda group: int(group.members.min()))
     refuse_method(system, cut)
     stepped = tuple(with_steps(group, step(system, group)) for group in cut)

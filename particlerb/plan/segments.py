@@ -80,11 +80,12 @@ class Plan(NamedTuple):
 
 
 def cut_into_segments(
-    system: System, group: GroupSetup, touching: ContactSetup | None, begin: float
+    system: System, group: GroupSetup, touching: ContactSetup | None, begin: float, is_first: bool
 ) -> list[GroupPlan]:
     """Segments of a group from a time on, between the edges of its forces; steps are set later.
 
-    Bodies with a closed form part from others where they are not stepped.
+    Impulses of that time act where it is the first of the run. Bodies with a closed form part from
+    others where they are not stepped.
     """
     edges = {begin}
     for form in (*(force.form for force in group.forces), *(link.force for link in group.links)):
@@ -112,7 +113,7 @@ def cut_into_segments(
                 drives = drives_from(group.joints.courses, start)
                 terms = terms._replace(joints=terms.joints._replace(drives=drives))
             terms = _with_drag_among_joints(terms, bodies)
-        jumps = jumps_at(forces, bodies, start) if start > begin or begin == 0.0 else ()
+        jumps = jumps_at(forces, bodies, start) if start > begin or is_first else ()
         stretches.append(Stretch(terms, jumps))
     closed, segments = [], []
     scene = system.world[members] if group.joints is not None or group.links else None
@@ -134,7 +135,7 @@ def cut_into_segments(
     return [
         part
         for which in parts
-        for part in cut_into_segments(system, part_of(group, which), touching, begin)
+        for part in cut_into_segments(system, part_of(group, which), touching, begin, is_first)
     ]
 
 

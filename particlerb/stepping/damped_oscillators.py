@@ -121,6 +121,7 @@ def braked(of: Centres, spring: DampedOscillator, lo: int, t: float, given: Give
         square = VV * dot(v, v) + squared * (squared * SS * dot(y, y) - S * S * dot(y, v))
         impulse = scale(-M, add_scaled(squared, lost, scale(rate, moved)))
         angular = add_scaled(-rate * A, cross(y, v), scale(-rate, cross(a, moved)))
-        angular = scale(M, add_scaled(squared, cross(lost, a), angular))
+        turned = cross(add_scaled(S + rate * B, x0, scale(B, v)), a)  # lost × a, as y + a = x₀
+        angular = scale(M, add_scaled(squared, turned, angular))
         work = dot(load3(pushed, b), moved) - rate * M * square
         add_given(given, lo + b, work, impulse, angular)

@@ -173,7 +173,8 @@ def sprung(of: Centres, spring: Oscillator, lo: int, t: float, given: Any) -> No
         if given is not None:
             lost = add_scaled(sine, y, scale(fall, v))  # ∫ (x - a) dt
             k = M * squared[b]
-            work, angular = dot(load3(pushed, b), moved), scale(k, cross(lost, a))
+            turned = cross(add_scaled(sine, x0, scale(fall, v)), a)  # lost × a, as y + a = x₀
+            work, angular = dot(load3(pushed, b), moved), scale(k, turned)
             add_given(given, lo + b, work, scale(-k, lost), angular)
 
 

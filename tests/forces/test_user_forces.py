@@ -601,3 +601,41 @@ def test_compiled_forces_are_kept_by_content_and_not_without_a_text(foreign):
     assert console[0] == pytest.approx(math.cos(1.0), abs=1e-3)
     assert after == more
     assert ["compiled anew" in one for one in console[2]] == [True]
+
+
+@particlerb.force
+def own_magnet(v, B):
+    return (B * v[1], -B * v[0], 0.0), NO_TORQUE
+
+
+@plain
+def test_a_kick_that_ends_almost_at_rest_converges():
+    """A cycloid: there the sum is small beside the momenta that it is a sum of."""
+    made = Scene(RunTable(t_end=10.0, every=10.0, method="strang", dt=0.1))
+    at, B = {"position": [[0, 0, k] for k in range(64)]}, np.linspace(8.0, 9.9, 64)
+    body = Body(name="a", shape=Moments(inertia=(1, 1, 1)), mass=1.0, count=B.size)
+    made.body.append(body.model_copy(update=at))
+    made.add_force(PythonTable(body="a", function=own_magnet, per_body={"B": B}))
+    made.add_force(PushTable(body="a", force=(0.0, 1.0, 0.0)))
+    with particlerb.run(made) as t:
+        assert np.isfinite(t.velocity).all()
+
+
+def log_energy(x):
+    return 0.01 * np.log(x[0])
+
+
+@particlerb.force(potential=log_energy)
+def own_log(x):
+    return (-0.01 / x[0], 0.0, 0.0), NO_TORQUE
+
+
+@plain
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
+def test_an_energy_that_is_no_number_ends_the_run(tmp_path):
+    """The force goes on to be one; frames before are kept."""
+    made = scene(table(own_log), method="rk4", position=(0.5, 0.0, 0.0), velocity=(-1.0, 0.0, 0.0))
+    with pytest.raises(RunError, match=r"energy, momentum or work is not finite at t = 0\.5 s"):
+        particlerb.run(made, tmp_path / "a.h5")
+    with particlerb.open(tmp_path / "a.h5") as t:
+        assert t.n_frames == 2

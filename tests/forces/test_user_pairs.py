@@ -348,3 +348,20 @@ def test_points_are_not_turned_and_methods_refuse_what_they_cannot():
 
 def lambda_of_both(x, x2):
     return x, x2
+
+
+@particlerb.force
+def own_push(x1, x2, q1):
+    return (q1, 0.0, 0.0), NO_TORQUE
+
+
+@plain
+def test_numbers_of_bodies_come_in_the_order_in_which_they_are_named():
+    """Not in that of the scene: c pushes b with 1 N, a and d do nothing."""
+    made = Scene(RunTable(t_end=1.0, every=1.0, method="rk4", dt=0.1))
+    for k, name in enumerate("abcd"):
+        made.add_body(name=name, shape=Moments(inertia=(1, 1, 1)), mass=1.0, position=(0, k, 0))
+    asked = {"body": ["c", "a"], "to": ["b", "d"], "per_body": {"q1": [1.0, 0.0]}}
+    made.add_force(PythonTable(function=own_push, **asked))
+    with particlerb.run(made) as t:
+        assert t.velocity[-1, :, 0] == pytest.approx([0.0, -1.0, 1.0, 0.0], abs=1e-14)

@@ -5,7 +5,16 @@ import pytest
 
 import particlerb
 from particlerb import CaseError, Scene, Simulation
-from particlerb.tables import Ball, Box, ContactTable, PlaneWall, PushTable, RunTable, TorqueTable
+from particlerb.tables import (
+    Ball,
+    Box,
+    ContactTable,
+    ImpulseTable,
+    PlaneWall,
+    PushTable,
+    RunTable,
+    TorqueTable,
+)
 
 STATES = "position", "orientation", "linear_momentum", "angular_momentum"
 TORQUE, PUSH = np.array([0.0, 0.0, 0.1]), np.array([1.0, 0.0, 0.0])
@@ -183,3 +192,14 @@ def test_its_file_says_that_it_cannot_be_resumed(tmp_path):
         particlerb.resume(tmp_path / "a.h5")
     with pytest.raises(FileExistsError):
         Simulation(turned_box(), tmp_path / "a.h5")
+
+
+def test_a_change_at_the_start_repeats_no_impulse():
+    scene = Scene(RunTable(t_end=1.0, every=0.5))
+    scene.add_body(name="ball", shape=Ball(radius=0.1), mass=2.0)
+    scene.add_force(ImpulseTable(body="ball", impulse=(2.0, 0, 0), time=0.0))
+    scene.add_force(PushTable(body="ball", force=(0.0, 0, 0)))
+    simulation = Simulation(scene)
+    simulation.change("force[1].force", (0.0, 1.0, 0.0))
+    state = simulation.advance(0.5)
+    assert state.velocity[0].tolist() == pytest.approx([1.0, 0.25, 0.0], abs=1e-15)
