@@ -32,7 +32,8 @@ from results import FOLDER, commit
 
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
-from particlerb.simulation.run import RunError, prepare, run_prepared
+from particlerb.simulation.run import prepare, run_prepared
+from particlerb.simulation.whole_run import RunError
 from particlerb.stepping.contact_motion import ContactMotion
 
 HERE = Path(__file__).resolve()

@@ -13,7 +13,8 @@ from particlerb.contact.restitution import damping_ratio
 from particlerb.integrators import METHODS
 from particlerb.plan.rates import softest_turning
 from particlerb.plan.stability import STEPS_PER_CONTACT
-from particlerb.simulation.run import RunError, prepare
+from particlerb.simulation.run import prepare
+from particlerb.simulation.whole_run import RunError
 from particlerb.stepping.begin import begin
 
 

@@ -15,7 +15,8 @@ from particlerb.case.reader import load
 from particlerb.case.run import FRAME_ROUNDING
 from particlerb.case.to_system import to_system
 from particlerb.simulation.frame_times import frame_times
-from particlerb.simulation.run import RunError, prepare, run_prepared
+from particlerb.simulation.run import prepare, run_prepared
+from particlerb.simulation.whole_run import RunError
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
 AT, FORCE = [0.4, -0.3, 0.2], [1.0, 2.0, -1.5]
