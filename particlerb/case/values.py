@@ -8,9 +8,9 @@ import ast
 from collections.abc import Mapping, Sequence
 from functools import cache
 from inspect import getsource
-from itertools import pairwise
+from itertools import chain, pairwise
 from textwrap import dedent
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 LARGEST_COUNT = 2**31 - 1
+_PLAIN: Final = frozenset((float, int, str, bool))  # what is as a case has it
 _SHORTEST = 1e-300  # [s] between two knots: its inverse is finite
 
 
@@ -152,7 +153,7 @@ def rows(width: int) -> PlainValidator:
             raise broken(f"must be rows of {width} numbers each") from None
         if array.ndim != 2 or array.shape[1] != width or array.dtype.kind not in "iuf":
             raise broken(f"must be rows of {width} numbers each")
-        if isinstance(value, list) and any(isinstance(x, bool) for row in value for x in row):
+        if isinstance(value, list) and bool in map(type, chain.from_iterable(value)):
             raise broken("must be numbers, true and false are none")
         array = np.array(array, dtype=np.float64, order="C")
         if not np.isfinite(array).all():
@@ -231,6 +232,8 @@ def plain(value: Any, keeps_rows: bool = False, keeps_tables: bool = False) -> A
 
     Two-dimensional arrays stay where they may be rows for many bodies: in tables without `type`.
     """
+    if type(value) in _PLAIN:
+        return value
     if isinstance(value, BaseModel):
         return value if keeps_tables else plain(value.model_dump(exclude_unset=True))
     if isinstance(value, Mapping):
