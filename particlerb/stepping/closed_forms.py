@@ -131,6 +131,8 @@ class Translations(NamedTuple):
 def translations_of(group: SegmentGroup, state: State) -> Translations:
     """Drag and springs on the centres of mass of a group."""
     loads, links = group.terms.loads, group.terms.links
+    if links is None and not any(isinstance(load, Drag | Spring) for load in loads):
+        return Translations()
     n, inv_mass = group.members.size, group.bodies.inv_mass
     rate = sum((load.rate for load in loads if isinstance(load, Drag)), np.zeros(n))
     pushed, pull = force_of(group)

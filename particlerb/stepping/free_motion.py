@@ -15,19 +15,15 @@ import numpy as np
 from particlerb.compiled.jit import Flag, flag, inline, kernel
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import LINE
+from particlerb.forces.drag import Drag
+from particlerb.forces.torque import Torque
 from particlerb.maths.quaternion import Rows4, load4, rows4, store4
 from particlerb.maths.vec3 import Floats, Ints, load3, rows3, store3
 from particlerb.model.block import BOOKED, COM, STRIDE, L, P, Q, get, get3, in_blocks
 from particlerb.model.bodies import Record, taken
 from particlerb.model.state import CONJUGATE, Frames, State, quaternion_product, rotate, store_frame
 from particlerb.model.totals import N_TOTALS, BlockRows, sum_block
-from particlerb.model.worlds import (
-    bins_among,
-    over_bins,
-    over_bodies,
-    part_of_worlds,
-    shape_of,
-)
+from particlerb.model.worlds import bins_among, over_bins, over_bodies, part_of_worlds, shape_of
 from particlerb.rotors.exact import (
     HyperbolicTurn,
     SteadyTurn,
@@ -232,7 +228,6 @@ class FreeMotion(Motion):
         self.group, self.state, self.start = group, state, start
         self.force = force_of(group)[1]
         self.moves = moves = translations_of(group, state)
-        self.torque, self.rotation = torques_on(group.terms, group.members.size)
         self.orbit = orbits_of(group, state)
         self.is_pair = self.orbit is not None and group.terms.is_coupled
         self.is_pair |= moves.drift is not None
@@ -256,10 +251,12 @@ class FreeMotion(Motion):
                 levers = turned_about(levers, bodies, lever, terms.axis, state.q)
             yield from self.top_parts(levers)
             free = np.flatnonzero(levers.is_free)
-        is_spun = (self.rotation[free] > 0.0) | self.torque[:, free].any(axis=0)
-        if is_spun.any():
-            yield self.spun_part(free[is_spun])
-            free = free[~is_spun]
+        if any(isinstance(load, Drag | Torque) for load in terms.loads):
+            torque, drag = torques_on(terms, bodies.mass.size)
+            is_spun = (drag[free] > 0.0) | torque[:, free].any(axis=0)
+            if is_spun.any():
+                yield self.spun_part(free[is_spun], torque, drag)
+                free = free[~is_spun]
         if free.size < bodies.mass.size:
             bodies, state = taken(bodies, free), taken(state, free)
         for which, turn in prepare(bodies.inertia, bodies.rotor_class, state.q, state.L):
@@ -267,14 +264,14 @@ class FreeMotion(Motion):
             steady, theta, hyperbolic = by_kind(turn)
             yield own, self.part(own, steady=steady, theta=theta, hyperbolic=hyperbolic), None
 
-    def spun_part(self, which: Ints) -> tuple[Ints, _Part, None]:
+    def spun_part(self, which: Ints, torque: Floats, drag: Floats) -> tuple[Ints, _Part, None]:
         """Bodies that a torque or drag turns about a line."""
         bodies, axis = self.group.bodies, self.group.terms.axis
         k = np.zeros(which.size, dtype=np.int64) if axis is None else np.maximum(axis[which], 0)
         inverse = bodies.inv_inertia[k % LINE, which]
-        vectors = (self.state.q, self.state.L, self.torque)
+        vectors = (self.state.q, self.state.L, torque)
         own = [np.ascontiguousarray(one[:, which]) for one in vectors]
-        spinning = Spinning(self.rotation[which] * inverse, inverse, *own)
+        spinning = Spinning(drag[which] * inverse, inverse, *own)
         return which, self.part(which)._replace(spinning=spinning, changes_spin=flag(True)), None
 
     def top_parts(self, levers: Levers) -> Iterator[tuple[Ints, _Part, _Turned]]:
