@@ -11,9 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.maths.vec3 import (
-    Floats,
-)
+from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import lengths
 from particlerb.model.superblocks import Range, summed, superblocks
@@ -99,10 +97,11 @@ class EnergyBalance:
 
     def __init__(self, initial: Totals) -> None:
         self.shape = initial.sums.shape[1:-1]  # of worlds
-        self.initial = initial.sums[0].reshape(-1, N_TOTALS)[:, 1:8].copy()
-        self.initial[:, 0] += initial.sums[0].reshape(-1, N_TOTALS)[:, 0]
-        self.errors, self.scales = np.zeros((2, 3, len(self.initial)))
-        self.enter(initial, np.zeros((1, *self.shape, 7)))
+        sums = initial.sums[0].reshape(-1, N_TOTALS)
+        self.initial = sums[:, 1:8].copy()
+        self.initial[:, 0] += sums[:, 0]
+        self.errors = np.zeros((3, len(sums)))
+        self.scales = sums.T[[0, 8, 9]]
 
     def checkpoint(self) -> dict[str, Floats]:
         """Initial totals, largest errors and scales so far."""

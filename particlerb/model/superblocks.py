@@ -72,7 +72,7 @@ def summed(own: Sequence[Floats], ranks: Ranks = ALONE) -> Floats:
     One after the other: NumPy's sums take another order where there is one frame only. Of a single
     superblock it is the array itself.
     """
-    rows = [row for of_rank in ranks.gathered(own) for row in of_rank]
+    rows = own if ranks is ALONE else [row for of_rank in ranks.gathered(own) for row in of_rank]
     if len(rows) == 1:
         return rows[0]
     total: Floats = rows[0].copy()

@@ -35,7 +35,8 @@ _COLUMNS: Final = {  # of a tally: since the last frame, and since t = 0
 
 def impulse_fields(tallies: Mapping[int, Floats], rows: list[int]) -> dict[str, Floats]:
     """What some frames show, (T,) each; 0 where nothing can touch."""
-    found = np.array([tallies.get(row, np.zeros(TALLY)) for row in rows])
+    nothing = np.zeros(TALLY)
+    found = np.array([tallies.get(row, nothing) for row in rows])
     return {name: found[:, now] for name, (now, _) in _COLUMNS.items()}
 
 

@@ -220,14 +220,15 @@ class Run:
         rank = min(range(len(each)), key=lambda k: each[k][0])
         sound, problem = each[rank]
         error = RunError(self.ranks.named(rank, problem)) if problem else None
-        values = np.concatenate([now.sums, booked], axis=-1).reshape(times.size, -1)
-        are_finite = np.isfinite(values[:sound]).all(axis=1)
-        if not are_finite.all():
-            sound = int(np.argmin(are_finite))
-            error = RunError(
-                f"energy, momentum or work is not finite at t = {float(times[sound])!r} s: a number"
-                " is too large for float64, or a potential is not a number there"
-            )
+        if not (is_finite and math.isfinite(np.add.reduce(booked, axis=None))):
+            values = np.concatenate([now.sums, booked], axis=-1).reshape(times.size, -1)
+            are_finite = np.isfinite(values[:sound]).all(axis=1)
+            if not are_finite.all():
+                sound = int(np.argmin(are_finite))
+                error = RunError(
+                    f"energy, momentum or work is not finite at t = {float(times[sound])!r} s: a"
+                    " number is too large for float64, or a potential is not a number there"
+                )
         if sound < times.size:
             frames, now = frames.rows(slice(sound)), Totals(now.sums[:sound])
         turned_over = self.turned_over_before + sum(t.turned_over() for t in self.group_runs)

@@ -14,6 +14,7 @@ from particlerb.record.trajectory import Trajectory
 from particlerb.simulation.checks import results
 from particlerb.simulation.run import prepare, run_prepared
 from particlerb.simulation.whole_run import Run
+from particlerb.stepping.free_motion import FreeMotion
 
 START = {
     "position": [0.1, -0.2, 0.3],
@@ -224,6 +225,17 @@ def test_bodies_in_closed_form_are_summed_while_they_are_written(make):
 def totals_at_start(run):
     """Totals of the first state of a run."""
     return totals(as_frame(run.moving.bodies, run.moving.state), run.counted, run.gravity)
+
+
+@pytest.mark.plain
+def test_booked_work_that_is_no_number_is_found(make, monkeypatch):
+    """Though energies and momenta are numbers; frames before are kept."""
+    work = [[0.0] * 7, [np.nan] + [0.0] * 6]
+    monkeypatch.setattr(FreeMotion, "booked", lambda self, elapsed: np.array(work))
+    run = Run(prepare(to_system(make.case(make.body(**START)))))
+    frames, _, error = run.frames_at(np.array([0.5, 1.0]), np.ones(2, dtype=bool))
+    assert len(frames.position) == 1
+    assert "energy, momentum or work is not finite at t = 1.0 s" in str(error)
 
 
 # Drifts
