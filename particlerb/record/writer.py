@@ -316,10 +316,11 @@ def _append_rows(dataset: h5py.Dataset, first: int, values: _Rows) -> None:
     HDF5 a chunk would pass through memory that it asks for and gives back each time, which leaves
     holes of that size in the heap of the process.
     """
-    shape, rows, origin = values.shape, dataset.chunks[0], (0,) * (values.ndim - 1)
+    shape, chunk, origin = values.shape, dataset.chunks, (0,) * (values.ndim - 1)
+    rows = chunk[0]
     dataset.id.set_extent((first + shape[0], *shape[1:]))
     data: Any = np.ascontiguousarray(values)
-    fits = (rows, *shape[1:]) == dataset.chunks and values.dtype == dataset.dtype
+    fits = (rows, *shape[1:]) == chunk and values.dtype == dataset.dtype
     whole = shape[0] // rows * rows if fits and first % rows == 0 else 0
     for k in range(0, whole, rows):
         dataset.id.write_direct_chunk((first + k, *origin), data[k : k + rows])

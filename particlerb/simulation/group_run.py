@@ -50,9 +50,7 @@ class GroupRun:
         self.fit_tree()
         self.pairs = self.pair_forces()
         self.motion = self.begin(plan.segments[0], state, before)
-        self.contacts: dict[
-            int, ContactOutput
-        ] = {}  # in rows of the last `record`, where asked for
+        self.contacts: dict[int, ContactOutput] = {}  # in rows of the last `record`, if asked for
         self.tallies: dict[int, Floats] = {}  # of impulses, in these rows
 
     def checkpoint(self) -> Saved:

@@ -28,15 +28,8 @@ from particlerb.record.part_recorder import PartRecorder
 from particlerb.record.provenance import texts_of
 from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.simulation.frame_times import Batch, batches
-from particlerb.simulation.group_run import (
-    tally_of,
-)
-from particlerb.simulation.joint_values import (
-    at_row,
-    broken_joints,
-    labels_of,
-    refuse_checks,
-)
+from particlerb.simulation.group_run import tally_of
+from particlerb.simulation.joint_values import at_row, broken_joints, labels_of, refuse_checks
 from particlerb.simulation.outcome import Outcome, Progress, Reached
 from particlerb.simulation.probes import Probe
 from particlerb.simulation.shares import part_of
