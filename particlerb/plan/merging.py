@@ -110,8 +110,9 @@ def _kept_apart(system: System) -> dict[str, Ints]:
         if force.type not in _KNOWN or turns or getattr(force, "reach", None) is not None:
             own = f"a force of type {force.type}"
             for key in force.names_bodies:
-                ends = system.names.find(getattr(force, key) or ())
-                found[own] = np.r_[found.get(own, []), ends].astype(np.int64)
+                if (names := getattr(force, key)) is not None:
+                    ends = system.names.find(names)
+                    found[own] = np.r_[found.get(own, []), ends].astype(np.int64)
     heavy = attracted(system)
     if heavy.size and heavy.size < n:
         found["attraction of some bodies alone"] = np.arange(n)

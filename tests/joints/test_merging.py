@@ -16,6 +16,8 @@ Q, KNOB_Q = np.array([0.9, 0.1, -0.3, 0.3]), np.array([0.5, 0.5, 0.1, -0.7])
 OFF = np.array([0.5, 0.2, 0.3])
 RECORDED = ["position", "orientation", "linear_momentum", "angular_momentum"]
 LOADS = ["joint_force", "joint_torque"]
+DRAG = {"type": "drag", "body": "b", "translation": 0.1, "rotation": 0.1}
+NEAR = {"type": "spring", "body": ["a", "b"], "reach": 9.0, "stiffness": 1.0}  # names no `to`
 
 
 def to_world(q, v):
@@ -222,8 +224,7 @@ def test_joints_that_end_keep_their_rows(keys):
     assert merged(to_system(times | spinning())).merging is not None
     assert merged(to_system(times | spinning(**keys))).merging is None
     assert merged(to_system(times | spinning(merge=False))).merging is None
-    drag = {"type": "drag", "body": "b", "translation": 0.1, "rotation": 0.1}
-    assert merged(to_system(times | spinning() | {"force": [drag]})).merging is None
+    assert merged(to_system(times | spinning() | {"force": [DRAG]})).merging is None
 
 
 def test_the_plan_names_merged_bodies():
@@ -238,7 +239,8 @@ def test_the_plan_names_merged_bodies():
     [
         ({"during": [0.0, 0.5]}, "a release"),
         ({"merge": False}, "`merge = false`"),
-        ({"force": "drag"}, "a force of type drag"),
+        ({"force": DRAG}, "a force of type drag"),
+        ({"force": NEAR}, "a force of type spring"),
         ({"joint": "ball"}, "another joint inside of one body"),
     ],
 )
@@ -246,7 +248,7 @@ def test_the_plan_says_why_joints_keep_their_rows(keys, why):
     own = {key: value for key, value in keys.items() if key not in ("force", "joint")}
     scene = spinning(**own)
     if "force" in keys:
-        scene["force"] = [{"type": "drag", "body": "b", "translation": 0.1, "rotation": 0.1}]
+        scene["force"] = [keys["force"]]
     if "joint" in keys:
         scene["joint"].append(joint("ball", "a", "b", [0, 0, 0]))
     text = prepare(to_system({"run": {"t_end": 1.0, "every": 0.5}} | scene)).text
