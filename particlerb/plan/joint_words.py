@@ -81,12 +81,17 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
 
 
 def _softness(arm: Floats, inv_inertia: Floats) -> Floats:
-    """Largest (r × n)·I⁻¹(r × n)/|r| over unit vectors n, (k,) [1/(kg m)]; 0 where r is 0."""
+    """Largest (r × n)·I⁻¹(r × n)/|r| over unit vectors n, (k,) [1/(kg m)].
+
+    It is 0 where r is 0, and inf where it overflows.
+    """
     across = np.cross(arm[:, None], np.eye(3))  # r × n of the three axes
     form = np.einsum("kia,ka,kja->kij", across, inv_inertia, across)
-    size = lengths(arm.T)
-    largest: Floats = np.linalg.eigvalsh(form)[:, -1] / np.where(size > 0.0, size, 1.0)
-    return largest
+    size, found = lengths(arm.T), np.full(len(arm), np.inf)
+    known = np.isfinite(form).all(axis=(1, 2))
+    largest = np.linalg.eigvalsh(form[known])[:, -1]
+    found[known] = largest / np.where(size > 0.0, size, 1.0)[known]
+    return found
 
 
 def joint_line(system: System, plan: Plan) -> str:

@@ -11,6 +11,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.joints import JointTable
+from particlerb.case.problems import CaseError
+from particlerb.case.source import problem_at
 from particlerb.geometry.mass_properties import MassProperties, mass_properties
 from particlerb.geometry.particles import Particles, concatenate, kind_of, transformed, united
 from particlerb.maths.vec3 import Bools, Floats, Ints
@@ -50,11 +52,24 @@ def merged(system: System) -> System:
     """The system with bodies merged that joints hold together for good; itself without such.
 
     It has the same numbers of bodies and joints: what another body carries takes no part.
+
+    Raises
+    ------
+    CaseError
+        If merged bodies are too far apart for their moments of inertia.
     """
     if system.merging is not None or not any(map(merges, system.joint)):
         return system
     parts = _parts_of(system)
-    return _with_parts(system, *parts) if parts.is_merged.any() else system
+    if not parts.is_merged.any():
+        return system
+    try:
+        return _with_parts(system, *parts)
+    except ValueError as error:
+        first = next(k for k, table in enumerate(system.joint) if merges(table))
+        reason = f"its bodies become one, which cannot be: {str(error).partition(': ')[2]}"
+        hint = "let them be nearer, or give merge = false"
+        raise CaseError([problem_at(system, f"joint[{first}]", reason, hint)]) from None
 
 
 class _Parts(NamedTuple):

@@ -5,6 +5,7 @@ import pytest
 from scenes import bar, body, case, joint, moved
 
 from particlerb import Simulation, joint_loads, resume, run
+from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.maths import quaternion
@@ -16,6 +17,7 @@ Q, KNOB_Q = np.array([0.9, 0.1, -0.3, 0.3]), np.array([0.5, 0.5, 0.1, -0.7])
 OFF = np.array([0.5, 0.2, 0.3])
 RECORDED = ["position", "orientation", "linear_momentum", "angular_momentum"]
 LOADS = ["joint_force", "joint_torque"]
+RUN = {"t_end": 1.0, "every": 0.5}
 DRAG = {"type": "drag", "body": "b", "translation": 0.1, "rotation": 0.1}
 NEAR = {"type": "spring", "body": ["a", "b"], "reach": 9.0, "stiffness": 1.0}  # names no `to`
 
@@ -289,3 +291,22 @@ def test_accuracy_is_sought_for_merged_bodies_as_for_others():
     ):
         off = np.abs(np.array(t.position)[-1] - np.array(fine.position)[-1]).max()
     assert off < 1e-8
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("kind", "at", "position", "reason"),
+    [
+        ("hinge", 1e283, 0.0, "no step can be chosen: a torque over a moment of inertia overflows"),
+        ("fixed", 0.0, 1e155, "one, which cannot be: the inertia tensor exceeds the range"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_joints_beyond_all_numbers_are_refused(kind, at, position, reason):
+    bodies = [body(name, 1.0, [1, 2, 2.5], [0, 0, z]) for name, z in (("a", position), ("b", 0.0))]
+    axis = [0, 0, 1] if kind == "hinge" else None
+    tied = joint(kind, "a", "b", [0, 0, at], axis)
+    with pytest.raises(CaseError, match=reason):
+        prepare(
+            to_system({"run": {"t_end": 1.0, "every": 0.5}} | case(bodies, [tied], g=(0, 0, 0)))
+        )
