@@ -69,6 +69,10 @@ ROUND_ABOUT = {
                   "inside": True}],
     "mesh": [{"file": "solid.stl", "position": [0, 0, -4.0], "scale": 1.0}],
 }  # fmt: skip
+LAWS = {
+    "impulse": ("tolerance", "iterations", "solver", "push_out", "slop"),
+    "events": ("contact_time", "periodic"),
+}  # which alone have these keys
 OTHERS = 0.2  # chance of an optional key that is not named above
 AXES = ("run.dt", "run.seed", "body.0.mass", "contact.friction", "no.key", "run")
 TEXTS = ("", "a", "\u00e9", "\u03c9\u0301", "\U0001f600", "\u202e", "\u0000", "\x1b[31m", "a[",
@@ -107,6 +111,7 @@ def files() -> Path:
             + "endloop\nendfacet\n"
             for face in faces
         ) + "endsolid a\n",
+        "force.py": "def force(t, x, v):\n    return -x[0], -x[1], -x[2]\n",
         "solid.obj": "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
         + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces),
     }  # fmt: skip
@@ -216,6 +221,8 @@ def sense(dice: random.Random, case: dict[str, Any]) -> None:
                 entry["name"] = name
     run, bodies = case["run"], case["body"]
     run["every"] = min(run["every"], run["t_end"])
+    if "sweep" in case:
+        sense_of_sweep(dice, case["sweep"])
     if "contact" in case:
         sense_of_contact(dice, case)
     else:
@@ -243,6 +250,12 @@ def sense(dice: random.Random, case: dict[str, Any]) -> None:
                 entry["anchor"] = [0.0, 0.5, 1.0]
             if "anchor" in entry:
                 entry.pop("to_at", None)
+        if entry.get("type") == "python" and dice.random() < 0.8:
+            entry["function"], entry["file"] = "force", "force.py"
+    if "joint" in case:
+        case["joint"] = case["joint"][:2]
+    for entry in case.get("joint", ()):
+        sense_of_joint(dice, entry, known)
     if "attraction" in case:
         if "body" in case["attraction"]:
             case["attraction"]["body"] = known
@@ -250,6 +263,59 @@ def sense(dice: random.Random, case: dict[str, Any]) -> None:
             case["attraction"].pop("accuracy", None)
         if len(known) < 2:
             case.pop("attraction")
+
+
+def sense_of_sweep(dice: random.Random, sweep: dict[str, Any]) -> None:
+    """The same of a sweep: one way to say what changes."""
+    if "axes" in sweep and dice.random() < 0.8:
+        for key in ("file", "runs"):
+            sweep.pop(key, None)
+        sweep["design"] = "grid"
+    elif "axes" not in sweep:
+        sweep.pop("design", None)
+        sweep.pop("runs", None)
+        sweep["replicates"] = 2
+
+
+def sense_of_joint(dice: random.Random, joint: dict[str, Any], known: list[str]) -> None:
+    """The same of a joint: the axes of its type, and what acts along one coordinate of it."""
+    kind = joint["type"]
+    joint["body"] = dice.choice(known)
+    others = [name for name in known if name != joint["body"]]
+    joint.pop("chain", None) if dice.random() < 0.9 else None
+    joint.pop("to", None)
+    if others and dice.random() < 0.6:
+        joint["to"] = dice.choice(others)
+    if kind == "distance" and "to" not in joint:
+        joint["at_to"] = [0.0, 0.5, 1.0]
+    elif isinstance(joint.get("at_to"), dict) or dice.random() < 0.8:
+        joint.pop("at_to", None)
+    for key, has_it in (
+        ("axis", kind not in ("ball", "fixed", "distance")),
+        ("axis_to", kind == "universal"),
+    ):
+        joint.pop(key, None)
+        if has_it:
+            joint[key] = [0.0, 0.0, 1.0] if key == "axis" else [1.0, 0.0, 0.0]
+    actions = [key for key in ("spring", "damper", "limit", "motor", "drive") if key in joint]
+    if kind not in ("hinge", "slider") and dice.random() < 0.9:
+        for key in (*actions, "along"):
+            joint.pop(key, None)
+    elif dice.random() < 0.9:
+        for key in ("along", *("breaks_at",) * bool(actions)):
+            joint.pop(key, None)
+    if "limit" in joint:
+        joint["limit"]["range"] = [-0.5, 1.0]
+    if "drive" in joint:
+        joint["drive"] = dice.choice((
+            {"speed": 1.0},
+            {"amplitude": 0.5, "frequency": 2.0},
+            {"position": [[0, 0], [0.5, 0.2], [1.0, -0.3]]},
+            {"speed": [[0.0, 0.0], [1.0, 2.0]]},
+        ))  # fmt: skip
+    if "during" in joint:
+        joint["during"] = [0.0, 0.25]
+    joint["assemble"] = True
 
 
 def sense_of_contact(dice: random.Random, case: dict[str, Any]) -> None:
@@ -260,11 +326,17 @@ def sense_of_contact(dice: random.Random, case: dict[str, Any]) -> None:
             case["run"].pop(key, None)
     if contact.get("law") == "hertz" and dice.random() < 0.8:
         contact["law"] = "hooke"
+    for law, own in LAWS.items():
+        if contact.get("law") != law:
+            for key in own:
+                contact.pop(key, None)
     if "wall" not in case and len(case["body"]) < 2:
         case["wall"] = [{"type": "plane", "name": "w", "normal": [0, 0, 1]}]
     for law in (contact, *contact.get("pair", ())):
         law.update({"stiffness": 1e4, "restitution": dice.choice((0.3, 0.8, 1.0))})
         law["friction"] = dice.choice((0.0, 0.3, 1.0))
+        if contact.get("law") in ("impulse", "events"):
+            law.pop("stiffness")
         law.pop("tangential_stiffness", None) if dice.random() < 0.5 else None
     if contact.get("pair"):
         contact["pair"] = contact["pair"][:1]
@@ -495,7 +567,7 @@ def mutated(k: int) -> bytes:
 def check(data: bytes, plans: bool = True) -> str:
     """How far a text comes; raises where it ends neither in a plan nor in a CaseError."""
     from particlerb.case.problems import CaseError
-    from particlerb.case.reader import parse
+    from particlerb.case.reader import load, parse
 
     warnings.simplefilter("error")  # a warning of NumPy is an escape too
     start, stage = time.process_time(), "read"
@@ -505,7 +577,7 @@ def check(data: bytes, plans: bool = True) -> str:
         case.model_dump_json()
         if plans and is_small(case):
             stage = "placed"
-            planned(case)
+            planned(load(case, allow_code=True))
             stage = "planned"
     except CaseError as error:
         words = str(error)
