@@ -132,12 +132,20 @@ class _ToStderr(logging.Handler):
 
 def entry() -> NoReturn:
     """Run the command of this process and end it; SIGTERM ends it as Ctrl-C does."""
+    _open_streams()
     warnings.formatwarning = warning_text
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     if wants_guard(sys.argv[1:]):
         sys.exit(guarded(sys.argv[1:]))
     sys.exit(main())
+
+
+def _open_streams() -> None:
+    """Let closed streams lead nowhere: a file that is written must not take their place."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def warning_text(message: Warning | str, *_: object, **__: object) -> str:

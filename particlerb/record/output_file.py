@@ -137,6 +137,8 @@ def new_file(
     waiting.parent.mkdir(parents=True, exist_ok=True)
     if place.exists():
         WriterLock(place).close()  # nobody else writes it
+    if waiting.is_symlink():  # no run has made it: what it leads to stays
+        waiting.unlink()
     lock = WriterLock(waiting)
     with _blaming(waiting):
         os.ftruncate(lock.fileno(), 0)

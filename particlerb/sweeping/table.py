@@ -93,7 +93,8 @@ def means_beside(table: Path) -> Path:
 def _write(path: Path, lines: Sequence[Sequence[Any]]) -> None:
     """A CSV in place of what is there; a kill leaves one of both."""
     beside = path.with_name(path.name + ".new")
-    with beside.open("w", newline="", encoding="utf-8") as file:
+    beside.unlink(missing_ok=True)
+    with beside.open("x", newline="", encoding="utf-8") as file:  # not through a link
         csv.writer(file).writerows(lines)
         file.flush()
         os.fsync(file.fileno())

@@ -19,6 +19,7 @@ import particlerb
 from particlerb import cli
 from particlerb.cli import main
 from particlerb.cli.guard import guarded
+from particlerb.record.verify import verify
 
 CASES = Path(__file__).parents[2] / "cases"
 CUBE = """
@@ -578,6 +579,14 @@ def test_a_terminal_without_greek_letters_gets_an_answer(here):
     done = command("mass", "cube.toml", env={**os.environ, "PYTHONIOENCODING": "ascii"})
     assert done.returncode == 0
     assert "kg m?" in done.stdout
+
+
+def test_a_file_does_not_take_the_place_of_a_closed_stream(here):
+    """As a service may be started: what goes to stderr must not end up in the file."""
+    words = '"$0" -m particlerb cube.toml -o a.h5 --set run.threads=1 <&- >&- 2>&-'
+    assert subprocess.run(["sh", "-c", words, sys.executable], check=False).returncode == 0
+    with particlerb.open(here / "a.h5") as trajectory:
+        assert all(found.is_whole for found in verify(trajectory))
 
 
 @pytest.mark.compiled

@@ -113,6 +113,21 @@ def test_every_command_asks(place, name, capsys):
         assert b"precious" not in Path("folder", written).read_bytes()
 
 
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ("run a.toml -q -o a.h5", "a.h5"),
+        ("sweep a.toml --set sweep.replicates=2 -o a.csv", "a_means.csv"),
+    ],
+)
+def test_a_link_where_a_file_is_begun_leads_nowhere(place, words, name):
+    """What is not finished lies beside its place; a link of that name is not written through."""
+    Path(f"{name}.new").symlink_to("folder/target")
+    assert main(words.split()) == 0
+    assert not Path(name).is_symlink()
+    assert b"precious" in Path("folder/target").read_bytes()
+
+
 def test_studies_and_sessions_ask(place, capsys):
     Path("pipe").rename("a.svg")
     words = ["chart", "tumbling_brick", "-o", "a", "--overwrite"]
