@@ -36,7 +36,8 @@ _LOG: Final = logging.getLogger(__name__)
 _PILOT: Final = 32  # bodies that are looked at, at most,
 _ONE_OF: Final = 16  # so many, in lines:
 _FASTEST: Final = 4  # one of so many by its rate at t = 0, the others by their errors at
-_COARSE: Final = 1.0, 2.0  # rad of a step of strang, and of half of it; the second is for many
+_COARSE: Final = 1.0, 2.0  # rad of a step of strang; the second is for many,
+_FINER: Final = 0.7  # and of the step that it is compared with, of the first
 SET_UP: Final = 1.5e5  # ns of a trial beside its steps, roughly,
 _BEGIN: Final = 4e5  # and of a search beside its trials
 _ALONE: Final = 6  # bodies in the lanes of a register that one without a full register costs
@@ -107,7 +108,7 @@ class Pilot:
         turn = _COARSE[0 if is_short else 1]
         coarse, fine = (
             self.poses(longer._replace(dt=self.longest(share * turn)), times)[0]
-            for share in (1.0, 0.5)
+            for share in (1.0, _FINER)
         )
         error = self.errors(times, coarse, fine)[0]
         fastest = np.argsort(-self.rates, kind="stable")[: count // _FASTEST]

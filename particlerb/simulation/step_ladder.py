@@ -20,6 +20,7 @@ from particlerb.simulation.pilot import SET_UP, Pilot
 FIRST_TURN: Final = {"strang": 0.25, "force_gradient": 3.0, "rkn6": 4.0}  # rad; of others:
 _FIRST_TURN: Final = 0.5
 _FIRST_WANTED: Final = 1e-3  # in the first step for this accuracy, by half of the order for others
+_HOPED: Final = 0.75  # of the order, in the step with which a method may be the cheapest
 _FIRST_TOLERANCE: Final = 0.01  # that is tried, in units of the accuracy,
 _COARSEST, _FINEST = 1e-3, 1e-14  # and its limits
 _ADAPTED: Final = 4.0  # rad of a step with a tolerance of 1, about,
@@ -77,19 +78,23 @@ class Ladder:
         self.errors: list[float] = []  # of all but the finest, which stands for the truth
         self.apart: dict[tuple[float, float], float] = {}  # largest error between two settings
         self.setting, self.is_verified = 0.0, False
-        self.cost = self.first_cost() if self.is_stepped else self.least_cost()
+        self.cost = self.hoped_cost() if self.is_stepped else self.least_cost()
 
     @cached_property
     def times(self) -> Floats:
         """When it looks at the bodies [s]."""
         return np.linspace(0.0, self.pilot.system.run.t_end, TIMES + 1)[1:]
 
-    def first_cost(self) -> float:
-        """What a run with the first step takes, and to find out more: who is dearer is not tried.
+    def hoped_cost(self) -> float:
+        """What a run, and the trials before it, may take: who is dearer is not tried [ns].
 
-        The first step is longer than what most scenes need [ns].
+        The step is longer than what most scenes need.
         """
-        return self.cost_of(self.first_setting(), self.pilot.group.members.size) + 2.0 * SET_UP
+        first, ratio = self.first_setting(), RATIO[self.name]
+        step = min(self.pilot.longest(self.first_turn(_HOPED)), first)
+        whole = self.cost_of(step, self.pilot.group.members.size)
+        seen = [self.cost_of(first / ratio**k, self.pilot.which.size) for k in range(3)]
+        return whole + sum(seen) + 2.0 * SET_UP
 
     def usual_cost(self) -> float:
         """What a run takes in most scenes [ns]: in few do steps grow much longer than at first."""
