@@ -51,7 +51,7 @@ class Scene(Mapping[str, Any]):
     run : RunTable
         How long, how often, by which method.
     title : str
-    gravity : sequence of 3 floats, optional
+    gravity : sequence of 3 floats, or Gravity, optional
         Acceleration, world frame [m/s²].
     attraction, contact, output, check, sweep : record, optional
         As the tables of the same names.
@@ -67,7 +67,7 @@ class Scene(Mapping[str, Any]):
         run: RunTable,
         *,
         title: str = "",
-        gravity: Sequence[float] | None = None,
+        gravity: Gravity | Sequence[float] | None = None,
         attraction: AttractionTable | None = None,
         contact: ContactTable | None = None,
         output: Output | None = None,
@@ -75,7 +75,7 @@ class Scene(Mapping[str, Any]):
         sweep: SweepTable | None = None,
     ) -> None:
         self.title, self.run = title, run
-        self.gravity = None if gravity is None else Gravity(acceleration=gravity)
+        self.gravity = gravity
         self.attraction, self.contact = attraction, contact
         self.output, self.check, self.sweep = output, check, sweep
         self.chart: ChartTable | None = None
@@ -90,6 +90,17 @@ class Scene(Mapping[str, Any]):
     add_body = _adds(Body, "body")
     add_joint = _adds(JointTable, "joint")
     add_material = _adds(Material, "material")
+
+    @property
+    def gravity(self) -> Gravity | None:
+        """Uniform gravity; a sequence of 3 floats that is assigned is its acceleration [m/s²]."""
+        return self._gravity
+
+    @gravity.setter
+    def gravity(self, given: Gravity | Sequence[float] | None) -> None:
+        if given is not None and not isinstance(given, Gravity):
+            given = Gravity(acceleration=given)
+        self._gravity = given
 
     def add_force(self, force: AnyForce) -> AnyForce:
         """Add a force, such as `Push(body="cube", force=(0, 0, 50))`; return it."""

@@ -140,3 +140,16 @@ def test_a_scene_says_what_it_holds():
     assert len(scene) == 5
     with pytest.raises(KeyError):
         scene["wall"]
+
+
+def test_gravity_is_assigned_as_it_is_given():
+    run = RunTable(t_end=1.0, every=0.5)
+    given, assigned = Scene(run, gravity=(0, 0, -9.81)), Scene(run)
+    assigned.gravity = np.array([0.0, 0.0, -9.81])
+    assert assigned.gravity == given.gravity
+    assigned.gravity = given.gravity
+    assert assigned.to_toml() == given.to_toml()
+    with pytest.raises(CaseError, match="acceleration: must have 3"):
+        assigned.gravity = (0, 0)
+    assigned.gravity = None
+    assert "gravity" not in assigned.to_toml()
