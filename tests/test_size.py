@@ -55,7 +55,7 @@ BUDGETS = {
     "scenes in Python": 434,
     "states of a simulation without its energy": 82,
     "sweeps": 605,
-    "variants of a sweep in one batch": 575,
+    "variants of a sweep in one batch": 655,
     "variants of a sweep judged together": 110,
     "sweeps over ranks and dask, workers that die": 75,
     "tables of runs, replicates of a sweep": 116,

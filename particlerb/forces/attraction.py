@@ -15,6 +15,7 @@ the softened potential: Plummer, Monthly Notices of the RAS 71, 460 (1911).
 import math
 import struct
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
@@ -37,6 +38,7 @@ from particlerb.maths.vec3 import (
     subtract,
 )
 from particlerb.model.block import LINE, aligned_zeros
+from particlerb.model.worlds import Worlds
 
 TILE: Final = 256  # targets at a time: their places and fields stay in the first level of cache
 _PAIRS: Final = 64  # take as long as a step of a body, the unit of work in `threads`
@@ -61,21 +63,29 @@ class Work(NamedTuple):
     field: Floats  # (3, n_padded) [m/s²], acceleration by all other bodies, world axes
     depth: Floats  # (n_padded,) [m²/s²], minus the potential of all other bodies
     body: Ints  # (n_padded,) body of each particle, -1 beyond the last; is not written
+    order: Ints  # (n_bodies,) which of the group each body is, likewise
+    tile: Ints  # (n_tiles, 4) first target and last, first source and last, likewise
 
 
-def work_of(attraction: Attraction) -> Work:
-    """Room for evaluations of these particles."""
+def work_of(attraction: Attraction, worlds: Worlds | None = None) -> Work:
+    """Room for evaluations of these particles; of worlds, whose bodies stand one after the other.
+
+    Targets meet the sources of their world alone.
+    """
     n, offset = attraction.mass.size, attraction.offset
+    order = np.arange(offset.size - 1) if worlds is None else worlds.bodies.ravel()
+    ends = offset[:: order.size if worlds is None else worlds.bodies.shape[1]].tolist()
+    tiles = [
+        (lo, min(lo + TILE, last), first, last)
+        for first, last in pairwise(ends)
+        for lo in range(first, last, TILE)
+    ]
     padded = (-(-n // LINE) | 1) * LINE  # an odd number: rows that a power of two parts collide
     rows = [aligned_zeros(3 * padded).reshape(3, padded) for _ in range(3)]
     body = np.full(padded, -1)
     body[:n] = np.repeat(np.arange(offset.size - 1), np.diff(offset))
-    return Work(rows[0], rows[1], rows[2], aligned_zeros(padded), body)
-
-
-def tiles_of(n_points: int) -> int:
-    """Tiles that cover so many particles."""
-    return -(-n_points // TILE)
+    of_tiles = np.array(tiles, dtype=np.int64).reshape(-1, 4)
+    return Work(rows[0], rows[1], rows[2], aligned_zeros(padded), body, order, of_tiles)
 
 
 # Powers of a squared distance
@@ -150,10 +160,10 @@ def place(attraction: Attraction, work: Work, y: Floats, first: int, last: int) 
         Bodies, last excluded.
     """
     own, _, _, offset, _ = attraction
-    arm, point, _, _, _ = work
+    arm, point = work.arm, work.point
     com, q = rows3(y, 0, y.shape[1]), rows4(y[3:7], 0, y.shape[1])
-    for b in range(first, last):
-        lo, hi = offset[b], offset[b + 1]
+    for k in range(first, last):
+        b, lo, hi = work.order[k], offset[k], offset[k + 1]
         r, arms, points = rows3(own, lo, hi), rows3(arm, lo, hi), rows3(point, lo, hi)
         x, R = load3(com, b), matrix(load4(q, b))
         for i in range(hi - lo):
@@ -193,6 +203,13 @@ def _add_near_source(
 
 
 @inline
+def _tile_of(work: Work, tile: int) -> tuple[int, int, int, int]:
+    """First target and last, first source and last of a tile."""
+    own = work.tile[tile]
+    return own[0], own[1], own[2], own[3]
+
+
+@inline
 def pull(attraction: Attraction, work: Work, first: int, last: int) -> None:
     """Write the field at the particles of tiles first to last.
 
@@ -200,22 +217,21 @@ def pull(attraction: Attraction, work: Work, first: int, last: int) -> None:
     each target leaves out its own, and those after.
     """
     _, _, gm, offset, softening = attraction
-    _, point, field, _, body = work
-    n = gm.size
-    sources = rows3(point, 0, n)
+    point, field, body = work.point, work.field, work.body
+    sources = rows3(point, 0, gm.size)
     for tile in range(first, last):
-        lo, hi = tile * TILE, min((tile + 1) * TILE, n)
+        lo, hi, begin, end = _tile_of(work, tile)
         targets, fields, bodies = rows3(point, lo, hi), rows3(field, lo, hi), body[lo:hi]
         for i in range(hi - lo):
             fields[0][i], fields[1][i], fields[2][i] = 0.0, 0.0, 0.0
         before, after = offset[body[lo]], offset[body[hi - 1] + 1]
-        for j in range(before):
+        for j in range(begin, before):
             _add_field(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
         if body[lo] != body[hi - 1]:
             for j in range(before, after):
                 x = load3(sources, j)
                 _add_near_source(x, gm[j], body[j], softening, targets, fields, bodies)
-        for j in range(after, n):
+        for j in range(after, end):
             _add_field(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
 
 
@@ -242,12 +258,11 @@ def _collect(attraction: Attraction, work: Work, load: Floats, first: int, last:
         Bodies, last excluded.
     """
     _, mass, _, offset, _ = attraction
-    arm, _, field, _, _ = work
-    arms, fields = rows3(arm, 0, mass.size), rows3(field, 0, mass.size)
+    arms, fields = rows3(work.arm, 0, mass.size), rows3(work.field, 0, mass.size)
     forces, torques = rows3(load, 0, load.shape[1]), rows3(load[3:6], 0, load.shape[1])
-    for b in range(first, last):
-        F, tau = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        for i in range(offset[b], offset[b + 1]):
+    for k in range(first, last):
+        b, F, tau = work.order[k], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        for i in range(offset[k], offset[k + 1]):
             own = scale(mass[i], load3(fields, i))
             F = add_scaled(1.0, own, F)
             tau = add_scaled(1.0, cross(load3(arms, i), own), tau)
@@ -268,9 +283,9 @@ def attraction_loads(attraction: Attraction, work: Work, y: Floats, load: Floats
     The parts stand in this kernel themselves: a call with so many arrays takes as long as two pairs
     of points.
     """
-    n_bodies, n = attraction.offset.size - 1, attraction.mass.size
+    n_bodies = attraction.offset.size - 1
     place(attraction, work, y, 0, n_bodies)
-    pull(attraction, work, 0, (n + TILE - 1) // TILE)
+    pull(attraction, work, 0, len(work.tile))
     _collect(attraction, work, load, 0, n_bodies)
 
 
@@ -278,14 +293,14 @@ def spread_loads(attraction: Attraction, work: Work, y: Floats, load: Floats) ->
     """Add the loads on all bodies at y, tiles spread over the threads; same bits."""
     n_bodies = attraction.offset.size - 1
     THREADS.alone(place_points, attraction, work, y, 0, n_bodies)
-    _spread_tiles(lambda first, last: attract(attraction, work, first, last), attraction)
+    _spread_tiles(lambda first, last: attract(attraction, work, first, last), work)
     THREADS.alone(add_attraction, attraction, work, load, 0, n_bodies)
 
 
-def _spread_tiles(part: Callable[[int, int], object], attraction: Attraction) -> None:
+def _spread_tiles(part: Callable[[int, int], object], work: Work) -> None:
     """Call part(first, last) for ranges of tiles that cover all particles."""
-    n = attraction.mass.size
-    THREADS.share(part, tiles_of(n), n * n // _PAIRS)
+    first, last, begin, end = work.tile.T
+    THREADS.share(part, len(work.tile), int((last - first) @ (end - begin)) // _PAIRS)
 
 
 # Energy
@@ -307,15 +322,14 @@ def attraction_potential(
         One for each tile is written; their sum is U, every pair in halves.
     """
     _, mass, gm, _, softening = attraction
-    _, point, _, depth, body = work
-    n = gm.size
-    sources = rows3(point, 0, n)
+    point, depth, body = work.point, work.depth, work.body
+    sources = rows3(point, 0, gm.size)
     for tile in range(first, last):
-        lo, hi = tile * TILE, min((tile + 1) * TILE, n)
+        lo, hi, begin, end = _tile_of(work, tile)
         targets, depths, bodies = rows3(point, lo, hi), depth[lo:hi], body[lo:hi]
         for i in range(hi - lo):
             depths[i] = 0.0
-        for j in range(n):
+        for j in range(begin, end):
             x = load3(sources, j)
             for i in range(hi - lo):
                 is_own = bodies[i] == body[j]
@@ -328,71 +342,18 @@ def attraction_potential(
         sums[tile] = -0.5 * total
 
 
-def potential_energy(attraction: Attraction, work: Work, y: Floats) -> float:
-    """U of all pairs of different bodies [J] at y, (13, n_bodies); tiles spread over threads."""
+def potential_energy(
+    attraction: Attraction, work: Work, y: Floats, worlds: Worlds | None = None
+) -> Floats | float:
+    """U of all pairs of different bodies [J] at y, (13, n_bodies); tiles spread over threads.
+
+    In each world, (n_worlds,), if there are several.
+    """
     THREADS.alone(place_points, attraction, work, y, 0, attraction.offset.size - 1)
-    sums = np.zeros(tiles_of(attraction.mass.size))
+    sums = np.zeros(len(work.tile))
     _spread_tiles(
-        lambda first, last: attraction_potential(attraction, work, first, last, sums), attraction
+        lambda first, last: attraction_potential(attraction, work, first, last, sums), work
     )
-    return math.fsum(sums)
-
-
-# Rates
-
-
-@kernel
-def _raise_squared_rates(
-    gm_body: Floats, com: Floats, softening: float, which: Ints, chosen: Floats, squares: Floats
-) -> None:
-    """Raise `squares` to max_b (G M_a + G M_b)/(d² + ε²)^{3/2} [1/s²] of the chosen bodies a.
-
-    Parameters
-    ----------
-    gm_body, com, softening, which
-        As for `fastest_rates`.
-    chosen : ndarray, shape (4, n) [m, m³/s²]
-        Centre of mass and G times mass of the chosen bodies: they fill the lanes.
-    squares : ndarray, shape (n,) [1/s²]
-    """
-    coms = rows3(com, 0, gm_body.size)
-    for lo in range(0, which.size, TILE):
-        hi = min(lo + TILE, which.size)
-        targets, gms = rows3(chosen, lo, hi), chosen[3, lo:hi]
-        own, best = which[lo:hi], squares[lo:hi]
-        for b in range(gm_body.size):
-            x, gm = load3(coms, b), gm_body[b]
-            for i in range(hi - lo):
-                is_own = own[i] == b
-                square = squared(subtract(x, load3(targets, i)), softening)
-                value = inverse_cube(gm + gms[i], 1.0 if is_own else square)
-                value = 0.0 if is_own else value
-                best[i] = value if value > best[i] else best[i]
-
-
-def fastest_rates(gm_body: Floats, com: Floats, softening: float, which: Ints) -> Floats:
-    """Fastest rate at which each chosen body would go round another one: an estimate.
-
-    max_b √(G (M_a + M_b)/(d² + ε²)^{3/2}) with the distance d of the centres of mass; another one
-    at no distance, and without softening, is left out.
-
-    Parameters
-    ----------
-    gm_body : ndarray, shape (n_bodies,) [m³/s²]
-        G times the mass of each body.
-    com : ndarray, shape (3, n_bodies) [m]
-        World frame.
-    softening : float [m²]
-        ε².
-    which : ndarray, shape (n,)
-        The chosen bodies.
-
-    Returns
-    -------
-    ndarray, shape (n,) [rad/s]
-        Zero where there is no other body.
-    """
-    chosen = np.ascontiguousarray(np.vstack([com[:, which], gm_body[which]]))
-    squares = np.zeros(which.size)
-    THREADS.alone(_raise_squared_rates, gm_body, com, softening, which, chosen, squares)
-    return np.sqrt(squares)
+    if worlds is None:
+        return math.fsum(sums)
+    return np.array([math.fsum(own) for own in sums.reshape(len(worlds.bodies), -1)])

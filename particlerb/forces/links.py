@@ -29,7 +29,7 @@ from particlerb.maths.vec3 import (
 from particlerb.model.bodies import Bodies
 from particlerb.model.load import FORCE, OUTSIDE, POWER, TORQUE
 from particlerb.model.state import rotate, rotate_back
-from particlerb.model.worlds import Worlds, over_bodies, worlds_among
+from particlerb.model.worlds import Worlds, over_pairs
 
 _ITERATIONS: Final = 60  # of the power method
 _TINY: Final = 1e-300  # keeps 1/l finite where a link has no length
@@ -248,9 +248,7 @@ def link_energy(
     """Σ k (l - l₀)²/2 [J], in each world if there are several."""
     stretch = np.linalg.norm(_spans(links, com, q)[0], axis=0) - links.rest_length
     energy = 0.5 * links.stiffness * stretch * stretch
-    if worlds is None:
-        return float(energy.sum())
-    return over_bodies(energy, worlds_among(worlds.numbers[links.first], len(worlds.bodies)))
+    return over_pairs(energy, links.first, worlds)
 
 
 def with_springs(links: Links | None, loads: tuple[Any, ...], bodies: Bodies) -> Links:

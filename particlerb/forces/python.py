@@ -140,7 +140,7 @@ def resolve(
 
     def per_body(name: str, values: Floats) -> Floats:
         refuse_length(name, values, members.size)
-        return values[np.argsort(system.names.find_in_order(table.body))]
+        return values[np.argsort(system.names.find_in_order(table.body)[: members.size])]
 
     n = members.size if table.per_body else 1
     rows = np.hstack([np.ones((n, 1)), in_rows(parameters_of(table, per_body), n)])

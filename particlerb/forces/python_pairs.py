@@ -44,12 +44,12 @@ _NO_TORQUE: Final = 1e-12  # share of a lever times the force that is rounding
 
 
 def numbers_of_pairs(table: "PythonTable", first: Ints, second: Ints, system: "System") -> Floats:
-    """Parameters of these pairs, (r, s); the function has been tried on them.
+    """Parameters of these pairs, (r, s).
 
     Raises
     ------
     ForceError
-        If they are not those of the function, or it cannot act on these bodies.
+        If they are not those of the function.
     """
     force: UserForce = table.function
     if not force.is_pairwise:
@@ -69,12 +69,17 @@ def numbers_of_pairs(table: "PythonTable", first: Ints, second: Ints, system: "S
         order = np.argsort(bodies, kind="stable")
         return values[order[np.searchsorted(bodies, end, sorter=order)]]
 
-    rows = in_rows(parameters_of(table, per_body), first.size).T
-    functions = functions_of((force,), (lengths_of(table),))
+    return in_rows(parameters_of(table, per_body), first.size).T
+
+
+def try_pairs(
+    table: "PythonTable", first: Ints, second: Ints, rows: Floats, system: "System"
+) -> None:
+    """Let a force act on pairs, with parameters (r, s), as they begin; ForceError as `_try`."""
+    functions = functions_of((table.function,), (lengths_of(table),))
     start = table.edges[0] if table.edges else 0.0
     own = own_pairs(functions, (first, second), np.zeros_like(first), rows, system.bodies)
     _try(own, system.bodies, system.state, start)
-    return rows
 
 
 class _Apart:

@@ -23,6 +23,7 @@ from particlerb.joints.rows import add_impulses, attitude, coordinate, rate, sho
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import (
     Floats,
+    Ints,
     Vec3,
     add,
     component_product,
@@ -87,16 +88,19 @@ def work_of_motor(joints: Joints, work: Work, r: int, dt: float) -> float:
 
 
 @lean_kernel
-def stored_energy(joints: Joints, y: Floats) -> float:
-    """Energy of all springs and stops [J] in the poses y."""
-    total, actions = 0.0, joints.actions
+def add_stored_energy(joints: Joints, y: Floats, world: Ints, sums: Floats) -> None:
+    """Add the energy of all springs and stops [J] in the poses y to the sum of their scene.
+
+    World: of each body.
+    """
+    actions = joints.actions
     for r in range(joints.rows.kind.size):
         k = joints.rows.action[r]
         if k != HOLDS:
             x = coordinate(joints.rows, y, r)
             away, beyond = _from_rest(actions, k, joints.rows.kind[r], x), _beyond(actions, k, x)
-            total += actions.stiffness[k] * away * away + actions.stop[k] * beyond * beyond
-    return 0.5 * total
+            energy = actions.stiffness[k] * away * away + actions.stop[k] * beyond * beyond
+            sums[world[joints.rows.a[r]]] += 0.5 * energy
 
 
 @lean_kernel

@@ -9,12 +9,13 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import lean_kernel
-from particlerb.joints.actions import stored_energy
+from particlerb.joints.actions import add_stored_energy
 from particlerb.joints.block_cholesky import solve
 from particlerb.joints.records import DOT, HOLDS, STATE, TURN, Joints, P, Q, Work
 from particlerb.joints.rows import accelerations
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.vec3 import Bools, Floats
+from particlerb.model.worlds import Worlds
 
 _CONJUGATE: Final = np.array([1.0, -1.0, -1.0, -1.0])
 _DEPENDENT: Final = 1e-10  # singular values over the largest
@@ -130,11 +131,20 @@ def forces_of_joints(joints: Joints, work: Work, z: Floats) -> Floats:
     return np.hstack([force, turning - np.cross(arm, force)])
 
 
-def energy_of_joints(joints: Joints, com: Floats, q: Floats) -> float:
-    """Energy of springs and stops in joints [J], bodies (3, n) [m] and (4, n) as in their group."""
+def energy_of_joints(
+    joints: Joints, com: Floats, q: Floats, worlds: Worlds | None = None
+) -> Floats | float:
+    """Energy of springs and stops in joints [J], bodies (3, n) [m] and (4, n) as in their group.
+
+    Of worlds, (n_worlds,).
+    """
+    sums = np.zeros(1 if worlds is None else len(worlds.bodies))
     if joints.acts is None:
-        return 0.0
+        return sums if worlds is not None else 0.0
     y = np.zeros((joints.inv_mass.size, STATE))
     y[-1, Q] = 1.0
     y[:-1, :P] = np.vstack([com, q]).T[joints.order]
-    return float(stored_energy(joints, y))
+    none = np.zeros(joints.order.size, dtype=np.int64)
+    world = none if worlds is None else worlds.numbers[joints.order]
+    add_stored_energy(joints, y, world, sums)
+    return sums if worlds is not None else float(sums[0])

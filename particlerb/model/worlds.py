@@ -64,6 +64,13 @@ def over_bodies(values: Floats, worlds: Worlds | None) -> Floats:
     return np.asarray(each.sum(axis=-1))
 
 
+def over_pairs(values: Floats, first: Ints, worlds: Worlds | None) -> Floats | float:
+    """Sum over pairs of bodies, (s,), of which the first are these; of each world, (n_worlds,)."""
+    if worlds is None:
+        return float(values.sum())
+    return over_bodies(values, worlds_among(worlds.numbers[first], len(worlds.bodies)))
+
+
 def over_all(values: Floats, worlds: Worlds | None) -> Floats:
     """Sums over all components and bodies, (k, n), of one scene or of each world."""
     if worlds is None:

@@ -104,11 +104,12 @@ def _acting_forces(system: System) -> Iterator[tuple[int, AnyForce, Ints]]:
         if is_link(given):
             continue
         members = system.names.find(given.body)
-        if number not in system.others:
+        if number not in system.others and not getattr(given, "per_body", None):
             yield number, given, members
             continue
         each = members.reshape(system.n_worlds, -1)
-        for own, here in zip(system.others[number], each, strict=True):
+        forces = system.others.get(number, [given] * system.n_worlds)
+        for own, here in zip(forces, each, strict=True):
             yield number, own, here
 
 

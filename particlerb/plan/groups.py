@@ -27,7 +27,7 @@ from particlerb.forces.links import WORLD, Links
 from particlerb.forces.python import lengths_of
 from particlerb.forces.registry import force_of
 from particlerb.forces.user_pairs import OwnPairs, functions_of, own_pairs
-from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import rotate_back
 from particlerb.model.system import System
@@ -217,7 +217,7 @@ def terms_between(
         terms = terms._replace(own_pairs=_own_pairs_among(group.members, bodies, own))
     if group.attracts:
         attraction = _attraction_among(system, group.members, bodies)
-        angle, accuracy = _tree_of(system, attraction.mass.size)
+        angle, accuracy = _tree_of(system, attraction.mass.size // system.n_worlds)
         terms = terms._replace(attraction=attraction, opening_angle=angle, tree_accuracy=accuracy)
     if group.touches and touching is not None:
         terms = terms._replace(contact=_contact_among(system, group.members, bodies, touching))
@@ -276,18 +276,18 @@ def _links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
 
 
 def _attraction_among(system: System, members: Ints, bodies: Bodies) -> Attraction:
-    """Particles with mass of all that attracts in a group, in rotor frames."""
+    """Particles with mass of all that attracts in a group, in rotor frames; world after world."""
     assert system.attraction is not None
+    order = np.argsort(system.world[members], kind="stable")
+    members, frames = members[order], bodies.rotor_frame[:, order]
     index, _ = particles_of(system, members)
     counts = np.diff(system.particles.offset)[system.kind[members]]
     owner = np.repeat(np.arange(members.size), counts)
-    takes_part = np.isin(members, attracted(system))[owner]
-    takes_part &= system.particles.mass[index] > 0.0
+    takes_part = np.isin(members, attracted(system))[owner] & (system.particles.mass[index] > 0.0)
     index, owner = index[takes_part], owner[takes_part]
-    position: Floats = np.ascontiguousarray(system.particles.position[index].T)
-    mass = system.particles.mass[index]
+    mass, position = system.particles.mass[index], system.particles.position[index].T
     return Attraction(
-        np.ascontiguousarray(rotate_back(bodies.rotor_frame[:, owner], position)),
+        np.ascontiguousarray(rotate_back(frames[:, owner], np.ascontiguousarray(position))),
         mass,
         system.attraction.G * mass,
         np.searchsorted(owner, np.arange(members.size + 1)),

@@ -26,13 +26,13 @@ class Ties(NamedTuple):
 
 def pairs_of(system: System, table: JointTable) -> tuple[Ints, Ints]:
     """Bodies at both ends of each joint of a table."""
-    first = system.names.find_in_order(table.body)
+    first = system.names.find_in_order(table.body).reshape(system.n_worlds, -1)
     if table.chain:
-        return first[1:], first[:-1]
+        return first[:, 1:].ravel(), first[:, :-1].ravel()
     if table.to is None:
-        return first, np.full(first.size, WORLD)
-    second = np.broadcast_to(system.names.find_in_order(table.to), first.shape)
-    return first, second.copy()
+        return first.ravel(), np.full(first.size, WORLD)
+    second = system.names.find_in_order(table.to).reshape(system.n_worlds, -1)
+    return first.ravel(), np.broadcast_to(second, first.shape).ravel()
 
 
 def bodies_apart(system: System) -> Ints:

@@ -15,7 +15,7 @@ from particlerb.case.source import problem_at
 from particlerb.forces.kinds import ForceError
 from particlerb.forces.links import WORLD
 from particlerb.forces.python import with_code
-from particlerb.forces.python_pairs import numbers_of_pairs
+from particlerb.forces.python_pairs import numbers_of_pairs, try_pairs
 from particlerb.forces.spring import places
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import lengths, rotate_back
@@ -84,15 +84,15 @@ def links_of(system: System) -> list[AnyLink]:
             continue
         try:
             if isinstance(force, PythonTable):
-                links.append(_own_link_of(whole, number, force))
-                continue
-            assert isinstance(force, SpringTable)
-            found = in_worlds(whole, number, force, _link_of)
+                own = in_worlds(whole, number, force, _own_link_of)
+                _try_own(whole, number, own)
+                links += own
+            else:
+                springs = in_worlds(whole, number, force, _link_of)
+                problems += [one for link in springs for one in _misplaced_ends(whole, link)]
+                links += springs
         except CaseError as error:
             problems += error.problems
-            continue
-        problems += [problem for link in found for problem in _misplaced_ends(whole, link)]
-        links += found
     if problems:
         raise CaseError(problems)
     return links
@@ -133,12 +133,28 @@ def _own_link_of(system: System, number: int, force: PythonTable) -> OwnLink:
     CaseError
         If its bodies make no pairs, or its function cannot act on them.
     """
-    first = second = np.zeros(1, dtype=np.int64)
     try:
         force = with_code(force, system)
         found = _pairs_in_reach if force.reach is not None else _pairs_as_named
         first, second = found(system, number, force)
         return OwnLink(number, force, first, second, numbers_of_pairs(force, first, second, system))
+    except ForceError as error:
+        key = f"force[{number}].{error.key}"
+        raise CaseError([problem_at(system, key, error.reason, error.hint)]) from None
+
+
+def _try_own(system: System, number: int, links: Sequence[OwnLink]) -> None:
+    """Let a function of a user act on all its pairs, with the parameters of each world.
+
+    Raises
+    ------
+    CaseError
+        If it cannot act on them.
+    """
+    columns = zip(*(link[2:] for link in links), strict=True)
+    first, second, numbers = (np.concatenate(one, axis=-1) for one in columns)
+    try:
+        try_pairs(links[0].force, first, second, numbers, system)
     except ForceError as error:
         names = (system.names[int(end[error.body])] for end in (first, second))
         reason = error.reason.replace("{name}", " and ".join(names))
@@ -296,6 +312,7 @@ def coincident(system: System) -> list[Problem]:
     heavy = system.particles.mass[index] > 0.0
     index, owner = index[heavy], owner[heavy]
     place = places(system, owner, system.particles.position[index].T)
+    place = np.vstack([system.world[owner], place])
     order = np.lexsort((owner, *place))
     place, owner = place[:, order], owner[order]
     is_same = (place[:, 1:] == place[:, :-1]).all(axis=0) & (owner[1:] != owner[:-1])
@@ -304,7 +321,7 @@ def coincident(system: System) -> list[Problem]:
         return []
     k = int(same[0])
     one, other = system.names[int(owner[k])], system.names[int(owner[k + 1])]
-    where = ", ".join(f"{x:.6g}" for x in place[:, k])
+    where = ", ".join(f"{x:.6g}" for x in place[1:, k])
     reason = (
         f"{one} and {other} each have a particle at [{where}] m at t = 0, where their attraction"
         f" has no bound{and_more(same.size - 1)}"

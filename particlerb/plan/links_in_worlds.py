@@ -1,9 +1,9 @@
-"""Springs between bodies of scenes that share a batch: tied in one scene after the other."""
+"""Forces between bodies of scenes that share a batch: tied in one scene after the other."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -11,28 +11,30 @@ from particlerb.forces.links import WORLD
 from particlerb.model.system import System
 
 if TYPE_CHECKING:
-    from particlerb.case.forces import SpringTable
-    from particlerb.plan.links import Link
+    from particlerb.plan.links import AnyLink
+
+
+_Link = TypeVar("_Link", bound="AnyLink")
 
 
 def in_worlds(
-    system: System, number: int, force: SpringTable, link_of: Callable[..., Link]
-) -> list[Link]:
-    """Springs of one [[force]]; where it differs from world to world, those of each by themselves.
+    system: System, number: int, force: Any, link_of: Callable[..., _Link]
+) -> list[_Link]:
+    """Pairs of one [[force]]; where it differs from world to world, those of each by themselves.
 
     Parameters
     ----------
     system : System
     number : int
         Index of the [[force]].
-    force : SpringTable
+    force : SpringTable or PythonTable
         In the first world.
     link_of : callable
-        (system, number, force): its springs in one scene.
+        (system, number, force): its pairs in one scene.
     """
     if system.n_worlds == 1:
         return [link_of(system, number, force)]
-    found = []
+    found: list[Any] = []
     for world in range(system.n_worlds):
         own = system.others[number][world] if number in system.others else force
         link = link_of(system.scene(world), number, own)
@@ -42,4 +44,4 @@ def in_worlds(
     if number in system.others:
         return found
     arrays = (np.concatenate(one, axis=-1) for one in zip(*(a[2:] for a in found), strict=True))
-    return [type(found[0])(number, force, *arrays)]
+    return [type(found[0])(number, found[0].force, *arrays)]

@@ -84,6 +84,8 @@ def make_plan(
     if any(choice):
         refuse_endless(system, groups)
     refuse_unstable(system, groups)
+    if system.n_worlds > 1:  # nobody reads what else is said of them
+        return Plan(groups, "", ())
     told = [*(coarse(system) if now is None else ()), *growing_contacts(system, groups)]
     warnings = (*map(as_warning, told), *step_warnings(system, groups))
     return Plan(groups, step_reason(system, groups, choice), warnings)

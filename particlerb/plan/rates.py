@@ -7,7 +7,8 @@ import numpy as np
 
 from particlerb.contact.contact_model import ContactSpheres, GroupContact
 from particlerb.forces import Terms
-from particlerb.forces.attraction import Attraction, fastest_rates
+from particlerb.forces.attraction import Attraction
+from particlerb.forces.attraction_rates import fastest_rates
 from particlerb.forces.links import link_rates
 from particlerb.forces.python_pairs import pair_rates
 from particlerb.forces.registry import term_of

@@ -102,8 +102,9 @@ class GroupRun:
 
     def pair_forces(self) -> PairForces | None:
         """What the bodies of the segment do to each other; None where it is nothing."""
-        terms = self.terms
-        return PairForces(terms, self.plan.members.size, True) if terms.is_coupled else None
+        if not self.terms.is_coupled:
+            return None
+        return PairForces(self.terms, self.plan.members.size, True, worlds=self.plan.worlds)
 
     @property
     def sums_itself(self) -> bool:
@@ -124,11 +125,12 @@ class GroupRun:
         """
         energy: Floats | float = np.zeros(shape_of(self.plan.worlds))
         if self.pairs is not None:
-            energy = energy + self.pairs.potential_energy(com, q, self.plan.worlds)
+            energy = energy + self.pairs.potential_energy(com, q)
         if self.tree is not None:
             self.tree_error = max(self.tree_error, sampled_error(self.tree))
         joints = self.segment.terms.joints
-        energy = energy + (0.0 if joints is None else energy_of_joints(joints, com, q))
+        if joints is not None:
+            energy = energy + energy_of_joints(joints, com, q, self.plan.worlds)
         return energy + energy_of_loads(self.segment.terms, com, q, self.plan.worlds)
 
     def begin(self, segment: Segment, state: State, before: Motion | None) -> Motion:

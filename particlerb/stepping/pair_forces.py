@@ -18,7 +18,7 @@ from particlerb.forces.user_pairs import own_pair_loads, pair_energies
 from particlerb.integrators.pair_stages import PairTerms
 from particlerb.maths.vec3 import Floats
 from particlerb.model.load import CONTACT_ROWS, LOAD_ROWS, STATE_ROWS
-from particlerb.model.worlds import Worlds
+from particlerb.model.worlds import Worlds, over_pairs
 
 _NANOSECONDS_PER_PAIR: Final = 0.4  # of the direct sum, roughly, for one of the two
 _NANOSECONDS_PER_LINK: Final = 15.0
@@ -58,8 +58,11 @@ class PairForces:
         When the segment begins [s].
     """
 
-    def __init__(self, terms: Terms, n: int, with_dashpots: bool, start: float = 0.0) -> None:
-        attraction = terms.attraction
+    def __init__(
+        self, terms: Terms, n: int, with_dashpots: bool, start: float = 0.0,
+        worlds: Worlds | None = None,
+    ) -> None:  # fmt: skip
+        attraction, self.worlds = terms.attraction, worlds
         self.cost = cost_of(terms)
         self.tree = None
         if attraction is not None and terms.opening_angle > 0.0:
@@ -69,7 +72,7 @@ class PairForces:
             terms.links,
             terms.own_pairs,
             direct,
-            None if direct is None else work_of(direct),
+            None if direct is None else work_of(direct, worlds),
             with_dashpots,
             np.full(3, start),
             np.zeros((STATE_ROWS, n)),
@@ -93,19 +96,19 @@ class PairForces:
         if attraction is not None and work is not None:
             spread_loads(attraction, work, y, load)
 
-    def potential_energy(
-        self, com: Floats, q: Floats, worlds: Worlds | None = None
-    ) -> Floats | float:
+    def potential_energy(self, com: Floats, q: Floats) -> Floats | float:
         """Of the bodies with each other, and of links to the world [J]; in each world."""
         energy: Floats | float = 0.0
         if self.pairs.links is not None:
-            energy = energy + link_energy(self.pairs.links, com, q, worlds)
+            energy = energy + link_energy(self.pairs.links, com, q, self.worlds)
         if self.pairs.own is not None:
-            energy = energy + float(pair_energies(self.pairs.own, com, q).sum())
+            own = pair_energies(self.pairs.own, com, q)
+            energy = energy + over_pairs(own, self.pairs.own.first, self.worlds)
         y = np.zeros((STATE_ROWS, com.shape[1]))
         y[:3], y[3:7] = com, q
         if self.pairs.attraction is not None and self.pairs.work is not None:
-            energy += potential_energy(self.pairs.attraction, self.pairs.work, y)
+            where = self.pairs.attraction, self.pairs.work, y, self.worlds
+            energy = energy + potential_energy(*where)
         if self.tree is not None:
             energy += self.tree.potential_energy(y)
         return energy

@@ -8,7 +8,7 @@ import numpy as np
 
 from particlerb.compiled.jit import flag
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.forces import Terms, acting_of, has_potential, row_count, rows_of_terms
+from particlerb.forces import acting_of, has_potential, row_count, rows_of_terms
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout
@@ -64,11 +64,12 @@ def _layout_of(is_asymmetric: Bools) -> Layout:
     return Layout(first, ends - first, -(-asymmetric // BLOCK))
 
 
-def _pairs_of(method: Method, terms: Terms, n: int, start: float) -> PairForces | None:
+def _pairs_of(method: Method, group: SegmentGroup, start: float) -> PairForces | None:
     """Forces between bodies that do not touch; None where there are none."""
+    terms, n = group.terms, group.members.size
     if all(term is None for term in (terms.links, terms.own_pairs, terms.attraction)):
         return None
-    return PairForces(terms, n, not method.has_dashpot_flows, start)
+    return PairForces(terms, n, not method.has_dashpot_flows, start, group.worlds)
 
 
 class SteppedMotion(Motion):
@@ -80,7 +81,7 @@ class SteppedMotion(Motion):
         self.method, self.group, self.start, self.dt = method, group, start, dt
         self.first = state
         terms, n = group.terms, group.members.size
-        self.forces = _pairs_of(method, terms, n, start)
+        self.forces = _pairs_of(method, group, start)
         self.is_coupled = self.forces is not None or terms.joints is not None
         is_asymmetric = group.bodies.rotor_class == ASYMMETRIC
         acts_together = terms.is_coupled or terms.contact is not None

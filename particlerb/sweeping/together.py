@@ -1,9 +1,8 @@
 """Variants of a sweep in one batch: who may share one, and the rows of those that do.
 
-Variants share a batch where nothing couples their bodies but springs and contacts, where the times,
-the method and all keys that are no numbers of bodies, forces or contact are the same, and where the
-same numbers are zero. Their bodies stand in one system, as worlds (model/worlds.py); each world has
-the bits of a run alone.
+Variants share a batch where the times, the method and all keys that are no numbers of bodies,
+forces or contact are the same, and where the same numbers are zero. Their bodies stand in one
+system, as worlds (model/worlds.py); each world has the bits of a run alone.
 """
 
 from collections.abc import Sequence
@@ -11,17 +10,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from particlerb.case.bodies import Body
-from particlerb.case.forces import PythonTable, SpringTable
 from particlerb.case.output import Asked
 from particlerb.case.shapes import Cloud
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.model.worlds import WorldsDifferError
+from particlerb.plan.joints import assembled, joints_of
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
 from particlerb.simulation.checks import quantities
 from particlerb.simulation.outcome import Outcome
+from particlerb.simulation.probes import Probe
 from particlerb.simulation.unrecorded import run_unrecorded
 from particlerb.simulation.whole_run import Prepared
 from particlerb.stepping.sparse_contact import can_fly
@@ -29,17 +29,13 @@ from particlerb.sweeping.rows import Row, asked_as_checks
 
 
 def may_share(system: System) -> bool:
-    """Whether variants of a case may share a batch: springs and contacts at most couple bodies."""
+    """Whether variants of a case may share a batch."""
     contact, slides = system.contact, any(wall.piston is not None for wall in system.wall)
     if contact is not None and (not contact.has_stiffness or contact.relax or slides):
         return False
-    if system.attraction or system.joint or system.run.accuracy:
+    if system.run.accuracy:
         return False
-    forces = not any(
-        isinstance(force, PythonTable) or (isinstance(force, SpringTable) and force.reach)
-        for force in system.force
-    )
-    return forces and not any(_is_its_own(body) for body in system.body)
+    return not any(_is_its_own(body) for body in system.body)
 
 
 def _is_its_own(body: Body) -> bool:
@@ -62,6 +58,7 @@ def rows_together(numbers: Sequence[int], system: System, asked: Sequence[Asked]
     system = system._replace(check=check).with_run(threads=1)
     if not may_share(system):
         raise WorldsDifferError("bodies act on each other as they cannot in worlds")
+    system = assembled(system)
     plan = make_plan(system)
     for group in plan.groups:
         _refuse_different(system, group)
@@ -89,14 +86,37 @@ def _refuse_different(system: System, group: GroupPlan) -> None:
             raise WorldsDifferError("the method chooses steps by all bodies")
         if has_step(segment.method) and system.run.dt is None:
             raise WorldsDifferError("each has a step of its own")
+        if segment.terms.opening_angle > 0.0:
+            raise WorldsDifferError("a tree of all bodies sums the attraction")
+        is_pair = segment.terms.attraction is not None and bodies.shape[1] == 2
+        if is_pair and system.run.method in ("auto", "exact"):
+            raise WorldsDifferError("two bodies alone may have a closed form")
         if can_fly(METHODS[segment.method], segment.terms, bodies.shape[1]):
             raise WorldsDifferError("bodies fly in closed form between their contacts")
 
 
 def _found(asked: Asked, system: System, outcome: Outcome) -> Floats:
     """Numbers of a value that is asked for, a row for each world."""
-    assert asked.body is not None
     time = system.run.t_end if asked.time is None else asked.time
     probe = next(probe for probe in outcome.probes if probe.time == time)
+    if asked.joint is not None:
+        return _of_joints(asked, system, probe)
+    assert asked.body is not None
     found = quantities(asked, system, system.names.find(asked.body), probe.frame)
+    return found.reshape(system.n_worlds, -1)
+
+
+def _of_joints(asked: Asked, system: System, probe: Probe) -> Floats:
+    """Numbers of a joint that is asked for, a row for each world."""
+    setup, first = joints_of(system), joints_of(system.scene(0))
+    assert setup is not None
+    assert first is not None
+    assert probe.joints is not None
+    j = first.names.index(str(asked.joint))
+    record = first.record[j]
+    place = j - int(np.searchsorted(first.record, record))
+    own = np.flatnonzero(setup.record == record).reshape(system.n_worlds, -1)[:, place]
+    if asked.quantity == "joint_coordinate":
+        own = np.flatnonzero(np.isin(setup.coordinates.joint, own))
+    found: Floats = getattr(probe.joints, asked.quantity)[0, own]
     return found.reshape(system.n_worlds, -1)

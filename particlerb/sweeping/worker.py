@@ -89,10 +89,11 @@ def batch_of(task: Task) -> System:
 
 def _row(number: int, source: Source, asked: Sequence[Asked]) -> Row:
     """Run a variant."""
-    prepared = prepare_accurately(to_system(build(source, ())))
-    system = prepared.system.with_run(threads=1)
+    system = to_system(build(source, ()))
     check = system.check.model_copy(update={"value": asked_as_checks(asked)})
-    outcome = run_unrecorded(prepared._replace(system=system._replace(check=check)))
+    prepared = prepare_accurately(system._replace(check=check))
+    system = prepared.system.with_run(threads=1)
+    outcome = run_unrecorded(prepared._replace(system=system))
     missed = sum(not one.holds for one in limits(check, outcome.drift))
     values = [x for one in asked for x in _found(one, system, outcome)]
     return Row(number, "done", outcome.drift.energy, missed, tuple(values))

@@ -25,15 +25,14 @@ from particlerb.forces.attraction import (
     attract,
     attraction_loads,
     attraction_potential,
-    fastest_rates,
     inverse_cube,
     inverse_root,
     place_points,
     potential_energy,
     spread_loads,
-    tiles_of,
     work_of,
 )
+from particlerb.forces.attraction_rates import fastest_rates
 from particlerb.forces.central import Central, central_work
 
 T = 8 if config.DISABLE_JIT else module.TILE
@@ -355,8 +354,8 @@ def threads():
 def test_ranges_change_no_bit(cuts, name):
     """Bodies and tiles one range after another, cut anywhere and the last first."""
     attraction, y = random_scene(MANY[name], 7)
-    n_bodies, n_tiles = y.shape[1], tiles_of(attraction.mass.size)
     whole, parts = work_of(attraction), work_of(attraction)
+    n_bodies, n_tiles = y.shape[1], len(whole.tile)
     load, other = np.zeros((6, n_bodies)), np.zeros((6, n_bodies))
     sums, others = np.zeros(n_tiles), np.zeros(n_tiles)
     attraction_loads(attraction, whole, y, load)

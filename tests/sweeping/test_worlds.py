@@ -158,6 +158,71 @@ CLOSED = {
     "pair on a spring": (scene(BOUND, method="auto", dt=None, others=[FREE]), MASS),
 }  # fmt: skip
 """Those that are moved in closed form by what is known from the start, or by damped springs."""
+FORCES = """
+import particlerb
+from particlerb.maths.vec3 import dot, scale, subtract
+
+def energy(x1, x2, q1, q2, k):
+    d = subtract(x2, x1)
+    return k * q1 * q2 / dot(d, d) ** 0.5
+
+@particlerb.force(potential=energy)
+def coulomb(x1, x2, q1, q2, k):
+    d = subtract(x2, x1)
+    r2 = dot(d, d)
+    return scale(-k * q1 * q2 / (r2 * r2**0.5), d), (0.0, 0.0, 0.0)
+
+@particlerb.force
+def wind(v, c, t):
+    return scale(-c * (1.0 + t), v), (0.0, 0.0, 0.0)
+"""
+CHARGES = {"q1": [1.0, 2.0, 0.5], "q2": [1.0, 2.0, 0.5]}
+MINE = {"type": "python", "file": "mine.py", "body": ["body", "other", "third"]}
+COULOMB = MINE | {"function": "coulomb", "reach": 9.0, "parameters": {"k": 2.0},
+                  "per_body": CHARGES}  # fmt: skip
+WIND = MINE | {"function": "wind", "per_body": {"c": [1.0, 2.0, 0.5]}}
+AMONG = {"type": "spring", "body": ["body", "other", "third"], "reach": 1.9, "stiffness": 30.0,
+         "rest_length": "initial"}  # fmt: skip
+PIVOT = {"name": "pivot", "type": "hinge", "body": "body", "at": [-0.5, 0, 0], "axis": [0, 1, 0],
+         "assemble": True}  # fmt: skip
+ELBOW = {"name": "elbow", "type": "hinge", "body": "other", "to": "body", "at": [0.5, 0, 0],
+         "axis": [0, 1, 0], "spring": {"stiffness": 3.0}, "damper": 0.2,
+         "assemble": True}  # fmt: skip
+CHAIN = {"name": "rope", "type": "ball", "body": ["body", "other", "third"], "chain": True,
+         "assemble": True}  # fmt: skip
+WELD = {"type": "fixed", "body": "other", "to": "body", "assemble": True}
+BREAKS = {"name": "pin", "type": "ball", "body": "third", "breaks_at": {"force": 14.0},
+          "assemble": True}  # fmt: skip
+PULL = {"attraction": {"G": 3.0, "softening": 0.01}}
+OF_THIRD = [{"body": "third", "quantity": "position"}]
+AT_ELBOW = [
+    {"joint": "elbow", "quantity": "joint_coordinate", "time": 0.013},
+    {"joint": "elbow", "quantity": "joint_force"},
+]
+
+
+def three(*forces, joint=(), method="strang", **more) -> dict:
+    """Two boxes, and between them in the order of the case a symmetric body."""
+    other = {"name": "other", "mass": 1.0, "position": [1.1, 0.0, 0.0], "velocity": [0.0, 0.3, 0.0]}
+    other["shape"] = {"type": "moments", "inertia": [1.0, 2.0, 2.0]}
+    third = {"name": "third", "mass": 1.5, "shape": BOX, "position": [0.0, 1.7, 0.2]}
+    case = scene(*forces, method=method, others=[other, third], gravity=bool(joint)) | more
+    return case | ({"joint": list(joint)} if joint else {})
+
+
+COUPLED = {
+    "joints": (three(joint=[PIVOT, ELBOW], method="rattle"), MASS, AT_ELBOW),
+    "joints and drag": (three(DRAG, joint=[PIVOT, ELBOW], method="rattle"), MASS, AT_ELBOW),
+    "a chain of each": (three(joint=[CHAIN], method="rattle"), MASS, []),
+    "merged, and one that breaks": (three(joint=[WELD, BREAKS], method="rattle"),
+                                    {"body.2.mass": [1.0, 1.5]}, OF_THIRD),
+    "attraction": (three(**PULL), MASS, []),
+    "attraction and a spring": (three(TIED[0], **PULL), MASS, []),
+    "springs by reach": (three(AMONG), MASS, []),
+    "forces of users": (three(WIND, COULOMB), MASS, []),
+    "a parameter": (three(COULOMB), {"force.0.parameters.k": [1.0, 2.0, 3.0]}, []),
+}  # fmt: skip
+"""Bodies that act on each other by more than springs and contacts; and what else is asked."""
 BATCHES = {
     "free": (scene(method="auto", dt=None), SPIN),
     "free, one world near the separatrix": (scene(method="auto", dt=None, **GRID), NEAR),
@@ -191,7 +256,7 @@ BATCHES = {
 
 def batch(case: dict, axes: dict, asked=()) -> Task:
     """All variants as one task."""
-    loaded = load(case)
+    loaded = load(case, allow_code=True)
     table = SweepTable(axes=axes, value=asked)
     rows = tuple(v.values for v in variants(loaded, table))
     paths = tuple(map(path_of, axes))
@@ -218,6 +283,36 @@ def test_closed_forms_have_the_bits_of_runs_alone_too(name):
     assert repr(rows_together(task.numbers, batch_of(task), task.asked)) == repr(
         work(task._replace(is_batch=False))
     )
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("name", COUPLED)
+def test_bodies_of_a_world_act_on_each_other_alone(name, tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(FORCES)
+    monkeypatch.chdir(tmp_path)
+    case, axes, more = COUPLED[name]
+    task = batch(case, axes, asked=[*ASKED, *more])
+    together = rows_together(task.numbers, batch_of(task), task.asked)
+    assert repr(together) == repr(work(task._replace(is_batch=False)))
+    assert len({row.values for row in together}) == len(together) > 1
+    assert more is not AT_ELBOW or all(row.values[-4] < 0.0 for row in together)  # the angle
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        ({"attraction": {"G": 3.0, "sum": "tree"}}, "a tree of all bodies"),
+        ({"attraction": {"G": 3.0, "body": ["body", "third"]}}, None),
+    ],
+)
+def test_a_tree_has_all_bodies_of_one_world(more, why):
+    task = batch(three(**more), MASS)
+    if why is None:
+        assert len(rows_together(task.numbers, batch_of(task), ())) == 3
+        return
+    with pytest.raises(WorldsDifferError, match=why):
+        rows_together(task.numbers, batch_of(task), ())
 
 
 @pytest.mark.plain
@@ -302,7 +397,7 @@ def test_who_shares_a_batch():
     relaxed = touching(*TRIO, wall=[FLOOR], contact={"relax": True})
     impulses = touching(*TRIO, wall=[FLOOR], contact={"law": "impulse", "overlap": 0.0})
     pressed = touching(*TRIO, wall=[FLOOR | {"piston": {"mass": 1.0, "axis": [0, 0, 1]}}])
-    for case in ("pendulum", "dumbbell_pair", relaxed, impulses, pressed):  # joints, attraction, ..
+    for case in (relaxed, impulses, pressed):
         assert not may_share(to_system(case))
 
 
