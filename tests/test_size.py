@@ -52,7 +52,7 @@ BUDGETS = {
     "conservation of bodies at rest": 15,
     "a balance that is not finite, or a state of another size, ends a run": 15,
     "opening angle fitted to a scene": 95,
-    "scenes in Python": 434,
+    "scenes in Python": 450,
     "states of a simulation without its energy": 82,
     "sweeps": 605,
     "variants of a sweep in one batch": 655,

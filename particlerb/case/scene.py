@@ -91,6 +91,12 @@ class Scene(Mapping[str, Any]):
     add_joint = _adds(JointTable, "joint")
     add_material = _adds(Material, "material")
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set a table; there are no others."""
+        if name not in Case.model_fields and name not in ("files", "_gravity"):
+            raise AttributeError(f"a scene has no {name}; it has: {', '.join(Case.model_fields)}")
+        super().__setattr__(name, value)
+
     @property
     def gravity(self) -> Gravity | None:
         """Uniform gravity; a sequence of 3 floats that is assigned is its acceleration [m/s²]."""

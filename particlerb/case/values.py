@@ -57,6 +57,12 @@ class Table(_Made):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    def __setattr__(self, name: str, value: object) -> None:
+        """Refuse to change what is public."""
+        if not name.startswith("_"):
+            raise AttributeError(f"{type(self).__name__}.{name} cannot be set: make another record")
+        super().__setattr__(name, value)
+
     @classmethod
     def __get_pydantic_json_schema__(
         cls, schema: CoreSchema, handler: GetJsonSchemaHandler

@@ -170,6 +170,8 @@ class Simulation(Closing):
 
         What is changed between two of them acts from the first on.
         """
+        if not 0.0 < every < np.inf:
+            raise ValueError(f"frames(every={every!r}): must be above 0 s, and finite")
         yield self._state
         k = int(self.time / every)
         while (time := float(multiples(every, k, k + 1)[0])) <= self.system.run.t_end:

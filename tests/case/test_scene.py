@@ -153,3 +153,11 @@ def test_gravity_is_assigned_as_it_is_given():
         assigned.gravity = (0, 0)
     assigned.gravity = None
     assert "gravity" not in assigned.to_toml()
+
+
+def test_what_a_scene_has_not_cannot_be_set():
+    scene = Scene(RunTable(t_end=1.0, every=0.5))
+    with pytest.raises(AttributeError, match="no gravitation; it has: title, run, gravity"):
+        scene.gravitation = (0, 0, -9.81)
+    with pytest.raises(AttributeError, match=r"RunTable\.dt cannot be set"):
+        scene.run.dt = 1e-3

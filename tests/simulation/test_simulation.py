@@ -173,6 +173,8 @@ def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
     ]:
         with pytest.raises(CaseError, match=words):
             simulation.change(key, value)
+    with pytest.raises(ValueError, match=r"frames\(every=-1\): must be above 0 s"):
+        next(simulation.frames(every=-1))
     with pytest.raises(ValueError, match="position must be finite, of shape"):
         simulation.set_state(position=[1, 2, 3])
     with pytest.raises(ValueError, match="orientation of zero"):
