@@ -160,12 +160,6 @@ def refused(system: System, load: ResolvedForce) -> list[Problem]:
     return []
 
 
-def acts(form: AnyForce, start: float) -> bool:
-    """Whether a lasting force acts in the segment that begins at `start`."""
-    is_impulse = force_of(form).term is None
-    return not is_impulse and (not form.edges or form.edges[0] <= start < form.edges[-1])
-
-
 def acting_terms(system: System, bodies: Bodies, forces: list[Forces], start: float) -> Terms:
     """Sum of the forces of a segment: one term of each kind, but springs and centres one by one."""
     loads = []
@@ -177,14 +171,10 @@ def acting_terms(system: System, bodies: Bodies, forces: list[Forces], start: fl
     return Terms(UniformGravity(bodies.mass, gravity) if gravity.any() else None, summed(loads))
 
 
-def jumps_at(forces: list[Forces], bodies: Bodies, start: float) -> tuple[Impulse, ...]:
-    """Impulses at the start of a segment."""
+def jumps_of(forces: list[Forces], bodies: Bodies) -> tuple[Impulse, ...]:
+    """Impulses among forces of one instant."""
     found = ((force_of(form).jump, form, numbers) for form, numbers in forces)
-    return tuple(
-        jump(form, numbers, bodies)
-        for jump, form, numbers in found
-        if jump is not None and form.edges == (start,)
-    )
+    return tuple(jump(form, numbers, bodies) for jump, form, numbers in found if jump is not None)
 
 
 def _impossible_torques(system: System, load: ResolvedForce) -> list[Problem]:

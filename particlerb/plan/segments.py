@@ -23,7 +23,7 @@ from particlerb.model.state import State
 from particlerb.model.superblocks import superblocks
 from particlerb.model.system import System
 from particlerb.model.worlds import Worlds, worlds_among
-from particlerb.plan.case_forces import acting_terms, acts, jumps_at
+from particlerb.plan.case_forces import acting_terms, jumps_of
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.groups import GroupSetup, part_of, terms_between
 from particlerb.plan.joint_drives import drives_from
@@ -32,6 +32,7 @@ from particlerb.rotors.rotor_class import POINT
 from particlerb.stepping.closed_forms import has_closed_form
 from particlerb.stepping.motion import SegmentGroup, Shared
 
+_ALWAYS: Final = (-np.inf, np.inf)
 Needs: TypeAlias = dict[str, frozenset[str]]
 _NEEDS: Final = {
     POSE: "it depends on the pose",
@@ -87,21 +88,22 @@ def cut_into_segments(
     Impulses of that time act where it is the first of the run. Bodies with a closed form part from
     others where they are not stepped.
     """
-    edges = {begin}
-    for form in (*(force.form for force in group.forces), *(link.force for link in group.links)):
-        edges.update(form.edges)
+    members, forces = group.members, group.forces
+    spans = [force.form.edges or _ALWAYS for force in forces]  # of an impulse: its instant
+    spans_of_links = [link.force.edges or _ALWAYS for link in group.links]
+    edges = {begin}.union(*spans, *spans_of_links)
     if group.joints is not None:
         edges.update(group.joints.until[np.isin(group.joints.first, group.members)].tolist())
         driven = group.joints.drives_among(group.members)
         edges.update(*(course.knots.tolist() for course in driven))
     starts = sorted(edge for edge in edges if begin <= edge < np.inf)
-    members, forces = group.members, group.forces
     bodies = held(taken(system.bodies, members), system.is_held[members])
     between: dict[tuple[int, ...], Terms] = {}  # by released joints and the numbers of the links
     stretches: list[Stretch] = []
     for start in starts:
-        acting = [force for force in forces if acts(force.form, start)]
-        links = [link for link in group.links if acts(link.force, start)]
+        acting = [force for force, s in zip(forces, spans, strict=True) if s[0] <= start < s[-1]]
+        both = zip(group.links, spans_of_links, strict=True)
+        links = [link for link, s in both if s[0] <= start < s[-1]]
         released = 0 if group.joints is None else int((group.joints.until <= start).sum())
         key = released, *(link.number for link in links)
         if key not in between:
@@ -113,7 +115,8 @@ def cut_into_segments(
                 drives = drives_from(group.joints.courses, start)
                 terms = terms._replace(joints=terms.joints._replace(drives=drives))
             terms = _with_drag_among_joints(terms, bodies)
-        jumps = jumps_at(forces, bodies, start) if start > begin or is_first else ()
+        now = [force for force, s in zip(forces, spans, strict=True) if s == (start,)]
+        jumps = jumps_of(now, bodies) if start > begin or is_first else ()
         stretches.append(Stretch(terms, jumps))
     closed, segments = [], []
     scene = system.world[members] if group.joints is not None or group.links else None

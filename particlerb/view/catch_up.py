@@ -42,14 +42,16 @@ def catch_up(run: Run, before: Run | None, frames: Floats, time: float) -> None:
     """
     known = {t.plan.members.tobytes(): t for t in before.group_runs} if before else {}
     fresh = []
-    for k, group_run in enumerate(run.group_runs):
-        old = known.get(group_run.plan.members.tobytes())
-        if before and old and _continues(old, group_run.plan, time):
-            old.plan = group_run.plan
-            run.group_runs[k] = old
-            run.last[old.plan.members] = before.last[old.plan.members]
-        else:
-            fresh.append(group_run)
+    for runs in run.superblocks:
+        for k, group_run in enumerate(runs):
+            old = known.get(group_run.plan.members.tobytes())
+            if before and old and _continues(old, group_run.plan, time):
+                old.plan = group_run.plan
+                runs[k] = old
+                run.last[old.plan.members] = before.last[old.plan.members]
+            else:
+                fresh.append(group_run)
+    run.group_runs = [group_run for runs in run.superblocks for group_run in runs]
     if before:
         run.balance.errors, run.balance.scales = before.balance.errors, before.balance.scales
     if not fresh:

@@ -102,7 +102,7 @@ class Session:
         self.system, self.warnings, self.run = self.prepared()
         self.time, self.next_frame = 0.0, 0
         self.applied: list[AppliedPush] = []
-        self.ends: dict[int, Frames] = {}  # all bodies when a push, by its number, was over
+        self.ends: dict[int, Frames] = {}  # when the last push of a body, by number, was over
         self.has_gravity = self.own_gravity
         self.gravity_pushes: list[int] = []  # the forces that stand for switched gravity now
         self.frame, self.entries = self.computed_at(np.zeros(1), np.ones(1, dtype=np.bool_))
@@ -200,6 +200,8 @@ class Session:
         turned = orientation[0, push.body].copy()
         applied = AppliedPush(push, start, stop, lever, *momenta, turned)
         self.continue_with([*self.raw["force"], entry])
+        for k in [k for k in self.ends if self.applied[k].push.body == push.body]:
+            del self.ends[k]
         self.applied.append(applied)
         self.keep_ends()
         return applied

@@ -11,6 +11,7 @@ pytest.importorskip("tomlkit")
 import particlerb
 from particlerb.case.reader import parse
 from particlerb.case.to_system import to_system
+from particlerb.simulation.group_run import GroupRun
 from particlerb.view.recording import recorded
 from particlerb.view.session import Session, SessionError, UserPush
 
@@ -110,6 +111,18 @@ def test_a_push_leaves_the_past_of_a_stepped_body_as_it_was(session):
     assert start > 0.2345
     for a, b in zip(session.frame[:4], calm.frame[:4], strict=True):
         assert (a == b).all()
+
+
+def test_a_push_goes_on_from_the_last_edge_however_many_came_before(session, monkeypatch):
+    """What was computed is kept: a push of some time crosses its own two edges, and no earlier."""
+    crossed, real = [], GroupRun.cross
+    monkeypatch.setattr(GroupRun, "cross", lambda run: (crossed.append(run.number), real(run)))
+    session = session()
+    for k in range(20):
+        session.advance(0.05 * (k + 1))
+        session.apply(UserPush(0, CORNER, UP, 0.01))
+    session.advance(1.5)
+    assert crossed == list(range(40))
 
 
 def test_impulse_of_the_paper(session):
