@@ -80,7 +80,7 @@ def draw_maps(study: Stability, path: Path) -> None:
     cells = figure.subfigures(down, _ACROSS, squeeze=False)
     for k, method in enumerate(methods):
         cell = cells.flat[k]
-        heading = f"{_spoken(method)}\n{_headline(study, method)}"
+        heading = f"{method}\n{_headline(study, method)}"
         cell.suptitle(heading, color=METHOD_COLOURS[method], fontsize=9.5)
         panels = cell.subplots(1, len(families), sharey=True, squeeze=False)[0]
         own = [one for one in study.maps if one.method == method]
@@ -98,11 +98,6 @@ def draw_maps(study: Stability, path: Path) -> None:
     ]
     figure.legend(handles=patches, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     figure.savefig(path, dpi=_DPI)
-
-
-def _spoken(method: str) -> str:
-    """Name of a method in words."""
-    return method.replace("_", " ")
 
 
 def _headline(study: Stability, method: str) -> str:
@@ -271,7 +266,7 @@ def _draw_distances(axes: Axes, limits: Sequence[Limit]) -> None:
         colour = METHOD_COLOURS[one.method]
         if math.isfinite(one.theory):
             axes.plot(100.0 * (one.measured / one.theory - 1.0), y, "o", color=colour, ms=5)
-        name = f"{_spoken(one.method)}: {one.name.replace(': largest', ',')}"
+        name = f"{one.method}: {one.name.replace(': largest', ',')}"
         write_beside(axes, -0.02, y, name, ha="right", va="center", fontsize=8.5, color=colour)
         text = f"{number(one.theory):>12} {number(one.measured):>12}"
         write_beside(axes, 1.02, y, text, **figures)
@@ -299,7 +294,7 @@ def _draw_resting(axes: Axes, limits: Sequence[Limit]) -> None:
         theory = [THEORY[method](ratio) for ratio in zeta.tolist()]
         axes.plot(zeta, theory, color=colour, lw=1.5)
         axes.plot([one.zeta for one in own], [one.measured for one in own], "o", color=colour, ms=6)
-        ends.append((zeta[-1], theory[-1], _spoken(method), colour))
+        ends.append((zeta[-1], theory[-1], method, colour))
     for x, y, text, colour in ends:
         axes.text(x + 0.03, y, text, color=colour, va="top" if "strang" in text else "bottom")
 
@@ -344,7 +339,7 @@ def _name_drifts(axes: Axes, drifts: Sequence[EnergyDrift]) -> None:
     ends = []
     for drift in drifts:
         colour, is_finite = METHOD_COLOURS[drift.method], np.isfinite(drift.largest)
-        name = f"{_spoken(drift.method)}, {drift.pace:g}:"
+        name = f"{drift.method}, {drift.pace:g}:"
         if is_finite.all():
             level = min(max(float(drift.largest[-1]), _BOTTOM), _TOP)
             text = f"{name} p = {abs(growth_exponent(drift)[0]):.2f}"
