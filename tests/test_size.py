@@ -67,7 +67,7 @@ BUDGETS = {
     "names of curves that cover no curve": 22,
     "help of the commands in whole phrases": 22,
     "size and time of a run, told before it": 85,
-    "a page that explains itself": 145,
+    "a page that explains itself": 147,
     "whole scenes for LAMMPS and MuJoCo": 340,
     "contacts as lines for ParaView": 52,
     "helpers without machine code": 50,

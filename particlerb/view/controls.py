@@ -112,6 +112,7 @@ def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:
         title=title,
         scales={"x": {"time": False}},
         axes=({}, {"space": 18}),  # pixels between two values, at least
-        height=130,
+        height=140,
+        padding=(12, 12, 0, 0),  # room for half a value above and beside the last
         legend={"show": True, "live": False},
     )

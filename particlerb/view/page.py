@@ -56,6 +56,7 @@ class Page:
         self.is_running, self.is_over = True, False
         self.rate = UPDATES  # updates per second
         self.message, self.is_refusal = "", False
+        server.gui.main_panel.dock_right()  # a fresh page has it above the scene
         self.stage = Stage(server, system)
         self.names = [str(name) for name in system.names]  # checked, as those of a case are
         self.index = {name: b for b, name in enumerate(self.names)}

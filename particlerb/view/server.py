@@ -37,7 +37,6 @@ def listening(access: Access, port: int) -> Iterator[viser.ViserServer]:
     server.get_event_loop().set_exception_handler(ignore)
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(214, 106, 14))
     server.scene.set_up_direction("+z")
-    server.gui.main_panel.dock_right()
     try:
         access.prove()
         yield server

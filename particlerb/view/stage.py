@@ -124,6 +124,9 @@ class Stage:
         server.initial_camera.position = self.size * np.array(_VIEW)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         server.on_client_connect(self.step_back)
+        for client in server.get_clients().values():  # that have seen another scene before
+            client.camera.position, client.camera.look_at = self.size * np.array(_VIEW), np.zeros(3)
+            self.step_back(client)
 
     def add_layer(self, k: int) -> Any:
         """Instances of one mesh."""
