@@ -21,7 +21,7 @@ BUDGETS = {
     "joints": 1500,
     "what users see of joints": 831,
     "what acts on jointed bodies": 605,
-    "unrolled columns in factors of joints, rows that share points, for speed": 101,
+    "unrolled columns in factors of joints, rows that share points, for speed": 222,
     "impulses of joints guessed from the steps before": 34,
     "rows of loops that rest in a singular pose": 30,
     "prescribed motion in joints, and driven bodies there": 335,

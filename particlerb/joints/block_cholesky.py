@@ -10,16 +10,15 @@ left out of this factor.
 import heapq
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.joints.fives import down_fives, up_fives, update_fives
 from particlerb.joints.records import Clusters, ConstraintRows, Program, Work
 from particlerb.joints.rows import vector
 from particlerb.maths.vec3 import Bools, Floats, Ints, dot
-
-Five: TypeAlias = tuple[float, float, float, float, float]
 
 
 class _Elimination(NamedTuple):
@@ -162,12 +161,32 @@ def _add_shared(
             factor[k, r, s] += v + dot(turning, vector(gradient, j + s, by_j))
 
 
+@lean
+def _off_diagonal(
+    work: Work, shares: Bools, k: int, i: int, j: int, rows: int, columns: int,
+    inv_mass: tuple[float, float],
+) -> None:  # fmt: skip
+    """Block k, of rows from i on with those from j on; 1/M are those of the bodies of the rows."""
+    first, second = inv_mass
+    for r in range(rows):
+        for s in range(columns):
+            work.factor[k, r, s] = 0.0
+    if shares[k, 0]:
+        _add_shared(work, k, i, j, rows, columns, (first, 3, 9))
+    if shares[k, 1]:
+        _add_shared(work, k, i, j, rows, columns, (-first, 3, 12))
+    if shares[k, 2]:
+        _add_shared(work, k, i, j, rows, columns, (-second, 6, 9))
+    if shares[k, 3]:
+        _add_shared(work, k, i, j, rows, columns, (second, 6, 12))
+
+
 @lean_kernel
 def assemble(
     program: Program, ends: ConstraintRows, inv_mass: Floats, work: Work, lo: int, hi: int
 ) -> None:
     """A = G M⁻¹ Gᵀ in blocks lo to hi, and its diagonal."""
-    start, pair, shares, factor = program.start, program.pair, program.shares, work.factor
+    start, pair, shares = program.start, program.pair, program.shares
     for k in range(lo, hi):
         i, j = pair[k, 0], pair[k, 1]
         at, to = start[i], start[j]
@@ -179,17 +198,10 @@ def assemble(
             else:
                 _on_diagonal(work, k, at, rows, first + second)
             continue
-        for r in range(rows):
-            for s in range(columns):
-                factor[k, r, s] = 0.0
-        if shares[k, 0]:
-            _add_shared(work, k, at, to, rows, columns, (first, 3, 9))
-        if shares[k, 1]:
-            _add_shared(work, k, at, to, rows, columns, (-first, 3, 12))
-        if shares[k, 2]:
-            _add_shared(work, k, at, to, rows, columns, (-second, 6, 9))
-        if shares[k, 3]:
-            _add_shared(work, k, at, to, rows, columns, (second, 6, 12))
+        if rows == 5 and columns == 5:
+            _off_diagonal(work, shares, k, at, to, 5, 5, (first, second))
+        else:
+            _off_diagonal(work, shares, k, at, to, rows, columns, (first, second))
 
 
 @lean
@@ -233,25 +245,6 @@ def _update(
 
 
 @lean
-def _five(factor: Floats, k: int, r: int) -> Five:
-    """Row r of a block of five columns."""
-    return factor[k, r, 0], factor[k, r, 1], factor[k, r, 2], factor[k, r, 3], factor[k, r, 4]
-
-
-@lean
-def _update_fives(factor: Floats, k: int, one: int, other: int, target: int) -> None:
-    """Do the same for blocks of five rows and columns, each row of which is read but once."""
-    d = factor[k, 0, 0], factor[k, 1, 1], factor[k, 2, 2], factor[k, 3, 3], factor[k, 4, 4]
-    for r in range(5):
-        u = _five(factor, one, r)
-        u = u[0] * d[0], u[1] * d[1], u[2] * d[2], u[3] * d[3], u[4] * d[4]
-        for c in range(r + 1 if one == other else 5):
-            v = _five(factor, other, c)
-            taken = u[0] * v[0] + u[1] * v[1] + u[2] * v[2] + u[3] * v[3] + u[4] * v[4]
-            factor[target, r, c] -= taken
-
-
-@lean
 def _eliminate(
     program: Program, factor: Floats, scale: Floats, e: int, k: int, d: int, n: int,
     smallest_pivot: float,
@@ -273,7 +266,7 @@ def _eliminate(
         one, other, target = program.updates[q, 0], program.updates[q, 1], program.updates[q, 2]
         rows, columns = program.updates[q, 3], program.updates[q, 4]
         if n == 5 and rows == 5 and columns == 5:
-            _update_fives(factor, d, one, other, target)
+            update_fives(factor, d, one, other, target)
         elif rows == n and columns == n:
             _update(factor, d, one, other, target, n, n, n)
         else:
@@ -370,7 +363,7 @@ def solve(program: Program, clusters: Clusters, factor: Floats, z: Floats, c: in
         k = order[e]
         n, d = start[k + 1] - start[k], clusters.block[c] + k - lo
         if n == 5:
-            _down(program, factor, z, e, k, d, 5)
+            down_fives(program, factor, z, e, k, d)
         elif n == 3:
             _down(program, factor, z, e, k, d, 3)
         else:
@@ -379,7 +372,7 @@ def solve(program: Program, clusters: Clusters, factor: Floats, z: Floats, c: in
         k = order[e]
         n, d = start[k + 1] - start[k], clusters.block[c] + k - lo
         if n == 5:
-            _up(program, factor, z, e, k, d, 5)
+            up_fives(program, factor, z, e, k, d)
         elif n == 3:
             _up(program, factor, z, e, k, d, 3)
         else:

@@ -122,6 +122,7 @@ class Joints(NamedTuple):
     number: Ints  # (j,) which joints of the system these are; -1: dashpots
     actions: Actions
     drag: Floats  # (n + 1, 2) [N s/m], [N m s/rad]
+    beside: Bools  # (m,) whether a row differs from the one before by its axis alone
     acts: Flag = None  # whether there are springs, stops or motors,
     damps: Flag = None  # or dampers, dashpots or drag
     coordinates: Coordinates | None = None  # None: nobody asks for them
@@ -159,6 +160,8 @@ class Work(NamedTuple):
     kept: Floats  # (m,) impulses since the middle of the last step, of these
     z: Floats  # (m,) right sides and solutions
     total: Floats  # (m,) impulses of a drift
+    last_g: Floats  # (m,) residuals of the iteration before,
+    last_gain: Floats  # (m,) and the impulses that it has added
     past: Floats  # (m, 4) of the last step, over its kick, and differences back; NaN: not known
     before: Floats  # (m,) rates of coordinates before a kick
     compliance: Floats  # (m,) what is added to the diagonal of A; inf: the row is left out
@@ -200,6 +203,8 @@ def room_for_joints(joints: Joints) -> Work:
         np.zeros(3),
         np.full(joints.number.size, np.inf),
         np.full((joints.number.size, 2), -1.0),
+        np.zeros(m),
+        np.zeros(m),
         np.zeros(m),
         np.zeros(m),
         np.zeros(m),

@@ -16,7 +16,7 @@ See docs/joints.md.
 """
 
 from math import atan2, copysign, inf, pi
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -40,7 +40,16 @@ from particlerb.joints.records import (
     Work,
     X,
 )
-from particlerb.maths.quaternion import Quat, conjugate, multiply, to_body, to_world
+from particlerb.maths.quaternion import (
+    Matrix,
+    Quat,
+    conjugate,
+    matrix,
+    multiply,
+    to_body,
+    to_world,
+    turn,
+)
 from particlerb.maths.vec3 import (
     Floats,
     Vec3,
@@ -54,26 +63,32 @@ from particlerb.maths.vec3 import (
     scale,
     subtract,
 )
+from particlerb.model.block import unsigned
 
 _WHOLE_TURN: Final = 2.0 * pi
+Three: TypeAlias = tuple[Vec3, Vec3, Vec3]
 
 
 @lean
 def vector(values: Floats, k: int, at: int) -> Vec3:
-    """Three numbers of row k from `at` on."""
-    return values[k, at], values[k, at + 1], values[k, at + 2]
+    """Three numbers of row k from `at` on; with unsigned indices Numba asks not about signs."""
+    row = unsigned(k)
+    return values[row, unsigned(at)], values[row, unsigned(at + 1)], values[row, unsigned(at + 2)]
 
 
 @lean
 def put_vector(values: Floats, k: int, at: int, v: Vec3) -> None:
     """Write three numbers of row k from `at` on."""
-    values[k, at], values[k, at + 1], values[k, at + 2] = v
+    row = unsigned(k)
+    values[row, unsigned(at)], values[row, unsigned(at + 1)] = v[0], v[1]
+    values[row, unsigned(at + 2)] = v[2]
 
 
 @lean
 def attitude(y: Floats, k: int) -> Quat:
     """Orientation of body k."""
-    return y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3]
+    row = unsigned(k)
+    return y[row, Q], y[row, Q + 1], y[row, Q + 2], y[row, Q + 3]
 
 
 @lean
@@ -85,14 +100,26 @@ def by_inverse_inertia(inv_inertia: Floats, q: Quat, k: int, v: Vec3) -> Vec3:
 @lean
 def arms(rows: ConstraintRows, y: Floats, r: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """r_a (or n), r_b, u and d of row r, in world axes."""
-    a, b = rows.a[r], rows.b[r]
-    qa, qb = attitude(y, a), attitude(y, b)
-    ra, rb = to_world(qa, row3(rows.first, r)), to_world(qb, row3(rows.second, r))
-    u, kind = row3(rows.axis, r), rows.kind[r]
+    return _arms(rows, y, r, _attitudes(rows, y, r))
+
+
+@lean
+def _attitudes(rows: ConstraintRows, y: Floats, r: int) -> tuple[Matrix, Matrix]:
+    """Rotation matrices of the bodies of row r."""
+    return matrix(attitude(y, rows.a[r])), matrix(attitude(y, rows.b[r]))
+
+
+@lean
+def _arms(
+    rows: ConstraintRows, y: Floats, r: int, R: tuple[Matrix, Matrix]
+) -> tuple[Vec3, Vec3, Vec3, Vec3]:
+    """Do the work of `arms`, with the rotation matrices of both bodies."""
+    ra, rb = turn(R[0], vector(rows.first, r, 0)), turn(R[1], vector(rows.second, r, 0))
+    u, kind = vector(rows.axis, r, 0), rows.kind[r]
     if kind not in (WORLD_ALONG, ROTATION):
-        u = to_world(qa if kind == OWN_TURN else qb, u)
-    d = subtract(subtract(vector(y, a, X), vector(y, b, X)), subtract(rb, ra))
-    return ra, rb, u, d
+        u = turn(R[0] if kind == OWN_TURN else R[1], u)
+    between = subtract(vector(y, rows.a[r], X), vector(y, rows.b[r], X))
+    return ra, rb, u, subtract(between, subtract(rb, ra))
 
 
 @lean
@@ -151,69 +178,96 @@ def residual(rows: ConstraintRows, drives: Drives | None, y: Floats, r: int, t: 
 
 
 @lean
-def _is_beside(rows: ConstraintRows, lo: int, r: int) -> bool:
-    """Whether row r differs from the one before, if that is one from lo on, by its axis alone."""
-    k = max(r - 1, lo)
-    same = r > lo and rows.kind[r] == WORLD_ALONG == rows.kind[k]
-    same = same and rows.a[r] == rows.a[k] and rows.b[r] == rows.b[k]
-    for i in range(3):
-        same = same and rows.first[r, i] == rows.first[k, i]
-        same = same and rows.second[r, i] == rows.second[k, i]
-    return same
+def _is_of_other_bodies(rows: ConstraintRows, lo: int, r: int) -> bool:
+    """Whether row r ties other bodies than the one before, or is the first from lo on."""
+    return r == lo or rows.a[r] != rows.a[r - 1] or rows.b[r] != rows.b[r - 1]
 
 
 @lean_kernel
-def residuals(
-    rows: ConstraintRows, drives: Drives | None, y: Floats, compliance: Floats, g: Floats, lo: int,
-    hi: int, t: float,
-) -> tuple[float, int]:  # fmt: skip
+def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[float, int]:
     """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row."""
+    rows, y, g = joints.rows, work.y, work.g
     worst, where, d = 0.0, lo, (0.0, 0.0, 0.0)
+    if lo == hi:
+        return worst, where
+    R, far = _attitudes(rows, y, lo), 0.0
     for r in range(lo, hi):
-        if rows.kind[r] == WORLD_ALONG:
-            if not _is_beside(rows, lo, r):
-                d = arms(rows, y, r)[3]
-            g[r] = dot(row3(rows.axis, r), d) - course(drives, rows.drive[r], t)[0]
-        elif compliance[r] == 0.0:
-            g[r] = residual(rows, drives, y, r, t)
-        g[r] = g[r] if compliance[r] == 0.0 else 0.0
-        x, size = vector(y, rows.a[r], X), rows.size[r]
-        far = abs(x[0]) + abs(x[1]) + abs(x[2])
-        far = 0.0 if is_of_directions(rows.kind[r]) else far
-        share = abs(g[r]) / (size + far)
+        kind = rows.kind[r]
+        if _is_of_other_bodies(rows, lo, r):
+            x, R = vector(y, rows.a[r], X), _attitudes(rows, y, r)
+            far = abs(x[0]) + abs(x[1]) + abs(x[2])
+        if work.compliance[r] != 0.0:
+            g[r] = 0.0
+        elif kind == WORLD_ALONG:
+            if r == lo or not joints.beside[r]:
+                d = _arms(rows, y, r, R)[3]
+            g[r] = dot(vector(rows.axis, r, 0), d) - course(joints.drives, rows.drive[r], t)[0]
+        elif kind == DOT:
+            g[r] = dot(turn(R[0], vector(rows.first, r, 0)), turn(R[1], vector(rows.axis, r, 0)))
+        else:
+            g[r] = residual(rows, joints.drives, y, r, t)
+        share = abs(g[r]) / (rows.size[r] + (0.0 if is_of_directions(kind) else far))
         if not share <= worst:
             worst, where = share, r
     return worst, where
 
 
+@lean
+def _inverse_inertia(R: Matrix, a: Vec3) -> Matrix:
+    """J⁻¹ in world axes from its moments a: R diag(a) Rᵀ."""
+    x, y, z = component_product(a, R[0]), component_product(a, R[1]), component_product(a, R[2])
+    xy, xz, yz = dot(x, R[1]), dot(x, R[2]), dot(y, R[2])
+    return (dot(x, R[0]), xy, xz), (xy, dot(y, R[1]), yz), (xz, yz, dot(z, R[2]))
+
+
+@lean
+def _inverse_inertias(joints: Joints, r: int, R: tuple[Matrix, Matrix]) -> tuple[Matrix, Matrix]:
+    """The same of both bodies of row r."""
+    a, b = joints.rows.a[r], joints.rows.b[r]
+    one = _inverse_inertia(R[0], vector(joints.inv_inertia, a, 0))
+    return one, _inverse_inertia(R[1], vector(joints.inv_inertia, b, 0))
+
+
+@lean
+def _by_turning(rows: ConstraintRows, r: int, ra: Vec3, rb: Vec3, u: Vec3, d: Vec3) -> Three:
+    """∂g/∂x_a, ∂g/∂θ_a and ∂g/∂θ_b of row r from its arms."""
+    kind = rows.kind[r]
+    if is_of_directions(kind):
+        by_a = cross(ra, u) if kind == DOT else u
+        return (0.0, 0.0, 0.0), by_a, scale(-1.0, by_a)
+    by_x, arm = u, rb
+    if kind == ALONG:
+        arm = add(rb, d)
+    elif kind == DISTANCE:
+        by_x = scale(1.0 / rows.length[r], d)
+    elif kind == STRETCH:
+        by_x = scale(1.0 / max(norm(d), 1e-300), d)
+    return by_x, cross(ra, by_x), cross(by_x, arm)
+
+
 @lean_kernel
-def linearise(
-    rows: ConstraintRows, inv_inertia: Floats, y: Floats, gradient: Floats, lo: int, hi: int
-) -> None:
+def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
     """Gradients of rows lo to hi, and J⁻¹ times them."""
+    rows, y, gradient = joints.rows, work.y, work.gradient
+    if lo == hi:
+        return
+    R = _attitudes(rows, y, lo)
+    inverse = _inverse_inertias(joints, lo, R)
+    ra, rb, u, d = _arms(rows, y, lo, R)
     for r in range(lo, hi):
-        ra, rb, u, d = arms(rows, y, r)
-        kind = rows.kind[r]
-        if is_of_directions(kind):
-            by_x, by_a = (0.0, 0.0, 0.0), cross(ra, u) if kind == DOT else u
-            by_b = scale(-1.0, by_a)
+        if _is_of_other_bodies(rows, lo, r):
+            R = _attitudes(rows, y, r)
+            inverse = _inverse_inertias(joints, r, R)
+        if joints.beside[r]:
+            u = vector(rows.axis, r, 0)
         else:
-            by_x, arm = u, rb
-            if kind == ALONG:
-                arm = add(rb, d)
-            elif kind == DISTANCE:
-                by_x = scale(1.0 / rows.length[r], d)
-            elif kind == STRETCH:
-                by_x = scale(1.0 / max(norm(d), 1e-300), d)
-            by_a, by_b = cross(ra, by_x), cross(by_x, arm)
-        a, b = rows.a[r], rows.b[r]
+            ra, rb, u, d = _arms(rows, y, r, R)
+        by_x, by_a, by_b = _by_turning(rows, r, ra, rb, u, d)
         put_vector(gradient, r, 0, by_x)
         put_vector(gradient, r, 3, by_a)
         put_vector(gradient, r, 6, by_b)
-        of_a = by_inverse_inertia(inv_inertia, attitude(y, a), a, by_a)
-        of_b = by_inverse_inertia(inv_inertia, attitude(y, b), b, by_b)
-        put_vector(gradient, r, 9, of_a)
-        put_vector(gradient, r, 12, of_b)
+        put_vector(gradient, r, 9, turn(inverse[0], by_a))
+        put_vector(gradient, r, 12, turn(inverse[1], by_b))
 
 
 @lean

@@ -9,6 +9,7 @@ from particlerb.compiled.jit import flag
 from particlerb.joints.block_cholesky import program_of
 from particlerb.joints.records import (
     HOLDS,
+    WORLD_ALONG,
     Actions,
     Clusters,
     ConstraintRows,
@@ -72,7 +73,7 @@ def joints_among(
     damps = actions.damping.any() or actions.stop_damping.any()
     return Joints(
         order, inv_mass, inv_inertia, rows, clusters, program, number[own], actions,
-        np.zeros((n + 1, 2)), flag(acts), flag(bool(damps)), coordinates, drives,
+        np.zeros((n + 1, 2)), _beside(rows), flag(acts), flag(bool(damps)), coordinates, drives,
         None if carried is None else np.append(carried[order], False),
         flag(drives is not None or carried is not None),
     )  # fmt: skip
@@ -100,6 +101,13 @@ def with_drag(joints: Joints, linear: Floats, angular: Floats) -> Joints:
     drag = np.zeros_like(joints.drag)
     drag[:-1] = np.stack([linear, angular], axis=1)[joints.order]
     return joints._replace(drag=drag, damps=flag(joints.damps is not None or bool(drag.any())))
+
+
+def _beside(rows: ConstraintRows) -> Bools:
+    """Which rows differ from those before by their axis alone, of those along axes of the world."""
+    own = np.column_stack([rows.kind, rows.a, rows.b, rows.first, rows.second])
+    same = np.append(False, (own[1:] == own[:-1]).all(axis=1))
+    return np.asarray(same & (rows.kind == WORLD_ALONG))
 
 
 def _labels(n: int, a: Ints, b: Ints) -> Ints:

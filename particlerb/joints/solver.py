@@ -3,12 +3,14 @@
     solve ν: g(drift_h(q₀, p + G₀ᵀ ν)) = 0,   and   solve μ: G M⁻¹ (p + Gᵀ μ) = 0
 
 by simplified Newton iterations with A = G₀ M⁻¹ G₀ᵀ: fly, ν -= A⁻¹ g/h, fly again. The error shrinks
-by a factor of order ω h each time; it goes on until it no longer falls. Each cluster is solved by
-itself, so that its bits do not depend on others. Whole steps begin with a guess of ν from those
-before, which saves a fifth to a third of the iterations; checkpoints keep what it needs.
+by a factor of order ω h each time. The last two iterations are mixed so that the residual would be
+least (Anderson's mixing), which saves up to a fifth of them. It goes on until it no longer falls.
+Each cluster is solved by itself, so that its bits do not depend on others. Whole steps begin with a
+guess of ν from those before, which saves a fifth to a third; checkpoints keep what it needs.
 
 Source: Andersen, J. Comput. Phys. 52, 24 (1983); Reich, SIAM J. Numer. Anal. 33, 475 (1996);
-Hairer, Lubich, Wanner, Geometric Numerical Integration, VII.1.
+Hairer, Lubich, Wanner, Geometric Numerical Integration, VII.1; of the mixing: Walker and Ni, SIAM
+J. Numer. Anal. 49, 1715 (2011).
 """
 
 from math import inf
@@ -22,13 +24,13 @@ from particlerb.joints.drives import carry, set_moving
 from particlerb.joints.records import HOLDS, STATE, Joints, L, P, Q, Work, X
 from particlerb.joints.rows import add_impulses, attitude, linearise, rates, residuals, vector
 from particlerb.maths.quaternion import to_body
-from particlerb.maths.vec3 import row3
-from particlerb.rotors.symmetric_split import symmetric_split
+from particlerb.rotors.symmetric_split import symmetric_split, symmetric_top
 
 MOST_ITERATIONS: Final = 60
 _ROUNDING: Final = 1e-15  # residuals, over their size, that are as good as none
 _NEAR: Final = 1e-10  # below it an iteration that gains little is the last
 _GAIN: Final = 0.5
+_MIXED: Final = 1e-2  # farther off, iterations are not mixed: they might end in another branch
 _MOST_PASSES: Final = 4  # of a projection of momenta
 _TENFOLD: Final = 7  # times at most that the pivot below which rows rest grows, from 1e-8 on,
 _MOST_OPEN: Final = 1e-4  # and what the residual of a row that rests may be, over its size
@@ -44,7 +46,8 @@ def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
             y[k, X + i] = pose[k, X + i] + path * y[k, P + i]
         q = attitude(pose, k)
         m = to_body(q, vector(y, k, L))
-        q = symmetric_split(q, m, row3(joints.inv_inertia, k), dt)
+        a = vector(joints.inv_inertia, k, 0)
+        q = symmetric_top(q, m, a, dt) if a[0] == a[1] else symmetric_split(q, m, a, dt)
         y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
     carry(joints.carried, work, joints.clusters.body[c], joints.clusters.body[c + 1])
 
@@ -58,7 +61,7 @@ def factorise_cluster(joints: Joints, work: Work, c: int, span: float, t: float)
         set_compliance(joints, work, r, span)
         work.total[r] = 0.0
     leave_out(joints.breaks, joints, work, c, t)
-    linearise(joints.rows, joints.inv_inertia, work.y, work.gradient, start[lo], start[hi])
+    linearise(joints, work, start[lo], start[hi])
     set_moving(joints.moves, joints, work, start[lo], start[hi], t)
     _factor(joints, work, c)
 
@@ -177,11 +180,20 @@ def _pass_singular_pose(joints: Joints, work: Work, c: int, t: float, dt: float)
         if joints.rows.action[r] == HOLDS:
             work.compliance[r] = 0.0
     leave_out(joints.breaks, joints, work, c, t)
-    worst, where = residuals(
-        joints.rows, joints.drives, work.y, work.compliance, work.g, lo, hi, t + dt
-    )
+    worst, where = residuals(joints, work, lo, hi, t + dt)
     if not worst <= _MOST_OPEN:
         work.lost[c] = 1 + where
+
+
+@lean
+def _share_of_last(joints: Joints, work: Work, lo: int, hi: int) -> float:
+    """How much of the last gain to take back, so that the residual over the sizes is least."""
+    along, square = 0.0, 0.0
+    for r in range(lo, hi):
+        own = work.g[r] / joints.rows.size[r]
+        change = own - work.last_g[r] / joints.rows.size[r]
+        along, square = along + change * own, square + change * change
+    return along / square if square > 0.0 else 0.0
 
 
 @lean_kernel
@@ -192,15 +204,19 @@ def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> N
     before = 1e300
     for _ in range(MOST_ITERATIONS):
         fly(joints, work, c, dt)
-        worst, where = residuals(
-            joints.rows, joints.drives, work.y, work.compliance, work.g, lo, hi, t + dt
-        )
+        worst, where = residuals(joints, work, lo, hi, t + dt)
         if worst <= _ROUNDING or (worst < _NEAR and worst > _GAIN * before):
             return
+        share = _share_of_last(joints, work, lo, hi) if before < _MIXED else 0.0
         before = worst
         for r in range(lo, hi):
-            work.z[r] = -work.g[r] / dt
-        _solve_and_add(joints, work, c, lo, hi)
+            work.z[r] = (share * (work.g[r] - work.last_g[r]) - work.g[r]) / dt
+            work.last_g[r] = work.g[r]
+        solve(joints.program, joints.clusters, work.factor, work.z, c)
+        for r in range(lo, hi):
+            work.z[r] -= share * work.last_gain[r]
+            work.last_gain[r] = work.z[r]
+        _add(joints, work, lo, hi)
     work.lost[c] = 1 + where
 
 

@@ -143,7 +143,7 @@ class _Count:
     def __init__(self, system: System, group: GroupPlan, joints: Joints) -> None:
         state = State(*(values[:, group.members] for values in system.state))
         work = work_at(joints, state)
-        linearise(joints.rows, joints.inv_inertia, work.y, work.gradient, 0, joints.rows.kind.size)
+        linearise(joints, work, 0, joints.rows.kind.size)
         rotor_class = group.bodies.rotor_class[joints.order]
         freedom = 6 - (rotor_class == ROD) - 3 * (rotor_class == POINT)
         freedom *= joints.inv_mass[:-1] > 0.0

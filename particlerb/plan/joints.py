@@ -272,7 +272,7 @@ def joint_of_row(joints: Joints, row: int) -> int:
 def _impossible(system: System, setup: JointSetup) -> list[Problem]:
     """What is wrong with joints that would turn a point, or a rod about its axis."""
     n, (joints, work, _) = system.n_bodies, _at_start(system, setup)
-    linearise(joints.rows, joints.inv_inertia, work.y, work.gradient, 0, joints.rows.kind.size)
+    linearise(joints, work, 0, joints.rows.kind.size)
     rotor_class = np.append(system.bodies.rotor_class[joints.order], NAMES.index("sphere"))
     found: dict[int, Problem] = {}
     for end, at in ((joints.rows.a, 3), (joints.rows.b, 6)):
@@ -313,7 +313,7 @@ def assembled(system: System) -> System:
     joints, work, rows = _at_start(system, setup)
     n, m = system.n_bodies, joints.rows.kind.size
     if m:
-        residuals(joints.rows, joints.drives, work.y, work.compliance, work.g, 0, m, 0.0)
+        residuals(joints, work, 0, m, 0.0)
         off = np.abs(work.g) / joints.rows.size
         _refuse_misfits(system, setup, joints, off, "{name} does not fit where its bodies start:")
     before = work.y.copy()
@@ -360,7 +360,7 @@ def _refuse_apart(
     system: System, setup: JointSetup, joints: Joints, work: Work, own: slice
 ) -> None:
     """Raise CaseError where the joints of a cluster have not come together."""
-    residuals(joints.rows, joints.drives, work.y, work.compliance, work.g, own.start, own.stop, 0.0)
+    residuals(joints, work, own.start, own.stop, 0.0)
     off = np.abs(work.g[own]) / joints.rows.size[own]
     if (off <= _FITS).all():  # of NaN it is not
         return
@@ -373,7 +373,7 @@ def _refuse_apart(
 def _refuse_fast(system: System, setup: JointSetup, joints: Joints, work: Work) -> None:
     """Raise CaseError where velocities at the start break a joint that may not be assembled."""
     m = joints.rows.kind.size
-    linearise(joints.rows, joints.inv_inertia, work.y, work.gradient, 0, m)
+    linearise(joints, work, 0, m)
     set_moving(joints.moves, joints, work, 0, m, 0.0)
     rates(joints, work, 0, m)
     speed = np.zeros(m)

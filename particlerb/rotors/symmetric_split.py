@@ -61,11 +61,23 @@ def normalised(q: Quat) -> Quat:
 
 
 @inline
+def _turn_of_top(q: Quat, m: Vec3, a: Vec3, dt: float) -> tuple[Vec3, Quat]:
+    """Exact turn where a[0] is a[1]: new body components of m, new orientation."""
+    q = turn_by(scale(0.5 * dt * a[1], m), q)
+    return _turn_about_3(0.5 * dt * (a[2] - a[1]) * m[2], m, q)
+
+
+@inline
+def symmetric_top(q: Quat, m: Vec3, a: Vec3, dt: float) -> Quat:
+    """The same as `symmetric_split`, bit for bit, where a[0] is a[1]."""
+    return normalised(_turn_of_top(q, m, a, dt)[1])
+
+
+@inline
 def symmetric_split(q: Quat, m: Vec3, a: Vec3, dt: float) -> Quat:
     """Orientation after dt; m = Rᵀ L in the rotor frame, a = 1/I with a[0], a[1] closest."""
     k = 0.25 * dt * (a[0] - a[1])
     m, q = _turn_about_1(k * m[0], m, q)
-    q = turn_by(scale(0.5 * dt * a[1], m), q)
-    m, q = _turn_about_3(0.5 * dt * (a[2] - a[1]) * m[2], m, q)
+    m, q = _turn_of_top(q, m, a, dt)
     _, q = _turn_about_1(k * m[0], m, q)
     return normalised(q)

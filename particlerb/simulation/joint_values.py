@@ -200,7 +200,7 @@ class JointReader:
         jointed = motion.moving.jointed._replace(work=work)
         place_driven(jointed.driven, jointed, work.clock[0], 0.0, 0, len(work.y))
         set_moving(joints.moves, joints, work, 0, m, work.clock[0])
-        linearise(joints.rows, joints.inv_inertia, work.y, work.gradient, 0, m)
+        linearise(joints, work, 0, m)
         add_action_loads(joints, work, padded)
         find_multipliers(joints, work, padded)
         is_open = make_least(joints, work)
@@ -213,7 +213,7 @@ class JointReader:
         values.joint_force_determined[row, own] = is_known[:, :3]
         values.joint_torque_determined[row, own] = is_known[:, 3:]
         values.joint_break_time[row, own] = np.where(is_broken, broken, 0.0)[is_joint]
-        residuals(joints.rows, joints.drives, work.y, work.compliance, work.g, 0, m, work.clock[0])
+        residuals(joints, work, 0, m, work.clock[0])
         rates(joints, work, 0, m)
         start, size = joints.program.start[:-1], joints.rows.size
         misfit = np.maximum.reduceat(np.abs(work.g) / size, start)

@@ -69,6 +69,17 @@ def test_bodies_too_light_for_a_closed_loop_end_a_run_with_a_sentence():
         particlerb.run(source)
 
 
+@pytest.mark.plain
+def test_a_poor_guess_of_the_impulses_does_not_end_in_another_branch():
+    """Overdamped dashpots let impulses ring: residuals begin near 1, where nothing is mixed."""
+    source = tomllib.loads((CASES / "governor.toml").read_text())
+    del source["check"]
+    source["run"] |= {"t_end": 0.02, "every": 4e-3}
+    with particlerb.run(source) as trajectory:
+        moved_by = np.diff(np.array(trajectory.position)[:, 1, 2])
+    assert np.abs(moved_by).max() < 5e-4
+
+
 def test_joints_of_one_name_are_refused():
     tables = [joint("ball", f"b{k}", None, [k, 0, 0], name="pin") for k in range(2)]
     with pytest.raises(CaseError, match="is the name of joint"):
