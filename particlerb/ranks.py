@@ -5,11 +5,12 @@ Whoever decides anything from values that differ among ranks gathers them first,
 `swapped`.
 """
 
+import contextlib
 import importlib
 import os
 import pickle
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
@@ -216,6 +217,16 @@ def ranks_of_mpi() -> Ranks:
     if ranks.number:  # until the process ends
         sys.stdout = sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     return ranks
+
+
+@contextlib.contextmanager
+def ending_all(ranks: Ranks) -> Iterator[None]:
+    """End all ranks where this one fails while others wait for what it would send."""
+    try:
+        yield
+    except BaseException as error:
+        end_all(ranks, error)
+        raise
 
 
 def end_all(ranks: Ranks, error: BaseException) -> None:

@@ -10,6 +10,7 @@ import particlerb
 from particlerb.cli.common import PICTURES, amount, opened, output_of, readable
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, tamed
 from particlerb.model.state import STATE_FIELDS
+from particlerb.record.parts import folder_beside, parts_in
 from particlerb.record.provenance import this_machine
 from particlerb.record.schema import CONTACTS
 from particlerb.record.trajectory import Trajectory
@@ -64,10 +65,17 @@ def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
         "fields": trajectory.fields + trajectory.other_fields,
         **({"contacts": trajectory.n_contacts} if has_contacts else {}),
         "files": trajectory.file_names,
-        "size": Path(trajectory.file.filename).stat().st_size,
+        "size": _size_of(trajectory),
         "seed": trajectory.parameter("seed"),
         **{name: trajectory.parameter(name) for name in ("versions", "machine", "git_revision")},
     }
+
+
+def _size_of(trajectory: Trajectory) -> int:
+    """Bytes of a file, and of its parts."""
+    path, parts = Path(trajectory.file.filename), parts_in(trajectory.file)
+    names = parts.names if parts else []
+    return sum(of.stat().st_size for of in (path, *(folder_beside(path) / n for n in names)))
 
 
 def _texts_of(trajectory: Trajectory) -> dict[str, Any]:

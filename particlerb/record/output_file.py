@@ -5,7 +5,7 @@ that has parts, in their folder.
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import h5py
 from particlerb.record.atomic import AtomicFile
 from particlerb.record.checked_reading import FAULTS, reason_of
 from particlerb.record.output_path import output_path
+from particlerb.record.parts import parts_used_by
 from particlerb.record.writer_lock import WriterLock
 
 
@@ -36,6 +37,8 @@ class OutputFile:
         Where a new file comes to lie with its first commit, and where it lies until then.
     empty : bytes
         Content of a new file, without frames.
+    replaced : sequence of Path
+        Parts of the file that is in its place until then: removed with it.
 
     Attributes
     ----------
@@ -47,10 +50,11 @@ class OutputFile:
 
     def __init__(
         self, path: Path, lock: WriterLock, is_durable: bool, place: Path | None = None,
-        empty: bytearray | None = None, waiting: Path | None = None,
+        empty: bytearray | None = None, waiting: Path | None = None, replaced: Sequence[Path] = (),
     ) -> None:  # fmt: skip
         self.path, self.is_from_before, self.is_broken = path, place is None, False
         self.place, self.waiting = place, waiting  # None: it is there
+        self.replaced = replaced
         try:
             self.disk = AtomicFile(lock, path, is_durable)
             self.disk.settle()
@@ -102,6 +106,11 @@ class OutputFile:
         self.place = self.waiting = None
         for folder in folders if self.disk.is_durable else ():
             _sync_folder(folder)
+        with suppress(OSError):
+            for part in self.replaced:
+                part.unlink(missing_ok=True)
+            for folder in {part.parent for part in self.replaced}:
+                folder.rmdir()  # if it is empty
 
     def close(self) -> None:
         """Commit and close."""
@@ -142,7 +151,8 @@ def new_file(
     lock = WriterLock(waiting)
     with _blaming(waiting):
         os.ftruncate(lock.fileno(), 0)
-    return OutputFile(path, lock, is_durable, place, empty, waiting)
+    replaced = parts_used_by(place) if place.exists() else ()
+    return OutputFile(path, lock, is_durable, place, empty, waiting, replaced)
 
 
 def _sync_folder(path: Path) -> None:

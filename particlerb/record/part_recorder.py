@@ -24,7 +24,7 @@ from particlerb.record.output_path import output_path
 from particlerb.record.parts import Parts, folder_beside, folder_of, folder_used_by
 from particlerb.record.writer import SECONDS_BETWEEN_COMMITS, SHARE_OF_CHECKPOINTS, Recorder
 
-_Checkpoint = Callable[[Range], Mapping[str, Any]]
+_Checkpoints = Callable[[], Callable[[Range], Mapping[str, Any]]]
 _ANY_PART: Final = "[0-9][0-9][0-9][0-9].h5"
 
 
@@ -47,7 +47,6 @@ class PartRecorder:
         self.first = parts.ranges[self.numbers[0]].first if self.numbers else 0
         self.own: list[tuple[Range, Recorder]] = []
         self.master: Recorder | None = None
-        self.replaced: Path | None = None  # folder of parts of a master that is to be replaced
         self.last_commit = self.last_checkpoint = time.monotonic()
         self.seconds_for_checkpoint = 0.0
 
@@ -80,9 +79,8 @@ class PartRecorder:
         FileExistsError, InUseError, OSError
             As `Recorder`.
         """
-        folder, replaced = ranks.together(lambda: _folders(path, overwrite, ranks))
+        folder = ranks.together(lambda: _folder(path, overwrite, ranks))
         self = cls(system, ranks, Parts(ranks.gathered(folder)[0], tuple(ranges), run))
-        self.replaced = replaced
         ranks.together(lambda: self.make_master(path, content, overwrite))
         ranks.together(lambda: self.open_parts(path, partial(Recorder.of_part, run=run)))
         return self
@@ -168,27 +166,29 @@ class PartRecorder:
         others = {path: v for path, v in values.items() if not _is_of_bodies(path)}
         self.master.put(given, others, sums + frame_checksums(len(sums), rest))
 
-    def save_checkpoint(self, checkpoint: _Checkpoint) -> None:
+    def save_checkpoint(self, checkpoints: _Checkpoints) -> None:
         """Keep the state behind all frames, of each part by itself."""
 
         def save() -> None:
+            checkpoint = checkpoints()
             for of, recorder in self.own:
                 recorder.save_checkpoint(partial(checkpoint, of))
 
         self.ranks.together(save)
         self.last_checkpoint = time.monotonic()
 
-    def commit_if_due(self, checkpoint: _Checkpoint | None) -> None:
+    def commit_if_due(self, checkpoints: _Checkpoints | None) -> None:
         """Commit what has waited for a second, on all ranks where the first one says so."""
-        start, first = time.monotonic(), self.recorders[:1]
+        start = time.monotonic()
         is_due = start - self.last_commit > SECONDS_BETWEEN_COMMITS
+        is_due &= all(own.n_frames >= own.known for own in self.recorders)
         allowed = SHARE_OF_CHECKPOINTS * (start - self.last_checkpoint)
-        saves = checkpoint is not None and allowed >= self.seconds_for_checkpoint
+        saves = checkpoints is not None and allowed >= self.seconds_for_checkpoint
         is_due, saves = self.ranks.gathered((is_due, saves))[0]
-        if not is_due or any(own.n_frames < own.known for own in first):
+        if not is_due:
             return
-        if saves and checkpoint is not None:
-            self.save_checkpoint(checkpoint)
+        if saves and checkpoints is not None:
+            self.save_checkpoint(checkpoints)
         self.in_order(Recorder.commit)
         self.last_commit = time.monotonic()
         if saves:
@@ -217,11 +217,6 @@ class PartRecorder:
         masters = [self.master] if self.master else []
         for recorders in ([recorder for _, recorder in self.own], masters):
             self.ranks.together(partial(_for_each, work, recorders))
-        if self.replaced is not None:
-            _clear(self.replaced)
-            with suppress(OSError):
-                self.replaced.rmdir()
-            self.replaced = None
 
 
 def _for_each(work: Callable[[Recorder], None], recorders: list[Recorder]) -> None:
@@ -240,8 +235,8 @@ def _nothing(values: Any) -> Any:
     return np.zeros((len(values), 0))
 
 
-def _folders(path: Path, overwrite: bool, ranks: Ranks) -> tuple[str, Path | None]:
-    """Folder for new parts, on the first rank, and the one whose parts go with the old master.
+def _folder(path: Path, overwrite: bool, ranks: Ranks) -> str:
+    """Folder for new parts, on the first rank: not that of the master that is replaced.
 
     Raises
     ------
@@ -249,15 +244,14 @@ def _folders(path: Path, overwrite: bool, ranks: Ranks) -> tuple[str, Path | Non
         If there are parts that may not be replaced: of another master, whose name was changed.
     """
     if ranks.number:
-        return "", None
+        return ""
     place = output_path(path, overwrite)
-    used = folder_used_by(place)
-    name = folder_of(place, used)
+    name = folder_of(place, folder_used_by(place))
     folder = place.parent / name
     is_left_over = waiting_in(folder, place).exists()  # of a run that was killed
     if any(folder.glob(_ANY_PART)) and not (overwrite or is_left_over):
         raise FileExistsError(f"{folder} exists: give another name with -o, or --overwrite")
-    return name, place.parent / used if used else None
+    return name
 
 
 def _clear(folder: Path) -> None:

@@ -8,8 +8,9 @@ opens a master looks at each part first.
 
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import h5py
 import numpy as np
@@ -17,6 +18,8 @@ from h5py import h5d, h5p, h5s
 
 from particlerb.model.superblocks import Range
 from particlerb.record.hdf5 import WITH_GROUPS, header_attribute, note
+
+Found = TypeVar("Found")
 
 _FOLDER: Final = "parts_folder"  # root attributes of a master: name of the folder,
 _EDGES: Final = "parts"  # first body of each part, and how many bodies there are
@@ -59,12 +62,25 @@ def folder_of(path: Path, used: str = "") -> str:
 
 def folder_used_by(path: Path) -> str:
     """Name of the folder that the parts of a file are in; empty where it has none."""
+    parts = _looked_up(path, parts_in)
+    return parts.folder if parts else ""
+
+
+def parts_used_by(path: Path) -> list[Path]:
+    """Parts of a file, those of them that are its own; none where it has none."""
+    parts = _looked_up(path, parts_in)
+    each = zip(parts.names, parts.ranges, strict=True) if parts else ()
+    found = [(folder_beside(path) / name, of) for name, of in each]
+    return [own for own, of in found if parts and _looked_up(own, range_in) == (of, parts.run)]
+
+
+def _looked_up(path: Path, what: Callable[[h5py.File], Found | None]) -> Found | None:
+    """What a file says; None where it says nothing, or makes no sense."""
     try:
         with h5py.File(path, "r", locking=False) as file:
-            parts = parts_in(file)
+            return what(file)
     except (OSError, RuntimeError, KeyError, ValueError):
-        return ""
-    return parts.folder if parts else ""
+        return None
 
 
 def note_master(file: h5py.File, parts: Parts) -> None:

@@ -18,6 +18,7 @@ from particlerb.joints.reactions import energy_of_joints
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, State, quaternion_product
+from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.model.worlds import shape_of
 from particlerb.plan.joints import joints_of
@@ -27,6 +28,7 @@ from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import Energies, Motion
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved, under, within
+from particlerb.stepping.shared_contact import SharedContact
 from particlerb.user_force import place_of, told
 
 _STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
@@ -53,9 +55,11 @@ class GroupRun:
         self.contacts: dict[int, ContactOutput] = {}  # in rows of the last `record`, if asked for
         self.tallies: dict[int, Floats] = {}  # of impulses, in these rows
 
-    def checkpoint(self) -> Saved:
-        """The segment, how it began, and its motion."""
-        saved = under("motion", self.motion.checkpoint())
+    def checkpoint(self, of: Range) -> Saved:
+        """The segment, how it began, and its motion; of some bodies where ranks share it."""
+        motion = self.motion
+        own = motion.checkpoint_of(of) if isinstance(motion, SharedContact) else motion.checkpoint()
+        saved = under("motion", own)
         if self.number:
             saved |= {"first": np.vstack(self.first), "before": self.before.copy()}
             saved |= {"turnover": np.array(self.turnover)}

@@ -8,7 +8,7 @@ import numpy as np
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import STATE_FIELDS, Frames
 from particlerb.simulation.joint_values import JointValues
-from particlerb.stepping.saved_arrays import Saved
+from particlerb.stepping.saved_arrays import OF_BODIES, Saved
 
 
 class Probe(NamedTuple):
@@ -48,8 +48,23 @@ def joined(checkpoints: Sequence[Saved]) -> Saved:
     """Checkpoints of ranges of bodies that follow each other, as one."""
     found: Saved = {name: values for one in checkpoints for name, values in one.items()}
     for name in found if len(checkpoints) > 1 else ():
-        is_of_bodies = name.startswith("probe.") and name.split(".")[-1] in STATE_FIELDS
-        if name == "last" or is_of_bodies:
-            parts = [one[name] for one in checkpoints]
-            found[name] = np.concatenate(parts, axis=1 if is_of_bodies else 0)
+        axis = _axis_of_bodies(name)
+        if axis is not None:
+            found[name] = np.concatenate([one[name] for one in checkpoints], axis=axis)
     return found
+
+
+def of_no_body(checkpoint: Saved) -> Saved:
+    """A checkpoint without what it has of bodies: for a rank that writes none."""
+    axes = {name: _axis_of_bodies(name) for name in checkpoint}
+    return {
+        name: values if axes[name] is None else values[:, :0] if axes[name] else values[:0]
+        for name, values in checkpoint.items()
+    }
+
+
+def _axis_of_bodies(name: str) -> int | None:
+    """Axis of an array of a checkpoint along which are bodies, or their contacts."""
+    if name.startswith("probe.") and name.rsplit(".", 1)[-1] in STATE_FIELDS:
+        return 1
+    return 0 if name == "last" or f".{OF_BODIES}." in name else None

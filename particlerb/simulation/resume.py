@@ -40,10 +40,10 @@ from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_again
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.outcome import Outcome, Progress
-from particlerb.simulation.probes import joined
+from particlerb.simulation.probes import joined, of_no_body
 from particlerb.simulation.run import advance, identity
-from particlerb.simulation.shares import part_of, share_of
-from particlerb.simulation.whole_run import Prepared
+from particlerb.simulation.shares import part_of
+from particlerb.simulation.whole_run import SHARED, Prepared
 
 _UNVERIFIED = (
     "particlerb: warning: run.accuracy was verified until the earlier t_end only; method and step"
@@ -151,25 +151,21 @@ def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code:
 
 def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
     """From the last state that all parts have; a kill may have left some of them ahead of it."""
-    share_of(parts.n_bodies, ranks)
     numbers = own_parts(len(parts.ranges), ranks)
-    own = ranks.together(lambda: [_states_of(pending.path, parts.names[k]) for k in numbers])
+    looked_at = numbers or range(1)
+    own = ranks.together(lambda: [_states_of(pending.path, parts.names[k]) for k in looked_at])
     each = [
         set(states) for of_rank in ranks.gathered([list(one) for one in own]) for states in of_rank
     ]
     common = [n for n in set.intersection(*each) if n <= pending.known]
-    if not any(each):
-        raise ResumeError(
-            f"{pending.path} has no checkpoints: runs with contact keep none with --mpi; run the"
-            " case anew"
-        )
     if not common:
         raise ResumeError(
             f"{pending.path}: its parts have no whole checkpoint in common: it cannot be continued;"
             " run the case anew"
         )
     start = max(common)
-    checkpoint = Checkpoint(start, joined([states[start] for states in own]), "")
+    state = joined([states[start] for states in own])
+    checkpoint = Checkpoint(start, state if numbers else of_no_body(state), "")
     return pending._replace(checkpoint=checkpoint, start=start)
 
 
@@ -202,6 +198,8 @@ def resume_pending(
     recorder: Recorder | PartRecorder
     try:
         if pending.parts is None:
+            if checkpoint and any(name.startswith(f"{SHARED}.") for name in checkpoint.arrays):
+                prepared = part_of(prepared, ranks)  # parts were made one file
             recorder = Recorder.reopen(path, whole, start, known, is_prolonged=is_prolonged)
         else:
             prepared = part_of(prepared, ranks)

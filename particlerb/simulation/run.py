@@ -6,7 +6,6 @@ nothing in the motion, so a run can be prolonged, or recorded more finely, witho
 """
 
 import hashlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -131,9 +130,9 @@ def advance(
     """
     try:
         run = Run(prepared, ranks)
-        state = None if run.is_shared else run.checkpoint
+        state: Any = run.checkpoints if isinstance(recorder, PartRecorder) else run.checkpoint
         if checkpoint is None:
-            _save(recorder, state)
+            recorder.save_checkpoint(state)
         else:
             ranks.together(lambda: _restore(run, checkpoint))
         for batch in batches(prepared.system, run.n_frames, ranks):
@@ -142,12 +141,12 @@ def advance(
             if error is not None:
                 raise as_agreed(error)
             if batch.is_whole_end:
-                _save(recorder, state)
+                recorder.save_checkpoint(state)
             recorder.commit_if_due(None if batch.is_odd else state)
             if any(ranks.gathered(THREADS.is_ending)):
                 THREADS.is_ending = False
                 if not batch.is_odd:
-                    _save(recorder, state)
+                    recorder.save_checkpoint(state)
                 raise as_agreed(KeyboardInterrupt())
     except BaseException as problem:
         end_all(ranks, problem)
@@ -174,12 +173,6 @@ def _restore(run: Run, checkpoint: Checkpoint) -> None:
         run.restore(checkpoint.n_frames, dict(checkpoint.arrays))
     except (LookupError, TypeError, ValueError) as reason:
         raise RunError(f"the checkpoint does not fit: {reason}") from None
-
-
-def _save(recorder: Any, state: Callable[..., Any] | None) -> None:
-    """Keep the state behind all frames, where there is one that a run can go on from."""
-    if state is not None:
-        recorder.save_checkpoint(state)
 
 
 def _one_batch(run: "Run", recorder: Any, batch: Batch) -> tuple[Reached, RunError | None]:

@@ -1,9 +1,9 @@
 """A prepared system on its way: all its groups, frames, and the energy balance of these."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,9 @@ from particlerb.simulation.probes import Probe, restored_probes, saved_probes
 from particlerb.simulation.state_checks import StateChecks
 from particlerb.stepping.motion import Energies, Motion
 from particlerb.stepping.saved_arrays import Saved, under, within
+from particlerb.stepping.shared_contact import SharedContact
+
+SHARED: Final = "shared"  # name in checkpoints of a group that ranks share
 
 
 class RunError(Exception):
@@ -147,6 +150,8 @@ class Run:
     @property
     def keyed_runs(self) -> list[tuple[int, str, GroupRun]]:
         """Runs of groups, with the number of the first body of their superblock, and a key."""
+        if self.is_shared:  # each is of all bodies
+            return [(-1, SHARED, run) for run in self.group_runs]
         firsts = [self.number_of_first + own.first for own in superblocks(self.system.n_bodies)]
         return [
             (first, f"group.{first}.{k}", run)
@@ -154,18 +159,26 @@ class Run:
             for k, run in enumerate(runs)
         ]
 
-    def checkpoint(self, of: Range | None = None) -> Saved:
-        """All that a run that goes on from here has to know, beside its system.
+    def checkpoints(self) -> Callable[[Range], Saved]:
+        """What `checkpoint_of` returns; ranks that share a motion send what others save."""
+        for run in self.group_runs:
+            if isinstance(run.motion, SharedContact):
+                run.motion.collect()
+        return self.checkpoint_of
 
-        Of whole superblocks only, where a range of bodies of the scene is given.
-        """
+    def checkpoint(self) -> Saved:
+        """All that a run that goes on from here has to know, beside its system."""
         first = self.number_of_first
-        of = of or Range(first, first + self.system.n_bodies)
+        return self.checkpoints()(Range(first, first + self.system.n_bodies))
+
+    def checkpoint_of(self, of: Range) -> Saved:
+        """The same of a range of bodies of the scene: of whole superblocks."""
+        first = self.number_of_first
         own = slice(of.first - first, of.stop - first)
         saved = {"last": self.last[own].copy()} | under("ledger", self.balance.checkpoint())
         for number, key, group_run in self.keyed_runs:
-            if of.first <= number < of.stop:
-                saved |= under(key, group_run.checkpoint())
+            if number < 0 or of.first <= number < of.stop:
+                saved |= under(key, group_run.checkpoint(of))
         return saved | saved_probes(self.probes, own)
 
     def restore(self, n_frames: int, saved: Saved) -> None:

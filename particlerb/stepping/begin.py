@@ -15,6 +15,7 @@ from particlerb.stepping.event_motion import EventMotion
 from particlerb.stepping.free_motion import FreeMotion
 from particlerb.stepping.impulse_motion import ImpulseMotion
 from particlerb.stepping.motion import CompositeMotion, Motion, SegmentGroup, part_of
+from particlerb.stepping.shared_contact import SharedContact
 from particlerb.stepping.sparse_contact import DiluteMotion, can_fly
 from particlerb.stepping.stepped_motion import SteppedMotion
 
@@ -68,10 +69,10 @@ def _begin_touching(
     """The same of bodies that touch, by a fixed step."""
     contact, shared = group.terms.contact, group.shared
     assert contact is not None
-    if shared is not None and shared.ranks.count > 1:
-        return BrickMotion(method, shared, group, start, dt)
-    may_fly = group.worlds is None and shared is None  # on ranks all are stepped
-    flies = may_fly and can_fly(method, group.terms, group.members.size)
+    if shared is not None:  # all are stepped
+        of_ranks = BrickMotion if shared.ranks.count > 1 else SharedContact
+        return of_ranks(method, shared, group, start, dt)
+    flies = group.worlds is None and can_fly(method, group.terms, group.members.size)
     motion = DiluteMotion if flies else ContactMotion
     motion = motion if group.terms.has_springy_contact else ImpulseMotion
     keeps = None if before is None else before.contact_start()

@@ -19,22 +19,19 @@ from particlerb.compiled.threads import BLOCK
 from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
 from particlerb.contact.contact_model import ContactFrames, Instant, NeighbourLists
 from particlerb.contact.missed_pairs import bounding_radii
-from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.records import PISTON, zero_records
-from particlerb.contact.sphere_search import KEY_BITS
 from particlerb.integrators.contact_stages import lists_hold, place_here
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import MovingBodies
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import CHANGING, STRIDE, P, in_blocks, into_blocks
+from particlerb.model.block import CHANGING, STRIDE, in_blocks, into_blocks
 from particlerb.model.bricks import Bricks
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State
-from particlerb.model.superblocks import over_blocks, parts_of, sum_by_number, summed, writers
-from particlerb.ranks import end_all
+from particlerb.model.superblocks import over_blocks, sum_by_number, summed
+from particlerb.ranks import ending_all
 from particlerb.stepping.contact_lists import Histories, WallsAhead
-from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.contact_part import contact_part
 from particlerb.stepping.loop import (
     Copies,
@@ -46,14 +43,19 @@ from particlerb.stepping.loop import (
     store_blocks,
 )
 from particlerb.stepping.motion import MotionError, SegmentGroup, Shared
+from particlerb.stepping.shared_contact import (
+    GROSS,
+    SharedContact,
+    histories_of,
+    initial_rows,
+    kept_of,
+)
 from particlerb.stepping.stepped_motion import SteppedMotion
 
-_MOMENTA: Final = CHANGING  # column of a travelling body from which on those of the last drift are
-_GROSS: Final = CHANGING + 6  # and its gross work
 _MARGIN: Final = 1.0 + 1e-6  # of a distance that decides who is a copy: it rounds
 
 
-class BrickMotion(ContactMotion):
+class BrickMotion(SharedContact):
     """The share of a rank in a group of bodies that touch; see `motion.Motion`.
 
     All that is returned is of all bodies; frames are of those that this rank shows.
@@ -71,35 +73,26 @@ class BrickMotion(ContactMotion):
     def __init__(
         self, method: Method, shared: Shared, shown: SegmentGroup, start: float, dt: float
     ) -> None:
-        self.whole, self.ranks, self.shown = shared.group, shared.ranks, shown
+        self.know(shared, shown)
         self.method, self.start, self.dt, self.steps_done = method, start, dt, 0
         contact, ranks = self.whole.terms.contact, self.ranks
         assert contact is not None
-        self.model = contact.model
-        n = self.whole.members.size
-        self.bound = bounding_radii(self.model.spheres, n)
-        self.is_free = self.model.inv_mass > 0.0
+        self.bound = bounding_radii(self.model.spheres, self.is_free.size)
         self.reach = float(self.bound[self.is_free].max(initial=0.0))
-        self._room_to_show(n)
+        self._room_to_show()
         self.given: dict[int, tuple[Ints, Floats]] = {}  # by rank: slots of bodies, and room
         self.copies: dict[int, tuple[Ints, Floats]] = {}
-        self.initial = np.zeros((n, _GROSS + 1))
-        self.initial[:, :STATE_ROWS] = np.vstack(shared.state).T
-        self.initial[:, _MOMENTA:_GROSS] = self.initial[:, P:STATE_ROWS]
-        free, held = np.flatnonzero(self.is_free), np.flatnonzero(~self.is_free)
-        com = shared.state.com[:, free]
-        self.bricks = Bricks(com[:, ranks.number :: ranks.count], ranks)
-        own = free[self.bricks.owners(com) == ranks.number]
-        own = np.sort(np.concatenate([own, held[ranks.number :: ranks.count]]))
+        self.initial = initial_rows(np.vstack(shared.state))
+        com = shared.state.com
+        self.bricks = Bricks(com[:, self.is_free][:, ranks.number :: ranks.count], ranks)
+        owner = self._owners(np.arange(self.is_free.size), com)
+        own = np.flatnonzero(owner == ranks.number)
         self.lay_out(own, self.initial[own], contact.skin, None)
         self.loop = loop_over_ranks(method, self.place, self.store, self.enter)
         self.set_off(True)
 
-    def _room_to_show(self, n: int) -> None:
-        """Who shows which of n bodies, and room for those of this rank."""
-        parts = parts_of(n)
-        writer = writers(len(parts), self.ranks.count)
-        self.home = writer[self.whole.members // parts[0].stop]
+    def _room_to_show(self) -> None:
+        """Room for the bodies that this rank shows."""
         m = self.shown.members.size
         first = np.arange(0, m, BLOCK)
         self.shown_layout = Layout(first, np.minimum(first + BLOCK, m) - first, 0)
@@ -107,6 +100,12 @@ class BrickMotion(ContactMotion):
         self.shown_blocks = in_blocks(max(m, 1), CHANGING, [])
 
     # Who is where
+
+    def _owners(self, which: Ints, com: Floats) -> Ints:
+        """Ranks that have bodies with centres of mass (3, n); of held ones they take turns."""
+        among_held = np.searchsorted(np.flatnonzero(~self.is_free), which)
+        owner = self.bricks.owners(np.ascontiguousarray(com))
+        return np.where(self.is_free[which], owner, among_held % self.ranks.count)
 
     def lay_out(self, own: Ints, rows: Floats, skin: float, histories: Histories | None) -> None:
         """Room for the bodies of this rank, ascending, which have these rows, and for copies.
@@ -120,15 +119,13 @@ class BrickMotion(ContactMotion):
         for which, of in ((ghosts, came), (own, rows)):
             values[np.searchsorted(local, which)] = of
         self.local, self.is_own = local, np.isin(local, own)
-        values, steps = np.ascontiguousarray(values.T), self.steps_done
+        steps = self.steps_done
         group, numbers = contact_part(self.whole, local)
-        state = State(*np.split(values[:STATE_ROWS], (3, 7, 10)))
+        state = State(*np.split(np.ascontiguousarray(values[:, :STATE_ROWS].T), (3, 7, 10)))
         SteppedMotion.__init__(self, self.method, group, state, self.start, self.dt)
         self.steps_done = steps
-        into_blocks(self.blocks, 0, self.spaced(values[:CHANGING]))
         self.begin_contact(state, numbers, histories, None, self.is_own)
-        self.contact.memory.momenta[:] = values[_MOMENTA:_GROSS]
-        self.contact.workspace.gross_work[:] = values[_GROSS]
+        self.put(values)
         self._count_costs()
         for swapped in (self.given, self.copies):
             for k, (which, _) in swapped.items():
@@ -172,14 +169,7 @@ class BrickMotion(ContactMotion):
         if self.lists.count == 0:
             return  # they are where they belong
         ranks, old = self.ranks, self.lists
-        rows = np.vstack(
-            [
-                self.values(0, CHANGING),
-                self.contact.memory.momenta,
-                self.contact.workspace.gross_work,
-            ]
-        ).T
-        here = np.flatnonzero(self.is_own)
+        rows, here = self.travelling(), np.flatnonzero(self.is_own)
         moves = self.is_free[self.local[here]]
         com = np.ascontiguousarray(rows[here, :3].T)
         owner = np.where(moves, self.bricks.owners(com), ranks.number)
@@ -191,7 +181,7 @@ class BrickMotion(ContactMotion):
         goes = np.full(self.local.size, ranks.number)
         goes[here] = owner
         histories = self._handed_over(goes)
-        own = self._sent(owner, np.column_stack([self.local[here], rows[here]]))
+        own = self.sent(owner, np.column_stack([self.local[here], rows[here]]))
         own = own[np.argsort(own[:, 0])]
         who = own[:, 0].astype(np.int64)
         found = int(ranks.added(np.array([who.size]))[0])
@@ -207,34 +197,48 @@ class BrickMotion(ContactMotion):
         self.contact = self.contact._replace(frames=frames)
         self._place()
 
-    def _sent(self, to: Ints, rows: Floats) -> Floats:
-        """Rows that come here, where each is sent to a rank."""
-        return np.concatenate(self.ranks.sent([rows[to == k] for k in range(self.ranks.count)]))
-
     def _handed_over(self, goes: Ints) -> Histories:
         """What contacts keep: those here, and those of bodies that come; `goes`: to which rank."""
-        offset, found = self.model.spheres.offset, []
+        found = []
         for which, history in enumerate(self.lists.histories):
-            kept = np.flatnonzero(history.values[history.rows].any(axis=1))
-            keys, values = history.keys[kept], history.values[history.rows[kept]]
-            ends = [keys >> KEY_BITS] if which else [keys >> KEY_BITS, keys & (2**KEY_BITS - 1)]
-            to = [self._goes_to(goes, offset, number) for number in ends]
-            chosen = [
-                np.flatnonzero(np.any([of == k for of in to], axis=0) & (k != self.ranks.number))
-                for k in range(self.ranks.count)
-            ]
-            came = self.ranks.sent([keys[of] for of in chosen])
-            both, first = np.unique(np.concatenate([keys, *came]), return_index=True)
-            came = self.ranks.sent([values[of] for of in chosen])
-            kept_of = np.concatenate([values, *came])[first]
-            found.append(ContactHistory(both, np.arange(both.size), kept_of))
-        return found[0], found[1]
+            keys, values = kept_of(history)
+            ends = [np.searchsorted(self.local, of) for of in self.ends_of(which, keys)]
+            came, kept = self._sent_to_ends(keys, values, [goes[of] for of in ends], True)
+            both, first = np.unique(np.concatenate([keys, came]), return_index=True)
+            found.append((both, np.concatenate([values, kept])[first]))
+        return histories_of(found)
 
-    def _goes_to(self, goes: Ints, offset: Ints, sphere: Ints) -> Ints:
-        """To which rank the body of each sphere goes."""
-        body = np.searchsorted(offset, sphere, side="right") - 1
-        to: Ints = goes[np.searchsorted(self.local, body)]
-        return to
+    def _sent_to_ends(
+        self, keys: Ints, values: Floats, to: list[Ints], stays: bool
+    ) -> tuple[Ints, Floats]:
+        """Contacts that come here, each sent to the ranks of its bodies, but for the own."""
+        own = self.ranks.number if stays else -1
+        chosen = [
+            np.flatnonzero(np.any([of == k for of in to], axis=0) & (k != own))
+            for k in range(self.ranks.count)
+        ]
+        came = self.ranks.sent([keys[of] for of in chosen])
+        return np.concatenate(came), np.concatenate(self.ranks.sent([values[of] for of in chosen]))
+
+    def take_up(self, rows: Floats, skin: float, both: list[tuple[Ints, Floats]]) -> Floats:
+        """Take bodies where they were when lists were made, and contacts; return the poses of now.
+
+        Rows begin with the numbers of bodies, and end with these poses; each rank has some of all.
+        """
+        which, com = rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1:4].T)
+        self.bricks = Bricks(com[:, self.is_free[which]], self.ranks)
+        owner = np.zeros(self.is_free.size, dtype=np.int64)
+        owner[which] = self._owners(which, com)
+        own = self.sent(owner[which], rows)
+        own = own[np.argsort(own[:, 0])]
+        owner = self.ranks.added(owner)
+        came = [
+            self._sent_to_ends(keys, values, [owner[of] for of in self.ends_of(k, keys)], False)
+            for k, (keys, values) in enumerate(both)
+        ]
+        who = own[:, 0].astype(np.int64)
+        self.lay_out(who, own[:, 1 : 2 + GROSS], skin, histories_of(came))
+        return own[:, 2 + GROSS :]
 
     # Steps
 
@@ -310,14 +314,11 @@ class BrickMotion(ContactMotion):
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
-        try:
+        with ending_all(self.ranks):
             self.frames = self.room_for_frames(len(frames.position), 0)
             self.contact = self.contact._replace(frames=self.frames)
             elapsed = times - self.start
             return self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)[rows]
-        except BaseException as error:
-            end_all(self.ranks, error)
-            raise
 
     def recording(self, frames: Frames) -> Recording:
         """Where frames go, with room for what is booked."""
@@ -339,7 +340,7 @@ class BrickMotion(ContactMotion):
     def to_show(self, values: Floats) -> Floats:
         """Rows of the bodies that are shown here, where each rank has (n, ..) of its own."""
         who = self.local[self.is_own]
-        rows = self._sent(self.home[who], np.column_stack([who, values[self.is_own]]))
+        rows = self.sent(self.home[who], np.column_stack([who, values[self.is_own]]))
         if len(rows) != self.shown.members.size:
             raise MotionError(f"{len(rows)} bodies of {self.shown.members.size} were sent")
         return np.ascontiguousarray(rows[np.argsort(rows[:, 0]), 1:])

@@ -187,6 +187,11 @@ class ContactMotion(SteppedMotion):
         poses = self.contact.workspace.poses
         ahead = self.lists.prepare(self.corners(), poses, self.start + time, lasted)
         self.take_over()
+        self.list_pairs(ahead)
+
+    def list_pairs(self, ahead: WallsAhead) -> None:
+        """Make lists of bodies that are placed, with the skin that was chosen."""
+        time, self.ahead = self.grid_step * self.dt, ahead
         contact, y = self.contact, self.values(0, 13)
         memory = contact.memory
         memory.listed_pose[:] = y[:7]
@@ -195,10 +200,8 @@ class ContactMotion(SteppedMotion):
         path = np.sqrt(((y[:3] - self.origin) ** 2).sum(axis=0)).max()
         self.farthest, self.list_step = max(self.farthest, float(path)), self.grid_step
         lists, until = self.new_lists(time, ahead)
-        setup, memory = (
-            contact.setup._replace(skin=self.lists.skin),
-            memory._replace(valid_until=until),
-        )
+        setup = contact.setup._replace(skin=self.lists.skin)
+        memory = memory._replace(valid_until=until)
         self.contact = contact._replace(setup=setup, lists=lists, memory=memory)
 
     def check_lists(self, steps: int) -> None:

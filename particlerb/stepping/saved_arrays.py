@@ -6,7 +6,7 @@ knows of files.
 """
 
 from collections.abc import Mapping
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from particlerb.contact.records import Records, from_floats, to_floats
 
 Saved: TypeAlias = dict[str, Any]  # arrays by name
 Tuple = TypeVar("Tuple", bound=tuple[Any, ...])
+
+OF_BODIES: Final = "of_bodies"  # arrays with a row for each body, or contact, of a part of the file
 
 
 def under(name: str, saved: Mapping[str, Any]) -> Saved:

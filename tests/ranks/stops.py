@@ -1,6 +1,7 @@
 """Ends runs of ranks, and goes on with them on other ranks; the files must be those of a whole run.
 
-As a script for many kills: `python tests/ranks/stops.py 20`; it ends with 1 where one was not.
+As a script for many kills: `python tests/ranks/stops.py 20 [heap.toml]`; it ends with 1 where one
+was not. LONGEST=2: seconds until a kill, at most. NUMBA_DISABLE_JIT=0: compiled.
 """
 
 import hashlib
@@ -15,6 +16,7 @@ import tempfile
 import time
 import uuid
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -29,13 +31,14 @@ BESIDE = Path(sys.executable).with_name("mpiexec")
 MPIEXEC = str(BESIDE) if BESIDE.exists() else shutil.which("mpiexec")
 PLAIN = {
     **os.environ,
-    "NUMBA_DISABLE_JIT": "1",
+    "NUMBA_DISABLE_JIT": os.environ.get("NUMBA_DISABLE_JIT", "1"),
     "MPICH_INTERFACE_HOSTNAME": "localhost",
     "PYTHONPATH": str(HERE.parents[1]),
     "PARTICLERB_IS_GUARDED": "1",  # one process, with these superblocks
 }
 SECONDS = 300.0
 LONG = ("--set", "run.t_end=0.31", "--set", "run.every=0.02")  # 17 frames, the last between two
+BY_RANK = "shared.motion.frequency"  # of contacts, which each rank samples among those that it has
 needs_mpi = pytest.mark.skipif(
     MPIEXEC is None or importlib.util.find_spec("mpi4py") is None, reason="there is no mpiexec"
 )
@@ -58,9 +61,9 @@ def command(
     )  # fmt: skip
 
 
-def run_words(path: Path, *more: str) -> list[str | Path]:
-    """Words that run the scene of the tests."""
-    return [HERE / "mix.toml", "-o", path, "--threads", "1", *more]
+def run_words(path: Path, *more: str, scene: str = "mix.toml") -> list[str | Path]:
+    """Words that run a scene of the tests."""
+    return [HERE / scene, "-o", path, "--threads", "1", *more]
 
 
 def digests(path: Path) -> dict[str, str]:
@@ -86,7 +89,8 @@ def whole(path: Path) -> dict[str, str]:
         with h5py.File(path.parent / name, "r") as part:
             assert part.attrs["n_frames"] == len(part["particles/trajectory/time"]) == n
             states = slots_in(part)
-        for key, values in states[max(states)].items():
+        for key in states[max(states)].keys() - {BY_RANK}:
+            values = states[max(states)][key]
             found[f"{Path(name).name} {key}"] = np.asarray(values).tobytes().hex()
     return found
 
@@ -108,7 +112,8 @@ def stopped(
         time.sleep(after)
         own = own_ranks(mark)
         for pid in own if to_all else own[-1:]:
-            os.kill(pid, number)
+            with suppress(ProcessLookupError):  # it may just have ended
+                os.kill(pid, number)
         _, err = process.communicate(timeout=SECONDS)
         return process.returncode, err
 
@@ -136,25 +141,31 @@ def frames_in(path: Path) -> int:
         return int(file.attrs["n_frames"])
 
 
-def next_words(path: Path) -> list[str | Path]:
+def next_words(path: Path, scene: str = "mix.toml") -> list[str | Path]:
     """Words that go on with a run, or that run it anew where nothing was committed."""
-    return ["resume", path, "--threads", "1"] if path.exists() else run_words(path, *LONG)
+    anew = run_words(path, *LONG, scene=scene)
+    return ["resume", path, "--threads", "1"] if path.exists() else anew
 
 
 def main() -> int:
     """Kill all ranks as often as the command line says, on 1 to 4 of them in turn."""
     n, dice, wrong, frames = int(sys.argv[1]), random.Random(1), 0, []
+    scene = (*sys.argv[2:], "mix.toml")[0]
     with tempfile.TemporaryDirectory() as folder:
         straight, path = Path(folder) / "straight.h5", Path(folder) / "run.h5"
-        assert command(*run_words(straight, *LONG), ranks=1).returncode == 0
+        assert command(*run_words(straight, *LONG, scene=scene), ranks=1).returncode == 0
         expected = whole(straight)
         for k in range(n):
-            stopped(next_words(path), k % 4 + 1, signal.SIGKILL, True, dice.uniform(0, 2), path)
+            words, after = (
+                next_words(path, scene),
+                dice.uniform(0, float(os.environ.get("LONGEST", "2"))),
+            )
+            stopped(words, k % 4 + 1, signal.SIGKILL, True, after, path)
             frames.append(frames_in(path))
             wrong += frames[-1] < (frames[-2] if frames[:-1] else 0)
             print(k + 1, "kills, frames", frames[-1], "wrong", wrong, flush=True)
             if k % 3 == 2 or k == n - 1:
-                done = command(*next_words(path), ranks=(0, 2, 3)[k // 3 % 3])
+                done = command(*next_words(path, scene), ranks=(0, 2, 3)[k // 3 % 3])
                 is_done = "nothing left to do" in done.stderr
                 wrong += (done.returncode != 0 and not is_done) or whole(path) != expected
                 path.unlink()

@@ -1,5 +1,6 @@
 """Scenes that ranks share: the bits of one process, whatever their number; what is wrong said."""
 
+import argparse
 import json
 import shutil
 import subprocess
@@ -14,6 +15,7 @@ from stops import HERE, PLAIN, command, digests, line, needs_mpi, run_words
 import particlerb
 from particlerb.cli import main
 from particlerb.cli import ranks as of_commands
+from particlerb.cli import run as of_runs
 from particlerb.model import superblocks
 from particlerb.model.names import BodyNames, NamesInRange
 from particlerb.model.superblocks import SUPERBLOCK, own_parts, parts_of
@@ -74,6 +76,9 @@ def test_a_master_opens_as_one_and_is_whole(two):
     assert sorted(p.name for p in (two.parent / "run.parts").iterdir()) == [
         f"{k:04d}.h5" for k in range(4)
     ]
+    found = command("info", two, "--json")
+    sizes = [p.stat().st_size for p in (two, *two.with_suffix(".parts").iterdir())]
+    assert json.loads(found.stdout)["size"] == sum(sizes)
     found = command("info", two, "--verify")
     assert found.returncode == 0, found.stdout + found.stderr
     xarray = pytest.importorskip("xarray")
@@ -128,7 +133,12 @@ def test_what_cannot_be_shared_is_refused_once(tmp_path):
 @needs_mpi
 @pytest.mark.slow
 def test_a_log_is_one_for_all_ranks(tmp_path):
-    """The first rank writes it; where it must not, no rank waits for another."""
+    """The first rank alone writes it; where it must not, no rank waits for another."""
+    second, options = Ranks(), argparse.Namespace(quiet=True, log=str(tmp_path / "c.log"))
+    for second.number in (1, 0):
+        assert not (tmp_path / "c.log").exists()
+        of_runs._execute(lambda _: None, tmp_path / "c.h5", options, 1, ranks=second)
+    assert (tmp_path / "c.log").exists()
     done = run(tmp_path / "a.h5", "-q", "--log", str(tmp_path / "a.log"), ranks=2)
     assert done.returncode == 0, done.stderr
     lines = (tmp_path / "a.log").read_text().splitlines()
@@ -198,6 +208,13 @@ def test_old_parts_stay_until_new_ones_are_committed(monkeypatch, tmp_path):
     assert main([*words, "--overwrite"]) == 0
     assert digests(path) == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.2.parts", "run.h5"]
+    other = tmp_path / "run.2.parts" / "0002.h5"  # of another run
+    with h5py.File(other, "r+") as file:
+        file.attrs["run"] = np.bytes_("another")
+    plain = [word for word in words if word != "--mpi"]
+    assert main([*plain, "--overwrite"]) == 0
+    assert sorted(p.name for p in tmp_path.rglob("*.h5")) == ["0002.h5", "run.h5"]
+    other.unlink()
 
 
 def fails(*_: object) -> None:
