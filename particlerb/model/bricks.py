@@ -12,7 +12,9 @@ import numpy as np
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.ranks import Ranks
 
-_BINS: Final = 1024  # places where space may be cut
+_BINS: Final = 1024  # places where space may be cut, and then where the bin of the cut may
+_REFINEMENTS: Final = 6  # at most: beyond them places differ by rounding
+_NEAR_ENOUGH: Final = 0.01  # bodies by which a cut may miss, in those of a brick
 _UNEVEN: Final = 1.2  # bodies of the fullest brick, over the mean, from which on edges move
 
 
@@ -75,19 +77,35 @@ class Bricks:
         corners = ranks.largest(corners)
         low, high = np.where(np.isfinite(corners), corners, 0.0).reshape(-1, 2, 3).swapaxes(0, 1)
         low = -low
-        counts = np.zeros((len(level), _BINS), dtype=np.int64)
-        for k, node in enumerate(level):
-            axis = int(np.argmax(high[k] - low[k]))
+        axes = np.argmax(high - low, axis=1)
+        ends = np.stack([each[np.arange(len(level)), axes] for each in (low, high)], axis=1)
+        for node, axis in zip(level, axes.tolist(), strict=True):
             self.axis[node.number] = axis
-            width = max((high[k] - low[k])[axis], np.finfo(np.float64).tiny)
-            place = (points[axis, node.which] - low[k, axis]) / width * _BINS
-            counts[k] = np.bincount(np.clip(place, 0, _BINS - 1).astype(int), minlength=_BINS)
-        below: Ints = np.cumsum(ranks.added(counts), axis=1)
+        for _ in range(_REFINEMENTS):
+            if self._refine(points, level, ends, ranks):
+                break
+
+    def _refine(self, points: Floats, level: list[_Node], ends: Floats, ranks: Ranks) -> bool:
+        """Cut boxes where counts of bins between two ends (m, 2) say; whether that is near enough.
+
+        The ends become those of the bin in which the right place is.
+        """
+        counts = np.zeros((len(level), _BINS + 2), dtype=np.int64)
+        edges = np.linspace(ends[:, 0], ends[:, 1], _BINS + 1, axis=1)
+        for k, (number, _, _, which) in enumerate(level):
+            place = np.searchsorted(edges[k], points[self.axis[number], which], side="right")
+            counts[k] = np.bincount(place, minlength=_BINS + 2)
+        below: Ints = np.cumsum(ranks.added(counts), axis=1)  # each edge, all at the end
+        is_near = True
         for k, node in enumerate(level):
             wanted = below[k, -1] * node.lower / node.bricks
-            edge = int(np.argmin(np.abs(below[k] - wanted))) + 1
-            a = self.axis[node.number]
-            self.place[node.number] = low[k, a] + (high[k, a] - low[k, a]) * edge / _BINS
+            edge = int(np.argmin(np.abs(below[k, :-1] - wanted)))
+            self.place[node.number] = edges[k, edge]
+            missed = below[k, edge] - wanted
+            is_near &= bool(abs(missed) <= max(1.0, _NEAR_ENOUGH * wanted / node.lower))
+            at = min(max(edge - (missed > 0), 0), _BINS - 1)
+            ends[k] = edges[k, at : at + 2]
+        return is_near
 
     def _boxes(self, number: int, first: int, count: int, box: Floats) -> Iterator[Floats]:
         """Corners of the bricks in a box."""

@@ -54,8 +54,11 @@ def test_clumps_that_collide_across_borders_keep_their_momentum(tmp_path):
     assert np.abs(total - total[0]).max() <= 1e-13 * np.abs(p[0]).sum()
 
 
-def test_bricks_hold_as_many_bodies_each_and_fill_space():
+@pytest.mark.parametrize("far", [3.0, 1e9])
+def test_bricks_hold_as_many_bodies_each_and_fill_space(far):
+    """Also where one body is far from all others."""
     points = np.random.default_rng(2).random((3, 1000)) * [[3.0], [1.0], [1.0]]
+    points[0, 17] = far
     for count in range(1, 8):
         ranks = Ranks()
         ranks.count = count
