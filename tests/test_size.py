@@ -77,7 +77,8 @@ BUDGETS = {
     "their resume behind kills, one file out of parts, shares told before": 311,
     "bodies that touch over ranks": 651,
     "their checkpoints, a resume on another number of ranks": 142,
-    "bricks refined to their counts": 13,
+    "bricks refined to their counts; shares of bodies that touch, told before": 42,
+    "forces with a potential on bodies that touch over ranks": 21,
     "parts that are removed with their master, and counted in its size": 31,
 }
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""

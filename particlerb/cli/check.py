@@ -38,16 +38,20 @@ def check_command(options: argparse.Namespace) -> int:
 
 def _words(n_ranks: int, shares: Shares) -> str:
     """Shares in words."""
+    sends = "they send nothing while bodies move"
+    if shares.sensible_ranks is not None:
+        sends = (
+            f"a rank has copies of {shares.copies_of_rank} bodies of others or less, at the start,"
+            f" and receives {amount(shares.bytes_of_step)} a step;"
+            f" at {shares.sensible_ranks} or fewer the exchange costs less than it saves"
+        )
     lines = (
-        f"parts of the file: {shares.parts}, of {shares.in_part} bodies or less and"
-        f" {amount(shares.bytes_of_part)} each; a rank has {shares.own_parts} or less",
-        f"a rank moves {shares.bodies} bodies or less, in about {amount(shares.moving_bytes)} of"
-        " memory;",
+        f"parts of the file: {shares.parts}, of {shares.bodies_of_part} bodies or less and"
+        f" {amount(shares.bytes_of_part)} each",
+        f"a rank moves {shares.bodies_of_rank} bodies or less, in about"
+        f" {amount(shares.run_bytes)} of memory;",
         f"and each rank sets up the whole scene, in about {amount(shares.set_up_bytes)}",
-        f"{shares.most} ranks at most: each takes one part or more; they send nothing while bodies"
-        " move",
+        f"{shares.ranks_at_most} ranks at most; {sends}",
     )
-    return "\n".join(
-        f"{head:18}{words}"
-        for head, words in zip((f"  on {n_ranks} ranks", *3 * [""]), lines, strict=True)
-    )
+    heads = (f"  on {n_ranks} ranks", *3 * [""])
+    return "\n".join(f"{head:18}{words}" for head, words in zip(heads, lines, strict=True))

@@ -268,9 +268,13 @@ def work_of_potentials(
     terms: Terms, com: Floats, q: Floats, t: float = 0.0, worlds: Worlds | None = None
 ) -> Floats | float:
     """Work [J] of potentials at t [s] since the segment began, up to a constant; of each world."""
+    return sum((over_bodies(one, worlds) for one in works_of(terms, com, q, t)), 0.0)
+
+
+def works_of(terms: Terms, com: Floats, q: Floats, t: float) -> list[Floats]:
+    """The same of each load on each body, (n,) [J]."""
     of = [(term_of(load).work, load) for load in terms.loads]
-    found = [over_bodies(work(load, com, q, t), worlds) for work, load in of if work is not None]
-    return sum(found, 0.0)
+    return [work(load, com, q, t) for work, load in of if work is not None]
 
 
 def energies_of(load: Any, com: Floats, q: Floats) -> Floats | None:
@@ -288,5 +292,10 @@ def energy_of_loads(
     terms: Terms, com: Floats, q: Floats, worlds: Worlds | None = None
 ) -> Floats | float:
     """Potential energy [J] of loads that have one: springs that are not among the links."""
+    return sum((over_bodies(one, worlds) for one in energies_of_loads(terms, com, q)), 0.0)
+
+
+def energies_of_loads(terms: Terms, com: Floats, q: Floats) -> list[Floats]:
+    """The same of each load on each body, (n,) [J]."""
     energies = [energies_of(load, com, q) for load in terms.loads]
-    return sum((over_bodies(one, worlds) for one in energies if one is not None), 0.0)
+    return [one for one in energies if one is not None]

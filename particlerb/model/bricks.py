@@ -141,3 +141,22 @@ class Bricks:
         """These bricks, or new ones where bodies, so many in each, are shared too unevenly."""
         is_even = counts.max() <= _UNEVEN * counts.mean() and counts.min() > 0
         return self if is_even else type(self)(points, ranks)
+
+
+def shares_of_bricks(points: Floats, reach: Floats, skin: float, ranks: Ranks) -> tuple[int, int]:
+    """Bodies of the fullest brick, and copies of the one that has most, before a run.
+
+    Parameters
+    ----------
+    points, reach : ndarray, shapes (3, n) and (n,) [m]
+        Centres of mass of all bodies, and how far each reaches.
+    skin : float [m]
+    ranks : Ranks
+        Of which one asks for all.
+    """
+    bricks = Bricks(points, ranks)
+    owner, far = bricks.owners(points), reach + float(reach.max(initial=0.0)) + skin
+    copies = [
+        int(((bricks.distances(points, k) < far) & (owner != k)).sum()) for k in range(ranks.count)
+    ]
+    return int(np.bincount(owner).max(initial=0)), max(copies)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from particlerb.contact.contact_output import ContactOutput
-from particlerb.forces import Terms, energy_of_loads, has_energy
+from particlerb.forces import Terms, energies_of_loads, has_energy
 from particlerb.forces.gravity_tree.opening_angle import fitting_angle, sampled_error
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.forces.impulse import apply_impulse
@@ -135,7 +135,9 @@ class GroupRun:
         joints = self.segment.terms.joints
         if joints is not None:
             energy = energy + energy_of_joints(joints, com, q, self.plan.worlds)
-        return energy + energy_of_loads(self.segment.terms, com, q, self.plan.worlds)
+        group = self.plan.group(self.segment)
+        of_loads = energies_of_loads(self.segment.terms, com, q)
+        return energy + sum((group.total(one) for one in of_loads), 0.0)
 
     def begin(self, segment: Segment, state: State, before: Motion | None) -> Motion:
         """Apply the impulses at the start of a segment and set off, after another motion."""

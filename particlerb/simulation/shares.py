@@ -6,9 +6,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.run import frame_count
-from particlerb.forces import Terms
-from particlerb.forces.registry import term_of
+from particlerb.contact.missed_pairs import bounding_radii
+from particlerb.forces import Terms, terms_on
 from particlerb.model.bodies import taken
+from particlerb.model.bricks import shares_of_bricks
+from particlerb.model.load import STATE_ROWS
 from particlerb.model.superblocks import Range, own_parts, parts_of, range_of
 from particlerb.model.system import System
 from particlerb.plan.segments import GroupPlan, chosen, is_coupled
@@ -20,6 +22,8 @@ from particlerb.stepping.motion import Shared
 BYTES_SET_UP: Final = 720  # of memory for each body of the scene, pushed: benchmarks/ranks.py
 BYTES_MOVED: Final = 2050  # beside these for each body that a rank moves, likewise
 BYTES_SAVED: Final = 200  # of a checkpoint for each body, likewise
+BYTES_TOUCHING: Final = 2500  # for each sphere of a clump of four that touches, of a small gas
+SENSIBLE_BODIES: Final = 2000  # that touch, of a rank at least: see docs/scale.md
 _COUPLING: Final = {
     "links": "springs between bodies",
     "own_pairs": "forces between bodies",
@@ -103,9 +107,12 @@ def _part_of_touching(prepared: Prepared, group: GroupPlan, ranks: Ranks) -> Pre
     first, stop = range_of(system.n_bodies, ranks)
     own = np.flatnonzero((group.members >= first) & (group.members < stop))
     whole = group.group(group.segments[0])
-    shared = Shared(whole, taken(system.state, group.members), ranks)
-    bodies = taken(group.bodies, own)
-    part = group._replace(members=group.members[own] - first, bodies=bodies, shared=shared)
+    shared = Shared(whole, taken(system.state, group.members), ranks, first)
+    bodies, (segment,) = taken(group.bodies, own), group.segments
+    terms = terms_on(segment.terms._replace(contact=None), own)
+    segments = (segment._replace(terms=terms._replace(contact=segment.terms.contact)),)
+    members = group.members[own] - first
+    part = group._replace(members=members, bodies=bodies, segments=segments, shared=shared)
     plan = prepared.plan._replace(groups=(part,))
     return prepared._replace(system=system.part(first, stop), plan=plan, first=first)
 
@@ -135,9 +142,6 @@ def _unshared(system: System, groups: tuple[GroupPlan, ...]) -> Iterator[str]:
             yield "walls that slide under a load"
         if contact is not None and contact.with_output:
             yield "[output] fields of contacts"
-        loads = [term_of(load) for load in terms.loads]
-        if any(load.work is not None or load.energy is not None for load in loads):
-            yield "forces with a potential beside gravity"
     if len(groups) > 1:
         yield "bodies that touch nothing beside those that do"
     if any(len(group.segments) > 1 or group.segments[0].jumps for group in groups):
@@ -149,20 +153,24 @@ def _unshared(system: System, groups: tuple[GroupPlan, ...]) -> Iterator[str]:
 class Shares(NamedTuple):
     """How ranks share a scene: the most that one of them has."""
 
+    ranks_at_most: int
     parts: int
     """Files that bodies lie in."""
-    in_part: int
-    """Bodies of each."""
+    bodies_of_part: int
     bytes_of_part: int
-    """Size of each, with two states from which the run can be continued."""
-    own_parts: int
-    bodies: int
-    moving_bytes: int
-    """Memory while bodies move, beside that of the set-up."""
+    """Size of each file, with two states from which the run can be continued."""
+    bodies_of_rank: int
+    """Bodies that a rank moves."""
     set_up_bytes: int
     """Memory of the set-up, which is of the whole scene on each rank."""
-    most: int
-    """Ranks at most."""
+    run_bytes: int
+    """Memory of the run, beside it."""
+    copies_of_rank: int = 0
+    """Bodies of other ranks that may touch those of a rank, at the start."""
+    bytes_of_step: int = 0
+    """What a rank receives in a step."""
+    sensible_ranks: int | None = None
+    """Ranks beyond which the exchange costs more than it saves; None: there is no exchange."""
 
 
 def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
@@ -173,20 +181,31 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
     NoRanksError
         As `part_of`.
     """
-    refuse_coupled(prepared)
-    if any(_touches(group) for group in prepared.plan.groups):
-        raise NoRanksError(
-            "--ranks cannot tell yet how bodies that touch would be shared; --mpi runs them"
-        )
     system, ranks = prepared.system, Ranks()
     ranks.count = n_ranks
     ranks.number = n_ranks - 1  # the last rank has most parts
-    share_of(system.n_bodies, ranks)
     ranges = parts_of(system.n_bodies)
-    own, in_part = len(own_parts(len(ranges), ranks)), ranges[0].stop
-    bodies = min(own * in_part, system.n_bodies)
+    in_part = ranges[0].stop
     n_bytes = estimated_size(system, frame_count(system.run)) * in_part // system.n_bodies
-    return Shares(
-        len(ranges), in_part, n_bytes + 2 * BYTES_SAVED * in_part, own, bodies,
-        BYTES_MOVED * bodies, BYTES_SET_UP * system.n_bodies, len(ranges),
-    )  # fmt: skip
+    set_up, of_part = BYTES_SET_UP * system.n_bodies, n_bytes + 2 * BYTES_SAVED * in_part
+    touching = [group for group in prepared.plan.groups if _touches(group)]
+    if touching:
+        refuse_contact(prepared, ranks)
+        contact = touching[0].segments[0].terms.contact
+        assert contact is not None
+        model, n = contact.model, system.n_bodies
+        is_free = model.inv_mass > 0.0
+        reach = bounding_radii(model.spheres, n)
+        com = taken(system.state, touching[0].members).com[:, is_free]
+        bodies, copies = shares_of_bricks(com, reach[is_free], contact.skin, ranks)
+        n_spheres = model.spheres.radius.size * min((bodies + copies) / n, 1.0)
+        return Shares(
+            int(is_free.sum()), len(ranges), in_part, of_part, bodies, set_up,
+            int(BYTES_TOUCHING * n_spheres), copies, 8 * STATE_ROWS * copies,
+            max(1, int(is_free.sum()) // SENSIBLE_BODIES),
+        )  # fmt: skip
+    refuse_coupled(prepared)
+    share_of(system.n_bodies, ranks)
+    bodies = min(len(own_parts(len(ranges), ranks)) * in_part, system.n_bodies)
+    run_bytes = BYTES_MOVED * bodies
+    return Shares(len(ranges), len(ranges), in_part, of_part, bodies, set_up, run_bytes)

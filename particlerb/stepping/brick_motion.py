@@ -26,6 +26,7 @@ from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import MovingBodies
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import CHANGING, STRIDE, in_blocks, into_blocks
+from particlerb.model.bodies import taken
 from particlerb.model.bricks import Bricks
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State
@@ -42,7 +43,7 @@ from particlerb.stepping.loop import (
     loop_over_ranks,
     store_blocks,
 )
-from particlerb.stepping.motion import MotionError, SegmentGroup, Shared
+from particlerb.stepping.motion import MotionError, SegmentGroup, Shared, WorkAccount
 from particlerb.stepping.shared_contact import (
     GROSS,
     SharedContact,
@@ -80,6 +81,7 @@ class BrickMotion(SharedContact):
         self.bound = bounding_radii(self.model.spheres, self.is_free.size)
         self.reach = float(self.bound[self.is_free].max(initial=0.0))
         self._room_to_show()
+        self.account_shown = WorkAccount(shown, taken(shared.state, self._shown_here))
         self.given: dict[int, tuple[Ints, Floats]] = {}  # by rank: slots of bodies, and room
         self.copies: dict[int, tuple[Ints, Floats]] = {}
         self.initial = initial_rows(np.vstack(shared.state))
@@ -98,6 +100,11 @@ class BrickMotion(SharedContact):
         self.shown_layout = Layout(first, np.minimum(first + BLOCK, m) - first, 0)
         self.shown_bins = self.shown.members // BLOCK
         self.shown_blocks = in_blocks(max(m, 1), CHANGING, [])
+
+    @property
+    def _shown_here(self) -> Ints:
+        """Which of all bodies are shown here."""
+        return np.flatnonzero(self.home == self.ranks.number)
 
     # Who is where
 
@@ -318,7 +325,8 @@ class BrickMotion(SharedContact):
             self.frames = self.room_for_frames(len(frames.position), 0)
             self.contact = self.contact._replace(frames=self.frames)
             elapsed = times - self.start
-            return self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)[rows]
+            sums = self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)
+            return self.account_shown.of_frames(elapsed, rows, frames, sums)
 
     def recording(self, frames: Frames) -> Recording:
         """Where frames go, with room for what is booked."""

@@ -16,12 +16,13 @@ from particlerb.compiled.jit import flag
 from particlerb.contact.contact_output import ContactOutput
 from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.piston import Pistons
-from particlerb.forces import Terms, force_of_loads, is_constant, terms_on, work_of_potentials
+from particlerb.forces import Terms, force_of_loads, is_constant, terms_on, works_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import Frames, State, cross_columns, quaternion_product
+from particlerb.model.superblocks import SUPERBLOCK, sum_by_number
 from particlerb.model.worlds import Worlds, over_all, over_bodies, part_of_worlds, shape_of
-from particlerb.ranks import Ranks
+from particlerb.ranks import ALONE, Ranks
 from particlerb.stepping.saved_arrays import Saved, under, within
 
 
@@ -38,6 +39,14 @@ class SegmentGroup(NamedTuple):
     worlds: Worlds | None = None  # scenes that share the group, if they are several
     shared: "Shared | None" = None  # where ranks share bodies that touch: these are shown here
 
+    def total(self, values: Floats) -> Floats | float:
+        """Sum of values of bodies (n,), of each world; over those of all ranks that share them."""
+        is_large = self.terms.contact is not None and self.members.size > SUPERBLOCK
+        if self.worlds is not None or not (is_large or self.shared):
+            return over_bodies(values, self.worlds)
+        first, ranks = (self.shared.first, self.shared.ranks) if self.shared else (0, ALONE)
+        return sum_by_number(values, first + self.members, ranks)
+
 
 class Shared(NamedTuple):
     """Bodies that touch and that ranks share."""
@@ -45,6 +54,7 @@ class Shared(NamedTuple):
     group: SegmentGroup  # all of them, with numbers of the scene
     state: State  # at the start
     ranks: Ranks
+    first: int  # number of the first body that is shown here
 
 
 class Energies(NamedTuple):
@@ -196,7 +206,8 @@ class WorkAccount:
     def work_before(self) -> Floats | float:
         """Work of potentials at the start, up to a constant [J]."""
         first = self.first
-        return work_of_potentials(self.group.terms, first.com, first.q, 0.0, self.group.worlds)
+        works = works_of(self.group.terms, first.com, first.q, 0.0)
+        return sum((self.group.total(one) for one in works), 0.0)
 
     def of_state(self, elapsed: float, com: Floats, q: Floats, L: Floats, sums: Floats) -> Floats:
         """Work, impulse and angular impulse (7,) until a state; `sums` were booked by kernels.
@@ -206,8 +217,8 @@ class WorkAccount:
         worlds = self.group.worlds
         if not self.is_kept:
             return np.zeros((*shape_of(worlds), 7))
-        potential = work_of_potentials(self.group.terms, com, q, elapsed, worlds)
-        potential = potential - self.work_before
+        works = works_of(self.group.terms, com, q, elapsed)
+        potential = sum((self.group.total(one) for one in works), 0.0) - self.work_before
         if self.books is None:
             given: Floats = self.constant.booked(np.array([elapsed]))[0]
             given[..., 0] = potential

@@ -1,5 +1,6 @@
 """Clumps that touch, shared among ranks by bricks: the bits of one process, and momentum."""
 
+import json
 import subprocess
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from stops import HERE, command, digests, needs_mpi, whole
 
 import particlerb
+from particlerb.cli import main
 from particlerb.model.bricks import Bricks
 from particlerb.ranks import Ranks
 
@@ -52,6 +54,17 @@ def test_clumps_that_collide_across_borders_keep_their_momentum(tmp_path):
     assert np.abs(p[-1] - p[0]).sum() > 1.0  # [kg m/s] they have collided
     total = p.sum(axis=1)
     assert np.abs(total - total[0]).max() <= 1e-13 * np.abs(p[0]).sum()
+
+
+@pytest.mark.plain
+def test_check_says_how_bodies_that_touch_would_be_shared(capsys):
+    """Of 27 clumps in a cube: a plane of 9, and of the other two 6 and 12, beside all others."""
+    assert main(["check", str(HERE / "gas.toml"), "--ranks", "3", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["ranks"]
+    names = "ranks_at_most", "bodies_of_rank", "copies_of_rank", "bytes_of_step", "sensible_ranks"
+    assert [found[name] for name in names] == [27, 12, 15, 15 * 104, 1]
+    assert main(["check", str(HERE / "gas.toml"), "--ranks", "28"]) == 2
+    assert "28 ranks are too many for 27 bodies that move" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("far", [3.0, 1e9])

@@ -121,9 +121,9 @@ def test_a_part_that_does_not_fit_is_named(two, tmp_path, fault):
 @needs_mpi
 @pytest.mark.slow
 def test_what_cannot_be_shared_is_refused_once(tmp_path):
-    done = command("newtons_cradle", "-q", "-o", tmp_path / "a.h5", ranks=2)
+    done = command("press", "-q", "-o", tmp_path / "a.h5", ranks=2)
     assert done.returncode == 2
-    assert done.stderr.count("forces with a potential beside gravity") == 1, done.stderr
+    assert done.stderr.count("walls that slide under a load") == 1, done.stderr
     done = run(tmp_path / "b.h5", "-q", ranks=5)
     assert done.returncode == 2
     assert done.stderr.count("5 ranks are too many for 1000 bodies") == 1, done.stderr
@@ -184,9 +184,8 @@ def test_check_says_how_ranks_would_share_a_case(monkeypatch, capsys):
     case = str(HERE / "mix.toml")
     assert main(["check", case, "--ranks", "3", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["ranks"]
-    assert [found[k] for k in ("parts", "in_part", "own_parts", "bodies", "most")] == [
-        4, 256, 2, 512, 4,
-    ]  # fmt: skip
+    names = "ranks_at_most", "parts", "bodies_of_part", "bodies_of_rank", "bytes_of_step"
+    assert [found[name] for name in names] == [4, 4, 256, 512, 0]
     assert found["set_up_bytes"] == 1000 * shares.BYTES_SET_UP
     assert main(["check", case, "--ranks", "5"]) == 2
     assert "so 4 may share them" in capsys.readouterr().err
