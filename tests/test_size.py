@@ -78,6 +78,7 @@ BUDGETS = {
     "bodies that touch over ranks": 651,
     "their checkpoints, a resume on another number of ranks": 142,
     "bricks refined to their counts; shares of bodies that touch, told before": 42,
+    "cells of events whose numbers have 32 bits": 6,
     "forces with a potential on bodies that touch over ranks": 21,
     "parts that are removed with their master, and counted in its size": 31,
 }

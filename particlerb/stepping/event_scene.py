@@ -6,6 +6,7 @@ import numpy as np
 
 from particlerb.compiled.jit import flag
 from particlerb.contact.contact_model import GroupContact
+from particlerb.contact.sphere_search import LARGEST_NUMBER
 from particlerb.contact.walls import DISC, FACE, PLANE, SIDE, Walls
 from particlerb.events.records import (
     ASYMMETRIC,
@@ -25,7 +26,7 @@ from particlerb.impulses.records import LEAST_CELLS, EventRules
 from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3
 from particlerb.model.state import State
 from particlerb.rotors.rotor_class import ASYMMETRIC as ASYMMETRIC_CLASS
-from particlerb.stepping.motion import SegmentGroup
+from particlerb.stepping.motion import MotionError, SegmentGroup
 
 _ROUNDING: Final = 1e-15  # of a radius: a centre nearer to the centre of mass is there
 _WIDER: Final = 1.0 + 1e-9
@@ -90,6 +91,11 @@ def _grid(group: SegmentGroup, com: Floats) -> _Grid:
     least = 2.0 * _WIDER * float(bound.max())
     size = np.where(np.isfinite(box), box, np.maximum(high - low, least))
     width = max(least, float((size.prod() / (_PER_BODY * bound.size)) ** (1.0 / 3.0)))
+    if (size / width).max() > LARGEST_NUMBER:
+        raise MotionError(
+            f"bodies lie within {size.max():.3g} m, in cells of {width:.3g} m: their numbers end at"
+            f" {LARGEST_NUMBER}; take bodies that are nearer to each other"
+        )
     count = np.maximum(np.ceil(size / width).astype(np.int64), 3)
     while count.prod() > _MOST_CELLS * bound.size + 27:
         count = np.maximum(count // 2, 3)

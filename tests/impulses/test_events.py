@@ -251,3 +251,11 @@ def test_no_impact_of_turning_clumps_is_missed():
     assert 20 < hits < 60
     assert wrong == 0
     assert widest < 1e-12  # coordinates up to 20 m
+
+
+@plain
+def test_more_cells_than_their_numbers_allow_are_refused():
+    """Of 32 bits: a body so far away was in a cell of another number."""
+    balls = [sphere("a", position=[1e16, 0, 0]), sphere("b")]
+    with pytest.raises(particlerb.RunError, match="their numbers end at 2147483647"):
+        go(*balls, contact=events(), t_end=1.0, every=1.0)
