@@ -8,11 +8,11 @@ II.10; coefficients in dop853_table.py.
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.forces.kernels import Acting, set_time
 from particlerb.forces.registry import STAGE as WORK
 from particlerb.integrators.dop853_table import NODES, STAGES, A, D, E
@@ -41,18 +41,31 @@ LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any mo
 ALONE: Final = 13  # numbers of a body: x, q, p, L; what it books follows where it books
 
 
+class Problem(NamedTuple):
+    """What is integrated, and how well."""
+
+    acting: Acting
+    books: Flag  # whether work and impulses are summed up
+    tolerance: float
+
+
+class Pack(NamedTuple):
+    """Bodies that take the same steps, and room for one."""
+
+    rows: Floats  # of a block: constants of the bodies and of the forces
+    n: int
+    w: int  # n or more
+    y: Floats  # states at the start of the step
+    new: Floats  # at its end
+    K: Floats  # slopes, a row for each stage
+
+
 @kernel
 def take_slopes(
-    acting: Acting,
-    books: int | None,
-    rows: Floats,
-    n: int,
-    w: int,
-    t: float,
-    y: Floats,
-    slope: Floats,
+    problem: Problem, rows: Floats, n: int, w: int, t: float, y: Floats, slope: Floats
 ) -> None:
     """Slopes of a pack in the states y at a time [s] since the segment began."""
+    acting = problem.acting
     set_time(acting, rows, n, t)
     for c in range(ALONE):
         for b in range(n):
@@ -69,7 +82,7 @@ def take_slopes(
         put4(rows, WORK + CHANGING + 3, b, rate.q)
         put3(rows, WORK + CHANGING + 7, b, rate.p)
         put3(rows, WORK + CHANGING + 10, b, rate.L)
-        if books is not None:
+        if problem.books is not None:
             put(rows, WORK + CHANGING + 13, b, power)
             put3(rows, WORK + CHANGING + 14, b, force)
             put3(rows, WORK + CHANGING + 17, b, turning)
@@ -97,43 +110,33 @@ def add_rows(h: float, weights: Floats, K: Floats, count: int, out: Floats) -> N
 
 @kernel
 def take_stages(
-    acting: Acting,
-    books: int | None,
-    rows: Floats,
-    n: int,
-    w: int,
-    y: Floats,
-    K: Floats,
-    new: Floats,
-    t: float,
-    h: float,
-    i: int,
-    j: int,
+    problem: Problem, pack: Pack, at: Floats, t: float, h: float, i: int, j: int
 ) -> None:
-    """Slopes of the stages i .. j - 1 of a step h from t; `new` is the state of the last one."""
+    """Slopes of the stages i .. j - 1 of a step h from t; `at` is the state of the last one."""
+    rows, n, w, y, _, K = pack
     for stage in range(i, j):
-        assign(new, y)
-        add_rows(h, A[stage], K, stage, new)
-        take_slopes(acting, books, rows, n, w, t + NODES[stage] * h, new, K[stage])
+        assign(at, y)
+        add_rows(h, A[stage], K, stage, at)
+        take_slopes(problem, rows, n, w, t + NODES[stage] * h, at, K[stage])
 
 
 @inline
-def larger(w: int, y: Floats, new: Floats, lo: int, hi: int, b: int) -> float:
-    """Larger of the lengths of two vectors of body b."""
+def _larger(pack: Pack, lo: int, hi: int, b: int) -> float:
+    """Length of numbers lo to hi of body b, at the start of the step or at its end."""
     old_size, new_size = 0.0, 0.0
     for c in range(lo, hi):
-        old_size += y[c * w + b] ** 2
-        new_size += new[c * w + b] ** 2
+        old_size += pack.y[c * pack.w + b] ** 2
+        new_size += pack.new[c * pack.w + b] ** 2
     return math.sqrt(max(old_size, new_size))
 
 
 @inline
-def moved(w: int, y: Floats, new: Floats, b: int) -> float:
-    """Way of the centre of mass of body b."""
-    way = 0.0
+def _displacement(pack: Pack, b: int) -> float:
+    """Of the centre of mass of body b in a step [m]."""
+    square = 0.0
     for c in range(3):
-        way += (new[c * w + b] - y[c * w + b]) ** 2
-    return math.sqrt(way)
+        square += (pack.new[c * pack.w + b] - pack.y[c * pack.w + b]) ** 2
+    return math.sqrt(square)
 
 
 @inline
@@ -148,21 +151,19 @@ def _largest_moment(rows: Floats, b: int) -> float:
 
 
 @inline
-def _scales_of(
-    rows: Floats, w: int, y: Floats, new: Floats, b: int, h: float, tolerance: float
-) -> tuple[float, float, float, float]:
+def _scales_of(pack: Pack, b: int, h: float, tolerance: float) -> tuple[float, float, float, float]:
     """What errors of x, q, p and L of body b are relative to.
 
-    For x the larger of the way and the radius of gyration, for p and L their lengths. Where a body
+    For x the larger of displacement and radius of gyration, for p and L their lengths. Where a body
     comes to rest all of these are rounding, of positions and so of the forces that hold it: none
     is taken for smaller than what rounding makes of it in a step.
     """
     noise = _ROUNDING / tolerance
-    mass, moment = 1.0 / get(rows, INV_MASS, b), _largest_moment(rows, b)
-    size = math.sqrt(moment / mass)
-    way = max(moved(w, y, new, b), size, noise * larger(w, y, new, 0, 3, b))
-    p = max(larger(w, y, new, 7, 10, b), noise * mass * max(way, larger(w, y, new, 0, 3, b)) / h)
-    return way, 1.0, p, max(larger(w, y, new, 10, 13, b), noise * moment / h)
+    mass, moment = 1.0 / get(pack.rows, INV_MASS, b), _largest_moment(pack.rows, b)
+    size, distance = math.sqrt(moment / mass), _larger(pack, 0, 3, b)
+    x = max(_displacement(pack, b), size, noise * distance)
+    p = max(_larger(pack, 7, 10, b), noise * mass * max(x, distance) / h)
+    return x, 1.0, p, max(_larger(pack, 10, 13, b), noise * moment / h)
 
 
 @kernel
@@ -175,25 +176,16 @@ def differences(K: Floats, five: Floats, three: Floats) -> None:
 
 @kernel
 def errors_of(
-    rows: Floats,
-    n: int,
-    w: int,
-    y: Floats,
-    five: Floats,
-    three: Floats,
-    new: Floats,
-    h: float,
-    tolerance: float,
-    errors: Floats,
+    pack: Pack, five: Floats, three: Floats, h: float, tolerance: float, errors: Floats
 ) -> float:
     """Write the error estimate of each body over the tolerance; the largest of those that live.
 
     A body that is not a number any more has no say in the steps of the others.
     """
-    worst = 0.0
-    for b in range(n):
+    worst, w = 0.0, pack.w
+    for b in range(pack.n):
         sum5, sum3 = 0.0, 0.0
-        scales = _scales_of(rows, w, y, new, b, h, tolerance)
+        scales = _scales_of(pack, b, h, tolerance)
         for (lo, hi), scale in zip(((0, 3), (3, 7), (7, 10), (10, 13)), scales):  # noqa: B905
             for c in range(lo, hi):
                 e5, e3 = five[c * w + b], three[c * w + b]
@@ -203,7 +195,7 @@ def errors_of(
         errors[b] = 0.0
         if sum5 != 0.0:
             errors[b] = abs(h) * sum5 / math.sqrt((sum5 + 0.01 * sum3) * 13.0) / tolerance
-        if not np.isnan(y[b]) and not errors[b] <= worst:
+        if not np.isnan(pack.y[b]) and not errors[b] <= worst:
             worst = errors[b]
     return worst
 
@@ -232,22 +224,20 @@ def factor_of(error: float) -> float:
 
 
 @kernel
-def find_step(
-    acting: Acting, books: int | None, rows: Floats, n: int, w: int, y: Floats, K: Floats,
-    new: Floats, t: float, h: float, tolerance: float,
-) -> tuple[float, float]:  # fmt: skip
-    """Longest step up to h that is accurate, and the one to try after it; `new` is its end.
+def find_step(problem: Problem, pack: Pack, t: float, h: float) -> tuple[float, float]:
+    """Longest step up to h that is accurate, and the one to try after it.
 
     Bodies for which no step is short enough become NaN: their state is not finite, or the forces
     are not smooth. The others go on.
     """
+    rows, n, w, y, new, K = pack
     errors, five, three = np.zeros(n), np.empty(y.size), np.empty(y.size)
-    take_slopes(acting, books, rows, n, w, t, y, K[0])
+    take_slopes(problem, rows, n, w, t, y, K[0])
     longest = h
     while True:
-        take_stages(acting, books, rows, n, w, y, K, new, t, h, 1, 13)
+        take_stages(problem, pack, new, t, h, 1, 13)
         differences(K, five, three)
-        error = errors_of(rows, n, w, y, five, three, new, h, tolerance, errors)
+        error = errors_of(pack, five, three, h, problem.tolerance, errors)
         if error < 1.0:
             normalise(new, n, w)
             return h, h * factor_of(error)
@@ -261,10 +251,9 @@ def find_step(
 
 
 @kernel
-def interpolate(
-    n: int, w: int, y: Floats, new: Floats, K: Floats, h: float, share: float, out: Floats
-) -> None:
+def interpolate(pack: Pack, h: float, share: float, out: Floats) -> None:
     """State at a share of a step by the polynomial of order 7; |q| = 1."""
+    _, n, w, y, new, K = pack
     rest = 1.0 - share
     out[:] = 0.0
     for i in range(4):

@@ -1,4 +1,4 @@
-"""Bodies that each choose their own steps, by DOP853.
+"""Bodies that each choose their own steps, by DOP853, and the loop over such steps.
 
 Sixteen bodies at a time take the same steps, in SIMD lanes, as long as the error estimate of each
 stays below the tolerance. Frames come from the dense output of order 7, so they change nothing in
@@ -7,20 +7,26 @@ the motion.
 
 from collections.abc import Iterator
 from functools import partial
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.jit import inline, kernel, kernel_from
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import acting_of, row_count, rows_of_terms
-from particlerb.forces.kernels import Acting
 from particlerb.forces.registry import STAGE as WORK
 from particlerb.integrators.dop853 import PACK
-from particlerb.integrators.dop853_step import ALONE, find_step, interpolate, take_stages
+from particlerb.integrators.dop853_step import (
+    ALONE,
+    Pack,
+    Problem,
+    find_step,
+    interpolate,
+    take_stages,
+)
 from particlerb.integrators.dop853_table import STAGES
 from particlerb.integrators.method import Method
-from particlerb.maths.quaternion import Rows4, rows4
+from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.model.block import (
     BOOKED,
@@ -45,6 +51,91 @@ from particlerb.stepping.motion import Motion, SegmentGroup, WorkAccount
 from particlerb.stepping.saved_arrays import Saved
 
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
+
+
+class Leg(NamedTuple):
+    """Frames to write, and how far to go after them; times are since the segment began."""
+
+    times: Floats  # (T,) [s] of the frames
+    rows: Ints  # (T,) of the frames
+    until: float  # [s] on to the step around it
+    stop: float  # [s] or exactly to here, if that is finite
+
+
+class _Bodies(NamedTuple):
+    """Bodies that take the same steps, as `advance_steps` takes them."""
+
+    problem: Problem
+    pack: Pack
+    out: Floats  # states at a frame
+    first: int  # body of the group
+
+
+def find(bodies: Any, t: float, h: float) -> tuple[float, float]:
+    """Longest step up to h from t that is accurate, and the one to try after it."""
+    raise NotImplementedError
+
+
+def take_last_stages(bodies: Any, t: float, h: float) -> None:
+    """Slopes that dense output needs beside those of the step."""
+    raise NotImplementedError
+
+
+def show(bodies: Any, h: float, share: float) -> None:
+    """State at a share of the step, for a frame."""
+    raise NotImplementedError
+
+
+def write(bodies: Any, recording: Recording, frame: int) -> None:
+    """Write what is shown into a frame."""
+    raise NotImplementedError
+
+
+def advance_steps(
+    bodies: Any, y: Floats, new: Floats, out: Floats, clock: Floats, leg: Leg, recording: Recording
+) -> None:
+    """All frames, then on to the step around `until`, or to `stop` if it is finite.
+
+    The functions above stand for those of bodies of one kind.
+
+    Parameters
+    ----------
+    bodies
+        What these functions take.
+    y, new, out : ndarray
+        States of the bodies at the start and the end of a step, and for a frame.
+    clock : ndarray, (3,)
+        Time from which the next step starts, step to try [s], and steps taken.
+    leg, recording : Leg, Recording
+    """
+    times, rows, until, stop = leg
+    t, h, taken = clock[0], clock[1], clock[2]
+    h, h_next = find(bodies, t, h)
+    is_dense = False
+    for f in range(times.size):
+        while times[f] > t + h:
+            t, taken = t + h, taken + 1.0
+            assign(y, new)
+            h, h_next = find(bodies, t, h_next)
+            is_dense = False
+        assign(out, y)
+        if times[f] > t or not h > 0.0:
+            if not is_dense:
+                take_last_stages(bodies, t, h)
+                is_dense = True
+            show(bodies, h, (times[f] - t) / h)
+        write(bodies, recording, rows[f])
+    while t + h < until:
+        t, taken = t + h, taken + 1.0
+        assign(y, new)
+        h, h_next = find(bodies, t, h_next)
+    while t < stop < np.inf:  # the last step may have to be cut again
+        h, h_next = find(bodies, t, min(stop - t, h))
+        assign(y, new)
+        if not h > 0.0:
+            break
+        t, taken = stop if h >= stop - t else t + h, taken + 1.0
+    clock[0], clock[1], clock[2] = t, h, taken
 
 
 @inline
@@ -72,99 +163,85 @@ def _give_pack(y: Floats, w: int, blocks: Floats, pack: int, n: int) -> None:
 
 @inline
 def store_vectors(
-    frames: Frames, f: int, members: Ints, rotor_frame: Rows4, out: Floats, w: int, sums: Floats,
-    block: int,
-) -> None:  # fmt: skip
+    recording: Recording, f: int, lo: int, n: int, out: Floats, w: int, block: int
+) -> None:
     """Write bodies from vectors as `dop853_step` has them into frame f, and what they book."""
-    n, shown = members.size, out.reshape(out.size // w, w)
+    shown = out.reshape(out.size // w, w)
     com, q = rows3(shown[COM : COM + 3], 0, n), rows4(shown[Q : Q + 4], 0, n)
     p, spin = rows3(shown[P : P + 3], 0, n), rows3(shown[L : L + 3], 0, n)
-    store_frame(frames, f, members, rotor_frame, com, q, p, spin)
+    members, turn = recording.members[lo : lo + n], rows4(recording.rotor_frame, lo, lo + n)
+    store_frame(recording.frames, f, members, turn, com, q, p, spin)
     for c in range(shown.shape[0] - ALONE):
         for b in range(n):
-            sums[f, block, c] += shown[BOOKED + c, b]
+            recording.sums[f, block, c] += shown[BOOKED + c, b]
+
+
+@inline
+def _find(bodies: _Bodies, t: float, h: float) -> tuple[float, float]:
+    """`find` of a pack."""
+    return find_step(bodies.problem, bodies.pack, t, h)
+
+
+@inline
+def _take_last_stages(bodies: _Bodies, t: float, h: float) -> None:
+    """`take_last_stages` of a pack."""
+    take_stages(bodies.problem, bodies.pack, bodies.out, t, h, 13, STAGES)
+
+
+@inline
+def _show(bodies: _Bodies, h: float, share: float) -> None:
+    """`show` of a pack."""
+    interpolate(bodies.pack, h, share, bodies.out)
+
+
+@inline
+def _write(bodies: _Bodies, recording: Recording, frame: int) -> None:
+    """`write` of a pack."""
+    lo, pack = bodies.first, bodies.pack
+    store_vectors(recording, frame, lo, pack.n, bodies.out, pack.w, lo // BLOCK)
+
+
+_advance_pack = kernel_from(
+    advance_steps, "alone",
+    find=_find, take_last_stages=_take_last_stages, show=_show, write=_write,
+)  # fmt: skip
 
 
 @kernel
-def advance(
-    blocks: Floats,
-    acting: Acting,
-    books: Flag,
-    clock: Floats,
-    tolerance: float,
-    times: Floats,
-    index: Ints,
-    until: float,
-    stop: float,
-    rotor_frame: Floats,
-    members: Ints,
-    frames: Frames,
-    sums: Floats,
-    first: int,
+def _advance_blocks(
+    problem: Problem, blocks: Floats, clock: Floats, leg: Leg, recording: Recording, first: int,
     last: int,
-) -> None:
-    """All frames of some blocks, then on to the step around `until`, or to `stop` if it is finite.
-
-    The clock (3, packs): time from which a pack's next step starts, step to try, steps taken.
-    """
-    size = ALONE if books is None else CHANGING
+) -> None:  # fmt: skip
+    """Advance the packs of some blocks; the clock is (packs, 3)."""
+    size, members = ALONE if problem.books is None else CHANGING, recording.members
     rows = np.zeros((WORK + 2 * CHANGING) * STRIDE)
     w = min(members.size, PACK)  # a body that is alone pays for itself only
     y, new, out = np.zeros(size * w), np.zeros(size * w), np.zeros(size * w)
     K = np.zeros((STAGES, size * w))
     packs = -(-members.size // PACK)
-    for pack in range(first * BLOCK // PACK, min(last * BLOCK // PACK, packs)):
-        lo = pack * PACK
+    for k in range(first * BLOCK // PACK, min(last * BLOCK // PACK, packs)):
+        lo = k * PACK
         n = min(members.size - lo, PACK)
-        _take_pack(blocks, pack, n, w, rows, y)
-        t, h, taken = clock[0, pack], clock[1, pack], clock[2, pack]
-        h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h, tolerance)
-        is_dense = False
-        for f in range(times.size):
-            while times[f] > t + h:
-                t, taken = t + h, taken + 1.0
-                assign(y, new)
-                h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h_next, tolerance)
-                is_dense = False
-            assign(out, y)
-            if times[f] > t or not h > 0.0:
-                if not is_dense:
-                    take_stages(acting, books, rows, n, w, y, K, out, t, h, 13, STAGES)
-                    is_dense = True
-                interpolate(n, w, y, new, K, h, (times[f] - t) / h, out)
-            own = members[lo : lo + n], rows4(rotor_frame, lo, lo + n)
-            store_vectors(frames, index[f], *own, out, w, sums, lo // BLOCK)
-        while t + h < until:
-            t, taken = t + h, taken + 1.0
-            assign(y, new)
-            h, h_next = find_step(acting, books, rows, n, w, y, K, new, t, h_next, tolerance)
-        while t < stop < np.inf:  # the last step may have to be cut again
-            h, h_next = find_step(
-                acting, books, rows, n, w, y, K, new, t, min(stop - t, h), tolerance
-            )
-            assign(y, new)
-            if not h > 0.0:
-                break
-            t, taken = stop if h >= stop - t else t + h, taken + 1.0
-        clock[0, pack], clock[1, pack], clock[2, pack] = t, h, taken
-        _give_pack(y, w, blocks, pack, n)
+        _take_pack(blocks, k, n, w, rows, y)
+        bodies = _Bodies(problem, Pack(rows, n, w, y, new, K), out, lo)
+        _advance_pack(bodies, y, new, out, clock[k], leg, recording)
+        _give_pack(y, w, blocks, k, n)
 
 
 class AdaptiveRun(Motion):
     """What groups of bodies with steps of their own choice share; see `motion.Motion`."""
 
     blocks: Floats
-    clock: Floats  # (3, ...) time [s] from which a step starts, step [s] to try, steps taken
+    clock: Floats  # (..., 3) time [s] from which a step starts, step [s] to try, steps taken
     cost: float  # [ns] of a step of all, roughly
 
     def __init__(self, group: SegmentGroup, state: State, start: float, tolerance: float) -> None:
-        self.group, self.start, self.tolerance = group, start, tolerance
+        self.group, self.start = group, start
         self.account = WorkAccount(group, state)
+        self.problem = Problem(acting_of(group.terms), self.account.books, tolerance)
 
-    def advance_some(
-        self, times: Floats, rows: Ints, until: float, stop: float, recording: Recording
-    ) -> None:
-        """All frames, then on to the step around `until`, or to `stop` if it is finite."""
+    def advance_some(self, leg: Leg, recording: Recording) -> None:
+        """Advance all bodies."""
         raise NotImplementedError
 
     def write_back(self) -> None:
@@ -194,7 +271,7 @@ class AdaptiveRun(Motion):
         recording = Recording(*where, frames, sums, nobody, np.zeros((0, 0, 3)))
         for lo, hi, until in self.calls(times, stop):
             cut = stop if until == stop else np.inf
-            self.advance_some(times[lo:hi], rows[lo:hi], until, cut, recording)
+            self.advance_some(Leg(times[lo:hi], rows[lo:hi], until, cut), recording)
         return np.asarray(sums.sum(axis=1))
 
     def calls(self, times: Floats, stop: float) -> Iterator[tuple[int, int, float]]:
@@ -216,7 +293,7 @@ class AdaptiveRun(Motion):
 
     def horizon(self, steps: float) -> float:
         """Time that every body will have reached after so many more steps, about."""
-        ahead = self.clock[0] + steps * self.clock[1]
+        ahead = self.clock[:, 0] + steps * self.clock[:, 1]
         return float(np.min(ahead, initial=np.inf, where=np.isfinite(ahead)))
 
 
@@ -238,26 +315,21 @@ class AdaptiveMotion(AdaptiveRun):
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
         assert row_count(terms) <= WORK
         self.blocks = in_blocks(n, row_count(terms), parts)
-        self.clock = np.zeros((3, -(-n // PACK)))
-        self.clock[1] = first_step
+        self.clock = np.zeros((-(-n // PACK), 3))
+        self.clock[:, 1] = first_step
 
     def checkpoint(self) -> Saved:
         """States at the start of each pack's step, when that is, and how long the step is."""
         n = self.group.members.size
         changing = out_of_blocks(self.blocks, 0, CHANGING, n)
-        return {"changing": changing, "clock": self.clock[:2].copy()}
+        return {"changing": changing, "clock": self.clock[:, :2].T.copy()}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         into_blocks(self.blocks, 0, saved["changing"])
-        self.clock[:2] = saved["clock"]
+        self.clock[:, :2] = saved["clock"].T
 
-    def advance_some(
-        self, times: Floats, rows: Ints, until: float, stop: float, recording: Recording
-    ) -> None:
-        """Packs of bodies over threads; see `AdaptiveRun`."""
-        through = partial(
-            advance, self.blocks, acting_of(self.group.terms), self.account.books, self.clock,
-            self.tolerance, times, rows, until, stop, *recording[:4],
-        )  # fmt: skip
-        THREADS.spread(through, self.group.members.size, int((times.size + 1) * self.cost))
+    def advance_some(self, leg: Leg, recording: Recording) -> None:
+        """Packs of bodies over threads."""
+        through = partial(_advance_blocks, self.problem, self.blocks, self.clock, leg, recording)
+        THREADS.spread(through, self.group.members.size, int((leg.times.size + 1) * self.cost))

@@ -1,4 +1,4 @@
-"""DOP853 for bodies that act on each other: one step for all of them.
+"""DOP853 for bodies that act on each other: one step for all of them, by the loop of `adaptive`.
 
 The step is as long as the error estimate of the worst body allows. The vectors of block k are one
 row of arrays (blocks, size * w), in the order of `dop853_step`. Where forces between the bodies
@@ -11,14 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import Flag, in_python, kernel, kernel_from
+from particlerb.compiled.jit import in_python, inline, kernel, kernel_from
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.forces import acting_of, row_count, rows_of_terms
-from particlerb.forces.kernels import Acting
-from particlerb.forces.registry import PAIR, STAGE
+from particlerb.forces import row_count, rows_of_terms
+from particlerb.forces.registry import STAGE
 from particlerb.integrators.dop853_step import (
     ALONE,
     LEAST_STEP,
+    Pack,
+    Problem,
     add_rows,
     differences,
     errors_of,
@@ -29,9 +30,9 @@ from particlerb.integrators.dop853_step import (
 )
 from particlerb.integrators.dop853_table import NODES, STAGES, A
 from particlerb.integrators.method import Method
-from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter
+from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter_loads
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Floats
 from particlerb.model.block import (
     CHANGING,
     Q,
@@ -41,8 +42,8 @@ from particlerb.model.block import (
     put,
     state_rows,
 )
-from particlerb.model.state import Frames, State
-from particlerb.stepping.adaptive import AdaptiveRun, store_vectors
+from particlerb.model.state import State
+from particlerb.stepping.adaptive import AdaptiveRun, Leg, advance_steps, store_vectors
 from particlerb.stepping.loop import Recording
 from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.pair_forces import PairForces
@@ -62,6 +63,24 @@ class _CommonVectors(NamedTuple):
     width: int  # w
 
 
+class _Bodies(NamedTuple):
+    """All bodies of a group, as `advance_steps` takes them."""
+
+    problem: Problem
+    blocks: Floats
+    layout: Layout
+    pairs: PairTerms
+    vectors: _CommonVectors
+
+
+@inline
+def _pack_of(bodies: _Bodies, k: int, K: Floats) -> Pack:
+    """Bodies of block k as a pack."""
+    common = bodies.vectors
+    n = bodies.layout.size[k]
+    return Pack(bodies.blocks[k], n, common.width, common.y[k], common.new[k], K)
+
+
 @kernel
 def _spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
     """Vectors into states (13, n), with |q| = 1."""
@@ -76,40 +95,21 @@ def _spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
 
 
 @kernel
-def _slopes_of_blocks(
-    acting: Acting,
-    books: Flag,
-    blocks: Floats,
-    layout: Layout,
-    w: int,
-    t: float,
-    y: Floats,
-    slope: Floats,
-) -> None:
+def _slopes_of_blocks(bodies: _Bodies, t: float, y: Floats, slope: Floats) -> None:
     """Slopes of all blocks in the states y, with the loads in their rows."""
-    own = slope.reshape(y.shape)
+    own, layout, w = slope.reshape(y.shape), bodies.layout, bodies.vectors.width
     for k in range(layout.first.size):
-        take_slopes(acting, books, blocks[k], layout.size[k], w, t, y[k], own[k])
+        take_slopes(bodies.problem, bodies.blocks[k], layout.size[k], w, t, y[k], own[k])
 
 
-def _common_slopes(
-    acting: Acting,
-    books: Flag,
-    blocks: Floats,
-    layout: Layout,
-    pairs: PairTerms,
-    w: int,
-    t: float,
-    y: Floats,
-    slope: Floats,
-) -> None:
+def _common_slopes(bodies: _Bodies, t: float, y: Floats, slope: Floats) -> None:
     """Slopes of all bodies in the states y at a time [s] since the segment began."""
-    links, own, attraction, work, with_dashpots, clock, states, load, _ = pairs
-    _spread_out(y, layout, w, states)
+    links, own, attraction, work, with_dashpots, clock, states, load, _ = bodies.pairs
+    _spread_out(y, bodies.layout, bodies.vectors.width, states)
     clock[0] = clock[2] + t
     pair_loads(links, own, attraction, work, with_dashpots, clock, states, load)
-    scatter(load, blocks, layout, PAIR, 0)
-    _slopes_of_blocks(acting, books, blocks, layout, w, t, y, slope)
+    scatter_loads(load, bodies.blocks, bodies.layout)
+    _slopes_of_blocks(bodies, t, y, slope)
 
 
 @kernel
@@ -119,29 +119,23 @@ def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None
     add_rows(h, A[stage], K, stage, new.reshape(new.size))
 
 
-def _common_stages(
-    acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
-    room: _CommonVectors,
-    new: Floats, t: float, h: float, i: int, j: int,
-) -> None:  # fmt: skip
-    """Slopes of the stages i .. j - 1 of a step h from t; `new` is the state of the last one."""
+def _common_stages(bodies: _Bodies, at: Floats, t: float, h: float, i: int, j: int) -> None:
+    """Slopes of the stages i .. j - 1 of a step h from t; `at` is the state of the last one."""
+    K, y = bodies.vectors.K, bodies.vectors.y
     for stage in range(i, j):
-        _add_stages(h, stage, room.K, room.y, new)
-        now = t + NODES[stage] * h
-        _common_slopes(acting, books, blocks, layout, pairs, room.width, now, new, room.K[stage])
+        _add_stages(h, stage, K, y, at)
+        _common_slopes(bodies, t + NODES[stage] * h, at, K[stage])
 
 
 @kernel
-def _common_error(
-    blocks: Floats, layout: Layout, room: _CommonVectors, h: float, tolerance: float
-) -> float:
+def _common_error(bodies: _Bodies, h: float) -> float:
     """Largest error of a step over the tolerance, of the bodies that are numbers."""
-    y, new, _, five, three, K, errors, w = room
+    _, _, _, five, three, K, errors, _ = bodies.vectors
     differences(K, five.reshape(five.size), three.reshape(three.size))
     worst = 0.0
-    for k in range(layout.first.size):
-        n = layout.size[k]
-        error = errors_of(blocks[k], n, w, y[k], five[k], three[k], new[k], h, tolerance, errors[k])
+    for k in range(bodies.layout.first.size):
+        pack = _pack_of(bodies, k, K)
+        error = errors_of(pack, five[k], three[k], h, bodies.problem.tolerance, errors[k])
         if not error <= worst:
             worst = error
     return worst
@@ -155,113 +149,67 @@ def _normalise_blocks(values: Floats, layout: Layout, w: int) -> None:
 
 
 @kernel
-def _give_up(layout: Layout, room: _CommonVectors) -> None:
+def _give_up(layout: Layout, vectors: _CommonVectors) -> None:
     """Make bodies NaN whose error no step is short enough for."""
+    y, w = vectors.y, vectors.width
     for k in range(layout.first.size):
         for b in range(layout.size[k]):
-            for c in range(room.y.shape[1] // room.width):
-                if not room.errors[k, b] < 1.0:
-                    room.y[k, c * room.width + b] = np.nan
+            for c in range(y.shape[1] // w):
+                if not vectors.errors[k, b] < 1.0:
+                    y[k, c * w + b] = np.nan
 
 
-def _find_common_step(
-    acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
-    room: _CommonVectors,
-    t: float, h: float, tolerance: float,
-) -> tuple[float, float]:  # fmt: skip
+def _find_common_step(bodies: _Bodies, t: float, h: float) -> tuple[float, float]:
     """Longest step up to h that is accurate, and the one to try after it; see `find_step`."""
-    _common_slopes(acting, books, blocks, layout, pairs, room.width, t, room.y, room.K[0])
+    layout, common = bodies.layout, bodies.vectors
+    _common_slopes(bodies, t, common.y, common.K[0])
     longest = h
     while True:
-        _common_stages(acting, books, blocks, layout, pairs, room, room.new, t, h, 1, 13)
-        error = _common_error(blocks, layout, room, h, tolerance)
+        _common_stages(bodies, common.new, t, h, 1, 13)
+        error = _common_error(bodies, h)
         if error < 1.0:
-            _normalise_blocks(room.new, layout, room.width)
+            _normalise_blocks(common.new, layout, common.width)
             return h, h * factor_of(error)
         h *= factor_of(error)
         if not h > LEAST_STEP * t:
             h = longest
-            _give_up(layout, room)
+            _give_up(layout, common)
+
+
+def _take_last_stages(bodies: _Bodies, t: float, h: float) -> None:
+    """`take_last_stages` of all bodies."""
+    _common_stages(bodies, bodies.vectors.out, t, h, 13, STAGES)
 
 
 @kernel
-def _interpolate_blocks(layout: Layout, room: _CommonVectors, h: float, share: float) -> None:
+def _interpolate_blocks(bodies: _Bodies, h: float, share: float) -> None:
     """State at a share of a step, into `out`."""
-    y, new, out, _, _, K, _, w = room
+    y, K = bodies.vectors.y, bodies.vectors.K
     own = K.reshape((K.shape[0], y.shape[0], y.shape[1]))
-    for k in range(layout.first.size):
-        slopes = np.ascontiguousarray(own[:, k])
-        interpolate(layout.size[k], w, y[k], new[k], slopes, h, share, out[k])
+    for k in range(bodies.layout.first.size):
+        pack = _pack_of(bodies, k, np.ascontiguousarray(own[:, k]))
+        interpolate(pack, h, share, bodies.vectors.out[k])
 
 
 @kernel
-def _store_blocks(
-    layout: Layout, room: _CommonVectors, rotor_frame: Floats, members: Ints, frames: Frames,
-    sums: Floats, f: int,
-) -> None:  # fmt: skip
-    """Write `out` into frame f."""
-    w = room.width
+def _store_blocks(bodies: _Bodies, recording: Recording, frame: int) -> None:
+    """Write `out` into a frame."""
+    layout, common = bodies.layout, bodies.vectors
     for k in range(layout.first.size):
         lo, n = layout.first[k], layout.size[k]
-        own = members[lo : lo + n], rows4(rotor_frame, lo, lo + n)
-        store_vectors(frames, f, *own, room.out[k], w, sums, k)
+        store_vectors(recording, frame, lo, n, common.out[k], common.width, k)
 
 
-def advance_together(
-    acting: Acting, books: Flag, blocks: Floats, layout: Layout, pairs: PairTerms,
-    room: _CommonVectors,
-    clock: Floats, tolerance: float, times: Floats, index: Ints, until: float, stop: float,
-    rotor_frame: Floats, members: Ints, frames: Frames, sums: Floats,
-) -> None:  # fmt: skip
-    """All frames, then on to the step around `until`, or to `stop` if it is finite.
-
-    The clock has the time from which the next step starts, the step to try, and the steps taken.
-    """
-    y, new, out = room.y, room.new, room.out
-    t, h, taken = clock[0], clock[1], clock[2]
-    h, h_next = _find_common_step(acting, books, blocks, layout, pairs, room, t, h, tolerance)
-    is_dense = False
-    for f in range(times.size):
-        while times[f] > t + h:
-            t, taken = t + h, taken + 1.0
-            assign(y, new)
-            h, h_next = _find_common_step(
-                acting, books, blocks, layout, pairs, room, t, h_next, tolerance
-            )
-            is_dense = False
-        assign(out, y)
-        if times[f] > t or not h > 0.0:
-            if not is_dense:
-                _common_stages(acting, books, blocks, layout, pairs, room, out, t, h, 13, STAGES)
-                is_dense = True
-            _interpolate_blocks(layout, room, h, (times[f] - t) / h)
-        _store_blocks(layout, room, rotor_frame, members, frames, sums, index[f])
-    while t + h < until:
-        t, taken = t + h, taken + 1.0
-        assign(y, new)
-        h, h_next = _find_common_step(
-            acting, books, blocks, layout, pairs, room, t, h_next, tolerance
-        )
-    while t < stop < np.inf:  # the last step may have to be cut again
-        h, h_next = _find_common_step(
-            acting, books, blocks, layout, pairs, room, t, min(stop - t, h), tolerance
-        )
-        assign(y, new)
-        if not h > 0.0:
-            break
-        t, taken = stop if h >= stop - t else t + h, taken + 1.0
-    clock[0], clock[1], clock[2] = t, h, taken
-
-
-def family(make: Callable[..., Callable[..., Any]], **names: Any) -> Callable[..., None]:
-    """`advance_together` and what it calls, made anew with other globals."""
-    for function in (_common_slopes, _common_stages, _find_common_step, advance_together):
+def _family(make: Callable[..., Callable[..., Any]], **names: Any) -> Callable[..., None]:
+    """`advance_steps` of all bodies and what it calls, made anew with other globals."""
+    for function in (_common_slopes, _common_stages, _find_common_step, _take_last_stages):
         names[function.__name__] = make(function, **names)
-    advance: Callable[..., None] = names["advance_together"]
-    return advance
+    find, last_stages = names["_find_common_step"], names["_take_last_stages"]
+    own = {"show": _interpolate_blocks, "write": _store_blocks}
+    return make(advance_steps, find=find, take_last_stages=last_stages, **own)
 
 
-compiled = family(partial(kernel_from, name="here"))
+_compiled = _family(partial(kernel_from, name="here"))
 
 
 class CoupledAdaptiveMotion(AdaptiveRun):
@@ -284,12 +232,12 @@ class CoupledAdaptiveMotion(AdaptiveRun):
         self.blocks = in_blocks(n, STAGE + 2 * CHANGING, parts)
         first = np.arange(0, n, BLOCK)
         self.layout = Layout(first, np.minimum(BLOCK, n - first), 0)
-        self.room = self.make_room(ALONE if self.account.books is None else CHANGING)
-        self.clock = np.array([0.0, first_step, 0.0])
+        self.vectors = self.make_vectors(ALONE if self.account.books is None else CHANGING)
+        self.clock = np.array([[0.0, first_step, 0.0]])
         self.cost = method.cost * n + method.evaluations * self.forces.cost
-        _take_blocks(self.blocks, self.layout, self.room)
+        _take_blocks(self.blocks, self.layout, self.vectors)
 
-    def make_room(self, size: int) -> _CommonVectors:
+    def make_vectors(self, size: int) -> _CommonVectors:
         """Vectors of `size` numbers for each body."""
         width = int(self.layout.size[0])
         shape = (len(self.blocks), size * width)
@@ -301,47 +249,43 @@ class CoupledAdaptiveMotion(AdaptiveRun):
 
     def write_back(self) -> None:
         """Bring the vectors back to the blocks."""
-        _give_blocks(self.blocks, self.layout, self.room)
+        _give_blocks(self.blocks, self.layout, self.vectors)
 
     def checkpoint(self) -> Saved:
         """States at the start of the step, when that is, and how long the step is."""
-        return {"y": self.room.y.copy(), "clock": self.clock[:2].copy()}
+        return {"y": self.vectors.y.copy(), "clock": self.clock[0, :2].copy()}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
-        self.room.y[:] = saved["y"]
-        self.clock[:2] = saved["clock"]
+        self.vectors.y[:] = saved["y"]
+        self.clock[0, :2] = saved["clock"]
 
-    def advance_some(
-        self, times: Floats, rows: Ints, until: float, stop: float, recording: Recording
-    ) -> None:
-        """All bodies together; see `AdaptiveRun`."""
-        arguments = (
-            acting_of(self.group.terms), self.account.books, self.blocks, self.layout,
-            self.forces.pairs, self.room, self.clock, self.tolerance, times, rows, until, stop,
-            *recording[:4],
-        )  # fmt: skip
+    def advance_some(self, leg: Leg, recording: Recording) -> None:
+        """All bodies together."""
+        common = self.vectors
+        bodies = _Bodies(self.problem, self.blocks, self.layout, self.forces.pairs, common)
+        arguments = bodies, common.y, common.new, common.out, self.clock[0], leg, recording
         if self.forces.is_large:
-            family(in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)
+            _family(in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)
         else:
-            THREADS.alone(compiled, *arguments)
+            THREADS.alone(_compiled, *arguments)
 
 
 @kernel
-def _take_blocks(blocks: Floats, layout: Layout, room: _CommonVectors) -> None:
+def _take_blocks(blocks: Floats, layout: Layout, vectors: _CommonVectors) -> None:
     """Bring the states of all blocks into vectors."""
-    w = room.width
+    w = vectors.width
     for k in range(layout.first.size):
-        for c in range(room.y.shape[1] // w):
+        for c in range(vectors.y.shape[1] // w):
             for b in range(layout.size[k]):
-                room.y[k, c * w + b] = get(blocks[k], c, b)
+                vectors.y[k, c * w + b] = get(blocks[k], c, b)
 
 
 @kernel
-def _give_blocks(blocks: Floats, layout: Layout, room: _CommonVectors) -> None:
+def _give_blocks(blocks: Floats, layout: Layout, vectors: _CommonVectors) -> None:
     """Write the vectors back."""
-    w = room.width
+    w = vectors.width
     for k in range(layout.first.size):
-        for c in range(room.y.shape[1] // w):
+        for c in range(vectors.y.shape[1] // w):
             for b in range(layout.size[k]):
-                put(blocks[k], c, b, room.y[k, c * w + b])
+                put(blocks[k], c, b, vectors.y[k, c * w + b])
