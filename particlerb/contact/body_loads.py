@@ -48,37 +48,41 @@ def _add_contact(
     load: _BodyLoad,
 ) -> _BodyLoad:
     """Add contact c to the load of a body at x; of the opposite sign where it is the second."""
-    F, tau, rest, turning, world, about, power, correction, correction_torque, gross = load
     elastic, other, point = row3(forces.elastic, c), row3(forces.other, c), row3(forces.point, c)
     arm, resistance = subtract(point, x), _rolling_torque_of(rolling, forces, c)
-    F, rest = add_scaled(sign, elastic, F), add_scaled(sign, other, rest)
     torque, time = cross(arm, elastic), sign * forces.correction_time[c]
-    tau = add_scaled(sign, torque, tau)
-    correction = add_scaled(time, elastic, correction)
-    correction_torque = add_scaled(time, torque, correction_torque)
-    turning = add_scaled(sign, add_scaled(1.0, cross(arm, other), resistance), turning)
+    other_torque = add_scaled(1.0, cross(arm, other), resistance)
+    outside_force, outside_torque = load.outside_force, load.outside_torque
+    boundary_power, gross_power = load.boundary_power, load.gross_power
     if is_outside:
         both = add_scaled(1.0, elastic, other)
-        world = add_scaled(sign, both, world)
-        about = add_scaled(sign, add_scaled(1.0, resistance, cross(point, both)), about)
-        power += forces.boundary_power[c]
+        outside_force = add_scaled(sign, both, outside_force)
+        about_origin = add_scaled(1.0, resistance, cross(point, both))
+        outside_torque = add_scaled(sign, about_origin, outside_torque)
+        boundary_power += forces.boundary_power[c]
     if sign > 0.0:
-        gross += forces.gross_power[c]
+        gross_power += forces.gross_power[c]
     return _BodyLoad(
-        F, tau, rest, turning, world, about, power, correction, correction_torque, gross
+        force=add_scaled(sign, elastic, load.force),
+        torque=add_scaled(sign, torque, load.torque),
+        other_force=add_scaled(sign, other, load.other_force),
+        other_torque=add_scaled(sign, other_torque, load.other_torque),
+        outside_force=outside_force,
+        outside_torque=outside_torque,
+        boundary_power=boundary_power,
+        correction=add_scaled(time, elastic, load.correction),
+        correction_torque=add_scaled(time, torque, load.correction_torque),
+        gross_power=gross_power,
     )
 
 
 @lean
 def _add_correction(forces: Records, c: int, arm: Vec3, load: _BodyLoad) -> _BodyLoad:
     """Add the correction impulse of a wall contact; `arm` to the centre of the sphere [m]."""
-    F, tau, rest, turning, world, about, power, correction, correction_torque, gross = load
     impulse = row3(forces.correction_impulse, c)
-    correction = add_scaled(1.0, impulse, correction)
-    correction_torque = add_scaled(1.0, cross(arm, impulse), correction_torque)
-    return _BodyLoad(
-        F, tau, rest, turning, world, about, power, correction, correction_torque, gross
-    )
+    correction = add_scaled(1.0, impulse, load.correction)
+    torque = add_scaled(1.0, cross(arm, impulse), load.correction_torque)
+    return _BodyLoad(*load[:7], correction, torque, load.gross_power)
 
 
 @lean
@@ -137,20 +141,20 @@ def collect_loads(
         load = _BodyLoad(zero, zero, zero, zero, zero, zero, 0.0, zero, zero, 0.0)
         if bodies.inv_mass[b] > 0.0:  # not held
             touches, load = _load_of(model, workspace, lists, b, x, load)
-        F, tau, rest, turning, world, about, power, correction, correction_torque, gross = load
+        power = load.boundary_power
         if touches:
-            spun = _angular_acceleration(model, bodies, b, turning)
-            correction = add_scaled(later, get3(rows, steady, k), correction)
-            lost = bodies.inv_mass[b] * dot(rest, correction) + dot(spun, correction_torque)
-            power -= 0.25 * lost
+            spun = _angular_acceleration(model, bodies, b, load.other_torque)
+            correction = add_scaled(later, get3(rows, steady, k), load.correction)
+            lost = bodies.inv_mass[b] * dot(load.other_force, correction)
+            power -= 0.25 * (lost + dot(spun, load.correction_torque))
         if span > 0.0:
-            workspace.gross_work[b] += span * gross
-        _add_to(rows, at + FORCE, k, F)
-        _add_to(rows, at + TORQUE, k, tau)
-        _add_to(rows, at + OTHER, k, rest)
-        _add_to(rows, at + OTHER + 3, k, turning)
-        _add_to(rows, at + OUTSIDE, k, world)
-        _add_to(rows, at + OUTSIDE + 3, k, about)
+            workspace.gross_work[b] += span * load.gross_power
+        _add_to(rows, at + FORCE, k, load.force)
+        _add_to(rows, at + TORQUE, k, load.torque)
+        _add_to(rows, at + OTHER, k, load.other_force)
+        _add_to(rows, at + OTHER + 3, k, load.other_torque)
+        _add_to(rows, at + OUTSIDE, k, load.outside_force)
+        _add_to(rows, at + OUTSIDE + 3, k, load.outside_torque)
         put(rows, at + POWER, k, get(rows, at + POWER, k) + power)
 
 
