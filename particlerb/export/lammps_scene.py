@@ -178,6 +178,8 @@ def _input(
     skin = _SKIN * float(atoms.diameter.max()) / 2.0
     reach = 2.0 * float(system.reach.max()) + skin
     groups = {"rigid": atoms.is_rigid, "single": atoms.is_single, "held": atoms.is_held}
+    excluded = ["molecule/intra all"] if len(atoms.body) > 1 else []
+    excluded += ["group held held"] if atoms.is_held.any() else []
     lines = [
         f"# {system.title or stem}: {COMMENT}",
         *(f"# left out: {line}" for line in left_out(system)),
@@ -189,8 +191,7 @@ def _input(
         *_pairs(contact, atoms, skin),
         f"neighbor {numbers(skin)} bin",
         "neigh_modify delay 0 every 1 check yes",
-        *("neigh_modify exclude molecule/intra all" for _ in [0] if len(atoms.body) > 1),
-        *("neigh_modify exclude group held held" for _ in [0] if atoms.is_held.any()),
+        *(f"neigh_modify exclude {pairs}" for pairs in excluded),
         *_walls(system, contact),
         *_integration(system, atoms, stem),
         f"timestep {numbers(step)}",
