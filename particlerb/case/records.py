@@ -1,7 +1,7 @@
 """Tables of a case that Python code makes: checked alone, with the words of a case file."""
 
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -10,23 +10,21 @@ from particlerb.case.problems import CaseError
 from particlerb.case.source import Locator, Source
 from particlerb.case.values import Table, plain
 
-Record = TypeVar("Record", bound=Table)
 
-
-def record_of(table: type[Record], keys: Mapping[str, Any]) -> Record:
-    """A table from its keys; `type` is known where the class says it.
+def fill(record: Table, keys: Mapping[str, Any]) -> None:
+    """Give a new table its keys; `type` is known where the class says it.
 
     Raises
     ------
     CaseError
         With all that is wrong with the table alone. What involves others shows when it is run.
     """
-    raw = plain(keys, keeps_tables=True)
+    table, raw = type(record), plain(keys, keeps_tables=True)
     kind = table.model_fields.get("type")
     if kind is not None and kind.init is False:
         raw.setdefault("type", names_of(table)[0])
     try:
-        return table.model_validate(raw)
+        table.__pydantic_validator__.validate_python(raw, self_instance=record)
     except ValidationError as error:
         found = without_typos(messages_of(raw, error.errors(include_url=False), table))
         locator = Locator(Source(raw=raw))

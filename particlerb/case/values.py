@@ -10,7 +10,7 @@ from functools import cache
 from inspect import getsource
 from itertools import chain, pairwise
 from textwrap import dedent
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, cast, get_args
+from typing import Annotated, Any, Final, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,23 +36,7 @@ _PLAIN: Final = frozenset((float, int, str, bool))  # what is as a case has it
 _SHORTEST = 1e-300  # [s] between two knots: its inverse is finite
 
 
-if TYPE_CHECKING:
-    _Made = BaseModel  # whose classes know their keys
-else:
-
-    class _Making(type(BaseModel)):
-        """Classes of tables that Python code makes: from arrays too, with the words of a case."""
-
-        def __call__(cls, **keys):
-            from particlerb.case.records import record_of
-
-            return record_of(cls, keys)
-
-    class _Made(BaseModel, metaclass=_Making):
-        """What such a class makes."""
-
-
-class Table(_Made):
+class Table(BaseModel):
     """A table of the case: frozen, unknown keys are errors, every number is finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -62,6 +46,14 @@ class Table(_Made):
         if not name.startswith("_"):
             raise AttributeError(f"{type(self).__name__}.{name} cannot be set: make another record")
         super().__setattr__(name, value)
+
+    def __init__(self, **keys: Any) -> None:
+        """Make one in Python: from arrays too, with the words of a case."""
+        from particlerb.case.records import fill
+
+        fill(self, keys)
+
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # readers do not call it
 
     @classmethod
     def __get_pydantic_json_schema__(
