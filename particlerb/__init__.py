@@ -8,65 +8,51 @@ put together in Python, from the tables of `particlerb.tables`; `Simulation` mov
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from particlerb.case.problems import CaseError
-    from particlerb.case.scene import Scene
-    from particlerb.case.schema import Case
-    from particlerb.record.provenance import show_versions
-    from particlerb.record.trajectory import Trajectory, TrajectoryError
-    from particlerb.record.trajectory import open_trajectory as open
-    from particlerb.simulation.entry import resume, run
-    from particlerb.simulation.resume import ResumeError
-    from particlerb.simulation.simulation import Simulation
-    from particlerb.simulation.whole_run import RunError
-    from particlerb.studies.charts.trajectory import plot
-    from particlerb.sweeping.driver import sweep
-    from particlerb.user_force import force
+if TYPE_CHECKING:  # (`X as X` tells type checkers that X is public)
+    from particlerb.case.problems import CaseError as CaseError
+    from particlerb.case.scene import Scene as Scene
+    from particlerb.case.schema import Case as Case
+    from particlerb.record.provenance import show_versions as show_versions
+    from particlerb.record.trajectory import Trajectory as Trajectory
+    from particlerb.record.trajectory import TrajectoryError as TrajectoryError
+    from particlerb.record.trajectory import open_trajectory
+    from particlerb.simulation.entry import resume as resume
+    from particlerb.simulation.entry import run as run
+    from particlerb.simulation.joint_loads import joint_loads as joint_loads
+    from particlerb.simulation.resume import ResumeError as ResumeError
+    from particlerb.simulation.simulation import Simulation as Simulation
+    from particlerb.simulation.whole_run import RunError as RunError
+    from particlerb.studies.charts.trajectory import plot as plot
+    from particlerb.sweeping.driver import sweep as sweep
+    from particlerb.user_force import force as force
+
+    open = open_trajectory
 
 __version__ = "0.1.0"
-__all__ = [
-    "Case",
-    "CaseError",
-    "ResumeError",
-    "RunError",
-    "Scene",
-    "Simulation",
-    "Trajectory",
-    "TrajectoryError",
-    "__version__",
-    "force",
-    "joint_loads",
-    "open",
-    "plot",
-    "resume",
-    "run",
-    "show_versions",
-    "sweep",
-]
-
-HOMES = {
-    "Case": ("particlerb.case.schema", "Case"),
-    "CaseError": ("particlerb.case.problems", "CaseError"),
-    "ResumeError": ("particlerb.simulation.resume", "ResumeError"),
-    "RunError": ("particlerb.simulation.run", "RunError"),
-    "Scene": ("particlerb.case.scene", "Scene"),
-    "Simulation": ("particlerb.simulation.simulation", "Simulation"),
-    "Trajectory": ("particlerb.record.trajectory", "Trajectory"),
-    "TrajectoryError": ("particlerb.record.trajectory", "TrajectoryError"),
-    "force": ("particlerb.user_force", "force"),
-    "joint_loads": ("particlerb.simulation.joint_loads", "joint_loads"),
-    "open": ("particlerb.record.trajectory", "open_trajectory"),
-    "plot": ("particlerb.studies.charts.trajectory", "plot"),
-    "resume": ("particlerb.simulation.entry", "resume"),
-    "run": ("particlerb.simulation.entry", "run"),
-    "show_versions": ("particlerb.record.provenance", "show_versions"),
-    "sweep": ("particlerb.sweeping.driver", "sweep"),
+_HOMES = {
+    "Case": "case.schema",
+    "CaseError": "case.problems",
+    "ResumeError": "simulation.resume",
+    "RunError": "simulation.whole_run",
+    "Scene": "case.scene",
+    "Simulation": "simulation.simulation",
+    "Trajectory": "record.trajectory",
+    "TrajectoryError": "record.trajectory",
+    "force": "user_force",
+    "joint_loads": "simulation.joint_loads",
+    "open": "record.trajectory",
+    "plot": "studies.charts.trajectory",
+    "resume": "simulation.entry",
+    "run": "simulation.entry",
+    "show_versions": "record.provenance",
+    "sweep": "sweeping.driver",
 }
+__all__ = sorted(["__version__", *_HOMES])  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
     """Import public names when they are first used: Numba and HDF5 take a second to load."""
-    if name not in HOMES:
+    if name not in _HOMES:
         raise AttributeError(f"module 'particlerb' has no attribute {name!r}")
-    module, attribute = HOMES[name]
-    return getattr(import_module(module), attribute)
+    attribute = "open_trajectory" if name == "open" else name
+    return getattr(import_module(f"particlerb.{_HOMES[name]}"), attribute)
