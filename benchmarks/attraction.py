@@ -27,7 +27,7 @@ from results import record
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
-from particlerb.forces.attraction import Attraction, Work, attraction_loads, spread_loads, work_of
+from particlerb.forces.attraction import Attraction, Fields, attraction_loads, spread_loads, work_of
 from particlerb.forces.gravity_tree.opening_angle import fitting_angle, safe_angle, sampled_error
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.maths.vec3 import Floats
@@ -136,7 +136,7 @@ class Evaluation:
 
 
 @kernel
-def loads_again(attraction: Attraction, work: Work, y: Floats, load: Floats, times: int) -> None:
+def loads_again(attraction: Attraction, work: Fields, y: Floats, load: Floats, times: int) -> None:
     """Loads inside a compiled loop, as a stepping kernel has them."""
     for _ in range(times):
         attraction_loads(attraction, work, y, load)

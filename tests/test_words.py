@@ -101,3 +101,13 @@ def test_idioms_are_found_in_strings_and_not_in_docstrings(tmp_path, monkeypatch
     monkeypatch.setattr("test_words.ROOT", tmp_path)
     (tmp_path / "a.py").write_text(text)
     assert bool(idioms_of(tmp_path / "a.py")) != is_plain
+
+
+def test_a_class_has_a_name_of_its_own():
+    homes: dict[str, list[str]] = {}
+    for path in sorted((ROOT / "particlerb").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                homes.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    twice = {name: places for name, places in homes.items() if len(places) > 1}
+    assert not twice, f"a name means one thing: {twice}"

@@ -30,7 +30,7 @@ from particlerb.events.records import (
     ZERO,
     EventScene,
     EventState,
-    Workspace,
+    EventWork,
 )
 from particlerb.impulses.records import RENEWED
 
@@ -39,7 +39,7 @@ _INSTANT: Final = 1e-5  # share of the period
 
 
 @lean
-def _hit(scene: EventScene, state: EventState, work: Workspace, b: int, c: int, t: float) -> int:
+def _hit(scene: EventScene, state: EventState, work: EventWork, b: int, c: int, t: float) -> int:
     """Let the impact of body b with c happen; how that ends."""
     instant = _INSTANT * scene.period if scene.period < np.inf else 0.0
     if t - state.sums[INSTANT] > instant:
@@ -70,7 +70,7 @@ def _count_anew(scene: EventScene, state: EventState) -> None:
 
 @lean_kernel
 def advance(
-    scene: EventScene, state: EventState, work: Workspace, until: float, most: int
+    scene: EventScene, state: EventState, work: EventWork, until: float, most: int
 ) -> tuple[int, int]:
     """Take all events until a time [s], but no more than so many; how that ends, and whose."""
     for _ in range(most):

@@ -26,8 +26,8 @@ from particlerb.events.records import (
     WALL,
     EventScene,
     EventState,
+    EventWork,
     V,
-    Workspace,
 )
 from particlerb.events.search import normal_to
 from particlerb.impulses.impacts import impact
@@ -96,7 +96,7 @@ def _restitution(
 
 @lean
 def _partner(
-    scene: EventScene, state: EventState, work: Workspace, b: int, at: int, shift: Vec3, t: float
+    scene: EventScene, state: EventState, work: EventWork, b: int, at: int, shift: Vec3, t: float
 ) -> None:
     """Write a body, or its image that is shifted, as partner `at` of an impact."""
     x, _ = place(scene, state, b, t)
@@ -119,7 +119,7 @@ def _row(R: Matrix, i: int) -> Vec3:
 
 
 @lean
-def _wall_partner(work: Workspace) -> None:
+def _wall_partner(work: EventWork) -> None:
     """Write a wall as the second partner of an impact."""
     for k in range(7):
         work.inverse[1, k] = 0.0
@@ -130,7 +130,7 @@ def _wall_partner(work: Workspace) -> None:
 
 
 @lean
-def _given(scene: EventScene, state: EventState, work: Workspace, b: int, at: int, p: Vec3,
+def _given(scene: EventScene, state: EventState, work: EventWork, b: int, at: int, p: Vec3,
            t: float) -> None:  # fmt: skip
     """Let a body go on with what an impact has given it."""
     if b >= scene.n_moving:
@@ -259,7 +259,7 @@ class Impact(NamedTuple):
 
 
 @lean_apart
-def _hit(scene: EventScene, state: EventState, work: Workspace, of: Impact) -> Vec3:
+def _hit(scene: EventScene, state: EventState, work: EventWork, of: Impact) -> Vec3:
     """Impact of any two; the impulse on a."""
     a, b, t, frame = of.a, of.b, of.t, work.frame
     _partner(scene, state, work, a, 0, _NOTHING, t)
@@ -285,7 +285,7 @@ def _hit(scene: EventScene, state: EventState, work: Workspace, of: Impact) -> V
 
 @lean
 def _hit_of_any(
-    rubs: Flag, scene: EventScene, state: EventState, work: Workspace, of: Impact
+    rubs: Flag, scene: EventScene, state: EventState, work: EventWork, of: Impact
 ) -> Vec3:
     """Impact of any two, where some may change how a body turns, or none; the impulse on a."""
     if rubs is None:
@@ -298,7 +298,7 @@ def _hit_of_any(
 
 @lean
 def collide(
-    scene: EventScene, state: EventState, work: Workspace, a: int, b: int, i: int, j: int,
+    scene: EventScene, state: EventState, work: EventWork, a: int, b: int, i: int, j: int,
     t: float,
 ) -> bool:  # fmt: skip
     """Let sphere i of body a hit sphere j of b, or primitive j of the walls, at a time.

@@ -132,7 +132,7 @@ class EventState(NamedTuple):
     tally: Floats  # (TALLY,)
 
 
-class Workspace(NamedTuple):
+class EventWork(NamedTuple):
     """Space to work in: `centre` for a search, else for an impact."""
 
     centre: Floats  # (most spheres of a body, 8) centre, velocity, bend, unused
@@ -142,10 +142,10 @@ class Workspace(NamedTuple):
     frame: Floats  # (1, ..)
 
 
-def empty_workspace(most: int) -> Workspace:
+def empty_workspace(most: int) -> EventWork:
     """Space for bodies of so many spheres at most."""
     widths = ((most, 8), (2, 6), (2, 7), (2, 3), (1, N_COLUMNS))
-    return Workspace(*(np.zeros(shape) for shape in widths))
+    return EventWork(*(np.zeros(shape) for shape in widths))
 
 
 def _rows(n: int, columns: int, dtype: Any, value: float) -> Any:

@@ -55,7 +55,7 @@ class Attraction(NamedTuple):
     softening: float  # [m²] ε², added to every squared distance
 
 
-class Work(NamedTuple):
+class Fields(NamedTuple):
     """What an evaluation writes; rows are padded to whole lines of the cache."""
 
     arm: Floats  # (3, n_padded) [m], from the centre of mass of the particle's body, world axes
@@ -67,7 +67,7 @@ class Work(NamedTuple):
     tile: Ints  # (n_tiles, 4) first target and last, first source and last, likewise
 
 
-def work_of(attraction: Attraction, worlds: Worlds | None = None) -> Work:
+def work_of(attraction: Attraction, worlds: Worlds | None = None) -> Fields:
     """Room for evaluations of these particles; of worlds, whose bodies stand one after the other.
 
     Targets meet the sources of their world alone.
@@ -85,7 +85,7 @@ def work_of(attraction: Attraction, worlds: Worlds | None = None) -> Work:
     body = np.full(padded, -1)
     body[:n] = np.repeat(np.arange(offset.size - 1), np.diff(offset))
     of_tiles = np.array(tiles, dtype=np.int64).reshape(-1, 4)
-    return Work(rows[0], rows[1], rows[2], aligned_zeros(padded), body, order, of_tiles)
+    return Fields(rows[0], rows[1], rows[2], aligned_zeros(padded), body, order, of_tiles)
 
 
 # Powers of a squared distance
@@ -147,7 +147,7 @@ def squared(d: Vec3, softening: float) -> float:
 
 
 @inline
-def place(attraction: Attraction, work: Work, y: Floats, first: int, last: int) -> None:
+def place(attraction: Attraction, work: Fields, y: Floats, first: int, last: int) -> None:
     """Place the particles of bodies first to last: x = com + R r.
 
     Parameters
@@ -173,7 +173,7 @@ def place(attraction: Attraction, work: Work, y: Floats, first: int, last: int) 
 
 
 @kernel
-def place_points(attraction: Attraction, work: Work, y: Floats, first: int, last: int) -> None:
+def place_points(attraction: Attraction, work: Fields, y: Floats, first: int, last: int) -> None:
     """Place the particles of bodies first to last: see `place`."""
     place(attraction, work, y, first, last)
 
@@ -203,14 +203,14 @@ def _add_near_source(
 
 
 @inline
-def _tile_of(work: Work, tile: int) -> tuple[int, int, int, int]:
+def _tile_of(work: Fields, tile: int) -> tuple[int, int, int, int]:
     """First target and last, first source and last of a tile."""
     own = work.tile[tile]
     return own[0], own[1], own[2], own[3]
 
 
 @inline
-def pull(attraction: Attraction, work: Work, first: int, last: int) -> None:
+def pull(attraction: Attraction, work: Fields, first: int, last: int) -> None:
     """Write the field at the particles of tiles first to last.
 
     Sources are cut into those before the bodies that a tile touches, those of these bodies, where
@@ -236,7 +236,7 @@ def pull(attraction: Attraction, work: Work, first: int, last: int) -> None:
 
 
 @kernel
-def attract(attraction: Attraction, work: Work, first: int, last: int) -> None:
+def attract(attraction: Attraction, work: Fields, first: int, last: int) -> None:
     """Write the field at the particles of tiles first to last: see `pull`."""
     pull(attraction, work, first, last)
 
@@ -245,7 +245,7 @@ def attract(attraction: Attraction, work: Work, first: int, last: int) -> None:
 
 
 @inline
-def _collect(attraction: Attraction, work: Work, load: Floats, first: int, last: int) -> None:
+def _collect(attraction: Attraction, work: Fields, load: Floats, first: int, last: int) -> None:
     """Add force and torque of bodies first to last: Σ m g and Σ R r × m g.
 
     Parameters
@@ -271,13 +271,13 @@ def _collect(attraction: Attraction, work: Work, load: Floats, first: int, last:
 
 
 @kernel
-def add_attraction(attraction: Attraction, work: Work, load: Floats, first: int, last: int) -> None:
+def add_attraction(attraction: Attraction, work: Fields, load: Floats, first: int, last: int) -> None:
     """Add force and torque of bodies first to last: see `_collect`."""
     _collect(attraction, work, load, first, last)
 
 
 @kernel
-def attraction_loads(attraction: Attraction, work: Work, y: Floats, load: Floats) -> None:
+def attraction_loads(attraction: Attraction, work: Fields, y: Floats, load: Floats) -> None:
     """Add the loads on all bodies at y: the three parts, by this thread alone.
 
     The parts stand in this kernel themselves: a call with so many arrays takes as long as two pairs
@@ -289,7 +289,7 @@ def attraction_loads(attraction: Attraction, work: Work, y: Floats, load: Floats
     _collect(attraction, work, load, 0, n_bodies)
 
 
-def spread_loads(attraction: Attraction, work: Work, y: Floats, load: Floats) -> None:
+def spread_loads(attraction: Attraction, work: Fields, y: Floats, load: Floats) -> None:
     """Add the loads on all bodies at y, tiles spread over the threads; same bits."""
     n_bodies = attraction.offset.size - 1
     THREADS.alone(place_points, attraction, work, y, 0, n_bodies)
@@ -297,7 +297,7 @@ def spread_loads(attraction: Attraction, work: Work, y: Floats, load: Floats) ->
     THREADS.alone(add_attraction, attraction, work, load, 0, n_bodies)
 
 
-def _spread_tiles(part: Callable[[int, int], object], work: Work) -> None:
+def _spread_tiles(part: Callable[[int, int], object], work: Fields) -> None:
     """Call part(first, last) for ranges of tiles that cover all particles."""
     first, last, begin, end = work.tile.T
     THREADS.share(part, len(work.tile), int((last - first) @ (end - begin)) // _PAIRS)
@@ -308,7 +308,7 @@ def _spread_tiles(part: Callable[[int, int], object], work: Work) -> None:
 
 @kernel
 def attraction_potential(
-    attraction: Attraction, work: Work, first: int, last: int, sums: Floats
+    attraction: Attraction, work: Fields, first: int, last: int, sums: Floats
 ) -> None:
     """Write the potential energy of tiles first to last: -½ Σ_i m_i Σ_j G m_j/√(d² + ε²).
 
@@ -343,7 +343,7 @@ def attraction_potential(
 
 
 def potential_energy(
-    attraction: Attraction, work: Work, y: Floats, worlds: Worlds | None = None
+    attraction: Attraction, work: Fields, y: Floats, worlds: Worlds | None = None
 ) -> Floats | float:
     """U of all pairs of different bodies [J] at y, (13, n_bodies); tiles spread over threads.
 

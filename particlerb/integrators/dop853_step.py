@@ -41,7 +41,7 @@ LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any mo
 ALONE: Final = 13  # numbers of a body: x, q, p, L; what it books follows where it books
 
 
-class Problem(NamedTuple):
+class Equations(NamedTuple):
     """What is integrated, and how well."""
 
     acting: Acting
@@ -62,10 +62,10 @@ class Pack(NamedTuple):
 
 @kernel
 def take_slopes(
-    problem: Problem, rows: Floats, n: int, w: int, t: float, y: Floats, slope: Floats
+    equations: Equations, rows: Floats, n: int, w: int, t: float, y: Floats, slope: Floats
 ) -> None:
     """Slopes of a pack in the states y at a time [s] since the segment began."""
-    acting = problem.acting
+    acting = equations.acting
     set_time(acting, rows, n, t)
     for c in range(ALONE):
         for b in range(n):
@@ -82,7 +82,7 @@ def take_slopes(
         put4(rows, WORK + CHANGING + 3, b, rate.q)
         put3(rows, WORK + CHANGING + 7, b, rate.p)
         put3(rows, WORK + CHANGING + 10, b, rate.L)
-        if problem.books is not None:
+        if equations.books is not None:
             put(rows, WORK + CHANGING + 13, b, power)
             put3(rows, WORK + CHANGING + 14, b, force)
             put3(rows, WORK + CHANGING + 17, b, turning)
@@ -110,14 +110,14 @@ def add_rows(h: float, weights: Floats, K: Floats, count: int, out: Floats) -> N
 
 @kernel
 def take_stages(
-    problem: Problem, pack: Pack, at: Floats, t: float, h: float, i: int, j: int
+    equations: Equations, pack: Pack, at: Floats, t: float, h: float, i: int, j: int
 ) -> None:
     """Slopes of the stages i .. j - 1 of a step h from t; `at` is the state of the last one."""
     rows, n, w, y, _, K = pack
     for stage in range(i, j):
         assign(at, y)
         add_rows(h, A[stage], K, stage, at)
-        take_slopes(problem, rows, n, w, t + NODES[stage] * h, at, K[stage])
+        take_slopes(equations, rows, n, w, t + NODES[stage] * h, at, K[stage])
 
 
 @inline
@@ -224,7 +224,7 @@ def factor_of(error: float) -> float:
 
 
 @kernel
-def find_step(problem: Problem, pack: Pack, t: float, h: float) -> tuple[float, float]:
+def find_step(equations: Equations, pack: Pack, t: float, h: float) -> tuple[float, float]:
     """Longest step up to h that is accurate, and the one to try after it.
 
     Bodies for which no step is short enough become NaN: their state is not finite, or the forces
@@ -232,12 +232,12 @@ def find_step(problem: Problem, pack: Pack, t: float, h: float) -> tuple[float, 
     """
     rows, n, w, y, new, K = pack
     errors, five, three = np.zeros(n), np.empty(y.size), np.empty(y.size)
-    take_slopes(problem, rows, n, w, t, y, K[0])
+    take_slopes(equations, rows, n, w, t, y, K[0])
     longest = h
     while True:
-        take_stages(problem, pack, new, t, h, 1, 13)
+        take_stages(equations, pack, new, t, h, 1, 13)
         differences(K, five, three)
-        error = errors_of(pack, five, three, h, problem.tolerance, errors)
+        error = errors_of(pack, five, three, h, equations.tolerance, errors)
         if error < 1.0:
             normalise(new, n, w)
             return h, h * factor_of(error)

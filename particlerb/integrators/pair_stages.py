@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from particlerb.compiled.barrier import Team, meet
 from particlerb.compiled.jit import Flag, inline, kernel
-from particlerb.forces.attraction import Attraction, Work, attraction_loads
+from particlerb.forces.attraction import Attraction, Fields, attraction_loads
 from particlerb.forces.links import Links, damp_links, link_loads
 from particlerb.forces.registry import PAIR
 from particlerb.forces.user_pairs import OwnPairs, flow_own_pairs, own_pair_loads
@@ -37,7 +37,7 @@ class PairTerms(NamedTuple):
     links: Links | None
     own: OwnPairs | None
     attraction: Attraction | None
-    work: Work | None
+    work: Fields | None
     with_dashpots: bool  # whether they are among the loads, and not flows
     clock: Floats  # [s] (3,): of the loads, when the step began, and the segment
     y: Floats  # (13, n) states
@@ -61,7 +61,7 @@ def scatter(values: Floats, blocks: Floats, layout: Layout, at: int, first: int)
 
 @inline
 def _attraction_into(
-    attraction: Attraction | None, work: Work | None, y: Floats, load: Floats
+    attraction: Attraction | None, work: Fields | None, y: Floats, load: Floats
 ) -> None:
     """Add the loads of a direct sum, if there is one."""
     if attraction is None or work is None:
@@ -99,7 +99,7 @@ def pair_loads(
     links: Links | None,
     own: OwnPairs | None,
     attraction: Attraction | None,
-    work: Work | None,
+    work: Fields | None,
     with_dashpots: bool,
     clock: Floats,
     y: Floats,

@@ -25,7 +25,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import quaternions
 
 
-class Row(NamedTuple):
+class _Constraint(NamedTuple):
     """One constraint: its kind, and the names of the directions that it takes."""
 
     kind: int
@@ -33,36 +33,36 @@ class Row(NamedTuple):
     first: str = ""  # n of DOT, fixed in the first body
 
 
-POINT: Final = tuple(Row(WORLD_ALONG, axis) for axis in "xyz")
-PARALLEL: Final = Row(DOT, "e", "n"), Row(DOT, "f", "n")
-ON_AXIS: Final = Row(ALONG, "e"), Row(ALONG, "f")
-NO_TURN: Final = Row(DOT, "f", "e")
+POINT: Final = tuple(_Constraint(WORLD_ALONG, axis) for axis in "xyz")
+PARALLEL: Final = _Constraint(DOT, "e", "n"), _Constraint(DOT, "f", "n")
+ON_AXIS: Final = _Constraint(ALONG, "e"), _Constraint(ALONG, "f")
+NO_TURN: Final = _Constraint(DOT, "f", "e")
 
-TYPES: Final[Mapping[str, tuple[Row, ...]]] = {
+TYPES: Final[Mapping[str, tuple[_Constraint, ...]]] = {
     "ball": POINT,
     "hinge": (*POINT, *PARALLEL),
-    "universal": (*POINT, Row(DOT, "m", "n")),
+    "universal": (*POINT, _Constraint(DOT, "m", "n")),
     "slider": (*ON_AXIS, *PARALLEL, NO_TURN),
     "cylindrical": (*ON_AXIS, *PARALLEL),
-    "planar": (Row(ALONG, "n"), *PARALLEL),
+    "planar": (_Constraint(ALONG, "n"), *PARALLEL),
     "fixed": (*POINT, *PARALLEL, NO_TURN),
-    "distance": (Row(DISTANCE),),
+    "distance": (_Constraint(DISTANCE),),
 }
 
-_ANGLE: Final = (Row(TURN, "n", "e"),)
-_SHIFT: Final = (Row(ALONG, "n"),)
-COORDINATES: Final[Mapping[str, Mapping[str, tuple[Row, ...]]]] = {
-    "ball": {"turn": tuple(Row(ROTATION, axis) for axis in "xyz")},
+_ANGLE: Final = (_Constraint(TURN, "n", "e"),)
+_SHIFT: Final = (_Constraint(ALONG, "n"),)
+COORDINATES: Final[Mapping[str, Mapping[str, tuple[_Constraint, ...]]]] = {
+    "ball": {"turn": tuple(_Constraint(ROTATION, axis) for axis in "xyz")},
     "hinge": {"angle": _ANGLE},
     "universal": {
-        "angle about axis": (Row(OWN_TURN, "n", "m"),),
-        "angle about axis_to": (Row(TURN, "m", "n"),),
+        "angle about axis": (_Constraint(OWN_TURN, "n", "m"),),
+        "angle about axis_to": (_Constraint(TURN, "m", "n"),),
     },
     "slider": {"displacement": _SHIFT},
     "cylindrical": {"displacement": _SHIFT, "angle": _ANGLE},
     "planar": {
-        "first displacement": (Row(ALONG, "e"),),
-        "second displacement": (Row(ALONG, "f"),),
+        "first displacement": (_Constraint(ALONG, "e"),),
+        "second displacement": (_Constraint(ALONG, "f"),),
         "angle": _ANGLE,
     },
 }
@@ -110,7 +110,7 @@ def _coordinate_of(kind: str, ends: Ends, along: str | None) -> list[ConstraintR
     return shifted if rows[0].kind == ALONG else found
 
 
-def _rotation_of(row: Row, ends: Ends) -> ConstraintRows:
+def _rotation_of(row: _Constraint, ends: Ends) -> ConstraintRows:
     """A component of rotation vectors; c, from frames of b to those of a at the start, is held."""
     pairs = [(ends.first[axis], ends.second[axis]) for axis in "nef"]
     turn = quaternions(sum(np.einsum("ki,kj->kij", *pair) for pair in pairs))
@@ -118,7 +118,7 @@ def _rotation_of(row: Row, ends: Ends) -> ConstraintRows:
     return _row_of(row, ends)._replace(first=turn[:, 1:].copy(), second=second)
 
 
-def _row_of(row: Row, ends: Ends) -> ConstraintRows:
+def _row_of(row: _Constraint, ends: Ends) -> ConstraintRows:
     """One row of each of the joints."""
     k = ends.a.size
     none, one = np.zeros((k, 3)), np.ones(k)

@@ -11,7 +11,7 @@ from particlerb.joints.records import Drives
 from particlerb.maths.vec3 import Floats
 
 
-class Course(NamedTuple):
+class DriveCourse(NamedTuple):
     """A coordinate in time: polynomials of degree three, the last one without end, and a wave."""
 
     knots: Floats  # (k,) [s] where each begins; the first at 0
@@ -27,21 +27,21 @@ class Course(NamedTuple):
         return np.array(shifted), (amplitude, rate, math.remainder(phase + rate * start, math.tau))
 
 
-def course_of(drive: JointDrive) -> Course:
+def course_of(drive: JointDrive) -> DriveCourse:
     """What a table prescribes."""
     if drive.position is not None:
         t, x = drive.position.T
-        return Course(t, _spline(t, x, drive.end_speeds), (0.0, 0.0, 0.0))
+        return DriveCourse(t, _spline(t, x, drive.end_speeds), (0.0, 0.0, 0.0))
     if drive.amplitude is not None:
         rate = math.tau * (drive.frequency or 0.0)
         polynomial = np.array([[-drive.amplitude * math.sin(drive.phase), 0.0, 0.0, 0.0]])
-        return Course(np.zeros(1), polynomial, (drive.amplitude, rate, drive.phase))
+        return DriveCourse(np.zeros(1), polynomial, (drive.amplitude, rate, drive.phase))
     rows = np.array([[0.0, drive.speed]]) if isinstance(drive.speed, float) else drive.speed
     assert rows is not None
     t, v = rows.T
     gains = np.append(np.diff(v) / np.diff(t), 0.0)
     x = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
-    return Course(t, np.stack([x, v, 0.5 * gains, 0.0 * t], axis=1), (0.0, 0.0, 0.0))
+    return DriveCourse(t, np.stack([x, v, 0.5 * gains, 0.0 * t], axis=1), (0.0, 0.0, 0.0))
 
 
 def _spline(t: Floats, x: Floats, ends: tuple[float, float]) -> Floats:
@@ -63,7 +63,7 @@ def _spline(t: Floats, x: Floats, ends: tuple[float, float]) -> Floats:
     return np.vstack([np.stack([x[:-1], v[:-1], curvature, rest], axis=1), last])
 
 
-def drives_from(courses: Sequence[Course], start: float) -> Drives | None:
+def drives_from(courses: Sequence[DriveCourse], start: float) -> Drives | None:
     """All of them from a time on; None where there are none."""
     if not courses:
         return None

@@ -42,7 +42,7 @@ from particlerb.model.state import State, lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.plan.driven_bodies import driven_bodies
 from particlerb.plan.joint_actions import action_of, breaks_of, with_dashpots
-from particlerb.plan.joint_drives import Course, course_of, drives_from
+from particlerb.plan.joint_drives import DriveCourse, course_of, drives_from
 from particlerb.plan.joint_ends import WORLD, Ties, ends_of, joint_name, pairs_of, unique
 from particlerb.plan.joint_rows import TableJoints, joints_of_table
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
@@ -67,7 +67,7 @@ class JointSetup(NamedTuple):
     counts_turns: bool  # whether somebody asks for coordinates
     actions: Actions
     until: Floats  # (j,) [s] when each is released; -inf: its bodies are merged
-    courses: tuple[Course, ...]  # what is prescribed
+    courses: tuple[DriveCourse, ...]  # what is prescribed
     breaks: Breaks  # (j,)
     driven: PrescribedBodies | None  # bodies of the system that move as prescribed
 
@@ -109,7 +109,7 @@ class JointSetup(NamedTuple):
         own = np.flatnonzero(self.until > 0.0)
         return Ties(self.record[own], self.first[own], self.second[own])
 
-    def drives_among(self, members: Ints) -> list[Course]:
+    def drives_among(self, members: Ints) -> list[DriveCourse]:
         """What is prescribed among the members of a group."""
         own = np.unique(self.rows.drive[np.isin(self.rows.a, members)])
         return [self.courses[k] for k in own[own != AT_REST].tolist()]

@@ -47,7 +47,7 @@ def contact_columns(
     return columns, np.cumsum([one.wall.size for one in touches], dtype=np.int64)
 
 
-class ContactList:
+class ContactDatasets:
     """Contacts of all frames in a file; the offset is for the recorder to write."""
 
     def __init__(self, file: h5py.File) -> None:

@@ -51,7 +51,7 @@ Made = Mapping[str, h5d.DatasetID]  # by their paths
 Labels = Mapping[str, Sequence[tuple[str, str]]]  # names and units, by what they are of
 
 
-class Layout(NamedTuple):
+class _FileLayout(NamedTuple):
     """What decides how a file without frames looks, beside numbers and texts."""
 
     fields: tuple[str, ...]
@@ -79,7 +79,7 @@ def laid_out(
     fields, dtype, n_frames = output.fields, output.dtype, frame_count(run)
     tables = tuple((p, form_of(v)) for p, v in content.items() if not isinstance(v, bytes))
     empty, places = _empty_file(
-        Layout(tuple(fields), dtype, n_frames, len(content[schema.BODY]), tables, parts)
+        _FileLayout(tuple(fields), dtype, n_frames, len(content[schema.BODY]), tables, parts)
     )
     image = bytearray(empty)
     for path, place in places.items():
@@ -90,7 +90,7 @@ def laid_out(
 
 
 @lru_cache(maxsize=8)
-def _empty_file(of: Layout) -> tuple[bytes, Mapping[str, int]]:
+def _empty_file(of: _FileLayout) -> tuple[bytes, Mapping[str, int]]:
     """The file of all runs of this form, and where small arrays and the digest go.
 
     HDF5 takes much longer to make it than it takes to fill it.
@@ -141,7 +141,7 @@ def write_rest(file: h5py.File, content: Content) -> None:
             fill(file, path, value)
 
 
-def _lay_out(file: h5py.File, of: Layout) -> Made:
+def _lay_out(file: h5py.File, of: _FileLayout) -> Made:
     """Make all that a file without frames has; return its arrays."""
     note(file.id, schema=np.array(schema.SCHEMA_VERSION, dtype=np.int32))
     if of.parts is not None:
@@ -275,7 +275,7 @@ def _make_checksums(file: h5py.File, n_frames: int, clock: h5d.DatasetID) -> Any
     return place
 
 
-def _make_series(file: h5py.File, path: str, of: Layout, made: Made) -> h5d.DatasetID:
+def _make_series(file: h5py.File, path: str, of: _FileLayout, made: Made) -> h5d.DatasetID:
     """One H5MD element: step, time, and an empty value that can grow."""
     place, element = path.removesuffix("/value"), schema.SERIES[path]
     scales = [made[schema.SCALE_OF[element.per]]] if element.per else []
@@ -300,7 +300,7 @@ def _make_series(file: h5py.File, path: str, of: Layout, made: Made) -> h5d.Data
     return value
 
 
-def _make_contacts(file: h5py.File, of: Layout, made: Made) -> None:
+def _make_contacts(file: h5py.File, of: _FileLayout, made: Made) -> None:
     """Empty columns for the contacts of all frames."""
     dtype = np.dtype(of.dtype)
     rows = int(np.clip(of.n_frames * of.n_bodies, *_CONTACTS_PER_CHUNK))

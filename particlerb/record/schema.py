@@ -202,7 +202,7 @@ COLUMNS: Final[dict[str, _Column]] = {
 OFFSET: Final = f"{CONTACTS}/offset"  # contacts of frame f are offset[f] to offset[f + 1]
 
 
-class _Part(NamedTuple):
+class _Labels(NamedTuple):
     """Parts of a scene that are no bodies, as observables tell them apart."""
 
     names: str  # dataset of their names
@@ -211,9 +211,11 @@ class _Part(NamedTuple):
 
 
 PARTS: Final = {
-    "wall": _Part("walls/names", "walls/wall"),
-    "joint": _Part("joints/names", "joints/joint"),
-    "coordinate": _Part("joints/coordinate_names", "joints/coordinate", "joints/coordinate_units"),
+    "wall": _Labels("walls/names", "walls/wall"),
+    "joint": _Labels("joints/names", "joints/joint"),
+    "coordinate": _Labels(
+        "joints/coordinate_names", "joints/coordinate", "joints/coordinate_units"
+    ),
 }
 PART_TABLES: Final = tuple(path for part in PARTS.values() for path in part if path)
 SCALE_OF: Final = {"body": BODY} | {name: part.numbers for name, part in PARTS.items()}

@@ -20,7 +20,7 @@ from particlerb.model.system import System
 from particlerb.record import schema
 from particlerb.record.checkpoint import count_from, write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
-from particlerb.record.frame_values import ContactList, NewFrames, contact_columns, values_of
+from particlerb.record.frame_values import ContactDatasets, NewFrames, contact_columns, values_of
 from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import laid_out, part_laid_out, write_rest
 from particlerb.record.output_file import OutputFile, new_file
@@ -159,7 +159,7 @@ class Recorder:
         paths += (STEP_TIMES, STEP_STARTS) if schema.VTKHDF in self.file else ()
         paths += (schema.OFFSET,) if schema.CONTACTS in fields else ()
         self.series = {p: self.of_bodies.get(p) or opened(self.file, p) for p in paths}
-        self.contacts = ContactList(self.file) if schema.CONTACTS in fields else None
+        self.contacts = ContactDatasets(self.file) if schema.CONTACTS in fields else None
         self.n_frames = self.n_written = 0  # that were appended; and without those in `pending`
         self.pending: list[dict[str, _Rows]] = []  # small arrays that wait
         self.known = 0  # frames that were there before

@@ -39,7 +39,7 @@ class _Reduced(NamedTuple):
     """From the rotor frame into that of axes 1, 2, 3: small integers, not of length 1."""
 
 
-class Rates(NamedTuple):
+class _EllipticRates(NamedTuple):
     """What both forms of the solution are made from."""
 
     lam: float
@@ -174,7 +174,7 @@ def _unit2(s: float, c: float) -> tuple[float, float]:
 
 
 @inline
-def rates(body: _Reduced) -> Rates:
+def rates(body: _Reduced) -> _EllipticRates:
     """Amplitudes, rates and initial sn, cn: (3), (4)."""
     m1, m2, m3 = body.m
     I1, I2, I3 = body.inertia
@@ -189,7 +189,7 @@ def rates(body: _Reduced) -> Rates:
     sn, cn = _unit2(body.s * m2 * root, m1)  # both times A1
     ratio = A1 / (G + A3)
     base = 0.5 * (A3 / I3 + ratio * A1 / I1)
-    return Rates(lam, base, ratio, sn, cn, root, math.sqrt(gamma))
+    return _EllipticRates(lam, base, ratio, sn, cn, root, math.sqrt(gamma))
 
 
 @inline

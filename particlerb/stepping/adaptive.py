@@ -18,8 +18,8 @@ from particlerb.forces.registry import STAGE as WORK
 from particlerb.integrators.dop853 import PACK
 from particlerb.integrators.dop853_step import (
     ALONE,
+    Equations,
     Pack,
-    Problem,
     find_step,
     interpolate,
     take_stages,
@@ -62,10 +62,10 @@ class Leg(NamedTuple):
     stop: float  # [s] or exactly to here, if that is finite
 
 
-class _Bodies(NamedTuple):
+class _OnePack(NamedTuple):
     """Bodies that take the same steps, as `advance_steps` takes them."""
 
-    problem: Problem
+    equations: Equations
     pack: Pack
     out: Floats  # states at a frame
     first: int  # body of the group
@@ -177,25 +177,25 @@ def store_vectors(
 
 
 @inline
-def _find(bodies: _Bodies, t: float, h: float) -> tuple[float, float]:
+def _find(bodies: _OnePack, t: float, h: float) -> tuple[float, float]:
     """`find` of a pack."""
-    return find_step(bodies.problem, bodies.pack, t, h)
+    return find_step(bodies.equations, bodies.pack, t, h)
 
 
 @inline
-def _take_last_stages(bodies: _Bodies, t: float, h: float) -> None:
+def _take_last_stages(bodies: _OnePack, t: float, h: float) -> None:
     """`take_last_stages` of a pack."""
-    take_stages(bodies.problem, bodies.pack, bodies.out, t, h, 13, STAGES)
+    take_stages(bodies.equations, bodies.pack, bodies.out, t, h, 13, STAGES)
 
 
 @inline
-def _show(bodies: _Bodies, h: float, share: float) -> None:
+def _show(bodies: _OnePack, h: float, share: float) -> None:
     """`show` of a pack."""
     interpolate(bodies.pack, h, share, bodies.out)
 
 
 @inline
-def _write(bodies: _Bodies, recording: Recording, frame: int) -> None:
+def _write(bodies: _OnePack, recording: Recording, frame: int) -> None:
     """`write` of a pack."""
     lo, pack = bodies.first, bodies.pack
     store_vectors(recording, frame, lo, pack.n, bodies.out, pack.w, lo // BLOCK)
@@ -209,11 +209,11 @@ _advance_pack = kernel_from(
 
 @kernel
 def _advance_blocks(
-    problem: Problem, blocks: Floats, clock: Floats, leg: Leg, recording: Recording, first: int,
+    equations: Equations, blocks: Floats, clock: Floats, leg: Leg, recording: Recording, first: int,
     last: int,
 ) -> None:  # fmt: skip
     """Advance the packs of some blocks; the clock is (packs, 3)."""
-    size, members = ALONE if problem.books is None else CHANGING, recording.members
+    size, members = ALONE if equations.books is None else CHANGING, recording.members
     rows = np.zeros((WORK + 2 * CHANGING) * STRIDE)
     w = min(members.size, PACK)  # a body that is alone pays for itself only
     y, new, out = np.zeros(size * w), np.zeros(size * w), np.zeros(size * w)
@@ -223,7 +223,7 @@ def _advance_blocks(
         lo = k * PACK
         n = min(members.size - lo, PACK)
         _take_pack(blocks, k, n, w, rows, y)
-        bodies = _Bodies(problem, Pack(rows, n, w, y, new, K), out, lo)
+        bodies = _OnePack(equations, Pack(rows, n, w, y, new, K), out, lo)
         _advance_pack(bodies, y, new, out, clock[k], leg, recording)
         _give_pack(y, w, blocks, k, n)
 
@@ -238,7 +238,7 @@ class AdaptiveRun(Motion):
     def __init__(self, group: SegmentGroup, state: State, start: float, tolerance: float) -> None:
         self.group, self.start = group, start
         self.account = WorkAccount(group, state)
-        self.problem = Problem(acting_of(group.terms), self.account.books, tolerance)
+        self.equations = Equations(acting_of(group.terms), self.account.books, tolerance)
 
     def advance_some(self, leg: Leg, recording: Recording) -> None:
         """Advance all bodies."""
@@ -331,5 +331,5 @@ class AdaptiveMotion(AdaptiveRun):
 
     def advance_some(self, leg: Leg, recording: Recording) -> None:
         """Packs of bodies over threads."""
-        through = partial(_advance_blocks, self.problem, self.blocks, self.clock, leg, recording)
+        through = partial(_advance_blocks, self.equations, self.blocks, self.clock, leg, recording)
         THREADS.spread(through, self.group.members.size, int((leg.times.size + 1) * self.cost))

@@ -18,8 +18,8 @@ from particlerb.forces.registry import STAGE
 from particlerb.integrators.dop853_step import (
     ALONE,
     LEAST_STEP,
+    Equations,
     Pack,
-    Problem,
     add_rows,
     differences,
     errors_of,
@@ -63,10 +63,10 @@ class _CommonVectors(NamedTuple):
     width: int  # w
 
 
-class _Bodies(NamedTuple):
+class _AllBodies(NamedTuple):
     """All bodies of a group, as `advance_steps` takes them."""
 
-    problem: Problem
+    equations: Equations
     blocks: Floats
     layout: Layout
     pairs: PairTerms
@@ -74,7 +74,7 @@ class _Bodies(NamedTuple):
 
 
 @inline
-def _pack_of(bodies: _Bodies, k: int, K: Floats) -> Pack:
+def _pack_of(bodies: _AllBodies, k: int, K: Floats) -> Pack:
     """Bodies of block k as a pack."""
     common = bodies.vectors
     n = bodies.layout.size[k]
@@ -95,14 +95,14 @@ def _spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
 
 
 @kernel
-def _slopes_of_blocks(bodies: _Bodies, t: float, y: Floats, slope: Floats) -> None:
+def _slopes_of_blocks(bodies: _AllBodies, t: float, y: Floats, slope: Floats) -> None:
     """Slopes of all blocks in the states y, with the loads in their rows."""
     own, layout, w = slope.reshape(y.shape), bodies.layout, bodies.vectors.width
     for k in range(layout.first.size):
-        take_slopes(bodies.problem, bodies.blocks[k], layout.size[k], w, t, y[k], own[k])
+        take_slopes(bodies.equations, bodies.blocks[k], layout.size[k], w, t, y[k], own[k])
 
 
-def _common_slopes(bodies: _Bodies, t: float, y: Floats, slope: Floats) -> None:
+def _common_slopes(bodies: _AllBodies, t: float, y: Floats, slope: Floats) -> None:
     """Slopes of all bodies in the states y at a time [s] since the segment began."""
     links, own, attraction, work, with_dashpots, clock, states, load, _ = bodies.pairs
     _spread_out(y, bodies.layout, bodies.vectors.width, states)
@@ -119,7 +119,7 @@ def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None
     add_rows(h, A[stage], K, stage, new.reshape(new.size))
 
 
-def _common_stages(bodies: _Bodies, at: Floats, t: float, h: float, i: int, j: int) -> None:
+def _common_stages(bodies: _AllBodies, at: Floats, t: float, h: float, i: int, j: int) -> None:
     """Slopes of the stages i .. j - 1 of a step h from t; `at` is the state of the last one."""
     K, y = bodies.vectors.K, bodies.vectors.y
     for stage in range(i, j):
@@ -128,14 +128,14 @@ def _common_stages(bodies: _Bodies, at: Floats, t: float, h: float, i: int, j: i
 
 
 @kernel
-def _common_error(bodies: _Bodies, h: float) -> float:
+def _common_error(bodies: _AllBodies, h: float) -> float:
     """Largest error of a step over the tolerance, of the bodies that are numbers."""
     _, _, _, five, three, K, errors, _ = bodies.vectors
     differences(K, five.reshape(five.size), three.reshape(three.size))
     worst = 0.0
     for k in range(bodies.layout.first.size):
         pack = _pack_of(bodies, k, K)
-        error = errors_of(pack, five[k], three[k], h, bodies.problem.tolerance, errors[k])
+        error = errors_of(pack, five[k], three[k], h, bodies.equations.tolerance, errors[k])
         if not error <= worst:
             worst = error
     return worst
@@ -159,7 +159,7 @@ def _give_up(layout: Layout, vectors: _CommonVectors) -> None:
                     y[k, c * w + b] = np.nan
 
 
-def _find_common_step(bodies: _Bodies, t: float, h: float) -> tuple[float, float]:
+def _find_common_step(bodies: _AllBodies, t: float, h: float) -> tuple[float, float]:
     """Longest step up to h that is accurate, and the one to try after it; see `find_step`."""
     layout, common = bodies.layout, bodies.vectors
     _common_slopes(bodies, t, common.y, common.K[0])
@@ -176,13 +176,13 @@ def _find_common_step(bodies: _Bodies, t: float, h: float) -> tuple[float, float
             _give_up(layout, common)
 
 
-def _take_last_stages(bodies: _Bodies, t: float, h: float) -> None:
+def _take_last_stages(bodies: _AllBodies, t: float, h: float) -> None:
     """`take_last_stages` of all bodies."""
     _common_stages(bodies, bodies.vectors.out, t, h, 13, STAGES)
 
 
 @kernel
-def _interpolate_blocks(bodies: _Bodies, h: float, share: float) -> None:
+def _interpolate_blocks(bodies: _AllBodies, h: float, share: float) -> None:
     """State at a share of a step, into `out`."""
     y, K = bodies.vectors.y, bodies.vectors.K
     own = K.reshape((K.shape[0], y.shape[0], y.shape[1]))
@@ -192,7 +192,7 @@ def _interpolate_blocks(bodies: _Bodies, h: float, share: float) -> None:
 
 
 @kernel
-def _store_blocks(bodies: _Bodies, recording: Recording, frame: int) -> None:
+def _store_blocks(bodies: _AllBodies, recording: Recording, frame: int) -> None:
     """Write `out` into a frame."""
     layout, common = bodies.layout, bodies.vectors
     for k in range(layout.first.size):
@@ -263,7 +263,7 @@ class CoupledAdaptiveMotion(AdaptiveRun):
     def advance_some(self, leg: Leg, recording: Recording) -> None:
         """All bodies together."""
         common = self.vectors
-        bodies = _Bodies(self.problem, self.blocks, self.layout, self.forces.pairs, common)
+        bodies = _AllBodies(self.equations, self.blocks, self.layout, self.forces.pairs, common)
         arguments = bodies, common.y, common.new, common.out, self.clock[0], leg, recording
         if self.forces.is_large:
             _family(in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)

@@ -39,7 +39,7 @@ class DampedOscillator(NamedTuple):
     rate: Floats  # (n,) [1/s] 2γ = c/M
 
 
-class Motion(NamedTuple):
+class _Oscillation(NamedTuple):
     """Of one oscillator after a time t."""
 
     S: float  # [s] displacement of what starts at the velocity 1
@@ -66,7 +66,7 @@ def _short(g: float, w: float) -> tuple[float, float]:
 
 
 @inline
-def oscillation(rate: float, squared: float, t: float) -> Motion:
+def oscillation(rate: float, squared: float, t: float) -> _Oscillation:
     """What follows from the equation of motion alone."""
     gamma = 0.5 * rate
     apart = (gamma - math.sqrt(squared)) * (gamma + math.sqrt(squared))
@@ -99,7 +99,7 @@ def oscillation(rate: float, squared: float, t: float) -> Motion:
     if max(gamma * gamma, squared) * t * t < _SHORT * _SHORT:
         one, two = _short(rate * t, squared * t * t)
         B, SS = t * t * one, t * t * t * two
-    return Motion(S, V, B, A, SS, S * C + squared * SS)
+    return _Oscillation(S, V, B, A, SS, S * C + squared * SS)
 
 
 @inline

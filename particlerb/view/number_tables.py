@@ -36,7 +36,7 @@ letter-spacing:.04em;border-bottom:1px solid #e6e8eb}
 .pb i{color:#8b949e;font-style:normal}</style>"""
 
 
-class Row(NamedTuple):
+class NumberRow(NamedTuple):
     """A quantity: a word for tests and screen readers, what is shown, and its numbers."""
 
     key: str
@@ -50,7 +50,7 @@ class NumberGroup(NamedTuple):
     """Quantities under a heading."""
 
     title: str
-    rows: tuple[Row, ...]
+    rows: tuple[NumberRow, ...]
     remarks: tuple[str, ...] = ()
 
 
@@ -87,7 +87,7 @@ def shown(value: float, digits: int) -> str:
     return repr(value) if float(rounded) == value else f"{rounded}{_MORE}"
 
 
-def _texts(one: Row, digits: int) -> list[str]:
+def _texts(one: NumberRow, digits: int) -> list[str]:
     """Its numbers as they are shown; what rounding leaves beside larger ones is `0…`.
 
     With all 17 digits that is shown as well.
@@ -118,7 +118,7 @@ def state_parts(system: System, b: int, motion: BodyMotion) -> list[NumberGroup]
     world = R @ body @ R.T
     spin = rotate_back(q[:, None], motion.angular_velocity[:, None])[:, 0]
 
-    def tensor(key: str, values: Floats) -> tuple[Row, ...]:
+    def tensor(key: str, values: Floats) -> tuple[NumberRow, ...]:
         largest = float(np.abs(values).max())
         return tuple(row(f"{key}-{k}", "xyz"[k], values[k], largest) for k in range(3))
 
@@ -180,7 +180,7 @@ def hand_part(
     hand_L = applied.angular_momentum + np.cross(applied.lever, J)
     hand_P = applied.linear_momentum + J
     mass = float(system.bodies.mass[b])
-    rows: list[Row] = []
+    rows: list[NumberRow] = []
     moments = _hand_moments(system.body[system.block[b]].shape, mass)
     if moments is not None:
         rows += beside("I", "I  kg m²", moments, np.diag(inertia_in_body(system.bodies, b)))
@@ -220,7 +220,7 @@ def _hand_moments(shape: AnyShape | None, mass: float) -> Floats | None:
     return mass * np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 12.0
 
 
-def beside(key: str, label: str, hand: Iterable[float], solver: Iterable[float]) -> list[Row]:
+def beside(key: str, label: str, hand: Iterable[float], solver: Iterable[float]) -> list[NumberRow]:
     """By hand, by the solver, and the difference."""
     hand, solver = np.array(list(hand)), np.array(list(solver))
     largest = float(np.abs(hand).max())
@@ -231,10 +231,10 @@ def beside(key: str, label: str, hand: Iterable[float], solver: Iterable[float])
     ]
 
 
-def row(key: str, label: str, values: Iterable[float], scale: float = 0.0) -> Row:
+def row(key: str, label: str, values: Iterable[float], scale: float = 0.0) -> NumberRow:
     """Row of plain floats; its scale is at least the largest of them."""
     numbers = tuple(float(value) for value in values)
-    return Row(key, label, numbers, max(scale, *map(abs, numbers)))
+    return NumberRow(key, label, numbers, max(scale, *map(abs, numbers)))
 
 
 def table(title: str, parts: Iterable[NumberGroup], digits: int) -> str:
@@ -247,7 +247,7 @@ def table(title: str, parts: Iterable[NumberGroup], digits: int) -> str:
     return "".join([*lines, "</div>"])
 
 
-def _html_row(one: Row, digits: int) -> str:
+def _html_row(one: NumberRow, digits: int) -> str:
     """One quantity: side by side while there is room, else one below the other."""
     texts = [text.replace(_MORE, f"<i>{_MORE}</i>") for text in _texts(one, digits)]
     if digits > _NARROW:

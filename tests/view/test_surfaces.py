@@ -7,7 +7,7 @@ pytest.importorskip("trimesh")
 
 from particlerb.case.to_system import to_system
 from particlerb.model.state import as_frame
-from particlerb.view.number_tables import NumberGroup, Row, euler_deg, shown, table
+from particlerb.view.number_tables import NumberGroup, NumberRow, euler_deg, shown, table
 from particlerb.view.surfaces import Surfaces, equal_ellipsoid, walls_of
 
 BOX = {"name": "box", "shape": {"type": "box", "size": [1.0, 2.0, 3.0]}, "mass": 1.0}
@@ -165,6 +165,6 @@ def test_euler_angles_are_those_of_a_case(make):
 
 
 def test_the_table_escapes_what_a_case_calls_its_bodies():
-    text = table("<script>", [NumberGroup("a & b", (Row("k", "<i>", (1.0,), 1.0),))], 5)
+    text = table("<script>", [NumberGroup("a & b", (NumberRow("k", "<i>", (1.0,), 1.0),))], 5)
     assert "<script>" not in text
     assert "&lt;script&gt;" in text
