@@ -43,7 +43,7 @@ from particlerb.contact.wall_contacts import wall_contact_forces
 from particlerb.contact.wall_motion import put_poses
 from particlerb.forces.registry import PAIR, STEADY
 from particlerb.impulses.records import ImpulseRules
-from particlerb.integrators.pair_stages import Layout, PairTerms
+from particlerb.integrators.pair_stages import OwnBlocks, PairTerms
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import (
     COM,
@@ -73,10 +73,7 @@ def place_contacts(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
-    blocks: Floats,
-    layout: Layout,
-    first: int,
-    last: int,
+    own: OwnBlocks,
     instant: Instant,
 ) -> bool:
     """Place bodies and walls at an instant; whether the lists hold for the step that follows.
@@ -85,26 +82,18 @@ def place_contacts(
     ----------
     contact, team, pairs : MovingContact, Team, PairTerms
         None where there are none.
-    blocks, layout, first, last :
-        Blocks of this thread.
+    own : OwnBlocks
     instant : Instant
     """
     if contact is None or team is None:
         return True
-    reached = place_here(contact, team, pairs, blocks, layout, first, last, instant)
+    reached = place_here(contact, team, pairs, own, instant)
     return lists_hold(contact, instant, *reached)
 
 
 @kernel
 def place_here(
-    contact: MovingContact,
-    team: Team,
-    pairs: PairTerms | None,
-    blocks: Floats,
-    layout: Layout,
-    first: int,
-    last: int,
-    instant: Instant,
+    contact: MovingContact, team: Team, pairs: PairTerms | None, own: OwnBlocks, instant: Instant
 ) -> tuple[float, float, float]:
     """Place bodies and walls: the first half of `place_contacts`.
 
@@ -115,16 +104,28 @@ def place_here(
     """
     step_start = contact.workspace.step_start
     step_start.time[0], step_start.before[0] = instant.time, instant.before
-    return _place(contact, team, pairs, blocks, layout, first, last, instant)
+    return _place(contact, team, pairs, own, instant)
 
 
 @kernel
 def lists_hold(contact: MovingContact, instant: Instant, path: float, v: float, w: float) -> bool:
     """Whether the lists hold for the step that follows, by the largest of all bodies.
 
-    The second half of `place_contacts`; ranks tell each other in between.
+    The second half of `place_contacts`; ranks tell each other in between. All threads write the
+    same.
     """
-    return _hold(contact, instant, path, v, w)
+    setup, _, lists, memory, _ = contact
+    before, after, time, _ = instant
+    reached, allowance = path, _PART_OF_SKIN * setup.skin
+    if setup.rules is None:
+        reached += max(before, after) * (v + 4.0 * w * lists.max_contact_arm)
+    extremes = memory.extremes
+    extremes.displacement[0] = max(extremes.displacement[0], reached)
+    extremes.speed[0], extremes.angular_speed[0] = v, w
+    used = _used_up(lists.spheres.stages, path, reached)
+    ahead = after * (v + 4.0 * w * lists.max_contact_arm)
+    is_too_far = _comes_too_far(setup.rules, path + 1.5 * ahead, setup.skin)
+    return not (is_too_far or used > allowance or time >= memory.valid_until)
 
 
 @kernel
@@ -132,10 +133,7 @@ def place_within_step(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
-    blocks: Floats,
-    layout: Layout,
-    first: int,
-    last: int,
+    own: OwnBlocks,
     later: float,
 ) -> None:
     """Place them anew, so many seconds after the step began."""
@@ -143,26 +141,20 @@ def place_within_step(
         return
     time = contact.workspace.step_start.time[0] + later
     instant = Instant(0.0, 0.0, time, 0.0)
-    path, v, w = _place(contact, team, pairs, blocks, layout, first, last, instant)
-    _hold(contact, instant, path, v, w)
+    path, v, w = _place(contact, team, pairs, own, instant)
+    lists_hold(contact, instant, path, v, w)
 
 
 @inline
 def _place(
-    contact: MovingContact,
-    team: Team,
-    pairs: PairTerms | None,
-    blocks: Floats,
-    layout: Layout,
-    first: int,
-    last: int,
-    instant: Instant,
+    contact: MovingContact, team: Team, pairs: PairTerms | None, own: OwnBlocks, instant: Instant
 ) -> tuple[float, float, float]:
     """Do the work of `place_here`."""
     setup, workspace, lists, memory, _ = contact
     time, ahead = instant.time, instant.ahead
     model, t, path, v, w = setup.model, memory.start + time, 0.0, 0.0, 0.0
     allowance = _PART_OF_SKIN * setup.skin
+    blocks, layout, first, last = own
     for k in range(first, last):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         _put_prescribed(model.prescribed, t, False, rows, lo, n)
@@ -177,23 +169,6 @@ def _place(
         if pistons_have_moved(setup.pistons, memory.pistons, allowance):
             path = np.inf
     return largest(team, path, v, w)
-
-
-@inline
-def _hold(contact: MovingContact, instant: Instant, path: float, v: float, w: float) -> bool:
-    """Do the work of `lists_hold`; all threads write the same."""
-    setup, _, lists, memory, _ = contact
-    before, after, time, _ = instant
-    reached, allowance = path, _PART_OF_SKIN * setup.skin
-    if setup.rules is None:
-        reached += max(before, after) * (v + 4.0 * w * lists.max_contact_arm)
-    extremes = memory.extremes
-    extremes.displacement[0] = max(extremes.displacement[0], reached)
-    extremes.speed[0], extremes.angular_speed[0] = v, w
-    used = _used_up(lists.spheres.stages, path, reached)
-    ahead = after * (v + 4.0 * w * lists.max_contact_arm)
-    is_too_far = _comes_too_far(setup.rules, path + 1.5 * ahead, setup.skin)
-    return not (is_too_far or used > allowance or time >= memory.valid_until)
 
 
 @inline
@@ -265,18 +240,12 @@ def farthest(listed_pose: Floats, rows: Floats, reach: Floats, lo: int, n: int) 
 
 
 @kernel
-def close_prescribed(
-    contact: MovingContact | None,
-    blocks: Floats,
-    layout: Layout,
-    first: int,
-    last: int,
-    time: float,
-) -> None:
+def close_prescribed(contact: MovingContact | None, own: OwnBlocks, time: float) -> None:
     """Write prescribed bodies with their momenta, as frames show them."""
     if contact is None:
         return
     prescribed, t = contact.setup.model.prescribed, contact.memory.start + time
+    blocks, layout, first, last = own
     for k in range(first, last):
         _put_prescribed(prescribed, t, True, blocks[k], layout.first[k], layout.size[k])
 
@@ -317,10 +286,7 @@ def contact_loads(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
-    blocks: Floats,
-    layout: Layout,
-    first: int,
-    last: int,
+    own: OwnBlocks,
     times: LoadTimes,
 ) -> None:
     """Evaluate contacts where bodies are placed, and write all loads of other bodies.
@@ -337,6 +303,7 @@ def contact_loads(
     model, later, span = setup.model, after - before, times.span
     find_contact_forces(setup, workspace, lists, memory.extremes, before, after, growth, team)
     meet(team)
+    blocks, layout, first, last = own
     for k in range(first, last):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         for c in range(CONTACT_ROWS):
@@ -356,13 +323,12 @@ def _scatter_loads(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> No
 
 
 @kernel
-def keep_momenta(
-    contact: MovingContact | None, blocks: Floats, layout: Layout, first: int, last: int
-) -> None:
+def keep_momenta(contact: MovingContact | None, own: OwnBlocks) -> None:
     """Keep the momenta of the drift before this kick."""
     if contact is None:
         return
     momenta = contact.memory.momenta
+    blocks, layout, first, last = own
     for k in range(first, last):
         rows, lo = blocks[k], layout.first[k]
         for c in range(6):

@@ -20,7 +20,7 @@ from particlerb.impulses.rows import column3, put_column3
 from particlerb.impulses.solver import leave_out_what_will_bounce, solve
 from particlerb.integrators.contact_stages import place_within_step
 from particlerb.integrators.external_work import book
-from particlerb.integrators.pair_stages import Layout
+from particlerb.integrators.pair_stages import Layout, OwnBlocks
 from particlerb.maths.quaternion import Matrix, add_scaled4, matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import (
     Floats,
@@ -53,7 +53,7 @@ def place_in_the_middle(
     for k in range(first, last):
         for b in range(layout.size[k]):
             shift_time(acting, blocks[k], b, 0.5 * dt)
-    place_within_step(contact, team, None, blocks, layout, first, last, 0.5 * dt)
+    place_within_step(contact, team, None, OwnBlocks(blocks, layout, first, last), 0.5 * dt)
 
 
 # Velocities

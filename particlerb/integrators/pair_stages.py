@@ -31,6 +31,15 @@ class Layout(NamedTuple):
     asymmetric: int  # blocks
 
 
+class OwnBlocks(NamedTuple):
+    """Blocks of bodies that a thread works on."""
+
+    blocks: Floats  # all of the group
+    layout: Layout
+    first: int
+    last: int  # excluded
+
+
 class PairTerms(NamedTuple):
     """Forces between the bodies of a group, and room to evaluate them."""
 

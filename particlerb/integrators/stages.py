@@ -24,6 +24,7 @@ from particlerb.integrators.joint_stages import drift_jointed, keep_given, proje
 from particlerb.integrators.kick import begin_kick, kick_body
 from particlerb.integrators.pair_stages import (
     Layout,
+    OwnBlocks,
     PairTerms,
     flow_pairs,
     put_pair_loads,
@@ -108,26 +109,24 @@ def _spread_stage(
 @stages
 def place(moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
     """Bring bodies to where contacts are evaluated; False where new lists have to be made first."""
-    blocks, layout = moving.blocks, moving.layout
-    return place_contacts(
-        moving.contact, moving.team, moving.pairs, blocks, layout, first, last, instant
-    )
+    own = OwnBlocks(moving.blocks, moving.layout, first, last)
+    return place_contacts(moving.contact, moving.team, moving.pairs, own, instant)
 
 
 @stages
 def loads(moving: MovingBodies, first: int, last: int, times: LoadTimes) -> None:
     """Write what bodies do to each other into their rows PAIR."""
-    blocks, layout = moving.blocks, moving.layout
-    put_pair_loads(moving.team, moving.pairs, blocks, layout)
-    contact_loads(moving.contact, moving.team, moving.pairs, blocks, layout, first, last, times)
+    own = OwnBlocks(moving.blocks, moving.layout, first, last)
+    put_pair_loads(moving.team, moving.pairs, moving.blocks, moving.layout)
+    contact_loads(moving.contact, moving.team, moving.pairs, own, times)
 
 
 @stages
 def place_later(moving: MovingBodies, first: int, last: int, later: float) -> None:
     """Bring bodies to where they are so many seconds after the step began, and the time."""
-    blocks, layout = moving.blocks, moving.layout
+    own = OwnBlocks(moving.blocks, moving.layout, first, last)
     shift_pairs(moving, first, later)
-    place_within_step(moving.contact, moving.team, moving.pairs, blocks, layout, first, last, later)
+    place_within_step(moving.contact, moving.team, moving.pairs, own, later)
 
 
 @kernel

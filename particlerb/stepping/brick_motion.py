@@ -22,7 +22,7 @@ from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.contact.records import PISTON, zero_records
 from particlerb.integrators.contact_stages import lists_hold, place_here
 from particlerb.integrators.method import Method
-from particlerb.integrators.pair_stages import Layout
+from particlerb.integrators.pair_stages import Layout, OwnBlocks
 from particlerb.integrators.stages import MovingBodies
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import CHANGING, STRIDE, in_blocks, into_blocks
@@ -280,9 +280,9 @@ class BrickMotion(SharedContact):
         assert contact is not None
 
         def here(moving: MovingBodies, lo: int, hi: int) -> tuple[float, float, float]:
-            blocks, layout = moving.blocks, moving.layout
+            own = OwnBlocks(moving.blocks, moving.layout, lo, hi)
             assert moving.team is not None
-            return place_here(contact, moving.team, None, blocks, layout, lo, hi, instant)
+            return place_here(contact, moving.team, None, own, instant)
 
         reached = self.ranks.largest(np.array(self.enter(here, moving, first, last)))
         return bool(lists_hold(contact, instant, *reached.tolist()))

@@ -39,6 +39,7 @@ from particlerb.impulses.records import Impulses
 from particlerb.integrators.contact_copies import store_contacts
 from particlerb.integrators.contact_stages import find_contact_forces, place_contacts
 from particlerb.integrators.method import Method
+from particlerb.integrators.pair_stages import OwnBlocks
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import Frames, State
 from particlerb.model.superblocks import sum_by_number
@@ -228,10 +229,9 @@ class ContactMotion(SteppedMotion):
 
     def _place(self) -> None:
         """Place bodies and walls at the time of now, with the momenta of now."""
-        place_contacts(
-            self.contact, ALONE, None, self.blocks, self.layout, 0, len(self.blocks),
-            Instant(0.0, 0.0, self.grid_step * self.dt, 0.0),
-        )  # fmt: skip
+        own = OwnBlocks(self.blocks, self.layout, 0, len(self.blocks))
+        instant = Instant(0.0, 0.0, self.grid_step * self.dt, 0.0)
+        place_contacts(self.contact, ALONE, None, own, instant)
 
     def look(self) -> float:
         """Frequency of the bodies on all their contacts [rad/s]."""

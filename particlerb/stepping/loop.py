@@ -19,7 +19,13 @@ from particlerb.integrators.contact_copies import restore_contacts, save_contact
 from particlerb.integrators.contact_stages import close_prescribed
 from particlerb.integrators.external_work import store_sums
 from particlerb.integrators.method import Method, Step
-from particlerb.integrators.pair_stages import Layout, PairTerms, gather_states, scatter_loads
+from particlerb.integrators.pair_stages import (
+    Layout,
+    OwnBlocks,
+    PairTerms,
+    gather_states,
+    scatter_loads,
+)
 from particlerb.integrators.stages import (
     MovingBodies,
     close,
@@ -213,7 +219,8 @@ def advance(
             if frame[s] != PAUSE:
                 instant = Instant(last_step, 0.0, time, _ratio(open_kick, last_kick))
                 finish(moving, lo, hi, open_kick, instant)
-                close_prescribed(moving.contact, moving.blocks, moving.layout, lo, hi, time)
+                own = OwnBlocks(moving.blocks, moving.layout, lo, hi)
+                close_prescribed(moving.contact, own, time)
             if frame[s] >= 0:
                 _store(moving, lo, hi, recording, frame[s])
                 _restore(moving, lo, hi, saved)
