@@ -171,7 +171,7 @@ def flow_pairs(
     """
     if dashpots is None or pairs is None:
         return
-    _meet(team)
+    meet_all(team)
     if _is_first(team):
         links, own, _, _, _, clock, y, _, booked = pairs
         _gather(blocks, layout, y)
@@ -188,12 +188,12 @@ def flow_pairs(
                 for b in range(layout.size[k]):
                     value = get(rows, BOOKED + c, b) + booked[POWER + c, lo + b]
                     put(rows, BOOKED + c, b, value)
-    _meet(team)
+    meet_all(team)
 
 
 @inline
-def _meet(team: Team | None) -> None:
-    """Wait for all of a team."""
+def meet_all(team: Team | None) -> None:
+    """Wait for all of a team, if there is one."""
     if team is None:
         return
     meet(team)

@@ -27,6 +27,7 @@ from particlerb.integrators.pair_stages import (
     OwnBlocks,
     PairTerms,
     flow_pairs,
+    meet_all,
     put_pair_loads,
     set_pair_time,
     shift_pair_time,
@@ -184,14 +185,6 @@ def flow_dashpots(moving: MovingBodies, dt: float, backwards: bool) -> None:
 
 
 @inline
-def _meet(team: Team | None) -> None:
-    """Wait for all of a team."""
-    if team is None:
-        return
-    meet(team)
-
-
-@inline
 def _share_of_clusters(jointed: Jointed, team: Team | None) -> tuple[int, int]:
     """Mechanisms that this thread moves, once all have come here: they are of all blocks."""
     n = jointed.joints.clusters.body.size - 1
@@ -211,7 +204,7 @@ def _drift_if_jointed(
         return
     first, last = _share_of_clusters(jointed, team)
     drift_jointed(books, jointed, blocks, first, last, kick_dt, ahead, dt)
-    _meet(team)
+    meet_all(team)
     if first == 0:
         count_turns(jointed.joints.coordinates, jointed.work.y, jointed.work.turned)
 
@@ -235,7 +228,7 @@ def _project_if_jointed(
         return
     first, last = _share_of_clusters(jointed, team)
     project_jointed(books, jointed, blocks, first, last, kick_dt, span)
-    _meet(team)
+    meet_all(team)
 
 
 @inline
